@@ -159,7 +159,7 @@ def _whole(b: Builder, lateral: float, manoeuvre: Manoeuvre) -> None:
 def suggested_part(name: str) -> Part:
     """A manoeuvre of the catalogue as it is suggested. Raises StopIteration for an unknown name."""
     one = next(m for m in CATALOGUE if m.name == name)
-    return Part(partial(_whole, manoeuvre=one), (one.speed, one.speed), (one.lateral, one.lateral))
+    return Part(partial(_whole, manoeuvre=one), (one.speed, one.speed), (one.lateral_acceleration,) * 2)
 
 
 def make_programme(car: VehicleParameters, seed: tuple[int, ...], parts: tuple[Part, ...] | None = None,

@@ -79,21 +79,22 @@ def test_three_implementations_drive_the_suggested_manoeuvre(name):
     assert speeds == pytest.approx(float(manoeuvre.speed_at(time).mean()), rel=SPEED_TOLERANCE)
     assert np.ptp(rms) < LATERAL_TOLERANCE * rms.mean()
     if name == "ramp_to_limit":
-        assert all(8.0 < np.abs(rows[:, 1]).max() < manoeuvre.lateral for rows in drives)
+        assert all(8.0 < np.abs(rows[:, 1]).max() < manoeuvre.lateral_acceleration for rows in drives)
     elif name == "sweep":
         # The response decreases at higher frequencies.
         slow = [rows[:len(rows) // 3, 1] for rows in drives]
-        assert [np.abs(v).max() for v in slow] == pytest.approx([manoeuvre.lateral] * 3, rel=LATERAL_TOLERANCE)
+        peaks = [np.abs(v).max() for v in slow]
+        assert peaks == pytest.approx([manoeuvre.lateral_acceleration] * 3, rel=LATERAL_TOLERANCE)
     else:
         peaks = [np.percentile(np.abs(rows[:, 1]), 98) for rows in drives]
-        assert peaks == pytest.approx([manoeuvre.lateral] * 3, rel=0.2)
+        assert peaks == pytest.approx([manoeuvre.lateral_acceleration] * 3, rel=0.2)
 
 
 def test_simulated_drive_starts_in_a_steady_state():
     """As the drive of the virtual car, which settles before the recording: no step of steering at the start."""
     manoeuvre = manoeuvre_named("brake_in_turn")
     rows = drive_model(manoeuvre)
-    assert rows[:100, 1] == pytest.approx(np.full(100, manoeuvre.lateral), rel=0.05)
+    assert rows[:100, 1] == pytest.approx(np.full(100, manoeuvre.lateral_acceleration), rel=0.05)
     assert np.ptp(rows[:100, 1]) < 0.02
 
 

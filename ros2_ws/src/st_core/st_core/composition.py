@@ -117,8 +117,8 @@ def _make_inputs(base_inputs: Callable[..., tuple], effects: tuple[type[Effect],
             return base_inputs(angle, acceleration, p.base)
         prepared: list[Any] = []
         for index, prepare, rows in prepare_hooks:
-            declared = tuple([values[row] for row in rows])
-            prepared += prepare(angle, acceleration, declared, p.thetas[index]) if prepare else declared
+            signal_values = tuple([values[row] for row in rows])
+            prepared += prepare(angle, acceleration, signal_values, p.thetas[index]) if prepare else signal_values
         return angle, acceleration, *prepared, *base_inputs(angle, acceleration, p.base)
     return inputs
 
@@ -260,6 +260,6 @@ def _add_rates(previous, layout):
     hook, index, (begin, end), (first, last) = layout.effect.rates, layout.index, layout.prepared, layout.extra
 
     def rates(state, slips, forces, instant):
-        added = hook(state[first:last], slips, forces, instant, instant.w[begin:end], instant.p.thetas[index])
-        return *previous(state, slips, forces, instant), *added
+        own_rates = hook(state[first:last], slips, forces, instant, instant.w[begin:end], instant.p.thetas[index])
+        return *previous(state, slips, forces, instant), *own_rates
     return rates

@@ -104,9 +104,9 @@ def _check_mirror(effect: type[Effect], vehicle: VehicleParameters, base: Model,
     if effect.kind == "environment":
         return ""  # wind and slope depend on the map and are not symmetric
     opposite_values = {p.name: -p.initial for p in effect.parameters if p.odd}
-    mirrored = model.with_values({effect.name: opposite_values}) if opposite_values else model
-    paths = _predict_floats(mirrored, vehicle, side=-1.0) - MIRROR_SIGNS * _predict_floats(model, vehicle)
-    readings = np.subtract(mirrored.observe(_mirror(READING)), _mirror(model.observe(READING)))
+    mirror_model = model.with_values({effect.name: opposite_values}) if opposite_values else model
+    paths = _predict_floats(mirror_model, vehicle, side=-1.0) - MIRROR_SIGNS * _predict_floats(model, vehicle)
+    readings = np.subtract(mirror_model.observe(_mirror(READING)), _mirror(model.observe(READING)))
     difference = float(max(np.abs(paths).max(), np.abs(readings).max()))
     if not difference < ROUNDING:
         return (f"a left turn is not the mirror image of a right one in the {base.name} model ({difference:.2g}); "
@@ -137,9 +137,9 @@ def describe_instability(base: Model, model: Model, vehicle: VehicleParameters, 
 def _check_correction(effect: type[Effect], vehicle: VehicleParameters, base: Model, model: AugmentedModel) -> str:
     if effect.observe is None:
         return ""
-    observed = np.array(model.observe(READING), float)
-    corrected = np.array(model.correct(Measured(*observed)), float)
-    error, change = np.abs(corrected - READING).max(), np.abs(observed - READING).max()
+    readings = np.array(model.observe(READING), float)
+    restored = np.array(model.correct(Measured(*readings)), float)
+    error, change = np.abs(restored - READING).max(), np.abs(readings - READING).max()
     if error <= CORRECTION_RESIDUAL * change:
         return ""
     return f"observe() changes a reading by {change:.3g}; after correct() an error of {error:.3g} remains"

@@ -91,7 +91,7 @@ def apply_corrections(log: DriveLog, corrections: Mapping[str, Correction], vehi
 
 
 def check_corrections(corrections: Mapping[str, Correction]) -> None:
-    """Raises StCoreError for an unknown channel, two corrections of the steering, and invalid fields or values."""
+    """Check corrections. Raises StCoreError for an unknown channel, both steering channels, and invalid values."""
     for channel, correction in corrections.items():
         if channel not in CHANNELS:
             raise StCoreError(f"{channel}: unknown channel; known: {', '.join(CHANNELS)}")

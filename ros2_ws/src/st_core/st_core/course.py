@@ -167,13 +167,13 @@ def _digest(text: str) -> str:
 
 
 def split_into_passes(log: DriveLog, digests: Sequence[str]) -> list[Pass]:
-    """Parts of a drive of at least MIN_LENGTH, between pauses, gaps and position jumps. Raises StCoreError if none."""
+    """The passes of a drive, at least MIN_LENGTH each, split at pauses, gaps and jumps. Raises StCoreError if none."""
     time = (log.ins_time_ns - log.ins_time_ns[:1]) * 1e-9
     intervals = np.diff(time)
     displacement = np.hypot(np.diff(log.x), np.diff(log.y))
-    driven = 0.5 * (log.velocity_x[1:] + log.velocity_x[:-1]) * intervals
-    slow = np.minimum(log.velocity_x[1:], log.velocity_x[:-1]) < PAUSE_SPEED
-    breaks = slow | (intervals > MAX_GAP) | (np.abs(displacement - driven) > 0.5 + 0.5 * driven)
+    expected = 0.5 * (log.velocity_x[1:] + log.velocity_x[:-1]) * intervals
+    is_slow = np.minimum(log.velocity_x[1:], log.velocity_x[:-1]) < PAUSE_SPEED
+    breaks = is_slow | (intervals > MAX_GAP) | (np.abs(displacement - expected) > 0.5 + 0.5 * expected)
     edges = np.flatnonzero(np.diff(np.concatenate([[True], breaks, [True]]).astype(int)))
     passes = []
     for rows in (slice(first, last + 1) for first, last in edges.reshape(-1, 2).tolist()):
@@ -316,21 +316,21 @@ class CourseTracker:
 
     def _advance(self, ego: EgoMotion) -> float:
         """Add a start; return the time since the previous one [s], 0 after a restart."""
-        elapsed = 0.0
+        elapsed_time = 0.0
         if self._past:
             last = self._past[-1][1]
-            elapsed = (ego.time_ns - last.time_ns) * NANOSECOND
-            driven = 0.5 * (ego.velocity_x + last.velocity_x) * elapsed
-            jumped = abs(math.hypot(ego.x - last.x, ego.y - last.y) - driven) > MAX_JUMP + 0.1 * driven
-            if not 0.0 < elapsed < self._horizon_ns * NANOSECOND or jumped:
+            elapsed_time = (ego.time_ns - last.time_ns) * NANOSECOND
+            distance = 0.5 * (ego.velocity_x + last.velocity_x) * elapsed_time
+            has_jumped = abs(math.hypot(ego.x - last.x, ego.y - last.y) - distance) > MAX_JUMP + 0.1 * distance
+            if not 0.0 < elapsed_time < self._horizon_ns * NANOSECOND or has_jumped:
                 self.restart()
-                elapsed = 0.0
+                elapsed_time = 0.0
             else:
-                self._distance += driven
+                self._distance += distance
         self._past.append((self._distance, ego))
         while (ego.time_ns - self._past[0][1].time_ns) * NANOSECOND > RECENT_TIME:
             self._past.popleft()
-        return elapsed
+        return elapsed_time
 
     def _score(self, ego: EgoMotion, elapsed: float) -> None:
         """Update the mean square errors with the errors of the forecasts that have ended."""

@@ -80,7 +80,7 @@ class Evaluator:
         self._incomplete_scores: list[Score] = []
 
     @property
-    def pending(self) -> int:
+    def pending_count(self) -> int:
         """Number of predictions that are not scored yet."""
         return sum(len(group) for group in self._pending.values())
 
@@ -106,7 +106,7 @@ class Evaluator:
         """Add a prediction (at the CG) to be scored. A forecast is also scored in the mode hindsight."""
         key = (start_ns, len(trajectory.states) - 1, trajectory.step)
         self._pending.setdefault(key, []).append((model, mode, trajectory))
-        if self.pending > self.MAXIMUM_PENDING:
+        if self.pending_count > self.MAXIMUM_PENDING:
             self._abandon([min(self._pending)], f"more than {self.MAXIMUM_PENDING} predictions were waiting")
 
     def poll(self, newest_ns: int | None = None) -> list[Score]:
@@ -150,7 +150,7 @@ class Evaluator:
         no_inputs = (self._describe_unknown("INS", self.history.ins, times, ins[:, DERIVATIVE], start_ns)
                      or self._describe_unknown("steering", self.history.steering, times, angle, start_ns))
         # All models are scored at the same points, although some do not need the input at the last point.
-        scorable = inputs.is_known_so_far[::2]
+        is_scorable = inputs.is_known_so_far[::2]
         breaks = self.history.ins.breaks
         jump_ns = min((time_ns for time_ns in breaks if start_ns < time_ns <= times[-1]), default=int(times[-1]) + 1)
         jump = (f"INS: {breaks[jump_ns]} at {(jump_ns - start_ns) * NANOSECOND:.3f} s of the horizon"
@@ -164,23 +164,23 @@ class Evaluator:
             if given_mode == "forecast":
                 start = VehicleState(*original.states[0].tolist())
                 model_inputs = view.read_inputs(times) if view.is_augmented else inputs
-                compiled = (steps, step) == (self.settings.steps, self.settings.step)
-                runner = self._runners.get(model) if compiled else None
-                resimulated = (runner(start, model_inputs) if runner
-                               else predict(view.model, self.vehicle, start, model_inputs, steps * step, step))
-                variants.append(("hindsight", resimulated, before_jump & scorable, jump or no_inputs))
-            for mode, trajectory, scored, reason in variants:
+                is_compiled = (steps, step) == (self.settings.steps, self.settings.step)
+                runner = self._runners.get(model) if is_compiled else None
+                hindsight_trajectory = (runner(start, model_inputs) if runner
+                                        else predict(view.model, self.vehicle, start, model_inputs, steps * step, step))
+                variants.append(("hindsight", hindsight_trajectory, before_jump & is_scorable, jump or no_inputs))
+            for mode, trajectory, is_scored, reason in variants:
                 r = predict_readings(view.model, self.vehicle, tuple(trajectory.states.T))
-                errors = [np.where(scored, e, math.nan) for e in pose_errors(r.x, r.y, r.yaw, *measured)]
+                errors = [np.where(is_scored, e, math.nan) for e in pose_errors(r.x, r.y, r.yaw, *measured)]
                 scores.append(make_score(model, mode, start_ns, step, errors, reason))
         return scores
 
     @staticmethod
     def _describe_unknown(name: str, series: TimeSeries, times: np.ndarray, values: np.ndarray, start_ns: int) -> str:
-        unknown = np.flatnonzero(~np.isfinite(values))
-        if not len(unknown):
+        unknown_indices = np.flatnonzero(~np.isfinite(values))
+        if not len(unknown_indices):
             return ""
-        time_ns = int(times[unknown[0]])
+        time_ns = int(times[unknown_indices[0]])
         reason = ("acceleration unknown after a gap" if series.row_at(time_ns) is not None
                   else series.describe_unknown(time_ns))
         return f"{name}: {reason} at {(time_ns - start_ns) * NANOSECOND:.3f} s of the horizon"

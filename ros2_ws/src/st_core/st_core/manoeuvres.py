@@ -5,7 +5,7 @@ A manoeuvre is defined by its speed and its target lateral acceleration, so that
     curvature(t) = lateral profile(t) / speed^2            profile: -1 to 1
     road wheel angle(t) = (L + K speed^2) curvature(t)     L: wheelbase, K: understeer gradient
 
-Left is positive everywhere; a negative `lateral` mirrors the manoeuvre. Checked by: test_manoeuvres.py,
+Left is positive everywhere; a negative lateral acceleration mirrors the manoeuvre. Checked by: test_manoeuvres.py,
 tests/bench/test_discovery_manoeuvres.py.
 """
 
@@ -65,8 +65,8 @@ class Manoeuvre:
 
     name: str  # also the scenario name
     speed: float  # at the start [m/s]
-    lateral: float  # peak target lateral acceleration at the initial speed [m/s^2]
-    profile: Shape  # lateral acceleration divided by `lateral`, over one period
+    lateral_acceleration: float  # peak target lateral acceleration at the initial speed [m/s^2]
+    profile: Shape  # lateral acceleration divided by its peak, over one period
     period: float  # time after which the manoeuvre repeats [s]
     repetitions: int = 1  # periods in one drive
     pedals: tuple[tuple[float, float], ...] = ()  # (duration [s], acceleration [m/s^2]), in order; capped at `speed`
@@ -80,7 +80,7 @@ class Manoeuvre:
 
     def curvature(self, time: np.ndarray | float) -> np.ndarray:
         """Curvature of the path at the initial speed [1/m]; time [s] >= 0."""
-        return self.lateral / self.speed**2 * self.profile(np.asarray(time) % self.period)
+        return self.lateral_acceleration / self.speed**2 * self.profile(np.asarray(time) % self.period)
 
     def steering(self, time: np.ndarray | float, wheelbase: float,
                  understeer: float = UNDERSTEER_GRADIENT) -> np.ndarray:

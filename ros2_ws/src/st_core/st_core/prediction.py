@@ -22,7 +22,7 @@ from .yaml_text import hash_content
 
 
 def step_count(horizon: float, step: float) -> int:
-    """Number of steps [s] in a horizon [s]. Raises ConfigurationError unless it is whole, above 0 and below 1e6."""
+    """Number of steps in a horizon, times in s. Raises ConfigurationError unless it is whole, above 0 and below 1e6."""
     if not (step > 0.0 and 0.0 < horizon < 1.0e6 * step):
         raise ConfigurationError(f"horizon: {horizon:g} s with steps of {step:g} s; both must be above 0, and the "
                                  "horizon below 1e6 steps")

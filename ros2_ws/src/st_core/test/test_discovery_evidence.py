@@ -12,7 +12,7 @@ from st_core.discovery.evidence import (
     SIGN_DRAWS,
     Scores,
     collect_evidence,
-    column_shares,
+    column_reductions,
     compare_parts,
     covariance,
     distance_to_bound,
@@ -176,7 +176,7 @@ def test_column_shares_are_those_of_the_columns_that_the_effect_changes():
     after[:, 1::len(COLUMNS)] = 0.005  # yaw rate
     problem.errors.noise = before
     problem.errors.truth = problem.start
-    result = column_shares(problem, before, after)
+    result = column_reductions(problem, before, after)
     assert result["yaw_rate"] == pytest.approx((0.75, 2.0))
     assert result["velocity_y"] == pytest.approx((0.0, 2.0))
 

@@ -58,10 +58,10 @@ def test_steady_circle_scores_match_the_paper(leaf, circle):
     feed(evaluator, circle, ANGLE, 0, 1000)
     add_predictions(evaluator, circle, 900)
     feed(evaluator, circle, ANGLE, 1000, 5900)
-    assert evaluator.poll() == [] and evaluator.pending == 3
+    assert evaluator.poll() == [] and evaluator.pending_count == 3
     feed(evaluator, circle, ANGLE, 5900, 5920)
     scores = evaluator.poll()
-    assert evaluator.pending == 0 and len(scores) == 6
+    assert evaluator.pending_count == 0 and len(scores) == 6
     assert all(s.complete and s.incomplete_reason == "" and s.start_ns == T0 + 900 * MS for s in scores)
     for mode in ("forecast", "hindsight"):
         means = [(s.longitudinal_mean, s.lateral_mean) for s in scores if s.mode == mode]
@@ -160,7 +160,7 @@ def test_caller_clock_ends_the_waiting_when_all_signals_stop(leaf, circle):
     add_predictions(evaluator, circle, 900, ["linear"])
     assert evaluator.poll(T0 + 6800 * MS) == []
     assert [s.complete for s in evaluator.poll(T0 + 6900 * MS)] == [False, False]
-    assert evaluator.pending == 0
+    assert evaluator.pending_count == 0
 
 
 def test_flush_scores_pending_predictions_as_incomplete(leaf, circle):
@@ -168,7 +168,7 @@ def test_flush_scores_pending_predictions_as_incomplete(leaf, circle):
     feed(evaluator, circle, ANGLE, 0, 3000)
     add_predictions(evaluator, circle, 900)
     scores = evaluator.flush()
-    assert len(scores) == 6 and evaluator.pending == 0 and evaluator.flush() == []
+    assert len(scores) == 6 and evaluator.pending_count == 0 and evaluator.flush() == []
     assert {s.incomplete_reason for s in scores if s.mode == "forecast"} == {
         "INS: ends 0.010 s earlier at 2.100 s of the horizon"}
     assert np.isfinite(scores[0].longitudinal[:42]).all() and np.isnan(scores[0].longitudinal[42:]).all()
@@ -177,7 +177,7 @@ def test_flush_scores_pending_predictions_as_incomplete(leaf, circle):
 def test_nothing_is_scored_before_the_first_measurement(leaf, circle):
     evaluator = Evaluator(leaf)
     add_predictions(evaluator, circle, 900, ["linear"])
-    assert evaluator.poll() == [] and evaluator.pending == 1
+    assert evaluator.poll() == [] and evaluator.pending_count == 1
     assert [s.incomplete_reason for s in evaluator.flush()] == ["INS: no samples at 0.000 s of the horizon"] * 2
 
 
@@ -211,7 +211,7 @@ def test_pending_predictions_are_bounded_without_measurements(leaf, circle):
     path = predict("linear", leaf, circle.state(0.0), ControlInput(0.0, 0.0))
     for i in range(200):
         evaluator.add_prediction("linear", T0 + i * 100 * MS, path)
-    assert evaluator.pending == 30
+    assert evaluator.pending_count == 30
     scores = evaluator.poll()
     assert len(scores) == 60 and {s.incomplete_reason for s in scores} == {"more than 30 predictions were waiting"}
 

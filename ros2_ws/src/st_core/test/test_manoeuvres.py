@@ -27,7 +27,7 @@ def path(manoeuvre: Manoeuvre) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("m", CATALOGUE, ids=[m.name for m in CATALOGUE])
 def test_manoeuvre_is_periodic_and_consistent(m):
     t = times(m)
-    assert np.abs(m.curvature(t)).max() * m.speed**2 == pytest.approx(abs(m.lateral), rel=0.01)
+    assert np.abs(m.curvature(t)).max() * m.speed**2 == pytest.approx(abs(m.lateral_acceleration), rel=0.01)
     # The next period is equal and starts at the same speed.
     np.testing.assert_allclose(m.curvature(t + m.period), m.curvature(t), atol=0.003)
     assert m.speed_at(m.period - 1e-9) == pytest.approx(m.speed)
@@ -48,12 +48,12 @@ def test_lateral_acceleration_does_not_depend_on_the_car():
     m = BY_NAME["step"]
     for wheelbase, understeer in ((2.4, 0.0), (2.7, 0.004), (3.3, 0.008)):
         angle = m.steering(5.0, wheelbase, understeer)
-        assert m.speed**2 * angle / (wheelbase + understeer * m.speed**2) == pytest.approx(m.lateral)
+        assert m.speed**2 * angle / (wheelbase + understeer * m.speed**2) == pytest.approx(m.lateral_acceleration)
 
 
 def test_negative_lateral_acceleration_mirrors_the_manoeuvre():
     for m in CATALOGUE:
-        mirrored = replace(m, lateral=-m.lateral)
+        mirrored = replace(m, lateral_acceleration=-m.lateral_acceleration)
         np.testing.assert_array_equal(mirrored.curvature(times(m)), -m.curvature(times(m)))
     left, right = manoeuvres.lane_change(12.0, 4.0), manoeuvres.lane_change(12.0, -4.0)
     assert left.period == right.period

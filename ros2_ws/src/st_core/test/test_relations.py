@@ -346,7 +346,7 @@ def test_formula_is_reported_only_if_it_keeps_the_gain_in_simulation(leaf, monke
     windows = RunWindows(logs, leaf, settings)
     fits = RelationFits(windows, augment("nonlinear", {}), 0.0, (), settings)
     without = fits.fit_without_relation()
-    low, high = np.quantile(windows.joined.velocity_x, [0.01, 0.99])
+    low, high = np.quantile(windows.joined_log.velocity_x, [0.01, 0.99])
     fit = fits.fit(Candidate("yaw_moment", "speed", 0.0, float(low), float(high)), without)
     losses = {}
     for smoothing in PENALTIES:

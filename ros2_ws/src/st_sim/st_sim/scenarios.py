@@ -112,7 +112,7 @@ Plan = RoadPlan | PhasePlan | OpenLoopPlan
 
 def make_plan(manoeuvre: Manoeuvre) -> Plan:
     """Plan of a manoeuvre, which is a circle with pedal inputs, a road, or open-loop steering."""
-    speed, curvature = manoeuvre.speed, manoeuvre.lateral / manoeuvre.speed**2
+    speed, curvature = manoeuvre.speed, manoeuvre.lateral_acceleration / manoeuvre.speed**2
     if manoeuvre.pedals:
         return PhasePlan(1 / abs(curvature), 1 if curvature > 0 else -1, speed, _make_phases(manoeuvre))
     if manoeuvre.closed_loop and isinstance(manoeuvre.profile, PiecewiseLinear):

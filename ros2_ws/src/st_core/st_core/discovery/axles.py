@@ -51,12 +51,12 @@ class Axles:
         self.has_sideslip = "velocity_y" in problem.errors.windows.settings.channels
         # Measured slip and force of both axles, corrected only for fitted effects of steering, sensors and load.
         logs, payloads = [], problem.space.payloads
-        corrected = self.model.select_effects(e for e in self.model.effects
+        corrector = self.model.select_effects(e for e in self.model.effects
                                               if e.kind == "sensors" or e.slot == "steering" or e.name in payloads)
-        car = corrected.effective_vehicle(vehicle)
+        car = corrector.effective_vehicle(vehicle)
         for run in runs:
-            log = correct_log(corrected, run)
-            angle = corrected.effective_road_wheel_angle(log.road_wheel_angle, vehicle)
+            log = correct_log(corrector, run)
+            angle = corrector.effective_road_wheel_angle(log.road_wheel_angle, vehicle)
             log = replace(log, road_wheel_angle=angle, steering_wheel_angle=None)
             logs.append(log if self.has_sideslip else replace(log, velocity_y=compute_steady_velocity_y(log, car)))
         self.regressions = fit_axle_regressions(logs, car)

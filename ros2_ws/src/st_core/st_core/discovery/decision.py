@@ -200,9 +200,9 @@ def judge_naming(e: Evidence, limits: Limits, excludes_null: bool = True, parame
 def varying_partition(e: Evidence, limits: Limits) -> str:
     """Partition (run, place, ...) over which an effect varies significantly and may be absent in a new part, or "". If
     there are several, the one with the largest probability of absence."""
-    varying = [partition for partition, a in e.agreement.items()
-               if a.p_equal < limits.false_alarm and a.p_absent > limits.undecided_p]
-    return max(varying, key=lambda partition: e.agreement[partition].p_absent, default="")
+    candidates = [partition for partition, a in e.agreement.items()
+                  if a.p_equal < limits.false_alarm and a.p_absent > limits.undecided_p]
+    return max(candidates, key=lambda partition: e.agreement[partition].p_absent, default="")
 
 
 def varies_relevantly(e: Evidence, limits: Limits) -> bool:
@@ -215,21 +215,21 @@ def judge_alternative(rival: Rival, limits: Limits) -> Reason:
     figures = {"share": rival.share, "added": rival.added, "p_no_worse": rival.p_no_worse, "deficit": rival.deficit,
                "min_rival_gain": limits.min_rival_gain, "undecided_p": limits.undecided_p,
                "unexplained_share": limits.unexplained_share}
-    unexplained = rival.evidence.noise_ratio > limits.max_noise_ratio and rival.deficit < limits.unexplained_share
-    replaced = rival.replaces.replace("_", " ")
-    gain = f"in place of {replaced} it achieves {rival.share:.0%} of the latter's error reduction"
+    is_unexplained = rival.evidence.noise_ratio > limits.max_noise_ratio and rival.deficit < limits.unexplained_share
+    replaced_name = rival.replaces.replace("_", " ")
+    gain = f"in place of {replaced_name} it achieves {rival.share:.0%} of the latter's error reduction"
     gain += f", and in addition to it {rival.added:.0%}" if rival.added >= 0.005 else ""
-    no_worse = f"p = {rival.p_no_worse:.2g} for the hypothesis that it is as good"
-    worse = rival.p_no_worse < limits.undecided_p
-    if rival.share - rival.added < limits.min_rival_gain or (worse and not unexplained):
-        return Reason(EXPLAINS_LESS, rival.name, figures, f"{gain}; {no_worse}")
+    test_result = f"p = {rival.p_no_worse:.2g} for the hypothesis that it is as good"
+    is_worse = rival.p_no_worse < limits.undecided_p
+    if rival.share - rival.added < limits.min_rival_gain or (is_worse and not is_unexplained):
+        return Reason(EXPLAINS_LESS, rival.name, figures, f"{gain}; {test_result}")
     if rival.shared:
-        gain = f"together with {replaced} it reduces the errors no more than that effect alone"
+        gain = f"together with {replaced_name} it reduces the errors no more than that effect alone"
     elif (verdict := judge(rival.evidence, limits)).rule not in (ACCEPTED, IRRELEVANT):
         return verdict
-    if worse:
-        no_worse += f", but unmodelled effects may cause the difference of {rival.deficit:.1%} of the residual"
-    return Reason(ALTERNATIVE, rival.name, figures, f"{gain}; {no_worse}")
+    if is_worse:
+        test_result += f", but unmodelled effects may cause the difference of {rival.deficit:.1%} of the residual"
+    return Reason(ALTERNATIVE, rival.name, figures, f"{gain}; {test_result}")
 
 
 def is_alternative(rival: Rival, limits: Limits) -> bool:

@@ -130,33 +130,33 @@ class _Analysis:
         horizon_errors = waterfall.HorizonErrors(without_priors, settings.seed)
         varying, varying_fit = self._find_varying(state, partitions)
         floor = self._channel_noise(by_column)
-        judged = self._judge_effects(search, state, partitions, floor)
+        judgement = self._judge_effects(search, state, partitions, floor)
         steps, base = waterfall.build_steps(problem, state.fit, state.order, horizon_errors, partitions)
         errors = waterfall.compare_channel_errors(horizon_errors, base, fit, floor)
         named_errors = waterfall.compare_channel_errors(horizon_errors, base, state.fit, floor)
         budget = waterfall.build_budget(problem, base, state.fit, fit, varying_fit, horizon_errors)
         power = (measure_power(problem, state.fit, self.limits, settings.seed, self._ticker("certifying"))
                  if settings.certify else predict_power(problem, state.fit, state.scores, self.limits))
-        effects, design_effect = judged.named, state.scores.design_effect
+        effects, design_effect = judgement.named, state.scores.design_effect
         curvatures = self._simulate_catalogue(state, effects)
-        untestable = self._find_untestable(state, power, judged, curvatures)
+        untestable = self._find_untestable(state, power, judgement, curvatures)
         noise_ratios = _noise_ratios(named_errors.get("position_5s"), floor)
-        outcome, reasons = self._decide_outcome(state, judged, untestable, noise_ratios, len(varying))
+        outcome, reasons = self._decide_outcome(state, judgement, untestable, noise_ratios, len(varying))
         separability = list_separabilities(problem, state.fit, effects, design_effect)
         regions = self._locate_errors(base, floor) if settings.locate_errors else ()
         return result.Discovery(
-            outcome=outcome, effects=effects, minor=judged.minor, combinations=judged.combinations,
-            effective=(*judged.contradicted, *self._list_corrections(without_priors, fit, state)),
+            outcome=outcome, effects=effects, minor=judgement.minor, combinations=judgement.combinations,
+            effective=(*judgement.contradicted, *self._list_corrections(without_priors, fit, state)),
             varying=varying, steps=tuple(steps), errors=errors, named_errors=named_errors,
             budget=tuple(budget), reasons=reasons,
-            candidates=self._list_candidates(state, judged.verdicts), where=regions, not_testable=untestable,
+            candidates=self._list_candidates(state, judgement.verdicts), where=regions, not_testable=untestable,
             next_manoeuvre=choose_manoeuvre(problem, state.fit, separability, curvatures, design_effect),
             separability=separability, certificate=power, runs=self._list_runs(), clock_errors=self.clock_errors,
             signature=self._describe_residual(noise_ratios[1], regions), base=space.at(base.vector),
             start="reference" if self.reference else "vehicle file", warnings=tuple(self.warnings),
             model=space.at(fit.vector) if fit.names else None, assumed=self._list_assumed(),
-            named=space.at(problem.vector_without(state.fit, *(e.name for e in judged.contradicted)))
-            if state.order else None, leave_one_out=judged.leave_one_out, axle_curves=judged.curves,
+            named=space.at(problem.vector_without(state.fit, *(e.name for e in judgement.contradicted)))
+            if state.order else None, leave_one_out=judgement.leave_one_out, axle_curves=judgement.curves,
             # The residual of the best model counts as noise in all later comparisons, whatever its cause.
             noise={c: error.augmented for c, error in errors.items()}, acceleration_gain=float(fit.vector[-1]))
 
@@ -272,11 +272,11 @@ class _Analysis:
     def _select_channels(self, settings: DiscoverySettings) -> DiscoverySettings:
         """The settings with only the channels that are measured in all runs; warns about the others."""
         logs = [*self.runs, *self.reference]
-        unmeasured = [c for c in settings.channels if not all(CHANNELS[c].is_measured_in(log) for log in logs)]
-        if unmeasured:
-            self.warnings.append(f"{', '.join(unmeasured)}: not measured in every run, left out; effects that need "
-                                 f"{'it' if len(unmeasured) == 1 else 'them'} are not searched for")
-        return replace(settings, channels=tuple(c for c in settings.channels if c not in unmeasured))
+        missing = [c for c in settings.channels if not all(CHANNELS[c].is_measured_in(log) for log in logs)]
+        if missing:
+            self.warnings.append(f"{', '.join(missing)}: not measured in every run, left out; effects that need "
+                                 f"{'it' if len(missing) == 1 else 'them'} are not searched for")
+        return replace(settings, channels=tuple(c for c in settings.channels if c not in missing))
 
     def _warn_of_low_excitation(self) -> None:
         if len(self.runs) < MIN_RUNS:
@@ -288,7 +288,7 @@ class _Analysis:
         if self.problem.blocks < 10:
             count = f"{self.problem.blocks} block{'' if self.problem.blocks == 1 else 's'}"
             self.warnings.append(f"only {count} of {self.settings.block:g} s: tests have little power")
-        lateral_acceleration = self.windows.joined.yaw_rate * self.windows.joined.velocity_x
+        lateral_acceleration = self.windows.joined_log.yaw_rate * self.windows.joined_log.velocity_x
         left, right = ((side * lateral_acceleration > MIN_TURNING_ACCELERATION).mean() for side in (1.0, -1.0))
         if left + right < MIN_TURNING_FRACTION:
             self.warnings.append("nearly all driving is straight: tyres, steering ratio and mass are not identifiable")
@@ -430,11 +430,11 @@ class _Analysis:
             largest = max(powers, key=lambda p: p.size)
             manoeuvre = find_most_informative(problem, name, curvatures)
             other = find_confounding_effect(problem, state.fit, name, state.scores, self.limits)
-            confounded = f"in these drives it cannot be separated from {other.replace('_', ' ')}; " if other else ""
+            confounder = f"in these drives it cannot be separated from {other.replace('_', ' ')}; " if other else ""
             size = f"{100 * largest.size:.3g} %" if largest.unit == "1" else f"{largest.size:.3g} {largest.unit}"
             untestable.append(result.UntestableEffect(
                 name, f"a change of {size} would be detected with probability {largest.probability:.2f}; "
-                f"{confounded}it is visible in {get_effect(name).excited_by}", manoeuvre))
+                f"{confounder}it is visible in {get_effect(name).excited_by}", manoeuvre))
         for name in self.space.without_signal:
             signals = ", ".join(get_effect(name).signals)
             untestable.append(result.UntestableEffect(name, f"it needs the signal {signals}, which is not recorded"))

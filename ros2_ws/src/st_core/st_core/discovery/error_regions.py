@@ -79,7 +79,7 @@ class Samples:
 @dataclass(frozen=True)
 class BinExcess:
     """Error of one channel in one range. excess [1]: ratio of the RMS error to the expected one; interval: 95 %.
-    p_value: of the hypothesis that the error is not larger than expected. blocks: their number. covered: whether the
+    p_value: of the hypothesis that the error is not larger than expected. blocks: their number. is_covered: whether the
     reference has enough driving in the range; True without reference drives."""
 
     channel: str
@@ -88,8 +88,8 @@ class BinExcess:
     interval: tuple[float, float]
     p_value: float
     blocks: int
-    covered: bool = True
-    significant: bool = False
+    is_covered: bool = True
+    is_significant: bool = False
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ def assign_ranges(samples: Samples) -> list[Bin]:
 
 
 def describe_range(quantity: str, low: float, high: float | None) -> str:
-    """A range as text: "speed above 12 m/s"."""
+    """Text of a range, such as "speed above 12 m/s"."""
     unit = CONDITIONS[quantity][0]
     if high is None:
         return f"{quantity} above {low:g} {unit}"
@@ -192,7 +192,7 @@ def window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: Vehi
 def _find_conditions(windows: Windows) -> dict[str, np.ndarray]:
     """Positions at the starts of the windows, and mean conditions over the first SHORT_HORIZON (root mean square for
     the steering rate)."""
-    signals = LogSignals(windows.joined, MAX_GAP, 5.0, "zero_phase")
+    signals = LogSignals(windows.joined_log, MAX_GAP, 5.0, "zero_phase")
     duration = min(SHORT_HORIZON, float(windows.time[-1]))
     times = windows.starts_ns[:, None] + np.round(
         np.arange(0.0, duration + STEP / 2, STEP) / NANOSECOND).astype(np.int64)
@@ -209,14 +209,14 @@ def _channel_regions(channel: str, bins: Sequence[BinExcess], segments: Sequence
                      samples: Samples, has_reference: bool) -> list[LargeErrorRegion]:
     """Regions of one channel with large errors; empty without a significant bin."""
     channel_bins = [b for b in bins if b.channel == channel]
-    if not any(b.significant for b in channel_bins):
+    if not any(b.is_significant for b in channel_bins):
         return []
     overall = next(b for b in channel_bins if b.range.quantity == EVERYWHERE)
     ranges = [_range_region(group, channel_bins, overall, has_reference) for group in _group_neighbours(channel_bins)]
     # Ranked by the lower bound, because a range with few observations can have a large error by chance.
     regions = sorted((r for r in ranges if r.interval[0] > 1.0 and r.excess >= MIN_CONTRAST * overall.excess),
                      key=lambda r: -r.interval[0])[:MAX_RANGES]
-    if overall.significant:
+    if overall.is_significant:
         regions.append(LargeErrorRegion(channel, EVERYWHERE, overall.excess, overall.interval))
     regions += [_segment_region(s, overall, samples) for s in segments if s.channel == channel]
     return regions + _place_regions([c for c in cells if c.channel == channel], overall)
@@ -230,7 +230,7 @@ def _group_neighbours(bins: Sequence[BinExcess]) -> list[list[BinExcess]]:
                 and high <= MAX_EXCESS_RATIO * low)
 
     groups: list[list[BinExcess]] = []
-    for current in (b for b in bins if b.significant and b.range.quantity != EVERYWHERE):
+    for current in (b for b in bins if b.is_significant and b.range.quantity != EVERYWHERE):
         if groups and belong_together(groups[-1][-1], current):
             groups[-1].append(current)
         else:
@@ -248,9 +248,9 @@ def _range_region(group: Sequence[BinExcess], bins: Sequence[BinExcess], overall
         return LargeErrorRegion(overall.channel, condition, group[0].excess, group[0].interval)
     condition = describe_range(quantity, low, high)
     sides = [b for b in bins if b.range.quantity == "direction" and b.range.label != "straight"]
-    if quantity in BINNED_BY_MAGNITUDE and low and len(sides) == 2 and all(b.significant for b in sides):
+    if quantity in BINNED_BY_MAGNITUDE and low and len(sides) == 2 and all(b.is_significant for b in sides):
         condition += ", both directions"
-    if has_reference and not all(b.covered for b in group):
+    if has_reference and not all(b.is_covered for b in group):
         condition += " (poorly covered by the reference drives)"
     weights = np.array([b.blocks for b in group], float)
     rows = np.array([(b.excess, *b.interval) for b in group])
@@ -296,23 +296,23 @@ def compute_excesses(samples: Samples, reference: Samples | None, noise: Mapping
                                                np.random.default_rng((seed, number, 0)), resamples)
         if reference is None:
             expected = np.full(len(ranges), noise[channel] ** 2)
-            expected_deviations, covered = np.zeros(len(ranges)), np.ones(len(ranges), bool)
+            expected_deviations, is_covered = np.zeros(len(ranges)), np.ones(len(ranges), bool)
         else:
             expected, expected_deviations, expected_blocks = _bin_means(
                 reference.squares[channel], reference.block, assign_ranges(reference),
                 np.random.default_rng((seed, number, 1)), resamples)
-            covered = expected_blocks >= MIN_BLOCKS
+            is_covered = expected_blocks >= MIN_BLOCKS
             # A bin with too little reference driving gets the error of the worst bin, to avoid false alarms.
-            worst = int(np.nanargmax(np.where(covered, expected, -1.0)))
-            expected = np.where(covered, expected, expected[worst])
-            expected_deviations = np.where(covered, expected_deviations, expected_deviations[worst])
+            worst = int(np.nanargmax(np.where(is_covered, expected, -1.0)))
+            expected = np.where(is_covered, expected, expected[worst])
+            expected_deviations = np.where(is_covered, expected_deviations, expected_deviations[worst])
         for k in np.flatnonzero(blocks >= MIN_BLOCKS):
             log_ratio = math.log(max(means[k], 1e-300) / max(expected[k], 1e-300))
             deviation, count = math.hypot(deviations[k], expected_deviations[k]), int(blocks[k])
             excesses.append(BinExcess(channel, ranges[k], *_test_ratio(log_ratio, deviation, count), count,
-                                      bool(covered[k])))
+                                      bool(is_covered[k])))
     adjusted_p = stats.false_discovery_control([e.p_value for e in excesses], method="bh") if excesses else ()
-    return tuple(replace(e, significant=bool(q <= FALSE_DISCOVERY_RATE and e.excess >= MIN_EXCESS))
+    return tuple(replace(e, is_significant=bool(q <= FALSE_DISCOVERY_RATE and e.excess >= MIN_EXCESS))
                  for e, q in zip(excesses, adjusted_p, strict=True))
 
 
@@ -398,8 +398,8 @@ def _find_change_points(values: np.ndarray, first: int, last: int, block: int, r
     cusum = _cusum(section[None])[0]
     change = int(np.argmax(cusum[shortest:-shortest])) + shortest if len(section) > 2 * shortest else shortest
     pieces = section[:len(section) // block * block].reshape(-1, block)
-    shuffled = np.stack([pieces[rng.permutation(len(pieces))].ravel() for _ in range(PERMUTATIONS)])
-    largest = _cusum(shuffled).max(axis=1)
+    permutations = np.stack([pieces[rng.permutation(len(pieces))].ravel() for _ in range(PERMUTATIONS)])
+    largest = _cusum(permutations).max(axis=1)
     p = (1 + int((largest >= cusum[change]).sum())) / (1 + PERMUTATIONS)
     if p > MAX_P_VALUE:
         return []

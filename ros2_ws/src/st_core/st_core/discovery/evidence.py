@@ -42,8 +42,8 @@ class Evidence:
     gain [1]: reduction of the held-out loss per residual, about the relative reduction of the RMS error; the smaller of
     two values, with folds and with whole runs held out. healthy_gain [1]: `HealthyCar.gain`, 0 without reference
     drives. p_value [1]: p-value of the gain, corrected for the whole library. null_p_value [1]: see `null_p_value`.
-    shares [1]: by column, see `column_shares`. position [m]: reduction of the mean held-out position error at the end
-    of the horizon. position_in_condition [m]: lower 95 % bound of this reduction in the driving condition where the
+    shares [1]: by column, see `column_reductions`. position [m]: reduction of the mean held-out position error at the
+    end of the horizon. position_in_condition [m]: lower 95 % bound of this reduction in the driving condition where the
     bound is largest. noise_ratio [1]: error with the effect divided by the noise, see `residual_over_noise`.
     bound_distance, size: distances to the nearest bound and from the null [parameter scales]. sensors_p_value,
     sensors_null_p_value [1]: p-values of the fitted value and the null, given redundant sensors, or None.
@@ -189,7 +189,7 @@ def collect_evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scor
     return Evidence(
         effect, gain=min(float(gain.sum()) / problem.residual_count, problem.held_out_gain(without, fit)),
         p_value=library_p_value(block_scores, gain, scores, len(problem.space.hypotheses)),
-        null_p_value=null_p_value(problem, fit, effect), shares=column_shares(problem, before, after),
+        null_p_value=null_p_value(problem, fit, effect), shares=column_reductions(problem, before, after),
         position=position, position_in_condition=position_in_condition, noise_ratio=residual_over_noise(problem, after),
         bound_distance=distance_to_bound(problem, fit, effect), healthy_gain=problem.healthy_gain, size=float(size),
         sensors_p_value=sensors_p_value, sensors_null_p_value=sensors_null,
@@ -205,7 +205,7 @@ def residual_over_noise(problem: Problem, rows: np.ndarray) -> float:
     return float((problem.column_rms(rows) / np.maximum(problem.noise, 1e-12)).max())
 
 
-def column_shares(problem: Problem, without: np.ndarray, with_effect: np.ndarray) -> dict[str, tuple[float, float]]:
+def column_reductions(problem: Problem, without: np.ndarray, with_effect: np.ndarray) -> dict[str, tuple[float, float]]:
     """By column, (error reduction divided by the larger of the baseline error and the error without the effect, error
     without the effect divided by the noise)."""
     before, after = problem.column_rms(without), problem.column_rms(with_effect)

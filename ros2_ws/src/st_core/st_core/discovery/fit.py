@@ -311,15 +311,15 @@ class Problem:
         steps, held_out = {}, np.zeros(len(q.cost))
         for k in np.unique(fold):
             in_fold = fold == k
-            fitted_h = h - q.hessian[in_fold].sum(axis=0)
+            remaining_h = h - q.hessian[in_fold].sum(axis=0)
             if self.prior is None:
-                fitted_g = g - (gradient + q.hessian @ optimum)[in_fold].sum(axis=0) - prior @ distance
-                d = minimise_bounded(add_ridge(fitted_h + prior), fitted_g, *limits) - optimum
+                remaining_g = g - (gradient + q.hessian @ optimum)[in_fold].sum(axis=0) - prior @ distance
+                d = minimise_bounded(add_ridge(remaining_h + prior), remaining_g, *limits) - optimum
             else:
                 d = np.zeros(len(indices))
                 ridge = RIDGE * np.trace(h) / len(h) * np.eye(len(columns))
                 d[columns] = minimise_bounded(
-                    fitted_h[np.ix_(columns, columns)] + ridge, gradient[~in_fold].sum(axis=0)[columns],
+                    remaining_h[np.ix_(columns, columns)] + ridge, gradient[~in_fold].sum(axis=0)[columns],
                     np.minimum(low, 0.0)[columns], np.maximum(high, 0.0)[columns])
             steps[int(k)] = d = base + d
             rise = np.einsum("i,bij,j->b", d, q.hessian[in_fold], d) - 2.0 * q.gradient[in_fold] @ d

@@ -72,15 +72,15 @@ def simulate_manoeuvres(windows: Windows, base: Model) -> Iterator[tuple[Manoeuv
             log = simulate_drive(manoeuvre, model, windows.vehicle)
         except StCoreError:
             continue  # the base model spins
-        exceeded = np.abs(log.velocity_x * log.yaw_rate) > MAX_LATERAL_ACCELERATION
-        if exceeded.any():
-            log = log.slice(0, int(log.ins_time_ns[max(int(np.argmax(exceeded)) - 1, 1)]))
+        is_beyond_limit = np.abs(log.velocity_x * log.yaw_rate) > MAX_LATERAL_ACCELERATION
+        if is_beyond_limit.any():
+            log = log.slice(0, int(log.ins_time_ns[max(int(np.argmax(is_beyond_limit)) - 1, 1)]))
         if log.overlap < settings.horizon + 3.0:
             continue
-        unmeasured: dict[str, Any] = {n: None for n in OPTIONAL_INS_SIGNALS if getattr(windows.joined, n) is None}
-        simulated = Windows([replace(log, **unmeasured)], windows.vehicle, settings)
-        if len(simulated):
-            yield manoeuvre, simulated
+        missing: dict[str, Any] = {n: None for n in OPTIONAL_INS_SIGNALS if getattr(windows.joined_log, n) is None}
+        simulated_windows = Windows([replace(log, **missing)], windows.vehicle, settings)
+        if len(simulated_windows):
+            yield manoeuvre, simulated_windows
 
 
 def simulate_catalogue(problem: Problem, fit: Fit) -> Curvatures:
@@ -105,12 +105,12 @@ def compute_separation(problem: Problem, fit: Fit, h: np.ndarray, first: str, se
     d = ((fit.vector - problem.space.null) / problem.space.scale)[indices]
     curvature = h[np.ix_(indices, indices)]
     cross = h[np.ix_(indices, free)] @ inverse(h[np.ix_(free, free)])
-    unexplained = float(d @ (curvature - cross @ h[np.ix_(free, indices)]) @ d)
+    unexplained_square = float(d @ (curvature - cross @ h[np.ix_(free, indices)]) @ d)
     other_curvature = h[np.ix_(other_indices, other_indices)]
     e = inverse(other_curvature) @ h[np.ix_(other_indices, indices)] @ d
     sizes = np.sqrt(max(float(d @ curvature @ d), 1e-12) * max(float(e @ other_curvature @ e), 1e-12))
     cosine = float(d @ h[np.ix_(indices, other_indices)] @ e) / sizes
-    return float(np.clip(cosine, -1.0, 1.0)), float(np.sqrt(max(2.0 * unexplained / design_effect, 0.0)))
+    return float(np.clip(cosine, -1.0, 1.0)), float(np.sqrt(max(2.0 * unexplained_square / design_effect, 0.0)))
 
 
 def list_separabilities(problem: Problem, fit: Fit, effects: Sequence[FoundEffect],

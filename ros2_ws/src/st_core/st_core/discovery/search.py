@@ -203,15 +203,15 @@ class Search:
         state.cached_scores = state.cached_scores or self._scores(state.fit)
         gains = state.scores.gains
         largest = max((gain.sum() for gain, _ in gains.values()), default=0.0)
-        required = CONTENDER_FRACTION * max(limits.negligible * p.residual_count, CONTENDER_FRACTION * largest)
+        min_gain = CONTENDER_FRACTION * max(limits.negligible * p.residual_count, CONTENDER_FRACTION * largest)
         # A payload is tried only as a rival of effects already in the set.
-        ranked = [e for e in sorted(gains, key=lambda e: -gains[e][0].sum())
-                  if gains[e][0].sum() > required and e not in p.space.payloads]
+        ranking = [e for e in sorted(gains, key=lambda e: -gains[e][0].sum())
+                   if gains[e][0].sum() > min_gain and e not in p.space.payloads]
         # Significant effects are preferred: with much noise, others can gain more by chance.
         effect_count, by_effect = len(p.space.hypotheses), state.scores.by_effect
-        significant = [e for e in ranked if library_p_value(by_effect[e], gains[e][0], state.scores, effect_count)
+        significant = [e for e in ranking if library_p_value(by_effect[e], gains[e][0], state.scores, effect_count)
                        <= limits.false_alarm]
-        contenders = (significant or ranked)[:CONTENDERS]
+        contenders = (significant or ranking)[:CONTENDERS]
         contenders += [m for e in contenders for m in get_effect(e).members if m in gains and m not in contenders]
         fits = {effect: self._refit_with(state.fit, effect, gains[effect][1]) for effect in contenders}
         if not fits:
@@ -296,21 +296,21 @@ class Search:
         """Increase of the loss if the effects `names` are removed from a fit, from the quadratic approximation. fixed:
         effects that keep their values; the others are refitted."""
         p = self.problem
-        remaining = tuple(n for n in fit.names if n not in names)
-        removed = np.isin(fit.indices, np.setdiff1d(p.space.indices(*names), p.space.indices(*remaining)))
-        step = np.where(removed, -p.distance(fit.vector)[fit.indices], 0.0)
-        free = ~removed & ~np.isin(fit.indices, p.space.indices(*fixed))
-        return _constrained_step(p, fit.quadratic, fit.vector, fit.indices, step, free)[0]
+        remaining_names = tuple(n for n in fit.names if n not in names)
+        is_removed = np.isin(fit.indices, np.setdiff1d(p.space.indices(*names), p.space.indices(*remaining_names)))
+        step = np.where(is_removed, -p.distance(fit.vector)[fit.indices], 0.0)
+        is_free = ~is_removed & ~np.isin(fit.indices, p.space.indices(*fixed))
+        return _constrained_step(p, fit.quadratic, fit.vector, fit.indices, step, is_free)[0]
 
     def find_cancelling(self, fit: Fit, name: str) -> tuple[str, ...]:
         """Effects of a fit that cancel `name`, so that the drives show only the sum: without both, the loss increases
         by less than `limits.min_rival_gain` times the smaller increase without one of them, with the other fixed."""
-        cancelling = []
+        cancelling_names = []
         for other in (n for n in fit.names if n != name):
             alone = min(self.predicted_rise(fit, name, fixed=(other,)), self.predicted_rise(fit, other, fixed=(name,)))
             if self.predicted_rise(fit, name, other) < self.limits.min_rival_gain * alone:
-                cancelling.append(other)
-        return tuple(cancelling)
+                cancelling_names.append(other)
+        return tuple(cancelling_names)
 
     def _prune(self, vector: np.ndarray, names: list[str]) -> Fit | None:
         """Backward elimination from a joint fit of many effects with a weak prior; None if no effect remains, or if the
@@ -330,9 +330,9 @@ class Search:
         sensitivities, q = p.all_sensitivities(vector), p.full_quadratic(vector)
 
         def cost(selected: list[str]) -> float:
-            free = np.isin(sensitivities.indices, p.free_indices(selected))
-            to_start = np.where(free, 0.0, -p.distance(vector))
-            return _constrained_step(p, q, vector, sensitivities.indices, to_start, free)[0]
+            is_free = np.isin(sensitivities.indices, p.free_indices(selected))
+            to_start = np.where(is_free, 0.0, -p.distance(vector))
+            return _constrained_step(p, q, vector, sensitivities.indices, to_start, is_free)[0]
 
         while names:
             current = cost(names)
@@ -349,10 +349,10 @@ class Search:
         """Exchange effects and drop rejected ones until the test accepts all."""
         for _ in range(MAX_EXCHANGES):
             state = self._drop_rejected(state)
-            exchanged = self._exchange(state)
-            if exchanged is None:
+            exchanged_fit = self._exchange(state)
+            if exchanged_fit is None:
                 return state
-            result = self._step_from(self._rescale(exchanged), revisit=True)
+            result = self._step_from(self._rescale(exchanged_fit), revisit=True)
             assert result is not None  # because of `revisit`
             result.order = [n for n in dict.fromkeys((*state.order, *result.fit.names)) if n in result.fit.names]
             state = result
@@ -382,8 +382,8 @@ class Search:
                 continue
             without = state.fits_without[name] = self._refit_without(state.fit, name)
             state.evidence[name] = self._evidence(without, state.fit, name, state.scores)
-        failing = [n for n, e in state.evidence.items() if self._judge(e, self.limits).rule != ACCEPTED]
-        return min(failing, key=lambda n: state.evidence[n].gain, default="")
+        failing_names = [n for n, e in state.evidence.items() if self._judge(e, self.limits).rule != ACCEPTED]
+        return min(failing_names, key=lambda n: state.evidence[n].gain, default="")
 
     def _exchange(self, state: SearchState) -> Fit | None:
         """Fill in `rivals`; return the best fit with one effect exchanged if significantly better, else `_merge`."""
@@ -426,9 +426,9 @@ class Search:
             fit = min(fits, key=lambda fit: float(fit.held_out.sum()))
             if len(fits) > 1 and frozenset(fit.names) not in self._visited:
                 fit = self._step_backward(fit, state.scores)
-                saved = len(state.fit.names) - len(fit.names)
-                limit = self.limits.negligible * self.problem.residual_count * saved
-                if saved > 0 and float((fit.held_out - state.fit.held_out).sum()) < limit:
+                saved_count = len(state.fit.names) - len(fit.names)
+                limit = self.limits.negligible * self.problem.residual_count * saved_count
+                if saved_count > 0 and float((fit.held_out - state.fit.held_out).sum()) < limit:
                     return fit
         return None
 

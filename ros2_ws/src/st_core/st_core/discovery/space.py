@@ -93,11 +93,11 @@ def _choose_effects(usable: Sequence[str], settings: DiscoverySettings, availabl
         if name not in available:
             raise ConfigurationError(f"effects: {name} does not apply to this base model; available are "
                                      f"{', '.join(available)}")
-    chosen = tuple(n for n in usable if (requested is None or n in requested)
-                   and set(get_effect(n).needs) <= set(settings.channels))
-    if not chosen:
+    hypotheses = tuple(n for n in usable if (requested is None or n in requested)
+                       and set(get_effect(n).needs) <= set(settings.channels))
+    if not hypotheses:
         raise ConfigurationError("effects: none of those requested applies to this base model with these channels")
-    return chosen
+    return hypotheses
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import stats
 
 from ..effects import get_effect
-from .evidence import MIN_INFORMATION_FRACTION, Evidence, column_shares, error_reductions, inverse
+from .evidence import MIN_INFORMATION_FRACTION, Evidence, column_reductions, error_reductions, inverse
 from .fit import Fit, Problem
 from .loss import Quadratic
 from .partitions import Partition
@@ -37,11 +37,11 @@ def find_varying_effects(problem: Problem, fit: Fit, partitions: Mapping[str, Pa
     """Fits of every effect of the library, except composites, with its own value in each part of a partition, largest
     gain first. Partitions with at least half as many parts as blocks are left out."""
     q = problem.full_quadratic(fit.vector)
-    usable = {name: partition for name, partition in partitions.items()
-              if len(np.unique(partition[0])) < problem.blocks / 2}
+    usable_partitions = {name: partition for name, partition in partitions.items()
+                         if len(np.unique(partition[0])) < problem.blocks / 2}
     library = [n for n in problem.space.hypotheses if not get_effect(n).members]
-    fits = [_fit_by_part(problem, fit, q, effect, name, partition, len(library) * len(usable))
-            for name, partition in usable.items() for effect in library]
+    fits = [_fit_by_part(problem, fit, q, effect, name, partition, len(library) * len(usable_partitions))
+            for name, partition in usable_partitions.items() for effect in library]
     return sorted((v for v in fits if v), key=lambda v: -v.gain)
 
 
@@ -51,8 +51,8 @@ def _fit_by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: st
     there are no more blocks than parts. tests: number of tests, for the Bonferroni correction."""
     space, (number, names) = problem.space, partition
     indices = space.indices(effect)
-    fitted = problem.free_indices(fit.names) if problem.prior is None else space.indices(*fit.names)
-    others = np.setdiff1d(fitted, indices)
+    fitted_indices = problem.free_indices(fit.names) if problem.prior is None else space.indices(*fit.names)
+    others = np.setdiff1d(fitted_indices, indices)
     h = q.hessian.sum(axis=0)
     projection = np.zeros((len(space), len(indices)))  # the other fitted parameters are re-optimised
     projection[indices, np.arange(len(indices))] = 1.0
@@ -98,5 +98,5 @@ def collect_varying_evidence(problem: Problem, fit: Fit, v: VaryingFit,
         corrected[inside] -= np.tensordot(step, sensitivities[:, inside], 1)
     reduction = problem.position_error(rows) - problem.position_error(corrected)
     position, position_in_condition = error_reductions(reduction, partitions.get("condition"))
-    return Evidence(v.name, v.gain, v.p_value, shares=column_shares(problem, rows, corrected), position=position,
+    return Evidence(v.name, v.gain, v.p_value, shares=column_reductions(problem, rows, corrected), position=position,
                     position_in_condition=position_in_condition, healthy_gain=problem.healthy_gain)

@@ -50,12 +50,12 @@ class HorizonErrors:
             return Change(float("nan"), float("nan"), (float("nan"), float("nan")), UNITS[channel])
         count = np.bincount(self.block[known], minlength=self.problem.blocks)
         sums = [np.bincount(self.block[known], v[known], self.problem.blocks) for v in (before, after)]
-        number = np.maximum(self._weights @ count, 1)
-        drawn = [self._weights @ s / number for s in sums]
+        counts = np.maximum(self._weights @ count, 1)
+        resampled_means = [self._weights @ s / counts for s in sums]
         means = [v[known].mean() for v in (before, after)]
         if channel != "position_5s":  # mean squares
-            drawn, means = [np.sqrt(v) for v in drawn], [np.sqrt(v) for v in means]
-        low, high = np.quantile(drawn[0] - drawn[1], (0.025, 0.975))
+            resampled_means, means = [np.sqrt(v) for v in resampled_means], [np.sqrt(v) for v in means]
+        low, high = np.quantile(resampled_means[0] - resampled_means[1], (0.025, 0.975))
         return Change(float(means[0]), float(means[1]), (float(low), float(high)), UNITS[channel])
 
     def error_by_run(self, channel: str, values: np.ndarray) -> dict[str, float]:
@@ -69,7 +69,7 @@ class HorizonErrors:
 def estimate_parameters(problem: Problem, fit: Fit, effect: str, partitions: Mapping[str, Partition],
                         near_sets: Sequence[tuple[Sequence[str], np.ndarray]] = (), joint_fit: JointFit | None = None,
                         noise_ratio: float = 1.0) -> dict[str, FittedParameter]:
-    """Values of an effect with 95 % intervals.
+    """Fitted values of an effect with 95 % intervals, by parameter.
 
     The half-width is the largest of three estimates: (1) from blocks taken as independent; (2) from the scatter between
     at least three parts of a partition, such as runs or sites, but not map cells; (3) from the deviation and shift in

@@ -32,7 +32,7 @@ from .settings import DiscoverySettings
 STEP = 0.05  # s, integration step
 TYRE_MODELS = ("linear", "nonlinear")
 SIDESLIP_SETTLING_TIME = 0.75  # s, in which the error of an assumed initial sideslip decays
-MARGIN_NS = 600_000_000  # ns before the first window, half after the last; for effects that shift the steering in time
+MARGIN_NS = 600_000_000  # ns before the first window, half of it after the last, for time shifts of the steering
 MAX_GAP = 0.1  # s, longest gap that is interpolated, as PredictionSettings.maximum_gap
 MIN_SPEED = 1.5  # m/s; slower windows have hardly any lateral motion
 PAUSE_NS = 5_000_000_000  # ns between runs on the common clock
@@ -66,11 +66,11 @@ class Signals(LogSignals):
 
     def _find_neighbours(self, times: np.ndarray, requested: np.ndarray) -> Neighbours:
         key = _memory_key(times), _memory_key(requested)
-        cached = self._lookups.pop(key, None)
+        entry = self._lookups.pop(key, None)
         # The memory may have been reused for other values; comparing them is a hundred times faster than searching.
-        if cached is None or not (np.array_equal(cached[0], times) and np.array_equal(cached[1], requested)):
-            cached = times.copy(), requested.copy(), super()._find_neighbours(times, requested)
-        return _remember(self._lookups, key, cached, LOOKUP_CACHE_SIZE)[2]
+        if entry is None or not (np.array_equal(entry[0], times) and np.array_equal(entry[1], requested)):
+            entry = times.copy(), requested.copy(), super()._find_neighbours(times, requested)
+        return _remember(self._lookups, key, entry, LOOKUP_CACHE_SIZE)[2]
 
 
 class Batch(LogBatch):
@@ -132,13 +132,13 @@ class Windows:
         points = np.maximum(np.round((settling_time + settings.horizon * np.array(SCORED_FRACTIONS)) / STEP), 1)
         self._points = np.unique(points.astype(int))  # multiples of STEP
         self.time = STEP * self._points
-        self.joined, offsets = _join(runs)
+        self.joined_log, offsets = _join(runs)
         steps = int(self._points[-1]) + 1
         starts, run, seconds = _select_starts(runs, offsets, steps * STEP, settings)
         stencil = np.unique(np.concatenate([self._points - 1, self._points, self._points + 1]))
         self._stencil_indices = np.searchsorted(stencil, np.stack([self._points - 1, self._points, self._points + 1]))
-        yaw_rate = moving_average(self.joined.ins_time_ns, self.joined.yaw_rate, YAW_RATE_SMOOTHING_NS)
-        initial = replace(self.joined, yaw_rate=yaw_rate)
+        yaw_rate = moving_average(self.joined_log.ins_time_ns, self.joined_log.yaw_rate, YAW_RATE_SMOOTHING_NS)
+        initial = replace(self.joined_log, yaw_rate=yaw_rate)
         initial = initial if with_sideslip else replace(initial, velocity_y=compute_steady_velocity_y(initial, vehicle))
         signals = Signals(initial, MAX_GAP)
         self._batch = Batch(vehicle, self.MIN_SUBSTEPS, signals, starts, steps * STEP, STEP,
@@ -164,18 +164,18 @@ class Windows:
 
     def _sample_channels(self, times: np.ndarray) -> dict[str, np.ndarray]:
         """Measured signals at times [ns], smoothed for channels with `smoothed`."""
-        log, signals = self.joined, Signals(self.joined, MAX_GAP)
-        smoothed = dict.fromkeys(("x", "y", "yaw", "velocity_x"), False) | {
+        log, signals = self.joined_log, Signals(self.joined_log, MAX_GAP)
+        smoothing = dict.fromkeys(("x", "y", "yaw", "velocity_x"), False) | {
             name: channel.smoothed for channel in self.channels for name in channel.signals}
-        sampled = {}
-        for name, is_smoothed in smoothed.items():
+        samples = {}
+        for name, is_smoothed in smoothing.items():
             values = getattr(log, name)
             known = np.isfinite(values)
             time_ns, values = log.ins_time_ns[known], values[known]
             if is_smoothed:
                 values = moving_average(time_ns, values, SMOOTHING_NS)
-            sampled[name] = signals.sample(time_ns, values, times)
-        return sampled
+            samples[name] = signals.sample(time_ns, values, times)
+        return samples
 
     @cached_property
     def known(self) -> np.ndarray:
@@ -190,7 +190,7 @@ class Windows:
         """(n, k) whether no gap of steering or INS precedes a point, since inputs are missing after a gap. Margins are
         the same as at the ends of a run: MARGIN_NS before the start of a window, half of it after a point."""
         last = np.full(len(self), np.iinfo(np.int64).max)
-        for time_ns in (self.joined.steering_time_ns, self.joined.ins_time_ns):
+        for time_ns in (self.joined_log.steering_time_ns, self.joined_log.ins_time_ns):
             gaps = np.flatnonzero(np.diff(time_ns) > MAX_GAP / NANOSECOND)
             first = np.searchsorted(time_ns[gaps + 1], self.starts_ns - MARGIN_NS, side="right")
             last = np.minimum(last, np.append(time_ns[gaps], last.max())[first] - MARGIN_NS // 2)
@@ -211,7 +211,7 @@ class Windows:
         grid = self.starts_ns[:, None] + np.round(np.linspace(0.0, self.time[-1], 101) * 1e9).astype(np.int64)
         step, signals = float(self.time[-1]) / 100.0, self.measured_at(grid, *INS_SIGNALS)
         return {column: value for c in self.channels
-                for column, value in zip(c.columns, c.noise_deviations(self.joined, step, *signals), strict=True)}
+                for column, value in zip(c.columns, c.noise_deviations(self.joined_log, step, *signals), strict=True)}
 
     def errors(self, model: AugmentedModel, gain: float = 0.0) -> np.ndarray:
         """(n, k, c) errors of a model, measured minus predicted [SI], by `time` and `columns`; NaN where unknown. gain
@@ -285,8 +285,8 @@ def _select_starts(runs: Sequence[DriveLog], offsets: Sequence[int], horizon: fl
                    settings: DiscoverySettings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(starts_ns, run, seconds) of `Windows`, for all windows with speeds above MIN_SPEED at both ends."""
     span_ns = round(horizon / NANOSECOND)
-    usable = sum(max(run.overlap - horizon, 0.0) for run in runs)
-    interval = max(settings.interval, usable / settings.windows)
+    usable_duration = sum(max(run.overlap - horizon, 0.0) for run in runs)
+    interval = max(settings.interval, usable_duration / settings.windows)
     spacing = round(round(interval / (STEP / 2)) * (STEP / 2) / NANOSECOND)
     starts, numbers, seconds = [], [], []
     for i, (run, offset) in enumerate(zip(runs, offsets, strict=True)):

@@ -231,9 +231,9 @@ def _make_regression(samples: AxleSamples, slope: Slope | None, reasons: Sequenc
         f"too few samples: {count} of the {samples.axle} axle meet the limits of speed, radius, |a_y| and slip angle "
         f"({np.rad2deg(MAX_SLIP):g} deg), {MIN_AXLE_SAMPLES} are needed; also check the steering offset and "
         "the INS lever arm"])]
-    failed = (samples.axle, nan, nan, (nan, nan), samples)
+    failed_fields = (samples.axle, nan, nan, (nan, nan), samples)
     if slope is None:
-        return AxleRegression(*failed, tuple(reasons), f"{count} samples")
+        return AxleRegression(*failed_fields, tuple(reasons), f"{count} samples")
     value, spread = slope.stiffness, slope.spread
     error = float(spread.standard_errors[0])
     basis = f"{count} samples, {spread.basis[0]}"
@@ -242,7 +242,7 @@ def _make_regression(samples: AxleSamples, slope: Slope | None, reasons: Sequenc
         reason = (f"the fit failed: the force of the {samples.axle} axle does not follow its slip angle, slope "
                   f"{value:.0f} N/rad (standard uncertainty {error:.0f}); offset or sign of the steering, misalignment "
                   "or lever arm of the INS may be wrong, or the drive has too little sideslip")
-        return AxleRegression(*failed, (*reasons, reason), basis)
+        return AxleRegression(*failed_fields, (*reasons, reason), basis)
     return AxleRegression(samples.axle, value, error, interval, samples, tuple(reasons), basis,
                           _estimate_model_error(samples, slope))
 

@@ -206,8 +206,8 @@ def _make_fit(problem: Problem, windows: _LimitedWindows, vector: np.ndarray, ef
     influence = group.compute_influence(ratio * hessian, gradient)
 
     def to_quantities(vector: np.ndarray) -> np.ndarray:
-        fitted = {f"{e}.{p}": value for e in effects for p, value in space.values(e, vector).items()}
-        return np.array([QUANTITIES[name].value(windows.vehicle, fitted) for name in names])
+        effect_values = {f"{e}.{p}": value for e in effects for p, value in space.values(e, vector).items()}
+        return np.array([QUANTITIES[name].value(windows.vehicle, effect_values) for name in names])
 
     values, step = to_quantities(vector), 1e-4
     change = np.stack([(to_quantities(vector + step * space.scale * unit) - values) / step

@@ -134,9 +134,9 @@ def find_largest_slip(logs: Sequence[DriveLog], vehicle: VehicleParameters, sett
     """SLIP_QUANTILE of |slip angle| of the (front, rear) axle [rad], within the limits of the settings."""
     slips = []
     for run in (sample_run(log, vehicle) for log in logs):
-        used = ((run.velocity_x >= settings.minimum_speed)
-                & (np.abs(run.velocity_x * run.yaw_rate) <= settings.maximum_acceleration))
-        slips.append(np.abs(compute_slip_angles(run, vehicle))[:, used])
+        is_used = ((run.velocity_x >= settings.minimum_speed)
+                   & (np.abs(run.velocity_x * run.yaw_rate) <= settings.maximum_acceleration))
+        slips.append(np.abs(compute_slip_angles(run, vehicle))[:, is_used])
     return np.quantile(np.concatenate(slips, axis=1), SLIP_QUANTILE, axis=1)
 
 
@@ -149,9 +149,9 @@ def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     result = fit_stiffness(logs, vehicle, base, additional=(RATIO, OFFSET),
                            nuisance=(*NUISANCE_PARAMETERS, DELAY, RELAXATION))
     names = [estimate.parameter for estimate in result.estimates]
-    chosen = sorted(range(len(names)), key=lambda i: (names[i] != RATIO, names[i] != OFFSET))
-    correlation = result.correlation[chosen][:, chosen] if result.correlation is not None else None
-    ratio, *others = (result.estimates[i] for i in chosen)
+    order = sorted(range(len(names)), key=lambda i: (names[i] != RATIO, names[i] != OFFSET))
+    correlation = result.correlation[order][:, order] if result.correlation is not None else None
+    ratio, *others = (result.estimates[i] for i in order)
     ratio = replace(ratio, verdict=f"{ratio.verdict} Other possible causes: {get_effect(RATIO).imitated_by}.")
     return replace(result, experiment="steering", estimates=(ratio, *others), correlation=correlation)
 
@@ -213,7 +213,7 @@ def _make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivi
              for n, v in zip(fit.names, fit.values, strict=True)]
     # Systematic errors are assumed to be uncorrelated: only the variances increase.
     covariance = spread.covariance + np.diag(np.square(added_uncertainty))
-    chosen = [fit.names.index(name) for name in reported]
+    indices = [fit.names.index(name) for name in reported]
     uncertainty = np.sqrt(np.diag(covariance))
     # Student's t applies to variances estimated from these few drives, not to known ones, such as that of the model.
     estimated_variance = np.diag(spread.covariance) + np.square([systematic_uncertainty.get(n, 0.0) for n in fit.names])
@@ -224,7 +224,7 @@ def _make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivi
         ParameterEstimate(fit.names[i], float(fit.values[i]), QUANTITIES[fit.names[i]].unit, float(uncertainty[i]),
                           symmetric_interval(float(fit.values[i]), float(uncertainty[i]), degrees_of_freedom[i]),
                           method, runs, *_judge_estimate(fit, i, uncertainty[i]))
-        for i in chosen)
+        for i in indices)
     rejected = [(name, f"{total - used} of {total} predictions (speed below the minimum, lateral acceleration above "
                  "the limit, or gaps)") for name, (used, total) in fit.window_counts.items() if used < total]
     others = [f"Also fitted: {n} {fit.values[i]:.4g} {QUANTITIES[n].unit}, standard uncertainty {uncertainty[i]:.2g}."
@@ -236,7 +236,7 @@ def _make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivi
     figure = {"residuals": fit.residuals, "residual_run": fit.run_index, "residual_time": fit.time, "names": fit.names,
               "covariance": covariance}
     return Identification(experiment, estimates, runs, tuple(rejected),
-                          correlation_matrix(covariance[np.ix_(chosen, chosen)]), (), warnings, figure)
+                          correlation_matrix(covariance[np.ix_(indices, indices)]), (), warnings, figure)
 
 
 def _judge_estimate(fit: DrivingFit, index: int, uncertainty: float) -> tuple[str, Status]:

@@ -54,21 +54,21 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
     run_index = np.concatenate([np.full(len(c), i) for i, c in enumerate(columns)])
     time, speed, lateral, rate, rate_dot, angle = np.concatenate(columns).T
     group = make_blocks(run_index, time)
-    used = tuple(run.name for run, c in zip(runs, columns, strict=True) if len(c))
+    used_runs = tuple(run.name for run, c in zip(runs, columns, strict=True) if len(c))
 
     regressors = np.stack([speed, rate, speed**2 * rate, speed * rate_dot], axis=1)
     theta, spread, _ = group.fit_least_squares(regressors, lateral)
     misalignment, rear_axle_to_ins, slip = -theta[0], theta[1], -theta[2]
     estimates = [
-        _make_estimate("cg_to_ins_x", rear_axle_to_ins - vehicle.cg_to_rear_axle, spread, 1, 1.0, used,
+        _make_estimate("cg_to_ins_x", rear_axle_to_ins - vehicle.cg_to_rear_axle, spread, 1, 1.0, used_runs,
                        f"{rear_axle_to_ins:.3f} m ahead of the rear axle", 0.1),
-        _make_estimate(MISALIGNMENT, misalignment, spread, 0, 1.0, used,
+        _make_estimate(MISALIGNMENT, misalignment, spread, 0, 1.0, used_runs,
                        f"{np.rad2deg(misalignment):+.2f} deg, reported heading minus the car's heading", 0.005)]
     correlation = correlation_matrix(spread.covariance[np.ix_([1, 0], [1, 0])] * np.array([[1, -1], [-1, 1]]))
     slip_correlation = correlation_matrix(spread.covariance)[1:3, 1:3]
     warnings = [*notes, *describe_correlations(["lever arm", "rear slip"], slip_correlation),
                 _compare_rear_slip(slip, spread.covariance[2, 2], vehicle)]
-    lateral_position = _estimate_lateral_position(speed, rate, angle, group, vehicle, used)
+    lateral_position = _estimate_lateral_position(speed, rate, angle, group, vehicle, used_runs)
     if isinstance(lateral_position, str):
         warnings.append(lateral_position)
     else:
@@ -80,7 +80,7 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
     rejected = tuple((run.name, f"{len(run) - int(mask.sum())} of {len(run)} samples outside {MINIMUM_SPEED:g} to "
                       f"{MAXIMUM_SPEED:g} m/s or above {MAXIMUM_ACCELERATION:g} m/s^2")
                      for run, mask in pairs if not mask.all())
-    return Identification("ins", tuple(estimates), used, rejected, correlation, coverage,
+    return Identification("ins", tuple(estimates), used_runs, rejected, correlation, coverage,
                           tuple(w for w in warnings if w), figure)
 
 

@@ -249,9 +249,9 @@ def _fit_load_dependency(data: FlatPlank, nominal_tyre: MagicFormula, names: Seq
     stiffness = float(magic_formula_stiffness(nominal_tyre.nominal_load, nominal_tyre))
 
     def make_tyre(values: Any) -> MagicFormula:
-        changed = _with_values(nominal_tyre, names, values)
-        unscaled = magic_formula_stiffness(nominal_tyre.nominal_load, changed._replace(p_ky1=-1.0))
-        return changed._replace(p_ky1=-stiffness / unscaled)
+        changed_tyre = _with_values(nominal_tyre, names, values)
+        unit_stiffness = magic_formula_stiffness(nominal_tyre.nominal_load, changed_tyre._replace(p_ky1=-1.0))
+        return changed_tyre._replace(p_ky1=-stiffness / unit_stiffness)
 
     def compute_residuals(values: np.ndarray) -> np.ndarray:
         return tyre_force(data.slip, data.load, make_tyre(np.moveaxis(values, -1, 0)[..., None])) - data.force
@@ -292,8 +292,9 @@ def _make_warnings(data: FlatPlank, tyre_fit: TyreFit, peak: float) -> list[str]
         sentences.append("In the table the force has the same sign as the slip angle (the other convention): the sign "
                          "of the slip angle was changed.")
     if (loads := len(tyre_fit.levels)) < 3:
-        fixed = "p_ky4 is" if loads == 2 else "p_dy2, p_ey2, p_ky2 and p_ky4 are"
-        sentences.append(f"The table has only {loads} load{'s' * (loads > 1)}: {fixed} taken from the vehicle file.")
+        fixed_parameters = "p_ky4 is" if loads == 2 else "p_dy2, p_ey2, p_ky2 and p_ky4 are"
+        sentences.append(f"The table has only {loads} load{'s' * (loads > 1)}: {fixed_parameters} taken from the "
+                         "vehicle file.")
     shift, uncertainty = tyre_fit.fit.values[-1], tyre_fit.fit.standard_errors[-1]
     if abs(shift) > 3.0 * uncertainty and abs(shift) > math.radians(0.02):
         sentences.append(f"The curves are shifted by {math.degrees(shift):+.2f} deg of slip angle (conicity, "

@@ -65,10 +65,10 @@ def identify_mass_and_cg(weighings: Weighings, vehicle: VehicleParameters) -> Id
     loadings = list(zip(weighings.names, weighings.loads, strict=True))
     used = tuple(name for name, other in loadings if other == load)
     rejected = tuple((name, f"different loading: {other or 'not noted'}") for name, other in loadings if other != load)
-    chosen, wheelbase, all_masses = readings[is_used], vehicle.wheelbase, readings.sum(axis=1)
+    used_readings, wheelbase, all_masses = readings[is_used], vehicle.wheelbase, readings.sum(axis=1)
     all_distances = wheelbase * readings[:, 2:].sum(axis=1) / all_masses
     masses, distances = all_masses[is_used], all_distances[is_used]
-    n, mass, front = len(chosen), float(masses.mean()), float(distances.mean())
+    n, mass, front = len(used_readings), float(masses.mean()), float(distances.mean())
     if np.ptp(masses) > MAX_MASS_RANGE * mass:
         raise IdentificationError(f"the weighings of one loading differ by {np.ptp(masses):.1f} kg of {mass:.1f} kg, "
                                   "too much for the same car: weigh again, or note the loading")
@@ -82,7 +82,7 @@ def identify_mass_and_cg(weighings: Weighings, vehicle: VehicleParameters) -> Id
     intervals = list(map(symmetric_interval, (mass, front), uncertainties, degrees_of_freedom))
     method = (f"four wheel scales, {n} weighing{'s' * (n != 1)}, {weighings.scale_uncertainty:g} kg per scale"
               + (f", {load}" if load else ""))
-    left = float(chosen[:, [0, 2]].sum() / chosen.sum())
+    left = float(used_readings[:, [0, 2]].sum() / used_readings.sum())
     estimates = (
         ParameterEstimate(
             "mass", mass, "kg", uncertainties[0], intervals[0], method, used,
@@ -91,7 +91,7 @@ def identify_mass_and_cg(weighings: Weighings, vehicle: VehicleParameters) -> Id
             "cg_to_front_axle", front, "m", uncertainties[1], intervals[1], method, used,
             f"{100 * (1 - front / wheelbase):.1f} % of the load is on the front axle and {100 * left:.1f} % on "
             f"the left wheels, so the CG is {front:.3f} m behind the front axle."))
-    warnings = tuple(_check_scales(chosen, len(rejected), front, vehicle))
+    warnings = tuple(_check_scales(used_readings, len(rejected), front, vehicle))
     figure = {"is_used": is_used, "names": weighings.names, "masses": all_masses, "distances": all_distances}
     return Identification("scales", estimates, used, rejected, correlation_matrix(covariance), (), warnings, figure)
 
@@ -200,8 +200,8 @@ def identify_cg_height(data: LiftRows, vehicle: VehicleParameters, weighed_mass:
         slope_uncertainty, height_difference * mass_uncertainty / mass,
         height_difference * get_stated_uncertainty(vehicle, "wheelbase") / wheelbase,
         RADIUS_UNCERTAINTY * math.hypot(1.0 - rear_fraction, rear_fraction))
-    single = radius + wheelbase * (_compute_load_transfers(data, line) / mass) / np.tan(data.pitch)
-    average = float(single[np.isfinite(single)].mean())
+    heights = radius + wheelbase * (_compute_load_transfers(data, line) / mass) / np.tan(data.pitch)
+    average = float(heights[np.isfinite(heights)].mean())
     # Only the uncertainty of the slope was estimated from a few rows; the other uncertainties are known.
     interval = symmetric_interval(height, uncertainty, effective_degrees_of_freedom(
         slope_uncertainty**2, uncertainty**2, line.degrees_of_freedom))
@@ -218,7 +218,7 @@ def identify_cg_height(data: LiftRows, vehicle: VehicleParameters, weighed_mass:
     if abs(average - height) > 2.0 * uncertainty:
         warnings.append(f"The average over the pitch angles, {average:.3f} m, differs from the fit, {height:.3f} m, by "
                         "more than twice the uncertainty of the fit: the average weights all pitch angles equally.")
-    figure = {"pitch": data.pitch, "rear_load": data.rear_load, "lifts": data.lifts, "single": single,
+    figure = {"pitch": data.pitch, "rear_load": data.rear_load, "lifts": data.lifts, "single": heights,
               "average": average, "slope": line.slope, "intercepts": line.intercepts}
     return Identification("cg-height", (estimate,), lifts, (), None, (coverage,), tuple(warnings), figure)
 
@@ -265,12 +265,12 @@ def _compute_load_transfers(data: LiftRows, line: Line) -> np.ndarray:
 
     The level load of a lift is the mean of its level rows, or else the intercept of its line.
     """
-    usable = data.pitch >= min(MIN_PITCH_RANGE, data.pitch.max())
+    is_usable = data.pitch >= min(MIN_PITCH_RANGE, data.pitch.max())
     transfers = np.full(len(data.pitch), np.nan)
     for name, intercept in line.intercepts.items():
         lift = np.asarray(data.lifts) == name
         level_load = data.rear_load[data.level & lift].mean() if (data.level & lift).any() else intercept
-        transfers[usable & lift] = data.rear_load[usable & lift] - level_load
+        transfers[is_usable & lift] = data.rear_load[is_usable & lift] - level_load
     return transfers
 
 
@@ -278,9 +278,9 @@ def _check_lifts(data: LiftRows, mass: float, rear_fraction: float) -> list[str]
     sentences = []
     for name in dict.fromkeys(data.lifts):
         pitch = np.degrees(data.pitch[np.asarray(data.lifts) == name])
-        falling = np.flatnonzero(np.diff(pitch) < -0.05)
-        if len(falling):
-            k = int(falling[0])
+        falling_rows = np.flatnonzero(np.diff(pitch) < -0.05)
+        if len(falling_rows):
+            k = int(falling_rows[0])
             sentences.append(f"Lift {name}: pitch falls from {pitch[k]:.1f} to {pitch[k + 1]:.1f} deg at row {k + 2}. "
                              "The order does not affect the fit, but friction changes the load on the way down: enter "
                              "such rows as a separate lift.")

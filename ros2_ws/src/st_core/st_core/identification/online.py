@@ -185,10 +185,10 @@ class OnlineIdentifier:
 
     def _add_driving_time(self, sample: InsSample, time: float) -> None:
         speed, rate, times = sample.velocity_x, sample.yaw_rate, self.driving_time
-        rejected = "too slow" if speed < FIT_SETTINGS.minimum_speed else (
+        rejection = "too slow" if speed < FIT_SETTINGS.minimum_speed else (
             "lateral acceleration too high" if abs(speed * rate) > FIT_SETTINGS.maximum_acceleration else "")
-        if rejected:
-            times.rejected[rejected] = times.rejected.get(rejected, 0.0) + time
+        if rejection:
+            times.rejected[rejection] = times.rejected.get(rejection, 0.0) + time
             return
         bend, acceleration = self.vehicle.wheelbase * rate / speed, speed * rate
         times.used += time
@@ -203,16 +203,16 @@ class OnlineIdentifier:
         """Text on the driving that is still missing, by parameter; "" if there is enough."""
         times = self.driving_time
         bends = min(times.left, times.right)
-        filled = sum(time >= 5.0 for time in times.speeds)
+        filled_bins = sum(time >= 5.0 for time in times.speeds)
         required = {
             "steering_wheel_offset": [(times.used, 10.0, "driving"),
                                       (max(times.straight, bends), 5.0, "straights, or of bends to each side")],
             # Ratio and front stiffness are not separable at a single speed.
             "steering_ratio": [(times.left, 5.0, "left bends"), (times.right, 5.0, "right bends"),
-                               (filled, 2, "ranges of speed, 5 s each")],
+                               (filled_bins, 2, "ranges of speed, 5 s each")],
             "stiffness_scale": [(times.loaded_left, 3.0, "left bends above 1.5 m/s^2"),
                                 (times.loaded_right, 3.0, "right bends above 1.5 m/s^2"),
-                                (filled, 2, "ranges of speed, 5 s each")],
+                                (filled_bins, 2, "ranges of speed, 5 s each")],
         }
         return {name: "; ".join(f"{driven:.0f} of {needed:g}{'' if isinstance(needed, int) else ' s of'} {kind}"
                                 for driven, needed, kind in rows if driven < needed) for name, rows in required.items()}

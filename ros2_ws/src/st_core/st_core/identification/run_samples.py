@@ -106,9 +106,9 @@ def prepare_drives(logs: Sequence[DriveLog], vehicle: VehicleParameters,
 def estimate_yaw_rate_bias(log: DriveLog) -> float:
     """Mean of the yaw rate minus the rate of change of yaw, outside gaps [rad/s]."""
     spacing = np.diff(log.ins_time_ns) * NANOSECOND
-    without_gap = spacing <= MAXIMUM_GAP
-    difference = (0.5 * (log.yaw_rate[1:] + log.yaw_rate[:-1]) * spacing - np.diff(log.yaw))[without_gap]
-    return float(difference.sum() / max(spacing[without_gap].sum(), NANOSECOND))
+    is_without_gap = spacing <= MAXIMUM_GAP
+    difference = (0.5 * (log.yaw_rate[1:] + log.yaw_rate[:-1]) * spacing - np.diff(log.yaw))[is_without_gap]
+    return float(difference.sum() / max(spacing[is_without_gap].sum(), NANOSECOND))
 
 
 def measure_coverage(signal: str, unit: str, edges: np.ndarray, values: Sequence[np.ndarray],
@@ -127,9 +127,9 @@ def measure_driving_coverage(logs: Sequence[DriveLog], vehicle: VehicleParameter
     lateral_acceleration: (seconds in a filled bin, number of filled bins) required."""
     edges = SPEED_EDGES * vehicle.speed_scale
     times = [(log.ins_time_ns - log.ins_time_ns[:1]) * NANOSECOND for log in logs]
-    fast = [log.velocity_x >= minimum_speed for log in logs]
-    speeds = [log.velocity_x[mask] for log, mask in zip(logs, fast, strict=True)]
-    accelerations = [(log.velocity_x * log.yaw_rate)[mask] for log, mask in zip(logs, fast, strict=True)]
+    is_fast = [log.velocity_x >= minimum_speed for log in logs]
+    speeds = [log.velocity_x[mask] for log, mask in zip(logs, is_fast, strict=True)]
+    accelerations = [(log.velocity_x * log.yaw_rate)[mask] for log, mask in zip(logs, is_fast, strict=True)]
     return (measure_coverage("speed", "m/s", edges, speeds, times, *speed),
             measure_coverage("lateral acceleration", "m/s^2", ACCELERATION_EDGES, accelerations, times,
                              *lateral_acceleration))

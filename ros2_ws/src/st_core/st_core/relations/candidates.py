@@ -171,7 +171,7 @@ def compute_run_time(windows: Windows, time_ns: np.ndarray) -> np.ndarray:
 def compute_quantities(windows: Windows) -> dict[str, np.ndarray]:
     """Every quantity at INS samples faster than MIN_SPEED; slip angles for small angles, from the measured velocity.
     Each lag is approximated by a moving average over twice its time constant, which has a similar range."""
-    log, vehicle = windows.joined, windows.vehicle
+    log, vehicle = windows.joined_log, windows.vehicle
     is_moving = log.velocity_x > MIN_SPEED
     stamps, speed, rate = log.ins_time_ns, log.velocity_x, log.yaw_rate
     time = stamps.astype(float)

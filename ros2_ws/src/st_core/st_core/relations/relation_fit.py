@@ -73,7 +73,7 @@ class RunWindows(Windows):
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DiscoverySettings):
         super().__init__(runs, vehicle, settings)
         if len(self):
-            time_ns = self.joined.ins_time_ns
+            time_ns = self.joined_log.ins_time_ns
             self._batch.extra_signals["run_time"] = time_ns, compute_run_time(self, time_ns)
 
 

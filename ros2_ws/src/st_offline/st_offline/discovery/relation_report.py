@@ -350,6 +350,6 @@ def _build_drives_document(relation: Relation) -> dict:
             else None,
             "most_precise": precise.manoeuvre.name if precise else None,
             "current_separation": dict(drives.current_separation), "options": [
-                {"manoeuvre": o.manoeuvre.name, "speed": o.manoeuvre.speed, "lateral": o.manoeuvre.lateral,
+                {"manoeuvre": o.manoeuvre.name, "speed": o.manoeuvre.speed, "lateral": o.manoeuvre.lateral_acceleration,
                  "duration": o.manoeuvre.duration, "times": REPETITIONS, "largest_deviation": float(o.deviation.max()),
                  "separation": dict(o.separation), "seconds_in_sparse": list(o.seconds)} for o in drives.options]}

@@ -134,7 +134,7 @@ class EvaluatorNode(Node):
             self._record("errors", message)
 
     def _publish_summary(self) -> None:
-        message = ErrorSummary(pending=self._core.pending)
+        message = ErrorSummary(pending=self._core.pending_count)
         message.header.stamp = self.get_clock().now().to_msg()
         message.header.frame_id = self._map_frame
         message.statistics = [add_coverage(convert.make_statistics_message(*key, statistics), self._coverages)
@@ -149,7 +149,7 @@ class EvaluatorNode(Node):
     def _make_checks(self) -> list[Check]:
         complete = sum(s.n_starts for s in self._statistics.values())
         incomplete = sum(s.n_incomplete for s in self._statistics.values())
-        pending = self._core.pending
+        pending = self._core.pending_count
         values = {"scores complete": complete, "scores incomplete": incomplete, "pending predictions": pending}
         mismatched = sorted({model for (_, model), mismatch in self._configuration_mismatch.items() if mismatch})
         level, text = diagnostics.OK, "scoring" if complete or incomplete or pending else "no prediction yet"
