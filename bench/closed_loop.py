@@ -188,9 +188,9 @@ def _draw(file: Path, rows: Mapping[str, tuple[float | None, float]], labels: tu
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
-    from st_core.palette import MODEL_COLOUR, RC
+    from st_core.palette import FIGURE_STYLE, MODEL_COLOUR
 
-    with plt.rc_context(RC):
+    with plt.rc_context(FIGURE_STYLE):
         figure, axis = plt.subplots(figsize=(6.5, 2.4))
         for row, (name, (start, now)) in enumerate(rows.items()):
             colour = MODEL_COLOUR.get(name, MODEL_COLOUR["augmented"])

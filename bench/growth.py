@@ -39,9 +39,9 @@ def _plot(by_length: dict, by_horizon: dict, path: Path) -> None:
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
-    from st_core.palette import MODEL_COLOUR, RC
+    from st_core.palette import FIGURE_STYLE, MODEL_COLOUR
 
-    with plt.rc_context(RC):
+    with plt.rc_context(FIGURE_STYLE):
         figure, axes = plt.subplots(1, 2, figsize=(7.5, 3.0))
         for axis, results, label in zip(axes, (by_length, by_horizon), ("log [min]", "horizon [s]"), strict=True):
             for model, values in results.items():

@@ -22,7 +22,7 @@ import numpy as np
 import psutil
 from faults.catalogue import CAN, HANGING, INS, KILLED, Fault
 from faults.rig import Rig, running
-from st_core.palette import RC
+from st_core.palette import FIGURE_STYLE
 from st_recordings.mcap import recover
 from st_recordings.runs.bag_storage import open_bag
 
@@ -153,7 +153,7 @@ def draw(samples: Samples, series: dict, when: list[tuple[float, float]], began_
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    with plt.rc_context(RC):
+    with plt.rc_context(FIGURE_STYLE):
         figure, axes = plt.subplots(5, 1, figsize=(8, 10), sharex=True)
         for name, values in samples.memory.items():
             axes[0].plot(samples.minutes, values, label=name)

@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 from rich.console import Console
-from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, RC
+from st_core.palette import FIGURE_STYLE, MEASURED_COLOUR, MODEL_COLOUR
 from st_core.types import cg_to_ins_position, map_to_body
 from st_core.vehicle import VehicleParameters
 from st_predictor.map_drawing import Pose, make_car_outline
@@ -122,7 +122,7 @@ def animate(run: Path, car: VehicleParameters, file: Path, first: float, last: f
     results, predictions = read_results(run), read_predictions(run / "bag")
     begin_ns = int(results.track.time_ns[0])
     frames = []
-    with plt.rc_context(RC):
+    with plt.rc_context(FIGURE_STYLE):
         for seconds in np.arange(first, last, 1.0 / FRAMES_PER_SECOND):
             frames.append(_draw_frame(results, predictions, car, begin_ns, seconds, first, last))
     duration = round(1000 / FRAMES_PER_SECOND)

@@ -10,7 +10,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
-from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE, RC
+from st_core.palette import FIGURE_STYLE, MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE
 
 MARKER = {"rti": "o", "ipopt": "s"}
 SOLVER_NAME = {"rti": "real-time iteration (SQP, qrqp)", "ipopt": "IPOPT to convergence"}
@@ -18,7 +18,7 @@ SOLVER_NAME = {"rti": "real-time iteration (SQP, qrqp)", "ipopt": "IPOPT to conv
 
 def draw_trade_off(rows: list[dict], titles: Mapping[str, str], file: Path) -> None:
     """Draw tracking error over processor time, with a line per model and solver and a point per horizon."""
-    with plt.rc_context(RC):
+    with plt.rc_context(FIGURE_STYLE):
         figure, axes = plt.subplots(1, len(titles), figsize=(3.6 * len(titles) + 0.6, 3.9), squeeze=False, sharex=True,
                                     sharey=True)
         for axis, (road, title) in zip(axes[0], titles.items(), strict=True):
@@ -68,7 +68,7 @@ def draw_paths(tables: Mapping[tuple, np.ndarray], titles: Mapping[str, str], fi
     horizons = sorted({key[3] for key in tables})
     extremes = list(dict.fromkeys((horizons[0], horizons[-1])))
     solver = next(key[1] for key in tables)
-    with plt.rc_context(RC):
+    with plt.rc_context(FIGURE_STYLE):
         figure, axes = plt.subplots(len(titles), len(extremes), figsize=(8.4, 2.1 * len(titles) + 0.6), squeeze=False,
                                     sharex="row", sharey="row")
         for row, (road, title) in zip(axes, titles.items(), strict=True):

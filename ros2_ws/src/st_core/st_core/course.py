@@ -30,7 +30,7 @@ from .yaml_text import check_keys, load
 SPACING = 1.0  # m between points along the path: 8 points in a right-angle turn of the smallest radius, 5 m
 SMOOTHING_LENGTH = 3.0  # m, moving average of curvature and direction: about one wheelbase
 MAX_DISTANCE = 4.0  # m, largest distance of a pass from the car: one lane and its neighbour
-MAX_HEADING_DIFFERENCE = 0.5  # rad, course angle of car minus pass; above it: the opposite direction or a crossing
+MAX_HEADING_DIFFERENCE = 0.5  # rad, course angle of car minus pass; above it, the pass is oncoming or crosses
 PAUSE_SPEED = 0.5  # m/s; a course neither contains nor predicts slower driving: curvature is undefined at standstill
 MAX_GAP = 0.1  # s, maximum time between samples of a pass
 MIN_LENGTH = 20.0  # m, minimum length of a pass; above 4 m/s, a shorter pass ends within the horizon of 5 s
@@ -406,7 +406,7 @@ class CourseTracker:
         return CourseForecast(inputs, float(curvature_weights[1]), float(speed_weights[3]))
 
 
-def course_inputs(course: Course, signals: LogSignals, vehicle: VehicleParameters, horizon: float,
+def make_course_inputs(course: Course, signals: LogSignals, vehicle: VehicleParameters, horizon: float,
                   step: float) -> Callable[[np.ndarray], tuple[np.ndarray, ...]]:
     """Function for `log_evaluation.evaluate_log` that predicts the inputs at the starts of a drive from a course."""
 

@@ -21,7 +21,7 @@ from .vehicle import VEHICLE_QUANTITIES, VehicleParameters
 
 Derivative = Callable[[tuple, Any, Any], tuple]
 MAX_SUBSTEPS = 64
-HIGHEST_SLIP_SPEED = VEHICLE_QUANTITIES["minimum_slip_speed"].maximum  # m/s
+SLIP_SPEED_LIMIT = VEHICLE_QUANTITIES["minimum_slip_speed"].maximum  # m/s
 SEARCH_START_SPEED = 60.0  # m/s, where the search for the lowest stable speed begins
 _INCREMENT = 1.0e-5  # m/s or rad/s, increment of the difference quotients
 _warned: set[tuple[str, str, float]] = set()
@@ -146,7 +146,7 @@ def required_slip_speed(models: Sequence[str | Model], vehicle: VehicleParameter
         return are_stable(models, replace(vehicle, minimum_slip_speed=tenths / 10.0), speeds, step)
 
     first = math.ceil(10.0 * vehicle.minimum_slip_speed)
-    coarse = np.unique(np.geomspace(first, 10.0 * HIGHEST_SLIP_SPEED, 80).astype(int)).tolist()
+    coarse = np.unique(np.geomspace(first, 10.0 * SLIP_SPEED_LIMIT, 80).astype(int)).tolist()
     stable = next((k for k, tenths in enumerate(coarse) if is_stable(tenths)), None)
     if stable is None:
         return None

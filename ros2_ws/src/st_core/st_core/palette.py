@@ -10,7 +10,7 @@ OTHER_COLOUR = "#d55e00"  # any other model
 LABEL_TIMES = {"kinematic": 5.0, "linear": 4.3, "nonlinear": 3.6, "augmented": 2.9}
 OTHER_LABEL_TIME = 2.2
 # Settings of matplotlib (rcParams) for all figures.
-RC: dict[Any, Any] = {
+FIGURE_STYLE: dict[Any, Any] = {
     "figure.dpi": 100,
     "savefig.dpi": 160,
     "font.size": 9,
@@ -27,7 +27,7 @@ RC: dict[Any, Any] = {
 }
 
 
-def colour_of(model: str) -> str:
+def get_model_colour(model: str) -> str:
     return MODEL_COLOUR.get(model, OTHER_COLOUR)
 
 

@@ -96,7 +96,7 @@ def path_inputs(speed: np.ndarray, curvature: np.ndarray, seconds: np.ndarray,
                          {SLIP_FREE_ANGLE: np.arctan(vehicle.wheelbase * curvature)})
 
 
-def recorded_plan(time_ns: np.ndarray, columns: Sequence[np.ndarray], steps: int, step: float,
+def make_recorded_plan(time_ns: np.ndarray, columns: Sequence[np.ndarray], steps: int, step: float,
                   maximum_gap: float) -> Callable[[np.ndarray], tuple[np.ndarray, ...]]:
     """Function that interpolates a recorded plan, for `future_inputs` of `log_evaluation.evaluate_log`.
 

@@ -75,7 +75,7 @@ def test_effect_without_a_name_and_a_tuple_has_the_name_of_its_file_and_one_para
      "effect trial: acceleration must be a @staticmethod"),
     ({"physics": ""}, "effect trial: physics is missing"),
     ({"kind": None}, "effect trial: kind is missing; choose one of sensors, vehicle param.*, environment"),
-    ({"kind": "sensor"}, "effect trial: kind 'sensor' is not one of sensors, vehicle parameters, physics, surr"),
+    ({"kind": "sensor"}, "effect trial: kind 'sensor' is not one of sensors, vehicle parameters, physics, envi"),
     ({"slot": None}, "effect trial: slot is missing; choose one of steering, front axle, .*, acceleration"),
     ({"slot": "front"}, "effect trial: slot 'front' is not one of steering"),
     ({"needs": "yaw"}, "effect trial: needs must be a tuple of names"),

@@ -39,7 +39,7 @@ def test_weighing_intervals_contain_mass_and_cg_position(leaf):
         truth = getattr(leaf, key)
         assert sum(contains(result[key], truth) for result in found) >= REQUIRED_HITS
         assert max(abs(result[key].value / truth - 1.0) for result in found) < 0.005
-    assert found[0].estimates[0].unit == "kg" and found[0].used == ("1", "2", "3")
+    assert found[0].estimates[0].unit == "kg" and found[0].used_data == ("1", "2", "3")
 
 
 def test_common_scale_error_does_not_average_out(leaf):
@@ -51,7 +51,7 @@ def test_common_scale_error_does_not_average_out(leaf):
 def test_weighings_with_another_loading_are_excluded(leaf):
     data = weighings(leaf, 0, count=4)
     found = identify_mass_and_cg(replace(data, loads=("driver", "driver", "two people", "driver")), leaf)
-    assert found.used == ("1", "2", "4") and found.rejected == (("3", "different loading: two people"),)
+    assert found.used_data == ("1", "2", "4") and found.rejected_data == (("3", "different loading: two people"),)
 
 
 @pytest.mark.parametrize(("change", "message"), [

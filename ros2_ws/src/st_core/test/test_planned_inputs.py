@@ -10,7 +10,13 @@ from st_core.errors import StCoreError
 from st_core.evaluation import Evaluator
 from st_core.log_evaluation import EvaluationSettings, evaluate_log
 from st_core.models import get_model
-from st_core.planned_inputs import PlannedInputs, find_plan_problem, recorded_plan, select_inputs, steady_state_steering
+from st_core.planned_inputs import (
+    PlannedInputs,
+    find_plan_problem,
+    make_recorded_plan,
+    select_inputs,
+    steady_state_steering,
+)
 from st_core.prediction import PredictionSettings, Predictor, Start, predict
 from st_core.types import ControlInput, InputSequence, InsSample, VehicleState
 
@@ -31,7 +37,7 @@ def test_plan_of_the_true_inputs_equals_hindsight(leaf):
     log = signals.log
     times = np.union1d(log.ins_time_ns, log.steering_time_ns)
     inputs = signals.road_wheel_angle_at(times), *signals.ins_at(times, "velocity_x_dot")
-    planned = recorded_plan(times, inputs, SHORT.steps, SHORT.step, 0.1)
+    planned = make_recorded_plan(times, inputs, SHORT.steps, SHORT.step, 0.1)
     result = evaluate_log(MODELS, leaf, signals, settings, future_inputs={"plan": planned})
     for model in MODELS:
         hindsight, plan_errors, forecast = (result.errors[model, mode] for mode in ("hindsight", "plan", "forecast"))

@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from rosbags.highlevel import AnyReader
-from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, colour_of, rgb
+from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, get_model_colour, rgb
 from st_core.types import InsSample, map_to_body
 from st_core.vehicle import VehicleParameters
 from st_predictor import convert
@@ -156,7 +156,7 @@ class Scene:
         self._set_time(to_nanoseconds(message.header.stamp) + round(message.horizon[-1] * 1e9))
         for quantity, mean in means.items():
             if model not in self._plotted_models:
-                self._add_series(f"plots/{quantity}/{model}", model, colour_of(model))
+                self._add_series(f"plots/{quantity}/{model}", model, get_model_colour(model))
             self._stream.log(f"plots/{quantity}/{model}", rr.Scalars([mean]))
         self._plotted_models.add(model)
 
@@ -196,16 +196,16 @@ class Scene:
             self._log_name(model)
             path = history.find_newest(model, now_ns)
             self._log_lines(f"{root}/paths/{model}", [to_screen(view, path.x, path.y)] if path else [],
-                            [rgb(colour_of(model))], MODEL_WIDTHS[min(number, len(MODEL_WIDTHS) - 1)],
+                            [rgb(get_model_colour(model))], MODEL_WIDTHS[min(number, len(MODEL_WIDTHS) - 1)],
                             order=3.0 + 0.1 * number)
             self._draw_ribbons(f"{root}/bands/{model}", view, path.ribbons if path else (), model, number)
             for age, ghost in history.find_ghosts(model, now_ns):
                 ghosts.append(to_screen(view, ghost.x[::GHOST_STRIDE], ghost.y[::GHOST_STRIDE]))
-                ghost_colours.append(rgb(colour_of(model), GHOST_STRENGTH * (1.2 - 0.15 * age)))
+                ghost_colours.append(rgb(get_model_colour(model), GHOST_STRENGTH * (1.2 - 0.15 * age)))
             # A line from the car to the position that the oldest stored prediction gave for the present time.
             if point := history.find_predicted_position(model, now_ns):
                 errors.append(to_screen(view, *np.transpose([(pose.x, pose.y), point])))
-                error_colours.append(rgb(colour_of(model)))
+                error_colours.append(rgb(get_model_colour(model)))
         self._log_lines(f"{root}/ghosts", ghosts, ghost_colours, THIN_LINE, order=1.0)
         self._log_lines(f"{root}/errors", errors, error_colours, THICK_LINE, order=4.5)
 
@@ -216,7 +216,7 @@ class Scene:
         drawn above all areas, so that the bands of every model remain visible.
         """
         edges = [to_screen(view, *side.T) for band in ribbons[:1] for side in (band.left, band.right)]
-        self._log_lines(f"{entity}/edges", edges, [rgb(colour_of(model), 0.6)], THIN_LINE, order=0.8)
+        self._log_lines(f"{entity}/edges", edges, [rgb(get_model_colour(model), 0.6)], THIN_LINE, order=0.8)
         for level, strength in RIBBON_STRENGTH.items():
             strips, radii = np.empty((0, 2, 2)), np.empty(0)
             for band in (r for r in ribbons if r.level == level):
@@ -225,7 +225,8 @@ class Scene:
                 strips = np.stack([left, right], axis=1)
                 radii = 0.6 * np.hypot(*np.gradient(middle, axis=0).T)
             order = 0.2 + 0.1 * number - 0.05 * level
-            self._log_lines(f"{entity}/{level:.0%}", strips, [rgb(colour_of(model), strength)], radii, order=order)
+            colours = [rgb(get_model_colour(model), strength)]
+            self._log_lines(f"{entity}/{level:.0%}", strips, colours, radii, order=order)
 
     def _log_name(self, model: str) -> None:
         """Show colour and name of a model in the lower left corner; next to the paths, names would overlap."""
@@ -233,7 +234,7 @@ class Scene:
             corner = (-RANGE_SIDEWAYS + 6.0, RANGE_BEHIND - 7.0 - 5.0 * len(self._labelled_models))
             self._labelled_models.append(model)
             self._stream.log(f"ahead/names/{model}", rr.Points2D(
-                [corner], colors=[rgb(colour_of(model))], radii=rr.Radius.ui_points(5.0), labels=[model],
+                [corner], colors=[rgb(get_model_colour(model))], radii=rr.Radius.ui_points(5.0), labels=[model],
                 show_labels=True), static=True)
 
     def _log_lines(self, entity: str, strips: Any, colours: list, width: Any, order: float) -> None:

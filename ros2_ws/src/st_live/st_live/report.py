@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from rich.console import Console
 from rich.markup import escape
-from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE, RC
+from st_core.palette import FIGURE_STYLE, MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE
 from st_recordings.paths import replace_file
 from st_recordings.results import Results, format_band_lines, read_results, summarise
 from st_recordings.runs.errors import RunError
@@ -81,7 +81,7 @@ def draw_paths(results: Results, title: str, file: Path) -> None:
     The map shows the hindsight predictions (measured inputs in the horizon, as in the paper). Hindsight and forecast
     have separate error plots, because their errors differ by an order of magnitude when the driver acts.
     """
-    with plt.rc_context(RC):
+    with plt.rc_context(FIGURE_STYLE):
         figure = plt.figure(figsize=(13, 5.4))
         grid = figure.add_gridspec(2, 3, width_ratios=(1.5, 1, 1))
         _draw_map(figure.add_subplot(grid[:, 0]), results)

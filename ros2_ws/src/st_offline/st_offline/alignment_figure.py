@@ -11,7 +11,7 @@ import numpy as np
 from scipy.ndimage import minimum_filter1d
 from st_core.clock_alignment import correlation_curve, residual_lags
 from st_core.clock_types import Alignment, SharedSignal
-from st_core.palette import MEASURED_COLOUR, OTHER_COLOUR, RC
+from st_core.palette import FIGURE_STYLE, MEASURED_COLOUR, OTHER_COLOUR
 
 CLOSE_UP_DURATION = 10.0  # s
 MAX_POINTS = 4000  # per line
@@ -21,7 +21,7 @@ def draw_alignment(signals: Sequence[SharedSignal], alignment: Alignment, title:
     """Draw the speed, the 10 s in which the yaw rate (or first signal) varies most, the correlation, the lags."""
     candidates = [s for s in signals if not s.angle] or list(signals)
     speed = next((s for s in candidates if "velocity" in s.name or "speed" in s.name), candidates[0])
-    with plt.rc_context(RC):
+    with plt.rc_context(FIGURE_STYLE):
         figure, axes = plt.subplots(2, 2, figsize=(11, 6.0))
         _draw_signal(axes[0, 0], speed, alignment, whole=True)
         rate = next((s for s in candidates if "rate" in s.name), candidates[0])

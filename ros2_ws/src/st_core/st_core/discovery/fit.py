@@ -244,12 +244,12 @@ class Problem:
         return vector
 
     def fit(self, names: Iterable[str], sensitivities: Sensitivities, vector: np.ndarray | None = None,
-            fresh: Iterable[str] = (), iterations: int = ITERATIONS) -> Fit:
+            recompute: Iterable[str] = (), iterations: int = ITERATIONS) -> Fit:
         """Fit a set of effects by robust Gauss-Newton. sensitivities: with respect to at least the free parameters, at
-        a nearby vector; updated at each step. vector: initial vector, by default that of the sensitivities. fresh:
+        a nearby vector; updated at each step. vector: initial vector, by default that of the sensitivities. recompute:
         effects for which the sensitivities are recomputed at each step."""
         names = tuple(names)
-        indices, new = self.free_indices(names), self.space.indices(*fresh)
+        indices, new = self.free_indices(names), self.space.indices(*recompute)
         initial, vector = sensitivities.vector if vector is None else vector, self.start.copy()
         vector[indices] = initial[indices]
         sensitivities = self._sensitivities_at(sensitivities, vector, new)

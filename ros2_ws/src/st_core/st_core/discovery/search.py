@@ -16,7 +16,7 @@ from .partitions import Partition
 from .result import Reason
 from .settings import Limits
 
-CONTENDERS = 4  # effects refitted in a step at most, besides members of composites; half as many in an exchange
+CONTENDERS = 4  # maximum number of effects refitted in a step, besides members of composites; half in an exchange
 CONTENDER_FRACTION = 0.5  # fraction of the best gain that a contender must reach; before the refits, its square
 FIXED_CURVATURE = 1e9  # prior curvature that fixes a parameter
 JOINT_FITS, JOINT_STEP = 4, 0.1  # maximum number of joint fits; largest step at convergence [parameter scales]

@@ -81,7 +81,7 @@ class AxleSamples:
         """(mean slip, mean force opposing it) in each bin of |slip|, (b,) each.
 
         The slip at zero force, which is due to offsets of steering and INS, is subtracted first. Bins are omitted
-        if they have fewer than 5 samples, or less than 1 % of those that a uniform distribution would have there.
+        if they have fewer than 5 samples, or less than 1 % of the samples of a uniform distribution.
         """
         slip = self.slip - self.find_zero_force_slip()
         size, force = np.abs(slip), -self.force * np.sign(slip)

@@ -180,7 +180,7 @@ def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Seq
     for _ in range(MAX_ITERATIONS):  # values and error scale are estimated in turn
         previous_scale = loss.scale.copy()
         slopes = Sensitivities(vector, indices, loss.sensitivities(vector, indices))
-        vector = problem.fit(effects, slopes, vector=vector, fresh=effects, iterations=12).vector
+        vector = problem.fit(effects, slopes, vector=vector, recompute=effects, iterations=12).vector
         loss.rescale(vector)
         if np.abs(loss.scale / previous_scale - 1.0).max() < SCALE_TOLERANCE:
             break

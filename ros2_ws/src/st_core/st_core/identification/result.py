@@ -73,8 +73,8 @@ class Identification:
 
     experiment: str  # its name in `st identify`
     estimates: tuple[ParameterEstimate, ...]
-    used: tuple[str, ...]  # names of the drives or tables
-    rejected: tuple[tuple[str, str], ...] = ()  # (name of the drive or table, reason)
+    used_data: tuple[str, ...]  # names of the drives or tables
+    rejected_data: tuple[tuple[str, str], ...] = ()  # (name of the drive or table, reason)
     correlation: np.ndarray | None = None  # matrix, in the order of the estimates
     coverage: tuple[Coverage, ...] = ()  # excitation by signal
     warnings: tuple[str, ...] = ()  # sentences

@@ -17,7 +17,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 from st_core.errors import ConfigurationError
-from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, RC
+from st_core.palette import FIGURE_STYLE, MEASURED_COLOUR, MODEL_COLOUR
 
 TEXT_COLOUR, GRID_COLOUR, BAD_COLOUR, WARN_COLOUR = "#1c2126", "#e6e6e6", "#b3261e", "#b26a00"
 # Colour in figures -> variable of the style sheet of the page.
@@ -27,7 +27,7 @@ _CSS_VARIABLES = {
     **{colour: f"var(--{model})" for model, colour in MODEL_COLOUR.items()},
 }
 RC_SETTINGS = {
-    **RC, "grid.color": GRID_COLOUR, "svg.fonttype": "none", "svg.hashsalt": "st", "font.family": "sans-serif",
+    **FIGURE_STYLE, "grid.color": GRID_COLOUR, "svg.fonttype": "none", "svg.hashsalt": "st", "font.family": "sans-serif",
     **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), TEXT_COLOUR),
     "pdf.fonttype": 42,
 }

@@ -75,7 +75,7 @@ def print_results(outcomes: Sequence[result.Identification], vehicle: VehiclePar
             title=outcome.experiment, title_justify="left", padding=(0, 2, 0, 0)))
         for style, texts in (("default", [f"{e.parameter}: {e.verdict}" for e in outcome.estimates]),
                              ("dim", [coverage.describe() for coverage in outcome.coverage]),
-                             ("dim", [f"{name}: left out: {reason}" for name, reason in outcome.rejected]),
+                             ("dim", [f"{name}: left out: {reason}" for name, reason in outcome.rejected_data]),
                              ("yellow", outcome.warnings)):
             for text in texts:
                 print_line(f"  [{style}]{escape(text)}[/]", console)
@@ -130,8 +130,8 @@ def make_experiment_details(outcome: result.Identification) -> dict[str, Any]:
     """Entry of one experiment in details.json."""
     matrix = outcome.correlation
     return {
-        "what": outcome.experiment, "used": list(outcome.used),
-        "rejected": [{"data": name, "why": reason} for name, reason in outcome.rejected],
+        "what": outcome.experiment, "used": list(outcome.used_data),
+        "rejected": [{"data": name, "why": reason} for name, reason in outcome.rejected_data],
         "parameters": [e.parameter for e in outcome.estimates],
         "status": {e.parameter: e.status for e in outcome.estimates},
         "correlation": None if matrix is None else [[round(float(x), 6) for x in row] for row in matrix],

@@ -9,7 +9,7 @@ from geometry_msgs.msg import Point, Vector3Stamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from st_core.palette import MEASURED_COLOUR, colour_of, label_index, rgb
+from st_core.palette import MEASURED_COLOUR, get_model_colour, label_index, rgb
 from st_core.types import InsSample
 from st_msgs.msg import Prediction, PredictionError
 from st_ros import parameters, spin
@@ -76,12 +76,12 @@ class MarkersNode(Node):
                             "#141414", OUTLINE_WIDTH),
         ]
         for number, model in enumerate(self._history.models):
-            markers += [self._make_line("ghosts", 10 * number + round(age), now_ns, ghost.x, ghost.y, colour_of(model),
-                                        GHOST_WIDTH, GHOST_ALPHA, z=-0.1)
+            markers += [self._make_line("ghosts", 10 * number + round(age), now_ns, ghost.x, ghost.y,
+                                        get_model_colour(model), GHOST_WIDTH, GHOST_ALPHA, z=-0.1)
                         for age, ghost in self._history.find_ghosts(model, now_ns)]
             if point := self._history.find_predicted_position(model, now_ns):
                 markers.append(self._make_line("errors", number, now_ns, [sample.x, point[0]], [sample.y, point[1]],
-                                               colour_of(model), ERROR_WIDTH, z=0.1))
+                                               get_model_colour(model), ERROR_WIDTH, z=0.1))
             if path := self._history.find_newest(model, now_ns):
                 markers.append(self._make_label(number, now_ns, model, path))
         return markers
@@ -94,7 +94,7 @@ class MarkersNode(Node):
             for ribbon in path.ribbons if path else ():
                 alpha = RIBBON_ALPHA.get(ribbon.level, RIBBON_ALPHA[0.9])
                 marker = self._make_marker(Marker.TRIANGLE_LIST, model, round(100 * ribbon.level), now_ns,
-                                           colour_of(model), alpha)
+                                           get_model_colour(model), alpha)
                 marker.scale.x = marker.scale.y = marker.scale.z = 1.0
                 # Below the paths, at different heights, which set the drawing order.
                 z = -0.3 - 0.02 * number - 0.2 * ribbon.level
@@ -120,7 +120,7 @@ class MarkersNode(Node):
         return marker
 
     def _make_label(self, number: int, time_ns: int, model: str, path: Path) -> Marker:
-        marker = self._make_marker(Marker.TEXT_VIEW_FACING, "names", number, time_ns, colour_of(model), 1.0)
+        marker = self._make_marker(Marker.TEXT_VIEW_FACING, "names", number, time_ns, get_model_colour(model), 1.0)
         index = label_index(model, path.step, len(path.x))
         marker.pose.position.x, marker.pose.position.y = float(path.x[index]), float(path.y[index])
         marker.pose.position.z = 1.0
