@@ -226,7 +226,7 @@ def make_drive_experiment(name: str, description: str, driving: str, compute: Ca
             raise ConfigurationError("no run can be used: " + join_problems(failed.values()))
         outcome = compute([d.log for d in used], job.vehicle, **({"base": job.model} if uses_model else {}))
         warnings = dict.fromkeys(warning for d in used for warning in d.metadata["warnings"])  # each once, in order
-        return (replace(outcome, experiment=name, rejected_data=(*failed.items(), *outcome.rejected),
+        return (replace(outcome, experiment=name, rejected_data=(*failed.items(), *outcome.rejected_data),
                         warnings=(*outcome.warnings, *warnings),
                         findings={d.name: d.findings for d in drives if d.log is not None or d.findings}),)
 
