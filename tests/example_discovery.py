@@ -60,7 +60,7 @@ def discovery(runs: Sequence[DriveLog], steps: Sequence[tuple[str, Mapping[str, 
         effects.append(FoundEffect(name, kind, fitted(name, values), (alternatives or {}).get(name, ()),
                                    0.9 * (before - after), agreement))
     parts = {part: sum(b - a for (n, _, a), b in zip(steps, totals, strict=False) if get_effect(n).kind == part)
-             for part in ("sensors", "vehicle parameters", "physics", "environment")}
+             for part in ("sensors", "vehicle parameters", "physics", "surroundings")}
     parts |= {"place or time": sum(b.position_5s_reduction for b in varying), "unexplained": totals[-1]}
     budget = tuple(BudgetLine(part, 0.8 * size, size, 0.8 * size / base, size / base, 0.7 * size / base, size / base)
                    for part, size in parts.items())

@@ -19,7 +19,7 @@ BASE_MODELS = ("kinematic", "linear", "nonlinear")
 DYNAMIC = frozenset(("linear", "nonlinear"))
 ANY = frozenset(BASE_MODELS)
 
-EFFECT_KINDS = ("sensors", "vehicle parameters", "physics", "environment")
+EFFECT_KINDS = ("sensors", "vehicle parameters", "physics", "surroundings")
 SLOTS = ("steering", "front axle", "rear axle", "both axles", "body",
          "position", "velocity", "heading", "yaw rate", "acceleration")
 TOTAL_DELAY = "total delay of the steering"  # dead time plus lag, which a fit divides differently from model to model
