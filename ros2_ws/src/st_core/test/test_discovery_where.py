@@ -52,15 +52,15 @@ def test_range_with_three_times_the_error_is_found_with_its_ratio():
     by_range = {b.range.label: b for b in find_excesses(samples, make_samples(2))}
     for label in ("12 to 15 m/s", "15 to 20 m/s"):
         one = by_range[label]
-        assert one.significant and one.interval[0] < 3.0 < one.interval[1] and 2.2 < one.excess < 4.0
-    assert not by_range["6 to 9 m/s"].significant
+        assert one.is_significant and one.interval[0] < 3.0 < one.interval[1] and 2.2 < one.excess < 4.0
+    assert not by_range["6 to 9 m/s"].is_significant
 
 
 def test_no_range_is_significant_if_runs_and_reference_have_equal_errors():
     alarms = []
     for seed in range(25):
         excesses = find_excesses(make_samples(seed), make_samples(1000 + seed))
-        alarms.append(sum(one.significant for one in excesses))
+        alarms.append(sum(one.is_significant for one in excesses))
     assert np.count_nonzero(alarms) <= 3  # of 25; the false discovery rate is 5 %
 
 
@@ -90,7 +90,7 @@ def test_expected_error_without_a_reference_is_the_noise():
 
 def test_range_without_reference_data_is_marked_as_not_covered():
     by_range = {b.range.label: b for b in find_excesses(make_samples(4, speed=22.0), make_samples(5, speed=10.0))}
-    assert not by_range["20 to 25 m/s"].covered and not by_range["20 to 25 m/s"].significant
+    assert not by_range["20 to 25 m/s"].is_covered and not by_range["20 to 25 m/s"].is_significant
 
 
 def test_change_in_time_is_found_at_its_time():
