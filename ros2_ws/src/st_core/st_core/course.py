@@ -235,7 +235,7 @@ class EgoMotion(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CourseForecast:
-    """Inputs predicted from a course."""
+    """Inputs over the horizon, predicted from a course."""
 
     inputs: InputSequence | None  # on the half-step grid of the horizon; None if the course is not used
     curvature_weight: float = 0.0  # weight of the course in the curvature, 0 to 1

@@ -60,8 +60,8 @@ def simulate_drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: Vehicle
 
 
 def simulate_manoeuvres(windows: Windows, base: Model) -> Iterator[tuple[Manoeuvre, Windows]]:
-    """Yield each manoeuvre not faster than MAX_SPEED_RATIO times the recorded driving, and its simulated windows with
-    the recorded channels. The base model without effects is accurate enough to compare excitation."""
+    """Yields each manoeuvre that is not faster than MAX_SPEED_RATIO times the recorded driving, and its simulated
+    windows with the recorded channels. The base model without effects is accurate enough to compare excitation."""
     model = augment(base, {})
     fastest = MAX_SPEED_RATIO * float(np.nanquantile(windows.speeds, 0.95))
     settings = replace(windows.settings, windows=50)

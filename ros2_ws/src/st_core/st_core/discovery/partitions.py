@@ -7,7 +7,7 @@ from .windows import Windows
 
 PLACE_SIZE = 50.0  # m, side of the squares of the map that count as places
 SAME_SITE_FRACTION = 0.2  # fraction of the places of the run with fewer places; runs that share more are at one site
-MIN_RUNS, MIN_PARTS = 5, 6  # fewer than MIN_RUNS runs are divided into at least MIN_PARTS parts in all
+MIN_RUNS, MIN_PARTS = 5, 6  # fewer than MIN_RUNS runs are divided into at least MIN_PARTS parts in total
 TIMES = ("the first third of the runs", "the second third", "the last third")
 CONDITIONS = ("slow and gentle", "fast and gentle", "slow and hard", "fast and hard")
 

@@ -66,7 +66,7 @@ class Search:
         self._fits_tried: list[tuple[np.ndarray, NearSet, float]] = []
 
     def run(self) -> SearchState:
-        """Find the best set from three starts: the empty set; the set found from it plus all physical effects; the
+        """The best set from three starts: the empty set; the set found from it plus all physical effects; the
         library without composites. The last two starts add no payload and no `forward_only` effect."""
         p = self.problem
         p.update_design_effect(p.start)

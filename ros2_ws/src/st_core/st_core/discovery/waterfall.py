@@ -44,7 +44,7 @@ class HorizonErrors:
         return result
 
     def compare(self, channel: str, before: np.ndarray, after: np.ndarray) -> Change:
-        """Error before and after, with a 95 % interval of the reduction by bootstrap of whole blocks."""
+        """Error before and after a step, with a 95 % interval of the reduction by bootstrap of whole blocks."""
         known = np.isfinite(before) & np.isfinite(after)
         if not known.any():
             return Change(float("nan"), float("nan"), (float("nan"), float("nan")), UNITS[channel])

@@ -50,7 +50,7 @@ def _is_inside(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.n
 
 def fit_within_bounds(residuals: Residuals, starts: Sequence[Sequence[float]], lower: Sequence[float],
                       upper: Sequence[float]) -> BoundedFit:
-    """Least squares from the best of several starts, every parameter within its bounds."""
+    """Least-squares fit from the best of several starts, with every parameter within its bounds."""
     low, high = np.asarray(lower, float), np.asarray(upper, float)
     rough = [_solve(residuals, start, low, high, 1e-3, 40) for start in starts] if len(starts) > 1 else []
     best_start = min(rough, key=lambda result: result.cost).x if rough else starts[0]

@@ -131,7 +131,7 @@ def estimate_slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehiclePa
 
 
 def find_largest_slip(logs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DrivingFitSettings) -> np.ndarray:
-    """SLIP_QUANTILE of |slip angle| of the (front, rear) axle [rad], within the limits of the settings."""
+    """Quantile SLIP_QUANTILE of |slip angle| of the (front, rear) axle [rad], within the limits of the settings."""
     slips = []
     for run in (sample_run(log, vehicle) for log in logs):
         is_used = ((run.velocity_x >= settings.minimum_speed)

@@ -232,7 +232,7 @@ def identify_magic_formula(data: FlatPlank, start: MagicFormula) -> Identificati
 
 
 def _fit_nominal_load(data: FlatPlank, base: MagicFormula) -> MagicFormula:
-    """Stage 1. The load dependence of `base` corrects for the small differences from the nominal load."""
+    """The tyre after stage 1. The load dependence of `base` corrects for small differences from the nominal load."""
     inner = np.abs(data.slip) <= max(math.radians(2.0), np.sort(np.abs(data.slip))[min(3, len(data.slip) - 1)])
     slope = float(data.slip[inner] @ data.force[inner]) / float(data.slip[inner] @ data.slip[inner])
     level = float(data.load.mean())
@@ -245,7 +245,7 @@ def _fit_nominal_load(data: FlatPlank, base: MagicFormula) -> MagicFormula:
 
 
 def _fit_load_dependency(data: FlatPlank, nominal_tyre: MagicFormula, names: Sequence[str]) -> MagicFormula:
-    """Stage 2: K at the nominal load is fixed, which determines p_ky1 from p_ky2 and p_ky4."""
+    """The tyre after stage 2. K at the nominal load is fixed, which determines p_ky1 from p_ky2 and p_ky4."""
     stiffness = float(magic_formula_stiffness(nominal_tyre.nominal_load, nominal_tyre))
 
     def make_tyre(values: Any) -> MagicFormula:

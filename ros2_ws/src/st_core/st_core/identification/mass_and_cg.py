@@ -119,7 +119,7 @@ def _check_readings(weighings: Weighings) -> np.ndarray:
 
 
 def _check_scales(readings: np.ndarray, rejected_count: int, front: float, vehicle: VehicleParameters) -> Iterator[str]:
-    """Warnings on the weighings used. readings: (n, 4). rejected_count: of others. front: cg_to_front_axle [m]."""
+    """Warnings on the weighings used. readings: (n, 4). rejected_count: the others. front: cg_to_front_axle [m]."""
     mean = readings.mean(axis=0)
     cross_weight = (mean[0] + mean[3]) / mean.sum()
     if abs(cross_weight - 0.5) > 0.02:

@@ -113,8 +113,8 @@ def estimate_yaw_rate_bias(log: DriveLog) -> float:
 
 def measure_coverage(signal: str, unit: str, edges: np.ndarray, values: Sequence[np.ndarray],
                      times: Sequence[np.ndarray], min_seconds: float, min_filled_bins: int) -> Coverage:
-    """Coverage of a signal by all drives. values: (n,) of each drive. times: times of all samples of each drive [s].
-    min_seconds: minimum time in a filled bin."""
+    """Coverage of the range of a signal in all drives. values: (n,) of each drive. times: times of all samples of each
+    drive [s]. min_seconds: minimum time in a filled bin."""
     interval = float(np.median(np.concatenate([np.diff(time) for time in times])))
     return Coverage(signal, unit, edges, np.histogram(np.concatenate(values), edges)[0],
                     max(1, round(min_seconds / interval)), min_filled_bins)
