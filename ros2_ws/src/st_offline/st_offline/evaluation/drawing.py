@@ -27,7 +27,8 @@ _CSS_VARIABLES = {
     **{colour: f"var(--{model})" for model, colour in MODEL_COLOUR.items()},
 }
 RC_SETTINGS = {
-    **FIGURE_STYLE, "grid.color": GRID_COLOUR, "svg.fonttype": "none", "svg.hashsalt": "st", "font.family": "sans-serif",
+    **FIGURE_STYLE, "grid.color": GRID_COLOUR, "svg.fonttype": "none", "svg.hashsalt": "st",
+    "font.family": "sans-serif",
     **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), TEXT_COLOUR),
     "pdf.fonttype": 42,
 }
