@@ -141,7 +141,7 @@ class VehicleParameters:
     def uncertainty(self, key: str) -> float | None:
         """Standard deviation [SI] of a value, by its key in the file ("mass", "tyre_front.lambda_muy").
 
-        As stated in the file if > 0, else from DEFAULT_UNCERTAINTIES; None if neither contains it, or if it is 0.
+        As stated in the file if > 0, else from DEFAULT_UNCERTAINTIES; None without a default, or if the default is 0.
         """
         if (entry := self.provenance.get(key)) and entry.uncertainty:
             return entry.uncertainty

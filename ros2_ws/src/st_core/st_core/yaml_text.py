@@ -120,5 +120,5 @@ def hash_content(content: Any) -> str:
 
 
 def quote(text: str) -> str:
-    """A text in double quotes."""
+    """The text in double quotes, escaped where necessary."""
     return json.dumps(text, ensure_ascii=False)

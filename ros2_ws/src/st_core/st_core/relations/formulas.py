@@ -80,7 +80,7 @@ CONSTANT_CAUSES = {
 
 def fit_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadratic,
                fold: np.ndarray) -> Sequence[FittedShape]:
-    """0 to MAX_FORMULAS shapes, the preferred one first. profile: quadratic of the loss about the coefficients (8,),
+    """At most MAX_FORMULAS shapes, the preferred one first. profile: quadratic of the loss about the coefficients (8,),
     by block, all other parameters profiled out; fold: (b,).
 
     The parameters of a shape minimise the loss. Only shapes that explain MIN_EXPLAINED_FRACTION are considered; the

@@ -23,7 +23,7 @@ Range = tuple[float, float]
 @dataclass(frozen=True, eq=False)
 class Option:
     """Expected result after REPETITIONS further drives of one manoeuvre. deviation: (k,) standard deviation of the
-    curve [its unit]. separation: from each rival [standard deviations]. seconds: of one drive in each sparse range."""
+    curve [its unit]. separation: from each rival [standard deviations]. seconds: time in each sparse range."""
 
     manoeuvre: Manoeuvre
     deviation: np.ndarray

@@ -35,7 +35,7 @@ class Relation:
     quantity it depends on. coefficients: (8,) of the splines. points: (k,) of the quantity; value, deviation: (k,)
     the curve there and its standard deviation [`Candidate.unit`]; density: (k,) fraction of the samples near each. gain
     [1]: reduction of the held-out loss per residual. p_value [1]: of the hypothesis of no gain, corrected for multiple
-    testing. position_5s [m]: held-out position error after 5 s (without, with); runs: by run. model: the model
+    testing. position_5s [m]: held-out position error after 5 s (without, with it); runs: by run. model: the model
     without the relation, at the values fitted with it. rivals: equally good relations, with the cosine similarity of
     their effects [1]. formulas: closed forms that retain the curve's gain in simulation, best first. agreement: of its
     size in each run with its overall size. redundant: effects of the result that the relation replaces, with the
@@ -60,7 +60,7 @@ class Relation:
     next_drives: NextDrives = field(default_factory=NextDrives)
 
     def find_worse_runs(self) -> dict[str, tuple[float, float]]:
-        """Held-out position error (without, with) [m] of runs where the ratio is MIN_REPORTED_RATIO or more."""
+        """Held-out position errors (without, with it) [m] of runs with a ratio of MIN_REPORTED_RATIO or more."""
         return {name: errors for name, errors in self.runs.items() if errors[1] >= MIN_REPORTED_RATIO * errors[0]}
 
 

@@ -45,7 +45,7 @@ from .vehicle_update import VehicleUpdate, update_vehicle
 
 def run_command(request: Request, console: Console) -> int:
     """Run the command; returns the exit status: 1 if a run could not be used, else 0. Raises ConfigurationError for
-    invalid options and unusable recordings, StCoreError if a search is not possible, OutputError for a wrong folder."""
+    invalid options or recordings, StCoreError if a search is not possible, OutputError if the folder is unusable."""
     check_formats(request.formats)
     base, effect_hashes = _load_base_and_effects(request)
     folder = new_folder(request.output, "discover")

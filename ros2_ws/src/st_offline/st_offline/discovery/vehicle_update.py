@@ -68,7 +68,7 @@ class VehicleUpdate:
 
     @property
     def improves(self) -> bool:
-        """Whether the mean error does not grow, and no drive has a significantly larger error."""
+        """Whether the mean error is at most that of the original file, and no drive is significantly worse."""
         return not (self.error[1] > self.error[0] or self.worse_drives)
 
 

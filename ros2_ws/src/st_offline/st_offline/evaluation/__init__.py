@@ -1,1 +1,1 @@
-"""`st evaluate`: makes the table and figures of the paper from recordings."""
+"""`st evaluate`: reproduces the table and figures of the paper from recordings."""
