@@ -37,7 +37,7 @@ def config(relative: str) -> Path:
 def source_version() -> str:
     """Version of the wheel if its files are used, else `git describe` of the checkout; "unknown" without either."""
     try:
-        if (root := project_root()) == INSTALLED_FILES:  # its environment may lie in another git repository
+        if (root := project_root()) == INSTALLED_FILES:  # its environment may be in a different git repository
             return metadata.version(DISTRIBUTION)
         command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--tags"]
         return subprocess.run(command, capture_output=True, text=True, check=True, timeout=5).stdout.strip()

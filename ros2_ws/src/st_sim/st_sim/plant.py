@@ -160,7 +160,7 @@ def make_normal_source(generator: np.random.Generator, block: int = 4096) -> Cal
 
 
 class Plant:
-    """State of one car, which `step` advances by one time step with constant steering-wheel angle and drive force."""
+    """State of one car; `step` advances it by one time step with constant steering-wheel angle and drive force."""
 
     def __init__(self, car: VehicleParameters, settings: Settings, seed: int = 0, step: float = STEP):
         self.car, self.settings, self.time_step = car, settings, step

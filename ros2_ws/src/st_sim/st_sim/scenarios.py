@@ -173,7 +173,7 @@ SCENARIOS: dict[str, tuple[Callable[[], Plan], str]] = {
 
 
 def load_plan(name: str) -> Plan:
-    """New plan of a scenario by name, or from a YAML file (see config/manoeuvres). Raises SimulationError."""
+    """New plan of a scenario, given by its name or a YAML file (see config/manoeuvres). Raises SimulationError."""
     if name in SCENARIOS:
         return SCENARIOS[name][0]()
     if name.endswith((".yaml", ".yml")):

@@ -161,7 +161,7 @@ def _overlap(times: Sequence[np.ndarray]) -> bool:
 
 
 def open_bag(path: Path, files: Sequence[Path] = ()) -> Storage:
-    """Opens a bag directory or a single storage file. Raises RunError for a file that is missing, of another kind, not
+    """Opens a bag directory or a single storage file. Raises RunError for a file that is missing, not a bag, not
     closed or damaged. files: the parts of a split recording in order, if there are two or more."""
     if len(files) < 2:
         files = list_bag_files(path) if path.is_dir() else [path]

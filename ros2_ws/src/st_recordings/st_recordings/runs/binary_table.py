@@ -198,7 +198,7 @@ def read_names(file: Path) -> list[str]:
 def read_signals(file: Path, layout: Layout, warnings: list[str]) -> tuple[list[str], str]:
     """(header, comma-separated rows) of the signals that are channels of a drive or named by the layout.
 
-    Each time at which a signal was measured has a row, in which the other signals are nan; of several samples at one
+    Each time at which a signal was measured has a row, with nan for signals without a sample; of several samples at one
     time, the first is used. Times are UTC, or relative to the start of a measurement without a date. An array appears
     as text. Appends a warning about each name with several signals. Raises RunError if asammdf cannot read the file.
     """

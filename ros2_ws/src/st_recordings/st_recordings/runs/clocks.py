@@ -117,7 +117,7 @@ def pair_substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1
 
 
 def mask_implausible(ins: InsLog, can: CanSignals) -> tuple[InsLog, CanSignals, list[str]]:
-    """(both recordings with NaN for implausible values, a note on each such signal).
+    """(both recordings with NaN for implausible values, a note on each affected signal).
 
     A single sentinel value or spike can be larger than the whole signal, and shifts or hides the correlation peak.
     """

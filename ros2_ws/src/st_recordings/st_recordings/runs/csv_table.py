@@ -187,8 +187,8 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
 
 
 def _join_groups(rows: np.ndarray, names: list[str], time: int) -> np.ndarray:
-    """One row for each time of a table in which groups of columns have times of their own, in a column of the same name
-    before each group; NaN where a group has no row with this time. `rows` if the times are equal or do not increase."""
+    """One row for each time of a table in which each group of columns has its own times, in a column of the same name
+    before the group; NaN where a group has no row with this time. `rows` if the times are equal or do not increase."""
     starts = [number for number in range(time, len(names)) if names[number] == names[time]]
     groups = [rows[np.isfinite(rows[:, start])] for start in starts]
     group_times = [group[:, start] for group, start in zip(groups, starts, strict=True)]

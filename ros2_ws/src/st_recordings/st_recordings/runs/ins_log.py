@@ -59,7 +59,7 @@ def compute_car_speed(speeds: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> Se
 
 
 def make_series(time_ns: np.ndarray, values: np.ndarray) -> Series | None:
-    """Selects the finite samples of a signal that are later than all samples before; None if there are none."""
+    """Selects the finite samples of a signal that are later than all previous ones; None if there are none."""
     time_ns, values = _select_finite(np.asarray(time_ns, np.int64), values)
     if not len(time_ns):
         return None
@@ -68,7 +68,7 @@ def make_series(time_ns: np.ndarray, values: np.ndarray) -> Series | None:
 
 
 def is_newer(time_ns: np.ndarray) -> np.ndarray:
-    """Whether each time is later than all before it."""
+    """Whether each time is later than all previous ones."""
     return np.diff(np.maximum.accumulate(time_ns), prepend=time_ns[:1] - 1) > 0
 
 

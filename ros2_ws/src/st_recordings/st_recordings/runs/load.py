@@ -84,7 +84,7 @@ def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters
 
 
 def check_coverage(source: RunSource, log: DriveLog) -> list[str]:
-    """Warnings about time that only INS or steering covers. Raises RunError if they do not overlap or lack samples."""
+    """Warnings about time that only INS or only steering covers. Raises RunError without overlap or enough samples."""
     _check_size(source, log, ())
     spans = {"INS": log.ins_time_ns, "steering": log.steering_time_ns}
     if min(time[-1] for time in spans.values()) <= max(time[0] for time in spans.values()):

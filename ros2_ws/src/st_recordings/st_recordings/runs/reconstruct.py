@@ -261,7 +261,7 @@ def get_stamp(message: Any, log_ns: int) -> int:
 
 
 def read_steering_columns(storage: Storage, topic: Topic, steering: SteeringField) -> dict[str, np.ndarray]:
-    """Columns of st_msgs/Steering, read from a topic of another type. Raises RunError."""
+    """Columns of st_msgs/Steering, read from a topic of a different type. Raises RunError."""
     # For a steering wheel angle, the road wheel angle is a placeholder that DriveLog.with_steering replaces.
     stamp_list, angles = [], []
     for _, message in storage.deserialise(topic):
