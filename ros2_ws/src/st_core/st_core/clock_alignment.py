@@ -77,7 +77,7 @@ def _resample_signals(signals: Sequence[SharedSignal]) -> _ResampledSignals:
             reasons.append(f"{signal.name} spans {max(spans) / 86400:.0f} days: a clock was probably set")
             continue
         values = [v[k] for v, k in zip((signal.reference, signal.other), known, strict=True)]
-        deviation = min(float(np.std(np.unwrap(v) if signal.angle else v)) for v in values)
+        deviation = min(float(np.std(np.unwrap(v) if signal.is_angle else v)) for v in values)
         if deviation <= signal.min_deviation:
             reasons.append(f"{signal.name} hardly varies (standard deviation {deviation:.3g})")
             continue
@@ -89,8 +89,8 @@ def _resample_signals(signals: Sequence[SharedSignal]) -> _ResampledSignals:
     for signal in usable:
         reference = (signal.reference_time_ns - reference_ns) * 1e-9
         other = (signal.other_time_ns - other_ns) * 1e-9 - signal.latency
-        row = [Pair(signal.name, resample(reference, signal.reference, cutoff, signal.angle),
-                    resample(other, signal.other, cutoff, signal.angle)) for cutoff in (COARSE_CUTOFF, FINE_CUTOFF)]
+        row = [Pair(signal.name, resample(reference, signal.reference, cutoff, signal.is_angle),
+                    resample(other, signal.other, cutoff, signal.is_angle)) for cutoff in (COARSE_CUTOFF, FINE_CUTOFF)]
         if all(side.known.any() for pair in row for side in (pair.reference, pair.other)):
             rows.append(row)
     if not rows:
@@ -199,7 +199,7 @@ def _add_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_
     elif lowest_correlation < GOOD_CORRELATION:
         worst = min(result.signals, key=lambda s: s.correlation)
         doubts.append(f"{worst.name} fits poorly: correlation {worst.correlation:.2f}, below {GOOD_CORRELATION}")
-    if result.ambiguous and result.peak and result.second_peak:
+    if result.is_ambiguous and result.peak and result.second_peak:
         (best, correlation), (second, second_correlation) = result.peak, result.second_peak
         doubts.append(f"an offset {second - best:+.2f} s away fits nearly as well, with correlation "
                       f"{second_correlation:.2f} against {correlation:.2f} (repeated laps?)")

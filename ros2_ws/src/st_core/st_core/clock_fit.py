@@ -38,16 +38,16 @@ class Series:
         return self.origin + STEP * np.arange(len(self.values))
 
 
-def resample(time: np.ndarray, values: np.ndarray, cutoff: float, angle: bool = False) -> Series:
+def resample(time: np.ndarray, values: np.ndarray, cutoff: float, is_angle: bool = False) -> Series:
     """Interpolate linearly to 100 Hz, apply a zero-phase Butterworth low-pass (order 4) and keep every fifth point.
 
-    time: [s], strictly increasing. values: NaN where unusable. cutoff: cut-off frequency of the low-pass
-    [Hz], equal for both recordings. angle: values are an angle [rad], wrapped or not; the result is its rate [rad/s],
-    because the zero of the angle is unknown. The angle is filtered before it is differentiated: the filter reflects a
-    series about its end samples, which are noisy in a differentiated angle.
+    time: [s], strictly increasing. values: NaN where unusable. cutoff: cut-off frequency of the low-pass [Hz], equal
+    for both recordings. is_angle: values are an angle [rad], wrapped or not; the result is its rate [rad/s], because
+    the zero of the angle is unknown. The angle is filtered before it is differentiated: the filter reflects a series
+    about its end samples, which are noisy in a differentiated angle.
     """
     finite = np.isfinite(values)
-    time, values = time[finite], np.unwrap(values[finite]) if angle else values[finite]
+    time, values = time[finite], np.unwrap(values[finite]) if is_angle else values[finite]
     if len(time) < 2:
         return Series(0.0, np.zeros(0), np.zeros(0, dtype=bool))
     start = np.ceil(time[0] * RATE) / RATE
@@ -59,7 +59,7 @@ def resample(time: np.ndarray, values: np.ndarray, cutoff: float, angle: bool = 
     if len(grid) > 50:
         sampled = sosfiltfilt(sos, sampled, padtype="odd", padlen=min(len(grid) - 1, int(3 * RATE / cutoff)))
     margin = int(FILTER_SETTLING_PERIODS / cutoff * RATE)
-    if angle:
+    if is_angle:
         sampled = np.gradient(sampled) * RATE if len(grid) > 1 else np.zeros_like(sampled)
     known = maximum_filter1d((~bridged).astype(np.uint8), 2 * margin + 1, mode="constant") == 0
     known[:margin] = known[len(known) - margin:] = False

@@ -35,7 +35,7 @@ class SharedSignal:
     latency: float = 0.0  # delay from the measurement of a value to its stamp in the other recording [s]
     latency_uncertainty: float = 0.0  # standard deviation [s]
     min_deviation: float = 0.0  # standard deviation at or below which the signal counts as constant
-    angle: bool = False  # an angle [rad], wrapped or not, of unknown zero in each recording; its rate is compared
+    is_angle: bool = False  # angle [rad], wrapped or not, with unknown zero in each recording; its rate is compared
 
 
 class Peak(NamedTuple):
@@ -83,7 +83,7 @@ class Alignment:
         return int(self.to_reference_ns(other_ns)) - other_ns
 
     @property
-    def ambiguous(self) -> bool:
+    def is_ambiguous(self) -> bool:
         """Whether a different offset fits nearly as well."""
         return (self.peak is not None and self.second_peak is not None
                 and self.second_peak.correlation > AMBIGUOUS_PEAK_RATIO * self.peak.correlation)

@@ -89,6 +89,6 @@ def test_systematic_uncertainty_is_added_in_quadrature():
 
 
 def test_significance_requires_more_than_an_interval_without_zero():
-    assert Estimate(1.0, 0.1, 0.4).significant and Estimate(-1.0, 0.1, 0.4).significant
-    assert not Estimate(1.0, 0.4, 0.8).significant
-    assert not Estimate(1.0, 0.6, 1.2).significant
+    assert Estimate(1.0, 0.1, 0.4).is_significant and Estimate(-1.0, 0.1, 0.4).is_significant
+    assert not Estimate(1.0, 0.4, 0.8).is_significant
+    assert not Estimate(1.0, 0.6, 1.2).is_significant

@@ -223,7 +223,7 @@ def test_coarse_wrapped_angle_with_another_zero_is_sufficient() -> None:
     rounded = np.radians(np.round(np.degrees(wrapped), 2))
     gap = slice(20_000, 22_000)
     result = align([SharedSignal("yaw", nanoseconds(ins), yaw(ins), np.delete(nanoseconds(can - 0.7), gap),
-                                 np.delete(rounded, gap), angle=True)])
+                                 np.delete(rounded, gap), is_angle=True)])
     assert result.verdict is Verdict.GOOD, result.reasons
     assert result.offset_ns * 1e-9 == pytest.approx(0.7, abs=2e-4)
 

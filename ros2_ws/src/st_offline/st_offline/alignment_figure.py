@@ -19,7 +19,7 @@ MAX_POINTS = 4000  # per line
 
 def draw_alignment(signals: Sequence[SharedSignal], alignment: Alignment, title: str, file: Path) -> None:
     """Draw the speed, the 10 s in which the yaw rate (or first signal) varies most, the correlation, the lags."""
-    candidates = [s for s in signals if not s.angle] or list(signals)
+    candidates = [s for s in signals if not s.is_angle] or list(signals)
     speed = next((s for s in candidates if "velocity" in s.name or "speed" in s.name), candidates[0])
     with plt.rc_context(FIGURE_STYLE):
         figure, axes = plt.subplots(2, 2, figsize=(11, 6.0))

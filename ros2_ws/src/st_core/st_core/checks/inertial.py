@@ -55,7 +55,7 @@ class Agreement:
     @property
     def has_lag(self) -> bool:
         """Whether the lag is significant, and fits significantly better than the lag expected without a fault."""
-        return self.lag.significant and self.expected_lag_rejected
+        return self.lag.is_significant and self.expected_lag_rejected
 
 
 def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, measured: np.ndarray,
@@ -225,7 +225,7 @@ def _judge(agreement: Agreement, tolerances: Tolerances) -> tuple[list[Finding],
     name = tolerances.channel
     scale, lag, bias = (add_systematic_uncertainty(f"{name}_{kind}", getattr(agreement, kind))
                         for kind in ("scale", "lag", "bias"))
-    has_lag_error = (lag.significant and agreement.expected_lag_rejected and abs(lag.value) >= tolerances.lag
+    has_lag_error = (lag.is_significant and agreement.expected_lag_rejected and abs(lag.value) >= tolerances.lag
                      and agreement.spread >= tolerances.min_spread)
     lag_findings = [_make_lag_finding(agreement, lag, tolerances)] if has_lag_error else []
     estimates = {f"{name}_lag": lag} if agreement.determines_lag else {}
@@ -241,7 +241,7 @@ def _judge(agreement: Agreement, tolerances: Tolerances) -> tuple[list[Finding],
     wrong_unit = not explained_by_noise and not is_near(scale.value, 1.0, LIMITS.channel_unit_ratio)
     if wrong_unit:
         findings.append(_make_unit_finding(scale, tolerances))
-    elif scale_error >= tolerances.scale and scale.shifted(-1.0).significant and not explained_by_noise:
+    elif scale_error >= tolerances.scale and scale.shifted(-1.0).is_significant and not explained_by_noise:
         text = f"{name} is {scale} times its value from {tolerances.reference}"
         findings.append(_make_finding("scale", text, scale, scale_error * agreement.spread, tolerances,
                                       1.0 / scale.value, scale_error >= tolerances.severe_scale))
@@ -249,7 +249,7 @@ def _judge(agreement: Agreement, tolerances: Tolerances) -> tuple[list[Finding],
     divisor = scale.value if findings else 1.0
     findings += lag_findings
     error = abs(bias.value) / max(abs(scale.value), 1e-300)
-    if bias.significant and error >= tolerances.bias and not wrong_unit:
+    if bias.is_significant and error >= tolerances.bias and not wrong_unit:
         side, unit = "high" if bias.value > 0.0 else "low", tolerances.unit.replace("^2", "²")
         text = (f"{name} is {abs(bias)} {unit} too {side} compared with {tolerances.reference}"
                 f"{tolerances.bias_question}")

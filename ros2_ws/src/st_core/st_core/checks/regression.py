@@ -43,7 +43,7 @@ class Estimate:
         return self.value - self.half_width, self.value + self.half_width
 
     @property
-    def significant(self) -> bool:
+    def is_significant(self) -> bool:
         """Whether 0 is outside 1.5 times the 95 % interval; the factor accounts for testing a dozen causes."""
         return abs(self.value) > 1.5 * self.half_width
 
@@ -164,4 +164,4 @@ def add_systematic_uncertainty(name: str, estimate: Estimate) -> Estimate:
 
 def is_relevant(estimate: Estimate, minimum: float) -> bool:
     """Whether an estimate is significant and at least as large as the smallest reported value."""
-    return estimate.significant and abs(estimate.value) >= minimum
+    return estimate.is_significant and abs(estimate.value) >= minimum

@@ -178,7 +178,7 @@ def _make_unit_finding(gain: Estimate, understeer: tuple[float, float], vehicle:
 def _make_lag_finding(lag: Estimate, agreement: Agreement, response: float, lateral_shift: float) -> Finding | None:
     """Finding of a lag beyond the response time [s] of the car; None if it is small. lateral_shift: see
     `_compute_lateral_shift`."""
-    if not lag.significant or not agreement.expected_lag_rejected or abs(lag.value) < LIMITS.steering_lag:
+    if not lag.is_significant or not agreement.expected_lag_rejected or abs(lag.value) < LIMITS.steering_lag:
         return None
     # The steering error, integrated over the lag [rad s], acts like a constant error of 2 / HORIZON times the integral.
     error_integral = abs(lag.value) * float(np.std(agreement.derived)) * np.sqrt(2.0)
@@ -195,7 +195,7 @@ def _make_offset_finding(agreement: Agreement, vehicle: VehicleParameters, has_s
     size = abs(agreement.scale.value)
     bias = agreement.bias.scaled(1.0 / size) if size > LIMITS.steering_unit_ratio else agreement.bias
     offset = add_systematic_uncertainty("steering_offset", bias)
-    if not offset.significant or abs(offset.value) < LIMITS.steering_offset:
+    if not offset.is_significant or abs(offset.value) < LIMITS.steering_offset:
         return None
     text = (f"road_wheel_angle reads {abs(offset)} rad ({abs(offset.value) * DEG_PER_RAD:.1f} deg) too far "
             f"{'left' if offset.value > 0.0 else 'right'} when driving straight: the steering offset is wrong")
@@ -239,7 +239,7 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
     is_mirrored = (point.covers(-2.0 * distance_in_file) and distance_in_file > LIMITS.ins_position
                    and estimates["slip"].interval[1] < 0.0)
     findings = []
-    if heading.significant and abs(heading.value) >= LIMITS.heading_misalignment:
+    if heading.is_significant and abs(heading.value) >= LIMITS.heading_misalignment:
         effect = abs(heading.value) * float(np.median(forward)) * HORIZON
         text = (f"the heading points {abs(heading)} rad ({abs(heading.value) * DEG_PER_RAD:.2f} deg) to the "
                 f"{'left' if heading.value > 0.0 else 'right'} of the course when driving straight: the INS is mounted "
@@ -282,7 +282,7 @@ def _make_point_finding(point: Estimate, slip: Estimate, motion: Motion, vehicle
     Rear wheels steered by k times the front angle act like a point k wheelbases further ahead. A k that depends on the
     speed changes the slip too, so there is no correction if the slip does not agree with the vehicle file.
     """
-    if not point.significant or abs(point.value) < LIMITS.ins_position:
+    if not point.is_significant or abs(point.value) < LIMITS.ins_position:
         return None
     windows = motion.make_windows(HORIZON)
     # |R(yaw2) - R(yaw1)|, by which a wrong point shifts the displacement over the horizon.

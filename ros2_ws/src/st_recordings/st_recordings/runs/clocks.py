@@ -61,7 +61,7 @@ def align_clocks(ins: InsLog, can: CanSignals, offset: float | None = None, sear
         return refused_alignment(reason), pairs
     else:
         result = align(pairs, search=search)
-        if result.ambiguous and search is None and ins.is_utc:
+        if result.is_ambiguous and search is None and ins.is_utc:
             result = _prefer_logger_clock(pairs, result)
         result = result.with_doubts(*filter(None, (warning, _describe_opposite_sign(pairs, result, search))))
     return replace(result, reasons=(*notes, *result.reasons)), pairs
@@ -204,7 +204,7 @@ def _make_pair(name: str, kind: str, time_ns: np.ndarray, values: np.ndarray, si
     if speed is not None:
         other = mask_standstill(signal.time_ns, other, speed.time_ns, speed.values)
     return SharedSignal(name, time_ns, values, signal.time_ns, other, *latency, MIN_VARIATION[kind],
-                        angle=kind == "angle")
+                        is_angle=kind == "angle")
 
 
 def _mask_ins_standstill(ins: InsLog, values: np.ndarray) -> np.ndarray:
