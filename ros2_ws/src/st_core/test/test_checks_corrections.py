@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from driven import drive, weave
-from exact_drive import Sines, exact_drive
+from exact_drive import Noise, Sines, exact_drive
 from exact_faults import (
     axes_exchanged,
     biased,
@@ -56,6 +56,8 @@ FAULTS = [
     ("velocity_x_bias", 0.4, biased(0.4, "velocity_x")),
     ("velocity_y_bias", -0.5, biased(-0.5, "velocity_y")),
     ("yaw_scale", DEG_PER_RAD, scaled(DEG_PER_RAD, "yaw")),
+    ("yaw_scale", 0.8, scaled(0.8, "yaw")),
+    ("yaw_scale", 1.04, scaled(1.04, "yaw")),
     ("yaw_offset", 0.02, biased(0.02, "yaw")),
     ("yaw_offset", -0.15, biased(-0.15, "yaw")),
     ("yaw_offset", 0.5 * np.pi + 0.05, biased(0.5 * np.pi + 0.05, "yaw")),
@@ -274,6 +276,23 @@ def test_scale_of_the_velocity_is_no_scale_of_both_axes_if_these_differ_only_by_
 def test_sign_and_scale_of_the_lateral_velocity_are_one_finding(log, leaf):
     low, high = findings_by_name(scaled(-2.0, "velocity_y")(log), leaf)["velocity_y_scale"].interval
     assert low <= -2.0 <= high
+
+
+@pytest.mark.parametrize("ahead", [1.5, -1.5])
+def test_scale_of_the_lateral_velocity_is_found_together_with_the_reference_point(log, leaf, ahead):
+    """Their effects nearly cancel for one sign, and the rest resembles lags."""
+    found = findings_by_name(position_point_moved(ahead)(scaled(3.0, "velocity_y")(log)), leaf)
+    assert found.keys() == {"velocity_y_scale", "position_reference"}
+    for name, value in (("velocity_y_scale", 3.0), ("position_reference", ahead)):
+        assert found[name].interval[0] <= value <= found[name].interval[1]
+
+
+def test_scale_of_yaw_and_yaw_rate_are_alternatives_if_positions_are_too_noisy(leaf):
+    coarse = exact_drive(leaf, 30.0, noise=Noise(position=3.0))
+    for channel in ("yaw", "yaw_rate"):
+        finding = findings_by_name(scaled(1.05, channel)(coarse), leaf)["yaw_rate_scale"]
+        assert finding.channels == ("yaw_rate", "yaw") and finding.advice.kind == "look"
+        assert finding.text.endswith("times its true value: positions fit both")
 
 
 @pytest.mark.parametrize("ahead", [-0.4, -1.52])

@@ -102,3 +102,26 @@ def test_course_as_yaw_gives_no_yaw_rate_lag(leaf, speed):
     assert scaled.value == pytest.approx(0.9, abs=0.01)
     delayed = lag_findings(delay(course, 0.8, "yaw_rate"), leaf)["yaw_rate_lag"]
     assert delayed.severity is Severity.WARNING and delayed.advice.kind == "run.yaml"
+
+
+@pytest.mark.parametrize("seconds", [0.1, 0.3, -0.3])
+@pytest.mark.parametrize(("name", "channels"), [
+    ("velocity_lag", ("velocity_x", "velocity_y")), ("velocity_x_lag", ("velocity_x",))])
+def test_lag_of_velocities_gives_no_lag_of_yaw_or_accelerations(leaf, name, channels, seconds):
+    """Yaw and yaw rate differ by 30 ms, as in many INS: positions show that this is no lag of yaw."""
+    slow = exact_drive(leaf, 60.0, speed=Sines(6.0, ((1.5, 21.0, 0.4), (0.5, 7.0, 1.1))))
+    found = lag_findings(delay(delay(slow, 0.03, "yaw_rate"), seconds, *channels), leaf)
+    assert found.keys() == {name, "yaw_rate_lag"}
+    assert found[name].value == pytest.approx(seconds, abs=0.04) and found[name].channels == channels
+
+
+@pytest.mark.parametrize("rate", [1.0005, 0.9995])
+def test_steering_clock_of_another_rate_is_no_steering_lag(leaf, rate):
+    log = exact_drive(leaf, 400.0, rate=20.0)
+    start = log.steering_time_ns[0]
+    wrong = replace(log, steering_time_ns=start + np.round(rate * (log.steering_time_ns - start)).astype(np.int64))
+    checked = check(wrong, leaf)
+    (finding,) = checked.findings
+    assert finding.name == "time_rate" and finding.channels == ("road_wheel_angle",)
+    assert finding.interval[0] < rate < finding.interval[1] and "steering_lag" not in checked.estimates
+    assert lag_findings(delay(log, 0.3, "road_wheel_angle"), leaf).keys() == {"steering_lag"}

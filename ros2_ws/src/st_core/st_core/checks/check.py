@@ -16,7 +16,7 @@ from .plausibility import drop_implausible, find_broken_channels
 from .position import check_position_steps
 from .regression import Estimate, add_systematic_uncertainty
 from .trial import try_corrections
-from .units_and_axes import check_nominal_rate, check_time_unit, correct_units, shifted_yaw_fits_better
+from .units_and_axes import check_nominal_rate, check_time_unit, correct_units, other_yaw_fits_better
 
 ESTIMATES_BIASED_BY_SIDESLIP = ("steering_lag", "yaw_rate_lag", "yaw_lag")
 MAX_INS_DISTANCE = 3.0  # m; largest distance of the INS ahead of the rear axle
@@ -183,6 +183,7 @@ def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[M
     results.add(inertial.judge_agreement(
         yaw_rate, tolerances, "yaw rate: sensor versus change of yaw", removed_factors.get("yaw_rate_scale", 1.0),
         removed_factors.get("yaw_scale", removed_factors.get("yaw_convention", 1.0))))
+    results.findings = [_add_yaw_alternative(finding, motion) for finding in results.findings]
     if yaw_rate and yaw_rate.scale.value:  # a constant yaw rate has no scale
         estimates["yaw_scale"] = add_systematic_uncertainty("yaw_scale", yaw_rate.scale.inverse())
     for name in removed_factors.keys() & estimates.keys():  # from corrected to recorded units
@@ -197,13 +198,23 @@ def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[M
     return motion, results
 
 
+def _add_yaw_alternative(finding: Finding, motion: Motion) -> Finding:
+    """The finding; without its correction if it is a scale of yaw_rate and positions do not refute one of yaw."""
+    if finding.name != "yaw_rate_scale" or not finding.value or other_yaw_fits_better(
+            replace(motion, yaw=finding.value * motion.yaw), motion):
+        return finding
+    text = f"{finding.text}, or yaw is {1.0 / finding.value:.3f} times its true value: positions fit both"
+    return replace(finding, channels=("yaw_rate", "yaw"), text=text,
+                   advice=Advice("look", "record more accurate positions, to distinguish the two"))
+
+
 def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
     """Result of `correct_units`, applied without the lag between yaw and yaw rate, which would change their ratio. The
     lag is restored afterwards, since it is checked later."""
     lag = inertial.estimate_yaw_rate_lag(motion)
     if not lag:
         return correct_units(motion)
-    yaw_is_wrong = shifted_yaw_fits_better(motion, motion.shifted_earlier(-lag, "yaw"))
+    yaw_is_wrong = other_yaw_fits_better(motion, motion.shifted_earlier(-lag, "yaw"))
     name, seconds = ("yaw", -lag) if yaw_is_wrong else ("yaw_rate", lag)
     aligned, findings = correct_units(motion.shifted_earlier(seconds, name))
     return aligned.shifted_earlier(-seconds, name), findings
@@ -245,7 +256,10 @@ def _merge_findings_of_units(unit_findings: list[Finding], sensor_findings: list
     findings = []
     for finding in unit_findings:
         estimate, advice = estimates.get(finding.name), finding.advice
-        if estimate is None:
+        if finding.value is not None and finding.interval is not None:  # a scale of yaw, estimated from positions
+            half_width = finding.value - finding.interval[0]
+            estimates[finding.name] = Estimate(finding.value, 0.5 * half_width, half_width)
+        if estimate is None or finding.interval is not None:
             findings.append(finding)
             continue
         if advice and finding.name in sensor_names:

@@ -21,7 +21,7 @@ from .regression import Estimate, Regression, add_systematic_uncertainty
 
 MAX_LAG = 1.5  # s, in both directions
 MIN_COMMON_TIME = 15.0  # s
-NO_BIAS, UNIT_SCALE = Estimate(0.0, 0.0, 0.0), Estimate(1.0, 0.0, 0.0)
+NO_BIAS, UNIT_SCALE, NO_DRIFT = Estimate(0.0, 0.0, 0.0), Estimate(1.0, 0.0, 0.0), Estimate(0.0, 0.0, 0.0)
 LAG_TEST_SHIFT = 0.3  # s; a drive determines a lag if lags smaller and larger by this both fit worse
 BIAS_RESIDUAL_RATIO = 1.25  # ratio of the residuals with a scale and with a bias above which a bias is reported
 MIN_SCALE_CORRELATION = 0.98  # at a higher correlation, noise reduces a scale by less than 4 %
@@ -46,6 +46,7 @@ class Agreement:
     expected_lag_rejected: bool = True  # whether the lag expected without a fault fits significantly worse
     correlation_without_lag: float = 0.0  # at zero lag
     determines_lag: bool = True  # whether lags that differ by LAG_TEST_SHIFT fit significantly worse
+    drift: Estimate = NO_DRIFT  # increase of the lag per second [1], if fitted
 
     @property
     def correlates(self) -> bool:
@@ -60,13 +61,15 @@ class Agreement:
 
 def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, measured: np.ndarray,
                    cutoff: float, *, derived_is_angle: bool = False, fit_bias: bool = True,
-                   expected_lag: float = 0.0, max_fitted_lag: float = MAX_LAG) -> Agreement | None:
+                   fit_drift: bool = False, expected_lag: float = 0.0,
+                   max_fitted_lag: float = MAX_LAG) -> Agreement | None:
     """Agreement of two estimates of a quantity. None if `derived` is constant, if they overlap by less than
     MIN_COMMON_TIME, if one of them spans more than MAX_SPAN, or if |lag| exceeds max_fitted_lag.
 
     time, measured_time: ascending [s]; values NaN where unknown. cutoff: of the low-pass filter [Hz]. derived_is_angle:
-    whether to compare the rate of `derived`. expected_lag: lag without a fault [s]. max_fitted_lag: limit of the lag
-    [s] after the fit, which may exceed the search limit MAX_LAG.
+    whether to compare the rate of `derived`. fit_drift: whether to estimate also a constant change of the lag.
+    expected_lag: lag without a fault [s]. max_fitted_lag: limit of the fitted lag [s], which may be outside the
+    searched range of MAX_LAG.
     """
     if max(float(np.ptp(t)) if len(t) else 0.0 for t in (time, measured_time)) > MAX_SPAN:
         return None
@@ -83,7 +86,11 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
         return None
     degrees_of_freedom = max(len(reference.time) * STEP / DECORRELATION_TIME - 1.0, 1.0)
     _, half_width = symmetric_interval(0.0, solution.offset_deviation, degrees_of_freedom)
-    lag = Estimate(-solution.offset, solution.offset_deviation, half_width)
+    lag, drift = Estimate(-solution.offset, solution.offset_deviation, half_width), NO_DRIFT
+    if fit_drift:
+        drifting = fit([pair], solution.offset, middle=float(other.time.mean()))
+        _, half_width = symmetric_interval(0.0, drifting.drift_deviation, degrees_of_freedom)
+        drift = Estimate(-drifting.drift, drifting.drift_deviation, half_width)
     rows, x = _select_common_samples(pair, solution.offset)
     if len(rows) * STEP < MIN_COMMON_TIME or not float(np.std(x)) > 0.0:
         return None
@@ -97,7 +104,7 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
                      tuple(-alternative.offset for alternative in others),
                      _fits_worse(pair, -expected_lag, solution.offset, cutoff),
                      correlate(unshifted, other.values[rows]),
-                     all(_fits_worse(pair, offset, solution.offset, cutoff) for offset in neighbours))
+                     all(_fits_worse(pair, offset, solution.offset, cutoff) for offset in neighbours), drift)
 
 
 def _fits_worse(pair: Pair, offset: float, best_offset: float, cutoff: float) -> bool:

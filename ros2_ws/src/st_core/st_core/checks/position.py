@@ -10,7 +10,7 @@ Each cause of a residual contributes a term that is linear in the size of the ca
     map shear h           x = x_true + h y_true                  h times the displacement north, in x
     yaw offset a          yaw = yaw_true + a                     -a times the displacement, rotated by +90 deg
     position lag T        p(t) = p_true(t - T)                   -T (V2 - V1),  V = R(yaw) v
-    velocity lag T        v(t) = v_true(t - T), body axes        +T integral of R(yaw) dv/dt dt
+    velocity lag T        v(t) = v_true(t - T), body axes        +T integral of R(yaw) dv/dt dt, both axes or only x
     reference a           p is of a point a distance a ahead     (R(yaw2) - R(yaw1)) (a, 0)
     velocity bias b       v = v_true + b, one body axis          -integral of R(yaw) b dt
 """
@@ -56,16 +56,25 @@ MIN_LATERAL_SCALE_ERROR = 0.15
 AXIS_SCALES = ("x_scale", "y_scale")
 VELOCITY_SCALES = ("velocity_scale", "velocity_y_scale")
 # Causes that are confounded at constant speed. Only one of them is fitted.
+LAG_OF_VELOCITY_X = {"velocity_x_lag": {"velocity_lag", "position_lag"}}
 BIASES = {"velocity_x_bias": {*AXIS_SCALES, "velocity_scale"}, "velocity_y_bias": {"yaw_offset"}}
 CONFOUNDED = {"velocity_scale": {*AXIS_SCALES, "velocity_x_bias"}, "yaw_offset": {"velocity_y_bias"}, **BIASES,
+              "velocity_lag": {"velocity_x_lag"}, "velocity_x_lag": {"velocity_lag"},
               **{axis: {"velocity_scale", "velocity_x_bias"} for axis in AXIS_SCALES}}
-# Causes that are selected only if their loss is clearly smaller than that of the confounded ones.
-RARE_CAUSES = {**BIASES, "velocity_y_scale": {"position_reference", "yaw_offset"}}
+RARE_CAUSES = {*BIASES, *LAG_OF_VELOCITY_X, "velocity_y_scale"}
+# Rare causes, fitted together, and the causes that are not selected with them. They are preferred to other causes if
+# their loss is clearly smaller, or if they are fewer and their loss is not clearly larger.
+RARE_EXPLANATIONS: Mapping[tuple[str, ...], set[str]] = {
+    **{(name,): confounded for name, confounded in (BIASES | LAG_OF_VELOCITY_X).items()},
+    ("velocity_y_scale",): {"position_reference", "yaw_offset"},
+    ("velocity_y_scale", "position_reference"): {"yaw_offset"},
+}
 MIN_REPORTED = {"s": LIMITS.lag, "m": LIMITS.ins_position, "m/s": MIN_VELOCITY_BIAS,
                 "velocity_y_scale": MIN_LATERAL_SCALE_ERROR}
 """Smallest reported value of a cause, by its name or unit."""
-LATERAL_CAUSES = {"velocity_y_scale": ("position_reference", "yaw_offset"), "position_reference": ("velocity_y_scale",),
-                  "yaw_offset": ("velocity_y_scale",)}
+_LATERAL_SCALE = (("velocity_y_scale",), ("velocity_y_scale", "position_reference"))
+LATERAL_CAUSES = {"velocity_y_scale": (("position_reference", "yaw_offset"),), "position_reference": _LATERAL_SCALE,
+                  "yaw_offset": _LATERAL_SCALE}
 """Causes that may explain the same residual in a drive at one speed, by the cause found."""
 
 
@@ -96,6 +105,8 @@ CAUSES = {
                           "positions {lag} velocity and yaw by {size:.3f} ± {half:.3f} s"),
     "velocity_lag": Cause(("velocity_x", "velocity_y"), "velocity", "earlier", "s",
                           "velocities {lag} positions and yaw by {size:.3f} ± {half:.3f} s"),
+    "velocity_x_lag": Cause(("velocity_x",), "velocity_x", "earlier", "s",
+                            "velocity_x, unlike velocity_y, {lag}s positions and yaw by {size:.3f} ± {half:.3f} s"),
     "position_reference": Cause(("x", "y"), "position", "ahead", "m", "positions refer to a point {size:.2f} ± "
                                 "{half:.2f} m {ahead} that of the velocities"),
     "velocity_x_bias": Cause(("velocity_x",), "velocity_x", "add", "m/s", "velocity_x is {size:.2f} ± {half:.2f} m/s "
@@ -112,11 +123,13 @@ def make_residual_regression(motion: Motion) -> Regression:
     # Vectors in the map frame are complex: east + i north.
     velocity, heading = motion.velocity_map, np.exp(1j * motion.yaw)
     displacement, velocity_change = windows.integral(velocity), windows.change(velocity)
+    forward = motion.velocity_x * heading
     columns = {
         "x_scale": displacement.real, "y_scale": 1j * displacement.imag, "map_shear": displacement.imag,
         "velocity_scale": displacement, "velocity_y_scale": windows.integral(1j * motion.velocity_y * heading),
         "yaw_offset": -1j * displacement, "position_lag": -velocity_change,
         "velocity_lag": velocity_change - windows.integral(1j * motion.yaw_rate * velocity),
+        "velocity_x_lag": windows.change(forward) - windows.integral(1j * motion.yaw_rate * forward),
         "position_reference": windows.change(heading),
         "velocity_x_bias": -windows.integral(heading), "velocity_y_bias": -1j * windows.integral(heading),
     }
@@ -194,10 +207,11 @@ def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> 
     problem, corrected_problem = make_residual_regression(motion), make_residual_regression(corrected)
     if len(problem.time) < MIN_WINDOWS:
         return False
-    causes = (*AXIS_SCALES, "position_lag")
-    (before, misfit, _), (after, misfit_after, _) = problem.fit(causes), corrected_problem.fit(causes)
+    causes = (*AXIS_SCALES, "position_lag", "velocity_lag", "velocity_x_lag")
+    (_, misfit, _), (after, misfit_after, _) = problem.fit(causes), corrected_problem.fit(causes)
+    before = problem.estimate(causes)["position_lag"]
     max_ratio = MAX_RESIDUAL_LAG if lag > 0.0 else MAX_RESIDUAL_LEAD
-    yaw_explains_lag = abs(after["position_lag"]) < max_ratio * abs(before["position_lag"])
+    yaw_explains_lag = before.significant and abs(after["position_lag"]) < max_ratio * abs(before.value)
     return MIN_LOSS_RATIO**2 * misfit_after < misfit or (
         yaw_explains_lag and misfit_after < MIN_LOSS_RATIO * misfit)
 
@@ -257,16 +271,23 @@ def _add_lateral_alternative(findings: list[Finding], problem: Regression,
     if found[0] == "velocity_y_scale":  # the column has the corrected velocity_y
         sizes = {name: value / (1.0 + value) for name, value in sizes.items()}
     recorded = Regression(problem.time, 2.0 * problem.y - problem.compute_residual(sizes), problem.columns)
-    fitted, others = (*AXIS_SCALES, *found), (*AXIS_SCALES, *LATERAL_CAUSES[found[0]])
-    _, scale, _ = recorded.fit(fitted)
-    if recorded.compute_loss(others, scale) > MIN_LOSS_RATIO * recorded.compute_loss(fitted, scale):
+    explained = (*AXIS_SCALES, *found)
+    _, scale, _ = recorded.fit(explained)
+    limit = MIN_LOSS_RATIO * recorded.compute_loss(explained, scale)
+    losses = {names: recorded.compute_loss((*AXIS_SCALES, *names), scale) for names in LATERAL_CAUSES[found[0]]
+              if not {*found} <= {*names}}
+    others = min(losses, key=lambda names: MIN_LOSS_RATIO ** len(names) * losses[names])
+    if losses[others] > limit:
         return findings
     alternative = "the reference point of the positions and the yaw offset are wrong"
-    if others[-1] == "velocity_y_scale":
-        factor = 1.0 / (1.0 + recorded.fit(others)[0]["velocity_y_scale"])
+    if "velocity_y_scale" in others:
+        values, _, _ = recorded.fit((*AXIS_SCALES, *others))
+        factor = 1.0 / (1.0 + values["velocity_y_scale"])
         if is_near(factor, -1.0, LIMITS.unit_ratio):  # see `add_sign_alternative`
             return findings
         alternative = f"velocity_y is {factor:.2f} times its true value"
+        if "position_reference" in others:
+            alternative += f" and positions refer to a point {values['position_reference']:+.2f} m ahead"
     return [_add_alternative(finding, alternative) if finding.name in found else finding for finding in findings]
 
 
@@ -298,15 +319,18 @@ def _refine_causes(problem: Regression, causes: dict[str, Estimate], min_values:
     further = _find_causes(problem, [name for name in candidates if name not in RARE_CAUSES], min_values, tuple(causes))
     _, scale, _ = problem.fit((*causes, *further))
     loss = problem.compute_loss((*causes, *further), scale)
-    for rare, confounded in RARE_CAUSES.items():
-        is_tried = confounded & {*further} or rare not in CONFOUNDED  # a wrong velocity_y may yield no other
-        if rare in candidates and is_tried and speed_varies:
-            others = [name for name in candidates if name not in {*confounded, *RARE_CAUSES} - {rare}]
-            alternative = _find_causes(problem, others, min_values, tuple(causes))
-            loss_of_alternative = problem.compute_loss((*causes, *alternative), scale)
-            if (rare in alternative and MIN_LOSS_RATIO * loss_of_alternative < loss
-                    and (rare in CONFOUNDED or _has_lateral_scale_error(problem, (*causes, *alternative)))):
-                further, loss = alternative, loss_of_alternative
+    for rare, confounded in RARE_EXPLANATIONS.items():
+        is_tried = confounded & {*further} if rare[0] in CONFOUNDED else len(rare) == 1 or (
+            MIN_LOSS_RATIO * problem.compute_loss(sorted({*causes, *further, *rare}), scale) < loss)
+        if {*rare} <= {*candidates} and is_tried and speed_varies:
+            others = [name for name in candidates if name not in {*confounded, *RARE_CAUSES, *rare}]
+            alternative = (*rare, *_find_causes(problem, others, min_values, (*causes, *rare)))
+            other_loss = problem.compute_loss((*causes, *alternative), scale)
+            joint = problem.estimate((*causes, *alternative))
+            ratio = MIN_LOSS_RATIO if len(alternative) >= len(further) else 1.0 / MIN_LOSS_RATIO
+            if (ratio * other_loss < loss and all(is_relevant(joint[name], min_values[name]) for name in rare)
+                    and (rare[0] in CONFOUNDED or _has_lateral_scale_error(problem, (*causes, *alternative)))):
+                further, loss = alternative, other_loss
     estimates = problem.estimate((*causes, *further))
     return {name: _add_refinement(name, causes[name].value, estimate) if name in causes else estimate
             for name, estimate in estimates.items()}
@@ -345,8 +369,8 @@ def _find_causes(problem: Regression, candidates: list[str], min_values: dict[st
     others = [name for name in causes if name not in axes]
     if len(axes) == 2:
         x, y = (causes[name] for name in AXIS_SCALES)
-        is_velocity = abs(x.value - y.value) < max(SPHERICAL_EARTH_SCALE * abs(1.0 + y.value),
-                                                   float(np.hypot(x.half_width, y.half_width)))
+        half_width = float(np.hypot(x.half_width, y.half_width))
+        is_velocity = abs(x.value - y.value) - half_width < SPHERICAL_EARTH_SCALE * abs(1.0 + y.value)
     else:
         _, scale, _ = problem.fit([*required, *causes])
         # On a drive along one axis, the motion along the other axis decides between both explanations.
@@ -393,7 +417,7 @@ def _correct_causes(motion: Motion, causes: dict[str, Estimate]) -> Motion:
                      yaw=motion.yaw - value["yaw_offset"],
                      velocity_x=motion.velocity_x * scale - value["velocity_x_bias"],
                      velocity_y=motion.velocity_y * lateral_scale - value["velocity_y_bias"])
-    for cause in {"position_lag", "velocity_lag"} & causes.keys():
+    for cause in {"position_lag", "velocity_lag", "velocity_x_lag"} & causes.keys():
         motion = motion.shifted_earlier(value[cause], *CAUSES[cause].channels)
     return motion
 

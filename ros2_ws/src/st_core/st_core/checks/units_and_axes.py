@@ -15,9 +15,10 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from ..regression import SIGMA_PER_MAD
-from .finding import LIMITS, Advice, Finding, Severity
+from .finding import HORIZON, LIMITS, Advice, Finding, Severity
+from .inertial import GYRO_SCALE_ERROR
 from .motion import MIN_DISTANCE, MIN_WINDOWS, Motion, compute_ratios, correlate, is_near
-from .regression import Estimate
+from .regression import Estimate, Regression, add_systematic_uncertainty
 
 MIN_YAW_RANGE = 0.2  # rad; minimum range of yaw in the drive
 MAX_CONSISTENT_MISFIT = 0.02  # largest misfit of consistent positions, yaw and velocities, divided by the distance
@@ -117,9 +118,9 @@ def check_nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate
                    interval=velocity.interval, advice=advice)
 
 
-def shifted_yaw_fits_better(motion: Motion, shifted: Motion) -> bool:
-    """Whether positions agree clearly better with velocity and yaw in `shifted`, the drive with yaw shifted in time."""
-    return _compute_misfit(shifted) < CLEAR_MISFIT_RATIO * _compute_misfit(motion)
+def other_yaw_fits_better(motion: Motion, other: Motion) -> bool:
+    """Whether positions agree clearly better with velocity and yaw in `other`, the drive with yaw shifted or scaled."""
+    return _compute_misfit(other) < CLEAR_MISFIT_RATIO * _compute_misfit(motion)
 
 
 def _correct_rate_in_unit_of_yaw(motion: Motion) -> MotionAndFinding:
@@ -135,7 +136,7 @@ def _correct_yaw_or_rate(motion: Motion) -> MotionAndFinding:
     """Correct unit and sign of yaw or yaw rate, whichever disagrees with the other estimates of the turn."""
     ratios = compute_ratios(motion)
     if not np.isfinite(ratios.yaw_to_rate) or _matches(ratios.yaw_to_rate, 1.0):
-        return motion, None
+        return _correct_yaw_scale(motion, ratios.yaw_to_rate)
     rate_to_yaw = 1.0 / ratios.yaw_to_rate
     if (_matches(ratios.yaw_to_course, 1.0) or _positions_follow_yaw(motion) or is_near(rate_to_yaw, DEG_PER_RAD)
             or _matches(ratios.rate_to_course, rate_to_yaw)):
@@ -145,16 +146,52 @@ def _correct_yaw_or_rate(motion: Motion) -> MotionAndFinding:
         return _scale_yaw_rate(motion, -1.0)
     factor, size = ratios.yaw_to_rate, _round_to_angle_unit(ratios.yaw_to_rate)
     unit = ANGLE_UNITS.get(size, "")
+    if factor > 0.0 and not unit:
+        return _scale_yaw(motion, factor)
     if factor > 0.0:
         name, advice = "yaw_scale", Advice.correct("yaw", scale=1.0 / size)
-        text = (f"yaw is {factor:.3g} times the angle from yaw rate and course"
-                + (f": is its unit {unit}?" if unit else ""))
+        text = f"yaw is {factor:.3g} times the angle from yaw rate and course: is its unit {unit}?"
     else:
         name, advice = "yaw_convention", Advice.correct("yaw", scale=-1.0 / size, add=np.pi / 2)
         text = (f"yaw increases clockwise{f' in {unit}' if unit else ''}: is it a compass heading? Expected: from "
                 "east, counter-clockwise")
     corrected, finding = _correct(motion, name, ("yaw",), text, factor, advice)
     return replace(corrected, yaw=_remove_wraps(corrected)), finding
+
+
+def _correct_yaw_scale(motion: Motion, ratio: float) -> MotionAndFinding:
+    """Correct the scale of yaw if positions agree with the yaw rate. ratio: yaw / integrated yaw rate, near 1."""
+    if not abs(ratio - 1.0) >= GYRO_SCALE_ERROR:
+        return motion, None
+    corrected, finding = _scale_yaw(motion, ratio)
+    factor = finding.value or ratio
+    if abs(factor - ratio) > abs(factor - 1.0) or not other_yaw_fits_better(motion, corrected):
+        return motion, None
+    effect = abs(factor - 1.0) * float(np.std(motion.yaw)) * float(np.median(motion.speed)) * HORIZON
+    return corrected, replace(finding, severity=LIMITS.severity(effect), effect=effect)
+
+
+def _scale_yaw(motion: Motion, ratio: float) -> tuple[Motion, Finding]:
+    """Divide yaw by its scale, estimated from positions. ratio: yaw / integrated yaw rate."""
+    scale = _estimate_yaw_scale(motion, ratio)
+    corrected, finding = _correct(
+        motion, "yaw_scale", ("yaw",), f"yaw is {scale} times its value from positions and velocities", scale.value,
+        Advice.correct("yaw", scale=float(f"{1.0 / scale.value:.5g}")))
+    return replace(corrected, yaw=_remove_wraps(corrected)), replace(finding, interval=scale.interval)
+
+
+def _estimate_yaw_scale(motion: Motion, ratio: float) -> Estimate:
+    """Scale of yaw, near `ratio`: the direction of travel less that of the body velocities is the true yaw."""
+    near = replace(motion, yaw=motion.yaw / ratio)
+    near = replace(near, yaw=_remove_wraps(near))
+    windows = near.make_windows(1.0)
+    measured, derived = _compute_displacements(near, near.velocity_map)
+    product, yaw = measured * np.conj(derived), windows.mean(near.yaw)
+    error, weight = np.angle(product * np.conj(product.sum())), np.sqrt(np.abs(product))  # rad, m
+    problem = Regression(windows.time, (weight * error)[:, None], {
+        "scale": (weight * (yaw - yaw.mean()))[:, None], "offset": weight[:, None]})
+    slope = problem.estimate(("scale", "offset"))["scale"]
+    return add_systematic_uncertainty("yaw_scale", slope.shifted(1.0).inverse().scaled(ratio))
 
 
 def _correct_north_east(motion: Motion) -> MotionAndFinding:

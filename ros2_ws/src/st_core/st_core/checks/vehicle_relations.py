@@ -46,7 +46,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
     derived = np.arctan(vehicle.wheelbase * curvature)
     speed = float(np.median(motion.velocity_x[moving])) if moving.any() else MIN_SPEED
     response = compute_response_time(vehicle, speed)
-    agreement = compare_series(motion.time, derived, motion.steering_time, motion.steering, CUTOFF,
+    agreement = compare_series(motion.time, derived, motion.steering_time, motion.steering, CUTOFF, fit_drift=True,
                                expected_lag=-response, max_fitted_lag=2.0 * MAX_LAG)
     gain = _estimate_steering_gain(motion, derived)
     # Understeer with the stability factor K multiplies the steering angle by 1 + K v^2. The mean of this factor,
@@ -68,7 +68,10 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
         "steering_lag", agreement.lag.shifted(response).widened(_compute_response_uncertainty(vehicle, speed)))
     # If correlation and gain differ in sign, the driver countersteers (crosswind, bank), and the lag is undetermined.
     has_lag, lateral_shift = agreement.correlation * gain.value >= 0.0, _compute_lateral_shift(speed, vehicle)
-    findings = (_make_unit_finding(gain, understeer, vehicle, has_steering_wheel),
+    response_change = _compute_response_change(motion, vehicle)
+    clock = _make_clock_finding(agreement, response_change, lateral_shift) if has_lag else None
+    has_lag &= clock is None
+    findings = (_make_unit_finding(gain, understeer, vehicle, has_steering_wheel), clock,
                 _make_lag_finding(lag, agreement, response, lateral_shift) if has_lag else None,
                 _make_offset_finding(agreement, vehicle, has_steering_wheel, lateral_shift))
     estimates = {"steering_scale": gain, "steering_sign": gain,
@@ -175,6 +178,28 @@ def _make_unit_finding(gain: Estimate, understeer: tuple[float, float], vehicle:
     return Finding(name, Severity.ERROR, ("road_wheel_angle",), text, value, "1", gain.interval, advice=advice)
 
 
+def _compute_response_change(motion: Motion, vehicle: VehicleParameters) -> float:
+    """Difference of the response time [s] at the median speeds of both halves of the drive."""
+    first, second = (compute_response_time(vehicle, max(float(np.median(speed)), MIN_SPEED))
+                     for speed in np.array_split(motion.velocity_x, 2))
+    return abs(second - first)
+
+
+def _make_clock_finding(agreement: Agreement, response_change: float, lateral_shift: float) -> Finding | None:
+    """Finding of a steering whose lag changes during the drive by LIMITS.steering_lag or more; None if it does not.
+    response_change: see `_compute_response_change`. lateral_shift: see `_compute_lateral_shift`."""
+    change = add_systematic_uncertainty("steering_lag", agreement.drift.scaled(float(np.ptp(agreement.time))))  # s
+    change = change.widened(response_change)
+    if not change.significant or abs(change.value) < LIMITS.steering_lag:
+        return None
+    rate = agreement.drift.shifted(1.0)
+    text = (f"the clock of the steering runs {rate} times as fast as that of the motion: the lag changes by {change} s "
+            "during the drive")
+    effect = lateral_shift * abs(change.value) * float(np.std(agreement.derived)) * np.sqrt(2.0) / HORIZON
+    return _make_finding("time_rate", ("road_wheel_angle",), text, rate, "1", effect,
+                         Advice("look", "stamp the steering and the motion with one clock"))
+
+
 def _make_lag_finding(lag: Estimate, agreement: Agreement, response: float, lateral_shift: float) -> Finding | None:
     """Finding of a lag beyond the response time [s] of the car; None if it is small. lateral_shift: see
     `_compute_lateral_shift`."""
@@ -185,6 +210,8 @@ def _make_lag_finding(lag: Estimate, agreement: Agreement, response: float, late
     effect = lateral_shift * 2.0 * error_integral / HORIZON
     text = (f"the steering {'lags' if lag.value > 0.0 else 'leads'} the car's motion by {abs(lag)} s"
             f"{format_alternative_lags(agreement, response)}, beyond the car's own response")
+    if agreement.drift.significant:
+        text += f", or its clock runs {agreement.drift.shifted(1.0)} times as fast as that of the motion"
     advice = Advice.correct("road_wheel_angle", earlier=float(f"{lag.value:.3g}"))
     return _make_finding("steering_lag", ("road_wheel_angle",), text, lag, "s", effect,
                          replace(advice, line=f"{advice.line}  # or --steering-latency"))
