@@ -211,7 +211,7 @@ def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> 
     (_, misfit, _), (after, misfit_after, _) = problem.fit(causes), corrected_problem.fit(causes)
     before = problem.estimate(causes)["position_lag"]
     max_ratio = MAX_RESIDUAL_LAG if lag > 0.0 else MAX_RESIDUAL_LEAD
-    yaw_explains_lag = before.significant and abs(after["position_lag"]) < max_ratio * abs(before.value)
+    yaw_explains_lag = before.is_significant and abs(after["position_lag"]) < max_ratio * abs(before.value)
     return MIN_LOSS_RATIO**2 * misfit_after < misfit or (
         yaw_explains_lag and misfit_after < MIN_LOSS_RATIO * misfit)
 

@@ -190,7 +190,7 @@ def _make_clock_finding(agreement: Agreement, response_change: float, lateral_sh
     response_change: see `_compute_response_change`. lateral_shift: see `_compute_lateral_shift`."""
     change = add_systematic_uncertainty("steering_lag", agreement.drift.scaled(float(np.ptp(agreement.time))))  # s
     change = change.widened(response_change)
-    if not change.significant or abs(change.value) < LIMITS.steering_lag:
+    if not change.is_significant or abs(change.value) < LIMITS.steering_lag:
         return None
     rate = agreement.drift.shifted(1.0)
     text = (f"the clock of the steering runs {rate} times as fast as that of the motion: the lag changes by {change} s "
@@ -210,7 +210,7 @@ def _make_lag_finding(lag: Estimate, agreement: Agreement, response: float, late
     effect = lateral_shift * 2.0 * error_integral / HORIZON
     text = (f"the steering {'lags' if lag.value > 0.0 else 'leads'} the car's motion by {abs(lag)} s"
             f"{format_alternative_lags(agreement, response)}, beyond the car's own response")
-    if agreement.drift.significant:
+    if agreement.drift.is_significant:
         text += f", or its clock runs {agreement.drift.shifted(1.0)} times as fast as that of the motion"
     advice = Advice.correct("road_wheel_angle", earlier=float(f"{lag.value:.3g}"))
     return _make_finding("steering_lag", ("road_wheel_angle",), text, lag, "s", effect,
