@@ -184,7 +184,7 @@ def test_bands_of_another_car_model_or_configuration_are_rejected(bands, leaf):
                                                                  "steering_ratio: {value: 16.3"))
     for arguments, message in (((other, {"linear": ""}, SETTINGS), "vehicle: the bands are for"),
                                ((leaf, {"nonlinear": ""}, SETTINGS), "nonlinear: missing"),
-                               ((leaf, {"linear": "f" * 64}, SETTINGS), "another model file"),
+                               ((leaf, {"linear": "f" * 64}, SETTINGS), "different model file"),
                                ((leaf, {"linear": ""}, EvaluationSettings(acceleration="zero_phase")), "acceleration")):
         with pytest.raises(ConfigurationError, match=message):
             bands.check(*arguments)
