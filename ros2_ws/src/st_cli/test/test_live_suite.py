@@ -183,7 +183,7 @@ def test_recording_is_not_overwritten_by_its_own_csv(tmp_path: Path) -> None:
                     ["--csv", tmp_path / "a.csv", "--status", recording]):
         result = run(raw_logs.ncom, recording, *options)
         assert result.exit_code == 2 and "is the recording itself" in result.stderr
-    assert "name two files" in run(raw_logs.ncom, recording, "--csv", "a.csv", "--status", "a.csv").stderr
+    assert "name two different files" in run(raw_logs.ncom, recording, "--csv", "a.csv", "--status", "a.csv").stderr
     assert recording.read_bytes() == b"\xe7" * 720
 
 
