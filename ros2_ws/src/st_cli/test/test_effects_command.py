@@ -108,4 +108,4 @@ def test_drives_are_identified_with_a_proposed_effect(proposal, tmp_path):
 def test_model_file_reads_back_as_written(proposal):
     load_folder(str(proposal / "effects"))
     model = ModelFile.from_yaml((proposal / "proposed.yaml").read_text()).model()
-    assert model.values["proposed_rear_steer"] == {"share": 1.0} and model.values["mass"] == {"factor": 1.1}
+    assert model.values["proposed_rear_steer"]["share"] == 1.0 and model.values["mass"] == {"factor": 1.1}
