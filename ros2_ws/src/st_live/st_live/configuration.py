@@ -24,8 +24,8 @@ from .suite import Parameters, Suite, SuiteError, find_executable, find_free_udp
 
 T = TypeVar("T")
 REPLAY_NODES = ("recorder", "evaluator", "predictor")  # in the order of their start: subscribers first
-TRUNCATION_WARNING = "{} is truncated: the recorder was killed; later data are not {}"
-LEAF_TIMEOUT = 20.0  # s within which the virtual Leaf must start to send
+TRUNCATION_WARNING = "{} is truncated: it was not closed; later data are not {}"
+LEAF_TIMEOUT = 20.0  # s within which the virtual Leaf must start to transmit
 
 
 def resolve_vehicle_file(given: Path | None) -> Path:
@@ -60,7 +60,8 @@ def make_live_parameters(folder: Path, vehicle: Path, bridges: Parameters, model
                          record_all: bool = False) -> Parameters:
     """Parameters of config/nodes.yaml, updated for a live run in `folder`.
 
-    model: result of `make_model_parameters`. record_all: whether to record topics that others can reconstruct.
+    model: result of `make_model_parameters`. record_all: whether to also record topics that can be derived from
+    other recorded ones.
     """
     from st_predictor.params import ALL_TOPICS  # needs ROS, which `load_model` does not
 
@@ -79,7 +80,7 @@ def make_live_parameters(folder: Path, vehicle: Path, bridges: Parameters, model
 
 def make_replay_parameters(folder: Path, vehicle: Path, recorded: RecordedConfiguration,
                            model: Path | None = None) -> dict[str, dict[str, Any]]:
-    """Parameters of REPLAY_NODES: of config/nodes.yaml, updated with the recorded ones of predictor and evaluator.
+    """Parameters of REPLAY_NODES from config/nodes.yaml, updated with the recorded ones of predictor and evaluator.
 
     model: model file to use instead of the one named in the recording, which may have moved or changed.
     """
@@ -111,7 +112,7 @@ def make_model_parameters(model: Path | None, effects: Path | None, vehicle: Pat
 
 
 def load_model(model: Path | None, effects: Path | None, car: VehicleParameters, origin: str) -> Model:
-    """The model in a model file (.yaml), nonlinear without one. effects: folder of its user-defined effects.
+    """The model in a model file (.yaml); the nonlinear model if None. effects: folder of its user-defined effects.
 
     origin: source of `car`, for errors. Raises StCoreError for a file that is not a model or belongs to a different
     car, and for effects without a model file.
@@ -129,8 +130,8 @@ def set_bands_and_course(parameters: Parameters, bands: Path | None, course: Pat
                          adaptive: bool | None = None) -> dict[str, dict[str, Any]]:
     """Copy of the parameters in which the predictor uses the given bands file and course; None: unchanged.
 
-    adaptive: whether bands adapt to the errors of the run; None: unchanged. Raises SuiteError for an unreadable or
-    invalid file, and for bands of a different car, model or configuration.
+    adaptive: whether bands adapt to the errors of the run; None: unchanged. Raises SuiteError or RunError
+    for an unreadable or invalid file, and for bands of a different car, model or configuration.
     """
     changed = {node: {**values} for node, values in parameters.items()}
     predictor, recorder = changed["predictor"], changed["recorder"]

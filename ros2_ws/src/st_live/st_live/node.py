@@ -160,7 +160,7 @@ def render_progress(state: SuiteState, elapsed: float, duration: float | None, t
     else:
         progress.add_row(title, f"{elapsed:4.0f} s", "(Ctrl-C ends it)")
     coverage = [Text(text) for text in format_band_lines(state.summary.statistics if state.summary else [])]
-    return Group(progress, render_motion(state), render_errors(state), *coverage, render_ticks(state.predictor_status),
+    return Group(progress, render_motion(state), render_errors(state), *coverage, render_counts(state.predictor_status),
                  render_health(state))
 
 
@@ -210,7 +210,7 @@ def _format_statistic(rows: Mapping[str, Any], model: str, axis: str, name: str,
     return Text("-" if value is None else f"{value:.{digits}f}", style="bold" if is_best else "")
 
 
-def render_ticks(status: PredictorStatus | None) -> Text:
+def render_counts(status: PredictorStatus | None) -> Text:
     if status is None:
         return Text("predictor: no status yet", style="dim")
     skipped = status.skipped_stale + status.skipped_overrun + status.skipped_slow

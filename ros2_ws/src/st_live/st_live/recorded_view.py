@@ -22,7 +22,7 @@ from st_recordings.runs.errors import RunError
 from st_ros.polling import to_nanoseconds
 
 from .configuration import find_bag
-from .node import render_ticks
+from .node import render_counts
 
 TIMELINE = "measured"
 PLOT_SPAN = 40.0  # s
@@ -111,7 +111,7 @@ class Scene:
         self._sample: InsSample | None = None
         self._angle: float | None = None  # road-wheel angle, positive to the left [rad]
         self._statistics: list[Any] = []
-        self._ticks = render_ticks(None).plain
+        self._ticks = render_counts(None).plain
         self._health: dict[str, tuple[int, str, str]] = {}
         self._text_due_ns = 0
         self._labelled_models: list[str] = []
@@ -144,7 +144,7 @@ class Scene:
         elif kind == "summary":
             self._statistics = message.statistics
         elif kind == "status":
-            self._ticks = render_ticks(message).plain
+            self._ticks = render_counts(message).plain
         elif kind == "diagnostics":
             for check in message.status:
                 level = check.level if isinstance(check.level, int) else int.from_bytes(check.level, "little")

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from .node import Monitor, Status, render_health, render_progress, render_ticks
+from .node import Monitor, Status, render_counts, render_health, render_progress
 from .page import LiveView
 from .suite import REALTIME_PERMISSION, Parameters, Suite, SuiteError, claim_domain, read_domain_id
 
@@ -227,7 +227,8 @@ def _watch(suite: Suite, monitor: Monitor, supervisor: Supervisor | None, consol
                 live.update(render_progress(monitor.state, elapsed, duration, title), refresh=True)
             elif time.monotonic() - last_line >= LOG_PERIOD:
                 state, last_line = monitor.state, time.monotonic()
-                console.print(Text(f"{title}: {elapsed:.0f} s; {render_ticks(state.predictor_status)}"), soft_wrap=True)
+                counts = render_counts(state.predictor_status)
+                console.print(Text(f"{title}: {elapsed:.0f} s; {counts}"), soft_wrap=True)
                 if problems := render_health(state).plain.rstrip():
                     console.print(Text(problems), soft_wrap=True)
     return ""

@@ -240,5 +240,5 @@ def claim_domain(requested: int | None = None) -> Iterator[int]:
                 continue
             yield domain
             return
-    raise SuiteError("ROS domains 1 to 101 are in use on this computer: set ROS_DOMAIN_ID to one of them "
-                     "or to a higher one")
+    raise SuiteError("ROS domains 1 to 101 are in use on this computer: end another suite, or set "
+                     "ROS_DOMAIN_ID to a domain that no other suite uses")

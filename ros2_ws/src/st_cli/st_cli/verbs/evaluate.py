@@ -61,7 +61,7 @@ def evaluate(
     output: Path | None = typer.Option(None, help="Folder for the results; default runs/evaluate-<time>."),
     at: str = typer.Option("", help="Starts of the predictions to draw in detail, s, such as 1,10,19; default: four."),
     table: Literal["means", "samples"] = typer.Option(
-        "means", help="Error statistics: of the means over each horizon, as in the paper, or of all samples."),
+        "means", help="Error statistics: of the means over each horizon, or of all samples."),
     interval: float = typer.Option(0.1, help="Time between starts, s."),
     figures: str = typer.Option("png,pdf", help="Formats of the figure files; empty: none."),
     bands: Path | None = typer.Option(
@@ -70,7 +70,7 @@ def evaluate(
         False, "--adaptive", help="Also test bands that adapt to the errors of each run; initially those of --bands, "
         "if given."),
     course: Path | None = typer.Option(
-        None, help="Course of `st course build`: also predict with the inputs recorded on it earlier.",
+        None, help="Course of `st course build`: also predict with its recorded steering and speed.",
         **shared.FILE),
     advise: float | None = typer.Option(
         None, help="Permitted lateral error, m: also report the cheapest model and step that meet it, by speed and "

@@ -1,8 +1,9 @@
-"""Trial of corrections: each is applied to the run, and is proposed unless predictions become worse.
+"""Trial of corrections: those of errors are applied to the run, and are proposed unless predictions become worse.
 
 The prediction error is the distance between measured position and prediction by the linear single-track model, both
 from the corrected drive, HORIZON after starts that are HORIZON apart. A wrong steering ratio or offset in the vehicle
-file would favour corrections that compensate it, so its gain g [1] and offset o [rad] are fitted:
+file would favour corrections that compensate it, so an error of both is fitted with each trial, gain g [1] and
+offset o [rad]:
 
     e = e_0 + (de/dg) g + (de/do) o,    least squares within |g| <= MAX_GAIN, |o| <= MAX_OFFSET
 
@@ -180,7 +181,8 @@ def check_step_length(models: Sequence[str | Model], vehicle: VehicleParameters,
             "look", f"no step down to {1e3 * step / MAX_SUBSTEPS:.2g} ms is short enough: check the vehicle's "
             "yaw_inertia, mass and stiffnesses, and the effects of the model")
     text = (f"integration steps of {1e3 * step:g} ms are too long for the {' and '.join(unstable_models)} model of "
-            f"{vehicle.name} at {affected.min():.1f} to {affected.max():.1f} m/s: the lateral motion is wrong")
+            f"{vehicle.name} at {affected.min():.1f} to {affected.max():.1f} m/s: the lateral motion "
+            "is numerically unstable")
     seconds = (log.ins_time_ns - log.ins_time_ns[0]) * NANOSECOND
     times = () if unstable.all() else find_time_intervals(seconds[unstable], MERGE_GAP)
     return Finding("step_too_long", Severity.WARNING, ("velocity_x",), text, value, unit, times=times, advice=advice)

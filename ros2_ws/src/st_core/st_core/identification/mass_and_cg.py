@@ -123,7 +123,7 @@ def _check_scales(readings: np.ndarray, rejected_count: int, front: float, vehic
     mean = readings.mean(axis=0)
     cross_weight = (mean[0] + mean[3]) / mean.sum()
     if abs(cross_weight - 0.5) > 0.02:
-        yield (f"The front left and rear right wheels together carry {100 * cross_weight:.1f} % (cross weight): the "
+        yield (f"The diagonal front left, rear right carries {100 * cross_weight:.1f} % of the weight: the "
                "springs are preloaded unequally, or the floor under the scales is uneven; mass and longitudinal CG "
                "position remain valid.")
     if len(readings) == 1:
@@ -210,8 +210,8 @@ def identify_cg_height(data: LiftRows, vehicle: VehicleParameters, weighed_mass:
               f"{math.degrees(data.pitch.max()):.1f} deg, wheel centres at {radius:.3f} m")
     estimate = ParameterEstimate(
         "cg_height", height, "m", uncertainty, interval, method, lifts,
-        f"The CG is {height:.3f} m above the ground, {height_difference:.3f} m above the wheel centres; the average "
-        f"over the pitch angles, the method of the paper, is {average:.3f} m.{deflection_note}")
+        f"The CG is {height:.3f} m above the ground, {height_difference:.3f} m above the wheel centres; the mean "
+        f"of the heights computed at each pitch angle is {average:.3f} m.{deflection_note}")
     edges = np.arange(0.0, data.pitch.max() + PITCH_BIN_WIDTH, PITCH_BIN_WIDTH)
     coverage = Coverage("pitch", "deg", np.degrees(edges), np.histogram(data.pitch, edges)[0], 1, 2)
     warnings = _check_lifts(data, mass, rear_fraction)
@@ -281,9 +281,9 @@ def _check_lifts(data: LiftRows, mass: float, rear_fraction: float) -> list[str]
         falling_rows = np.flatnonzero(np.diff(pitch) < -0.05)
         if len(falling_rows):
             k = int(falling_rows[0])
-            sentences.append(f"Lift {name}: pitch falls from {pitch[k]:.1f} to {pitch[k + 1]:.1f} deg at row {k + 2}. "
-                             "The order does not affect the fit, but friction changes the load on the way down: enter "
-                             "such rows as a separate lift.")
+            sentences.append(f"Lift {name}: pitch falls from {pitch[k]:.1f} to {pitch[k + 1]:.1f} deg at row {k + 2} "
+                             "of the lift. The order does not affect the fit, but friction changes the load on the "
+                             "way down: enter such rows as a separate lift.")
     measured, expected = float(data.rear_load[data.level].mean()), mass * rear_fraction
     if abs(measured - expected) > MAX_LOAD_DIFFERENCE * mass:
         sentences.append(f"With the car level, the rear wheels carry {measured:.1f} kg, but mass and CG position of "

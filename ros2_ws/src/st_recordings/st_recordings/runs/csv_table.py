@@ -320,7 +320,7 @@ def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], preamble: Sequ
     lines = body.split("\n", MAX_UNIT_ROWS)
     rows = [read_unit_texts(line) for line in lines[:-1]]
     first = next((k for k, found in enumerate(rows) if lines[k].strip() and not found), len(rows))
-    # Numbers of channels may be between the names and the units.
+    # A row of channel numbers may be between the names and the units.
     first = max(first, *(k + 1 for k, found in enumerate(rows) if len(found) > 1 and not find_invalid(found)), 0)
     below = [found for found in rows[:first] if found]
     rows_above = [{c: text for c, text in read_unit_texts(line).items() if c != "t"} for line in preamble]

@@ -27,7 +27,7 @@ _DEFAULT_UNITS = {"angular rate": "deg/s", "acceleration": "g", "angle": "deg", 
 HEADER_SIZE = 65536  # bytes that contain the column names
 TRUE_HEADING_NAMES = ("trueheading", "truehead", "headingtrue", "heading2", "dualantennaheading")
 MIN_HEADING_AGREEMENT = 0.5
-"""A yaw rate channel is not used if the magnitude of its correlation with the derivative of the heading is lower."""
+"""A yaw rate channel is not used if its cosine similarity with the derivative of the heading is lower in magnitude."""
 MIN_TURN_RATE = 0.01
 """[rad/s]. The yaw rate is not checked if the median magnitude of the derivative of the heading is lower; a heading
 noise of 0.1 deg at 5 Hz has about this derivative."""
@@ -145,7 +145,7 @@ def _correct_signs(table: Table) -> Table:
             columns["yaw_rate"] = -columns["yaw_rate"]
             notes.append(f"{table.file}: the yaw rate is positive in right turns; its sign was changed")
         elif is_turning and agreement < MIN_HEADING_AGREEMENT:
-            notes.append(f"{table.file}: the yaw rate channel does not agree with the heading (correlation "
+            notes.append(f"{table.file}: the yaw rate channel does not agree with the heading (cosine similarity "
                          f"{agreement:.2f}); the derivative of the heading is used")
             columns["yaw_rate"] = heading_rate
     return replace(table, columns=columns, warnings=tuple(notes))

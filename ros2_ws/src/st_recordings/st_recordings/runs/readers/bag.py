@@ -47,7 +47,7 @@ def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:
 
 
 def has_drive(path: Path) -> bool:
-    """Whether a bag may contain a drive: in odometry, or else in a table of other messages."""
+    """Whether a bag may contain a drive: in odometry, or in other messages that contain every INS channel."""
     if bag.has_odometry(path):
         return True
     from ..bag_table import has_ins_channels
