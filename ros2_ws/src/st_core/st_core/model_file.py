@@ -64,10 +64,10 @@ class ModelFile:
     def from_model(cls, model: AugmentedModel, vehicle: VehicleParameters, provenance: ModelProvenance,
            intervals: Mapping[tuple[str, str], Interval] | None = None, source: str = "not stated") -> "ModelFile":
         """The content for a model and its vehicle. intervals: by (effect, parameter). source: of the fitted values."""
-        effects = {effect.name: {p.name: EffectValue(model.values[effect.name][p.name],
-                                                  (intervals or {}).get((effect.name, p.name)),
-                                                  source if p.fit else p.source) for p in effect.parameters}
-                   for effect in model.effects}
+        effects = {effect.name: {
+            p.name: EffectValue(value, (intervals or {}).get((effect.name, p.name)), source if p.fit else p.source)
+            for p in effect.parameters if (value := model.values[effect.name][p.name]) != p.null or p.fit}
+            for effect in model.effects}
         return cls(model.base.name, effects, vehicle, vehicle.name, vehicle.hash, provenance)
 
     def model(self) -> AugmentedModel:

@@ -33,7 +33,7 @@ NODES = (  # package, executable; subscribers start first, so that they miss no 
 # Except in a replay, the predictor ends while data still arrive, so that its last tick has inputs.
 STOP_ORDER = ("player", "predictor", "evaluator", "virtual_leaf", "oxts_bridge", "canedge_bridge", "recorder")
 END_MARGIN = 0.5  # s between the end of the run and the end of the source
-START_TIMEOUT = 60.0  # s until all nodes publish diagnostics
+START_TIMEOUT = 180.0  # s until all nodes publish diagnostics
 DISCOVERY_TIME = 1.5  # s until nodes of another suite are in the graph; nodes announce their presence every second
 UPDATE_PERIOD = 0.25  # s between checks of the nodes and updates of the terminal
 LOG_PERIOD = 10.0  # s between lines if the output is not a terminal

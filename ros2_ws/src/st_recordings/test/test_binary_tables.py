@@ -107,6 +107,12 @@ def save_seconds_and_milliseconds(file: Path, columns: Columns) -> None:
                    **{name: columns[name] for name in columns if name != "t"}})
 
 
+def save_milliseconds_twice(file: Path, columns: Columns) -> None:
+    """The whole time in milliseconds, and again its milliseconds."""
+    time = np.round(1e3 * columns["t"])
+    savemat(file, {"time_ms": time, "millis": time % 1e3, **{name: columns[name] for name in columns if name != "t"}})
+
+
 def save_simulink(file: Path, columns: Columns) -> None:
     """Structure with time of the block To Workspace."""
     signals = make_struct_array(["values", "dimensions", "label"], [
@@ -240,7 +246,8 @@ def load(file: Path) -> DriveLog:
     return read(source).log
 
 
-MATLAB = [save_flat, save_nested, save_milliseconds, save_seconds_and_milliseconds, save_simulink, save_control_desk,
+MATLAB = [save_flat, save_nested, save_milliseconds, save_milliseconds_twice, save_seconds_and_milliseconds,
+          save_simulink, save_control_desk,
           save_signal_structs, save_two_rates, save_ros_stamps, save_control_desk_rasters, save_time_series_structs]
 
 

@@ -17,6 +17,7 @@ from mcap.writer import CompressionType, IndexType
 from st_core.checks import check
 from st_core.log import DriveLog
 from st_recordings.runs import ReadSettings, RunError, find_runs, read
+from st_recordings.runs.can_formats import _find_bases, is_can_log
 from st_recordings.runs.raw import read_pair
 from st_recordings.runs.run_types import SteeringField
 from st_recordings.runs.write import import_run
@@ -129,6 +130,7 @@ def decimal_numbers(lines: list[str]) -> str:
     for number in range(8):
         table[f"Data{number}"] = pd.array([frame[3][number] if number < len(frame[3]) else None for frame in frames],
                                           "Int64")
+    table["Label"] = "R"
     return table.to_csv(index=False)
 
 
@@ -214,6 +216,23 @@ def test_can_log_gives_the_steering(ncom_folder: Path, drive_log: DriveLog, fram
     run = read(find_runs([ncom_folder])[0], CAR)
     assert_same(run.log, drive_log, max_lost=0, steering=0.003)
     assert_warned([w for w in run.warnings if "alignment" not in w], log.warning)
+
+
+@pytest.mark.parametrize("head", [
+    b'x"y\rz\nid,length,data\n', b't,"a\rb",c',
+    b"id,length,payload,time,x,y,yaw,vx,vy,yaw_rate,delta\n1,4.5,1,0,0,0,0,5,0,0,0\n"])
+def test_other_files_are_no_can_log(tmp_path: Path, head: bytes) -> None:
+    (tmp_path / "other.csv").write_bytes(head)
+    assert not is_can_log(tmp_path / "other.csv")
+
+
+@pytest.mark.parametrize("ids, bytes_, bases", [
+    ("2000,2001,,2002", "1,2", (10, 16)), ("600,601", "200,256", (10, 10)), ("0316,0317", "1,2", (16, 16))])
+def test_number_base_of_a_table_of_frames(tmp_path: Path, ids: str, bytes_: str, bases: tuple[int, int]) -> None:
+    rows = [f"{k},{name},2,{bytes_},R" for k, name in enumerate(ids.split(","))]
+    (tmp_path / "a.csv").write_text("\n".join(["time,id,dlc,data0,data1,label", *rows, ""]))
+    names = ["time", "id", "dlc", "data0", "data1", "label"]
+    assert _find_bases(tmp_path / "a.csv", names, ",", {"time": 0, "id": 1, "length": 2, "data": 3}) == bases
 
 
 @pytest.mark.parametrize(("change", "error"), [

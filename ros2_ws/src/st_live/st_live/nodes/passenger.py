@@ -137,7 +137,7 @@ class PassengerFrames:
             return "none", "no diagnostics"
         if now - received > DIAGNOSTICS_TIMEOUT:
             return "error", f"no diagnostics for {now - received:.0f} s"
-        level, text = max(checks)
+        level, text = max(checks, key=lambda check: (0, 1, 3, 2)[min(check[0], 3)])  # an error counts more than silence
         if level == 0:
             return "ok", "all checks OK"
         others = sum(other > 0 for other, _ in checks) - 1

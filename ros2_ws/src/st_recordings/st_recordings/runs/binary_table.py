@@ -127,6 +127,9 @@ def _join_signals(file: Path, signals: list[Signal]) -> Any:
             columns.append({})
         if not np.array_equal(signal.samples, times):
             columns[number][name] = signal.samples
+    if any(columns):
+        rasters = [raster for raster, part in zip(rasters, columns, strict=True) if part]
+        columns = [part for part in columns if part]
     if len(rasters) < 2:
         return pd.DataFrame({rasters[0][0]: rasters[0][1], **columns[0]} if rasters else untimed_columns)
     factors = [find_columns(Path(), [name], Layout())["t"].factor for name, _ in rasters]
@@ -145,8 +148,8 @@ def _find_signals(value: Any, path: tuple[str, ...] = (), unit: str = "",
         own_times = [(vectors[source.column], value[vectors[source.column]])] if source else []
         if source and stamp and source.column == stamp[0]:  # for example, sec and nanosec of a ROS stamp
             seconds, fraction = (value[vectors[column]] for column in stamp[:2])
-            if len(seconds) == len(fraction):
-                own_times = [("t [s]", add_fraction(seconds, stamp[2] * fraction))]
+            if len(seconds) == len(fraction) and (total := add_fraction(seconds, stamp[2] * fraction)) is not seconds:
+                own_times = [("t [s]", total)]
         axes = value.get("X")  # dSPACE ControlDesk: one time vector, or one for each raster, of different lengths
         axes = [axis["Data"] for axis in (axes if isinstance(axes, list) else [axes])
                 if isinstance(axis, dict) and _is_vector(axis.get("Data"))]

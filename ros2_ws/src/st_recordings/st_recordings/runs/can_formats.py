@@ -5,7 +5,7 @@ import csv
 import re
 from base64 import b64decode
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from .binary_table import is_signal_table
-from .columns import normalise
+from .columns import MOTION_CHANNELS, Layout, find_columns, normalise
 from .errors import COMPRESSED_MAGIC, format_count, shorten
 from .mf4 import MF4_EXTENSIONS, VENDOR_EXTENSIONS, is_mdf
 
@@ -218,8 +218,10 @@ def _read_trc(lines: Lines, notes: list[str]) -> Any:
 
 
 def _split_row(line: str, delimiter: str) -> list[str]:
-    is_quoted = '"' in line
-    row = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True)) if is_quoted else line.split(delimiter)
+    row = line.split(delimiter)
+    if '"' in line:
+        with suppress(csv.Error):
+            row = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
     return [cell.strip() for cell in row]
 
 
@@ -285,12 +287,17 @@ def _find_bases(file: Path, names: Sequence[str], delimiter: str, roles: Mapping
             is_extended = len(identifier) >= EXTENDED_DIGITS if flag is None else flag
             limit = EXTENDED_IDS if is_extended else STANDARD_IDS
             ids.append((identifier, -1 if names[roles["id"]] in _DECIMAL_IDS else limit))
-            data += [(cell, 0xFF) for cell in row[roles["data"]:] if cell]
-    return 16 if names[roles["id"]] == "idhex" else _find_base(ids), _find_base(data)
+            length = row[roles["length"]]
+            data += [(cell, 0xFF) for cell in row[roles["data"]:][:int(length) if length.isdecimal() else 0] if cell]
+    data_base, is_padded = _find_base(data), any(re.fullmatch("0[0-9]+", text) for text, _ in ids)
+    if names[roles["id"]] == "idhex" or is_padded or not all(text.isdecimal() for text, _ in ids if text):
+        return 16, data_base
+    return 10 if data_base == 10 else _find_base(ids), data_base
 
 
 def _find_base(cells: Sequence[tuple[str, int]]) -> int:
     """10 if all texts consist of decimal digits and one is larger than its limit when read as hexadecimal digits."""
+    cells = [cell for cell in cells if cell[0]]
     is_decimal = all(text.isdecimal() for text, _ in cells) and any(int(text, 16) > limit for text, limit in cells)
     return 10 if is_decimal else 16
 
@@ -346,8 +353,9 @@ def _read_blf(file: Path, notes: list[str]) -> Iterator[Any]:
 
 
 def _is_csv(head: bytes) -> bool:
-    first_line = head.replace(b"\0", b"").partition(b"\n")[0].decode("utf-8-sig", "ignore")
-    return _CSV_COLUMNS.keys() == _split_csv_header(first_line)[2].keys()
+    first_line = re.split(rb"[\r\n]", head.replace(b"\0", b""), maxsplit=1)[0].decode("utf-8-sig", "ignore")
+    names, _, roles = _split_csv_header(first_line)
+    return _CSV_COLUMNS.keys() == roles.keys() and MOTION_CHANNELS.isdisjoint(find_columns(Path(), names, Layout()))
 
 
 def _is_trc(head: bytes) -> bool:

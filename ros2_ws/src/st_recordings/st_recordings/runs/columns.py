@@ -87,6 +87,7 @@ def _split(text: str) -> tuple[str, ...]:
     return tuple(text.split())
 
 
+MOTION_CHANNELS = frozenset({"velocity_x", "yaw_rate", "yaw"})  # a table with one of them is no CAN log
 COLUMNS: Mapping[str, Channel] = {
     "t": Channel("time", "time", _split(
         "t time t_rt timestamp timestamps stamp time_boot sim_time log_time relative_time elapsed elapsed_time seconds "
@@ -295,7 +296,9 @@ def find_stamp_columns(names: Sequence[str]) -> tuple[int, int, float] | None:
         for seconds in ("sec", "secs", "second", "seconds") if ending != "s" else ("s",) * is_time:
             if stem + seconds in normalised:
                 return normalised.index(stem + seconds), number, _FRACTION_FACTORS[unit]
-        if not stem and (times := _find_best_columns(names).get("t")) and times[0].factor == 1.0:
+        if stem or "/" in names[number]:  # m/s is a speed
+            continue
+        if (times := _find_best_columns(names).get("t")) and times[0].factor == 1.0:
             return times[0].column, number, _FRACTION_FACTORS[unit]
     return None
 
@@ -303,7 +306,7 @@ def find_stamp_columns(names: Sequence[str]) -> tuple[int, int, float] | None:
 def add_fraction(seconds: np.ndarray, fraction: np.ndarray) -> np.ndarray:
     """Times in two parts [s]; `seconds` unless these are whole and all fractions are below 1 s."""
     is_pair = not np.nan_to_num(seconds % 1.0).any() and np.nanmax(fraction, initial=0.0) < 1.0
-    return seconds + fraction if is_pair else seconds
+    return seconds + np.nan_to_num(fraction) if is_pair else seconds
 
 
 def apply_units(file: Path, sources: dict[str, ColumnSource], layout: Layout) -> dict[str, ColumnSource]:

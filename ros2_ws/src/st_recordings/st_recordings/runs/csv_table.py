@@ -218,7 +218,7 @@ def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layou
     plain = {normalise(name) for name in names}
     sources = find_columns(file, names, layout)
     if (plain & {"id", "canid", "arbitrationid"} and plain & {"dlc", "len", "length"}
-            and not sources.keys() & {"velocity_x", "yaw_rate", "yaw"}):
+            and column_names.MOTION_CHANNELS.isdisjoint(sources)):
         raise RunError(file, "this is a CAN log as a table", "export it as .asc, .blf, .trc, .mf4, "
                        ".log of candump, or with the columns of python-can's CSVWriter")
     warnings += [f"{file}: {sentence}" for sentence in column_names.describe_unknown_units(names, sources).values()]

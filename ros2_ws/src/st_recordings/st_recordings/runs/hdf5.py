@@ -23,7 +23,7 @@ _OPAQUE = 3  # attribute MATLAB_object_decode of an object whose content is in a
 _MATLAB_ADVICE = {"timeseries": "{0} = struct('Time', {0}.Time, 'Data', {0}.Data)",
                   "timetable": "writetimetable({0}, '{0}.csv')", "table": "writetable({0}, '{0}.csv')",
                   "duration": "{0} = seconds({0})", "datetime": "{0} = posixtime({0})"}
-_TIME_KIND = re.compile(r"(?:datetime|timedelta)64\[(\w+)\]")
+_TIME_KIND = re.compile(r"(?:datetime|timedelta)64(?:\[(\w+)\])?")
 
 
 def is_hdf5(file: Path) -> bool:
@@ -67,8 +67,9 @@ def _read_group(group: Any, path: str, objects: dict[str, str]) -> Any:
     fields: dict[str, Any] = {}
     for name in group:
         node = group.get(name)  # None for a link to a missing file or object
-        if name.startswith("#") or node is None or _text(node.attrs.get("CLASS")) == "TINDEX":
-            continue  # parts of other variables in MATLAB, an index of PyTables
+        is_type = hasattr(node, "dtype") and not hasattr(node, "shape")
+        if name.startswith("#") or node is None or is_type or _text(node.attrs.get("CLASS")) == "TINDEX":
+            continue  # parts of other variables in MATLAB, a named datatype, an index of PyTables
         value = _read_node(node, f"{path}.{name}" if path else name, objects)
         unit = next((unit for key in UNIT_FIELDS if (unit := _text(node.attrs.get(key)))), "").split(" since ")[0]
         if unit and name.lower() in SAMPLE_FIELDS:
@@ -159,9 +160,9 @@ def _name_index(name: str, kind: Any) -> str:
 
 
 def _find_unit(kind: Any) -> str:
-    """" [ns]" for the type datetime64[ns]; empty for a type without unit."""
+    """" [ns]" for the type datetime64[ns]; also for datetime64 of older pandas; empty for other types."""
     match = _TIME_KIND.fullmatch(_text(kind))
-    return f" [{match[1]}]" if match else ""
+    return f" [{match[1] or 'ns'}]" if match else ""
 
 
 def _list_pickled_texts(content: Any) -> list[str]:
