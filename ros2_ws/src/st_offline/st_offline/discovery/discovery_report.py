@@ -103,9 +103,10 @@ def build_model_file(discovery: Discovery, request: Request, update: VehicleUpda
             continue
         source = ("st discover: effective correction" if effective else
                   f"st discover: not named: {minor[name]}" if name in minor else base_source)
-        effects[name] = {p.name: replace(complete.effects[name][p.name], source=source, effective=effective,
-                                         interval=None if effective else complete.effects[name][p.name].interval)
-                         if p.fit else complete.effects[name][p.name] for p in effect.parameters}
+        fitted = {p.name for p in effect.parameters if p.fit}
+        effects[name] = {parameter: estimate if parameter not in fitted else replace(
+            estimate, source=source, effective=effective, interval=None if effective else estimate.interval)
+            for parameter, estimate in complete.effects[name].items()}
     if not effects:
         return None
     return replace(complete, effects=effects)
