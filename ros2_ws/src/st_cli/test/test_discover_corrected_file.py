@@ -180,6 +180,15 @@ def test_effects_without_a_key_are_written_as_model_of_the_corrected_car(recorde
     assert result.exit_code == 0, result.output
 
 
+@pytest.mark.parametrize("name", [n for n, e in EFFECTS.items() if not e.fold and not all(p.fit for p in e.parameters)])
+def test_constants_at_their_neutral_values_are_not_in_the_model_file(recorded_drive, name):
+    fitted = {p.name: p.initial for p in EFFECTS[name].parameters if p.fit}
+    found, update = fold_effects(recorded_drive, (name, fitted))
+    file = build_model_file(found, make_request(recorded_drive), update)
+    assert {key: e.value for key, e in file.effects[name].items()} == fitted and all(
+        e.effective is False for e in file.effects[name].values())
+
+
 def test_steering_ratio_remains_in_the_model_without_steering_wheel_angle(recorded_drive):
     """The steering ratio of a vehicle file does not affect recorded road wheel angles, so the model corrects it."""
     bare = replace(recorded_drive, log=replace(recorded_drive.log, steering_wheel_angle=None))
