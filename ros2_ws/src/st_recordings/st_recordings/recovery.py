@@ -87,7 +87,7 @@ def recover(path: Path | str, output: Path | str | None = None) -> RecoveryRepor
     target = Path(output) if output is not None else path
     try:
         if output is not None and target.exists():
-            raise RecoveryError(f"{target} already exists; a recovery never overwrites a file")
+            raise RecoveryError(f"{target} already exists; name an output that does not")
         if path.is_dir():
             return _recover_directory(path, target)
         if not path.is_file():

@@ -243,5 +243,5 @@ def test_missing_input_and_existing_output_are_refused(complete: Path, tmp_path:
         recover(tmp_path / "nothing")
     with pytest.raises(RecoveryError, match=r"no \.mcap file"):
         recover(tmp_path)
-    with pytest.raises(RecoveryError, match="never overwrites"):
+    with pytest.raises(RecoveryError, match="already exists"):
         recover(complete, tmp_path)
