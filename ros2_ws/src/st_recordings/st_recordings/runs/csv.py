@@ -25,6 +25,7 @@ COLUMN_ADVICE = ("name the columns as in docs/csv_columns.md, or write a {stem}.
                  "{can} and `columns: {{{channel}: NAME, ...}}` (for many drives: `each: '*{extension}'`)")
 STEERING_ADVICE = ("name its column with --steering-field NAME --steering-is wheel (or road), and --steering-sign -1 "
                    "if right is positive; or also give the CAN log that contains the steering angle")
+INTEGRATION_ADVICE = "; if no position was recorded, add columns x, y and yaw, integrated from velocities and yaw rate"
 COMPUTED_FROM = {"time": "t", "x": "longitude", "y": "latitude", "yaw": HEADING}
 """Channel -> channel from which it is computed if the table has no column for it."""
 ALTERNATIVES = {ROAD_WHEEL: STEERING_WHEEL, "x": "longitude", "y": "latitude", "yaw": f"{HEADING} or {COURSE}"}
@@ -198,11 +199,13 @@ def _require_columns(table: Table, required: Sequence[str], can: str = "") -> No
                        f"name the right one in a run.yaml, as columns: {{{channel}: NAME}}")
     if missing:
         texts = [f"{name} (or {ALTERNATIVES[name]})" if name in ALTERNATIVES else name for name in missing]
+        advice = STEERING_ADVICE if missing == [ROAD_WHEEL] else COLUMN_ADVICE.format(
+            stem=table.file.stem, name=table.file.name, can=can, channel=missing[0],
+            extension=(extension := table.file.suffix), key="vbo" if extension.lower() == ".vbo" else "csv")
+        if {"x", "y"} <= {*missing} and table.sources.keys() >= {"velocity_x", "yaw_rate"}:
+            advice += INTEGRATION_ADVICE
         raise RunError(table.file, f"no column was recognised as {', '.join(texts)}; its columns are "
-                       f"{', '.join(table.names)[:200]}", STEERING_ADVICE if missing == [ROAD_WHEEL] else
-                       COLUMN_ADVICE.format(stem=table.file.stem, name=table.file.name, can=can, channel=missing[0],
-                                            extension=(extension := table.file.suffix),
-                                            key="vbo" if extension.lower() == ".vbo" else "csv"))
+                       f"{', '.join(table.names)[:200]}", advice)
     doubtful = (find_ambiguous_steering(table.names) or "")[:60]
     if ROAD_WHEEL in required and ROAD_WHEEL not in table.sources and STEERING_WHEEL not in table.sources:
         raise RunError(table.file, f"column {doubtful} may be the angle of the steering wheel or of the road wheels",
