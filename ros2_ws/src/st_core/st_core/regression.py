@@ -1,10 +1,10 @@
 """Statistics for regressions: covariance from blocks of driving, confidence intervals, pooling of runs.
 
-Neighbouring samples share slow errors of INS and road, so treating them as independent would underestimate the
-uncertainty considerably. With the influence psi_c of block c on the estimate, and k blocks,
+Neighbouring samples share slowly varying errors of the INS and the road, so treating them as independent would
+underestimate the uncertainty considerably. With influence psi_c, Jacobian J_c and residuals e_c of each of k blocks,
 
     covariance = k / (k - 1) sum_c d_c d_c^T * sqrt(f f^T),    d_c = psi_c - mean of psi
-    least squares:  psi_c = (k - 1) / k (A - A_c)^-1 g_c,   A_c = J_c^T J_c,   g_c = J_c^T e_c
+    least squares:  psi_c = (k - 1) / k (A - A_c)^-1 g_c,   A_c = J_c^T J_c,   A = sum_c A_c,   g_c = J_c^T e_c
     f = sum_ij rho^|i - j| / k,    i, j: blocks of the same run
 
 Leaving out block c changes the estimate by -psi_c k / (k - 1). The covariance is the limit of a block bootstrap, which
@@ -22,7 +22,7 @@ import numpy as np
 
 MIN_RUN_BLOCKS = 8  # minimum number of runs for whole runs to be used as blocks
 BLOCK_LENGTH = 10.0  # s, length of a block if there are fewer runs
-WEIGHT_INCREMENT = 1e-4  # step of the weight of a block, for difference quotients of an estimator
+WEIGHT_INCREMENT = 1e-4  # increase of a block's weight, for the numerical derivative of an estimator
 Z95 = 1.959963984540054  # 97.5 % quantile of the standard normal distribution
 SIGMA_PER_MAD = 1.4826  # standard deviation / median absolute deviation (MAD) of a normal distribution
 
@@ -52,7 +52,7 @@ def effective_degrees_of_freedom(estimated_variance: float, total_variance: floa
 
 
 def correlation_matrix(covariance: np.ndarray) -> np.ndarray:
-    """Correlation matrix (n, n) of a covariance matrix (n, n); off-diagonal 0 for a parameter without variance."""
+    """Correlation matrix (n, n) of a covariance matrix (n, n); correlations of a parameter without variance are 0."""
     deviations = np.sqrt(np.diag(covariance))
     scale = np.where(deviations > 0.0, deviations, 1.0)
     matrix = covariance / np.outer(scale, scale)
@@ -61,7 +61,7 @@ def correlation_matrix(covariance: np.ndarray) -> np.ndarray:
 
 
 def add_ridge(h: np.ndarray) -> np.ndarray:
-    """h (n, n) with a millionth of its mean diagonal, and 1e-9, added to the diagonal, so that it is invertible."""
+    """h (n, n) plus a ridge that makes it invertible: a millionth of its mean diagonal element, plus 1e-9."""
     return h + (1e-6 * np.trace(h) / max(len(h), 1) + 1e-9) * np.eye(len(h))
 
 
@@ -107,7 +107,7 @@ class Spread:
 
     def interval(self, index: int, value: float,
                  standard_uncertainty: float | None = None) -> tuple[float, float]:
-        """95 % confidence interval of a value. standard_uncertainty: None: from the covariance."""
+        """95 % confidence interval of a value. standard_uncertainty: by default from the covariance."""
         uncertainty = self.standard_errors[index] if standard_uncertainty is None else standard_uncertainty
         return symmetric_interval(float(value), float(uncertainty), float(self.degrees_of_freedom[index]))
 
@@ -118,7 +118,7 @@ class Blocks:
 
     block_index: np.ndarray  # (n,) block index of each sample
     run: np.ndarray  # (k,) run of each block
-    block: np.ndarray  # (k,) number within the run, ascending
+    number_in_run: np.ndarray  # (k,) number of each block within its run, ascending
     name: str  # description, such as "8 runs"
 
     def __len__(self) -> int:
@@ -147,24 +147,24 @@ class Blocks:
 
     def _inflate(self, covariance: np.ndarray, centred: np.ndarray) -> Spread:
         """Uncertainty with the covariance increased by the factor f of each estimate; see the module docstring."""
-        count, power = len(self), np.square(centred).mean(axis=0)
-        neighbours = np.flatnonzero((np.diff(self.run) == 0) & (np.diff(self.block) == 1))
-        factor = np.ones(len(power))
+        count, mean_square = len(self), np.square(centred).mean(axis=0)
+        neighbours = np.flatnonzero((np.diff(self.run) == 0) & (np.diff(self.number_in_run) == 1))
+        factor = np.ones(len(mean_square))
         if len(neighbours):
             product = (centred[neighbours] * centred[neighbours + 1]).mean(axis=0)
-            rho = np.divide(product, power, out=np.zeros_like(power), where=power > 0.0)
+            rho = np.divide(product, mean_square, out=np.zeros_like(mean_square), where=mean_square > 0.0)
             rho = np.clip(rho + (1.0 + 3.0 * rho) / count, 0.0, 0.9)
-            distance = np.abs(self.block[:, None] - self.block)[self.run[:, None] == self.run]
+            distance = np.abs(self.number_in_run[:, None] - self.number_in_run)[self.run[:, None] == self.run]
             factor = np.power(rho[:, None], distance).sum(axis=1) / count
         covariance = covariance * count / max(count - 1, 1) * np.sqrt(np.outer(factor, factor))
-        effective = count / factor
+        effective_counts = count / factor
         basis = tuple(self.name + (f" (equivalent to {number:.0f} independent ones)" if number < 0.8 * count else "")
-                      for number in effective)
-        return Spread(covariance, np.maximum(effective - 1.0, 1.0), basis)
+                      for number in effective_counts)
+        return Spread(covariance, np.maximum(effective_counts - 1.0, 1.0), basis)
 
     def fit_least_squares(self, regressors: np.ndarray,
                           response: np.ndarray) -> tuple[np.ndarray, Spread, np.ndarray]:
-        """(coefficients (p,), uncertainty, influence (k, p)) of response (n,) on regressors (n, p)."""
+        """(coefficients (p,), uncertainty, influence (k, p)) of a regression of response (n,) on regressors (n, p)."""
         coefficients = np.linalg.lstsq(regressors, response, rcond=None)[0]
         residuals = response - regressors @ coefficients
         influence = self.compute_influence(self.sum_by_block(regressors[:, :, None] * regressors[:, None, :]),
@@ -181,12 +181,12 @@ class Blocks:
 def make_blocks(run_index: Sequence[int] | np.ndarray, time: Sequence[float] | np.ndarray) -> Blocks:
     """Whole runs as blocks if there are at least MIN_RUN_BLOCKS, else sections of runs, BLOCK_LENGTH long.
 
-    run_index: (n,) run number of each sample. time: (n,) time since the start of that run [s].
+    run_index: (n,) run number of each sample. time: (n,) time since the start of its run [s].
     """
     run_index = np.asarray(run_index)
-    runs, number = np.unique(run_index, return_inverse=True)
+    runs, block_index = np.unique(run_index, return_inverse=True)
     if len(runs) >= MIN_RUN_BLOCKS:
-        return Blocks(number, runs, np.zeros(len(runs), np.int64), f"{len(runs)} runs")
+        return Blocks(block_index, runs, np.zeros(len(runs), np.int64), f"{len(runs)} runs")
     keys = np.stack((run_index, np.floor(np.asarray(time) / BLOCK_LENGTH).astype(np.int64)), axis=1)
     sections, section_index = np.unique(keys, axis=0, return_inverse=True)
     plural = "s" if len(runs) > 1 else ""
@@ -197,7 +197,7 @@ def make_blocks(run_index: Sequence[int] | np.ndarray, time: Sequence[float] | n
 def random_effects(values: np.ndarray, variances: np.ndarray) -> tuple[float, float, float, float]:
     """(mean, its standard error, variance between runs, Cochran's Q [1]) by a random effects model.
 
-    values, variances > 0: (n,) of each run, n >= 1. Source: DerSimonian and Laird, Controlled Clinical Trials 7 (1986).
+    values, variances > 0: (n,) by run, n >= 1. Source: DerSimonian and Laird, Controlled Clinical Trials 7 (1986).
     """
     w = 1.0 / variances
     cochran_q = float(w @ np.square(values - w @ values / w.sum()))

@@ -1,4 +1,4 @@
-"""Steady-state sideslip for drives without measured sideslip, with the course over ground of a GNSS receiver as yaw.
+"""Steady-state sideslip for drives without measured sideslip, whose yaw is the course over ground of a GNSS receiver.
 
 The heading of a car differs from its course by the sideslip angle at the antenna, by which each prediction would be
 rotated. Therefore the sideslip of steady cornering is computed with the vehicle file:
@@ -20,9 +20,9 @@ from .types import wrap_angle
 from .vehicle import VehicleParameters
 
 MIN_SPEED = 2.0  # m/s; the course of a slower car is mostly noise
-COURSE_TIME = 0.2  # s, duration of the displacement that defines the course
-RATE_WIDTH_NS = 200_000_000  # averaging time of the yaw rate [ns], which is noisy if derived from the course
-MAX_DERIVATIVE_ERROR = 1e-6  # rad/s; a gyroscope differs by more because of its noise
+COURSE_TIME = 0.2  # s, over which the displacement defines the course
+RATE_WIDTH_NS = 200_000_000  # averaging time [ns] of the yaw rate, which is noisy if derived from the course
+MAX_DERIVATIVE_ERROR = 1e-6  # rad/s; a gyroscope signal differs by more, because of its noise
 MAX_COURSE_ERROR = 0.0015
 """Largest RMS [rad] of the part of (direction of the displacement - yaw) that depends on the yaw rate, for yaw to count
 as a course. It is 0.003 to 0.03 in Genesis drives with the heading of the INS, up to 0.0004 with GNSS courses."""
@@ -63,7 +63,7 @@ def has_derived_yaw_rate(log: DriveLog) -> bool:
 
 
 def _is_course(log: DriveLog, yaw_rate: np.ndarray, is_fast: np.ndarray) -> bool:
-    """Whether yaw is the direction of the displacement; sideslip is about a r / v + b r v with constants a and b."""
+    """Whether yaw is the course; a heading differs from it by the sideslip, about a r / v + b r v (constants a, b)."""
     time = (log.ins_time_ns - log.ins_time_ns[0]) * NANOSECOND
     ends = time - 0.5 * COURSE_TIME, time + 0.5 * COURSE_TIME
     east, north = (np.subtract(*(np.interp(t, time, values) for t in ends[::-1])) for values in (log.x, log.y))

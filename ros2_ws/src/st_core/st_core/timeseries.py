@@ -23,7 +23,7 @@ from .errors import StCoreError
 from .types import wrap_angle
 
 NANOSECOND = 1.0e-9
-REORDER_WINDOW_NS = 500_000_000  # samples older than the newest by more than this are rejected as late
+REORDER_WINDOW_NS = 500_000_000  # samples that are older than the newest one by more than this are rejected as late
 SETBACK_SAMPLES = 5  # after this many consecutive late samples the clock counts as set back
 MAXIMUM_SAMPLES = 200_000
 
@@ -32,10 +32,10 @@ class TimeSeries:
     """The last `span` seconds of a signal: rows of numbers by time in integer nanoseconds.
 
     columns: names, in row order. An added row may be shorter; the remaining columns are NaN until the owner sets them.
-    angles: columns interpolated along the shorter arc. span [s]: at least one second is kept. maximum_gap [s]: between
-    samples further apart the signal is unknown. The number of samples is limited to MAXIMUM_SAMPLES.
+    angles: columns interpolated along the shorter arc. span [s]: at least one second is kept. maximum_gap [s]: the
+    signal is unknown between samples further apart. The number of samples is limited to MAXIMUM_SAMPLES.
 
-    breaks, set by the owner: by sample time [ns], reason why the signal is unknown since the previous sample.
+    breaks: reason why the signal is unknown before a sample, by sample time [ns]; set by the owner.
     """
 
     def __init__(self, columns: Sequence[str], span: float, maximum_gap: float, angles: Sequence[str] = ()):
@@ -176,12 +176,12 @@ class Neighbours(NamedTuple):
 
     before: np.ndarray  # index of the last sample before an instant
     after: np.ndarray  # index of the first sample at or after an instant
-    exact: np.ndarray  # whether sample `after` is at the instant
-    known: np.ndarray  # whether the signal is known there
+    exact: np.ndarray  # whether sample `after` is at the instant itself
+    known: np.ndarray  # whether the signal is known at the instant
     fraction: np.ndarray  # position of the instant between the two samples, 0 to 1
 
     def interpolate(self, values: np.ndarray) -> np.ndarray:
-        """A signal at the instants, from its samples; NaN where it is unknown."""
+        """A signal at the instants, interpolated linearly between its samples; NaN where it is unknown."""
         low, high = values[self.before], values[self.after]
         between = np.where(self.exact, high, low + self.fraction * (high - low))
         return np.where(self.known, between, np.nan)
@@ -190,7 +190,7 @@ class Neighbours(NamedTuple):
 def find_neighbours(times: np.ndarray, instants: np.ndarray, gap_ns: int) -> Neighbours:
     """Neighbouring samples of instants of any shape [ns].
 
-    times [ns]: sample times, increasing, at least one. gap_ns: between samples further apart the signal is unknown.
+    times [ns]: sample times, increasing, at least one. gap_ns: the signal is unknown between samples further apart.
     """
     after = np.minimum(np.searchsorted(times, instants), len(times) - 1)
     before = np.maximum(after - 1, 0)
@@ -225,7 +225,7 @@ def filtered_derivative(times_ns: np.ndarray, values: np.ndarray, cutoff: float,
     """(filtered values, derivative) of a whole log, each of the size of `values`.
 
     causal: the same numbers as from `low_pass_step` in live use. zero_phase: the filter is applied forward and backward
-    between gaps, then central differences are taken: no delay, twice the attenuation; for logs only. cutoff [Hz].
+    between gaps, then central differences are taken: no delay, twice the attenuation in dB; for logs. cutoff [Hz].
     maximum_gap [s]. Raises StCoreError if times_ns [ns] is not increasing, and for an unknown mode.
     """
     times_ns, values = np.asarray(times_ns, np.int64), np.asarray(values, float)

@@ -1,4 +1,4 @@
-"""Lateral force of axles and tyres as a function of slip angle and load, without state.
+"""Steady-state lateral force of axles and tyres as a function of slip angle and load.
 
 Sign convention of the package: a slip angle is positive when the wheel slides to its left, so the force that opposes it
 is negative. Linear: F_y = -C alpha with C > 0. The Magic Formula table keeps its SAE sign, p_ky1 < 0, which makes
@@ -64,16 +64,16 @@ def magic_formula_coefficients(load, tyre: MagicFormula):
         B = K / (C D),  E = p_ey1 + p_ey2 df,  df = (F_z - F_z0) / F_z0;  F_z >= 1 N
     """
     load = maximum(load, MINIMUM_LOAD)
-    increment = load / tyre.nominal_load - 1.0
+    load_increment = load / tyre.nominal_load - 1.0
     peak = magic_formula_peak(load, tyre)
     stiffness_factor = magic_formula_stiffness(load, tyre) / (tyre.p_cy1 * tyre.lambda_cy * peak)
-    return stiffness_factor, peak, tyre.p_ey1 + tyre.p_ey2 * increment
+    return stiffness_factor, peak, tyre.p_ey1 + tyre.p_ey2 * load_increment
 
 
 def magic_formula_force(slip, stiffness_factor, peak, curvature, tyre: MagicFormula):
     """F_y = D sin(C atan(B a - min(E (1 - p_ey3 sgn a), 1) (B a - atan(B a)))) [N], a = slip angle [rad].
 
-    Without the limit of 1, the curve would turn back (Pacejka, Tire and Vehicle Dynamics, eq. 4.E24).
+    Without the limit of 1, the curve would bend back (Pacejka, Tire and Vehicle Dynamics, eq. 4.E24).
     C = p_cy1 lambda_cy; B, D, E from `magic_formula_coefficients`; twice D gives the force of an axle. With p_ky1 < 0
     the force opposes the slip angle. Source: paper, appendix. Checked by: test_tyres.py.
     """

@@ -28,8 +28,8 @@ class Uncertainty:
 
 _TYRE_SOURCE = "spread between makes of one tyre size, published passenger-car tyre data"
 _TYRE_UNCERTAINTIES = {
-    "lambda_muy": Uncertainty(0.2, True, "friction on dry asphalt relative to a drum 1.0 to 1.3, between makes 0.85 to "
-                                         "1.15"),
+    "lambda_muy": Uncertainty(0.2, True, "friction on dry asphalt 1.0 to 1.3 times that on a drum, 0.85 to 1.15 "
+                                         "between makes"),
     "p_ey1": Uncertainty(3.0, False, f"{_TYRE_SOURCE}, E -8 to 0.5"),
     "p_ky2": Uncertainty(0.5, True, f"{_TYRE_SOURCE}, 1.0 to 2.8"),
 }
@@ -73,8 +73,8 @@ def road_wheel_angle(steering_wheel_angle: Number, offset: Number, ratio: Number
 class VehicleParameters:
     """One car, in SI units. Raises ConfigurationError, naming the key and the limit, for impossible values.
 
-    The limits are wide, from a model car of scale 1:16 to a loaded truck; `_check_scale` detects a wrong unit.
-    Optional, needed only by some effects, by default those of a front-wheel-drive car: track_width of both axles [m];
+    The limits are wide, from a 1:16 scale model to a loaded truck; `_check_scale` detects a wrong unit.
+    Optional, needed only by some effects, with defaults of a front-wheel-drive car: track_width of both axles [m];
     drive_front, brake_front, load_transfer_front: fraction of the drive force, brake force and lateral load transfer on
     the front axle [1] (rear-wheel drive: drive_front 0); side_area: side force coefficient times its reference area,
     C_y A [m^2]; side_force_arm: distance of the side force ahead of the CG [m]. sources and provenance are by key, such
@@ -87,7 +87,7 @@ class VehicleParameters:
     wheelbase: Annotated[float, Quantity("m", 0.1, 15.0)]
     cg_to_front_axle: Annotated[float, Quantity("m", 0.02, 14.0)]
     cg_height: Annotated[float, Quantity("m", 0.0, 4.0)]
-    cg_to_ins_x: Annotated[float, Quantity("m", -15.0, 15.0)]  # INS point ahead of the CG, behind it < 0
+    cg_to_ins_x: Annotated[float, Quantity("m", -15.0, 15.0)]  # INS point ahead of the CG, < 0 behind it
     cg_to_ins_y: Annotated[float, Quantity("m", -3.0, 3.0)]  # INS point to the left of the CG
     steering_ratio: Annotated[float, Quantity("1", 1.0, 60.0)]
     # Reading of the steering wheel sensor when driving straight, positive to the left.
@@ -227,7 +227,7 @@ class VehicleParameters:
     def to_yaml(self) -> str:
         """A vehicle file in SI units, which `from_yaml` reads back to the same parameters and hash.
 
-        A derived lambda_ky is left out, so that it is recomputed after an edit of the cornering stiffness in the file.
+        A derived lambda_ky is left out, so that it is recomputed after the cornering stiffness in the file is edited.
         """
         rederived = self.with_derived_scales()
         derived = [tyre for tyre in TYRES if self.sources.get(f"{tyre}.lambda_ky") == DERIVED_SOURCE
@@ -248,7 +248,7 @@ class VehicleParameters:
 
     @cached_property
     def hash(self) -> str:
-        """sha256 (hex) of all values in SI, without name, sources, provenance, and optional quantities at defaults."""
+        """sha256 (hex) of all values in SI, without name, sources, provenance and optional quantities at defaults."""
         values = {key: getattr(self, key) for key in VEHICLE_QUANTITIES
                   if getattr(self, key) != getattr(VehicleParameters, key, None)}
         values |= {f"{tyre}.{key}": getattr(getattr(self, tyre), key) for tyre in TYRES for key in TYRE_QUANTITIES}
@@ -319,7 +319,7 @@ def _read_provenance(key: str, entry: Mapping[str, Any], factor: float) -> Prove
         uncertainty = float(uncertainty) * factor
     texts = {}
     for name in PROVENANCE_TEXTS:
-        # YAML parses an unquoted day as a date object; its text is the same.
+        # YAML parses an unquoted date as a date object, whose text is the same.
         texts[name] = str(entry[name]) if name == "date" and name in entry else entry.get(name, "")
         if not isinstance(texts[name], str):
             raise ConfigurationError(f"{key}.{name}: {texts[name]!r} is not a string")

@@ -16,7 +16,7 @@ from .errors import ConfigurationError
 
 MAX_CHARACTERS = 1 << 20
 MAX_NESTING = 40
-LARGEST_INTEGER = 2**63  # a larger integer is a typing error and could overflow a float
+LARGEST_INTEGER = 2**63  # a larger integer is a mistake and could overflow a float
 
 
 class _Loader(yaml.SafeLoader):
@@ -46,8 +46,8 @@ class _Loader(yaml.SafeLoader):
                 raise ConfigurationError(f"merging (<<) is not allowed (line {line}); write the values out")
             key = self.construct_object(key_node, deep=True)
             if not isinstance(key, str):
-                split = node.flow_style and type(key) is int and not value_node.value  # for example {x: 1,5}
-                comma = "; write decimal points, not commas" if split else ""
+                is_decimal_comma = node.flow_style and type(key) is int and not value_node.value  # for example {x: 1,5}
+                comma = "; write decimal points, not commas" if is_decimal_comma else ""
                 raise ConfigurationError(f"{_shorten(key)}: a key must be a string (line {line}){comma}")
             if not key.isprintable():
                 raise ConfigurationError(f"{_shorten(key)}: a key must be printable (line {line})")
@@ -79,9 +79,9 @@ def load(text: str) -> Any:
         return _Loader(text).get_single_data()
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
-        place = f", line {mark.line + 1}" if mark else ""
+        location = f", line {mark.line + 1}" if mark else ""
         problem = " ".join(str(getattr(error, "problem", None) or error).split())
-        raise ConfigurationError(f"not valid YAML{place}: {problem}") from None
+        raise ConfigurationError(f"not valid YAML{location}: {problem}") from None
     except RecursionError:
         raise ConfigurationError(f"not valid YAML: more than {MAX_NESTING} levels of nesting") from None
 
@@ -103,7 +103,7 @@ def check_keys(prefix: str, section: Mapping[Any, Any], known: list[str], requir
 
 
 def suggest_key(key: str, known: Iterable[str]) -> str:
-    """The text ", did you mean ...?" with the most similar known key; "" if none is similar."""
+    """The text ", did you mean KEY?" with the most similar known key; "" if none is similar."""
     matches = difflib.get_close_matches(key, known, n=1)
     return f", did you mean {matches[0]}?" if matches else ""
 
@@ -115,7 +115,7 @@ def format_number(value: float) -> str:
 
 
 def hash_content(content: Any) -> str:
-    """sha256 (hex) of mappings, lists and plain values; the order of the keys has no influence."""
+    """sha256 (hex) of mappings, lists and plain values; the order of the keys does not matter."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 

@@ -26,12 +26,12 @@ ODD_QUANTITIES = ("slip_front", "slip_rear", "steering", "acceleration_y", "yaw_
                   "lagging_steering", "lean")
 """Quantities that change sign in a mirrored drive; curves in them are odd."""
 FILTERED_QUANTITIES = {"steering_rate": ("steering", "rate", 0.1), "lagging_steering": ("steering", "lagging", 0.2),
-            "lean": ("acceleration_y", "lagging", 0.15)}
-"""Lagged quantity, or rate of a quantity -> (source, kind, time constant [s])."""
+                       "lean": ("acceleration_y", "lagging", 0.15)}
+"""(Source, kind of filter, time constant [s]) of each lagged quantity, and of each rate of change."""
 ALL_TERMS = {**_relation.TERMS, "both_grip": ("1", "relative change of the lateral force of both axles")}
 SENSOR_READINGS = {"sensor_yaw_rate": "yaw_rate", "sensor_acceleration_y": "acceleration_y",
                    "sensor_velocity_y": "velocity_y", "sensor_heading": "yaw"}
-"""Reading of the INS by sensor term; also the name of its channel in `st check`."""
+"""INS measurement that each sensor term acts on; also the name of its channel in `st check`."""
 TYPICAL_SIZES = {"front_steer": 0.005, "rear_steer": 0.005, "front_force": 0.02, "rear_force": 0.02, "front_grip": 0.1,
                  "rear_grip": 0.1, "both_grip": 0.1, "yaw_moment": 0.05, "side_force": 0.1, "sensor_yaw_rate": 0.005,
                  "sensor_acceleration_y": 0.2, "sensor_velocity_y": 0.05, "sensor_heading": 0.005}
@@ -41,28 +41,28 @@ FACTORS = {"steering": 0.1, "acceleration_y": 3.0, "steering_rate": 0.3}
 """Typical magnitudes of the quantities that may multiply a curve."""
 RELATIONS = {
     ("front_steer", "steering", ""): "a steering ratio that depends on the angle, play, or a wrong angle sensor",
-    ("front_steer", "acceleration_y", ""): "roll steer or compliance of the front suspension",
-    ("front_steer", "speed", ""): "toe that changes with speed; a steering offset under load",
+    ("front_steer", "acceleration_y", ""): "roll steer or compliance steer of the front axle",
+    ("front_steer", "speed", ""): "toe that changes with speed; a steering offset that depends on load",
     ("front_steer", "acceleration_x", ""): "brake or drive steer of the front axle, torque steer",
-    ("front_steer", "steering_rate", ""): "a damper or play in the steering, a delayed or advanced angle signal",
-    ("front_steer", "lagging_steering", ""): "a steering map with a lag, compliance of the column",
+    ("front_steer", "steering_rate", ""): "damping or play in the steering, a delayed or advanced angle signal",
+    ("front_steer", "lagging_steering", ""): "a nonlinear steering ratio with a lag, compliance of the column",
     ("front_steer", "lean", ""): "roll steer of the front suspension",
     ("front_steer", "run_time", ""): "an angle sensor that drifts, a linkage that settles",
-    ("rear_steer", "acceleration_y", ""): "roll steer or compliance of the rear suspension",
+    ("rear_steer", "acceleration_y", ""): "roll steer or compliance steer of the rear axle",
     ("rear_steer", "steering", ""): "rear-wheel steering, torsional compliance of the body",
     ("rear_steer", "speed", ""): "lift that raises the rear and changes its toe",
     ("rear_steer", "acceleration_x", ""): "brake or drive steer of the rear axle",
     ("rear_steer", "lagging_steering", ""): "rear-wheel steering with a lag, torsional compliance of the body",
     ("rear_steer", "lean", ""): "roll steer of the rear suspension",
-    ("front_force", "slip_front", ""): "a different curve of the front tyres, camber thrust",
-    ("rear_force", "slip_rear", ""): "a different curve of the rear tyres, camber thrust",
-    ("front_grip", "speed", ""): "lift or downforce at the front axle (with v^2), tyres that change with speed",
+    ("front_force", "slip_front", ""): "front tyres with different characteristics, camber thrust",
+    ("rear_force", "slip_rear", ""): "rear tyres with different characteristics, camber thrust",
+    ("front_grip", "speed", ""): "lift or downforce at the front axle (with v^2), tyre grip that changes with speed",
     ("front_grip", "acceleration_x", ""): "load transfer, combined slip of a driven or braked front axle",
-    ("rear_grip", "speed", ""): "lift or downforce at the rear axle (with v^2), tyres that change with speed",
+    ("rear_grip", "speed", ""): "lift or downforce at the rear axle (with v^2), tyre grip that changes with speed",
     ("rear_grip", "acceleration_x", ""): "load transfer, combined slip of a driven or braked rear axle",
     ("both_grip", "run_time", ""): "tyres that warm up or wear, a road that dries",
-    ("both_grip", "position_x", ""): "a road with friction that changes from place to place",
-    ("both_grip", "position_y", ""): "a road with friction that changes from place to place",
+    ("both_grip", "position_x", ""): "a road with friction that varies from place to place",
+    ("both_grip", "position_y", ""): "a road with friction that varies from place to place",
     ("yaw_moment", "yaw_rate", ""): "yaw damping, scrub of twin wheels, a locked differential",
     ("yaw_moment", "acceleration_y", ""): "load transfer on steered or driven wheels, a differential",
     ("yaw_moment", "speed", ""): "aerodynamic yaw moment (with v^2), unequal drag of the wheels",
@@ -70,26 +70,26 @@ RELATIONS = {
     ("side_force", "acceleration_y", ""): "camber thrust of both axles, roll of the body",
     ("side_force", "speed", ""): "aerodynamic side force (with v^2), wind, banked road",
     ("side_force", "acceleration_x", ""): "drive or brake force with a lateral component",
-    ("side_force", "north", ""): "wind or a slope, which depend on the heading",
-    ("side_force", "east", ""): "wind or a slope, which depend on the heading",
-    ("side_force", "position_x", ""): "a banked road or wind at a place",
-    ("side_force", "position_y", ""): "a banked road or wind at a place",
+    ("side_force", "north", ""): "wind or a slope, whose effect depends on the heading",
+    ("side_force", "east", ""): "wind or a slope, whose effect depends on the heading",
+    ("side_force", "position_x", ""): "a banked road or wind in one place",
+    ("side_force", "position_y", ""): "a banked road or wind in one place",
     ("sensor_yaw_rate", "acceleration_y", ""): "g-sensitivity of the gyroscope",
     ("sensor_yaw_rate", "yaw_rate", ""): "a nonlinear scale factor of the gyroscope",
     ("sensor_yaw_rate", "speed", ""): "",
     ("sensor_acceleration_y", "acceleration_y", ""): "an accelerometer that rolls with the body",
     ("sensor_acceleration_y", "speed", ""): "",
     ("sensor_velocity_y", "yaw_rate", ""): "an error of the longitudinal INS lever arm",
-    ("sensor_velocity_y", "acceleration_y", ""): "a velocity at a different point, or axes rotated by roll",
+    ("sensor_velocity_y", "acceleration_y", ""): "a velocity measured at a different point, or axes rotated by roll",
     ("sensor_velocity_y", "speed", ""): "a misaligned INS",
     ("sensor_heading", "acceleration_y", ""): "a heading affected by body roll",
     ("sensor_heading", "speed", ""): "a heading that depends on speed: a misaligned antenna baseline",
-    ("front_steer", "speed", "steering_rate"): "a steering delay that changes with speed (negative curve: later)",
+    ("front_steer", "speed", "steering_rate"): "a steering delay that changes with speed (negative: longer delay)",
     ("front_steer", "speed", "steering"): "a steering ratio that changes with speed, power steering, an active rack",
-    ("rear_steer", "speed", "acceleration_y"): "roll steer or compliance of the rear that changes with speed",
-    ("yaw_moment", "acceleration_x", "steering"): "torque steer of turned wheels, a differential",
+    ("rear_steer", "speed", "acceleration_y"): "roll or compliance steer of the rear axle that changes with speed",
+    ("yaw_moment", "acceleration_x", "steering"): "torque steer of steered wheels, a differential",
 }
-"""Textbook causes of every relation that is searched, by (term, quantity of the curve, factor or "")."""
+"""Textbook causes of every relation that is searched for, by (term, quantity of the curve, factor or "")."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class Candidate:
 
     @property
     def effect(self) -> str:
-        """Name of the effect that implements it."""
+        """Name of the effect that implements the relation."""
         if self.quantity == "run_time":
             return _relation.TimedRelationEffect.name
         is_filtered = self.quantity in FILTERED_QUANTITIES or self.factor in FILTERED_QUANTITIES
@@ -118,12 +118,12 @@ class Candidate:
 
     @property
     def is_sensor_error(self) -> bool:
-        """Whether it acts on a sensor, not on the motion of the car."""
+        """Whether the relation acts on a sensor, not on the motion of the car."""
         return self.term.startswith("sensor_")
 
     @property
     def is_one_sided(self) -> bool:
-        """Whether it acts to the same side in left and right turns, so that its sign changes in a mirrored drive."""
+        """Whether the relation acts to the same side in left and right turns: its sign changes in a mirrored drive."""
         return self.parity == NO_PARITY and not self.factor and not self.term.endswith("_grip")
 
     @property
@@ -152,7 +152,7 @@ class Candidate:
         return values | ({"by_one": 0.0} if self.factor else {})
 
     def compute_splines(self, u: np.ndarray) -> np.ndarray:
-        """(SPLINES, ...) basis splines [unit of the curve] at u [unit of the quantity]; the curve combines them."""
+        """(SPLINES, ...) basis splines [unit of the curve] at u [unit of the quantity]; the curve is a sum of them."""
         t, s = ((np.clip(v, self.low, self.high) - self.low) * _relation.INTERVALS / (self.high - self.low)
                 for v in (u, -u))
         return self.typical_size * np.stack([
@@ -160,17 +160,17 @@ class Candidate:
 
 
 def compute_run_time(windows: Windows, time_ns: np.ndarray) -> np.ndarray:
-    """Time since both INS and steering of the run began [s], at instants of the common clock [ns]."""
+    """Time [s] since the first instant of the run with INS and steering data, at instants of the common clock [ns]."""
     runs, first = np.unique(windows.run, return_index=True)
-    begins = windows.starts_ns[first] - np.round(windows.seconds[first] / NANOSECOND).astype(np.int64)
-    order = np.argsort(begins)
-    run = np.clip(np.searchsorted(begins[order], time_ns, side="right") - 1, 0, len(runs) - 1)
-    return (time_ns - begins[order][run]) * NANOSECOND
+    run_starts_ns = windows.starts_ns[first] - np.round(windows.seconds[first] / NANOSECOND).astype(np.int64)
+    order = np.argsort(run_starts_ns)
+    run = np.clip(np.searchsorted(run_starts_ns[order], time_ns, side="right") - 1, 0, len(runs) - 1)
+    return (time_ns - run_starts_ns[order][run]) * NANOSECOND
 
 
 def compute_quantities(windows: Windows) -> dict[str, np.ndarray]:
-    """Every quantity at INS samples faster than MIN_SPEED; slip angles for small angles, from the measured velocity.
-    Each lag is approximated by a moving average over twice its time constant, which has a similar range."""
+    """Each quantity at the INS samples above MIN_SPEED, by name; slip angles in small-angle approximation, from the
+    measured velocity. A lag is approximated by a moving average over twice its time constant."""
     log, vehicle = windows.joined_log, windows.vehicle
     is_moving = log.velocity_x > MIN_SPEED
     stamps, speed, rate = log.ins_time_ns, log.velocity_x, log.yaw_rate
@@ -191,15 +191,15 @@ def compute_quantities(windows: Windows) -> dict[str, np.ndarray]:
 
 
 def find_candidates(windows: Windows) -> list[Candidate]:
-    """Candidates that these drives excite: quantities and factors with a range above MIN_RANGES, sensor terms of
-    measured channels, positions only at a single site, because the maps of several sites may have different origins."""
+    """Candidates that these drives excite: with quantities and factors in a range above MIN_RANGES, sensor terms of
+    measured channels, and positions only at a single site, because maps of several sites may have different origins."""
     values, candidates = compute_quantities(windows), []
-    one_site = int(find_sites(windows).max()) == 0
+    is_single_site = int(find_sites(windows).max()) == 0
     for term, quantity, factor in RELATIONS:
         channel = term.removeprefix("sensor_")
         if term.startswith("sensor_") and channel != "heading" and channel not in windows.columns:
             continue
-        if quantity.startswith("position_") and not one_site:
+        if quantity.startswith("position_") and not is_single_site:
             continue
         parity = ODD if quantity in ODD_QUANTITIES else NO_PARITY
         low, high = _find_range(values[quantity])
@@ -213,5 +213,5 @@ def find_candidates(windows: Windows) -> list[Candidate]:
 
 
 def _find_range(values: np.ndarray) -> np.ndarray:
-    """(low, high) of the finite values without their tails."""
+    """Range (low, high) of the finite values without their tails."""
     return np.quantile(values[np.isfinite(values)], [TAIL_FRACTION, 1.0 - TAIL_FRACTION])

@@ -12,11 +12,11 @@ from .candidates import NO_PARITY, RELATIONS, Candidate
 from .relation_fit import RelationFit, RelationFits
 
 MAX_FORMULAS, POINTS = 3, 61  # largest number of formulas; number of points in the range of a curve
-MIN_EXPLAINED_FRACTION = 0.5  # minimum fraction of the curve's gain (quadratic approximation) that a shape explains
+MIN_EXPLAINED_FRACTION = 0.5  # minimum fraction of the curve's gain (quadratic approximation) that a shape must explain
 MIN_EXPLAINED_INCREASE = 1e-3  # minimum increase of this fraction over any shape with fewer parameters
 EQUAL_GAIN = 0.98  # fraction of the gain of the best shape: a simpler shape that explains more is preferred
 SIMILAR_GAIN = 0.9  # the same for a simpler shape with a held-out loss that is not significantly higher
-MIN_RETAINED_GAIN = 0.9  # minimum fraction of the held-out gain of the curve that a formula retains when simulated
+MIN_RETAINED_GAIN = 0.9  # minimum fraction of the held-out gain of the curve that a formula must retain in simulation
 MAX_VALUE_RATIO = 2.0  # maximum ratio of the largest value of a formula to that of the curve, within its range
 
 ShapeFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -25,8 +25,8 @@ ShapeFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
 @dataclass(frozen=True)
 class Formula:
     """Formula of a relation. shape: name of the shape. text: y as a function of the quantity u [SI], with numbers.
-    retained_fraction [1]: of the held-out gain of the curve, when the formula is simulated in its place. causes:
-    possible causes from textbooks."""
+    retained_fraction [1]: fraction of the curve's held-out gain that remains when the formula is simulated in its
+    place. causes: possible causes from textbooks."""
 
     shape: str
     text: str
@@ -36,14 +36,14 @@ class Formula:
 
 @dataclass(frozen=True, eq=False)
 class FittedShape:
-    """A shape fitted to the quadratic approximation of the loss. parameters: fitted to all blocks; by_fold: without
-    each fold. explained_fraction [1]: of the curve's gain. held_out: (b,) held-out loss minus the curve's loss."""
+    """A shape fitted to a quadratic loss. parameters: fitted to all blocks; parameters_by_fold: fitted without a fold.
+    explained_fraction [1] of the curve's gain. held_out: (b,) held-out loss minus the held-out loss of the curve."""
 
     name: str
     text: str
     function: ShapeFunction
     parameters: np.ndarray
-    by_fold: Mapping[int, np.ndarray]
+    parameters_by_fold: Mapping[int, np.ndarray]
     explained_fraction: float
     held_out: np.ndarray
 
@@ -67,7 +67,7 @@ ASYMMETRIC_SHAPES: dict[str, tuple[str, int, ShapeFunction]] = {
     "saturating": ("y = {0:.3g} + {1:.3g} tanh(u / {2:.3g})", 3,
                    lambda u, p: p[0] + p[1] * np.tanh(u / _avoid_zero(p[2]))),
 }
-"""Shapes of a curve without odd symmetry."""
+"""(Text, number of parameters, function) by shape, for curves without odd symmetry; SHAPES: for odd curves."""
 
 CONSTANT_CAUSES = {
     "front_steer": "a steering offset, toe", "rear_steer": "a misaligned rear axle",
@@ -80,8 +80,8 @@ CONSTANT_CAUSES = {
 
 def fit_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadratic,
                fold: np.ndarray) -> Sequence[FittedShape]:
-    """At most MAX_FORMULAS shapes, the preferred one first. profile: quadratic of the loss about the coefficients (8,),
-    by block, all other parameters profiled out; fold: (b,).
+    """At most MAX_FORMULAS shapes, the preferred one first. profile: quadratic approximation of the loss about the
+    coefficients (8,), by block, all other parameters profiled out. fold: (b,) fold of each block.
 
     The parameters of a shape minimise the loss. Only shapes that explain MIN_EXPLAINED_FRACTION are considered; the
     best has the lowest held-out loss. A shape with fewer parameters is preferred if it explains EQUAL_GAIN of the gain
@@ -93,7 +93,7 @@ def fit_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadrati
     to_splines, value = np.linalg.pinv(splines.T, rcond=1e-6), coefficients @ splines
     size, max_u = float(np.abs(value).max()), float(np.abs(points).max())
     sign = float(np.sign(np.sum(value * np.sign(points)))) or 1.0
-    starts = [np.array([sign * size / max(max_u, 1e-9), share * max_u, share * max_u]) for share in (0.15, 0.4, 0.8)]
+    starts = [np.array([sign * size / max(max_u, 1e-9), scale * max_u, scale * max_u]) for scale in (0.15, 0.4, 0.8)]
     total = float(profile.rise(-coefficients).sum())
     if total <= 1e-20:
         return ()
@@ -115,18 +115,18 @@ def fit_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadrati
         best = fit_parameters(np.ones(len(fold), bool))
         if shape == "dead zone":
             best[1] = abs(best[1])
-        explained = min(1.0 - float(profile.rise(compute_distance(best)).sum()) / total, 1.0)
-        if explained >= MIN_EXPLAINED_FRACTION:
+        explained_fraction = min(1.0 - float(profile.rise(compute_distance(best)).sum()) / total, 1.0)
+        if explained_fraction >= MIN_EXPLAINED_FRACTION:
             by_fold = {int(k): fit_parameters(fold != k) for k in np.unique(fold)}
             held_out = np.zeros(len(fold))
             for k, parameters in by_fold.items():
                 held_out[fold == k] = profile.rise(compute_distance(parameters))[fold == k]
-            shapes.append(FittedShape(shape, text, function, best, by_fold, explained, held_out))
+            shapes.append(FittedShape(shape, text, function, best, by_fold, explained_fraction, held_out))
     return _sort_shapes(shapes)
 
 
 def _sort_shapes(shapes: Sequence[FittedShape]) -> Sequence[FittedShape]:
-    """The preferred shape first, the others by held-out loss."""
+    """The first MAX_FORMULAS shapes that no simpler shape matches: the preferred one, then by held-out loss."""
     order = sorted((shape for shape in shapes if not any(
         len(other.parameters) < len(shape.parameters)
         and other.explained_fraction > shape.explained_fraction - MIN_EXPLAINED_INCREASE
@@ -151,7 +151,7 @@ def simulate_formulas(fits: RelationFits, fit: RelationFit, base_fit: RelationFi
     Each fold is simulated with the formula fitted to the other folds, after one refitting step of the parameters of the
     discovered model. A curve without odd symmetry may be determined only up to a constant, which a parameter of the
     vehicle file can imitate; its formula gets an additional constant if it fails without one. Within the driven range,
-    a formula must have mostly the sign of the curve, and stay below MAX_VALUE_RATIO times its largest magnitude. Its
+    it must mostly have the sign of the curve, and stay below MAX_VALUE_RATIO times the curve's largest magnitude. Its
     held-out position error must not exceed the in-sample error of the discovered model.
     """
     assert fit.candidate is not None
@@ -174,8 +174,8 @@ def simulate_formulas(fits: RelationFits, fit: RelationFit, base_fit: RelationFi
 
 def _simulate_shape(fits: RelationFits, fit: RelationFit, base_fit: RelationFit, shape: FittedShape,
                     with_offset: bool) -> tuple[float, float]:
-    """(held-out gain of a shape, its offset); the gain is -inf if its sign differs from that of the curve, its
-    magnitude exceeds MAX_VALUE_RATIO, or the position error is larger."""
+    """(held-out gain of a shape, its offset); the gain is -inf if the sign of the shape is opposite to the
+    curve's, its magnitude exceeds MAX_VALUE_RATIO, or its position error exceeds that of the discovered model."""
     candidate = fit.candidate
     assert candidate is not None
     points = np.linspace(candidate.low, candidate.high, POINTS)
@@ -202,15 +202,15 @@ def _simulate_shape(fits: RelationFits, fit: RelationFit, base_fit: RelationFit,
     value, curve = shape.function(points, shape.parameters) + offset, fit.coefficients @ splines
     if value @ curve <= 0.0 or np.abs(value).max() > MAX_VALUE_RATIO * np.abs(curve).max():
         return -np.inf, offset
-    held_out, position = np.zeros(fits.blocks), np.full(len(fits.block), np.nan)
-    for k, parameters in shape.by_fold.items():
+    held_out, position_error = np.zeros(fits.blocks), np.full(len(fits.block), np.nan)
+    for k, parameters in shape.parameters_by_fold.items():
         in_fold = fits.fold == k
         vector, _ = refit(parameters, ~in_fold)
         held_out[in_fold] = np.bincount(fits.block, loss.window_losses(vector), fits.blocks)[in_fold]
         windows = in_fold[fits.block]
-        position[windows] = fits.problem.position_error(loss.errors.at(vector))[windows]
+        position_error[windows] = fits.problem.position_error(loss.errors.at(vector))[windows]
     baseline_error = fits.problem.position_error(base_fit.residuals)
-    if np.isfinite(position).any() and np.nanmean(position) > np.nanmean(baseline_error):
+    if np.isfinite(position_error).any() and np.nanmean(position_error) > np.nanmean(baseline_error):
         return -np.inf, offset
     return float((base_fit.held_out - held_out).sum()), offset
 

@@ -14,7 +14,7 @@ from ..regression import add_ridge
 from .candidates import ODD, compute_quantities
 from .relation_fit import RIDGE, RelationFit, RelationFits
 
-MIN_IMPROVEMENT = 1.3  # factor of separation or precision; a manoeuvre with a smaller factor is not suggested
+MIN_IMPROVEMENT = 1.3  # smallest factor by which a suggested manoeuvre increases the separation or the precision
 SPARSE_DENSITY = 0.1  # ratio of the density to that of uniform driving, below which a range counts as sparsely driven
 INDEPENDENT_OF_MANOEUVRE = ("run_time", "position_x", "position_y", "north", "east")
 Range = tuple[float, float]
@@ -23,7 +23,7 @@ Range = tuple[float, float]
 @dataclass(frozen=True, eq=False)
 class Option:
     """Expected result after REPETITIONS further drives of one manoeuvre. deviation: (k,) standard deviation of the
-    curve [its unit]. separation: from each rival [standard deviations]. seconds: time in each sparse range."""
+    curve [its unit]. separation: from each rival [standard deviations]. seconds: per drive, in each sparse range."""
 
     manoeuvre: Manoeuvre
     deviation: np.ndarray
@@ -33,8 +33,8 @@ class Option:
 
 @dataclass(frozen=True, eq=False)
 class NextDrives:
-    """Simulated further drives. sparse_ranges: of the quantity, in the existing runs. current_separation: from each
-    rival, in these runs. options: all simulated manoeuvres; none for quantities in INDEPENDENT_OF_MANOEUVRE."""
+    """Simulated further drives. sparse_ranges: sparsely driven in the runs. current_separation: from each rival, in the
+    runs. options: all simulated manoeuvres; none for quantities in INDEPENDENT_OF_MANOEUVRE."""
 
     sparse_ranges: Sequence[Range] = ()
     current_separation: Mapping[str, float] = field(default_factory=dict)
@@ -49,9 +49,9 @@ class NextDrives:
     def find_most_separating(self) -> tuple[Option, str] | None:
         """The option with the largest separation from its nearest rival, and that rival; None without rivals, below
         MIN_SEPARATION, or below MIN_IMPROVEMENT times the current separation."""
-        weakest = [(option, min(option.separation, key=option.separation.__getitem__))
+        nearest_rivals = [(option, min(option.separation, key=option.separation.__getitem__))
                    for option in self.options if option.separation]
-        best = max(weakest, key=lambda pair: pair[0].separation[pair[1]], default=None)
+        best = max(nearest_rivals, key=lambda pair: pair[0].separation[pair[1]], default=None)
         if best is None:
             return None
         option, rival = best
@@ -73,19 +73,19 @@ def find_sparse_ranges(points: np.ndarray, density: np.ndarray, parity: float) -
 
 
 def suggest_drives(fits: RelationFits, fit: RelationFit, rivals: Mapping[str, RelationFit], design_effect: float,
-                   points: np.ndarray, deviation: np.ndarray, sparse: Sequence[Range]) -> NextDrives:
-    """Simulate the runs with each manoeuvre added. rivals: equally good relations. design_effect: see
-    `ScreenedCandidate`. points: (k,) of the quantity. deviation: (k,) of the curve. sparse: `find_sparse_ranges`."""
+                   points: np.ndarray, deviation: np.ndarray, sparse_ranges: Sequence[Range]) -> NextDrives:
+    """Simulate each manoeuvre as an addition to the runs. rivals: equally good relations. design_effect: see
+    `ScreenedCandidate`. points: (k,) of the quantity. deviation: (k,) of the curve."""
     candidate = fit.candidate
     assert candidate is not None
     if candidate.quantity in INDEPENDENT_OF_MANOEUVRE:
-        return NextDrives(sparse)
+        return NextDrives(sparse_ranges)
     splines = candidate.compute_splines(points)
     rivals = {name: other for name, other in rivals.items()
               if other.candidate is not None and other.candidate.quantity not in INDEPENDENT_OF_MANOEUVRE}
     recorded_curvature = {name: _compute_joint_curvature(fits.loss, fit.residuals, fit.sensitivities,
-                                               other.sensitivities[-SPLINES:], fit)
-                for name, other in rivals.items()}
+                                                         other.sensitivities[-SPLINES:], fit)
+                          for name, other in rivals.items()}
     curvature = fit.quadratic.hessian.sum(axis=0)
     variance = _compute_variance(curvature + fit.penalty, splines)
     options = []
@@ -99,19 +99,19 @@ def suggest_drives(fits: RelationFits, fit: RelationFit, rivals: Mapping[str, Re
         separation = {}
         for name, other in rivals.items():
             rival_sensitivities = _make_loss(fits, windows, other).sensitivities(other.vector, fits.relation_indices)
-            joint = _compute_joint_curvature(loss, residuals, sensitivities, rival_sensitivities, fit)
-            separation[name] = _compute_separation(recorded_curvature[name] + REPETITIONS * joint, fit, other,
+            joint_curvature = _compute_joint_curvature(loss, residuals, sensitivities, rival_sensitivities, fit)
+            separation[name] = _compute_separation(recorded_curvature[name] + REPETITIONS * joint_curvature, fit, other,
                                                    design_effect)
         u = compute_quantities(windows)[candidate.quantity]
         size = np.abs(u) if candidate.parity == ODD else u
-        seconds = [manoeuvre.duration * float(((size >= low) & (size <= high)).mean()) for low, high in sparse]
+        seconds = [manoeuvre.duration * float(((size >= low) & (size <= high)).mean()) for low, high in sparse_ranges]
         options.append(Option(manoeuvre, deviation * np.minimum(ratio, 1.0), separation, seconds))
     current = {name: _compute_separation(h, fit, rivals[name], design_effect) for name, h in recorded_curvature.items()}
-    return NextDrives(sparse, current, options)
+    return NextDrives(sparse_ranges, current, options)
 
 
 def _make_loss(fits: RelationFits, windows: Windows, fit: RelationFit) -> Loss:
-    """Loss of other windows, with the residual scale of the runs."""
+    """Loss over other windows, with the residual scale of the runs."""
     assert fit.candidate is not None
     loss = Loss(Errors(windows, fits.make_space(fit.candidate), fits.threads), fit.vector)
     loss.scale = fits.loss.scale
@@ -120,17 +120,17 @@ def _make_loss(fits: RelationFits, windows: Windows, fit: RelationFit) -> Loss:
 
 def _compute_joint_curvature(loss: Loss, residuals: np.ndarray, sensitivities: np.ndarray,
                              rival_sensitivities: np.ndarray, fit: RelationFit) -> np.ndarray:
-    """Curvature of the loss in the other parameters, the coefficients of a rival and a scale factor of the relation."""
+    """Curvature of the loss in the other parameters, a rival's coefficients and a scale factor of the relation."""
     scale_sensitivity = np.einsum("p,pnm->nm", fit.coefficients, sensitivities[-SPLINES:])
-    joint = np.concatenate([sensitivities[:-SPLINES], rival_sensitivities, scale_sensitivity[None]])
-    return loss.quadratic(residuals, joint).hessian.sum(axis=0)
+    all_sensitivities = np.concatenate([sensitivities[:-SPLINES], rival_sensitivities, scale_sensitivity[None]])
+    return loss.quadratic(residuals, all_sensitivities).hessian.sum(axis=0)
 
 
 def _compute_separation(h: np.ndarray, fit: RelationFit, other: RelationFit, design_effect: float) -> float:
     """Separation of a relation from a rival, in standard deviations. h: result of `_compute_joint_curvature`."""
-    n_others = len(fit.indices) - SPLINES
+    other_count = len(fit.indices) - SPLINES
     penalty = np.zeros((len(h) - 1, len(h) - 1))
-    penalty[n_others:, n_others:] = other.penalty[-SPLINES:, -SPLINES:]
+    penalty[other_count:, other_count:] = other.penalty[-SPLINES:, -SPLINES:]
     unexplained = float(h[-1, -1] - h[-1, :-1] @ np.linalg.solve(add_ridge(h[:-1, :-1] + penalty), h[:-1, -1]))
     return float(np.sqrt(max(2.0 * unexplained / design_effect, 0.0)))
 

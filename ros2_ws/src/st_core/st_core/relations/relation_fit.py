@@ -20,8 +20,8 @@ from ..vehicle import VehicleParameters
 from .candidates import Candidate, compute_run_time
 
 RELATION = RelationEffect.name  # the three relation effects have the same indices in the vector
-PENALTIES = (0.003, 0.03, 0.3)  # on second differences, relative to the mean curvature of the loss per coefficient
-SIZE_PENALTY = 0.1  # on coefficients, relative to that on second differences; shrinks undetermined ones to 0
+PENALTIES = (0.003, 0.03, 0.3)  # of second differences, relative to the mean curvature of the loss per coefficient
+SIZE_PENALTY = 0.1  # of coefficients, relative to that of second differences; shrinks undetermined coefficients
 ITERATIONS, BASE_FITS = 8, 2  # maximum number of steps of a fit; fits of the discovered model without a relation
 RIDGE = 1e-6  # added to the diagonal of a curvature before inversion
 _SECOND_DIFFERENCE = np.diff(np.eye(SPLINES), 2, axis=0)
@@ -32,7 +32,7 @@ ROUGHNESS = _SECOND_DIFFERENCE.T @ _SECOND_DIFFERENCE + SIZE_PENALTY * np.eye(SP
 @dataclass(frozen=True, eq=False)
 class RelationFit:
     """A fit with a candidate, or of the discovered model without a relation (candidate None). smoothing: one of
-    PENALTIES, 0 without a candidate. vector: in the space of the candidate. residuals: (n, m) [SI], a row per window.
+    PENALTIES, 0 without a candidate. vector: in the candidate's parameter space. residuals: (n, m) [SI], by window.
     indices: (a,) free parameters, the coefficients last. sensitivities: (a, n, m), reduction of the residuals per scale
     of these parameters. penalty: (a, a). quadratic: approximation of the loss, by block. held_out: (b,) loss of each
     block at values fitted without its fold. steps: by fold, step to these values [parameter scales]."""
@@ -68,7 +68,7 @@ def profile_coefficients(h: np.ndarray) -> np.ndarray:
 
 
 class RunWindows(Windows):
-    """Windows with the time in the run (`compute_run_time`) as a signal."""
+    """Windows with the time since the start of the run (`compute_run_time`) as a signal."""
 
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DiscoverySettings):
         super().__init__(runs, vehicle, settings)
@@ -78,26 +78,26 @@ class RunWindows(Windows):
 
 
 class RelationFits:
-    """Fits of candidate relations in addition to one discovered model. model: the discovered model. gain: its
-    `Discovery.acceleration_gain`. names: names of its effects. fold: (b,) `Problem.held_out_groups`. refitted_indices:
-    parameters fitted together with a relation. vehicle_indices: the other vehicle parameters, which are projected out
-    of the evidence for a relation. All fits use the residual scale of `model`."""
+    """Fits of candidate relations in addition to one discovered model. model: this model. effect_names: its effects.
+    acceleration_gain: `Discovery.acceleration_gain`. fold: (b,) `Problem.held_out_groups`. refitted_indices: parameters
+    fitted together with a relation. vehicle_indices: the other vehicle parameters, which are projected out of the
+    evidence for a relation. All fits use the residual scale of `model`."""
 
-    def __init__(self, windows: Windows, model: AugmentedModel, gain: float, names: Sequence[str],
-                 settings: DiscoverySettings, threads: int = 1):
+    def __init__(self, windows: Windows, model: AugmentedModel, acceleration_gain: float,
+                 effect_names: Sequence[str], settings: DiscoverySettings, threads: int = 1):
         self.windows, self.threads, self.model = windows, threads, model
         self.settings, self.limits = settings, settings.limits
         self.space = Space(model, settings, (RELATION,))
         self._spaces = {RELATION: self.space}
         self.relation_indices = self.space.indices(RELATION)
-        self.start = np.append(self.space.null[:-1], gain)
+        self.start = np.append(self.space.null[:-1], acceleration_gain)
         self.loss = Loss(Errors(windows, self.space, threads), self.start)
         self.problem = Problem(self.loss, self.start, windows.block)
         self.block, self.blocks, self.fold = windows.block, self.problem.blocks, self.problem.held_out_groups
         car_effects = [n for n in self.space.hypotheses
                        if get_effect(n).kind == "vehicle parameters" and not get_effect(n).members]
         required = (ACCELEROMETER_GAIN,) if "acceleration_y" in windows.columns else ()
-        self.refitted_indices = self.space.indices(*names, *required)
+        self.refitted_indices = self.space.indices(*effect_names, *required)
         self.vehicle_indices = np.setdiff1d(self.space.indices(*car_effects), self.refitted_indices)
 
     def make_space(self, candidate: Candidate) -> Space:
@@ -129,7 +129,7 @@ class RelationFits:
         return loss.quadratic(residuals, sensitivities).sum_groups(self.block, self.blocks)
 
     def make_penalty(self, candidate: Candidate | None, hessian: np.ndarray, smoothing: float) -> np.ndarray:
-        """(a, a) penalty on all free parameters, the coefficients last. hessian: (a, a)."""
+        """(a, a) penalty on all free parameters, the coefficients last. hessian: (a, a) curvature of the loss."""
         penalty = np.zeros(hessian.shape)
         if candidate:
             curvature = float(np.trace(hessian[-SPLINES:, -SPLINES:])) / SPLINES
@@ -170,7 +170,7 @@ class RelationFits:
         return best
 
     def profile(self, fit: RelationFit) -> Quadratic:
-        """Quadratic by block about the fit, in the coefficients; all others, also of the vehicle, profiled out."""
+        """Quadratic approximation of the loss in the coefficients, by block; all other parameters are profiled out."""
         assert fit.candidate is not None
         loss = self.make_loss(fit.candidate)
         car = loss.sensitivities(fit.vector, self.vehicle_indices)
@@ -179,7 +179,7 @@ class RelationFits:
         return Quadratic(q.cost, q.gradient @ projection, projection.T @ q.hessian @ projection)
 
     def fit_without_effect(self, fit: RelationFit, name: str) -> RelationFit:
-        """The relation with an effect of the discovered model removed, and effects and relation refitted."""
+        """The fit without an effect of the discovered model; its other effects and the relation are refitted."""
         removed = self.space.indices(name)
         vector, others = fit.vector.copy(), np.setdiff1d(fit.indices[:-SPLINES], removed)
         vector[removed] = [self.space.free[i][1].null for i in removed]
@@ -200,8 +200,8 @@ class RelationFits:
             distance = self.problem.distance(vector)[indices]
             step = np.linalg.solve(add_ridge(h) + penalty, g - penalty @ distance)
             cost = loss.total(vector) + distance @ penalty @ distance
-            for share in STEP_FRACTIONS:
-                trial = self.problem.take_step(vector, indices, share * step)
+            for fraction in STEP_FRACTIONS:
+                trial = self.problem.take_step(vector, indices, fraction * step)
                 distance = self.problem.distance(trial)[indices]
                 gain = cost - (loss.total(trial) + distance @ penalty @ distance)
                 if gain > 0.0:

@@ -23,7 +23,7 @@ MIN_BLOCKS = 10  # minimum number of blocks for a curve with eight coefficients
 MAX_DETECTION_LIMIT = 3.0  # typical magnitudes; a model term with only higher detection limits counts as not examined
 MIN_REPORTED_RATIO = 1.25  # smallest reported ratio of the held-out errors of a run with and without the relation
 STEERING_TIMING = ("steering_rate", "lagging_steering")
-"""Quantities of relations of the front steering that imitate a delayed or advanced steering signal."""
+"""Quantities with which a relation of the front steering can imitate a delayed or advanced steering signal."""
 FitByCandidate = dict[ScreenedCandidate, RelationFit]
 
 
@@ -35,10 +35,10 @@ class Relation:
     quantity it depends on. coefficients: (8,) of the splines. points: (k,) of the quantity; value, deviation: (k,)
     the curve there and its standard deviation [`Candidate.unit`]; density: (k,) fraction of the samples near each. gain
     [1]: reduction of the held-out loss per residual. p_value [1]: of the hypothesis of no gain, corrected for multiple
-    testing. position_5s [m]: held-out position error after 5 s (without, with it); runs: by run. model: the model
-    without the relation, at the values fitted with it. rivals: equally good relations, with the cosine similarity of
-    their effects [1]. formulas: closed forms that retain the curve's gain in simulation, best first. agreement: of its
-    size in each run with its overall size. redundant: effects of the result that the relation replaces, with the
+    testing. position_5s [m]: held-out position error after 5 s (without, with it); runs: the same by run. model: the
+    model without the relation, at the values fitted with it. rivals: equally good relations, with the cosine similarity
+    of their effects [1]. formulas: closed forms that retain the curve's gain in simulation, best first. agreement: of
+    its size in each run with its overall size. redundant: effects of the result that the relation replaces, with the
     residual reduction [1] that each still adds. next_drives: sparsely driven ranges, and manoeuvres to drive next.
     """
 
@@ -60,7 +60,7 @@ class Relation:
     next_drives: NextDrives = field(default_factory=NextDrives)
 
     def find_worse_runs(self) -> dict[str, tuple[float, float]]:
-        """Held-out position errors (without, with it) [m] of runs with a ratio of MIN_REPORTED_RATIO or more."""
+        """Held-out position errors (without, with it) [m] of runs in which they grow by MIN_REPORTED_RATIO or more."""
         return {name: errors for name, errors in self.runs.items() if errors[1] >= MIN_REPORTED_RATIO * errors[0]}
 
 
@@ -100,13 +100,13 @@ def find_relation(discovery: Discovery, runs: Sequence[DriveLog], vehicle: Vehic
     reproduce are projected out of its evidence. A relation is reported if its p-value over all candidates is below
     `limits.false_alarm`; if its held-out gain is significant and reaches `limits.relevant` of the residual or
     `limits.relevant_position`; if the predicted path improves at level `limits.false_alarm` (not required of a sensor
-    relation); and if no run becomes significantly worse. Equally good relations and redundant effects are listed.
+    relation); and if no run becomes significantly worse. tick: called after each candidate.
     reported: (finding, channel) of `st check`; relations that may imitate a reported sensor fault are rejected.
     Raises StCoreError for a duplicate name, and if no run has both INS and steering.
     """
     settings = settings or DiscoverySettings()
-    measured = tuple(c for c in settings.channels if c in discovery.noise)
-    settings = replace(settings, channels=measured or settings.channels)
+    measured_channels = tuple(c for c in settings.channels if c in discovery.noise)
+    settings = replace(settings, channels=measured_channels or settings.channels)
     model = discovery.model or discovery.base
     if not model.has_tyres:
         return RelationSearch(None, "the kinematic model has no tyre slip and no axle forces for a relation to act "
@@ -124,8 +124,8 @@ def find_relation(discovery: Discovery, runs: Sequence[DriveLog], vehicle: Vehic
     base_fit = fits.fit_without_relation()
     trials = selection.screen(fits, base_fit, tick)
     if not trials:
-        return RelationSearch(None, "no candidate relation changes a prediction of these drives: turn to both sides, "
-                              "accelerate and brake, at several speeds")
+        return RelationSearch(None, "no candidate relation changes a prediction of these drives: drive left and right "
+                              "turns, accelerate and brake, at several speeds")
     return _select(trials, fits, base_fit, [e.name for e in discovery.effects], reported, tick)
 
 
@@ -136,7 +136,7 @@ def _select(trials: Sequence[ScreenedCandidate], fits: RelationFits, base_fit: R
     limits, residual_count = fits.limits, fits.loss.residual_count
     p_values = selection.compute_p_values(trials, fits.blocks)
     statistics = {s.candidate.name: (s.gain / residual_count, p_values[s.candidate.name])
-             for s in sorted(trials, key=lambda s: -s.gain)}
+                  for s in sorted(trials, key=lambda s: -s.gain)}
     level = limits.false_alarm / len(trials)
     detection_limits = {s.candidate.name: s.compute_detection_limit(level, fits.blocks) for s in trials}
     significant = sorted((s for s in trials if p_values[s.candidate.name] <= limits.false_alarm),
@@ -155,7 +155,7 @@ def _select(trials: Sequence[ScreenedCandidate], fits: RelationFits, base_fit: R
     if not accepted:
         first = next(trial for trial in significant if trial in rejections)
         return RelationSearch(None, rejections[first], statistics, detection_limits)
-    # A candidate of two quantities must be better by at least the smallest relevant gain.
+    # A candidate with a factor must be better by at least the smallest relevant gain.
     best = min(accepted, key=lambda s: float(accepted[s].held_out.sum())
                + (limits.relevant * residual_count if s.candidate.factor else 0.0))
     relation, gain_text = _make_relation(best, fitted, base_fit, fits, p_values[best.candidate.name],
@@ -217,12 +217,12 @@ def _make_relation(best: ScreenedCandidate, fitted: FitByCandidate, base_fit: Re
     runs = {name: (float(np.nanmean(before[in_run])), float(np.nanmean(after[in_run])))
             for k, name in enumerate(fits.windows.names) if (in_run := fits.windows.run == k).any()
             and np.isfinite(before[in_run]).any() and np.isfinite(after[in_run]).any()}
-    full = fits.make_space(c).at(fit.vector)
-    library_part = full.select_effects(e for e in full.effects if e.name != c.effect)
+    with_relation = fits.make_space(c).at(fit.vector)
+    without_relation = with_relation.select_effects(e for e in with_relation.effects if e.name != c.effect)
     relation = Relation(
         c, fit.coefficients, points, fit.coefficients @ splines, deviation, density,
         float(gains.sum()) / fits.loss.residual_count, p_value,
-        (float(np.nanmean(before)), float(np.nanmean(after))), runs, library_part,
+        (float(np.nanmean(before)), float(np.nanmean(after))), runs, without_relation,
         {name: selection.compute_cosine(fits, fit, other) for name, other in rivals.items()},
         simulate_formulas(fits, fit, base_fit), selection.compare_runs(fits, fit),
         selection.find_redundant_effects(fits, fit, base_fit, effect_names),

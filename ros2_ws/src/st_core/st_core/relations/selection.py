@@ -16,7 +16,7 @@ from .relation_fit import PENALTIES, RelationFit, RelationFits, profile_coeffici
 
 DRAWS = 999  # number of draws of random block signs
 POINTS = 41  # number of points at which a curve is evaluated
-BOUND_MARGIN = 0.02  # fraction of the bound of the coefficients; a curve nearer to the bound counts as at the bound
+BOUND_MARGIN = 0.02  # fraction of the bound of the coefficients; a curve closer to the bound counts as reaching it
 MIN_INFORMATION = 0.02  # fraction of the information on the relation; a run with less gets no separate estimate
 
 
@@ -51,13 +51,13 @@ class ScreenedCandidate:
 def screen(fits: RelationFits, base_fit: RelationFit, tick: Callable[[], None]) -> list[ScreenedCandidate]:
     """Statistics of every excited candidate that changes a prediction. base_fit: fit without a relation."""
     distance = fits.problem.distance(base_fit.vector)[base_fit.indices]
-    base = fits.predict_held_out_loss(base_fit.quadratic, base_fit.penalty, distance)
+    base_loss = fits.predict_held_out_loss(base_fit.quadratic, base_fit.penalty, distance)
     vehicle_sensitivities = fits.loss.sensitivities(base_fit.vector, fits.vehicle_indices)
     signs = np.random.default_rng(fits.settings.seed).choice([-1.0, 1.0], (DRAWS, fits.blocks))
     trials = []
     for candidate in find_candidates(fits.windows):
         tick()
-        if trial := _screen_candidate(fits, base_fit, base, vehicle_sensitivities, candidate, signs):
+        if trial := _screen_candidate(fits, base_fit, base_loss, vehicle_sensitivities, candidate, signs):
             trials.append(trial)
     return trials
 
@@ -78,10 +78,11 @@ def compute_p_values(trials: Sequence[ScreenedCandidate], blocks: int) -> dict[s
     return p_values
 
 
-def _screen_candidate(fits: RelationFits, base_fit: RelationFit, base: np.ndarray, vehicle_sensitivities: np.ndarray,
-                      candidate: Candidate, signs: np.ndarray) -> ScreenedCandidate | None:
+def _screen_candidate(fits: RelationFits, base_fit: RelationFit, base_loss: np.ndarray,
+                      vehicle_sensitivities: np.ndarray, candidate: Candidate,
+                      signs: np.ndarray) -> ScreenedCandidate | None:
     """Statistics of a candidate by the efficient scores of its coefficients, with other parameters projected out; None
-    if it changes no prediction. base: (b,) held-out loss without a relation. signs: (DRAWS, b)."""
+    if it changes no prediction. base_loss: (b,) held-out loss without a relation. signs: (DRAWS, b)."""
     loss = fits.make_loss(candidate)
     sensitivities = loss.sensitivities(base_fit.vector, fits.relation_indices)
     q = fits.sum_quadratic(loss, base_fit.residuals, np.concatenate([base_fit.sensitivities, sensitivities]))
@@ -105,11 +106,11 @@ def _screen_candidate(fits: RelationFits, base_fit: RelationFit, base: np.ndarra
     after = q_all.after(projection @ step).gradient @ projection
     design_effect = max(2.0 * float(np.einsum("bi,ij,bj->", after, inverse, after)) / degrees_of_freedom, 1.0)
     return ScreenedCandidate(candidate, float(total @ inverse @ total) / mean, drawn / mean, degrees_of_freedom,
-                             design_effect, float((base - losses[smoothing]).sum()), information)
+                             design_effect, float((base_loss - losses[smoothing]).sum()), information)
 
 
 def compute_lower_bound(values: np.ndarray, p: float) -> float:
-    """Lower confidence bound of the sum of `values` (b,) by block: one-sided, level 1 - p, by Student's t."""
+    """One-sided lower confidence bound, at level 1 - p, of the sum of `values` (b,) over the blocks, by Student's t."""
     standard_error = float(values.std(ddof=1)) * np.sqrt(len(values))
     return float(values.sum() - stats.t.isf(p, len(values) - 1) * standard_error)
 
@@ -133,7 +134,7 @@ def describe_unusable_curve(fits: RelationFits, fit: RelationFit) -> str:
     low, high = np.quantile(fits.windows.speeds[np.isfinite(fits.windows.speeds)], [0.05, 0.95])
     slow = max(float(low), vehicle.minimum_slip_speed)
     problem = describe_instability(get_model(model.base), model, vehicle, np.linspace(slow, max(float(high), slow), 4))
-    return f"with {name} the simulated car is unstable and cannot predict: {problem}" if problem else ""
+    return f"{name} makes the simulated car unstable, so it cannot be predicted: {problem}" if problem else ""
 
 
 def describe_deterioration(fits: RelationFits, name: str, before: np.ndarray, after: np.ndarray) -> str:
@@ -162,7 +163,7 @@ def describe_gain(fits: RelationFits, gains: np.ndarray, position_gain: np.ndarr
     """Held-out gain in words. gains: (b,) reduction of the loss. position_gain: (n,) of the position error [m]."""
     gain, low = (-np.expm1(-total / fits.loss.residual_count)
                  for total in (gains.sum(), compute_lower_bound(gains, fits.limits.undecided_p)))
-    return (f"reduces the held-out residual of all channels by {gain:.1%} (95 %: at least {low:.1%}), "
+    return (f"reduces the held-out residual of all channels by {gain:.1%} (95 % confidence: at least {low:.1%}), "
             f"and {describe_position_reduction(average_finite(position_gain))}")
 
 
@@ -205,7 +206,7 @@ def find_equally_good(excess_loss: np.ndarray, p: float, seed: int) -> np.ndarra
 
 
 def compare_runs(fits: RelationFits, fit: RelationFit) -> Agreement:
-    """Size of the relation in each run relative to the overall one, from the quadratic approximation, with all other
+    """Size of the relation in each run relative to its overall size, from the quadratic approximation, with all other
     parameters profiled out; empty with fewer than two informative runs."""
     direction = profile_coefficients(fit.quadratic.hessian.sum(axis=0)) @ fit.coefficients
     gradient = fit.quadratic.gradient @ direction
@@ -233,12 +234,12 @@ def compute_position_errors(fits: RelationFits, fit: RelationFit) -> np.ndarray:
     return fits.problem.position_error(residuals)
 
 
-def compute_cosine(fits: RelationFits, first: RelationFit, other: RelationFit) -> float:
+def compute_cosine(fits: RelationFits, first: RelationFit, second: RelationFit) -> float:
     """Cosine similarity of two relations' effects on the predictions, all other parameters projected out."""
     effects = []
-    for fit in (first, other):
+    for fit in (first, second):
         change = np.einsum("p,pnm->nm", fit.coefficients, fit.sensitivities[-SPLINES:]) / fits.loss.scale
-        # The explicit shape is needed if `others` is empty: without a named effect and an accelerometer.
+        # An explicit shape, because `others` may be empty (no effect and no accelerometer).
         others = (fit.sensitivities[:-SPLINES] / fits.loss.scale).reshape(len(fit.sensitivities) - SPLINES, change.size)
         change = np.where(fits.loss.known, change, 0.0).ravel()
         others = np.nan_to_num(others * fits.loss.known.ravel())
@@ -253,7 +254,7 @@ def find_redundant_effects(fits: RelationFits, fit: RelationFit, base_fit: Relat
     relation without it explains significantly more than the result without the relation."""
     redundant, limits = {}, fits.limits
     errors_with_both = compute_position_errors(fits, fit)
-    # An effect that turns the base model into another (`converts`) is a precondition of the relation.
+    # An effect that converts the base model into a different one (`converts`) is a precondition of the relation.
     for name in (n for n in names if not get_effect(n).converts):
         reduced = fits.fit_without_effect(fit, name)
         gains = reduced.held_out - fit.held_out
