@@ -24,19 +24,19 @@ from .suite import Parameters, Suite, SuiteError, find_executable, find_free_udp
 
 T = TypeVar("T")
 REPLAY_NODES = ("recorder", "evaluator", "predictor")  # in the order of their start: subscribers first
-TRUNCATION_WARNING = "{} is truncated: it was not closed; later data are not {}"
+TRUNCATION_WARNING = "{} is truncated, because it was not closed; the lost data are not {}"
 LEAF_TIMEOUT = 20.0  # s within which the virtual Leaf must start to transmit
 
 
-def resolve_vehicle_file(given: Path | None) -> Path:
-    """Absolute path of the given vehicle file, by default the Leaf's. Raises RunError and StCoreError if invalid."""
-    path = (given or config("vehicle/leaf.yaml")).absolute()
+def resolve_vehicle_file(file: Path | None) -> Path:
+    """Absolute path of a vehicle file, by default the Leaf's. Raises RunError and StCoreError for an invalid file."""
+    path = (file or config("vehicle/leaf.yaml")).absolute()
     read_vehicle(path)
     return path
 
 
 def find_vehicle_name(vehicle: Path) -> str:
-    """Name of the car in results: its folder for a file vehicle.yaml, else the file name without its suffix."""
+    """Name of the car in results: name of the folder for a file vehicle.yaml, else of the file, without its suffix."""
     return vehicle.parent.name if vehicle.name == "vehicle.yaml" else vehicle.stem
 
 
@@ -66,7 +66,7 @@ def make_live_parameters(folder: Path, vehicle: Path, bridges: Parameters, model
     from st_predictor.params import ALL_TOPICS  # needs ROS, which `load_model` does not
 
     common = {"vehicle_file": str(vehicle), **(model or {})}
-    # With DBC and signal table the raw frames can be decoded on any computer.
+    # With the DBC and the signal table, the raw frames can be decoded on any computer.
     files = [str(vehicle), str(folder / "parameters.yaml"), bridges["canedge_bridge"]["dbc_file"],
              bridges["canedge_bridge"]["signals_file"], *([model["model_file"]] if model else [])]
     return merge_parameters(config("nodes.yaml"), {
@@ -80,7 +80,7 @@ def make_live_parameters(folder: Path, vehicle: Path, bridges: Parameters, model
 
 def make_replay_parameters(folder: Path, vehicle: Path, recorded: RecordedConfiguration,
                            model: Path | None = None) -> dict[str, dict[str, Any]]:
-    """Parameters of REPLAY_NODES from config/nodes.yaml, updated with the recorded ones of predictor and evaluator.
+    """Parameters of REPLAY_NODES from config/nodes.yaml, updated with those recorded for predictor and evaluator.
 
     model: model file to use instead of the one named in the recording, which may have moved or changed.
     """
@@ -133,8 +133,8 @@ def set_bands_and_course(parameters: Parameters, bands: Path | None, course: Pat
     adaptive: whether bands adapt to the errors of the run; None: unchanged. Raises SuiteError or RunError
     for an unreadable or invalid file, and for bands of a different car, model or configuration.
     """
-    changed = {node: {**values} for node, values in parameters.items()}
-    predictor, recorder = changed["predictor"], changed["recorder"]
+    updated = {node: {**values} for node, values in parameters.items()}
+    predictor, recorder = updated["predictor"], updated["recorder"]
     if adaptive is not None:
         predictor["adaptive_bands"] = adaptive
     if bands:
@@ -145,7 +145,7 @@ def set_bands_and_course(parameters: Parameters, bands: Path | None, course: Pat
         if file:
             predictor[name] = str(file.absolute())
             recorder["configuration_files"] = [*recorder["configuration_files"], str(file.absolute())]
-    return changed
+    return updated
 
 
 def _read_option(option: str, file: Path, parse: Callable[[str, str], T]) -> T:
@@ -173,7 +173,7 @@ def _check_bands(bands: Path, predictor: Mapping[str, Any]) -> None:
 
 
 def find_bag(path: Path) -> Path:
-    """`bag` in the folder of a run, which contains measurements and predictions; any other path is unchanged."""
+    """The folder `bag` in the folder of a run, with measurements and predictions; any other path is unchanged."""
     return path / "bag" if path.is_dir() and not is_bag(path) and is_bag(path / "bag") else path
 
 
@@ -195,7 +195,7 @@ class VirtualCar:
         check_arguments(self._arguments)
 
     def make_bridge_parameters(self) -> dict[str, dict[str, Any]]:
-        # config/nodes.yaml may contain sign and latency of a real sensor; the virtual one follows the signal table.
+        # config/nodes.yaml may contain the sign and latency of a real sensor; the virtual one follows the signal table.
         can = {"interface": "udp_multicast", "channel": self.channel, "steering_sign": 1, "steering_latency": 0.0}
         return make_bridge_parameters(self.vehicle, {"udp_port": self.port, "bind_address": "127.0.0.1"}, can)
 

@@ -29,7 +29,7 @@ TABLE_MODES = ("hindsight", "forecast", "course", "plan")
 AXES, STATISTICS = ("longitudinal", "lateral"), ("mean", "max", "rmse")
 STATUS_TIMEOUT = 5.0  # s without an update until a status counts as silent, or MISSED_REPORTS intervals if longer
 MISSED_REPORTS = 3  # nodes report rarely in a slow replay
-N_INTERVALS = 3  # newest reporting intervals; the longest counts, because a change is reported at once
+N_INTERVALS = 3  # number of newest reporting intervals; the longest counts, because a change is reported at once
 LEVEL_NAMES = ("ok", "warning", "error", "stale")
 ERROR, STALE = LEVEL_NAMES.index("error"), LEVEL_NAMES.index("stale")
 
@@ -59,7 +59,7 @@ class SuiteState:
 
 
 class Monitor:
-    """ROS node with a thread that receives messages. `state` is replaced, never modified: readers need no lock."""
+    """ROS node with a thread that receives messages. `state` is replaced, never modified, so readers need no lock."""
 
     def __init__(self, domain_id: int | None = None):
         self.state = SuiteState()
@@ -101,7 +101,7 @@ class Monitor:
         return missing
 
     def add_statuses(self, statuses: Iterable[Status]) -> None:
-        """Store statuses of this process or of a node; each replaces the earlier one of the same name."""
+        """Store statuses of this process or of a node; each replaces the earlier one with the same name."""
         with self._lock:
             self.state = replace(self.state, health={**self.state.health, **{s.name: s for s in statuses}})
 
@@ -152,13 +152,13 @@ class Monitor:
 
 
 def render_progress(state: SuiteState, elapsed: float, duration: float | None, title: str) -> RenderableType:
-    """Terminal view of a run. elapsed, duration: in s; duration None: the run lasts until it is stopped."""
+    """Terminal view of a run. elapsed, duration [s]; duration None: the run lasts until it is stopped."""
     progress = Table.grid(padding=(0, 1))
     if duration:
         bar = ProgressBar(total=duration, completed=min(elapsed, duration), width=40)
         progress.add_row(title, bar, f"{elapsed:4.0f} / {duration:.0f} s")
     else:
-        progress.add_row(title, f"{elapsed:4.0f} s", "(Ctrl-C ends it)")
+        progress.add_row(title, f"{elapsed:4.0f} s", "(Ctrl-C to stop)")
     coverage = [Text(text) for text in format_band_lines(state.summary.statistics if state.summary else [])]
     return Group(progress, render_motion(state), render_errors(state), *coverage, render_counts(state.predictor_status),
                  render_health(state))
@@ -227,10 +227,10 @@ def render_health(state: SuiteState) -> Text:
     now = time.monotonic()
     text = Text()
     for status in sorted(state.health.values(), key=lambda s: (-s.level, s.name)):
-        silent = status.is_silent(now)
-        if status.level == 0 and not silent:
+        is_silent = status.is_silent(now)
+        if status.level == 0 and not is_silent:
             continue
-        level = "silent" if silent else LEVEL_NAMES[min(status.level, STALE)]
-        style = "red" if status.level >= ERROR or silent else "yellow"
+        level = "silent" if is_silent else LEVEL_NAMES[min(status.level, STALE)]
+        style = "red" if status.level >= ERROR or is_silent else "yellow"
         text.append(f"{level}: {status.name}: {status.message}\n", style=style)
     return text if text else Text("all nodes OK" if state.health else "", style="green")

@@ -31,7 +31,7 @@ LOOPBACK, ALL_ADDRESSES = "127.0.0.1", "0.0.0.0"
 READY_TIMEOUT = 20.0  # s until a server must accept connections
 STOP_TIMEOUT = 3.0  # s until a process that ignores SIGINT is killed
 PAGE = Path(__file__).with_name("passenger.html")
-# The page is a single file; the browser may fetch only frames and clock from this server, and nothing else.
+# The page is a single file; the browser may fetch nothing but the frames and the clock of this server.
 PAGE_POLICY = ("default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'; "
                "img-src data:; base-uri 'none'; form-action 'none'")
 MAX_CLIENTS = 16
@@ -91,7 +91,7 @@ class PageServer(ThreadingHTTPServer):
             self.condition.notify_all()
 
     def wait_for_frame(self, after: int) -> tuple[bytes, int]:
-        """Wait for a frame newer than `after`; (frame, number), or a comment after KEEP_ALIVE_PERIOD or at the end."""
+        """Wait for a frame newer than `after`, or a stop: (frame, number); after KEEP_ALIVE_PERIOD (comment, after)."""
         with self.condition:
             if self.condition.wait_for(lambda: self._frame_number > after or self.is_stopped, KEEP_ALIVE_PERIOD):
                 return self._frame, self._frame_number
@@ -135,9 +135,9 @@ class _PageHandler(_Handler):
     def _send_frames(self) -> None:
         server = self.server
         with server.condition:
-            accepted = server.clients < MAX_CLIENTS
-            server.clients += accepted
-        if not accepted:
+            is_accepted = server.clients < MAX_CLIENTS
+            server.clients += is_accepted
+        if not is_accepted:
             self.send_error(503, f"{MAX_CLIENTS} pages are open already")
             return
         try:

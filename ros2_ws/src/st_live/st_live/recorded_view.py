@@ -43,7 +43,7 @@ GHOST_STRIDE, TRACK_STRIDE, RIBBON_STRIDE = 5, 2, 2  # every n-th point is drawn
 RIBBON_STRENGTH = {0.9: 0.13, 0.5: 0.28}  # colour strength by level of the band
 # Half the line width in screen points, the same at every zoom.
 THIN_LINE, THICK_LINE, TRACK_LINE = (rr.Radius.ui_points(points) for points in (0.6, 1.8, 4.0))
-# Each model's path is narrower than the previous one and drawn above it: all stay visible where they coincide.
+# Each model's path is narrower than the previous one and drawn above it, so all are visible where they coincide.
 MODEL_WIDTHS = tuple(rr.Radius.ui_points(points) for points in (3.2, 2.0, 1.0, 0.6))
 FRAME_PERIOD_NS = 100_000_000
 FLUSH_PERIOD = 5.0  # s between writes; few large chunks load quickly
@@ -68,7 +68,7 @@ def make_blueprint() -> rrb.Blueprint:
     heading_up_view = rrb.Spatial2DView(
         origin="ahead", name="Heading up (10 m rings)", background=WHITE,
         visual_bounds=rrb.VisualBounds2D(x_range=[-RANGE_SIDEWAYS, RANGE_SIDEWAYS],
-                                           y_range=[-RANGE_AHEAD, RANGE_BEHIND]))
+                                         y_range=[-RANGE_AHEAD, RANGE_BEHIND]))
     map_view = rrb.Spatial2DView(
         origin="map", name=f"Map (north up, {GRID_SPACING:.0f} m grid)", background=WHITE,
         visual_bounds=rrb.VisualBounds2D(x_range=[-MAP_RANGE, MAP_RANGE], y_range=[-MAP_RANGE, MAP_RANGE]))
@@ -84,7 +84,7 @@ def make_blueprint() -> rrb.Blueprint:
 
 
 def to_screen(view: Pose, x, y) -> np.ndarray:
-    """(..., 2) screen coordinates, right and down [m], of map points x, y [m]; `view`: origin, and direction of up."""
+    """(..., 2) screen coordinates, right and down [m], of map points x, y [m]; `view`: origin and upward direction."""
     forward, left = map_to_body(np.asarray(x) - view.x, np.asarray(y) - view.y, view.yaw)
     return np.stack(np.broadcast_arrays(-left, -forward), axis=-1)
 
@@ -177,7 +177,7 @@ class Scene:
         self._log_lines("map/grid", lines, [LIGHT_GREY], THIN_LINE, order=-1.0)
         self._draw_view("map", north_up, pose, now_ns)
         self._draw_view("ahead", pose, pose, now_ns)
-        if not 0 <= self._text_due_ns - now_ns <= TEXT_PERIOD_NS:  # the second limit: the clock has been set back
+        if not 0 <= self._text_due_ns - now_ns <= TEXT_PERIOD_NS:  # the difference is larger if the clock was set back
             self._text_due_ns = now_ns + TEXT_PERIOD_NS
             text = format_errors(self._statistics, self._ticks, list(self._health.values()))
             log("text", rr.TextDocument(text, media_type="text/markdown"))
@@ -202,7 +202,7 @@ class Scene:
             for age, ghost in history.find_ghosts(model, now_ns):
                 ghosts.append(to_screen(view, ghost.x[::GHOST_STRIDE], ghost.y[::GHOST_STRIDE]))
                 ghost_colours.append(rgb(get_model_colour(model), GHOST_STRENGTH * (1.2 - 0.15 * age)))
-            # A line from the car to the position that the oldest stored prediction gave for the present time.
+            # A line from the car to the position that the oldest stored prediction has for the present time.
             if point := history.find_predicted_position(model, now_ns):
                 errors.append(to_screen(view, *np.transpose([(pose.x, pose.y), point])))
                 error_colours.append(rgb(get_model_colour(model)))

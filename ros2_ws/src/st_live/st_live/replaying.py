@@ -33,9 +33,9 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
     """
     steering = settings.steering
     drive = read_bag(bag, steering=steering, odometry=settings.odometry)
-    reconstructed = [name for name in (ODOMETRY, STEERING) if drive.topics[name].endswith(RECONSTRUCTED_SUFFIX)]
-    if reconstructed:
-        raise RunError(bag, f"cannot be played: no {' and no '.join(reconstructed)}",
+    missing = [name for name in (ODOMETRY, STEERING) if drive.topics[name].endswith(RECONSTRUCTED_SUFFIX)]
+    if missing:
+        raise RunError(bag, f"cannot be played: no {' and no '.join(missing)}",
                        "st evaluate and st verify reconstruct them from raw packets and frames")
     if drive.conversions:
         raise RunError(bag, f"cannot be played as recorded: {drive.conversions[0]}",

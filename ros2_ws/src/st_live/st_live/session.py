@@ -38,7 +38,6 @@ DISCOVERY_TIME = 1.5  # s until nodes of another suite are in the graph; nodes a
 UPDATE_PERIOD = 0.25  # s between checks of the nodes and updates of the terminal
 LOG_PERIOD = 10.0  # s between lines if the output is not a terminal
 
-
 Progress = Callable[[], tuple[float, float | None, bool]]
 """Returns the elapsed and the total duration of the run [s], None if unknown, and whether the run is over."""
 
@@ -115,7 +114,7 @@ class Supervisor:
 
 @dataclass(frozen=True)
 class Outcome:
-    """statuses: exit status by process; empty if the user ended the run before all nodes were up.
+    """Result of a run. statuses: exit status by process; empty if the user ended the run before all nodes were up.
 
     health: the result of `render_health` before the stop, as text. restarts: as for `Supervisor`.
     """
@@ -136,7 +135,7 @@ def run(folder: Path, parameters: Parameters, title: str, console: Console, view
         default_domain: int | None = None, supervised: bool = False, realtime: bool = False) -> Outcome:
     """Start the nodes and the source, show progress until the run is over or Ctrl-C, and stop everything in order.
 
-    source: function that starts the source of the data, if it is not the real car, and returns the progress of the run.
+    source: function that starts the source of the data, if it is not the real car, and returns its `Progress`.
     default_domain: ROS domain unless ROS_DOMAIN_ID is set; None: a free one, isolated from other suites. supervised:
     restart nodes that end or hang, instead of ending the run. realtime: real-time scheduling for bridges and predictor.
     Raises SuiteError if a node does not start or is already running.

@@ -112,7 +112,7 @@ class Processes:
     def stop(self, name: str | None = None, timeout: float = STOP_TIMEOUT) -> dict[str, int]:
         """End one child, or all in the order of their start; returns the exit statuses.
 
-        timeout: for each child until it is killed [s].
+        timeout [s]: from the interrupt of each child until it is killed.
         """
         statuses = {}
         for child in [c for c in self.children if name in (None, c.name)]:

@@ -50,7 +50,7 @@ class Comparison:
     n_scores: dict[str, int] = field(default_factory=lambda: dict.fromkeys(MODES, 0))  # complete live and offline
     score_difference: dict[str, float] = field(default_factory=lambda: dict.fromkeys(MODES, 0.0))  # by mode [m]
     n_truncated: int = 0  # scores that are incomplete only because the nodes stopped
-    n_one_sided: int = 0  # scores complete on one side only, except truncated ones and those across a position jump
+    n_one_sided: int = 0  # scores complete only live or only offline, except truncated ones and those across a jump
     n_settling: int = 0  # forecasts not compared because the acceleration filter had not settled
 
     @property
@@ -97,9 +97,9 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
     scores = results.read_scores([score_bag], progress)
     planned_by_mode = {mode: results.read_planned_predictions(bag, mode, progress) for mode in PLANNED_MODES}
     signals = LogSignals(drive.log, settings.maximum_gap, settings.filter_cutoff)
-    truncated = [TRUNCATION_WARNING.format(file, "compared") for file in dict.fromkeys((bag, score_bag))
-                 if was_interrupted(file)]
-    comparisons, warnings = [], [*drive.warnings, *truncated]
+    truncations = [TRUNCATION_WARNING.format(file, "compared") for file in dict.fromkeys((bag, score_bag))
+                   if was_interrupted(file)]
+    comparisons, warnings = [], [*drive.warnings, *truncations]
     for name, forecasts in predictions.items():
         try:
             model = get_model(name)
@@ -110,8 +110,8 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
         planned = {mode: by_model[name] for mode, by_model in planned_by_mode.items() if name in by_model}
         comparisons.append(
             _compare(model, car, signals, forecasts, planned, model_scores, settings.filter_cutoff, progress))
-    same = all(recorded.hashes == {configuration_hash(car, settings)} for recorded in predictions.values())
-    return Verification(comparisons, f"{car.name}, from {source}", same, tuple(warnings))
+    is_same = all(recorded.hashes == {configuration_hash(car, settings)} for recorded in predictions.values())
+    return Verification(comparisons, f"{car.name}, from {source}", is_same, tuple(warnings))
 
 
 def find_settled_starts(starts_ns: np.ndarray, ins_time_ns: np.ndarray, cutoff: float) -> np.ndarray:
@@ -236,7 +236,7 @@ def _verify_with_progress(path: Path, vehicle: Path | None, console: Console,
 
 def _make_table(result: Verification) -> Table:
     """Table of the comparisons, at most 80 columns wide for a drive of one hour."""
-    table = Table(title=f"Live against library ({result.vehicle}): largest differences", title_justify="left",
+    table = Table(title=f"Live versus library ({result.vehicle}): largest differences", title_justify="left",
                   title_style="bold", box=None, collapse_padding=True, pad_edge=False)
     table.add_column("model")
     for heading in ("starts", "start\npoint\nmm", "path\nmm", "hindsight\nscores\nnumber, mm",

@@ -61,13 +61,13 @@ class PassengerFrames:
         self._reason = ""
         self._position_mode: tuple[str, float] = ("", 0.0)  # text, received [s]
         self._track: deque[tuple[float, float, float]] = deque()  # (time of measurement [s], x, y [m])
-        # By mode and model: time of arrival [s], and the message, or the errors [m] with the horizon [s].
+        # By mode and model: (received [s], message), and (received [s], errors [m] and horizon [s]).
         self._predictions: dict[str, dict[str, tuple[float, Any]]] = {mode: {} for mode in INPUTS_OF_MODE}
         self._errors: dict[str, dict[str, tuple[float, dict[str, float]]]] = {mode: {} for mode in INPUTS_OF_MODE}
         self._checks: tuple[list[tuple[int, str]], float] = [], 0.0  # (level, text) of each check; received [s]
 
     def take(self, topic: str, message: Any, now: float) -> None:
-        """Process a message of one of TOPICS, received at `now`."""
+        """Process a message on one of TOPICS, received at `now`."""
         kind, _, _ = TOPICS[topic]
         if kind == "odometry":
             self._take_odometry(message, now)
@@ -137,7 +137,7 @@ class PassengerFrames:
             return "none", "no diagnostics"
         if now - received > DIAGNOSTICS_TIMEOUT:
             return "error", f"no diagnostics for {now - received:.0f} s"
-        level, text = max(checks, key=lambda check: (0, 1, 3, 2)[min(check[0], 3)])  # an error counts more than silence
+        level, text = max(checks, key=lambda check: (0, 1, 3, 2)[min(check[0], 3)])  # an error ranks above stale
         if level == 0:
             return "ok", "all checks OK"
         others = sum(other > 0 for other, _ in checks) - 1
@@ -178,13 +178,13 @@ class PassengerNode(Node):
         return PolledSubscription(self, message_type, topic, qos)
 
     def _send_frame(self) -> None:
-        received_any = False
+        has_new_data = False
         for topic, subscription in self._subscriptions_by_topic.items():
             for message, received_ns, _ in subscription.take():
                 queue_time = max((time.time_ns() - received_ns) * 1e-9, 0.0)
                 self._frames.take(topic, message, time.monotonic() - queue_time)
-                received_any = True
-        if received_any and len(self._subscriptions_by_topic) == 1:
+                has_new_data = True
+        if has_new_data and len(self._subscriptions_by_topic) == 1:
             # Subscribe only now, because the player of `st replay` counts the subscribers of its topics at its start.
             self._subscriptions_by_topic |= {topic: self._subscribe(topic) for topic in TOPICS
                                              if topic not in self._subscriptions_by_topic}

@@ -64,9 +64,9 @@ class Follower:
             for subscription, read_stamp in self._sources:
                 for data, _, _ in subscription.take(QUEUE_DEPTH):
                     self._newest_ns = max(self._newest_ns, read_stamp(data))
-            reached = self._newest_ns >= clock_ns - self._lead_ns
-            if reached or time.monotonic() > end:
-                self._has_progressed = reached or self._newest_ns > previous_ns  # progress restores the long timeout
+            caught_up = self._newest_ns >= clock_ns - self._lead_ns
+            if caught_up or time.monotonic() > end:
+                self._has_progressed = caught_up or self._newest_ns > previous_ns  # progress restores the long timeout
                 return
             wait_for_any(self._node, subscriptions, max(end - time.monotonic(), 0.0))
 
@@ -114,7 +114,7 @@ class Player:
         with AnyReader([self._bag], default_typestore=load_typestore()) as reader:
             publishers = self._create_publishers(reader.connections)
             if not self._wait_for_subscribers(list(publishers.values())):
-                print("recorder, predictor or evaluator has not subscribed to the inputs", file=sys.stderr)
+                print("recorder, predictor or evaluator has not subscribed to its inputs", file=sys.stderr)
                 return 1
             connections = [c for c in reader.connections if c.topic in publishers]
             first_ns = clock_ns = self._advance(reader.start_time, reader.start_time, time.monotonic())
@@ -147,8 +147,8 @@ class Player:
             elif connection.topic.endswith(ORIGIN) and connection.msgtype == "sensor_msgs/msg/NavSatFix":
                 self._published_topics[connection.topic] = ORIGIN
             if connection.topic in self._published_topics and connection.topic not in publishers:
-                converted = self._steering_field and connection.topic == self._settings["steering"]
-                message_type = Steering if converted else find_message_class(connection.msgtype)
+                is_converted = self._steering_field and connection.topic == self._settings["steering"]
+                message_type = Steering if is_converted else find_message_class(connection.msgtype)
                 name = self._published_topics[connection.topic]
                 qos = LATCHED if name == ORIGIN else QoSProfile(depth=QUEUE_DEPTH)
                 publishers[connection.topic] = self._node.create_publisher(message_type, name, qos)
