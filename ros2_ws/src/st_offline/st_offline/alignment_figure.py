@@ -18,7 +18,7 @@ MAX_POINTS = 4000  # per line
 
 
 def draw_alignment(signals: Sequence[SharedSignal], alignment: Alignment, title: str, file: Path) -> None:
-    """Draw the speed, the 10 s in which the yaw rate (or first signal) varies most, the correlation, the lags."""
+    """Draw the speed, the 10 s with the largest variation of the yaw rate (or first signal), correlation, and lags."""
     candidates = [s for s in signals if not s.is_angle] or list(signals)
     speed = next((s for s in candidates if "velocity" in s.name or "speed" in s.name), candidates[0])
     with plt.rc_context(FIGURE_STYLE):
@@ -35,9 +35,9 @@ def draw_alignment(signals: Sequence[SharedSignal], alignment: Alignment, title:
 
 
 def _draw_signal(ax: plt.Axes, signal: SharedSignal, alignment: Alignment, whole: bool) -> None:
-    zero = int(signal.reference_time_ns[0])
+    start_ns = int(signal.reference_time_ns[0])
     mapped = alignment.to_reference_ns(signal.other_time_ns - round(signal.latency * 1e9))
-    reference, other = (signal.reference_time_ns - zero) * 1e-9, (mapped - zero) * 1e-9
+    reference, other = (signal.reference_time_ns - start_ns) * 1e-9, (mapped - start_ns) * 1e-9
     values = signal.other
     if "curvature" in signal.name:  # `other` is a steering angle: scaled to the curvature by a linear fit
         curvature = np.interp(other, reference, signal.reference, left=np.nan, right=np.nan)
@@ -69,13 +69,13 @@ def _draw_correlation(ax: plt.Axes, signals: Sequence[SharedSignal], alignment: 
     if not len(lags):
         ax.text(0.5, 0.5, "no signal to correlate", transform=ax.transAxes, ha="center")
         return
-    zero = alignment.offset_ns * 1e-9
+    offset = alignment.offset_ns * 1e-9
     # The correlation is 0 at lags with too little overlap, and interpolated towards 0 at the lags next to these.
     has_overlap = minimum_filter1d(r != 0, 3, mode="nearest")
-    ax.plot(lags - zero, np.where(has_overlap, r, np.nan), color=MEASURED_COLOUR, lw=0.9)
+    ax.plot(lags - offset, np.where(has_overlap, r, np.nan), color=MEASURED_COLOUR, lw=0.9)
     for peak, style, name in ((alignment.peak, "o", "best"), (alignment.second_peak, "s", "second")):
         if peak is not None and peak[1] > 0:
-            ax.plot(peak[0] - zero, peak[1], style, ms=5, color=OTHER_COLOUR, label=f"{name}: {peak[1]:.2f}")
+            ax.plot(peak[0] - offset, peak[1], style, ms=5, color=OTHER_COLOUR, label=f"{name}: {peak[1]:.2f}")
     ax.set(ylim=(-1.05, 1.1), xlabel="offset relative to the estimate, s", ylabel="correlation")
     if alignment.peak is not None:
         ax.legend(loc="lower right")

@@ -26,7 +26,7 @@ from ..evaluation.run_figures import get_line_style
 from ..terminal import make_table, print_line
 
 Sums = dict[str, Any]
-MIN_STARTS = 200  # in a cell; if starts were independent, the standard error of a coverage of 90 % would be 2 %
+MIN_STARTS = 200  # of a reported cell; for independent starts, the standard error of a coverage of 90 % is 2 %
 _HALF_LEVELS = 0.5 * np.array(RELIABILITY_LEVELS)
 _PROBABILITIES = np.concatenate([0.5 - _HALF_LEVELS[::-1], [0.5], 0.5 + _HALF_LEVELS])
 
@@ -44,12 +44,12 @@ class Scorer:
         self._time = make_times(prediction.horizon, prediction.step)
         self._adaptive: dict[tuple[str, str], AdaptiveBand] = {}
         self._first_start_ns: int | None = None
-        used = set(bands.recordings.values()) if bands else set()
-        self._sums: list[Sums] = [{"known_recordings": [name for name, digest in files.items() if digest in used]}]
+        hashes = set(bands.recordings.values()) if bands else set()
+        self._sums: list[Sums] = [{"known_recordings": [name for name, digest in files.items() if digest in hashes]}]
 
     def add(self, starts_ns: np.ndarray, block: Block) -> None:
-        """Add the starts of one block of an evaluation that have a complete horizon; those outside the domain are only
-        counted. Blocks must be added in time order."""
+        """Add the starts of one block of an evaluation that have a complete horizon; starts outside the calibrated
+        domain are only counted. Blocks must be added in time order."""
         if not len(starts_ns) or not (self._bands or self._is_adaptive):
             return
         self._first_start_ns = int(starts_ns[0]) if self._first_start_ns is None else self._first_start_ns
@@ -91,8 +91,8 @@ def sum_band_scores(band: Band, conditions: np.ndarray, errors: np.ndarray) -> S
 
     Counts by level: coverage: paths entirely inside; axes: the same for each axis alone; conditions: as coverage, by a
     single driving condition; seconds: paths inside throughout each second; cells: the same by speed, lateral
-    acceleration and second; reliability: as coverage, but for every level of the band. The other counts are for those
-    of LEVELS that the band has, and for its highest level up to LEVELS[-1]. By axis [m, m, rad]: interval_score: mean
+    acceleration and second; reliability: as coverage, but for every level of the band. The other counts are for the
+    LEVELS that the band has, and for its highest level up to LEVELS[-1]. By axis [m, m, rad]: interval_score: mean
     over the horizon; crps: mean over the whole seconds; half_width: at each whole second.
     """
     import scoringrules  # slow to import, and needed only where bands are scored
@@ -171,7 +171,7 @@ def pool_sums(entries: Sequence[Mapping[str, Any]]) -> Sums:
 
 
 def summarise_bands(sums: Sums) -> dict[str, Any]:
-    """models: shares and means by model and mode, None without starts; known_recordings: see `Scorer.get_sums`."""
+    """models: coverages and mean scores by model and mode, None without starts. known_recordings: `Scorer.get_sums`."""
     return {"known_recordings": sums.get("known_recordings", []),
             "models": {model: {mode: _summarise_scores(scores) for mode, scores in modes.items()}
                        for model, modes in sums.get("models", {}).items()}}
@@ -221,8 +221,8 @@ def draw_bands(content: Mapping[str, Any], output: FigureOutput) -> list[PageFig
     for axes, (mode, title) in zip(panels, MODE_TITLES.items(), strict=True):
         axes.plot([0, 100], [0, 100], color=MEASURED_COLOUR, lw=0.8)
         for model, modes in models.items():
-            points = {float(level): s for level, s in modes[mode]["reliability"].items() if s is not None}
-            axes.plot([100 * level for level in points], [100 * share for share in points.values()], marker="o",
+            points = {float(level): c for level, c in modes[mode]["reliability"].items() if c is not None}
+            axes.plot([100 * level for level in points], [100 * coverage for coverage in points.values()], marker="o",
                       ms=3, **get_line_style(model))
         axes.set(title=title, xlabel="nominal coverage, %", xlim=(0, 100), ylim=(0, 100))
     panels[0].set_ylabel("paths entirely inside, %")
@@ -281,7 +281,7 @@ def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Co
         rows, level = make_band_rows(content), _format_level(_find_top_level(content))
         # A single table would be wider than 80 characters.
         for title, columns in (
-                ("Bands: share of paths entirely inside", ("starts", "no band", "50 % covers", f"{level} covers")),
+                ("Bands: fraction of paths entirely inside", ("starts", "no band", "50 % covers", f"{level} covers")),
                 (f"Bands: conditions with the lowest coverage of the {level} band", ("worst cell",)),
                 ("Bands: scores and half-width, along | across", (
                     f"interval score {level}, along | across, m", "CRPS, along | across, m",
@@ -295,7 +295,7 @@ def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Co
         console.print(NO_BANDS, highlight=False, soft_wrap=True)
     if adaptive:
         console.print(make_table(make_adaptive_rows(summarise_adaptive(pooled)), width=min(console.width, 140),
-                                 title="Adaptive bands: share of paths entirely inside"))
+                                 title="Adaptive bands: fraction of paths entirely inside"))
     if rows := make_share_rows(summarise_shares(pooled)):
         console.print(make_table(rows, title="Decomposition of the error with measured inputs: shares of the mean "
                                  "square error, along | across", width=min(console.width, 140)))

@@ -54,10 +54,10 @@ def collect_errors(sources: Sequence[RunSource], task: Task, models: Sequence[Mo
         try:
             with console.status(escape(source.name)):
                 run = read(source, task.vehicle, task.read)
-                used = {digest: name for name, digest in recordings.items()}
+                names_by_digest = {digest: name for name, digest in recordings.items()}
                 for digest in run.provenance["files"].values():
-                    if digest in used:  # a copy is not an independent sample
-                        raise RunError(source.path, f"has the same content as {used[digest]}",
+                    if digest in names_by_digest:  # a copy is not an independent sample
+                        raise RunError(source.path, f"has the same content as {names_by_digest[digest]}",
                                        "give each recording once")
                 _refuse_other_car(source, run, task.vehicle)
                 check_for_use(source.path, run, task.vehicle, task.force, models, task.settings.prediction.step)
@@ -91,7 +91,7 @@ def make_bands(samples: Sequence[ErrorSamples], task: Task, models: Sequence[Mod
 
 
 def _refuse_other_car(source: RunSource, run: LoadedRun, vehicle: VehicleParameters) -> None:
-    """Raise RunError if the recorded car has a different name. Its parameters may differ, because of updates."""
+    """Raise RunError if the recorded car has a different name. Updates may have changed its parameters."""
     text = parse_configuration(run.provenance.get("recorded", {})).vehicle
     if text is None:
         return

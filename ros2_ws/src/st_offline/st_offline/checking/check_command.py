@@ -174,14 +174,14 @@ def append_corrections(settings: Mapping[str, Any], corrections: Mapping[str, An
     """
     result = {**settings}
     for key, value in corrections.items():
-        present = result.get(key)
+        existing = result.get(key)
         if key == "correct":
-            result[key] = {channel: _combine((present or {}).get(channel, {}), value.get(channel, {}))
-                           for channel in {**(present or {}), **value}}
+            result[key] = {channel: _combine((existing or {}).get(channel, {}), value.get(channel, {}))
+                           for channel in {**(existing or {}), **value}}
         elif isinstance(value, list):
-            result[key] = [*(present or ()), *value]
+            result[key] = [*(existing or ()), *value]
         else:
-            result[key] = {**(present or {}), **value} if isinstance(value, Mapping) else value
+            result[key] = {**(existing or {}), **value} if isinstance(value, Mapping) else value
     return result
 
 
@@ -196,12 +196,12 @@ def _merge(settings: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, A
     """Settings with the values of a further entry, lists joined; None if a key would get two different values."""
     merged = {**settings}
     for key, value in entry.items():
-        present = settings.get(key)
+        existing = settings.get(key)
         if isinstance(value, list):
-            merged[key] = [*(present or ()), *(item for item in value if item not in (present or ()))]
+            merged[key] = [*(existing or ()), *(item for item in value if item not in (existing or ()))]
         else:
-            merged[key] = _merge(present or {}, value) if isinstance(value, Mapping) else value
-            if merged[key] is None or (present is not None and not isinstance(value, Mapping) and present != value):
+            merged[key] = _merge(existing or {}, value) if isinstance(value, Mapping) else value
+            if merged[key] is None or (existing is not None and not isinstance(value, Mapping) and existing != value):
                 return None
     return merged
 
@@ -211,9 +211,9 @@ def _merge_settings(source: RunSource, file: Path, read: ReadSettings) -> dict[s
     sign of a steering column, so with --steering-sign -1 it does not name the column."""
     # A car whose recordings are tables has neither DBC nor signal table.
     bus = {"dbc": read.dbc, "signals": read.signals}
-    given = {**{key: path for key, path in bus.items() if path and path.exists()}, "offset": read.offset,
-             "ins_can_latency": list(read.ins_can_latency) if read.ins_can_latency else None}
-    settings = {**source.settings, **{key: value for key, value in given.items() if value is not None}}
+    options = {**{key: path for key, path in bus.items() if path and path.exists()}, "offset": read.offset,
+               "ins_can_latency": list(read.ins_can_latency) if read.ins_can_latency else None}
+    settings = {**source.settings, **{key: value for key, value in options.items() if value is not None}}
     layout = settings.pop("layout", None)
     if read.steering is not None and read.steering.sign == 1 and source.kind in TABLE_KEYS:
         layout = add_steering_column(layout or Layout(), read.steering)

@@ -51,8 +51,8 @@ def draw_comparison(comparison: Comparison, run: CheckedRun, prefix: str) -> dra
     shaded = ", shaded where a finding applies" if any(finding.times for finding in findings) else ""
     caption = f"Grey: {comparison.measured_label}; blue: {comparison.derived_label}; below, grey minus blue{shaded}."
     size = f"{compute_residual_rms(comparison):.2g} {check_report.get_unit_symbol(comparison.unit)}".strip()
-    found = findings[0].text if findings else f"no finding; they differ by {size} (root mean square)"
-    title = f"{prefix}{comparison.title[0].upper()}{comparison.title[1:]}: {found}"
+    finding_text = findings[0].text if findings else f"no finding; they differ by {size} (root mean square)"
+    title = f"{prefix}{comparison.title[0].upper()}{comparison.title[1:]}: {finding_text}"
     return drawing.save_figure(figure, output, f"comparison-{comparison.name}", title, caption)
 
 
@@ -80,17 +80,17 @@ def make_summary(runs: Sequence[CheckedRun]) -> list[str]:
     sizes = [finding.effect for finding in findings
              if finding.severity is not Severity.NOTE and finding.effect is not None]
     size = f", by up to {max(sizes):.2g} m after 5 s" if sizes and worst.severity is Severity.WARNING else ""
-    refused = ": other commands reject such a run unless --force is given" if worst.severity is Severity.ERROR else ""
+    rejection = ": other commands reject such a run unless --force is given" if worst.severity is Severity.ERROR else ""
     meaning = check_report.describe_meaning(findings)
-    sign = next(filter(None, (check_report.advise_steering_sign(
+    sign_advice = next(filter(None, (check_report.advise_steering_sign(
         run.result.findings, run.arguments, run.alignment["method"] != "none") for run in runs)), "")
-    correct = (f"To correct the recording, run `st check {runs[0].arguments if len(runs) == 1 else 'RUN'} "
-               "--propose-correction run.yaml` with the other options of this check, and use the run.yaml that it "
-               "writes instead of the recording.")
+    correction = (f"To correct the recording, run `st check {runs[0].arguments if len(runs) == 1 else 'RUN'} "
+                  "--propose-correction run.yaml` with the other options of this check, and use the run.yaml that it "
+                  "writes instead of the recording.")
     is_correctable = any(finding.advice is not None and finding.advice.kind == "run.yaml" for finding in findings
                          if finding.severity is not Severity.NOTE)
-    sentences = (f"{meaning[0].upper()}{meaning[1:]}{size}{refused}.",
-                 f"{sign[0].upper()}{sign[1:]}." if sign else correct if is_correctable else "",
+    sentences = (f"{meaning[0].upper()}{meaning[1:]}{size}{rejection}.",
+                 f"{sign_advice[0].upper()}{sign_advice[1:]}." if sign_advice else correction if is_correctable else "",
                  f"{clocks}." if clocks else "")
     return [sentence for sentence in sentences if sentence]
 

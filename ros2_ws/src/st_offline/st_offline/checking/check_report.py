@@ -64,7 +64,7 @@ def describe_meaning(findings: Sequence[Finding]) -> str:
 
 
 def format_headline(result: DriveCheck) -> str:
-    """Number of findings of a run by severity, with the texts of the most severe; the verdict if there are none."""
+    """Number of findings of a run by severity, with the texts of the most severe; the verdict without findings."""
     if not result.findings:
         return format_verdict(result)
     worst = min(result.findings, key=rank_severity).severity
@@ -123,15 +123,15 @@ def describe_correction(advice: Advice | None) -> str:
     return f"{ADVICE_PLACE[advice.kind]}{advice.line}" if advice else ""
 
 
-def advise_steering_sign(findings: Iterable[Finding], source: str = "RUN", can: bool | None = None) -> str:
-    """Advice for a steering angle with the opposite sign; empty without such a finding. can: whether the steering is in
-    a CAN log (else in a table); None if unknown."""
+def advise_steering_sign(findings: Iterable[Finding], source: str = "RUN", is_can: bool | None = None) -> str:
+    """Advice for a steering angle with the opposite sign; empty without such a finding. is_can: whether the steering is
+    in a CAN log (else in a table); None if unknown."""
     if not any(finding.name == "steering_sign" for finding in findings):
         return ""
     log = "add --steering-sign -1 (1 if car.yaml has -1), or change steering_sign in car.yaml"
     table = ("add --steering-field COLUMN --steering-sign -1, or write a run.yaml with "
              f"`st check {source} --propose-correction run.yaml` and use it instead")
-    advice = {True: log, False: table, None: f"for logs of a CAN bus, {log}; for a table, {table}"}[can]
+    advice = {True: log, False: table, None: f"for logs of a CAN bus, {log}; for a table, {table}"}[is_can]
     return f"the steering angle has the opposite sign (left is positive): {advice}"
 
 
@@ -145,11 +145,11 @@ def describe_clocks(alignments: Mapping[str, Mapping[str, Any]]) -> str:
     deviations = [alignment["offset_deviation_s"] for alignment in estimated]
     finite = [deviation for deviation in deviations if deviation is not None]
     unknown = f" (unknown in {len(deviations) - len(finite)} of them)" if len(finite) < len(deviations) else ""
-    doubtful = sum(alignment["verdict"] != "good" for alignment in estimated)
+    doubtful_count = sum(alignment["verdict"] != "good" for alignment in estimated)
     summary = (f"INS minus steering clock of {len(estimated)} runs: {offsets[0]:+.3f} to {offsets[-1]:+.3f} s"
-              f"{_note_time_zone(offsets[0])}, estimated from the data, standard deviation up to "
-              f"{_describe_deviation(max(finite, default=None))}{unknown}, "
-              f"{doubtful or 'none'} of them doubtful")
+               f"{_note_time_zone(offsets[0])}, estimated from the data, standard deviation up to "
+               f"{_describe_deviation(max(finite, default=None))}{unknown}, "
+               f"{doubtful_count or 'none'} of them doubtful")
     by_hand = [f"{name}: {describe_clock(alignment)}" for name, alignment in alignments.items()
                if alignment["method"] == "by hand"]
     return "; ".join([summary, *by_hand])
@@ -261,14 +261,14 @@ def print_runs(runs: Sequence[CheckedRun], console: Console) -> None:
     clean = [run.name for run in runs if not run.result.findings]
     names = f": {', '.join(clean)}" if clean else ""
     print_line(f"[green]no findings[/] in {len(clean)} of {len(runs)} runs{escape(names)}", console)
-    hints = {advise_steering_sign(run.result.findings, can=run.alignment["method"] != "none") for run in runs}
+    hints = {advise_steering_sign(run.result.findings, is_can=run.alignment["method"] != "none") for run in runs}
     for hint in sorted(filter(None, hints)):
         print_line(f"[bold red]{escape(hint)}[/]", console)
 
 
 def group_findings(runs: Mapping[str, Sequence[Finding]]) -> list[tuple[Finding, list[str]]]:
-    """Group the findings of several runs: (most severe finding, with the largest effect among these; names of the
-    runs), most severe first. A group shares name, channels and sign of the value, because the text states the sign."""
+    """Groups of findings with the same name, channels and sign of the value, which the text states: (the most severe
+    finding, of these the one with the largest effect; names of the runs), the most severe group first."""
     by_key: dict[tuple[str, tuple[str, ...], bool], list[tuple[Finding, str]]] = {}
     for name, findings in runs.items():
         for finding in findings:

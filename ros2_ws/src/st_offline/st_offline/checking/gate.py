@@ -22,7 +22,7 @@ from . import check_report
 STEP = PredictionSettings().step
 RUN_ERRORS = (RunError, StCoreError, MemoryError, OSError)
 """Errors that concern a single run; the other runs are still processed."""
-ADVICE = "follow the advice of `st check`, or use it anyway with --force"
+ADVICE = "follow the advice of `st check`, or use the recording anyway with --force"
 
 
 class RefusedRunError(RunError):

@@ -99,7 +99,7 @@ def _read_runs(request: Request, progress: Progress) -> tuple[list[Drive], list[
     sources = find_runs(request.runs)
     reference_sources = find_runs(request.reference) if request.reference else []
     if not sources:
-        raise ConfigurationError("no recording found: give bags, .ncom with CAN logs, CSV, run.yaml, or their folders")
+        raise ConfigurationError("no recording found: give bags, .ncom with CAN logs, CSV files, run.yaml, or folders")
     bar = progress.add_task("reading the runs", total=len(sources) + len(reference_sources))
     drives = read_drives([*sources, *reference_sources], request.vehicle, request.read, request.jobs,
                          lambda: progress.advance(bar), request.force)
@@ -109,19 +109,19 @@ def _read_runs(request: Request, progress: Progress) -> tuple[list[Drive], list[
     if reference_sources and not _get_logs(reference):
         raise ConfigurationError("no --reference run can be used: " + join_problems(d.problem for d in reference))
     _check_reference(suspect, reference)
-    names, renamed = {d.name for d in suspect}, []
+    names, reference_drives = {d.name for d in suspect}, []
     for drive in reference:  # results identify runs by name
         name = f"{drive.name} (reference)" if drive.name in names else drive.name
-        renamed.append(replace(drive, name=name, log=replace(drive.log, name=name) if drive.log else None))
-    return suspect, renamed
+        reference_drives.append(replace(drive, name=name, log=replace(drive.log, name=name) if drive.log else None))
+    return suspect, reference_drives
 
 
 def _check_reference(suspect: Sequence[Drive], reference: Sequence[Drive]) -> None:
-    """Raise ConfigurationError for a drive that is both run and reference, and for a reference of a different car."""
-    used = {digest for d in suspect if d.log is not None for digest in d.metadata["files"].values()}
+    """Raise ConfigurationError for a drive given as run and as reference, and for a reference of a different car."""
+    suspect_hashes = {digest for d in suspect if d.log is not None for digest in d.metadata["files"].values()}
     cars = {d.metadata["vehicle"]: d.name for d in suspect if d.log is not None and d.metadata["vehicle"]}
     for drive in (d for d in reference if d.log is not None):
-        if used & set(drive.metadata["files"].values()):
+        if suspect_hashes & set(drive.metadata["files"].values()):
             raise ConfigurationError(f"{drive.name} is given as a run and as --reference: remove it from one list")
         if (recorded := drive.metadata["vehicle"]) and cars and recorded not in cars:
             car, name = next(iter(cars.items()))

@@ -26,7 +26,7 @@ from .relation_report import RelationReport
 from .vehicle_update import ENTRIES, VehicleUpdate
 
 SCHEMA = 3
-FIRST_VERDICTS = ("alternative", "varies")  # these effects come first in the table of other effects
+FIRST_VERDICTS = ("alternative", "varies")  # effects with these verdicts come first in the table of other effects
 MAX_ROWS = 8  # of regions, other effects and undetectable effects; discovery.json contains all
 FILE_MEANINGS = {
     "report.html": "one page, with all figures", "discovery.json": "all numbers; keys in docs/manual/discovery.md",
@@ -95,17 +95,17 @@ def build_model_file(discovery: Discovery, request: Request, update: VehicleUpda
         name, values = effect.name, update.model.values[effect.name]
         if all(values[p.name] == p.null for p in effect.parameters if p.fit):
             continue
-        effective = name in update.folded or discovery.named is None or (
+        is_effective = name in update.folded or discovery.named is None or (
             not all(p.interval[0] <= values[key] <= p.interval[1] for key, p in named[name].items())
             if name in named else name not in minor and values != discovery.named.values.get(name))
-        if name in named and not effective:
+        if name in named and not is_effective:
             effects[name] = complete.effects[name]
             continue
-        source = ("st discover: effective correction" if effective else
+        source = ("st discover: effective correction" if is_effective else
                   f"st discover: not named: {minor[name]}" if name in minor else base_source)
         fitted = {p.name for p in effect.parameters if p.fit}
         effects[name] = {parameter: estimate if parameter not in fitted else replace(
-            estimate, source=source, effective=effective, interval=None if effective else estimate.interval)
+            estimate, source=source, effective=is_effective, interval=None if is_effective else estimate.interval)
             for parameter, estimate in complete.effects[name].items()}
     if not effects:
         return None
@@ -154,7 +154,7 @@ def _make_tables(discovery: Discovery, content: Mapping[str, Any]) -> dict[str, 
         Table("Parts of the error", "Reduction of the mean position error after 5 s by each part when it is added to "
               "the model last, after all other parts, or first, as the only one. Loss: reduction of the sum that the "
               "fit minimises. The unexplained part includes the noise.",
-              ("part", "last", "first", "loss, last", "loss, first"), parts),
+              ("part", "added last", "added first", "loss, added last", "loss, added first"), parts),
         Table("Where the base model has the largest errors", "", ("error of", "where", f"times {expected} (95 %)"),
               regions),
         Table("Identifiable combinations", "Predictions depend on these combinations. The interval of a single effect "
@@ -177,10 +177,10 @@ def _make_change_row(key: str, change: Mapping[str, Any]) -> tuple[str, str, str
 
 def _make_wide_tables(discovery: Discovery) -> list[Table]:
     plain = quantities.to_words
-    tried = [c for c in discovery.candidates if c.name not in {e.name for e in (*discovery.effects, *discovery.minor)}]
+    tested = [c for c in discovery.candidates if c.name not in {e.name for e in (*discovery.effects, *discovery.minor)}]
     candidates = [
         (plain(c.name), quantities.format_fitted(c.name, c.parameters), f"{100 * c.gain:.1f}", c.verdict, c.why)
-        for c in sorted(tried, key=lambda c: (c.verdict not in FIRST_VERDICTS, -c.gain))[:MAX_ROWS]]
+        for c in sorted(tested, key=lambda c: (c.verdict not in FIRST_VERDICTS, -c.gain))[:MAX_ROWS]]
     undetectable = [(plain(n.name), n.reason, n.manoeuvre) for n in sorted(
         discovery.not_testable, key=lambda n: report_text.rank_by_kind(n.name))[:MAX_ROWS]]
     options = discovery.next_manoeuvre.options if discovery.next_manoeuvre else {}
@@ -193,7 +193,7 @@ def _make_wide_tables(discovery: Discovery) -> list[Table]:
         Table("Other effects that were tried", "Improvement: reduction of the errors over all channels by this effect, "
               "in addition to the result. An alternative is fitted in place of the named effect.",
               ("effect", "fitted", "improvement, %", "verdict", "why"), candidates,
-              f"the first {len(candidates)} of {len(tried)}; all in discovery.json"),
+              f"the first {len(candidates)} of {len(tested)}; all in discovery.json"),
         Table("Not detectable in these drives", "", ("effect", "why", "recommended manoeuvre"), undetectable,
               f"the first {len(undetectable)} of {len(discovery.not_testable)}")]
 

@@ -142,8 +142,8 @@ def find_cache_folder() -> Path | None:
 
 
 def make_result_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle: VehicleParameters, base: Model,
-               settings: DiscoverySettings, effects: Mapping[str, str],
-               sensors: Mapping[str, Sequence[float]], clocks: Mapping[str, float]) -> str:
+                    settings: DiscoverySettings, effects: Mapping[str, str], sensors: Mapping[str, Sequence[float]],
+                    clocks: Mapping[str, float]) -> str:
     """Cache key of a result: a hash of all its inputs and of the code of st_core.
 
     effects: sha256 by file. sensors: from `pool_sensor_estimates`. clocks: from `collect_clock_deviations`.

@@ -26,8 +26,8 @@ HALF_WIDTH = 6.8  # inch; for two figures side by side on the page
 MIN_CHANGE = 0.005  # m; if the position error changes less, the most reduced channel error is reported instead
 MIN_ASPECT = 0.3  # `_compute_aspect_ratio` of a track; the axes of narrower tracks have different scales
 MAX_PANELS = 6  # maximum number of effects in the figure of local estimates
-MAX_ROWS = 14  # a partition with more parts, and the places, are drawn in one row
-AXIS_LIMIT = 3.0  # largest magnitude on the axis of local ratios; intervals are cut off there
+MAX_ROWS = 14  # a partition with more parts, or by place, is drawn in one row
+AXIS_LIMIT = 3.0  # largest magnitude on the axis of local ratios; longer intervals are cut off there
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def draw_waterfall(data: FigureData) -> PageFigure | None:
                Patch(color=AFTER_COLOUR, label=end),
                Patch(color=AFTER_COLOUR, alpha=0.65, label="reduction"),
                *([Patch(color=BAD_COLOUR, alpha=0.65, label="increase")] if has_increase else []),
-               Line2D([], [], color=MEASURED_COLOUR, ls="--", label="noise alone")]
+               Line2D([], [], color=MEASURED_COLOUR, ls="--", label="noise floor")]
     figure.legend(handles=handles, loc="outside lower left", ncols=len(handles))
     caption = ("Each row adds one effect and refits all values; its value and change belong to that step. Line: "
                "95 % interval of the change. Effects in parentheses are part of the fit, but not named.")
@@ -275,7 +275,7 @@ def draw_relation(relation: Relation, output: FigureOutput) -> PageFigure:
     distribution.yaxis.set_major_formatter("{x:g}")
     distribution.set(ylabel="fraction of the\ndriving, %", xlabel=f"{quantities.QUANTITY_NAMES[c.quantity]}, {x_unit}")
     before, after = relation.position_5s
-    title = (f"PROPOSAL: {quantities.make_full_title(relation)}; held-out position error after 5 s: "
+    title = (f"PROPOSAL: {quantities.describe_relation(relation)}; held-out position error after 5 s: "
              f"{before:.3f} m without it, {after:.3f} m with it")
     units = f"y in {c.unit}, u in {QUANTITIES[c.quantity]}".replace("^2", "²")
     formula = f"As a formula: {relation.formulas[0].text}, {units}. " if relation.formulas else ""

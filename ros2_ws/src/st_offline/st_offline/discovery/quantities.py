@@ -168,7 +168,7 @@ def get_curve_unit(unit: str) -> tuple[float, str]:
     return (100.0, "%") if unit == "1" else get_display_unit(unit)
 
 
-def make_full_title(relation: Relation) -> str:
+def describe_relation(relation: Relation) -> str:
     """Description of the relation by its term and quantity."""
     c, is_constant = relation.candidate, bool(relation.formulas) and relation.formulas[0].shape == "constant"
     factor = f", for each unit of {QUANTITY_NAMES[c.factor]}" if c.factor else ""

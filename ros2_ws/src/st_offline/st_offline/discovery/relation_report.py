@@ -44,7 +44,7 @@ def report_relation(search: RelationSearch, discovery: Discovery, vehicle: Vehic
                              )] if terms else []
     if relation is None:
         reason = search.reason
-        for name in sorted(search.statistics, key=len, reverse=True):  # a name may be the start of another
+        for name in sorted(search.statistics, key=len, reverse=True):  # a name may be the start of a longer one
             reason = reason.replace(name, quantities.spell_out(name))
         return RelationReport([("proposal", [f"none: {reason}"]), *not_excluded])
     error_without, error_with = relation.position_5s
@@ -52,7 +52,7 @@ def report_relation(search: RelationSearch, discovery: Discovery, vehicle: Vehic
                      for name, (before, after) in relation.find_worse_runs().items())
     worse = f"ERRORS LARGER by 25 % or more in {runs}"
     causes = relation.formulas[0].causes if relation.formulas else ""
-    title = quantities.make_full_title(relation)
+    title = quantities.describe_relation(relation)
     proposal = [f"{f'{worse}. ' if runs else ''}{title}. A proposal is not established: try it, then "
                 "keep or delete it",
                 *([f"textbook causes: {causes}. These drives do not determine which one applies"] if causes else [])]
@@ -93,8 +93,8 @@ def _describe_uncertainty(relation: Relation) -> list[str]:
     """Sentences on the range of the quantity, the widest interval, sparse ranges and the variation between runs."""
     c, widest = relation.candidate, int(relation.deviation.argmax())
     (y_scale, unit), (x_scale, x_unit) = map(quantities.get_curve_unit, (c.unit, QUANTITIES[c.quantity]))
-    lines = [f"driven: {quantities.QUANTITY_NAMES[c.quantity]} from {x_scale * c.low:.3g} to {x_scale * c.high:.3g} "
-             f"{x_unit}; the curve is constant beyond this range",
+    lines = [f"driven range: {quantities.QUANTITY_NAMES[c.quantity]} from {x_scale * c.low:.3g} to "
+             f"{x_scale * c.high:.3g} {x_unit}; the curve is constant beyond this range",
              f"widest interval at {x_scale * relation.points[widest]:.3g} {x_unit}: "
              f"{y_scale * relation.value[widest]:.2g} ± {y_scale * Z95 * relation.deviation[widest]:.2g} {unit} (95 %)"]
     if relation.next_drives.sparse_ranges:
@@ -102,7 +102,7 @@ def _describe_uncertainty(relation: Relation) -> list[str]:
         ranges = ", ".join(f"{x_scale * low:.2g} to {x_scale * high:.2g} {x_unit}"
                            for low, high in relation.next_drives.sparse_ranges)
         lines.append(f"sparsely driven: {ranges}{mirrored}. There the curve is interpolated, and the interval assumes "
-                     "the same smoothness: drive some seconds in this range, in left and right turns")
+                     "the same smoothness: drive for some seconds in this range, in left and right turns")
     weak = [name for name, (ratio, deviation) in relation.agreement.ratios.items() if ratio + Z95 * deviation < 0.5]
     if weak and relation.agreement.p_equal < SIGNIFICANCE_LEVEL:
         sizes = ", ".join(f"{name} {ratio:.1f} ± {Z95 * deviation:.1f}" for name, (ratio, deviation) in
@@ -119,7 +119,7 @@ def _list_alternatives(relation: Relation) -> list[str]:
         lines.append(f"these drives do not separate it from: {names}. In brackets: cosine similarity of the two "
                      "effects on the predictions (1: identical, 0: unrelated)")
     for name, share in relation.redundant.items():
-        lines.append(f"{quantities.to_words(name)} is named above, but is redundant with this relation (without it, "
+        lines.append(f"{quantities.to_words(name)} is named above, but is redundant given this relation (without it, "
                      f"the residual increases by {share:.1%}): it may have been fitted in place of the relation")
     return lines
 
@@ -212,9 +212,9 @@ def _describe_manoeuvre(option: Option) -> str:
 
 EFFECTS_FOLDER = Path(find_source_file(Effect)).parent
 SLOTS = {"front_steer": "front axle", "rear_steer": "rear axle", "front_force": "front axle", "rear_force": "rear axle",
-        "front_grip": "front axle", "rear_grip": "rear axle", "both_grip": "both axles", "yaw_moment": "body",
-        "side_force": "body", "sensor_yaw_rate": "yaw rate", "sensor_acceleration_y": "acceleration",
-        "sensor_velocity_y": "velocity", "sensor_heading": "heading"}
+         "front_grip": "front axle", "rear_grip": "rear axle", "both_grip": "both axles", "yaw_moment": "body",
+         "side_force": "body", "sensor_yaw_rate": "yaw rate", "sensor_acceleration_y": "acceleration",
+         "sensor_velocity_y": "velocity", "sensor_heading": "heading"}
 MAP_QUANTITIES = ("north", "east", "position_x", "position_y")  # relative to the map, not the car
 EFFECT_FILE = '''"""PROPOSAL, not an established effect: {title}.
 
@@ -248,9 +248,9 @@ def name_effect(relation: Relation) -> str:
     return f"{name}_{existing + 1}" if existing else name
 
 
-def _title_with_causes(relation: Relation) -> str:
+def _describe_with_causes(relation: Relation) -> str:
     causes = relation.formulas[0].causes if relation.formulas else ""
-    return quantities.make_full_title(relation) + (f" (textbook causes: {causes})" if causes else "")
+    return quantities.describe_relation(relation) + (f" (textbook causes: {causes})" if causes else "")
 
 
 def make_effect_code(relation: Relation, runs: Sequence[str], created: str) -> str:
@@ -264,7 +264,7 @@ def make_effect_code(relation: Relation, runs: Sequence[str], created: str) -> s
                          "gain)" for k, f in enumerate(relation.formulas, 1))
     formulas = formulas or "No simple formula can replace the curve."
     return EFFECT_FILE.format(
-        title=_title_with_causes(relation), count=len(runs), runs=", ".join(runs), created=created,
+        title=_describe_with_causes(relation), count=len(runs), runs=", ".join(runs), created=created,
         quantity=quantities.QUANTITY_NAMES[c.quantity],
         range=f"{c.low:.3g} to {c.high:.3g} {QUANTITIES[c.quantity]}".removesuffix(" 1"),
         meaning=f"y [{c.unit}]: {meaning}.", before=relation.position_5s[0], after=relation.position_5s[1],
@@ -280,7 +280,7 @@ def make_effect_code(relation: Relation, runs: Sequence[str], created: str) -> s
 
 
 def _list_hooks(c: Candidate) -> tuple[str, ...]:
-    """Names of the hooks at which a relation acts."""
+    """Names of the effect's hooks through which a relation acts."""
     if c.is_sensor_error:
         return "observe", "correct"
     if c.term.endswith("_steer"):
@@ -304,7 +304,7 @@ def write_files(search: RelationSearch, vehicle: VehicleParameters, runs: Sequen
         for module in user_folder.glob("*.py"):
             if not (effects / module.name).exists():
                 shutil.copyfile(module, effects / module.name)
-    note = f"PROPOSAL of st discover: {_title_with_causes(relation)}"
+    note = f"PROPOSAL of st discover: {_describe_with_causes(relation)}"
     provenance = ModelProvenance(created[:10], data=digests, note=note)
     fitted = ModelFile.from_model(relation.model, vehicle, provenance, source="fitted together with the relation")
     active = {name: parts for name, parts in fitted.effects.items()
@@ -316,7 +316,7 @@ def write_files(search: RelationSearch, vehicle: VehicleParameters, runs: Sequen
     try:
         (folder / "proposed.yaml").write_text(model.to_yaml(), encoding="utf-8")
     finally:
-        unload_folder(str(effects.absolute()))  # a later search in this process must not include it
+        unload_folder(str(effects.absolute()))  # a later search in this process must not use it
     return {"effects": file, "proposed.yaml": folder / "proposed.yaml"}
 
 

@@ -42,7 +42,7 @@ EFFECT_NOTE = ("Errors are those of the complete model on held-out drives; \"wit
                f"driving or in one condition, by at least {LIMITS.relevant_position:g} m. A sensor error that "
                "redundant sensors confirm is also named, if it is at least "
                f"{LIMITS.min_relative_size:g} times its typical size")
-PAIR_HEAD = ("effect", "alternative", f"share of the gain (limit {LIMITS.min_rival_gain:.0%})",
+PAIR_HEAD = ("effect", "alternative", f"fraction of the gain (limit {LIMITS.min_rival_gain:.0%})",
              f"increase of the residual (limit {LIMITS.unexplained_share:.0%})",
              f"p (limit {LIMITS.undecided_p:g})", "cosine", "separation, σ of the noise")
 
@@ -249,7 +249,7 @@ def list_pair_rows(discovery: Discovery) -> list[tuple[str, ...]]:
 
 
 def list_undetectable(discovery: Discovery) -> str:
-    """Effects that are not detectable in these drives, with the largest size tried, vehicle parameters first."""
+    """Effects that are not detectable in these drives, with the largest size examined, vehicle parameters first."""
     largest = {p.effect: f" of {format_deviation(p.size, p.unit)}"
                for p in sorted(discovery.certificate.powers, key=lambda p: abs(p.size))}
     # The combination of these effects is detectable.
@@ -419,7 +419,7 @@ def list_details(discovery: Discovery, update: VehicleUpdate | None) -> list[tup
     decisions = [reason.text for reason in discovery.reasons if reason.subject == "outcome"]
     if discovery.certificate.measured:
         decisions.append(f"false alarms: an effect was named in {discovery.certificate.alarms} of "
-                         f"{discovery.certificate.simulated_drives} simulated drives without any")
+                         f"{discovery.certificate.simulated_drives} simulated drives without an effect")
     minor = [f"{name_with_alternatives(discovery, e)}: {reasons[e.name]}" for e in sort_by_size(discovery.minor)
              if e.name in reasons]
     sections = [*((role, [text]) for role, text in describe_drives(discovery)), ("meaning", explain_effects(discovery)),
@@ -428,17 +428,17 @@ def list_details(discovery: Discovery, update: VehicleUpdate | None) -> list[tup
                 ("effective corrections", describe_effective(discovery)),
                 ("taken from the vehicle file", list_priors(discovery)),
                 ("varying, not named", list(map(describe_varying, discovery.varying))),
-                ("these drives", [list_detectable(discovery)])]
+                ("detectability", [list_detectable(discovery)])]
     return [(heading, texts) for heading, section in sections if (texts := [text for text in section if text])]
 
 
-def describe_condition(error: result.LargeErrorRegion) -> tuple[str, str]:
-    """(driving condition of an error, its ratio to the expected error with the 95 % interval)."""
-    first = error.condition.split()[0]
+def describe_condition(region: result.LargeErrorRegion) -> tuple[str, str]:
+    """(driving condition of large errors, their ratio to the expected error with the 95 % interval)."""
+    first = region.condition.split()[0]
     preposition = ("" if first in ("everywhere", "within") else
                    "at " if first in ("speed", "lateral", "road-wheel", "steering", "forward") else "in ")
-    where = preposition + error.condition.replace("^2", "²")
-    if error.excess > MAX_RATIO:
+    where = preposition + region.condition.replace("^2", "²")
+    if region.excess > MAX_RATIO:
         return where, f"more than {MAX_RATIO:g}"
-    low, high = error.interval
-    return where, f"{error.excess:.1f} ({f'{low:.1f} to {high:.1f}' if high < MAX_RATIO else f'more than {low:.1f}'})"
+    low, high = region.interval
+    return where, f"{region.excess:.1f} ({f'{low:.1f} to {high:.1f}' if high < MAX_RATIO else f'more than {low:.1f}'})"

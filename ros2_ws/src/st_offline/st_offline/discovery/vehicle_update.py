@@ -1,4 +1,4 @@
-"""Folds the named effects of a discovery into those entries of the user's vehicle file that can express them."""
+"""Folds the named effects of a discovery into the user's vehicle file: they become corrections of its entries."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -36,7 +36,7 @@ POSE_TOLERANCE = 1e-3  # m, rad; predictions that differ by less at the end of t
 MAX_POSITION_DIFFERENCE = 0.02  # m, mean at the end of the horizon; above it, effective corrections are dropped
 SIGNIFICANCE_LEVEL = 0.05  # of a one-sided paired t-test over the predictions of a drive, which do not overlap
 SIGNIFICANT_DIGITS = 6  # of a written value
-SCALE_SOURCE = "value before the corrections of other entries"  # source of a lambda_ky that the file does not contain
+SCALE_SOURCE = "value before the corrections of other entries"  # source of a lambda_ky that the file did not contain
 SLIP_SPEED_KEY = "minimum_slip_speed"
 ENTRIES = {**VEHICLE_QUANTITIES,
            **{f"{tyre}.{key}": quantity for tyre in TYRES for key, quantity in TYRE_QUANTITIES.items()}}
@@ -128,23 +128,23 @@ def fold_named_effects(discovery: Discovery, request: Request) -> VehicleUpdate 
 
 
 def _keep_original_file(vehicle: VehicleParameters, model: AugmentedModel, not_folded: Mapping[str, Mapping[str, Any]],
-                  *measured: Any) -> VehicleUpdate:
-    """Update that keeps the original file. measured: `error` and `worse_drives`, if an updated file was tried."""
+                        *comparison: Any) -> VehicleUpdate:
+    """Update that keeps the original file. comparison: `error` and `worse_drives`, if an updated file was tried."""
     required = _find_required_slip_speed(vehicle, model)
-    return replace(VehicleUpdate(vehicle, "", model, (), {}, not_folded, *measured),
+    return replace(VehicleUpdate(vehicle, "", model, (), {}, not_folded, *comparison),
                    required_slip_speed=required if required > vehicle.minimum_slip_speed else 0.0)
 
 
 def _find_required_slip_speed(car: VehicleParameters, model: AugmentedModel) -> float:
     """Lowest minimum_slip_speed [m/s] at which the base models and this model are stable. Models that no value
-    stabilises are ignored; if that leaves none, the value of the car."""
+    stabilises are ignored; if none is left, the result is the value of the car."""
     step = PredictionSettings().step
     required = [required_slip_speed((m,), car, STABILITY_SPEEDS, step) for m in ("linear", "nonlinear", model)]
     return max((speed for speed in required if speed is not None), default=car.minimum_slip_speed)
 
 
 def _compute_held_out_error(discovery: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
-                    drives: Sequence[DriveLog]) -> tuple[tuple[float, float], tuple[str, ...]]:
+                            drives: Sequence[DriveLog]) -> tuple[tuple[float, float], tuple[str, ...]]:
     """`error` and `worse_drives` of `VehicleUpdate`; each drive is predicted with values fitted to the other drives, if
     any. (0, inf) and the drive if these values are outside the limits of a vehicle file."""
     assert discovery.named is not None  # because there are named effects
@@ -221,7 +221,7 @@ def _compute_errors(model: AugmentedModel, vehicle: VehicleParameters, drives: S
 
 
 def _compute_interval(discovery: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
-                         key: str) -> tuple[float, float]:
+                      key: str) -> tuple[float, float]:
     """95 % interval of an entry of the file, from the intervals of the folded effects, assumed to be independent."""
     assert discovery.named is not None  # because there are named effects
     values = {name: dict(entry) for name, entry in discovery.named.values.items()}
@@ -233,8 +233,8 @@ def _compute_interval(discovery: Discovery, vehicle: VehicleParameters, folded: 
         for name, p in effect.parameters.items():
             ends = [centre]
             for end in p.interval:
-                limited = float(np.clip(fitted[name] + end - p.value, *bounds[name]))
-                changed = {**values, effect.name: {**fitted, name: limited}}
+                clipped = float(np.clip(fitted[name] + end - p.value, *bounds[name]))
+                changed = {**values, effect.name: {**fitted, name: clipped}}
                 ends.append(value_of(fold_effects(vehicle, folded, changed), key))
             below += (centre - min(ends)) ** 2
             above += (max(ends) - centre) ** 2
@@ -269,11 +269,11 @@ def edit_vehicle_text(text: str, keys: Iterable[str], car: VehicleParameters, di
             read = VehicleParameters.from_yaml(edited)
         except (ConfigurationError, yaml.YAMLError):
             break
-        wrong = [key for key in ENTRIES if not math.isclose(value_of(read, key), value_of(car, key), rel_tol=tolerance,
-                                                            abs_tol=1e-4 * tolerance)]
-        if not wrong:
+        wrong_keys = [key for key in ENTRIES if not math.isclose(
+            value_of(read, key), value_of(car, key), rel_tol=tolerance, abs_tol=1e-4 * tolerance)]
+        if not wrong_keys:
             return edited
-        keys += [key for key in wrong if key.endswith("lambda_ky")]
+        keys += [key for key in wrong_keys if key.endswith("lambda_ky")]
     return car.to_yaml()
 
 
