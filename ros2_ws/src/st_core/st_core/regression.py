@@ -44,7 +44,7 @@ def count_decimals(half_width: float) -> int:
 
 
 def effective_degrees_of_freedom(estimated_variance: float, total_variance: float, degrees_of_freedom: float) -> float:
-    """Degrees of freedom of a total variance, the sum of a known and an estimated variance; inf if the latter is 0.
+    """Degrees of freedom of the sum of a known and an estimated variance; inf if the estimated variance is 0.
 
     degrees_of_freedom: those of the estimated variance. Source: Welch and Satterthwaite, JCGM 100:2008, G.4.
     """

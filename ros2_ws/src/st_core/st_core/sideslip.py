@@ -56,7 +56,7 @@ def derive_yaw_rate(time_ns: np.ndarray, yaw: np.ndarray) -> np.ndarray:
 
 
 def has_derived_yaw_rate(log: DriveLog) -> bool:
-    """Whether the yaw rate of the moving car is the derivative of yaw, so that no gyroscope was recorded."""
+    """Whether the yaw rate of the moving car is only the derivative of yaw, because no gyroscope was recorded."""
     is_fast = log.velocity_x > MIN_SPEED
     error = np.abs(derive_yaw_rate(log.ins_time_ns, log.yaw) - log.yaw_rate)[is_fast]
     return bool(is_fast.any() and np.median(error) < MAX_DERIVATIVE_ERROR)

@@ -36,7 +36,7 @@ def resolve_vehicle_file(file: Path | None) -> Path:
 
 
 def find_vehicle_name(vehicle: Path) -> str:
-    """Name of the car in results: name of the folder for a file vehicle.yaml, else of the file, without its suffix."""
+    """Name of the car in results: the file name without suffix, or the name of the folder of a file vehicle.yaml."""
     return vehicle.parent.name if vehicle.name == "vehicle.yaml" else vehicle.stem
 
 

@@ -63,7 +63,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 class PageServer(ThreadingHTTPServer):
-    """Serves the page. Raises OSError if the port is in use or the address does not belong to this host.
+    """Serves the passenger's page. Raises OSError if the port is in use or the address does not belong to this host.
 
     port: 0 selects a free port. settings: constants of the page: title, models with colours, size of the car.
     """

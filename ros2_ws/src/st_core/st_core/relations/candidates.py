@@ -152,7 +152,7 @@ class Candidate:
         return values | ({"by_one": 0.0} if self.factor else {})
 
     def compute_splines(self, u: np.ndarray) -> np.ndarray:
-        """(SPLINES, ...) basis splines [unit of the curve] at u [unit of the quantity]; the curve is a sum of them."""
+        """Basis splines (SPLINES, ...) [unit of the curve] at u [unit of the quantity]; the curve is a weighted sum."""
         t, s = ((np.clip(v, self.low, self.high) - self.low) * _relation.INTERVALS / (self.high - self.low)
                 for v in (u, -u))
         return self.typical_size * np.stack([

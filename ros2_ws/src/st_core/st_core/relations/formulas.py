@@ -36,7 +36,7 @@ class Formula:
 
 @dataclass(frozen=True, eq=False)
 class FittedShape:
-    """A shape fitted to a quadratic loss. parameters: fitted to all blocks; parameters_by_fold: fitted without a fold.
+    """A shape fitted to a quadratic loss. parameters: fitted to all blocks; parameters_by_fold: without one fold.
     explained_fraction [1] of the curve's gain. held_out: (b,) held-out loss minus the held-out loss of the curve."""
 
     name: str

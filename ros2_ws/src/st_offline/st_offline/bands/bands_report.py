@@ -171,7 +171,7 @@ def pool_sums(entries: Sequence[Mapping[str, Any]]) -> Sums:
 
 
 def summarise_bands(sums: Sums) -> dict[str, Any]:
-    """models: coverages and mean scores by model and mode, None without starts. known_recordings: `Scorer.get_sums`."""
+    """models: coverages and mean scores by model and mode, None without starts. known_recordings: see `get_sums`."""
     return {"known_recordings": sums.get("known_recordings", []),
             "models": {model: {mode: _summarise_scores(scores) for mode, scores in modes.items()}
                        for model, modes in sums.get("models", {}).items()}}
