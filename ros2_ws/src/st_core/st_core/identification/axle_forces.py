@@ -209,7 +209,7 @@ def _fit_slope(samples: AxleSamples) -> Slope:
     group = make_blocks(samples.run_index[samples.used], samples.time[samples.used])
     solution, spread, influence = group.fit_least_squares(np.stack([-slip, np.ones_like(slip)], axis=1),
                                                           samples.force[samples.used])
-    return Slope(float(solution[0]), spread, (group.run.astype(np.int64) << 32) + group.block, influence[:, 0])
+    return Slope(float(solution[0]), spread, (group.run.astype(np.int64) << 32) + group.number_in_run, influence[:, 0])
 
 
 def _estimate_model_error(samples: AxleSamples, slope: Slope) -> float:
