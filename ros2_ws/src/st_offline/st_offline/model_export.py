@@ -26,8 +26,8 @@ STEPS = (0.01, 0.02, 0.05, 0.1)  # s; the description states the lowest stable s
 def export_model(model: Model, vehicle: VehicleParameters, folder: Path, kind: Format, substeps: int = 1,
                  free: Iterable[str] = (), bands: Bands | None = None) -> list[Path]:
     """Write the functions of a model, model.json and README.md into an existing folder; returns the files. free:
-    parameters that stay arguments of the functions. bands: the half-widths become a CasADi function for each mode and
-    each of LEVELS. Raises ConfigurationError for an unknown parameter in `free`, and for bands without this model."""
+    parameters that remain arguments of the functions. bands: each mode and level in LEVELS becomes a CasADi function of
+    the half-widths. Raises ConfigurationError for an unknown parameter in `free`, and for bands without this model."""
     symbolic = build(model, vehicle, substeps, free)
     if kind == "casadi":
         files = [folder / f"{function.name()}.casadi" for function in symbolic.functions]
@@ -41,12 +41,12 @@ def export_model(model: Model, vehicle: VehicleParameters, folder: Path, kind: F
         files = [folder / f"{symbolic.name}.c", folder / f"{symbolic.name}.h"]
     description = make_description(symbolic, model, vehicle, [f.name for f in files])
     if bands is not None:
-        exported = {(mode, level): band for (name, mode), band in bands.bands.items() if name == model.name
-                    for level in band.factors if level in LEVELS}
-        if not exported:
+        exported_bands = {(mode, level): band for (name, mode), band in bands.bands.items() if name == model.name
+                          for level in band.factors if level in LEVELS}
+        if not exported_bands:
             raise ConfigurationError(f"the bands have no entry for model {model.name}, only for "
                                      f"{', '.join(bands.models)}; calibrate them with --model {model.name}")
-        for (mode, level), band in exported.items():
+        for (mode, level), band in exported_bands.items():
             name = f"{model.name}_band_{mode}_{100 * level:.0f}"
             files.append(folder / f"{name}.casadi")
             make_half_width_function(band, level, vehicle, name).save(str(files[-1]))
@@ -106,9 +106,9 @@ def _format_readme(description: dict[str, Any], kind: Format) -> str:
         "`dynamics`: time derivative. `step`: classical Runge-Kutta over h [s], inputs held, "
         f"{description['substeps']} substep(s). `dynamics_jacobian`, `step_jacobian`: their derivatives A with respect "
         "to x and B with respect to u. `start`: appends the initial values of the additional states to the six states.",
-        f"A step h is stable above this speed (the equations are stiff at low speed): {stable}.",
-        f"Not in the equations: {missing}. They act on the steering signal before the model, or on the sensors; apply "
-        "them separately." if missing else "", usage))) + "\n"
+        f"Speed above which a step h is stable (the equations are stiff at low speed): {stable}.",
+        f"Not in the equations: {missing}. These effects act on the steering signal before the model, or on the "
+        "sensors; apply them separately." if missing else "", usage))) + "\n"
 
 
 def make_half_width_function(band: Band, level: float, vehicle: VehicleParameters,

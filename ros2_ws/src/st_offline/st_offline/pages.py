@@ -18,7 +18,7 @@ MAX_UNWRAPPED = 30  # characters; a column with a longer text wraps
 
 @dataclass(frozen=True)
 class Table:
-    """A collapsible table. about: text next to the title. note: paragraph above it. rows: one text per column each."""
+    """A collapsible table. about: text next to the title. note: text above the rows. rows: one text for each column."""
 
     title: str
     note: str

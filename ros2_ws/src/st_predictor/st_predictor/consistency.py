@@ -1,4 +1,4 @@
-"""Checks the consistency of the newest measurements by means of `st_core.checks`, for /diagnostics."""
+"""Checks the newest measurements for consistency with `st_core.checks`, and reports the result in /diagnostics."""
 
 import math
 import time
@@ -12,9 +12,9 @@ from st_core.measurement_history import MeasurementHistory
 from st_core.timeseries import NANOSECOND, TimeSeries
 from st_core.vehicle import VehicleParameters
 
-HISTORY_SPAN = 60.0  # s, maximum age of a measurement used, and of a verdict without new measurements
+HISTORY_SPAN = 60.0  # s, maximum age of the measurements used, and of a verdict if no new measurement arrives
 WINDOW = 30.0  # s of measurements that are checked; more if these contain too little driving
-MIN_DRIVING, MIN_SPEED = 20.0, 1.0  # duration [s] of driving above a speed [m/s] that a verdict requires
+MIN_DRIVING, MIN_SPEED = 20.0, 1.0  # a verdict requires this duration [s] of driving above this speed [m/s]
 MAX_STEP = 0.25  # s; a longer interval between samples counts as this much driving
 SAMPLE_PERIOD_NS = 20_000_000  # 20 ms: only the first sample of each such period is used
 CHECK_PERIOD = 10.0  # s of measurements between checks
@@ -34,7 +34,7 @@ class Verdict:
     values: Mapping[str, str] = field(default_factory=dict)  # finding -> value with unit, or its severity
 
 
-class Consistency:
+class ConsistencyMonitor:
     """Periodically checks the last 30 s of a history, extended up to 60 s to include 20 s of driving.
 
     Measurements before a position jump are not used. A check of so little data may be wrong, so a fault is reported
@@ -58,16 +58,16 @@ class Consistency:
 
         An exception in a check is not raised; it becomes a verdict of severity "warning".
         """
-        newest = history.ins.newest
+        newest_ns = history.ins.newest
         if self._first_poll is None:
             self._first_poll = now
-        if newest is None or now < self._not_before:
+        if newest_ns is None or now < self._not_before:
             return False
-        if self._checked_ns is not None and 0 <= newest - self._checked_ns < CHECK_PERIOD / NANOSECOND:
+        if self._checked_ns is not None and 0 <= newest_ns - self._checked_ns < CHECK_PERIOD / NANOSECOND:
             if now - self._checked_at > HISTORY_SPAN:
                 self.verdict = _make_pending_verdict(0.0)
             return False
-        self._checked_ns, self._checked_at = newest, now
+        self._checked_ns, self._checked_at = newest_ns, now
         try:
             self._check(*select_recent(history), self._first_poll)
         except Exception as error:  # a failed check must not stop the scoring of predictions
@@ -92,20 +92,20 @@ class Consistency:
 
 def select_recent(history: MeasurementHistory) -> tuple[DriveLog | None, float]:
     """(thinned-out measurements to check, None if they contain too little driving; duration of driving [s])."""
-    newest = history.ins.newest or 0
-    oldest = max(newest - round(HISTORY_SPAN / NANOSECOND), *history.ins.breaks, 0)
-    times, rows = _thin_out(history.ins, oldest)
-    step = np.minimum(np.diff(times, append=newest) * NANOSECOND, MAX_STEP)
-    # Duration of driving from each sample to the newest [s].
+    newest_ns = history.ins.newest or 0
+    oldest_ns = max(newest_ns - round(HISTORY_SPAN / NANOSECOND), *history.ins.breaks, 0)
+    times, rows = _thin_out(history.ins, oldest_ns)
+    step = np.minimum(np.diff(times, append=newest_ns) * NANOSECOND, MAX_STEP)
+    # Duration of driving from each sample to the newest sample [s].
     remaining = np.cumsum((step * (np.abs(rows[:, INS_SIGNALS.index("velocity_x")]) > MIN_SPEED))[::-1])[::-1]
     driving_time = float(remaining[0]) if len(remaining) else 0.0
     if driving_time < MIN_DRIVING:
         return None, driving_time
-    start = min(newest - round(WINDOW / NANOSECOND), int(times[np.flatnonzero(remaining >= MIN_DRIVING)[-1]]))
-    start = max(start, oldest)
-    times, rows = _thin_out(history.ins, start)
+    start_ns = min(newest_ns - round(WINDOW / NANOSECOND), int(times[np.flatnonzero(remaining >= MIN_DRIVING)[-1]]))
+    start_ns = max(start_ns, oldest_ns)
+    times, rows = _thin_out(history.ins, start_ns)
     columns = dict(zip(INS_SIGNALS, rows.T, strict=False))
-    steering_times, angles = _thin_out(history.steering, start)
+    steering_times, angles = _thin_out(history.steering, start_ns)
     log = DriveLog("live", times, **columns | {"yaw": np.unwrap(columns["yaw"])},
                    steering_time_ns=steering_times, road_wheel_angle=angles[:, 0])
     return log, driving_time
@@ -139,8 +139,8 @@ def _make_verdict(findings: Sequence[Finding], previous_faults: Set[str], durati
         severity = confirmed[0].severity
         text = "; ".join(fault.text for fault in confirmed if fault.severity is severity)
         return Verdict(severity.value, text, values)
-    text = f"signals agree in the newest {duration:.0f} s"
+    text = f"signals agree in the last {duration:.0f} s"
     if faults:
         names = ", ".join(fault.name for fault in faults)
-        text = f"no confirmed fault in the newest {duration:.0f} s; to be confirmed by the next check: {names}"
+        text = f"no confirmed fault in the last {duration:.0f} s; to be confirmed by the next check: {names}"
     return Verdict("note" if findings else "", text, values)

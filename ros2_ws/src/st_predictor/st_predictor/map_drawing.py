@@ -39,7 +39,7 @@ def make_car_outline(pose: Pose, car: VehicleParameters) -> tuple[np.ndarray, np
 
 @dataclass(frozen=True, eq=False)
 class Ribbon:
-    """Left and right edges of a band in the map frame, (n, 2) each [m], start first. level: probability, 0 to 1."""
+    """Left and right edges of a band in the map frame, (n, 2) each [m]. level: probability, 0 to 1."""
 
     level: float
     left: np.ndarray
@@ -91,9 +91,9 @@ class Path:
 
 
 class History:
-    """Measured track and newest predictions; times are UTC. Late and repeated samples are ignored.
+    """Measured track and newest predictions; times are UTC. Samples that are not newer than the last are ignored.
 
-    A pose that is 1 s or more late, as after the restart of a replay, clears the history.
+    But a pose older than the last by 1 s or more, as after the restart of a replay, clears the history.
     """
 
     def __init__(self) -> None:
@@ -133,13 +133,13 @@ class History:
         for age in GHOST_AGES:
             start_ns = now_ns - round(age * 1e9)
             index = bisect_left(paths, start_ns, key=lambda p: p.start_ns)
-            best = min(paths[max(index - 1, 0):index + 1], key=lambda p: abs(p.start_ns - start_ns), default=None)
-            if best is not None and abs(best.start_ns - start_ns) <= GHOST_TOLERANCE * 1e9:
-                ghosts.append((age, best))
+            nearest = min(paths[max(index - 1, 0):index + 1], key=lambda p: abs(p.start_ns - start_ns), default=None)
+            if nearest is not None and abs(nearest.start_ns - start_ns) <= GHOST_TOLERANCE * 1e9:
+                ghosts.append((age, nearest))
         return ghosts
 
     def find_predicted_position(self, model: str, now_ns: int) -> tuple[float, float] | None:
-        """Position x, y [m] at this instant, from the oldest stored prediction that covers it; None without one."""
+        """Predicted x, y [m] at `now_ns`, from the oldest stored prediction that covers it; None without one."""
         for path in self._paths.get(model, ()):
             if (point := path.find_position(now_ns)) is not None and path.start_ns < now_ns:
                 return point

@@ -9,7 +9,7 @@ import pytest
 from st_core.measurement_history import MeasurementHistory
 from st_core.types import InsSample
 from st_core.vehicle import VehicleParameters
-from st_predictor.consistency import CHECK_PERIOD, MAX_CPU_FRACTION, MIN_DRIVING, WINDOW, Consistency, Verdict
+from st_predictor.consistency import CHECK_PERIOD, MAX_CPU_FRACTION, MIN_DRIVING, WINDOW, ConsistencyMonitor, Verdict
 from support import LEAF
 from winding_road import RATE, Truth, winding_road
 
@@ -40,7 +40,7 @@ class CheckedDrive:
     """
 
     def __init__(self, vehicle: Any = CAR, share: float = 1.0):
-        self.consistency = Consistency(vehicle, share)
+        self.consistency = ConsistencyMonitor(vehicle, share)
         self.history = MeasurementHistory(65.0, 0.1, 5.0)
         self.now = 0.0
         self.verdicts: list[tuple[float, Verdict]] = []

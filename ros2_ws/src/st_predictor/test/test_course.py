@@ -79,7 +79,7 @@ def make_course_input(node, course: Course, at: tuple[float, float] | None = Non
     """at: latitude and longitude of the map origin of this run [deg]."""
     course_input = CourseInput(node, course, CAR, 5.0, 0.05)
     if at:
-        course_input._move_course(NavSatFix(latitude=at[0], longitude=at[1]))
+        course_input._shift_course(NavSatFix(latitude=at[0], longitude=at[1]))
     return course_input
 
 

@@ -41,13 +41,13 @@ class Car:
         return self.folder / "signals.yaml"
 
 
-def load_car(text: str) -> Car:
+def load_car(name: str) -> Car:
     """Loads a car by the name of its folder in config/car, or by the path of any folder. car.yaml is optional.
 
     Raises RunError for a file, for a folder that does not exist or has no vehicle file, and for a car.yaml with
     keys other than steering_sign (1 or -1) and steering_latency (0 to 1 s), or other values.
     """
-    folder = Path(text) if "/" in text or Path(text).is_dir() else config("car") / text
+    folder = Path(name) if "/" in name or Path(name).is_dir() else config("car") / name
     if folder.is_file():
         raise RunError(folder, "this is a file; a car is a folder", f"give --car {folder.absolute().parent}, or "
                        "--vehicle for a vehicle file alone")

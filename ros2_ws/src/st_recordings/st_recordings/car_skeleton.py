@@ -47,7 +47,7 @@ ASSUMED_UNCERTAINTIES = {"cg_height": 0.1}
 STABILITY_SPEEDS = tuple(0.5 * k for k in range(1, 81))
 """Speeds [m/s] at which the numerical integration of the models must be stable."""
 ASSUMED_ZERO = ("cg_to_ins_y", "steering_wheel_offset")  # quantities that the template sets to 0
-# Quantities that st discover never fits
+# Quantities that st discover never fits.
 FIXED_QUANTITIES = ("wheelbase", "minimum_slip_speed", "length", "width", *OPTIONAL_QUANTITIES)
 _VEHICLE_ROW = re.compile(r'^(?P<indent> *)(?P<key>\w+): \{value: (?P<value>\S+), unit: (?P<unit>.+?), source: ".*"\}$')
 
@@ -60,7 +60,7 @@ messages:
     # counter: {signal: NAME, check: warn}                # if the message has them
     # checksum: {signal: NAME, rule: sum8_id, check: drop}
     signals:
-      # unit: as in the DBC, or the true one where the DBC gives none. Leave sign at 1: the sign of the sensor is
+      # unit: as in the DBC, or the actual unit if the DBC gives none. Leave sign at 1: the sign of the sensor is
       # steering_sign in car.yaml. sign_signal: NAME of a separate signal of the sign, if any (1: negative).
       FILL_IN_signal: {name: steering_wheel_angle, unit: deg, sign: 1, range: [-900, 900], max_rate: 2000}
 
@@ -195,16 +195,16 @@ def _find_vehicle_problems(file: Path) -> list[str]:
     if slip_speed <= vehicle.minimum_slip_speed:
         return []
     return [f"{file}: minimum_slip_speed: {vehicle.minimum_slip_speed:g} m/s is too low for integration steps of "
-            f"{1e3 * step:g} ms; {slip_speed:g} m/s or more is stable, or shorter steps (st evaluate --step)"]
+            f"{1e3 * step:g} ms; use {slip_speed:g} m/s or more, or shorter steps (st evaluate --step)"]
 
 
 def _find_bus_problems(car: Car) -> list[str]:
-    existing = [file for file in (car.dbc, car.signals) if file.exists()]
-    if not existing:  # the car is only used with CSV files and bags
+    files = [file for file in (car.dbc, car.signals) if file.exists()]
+    if not files:  # the car is only used with CSV files and bags
         return []
-    if len(existing) == 1:
-        missing = car.signals if car.dbc.exists() else car.dbc
-        return [f"{missing}: the file does not exist, and {existing[0].name} cannot be used without it; write it, or "
+    if len(files) == 1:
+        missing_file = car.signals if car.dbc.exists() else car.dbc
+        return [f"{missing_file}: the file does not exist, and {files[0].name} cannot be used without it; write it, or "
                 "delete both"]
     try:
         if _find_unfilled_keys(read_yaml_mapping(car.signals)):
@@ -222,21 +222,21 @@ def _find_bus_problems(car: Car) -> list[str]:
 
 
 def _list_bus_remarks(car: Car) -> list[str]:
-    """A line for each used signal with an unknown unit in the DBC, and one if its speed signals are all unused."""
+    """A line for each mapped signal with an unknown DBC unit, and one if all speed signals of the DBC are unmapped."""
     if not car.signals.exists():
         return []
     table = load_table(car.dbc, car.signals)
     signals = [signal for message in table.messages.values() for signal in message.signals]
-    notes = [f"{car.signals}: {signal.dbc.name}: {car.dbc.name} gives the unknown unit {signal.dbc.unit!r}; the unit "
-             f"{signal.unit!r} of the table is used" for signal in signals if find_dbc_unit(signal.dbc.unit) is None]
+    remarks = [f"{car.signals}: {signal.dbc.name}: {car.dbc.name} gives the unknown unit {signal.dbc.unit!r}; the unit "
+               f"{signal.unit!r} of the table is used" for signal in signals if find_dbc_unit(signal.dbc.unit) is None]
     if any(signal.name in SPEEDS for signal in signals):
-        return notes
+        return remarks
     names = [f"{message.name}.{signal.name}" for message in table.database.messages for signal in message.signals
               if "speed" in signal.name.lower() and find_unit("speed", signal.unit or "") and
               not message.name.startswith("RT_")]
-    return [*notes, f"{car.signals}: it has no speed signal, but {car.dbc.name} has {', '.join(names[:4])}: map one "
+    return [*remarks, f"{car.signals}: it maps no speed signal, but {car.dbc.name} has {', '.join(names[:4])}: map one "
             "to vehicle_speed (or wheel_speed_rear_left, ...); it aligns the clocks of INS and CAN log better than the "
-            "steering"] if names else notes
+            "steering"] if names else remarks
 
 
 def _find_unfilled_keys(document: Mapping[str, Any]) -> list[str]:

@@ -30,7 +30,7 @@ __all__ = ["BagWriter", "Qos", "RecoveryError", "RecoveryReport", "make_qos", "r
 CHUNK_SIZE = 1024 * 1024
 """Bytes that are compressed together; at high data rates a chunk is full before FLUSH_PERIOD has passed."""
 FLUSH_PERIOD = 0.5
-"""Period [s] of writes. A killed process loses up to 1 s of data: this period plus the delay of flush_when_due."""
+"""Period [s] of writes. A killed process loses up to 1 s of data: this period plus that of flush_when_due calls."""
 DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """If writing the index fails with one of these errors, the newest chunks are dropped until it fits; otherwise none."""
 MIN_SYNC_PERIOD = 0.25
@@ -189,7 +189,7 @@ class BagWriter:
             self._build_information().save(folder)
 
     def _close_file(self, count: int) -> None:
-        """count: number of messages in the file; all others are lost."""
+        """Closes the file. count: number of messages in it; all others count as lost."""
         self.lost_count, self.message_count = self.lost_count + self.message_count - count, count
         if self.syncer:
             self.syncer.stop()
@@ -280,7 +280,7 @@ class Syncer:
         # Write times [s, monotonic] of the oldest data awaiting synchronisation, and of the oldest being synchronised.
         self._waiting_start: float | None = None
         self._syncing_start: float | None = None
-        self._stopped = False
+        self._must_stop = False
         self.error = ""
         self.call_count, self.longest_call = 0, 0.0
         self._thread = threading.Thread(target=self._work, name="sync", daemon=True)
@@ -303,7 +303,7 @@ class Syncer:
     def stop(self) -> None:
         """Ends the thread and waits for it; remaining data is not synchronised."""
         with self._condition:
-            self._stopped = True
+            self._must_stop = True
             self._condition.notify()
         self._thread.join()
 
@@ -311,11 +311,11 @@ class Syncer:
         start = float("-inf")
         while True:
             with self._condition:
-                self._condition.wait_for(lambda: self._stopped or self._waiting_start is not None)
+                self._condition.wait_for(lambda: self._must_stop or self._waiting_start is not None)
                 pause = start + MIN_SYNC_PERIOD - time.monotonic()
                 if pause > 0.0:
-                    self._condition.wait_for(lambda: self._stopped, pause)
-                if self._stopped:
+                    self._condition.wait_for(lambda: self._must_stop, pause)
+                if self._must_stop:
                     break
                 self._syncing_start, self._waiting_start = self._waiting_start, None
             start = time.monotonic()

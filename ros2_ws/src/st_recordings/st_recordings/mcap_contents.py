@@ -124,10 +124,10 @@ class Contents:
             case Chunk():
                 self._add_chunk(record, messages, offset, length)
             case MessageIndex():
-                newest = self._chunks[-1]
-                newest.counts.setdefault(record.channel_id, len(record.records))
-                newest.index.message_index_offsets[record.channel_id] = offset
-                newest.index.message_index_length += length
+                newest_chunk = self._chunks[-1]
+                newest_chunk.counts.setdefault(record.channel_id, len(record.records))
+                newest_chunk.index.message_index_offsets[record.channel_id] = offset
+                newest_chunk.index.message_index_length += length
             case Schema():
                 self.schemas[record.id] = record
             case Channel():
@@ -181,10 +181,10 @@ class Contents:
             message_start_time=chunk.message_start_time, uncompressed_size=chunk.uncompressed_size)
         self._chunks.append(_ChunkEntry(index, messages, {i: len(m.records) for i, m in messages.items()}))
         if len(self._chunks) > MAX_DROPPED_CHUNKS:
-            oldest = self._chunks.popleft()
-            self._older_indexes += _serialise(oldest.index)
+            oldest_chunk = self._chunks.popleft()
+            self._older_indexes += _serialise(oldest_chunk.index)
             self._older_chunk_count += 1
-            self._add_older(oldest.counts, oldest.times())
+            self._add_older(oldest_chunk.counts, oldest_chunk.times())
 
     def _add_older(self, counts: Mapping[int, int], times: Sequence[int]) -> None:
         self._older_messages.update(counts)
@@ -203,7 +203,7 @@ class Contents:
     def drop_last_chunk(self) -> int | None:
         """Removes the newest chunk, and the metadata after it, from the inventory.
 
-        Returns the position of the chunk in the file; None if MAX_DROPPED_CHUNKS have been dropped or there is none.
+        Returns its position in the file; None without a chunk, or after MAX_DROPPED_CHUNKS have been dropped.
         """
         if not self._chunks:
             return None
@@ -214,9 +214,9 @@ class Contents:
     def finish(self, stream: WritableStream) -> None:
         """Appends the end of the file: missing message indexes of the last chunk, end of data, summary and footer."""
         if self._chunks:
-            newest = self._chunks[-1]
-            missing = newest.messages.keys() - newest.index.message_index_offsets.keys()
-            self.append(stream, *(newest.messages[channel_id] for channel_id in missing))
+            newest_chunk = self._chunks[-1]
+            missing_ids = newest_chunk.messages.keys() - newest_chunk.index.message_index_offsets.keys()
+            self.append(stream, *(newest_chunk.messages[channel_id] for channel_id in missing_ids))
         data_end = _serialise(mcap_records.DataEnd(0))
         stream.write(data_end + self._make_summary(stream.tell() + len(data_end)) + MAGIC)
 

@@ -37,7 +37,7 @@ def config(relative: str) -> Path:
 def source_version() -> str:
     """Version of the wheel if its files are used, else `git describe` of the checkout; "unknown" without either."""
     try:
-        if (root := project_root()) == INSTALLED_FILES:  # its environment may be in a different git repository
+        if (root := project_root()) == INSTALLED_FILES:  # the wheel may be installed inside a different git repository
             return metadata.version(DISTRIBUTION)
         command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--tags"]
         return subprocess.run(command, capture_output=True, text=True, check=True, timeout=5).stdout.strip()
@@ -59,8 +59,8 @@ def new_folder(output: Path | None, name: str, create: bool = True) -> Path:
             raise OutputError(f"{folder} {problem}: choose another --output (existing files are not overwritten)")
         if create:
             folder.mkdir(parents=True, exist_ok=True)
-            if (free := shutil.disk_usage(folder).free) < MIN_FREE_SPACE:
-                raise OutputError(f"{folder}: its disk is full ({free / 1e6:.1f} MB left, "
+            if (free_space := shutil.disk_usage(folder).free) < MIN_FREE_SPACE:
+                raise OutputError(f"{folder}: its disk is full ({free_space / 1e6:.1f} MB left, "
                                   f"{MIN_FREE_SPACE / 1e6:.0f} MB required): free space, or choose another --output")
     except OutputError:
         raise

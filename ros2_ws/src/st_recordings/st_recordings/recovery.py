@@ -28,7 +28,7 @@ DATA_END_LENGTH = 13  # bytes of the record that ends the data section
 
 
 class RecoveryError(ValueError):
-    """One-line reason why a file cannot be recovered. The file is unchanged; earlier files may be repaired."""
+    """One-line reason why a file cannot be recovered. It is unchanged; earlier files of its bag may be repaired."""
 
 
 @dataclass
@@ -36,7 +36,7 @@ class FileReport(BagFile):
     """Outcome for one file; count, start_ns and end_ns refer to the messages kept."""
 
     is_intact: bool = False  # closed and undamaged: left unchanged, or copied to the output
-    lost_bytes: int = 0  # truncated or damaged
+    lost_bytes: int = 0  # in truncated or damaged records
     damaged_records: int = 0
     original: Path | None = None  # new path of the damaged file, if it was repaired in place
 

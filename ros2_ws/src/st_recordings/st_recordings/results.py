@@ -20,8 +20,8 @@ from .runs.cdr import get_field
 from .runs.errors import RunError
 from .runs.ins_log import yaw_from_quaternion
 
-PREDICTION, ERROR = "st_msgs/msg/Prediction", "st_msgs/msg/PredictionError"
-PLANNED = "st_msgs/msg/PlannedPrediction"
+PREDICTION_TYPE, ERROR_TYPE = "st_msgs/msg/Prediction", "st_msgs/msg/PredictionError"
+PLANNED_TYPE = "st_msgs/msg/PlannedPrediction"
 STATE_FIELDS = ("x", "y", "velocity_x", "velocity_y", "yaw", "yaw_rate")
 # Phrases in the evaluator's reason for an incomplete score (st_core: MeasurementHistory, TimeSeries.describe_unknown).
 JUMP_REASON = "position jumps"
@@ -41,7 +41,7 @@ class Predictions:
     starts_ns: np.ndarray  # (n,) ascending
     states: np.ndarray  # (n, points, 6) at the CG [SI], in the order of STATE_FIELDS
     step: float  # [s]
-    hashes: frozenset[str]  # of the configurations
+    hashes: frozenset[str]  # of the predictor's configurations
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ class Scores:
     has_jump: np.ndarray  # (n,) whether a score is incomplete because the position jumps within the horizon
 
     def at(self, starts_ns: np.ndarray) -> "Scores":
-        """The scores of the given start times [ns]."""
+        """The scores of the predictions that start at these times [ns]."""
         rows = np.isin(self.starts_ns, starts_ns)
         return Scores(*(getattr(self, f.name)[rows] for f in fields(self)))
 
@@ -121,7 +121,7 @@ class Results:
     track: Track
     scores: dict[tuple[str, str], MeanErrors]  # by model and mode
     segments: dict[tuple[str, int], Segment]  # by model and start [ns, UTC]; at most MAX_DRAWN_STARTS
-    ticks: dict[str, Any]
+    ticks: dict[str, Any]  # numbers of the predictor's ticks: due, predicted, skipped
     configuration_hash: str
     bands: list[Any] = field(default_factory=list)  # statistics of st_msgs/ErrorSummary with n_bands > 0
 
@@ -153,14 +153,14 @@ def find_configuration(records: Mapping[str, Mapping[str, str]],
 
 def read_predictions(bag: Path, progress: Progress | None = None) -> dict[str, Predictions]:
     """Reads forecasts by model. Raises RunError if the predictions of a model have different horizons or steps."""
-    return {model: Predictions(*columns) for model, columns in _read_by_model(bag, PREDICTION, (), progress).items()}
+    return {model: Predictions(*parts) for model, parts in _read_by_model(bag, PREDICTION_TYPE, (), progress).items()}
 
 
 def read_planned_predictions(bag: Path, mode: str, progress: Progress | None = None) -> dict[str, PlannedPredictions]:
     """Reads predictions of mode plan or course by model, as `read_predictions` does."""
     inputs = ("road_wheel_angle", "velocity_x_dot")
-    return {model: PlannedPredictions(*columns)
-            for model, columns in _read_by_model(bag, PLANNED, inputs, progress, f"/{mode}").items()}
+    return {model: PlannedPredictions(*parts)
+            for model, parts in _read_by_model(bag, PLANNED_TYPE, inputs, progress, f"/{mode}").items()}
 
 
 def _read_by_model(bag: Path, type_name: str, input_fields: Sequence[str], progress: Progress | None,
@@ -193,7 +193,7 @@ def _stack_by_start(rows: Mapping[Key, Mapping[int, Sequence[Any]]]) -> dict[Key
 def read_scores(bags: Sequence[Path], progress: Progress | None = None) -> dict[tuple[str, str], Scores]:
     """Reads the scores in all bags, by model and mode; of several scores for one start, the last is used."""
     rows = defaultdict[tuple[str, str], dict[int, tuple[np.ndarray, bool, bool, bool]]](dict)
-    for message in read_messages(bags, ERROR, progress):
+    for message in read_messages(bags, ERROR_TYPE, progress):
         errors = np.stack([message.longitudinal, message.lateral, message.yaw], axis=-1)
         reason = message.incomplete_reason
         rows[message.model, message.mode][get_field(message, "header.stamp")] = (
@@ -218,7 +218,7 @@ def read_messages(bags: Sequence[Path], type_name: str, progress: Progress | Non
 
 
 def read_results(folder: Path) -> Results:
-    """Reads bag/ and errors/ of a run folder. Error series within the horizon are kept only for drawn predictions."""
+    """Reads bag/ and errors/ of a run folder. Errors at each point of a horizon are kept only for drawn predictions."""
     bag, errors = open_bag(folder / "bag"), open_bag(folder / "errors")
     scores, configuration_hash = _read_scores(folder / "errors")
     summary = _read_last_message(errors, SUMMARY_TOPIC, "st_msgs/msg/ErrorSummary")
@@ -255,7 +255,7 @@ def _read_scores(errors: Path) -> tuple[dict[tuple[str, str], MeanErrors], str]:
     """(scores by model and mode, configuration hash of the last score or "" without scores)."""
     rows = defaultdict[tuple[str, str], dict[int, tuple[Any, ...]]](dict)
     configuration_hash = ""
-    for message in read_messages([errors], ERROR):
+    for message in read_messages([errors], ERROR_TYPE):
         configuration_hash = message.configuration_hash
         rows[message.model, message.mode][get_field(message, "header.stamp")] = (
             message.complete, message.longitudinal_mean, message.lateral_mean, message.yaw_mean)
@@ -264,13 +264,13 @@ def _read_scores(errors: Path) -> tuple[dict[tuple[str, str], MeanErrors], str]:
 
 def _read_segments(errors: Path, scores: dict[tuple[str, str], MeanErrors]) -> dict[tuple[str, int], Segment]:
     """Reads the segments of evenly spaced starts at which the hindsight scores of all models are complete."""
-    complete = [set(s.start_ns[s.complete].tolist()) for (_, mode), s in scores.items() if mode == "hindsight"]
-    common = sorted(set.intersection(*complete)) if complete else []
-    if not common:
+    complete_starts = [set(s.start_ns[s.complete].tolist()) for (_, mode), s in scores.items() if mode == "hindsight"]
+    common_starts = sorted(set.intersection(*complete_starts)) if complete_starts else []
+    if not common_starts:
         return {}
-    starts = {common[i] for i in np.linspace(0, len(common) - 1, MAX_DRAWN_STARTS).round().astype(int)}
+    starts = {common_starts[i] for i in np.linspace(0, len(common_starts) - 1, MAX_DRAWN_STARTS).round().astype(int)}
     segments = {}
-    for message in read_messages([errors], ERROR):
+    for message in read_messages([errors], ERROR_TYPE):
         start_ns = get_field(message, "header.stamp")
         if start_ns in starts and message.mode == "hindsight":
             segments[message.model, start_ns] = Segment(start_ns + message.horizon * 1e9, message.longitudinal,
@@ -314,9 +314,9 @@ def collect_versions() -> dict[str, str]:
 
 
 def format_band_lines(rows: Sequence[Any]) -> list[str]:
-    """One line per mode: the observed coverage of each model's bands, and the number of scores.
+    """One line per mode: the observed coverage of each model's bands, and the largest number of scores of a model.
 
-    rows: statistics of st_msgs/ErrorSummary. The largest number of scores of the models of a mode is given.
+    rows: statistics of st_msgs/ErrorSummary.
     """
     lines = []
     for mode in BAND_MODES:

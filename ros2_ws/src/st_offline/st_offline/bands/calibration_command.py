@@ -53,7 +53,7 @@ def collect_errors(sources: Sequence[RunSource], task: Task, models: Sequence[Mo
     for source in sources:
         try:
             with console.status(escape(source.name)):
-                run = read(source, task.vehicle, task.read)
+                run = read(source, task.vehicle, task.read_settings)
                 names_by_digest = {digest: name for name, digest in recordings.items()}
                 for digest in run.provenance["files"].values():
                     if digest in names_by_digest:  # a copy is not an independent sample

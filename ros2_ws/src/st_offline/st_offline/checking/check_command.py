@@ -43,7 +43,7 @@ class CheckJob:
     vehicle: VehicleParameters
     vehicle_file: str
     vehicle_is_given: bool
-    read: ReadSettings
+    read_settings: ReadSettings
     output: Path | None = None
     json: Path | None = None
     correction_file: Path | None = None
@@ -81,7 +81,7 @@ def run_command(job: CheckJob, console: Console, report_vehicle: Callable[[str],
     files = write_results(checked_runs, unreadable, folder, job.json, console)
     if target := job.correction_file:
         target.parent.mkdir(parents=True, exist_ok=True)
-        text = make_run_yaml(sources[0], checked_runs[0].result.findings, target, job.read)
+        text = make_run_yaml(sources[0], checked_runs[0].result.findings, target, job.read_settings)
         target.write_text(text, encoding="utf-8")
         files[target] = "the run with its corrections, for every command"
     list_files(files, console)
@@ -93,7 +93,7 @@ def check_run(source: RunSource, job: CheckJob) -> CheckedRun:
     car, car_source = job.vehicle, job.vehicle_file
     if source.kind == "bag" and not job.vehicle_is_given:
         car, _, car_source = find_configuration(read_metadata_records(source.path), None)
-    run = read(source, car, job.read)
+    run = read(source, car, job.read_settings)
     result = check_log(run.log, car, run.auxiliary, MODELS)
     return CheckedRun(source.name, result, car, car_source, run.log.duration, run.warnings, run.provenance["files"],
                       summarise_alignment(run.alignment), source.arguments)
@@ -124,7 +124,7 @@ def check_file_name(file: Path) -> None:
                           "overwritten)")
 
 
-def make_run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: ReadSettings) -> str:
+def make_run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read_settings: ReadSettings) -> str:
     """Text of a run.yaml: comments with the findings, the run as it was read, and its corrections. A
     correction is only a comment if it belongs elsewhere (vehicle file, option), is negligible, conflicts with an
     earlier finding, or concerns the columns of a run without a table. Paths are relative to `file`."""
@@ -147,9 +147,9 @@ def make_run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, re
             corrections = merged
             continue
         lines.append(f"#   {escape_unprintable(comment)}\n")
-    if options := _format_steering_options(read):
+    if options := _format_steering_options(read_settings):
         lines.append(f"# read with {options}\n")
-    settings = append_corrections(_merge_settings(source, file, read), corrections)
+    settings = append_corrections(_merge_settings(source, file, read_settings), corrections)
     parts = [_make_relative(path, file) for path in source.files]
     files = {READERS[source.kind].key: parts if READERS[source.kind].is_table and len(parts) > 1 else parts[0],
              **({"can": [_make_relative(path, file) for path in source.can]} if source.can else {})}
@@ -157,13 +157,13 @@ def make_run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, re
     return "".join(lines) + yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None)
 
 
-def _format_steering_options(read: ReadSettings) -> str:
+def _format_steering_options(settings: ReadSettings) -> str:
     options = []
-    if (steering := read.steering) is not None:
+    if (steering := settings.steering) is not None:
         options = [*([f"--steering-topic {steering.topic}"] if steering.topic else []),
                    f"--steering-field {steering.field!r} --steering-is {steering.quantity}"]
-    if read.steering_sign != 1 or read.steering_latency:
-        options.append(f"--steering-sign {read.steering_sign} --steering-latency {read.steering_latency:g}")
+    if settings.steering_sign != 1 or settings.steering_latency:
+        options.append(f"--steering-sign {settings.steering_sign} --steering-latency {settings.steering_latency:g}")
     return escape_unprintable(" ".join(options))
 
 
@@ -206,17 +206,17 @@ def _merge(settings: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, A
     return merged
 
 
-def _merge_settings(source: RunSource, file: Path, read: ReadSettings) -> dict[str, Any]:
+def _merge_settings(source: RunSource, file: Path, read_settings: ReadSettings) -> dict[str, Any]:
     """Settings of the run's own run.yaml, overridden by the options of the command line. A run.yaml cannot state the
     sign of a steering column, so with --steering-sign -1 it does not name the column."""
     # A car whose recordings are tables has neither DBC nor signal table.
-    bus = {"dbc": read.dbc, "signals": read.signals}
-    options = {**{key: path for key, path in bus.items() if path and path.exists()}, "offset": read.offset,
-               "ins_can_latency": list(read.ins_can_latency) if read.ins_can_latency else None}
+    bus = {"dbc": read_settings.dbc, "signals": read_settings.signals}
+    options = {**{key: path for key, path in bus.items() if path and path.exists()}, "offset": read_settings.offset,
+               "ins_can_latency": list(read_settings.ins_can_latency) if read_settings.ins_can_latency else None}
     settings = {**source.settings, **{key: value for key, value in options.items() if value is not None}}
     layout = settings.pop("layout", None)
-    if read.steering is not None and read.steering.sign == 1 and source.kind in TABLE_KEYS:
-        layout = add_steering_column(layout or Layout(), read.steering)
+    if read_settings.steering is not None and read_settings.steering.sign == 1 and source.kind in TABLE_KEYS:
+        layout = add_steering_column(layout or Layout(), read_settings.steering)
     result = {key: _make_relative(value, file) if isinstance(value, Path) else as_yaml_values(value)
              for key, value in settings.items()}
     if layout is not None:

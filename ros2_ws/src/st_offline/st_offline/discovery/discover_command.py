@@ -101,7 +101,7 @@ def _read_runs(request: Request, progress: Progress) -> tuple[list[Drive], list[
     if not sources:
         raise ConfigurationError("no recording found: give bags, .ncom with CAN logs, CSV files, run.yaml, or folders")
     bar = progress.add_task("reading the runs", total=len(sources) + len(reference_sources))
-    drives = read_drives([*sources, *reference_sources], request.vehicle, request.read, request.jobs,
+    drives = read_drives([*sources, *reference_sources], request.vehicle, request.read_settings, request.jobs,
                          lambda: progress.advance(bar), request.force)
     suspect, reference = drives[:len(sources)], drives[len(sources):]
     if not _get_logs(suspect):

@@ -47,7 +47,7 @@ class Request:
     """Options of `st discover`, and the drives and effects read with them.
 
     base: name of a model, or a model file. vehicle_text: content of vehicle_file. settings: settings of the search.
-    runs, reference: paths of recordings; drives, reference_drives: read from them. read: options for reading. effects:
+    runs, reference: paths of recordings; drives, reference_drives: read from them with read_settings. effects:
     folder of user-defined effects; effect_hashes: sha256 of each file in it. output: folder, None for
     runs/discover-<time>. jobs: number of processes. formats: formats of the figure files. report: whether to write a
     page. use_cache: whether to use a cached result. force: whether to use runs with errors. propose: whether to search
@@ -61,7 +61,7 @@ class Request:
     settings: DiscoverySettings
     runs: Sequence[Path] = ()
     reference: Sequence[Path] = ()
-    read: ReadSettings = field(default_factory=ReadSettings)
+    read_settings: ReadSettings = field(default_factory=ReadSettings)
     effects: Path | None = None
     output: Path | None = None
     jobs: int = 1

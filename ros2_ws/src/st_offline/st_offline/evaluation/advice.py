@@ -37,7 +37,7 @@ LATERAL = AXES.index("lateral")
 BAND_LEVELS = (0.9, 0.5)
 REQUIRED_FRACTION = 0.9  # fraction of the starts that must be within the tolerance
 MIN_STARTS = 100  # in a speed bin; 10 s of driving at 10 starts per second
-Key = tuple[str, float]  # model, step [s]
+ModelStep = tuple[str, float]  # (name of the model, step [s])
 STEP_MULTIPLES = (1, 2, 4)  # of the integration step of the task
 TABLE_STYLE: Mapping[str, Any] = {"title_justify": "left", "title_style": "bold", "padding": (0, 1)}
 
@@ -53,8 +53,8 @@ class Cost:
 
 
 def measure_costs(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals,
-                  settings: Mapping[float, EvaluationSettings]) -> dict[Key, Cost]:
-    """Cost by model and step [s], measured with the inputs of one drive. settings: by step."""
+                  settings: Mapping[float, EvaluationSettings]) -> dict[ModelStep, Cost]:
+    """Cost of each model and step [s], measured with the inputs of one drive. settings: by step."""
     calls: dict[tuple[str, float, str], tuple[Callable[[], object], int]] = {}  # (function, number of predictions)
     for step, variant in settings.items():
         starts, _ = usable_starts(signals, vehicle, regular_starts(signals.log, variant.interval),
@@ -74,24 +74,24 @@ def measure_costs(models: Sequence[Model], vehicle: VehicleParameters, signals: 
             calls[model.name, step, "batch"] = partial(batch.predict, model, vehicle), len(starts)
     for call, _ in calls.values():
         call()  # warm-up
-    times_by_call: dict[tuple[str, float, str], list[float]] = {key: [] for key in calls}
+    durations: dict[tuple[str, float, str], list[float]] = {key: [] for key in calls}
     for _ in range(REPETITIONS):  # rounds over all calls, so that a busy period does not affect only one of them
         for key, (call, predictions) in calls.items():
             count, begin = 0, time.process_time()
             while not count or time.process_time() - begin < MIN_MEASUREMENT_TIME:
                 call()
                 count += 1
-            times_by_call[key].append((time.process_time() - begin) / (count * predictions))
-    seconds = {key: float(np.median(values)) for key, values in times_by_call.items()}
+            durations[key].append((time.process_time() - begin) / (count * predictions))
+    medians = {key: float(np.median(values)) for key, values in durations.items()}
     return {(model.name, step): Cost(
-        seconds[model.name, step, "interpreted"], seconds.get((model.name, step, "compiled")),
-        seconds[model.name, step, "batch"]) for model in models for step in settings}
+        medians[model.name, step, "interpreted"], medians.get((model.name, step, "compiled")),
+        medians[model.name, step, "batch"]) for model in models for step in settings}
 
 
 @dataclass(frozen=True)
 class Accuracy:
     """Accuracy of one model and step with measured inputs, for each of the `seconds` ahead. rms: lateral error [m].
-    level, half_widths: level and mean lateral half-width [m] of the calibrated band, None with too few runs.
+    level, half_widths: level and mean lateral half-width [m] of the calibrated band, None for too few runs.
     error_quantiles: lateral error [m] that REQUIRED_FRACTION of the starts do not exceed up to each second, by lower
     edge of the speed bin [m/s]; all runs have the same weight."""
 
@@ -105,26 +105,26 @@ class Accuracy:
 def measure_accuracy(runs: Sequence[ErrorSamples], model: str, settings: EvaluationSettings) -> Accuracy:
     """Accuracy of a model over one or more runs. Raises StCoreError if no band can be fitted."""
     pair = model, "hindsight"
-    time = make_times(settings.prediction.horizon, settings.prediction.step)
-    seconds = range(1, math.floor(time[-1] + 1e-9) + 1)
-    indices = [int(np.abs(time - second).argmin()) for second in seconds]
+    times = make_times(settings.prediction.horizon, settings.prediction.step)
+    seconds = range(1, math.floor(times[-1] + 1e-9) + 1)
+    indices = [int(np.abs(times - second).argmin()) for second in seconds]
     lateral = [np.abs(run.errors[pair][:, :, LATERAL].astype(float)) for run in runs]
     rms = np.sqrt(np.mean([np.square(errors[:, indices]).mean(axis=0) for errors in lateral], axis=0))
-    highest = compute_highest_level(len(runs)) + 1e-9 if len(runs) >= MIN_CALIBRATION_RUNS else 0.0
-    level = next((level for level in BAND_LEVELS if level <= highest), None)
+    highest_level = compute_highest_level(len(runs)) + 1e-9 if len(runs) >= MIN_CALIBRATION_RUNS else 0.0
+    level = next((level for level in BAND_LEVELS if level <= highest_level), None)
     half_widths = None
     if level is not None:
         # The mean includes starts outside the calibration domain.
-        band = calibrate(runs, pair, time, (level,))
+        band = calibrate(runs, pair, times, (level,))
         half_widths = tuple(np.mean([band.half_widths(run.conditions, level)[:, indices, LATERAL].mean(axis=0)
                                      for run in runs], axis=0).tolist())
-    largest = [np.maximum.accumulate(errors, axis=1)[:, indices] for errors in lateral]
+    largest_errors = [np.maximum.accumulate(errors, axis=1)[:, indices] for errors in lateral]  # up to each second
     error_quantiles = {}
     for low, high in zip(SPEED_EDGES, (*SPEED_EDGES[1:], math.inf), strict=True):
-        speed = [run.conditions[:, CONDITIONS.index("speed")] for run in runs]
-        parts = [errors[(v >= low) & (v < high)] for errors, v in zip(largest, speed, strict=True)]
+        speeds = [run.conditions[:, CONDITIONS.index("speed")] for run in runs]
+        parts = [errors[(v >= low) & (v < high)] for errors, v in zip(largest_errors, speeds, strict=True)]
         if sum(map(len, parts)) >= MIN_STARTS:
-            # The same number of quantiles represents each run, whatever its length.
+            # Each run is represented by the same number of quantiles, whatever its length.
             quantiles = [np.quantile(part, np.linspace(0.0, 1.0, 201), axis=0) for part in parts if len(part)]
             error_quantiles[low] = tuple(np.quantile(np.concatenate(quantiles), REQUIRED_FRACTION, axis=0).tolist())
     return Accuracy(tuple(seconds), tuple(rms.tolist()), level, half_widths, error_quantiles)
@@ -135,8 +135,8 @@ def get_processor_time(cost: Cost) -> float:
     return cost.interpreted if cost.compiled is None else cost.compiled
 
 
-def find_cheapest(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy],
-                  tolerance: float) -> dict[float, tuple[Key | None, ...]]:
+def find_cheapest(costs: Mapping[ModelStep, Cost], accuracies: Mapping[ModelStep, Accuracy],
+                  tolerance: float) -> dict[float, tuple[ModelStep | None, ...]]:
     """The (model, step) with the least processor time and a lateral error within the tolerance [m] in REQUIRED_FRACTION
     of the starts, by speed bin (lower edge [m/s]) and second ahead; None if no model achieves this with any step."""
     order = sorted(accuracies, key=lambda key: get_processor_time(costs[key]))
@@ -149,14 +149,14 @@ def find_cheapest(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy],
 
 def print_advice(sources: Sequence[RunSource], task: Task, tolerance: float, console: Console) -> None:
     """Print the tables of the advice, and write advice.csv; unusable runs are skipped. tolerance: lateral error [m]."""
-    with console.status("cost and accuracy of each model and step"):
-        costs, accuracies, unusable = measure_runs(sources, task)
+    with console.status("measuring cost and accuracy of each model and step"):
+        costs, accuracies, problems = measure_runs(sources, task)
     rows = make_advice_rows(costs, accuracies)
     for title, part in split_rows(rows, accuracies).items():
         console.print(make_table(part, title=title, **TABLE_STYLE))
     choices = make_choice_rows(find_cheapest(costs, accuracies, tolerance))
     console.print(make_table(choices, title=make_choice_title(tolerance), **TABLE_STYLE))
-    for (model, step), reason in unusable.items():
+    for (model, step), reason in problems.items():
         print_line(f"[yellow]{escape(model)}, {step:g} s: {escape(reason)}[/yellow]", console)
     assert task.folder is not None  # set by the command
     file = task.folder / "advice.csv"
@@ -165,19 +165,19 @@ def print_advice(sources: Sequence[RunSource], task: Task, tolerance: float, con
 
 
 def measure_runs(sources: Sequence[RunSource],
-                 task: Task) -> tuple[dict[Key, Cost], dict[Key, Accuracy], dict[Key, str]]:
+                 task: Task) -> tuple[dict[ModelStep, Cost], dict[ModelStep, Accuracy], dict[ModelStep, str]]:
     """(costs on the longest usable run, accuracies on all, reasons for missing accuracies), each by model and step.
     Raises ConfigurationError if no run is usable."""
     settings, models = vary_step(task.settings), load_models(task)
-    samples: dict[Key, list[ErrorSamples]] = {}
-    unusable: dict[Key, str] = {}
+    samples: dict[ModelStep, list[ErrorSamples]] = {}
+    problems: dict[ModelStep, str] = {}
     longest: LogSignals | None = None
     with warnings.catch_warnings():
         # A step that is too long for a model leads to large or non-finite errors, which are reported.
         warnings.simplefilter("ignore", StepTooLongWarning)
         for source in sources:
             try:
-                log = read(source, task.vehicle, task.read).log
+                log = read(source, task.vehicle, task.read_settings).log
             except (RunError, StCoreError):
                 continue
             signals = task.settings.signals(log)
@@ -191,7 +191,7 @@ def measure_runs(sources: Sequence[RunSource],
                         errors = compute_error_samples([model], task.vehicle, signals, variant)
                         samples.setdefault((model.name, step), []).append(errors)
                     except NotFiniteError as error:
-                        unusable[model.name, step] = f"{log.name}: {error}"
+                        problems[model.name, step] = f"{log.name}: {error}"
                     except StCoreError:  # no start with a complete horizon, for any model and step
                         continue
         if longest is None:
@@ -199,13 +199,13 @@ def measure_runs(sources: Sequence[RunSource],
         costs = measure_costs(models, task.vehicle, longest, settings)
     accuracies = {}
     for (name, step), runs in samples.items():
-        if (name, step) in unusable:
+        if (name, step) in problems:
             continue
         try:
             accuracies[name, step] = measure_accuracy(runs, name, settings[step])
         except StCoreError as error:
-            unusable[name, step] = str(error)
-    return costs, accuracies, unusable
+            problems[name, step] = str(error)
+    return costs, accuracies, problems
 
 
 def vary_step(settings: EvaluationSettings) -> dict[float, EvaluationSettings]:
@@ -217,17 +217,17 @@ def vary_step(settings: EvaluationSettings) -> dict[float, EvaluationSettings]:
     return {step: replace(settings, prediction=replace(settings.prediction, step=step)) for step in steps}
 
 
-def make_advice_rows(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy]) -> list[dict[str, str]]:
+def make_advice_rows(costs: Mapping[ModelStep, Cost], accuracies: Mapping[ModelStep, Accuracy]) -> list[dict[str, str]]:
     """One row for each model and step. Each cost is followed by its ratio to the lowest cost of the column."""
     times_by_kind = {kind: [time for cost in costs.values() if (time := getattr(cost, kind)) is not None]
                      for kind in ("interpreted", "compiled", "batch")}
-    least = {kind: min(times) for kind, times in times_by_kind.items() if times}
+    lowest = {kind: min(times) for kind, times in times_by_kind.items() if times}
     seconds = max((accuracy.seconds for accuracy in accuracies.values()), default=())
     rows = []
     for (model, step), cost in costs.items():
         row = {"model": model, "step, s": f"{step:g}"}
-        row |= {f"{kind}, µs (x)": f"{1e6 * seconds_used:.3g} ({seconds_used / least[kind]:.1f})"
-                if (seconds_used := getattr(cost, kind)) is not None else "-" for kind in least}
+        row |= {f"{kind}, µs (x)": f"{1e6 * seconds_used:.3g} ({seconds_used / lowest[kind]:.1f})"
+                if (seconds_used := getattr(cost, kind)) is not None else "-" for kind in lowest}
         accuracy = accuracies.get((model, step))
         for name, values in (("error", accuracy and accuracy.rms), ("band", accuracy and accuracy.half_widths)):
             row |= {f"{name} {second} s, m": "-" if not values else f"{values[k]:.2f}"
@@ -236,7 +236,7 @@ def make_advice_rows(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accurac
     return rows
 
 
-def make_choice_rows(choices: Mapping[float, tuple[Key | None, ...]]) -> list[dict[str, str]]:
+def make_choice_rows(choices: Mapping[float, tuple[ModelStep | None, ...]]) -> list[dict[str, str]]:
     """One row for each speed bin, one column for each second ahead."""
     return [{"speed": label_bin(SPEED_EDGES, "m/s", SPEED_EDGES.index(low))}
             | {f"{k + 1} s": "none" if key is None else f"{key[0]}, {key[1]:g} s"
@@ -244,24 +244,24 @@ def make_choice_rows(choices: Mapping[float, tuple[Key | None, ...]]) -> list[di
 
 
 def split_rows(rows: Sequence[Mapping[str, str]],
-               accuracies: Mapping[Key, Accuracy]) -> dict[str, list[dict[str, str]]]:
+               accuracies: Mapping[ModelStep, Accuracy]) -> dict[str, list[dict[str, str]]]:
     """Title -> rows of the tables for the terminal, which is too narrow for all columns of `make_advice_rows`."""
     level = next((accuracy.level for accuracy in accuracies.values()), None)
     patterns = {"Processor time per prediction, µs (multiple of the lowest)": r"(.*), µs \(x\)",
                 f"Lateral RMS error with measured inputs, m{'' if level else ' (no bands: fewer than 3 runs)'}":
                     r"error (.*), m"}
     if level is not None:
-        patterns[f"Mean lateral half-width of the {level:.0%} band, m; whole path, calibrated on these runs"] = (
+        patterns[f"Mean lateral half-width of the simultaneous {level:.0%} band, m; calibrated on these runs"] = (
             r"band (.*), m")
     return {title: [{name: row[name] for name in ("model", "step, s")} | {
         match[1]: cell for name, cell in row.items() if (match := re.fullmatch(pattern, name))} for row in rows]
         for title, pattern in patterns.items()}
 
 
-def make_caption(accuracies: Mapping[Key, Accuracy]) -> str:
+def make_caption(accuracies: Mapping[ModelStep, Accuracy]) -> str:
     level = next((accuracy.level for accuracy in accuracies.values()), None)
     bands = "band: none, fewer than 3 runs" if level is None else (
-        f"band: mean lateral half-width of the {level:.0%} band, whole path, calibrated on these runs")
+        f"band: mean lateral half-width of the {level:.0%} simultaneous band, calibrated on these runs")
     return ("processor time per prediction, in brackets as a multiple of the lowest; error: lateral RMS error with "
             f"measured inputs; {bands}")
 

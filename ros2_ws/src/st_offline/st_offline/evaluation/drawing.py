@@ -42,7 +42,7 @@ MAX_POINTS = 900  # per line; more cannot be distinguished at WIDTH
 
 @dataclass(frozen=True)
 class PageFigure:
-    """A figure of a page. key: for file names. title: states the finding."""
+    """A figure of a page. key: part of file names and ids. title: states the result."""
 
     key: str
     title: str
@@ -52,7 +52,7 @@ class PageFigure:
 
 @dataclass(frozen=True)
 class FigureOutput:
-    """Destination of figures. folder: folder of the files, None for no files. prefix: start of the ids on the page."""
+    """Destination of figures. folder: folder of the files, None for no files. prefix: start of ids in the SVG."""
 
     folder: Path | None
     formats: tuple[str, ...]
@@ -61,9 +61,9 @@ class FigureOutput:
 
 def check_formats(formats: Sequence[str]) -> None:
     """Raise ConfigurationError for an unknown format."""
-    unknown = [name for name in formats if name not in FORMATS]
-    if unknown:
-        raise ConfigurationError(f"--figures: {unknown[0]} is not one of {', '.join(FORMATS)}")
+    unknown_formats = [name for name in formats if name not in FORMATS]
+    if unknown_formats:
+        raise ConfigurationError(f"--figures: {unknown_formats[0]} is not one of {', '.join(FORMATS)}")
 
 
 @contextmanager
@@ -77,8 +77,8 @@ def save_figure(figure: Figure, output: FigureOutput, key: str, title: str, capt
     """Save a figure as files with its title, and as an SVG without the title for the page; close the figure."""
     lines = textwrap.wrap(title, round(TITLE_CHARACTERS * figure.get_figwidth() / WIDTH))
     heading = figure.suptitle("\n".join(lines), x=0.01, ha="left", fontweight="bold", fontsize=10)
-    # The layout is computed once, because it takes longer than the drawing. The context and `None` remove the layout
-    # engine, so that it does not run again for each file.
+    # The layout is computed once, because it takes longer than the drawing. Then the layout engine is removed, which in
+    # Matplotlib requires both this setting and `None`.
     figure.draw_without_rendering()
     with plt.rc_context({"figure.constrained_layout.use": False}):
         figure.set_layout_engine(None)
@@ -116,7 +116,7 @@ def make_page_svg(svg: str, prefix: str) -> str:
 
 
 def _round_number(number: re.Match) -> str:
-    # Coordinates need 0.1 points in a drawing 650 points wide; small numbers may be opacities and line widths.
+    # Coordinates need a resolution of 0.1 points at a width of 650; small numbers may be opacities and line widths.
     value = float(number.group())
     return f"{value:.1f}" if abs(value) >= 2.0 else f"{value:.3g}"
 

@@ -16,7 +16,7 @@ STANDSTILL_SPEED = 0.5  # m/s
 CURVATURE_LIMITS = (0.01, 0.005)  # 1/m
 LATERAL_ACCELERATION_LIMITS = (0.8, 0.4)  # m/s^2
 MIN_PART_DURATION = 1.5  # s; a shorter part is merged into its longer neighbour
-MIN_LONGITUDINAL_ACCELERATION = 0.7  # m/s^2, magnitude of the mean in a straight called braking or accelerating
+MIN_LONGITUDINAL_ACCELERATION = 0.7  # m/s^2, magnitude of the mean in a straight named braking or accelerating
 MIN_TURN, MIN_U_TURN, MIN_CIRCLE = np.radians([30.0, 150.0, 240.0])  # rad, heading change
 
 
@@ -53,12 +53,12 @@ def segment_drive(log: DriveLog, labels: Sequence[Label] = ()) -> list[DrivePart
 
 
 def assign_horizons(parts: Sequence[DrivePart], midpoints: np.ndarray) -> list[slice]:
-    """Rows of the horizons with midpoints in each part. midpoints [s]: ascending."""
+    """Indices of the horizons whose midpoints are in each part. midpoints: ascending [s]."""
     return [slice(*np.searchsorted(midpoints, (part.start, part.end)).tolist()) for part in parts]
 
 
 def _classify_samples(speed: np.ndarray, yaw_rate: np.ndarray) -> np.ndarray:
-    """State of each sample, with hysteresis: -2 standing, -1 right, 0 straight, 1 left."""
+    """State of each sample, with hysteresis: -2 standing, -1 right bend, 0 straight, 1 left bend."""
     curvature, lateral = yaw_rate / np.maximum(speed, 1.0), speed * yaw_rate
     is_bend = (np.abs(curvature) > CURVATURE_LIMITS[0]) | (np.abs(lateral) > LATERAL_ACCELERATION_LIMITS[0])
     may_be_bend = (np.abs(curvature) > CURVATURE_LIMITS[1]) | (np.abs(lateral) > LATERAL_ACCELERATION_LIMITS[1])
@@ -80,8 +80,8 @@ def _merge_short_intervals(states: np.ndarray, shortest: int) -> list[tuple[int,
         if size >= shortest:
             break
         neighbours = [j for j in (i - 1, i + 1) if 0 <= j < len(spans)]
-        longest = max(neighbours, key=lambda j: spans[j][1] - spans[j][0])
-        states[slice(*spans[i])] = states[spans[longest][0]]
+        longest_neighbour = max(neighbours, key=lambda j: spans[j][1] - spans[j][0])
+        states[slice(*spans[i])] = states[spans[longest_neighbour][0]]
         nearby = spans[max(i - 1, 0):i + 2]
         edges = [nearby[0][0], *(a for a, _ in nearby[1:] if states[a - 1] != states[a]), nearby[-1][1]]
         spans[max(i - 1, 0):i + 2] = itertools.pairwise(edges)

@@ -22,8 +22,8 @@ from .tables import make_terminal_table
 from .work import Progress, RunReport, Task, evaluate_run
 
 FILE_DESCRIPTIONS = {
-    "page": "the whole report, one file", "json": "all numbers; keys in docs/manual/evaluation.md",
-    "table": "the table above", "latex": "the table above, in the form of the paper",
+    "page": "the complete report, in one file", "json": "all numbers; keys in docs/manual/evaluation.md",
+    "table": "the table above", "latex": "the table above, in the layout of the paper",
     "seconds": "errors by second of the horizon", "bins": "errors by driving condition",
     "manoeuvres": "errors by part of the drive"}
 MEMORY_PER_WORKER = "1500MB"  # a worker that needs more is restarted, and its run fails
@@ -58,15 +58,15 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, workers:
             print_line(f"{escape(report.name)}: {escape(text)}", console)
     print_findings({report.name: report.findings for report in reports}, console)
     list_files({files[key]: description for key, description in FILE_DESCRIPTIONS.items()}, console)
-    failed = [report for report in reports if report.problem]
-    for report in failed:
+    failed_reports = [report for report in reports if report.problem]
+    for report in failed_reports:
         report_problem(report.name, report.problem, console)
     times = ", ".join(f"{part} {sum(r.seconds.get(part, 0.0) for r in evaluated_runs):.1f} s"
                       for part in ("read", "predict", "draw"))
     hours = sum(r.metadata["duration"] for r in evaluated_runs) / 3600.0
     console.print(f"[dim]{format_count(len(evaluated_runs), 'run')}, {hours:.2f} h of driving in "
                   f"{time.perf_counter() - start_time:.1f} s ({times})[/dim]", highlight=False)
-    return 1 if failed else 0
+    return 1 if failed_reports else 0
 
 
 def _raise_if_all_failed(problems: Sequence[RunError | str | None]) -> None:
@@ -82,13 +82,13 @@ def evaluate_all(sources: Sequence[RunSource], task: Task, workers: int, schedul
         runs = progress.add_task("runs", total=len(sources))
         starts = progress.add_task("", visible=False)
 
-        def watch(source: RunSource) -> Progress:
+        def show_run(source: RunSource) -> Progress:
             progress.update(starts, description=escape(f"{source.name}: reading"), total=None, completed=0,
                             visible=True)
             return lambda done, total: progress.update(starts, description=escape(source.name), total=total,
                                                        completed=done)
 
-        for report in evaluate_runs(sources, task, workers, scheduler, watch):
+        for report in evaluate_runs(sources, task, workers, scheduler, show_run):
             reports[report.name] = report
             progress.advance(runs)
     return [reports[source.name] for source in sources]

@@ -69,12 +69,12 @@ def make_document(reports: Sequence[RunReport], task: Task) -> dict[str, Any]:
 
 def _summarise_bands(evaluated_runs: Sequence[RunReport], task: Task) -> dict[str, Any]:
     sums = bands_report.pool_sums([r.bands for r in evaluated_runs])
-    fixed = {"bands": {r.name: bands_report.summarise_bands(r.bands) for r in evaluated_runs},
-             "bands_all_runs": {"file": task.bands[0], **bands_report.summarise_bands(sums),
-                                "shares": bands_report.summarise_shares(sums)}
-             } if task.bands else {}
-    return fixed | ({"adaptive_bands": {r.name: bands_report.summarise_adaptive(r.bands) for r in evaluated_runs},
-                     "adaptive_bands_all_runs": bands_report.summarise_adaptive(sums)} if task.adaptive else {})
+    summary = {"bands": {r.name: bands_report.summarise_bands(r.bands) for r in evaluated_runs},
+               "bands_all_runs": {"file": task.bands[0], **bands_report.summarise_bands(sums),
+                                  "shares": bands_report.summarise_shares(sums)}
+               } if task.bands else {}
+    return summary | ({"adaptive_bands": {r.name: bands_report.summarise_adaptive(r.bands) for r in evaluated_runs},
+                       "adaptive_bands_all_runs": bands_report.summarise_adaptive(sums)} if task.adaptive else {})
 
 
 def pool_bins(reports: Sequence[RunReport]) -> list[dict[str, Any]]:
@@ -114,10 +114,10 @@ def write_results(reports: Sequence[RunReport], task: Task, title: str) -> dict[
 
 def write_page(file: Path, title: str, reports: Sequence[RunReport], content: dict[str, Any],
                task: Task, overview: PageFigure, bands: Sequence[PageFigure]) -> None:
-    """Write the page. content: that of evaluation.json. bands: figures of the tested bands."""
+    """Write the page. content: see `make_document`. bands: figures of the tested bands."""
     evaluated_runs = [r for r in reports if not r.problem]
     top_figures = [overview] if len(evaluated_runs) > 1 else [f for r in evaluated_runs for f in r.figures[1:2]]
-    # The page shows the figures of the first run; those of other runs are only written to files.
+    # The page shows the figures of the first run; the figures of other runs are only written to files.
     run_figures = [f for f in evaluated_runs[0].figures if f not in top_figures]
     modes = list(dict.fromkeys(mode for by_mode in content["all_runs"].values() for mode in by_mode))
     pooled_bands = content.get("bands_all_runs", {})
@@ -138,7 +138,7 @@ def draw_overview(reports: Sequence[RunReport], over: str, output: FigureOutput)
     """Draw the hindsight RMSE of each model for the MAX_RUNS runs with the largest lateral RMSE."""
     models = list(reports[0].models)
     rmse = {axis: np.array([[get_axis_statistics(r.models, m, "hindsight", axis, over)["rmse"] for m in models]
-                            for r in reports], float) for axis in REPORTED_AXES}  # NaN: not scored
+                            for r in reports], float) for axis in REPORTED_AXES}  # NaN without a score
     order = np.argsort(-np.fmax.reduce(rmse["lateral"], axis=1), kind="stable")
     selection = np.sort(order[:MAX_RUNS])
     figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 1.4 + 0.24 * len(selection)), sharey=True)
@@ -181,9 +181,9 @@ def make_summary(reports: Sequence[RunReport], task: Task) -> list[str]:
     faults = "; ".join(f"{finding.name} in {', '.join(names)} ({describe_effect(finding) or finding.text})"
                        for finding, names in groups if finding.severity is not Severity.NOTE)
     steering = describe_clocks({report.name: report.metadata["alignment"] for report in reports})
-    return [f"{minutes:.1f} minutes of driving, predictions over {task.settings.prediction.horizon:g} s. With the "
-            "measured inputs (hindsight), the error is due to the model; with the inputs of the start held (forecast), "
-            f"it also contains the effect of the driver's later inputs: the lateral RMSE of {best} is then {errors}.",
-            f"Faults of the recordings bias these errors: {faults}." if faults else
+    return [f"{minutes:.1f} minutes of driving, predictions over {task.settings.prediction.horizon:g} s. With "
+            "measured inputs (hindsight), the error is due to the model; with inputs held as at the start (forecast), "
+            f"it also includes the effect of the driver's later inputs: the lateral RMSE of {best} is then {errors}.",
+            f"Faults in the recordings bias these errors: {faults}." if faults else
             "The checks found no error or warning.",
             *([f"{steering}."] if steering else [])]

@@ -20,7 +20,7 @@ from .background import run_in_background
 from .drawing import TEXT_COLOUR, WIDTH, FigureOutput, PageFigure, apply_style, cut_at_gaps, reduce_points, save_figure
 
 POSITIVE_SIDE = {"longitudinal": "ahead", "lateral": "left"}
-AXIS_LABEL = {axis: f"{axis} error, m\n(+ = predicted {side})" for axis, side in POSITIVE_SIDE.items()}
+AXIS_LABEL = {axis: f"{axis} error, m\n(positive: predicted {side})" for axis, side in POSITIVE_SIDE.items()}
 NOTICEABLE_ERROR = 0.5  # m, the lateral clearance of a car in the middle of its lane
 
 
@@ -48,14 +48,14 @@ def find_complete_starts(evaluation: LogEvaluation) -> np.ndarray:
 
 def choose_starts(evaluation: LogEvaluation, times: Sequence[float]) -> np.ndarray:
     """Rows of the complete starts nearest to the times [s]; without times, rows of four evenly spaced starts."""
-    complete = np.flatnonzero(find_complete_starts(evaluation))
-    if not len(complete):
-        return complete
+    complete_rows = np.flatnonzero(find_complete_starts(evaluation))
+    if not len(complete_rows):
+        return complete_rows
     if times:
-        rows = [complete[np.abs(evaluation.time[complete] - t).argmin()] for t in times]
+        rows = [complete_rows[np.abs(evaluation.time[complete_rows] - t).argmin()] for t in times]
     else:
         # The first and the last start are excluded, because they are the least representative.
-        rows = complete[np.linspace(0, len(complete) - 1, 6).round().astype(int)[1:-1]]
+        rows = complete_rows[np.linspace(0, len(complete_rows) - 1, 6).round().astype(int)[1:-1]]
     return np.unique(rows)
 
 
@@ -92,7 +92,7 @@ def draw_segments(data: FigureData) -> PageFigure | None:
             if column:
                 axes.sharey(first)
             axes.axhline(0, color=TEXT_COLOUR, lw=0.6)
-            axes.set(xlim=(0, length), ylabel="" if column else f"{axis}, m\n(+ = {side})")
+            axes.set(xlim=(0, length), ylabel="" if column else f"{axis}, m\n(positive: {side})")
             axes.tick_params(labelleft=not column)
         profiles[-1].set_xlabel("horizon, s")
         for model in data.models:
@@ -104,9 +104,9 @@ def draw_segments(data: FigureData) -> PageFigure | None:
                 axes.plot(evaluation.horizon, error, **get_line_style(model.name))
     measured_line = Line2D([], [], color=MEASURED_COLOUR, lw=5, alpha=0.45, label="measured over the horizon")
     add_legend(figure, data.models, [measured_line])
-    ends = {m.name: float(np.linalg.norm(block.errors[m.name, "hindsight"][:, -1, :2], axis=1).max())
-            for m in data.models}
-    largest = ", ".join(f"{model} {value:.2f} m" for model, value in ends.items())
+    end_errors = {m.name: float(np.linalg.norm(block.errors[m.name, "hindsight"][:, -1, :2], axis=1).max())
+                  for m in data.models}
+    largest = ", ".join(f"{model} {value:.2f} m" for model, value in end_errors.items())
     starts_text = "these starts" if len(rows) > 1 else "this start"
     title = f"{evaluation.name}: largest position error {length:g} s after {starts_text}: {largest}"
     caption = ("Predictions with the measured inputs (hindsight) from selected starts, and their errors over the "
@@ -153,7 +153,7 @@ def draw_horizon_means(data: FigureData) -> PageFigure:
     context.set_ylabel("mean over the\nhorizon, m/s, m/s²")
     context.set_xlabel("start of the prediction $t_0$, s after the first INS measurement")
     extra = [Line2D([], [], color=TEXT_COLOUR, lw=1.0, label="speed, m/s"),
-             Line2D([], [], color=MEASURED_COLOUR, lw=1.0, label="lateral acceleration, m/s² (+ = left)")]
+             Line2D([], [], color=MEASURED_COLOUR, lw=1.0, label="lateral acceleration, m/s² (positive to the left)")]
     add_legend(figure, data.models, extra, ls="solid")
     title = f"{evaluation.name}: {describe_ranking(evaluation)}"
     caption = "Error averaged over each horizon (hindsight: measured inputs), versus its start time."
@@ -161,13 +161,13 @@ def draw_horizon_means(data: FigureData) -> PageFigure:
 
 
 def _reduce_over_time(evaluation: LogEvaluation, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    # Two points of a reduced line are at most 1/225 of the run apart.
+    # Successive points of a reduced line are at most 1/225 of the run apart.
     gap = max(1.0, float(np.ptp(evaluation.time)) / 200.0)
     return cut_at_gaps(*reduce_points(evaluation.time, values), gap)
 
 
 def draw_error_against_horizon(data: FigureData) -> PageFigure:
-    """Draw the root mean square error at each point of the horizon, of hindsight and forecast."""
+    """Draw the root mean square error of hindsight and forecast at each point of the horizon."""
     evaluation = data.evaluation
     lines: tuple[tuple[Mode, float, float], ...] = ("hindsight", 1.6, 1.0), ("forecast", 0.9, 0.7)
     figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.4))
@@ -186,8 +186,8 @@ def draw_error_against_horizon(data: FigureData) -> PageFigure:
     parts = []
     for model in data.models:
         profile = evaluation.errors[model.name, "hindsight"].profile_rmse[:, 1]
-        beyond = np.flatnonzero(profile > NOTICEABLE_ERROR)
-        parts.append(f"{model.name} " + (f"after {evaluation.horizon[beyond[0]]:.1f} s" if len(beyond) else "never"))
+        rows = np.flatnonzero(profile > NOTICEABLE_ERROR)
+        parts.append(f"{model.name} " + (f"after {evaluation.horizon[rows[0]]:.1f} s" if len(rows) else "never"))
     title = f"{evaluation.name}: lateral hindsight RMSE exceeds {NOTICEABLE_ERROR:g} m: {', '.join(parts)}"
     caption = ("RMSE over all starts at each point of the horizon. Hindsight uses the measured inputs and shows the "
                "error of the model; the forecast holds the inputs constant at their values at the start.")
@@ -221,7 +221,7 @@ def draw_slip_and_forces(data: FigureData) -> PageFigure | None:
     figure, grid = plt.subplots(2, 2, figsize=(WIDTH, 4.6), sharex=True, sharey="row")
     measured_slips, _ = _compute_slip_and_forces(get_model("linear"), vehicle, signals.states_at(times, vehicle), angle,
                                                  acceleration)
-    largest = {"measured": np.nanmax(np.abs(measured_slips))}
+    largest_slips = {"measured": np.nanmax(np.abs(measured_slips))}
     for axes, slip in zip(grid[0], measured_slips, strict=True):
         axes.plot(horizon, np.degrees(slip), color=MEASURED_COLOUR, lw=1.0)
     for model in models:
@@ -230,19 +230,19 @@ def draw_slip_and_forces(data: FigureData) -> PageFigure | None:
         for (upper, lower), slip, force in zip(grid.T, slips, forces, strict=True):
             upper.plot(horizon, np.degrees(slip), **get_line_style(model.name))
             lower.plot(horizon, force / 1000.0, **get_line_style(model.name))
-        largest[model.name] = np.abs(slips).max()
+        largest_slips[model.name] = np.abs(slips).max()
     for (upper, lower), axle in zip(grid.T, ("front", "rear"), strict=True):
         upper.axhline(0, color=TEXT_COLOUR, lw=0.6)
         lower.axhline(0, color=TEXT_COLOUR, lw=0.6)
         upper.set_title(f"{axle} axle", fontsize=9)
         lower.set_xlabel("horizon, s")
     grid[1, 0].set_xlim(0, horizon[-1])
-    grid[0, 0].set_ylabel("slip angle, °\n(+ = slides to the left)")
-    grid[1, 0].set_ylabel("lateral force of the axle, kN\n(+ = to the left)")
+    grid[0, 0].set_ylabel("slip angle, °\n(positive: slides to the left)")
+    grid[1, 0].set_ylabel("lateral force of the axle, kN\n(positive to the left)")
     measured_line = Line2D([], [], color=MEASURED_COLOUR, lw=1.0, label="from the measured motion")
     add_legend(figure, models, [measured_line])
     title = (f"{evaluation.name}: largest slip angle in the {horizon[-1]:g} s from {evaluation.time[row]:.1f} s: "
-             f"{', '.join(f'{source} {np.degrees(angle):.1f}°' for source, angle in largest.items())}")
+             f"{', '.join(f'{source} {np.degrees(angle):.1f}°' for source, angle in largest_slips.items())}")
     start_text = "requested start" if len(data.starts) == 1 else "start with the largest lateral acceleration"
     caption = f"Slip angles and forces that the models predict with the measured inputs, from the {start_text}."
     return save_figure(figure, data.output, "slip_and_forces", title, caption)

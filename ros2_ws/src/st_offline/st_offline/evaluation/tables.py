@@ -1,6 +1,6 @@
 """Summarises the errors of evaluated runs for evaluation.json, and formats them for terminal, CSV and LaTeX.
 
-reports: the `work.RunReport` of each run.
+Arguments named `reports` are the `work.RunReport` of each run.
 """
 
 import csv
@@ -91,11 +91,11 @@ def pool_entries(entries: Sequence[Entry], *keys: str) -> list[Entry]:
 def _pool_statistics(entries: Sequence[Entry]) -> Entry:
     pooled: Entry = {key: sum(e[key] for e in entries) for key in ("n_starts", "n_incomplete") if key in entries[0]}
     for axis in AXES:
-        known = [(e["n_starts"], e[axis]) for e in entries if e["n_starts"]]
-        total = sum(n for n, _ in known)
+        scored = [(e["n_starts"], e[axis]) for e in entries if e["n_starts"]]
+        total = sum(n for n, _ in scored)
         pooled[axis] = _name_statistics(
-            sum(n * v["mean"] for n, v in known) / total, max(v["max"] for _, v in known),
-            math.sqrt(sum(n * v["rmse"] ** 2 for n, v in known) / total)) if total else dict.fromkeys(STATISTICS)
+            sum(n * v["mean"] for n, v in scored) / total, max(v["max"] for _, v in scored),
+            math.sqrt(sum(n * v["rmse"] ** 2 for n, v in scored) / total)) if total else dict.fromkeys(STATISTICS)
     if "samples" in entries[0]:
         pooled["samples"] = _pool_statistics([e["samples"] for e in entries])
     return pooled
@@ -113,7 +113,7 @@ def get_axis_statistics(models: Models, model: str, mode: str, axis: str, over: 
 
 
 def list_statistics(models: Models, model: str, axis: str, over: str) -> list[tuple[str, bool]]:
-    """(text, whether it has the smallest printed magnitude of all models) for each of STATISTICS (hindsight)."""
+    """(text, whether its magnitude, as printed, is the smallest of all models) for each of STATISTICS in hindsight."""
     entries = {name: get_axis_statistics(models, name, "hindsight", axis, over) for name in models}
     result = []
     for kind in STATISTICS:
@@ -162,7 +162,7 @@ def list_rmse_by_second(reports: Sequence[Any]) -> tuple[list[str], list[list[st
 
 
 def make_terminal_table(reports: Sequence[Any], over: str, title: str, width: int) -> Table:
-    """The table of the paper (hindsight); in a wide terminal, with the RMSE of the forecasts."""
+    """Table of the hindsight errors, as in the paper; in a wide terminal, also the RMSE of the forecasts."""
     is_wide = width >= MIN_FORECAST_WIDTH
     forecast_modes = list(dict.fromkeys(mode for r in reports for modes in r.models.values() for mode in modes
                                         if mode != "hindsight"))
@@ -188,7 +188,7 @@ def make_terminal_table(reports: Sequence[Any], over: str, title: str, width: in
 
 
 def make_latex_table(reports: Sequence[Any], over: str, note: str) -> str:
-    """LaTeX table in the form of the paper, for the packages booktabs and multirow. note: end of the caption."""
+    """LaTeX table in the layout of the paper, for the packages booktabs and multirow. note: end of the caption."""
     models = list(next((r.models for r in reports), {}))
     legend = ", ".join(f"m$_{{{k + 1}}}$ {_escape_tex(model)}" for k, model in enumerate(models))
     lines = [

@@ -38,12 +38,12 @@ from .run_figures import FigureData, describe_ranking, draw_run
 
 PLANNED_INPUTS = ("planned_road_wheel_angle", "planned_velocity_x_dot")
 """Columns of a CSV [rad, positive to the left; m/s^2]: inputs at the time of the row, planned before the prediction."""
-PLANNED_PATH = ("planned_speed", "planned_curvature")  # alternative, at the CG [m/s; 1/m, positive to the left]
+PLANNED_PATH = ("planned_speed", "planned_curvature")  # alternative columns, of the CG [m/s; 1/m, positive to the left]
 
 
 @dataclass(frozen=True)
 class Task:
-    """Settings of an evaluation. models: None for each name of a built-in model, the model file for each file name.
+    """Settings of an evaluation. models: file name -> model file, and name -> None for each built-in model.
     vehicle_file: source of `vehicle`. over: "means" (of each horizon) or "samples", for the statistics in the table.
     starts: times of the predictions drawn in detail [s], () for an automatic choice. folder: folder of the results,
     None for no files. formats: formats of the figure files. force: whether to evaluate runs in which the checks find
@@ -53,7 +53,7 @@ class Task:
     vehicle: VehicleParameters
     models: Mapping[str, ModelFile | None]
     settings: EvaluationSettings = field(default_factory=EvaluationSettings)
-    read: ReadSettings = field(default_factory=ReadSettings)
+    read_settings: ReadSettings = field(default_factory=ReadSettings)
     vehicle_file: str = ""
     over: str = "means"
     starts: tuple[float, ...] = ()
@@ -91,7 +91,7 @@ class RunReport:
 
 
 def evaluate_run(source: RunSource, task: Task, progress: Progress | None = None) -> RunReport:
-    """Read, evaluate and draw one run. An error of the run becomes its `problem`."""
+    """Read, evaluate and draw one run. An error in the run becomes the `problem` of the report."""
     try:
         with warnings.catch_warnings():
             # The checks already report a step that is too long as a finding.
@@ -105,7 +105,7 @@ def evaluate_run(source: RunSource, task: Task, progress: Progress | None = None
 
 def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunReport:
     times = [time.perf_counter()]
-    run = read(source, task.vehicle, task.read)
+    run = read(source, task.vehicle, task.read_settings)
     times.append(time.perf_counter())
     models, prediction = load_models(task), task.settings.prediction
     with run_in_background(lambda: (check_log(run.log, task.vehicle, run.auxiliary, models, prediction.step).findings,
@@ -140,7 +140,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
 
 
 def _make_figure_output(task: Task, name: str, evaluation: LogEvaluation) -> FigureOutput:
-    """Create the folder of a run, with starts.csv; returns the output for its figures."""
+    """Create the folder of a run and write starts.csv; returns the destination of its figures."""
     folder = task.folder / "runs" / to_file_name(name) if task.folder else None
     if folder:
         folder.mkdir(parents=True, exist_ok=True)

@@ -29,7 +29,7 @@ MAX_POINTS = 4000  # in a scatter plot; more points would only overlap
 PAPER_COLOUR, FIT_COLOUR = MODEL_COLOUR["linear"], MODEL_COLOUR["augmented"]
 DEG = np.rad2deg(1.0)
 DISPLAY_UNITS = {"rad": (DEG, "deg"), "N/rad": (1e-3, "kN/rad")}
-MAX_DISAGREEMENT = 0.15  # of two stiffnesses, relative to the regression of the paper
+MAX_DISAGREEMENT = 0.15  # between two stiffness estimates, as a fraction of that by the regression of the paper
 STIFFNESS_ADVICE = "Steering ratio or lever arm may be wrong: run `st identify steering` and `st identify ins` first."
 RECORDINGS_HELP = "recordings of drives (several are better): folders, .ncom with CAN logs, bags, CSV"
 
@@ -39,8 +39,8 @@ def draw_offset(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw the steering offset in each straight window, its two estimates, and the residuals of the yaw rate."""
     data = outcome.figure
     figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.4), width_ratios=(2, 1))
-    position = _concatenate_times(data["run"], data["time"])
-    left.plot(position, data["offset"] * DEG, ".", color=MEASURED_COLOUR, ms=4, label="steady straight window")
+    time = _concatenate_times(data["run"], data["time"])
+    left.plot(time, data["offset"] * DEG, ".", color=MEASURED_COLOUR, ms=4, label="steady straight window")
     for estimate, colour, label in ((outcome.estimates[0], PAPER_COLOUR, "yaw rate (paper)"),
                                     (outcome.estimates[1], FIT_COLOUR, "mean of windows")):
         left.axhspan(*(np.array(estimate.interval95) * DEG), color=colour, alpha=0.25, lw=0)
@@ -66,8 +66,8 @@ def draw_mounting(outcome: Identification, output: FigureOutput) -> PageFigure:
         left.plot(data["curvature"][rows], data["slope"][rows], ".", ms=2.5, label=name)
     ends = np.array([data["curvature"].min(), data["curvature"].max()])
     left.plot(ends, data["theta"][0] + data["theta"][1] * ends, color=TEXT_COLOUR, lw=1, label="fit")
-    left.set(xlabel="yaw rate / forward velocity, 1/m (left positive)",
-             ylabel="lateral / forward velocity without slip")
+    left.set(xlabel="yaw rate / forward velocity, 1/m (positive to the left)",
+             ylabel="lateral / forward velocity, slip removed")
     if len(data["names"]) <= 8:
         left.legend(markerscale=3, fontsize=7)
     right.plot(data["speed"][subset], data["residual"][subset] * 1e3, ".", color=MEASURED_COLOUR, ms=2.5)
@@ -93,19 +93,19 @@ def draw_stiffness(outcome: Identification, output: FigureOutput) -> PageFigure:
         return save_figure(figure, output, outcome.experiment, f"Slopes {values}", f"Dots: {points}")
     widths = (1.2, 1.2, 1) if paper else (1,)
     figure, panels = plt.subplots(1, len(widths), figsize=(WIDTH, 3.6), width_ratios=widths, squeeze=False)
-    *force_panels, pair = panels[0]
+    *force_panels, region_panel = panels[0]
     if paper is not None:
         _draw_force_and_slip(force_panels, paper, (paper, outcome))
-    _draw_region(pair, outcome, outcome.estimates[:2])
-    for result, colour, label in ((outcome, FIT_COLOUR, "prediction"), (paper, PAPER_COLOUR, "regression (paper)")):
-        if result is not None and np.isfinite([e.value for e in result.estimates[:2]]).all():
-            front, rear = result.estimates[:2]
-            pair.errorbar(
+    _draw_region(region_panel, outcome, outcome.estimates[:2])
+    for source, colour, label in ((outcome, FIT_COLOUR, "prediction"), (paper, PAPER_COLOUR, "regression (paper)")):
+        if source is not None and np.isfinite([e.value for e in source.estimates[:2]]).all():
+            front, rear = source.estimates[:2]
+            region_panel.errorbar(
                 front.value * 1e-3, rear.value * 1e-3, fmt="o", color=colour, mec=TEXT_COLOUR, label=label, zorder=3,
                 **{f"{axis}err": np.abs(np.array(e.interval95) - e.value)[:, None] * 1e-3
                    for axis, e in (("x", front), ("y", rear))})
-    pair.set(xlabel="front, kN/rad", ylabel="rear, kN/rad")
-    pair.legend(fontsize=8)
+    region_panel.set(xlabel="front, kN/rad", ylabel="rear, kN/rad")
+    region_panel.legend(fontsize=8)
     caption = ("Left: force and slip as in the paper, with both slopes. Right: 95 % intervals of both methods, and "
                "the joint region of the prediction." if paper else "95 % intervals and joint region of the prediction.")
     return save_figure(figure, output, "stiffness", f"Cornering stiffness {values} by prediction", caption)
@@ -118,16 +118,16 @@ def draw_prediction(outcome: Identification, output: FigureOutput) -> PageFigure
     data, first = outcome.figure, outcome.estimates[0]
     channels = (("rate", "yaw rate, deg/s", DEG), ("across", "lateral velocity, mm/s", 1e3)
                 )[:data["residuals"].shape[1]]  # the lateral velocity may not have been measured
-    figure, panels = plt.subplot_mosaic([[key, "pair"] for key, *_ in channels], figsize=(WIDTH, 4.2),
+    figure, panels = plt.subplot_mosaic([[key, "region"] for key, *_ in channels], figsize=(WIDTH, 4.2),
                                         width_ratios=(1.5, 1))
-    position = _concatenate_times(data["residual_run"], data["residual_time"])
-    subset = _thin_rows(len(position))
-    run_starts = position[np.unique(data["residual_run"], return_index=True)[1]]
+    time = _concatenate_times(data["residual_run"], data["residual_time"])
+    subset = _thin_rows(len(time))
+    run_starts = time[np.unique(data["residual_run"], return_index=True)[1]]
     for column, (key, label, factor) in enumerate(channels):
         axes = panels[key]
         for run_start in run_starts[1:]:
             axes.axvline(run_start - 1.0, color=TEXT_COLOUR, lw=0.6, ls=":")
-        axes.plot(position[subset], data["residuals"][subset, column] * factor, ".", ms=1.5, color=MEASURED_COLOUR)
+        axes.plot(time[subset], data["residuals"][subset, column] * factor, ".", ms=1.5, color=MEASURED_COLOUR)
         axes.axhline(0.0, color=TEXT_COLOUR, lw=0.8)
         axes.set_ylabel(label)
     for key, *_ in channels[:-1]:
@@ -136,15 +136,15 @@ def draw_prediction(outcome: Identification, output: FigureOutput) -> PageFigure
     second = outcome.estimates[1]
     if outcome.correlation is not None:
         second = outcome.estimates[1 + int(np.argmax(np.abs(outcome.correlation[0, 1:])))]
-    pair = panels["pair"]
-    _draw_region(pair, outcome, (first, second))
+    region_panel = panels["region"]
+    _draw_region(region_panel, outcome, (first, second))
     bars: dict[str, Any] = {}
     for axis, e in (("x", first), ("y", second)):
         factor, unit = _get_display_unit(e.parameter)
         bars |= {axis: e.value * factor, f"{axis}err": np.abs(np.array(e.interval95) - e.value)[:, None] * factor}
-        pair.set(**{f"{axis}label": e.parameter.replace("_", " ") + (f", {unit}" if unit != "1" else "")})
-    pair.errorbar(**bars, fmt="o", ms=4, color=TEXT_COLOUR, label="95 % interval")
-    pair.legend(loc="lower left", fontsize=8)
+        region_panel.set(**{f"{axis}label": e.parameter.replace("_", " ") + (f", {unit}" if unit != "1" else "")})
+    region_panel.errorbar(**bars, fmt="o", ms=4, color=TEXT_COLOUR, label="95 % interval")
+    region_panel.legend(loc="lower left", fontsize=8)
     title = "; ".join(f"{e.parameter.replace('_', ' ')} {_format_value(e)}" for e in (first, second))
     caption = ("Left: predicted minus measured values, with dotted lines between runs. Right: the first parameter "
                "and the one most correlated with it; the intervals include systematic uncertainty.")
@@ -165,8 +165,8 @@ def _draw_force_and_slip(panels: Sequence[plt.Axes], points: Identification, lin
                 continue
             axes.plot(ends * DEG, (force.mean() - estimate.value * (ends - middle)) * 1e-3, color=colour,
                       label=f"{label}: {estimate.value * 1e-3:.1f} kN/rad")
-        axes.set(xlabel=f"{axle} slip angle, deg (positive: slides left)",
-                 ylabel=f"{axle} axle force, kN (left positive)")
+        axes.set(xlabel=f"{axle} slip angle, deg (positive: slides to the left)",
+                 ylabel=f"{axle} axle force, kN (positive to the left)")
         axes.legend(fontsize=8)
 
 
@@ -214,19 +214,19 @@ def _format_value(estimate: ParameterEstimate) -> str:
 def make_drive_experiment(name: str, description: str, driving: str, compute: Callable[..., Identification],
                           draw: Callable[[Identification, FigureOutput], PageFigure],
                           uses_model: bool = False) -> Experiment:
-    """Experiment on recorded drives. driving: required content. compute: called with (logs, vehicle) and, if
-    `uses_model`, with the model as keyword argument `base`."""
+    """Experiment on recorded drives. driving: required manoeuvres and speeds. compute: called with (logs, vehicle) and,
+    if `uses_model`, with the model as keyword argument `base`."""
     def identify(job: IdentificationJob) -> tuple[Identification, ...]:
         if not uses_model and job.model is not MODELS["nonlinear"]:
             raise IdentificationError(f"{name} uses no model: remove --model")
-        drives = read_drives(find_runs(job.files), job.vehicle, job.read, 1, lambda: None, job.force)
-        failed = {d.name: d.problem for d in drives if d.log is None}
-        used = [d for d in drives if d.log is not None]
-        if not used:
-            raise ConfigurationError("no run can be used: " + join_problems(failed.values()))
-        outcome = compute([d.log for d in used], job.vehicle, **({"base": job.model} if uses_model else {}))
-        warnings = dict.fromkeys(warning for d in used for warning in d.metadata["warnings"])  # each once, in order
-        return (replace(outcome, experiment=name, rejected_data=(*failed.items(), *outcome.rejected_data),
+        drives = read_drives(find_runs(job.files), job.vehicle, job.read_settings, 1, lambda: None, job.force)
+        problems = {d.name: d.problem for d in drives if d.log is None}
+        usable_drives = [d for d in drives if d.log is not None]
+        if not usable_drives:
+            raise ConfigurationError("no run can be used: " + join_problems(problems.values()))
+        outcome = compute([d.log for d in usable_drives], job.vehicle, **({"base": job.model} if uses_model else {}))
+        warnings = dict.fromkeys(text for d in usable_drives for text in d.metadata["warnings"])  # each once, in order
+        return (replace(outcome, experiment=name, rejected_data=(*problems.items(), *outcome.rejected_data),
                         warnings=(*outcome.warnings, *warnings),
                         findings={d.name: d.findings for d in drives if d.log is not None or d.findings}),)
 
@@ -234,8 +234,8 @@ def make_drive_experiment(name: str, description: str, driving: str, compute: Ca
 
 
 def compare_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: Model) -> Identification:
-    """Fit the stiffnesses by prediction; one that differs from the paper's regression significantly, and by more than
-    MAX_DISAGREEMENT, is marked "doubtful"."""
+    """Fit the stiffnesses by prediction; a value that differs from the paper's regression significantly and by more
+    than MAX_DISAGREEMENT has the status "doubtful"."""
     outcome = fit_stiffness(logs, vehicle, base)
     try:
         paper = identify_stiffness(logs, vehicle)
@@ -263,7 +263,7 @@ def compare_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base
                    figure={**outcome.figure, "paper": paper})
 
 
-DRIVING = (
+DRIVE_EXPERIMENTS = (
     make_drive_experiment("steering-offset", "offset of the steering wheel sensor, by two methods",
                           "straight driving above 5 m/s", identify_steering_offset, draw_offset),
     make_drive_experiment("steering", "steering ratio and offset, without turntables",

@@ -21,8 +21,8 @@ SI_FACTORS = {"kg": 1.0, "n": 1.0, "kn": 1000.0, "m": 1.0, "mm": 0.001, "rad": 1
 
 @dataclass(frozen=True)
 class IdentificationJob:
-    """Options of `st identify`. vehicle_file: file of `vehicle`. folder: folder of the results. read: options for
-    reading recordings. force: whether to use drives in which the checks find errors. model: base model of fits by
+    """Options of `st identify`. vehicle_file: file of `vehicle`. folder: folder of the results. read_settings: for
+    recordings. force: whether to use drives in which the checks find errors. model: base model of fits by
     prediction."""
 
     experiment: "Experiment"
@@ -30,7 +30,7 @@ class IdentificationJob:
     vehicle: VehicleParameters
     vehicle_file: str
     folder: Path
-    read: ReadSettings
+    read_settings: ReadSettings
     force: bool
     model: Model
 
@@ -39,14 +39,14 @@ class IdentificationJob:
 class Experiment:
     """One experiment. name: as on the command line. description: one line. required_files: description of the files.
     identify: reads the files and computes one or more results; raises StCoreError or RunError. draw: draws the figure
-    of a result. files_needed: whether files must be given. uses_recordings: whether the files are recorded drives."""
+    of a result. needs_files: whether files must be given. uses_recordings: whether the files are recorded drives."""
 
     name: str
     description: str
     required_files: str
     identify: Callable[[IdentificationJob], tuple[Identification, ...]]
     draw: Callable[[Identification, FigureOutput], PageFigure] | None = None
-    files_needed: bool = True
+    needs_files: bool = True
     uses_recordings: bool = False
 
 
@@ -74,7 +74,7 @@ def format_rounded(value: float, uncertainty: float) -> str:
 
 @dataclass(frozen=True)
 class MeasurementTable:
-    """Columns of a table by name. numbers: (n,) SI, NaN for an empty cell."""
+    """Columns of a table by name. numbers: SI values (n,), NaN for an empty cell. texts: cells as written."""
 
     file: Path
     numbers: Mapping[str, np.ndarray]
@@ -97,9 +97,9 @@ def read_columns(file: Path, required: Mapping[str, Sequence[str]], optional: Ma
     header, *rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=delimiter)] or [[]]
     permitted_units = {**required, **(optional or {})}
     columns = _find_columns(file, header, permitted_units, texts)
-    missing = [name for name in required if name not in columns]
-    if missing:
-        names = ", ".join(" or ".join(f"{name}_{unit}" for unit in required[name]) for name in missing)
+    missing_columns = [name for name in required if name not in columns]
+    if missing_columns:
+        names = ", ".join(" or ".join(f"{name}_{unit}" for unit in required[name]) for name in missing_columns)
         raise RunError(file, f"has no column {names}; its columns are {', '.join(header)[:200]}",
                        "name each column with its unit, as in docs/manual/identification.md")
     if not rows:

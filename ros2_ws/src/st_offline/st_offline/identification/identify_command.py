@@ -23,12 +23,12 @@ from ..discovery.vehicle_update import edit_vehicle_text
 from ..evaluation.drawing import FigureOutput, PageFigure
 from ..pages import load_template
 from ..terminal import list_files, make_table, print_line
-from .driving import DRIVING
+from .driving import DRIVE_EXPERIMENTS
 from .experiment import COLUMN_NAMES, Experiment, IdentificationJob, make_estimate_rows
 from .workshop import CG_HEIGHT, LAMBDA, SCALES, STEERING_RATIO, TYRE
 
 EXPERIMENTS: dict[str, Experiment] = {
-    experiment.name: experiment for experiment in (SCALES, CG_HEIGHT, STEERING_RATIO, TYRE, *DRIVING, LAMBDA)}
+    experiment.name: experiment for experiment in (SCALES, CG_HEIGHT, STEERING_RATIO, TYRE, *DRIVE_EXPERIMENTS, LAMBDA)}
 """All experiments of `st identify`, in the recommended order."""
 FORMATS = ("png", "pdf")
 STATUS_STYLE = {"identified": "green", "doubtful": "yellow", "unidentifiable": "red"}
@@ -38,7 +38,7 @@ def run_command(job: IdentificationJob, console: Console) -> int:
     """Run the command; returns the exit status: 0 if any parameter is identified or doubtful, else 1.
     Raises StCoreError, RunError, OutputError."""
     with console.status(f"identifying: {job.experiment.description}"):
-        if job.experiment.files_needed and not job.files:
+        if job.experiment.needs_files and not job.files:
             raise result.IdentificationError(f"no files were given; {job.experiment.name} needs "
                                              f"{job.experiment.required_files}")
         try:
@@ -50,16 +50,16 @@ def run_command(job: IdentificationJob, console: Console) -> int:
             result.compare_with_file(job.vehicle, estimate) for estimate in outcome.estimates))))
                       for outcome in outcomes)
     now = datetime.now(UTC)
-    car = result.apply_to_vehicle(job.vehicle, outcomes, f"{now:%Y-%m-%d}")
-    warnings = (*outcomes[0].warnings, *find_implausible_values(car, job.vehicle))
+    updated_vehicle = result.apply_to_vehicle(job.vehicle, outcomes, f"{now:%Y-%m-%d}")
+    warnings = (*outcomes[0].warnings, *find_implausible_values(updated_vehicle, job.vehicle))
     outcomes = (replace(outcomes[0], warnings=warnings), *outcomes[1:])
     scale_warnings = result.describe_stale_scales(job.vehicle, outcomes)
     with console.status("writing"):
-        paths = write_results(job, outcomes, car, make_provenance(job, now))
+        paths = write_results(job, outcomes, updated_vehicle, make_provenance(job, now))
     print_results(outcomes, job.vehicle, scale_warnings, console)
     list_files({paths["identification.json"]: "values, uncertainties, verdicts",
                 paths["vehicle.yaml"]: "vehicle file with the identified values",
-                paths["report.html"]: "figures, correlations, data used and left out"}, console)
+                paths["report.html"]: "figures, correlations, lists of used and rejected data"}, console)
     return 0 if any(e.status != "unidentifiable" for outcome in outcomes for e in outcome.estimates) else 1
 
 
@@ -88,7 +88,7 @@ def collect_findings_by_drive(outcomes: Sequence[result.Identification]) -> dict
 
 
 def make_provenance(job: IdentificationJob, now: datetime) -> dict[str, Any]:
-    """Provenance of the values: time, experiment, vehicle, files, versions."""
+    """Origin of the identified values: time, experiment, vehicle, files, versions."""
     data = list(job.files)
     if job.experiment.uses_recordings:  # the recordings instead of their folders
         data = [file for source in find_runs(job.files) for file in (*source.files, *source.can)
@@ -98,7 +98,7 @@ def make_provenance(job: IdentificationJob, now: datetime) -> dict[str, Any]:
             "files": hash_files(data), "versions": collect_versions()}
 
 
-def write_results(job: IdentificationJob, outcomes: Sequence[result.Identification], identified: VehicleParameters,
+def write_results(job: IdentificationJob, outcomes: Sequence[result.Identification], updated_vehicle: VehicleParameters,
                   provenance: dict[str, Any]) -> dict[str, Path]:
     """Write figures, values, vehicle file and report; returns the paths by file name, without the figures."""
     output = FigureOutput(new_folder(job.folder, ""), FORMATS)
@@ -108,7 +108,7 @@ def write_results(job: IdentificationJob, outcomes: Sequence[result.Identificati
         "identification.json": json_text({name: entry for outcome in outcomes
                                           for name, entry in outcome.to_document().items()}),
         "details.json": json_text(provenance | {"experiments": list(map(make_experiment_details, outcomes))}),
-        "vehicle.yaml": update_vehicle_text(Path(job.vehicle_file), identified, outcomes),
+        "vehicle.yaml": update_vehicle_text(Path(job.vehicle_file), updated_vehicle, outcomes),
         "report.html": render_page(outcomes, figures, job.vehicle, provenance),
     }
     for name, text in texts.items():
@@ -116,14 +116,14 @@ def write_results(job: IdentificationJob, outcomes: Sequence[result.Identificati
     return {name: job.folder / name for name in texts}
 
 
-def update_vehicle_text(file: Path, identified: VehicleParameters, outcomes: Sequence[result.Identification]) -> str:
-    """Text of the vehicle file with the identified entries replaced; if it is unreadable, text of a new file."""
+def update_vehicle_text(file: Path, vehicle: VehicleParameters, outcomes: Sequence[result.Identification]) -> str:
+    """Text of the vehicle file with the identified values; if the file cannot be read, text of a new one."""
     keys = [e.parameter for outcome in outcomes for e in outcome.estimates
             if find_quantity(e.parameter) is not None and e.status != "unidentifiable"]
     try:
-        return edit_vehicle_text(file.read_text(encoding="utf-8"), keys, identified)
+        return edit_vehicle_text(file.read_text(encoding="utf-8"), keys, vehicle)
     except OSError:
-        return identified.to_yaml()
+        return vehicle.to_yaml()
 
 
 def make_experiment_details(outcome: result.Identification) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from st_recordings.runs.errors import RunError
 from ..evaluation.drawing import TEXT_COLOUR, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
 from .experiment import Experiment, IdentificationJob, MeasurementTable, read_columns
 
-TEXTS = ("weighing", "driver", "payload")  # optional columns
+TEXT_COLUMNS = ("weighing", "driver", "payload")  # optional
 ANGLE_COLUMNS = {"steering_wheel": ("deg", "rad"), "left_wheel": ("deg", "rad"), "right_wheel": ("deg", "rad")}
 LOAD_COLUMNS = {"rear_left": ("kg",), "rear_right": ("kg",)}
 RADIUS_COLUMNS = {"front_radius": ("m", "mm"), "rear_radius": ("m", "mm")}
@@ -32,7 +32,8 @@ def identify_scales(job: IdentificationJob) -> tuple[Identification, ...]:
     """Identify mass and CG position; each row of the files is one weighing."""
     readings, names, loads, uncertainties = [], [], [], set()
     for file in job.files:
-        table = read_columns(file, dict.fromkeys(mass_and_cg.WHEELS, ("kg",)), {"scale_uncertainty": ("kg",)}, TEXTS)
+        table = read_columns(file, dict.fromkeys(mass_and_cg.WHEELS, ("kg",)), {"scale_uncertainty": ("kg",)},
+                             TEXT_COLUMNS)
         readings.append(np.stack([table.numbers[wheel] for wheel in mass_and_cg.WHEELS], axis=1))
         labels = table.texts.get("weighing") or [str(row) for row in range(1, len(table) + 1)]
         names += [f"{file.name}:{label}" for label in labels]
@@ -100,13 +101,13 @@ def draw_ratio(outcome: Identification, output: FigureOutput) -> PageFigure:
                   label=f"{side} wheel")
     left.plot(steering, np.degrees(data["mean"]), "o", color=TEXT_COLOUR, ms=3.5, label="mean")
     ends = np.array([steering.min(), steering.max()])
-    level = float(np.degrees(np.mean(list(data["intercepts"].values()))))
-    left.plot(ends, level + data["slope"] * ends, color=MODEL_COLOUR["augmented"],
+    intercept = float(np.degrees(np.mean(list(data["intercepts"].values()))))
+    left.plot(ends, intercept + data["slope"] * ends, color=MODEL_COLOUR["augmented"],
               label=f"steering wheel / {estimate.value:.2f}")
-    left.set(xlabel="steering wheel angle, deg (left positive)", ylabel="wheel angle, deg (left positive)")
+    left.set(xlabel="steering wheel angle, deg (positive to the left)", ylabel="wheel angle, deg")
     for k, name in enumerate(dict.fromkeys(data["sweeps"])):
-        row = sweeps == name
-        right.plot(steering[row], np.degrees(data["residuals"][row]), "os^Dv<>P"[k % 8], color=TEXT_COLOUR, ms=4.5,
+        rows = sweeps == name
+        right.plot(steering[rows], np.degrees(data["residuals"][rows]), "os^Dv<>P"[k % 8], color=TEXT_COLOUR, ms=4.5,
                    mfc="none", label=name)
     if data["significant"]:
         first, last = np.radians(ends)
@@ -114,7 +115,7 @@ def draw_ratio(outcome: Identification, output: FigureOutput) -> PageFigure:
         curve = data["cubic"][0] * grid + data["cubic"][1] * grid**3
         right.plot(np.degrees(grid), np.degrees(curve), color=MODEL_COLOUR["nonlinear"], label="cubic")
     right.axhline(0.0, color=MODEL_COLOUR["augmented"])
-    right.set(xlabel="steering wheel angle, deg (left positive)", ylabel="mean wheel angle minus line, deg")
+    right.set(xlabel="steering wheel angle, deg (positive to the left)", ylabel="mean wheel angle minus line, deg")
     figure.legend(loc="outside lower left", ncols=4, fontsize=8)
     low, high = estimate.interval95
     title = f"Steering ratio {estimate.value:.2f}, 95 % interval {low:.2f} to {high:.2f}"
@@ -123,7 +124,7 @@ def draw_ratio(outcome: Identification, output: FigureOutput) -> PageFigure:
 
 
 STEERING_RATIO = Experiment("steering-ratio", "steering ratio from turntables",
-                            "CSV: steering_wheel_deg, left_wheel_deg, right_wheel_deg; left positive",
+                            "CSV: steering_wheel_deg, left_wheel_deg, right_wheel_deg; positive to the left",
                             identify_ratio, draw_ratio)
 
 
@@ -141,8 +142,7 @@ def identify_height(job: IdentificationJob) -> tuple[Identification, ...]:
         parts.append((_read_pitch(table, vehicle.wheelbase), columns["rear_left"] + columns["rear_right"],
                       *(columns.get(name, empty) for name in RADIUS_COLUMNS)))
     if len(masses) > 1:
-        raise RunError(job.files[0], f"car_mass_kg has several values: {sorted(masses)}",
-                       "give measurements of one car")
+        raise RunError(job.files[0], f"car_mass_kg has several values: {sorted(masses)}", "give weighings of one car")
     pitch, load, front, rear = (np.concatenate(column) for column in zip(*parts, strict=True))
     rows = LiftRows(pitch, load, tuple(names), front, rear)
     return (identify_cg_height(rows, vehicle, masses.pop() if masses else None),)
@@ -168,12 +168,12 @@ def draw_height(outcome: Identification, output: FigureOutput) -> PageFigure:
     pitch, lifts = np.degrees(data["pitch"]), np.asarray(data["lifts"])
     figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.2))
     grid = np.linspace(0.0, data["pitch"].max(), 60)
-    for k, (name, level) in enumerate(data["intercepts"].items()):
-        row = lifts == name
+    for k, (name, intercept) in enumerate(data["intercepts"].items()):
+        rows = lifts == name
         marker = "os^Dv<>P"[k % 8]
-        left.plot(pitch[row], data["rear_load"][row], marker, color=TEXT_COLOUR, ms=4.5, mfc="none", label=name)
-        left.plot(np.degrees(grid), level + data["slope"] * np.tan(grid), color=MODEL_COLOUR["augmented"], lw=1.0)
-        right.plot(pitch[row], data["single"][row], marker, color=TEXT_COLOUR, ms=4.5, mfc="none")
+        left.plot(pitch[rows], data["rear_load"][rows], marker, color=TEXT_COLOUR, ms=4.5, mfc="none", label=name)
+        left.plot(np.degrees(grid), intercept + data["slope"] * np.tan(grid), color=MODEL_COLOUR["augmented"], lw=1.0)
+        right.plot(pitch[rows], data["single"][rows], marker, color=TEXT_COLOUR, ms=4.5, mfc="none")
     left.set(xlabel="pitch, deg", ylabel="load on the rear wheels, kg")
     left.legend(title="lift", fontsize=8)
     right.axhspan(*estimate.interval95, color=MODEL_COLOUR["augmented"], alpha=0.2, lw=0, label="95 % interval")
@@ -228,13 +228,13 @@ def draw_tyre(outcome: Identification, output: FigureOutput) -> PageFigure:
     slip = np.degrees(data["slip"])
     figure, (left, middle, right) = plt.subplots(1, 3, figsize=(WIDTH, 3.2), width_ratios=(1.4, 1.0, 1.0))
     for k, load in enumerate(data["levels"]):
-        row, colour = data["level"] == k, LOAD_COLOURS[k % len(LOAD_COLOURS)]
-        left.plot(slip[row], data["force"][row], "o", color=colour, ms=3)
+        rows, colour = data["level"] == k, LOAD_COLOURS[k % len(LOAD_COLOURS)]
+        left.plot(slip[rows], data["force"][rows], "o", color=colour, ms=3)
         left.plot(np.degrees(data["grid"]), data["curves"][k], color=colour, label=f"{load:.0f} N")
-        middle.plot(slip[row], data["residuals"][row], "o", color=colour, ms=3)
-        value, deviation = np.abs(data["stiffness"][k])
-        right.errorbar(load, value / 1e3, Z95 * deviation / 1e3, fmt="o", color=colour, ms=4)
-    left.set(xlabel="slip angle, deg (positive: slides left)", ylabel="lateral force, N")
+        middle.plot(slip[rows], data["residuals"][rows], "o", color=colour, ms=3)
+        value, uncertainty = np.abs(data["stiffness"][k])
+        right.errorbar(load, value / 1e3, Z95 * uncertainty / 1e3, fmt="o", color=colour, ms=4)
+    left.set(xlabel="slip angle, deg (positive: slides to the left)", ylabel="lateral force, N")
     left.legend(title="load", fontsize=8)
     middle.axhline(0.0, color=TEXT_COLOUR, lw=0.8)
     middle.set(xlabel="slip angle, deg", ylabel="fit minus measurement, N")

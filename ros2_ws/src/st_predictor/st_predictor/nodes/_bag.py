@@ -17,7 +17,7 @@ def open_bag(values: SimpleNamespace, records: Mapping[str, Mapping[str, str]]) 
     """Writer of a new bag in the folder of the parameter `output_directory`.
 
     If that folder contains files, a node with `number_if_exists` (which may have been restarted) uses NAME_2, NAME_3,
-    and so on; any other node raises ConfigurationError. So does a path that is a file or cannot be written.
+    and so on. Raises ConfigurationError for any other node, and for a path that is a file or cannot be written.
     """
     names = (f"{values.output_directory}_{number}" for number in itertools.count(2))
     name = values.output_directory

@@ -20,7 +20,7 @@ from st_ros.polling import LATCHED, PolledSubscription
 from .. import convert
 
 QUEUE_DEPTH = 10  # queued plans, of which only the newest is used
-PLAN_TIMEOUT = 10.0  # s without a new plan after which a refused one is dropped, because the planner has stopped
+PLAN_TIMEOUT = 10.0  # s without a new plan after which a refused plan is dropped, because the planner has stopped
 NOT_USED = "not used: no prediction at the moment"
 
 
@@ -69,7 +69,7 @@ class PlanInput:
 
 
 class CourseInput:
-    """Predicts inputs from a recorded course. course: None without a `course_file`. horizon, step: of predictions [s].
+    """Predicts inputs from a recorded course. course: None without `course_file`. horizon, step: of a prediction [s].
 
     If the map origins of course and run (ins/origin) are known, the course is shifted into the map frame of this run;
     a course of a different site is not used.
@@ -83,9 +83,9 @@ class CourseInput:
         if course is None:
             return
         self._tracker = CourseTracker(_build_search_tree(course), vehicle, horizon, step)
-        node.create_subscription(NavSatFix, "ins/origin", self._move_course, LATCHED)
+        node.create_subscription(NavSatFix, "ins/origin", self._shift_course, LATCHED)
 
-    def _move_course(self, message: NavSatFix) -> None:
+    def _shift_course(self, message: NavSatFix) -> None:
         assert self._course is not None and self._tracker is not None
         if self._course.origin is None:
             return

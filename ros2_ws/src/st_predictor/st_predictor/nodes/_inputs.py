@@ -17,7 +17,7 @@ from st_ros.polling import PolledSubscription, to_nanoseconds, wait_for_any
 from .. import convert
 
 SILENCE_TIMEOUT = 1.0  # s without a message after which a different publisher can replace the accepted one
-WARNING_DURATION = 10.0  # s of a warning after the last rejected message
+WARNING_DURATION = 10.0  # s from the last rejected message to the end of the warning
 MAX_NUMBER_GAP = 1000  # largest gap in the accepted publisher's message numbers: 4 s at 250 Hz
 UNUSABLE_SAMPLE = "values not finite, or stamp repeated or more than 0.5 s older than the newest"
 QUEUE_DEPTH = 4000  # queued messages per topic: 16 s at 250 Hz, in case the node gets no processor time
@@ -35,7 +35,7 @@ class PublisherLock:
     def __init__(self) -> None:
         self.names: tuple[str, ...] = ()
         self.rejected_count = 0
-        self._competing = self._indistinguishable = False
+        self._has_competitors = self._are_indistinguishable = False
         self._accepted_number: int | None = None  # sequence number of the newest accepted message
         self._accepted_at: float | None = None  # [s]
         self._rejected_chains: dict[int, float] = {}  # time of arrival [s] by newest number of each rejected chain
@@ -43,12 +43,12 @@ class PublisherLock:
 
     def update(self, names: Sequence[str]) -> None:
         """Set the node name of each publisher in the graph."""
-        self.names, self._competing = tuple(sorted(names)), len(names) > 1
-        self._indistinguishable = self._indistinguishable and self._competing
+        self.names, self._has_competitors = tuple(sorted(names)), len(names) > 1
+        self._are_indistinguishable = self._are_indistinguishable and self._has_competitors
 
     def accept(self, number: int | None, now: float) -> bool:
         """Whether to use a message. number: assigned by its publisher, None if unknown. now: time of arrival [s]."""
-        if not self._competing or self._continues_chain(number, now):
+        if not self._has_competitors or self._continues_chain(number, now):
             self._accepted_number, self._accepted_at = number, now
             return True
         self.rejected_count += 1
@@ -59,13 +59,13 @@ class PublisherLock:
         return False
 
     def _continues_chain(self, number: int | None, now: float) -> bool:
-        if self._indistinguishable or number is None or self._accepted_number is None or self._accepted_at is None:
+        if self._are_indistinguishable or number is None or self._accepted_number is None or self._accepted_at is None:
             return False
         self._rejected_chains = {newest: time for newest, time in self._rejected_chains.items()
                                  if now - time < SILENCE_TIMEOUT}
         if number == self._accepted_number + 1:
-            self._indistinguishable = self._accepted_number in self._rejected_chains
-            return not self._indistinguishable
+            self._are_indistinguishable = self._accepted_number in self._rejected_chains
+            return not self._are_indistinguishable
         if now - self._accepted_at <= SILENCE_TIMEOUT:
             return False
         # Messages were lost, or the node was restarted while the killed one is still in the graph.
@@ -79,23 +79,23 @@ class PublisherLock:
         """Warning about competing publishers, empty without any. now: on the clock of `accept` [s]."""
         # A killed publisher stays in the graph for a while with the same name as its successor, but sends nothing.
         has_rejected = self._rejected_at is not None and now - self._rejected_at < WARNING_DURATION
-        if not self._competing or not (len(set(self.names)) > 1 or has_rejected):
+        if not self._has_competitors or not (len(set(self.names)) > 1 or has_rejected):
             return ""
         names = ", ".join(self.names)
-        if self._indistinguishable or self._accepted_number is None:
+        if self._are_indistinguishable or self._accepted_number is None:
             return f"published by {len(self.names)} nodes that cannot be distinguished; none is used: {names}"
         return f"published by {len(self.names)} nodes ({names}); only the first one received is used"
 
 
 class _Input:
     """One input topic. received_count: messages of the accepted publisher, including refused ones. last_refusal: why
-    the newest message was refused, or "". arrived_ns: time of its arrival [ns], host UTC."""
+    the newest message was refused, or "". arrival_ns: time of arrival of the newest message [ns], host UTC."""
 
     def __init__(self, node: Node, signal: str, message_type: type, topic: str, on_change: Callable[[], None]):
         self.signal, self._on_change = signal, on_change
         self.subscription = PolledSubscription(node, message_type, topic, QoSProfile(depth=QUEUE_DEPTH))
         self.lock = PublisherLock()
-        self.received_count = self.refused_count = self.arrived_ns = 0
+        self.received_count = self.refused_count = self.arrival_ns = 0
         self.last_refusal = ""
 
     def take_accepted(self) -> Iterator[Any]:
@@ -104,9 +104,9 @@ class _Input:
         # Add new publishers before reading, and remove ended ones only afterwards: their messages may still be queued.
         if count > len(self.lock.names):
             self.lock.update(self.subscription.find_publisher_names())
-        for message, arrived_ns, number in self.subscription.take(QUEUE_DEPTH, "publication_sequence_number"):
-            if self.lock.accept(number, arrived_ns * NANOSECOND):
-                self.arrived_ns = arrived_ns
+        for message, arrival_ns, number in self.subscription.take(QUEUE_DEPTH, "publication_sequence_number"):
+            if self.lock.accept(number, arrival_ns * NANOSECOND):
+                self.arrival_ns = arrival_ns
                 yield message
         if count > 1 or count < len(self.lock.names):
             self.lock.update(self.subscription.find_publisher_names())
@@ -145,7 +145,7 @@ class Inputs:
         """Process messages for `timeout` [s], or until one of each signal has arrived since `since_ns` (host UTC)."""
         end = time.monotonic() + timeout
         self.drain()
-        while (min(one.arrived_ns for one in self._inputs) < since_ns
+        while (min(one.arrival_ns for one in self._inputs) < since_ns
                and (remaining := end - time.monotonic()) > 0.0):
             wait_for_any(self._node, [one.subscription for one in self._inputs], remaining)
             self.drain()
@@ -163,7 +163,7 @@ class Inputs:
                 self._steering.count("" if accepted else UNUSABLE_SAMPLE)
 
     def explain(self, reason: str) -> str:
-        """The reason why a prediction is missing; if messages of the signal it names are refused, also why."""
+        """`reason` for a missing prediction; if it names a signal with refused messages, also why they are refused."""
         for one in self._inputs:
             if one.last_refusal and reason.startswith(one.signal):
                 return f"{reason}; messages arrive but are refused: {one.last_refusal}"

@@ -21,7 +21,7 @@ from st_ros.polling import LATCHED, PolledSubscription, create_steady_timer
 from st_ros.scheduling import BACKGROUND_NICE
 
 from .. import convert, params
-from ..consistency import Consistency
+from ..consistency import ConsistencyMonitor
 from ._bag import is_complete, make_recording_check, open_bag
 from ._bands import add_coverage, make_coverage_check, read_bands
 from ._inputs import Inputs
@@ -47,14 +47,14 @@ class EvaluatorNode(Node):
             values, lambda: [get_model(m).name for m in (*values.models, *file_models)])
         settings = params.read_prediction_settings(values)
         self._core = Evaluator(self._vehicle, settings, HISTORY_SPAN, file_models)
-        self._consistency = Consistency(self._vehicle)
+        self._consistency = ConsistencyMonitor(self._vehicle)
         self._map_frame = values.map_frame
         self._diagnostics = Diagnostics(self, self._vehicle.name, self._make_checks)
         self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering,
                               self._diagnostics.publish)
         self._statistics = {(model, mode): ErrorStatistics() for model in self._models for mode in MODES}
         self._coverages = CoverageMonitor()
-        self._hashes: dict[tuple[str, str, int], str] = {}  # of pending predictions: by model, mode, start [ns]
+        self._hashes: dict[tuple[str, str, int], str] = {}  # by model, mode and start [ns] of pending predictions
         self._configuration_mismatch: dict[tuple[str, str], bool] = {}  # by hash and model
         self._rejection = ""
         self._bag, self._bag_topics = self._open_bag(values, settings)
@@ -151,13 +151,13 @@ class EvaluatorNode(Node):
         incomplete = sum(s.n_incomplete for s in self._statistics.values())
         pending = self._core.pending_count
         values = {"scores complete": complete, "scores incomplete": incomplete, "pending predictions": pending}
-        mismatched = sorted({model for (_, model), mismatch in self._configuration_mismatch.items() if mismatch})
+        models = sorted({model for (_, model), mismatch in self._configuration_mismatch.items() if mismatch})
         level, text = diagnostics.OK, "scoring" if complete or incomplete or pending else "no prediction yet"
         if self._rejection:
             level, text = diagnostics.WARN, self._rejection
-        elif mismatched:
+        elif models:
             level, text = diagnostics.WARN, (
-                f"predictions of {', '.join(mismatched)} were made with a different vehicle or model than this node "
+                f"predictions of {', '.join(models)} were made with a different vehicle or model than this node "
                 "uses: set the same vehicle_file and model_file in predictor and evaluator")
         recording = (make_recording_check(self._bag) if self._bag else
                      Check("recording", diagnostics.OK, "off (output_directory is empty)"))

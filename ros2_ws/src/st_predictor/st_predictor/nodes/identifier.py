@@ -19,9 +19,9 @@ from .. import convert, params
 DRAIN_PERIOD, PUBLISH_PERIOD = 0.1, 1.0  # s
 QUEUE_DEPTH = 1000
 STATUS_CODES = {"unestimated": TrackedParameter.UNESTIMATED, "estimated": TrackedParameter.ESTIMATED,
-          "invalid": TrackedParameter.INVALID}
+                "invalid": TrackedParameter.INVALID}
 LEVELS = {"unestimated": diagnostics.OK, "estimated": diagnostics.OK, "invalid": diagnostics.WARN}
-MAX_DIFFERENCE = 3.0  # of estimate and vehicle file, in standard deviations; a larger difference causes a warning
+MAX_DIFFERENCE = 3.0  # between estimate and vehicle file, in standard deviations; a larger difference causes a warning
 
 
 class IdentifierNode(Node):

@@ -23,7 +23,7 @@ from ..map_drawing import History, Path, Pose, make_car_outline
 NEWEST_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 SCORE_QOS = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)  # scores of one start arrive together
 LIFETIME = Duration(sec=1)  # markers disappear this long after the suite has ended
-TEXT_HEIGHT, OUTLINE_WIDTH, ERROR_WIDTH, GHOST_WIDTH, TRACK_WIDTH = 1.2, 0.15, 0.25, 0.1, 0.6  # m; widths of lines
+TEXT_HEIGHT, OUTLINE_WIDTH, ERROR_WIDTH, GHOST_WIDTH, TRACK_WIDTH = 1.2, 0.15, 0.25, 0.1, 0.6  # m
 GHOST_ALPHA = 0.4
 RIBBON_ALPHA = {0.9: 0.15, 0.5: 0.3}  # by probability
 RIBBON_STRIDE = 4  # one of this many points of a path is drawn

@@ -89,7 +89,7 @@ class PredictorNode(Node):
         course = params.read_file(values, "course_file", Course.from_yaml)
         self._course = CourseInput(self, course, self._vehicle, settings.horizon, settings.step)
         self._path_builder = convert.PathBuilder(values.map_frame, settings.steps + 1)
-        self._simulated = self.get_parameter("use_sim_time").value
+        self._uses_sim_time = self.get_parameter("use_sim_time").value
         self._make_publishers()
         self._counter = TickCounter()
         self._skip: Skip | None = Skip("stale", "INS: nothing received yet")
@@ -101,7 +101,7 @@ class PredictorNode(Node):
         self._state_ages: list[float] = []  # age of each start state since the last status [s]
         self._period = 1.0 / values.rate
         # Simulated time advances only while the executor runs: no sample can arrive during a wait.
-        self._max_wait = 0.0 if self._simulated else min(values.sample_wait, MAX_WAIT_FRACTION * self._period)
+        self._max_wait = 0.0 if self._uses_sim_time else min(values.sample_wait, MAX_WAIT_FRACTION * self._period)
         create_steady_timer(self, DRAIN_PERIOD, self._inputs.drain)
         self._timer = self.create_timer(self._period, self._tick)
         self.create_timer(STATUS_PERIOD, self._publish_status)
@@ -127,7 +127,7 @@ class PredictorNode(Node):
         return backend or "interpreted"
 
     def _make_publishers(self) -> None:
-        qos = QoSProfile(depth=REPLAY_DEPTH if self._simulated else LIVE_DEPTH)
+        qos = QoSProfile(depth=REPLAY_DEPTH if self._uses_sim_time else LIVE_DEPTH)
         topics = convert.list_prediction_topics(self._core.models)
         self._prediction_publishers = {key: self.create_publisher(kind, topic, qos)
                                        for key, (topic, kind) in topics.items()}
@@ -156,7 +156,7 @@ class PredictorNode(Node):
         if isinstance(start, Start):
             self._predict(start)
         self._bands.observe_scores()
-        if self._skip and self._simulated:
+        if self._skip and self._uses_sim_time:
             self._publish_status()  # the player of `st replay` waits for a message from every tick
         has_changed = (previous_skip and previous_skip.kind) != (self._skip and self._skip.kind)
         if has_changed or self._reported_jumps != self._core.history.jump_count:
@@ -199,7 +199,7 @@ class PredictorNode(Node):
 
     def _publish_predictions(self, start: Start, mode: Mode, inputs: InputSequence | None = None, plan_ns: int = 0,
                              bands: Mapping[str, list[Band]] = MappingProxyType({})) -> dict[str, Trajectory]:
-        """Publish the predictions of all models; returns them by model. inputs: of a plan or course; None: constant.
+        """Publish the predictions of all models; returns them by model. inputs: of a plan or course; None: held.
         """
         trajectories = {}
         for model in self._core.models:

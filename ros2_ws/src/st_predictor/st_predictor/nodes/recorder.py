@@ -37,7 +37,7 @@ QUEUE_DEPTH = 1000  # queued messages per topic: 4 s at 250 Hz, for a slow disk
 
 
 class PublisherWatchdog:
-    """Finds nodes that publish a recorded topic, but from which no message arrives.
+    """Finds nodes that publish a recorded topic but whose messages do not arrive.
 
     DDS may match a publisher with a subscription that never receives its data, so only a message proves a connection.
     """
@@ -90,7 +90,7 @@ class RecorderNode(Node):
         self._recorded_topics: dict[str, tuple[PolledSubscription, int, str, list[Qos]]] = {}
         self._refusals: dict[str, str] = {}  # reason by topic
         self._watchdog = PublisherWatchdog(self)
-        self._simulated_time = self.get_parameter("use_sim_time").value
+        self._uses_sim_time = self.get_parameter("use_sim_time").value
         create_steady_timer(self, WORK_PERIOD, self._record_messages)
         create_steady_timer(self, TOPIC_SCAN_PERIOD, self._subscribe_to_new_topics)
         self._diagnostics = Diagnostics(self, str(self._bag.directory), self._make_checks)
@@ -124,7 +124,7 @@ class RecorderNode(Node):
     def _record_messages(self) -> None:
         for topic, (subscription, channel, _, _) in self._recorded_topics.items():
             for data, received_ns, sent_ns in subscription.take(QUEUE_DEPTH):
-                log_ns = self.get_clock().now().nanoseconds if self._simulated_time else received_ns
+                log_ns = self.get_clock().now().nanoseconds if self._uses_sim_time else received_ns
                 self._bag.write(channel, data, log_ns, sent_ns or log_ns)
                 self._watchdog.record_arrival(topic, data)
         self._bag.flush_when_due()

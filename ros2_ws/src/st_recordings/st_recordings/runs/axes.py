@@ -1,4 +1,4 @@
-"""Axes of recorded velocities: velocities over ground, to the east and north, are rotated into body axes."""
+"""Finds the axes of recorded velocities, and rotates velocities to the east and north into body axes."""
 
 import re
 
@@ -6,15 +6,15 @@ import numpy as np
 from st_core.types import map_to_body, wrap_angle
 
 MAP_FRAMES = {"map", "odom", "world", "enu", "ned", "gps", "gnss", "navsat"}
-"""Words in the frame_id of a velocity over ground: map frames of REP-105, and receivers, which measure only these."""
+"""Words in the frame_id of a velocity over ground: names of map frames (REP-105) and of receivers."""
 MIN_COURSE_SPEED = 1.0
-"""Lowest speed [m/s] at which the course is used: 0.05 m/s of velocity noise then cause 3 degrees of course noise."""
+"""Lowest speed [m/s] at which the direction of the velocity is used; 0.05 m/s of noise then change it by 3 degrees."""
 MIN_COMPARED_SAMPLES = 20
-"""Minimum number of samples for comparing positions with the integrated speed, or a heading with the course."""
+"""Minimum number of samples for comparing positions with the integrated speed, or yaw with the course over ground."""
 MAX_COMPARED_SAMPLES = 10_000
 MAX_AGREEING_ANGLE = 0.1
-"""[rad]. Two directions agree if their median difference, due to sideslip and noise, is smaller; of two
-interpretations, only one agrees if the difference of the other is larger by this much."""
+"""[rad]. Two directions agree if their median difference, due to sideslip and noise, is smaller than this. The better
+of two interpretations is accepted if the difference of the other is larger by more than this."""
 
 
 def find_words(frame_id: str) -> set[str]:
@@ -32,7 +32,7 @@ def convert_odometry(values: dict[str, np.ndarray], frame_id: str) -> list[str]:
     is_ned = "ned" in find_words(frame_id)
     if is_ned:
         values["x"], values["y"], values["yaw"] = values["y"], values["x"], np.pi / 2 - values["yaw"]
-        notes.append(f"frame_id is {frame_id!r}: x, y and yaw were converted from north, east and clockwise")
+        notes.append(f"frame_id is {frame_id!r}: x, y and yaw were converted from north, east and compass heading")
     warning = rotate_to_body_axes(values)
     if is_ned and np.sum(np.diff(values["yaw"]) * values["yaw_rate"][1:]) < 0:
         values["yaw_rate"] = -values["yaw_rate"]
@@ -54,14 +54,14 @@ def rotate_to_body_axes(columns: dict[str, np.ndarray], frame_id: str = "") -> s
         return ""
     rows = rows[:: max(len(rows) // MAX_COMPARED_SAMPLES, 1)]
     moving, yaw = velocity[rows], columns["yaw"][rows]
-    body_error, *map_errors = (float(np.median(np.abs(wrap_angle(np.angle(direction) - yaw)))) for direction in (
+    body_angle, *map_angles = (float(np.median(np.abs(wrap_angle(np.angle(direction) - yaw)))) for direction in (
         moving * np.exp(1j * yaw), moving, 1j * moving.conj()))
     frame_is_map = is_map = not MAP_FRAMES.isdisjoint(find_words(frame_id))
-    if min(body_error, *map_errors) < MAX_AGREEING_ANGLE < abs(body_error - min(map_errors)):
-        is_map = min(map_errors) < body_error
+    if min(body_angle, *map_angles) < MAX_AGREEING_ANGLE < abs(body_angle - min(map_angles)):
+        is_map = min(map_angles) < body_angle
     axes = "body axes"
     if is_map:
-        is_north_first = map_errors[1] < map_errors[0] - MAX_AGREEING_ANGLE
+        is_north_first = map_angles[1] < map_angles[0] - MAX_AGREEING_ANGLE
         axes = "the north and east" if is_north_first else "the east and north"
         velocity = 1j * velocity.conj() if is_north_first else velocity
         columns["velocity_x"], columns["velocity_y"] = map_to_body(velocity.real, velocity.imag, columns["yaw"])

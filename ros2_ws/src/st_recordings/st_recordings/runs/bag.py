@@ -1,4 +1,4 @@
-"""Reads the drive in a rosbag2 recording, which is a directory or a single .mcap or .db3 file."""
+"""Reads the drive in a bag: a rosbag2 directory, a single .mcap or .db3 file, or a ROS 1 bag."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -21,14 +21,14 @@ from .reconstruct import RECONSTRUCTED_SUFFIX, Reconstruction, find_steering_top
 from .run_types import LoadedRun, SteeringField, make_drive_log
 
 KNOWN_TOPIC_PREFIXES = ("/ins/", "/can/", "/predictor/", "/evaluator/", "/identifier/", "/view/", "/tf",
-                "/diagnostics", "/clock", "/rosout", "/parameter_events", "/events/")
+                        "/diagnostics", "/clock", "/rosout", "/parameter_events", "/events/")
 """Prefixes of the topics that the suite or every ROS system publishes."""
 SUITE_RECORDS = {"recording", "configuration"}  # metadata records that the recorder and the evaluator write first
 CLOSING_RECORD = "rosbag2"  # metadata record that a recorder writes when it closes a recording
 PREFERRED_TOPICS = {ODOMETRY: "ins/odometry", STEERING: "vehicle/steering"}
 """Type -> ending of the topic name that is preferred if several topics have this type."""
 MAX_REPEATED_FRACTION = 0.75
-"""If a larger fraction of the stamps repeats the previous one, the stamps are meaningless."""
+"""If a larger fraction of the stamps of a topic repeats the previous stamp, its stamps are meaningless."""
 _ODOMETRY_FIELDS = ("header.stamp", "pose.pose.position.x", "pose.pose.position.y", "pose.pose.orientation.x",
                     "pose.pose.orientation.y", "pose.pose.orientation.z", "pose.pose.orientation.w",
                     "twist.twist.linear.x", "twist.twist.linear.y", "twist.twist.angular.z")
@@ -248,8 +248,8 @@ def _read_frame_id(storage: Storage, topic: str) -> str:
 
 def _select_odometry(odometry: Mapping[str, np.ndarray], frame_id: str) -> tuple[
         np.ndarray, dict[str, np.ndarray], dict[str, int], list[str], list[str]]:
-    """(times [ns] and INS channels of the usable messages, channel -> number of messages without a value, notes, notes
-    on conversions)."""
+    """(times [ns] of the usable messages, their INS channels, channel -> number of messages without a value, notes,
+    notes on conversions)."""
     x, y, *quaternion, velocity_x, velocity_y, yaw_rate = (odometry[field] for field in _ODOMETRY_FIELDS[1:])
     values = {"x": x, "y": y, "yaw": yaw_from_quaternion(*quaternion), "velocity_x": velocity_x,
               "velocity_y": velocity_y, "yaw_rate": yaw_rate}
@@ -293,5 +293,5 @@ def _select_usable_messages(time_ns: np.ndarray, is_usable: np.ndarray, noun: st
         reasons = [f"usable value of {', '.join(names)}"] if (names := [k for k, n in missing.items() if n]) else []
         reasons += ["stamp"] if (time == 0).any() else []
         notes.append(f"{format_count(lost, len(time), noun)} have no {' or no '.join(reasons)}; they were left out")
-    ascending, time_notes = select_usable_rows(time[rows], noun)
-    return time[rows[ascending]], rows[ascending], [*notes, *time_notes]
+    selection, time_notes = select_usable_rows(time[rows], noun)
+    return time[rows[selection]], rows[selection], [*notes, *time_notes]

@@ -1,7 +1,7 @@
-"""Reads topics, messages and definitions from the storage formats of rosbag2 through one interface.
+"""Reads topics, messages and definitions from bags of ROS 2 (MCAP, SQLite) and ROS 1 through one interface.
 
 MCAP and SQLite are read without rosbags, because rosbags parses every definition in a bag and fails at the first
-unsupported one. Only bags with compressed files or messages are read by rosbags.
+unsupported one. Only bags of ROS 1 and bags with compressed files or messages are read by rosbags.
 """
 
 import sqlite3
@@ -90,7 +90,7 @@ class Storage(ABC):
     def columns(self, fields: Mapping[Topic, Sequence[str]]) -> dict[str, dict[str, np.ndarray]]:
         """Numeric fields (CdrLayout) of all messages, by topic name and field. Omits topics without messages or without
         one of the fields, with messages of different layouts or, in an indexed MCAP file, with several publishers."""
-        uniform = {}
+        by_topic = {}
         for topic, names in fields.items():
             rows = [np.frombuffer(data, np.uint8) for data in self.messages(topic.name)]
             collector = _FieldCollector(topic.type_name, names, self.store)
@@ -98,15 +98,15 @@ class Storage(ABC):
                 sizes = np.array([len(row) for row in rows])
                 collector.add(np.concatenate(rows), np.cumsum(sizes) - sizes, sizes)
             if collector.is_uniform and collector.parts:
-                uniform[topic.name] = collector.columns()
-        return uniform
+                by_topic[topic.name] = collector.columns()
+        return by_topic
 
     def read_fields(self, topic: Topic, fields: Sequence[str]) -> dict[str, np.ndarray]:
         """Numeric fields of all messages of a topic, even if `columns` omits the topic. Raises RunError."""
         return self.columns({topic: fields}).get(topic.name) or self.read_one_by_one(topic, fields)
 
     def read_one_by_one(self, topic: Topic, fields: Sequence[str]) -> dict[str, np.ndarray]:
-        """The result of `read_fields`, but from deserialising every message."""
+        """The columns of `read_fields`, read by deserialising every message."""
         try:
             rows = [[get_field(message, field) for field in fields] for _, message in self.deserialise(topic)]
         except AttributeError as error:
@@ -115,8 +115,8 @@ class Storage(ABC):
         return {field: np.array([row[k] for row in rows]) for k, field in enumerate(fields)}
 
     def read_log_times(self, topic: str, stamps: np.ndarray) -> np.ndarray:
-        """Times of reception of the messages [ns], in simulated time if the bag contains its clock; `stamps` if there
-        are not as many messages as stamps."""
+        """Times of reception of the messages [ns], in simulated time if the bag contains a clock; `stamps` if there are
+        not as many messages as stamps."""
         times = np.array([log_ns for log_ns, _ in self.timed_messages(topic)], np.int64)
         if len(times) != len(stamps):
             return stamps
@@ -130,8 +130,8 @@ class Storage(ABC):
 
     def align_stamps(self, stamps: Sequence[tuple[str, np.ndarray]], compares_clocks: bool = True
                      ) -> tuple[list[np.ndarray], list[str]]:
-        """(times of each topic [ns] on one clock, notes). These are the stamps if they have one clock; the times of
-        reception if the stamps do not overlap; else the stamps, shifted to the clock of the first.
+        """(times of each topic [ns] on one clock, notes). The times are the stamps if they have one clock; the times of
+        reception if the stamps do not overlap; else the stamps, shifted to the clock of the first topic.
 
         An INS may stamp with GPS time, 18 s ahead of UTC. If a delay varies, the times of reception are not those of
         the drive, as in topics that were computed later, and the stamps are not changed.
@@ -140,24 +140,24 @@ class Storage(ABC):
         is_common = _overlap(series)
         if is_common and not compares_clocks:
             return series, []
-        log_times = [self.read_log_times(topic, each) for topic, each in stamps]
+        log_times = [self.read_log_times(topic, times) for topic, times in stamps]
         if not is_common and _overlap(log_times):
             return log_times, [f"the stamps of {topics} do not overlap in time; the times of reception are used"]
-        delays = [times - each for times, each in zip(log_times, series, strict=True)]
+        delays = [received - stamped for received, stamped in zip(log_times, series, strict=True)]
         shifts = [int(np.median(delay)) for delay in delays]
         delays_vary = not is_common or any(np.ptp(np.percentile(delay, (5, 95))) > MAX_SPREAD_NS for delay in delays)
         if delays_vary or max(shifts) - min(shifts) <= MAX_SPREAD_NS:
             return series, []
         early, late = (stamps[shifts.index(shift)][0] for shift in (min(shifts), max(shifts)))
-        return [each + shift - shifts[0] for each, shift in zip(series, shifts, strict=True)], [
+        return [times + shift - shifts[0] for times, shift in zip(series, shifts, strict=True)], [
             f"compared with the times of reception, the clock of {early} is {(max(shifts) - min(shifts)) * 1e-9:.3f} s "
             f"ahead of that of {late}; all stamps were moved to the clock of {stamps[0][0]}"]
 
 
-def _overlap(times: Sequence[np.ndarray]) -> bool:
-    """Whether the spans of these times, without zeros, have a common part."""
-    spans = [each[each != 0] for each in times]
-    return all(map(len, spans)) and bool(max(each.min() for each in spans) <= min(each.max() for each in spans))
+def _overlap(series: Sequence[np.ndarray]) -> bool:
+    """Whether the time spans of all series overlap; times of 0 are ignored."""
+    valid = [times[times != 0] for times in series]
+    return all(map(len, valid)) and bool(max(times.min() for times in valid) <= min(times.max() for times in valid))
 
 
 def open_bag(path: Path, files: Sequence[Path] = ()) -> Storage:
@@ -175,7 +175,7 @@ def open_bag(path: Path, files: Sequence[Path] = ()) -> Storage:
     if suffixes == {".db3"}:
         return SqliteStorage(path, files)
     if suffixes == {*EXTENSIONS}:
-        raise RunError(path, "this folder has storage files of both kinds (.mcap, .db3)", "use a folder per kind")
+        raise RunError(path, "this folder has storage files of both kinds (.mcap, .db3)", "use a folder for each")
     problem = "this is not a bag" if path.is_file() else "this folder contains no storage file of a bag (.mcap, .db3)"
     raise RunError(path, problem, "give the folder that `ros2 bag record` or the recorder wrote")
 
@@ -196,10 +196,10 @@ def describe_missing_files(path: Path) -> list[str]:
     """A note on missing files: files listed in the metadata.yaml of a bag directory or, for a single file of a numbered
     recording, the files before it. Empty if none is missing."""
     listed_names = _read_listed_files(path)
-    missing = [name for name in listed_names if not (path / name).is_file()]
-    if missing:
-        count = format_count(len(missing), len(listed_names), "files")
-        return [f"{count} listed in metadata.yaml are missing: {', '.join(missing)[:200]}"]
+    missing_names = [name for name in listed_names if not (path / name).is_file()]
+    if missing_names:
+        count = format_count(len(missing_names), len(listed_names), "files")
+        return [f"{count} listed in metadata.yaml are missing: {', '.join(missing_names)[:200]}"]
     return [note] if path.is_file() and (note := _describe_missing_before(path)) else []
 
 
@@ -208,16 +208,16 @@ def _describe_missing_before(file: Path) -> str:
     stem, _, number = file.stem.rpartition("_")
     numbers = {int(end): other for other in file.parent.iterdir() if other.suffix == file.suffix
                and other.stem.rpartition("_")[0] == stem and (end := other.stem.rpartition("_")[2]).isdecimal()}
-    previous = max((k for k in numbers if number.isdecimal() and k < int(number)), default=None)
-    if previous is None or (count := int(number) - previous - 1) == 0:
+    previous_number = max((k for k in numbers if number.isdecimal() and k < int(number)), default=None)
+    if previous_number is None or (count := int(number) - previous_number - 1) == 0:
         return ""
-    previous_span, own_span = read_time_span(numbers[previous]), read_time_span(file)
+    previous_span, own_span = read_time_span(numbers[previous_number]), read_time_span(file)
     if previous_span is None or own_span is None:
         return ""
     lengths = [previous_span[1] - previous_span[0], own_span[1] - own_span[0]]
     if not 0.5 * count * min(lengths) < own_span[0] - previous_span[1] < 2 * count * max(lengths):
         return ""
-    return (f"{count} file{'s' if count > 1 else ''} between {numbers[previous].name} and this one "
+    return (f"{count} file{'s' if count > 1 else ''} between {numbers[previous_number].name} and this one "
             f"{'are' if count > 1 else 'is'} missing, so these two are read as separate runs")
 
 
@@ -387,7 +387,7 @@ class RosbagsStorage(Storage):
         super().__init__(path)
         if is_ros1:
             recorded_types = {name: fields for name, fields in self._reader.typestore.fielddefs.items()
-                        if name not in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time")}
+                              if name not in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time")}
             self.store = get_typestore(Stores.EMPTY)
             self.store.register({**load_typestore().fielddefs, **recorded_types})
 
@@ -446,7 +446,7 @@ def parse_parameters(records: Mapping[str, Mapping[str, str]]) -> dict[str, dict
 
 
 def find_file_text(records: Mapping[str, Mapping[str, str]], file: str) -> str | None:
-    """Text of a configuration file that the parameters name; None if the recording does not contain it."""
+    """Text of the recorded configuration file with this path; None if the recording does not contain it."""
     parts = Path("/", file).parts
     # In the records, the key of a file is the shortest unique trailing part of its path.
     return next((text for key, text in records.get("configuration", {}).items()

@@ -17,8 +17,8 @@ from .errors import RunError
 from .reconstruct import find_steering_topic, read_steering_columns
 from .run_types import LoadedRun, SteeringField
 
-ADVICE = (f"record {ODOMETRY}, for example from robot_localization, or export the topics as one CSV file with "
-          "PlotJuggler and name the columns in a run.yaml")
+EXPORT_ADVICE = (f"record {ODOMETRY}, for example from robot_localization, or export the topics as one CSV file with "
+                 "PlotJuggler and name the columns in a run.yaml")
 STAMP_FIELDS = ("header.stamp", "stamp")
 STEERING_ANGLES = (ROAD_WHEEL, STEERING_WHEEL)
 UNKNOWN_COVARIANCE = -1.0  # first element of orientation_covariance in a message without an orientation
@@ -56,16 +56,16 @@ def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: S
     merged = pd.concat([frame[~frame.index.duplicated()] for frame in frames], axis=1, sort=True)
     text = merged.set_axis(merged.index / 1e9).to_csv(header=False, lineterminator="\n")
     table = parse_table(path, ["t [s]", *merged.columns], text, ",", Layout(), warnings)
-    velocity = table.sources["velocity_x"].name if "velocity_x" in table.sources else ""
+    velocity_column = table.sources["velocity_x"].name if "velocity_x" in table.sources else ""
     frame_id = next((_find_fields(storage, topic)[2] for topic in storage.topics
-                     if velocity.startswith(f"{topic.name}/")), "")
+                     if velocity_column.startswith(f"{topic.name}/")), "")
     try:
         return build_drive(table, vehicle, frame_id=frame_id)
     except RunError as error:
         problem = f"it contains no message of type {ODOMETRY}, and if it is read as a table, {error.problem}"
         has_steering = {*STEERING_ANGLES} & table.sources.keys()
-        raise RunError(path, problem, ADVICE if has_steering else "name the topic of the steering angle with "
-                       f"--steering-topic; or {ADVICE}") from None
+        raise RunError(path, problem, EXPORT_ADVICE if has_steering else "name the topic of the steering angle with "
+                       f"--steering-topic; or {EXPORT_ADVICE}") from None
 
 
 def has_ins_channels(path: Path) -> bool:

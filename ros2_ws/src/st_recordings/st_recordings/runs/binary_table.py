@@ -141,7 +141,7 @@ def _join_signals(file: Path, signals: list[Signal]) -> Any:
 
 def _find_signals(value: Any, path: tuple[str, ...] = (), unit: str = "",
                   times: tuple[tuple[str, np.ndarray], ...] = ()) -> Iterator[Signal]:
-    """Signals in structs, arrays of structs and matrices. times: (name, times) of the enclosing structs."""
+    """Yields the signals in structs, arrays of structs and matrices. times: (name, times) of the enclosing structs."""
     if isinstance(value, dict):
         vectors = [name for name, entry in value.items() if _is_vector(entry)]
         source, stamp = find_columns(Path(), vectors, Layout()).get("t"), find_stamp_columns(vectors)
@@ -193,7 +193,7 @@ def is_signal_table(file: Path) -> bool:
 
 @cached_by_version(maxsize=256)
 def read_names(file: Path) -> list[str]:
-    """"t [s]" and the names of the signals with their units, such as "YawRate [deg/s]". Raises RunError."""
+    """Column names: "t [s]", then the signals with their units, such as "YawRate [deg/s]". Raises RunError."""
     with _open_file(file) as mdf:
         return ["t [s]", *(name for name, _, _, _ in _list_signals(mdf))]
 
@@ -202,8 +202,8 @@ def read_signals(file: Path, layout: Layout, warnings: list[str]) -> tuple[list[
     """(header, comma-separated rows) of the signals that are channels of a drive or named by the layout.
 
     Each time at which a signal was measured has a row, with nan for signals without a sample; of several samples at one
-    time, the first is used. Times are UTC, or relative to the start of a measurement without a date. An array appears
-    as text. Appends a warning about each name with several signals. Raises RunError if asammdf cannot read the file.
+    time, the first is used. Times are UTC, or relative to the start of a measurement without a date. An array
+    becomes the text "array". Appends a warning about each name with several signals. Raises RunError if asammdf fails.
     """
     import pandas as pd
 

@@ -57,7 +57,7 @@ codecs.register_error(_CP1252_FALLBACK, lambda error: (
 class Lines:
     """Iterates over the lines of a text log in any encoding; python-can uses it as a file.
 
-    number: of the last line that was read. last: its text. `unread` puts a line back, to be read next. header:
+    number, last: number and text of the last line read. `unread` puts a line back, to be read next. header:
     line that replaces the header when a reader restarts after an unreadable line; empty if the reader parses none.
     """
 
@@ -134,7 +134,7 @@ def _read_text(file: Path, notes: list[str], make_reader: Callable[[Lines, list[
 
 
 def month_number(name: str) -> int | None:
-    """Number (1 to 12) of the month that a European language calls `name`; None for an unknown name."""
+    """Number (1 to 12) of a month by its name in a European language; None for an unknown name."""
     name = name.lower().rstrip(".")
     return _MONTHS.get(name[:4]) or _MONTHS.get(name[:3])
 
@@ -246,7 +246,7 @@ def _read_csv(lines: Lines, notes: list[str]) -> Iterator[Any]:
         cells = dict(zip(names, row, strict=False))
         data = _read_csv_data(cells, row, names[roles["data"]], roles, byte_base)
         time, identifier = row[roles["time"]], int(row[roles["id"]], id_base)
-        is_extended = _read_flag(cells)
+        is_extended = _read_extended_flag(cells)
         bus = cells.get("bus") or cells.get("buschannel", "")
         return make_message(
             timestamp=_parse_time(time) * (1e-6 if in_microseconds and "." not in time else 1.0),
@@ -259,7 +259,7 @@ def _read_csv(lines: Lines, notes: list[str]) -> Iterator[Any]:
     return map(parse, filter(str.strip, lines))
 
 
-def _read_flag(cells: Mapping[str, str]) -> bool | None:
+def _read_extended_flag(cells: Mapping[str, str]) -> bool | None:
     """Whether an identifier is marked as extended; None if the table has no such column."""
     flag = cells.get("extended") or cells.get("ide")
     return None if flag is None else flag.lower() in ("1", "true")
@@ -283,7 +283,7 @@ def _find_bases(file: Path, names: Sequence[str], delimiter: str, roles: Mapping
             if len(row) <= max(roles.values()):
                 continue
             identifier = row[roles["id"]]
-            flag = _read_flag(dict(zip(names, row, strict=False)))
+            flag = _read_extended_flag(dict(zip(names, row, strict=False)))
             is_extended = len(identifier) >= EXTENDED_DIGITS if flag is None else flag
             limit = EXTENDED_IDS if is_extended else STANDARD_IDS
             ids.append((identifier, -1 if names[roles["id"]] in _DECIMAL_IDS else limit))
@@ -296,7 +296,7 @@ def _find_bases(file: Path, names: Sequence[str], delimiter: str, roles: Mapping
 
 
 def _find_base(cells: Sequence[tuple[str, int]]) -> int:
-    """10 if all texts consist of decimal digits and one is larger than its limit when read as hexadecimal digits."""
+    """10 if all texts consist of decimal digits and one, read as hexadecimal, is larger than its limit; else 16."""
     cells = [cell for cell in cells if cell[0]]
     is_decimal = all(text.isdecimal() for text, _ in cells) and any(int(text, 16) > limit for text, limit in cells)
     return 10 if is_decimal else 16
@@ -304,7 +304,7 @@ def _find_base(cells: Sequence[tuple[str, int]]) -> int:
 
 def _read_csv_data(cells: Mapping[str, str], row: Sequence[str], name: str, roles: Mapping[str, int], base: int
                    ) -> bytes:
-    """Data of a frame in any of the formats. Raises ValueError if it does not have the stated length."""
+    """Data of a frame in any of the CSV formats. Raises ValueError if it does not have the stated length."""
     length = int(row[roles["length"]])
     digits = "".join(row[roles["data"]].split())
     if name[-1].isdigit():

@@ -26,7 +26,7 @@ BLOCK_SIZE = 65536  # messages converted to columns at a time
 MAX_TIME_JUMP_NS = 86400 * 10**9  # 1 day; a time that is earlier or later than both neighbours by more is damaged
 FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times are relative to the start of the log
 MIN_DECREASING_FRACTION = 0.2
-"""Times of a candump that begin at 0 are since the previous frame if a larger fraction decreases, or all are equal."""
+"""Times of a candump that begin at 0 are time steps between frames if a larger fraction decreases, or all are equal."""
 
 
 def read_can_logs(files: Sequence[Path]) -> CanLog:
@@ -110,7 +110,7 @@ def _read_bag(path: Path) -> CanLog:
 
 
 def _read_with_python_can(file: Path, kind: Format, notes: Sequence[str]) -> CanLog:
-    """Reads a log, with `notes` before those of the reader. Raises RunError if no frame is usable."""
+    """Reads a log. notes: come before those of the reader. Raises RunError if no frame is usable."""
     parts, format_notes, n_untimed, n_too_long = list[Frames](), list[str](), 0, 0
     try:
         messages = kind.messages(file, format_notes)
@@ -143,7 +143,7 @@ def _read_with_python_can(file: Path, kind: Format, notes: Sequence[str]) -> Can
 
 
 def _are_time_steps(time_ns: np.ndarray) -> bool:
-    """Whether the times of a candump are since the previous frame: first 0, then often decreasing or all equal."""
+    """Whether the times of a candump are time steps between frames: first 0, then often decreasing or all equal."""
     steps = np.diff(time_ns[1:])
     return bool(time_ns[0] == 0 and len(steps) and ((steps < 0).mean() > MIN_DECREASING_FRACTION or not steps.any()))
 

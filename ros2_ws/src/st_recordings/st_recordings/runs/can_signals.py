@@ -130,14 +130,14 @@ def _decode_message(frames: Frames, rows: np.ndarray, spec: MessageSpec) -> _Dec
         return _DecodedMessage((), length_fault, np.zeros(0, np.int64), n_frames)
     data, time_ns = stack_bytes(payload[has_dbc_length], spec.dbc.length), frames.time_ns[rows]
     columns = spec.to_si(data)
-    keep, valid, fault = check_frames(spec, data, time_ns, columns)
-    rejected_times_ns = time_ns[~keep]
-    keep &= np.diff(time_ns, prepend=time_ns[0] - 1) > 0
-    signals = tuple(Signal(name, spec.name, time_ns[good], values[good], valid[good], rows[good])
+    is_kept, valid, fault = check_frames(spec, data, time_ns, columns)
+    rejected_times_ns = time_ns[~is_kept]
+    is_kept &= np.diff(time_ns, prepend=time_ns[0] - 1) > 0
+    signals = tuple(Signal(name, spec.name, time_ns[is_usable], values[is_usable], valid[is_usable], rows[is_usable])
                     for name, values in replace_gps_time(columns).items()
-                    if (good := keep & np.isfinite(values)).any())
+                    if (is_usable := is_kept & np.isfinite(values)).any())
     return _DecodedMessage(signals, "; ".join(filter(None, (length_fault, fault))), rejected_times_ns, n_frames,
-                           int((keep & valid).sum()))
+                           int((is_kept & valid).sum()))
 
 
 def _describe_length_fault(spec: MessageSpec, lengths: np.ndarray, n_decoded: int) -> str:
