@@ -46,7 +46,7 @@ ASSUMED_UNCERTAINTIES = {"cg_height": 0.1}
 """Quantity -> standard deviation [SI] of a value of the Leaf; CG heights of passenger cars are 0.45 to 0.65 m."""
 STABILITY_SPEEDS = tuple(0.5 * k for k in range(1, 81))
 """Speeds [m/s] at which the numerical integration of the models must be stable."""
-ASSUMED_ZERO = ("cg_to_ins_y", "steering_wheel_offset")  # quantities that the template sets to 0
+ZERO_QUANTITIES = ("cg_to_ins_y", "steering_wheel_offset")  # quantities that the template sets to 0
 # Quantities that st discover never fits.
 FIXED_QUANTITIES = ("wheelbase", "minimum_slip_speed", "length", "width", *OPTIONAL_QUANTITIES)
 _VEHICLE_ROW = re.compile(r'^(?P<indent> *)(?P<key>\w+): \{value: (?P<value>\S+), unit: (?P<unit>.+?), source: ".*"\}$')
@@ -253,7 +253,7 @@ def _make_template_row(line: str) -> str:
     if key in MEASUREMENT_HINTS:
         uncertainty = f", uncertainty: {FILL_IN}" if key in DEFAULT_UNCERTAINTIES else ""
         return f"{key}: {{value: {FILL_IN}, unit: {unit}, source: {FILL_IN}{uncertainty}}}  # {MEASUREMENT_HINTS[key]}"
-    value, reason = (0.0, "none") if key in ASSUMED_ZERO else (row["value"], "as a Nissan Leaf ZE0")
+    value, reason = (0.0, "none") if key in ZERO_QUANTITIES else (row["value"], "as a Nissan Leaf ZE0")
     uncertainty = f", uncertainty: {ASSUMED_UNCERTAINTIES[key]}" if key in ASSUMED_UNCERTAINTIES else ""
     return f'{row["indent"]}{key}: {{value: {value}, unit: {unit}, source: "assumed: {reason}"{uncertainty}}}'
 

@@ -197,8 +197,8 @@ class BagWriter:
 
     def _close_moved_file(self) -> None:
         self.was_moved = True
-        current = Path(os.readlink(f"/proc/self/fd/{self._file.descriptor}"))
-        folder = current.parent if self._file.is_at(current) else None
+        current_path = Path(os.readlink(f"/proc/self/fd/{self._file.descriptor}"))
+        folder = current_path.parent if self._file.is_at(current_path) else None
         state = "deleted" if folder is None else f"renamed to {folder}"
         self.error = f"recording stopped: {self.directory} was {state}"
         with contextlib.suppress(OSError):  # `recover` writes a missing index

@@ -99,8 +99,8 @@ class Contents:
         return (min(times), max(times)) if times else (0, 0)
 
     def add(self, record: Record, offset: int) -> bool:
-        """Adds one record of the data section; returns False, and adds nothing, if it is invalid. Record types without
-        an index entry are ignored.
+        """Adds one record of the data section; returns False, and adds nothing, if it is invalid. Record types that the
+        inventory does not need are ignored.
 
         offset: position of the record in the file that will get the index.
         """

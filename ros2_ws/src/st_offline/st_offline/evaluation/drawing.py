@@ -33,7 +33,7 @@ RC_SETTINGS = {
     "pdf.fonttype": 42,
 }
 FORMATS = ("png", "pdf", "svg")
-WIDTH = 9.0  # inch; the page shows it 1:1 at 96 dpi
+WIDTH = 9.0  # inch; the page scales figures to its own width
 TITLE_CHARACTERS = 104  # per line of a title, at WIDTH
 HALF_TICK_LABEL_HEIGHT = 0.09  # inch
 PAGE_DPI = 110  # of raster images inside an SVG

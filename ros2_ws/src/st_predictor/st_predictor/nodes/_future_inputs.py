@@ -21,7 +21,7 @@ from .. import convert
 
 QUEUE_DEPTH = 10  # queued plans, of which only the newest is used
 PLAN_TIMEOUT = 10.0  # s without a new plan after which a refused plan is dropped, because the planner has stopped
-NOT_USED = "not used: no prediction at the moment"
+NO_PREDICTION_TEXT = "not used: no prediction at the moment"
 
 
 class PlanInput:
@@ -60,7 +60,7 @@ class PlanInput:
     def make_check(self, is_predicting: bool) -> Check:
         """Diagnostic check. is_predicting: whether the newest tick made predictions."""
         if not is_predicting:
-            return Check("plan", diagnostics.OK, NOT_USED, self._counts)
+            return Check("plan", diagnostics.OK, NO_PREDICTION_TEXT, self._counts)
         if self._plan is None:
             return Check("plan", diagnostics.OK, f"none on {self._subscription.topic}: inputs are held", self._counts)
         if self.problem:
@@ -120,7 +120,7 @@ class CourseInput:
         if self._origin_problem:
             return Check("course", diagnostics.WARN, f"not used, inputs are held: {self._origin_problem}", self._counts)
         if not is_predicting:
-            return Check("course", diagnostics.OK, NOT_USED, self._counts)
+            return Check("course", diagnostics.OK, NO_PREDICTION_TEXT, self._counts)
         if forecast.inputs is None:
             return Check("course", diagnostics.OK, f"inputs are held: {forecast.reason}", self._counts)
         weights = {"weight in curvature": forecast.curvature_weight, "weight in speed": forecast.speed_weight}
