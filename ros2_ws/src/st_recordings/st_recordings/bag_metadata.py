@@ -52,7 +52,7 @@ def format_qos(qos: list[Qos]) -> str:
 
 @dataclass
 class Topic:
-    """One topic of a bag."""
+    """One topic of a bag. qos: of its publishers. count: number of its messages."""
 
     name: str
     type_name: str

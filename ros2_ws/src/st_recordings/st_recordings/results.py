@@ -279,7 +279,7 @@ def _read_segments(errors: Path, scores: dict[tuple[str, str], MeanErrors]) -> d
 
 
 def summarise(results: Results, extra: dict[str, Any]) -> dict[str, Any]:
-    """Content of summary.json: statistics of the mean errors of complete scores, band coverage, ticks."""
+    """Content of summary.json: `extra`, statistics of the mean errors of complete scores, band coverage, ticks."""
     models: dict[str, Any] = {}
     for model in results.models():
         modes = [*MODES, *(mode for name, mode in results.scores if name == model and mode not in MODES)]
