@@ -86,11 +86,11 @@ def draw_stiffness(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw axle force versus slip angle as in the paper; for a fit by prediction, also the joint 95 % region."""
     paper = outcome.figure.get("paper")
     values = ", ".join(f"{axle} {_format_value(outcome[f'cornering_stiffness_{axle}'])}" for axle in ("front", "rear"))
-    points = "force and slip angle of the axle from force and moment balance, up to 2 deg of slip."
     if outcome.experiment == "stiffness-paper":
         figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
         _draw_force_and_slip(panels, outcome, (outcome,))
-        return save_figure(figure, output, outcome.experiment, f"Cornering stiffness {values} by regression", f"Dots: {points}")
+        title, caption = f"Cornering stiffness {values} by regression", "Dots: from force and moment balance, up to 2 deg of slip."
+        return save_figure(figure, output, outcome.experiment, title, caption)
     widths = (1.2, 1.2, 1) if paper else (1,)
     figure, panels = plt.subplots(1, len(widths), figsize=(WIDTH, 3.6), width_ratios=widths, squeeze=False)
     *force_panels, region_panel = panels[0]

@@ -142,7 +142,7 @@ class Inputs:
         self._inputs = self._ins, self._steering
 
     def wait(self, since_ns: int, timeout: float) -> None:
-        """Process messages for `timeout` [s], or until a message of each input has arrived since `since_ns` (host UTC)."""
+        """Process messages for `timeout` [s], or until each input has a message since `since_ns` (host UTC)."""
         end = time.monotonic() + timeout
         self.drain()
         while (min(one.arrival_ns for one in self._inputs) < since_ns
