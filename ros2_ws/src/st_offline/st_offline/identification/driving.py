@@ -89,8 +89,8 @@ def draw_stiffness(outcome: Identification, output: FigureOutput) -> PageFigure:
     if outcome.experiment == "stiffness-paper":
         figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
         _draw_force_and_slip(panels, outcome, (outcome,))
-        title, caption = f"Cornering stiffness {values} by regression", "Dots: from force and moment balance, up to 2 deg of slip."
-        return save_figure(figure, output, outcome.experiment, title, caption)
+        caption = "Dots: force and slip angle of the axle from force and moment balance, up to 2 deg of slip."
+        return save_figure(figure, output, outcome.experiment, f"Cornering stiffness {values} by regression", caption)
     widths = (1.2, 1.2, 1) if paper else (1,)
     figure, panels = plt.subplots(1, len(widths), figsize=(WIDTH, 3.6), width_ratios=widths, squeeze=False)
     *force_panels, region_panel = panels[0]
