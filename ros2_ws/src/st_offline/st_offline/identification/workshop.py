@@ -253,4 +253,4 @@ TYRE = Experiment("tyre", "Magic Formula parameters from flat-plank tyre tests",
                                     for table in read_tyre_tables(job.files)), draw_tyre)
 LAMBDA = Experiment("lambda", "stiffness scale factor of the Magic Formula, from the cornering stiffness of the axle",
                     "none, or the tables of flat-plank tests for the uncertainty of the tyre", identify_lambda,
-                    files_needed=False)
+                    needs_files=False)
