@@ -128,14 +128,14 @@ def test_stationary_car_is_not_checked(road: np.ndarray) -> None:
 
 
 def test_window_is_extended_across_a_halt(road: np.ndarray) -> None:
-    """12 s of driving, a halt of 25 s, 13 s of driving: the newest 30 s contain less driving than the required 20 s."""
+    """12 s of driving, a halt of 25 s, 13 s of driving: the last 30 s contain less driving than the required 20 s."""
     halt = road[1200:1201].repeat(2500, axis=0)
     halt[:, 0] += np.arange(2500) / RATE
     halt[:, 4:7] = 0.0
     later = road[1200:2600].copy()
     later[:, 0] += 2500 / RATE
     verdicts = CheckedDrive().drive(np.concatenate((road[:1200], halt, later))).verdicts
-    assert "agree in the newest 4" in verdicts[-1][1].message
+    assert "agree in the last 4" in verdicts[-1][1].message
 
 
 def test_jump_back_in_time_restarts_the_check(road: np.ndarray) -> None:
