@@ -323,7 +323,7 @@ def test_relation_that_makes_the_car_unstable_is_refused(leaf, fits, sign, text)
     c = Candidate("yaw_moment", "yaw_rate", -1.0, -0.15, 0.15)
     curve_fit = fit_with_curve(fits, c, fit_splines(c, lambda u: sign * 25.0 * u))
     reason = describe_unusable_curve(fits, curve_fit)
-    assert text in reason and bool(text) == reason.startswith("with yaw_moment over yaw_rate the simulated car")
+    assert text in reason and bool(text) == reason.startswith("yaw_moment over yaw_rate makes the simulated car")
 
 
 @pytest.mark.slow
