@@ -24,8 +24,8 @@ PAGE = project_root() / "docs" / "measurements" / "mpc.md"
 MARKERS = ("o", "s", "^", "D", "v")
 
 
-def draw_advice(costs: Mapping[advice_report.Key, advice_report.Cost],
-                accuracies: Mapping[advice_report.Key, advice_report.Accuracy], tolerance: float,
+def draw_advice(costs: Mapping[advice_report.ModelStep, advice_report.Cost],
+                accuracies: Mapping[advice_report.ModelStep, advice_report.Accuracy], tolerance: float,
                 output: FigureOutput) -> None:
     """Draws the lateral error and the half-width of the band over processor time, one panel for each prediction time.
     """
