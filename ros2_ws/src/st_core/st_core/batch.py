@@ -1,13 +1,13 @@
-"""Predicts from many starts of a recorded drive at once; the result contains the states at horizon points.
+"""Prediction from many starts of a recorded drive at once; the result contains the states at horizon points.
 
 The results equal those of `prediction.predict` with the inputs of the log, for any backend. Starts are computed in
 blocks. In addition to the result, memory holds the tables of one block and the two inputs of the log on the grid: 16
 bytes per half step, 32 for a model that corrects the measurements.
 
 5 s horizons of starts 0.1 s apart overlap fifty-fold. If the starts are multiples of half an integration step apart,
-they share instants: one grid for the log, in which point index * q + phase is stored at [phase, index], with q half
-steps between starts. Neighbouring starts are thus adjacent in memory at every instant, and nothing is copied. Other
-starts have separate instants in the same layout.
+they share the instants of one grid, in which point index * q + phase is stored at [phase, index]; q is the number of
+half steps between starts. At every instant, neighbouring starts are thus adjacent in memory, and nothing is copied.
+Other starts have separate instants in the same layout.
 """
 
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
@@ -40,7 +40,7 @@ class GridBlock:
     number: int
     rows: slice  # starts in the block
     start_columns: np.ndarray  # (starts,), column of each start
-    starts_ns: np.ndarray  # (count,), start of each column
+    starts_ns: np.ndarray  # (count,), start time of each column
     times_ns: np.ndarray  # instants to sample, (m,) if shared, else (instants, columns)
     offsets: np.ndarray  # instant k of column i is element `offsets[k] + i` of a row of the table
     columns: int  # count, rounded up to a multiple of the lanes
@@ -168,8 +168,8 @@ class LogBatch:
     """Starts in one drive, whose inputs are sampled once, to be predicted with any models, cars and parameter values.
 
     log: a drive, or its LogSignals with settings other than the default. starts_ns: any instants [ns]. Starts that are
-    multiples of half an integration step apart are fastest: quantities that depend only on the inputs are then computed
-    once for the log, not for each start.
+    multiples of half an integration step apart are predicted fastest: quantities that depend only on inputs are then
+    computed once for the log, not for each start.
     horizon, step [s]. inputs: measured = inputs of the log over the horizon (hindsight); held = inputs at the start; or
     planned road wheel angles [rad], velocity_x_dot [m/s^2] and, for a path, slip-free angles [rad], each
     (n, 2 * steps + 1) on the half-step grid.
@@ -234,14 +234,14 @@ class LogBatch:
         count = self._count_substeps(model, vehicle)
         car, p = model.effective_vehicle(vehicle), model.parameters(vehicle)
         recording = self.recording(model)
-        separate = not isinstance(self._inputs, str) or (self._inputs == "held" and has_steering_dynamics(model))
+        is_separate = not isinstance(self._inputs, str) or (self._inputs == "held" and has_steering_dynamics(model))
         signals = recording.signals
         result = np.full((len(self.points), len(STATE_NAMES), len(self._unique_starts)), np.nan)
-        for block in self._plan_blocks(count, separate):
-            values = (self._sample_separately(block, signals, model) if separate else
+        for block in self._plan_blocks(count, is_separate):
+            values = (self._sample_separately(block, signals, model) if is_separate else
                       self._sample(block, recording, model))
-            states = signals.states_at(block.starts_ns, car).T
-            result[:, :, block.rows] = self._advance(block, values, states, model, p, count)
+            start_states = signals.states_at(block.starts_ns, car).T
+            result[:, :, block.rows] = self._advance(block, values, start_states, model, p, count)
         states = result if np.array_equal(self._unique_starts, self.starts_ns) else result[:, :, self._inverse]
         return states.transpose(2, 0, 1)
 
@@ -259,18 +259,18 @@ class LogBatch:
         integrate.warn_if_step_too_long(model, vehicle, self._speeds, self.step / self._substeps)
         return self._substeps
 
-    def _plan_blocks(self, count: int, separate: bool) -> Iterable[GridBlock]:
+    def _plan_blocks(self, count: int, is_separate: bool) -> Iterable[GridBlock]:
         """Blocks of all starts; cached if there is only one."""
-        if (count, separate) not in self._block_cache:
+        if (count, is_separate) not in self._block_cache:
             # Held inputs are required only at the start, unless earlier steering still affects the wheels.
-            only_start = self._inputs == "held" and not separate
+            only_start = self._inputs == "held" and not is_separate
             instants = np.zeros(1, np.int64) if only_start else half_step_grid(0, self.steps * count, self.step / count)
-            blocks = plan_blocks(self._unique_starts, instants, self._backend.LANES, share=not separate)
+            blocks = plan_blocks(self._unique_starts, instants, self._backend.LANES, share=not is_separate)
             first_two = list(islice(blocks, 2))
             if len(first_two) > 1:
                 return chain(first_two, blocks)
-            self._block_cache[count, separate] = first_two
-        return self._block_cache[count, separate]
+            self._block_cache[count, is_separate] = first_two
+        return self._block_cache[count, is_separate]
 
     def recording(self, model: Model) -> Recording:
         """The drive with the sensor and steering corrections of the model applied."""
@@ -308,7 +308,7 @@ class LogBatch:
             padding = (0, 0), (0, block.columns - block.count)
             angle, acceleration, *path = (np.pad(v[block.rows].T, padding, mode="edge") for v in self._planned_inputs)
             if path and not model.has_tyres:
-                angle = path[0]
+                angle = path[0]  # slip-free
         angle, acceleration = (np.broadcast_to(v, times.shape) for v in (angle, acceleration))
         if has_steering_dynamics(model):
             angle = np.array([predict_wheel_angles(model, log.steering_time_ns, log.road_wheel_angle, *column,

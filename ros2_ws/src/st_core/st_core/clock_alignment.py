@@ -18,12 +18,12 @@ from .regression import SIGMA_PER_MAD
 
 COARSE_CUTOFF, FINE_CUTOFF = 0.5, 4.0  # Hz, of the low-pass while the drift is unknown, and in the final fit
 STAMP_RESOLUTION = 50e-6  # s, of logger time stamps; their rounding error is part of the uncertainty
-GOOD_CORRELATION, USABLE_CORRELATION = 0.95, 0.80  # doubtful if one is below the 1st; refused if all are below the 2nd
+GOOD_CORRELATION, USABLE_CORRELATION = 0.95, 0.80  # doubtful if one signal is below, refused if all are below
 MIN_OVERLAP = 20.0  # s, required overlap if no offset fits with an overlap of 40 % of the shorter recording
 UNUSUAL_DRIFT_PPM = 200.0  # two quartz clocks differ by less
 MAX_CLOCK_STEP = 0.05  # s; an alignment with a larger clock step is refused
-MAX_DISAGREEMENT = 0.005  # s, between the offset of a single signal and the common offset
-MAX_TIME_FRAME_RESIDUAL = 0.02  # s, of the offsets of time frames from a straight line
+MAX_DISAGREEMENT = 0.005  # s, largest difference of the offset of a single signal from the common offset
+MAX_TIME_FRAME_RESIDUAL = 0.02  # s, largest deviation of the offset of a time frame from the fitted line
 GOOD_DEVIATION, USABLE_DEVIATION = 0.005, 0.05  # s, standard deviation of the offset
 MANUAL_SEARCH, MANUAL_TOLERANCE = 5.0, 0.01  # s, range and smallest tolerance of the check of a given offset
 STEP_SEARCH, WIDE_STEP_SEARCH = 5.0, 40.0  # s, largest step searched for; the second if a signal fits poorly
@@ -34,7 +34,7 @@ MAX_PEAK_RATIO = 0.97  # largest ratio of the second peak to the highest one, in
 MAX_LAG_DEVIATION = 0.05  # s, largest standard deviation of the lag of a window that is used
 MIN_CLOCK_STEP = 0.01  # s, smallest step reported
 USUAL_DRIFT = 50e-6  # s/s, standard deviation of the prior of the drift
-MIN_STEP_EVIDENCE = 30.0  # required reduction of the normalised sum of squares by a step
+MIN_STEP_COST_REDUCTION = 30.0  # minimum reduction of the normalised sum of squares by a step
 OUTLIER_LIMIT = 5.0  # standard deviations: scale of the robust weight of a window, and cap of its normalised residual
 
 
@@ -58,7 +58,7 @@ class _ResampledSignals(NamedTuple):
 
     coarse: list[Pair]  # at COARSE_CUTOFF
     fine: list[Pair]  # at FINE_CUTOFF
-    reasons: tuple[str, ...]  # why signals are left out; never empty without pairs
+    reasons: tuple[str, ...]  # why signals are left out; not empty if there are no pairs
     reference_ns: int = 0  # origin of reference times
     other_ns: int = 0  # origin of other times
     latency_uncertainty: float = 0.0  # largest of the signals [s]
@@ -122,7 +122,7 @@ def align(signals: Sequence[SharedSignal], search: tuple[float, float] | None = 
     Coarse: masked normalised cross-correlation at all lags, averaged over the signals. Fine: robust joint fit of offset
     and drift (`clock_fit.fit`). The verdict depends on the height of the peak, a similar second peak, the uncertainty
     of the offset, the agreement of the signals, the drift, and steps of a clock. The recordings must overlap by 40 % of
-    the shorter one and 10 s, or by 20 s if no such offset fits. search: bounds of reference minus other time [s].
+    the shorter one and at least 10 s, or by 20 s if no such offset fits. search: range of the offset [s].
 
     Never raises for the content of a recording: a refused alignment states its reasons. Valid for drifts of a few
     hundred ppm and recordings of up to two days. Checked by: tests/golden/test_alignment.py, test_clock_alignment.py.
@@ -167,9 +167,9 @@ def _align_with_overlap(series: _ResampledSignals, minimum_overlap: float,
         return refused_alignment(*reasons, str(error))
     lags = []  # of each signal alone
     for pair, residual, correlation in zip(fine, solution.residual, solution.correlation, strict=True):
-        single = fit([pair], solution.offset, middle, solution.drift, free_drift=False)
-        difference = single.offset - solution.offset
-        lags.append(SignalLag(pair.name, difference, single.offset_deviation, residual, correlation))
+        signal_fit = fit([pair], solution.offset, middle, solution.drift, free_drift=False)
+        difference = signal_fit.offset - solution.offset
+        lags.append(SignalLag(pair.name, difference, signal_fit.offset_deviation, residual, correlation))
     excess = 0.0  # variance between the signals in excess of their uncertainties [s^2]
     weights = np.array([s.deviation**-2 for s in lags])
     if (count := np.count_nonzero(weights)) > 1:
@@ -385,7 +385,7 @@ def find_clock_step(lags: Sequence[WindowLag]) -> ClockStep | None:
         cost, solution = _fit_with_drift_prior(np.column_stack([line, after]), lag, deviation)
         fits.append((cost, ClockStep((lags[k - 1].time + lags[k].time) / 2, float(solution[2]))))
     cost, step = min(fits, key=lambda fit: fit[0])
-    return step if cost_without_step - cost >= MIN_STEP_EVIDENCE and abs(step.size) >= MIN_CLOCK_STEP else None
+    return step if cost_without_step - cost >= MIN_STEP_COST_REDUCTION and abs(step.size) >= MIN_CLOCK_STEP else None
 
 
 def _fit_with_drift_prior(design: np.ndarray, value: np.ndarray, deviation: np.ndarray) -> tuple[float, np.ndarray]:

@@ -54,14 +54,14 @@ def resample(time: np.ndarray, values: np.ndarray, cutoff: float, is_angle: bool
     grid = start + np.arange(max(int((time[-1] - start) * RATE), 0) + 1) / RATE
     sampled = np.interp(grid, time, values)
     right = np.clip(np.searchsorted(time, grid), 1, len(time) - 1)
-    bridged = time[right] - time[right - 1] <= MAX_GAP
+    is_bridged = time[right] - time[right - 1] <= MAX_GAP
     sos = butter(4, cutoff, fs=RATE, output="sos")
     if len(grid) > 50:
         sampled = sosfiltfilt(sos, sampled, padtype="odd", padlen=min(len(grid) - 1, int(3 * RATE / cutoff)))
     margin = int(FILTER_SETTLING_PERIODS / cutoff * RATE)
     if is_angle:
         sampled = np.gradient(sampled) * RATE if len(grid) > 1 else np.zeros_like(sampled)
-    known = maximum_filter1d((~bridged).astype(np.uint8), 2 * margin + 1, mode="constant") == 0
+    known = maximum_filter1d((~is_bridged).astype(np.uint8), 2 * margin + 1, mode="constant") == 0
     known[:margin] = known[len(known) - margin:] = False
     return Series(float(start), sampled[::DECIMATION], known[::DECIMATION])
 
@@ -102,7 +102,7 @@ def masked_correlation(reference: Series, other: Series, minimum_overlap: float)
 
 @dataclass(frozen=True)
 class Pair:
-    """One shared signal of both recordings; the latency is subtracted from the time of `other`."""
+    """One shared signal of both recordings; the time of `other` is corrected for the latency."""
 
     name: str
     reference: Series
@@ -117,7 +117,7 @@ class Fit:
     drift: float  # s/s
     offset_deviation: float  # standard deviation [s]; inf if the signals have no motion in common
     drift_deviation: float  # standard deviation [s/s]; inf like offset_deviation
-    residual: tuple[float, ...]  # of each signal, RMS divided by the standard deviation of the signal
+    residual: tuple[float, ...]  # RMS residual of each signal, divided by the standard deviation of the signal
     correlation: tuple[float, ...]  # of each signal
 
 
@@ -185,7 +185,7 @@ def _normal_equations(pairs: Sequence[Pair], splines: Sequence[Sequence[CubicSpl
         reference, slope = spline(reference_time), spline(reference_time, 1)
         weight = np.ones(len(time))  # soft-L1 weights of the squares
         for _ in range(2):
-            gain, bias = _weighted_line(other, reference, weight)
+            gain, bias = _fit_weighted_line(other, reference, weight)
             residual = reference - gain * other - bias
             scale = max(robust_deviation(residual), 1e-4 * float(reference.std()), 1e-12)
             weight = 1.0 / np.sqrt(1.0 + (residual / (2 * scale)) ** 2)
@@ -193,7 +193,7 @@ def _normal_equations(pairs: Sequence[Pair], splines: Sequence[Sequence[CubicSpl
         for target, slopes in (jacobian, slope), (other_jacobian, gain * other_spline(time, 1)):
             for k, derivative in enumerate([slopes, slopes * (time - middle)] if free_drift else [slopes]):
                 # Project out gain and bias, which contain no information about the clocks.
-                gain, bias = _weighted_line(other, derivative, weight)
+                gain, bias = _fit_weighted_line(other, derivative, weight)
                 target[k] = (derivative - gain * other - bias) / scale
         score = jacobian * (weight * residual / scale)
         normal += [[float((row * column).sum()) for column in jacobian] for row in jacobian * weight]
@@ -213,7 +213,7 @@ def _is_positive_definite(matrix: np.ndarray) -> bool:
     return bool(matrix[0, 0] > 0.0 and np.linalg.det(matrix) > 0.0)
 
 
-def _weighted_line(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
+def _fit_weighted_line(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
     """(gain, bias) of the weighted least squares line y = gain x + bias; gain 0 if x does not vary."""
     # Sums instead of dot products, which would start linear algebra threads for each of these short rows.
     total = float(weight.sum())
@@ -253,7 +253,7 @@ def find_peaks(pairs: Sequence[Pair], minimum_overlap: float,
                span: tuple[float, float] = (-np.inf, np.inf)) -> tuple[Peak, Peak] | None:
     """The two highest peaks of the mean correlation of the signals at offsets within span [s].
 
-    The second lies beyond a valley and PEAK_DISTANCE from the first, or has correlation 0. None if none is positive.
+    The second is beyond a valley and PEAK_DISTANCE from the first, or has correlation 0. None without a positive peak.
     """
     curve = mean_correlation(pairs, minimum_overlap, span)
     if curve is None:

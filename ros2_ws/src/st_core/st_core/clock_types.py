@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-AMBIGUOUS_PEAK_RATIO = 0.9  # second peak of the correlation divided by the first
+AMBIGUOUS_PEAK_RATIO = 0.9  # largest second peak of an unambiguous correlation, divided by the first
 MAX_SPAN = 48 * 3600.0  # s, longest duration of a recording; a longer one has a clock that was set while recording
 
 
@@ -47,7 +47,7 @@ class Peak(NamedTuple):
 
 @dataclass(frozen=True)
 class SignalLag:
-    """Fit of one signal by an alignment of all signals."""
+    """Agreement of one signal with the alignment by all signals."""
 
     name: str
     difference: float  # offset fitted to this signal alone minus the common offset [s]

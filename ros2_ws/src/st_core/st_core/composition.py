@@ -38,7 +38,7 @@ class Composition:
     effects: tuple[type[Effect], ...]  # those with a theta in p
     inputs: Callable[..., tuple]
     rhs: Callable[[tuple, tuple, Any], tuple]
-    start: Callable[[tuple, tuple, Any], tuple] | None = None
+    start: Callable[[tuple, tuple, Any], tuple] | None = None  # initial extra states
     specific_force: Callable[[tuple, tuple, Any], tuple] | None = None  # (a_x, a_y) added by the effects
     extra_states: tuple[str, ...] = ()
     signals: tuple[str, ...] = ()

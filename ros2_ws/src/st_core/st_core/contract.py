@@ -1,7 +1,7 @@
 """Requirements on every effect, which `st effects check` applies to library and user-defined effects.
 
-Each function in `REQUIREMENTS` compares a base model with and without the effect at its initial values, and returns one
-line that describes the violation, or "". The checks cover all backends: floats, the numpy batch, the compiled lanes
+Each function in `REQUIREMENTS` compares a base model with and without the effect, and returns one line that describes
+the violation, or "". The checks cover all backends: floats, the numpy batch, the compiled lanes
 and CasADi. Checked by: test_contract.py.
 """
 
@@ -53,7 +53,7 @@ def _check_null(effect: type[Effect], vehicle: VehicleParameters, base: Model, m
     null = set_effects_to_null(model)
     change = float(np.abs(_predict_floats(null, vehicle) - _predict_floats(base, vehicle)).max())
     if np.isnan(change) or change > 0.0:
-        return f"at null the path of {base.name} changes by {change:.3g}; it must not change, to the last bit"
+        return f"at null the path of {base.name} changes by {change:.3g}; it must be identical to the last bit"
     readings = null.observe(READING), null.correct(READING)
     if readings != (READING, READING) or null.effective_vehicle(vehicle) != vehicle:
         return "at null it changes a reading or the vehicle parameters"
@@ -89,10 +89,10 @@ def _check_finite(effect: type[Effect], vehicle: VehicleParameters, base: Model,
 def _check_backends(effect: type[Effect], vehicle: VehicleParameters, base: Model, model: AugmentedModel) -> str:
     floats = np.stack([_predict_floats(model, vehicle, speed) for speed in SPEEDS])
     backends = ("numpy", "lanes") if has_numba() else ("numpy",)
-    others = {name: _predict_backend(model, vehicle, name) for name in backends}
+    paths = {name: _predict_backend(model, vehicle, name) for name in backends}
     if importlib.util.find_spec("casadi"):
-        others["CasADi"] = _predict_casadi(model, vehicle)
-    for name, path in others.items():
+        paths["CasADi"] = _predict_casadi(model, vehicle)
+    for name, path in paths.items():
         reference = floats if path.shape == floats.shape else floats[:, -1]
         difference = np.abs(path - reference) / np.maximum(1.0, np.abs(reference))
         if not (difference < ROUNDING).all():
@@ -149,7 +149,7 @@ REQUIREMENTS = {
     "at null it changes nothing, to the last bit": _check_null,
     "at its initial values it changes something": _check_change,
     "finite at its bounds, and at standstill": _check_finite,
-    "equal on floats, in batches, compiled and in CasADi": _check_backends,
+    "equal with floats, in batches, compiled and in CasADi": _check_backends,
     "left and right are mirror images, except for surroundings and parameters with odd=True": _check_mirror,
     "it does not make the car unstable": _check_stability,
     "correct() inverts observe()": _check_correction,
@@ -195,21 +195,21 @@ def _predict_casadi(model: Model, vehicle: VehicleParameters) -> np.ndarray:
     """Last states (speeds, 6), by integration of `dynamics`, because an exported step has constant inputs."""
     from .backends.casadi_backend import build  # imported here because casadi is optional
 
-    built = build(model, vehicle)
+    equations = build(model, vehicle)
     signals = [[row[0] for row in _make_signals(model).values()]] if model.signals else []
     grid = list(zip(*_make_driver_inputs(1.0, 0.8), strict=True))
 
     def rates(state: tuple, u: tuple, _: None) -> tuple:
-        return tuple(np.asarray(built.dynamics(list(state), list(u), *signals)).ravel().tolist())
+        return tuple(np.asarray(equations.dynamics(list(state), list(u), *signals)).ravel().tolist())
 
-    ends = []
+    last_states = []
     for speed in SPEEDS:
-        state = tuple(np.asarray(built.start(list(_make_start(speed)), list(grid[0]), *signals)).ravel().tolist())
+        state = tuple(np.asarray(equations.start(list(_make_start(speed)), list(grid[0]), *signals)).ravel().tolist())
         for k in range(STEPS):
             begin, middle, end = grid[2 * k:2 * k + 3]
             state = rk4_step(rates, state, begin, middle, end, None, STEP)
-        ends.append(state[:6])
-    return np.array(ends)
+        last_states.append(state[:6])
+    return np.array(last_states)
 
 
 def _mirror(m: Measured) -> Measured:

@@ -2,7 +2,7 @@
 
     corrected value = scale * recorded value + add,   corrected stamp = recorded stamp - earlier
 
-The corrections are in the run.yaml of a recording; its files are not changed. Checked by: test_corrections.py.
+Corrections belong in the run.yaml of a recording; recorded files are not changed. Checked by: test_corrections.py.
 """
 
 from collections.abc import Mapping, Sequence
@@ -53,13 +53,13 @@ def apply_corrections(log: DriveLog, corrections: Mapping[str, Correction], vehi
     Each channel is scaled, then offset, then shifted in time; "position" and "velocity" apply to both components, after
     corrections of a single component. Then
 
-        heading.add = a:    yaw -> yaw + a,  (v, acceleration)_body -> R(-a) (v, acceleration)_body; R(yaw) v is kept
+        heading.add = a:    yaw -> yaw + a,  (v, acceleration)_body -> R(-a) (v, acceleration)_body; R(yaw) v unchanged
         position.ahead = d: (x, y) -> (x, y) + d (cos yaw, sin yaw)
 
-    An INS channel that is shifted in time is interpolated at the stamps of the other channels. Samples without a value
-    there (at the ends, in gaps longer than MAXIMUM_GAP) are removed; an acceleration is NaN instead. The stamps of the
-    steering are shifted. If its angle is scaled or offset, the steering wheel angle is corrected so that ratio and
-    offset of `vehicle` give the corrected road wheel angle; without a vehicle it is removed.
+    An INS channel that is shifted in time is interpolated at the stamps of the other channels. Samples without an
+    interpolated value (at the ends, in gaps longer than MAXIMUM_GAP) are removed; an acceleration is NaN instead. The
+    stamps of the steering are shifted. If its angle is scaled or offset, the steering wheel angle is corrected so that
+    ratio and offset of `vehicle` give the corrected road wheel angle; without a vehicle it is removed.
 
     leave_out: intervals of INS samples to remove, (start, end) [s] after the first recorded sample, both included.
     Raises StCoreError for invalid corrections (`check_corrections`), and if the time shifts leave no sample.

@@ -30,7 +30,7 @@ from .yaml_text import check_keys, load
 SPACING = 1.0  # m between points along the path: 8 points in a right-angle turn of the smallest radius, 5 m
 SMOOTHING_LENGTH = 3.0  # m, moving average of curvature and direction: about one wheelbase
 MAX_DISTANCE = 4.0  # m, largest distance of a pass from the car: one lane and its neighbour
-MAX_HEADING_DIFFERENCE = 0.5  # rad, course angle of car minus pass; above it, the pass is oncoming or crosses
+MAX_DIRECTION_DIFFERENCE = 0.5  # rad, between course angles of car and pass; above it, the pass is oncoming or crosses
 PAUSE_SPEED = 0.5  # m/s; a course neither contains nor predicts slower driving: curvature is undefined at standstill
 MAX_GAP = 0.1  # s, maximum time between samples of a pass
 MIN_LENGTH = 20.0  # m, minimum length of a pass; above 4 m/s, a shorter pass ends within the horizon of 5 s
@@ -85,7 +85,7 @@ class Course:
             return []
         tree, points, index, row = self._lookup
         near = np.array(sorted(tree.query_ball_point((x, y), MAX_DISTANCE)), int)
-        near = near[np.abs(wrap_angle(points[near, 2] - direction)) < MAX_HEADING_DIFFERENCE]
+        near = near[np.abs(wrap_angle(points[near, 2] - direction)) < MAX_DIRECTION_DIFFERENCE]
         index, row = index[near], row[near]
         distance = np.hypot(points[near, 0] - x, points[near, 1] - y)
         # Points of one lap are consecutive; the next lap of the same pass begins with a jump of the row.
@@ -337,15 +337,15 @@ class CourseTracker:
         new_weight = min(elapsed / FORGETTING_TIME, 1.0)
         while self._pending and self._pending[0].end_ns <= ego.time_ns:
             _, distance, start, distances, path = self._pending.popleft()
-            driven = self._distance - distance
-            row = min(max(driven / SPACING, 0.0), len(path) - 1.001)
+            progress = self._distance - distance
+            row = min(max(progress / SPACING, 0.0), len(path) - 1.001)
             before, after = path[int(row)], path[int(row) + 1]
             # With the held curvature, the car would have driven on an arc.
-            turn = start.curvature * driven
-            chord, length = start.direction + 0.5 * turn, driven * float(np.sinc(0.5 * turn / math.pi))
-            arc_end = start.x + length * math.cos(chord), start.y + length * math.sin(chord)
+            turn = start.curvature * progress
+            chord_angle, length = start.direction + 0.5 * turn, progress * float(np.sinc(0.5 * turn / math.pi))
+            arc_end = start.x + length * math.cos(chord_angle), start.y + length * math.sin(chord_angle)
             positions = np.array([arc_end, before + (row - int(row)) * (after - before)])
-            squares = np.square(positions - (ego.x, ego.y)).sum(axis=1), np.square(distances - driven)
+            squares = np.square(positions - (ego.x, ego.y)).sum(axis=1), np.square(distances - progress)
             self._curvature_errors, self._speed_errors = (
                 (1.0 - new_weight) * errors + new_weight * np.clip(new, *SQUARED_ERROR_LIMITS)
                 for errors, new in zip((self._curvature_errors, self._speed_errors), squares, strict=True))
@@ -387,9 +387,9 @@ class CourseTracker:
                                     ego.velocity_x + acceleration * DECAY_TIME * (1.0 - np.exp(-t / DECAY_TIME)),
                                     np.interp(t, arrival, course_speed)]).clip(0.0)
         distances = 0.5 * (speed_forecasts[:, 1:] + speed_forecasts[:, :-1]) @ np.diff(t)
-        heading = ego.direction + cumulative_trapezoid(curvature, dx=SPACING, initial=0.0)
-        positions = np.array([[ego.x, ego.y]]) + cumulative_trapezoid(np.stack([np.cos(heading), np.sin(heading)], 1),
-                                                                      dx=SPACING, axis=0, initial=0.0)
+        direction = ego.direction + cumulative_trapezoid(curvature, dx=SPACING, initial=0.0)
+        tangents = np.stack([np.cos(direction), np.sin(direction)], axis=1)
+        positions = np.array([[ego.x, ego.y]]) + cumulative_trapezoid(tangents, dx=SPACING, axis=0, initial=0.0)
         curvature_weights, speed_weights = (errors**-2.0 / (errors**-2.0).sum()
                                           for errors in (self._curvature_errors, self._speed_errors))
         end_ns = ego.time_ns + self._horizon_ns
@@ -398,16 +398,16 @@ class CourseTracker:
         distance = cumulative_trapezoid(speed, dx=float(t[1]), initial=0.0)
         combined_curvature = (curvature_weights[0] * ego.curvature
                               + curvature_weights[1] * np.interp(distance, SPACING * np.arange(length), curvature))
-        share, angle = 1.0 - np.exp(-t / BLEND_TIME), ego.road_wheel_angle
+        blend_weight, angle = 1.0 - np.exp(-t / BLEND_TIME), ego.road_wheel_angle
         path = path_inputs(speed, combined_curvature, t, self._vehicle)
-        inputs = InputSequence(angle + share * (path.road_wheel_angle - angle),
-                               acceleration + share * (path.velocity_x_dot - acceleration),
-                               {name: angle + share * (values - angle) for name, values in path.signals.items()})
+        inputs = InputSequence(angle + blend_weight * (path.road_wheel_angle - angle),
+                               acceleration + blend_weight * (path.velocity_x_dot - acceleration),
+                               {name: angle + blend_weight * (values - angle) for name, values in path.signals.items()})
         return CourseForecast(inputs, float(curvature_weights[1]), float(speed_weights[3]))
 
 
 def make_course_inputs(course: Course, signals: LogSignals, vehicle: VehicleParameters, horizon: float,
-                  step: float) -> Callable[[np.ndarray], tuple[np.ndarray, ...]]:
+                       step: float) -> Callable[[np.ndarray], tuple[np.ndarray, ...]]:
     """Function for `log_evaluation.evaluate_log` that predicts the inputs at the starts of a drive from a course."""
 
     def predict_inputs(starts_ns: np.ndarray) -> tuple[np.ndarray, ...]:

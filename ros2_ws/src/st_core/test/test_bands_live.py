@@ -161,9 +161,9 @@ def test_evidence_is_a_log_likelihood_ratio_per_horizon():
     assert p * (q / p) + (1 - p) * ((1 - q) / (1 - p)) == pytest.approx(1.0)
     coverage = BandCoverage()
     coverage.add(0, 5.0, {0.9: False})
-    assert coverage.evidence == 0.0  # the first window has no interval to its predecessor
+    assert coverage.statistic == 0.0  # the first window has no interval to its predecessor
     coverage.add(5 * SECOND, 5.0, {0.9: False})
-    assert coverage.evidence == pytest.approx(math.log((1 - q) / (1 - p)))
+    assert coverage.statistic == pytest.approx(math.log((1 - q) / (1 - p)))
     coverage.add(4 * SECOND, 5.0, {0.9: False})  # a replay that restarts
-    assert coverage.evidence == pytest.approx(math.log((1 - q) / (1 - p)))
-    assert math.log(FALSE_WARNING_TIME) > 5 * coverage.evidence
+    assert coverage.statistic == pytest.approx(math.log((1 - q) / (1 - p)))
+    assert math.log(FALSE_WARNING_TIME) > 5 * coverage.statistic

@@ -41,7 +41,7 @@ def yaw_acceleration(equation):
     (lambda gain, r, v_x: (1e-9 + gain) * r, "at null it changes nothing", "to the last bit"),
     (lambda gain, r, v_x: 0.0 * r, "at its initial values it changes something", "it changes nothing"),
     (lambda gain, r, v_x: -gain * r / v_x, "finite at its bounds", "division by zero"),
-    (lambda gain, r, v_x: gain * np.float32(r), "equal on floats", "numpy"),
+    (lambda gain, r, v_x: gain * np.float32(r), "equal with floats", "numpy"),
     (lambda gain, r, v_x: 0.1 * gain + 0.0 * r, "left and right are mirror images", "odd=True"),
     (lambda gain, r, v_x: 20.0 * gain * r, "it does not make the car unstable", "grows at"),
     (lambda gain, r, v_x: -99.0 * gain * r, "it does not make the car unstable", "too fast for steps"),

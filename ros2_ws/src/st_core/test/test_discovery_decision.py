@@ -64,8 +64,8 @@ NOTHING = {"named": [], "rivals": {}, "refused": [], "noise_ratio": 1.0, "detect
     (GOOD, ACCEPTED, {"gain": 0.2, "p_value": 1e-4, "position": 0.5}),
     (NEGLIGIBLE_GAIN, NEGLIGIBLE, {"gain": 0.005, "negligible": 0.01}),
     (INSIGNIFICANT, GAIN_INSIGNIFICANT, {"p_value": 0.02, "false_alarm": 0.01}),
-    (replace(GOOD, healthy_gain=0.3), GAIN_INSIGNIFICANT, {"gain": 0.2, "healthy_gain": 0.3}),
-    (replace(GOOD, healthy_gain=0.1), ACCEPTED, {}),
+    (replace(GOOD, gain_between_runs=0.3), GAIN_INSIGNIFICANT, {"gain": 0.2, "healthy_gain": 0.3}),
+    (replace(GOOD, gain_between_runs=0.1), ACCEPTED, {}),
     (NULL_POSSIBLE, NULL, {"null_p_value": 0.2, "undecided_p": 0.05}),
     (SMALL_EFFECT, IRRELEVANT, {"gain": 0.02, "position": 0.015}),
     (replace(SMALL_EFFECT, gain=0.03), ACCEPTED, {}),
@@ -187,10 +187,10 @@ def test_partition_between_whose_parts_an_effect_varies(agreement, partition):
     assert varying_partition(replace(GOOD, agreement=agreement), LIMITS) == partition
 
 
-@pytest.mark.parametrize(("gain", "p_value", "healthy_gain", "relevant"), [
+@pytest.mark.parametrize(("gain", "p_value", "between", "relevant"), [
     (0.2, 1e-4, 0.0, True), (0.2, 0.02, 0.0, False), (0.02, 1e-4, 0.0, False), (0.2, 1e-4, 0.3, False)])
-def test_varying_effect_is_relevant_by_its_gain(gain, p_value, healthy_gain, relevant):
-    assert varies_relevantly(replace(GOOD, gain=gain, p_value=p_value, healthy_gain=healthy_gain), LIMITS) == relevant
+def test_varying_effect_is_relevant_by_its_gain(gain, p_value, between, relevant):
+    assert varies_relevantly(replace(GOOD, gain=gain, p_value=p_value, gain_between_runs=between), LIMITS) == relevant
 
 
 def test_varying_effect_without_effect_on_the_position_is_not_relevant():
@@ -241,7 +241,7 @@ def test_rival_is_an_alternative_or_refused_by_a_rule(rival, rule):
 def test_text_of_an_alternative_names_the_effect_it_replaces():
     for rival in (replace(EQUAL_RIVAL, replaces="tyre_stiffness"), replace(WORSE_RIVAL, replaces="tyre_stiffness")):
         text = judge_alternative(rival, LIMITS).text
-        assert "in place of tyre stiffness it achieves 90% of the latter's error reduction" in text
+        assert "in place of tyre stiffness it achieves 90% of that effect's error reduction" in text
 
 
 @pytest.mark.parametrize(("answer", "outcome", "figures"), [

@@ -48,4 +48,4 @@ def test_healthy_car_fit_recovers_the_true_values_within_its_uncertainty(leaf):
     for name, values in effects.items():
         (truth,), index = values.values(), int(space.indices(name)[0])
         assert abs(healthy.vector[index] - truth) < 4.0 * deviation[index] < 0.2 * truth
-    assert (healthy.residual_scale > 0.0).all() and healthy.gain < 0.05
+    assert (healthy.residual_scale > 0.0).all() and healthy.gain_between_runs < 0.05

@@ -30,22 +30,22 @@ from .calibration import LEVELS, Band, ModelMode, to_predicted_frame
 from .file import Bands
 from .scale import MAX_LOG_SCALE, activity_instants, compute_magnitudes, compute_scalar_features, steering_activity
 
-GAIN, START_GAIN, SETTLING_TIME = 0.1, 0.3, 30.0  # 1/s, 1/s, s; 5 % wider bands than with the best constant factor
+GAIN, START_GAIN, SETTLING_TIME = 0.1, 0.3, 30.0  # 1/s, 1/s, s; bands are 5 % wider than with the best constant factor
 MIN_FACTOR, MAX_FACTOR = 0.05, 100.0  # 1; far below and above calibrated factors
 DEFAULT_FACTORS = {0.5: 1.6, 0.9: 3.0}  # median and 90 % quantile of the largest of 300 correlated normal errors
 SCALE_FORGETTING = 120.0  # s; averaging time of the squared errors; long enough for most manoeuvres on a road
-DEFAULT_SCALE = (0.3, 0.3, 0.02)  # m, m, rad at 1 s ahead, proportional to the squared time; errors soon replace it
+DEFAULT_SCALE = (0.3, 0.3, 0.02)  # m, m, rad at 1 s ahead, proportional to the squared time; soon outweighed by errors
 WARM_UP = 120.0  # s of scored driving before a band without a calibration is issued
-PRIOR_WEIGHT = 5.0  # s; weight of DEFAULT_SCALE against the errors
+PRIOR_WEIGHT = 5.0  # s; DEFAULT_SCALE has the weight of errors over this time
 MIN_SQUARED_ERROR = 1.0e-8  # m^2, m^2, rad^2; keeps the scale above 0
-MAX_WEIGHT = 1.0  # s; longest time that one score represents, also after a pause
+MAX_WEIGHT = 1.0  # s; longest time that one score represents, even after a pause
 MAX_WAITING_PREDICTIONS = 10_000  # largest number of predictions stored until their scores arrive
 
 
 class AdaptiveBand:
     """The band of one model and mode, corrected by the scores of predictions that started at least one horizon earlier.
 
-    For a level with half-widths c s(t), and the score S = max over t, a of |e_a(t)| / s_a(t):
+    A level has half-widths c s(t). The score S = max over t, a of |e_a(t)| / s_a(t) updates its factor c:
 
         log c  <-  log c + g w (1{S > c_issued} - (1 - level))
 
@@ -69,17 +69,17 @@ class AdaptiveBand:
     def __init__(self, time: np.ndarray, band: Band | None = None):
         self._time, self._band, self.is_calibrated = np.asarray(time, float), band, band is not None
         self._logs = {}  # logarithm of the factor, by level
-        known = {} if band is None else band.factors
+        calibrated_factors = {} if band is None else band.factors
         for level in LEVELS:
-            # Without a factor of this level, that of the nearest level is scaled by the ratio of the default factors.
-            nearest = min(known, key=lambda other: abs(other - level), default=level)
+            # A level without a factor gets that of the nearest level, scaled by the ratio of the default factors.
+            nearest = min(calibrated_factors, key=lambda other: abs(other - level), default=level)
             default, reference = np.interp((level, nearest), list(DEFAULT_FACTORS), list(DEFAULT_FACTORS.values()))
-            self._logs[level] = math.log(known.get(nearest, default) * default / reference)
+            self._logs[level] = math.log(calibrated_factors.get(nearest, default) * default / reference)
         self._squares = np.square(np.outer(self._time**2, DEFAULT_SCALE))
         self._weight = self._elapsed = 0.0
         self._last_ns: int | None = None
-        self._issued: deque[tuple[int, np.ndarray, dict[float, float]]] = deque()
-        self._pending: deque[tuple[int, np.ndarray]] = deque()
+        self._issued_bands: deque[tuple[int, np.ndarray, dict[float, float]]] = deque()
+        self._pending_errors: deque[tuple[int, np.ndarray]] = deque()
 
     @property
     def remaining_warm_up(self) -> float:
@@ -98,24 +98,24 @@ class AdaptiveBand:
         scale: (points, 3) [m, m, rad] of the calibrated band; None: RMS error of the run.
         """
         scale, factors = np.sqrt(self._squares) if scale is None else scale, self.factors
-        if self._issued and start_ns <= self._issued[-1][0]:  # time jumped back: the stored ones will not be scored
-            self._issued.clear()
-        self._issued.append((start_ns, scale, factors))
-        if len(self._issued) > MAX_WAITING_PREDICTIONS:
-            self._issued.popleft()
+        if self._issued_bands and start_ns <= self._issued_bands[-1][0]:  # time jumped back: no score will follow
+            self._issued_bands.clear()
+        self._issued_bands.append((start_ns, scale, factors))
+        if len(self._issued_bands) > MAX_WAITING_PREDICTIONS:
+            self._issued_bands.popleft()
         return {level: factor * scale for level, factor in factors.items()}
 
     def observe(self, start_ns: int, errors: np.ndarray) -> dict[float, bool]:
-        """Whether the whole path was inside, by level; empty for non-finite errors, or without `issue` for this start.
+        """Whether the whole path was inside, by level; empty for non-finite errors, or without a band for this start.
 
         Updates the factors, and the scale if it is estimated from the run. Call in order of time. errors: (points, 3)
         [m, m, rad] in the predicted frame.
         """
-        while self._issued and self._issued[0][0] < start_ns:
-            self._issued.popleft()
-        if not self._issued or self._issued[0][0] != start_ns or not np.isfinite(errors).all():
+        while self._issued_bands and self._issued_bands[0][0] < start_ns:
+            self._issued_bands.popleft()
+        if not self._issued_bands or self._issued_bands[0][0] != start_ns or not np.isfinite(errors).all():
             return {}
-        _, scale, factors = self._issued.popleft()
+        _, scale, factors = self._issued_bands.popleft()
         interval = MAX_WEIGHT if self._last_ns is None else (start_ns - self._last_ns) * NANOSECOND
         weight = min(max(interval, 0.0), MAX_WEIGHT)
         self._last_ns = start_ns
@@ -135,19 +135,19 @@ class AdaptiveBand:
                errors: np.ndarray) -> tuple[dict[float, np.ndarray], np.ndarray]:
         """(factors (n,) by level, scales (n, points, 3)) along a drive, from the scores available at each start.
 
-        Continues the previous call. starts_ns: (n,) ascending [ns]. conditions: (n, 4). errors: (n, points, 3) in the
-        predicted frame; NaN if not scored.
+        Further calls continue the drive. starts_ns: (n,) ascending [ns]. conditions: (n, 4). errors: (n, points, 3) in
+        the predicted frame; NaN if not scored.
         """
         calibrated = None if self._band is None else self._band.scale(conditions)
         horizon_ns = round(float(self._time[-1]) / NANOSECOND)
         factors: dict[float, list[float]] = {level: [] for level in self._logs}
         scales = np.empty(errors.shape)
         for k, start in enumerate(starts_ns.tolist()):
-            while self._pending and self._pending[0][0] + horizon_ns <= start:
-                self.observe(*self._pending.popleft())
+            while self._pending_errors and self._pending_errors[0][0] + horizon_ns <= start:
+                self.observe(*self._pending_errors.popleft())
             scales[k] = np.sqrt(self._squares) if calibrated is None else calibrated[k]
             self.issue(start, scales[k])
-            self._pending.append((start, errors[k]))
+            self._pending_errors.append((start, errors[k]))
             for level, factor in self.factors.items():
                 factors[level].append(factor)
         return {level: np.array(values) for level, values in factors.items()}, scales
@@ -176,16 +176,16 @@ class CalibratedBands:
         self.domain = bands.domain
         pairs = [(model, mode) for model in models for mode in MODES if (model, mode) in bands.bands]
         self._row: dict[ModelMode, int] = {pair: row for row, pair in enumerate(pairs)}
-        chosen = [bands.bands[pair] for pair in pairs]
-        self.levels = tuple(level for level in LEVELS if all(level in band.factors for band in chosen))
-        scale = chosen[0].scale
+        used_bands = [bands.bands[pair] for pair in pairs]
+        self.levels = tuple(level for level in LEVELS if all(level in band.factors for band in used_bands))
+        scale = used_bands[0].scale
         self._interpolation = scale.interpolation.T
-        coefficients = np.concatenate([2.0 * band.scale.coefficients for band in chosen])
+        coefficients = np.concatenate([2.0 * band.scale.coefficients for band in used_bands])
         self._coefficients = coefficients.reshape(-1, coefficients.shape[-1])
-        self._floor = np.square(np.concatenate([band.scale.floors.T for band in chosen]))
-        factors = np.array([[band.factors[level] for band in chosen] for level in self.levels], np.float32)
+        self._floor = np.square(np.concatenate([band.scale.floors.T for band in used_bands]))
+        factors = np.array([[band.factors[level] for band in used_bands] for level in self.levels], np.float32)
         self._factors = factors.repeat(3, axis=1)[:, :, None]
-        widths = np.zeros((len(self.levels), len(chosen), 3, len(scale.time) + 1), np.float32)
+        widths = np.zeros((len(self.levels), len(used_bands), 3, len(scale.time) + 1), np.float32)
         self._widths_ahead = widths.reshape(len(self.levels), -1, widths.shape[-1])[..., 1:]
         self.half_widths: Mapping[str, HalfWidths] = {model: {} for model, _ in pairs}
         for (model, mode), pair_widths in zip(pairs, widths.swapaxes(0, 1), strict=True):
@@ -206,7 +206,7 @@ class CalibratedBands:
         return True
 
     def get_scale(self, pair: ModelMode) -> np.ndarray | None:
-        """Scale (points, 3) along, across [m] and in yaw [rad] of the last update; None without a calibration."""
+        """Scale (points, 3) along, across [m] and in yaw [rad] of the last update; None for an uncalibrated pair."""
         row = self._row.get(pair)
         return None if row is None else self._scale[3 * row:3 * row + 3].T
 
@@ -223,8 +223,8 @@ class AdaptiveBands:
     def __init__(self, time: np.ndarray, models: Sequence[str], modes: Sequence[str] = MODES,
                  bands: Bands | None = None):
         self._calibrated = None if bands is None else CalibratedBands(bands, models)
-        known = {} if bands is None else bands.bands
-        self._bands = {pair: AdaptiveBand(time, known.get(pair)) for pair in product(models, modes)}
+        calibrated_bands = {} if bands is None else bands.bands
+        self._bands = {pair: AdaptiveBand(time, calibrated_bands.get(pair)) for pair in product(models, modes)}
         self.half_widths: Mapping[str, HalfWidths] = {
             model: {(mode, level): np.zeros((len(time) + 1, 3), np.float32) for mode in modes for level in LEVELS}
             for model in models}
@@ -279,7 +279,7 @@ class BandCoverage:
     n: int = 0  # number of scored windows with a band
     inside_counts: dict[float, int] = field(default_factory=dict)  # number with the whole path inside, by level
     has_warning: bool = False  # whether the coverage of the highest level is, or recently was, significantly too low
-    evidence: float = 0.0  # S of the highest level, see module; limited to log(FALSE_WARNING_TIME)
+    statistic: float = 0.0  # S of the highest level, see module; limited to log(FALSE_WARNING_TIME)
     _last_ns: int | None = None
 
     def coverage_at(self, level: float) -> float:
@@ -297,8 +297,8 @@ class BandCoverage:
         weight = min(max(interval, 0.0), 1.0)  # 0 after a jump back in time, as in a replay
         limit, q = math.log(FALSE_WARNING_TIME), ALTERNATIVE_RATIO * level
         ratio = math.log(q / level) if inside[level] else math.log((1.0 - q) / (1.0 - level))
-        self.evidence = min(max(self.evidence + weight * ratio, 0.0), limit)
-        self.has_warning = self.evidence >= (WARNING_END_FRACTION * limit if self.has_warning else limit)
+        self.statistic = min(max(self.statistic + weight * ratio, 0.0), limit)
+        self.has_warning = self.statistic >= (WARNING_END_FRACTION * limit if self.has_warning else limit)
 
 
 class CoverageMonitor:

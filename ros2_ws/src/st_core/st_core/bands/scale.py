@@ -33,7 +33,7 @@ mean square of d(delta)/dt over the ACTIVITY_SPAN before the start. Velocity, ya
 INS point; delta is the road wheel angle."""
 UNITS = {"speed": "m/s", "lateral_acceleration": "m/s^2", "forward_acceleration": "m/s^2", "steering_activity": "rad/s"}
 ACTIVITY_SPAN = 1.0  # s; about the duration of a steering correction; the live predictor stores two seconds
-ACTIVITY_STEP = 0.05  # s; 0.1 deg at the steering wheel with a ratio of 16 resolves rates of 0.002 rad/s
+ACTIVITY_STEP = 0.05  # s; a step of 0.1 deg of a steering wheel with ratio 16 then appears as a rate of 0.002 rad/s
 _INSTANTS_NS = np.round(np.arange(-ACTIVITY_SPAN, 0.5 * ACTIVITY_STEP, ACTIVITY_STEP) / NANOSECOND).astype(np.int64)
 
 
@@ -71,7 +71,7 @@ def conditions_at(signals: LogSignals, starts_ns: np.ndarray) -> np.ndarray:
 MIN_STARTS = 10  # minimum number of starts of a run in a cell of speed and lateral acceleration; 1 s at 10 starts/s
 MIN_RUNS_IN_CELL = 2  # minimum number of runs with MIN_STARTS; one run does not show the variation between runs
 EDGES = {"speed": SPEED_EDGES, "lateral_acceleration": LATERAL_ACCELERATION_EDGES,
-         "steering_activity": STEERING_RATE_EDGES}  # of bins; speed and a_y define the cells
+         "steering_activity": STEERING_RATE_EDGES}  # bin edges; the bins of speed and a_y define the cells
 
 
 def find_cells(conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -88,7 +88,7 @@ def find_bins(conditions: np.ndarray, name: str) -> np.ndarray:
 class CalibrationDomain:
     """Conditions with enough calibration runs: cells of speed and lateral acceleration, and two upper limits."""
 
-    starts: np.ndarray  # number by (speed, lateral acceleration) bin, 0 if fewer than MIN_RUNS_IN_CELL had MIN_STARTS
+    starts: np.ndarray  # count by (speed, lateral acceleration); 0 if fewer than MIN_RUNS_IN_CELL runs have MIN_STARTS
     upper_limits: tuple[float, float]  # forward_acceleration [m/s^2], steering_activity [rad/s]
 
     @classmethod
@@ -125,10 +125,10 @@ class CalibrationDomain:
 KNOTS = (0.1, 0.5, 1.0, 2.0, 3.5, 5.0)  # s ahead for a horizon of 5 s; proportional for other horizons
 NOISE_FACTOR = 3.0  # ratio of the constant part of the floor to the RMS error at the first point
 FLOOR_RATIO = 0.2  # ratio of the floor's part proportional to time to the RMS error, at the end of the horizon
-ERROR_RESOLUTION = np.array([1.0e-3, 1.0e-3, 1.0e-4])  # m, m, rad; smaller errors are replaced by it
-RIDGE = 1.0e-2  # weight of the penalty above; the constant term is not penalised
+ERROR_RESOLUTION = np.array([1.0e-3, 1.0e-3, 1.0e-4])  # m, m, rad; lower limit of the errors in the fit
+RIDGE = 1.0e-2  # weight of the penalty in the loss; the constant term is not penalised
 MAX_LOG_SCALE = 30.0  # limit of |log sigma|; finite in floats and far above any prediction error
-MAX_NEWTON_STEPS, MAX_HALVINGS = 100, 20  # of the fit; of one step, until the loss decreases
+MAX_NEWTON_STEPS, MAX_HALVINGS = 100, 20  # Newton steps of a fit, halvings of a step that does not reduce the loss
 TOLERANCE = 1.0e-3  # maximum derivative at convergence; the error of the mean squares is then below their uncertainty
 MAX_FIT_STARTS = 100  # maximum number of starts of a run in the fit; neighbouring starts are redundant
 SPLINE_KNOTS = (1.5, 3.0, 4.5, 6.0, 7.5)  # m/s^2 of lateral acceleration; quadratic terms cannot fit tyre saturation
@@ -143,8 +143,8 @@ def compute_features(conditions: np.ndarray) -> np.ndarray:
     """Features phi (..., 20), of magnitude about 1, of the conditions (..., 4) in CONDITIONS.
 
     1; the four logarithms  log(v / 10 m/s),  log((a_y + 0.3 m/s^2) / 1.5 m/s^2),  log((a_x + 0.2 m/s^2) / 0.6 m/s^2),
-    log((w + 0.005 rad/s) / 0.02 rad/s), w: steering activity, v >= 0.1 m/s; their squares and products; triangles
-    3 m/s^2 wide about SPLINE_KNOTS in a_y.
+    log((w + 0.005 rad/s) / 0.02 rad/s), w: steering activity, v >= 0.1 m/s; their squares and products;
+    triangular functions of a_y, 3 m/s^2 wide, centred at SPLINE_KNOTS.
     """
     columns = compute_scalar_features(np.moveaxis(np.asarray(conditions, float), -1, 0), np.log, np.maximum)
     return np.stack(np.broadcast_arrays(*columns), axis=-1)
@@ -152,7 +152,7 @@ def compute_features(conditions: np.ndarray) -> np.ndarray:
 
 def compute_scalar_features(condition: Sequence[Any] | np.ndarray, log: Callable[[Any], Any] = math.log,
                             maximum: Callable[[Any, Any], Any] = max) -> list[Any]:
-    """The 20 `compute_features` of four conditions as a list; for floats in half the time (a third with cold caches).
+    """The 20 features (`compute_features`) of four conditions as a list; takes half the time for floats.
 
     log, maximum: functions for conditions of other types, such as CasADi symbols or arrays.
     """
@@ -163,7 +163,7 @@ def compute_scalar_features(condition: Sequence[Any] | np.ndarray, log: Callable
 
 
 def make_knots(horizon: float) -> np.ndarray:
-    """Knots of a horizon [s]."""
+    """KNOTS scaled to a horizon [s]."""
     return np.array(KNOTS) * (horizon / KNOTS[-1])
 
 

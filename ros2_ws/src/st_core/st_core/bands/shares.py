@@ -55,11 +55,11 @@ def sum_squared_contributions(
     def predict_path(drive: LogSignals, variant: Model, car: VehicleParameters) -> np.ndarray:
         states = make_batch(drive).predict(variant, car)
         with np.errstate(all="ignore"):
-            r = predict_readings(variant, car, tuple(np.moveaxis(states, -1, 0)))
-            return np.stack([r.x, r.y, r.yaw])
+            readings = predict_readings(variant, car, tuple(np.moveaxis(states, -1, 0)))
+            return np.stack([readings.x, readings.y, readings.yaw])
 
     errors, base = make_batch(signals).errors(model, vehicle), predict_path(signals, model, vehicle)
-    complete = np.isfinite(errors).all(axis=(1, 2))
+    is_complete = np.isfinite(errors).all(axis=(1, 2))
     # Predictions with each cause one standard deviation lower and higher.
     varied_paths: dict[Cause, list[np.ndarray]] = {}
     for key, cars in _vary_vehicle(vehicle).items():
@@ -77,17 +77,17 @@ def sum_squared_contributions(
     squares: dict[Cause, np.ndarray] = {}
     for cause, (lower, higher) in varied_paths.items():
         change = np.stack([*map_to_body(0.5 * (higher[0] - lower[0]), 0.5 * (higher[1] - lower[1]), base[2]),
-                           wrap_angle(higher[2] - lower[2]) * 0.5], axis=-1)[complete]
+                           wrap_angle(higher[2] - lower[2]) * 0.5], axis=-1)[is_complete]
         if (change != 0.0).any():
             squares[cause] = np.square(change).sum(axis=0)
     position_variance = 0.5 * (noise["x"] ** 2 + noise["y"] ** 2)
     pose_variances = np.array([position_variance, position_variance, noise["yaw"] ** 2])
-    squares[SENSORS, "pose at the end"] = np.tile(complete.sum() * pose_variances, (len(seconds), 1))
-    return int(complete.sum()), np.square(errors[complete]).sum(axis=0), squares
+    squares[SENSORS, "pose at the end"] = np.tile(is_complete.sum() * pose_variances, (len(seconds), 1))
+    return int(is_complete.sum()), np.square(errors[is_complete]).sum(axis=0), squares
 
 
 def _vary_vehicle(vehicle: VehicleParameters) -> dict[str, list[VehicleParameters]]:
-    """Cars with a value one standard deviation lower and higher, by uncertain parameter; without invalid cars."""
+    """Two cars, with one parameter one standard deviation lower and higher, by parameter; none if one is invalid."""
     variants = {}
     for key, provenance in vehicle.provenance.items():
         if sigma := provenance.uncertainty:
@@ -97,7 +97,7 @@ def _vary_vehicle(vehicle: VehicleParameters) -> dict[str, list[VehicleParameter
 
 
 def _vary_model(model: Model, intervals: Intervals) -> dict[str, list[Model]]:
-    """Models with a value one standard deviation lower and higher, within the bounds, by parameter of an effect."""
+    """Two models, with one effect parameter one standard deviation lower and higher within bounds, by parameter."""
     variants: dict[str, list[Model]] = {}
     if not isinstance(model, AugmentedModel):
         return variants

@@ -27,8 +27,8 @@ class RunComparison:
     mean: float  # by random effects (DerSimonian and Laird 1986)
     interval: tuple[float, float]  # 95 % interval of the mean, including the variance between runs
     between: float  # standard deviation between runs in excess of their uncertainties
-    lowest: float  # estimate of one run
-    highest: float
+    lowest: float  # lowest estimate of a run
+    highest: float  # highest estimate of a run
     consistent: bool  # few intervals exclude the mean, and the spread is insignificant or below MAX_RELATIVE_SPREAD
 
     @property
@@ -51,8 +51,8 @@ class RunComparison:
 
 
 def compare_runs(runs: Sequence[DriveCheck]) -> list[RunComparison]:
-    """Comparisons of all quantities with a finding that at least MIN_COMPARED_RUNS runs estimate, most often reported
-    first; without those that are consistent with the neutral value in all runs."""
+    """Comparisons of the quantities that have a finding and estimates of at least MIN_COMPARED_RUNS runs, most often
+    reported first; quantities consistent with the neutral value in all runs are left out."""
     units = {finding.name: finding.unit for run in runs for finding in run.findings if finding.interval is not None}
     comparisons = []
     for name, unit in units.items():

@@ -68,9 +68,9 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
     else:
         ins_is_usable = not broken_channels & {*INS_SIGNALS}  # every further check needs all of these channels
         if ins_is_usable:
-            has_x, has_y = "acceleration_x" not in broken_channels, "acceleration_y" not in broken_channels
-            motion = replace(motion, acceleration_x=motion.acceleration_x if has_x else None,
-                             acceleration_y=motion.acceleration_y if has_y else None)
+            x_is_usable, y_is_usable = "acceleration_x" not in broken_channels, "acceleration_y" not in broken_channels
+            motion = replace(motion, acceleration_x=motion.acceleration_x if x_is_usable else None,
+                             acceleration_y=motion.acceleration_y if y_is_usable else None)
         stuck_findings = sampling.find_stuck_channels(motion, channels)
         results.findings += stuck_findings
         if ins_is_usable:
@@ -139,7 +139,7 @@ def _limit_to_measured_channels(findings: list[Finding], log: DriveLog, motion: 
     The noise of yaw changes the scale of a yaw rate derived from it. Without velocity_y, yaw may be the course. The
     sideslip at a point l ahead of a rear axle with cornering compliance K is tau r, tau = l / v - K v: the yaw rate r
     lags the course by tau (`sideslip` corrects this). A lag that sideslip may explain has no correction, and becomes
-    a note unless it is that of the steering.
+    a note unless it is the steering lag.
     """
     if any(f.severity is Severity.ERROR and "yaw_rate" in f.channels for f in findings):
         findings = [f for f in findings if f.name != "steering_unrelated"]
@@ -199,7 +199,7 @@ def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[M
 
 
 def _add_yaw_alternative(finding: Finding, motion: Motion) -> Finding:
-    """The finding; without its correction if it is a scale of yaw_rate and positions do not refute one of yaw."""
+    """The finding; a scale of yaw_rate loses its correction if positions fit a scale error of yaw as well."""
     if finding.name != "yaw_rate_scale" or not finding.value or other_yaw_fits_better(
             replace(motion, yaw=finding.value * motion.yaw), motion):
         return finding
@@ -209,8 +209,8 @@ def _add_yaw_alternative(finding: Finding, motion: Motion) -> Finding:
 
 
 def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """Result of `correct_units`, applied without the lag between yaw and yaw rate, which would change their ratio. The
-    lag is restored afterwards, since it is checked later."""
+    """Result of `correct_units`, with the lag between yaw and yaw rate removed, since it would change their ratio, and
+    restored afterwards, since it is checked later."""
     lag = inertial.estimate_yaw_rate_lag(motion)
     if not lag:
         return correct_units(motion)
@@ -221,7 +221,7 @@ def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 
 def _check_yaw_lag(motion: Motion, agreement: Agreement | None) -> tuple[Motion, list[Finding]]:
-    """(corrected motion, finding) of a yaw that lags or leads the yaw rate, if positions confirm that yaw is wrong."""
+    """(corrected motion, finding) if yaw lags or leads the yaw rate and positions confirm that yaw is wrong."""
     if (agreement is None or not agreement.has_lag or not agreement.correlates
             or abs(agreement.lag.value) < LIMITS.lag):
         return motion, []

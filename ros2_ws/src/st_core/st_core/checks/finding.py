@@ -28,8 +28,8 @@ def _format_yaml(value: Any) -> str:
 class Advice:
     """Remedy for a finding. line: text to paste, or an instruction.
 
-    kind: "run.yaml": `entry` is to be merged into run.yaml; "vehicle": `entry` contains values of the vehicle file
-    [SI]; "option": `line` is a command-line option; "look": `line` is an instruction.
+    kind: "run.yaml": `entry` belongs in run.yaml; "vehicle": `entry` contains values of the vehicle file [SI];
+    "option": `line` is a command-line option; "look": `line` is an instruction.
     """
 
     kind: Literal["run.yaml", "vehicle", "option", "look"]
@@ -58,7 +58,7 @@ class Finding:
     value: float | None = None  # estimate [unit]
     unit: str = "1"
     interval: tuple[float, float] | None = None  # 95 % confidence interval of value [unit]
-    times: tuple[tuple[float, float], ...] = ()  # time intervals [s since the first INS measurement]; empty: all
+    times: tuple[tuple[float, float], ...] = ()  # [s since the first INS measurement]; empty: the whole run
     effect: float | None = None  # approximate shift of the position after the horizon [m]
     advice: Advice | None = None
     tried: tuple[float, float] | None = None  # prediction error [m] without and with the correction, if tried
@@ -197,8 +197,8 @@ class Limits:
     min_correlation: float = 0.6  # magnitude; two estimates of a quantity with a lower correlation are not compared
     acceleration_bias: float = 0.1  # m/s^2; caused by a tilt of the sensor or the road of 0.6 deg
     lateral_acceleration: float = 13.0  # m/s^2; above the limit of road tyres
-    steering_unit_ratio: float = 1.5  # the same for steering; its ratio, wheelbase and stiffnesses may be inaccurate
-    steering_lag: float = 0.1  # s; the car's own response may deviate from the vehicle file by this lag
+    steering_unit_ratio: float = 1.5  # unit_ratio of the steering; ratio, wheelbase and stiffnesses may be inaccurate
+    steering_lag: float = 0.1  # s; lag by which the response of the car may differ from that of the vehicle file
     steering_offset: float = 0.02  # rad, at the road wheels
     ins_position: float = 0.25  # m; accuracy of a rough measurement of the INS position
     heading_misalignment: float = 0.002  # rad; 0.1 deg, accuracy of a dual-antenna INS

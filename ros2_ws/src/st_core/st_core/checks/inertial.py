@@ -25,7 +25,7 @@ NO_BIAS, UNIT_SCALE, NO_DRIFT = Estimate(0.0, 0.0, 0.0), Estimate(1.0, 0.0, 0.0)
 LAG_TEST_SHIFT = 0.3  # s; a drive determines a lag if lags smaller and larger by this both fit worse
 BIAS_RESIDUAL_RATIO = 1.25  # ratio of the residuals with a scale and with a bias above which a bias is reported
 MIN_SCALE_CORRELATION = 0.98  # at a higher correlation, noise reduces a scale by less than 4 %
-MIN_RESIDUAL_FRACTION = 1e-4  # of the variance; interpolation and filters cause a residual of 1 % of the signal
+MIN_RESIDUAL_FRACTION = 1e-4  # minimum of 1 - r^2; interpolation and filters leave a residual of 1 % of the signal
 GRID_ERROR = 0.1  # fraction of the variance by which the residual at a lag of the grid exceeds the minimum nearby
 DECORRELATION_TIME = 10.0  # s between independent values of the lag
 
@@ -50,7 +50,7 @@ class Agreement:
 
     @property
     def correlates(self) -> bool:
-        """Whether the correlation, of either sign, is high enough to compare the two."""
+        """Whether the correlation, of either sign, is high enough to compare the two series."""
         return abs(self.correlation) >= LIMITS.min_correlation
 
     @property
@@ -67,7 +67,7 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
     MIN_COMMON_TIME, if one of them spans more than MAX_SPAN, or if |lag| exceeds max_fitted_lag.
 
     time, measured_time: ascending [s]; values NaN where unknown. cutoff: of the low-pass filter [Hz]. derived_is_angle:
-    whether to compare the rate of `derived`. fit_drift: whether to estimate also a constant change of the lag.
+    whether to compare the rate of `derived`. fit_drift: whether to estimate a constant rate of change of the lag.
     expected_lag: lag without a fault [s]. max_fitted_lag: limit of the fitted lag [s], which may be outside the
     searched range of MAX_LAG.
     """
@@ -79,7 +79,7 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
         return None
     pair = Pair("", reference, other)
     try:
-        solution, *others = _find_best_offsets(pair, cutoff)
+        solution, *alternatives = _find_best_offsets(pair, cutoff)
     except (ValueError, np.linalg.LinAlgError):
         return None
     if not abs(solution.offset) <= max_fitted_lag:
@@ -88,9 +88,9 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
     _, half_width = symmetric_interval(0.0, solution.offset_deviation, degrees_of_freedom)
     lag, drift = Estimate(-solution.offset, solution.offset_deviation, half_width), NO_DRIFT
     if fit_drift:
-        drifting = fit([pair], solution.offset, middle=float(other.time.mean()))
-        _, half_width = symmetric_interval(0.0, drifting.drift_deviation, degrees_of_freedom)
-        drift = Estimate(-drifting.drift, drifting.drift_deviation, half_width)
+        drift_fit = fit([pair], solution.offset, middle=float(other.time.mean()))
+        _, half_width = symmetric_interval(0.0, drift_fit.drift_deviation, degrees_of_freedom)
+        drift = Estimate(-drift_fit.drift, drift_fit.drift_deviation, half_width)
     rows, x = _select_common_samples(pair, solution.offset)
     if len(rows) * STEP < MIN_COMMON_TIME or not float(np.std(x)) > 0.0:
         return None
@@ -101,7 +101,7 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
     neighbours = solution.offset - LAG_TEST_SHIFT, solution.offset + LAG_TEST_SHIFT
     rows, unshifted = _select_common_samples(pair, 0.0)
     return Agreement(lag, scale, bias, correlation, float(np.std(x)), common_time, y, x,
-                     tuple(-alternative.offset for alternative in others),
+                     tuple(-alternative.offset for alternative in alternatives),
                      _fits_worse(pair, -expected_lag, solution.offset, cutoff),
                      correlate(unshifted, other.values[rows]),
                      all(_fits_worse(pair, offset, solution.offset, cutoff) for offset in neighbours), drift)
@@ -124,9 +124,9 @@ def _find_best_offsets(pair: Pair, cutoff: float) -> list[Fit]:
     residual = 1.0 - np.maximum(correlation, 0.0) ** 2
     best = int(np.argmin(residual))
     peaks = 1 + np.flatnonzero((residual[1:-1] < residual[:-2]) & (residual[1:-1] <= residual[2:]))
-    known = min(float(side.known.sum()) for side in (pair.reference, pair.other))
+    known_count = min(float(side.known.sum()) for side in (pair.reference, pair.other))
     fits: list[Fit] = []
-    for start in (best, *peaks[residual[peaks] <= _compute_f_limit(known, cutoff) * residual[best] + GRID_ERROR]):
+    for start in (best, *peaks[residual[peaks] <= _compute_f_limit(known_count, cutoff) * residual[best] + GRID_ERROR]):
         solution = fit([pair], float(lags[start]), middle=0.0, free_drift=False)
         if all(abs(solution.offset - other.offset) > STEP for other in fits):
             fits.append(solution)
@@ -156,8 +156,8 @@ def _fit_line(problem: Regression, derived: np.ndarray, correlation: float,
               fit_bias: bool) -> tuple[Estimate, Estimate]:
     """(scale, bias). If they are confounded, as in one long bend, only one is estimated: the bias if its residual is
     clearly smaller (BIAS_RESIDUAL_RATIO), else the scale. The other is assumed to be correct."""
-    confounded = abs(float(derived.mean())) > float(derived.std()) and abs(correlation) < MIN_SCALE_CORRELATION
-    if fit_bias and not confounded:
+    are_confounded = abs(float(derived.mean())) > float(derived.std()) and abs(correlation) < MIN_SCALE_CORRELATION
+    if fit_bias and not are_confounded:
         both = problem.estimate(("scale", "bias"))
         return both["scale"], both["bias"]
     scale = problem.estimate(("scale",))["scale"]
@@ -211,7 +211,7 @@ class Tolerances:
     min_spread: float = 0.0  # smallest standard deviation of the reference for which a lag is reported [unit]
     min_correlation: float = LIMITS.min_correlation  # at a lower correlation, only the lag is judged
     unit_questions: Mapping[float, str] = field(default_factory=dict)  # question about the unit, by factor
-    bias_question: str = ""  # about the cause of a bias
+    bias_question: str = ""  # question about the cause of a bias
 
 
 def judge_agreement(agreement: Agreement | None, tolerances: Tolerances, title: str, removed_scale: float = 1.0,

@@ -13,7 +13,7 @@ from ..timeseries import NANOSECOND
 from .finding import AuxiliaryData
 
 MAX_GAP = 0.25  # s; nothing is integrated across a longer interval between samples
-MAX_LISTED = 20  # largest number of time intervals listed in most findings
+MAX_LISTED_TIMES = 20  # largest number of time intervals listed in most findings
 MIN_MOVING_SPEED = 1.0  # m/s; slower driving is not used
 MIN_DRIVEN_WINDOWS = 5
 MIN_COHERENCE = 0.5  # cosine of the angle between successive displacements: 1 on a straight, 0 for a random walk
@@ -87,8 +87,8 @@ class Motion:
         edges = np.flatnonzero(np.diff(np.floor((time - time[0]) / length), prepend=-1.0))
         first, last = edges[:-1], edges[1:]
         gaps = np.concatenate(([0], np.cumsum(np.diff(time) > longest_gap)))
-        complete = (gaps[first] == gaps[last]) & (np.abs(time[last] - time[first] - length) < 0.5 * length)
-        first, last = first[complete], last[complete]
+        is_complete = (gaps[first] == gaps[last]) & (np.abs(time[last] - time[first] - length) < 0.5 * length)
+        first, last = first[is_complete], last[is_complete]
         return Windows(first, last, time)
 
     @property

@@ -25,7 +25,7 @@ MIN_ZERO_TIME = 0.2  # s; minimum duration of the value 0 as a sentinel
 SENTINEL_HOLD_RATIO = 3.0  # minimum number of samples of a sentinel 0, divided by the usual number of equal samples
 MAX_IMPLAUSIBLE_FRACTION = 0.5  # above it, the channel is unusable, and none of its samples is left out
 MIN_WRAP_RATIO = 0.3  # minimum wrap size divided by the largest plausible step; smaller wraps resemble real changes
-WRAP_SPREAD, WRAP_SYMMETRY = 0.1, 0.2  # fractions of the wrap size: tolerances of the step and of the sum of its ends
+WRAP_SPREAD, WRAP_SYMMETRY = 0.1, 0.2  # tolerances of step and sum of its end values, as fractions of the wrap size
 MAX_WRAPPED_FRACTION = 0.2  # fraction of wrapped samples above which the true range is uncertain
 MAX_NET_CHANGE = 0.5  # largest ratio of net change to sum of |steps| in noise; 1 for a turn in a wrong unit
 JUMP_RATIO = 30.0  # minimum ratio of a jump to the 90th percentile of all steps; below 15 in seventeen real drives
@@ -47,7 +47,7 @@ class ChannelLimits:
 CHANNEL_LIMITS: Mapping[str, ChannelLimits] = {
     "x": ChannelLimits("m", 5.0), "y": ChannelLimits("m", 5.0),  # 100 m/s for 50 ms
     "yaw": ChannelLimits("rad", 0.2),  # 4 rad/s for 50 ms
-    "velocity_x": ChannelLimits("m/s", 1.0, 120.0),  # 20 m/s^2 for 50 ms; nearly no road car is faster
+    "velocity_x": ChannelLimits("m/s", 1.0, 120.0),  # 20 m/s^2 for 50 ms; hardly any road car is faster
     "velocity_y": ChannelLimits("m/s", 1.0, 40.0),
     "yaw_rate": ChannelLimits("rad/s", 0.3, 5.0),  # 6 rad/s^2 for 50 ms, twice a step steer; spins reach 3 rad/s
     "acceleration_x": ChannelLimits("m/s^2", 15.0, 80.0),  # kerbs and potholes reach 10 m/s^2 in one sample
@@ -79,7 +79,7 @@ def drop_implausible(log: DriveLog, start_ns: int) -> tuple[DriveLog, list[Findi
     sample is left out of the steering only. If more than half of its samples are implausible, a channel is unchanged
     and its findings are errors. start_ns: zero of the times in the findings.
     """
-    bad: dict[str, np.ndarray] = {}  # mask of the implausible samples by channel
+    masks: dict[str, np.ndarray] = {}  # of the implausible samples, by channel
     findings: list[Finding] = []
     steering = "road_wheel_angle" if log.steering_wheel_angle is None else "steering_wheel_angle"
     for time_ns, names in ((log.ins_time_ns, (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS)),
@@ -87,20 +87,20 @@ def drop_implausible(log: DriveLog, start_ns: int) -> tuple[DriveLog, list[Findi
         seconds, moving = (time_ns - start_ns) * NANOSECOND, _detect_motion(log, time_ns)
         for name in names:
             if (values := getattr(log, name)) is not None:
-                bad[name], channel_findings = find_implausible_samples(name, seconds, values, moving)
+                masks[name], channel_findings = find_implausible_samples(name, seconds, values, moving)
                 findings += channel_findings
-    with_nan: dict[str, Any] = {name: np.where(bad[name], np.nan, getattr(log, name))
-                                for name in OPTIONAL_INS_SIGNALS if name in bad}
+    with_nan: dict[str, Any] = {name: np.where(masks[name], np.nan, getattr(log, name))
+                                for name in OPTIONAL_INS_SIGNALS if name in masks}
     log = replace(log, **with_nan)
-    bad_rows, bad_steering = np.any([bad[name] for name in INS_SIGNALS], axis=0), bad[steering]
-    if bad_rows.any() and not bad_rows.all():
-        usable = np.flatnonzero(~bad_rows)
+    faulty_rows, faulty_steering = np.any([masks[name] for name in INS_SIGNALS], axis=0), masks[steering]
+    if faulty_rows.any() and not faulty_rows.all():
+        usable = np.flatnonzero(~faulty_rows)
         # Unwrapping across an implausible sample may have added a full turn to yaw.
         turns = np.where(np.diff(usable) > 1, np.round(np.diff(log.yaw[usable]) / (2.0 * np.pi)), 0.0)
         log = log.select_ins(usable)
         log = replace(log, yaw=log.yaw - 2.0 * np.pi * np.concatenate(([0.0], np.cumsum(turns))))
-    if bad_steering.any() and not bad_steering.all():
-        log = replace(log, **{key: getattr(log, key)[~bad_steering] for key in ("steering_time_ns", *STEERING)
+    if faulty_steering.any() and not faulty_steering.all():
+        log = replace(log, **{key: getattr(log, key)[~faulty_steering] for key in ("steering_time_ns", *STEERING)
                               if getattr(log, key) is not None})
     return log, merge_findings(findings)
 
@@ -113,13 +113,13 @@ def find_implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
     where unknown; yaw unwrapped. moving: (n,) whether the car moves. The mask is all False if more than half of the
     finite samples would be left out.
     """
-    bad = np.zeros(len(values), bool)
+    left_out = np.zeros(len(values), bool)
     rows = np.flatnonzero(np.isfinite(values))
     if len(rows) < MIN_SAMPLES or np.count_nonzero(np.diff(values[rows])) < 2:
-        return bad, []
+        return left_out, []
     channel = _ChannelSamples(name, rows, time[rows], values[rows])
     samples_by_kind = {}
-    large = channel.step > channel.limit  # steps
+    large = channel.step > channel.limit  # mask of the steps
     implausible = np.zeros(len(channel.values), bool)
     for kind, samples in (("channel_wraps", _find_wraps(channel)),
                           ("sentinel_values", _find_sentinels(channel, large, moving[channel.rows])),
@@ -130,13 +130,13 @@ def find_implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
     is_unusable = bool(implausible.mean() > MAX_IMPLAUSIBLE_FRACTION)
     findings = [_make_finding(kind, channel, samples, is_unusable) for kind, samples in samples_by_kind.items()
                 if len(samples)]
-    bad[channel.rows[implausible]] = not is_unusable
+    left_out[channel.rows[implausible]] = not is_unusable
     if name not in ("x", "y") and len(jumps := _find_jumps(channel, large, implausible)):
         if name == "yaw":  # a yaw in degrees also steps where it wraps, so only a reversal of the heading is reported
             jumps = jumps[(np.abs(channel.step[jumps - 1] - np.pi) < MAX_REVERSAL_ERROR)
                           & moving[channel.rows[jumps]] & moving[channel.rows[jumps - 1]]]
         findings += [_make_finding("channel_jumps", channel, jumps, False)] if len(jumps) else []
-    return bad, findings
+    return left_out, findings
 
 
 def find_broken_channels(findings: Iterable[Finding]) -> set[str]:

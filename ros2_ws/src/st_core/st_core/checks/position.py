@@ -27,7 +27,7 @@ from ..regression import SIGMA_PER_MAD
 from .finding import HORIZON, LIMITS, WHEEL_SCALE_TOLERANCE, Advice, Comparison, Finding, Severity, neutral_value
 from .motion import (
     MAX_GAP,
-    MAX_LISTED,
+    MAX_LISTED_TIMES,
     MIN_MOVING_SPEED,
     Motion,
     find_groups,
@@ -46,7 +46,7 @@ ITERATIONS = 3
 MAX_RESIDUAL_LAG, MAX_RESIDUAL_LEAD = 0.5, 0.25
 MIN_LOSS_RATIO = 1.1  # ratio of the losses of two explanations above which the one with the smaller loss is preferred
 MIN_SIGN_GAIN = 0.01  # m; minimum reduction of the misfit by the opposite sign; RTK noise is 1 cm
-MAX_SIGN_MISFIT_RATIO = 1.2  # largest ratio of the misfits with opposite sign and with a different cause, if both fit
+MAX_SIGN_MISFIT_RATIO = 1.2  # ratio of the misfits with opposite sign and with another cause up to which both fit
 MIN_LATERAL_VELOCITY = 0.02  # m/s, root mean square
 SPHERICAL_EARTH_SCALE = 0.005  # largest scale error per axis of a projection on a spherical earth
 MIN_VELOCITY_BIAS = 0.05  # m/s; INS velocities are accurate to 0.03
@@ -69,8 +69,8 @@ RARE_EXPLANATIONS: Mapping[tuple[str, ...], set[str]] = {
     ("velocity_y_scale",): {"position_reference", "yaw_offset"},
     ("velocity_y_scale", "position_reference"): {"yaw_offset"},
 }
-MIN_REPORTED = {"s": LIMITS.lag, "m": LIMITS.ins_position, "m/s": MIN_VELOCITY_BIAS,
-                "velocity_y_scale": MIN_LATERAL_SCALE_ERROR}
+MIN_REPORTED_VALUES = {"s": LIMITS.lag, "m": LIMITS.ins_position, "m/s": MIN_VELOCITY_BIAS,
+                       "velocity_y_scale": MIN_LATERAL_SCALE_ERROR}
 """Smallest reported value of a cause, by its name or unit."""
 _LATERAL_SCALE = (("velocity_y_scale",), ("velocity_y_scale", "position_reference"))
 LATERAL_CAUSES = {"velocity_y_scale": (("position_reference", "yaw_offset"),), "position_reference": _LATERAL_SCALE,
@@ -149,7 +149,7 @@ def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Es
             return motion, [], {}
         effects = {name: problem.compute_effect(name, HORIZON_WINDOWS) for name in problem.columns}  # m per unit
         min_values = {name: max(LIMITS.min_reported_effect / max(effect, 1e-9),
-                                MIN_REPORTED.get(name, MIN_REPORTED.get(CAUSES[name].unit, 0.0)))
+                                MIN_REPORTED_VALUES.get(name, MIN_REPORTED_VALUES.get(CAUSES[name].unit, 0.0)))
                       for name, effect in effects.items()}
         refined = _refine_causes(problem, causes, min_values, has_varying_speed(motion.velocity_x))
         causes = {name: estimate for name, estimate in refined.items() if is_relevant(estimate, min_values[name])}
@@ -177,24 +177,24 @@ def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Es
 def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estimates: dict[str, Estimate],
                                  wheel: Estimate) -> tuple[Motion, list[Finding]]:
     """(motion, findings) with a scale error of the velocity attributed to the positions instead, if it is at least
-    WHEEL_SCALE_TOLERANCE and the wheel speed agrees with the recorded velocity. wheel: its ratio to that velocity."""
-    scale_error = next((finding for finding in findings if finding.name == "velocity_scale"), None)
-    if scale_error is None or not scale_error.value or abs(wheel.value - 1.0) > 0.5 * abs(scale_error.value - 1.0) or (
-            abs(scale_error.value - 1.0) < WHEEL_SCALE_TOLERANCE):
+    WHEEL_SCALE_TOLERANCE and the wheel speed agrees with the recorded velocity. wheel: wheel speed / velocity."""
+    velocity_scale = next((finding for finding in findings if finding.name == "velocity_scale"), None)
+    if velocity_scale is None or not velocity_scale.value or abs(wheel.value - 1.0) > 0.5 * abs(
+            velocity_scale.value - 1.0) or abs(velocity_scale.value - 1.0) < WHEEL_SCALE_TOLERANCE:
         return motion, findings
     scale = estimates["position_scale"]
     text = (f"x and y are {scale.value:.4f} ± {scale.half_width:.4f} times the integrated velocity, which agrees with "
             "the wheel speed: is the scale of the projection wrong?")
     advice = Advice.correct("position", scale=float(f"{1.0 / scale.value:.5g}"))
-    attributed = replace(scale_error, name="position_scale", channels=("x", "y"), text=text, value=scale.value,
+    attributed = replace(velocity_scale, name="position_scale", channels=("x", "y"), text=text, value=scale.value,
                          interval=scale.interval, advice=advice)
-    factor = {"scale": scale_error.value}
+    factor = {"scale": velocity_scale.value}
     return (motion.apply_entry({"correct": {"position": factor, "velocity": factor}}),
-            [attributed if finding is scale_error else finding for finding in findings])
+            [attributed if finding is velocity_scale else finding for finding in findings])
 
 
 def compute_scaled_misfit(motion: Motion) -> float:
-    """Median misfit of positions and velocity after one second [m], with fitted scales of x and y; inf if too short."""
+    """Median misfit of positions and velocity after one second [m], x and y scaled to fit; inf for a short drive."""
     problem = make_residual_regression(motion)
     return problem.fit(AXIS_SCALES)[1] if len(problem.time) >= MIN_WINDOWS else np.inf
 
@@ -208,10 +208,10 @@ def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> 
     if len(problem.time) < MIN_WINDOWS:
         return False
     causes = (*AXIS_SCALES, "position_lag", "velocity_lag", "velocity_x_lag")
-    (_, misfit, _), (after, misfit_after, _) = problem.fit(causes), corrected_problem.fit(causes)
-    before = problem.estimate(causes)["position_lag"]
+    (_, misfit, _), (remaining, misfit_after, _) = problem.fit(causes), corrected_problem.fit(causes)
+    recorded = problem.estimate(causes)["position_lag"]
     max_ratio = MAX_RESIDUAL_LAG if lag > 0.0 else MAX_RESIDUAL_LEAD
-    yaw_explains_lag = before.is_significant and abs(after["position_lag"]) < max_ratio * abs(before.value)
+    yaw_explains_lag = recorded.is_significant and abs(remaining["position_lag"]) < max_ratio * abs(recorded.value)
     return MIN_LOSS_RATIO**2 * misfit_after < misfit or (
         yaw_explains_lag and misfit_after < MIN_LOSS_RATIO * misfit)
 
@@ -243,7 +243,7 @@ def make_lateral_sign_finding() -> Finding:
 
 def merge_lateral_sign(sign: list[Finding], findings: list[Finding],
                        estimates: dict[str, Estimate]) -> list[Finding]:
-    """All findings, with only one if both sign and scale of velocity_y are significantly wrong.
+    """All findings; significant errors of both sign and scale of velocity_y become one finding.
 
     sign: of `check_lateral_sign`. findings, estimates: for the motion with the sign corrected; the estimate gets the
     sign of the recorded velocity_y.
@@ -262,33 +262,33 @@ def merge_lateral_sign(sign: list[Finding], findings: list[Finding],
 
 def _add_lateral_alternative(findings: list[Finding], problem: Regression,
                              causes: dict[str, Estimate]) -> list[Finding]:
-    """The findings, without the correction of causes that a scale of velocity_y explains equally well, or vice versa.
-    problem: regression for the motion corrected for the causes."""
-    found = [name for name in LATERAL_CAUSES if name in causes]
-    if not found or {*found} > {"velocity_y_scale"}:
+    """The findings; if a scale of velocity_y explains the residual as well as other causes do, the findings name both
+    and have no correction. problem: regression for the motion corrected for the causes."""
+    found_causes = [name for name in LATERAL_CAUSES if name in causes]
+    if not found_causes or {*found_causes} > {"velocity_y_scale"}:
         return findings
-    sizes = {name: causes[name].value for name in found}
-    if found[0] == "velocity_y_scale":  # the column has the corrected velocity_y
+    sizes = {name: causes[name].value for name in found_causes}
+    if found_causes[0] == "velocity_y_scale":  # the column was computed with the corrected velocity_y
         sizes = {name: value / (1.0 + value) for name, value in sizes.items()}
     recorded = Regression(problem.time, 2.0 * problem.y - problem.compute_residual(sizes), problem.columns)
-    explained = (*AXIS_SCALES, *found)
-    _, scale, _ = recorded.fit(explained)
-    limit = MIN_LOSS_RATIO * recorded.compute_loss(explained, scale)
-    losses = {names: recorded.compute_loss((*AXIS_SCALES, *names), scale) for names in LATERAL_CAUSES[found[0]]
-              if not {*found} <= {*names}}
-    others = min(losses, key=lambda names: MIN_LOSS_RATIO ** len(names) * losses[names])
-    if losses[others] > limit:
+    fitted_causes = (*AXIS_SCALES, *found_causes)
+    _, scale, _ = recorded.fit(fitted_causes)
+    limit = MIN_LOSS_RATIO * recorded.compute_loss(fitted_causes, scale)
+    losses = {names: recorded.compute_loss((*AXIS_SCALES, *names), scale) for names in LATERAL_CAUSES[found_causes[0]]
+              if not {*found_causes} <= {*names}}
+    other_causes = min(losses, key=lambda names: MIN_LOSS_RATIO ** len(names) * losses[names])
+    if losses[other_causes] > limit:
         return findings
     alternative = "the reference point of the positions and the yaw offset are wrong"
-    if "velocity_y_scale" in others:
-        values, _, _ = recorded.fit((*AXIS_SCALES, *others))
+    if "velocity_y_scale" in other_causes:
+        values, _, _ = recorded.fit((*AXIS_SCALES, *other_causes))
         factor = 1.0 / (1.0 + values["velocity_y_scale"])
         if is_near(factor, -1.0, LIMITS.unit_ratio):  # see `add_sign_alternative`
             return findings
         alternative = f"velocity_y is {factor:.2f} times its true value"
-        if "position_reference" in others:
+        if "position_reference" in other_causes:
             alternative += f" and positions refer to a point {values['position_reference']:+.2f} m ahead"
-    return [_add_alternative(finding, alternative) if finding.name in found else finding for finding in findings]
+    return [_add_alternative(finding, alternative) if finding.name in found_causes else finding for finding in findings]
 
 
 def _add_alternative(finding: Finding, alternative: str) -> Finding:
@@ -299,7 +299,7 @@ def _add_alternative(finding: Finding, alternative: str) -> Finding:
 
 
 def add_sign_alternative(findings: list[Finding], recorded: Motion, corrected: Motion) -> list[Finding]:
-    """The findings, without the correction of those that a wrong sign of velocity_y also explains, as on a circle."""
+    """The findings; those that a wrong sign of velocity_y also explains, as on a circle, lose their correction."""
     names = {"yaw_offset", "position_reference", "velocity_y_bias"}
     if not any(finding.name in names for finding in findings):
         return findings
@@ -370,13 +370,13 @@ def _find_causes(problem: Regression, candidates: list[str], min_values: dict[st
     if len(axes) == 2:
         x, y = (causes[name] for name in AXIS_SCALES)
         half_width = float(np.hypot(x.half_width, y.half_width))
-        is_velocity = abs(x.value - y.value) - half_width < SPHERICAL_EARTH_SCALE * abs(1.0 + y.value)
+        is_velocity_scale = abs(x.value - y.value) - half_width < SPHERICAL_EARTH_SCALE * abs(1.0 + y.value)
     else:
         _, scale, _ = problem.fit([*required, *causes])
         # On a drive along one axis, the motion along the other axis decides between both explanations.
-        is_velocity = (problem.compute_loss([*required, *others, "velocity_scale"], scale)
+        is_velocity_scale = (problem.compute_loss([*required, *others, "velocity_scale"], scale)
                        <= MIN_LOSS_RATIO * problem.compute_loss([*required, *causes], scale))
-    return (*others, "velocity_scale") if is_velocity else tuple(causes)
+    return (*others, "velocity_scale") if is_velocity_scale else tuple(causes)
 
 
 def _make_finding(name: str, estimate: Estimate, effect: float) -> Finding:
@@ -408,17 +408,17 @@ def _convert_to_reported(name: str, cause: Estimate) -> Estimate:
 
 def _correct_causes(motion: Motion, causes: dict[str, Estimate]) -> Motion:
     """The motion corrected for these causes."""
-    value = {name: causes[name].value if name in causes else 0.0 for name in CAUSES}
-    ahead, scale = value["position_reference"], 1.0 + value["velocity_scale"]
-    lateral_scale = scale * (1.0 + value["velocity_y_scale"])
-    y = motion.y / (1.0 + value["y_scale"])
-    x = motion.x / (1.0 + value["x_scale"]) - value["map_shear"] * y
+    values = {name: causes[name].value if name in causes else 0.0 for name in CAUSES}
+    ahead, scale = values["position_reference"], 1.0 + values["velocity_scale"]
+    lateral_scale = scale * (1.0 + values["velocity_y_scale"])
+    y = motion.y / (1.0 + values["y_scale"])
+    x = motion.x / (1.0 + values["x_scale"]) - values["map_shear"] * y
     motion = replace(motion, x=x - ahead * np.cos(motion.yaw), y=y - ahead * np.sin(motion.yaw),
-                     yaw=motion.yaw - value["yaw_offset"],
-                     velocity_x=motion.velocity_x * scale - value["velocity_x_bias"],
-                     velocity_y=motion.velocity_y * lateral_scale - value["velocity_y_bias"])
+                     yaw=motion.yaw - values["yaw_offset"],
+                     velocity_x=motion.velocity_x * scale - values["velocity_x_bias"],
+                     velocity_y=motion.velocity_y * lateral_scale - values["velocity_y_bias"])
     for cause in {"position_lag", "velocity_lag", "velocity_x_lag"} & causes.keys():
-        motion = motion.shifted_earlier(value[cause], *CAUSES[cause].channels)
+        motion = motion.shifted_earlier(values[cause], *CAUSES[cause].channels)
     return motion
 
 
@@ -504,10 +504,10 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
             np.abs(errors[large])):
         return no_steps, []
     age = float(np.median(np.abs(step[large])))
-    similar = SIGMA_PER_MAD * float(np.median(np.abs(np.abs(step[large]) - age))) < MAX_AGE_SPREAD * age
+    ages_are_similar = SIGMA_PER_MAD * float(np.median(np.abs(np.abs(step[large]) - age))) < MAX_AGE_SPREAD * age
     back, forward = known & (step < -MIN_AGE_RATIO * age), known & (step > MIN_AGE_RATIO * age)
-    balanced = MIN_STEP_BALANCE < forward.sum() / max(back.sum(), 1) < 1.0 / MIN_STEP_BALANCE
-    if not similar or not balanced or age > MAX_AGE * spacing or (
+    steps_are_balanced = MIN_STEP_BALANCE < forward.sum() / max(back.sum(), 1) < 1.0 / MIN_STEP_BALANCE
+    if not ages_are_similar or not steps_are_balanced or age > MAX_AGE * spacing or (
             float(np.median(np.abs(errors[large]))) < 3.0 * rounding):
         return no_steps, []
     fraction = float(back.sum() / known.sum())
@@ -519,7 +519,7 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
     severity = Severity.WARNING if fraction > STALE_WARNING_FRACTION else Severity.NOTE
     is_stale = ((back | forward) & (np.abs(step) < MAX_AGE_RATIO * age)
                 & (across < MAX_CROSS_TRACK_FRACTION * np.abs(errors)))
-    times = find_time_intervals(motion.time[1:][back], 5.0)[:MAX_LISTED]
+    times = find_time_intervals(motion.time[1:][back], 5.0)[:MAX_LISTED_TIMES]
     return is_stale, [Finding(
         "position_stale", severity, ("x", "y"), text, fraction, "1", interval, times,
         age * float(np.median(speed[known])),

@@ -10,11 +10,11 @@ from ..prediction import PredictionSettings
 from ..regression import white_noise
 from ..timeseries import NANOSECOND
 from .finding import HORIZON, LIMITS, Advice, AuxiliaryData, Finding, InsQuality, Sampling, Severity, merge_findings
-from .motion import MAX_GAP, MAX_LISTED, Motion, find_groups, find_spans, find_time_intervals
+from .motion import MAX_GAP, MAX_LISTED_TIMES, Motion, find_groups, find_spans, find_time_intervals
 
 UNITS = {"x": "m", "y": "m", "yaw": "rad", "velocity_x": "m/s", "velocity_y": "m/s", "yaw_rate": "rad/s",
          "acceleration_x": "m/s^2", "acceleration_y": "m/s^2", "road_wheel_angle": "rad"}
-STAMPED_CHANNELS = {"INS": ("time",), "steering": ("road_wheel_angle",)}  # channels that wrong stamps affect
+STAMPED_CHANNELS = {"INS": ("time",), "steering": ("road_wheel_angle",)}  # channels affected by wrong stamps
 MIN_HELD_FRACTION = 0.7  # minimum fraction of the samples in sequences of equal values of the usual length
 MIN_HELD_RATE = 15.0  # Hz; at 15 m/s, positions held at this rate lag by up to 1 m, and by 0.5 m on average
 PREDICTION_GAP = PredictionSettings().maximum_gap
@@ -76,9 +76,9 @@ def estimate_resolution(time: np.ndarray, values: np.ndarray) -> float:
     # Uniform motion without noise also has equal steps, but rounded values repeat or step by different multiples.
     if all_change and float(np.ptp(multiples)) < 0.5:
         return 0.0
-    grid = np.abs(multiples - np.round(multiples)) < 0.1
+    is_on_grid = np.abs(multiples - np.round(multiples)) < 0.1
     small = multiples < 4.5  # larger multiples fit any grid
-    return smallest if small.sum() >= 10 and grid[small].mean() > 0.95 else 0.0
+    return smallest if small.sum() >= 10 and is_on_grid[small].mean() > 0.95 else 0.0
 
 
 def check_timing(motion: Motion, auxiliary: AuxiliaryData, excluded: Sequence[Finding], start_ns: int) -> list[Finding]:
@@ -148,7 +148,7 @@ def _check_stamps(signal: str, stamps: np.ndarray, start_ns: int) -> list[Findin
         count, fraction = int(lost.sum()), float(lost.sum()) / len(stamps)
         largest = -float(step.min()) * NANOSECOND
         was_reset = name == "time_order" and largest > MAX_GAP
-        times = tuple((float(t), float(t)) for t in (newest[faulty] - start_ns)[:MAX_LISTED] * NANOSECOND)
+        times = tuple((float(t), float(t)) for t in (newest[faulty] - start_ns)[:MAX_LISTED_TIMES] * NANOSECOND)
         if was_reset:
             text = (f"the stamps of the {signal} go back {int(faulty.sum())} time{'s' if faulty.sum() > 1 else ''}, by "
                     f"up to {largest:.4g} s: {count} of {len(stamps)} rows ({100 * fraction:.3g} %) are not used")
@@ -340,7 +340,7 @@ RELATED_QUANTITIES: Mapping[str, tuple[Callable[[Motion], np.ndarray], float]] =
     "yaw_rate": (lambda m: _compute_mean_rate(m.time, m.yaw), 0.05),
     "road_wheel_angle": (lambda m: m.yaw_rate, 0.05),
 }
-CHANNELS_WITH_SAME_UNIT = ("velocity_x", "acceleration_x", "acceleration_y", "yaw_rate")  # as the related quantity
+CHANNELS_WITH_SAME_UNIT = ("velocity_x", "acceleration_x", "acceleration_y", "yaw_rate")  # as their related quantity
 
 
 def drop_frozen_samples(motion: Motion, findings: Sequence[Finding]) -> Motion:
@@ -364,26 +364,26 @@ def check_quality(quality: InsQuality | None, start_ns: int) -> list[Finding]:
     time = (quality.time_ns - start_ns) * NANOSECOND
 
     def list_times(mask: np.ndarray) -> tuple[tuple[float, float], ...]:
-        return tuple((float(time[first]), float(time[last])) for first, last in find_spans(mask)[:MAX_LISTED])
+        return tuple((float(time[first]), float(time[last])) for first, last in find_spans(mask)[:MAX_LISTED_TIMES])
 
     findings = []
     mode, status = quality.position_mode, quality.navigation_status
     without_rtk = np.isfinite(mode) & (mode >= 0) & ~np.isin(mode, RTK_MODES)
     not_locked = np.isfinite(status) & (status != LOCKED_STATUS)
-    for bad, condition in ((without_rtk, "without RTK"), (not_locked, "not locked")):
-        if not bad.any():
+    for rows, condition in ((without_rtk, "without RTK"), (not_locked, "not locked")):
+        if not rows.any():
             continue
-        fraction = float(bad.mean())
-        text = f"the INS is {condition} for {100 * fraction:.0f} % of the time, in which its positions drift"
+        fraction = float(rows.mean())
+        text = f"the INS is {condition} for {100 * fraction:.0f} % of the time, during which its positions drift"
         severity = Severity.WARNING if fraction > LIMITS.max_note_fraction else Severity.NOTE
-        findings.append(Finding("ins_mode", severity, ("ins",), text, fraction, times=list_times(bad), advice=Advice(
+        findings.append(Finding("ins_mode", severity, ("ins",), text, fraction, times=list_times(rows), advice=Advice(
             "look", "leave out these intervals, or post-process the raw data of the INS")))
     accuracy = quality.position_accuracy
     known = np.isfinite(accuracy)
-    typical = float(np.median(accuracy[known])) if known.any() else 0.0
-    if typical >= LIMITS.warning_effect:
-        text = f"the median standard deviation of position reported by the INS is {typical:.2f} m"
-        findings.append(Finding("ins_accuracy", LIMITS.severity(typical), ("ins",), text, typical, "m",
-                                times=list_times(known & (accuracy >= LIMITS.warning_effect)), effect=typical,
+    median = float(np.median(accuracy[known])) if known.any() else 0.0
+    if median >= LIMITS.warning_effect:
+        text = f"the median standard deviation of position reported by the INS is {median:.2f} m"
+        findings.append(Finding("ins_accuracy", LIMITS.severity(median), ("ins",), text, median, "m",
+                                times=list_times(known & (accuracy >= LIMITS.warning_effect)), effect=median,
                                 advice=Advice("look", "record with RTK, or post-process the raw data of the INS")))
     return findings

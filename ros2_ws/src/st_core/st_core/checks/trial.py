@@ -1,8 +1,8 @@
-"""Trial of corrections: those of errors are applied to the run, and are proposed unless predictions become worse.
+"""Trial of corrections: each is applied to the run, and is proposed unless the predictions become worse.
 
 The prediction error is the distance between measured position and prediction by the linear single-track model, both
 from the corrected drive, HORIZON after starts that are HORIZON apart. A wrong steering ratio or offset in the vehicle
-file would favour corrections that compensate it, so an error of both is fitted with each trial, gain g [1] and
+file would favour corrections that compensate it. Each trial therefore also fits errors of both, gain g [1] and
 offset o [rad]:
 
     e = e_0 + (de/dg) g + (de/do) o,    least squares within |g| <= MAX_GAIN, |o| <= MAX_OFFSET
@@ -49,12 +49,12 @@ Run = tuple[DriveLog, VehicleParameters]
 def try_corrections(findings: list[Finding], log: DriveLog, vehicle: VehicleParameters) -> list[Finding]:
     """The findings with the prediction error [m] before and after their correction; harmful corrections are removed.
 
-    The corrections of all errors are applied together, since one wrong unit may mask another, and then the correction
-    of each warning separately, unless those of the errors fail or are harmful. A warning with a harmful correction
+    The corrections of all errors are applied together, since one wrong unit may mask another. If they do not fail and
+    are not harmful, the correction of each warning is then tried separately. A warning with a harmful correction
     becomes a note. Corrections that affect no prediction are not tried.
     """
-    tested = [finding for finding in findings if _is_tested(finding)]
-    if not tested:
+    tried_findings = [finding for finding in findings if _is_tried(finding)]
+    if not tried_findings:
         return findings
     errors = [finding for finding in findings if finding.severity is Severity.ERROR]
     run: Run = (log, vehicle)
@@ -66,18 +66,18 @@ def try_corrections(findings: list[Finding], log: DriveLog, vehicle: VehiclePara
         for finding in errors:
             corrected = _apply_advice(corrected, finding.advice) if corrected else None
         after = _compute_prediction_error(corrected)
-        outcomes |= {id(finding): _add_outcome(finding, before, after) for finding in errors if _is_tested(finding)}
+        outcomes |= {id(finding): _add_outcome(finding, before, after) for finding in errors if _is_tried(finding)}
         harmful = after is None or (before is not None and _is_worse(before, after))
         if corrected is not None and not harmful:
             run, before = corrected, after
-    for finding in tested:
+    for finding in tried_findings:
         if finding.severity is Severity.WARNING and not harmful:
             after = _compute_prediction_error(_apply_advice(run, finding.advice))
             outcomes[id(finding)] = _add_outcome(finding, before, after)
     return [outcomes.get(id(finding), finding) for finding in findings]
 
 
-def _is_tested(finding: Finding) -> bool:
+def _is_tried(finding: Finding) -> bool:
     return (finding.severity is not Severity.NOTE and finding.advice is not None and bool(finding.advice.entry)
             and not finding.concerns_only_acceleration and "leave_out" not in finding.advice.entry)
 
@@ -98,7 +98,7 @@ def _is_worse(before: float, after: float) -> bool:
 
 
 def _compute_prediction_error(run: Run | None) -> float | None:
-    """Root mean square of the prediction error in the module docstring [m]; None if nothing can be predicted."""
+    """RMS prediction error [m], defined in the module docstring; None if nothing can be predicted."""
     if run is None:
         return None
     log, vehicle = run
@@ -110,18 +110,18 @@ def _compute_prediction_error(run: Run | None) -> float | None:
     step = default.step / min(required_substeps("linear", vehicle, speeds, default.step), MAX_TRIAL_SUBSTEPS)
     settings = EvaluationSettings(prediction=replace(default, step=step))
     try:
-        base, gain, offset = (
+        nominal, with_gain, with_offset = (
             evaluate_log(("linear",), vehicle, replace(log, road_wheel_angle=changed), settings, starts)
             .errors["linear", "hindsight"].at_seconds[:, -1, :2]
             for changed in (angle, (1.0 + GAIN_STEP) * angle, angle + OFFSET_STEP))
     except StCoreError:
         return None
-    known = np.isfinite(base + gain + offset).all(axis=1)
+    known = np.isfinite(nominal + with_gain + with_offset).all(axis=1)
     if known.sum() < MIN_STARTS:
         return None
-    error = base[known].ravel()
-    slopes = np.stack([(gain[known].ravel() - error) / GAIN_STEP,
-                       (offset[known].ravel() - error) / OFFSET_STEP], axis=1)
+    error = nominal[known].ravel()
+    slopes = np.stack([(with_gain[known].ravel() - error) / GAIN_STEP,
+                       (with_offset[known].ravel() - error) / OFFSET_STEP], axis=1)
     bounds = np.array([MAX_GAIN, MAX_OFFSET])
     residual = lsq_linear(slopes, error, (-bounds, bounds)).fun
     return float(np.sqrt(2.0 * np.mean(residual**2)))
@@ -152,7 +152,7 @@ def _apply_advice(run: Run, advice: Advice | None) -> Run | None:
 
 def check_step_length(models: Sequence[str | Model], vehicle: VehicleParameters, log: DriveLog,
                       step: float) -> Finding | None:
-    """Finding of integration steps that are too long for any of the models; None if the step [s] is short enough.
+    """Finding of integration steps that are too long for at least one model; None if the step [s] is short enough.
 
     The value of the finding is the minimum_slip_speed [m/s] that makes the step stable, else the longest stable step
     [s], else None. For a small car, no speed above the median is proposed: that would soften the tyres throughout.

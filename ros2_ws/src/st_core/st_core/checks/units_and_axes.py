@@ -26,7 +26,7 @@ MAX_MAP_MISFIT = 0.1  # largest ratio of the misfit in map axes to the distance,
 UNIT_TOLERANCE = 1.06  # factor by which a ratio may differ from that of its unit
 COURSE_TOLERANCE = 1.2  # the same for a ratio to the course, whose change in one short bend is inaccurate by 10 %
 MIN_YAW_OFFSET = 0.35  # rad; smaller angles are sideslip, or an offset that `position` estimates
-MAX_SCALE_ERROR = 0.005  # largest relative scale error of a sound gyroscope or projection
+MAX_SCALE_ERROR = 0.005  # largest relative scale error of a gyroscope or projection without a fault
 MIN_RATE_ERROR = 0.005  # smallest reported relative error of the sampling rate; a crystal is accurate to 0.0001
 CLEAR_MISFIT_RATIO = 0.8  # ratio of two misfits below which the smaller one is clearly better
 TIE_MISFIT_RATIO = 0.97  # ratio of two misfits above which velocity_y is too small to determine its own unit
@@ -181,12 +181,12 @@ def _scale_yaw(motion: Motion, ratio: float) -> tuple[Motion, Finding]:
 
 
 def _estimate_yaw_scale(motion: Motion, ratio: float) -> Estimate:
-    """Scale of yaw, near `ratio`: the direction of travel less that of the body velocities is the true yaw."""
-    near = replace(motion, yaw=motion.yaw / ratio)
-    near = replace(near, yaw=_remove_wraps(near))
-    windows = near.make_windows(1.0)
-    measured, derived = _compute_displacements(near, near.velocity_map)
-    product, yaw = measured * np.conj(derived), windows.mean(near.yaw)
+    """Scale of yaw, near `ratio`; the true yaw is the direction of travel minus the sideslip angle."""
+    rescaled = replace(motion, yaw=motion.yaw / ratio)
+    rescaled = replace(rescaled, yaw=_remove_wraps(rescaled))
+    windows = rescaled.make_windows(1.0)
+    measured, derived = _compute_displacements(rescaled, rescaled.velocity_map)
+    product, yaw = measured * np.conj(derived), windows.mean(rescaled.yaw)
     error, weight = np.angle(product * np.conj(product.sum())), np.sqrt(np.abs(product))  # rad, m
     problem = Regression(windows.time, (weight * error)[:, None], {
         "scale": (weight * (yaw - yaw.mean()))[:, None], "offset": weight[:, None]})

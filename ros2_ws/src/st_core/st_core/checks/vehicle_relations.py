@@ -21,7 +21,7 @@ from ..tyres import GRAVITY
 from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
 from .finding import HORIZON, LIMITS, SYSTEMATIC_UNCERTAINTY, Advice, Comparison, Finding, Severity
 from .inertial import MAX_LAG, MIN_COMMON_TIME, NO_BIAS, Agreement, CheckResult, compare_series, format_alternative_lags
-from .motion import MAX_LISTED, MIN_MOVING_SPEED, Motion, correlate, has_varying_speed
+from .motion import MAX_LISTED_TIMES, MIN_MOVING_SPEED, Motion, correlate, has_varying_speed
 from .position import make_lateral_sign_finding
 from .regression import Estimate, Regression, add_systematic_uncertainty
 from .units_and_axes import DEG_PER_RAD
@@ -30,10 +30,10 @@ CUTOFF = 1.5  # Hz
 MIN_SPEED, MAX_LATERAL_ACCELERATION = 2.0, 4.0  # m/s, m/s^2; range of linear rear slip
 WINDOW, STANDSTILL_WINDOW = 0.5, 2.0  # s
 MIN_REAR_AXLE_WINDOWS = 30
-SLIP_RANGE = 0.5, 1.5  # range of the rear slip, as a fraction of that of the vehicle file
+SLIP_RANGE = 0.5, 1.5  # plausible rear slip, as a fraction of that of the vehicle file
 MAX_COSINE = 0.9  # cosine similarity of speed and yaw rate; 1 on a circle, where heading and point are confounded
-MIN_STEERING_ANGLE = 0.01  # rad; minimum root mean square that determines the steering gain
-MIN_ANGLE_FOR_SIGN = 0.003  # rad; minimum root mean square; fast wide bends determine only the sign of the gain
+MIN_STEERING_ANGLE = 0.01  # rad; minimum root mean square of the angles for an estimate of the steering gain
+MIN_ANGLE_FOR_SIGN = 0.003  # rad; the same for the sign of the gain, which fast wide bends also determine
 MAX_OPPOSITE_CORRELATION = -0.8  # correlation of steering and curvature below which the steering has the opposite sign
 MIN_UNRELATED_SPREAD = 0.01  # rad at the road wheels; minimum standard deviation of measured and derived steering
 MIN_GAIN = 1e-6  # ratio of measured to derived angle below which the steering is constant and reported as frozen
@@ -56,9 +56,9 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
     largest = max(expected, MAX_UNDERSTEER / DEG_PER_RAD / (vehicle.wheelbase * GRAVITY))
     understeer = 1.0 + expected * mean_square, 1.0 + largest * mean_square
     if agreement is None or not agreement.correlates:
-        cause = _make_unrelated_finding(motion, derived) or (
+        steering_finding = _make_unrelated_finding(motion, derived) or (
             gain and _make_unit_finding(gain, understeer, vehicle, has_steering_wheel))
-        return [cause] if cause else [], {}, None
+        return [steering_finding] if steering_finding else [], {}, None
     # In one long bend, gain and offset are confounded.
     if gain is not None and (agreement.scale.standard_error > 0.2 * abs(agreement.scale.value)
                              or abs(float(agreement.derived.mean())) > agreement.spread):
@@ -106,8 +106,8 @@ def _estimate_steering_gain(motion: Motion, derived: np.ndarray) -> Estimate | N
     angle = motion.steering_at_ins()
     known = np.flatnonzero(np.isfinite(derived) & np.isfinite(angle))[::10]
     rms = float(np.sqrt(np.mean(derived[known] ** 2))) if len(known) >= 50 else 0.0
-    shows_sign = rms > MIN_ANGLE_FOR_SIGN and correlate(derived[known], angle[known]) < MAX_OPPOSITE_CORRELATION
-    if rms < MIN_STEERING_ANGLE and not shows_sign:
+    determines_sign = rms > MIN_ANGLE_FOR_SIGN and correlate(derived[known], angle[known]) < MAX_OPPOSITE_CORRELATION
+    if rms < MIN_STEERING_ANGLE and not determines_sign:
         return None
     problem = Regression(motion.time[known], angle[known, None], {"scale": derived[known, None]})
     return problem.estimate(("scale",))["scale"]
@@ -179,14 +179,14 @@ def _make_unit_finding(gain: Estimate, understeer: tuple[float, float], vehicle:
 
 
 def _compute_response_change(motion: Motion, vehicle: VehicleParameters) -> float:
-    """Difference of the response time [s] at the median speeds of both halves of the drive."""
+    """Difference of the response time [s] between the median speeds of both halves of the drive."""
     first, second = (compute_response_time(vehicle, max(float(np.median(speed)), MIN_SPEED))
                      for speed in np.array_split(motion.velocity_x, 2))
     return abs(second - first)
 
 
 def _make_clock_finding(agreement: Agreement, response_change: float, lateral_shift: float) -> Finding | None:
-    """Finding of a steering whose lag changes during the drive by LIMITS.steering_lag or more; None if it does not.
+    """Finding of a steering lag that changes during the drive by LIMITS.steering_lag or more; None if it does not.
     response_change: see `_compute_response_change`. lateral_shift: see `_compute_lateral_shift`."""
     change = add_systematic_uncertainty("steering_lag", agreement.drift.scaled(float(np.ptp(agreement.time))))  # s
     change = change.widened(response_change)
@@ -273,9 +273,9 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
                 "at an angle, or the road is banked")
         advice = Advice.correct("heading", add=float(f"{-heading.value:.4g}"))
         findings = [_make_finding("heading_misaligned", ("yaw", "velocity_y"), text, heading, "rad", effect, advice)]
-    point_or_sign = (make_lateral_sign_finding() if is_mirrored else
+    point_finding = (make_lateral_sign_finding() if is_mirrored else
                      _make_point_finding(point, estimates["slip"], motion, vehicle))
-    findings += [point_or_sign] if point_or_sign else []
+    findings += [point_finding] if point_finding else []
     axle_motion = sum(estimates[name].value * problem.columns[name][:, 0] for name in ("slip", "roll"))
     panel = Comparison("velocity_y", "lateral velocity: measured versus derived from the rear axle", "m/s",
                        "velocity_y", "from yaw rate and the INS position in the file", windows.time[usable], lateral,
@@ -345,7 +345,7 @@ def check_tyre_limit(motion: Motion) -> list[Finding]:
     largest = float(np.abs(lateral).max())
     text = (f"speed times yaw rate reaches {largest:.0f} m/s^2, but tyres reach about 10 m/s^2: speed or yaw rate is "
             "wrong")
-    times = tuple((float(t), float(t) + WINDOW) for t in windows.time[impossible][:MAX_LISTED])
+    times = tuple((float(t), float(t) + WINDOW) for t in windows.time[impossible][:MAX_LISTED_TIMES])
     return [Finding("lateral_acceleration_impossible", Severity.ERROR, ("velocity_x", "yaw_rate"), text, largest,
                     "m/s^2", times=times, advice=Advice("look", "check speed and yaw rate at these times"))]
 
@@ -362,7 +362,7 @@ def check_standstill(motion: Motion) -> list[Finding]:
         value = float(np.median(means)) if len(means) >= 2 else 0.0
         if abs(value) >= minimum:
             text = f"{name} is {value:.3g} {unit} while position and yaw are constant"
-            times = tuple((float(t), float(t) + STANDSTILL_WINDOW) for t in windows.time[standstill][:MAX_LISTED])
+            times = tuple((float(t), float(t) + STANDSTILL_WINDOW) for t in windows.time[standstill][:MAX_LISTED_TIMES])
             findings.append(Finding("standstill_motion", Severity.WARNING, (name,), text, value, unit, times=times,
                                     advice=Advice("look", f"check the bias of {name}")))
     return findings

@@ -32,8 +32,8 @@ DRAWS = 100  # number of random draws of the fitted values, for 90 % and 95 % in
 MAX_SLIP = 0.35  # rad, above the slip of peak force of every road tyre
 MIN_SAMPLES = 100  # runs with fewer samples of slip and force are left out of the comparison with the vehicle file
 MIN_FORCE_CHANGE = 0.01  # relative; an effect that changes the force by less does not count as acting on the axle
-SMALL_SLIP = 0.005  # rad, where the cornering stiffness of an axle is evaluated
-GAIN_SPEED = 20.0  # m/s, where the steady-state yaw gain is evaluated
+SMALL_SLIP = 0.005  # rad, slip angle at which the cornering stiffness of an axle is evaluated
+GAIN_SPEED = 20.0  # m/s, speed at which the steady-state yaw gain is evaluated
 
 
 class Axles:
@@ -81,12 +81,12 @@ class Axles:
 
     def combinations(self, base: AugmentedModel) -> tuple[Combination, ...]:
         """`COMBINATIONS` of vehicle parameters, with 95 % intervals."""
-        value, file = _combination_values(self.model, self.vehicle), _combination_values(base, self.vehicle)
-        draws = np.array([_combination_values(model, self.vehicle) for model in self.draws] or [value])
+        values, file_values = _combination_values(self.model, self.vehicle), _combination_values(base, self.vehicle)
+        draws = np.array([_combination_values(model, self.vehicle) for model in self.draws] or [values])
         low, high = np.quantile(draws, (0.025, 0.975), axis=0)
-        low, high = np.minimum(low, value).tolist(), np.maximum(high, value).tolist()
+        low, high = np.minimum(low, values).tolist(), np.maximum(high, values).tolist()
         effects = {name: tuple(e.name for e in EFFECTS.values() if name in e.combinations) for name in COMBINATIONS}
-        return tuple(Combination(name, unit, float(value[i]), (low[i], high[i]), float(file[i]), effects[name])
+        return tuple(Combination(name, unit, float(values[i]), (low[i], high[i]), float(file_values[i]), effects[name])
                      for i, (name, unit) in enumerate(COMBINATIONS.items()))
 
     def compute_force_ratios(self) -> dict[str, float]:
@@ -114,7 +114,7 @@ class Axles:
                                  leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> tuple[str, ...]:
         """Axles with measured forces that agree less with the model than with the vehicle file; none if sideslip is not
         measured or excitation is low. leave_one_out: see `Discovery`."""
-        space, contradicting = self.problem.space, []
+        space, contradicting_axles = self.problem.space, []
         base = base.with_values({name: space.values(name, self.fit.vector) for name in space.payloads})
         for regression in self.regressions if self.has_sideslip else ():
             if not regression.usable:
@@ -126,11 +126,11 @@ class Axles:
                     continue
                 samples = replace(regression.samples, **{name: getattr(regression.samples, name)[in_run]
                                                          for name in ("slip", "force", "run_index", "time", "used")})
-                held_out = self.model.with_values(leave_one_out.get(run.name, {}))
-                square_errors += [compute_force_error(m, self.vehicle, samples) ** 2 for m in (held_out, base)]
+                held_out_model = self.model.with_values(leave_one_out.get(run.name, {}))
+                square_errors += [compute_force_error(m, self.vehicle, samples) ** 2 for m in (held_out_model, base)]
             if square_errors[0] > square_errors[1]:
-                contradicting.append(regression.axle)
-        return tuple(contradicting)
+                contradicting_axles.append(regression.axle)
+        return tuple(contradicting_axles)
 
 
 def _combination_values(model: AugmentedModel, vehicle: VehicleParameters) -> np.ndarray:

@@ -22,7 +22,7 @@ class Rival:
     """An effect that could replace the effect `replaces` in the model. share [1]: ratio of its gain to the gain of the
     replaced effect. p_no_worse [1]: p-value of the hypothesis that it is as good. deficit [1]: gain of the replaced
     effect minus gain of the rival, per residual. evidence, values: of the rival in place of the replaced effect.
-    shared: both are in the model and the rival explains a part of the replaced effect; `evidence` is for the latter.
+    shared: both are in the model and the rival explains a part of the replaced effect, which `evidence` then describes.
     added [1]: gain of the rival in addition to the replaced effect, divided by the gain of that effect."""
 
     name: str
@@ -37,10 +37,9 @@ class Rival:
 
 
 def judge(e: Evidence, limits: Limits) -> Reason:
-    """The verdict on one effect in a set; the same for adding, keeping and exchanging it."""
+    """Verdict on one effect of a set, by the same criteria for adding, keeping and exchanging it."""
     if not is_confirmed(e, limits):
-        rejection = _reject_insignificant(e, limits)
-        if rejection:
+        if rejection := _reject_insignificant(e, limits):
             return rejection
     elif not is_relevant(e, limits):
         return Reason(IRRELEVANT, e.name, _relevance_values(e, limits), "redundant sensors confirm it, but it "
@@ -68,7 +67,7 @@ def judge(e: Evidence, limits: Limits) -> Reason:
 
 
 def judge_correction(e: Evidence, limits: Limits) -> Reason:
-    """The verdict on one effect as an effective correction: it must improve predictions in all parts of the drives, but
+    """Verdict on one effect as an effective correction: it must improve predictions in all parts of the drives, but
     need not be a property of the car."""
     return _reject_insignificant(e, limits) or _reject_varying(e, limits) or Reason(
         ACCEPTED, e.name, {"gain": e.gain, "p_value": e.p_value}, f"it reduces the errors by {e.share:.1%}")
@@ -101,10 +100,10 @@ def _reject_insignificant(e: Evidence, limits: Limits) -> Reason | None:
     if e.p_value > limits.false_alarm:
         return Reason(GAIN_INSIGNIFICANT, e.name, {"p_value": e.p_value, "false_alarm": limits.false_alarm},
                       f"it is not significant: p = {e.p_value:.2g}, corrected for the number of effects tested")
-    if e.gain < e.healthy_gain:
-        return Reason(GAIN_INSIGNIFICANT, e.name, {"gain": e.gain, "healthy_gain": e.healthy_gain},
+    if e.gain < e.gain_between_runs:
+        return Reason(GAIN_INSIGNIFICANT, e.name, {"gain": e.gain, "healthy_gain": e.gain_between_runs},
                       f"it reduces the errors by {e.share:.1%}; differences between drives of the healthy "
-                      f"car alone give a reduction of {relative_reduction(e.healthy_gain):.1%}")
+                      f"car alone give a reduction of {relative_reduction(e.gain_between_runs):.1%}")
     if e.null_p_value > limits.undecided_p:
         return Reason(NULL, e.name, {"null_p_value": e.null_p_value, "undecided_p": limits.undecided_p},
                       f"its values do not differ significantly from their null values: p = {e.null_p_value:.2g}")
@@ -154,13 +153,13 @@ def judge_naming(e: Evidence, limits: Limits, excludes_null: bool = True, parame
     """Verdict on whether an accepted effect is named, or only stays in the model to avoid a bias of the other values.
 
     excludes_null: whether an interval excludes the null. parameter_at_bound: parameter with an interval that crosses
-    its bound, or "". peak_force_share [1]: force reached in the drives divided by the peak force, larger of both axles;
+    its bound, or "". peak_force_share [1]: force reached in the drives divided by the peak force, max of both axles;
     1 if the effect does not act on the peak. worse_axle: an axle on which the effect acts and where the measured forces
     agree better with the vehicle file than with the final model, or "". summands: other effects of the model, of which
     only the sum with this effect is identifiable. violation: range that the car with this effect would violate (see
     `handling.find_implausible_values`), or "".
     """
-    def minor(text: str, **figures: float) -> Reason:
+    def demote(text: str, **figures: float) -> Reason:
         return Reason(MINOR, e.name, figures or {"gain": e.gain}, f"{text}: it stays in the model, but is not named")
 
     confirmed_by_sensors = is_confirmed(e, limits)
@@ -171,30 +170,30 @@ def judge_naming(e: Evidence, limits: Limits, excludes_null: bool = True, parame
         return Reason(IMPLAUSIBLE, e.name, {"gain": e.gain}, f"with it the car is implausible: {violation}; "
                       "it improves predictions, but is not named")
     if summands:
-        return minor(f"only its sum with {' and '.join(summands).replace('_', ' ')} is identifiable")
+        return demote(f"only its sum with {' and '.join(summands).replace('_', ' ')} is identifiable")
     if parameter_at_bound:
-        return minor(f"the interval of its {parameter_at_bound.replace('_', ' ')} extends beyond the physical range")
+        return demote(f"the interval of its {parameter_at_bound.replace('_', ' ')} extends beyond the physical range")
     if peak_force_share < limits.min_peak_force:
-        return minor(f"the drives reach only {peak_force_share:.1%} of the peak force",
-                     peak_force_share=peak_force_share, min_peak_force=limits.min_peak_force)
+        return demote(f"the drives reach only {peak_force_share:.1%} of the peak force",
+                      peak_force_share=peak_force_share, min_peak_force=limits.min_peak_force)
     if e.position < -limits.relevant_position and not confirmed_by_sensors:
-        return minor(f"without it the held-out position error is {-100 * e.position:.1f} cm smaller",
-                     position=e.position, relevant_position=limits.relevant_position)
+        return demote(f"without it the held-out position error is {-100 * e.position:.1f} cm smaller",
+                      position=e.position, relevant_position=limits.relevant_position)
     if e.noise_ratio > limits.max_noise_ratio and e.gain < limits.unexplained_share and not confirmed_by_sensors:
-        return minor(f"it is significant, but reduces the errors by only {e.share:.1%}, and one channel's error "
-                     f"remains {e.noise_ratio:.1f} times the noise; a reduction of {limits.unexplained_share:.0%} is "
-                     "required, as unmodelled effects may cause a smaller one", gain=e.gain, noise_ratio=e.noise_ratio,
-                     max_noise_ratio=limits.max_noise_ratio, unexplained_share=limits.unexplained_share)
+        return demote(f"it is significant, but reduces the errors by only {e.share:.1%}, and one channel's error "
+                      f"remains {e.noise_ratio:.1f} times the noise; a reduction of {limits.unexplained_share:.0%} is "
+                      "required, as unmodelled effects may cause a smaller one", gain=e.gain, noise_ratio=e.noise_ratio,
+                      max_noise_ratio=limits.max_noise_ratio, unexplained_share=limits.unexplained_share)
     if not excludes_null and not confirmed_by_sensors:
-        return minor("it reduces the errors, but the interval of its value includes the null value")
+        return demote("it reduces the errors, but the interval of its value includes the null value")
     channel, share = find_most_affected(e, limits)
     channel_part = f"the baseline {CHANNELS[channel].label} error by {share:.1%} and " if channel else ""
     where = " in one driving condition" if e.position_in_condition > max(e.position, 0.0) else ""
     reduction = f"it reduces {channel_part}{describe_position_reduction(position_reduction(e))}{where}"
     if is_relevant(e, limits):
         return Reason(NAMED, e.name, _relevance_values(e, limits), reduction)
-    return minor(f"it is significant, but {reduction}; {limits.relevant:.1%} or {100 * limits.relevant_position:.0f} "
-                 "cm is required", **_relevance_values(e, limits))
+    return demote(f"it is significant, but {reduction}; {limits.relevant:.1%} or {100 * limits.relevant_position:.0f} "
+                  "cm is required", **_relevance_values(e, limits))
 
 
 def varying_partition(e: Evidence, limits: Limits) -> str:
@@ -207,7 +206,8 @@ def varying_partition(e: Evidence, limits: Limits) -> str:
 
 def varies_relevantly(e: Evidence, limits: Limits) -> bool:
     """Whether separate values of an effect in parts of the driving are significant and relevant enough to report."""
-    return e.p_value < limits.false_alarm and e.gain > max(limits.relevant, e.healthy_gain) and is_relevant(e, limits)
+    is_significant = e.p_value < limits.false_alarm and e.gain > e.gain_between_runs
+    return is_significant and e.gain > limits.relevant and is_relevant(e, limits)
 
 
 def judge_alternative(rival: Rival, limits: Limits) -> Reason:
@@ -217,7 +217,7 @@ def judge_alternative(rival: Rival, limits: Limits) -> Reason:
                "unexplained_share": limits.unexplained_share}
     is_unexplained = rival.evidence.noise_ratio > limits.max_noise_ratio and rival.deficit < limits.unexplained_share
     replaced_name = rival.replaces.replace("_", " ")
-    gain = f"in place of {replaced_name} it achieves {rival.share:.0%} of the latter's error reduction"
+    gain = f"in place of {replaced_name} it achieves {rival.share:.0%} of that effect's error reduction"
     gain += f", and in addition to it {rival.added:.0%}" if rival.added >= 0.005 else ""
     test_result = f"p = {rival.p_no_worse:.2g} for the hypothesis that it is as good"
     is_worse = rival.p_no_worse < limits.undecided_p
@@ -250,7 +250,7 @@ def decide(limits: Limits, named: Sequence[Evidence], rivals: Mapping[str, Seque
 
     if len(named) > 1:
         return conclude("several", f"{len(named)} effects are significant and relevant, and do not vary "
-                       "significantly", effects=len(named))
+                        "significantly", effects=len(named))
     if named:
         names = 1 + sum(is_alternative(r, limits) for r in rivals.get(named[0].name, ()))
         if names > 1:
@@ -258,25 +258,25 @@ def decide(limits: Limits, named: Sequence[Evidence], rivals: Mapping[str, Seque
         return conclude("named", "one effect is significant and relevant, and does not vary significantly")
     if combinations:
         return conclude("ambiguous", f"{' and '.join(combinations)}: different from the vehicle file, but the "
-                       "effects behind this difference cannot be separated", combinations=len(combinations))
+                        "effects behind this difference cannot be separated", combinations=len(combinations))
     verdicts = [judge(e, limits) for e in refused if is_relevant(e, limits)]
     if varying_effects or any(v.rule == VARIES for v in verdicts):
         return conclude("varying", "a significant effect varies between parts of the drives")
     if any(v.rule in (BOUND, SENSORS, FILE) for v in verdicts):
         return conclude("unknown", "a significant effect is rejected, because its value is at a bound or contradicts "
-                       "the sensors or the vehicle file")
+                        "the sensors or the vehicle file")
     if noise_ratio > limits.max_noise_ratio:
         return conclude("unknown", f"the position error is {noise_ratio:.1f} times the noise, and no further effect "
-                       "of the library reduces it significantly", noise_ratio=noise_ratio,
-                       max_noise_ratio=limits.max_noise_ratio)
+                        "of the library reduces it significantly", noise_ratio=noise_ratio,
+                        max_noise_ratio=limits.max_noise_ratio)
     if effects and base_noise_ratio > limits.max_noise_ratio:
         return conclude("ambiguous", f"the model reduces the position error from {base_noise_ratio:.1f} to "
-                       f"{noise_ratio:.1f} times the noise, but none of its effects is certain enough to be named",
-                       effects=effects, base_noise_ratio=base_noise_ratio,
-                       max_noise_ratio=limits.max_noise_ratio)
+                        f"{noise_ratio:.1f} times the noise, but none of its effects is certain enough to be named",
+                        effects=effects, base_noise_ratio=base_noise_ratio,
+                        max_noise_ratio=limits.max_noise_ratio)
     if detectable_share < limits.detection_power:
         return conclude("not_testable", f"only {detectable_share:.0%} of the library's effects would be "
-                       "detectable in these drives at their typical size", detectable_share=detectable_share,
-                       detection_power=limits.detection_power)
+                        "detectable in these drives at their typical size", detectable_share=detectable_share,
+                        detection_power=limits.detection_power)
     return conclude("none", f"the position error is {noise_ratio:.1f} times the noise", noise_ratio=noise_ratio,
                    max_noise_ratio=limits.max_noise_ratio)

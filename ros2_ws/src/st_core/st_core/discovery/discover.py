@@ -119,7 +119,7 @@ class _Analysis:
 
     def analyse(self) -> result.Discovery:
         settings, space = self.settings, self.space
-        self.problem, by_column = self._make_problem()
+        self.problem, column_noise = self._make_problem()
         problem = self.problem
         self._warn_of_low_excitation()
         partitions = make_partitions(self.windows)
@@ -129,45 +129,45 @@ class _Analysis:
         self._ticker("explaining")()
         horizon_errors = waterfall.HorizonErrors(without_priors, settings.seed)
         varying, varying_fit = self._find_varying(state, partitions)
-        floor = self._channel_noise(by_column)
-        judgement = self._judge_effects(search, state, partitions, floor)
+        channel_noise = self._channel_noise(column_noise)
+        judged = self._judge_effects(search, state, partitions, channel_noise)
         steps, base = waterfall.build_steps(problem, state.fit, state.order, horizon_errors, partitions)
-        errors = waterfall.compare_channel_errors(horizon_errors, base, fit, floor)
-        named_errors = waterfall.compare_channel_errors(horizon_errors, base, state.fit, floor)
+        errors = waterfall.compare_channel_errors(horizon_errors, base, fit, channel_noise)
+        named_errors = waterfall.compare_channel_errors(horizon_errors, base, state.fit, channel_noise)
         budget = waterfall.build_budget(problem, base, state.fit, fit, varying_fit, horizon_errors)
         power = (measure_power(problem, state.fit, self.limits, settings.seed, self._ticker("certifying"))
                  if settings.certify else predict_power(problem, state.fit, state.scores, self.limits))
-        effects, design_effect = judgement.named, state.scores.design_effect
+        effects, design_effect = judged.named, state.scores.design_effect
         curvatures = self._simulate_catalogue(state, effects)
-        untestable = self._find_untestable(state, power, judgement, curvatures)
-        noise_ratios = _noise_ratios(named_errors.get("position_5s"), floor)
-        outcome, reasons = self._decide_outcome(state, judgement, untestable, noise_ratios, len(varying))
+        untestable = self._find_untestable(state, power, judged, curvatures)
+        noise_ratios = _noise_ratios(named_errors.get("position_5s"), channel_noise)
+        outcome, reasons = self._decide_outcome(state, judged, untestable, noise_ratios, len(varying))
         separability = list_separabilities(problem, state.fit, effects, design_effect)
-        regions = self._locate_errors(base, floor) if settings.locate_errors else ()
+        regions = self._locate_errors(base, channel_noise) if settings.locate_errors else ()
         return result.Discovery(
-            outcome=outcome, effects=effects, minor=judgement.minor, combinations=judgement.combinations,
-            effective=(*judgement.contradicted, *self._list_corrections(without_priors, fit, state)),
+            outcome=outcome, effects=effects, minor=judged.minor, combinations=judged.combinations,
+            effective=(*judged.contradicted, *self._list_corrections(without_priors, fit, state)),
             varying=varying, steps=tuple(steps), errors=errors, named_errors=named_errors,
             budget=tuple(budget), reasons=reasons,
-            candidates=self._list_candidates(state, judgement.verdicts), where=regions, not_testable=untestable,
+            candidates=self._list_candidates(state, judged.verdicts), where=regions, not_testable=untestable,
             next_manoeuvre=choose_manoeuvre(problem, state.fit, separability, curvatures, design_effect),
             separability=separability, certificate=power, runs=self._list_runs(), clock_errors=self.clock_errors,
             signature=self._describe_residual(noise_ratios[1], regions), base=space.at(base.vector),
             start="reference" if self.reference else "vehicle file", warnings=tuple(self.warnings),
             model=space.at(fit.vector) if fit.names else None, assumed=self._list_assumed(),
-            named=space.at(problem.vector_without(state.fit, *(e.name for e in judgement.contradicted)))
-            if state.order else None, leave_one_out=judgement.leave_one_out, axle_curves=judgement.curves,
+            named=space.at(problem.vector_without(state.fit, *(e.name for e in judged.contradicted)))
+            if state.order else None, leave_one_out=judged.leave_one_out, axle_curves=judged.curves,
             # The residual of the best model counts as noise in all later comparisons, whatever its cause.
             noise={c: error.augmented for c, error in errors.items()}, acceleration_gain=float(fit.vector[-1]))
 
     def _judge_effects(self, search: Search, state: SearchState, partitions: Mapping[str, Partition],
-                       floor: Mapping[str, float]) -> _JudgedEffects:
+                       channel_noise: Mapping[str, float]) -> _JudgedEffects:
         """Judge the effects found by the search; add the force curves and the parameter combinations of the axles."""
         problem = self.problem
         # All other parameters of the library are free as well, so that intervals include their possible contribution.
         joint_fit = approximate_joint_fit(problem, state.fit) if problem.prior is None else None
         position = problem.position_error(problem.held_out_rows(state.fit))
-        noise_ratio = (float(np.nanmean(position)) / max(floor["position_5s"], 1e-9)
+        noise_ratio = (float(np.nanmean(position)) / max(channel_noise["position_5s"], 1e-9)
                        if np.isfinite(position).any() else 1.0)
         sensors, effects = {} if self.reference else self.sensors, []
         for name in state.order:
@@ -229,19 +229,19 @@ class _Analysis:
         """(problem, noise by column). With reference drives, the problem starts from the fit to these drives, and the
         position error of this fit counts as noise of position_5s."""
         settings, space = self.settings, self.space
-        start, prior, gain_between_drives, by_column = space.null, None, 0.0, self.windows.noise_floor()
+        start, prior, gain_between_runs, column_noise = space.null, None, 0.0, self.windows.noise_floor()
         if self.reference:
             tick = self._ticker("reference")
             healthy = fit_healthy_car(self.reference, self.vehicle, space, settings, self.threads, tick)
-            start, prior, gain_between_drives = healthy.vector, healthy.prior, healthy.gain
+            start, prior, gain_between_runs = healthy.vector, healthy.prior, healthy.gain_between_runs
             # The residual of the healthy car counts as noise: it is not a change since the reference drives.
-            by_column = {c: max(by_column[c], float(v))
-                         for c, v in zip(self.windows.columns, healthy.residual_scale, strict=True)}
-            by_column["position_5s"] = healthy.position_error
+            column_noise = {c: max(column_noise[c], float(v))
+                            for c, v in zip(self.windows.columns, healthy.residual_scale, strict=True)}
+            column_noise["position_5s"] = healthy.position_error
         loss = Loss(Errors(self.windows, space, self.threads), start)
         return Problem(loss, start, self.windows.block, prior,
-                       np.array([by_column[c] for c in self.windows.columns]), gain_between_drives,
-                       find_file_quantities(space, self.vehicle) if prior is None else None), by_column
+                       np.array([column_noise[c] for c in self.windows.columns]), gain_between_runs,
+                       find_file_quantities(space, self.vehicle) if prior is None else None), column_noise
 
     def _select_usable(self, runs: Sequence[DriveLog], role: str) -> list[DriveLog]:
         """The runs that are long enough; warns about the others."""
@@ -441,10 +441,10 @@ class _Analysis:
         return (*untestable, *(result.UntestableEffect(name, reason) for name, reason in NEVER_TESTABLE.items()))
 
     @staticmethod
-    def _channel_noise(by_column: Mapping[str, float]) -> dict[str, float]:
+    def _channel_noise(column_noise: Mapping[str, float]) -> dict[str, float]:
         """Noise of each channel at the end of the horizon [SI], and mean position error due to noise alone [m]."""
         noise: dict[str, float] = {}
-        for column, value in by_column.items():
+        for column, value in column_noise.items():
             channel = CHANNEL_OF_COLUMN[column].name if column in CHANNEL_OF_COLUMN else column
             noise[channel] = float(np.hypot(noise.get(channel, 0.0), value))
         if "position" in noise:  # mean of a Rayleigh distribution
@@ -458,9 +458,9 @@ class _Analysis:
         return (f"the position error is {noise_ratio:.1f} times the noise",
                 *(f"large {CHANNELS[r.channel].label} error: {r.condition}" for r in regions[:5]))
 
-    def _locate_errors(self, fit: Fit, floor: Mapping[str, float]) -> tuple[result.LargeErrorRegion, ...]:
+    def _locate_errors(self, fit: Fit, channel_noise: Mapping[str, float]) -> tuple[result.LargeErrorRegion, ...]:
         self._ticker("where")()
-        noise = {channel: value for channel, value in floor.items() if channel != "position_5s"}
+        noise = {channel: value for channel, value in channel_noise.items() if channel != "position_5s"}
         return find_error_regions(self.runs, self.space.at(fit.vector), self.vehicle, self.settings, self.reference,
                                   noise, float(fit.vector[-1]))
 
@@ -485,10 +485,10 @@ def _local_estimates(evidence: Evidence) -> dict[str, tuple[result.LocalEstimate
             for partition, a in evidence.agreement.items()}
 
 
-def _noise_ratios(position: result.ChannelError | None, floor: Mapping[str, float]) -> tuple[float, float]:
+def _noise_ratios(position: result.ChannelError | None, channel_noise: Mapping[str, float]) -> tuple[float, float]:
     """Ratios of the position error after 5 s to the error due to noise [1], of the base and of the augmented model; 1
     if position is not a channel."""
-    noise = max(floor.get("position_5s", 0.0), 1e-9)
+    noise = max(channel_noise.get("position_5s", 0.0), 1e-9)
     return (1.0, 1.0) if position is None else (position.base / noise, position.augmented / noise)
 
 
@@ -506,7 +506,7 @@ def complete_delay(delay: result.Combination, effects: Sequence[result.FoundEffe
 
 
 def describe_varying(v: VaryingFit, space: Space, position_reduction: float) -> result.VaryingEffect:
-    """The result for an effect with separate values in the parts; ratios are relative to that furthest from null."""
+    """Result for an effect with separate values in the parts; ratios are relative to the value furthest from null."""
     parameter, null = space.free[v.index][1], float(space.null[v.index])
     value, deviation = max(v.values.values(), key=lambda estimate: abs(estimate[0] - null))
     change = value - null or float(space.scale[v.index])

@@ -42,7 +42,7 @@ CONDITIONS = {"speed": ("m/s", SPEED_EDGES), "lateral acceleration": ("m/s²", L
 """Unit, and edges of the ranges, by quantity."""
 MIN_TURNING_ACCELERATION = 0.5  # m/s^2, lateral; driving with less counts as straight
 MIN_BLOCKS = 4  # minimum number of blocks in a bin for an interval
-FALSE_DISCOVERY_RATE = 0.05  # among the significant bins or cells
+FALSE_DISCOVERY_RATE = 0.05  # expected fraction of false positives among the significant bins or cells
 MIN_EXCESS = 1.25  # minimum ratio of the error in a significant bin to the expected error
 SHORT_HORIZON = 1.0  # s, for errors of velocity, yaw rate and acceleration, to locate where they arise
 RESAMPLES = 1000  # bootstrap samples
@@ -51,7 +51,7 @@ MAX_EXCESS_RATIO = 1.5  # largest ratio between the excesses of neighbouring ran
 BINNED_BY_MAGNITUDE = ("lateral acceleration", "road-wheel angle", "steering rate")
 MIN_CONTRAST = 1.15  # minimum ratio of the error in a reported range to the error in all driving
 CELL_SIZE = 20.0  # m, side of a cell of the map
-MAX_CELL_DISTANCE = 1.6 * CELL_SIZE  # m, along each axis, between cells of one place
+MAX_CELL_DISTANCE = 1.6 * CELL_SIZE  # m, largest distance along each axis between neighbouring cells of one place
 MIN_SEGMENT_DURATION = 8.0  # s between change points
 MAX_P_VALUE = 0.01  # largest p-value of a reported change point
 MIN_ERROR_RATIO = 1.5  # minimum `ratio` of a reported `Segment` or `Cell`
@@ -79,8 +79,8 @@ class Samples:
 @dataclass(frozen=True)
 class BinExcess:
     """Error of one channel in one range. excess [1]: ratio of the RMS error to the expected one; interval: 95 %.
-    p_value: of the hypothesis that the error is not larger than expected. blocks: their number. is_covered: whether the
-    reference has enough driving in the range; True without reference drives."""
+    p_value: of the hypothesis that the error is not larger than expected. blocks: number of blocks. is_covered: whether
+    the reference has enough driving in the range; True without reference drives."""
 
     channel: str
     range: Bin
@@ -144,9 +144,9 @@ def find_error_regions(runs: Sequence[DriveLog], model: AugmentedModel, vehicle:
                        noise: Mapping[str, float] | None = None,
                        acceleration_gain: float = 0.0) -> tuple[LargeErrorRegion, ...]:
     """Conditions in which the errors of a model are larger than in the reference drives or, without these, than the
-    sensor noise; times and places in which they are larger than under similar conditions. noise: standard deviation
-    by channel [SI]. acceleration_gain: see `Discovery`. Channels that are not measured in the runs and the reference,
-    and channels without a significant range, are left out."""
+    sensor noise; times and places where they are larger than elsewhere under similar conditions. noise: standard
+    deviation by channel [SI]. acceleration_gain: see `Discovery`. Channels that are not measured in the runs and the
+    reference, and channels without a significant range, are left out."""
     samples = window_errors(runs, model, vehicle, settings, acceleration_gain)
     expected = window_errors(reference, model, vehicle, settings, acceleration_gain) if reference else None
     if expected is not None:
@@ -162,7 +162,7 @@ def find_error_regions(runs: Sequence[DriveLog], model: AugmentedModel, vehicle:
     cells = [c for c, q in zip(cells, adjusted_p, strict=True)
              if q <= FALSE_DISCOVERY_RATE and c.ratio >= MIN_ERROR_RATIO]
     return tuple(region for channel in samples.squares
-                 for region in _channel_regions(channel, bins, segments, cells, samples, expected is not None))
+                 for region in _list_channel_regions(channel, bins, segments, cells, samples, expected is not None))
 
 
 def window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters,
@@ -205,21 +205,21 @@ def _find_conditions(windows: Windows) -> dict[str, np.ndarray]:
             "forward_acceleration": acceleration.mean(axis=1)}
 
 
-def _channel_regions(channel: str, bins: Sequence[BinExcess], segments: Sequence[Segment], cells: Sequence[Cell],
-                     samples: Samples, has_reference: bool) -> list[LargeErrorRegion]:
+def _list_channel_regions(channel: str, bins: Sequence[BinExcess], segments: Sequence[Segment], cells: Sequence[Cell],
+                          samples: Samples, has_reference: bool) -> list[LargeErrorRegion]:
     """Regions of one channel with large errors; empty without a significant bin."""
     channel_bins = [b for b in bins if b.channel == channel]
     if not any(b.is_significant for b in channel_bins):
         return []
     overall = next(b for b in channel_bins if b.range.quantity == EVERYWHERE)
-    ranges = [_range_region(group, channel_bins, overall, has_reference) for group in _group_neighbours(channel_bins)]
+    ranges = [_make_range_region(g, channel_bins, overall, has_reference) for g in _group_neighbours(channel_bins)]
     # Ranked by the lower bound, because a range with few observations can have a large error by chance.
     regions = sorted((r for r in ranges if r.interval[0] > 1.0 and r.excess >= MIN_CONTRAST * overall.excess),
                      key=lambda r: -r.interval[0])[:MAX_RANGES]
     if overall.is_significant:
         regions.append(LargeErrorRegion(channel, EVERYWHERE, overall.excess, overall.interval))
-    regions += [_segment_region(s, overall, samples) for s in segments if s.channel == channel]
-    return regions + _place_regions([c for c in cells if c.channel == channel], overall)
+    regions += [_make_segment_region(s, overall, samples) for s in segments if s.channel == channel]
+    return regions + _list_place_regions([c for c in cells if c.channel == channel], overall)
 
 
 def _group_neighbours(bins: Sequence[BinExcess]) -> list[list[BinExcess]]:
@@ -238,8 +238,8 @@ def _group_neighbours(bins: Sequence[BinExcess]) -> list[list[BinExcess]]:
     return groups
 
 
-def _range_region(group: Sequence[BinExcess], bins: Sequence[BinExcess], overall: BinExcess,
-                  has_reference: bool) -> LargeErrorRegion:
+def _make_range_region(group: Sequence[BinExcess], bins: Sequence[BinExcess], overall: BinExcess,
+                       has_reference: bool) -> LargeErrorRegion:
     """Region of a group of ranges. bins: all bins of the channel. overall: the bin of all driving."""
     quantity, label = group[0].range.quantity, group[0].range.label
     low, high = group[0].range.low, group[-1].range.high
@@ -258,12 +258,12 @@ def _range_region(group: Sequence[BinExcess], bins: Sequence[BinExcess], overall
     return LargeErrorRegion(overall.channel, condition, excess, (lowest, highest))
 
 
-def _segment_region(segment: Segment, overall: BinExcess, samples: Samples) -> LargeErrorRegion:
+def _make_segment_region(segment: Segment, overall: BinExcess, samples: Samples) -> LargeErrorRegion:
     """Region of a segment of a run; its excess is the overall excess times the ratio of the segment."""
     last = float(samples.time[samples.run == segment.run].max())
     period = (f"from {segment.start:.0f} s on" if segment.end >= last - 1.0 else
-            f"until {segment.end:.0f} s" if segment.start < 2.0 else
-            f"from {segment.start:.0f} to {segment.end:.0f} s")
+              f"until {segment.end:.0f} s" if segment.start < 2.0 else
+              f"from {segment.start:.0f} to {segment.end:.0f} s")
     text = (f"run {samples.names[segment.run]}, {period}: {segment.ratio:.1f} times the error of the rest of the run "
             "under similar conditions")
     low, high = overall.interval
@@ -271,7 +271,7 @@ def _segment_region(segment: Segment, overall: BinExcess, samples: Samples) -> L
                             (low * segment.ratio, high * segment.ratio))
 
 
-def _place_regions(cells: Sequence[Cell], overall: BinExcess) -> list[LargeErrorRegion]:
+def _list_place_regions(cells: Sequence[Cell], overall: BinExcess) -> list[LargeErrorRegion]:
     """Regions of the two places with the largest excess; neighbouring cells form one place."""
     adjacency = [[max(abs(a.x - b.x), abs(a.y - b.y)) < MAX_CELL_DISTANCE for b in cells] for a in cells]
     number = connected_components(np.array(adjacency))[1] if cells else np.zeros(0, int)
@@ -292,13 +292,13 @@ def compute_excesses(samples: Samples, reference: Samples | None, noise: Mapping
     t for the log ratio, one observation per block. noise: expected error without reference drives."""
     excesses, ranges = [], assign_ranges(samples)
     for number, (channel, squares) in enumerate(samples.squares.items()):
-        means, deviations, blocks = _bin_means(squares, samples.block, ranges,
-                                               np.random.default_rng((seed, number, 0)), resamples)
+        means, deviations, blocks = _compute_bin_means(squares, samples.block, ranges,
+                                                       np.random.default_rng((seed, number, 0)), resamples)
         if reference is None:
             expected = np.full(len(ranges), noise[channel] ** 2)
             expected_deviations, is_covered = np.zeros(len(ranges)), np.ones(len(ranges), bool)
         else:
-            expected, expected_deviations, expected_blocks = _bin_means(
+            expected, expected_deviations, expected_blocks = _compute_bin_means(
                 reference.squares[channel], reference.block, assign_ranges(reference),
                 np.random.default_rng((seed, number, 1)), resamples)
             is_covered = expected_blocks >= MIN_BLOCKS
@@ -325,8 +325,8 @@ def _test_ratio(log_ratio: float, deviation: float, blocks: int) -> tuple[float,
     return math.exp(0.5 * log_ratio), interval, float(stats.t.sf(log_ratio / deviation, blocks - 1))
 
 
-def _bin_means(squares: np.ndarray, block: np.ndarray, bins: Sequence[Bin], rng: np.random.Generator,
-               resamples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _compute_bin_means(squares: np.ndarray, block: np.ndarray, bins: Sequence[Bin], rng: np.random.Generator,
+                       resamples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(mean of the squares, bootstrap standard deviation of its logarithm, number of blocks) for each bin. The
     bootstrap resamples whole blocks; the number is 0 where it gives no standard deviation."""
     _, index = np.unique(block, return_inverse=True)
@@ -341,11 +341,11 @@ def _bin_means(squares: np.ndarray, block: np.ndarray, bins: Sequence[Bin], rng:
     draws = rng.multinomial(count, np.full(count, 1.0 / count), size=resamples).astype(float)
     with np.errstate(all="ignore"):
         mean = sums.sum(axis=0) / counts.sum(axis=0)
-        drawn = np.log((draws @ sums) / (draws @ counts))
-        drawn[~np.isfinite(drawn)] = np.nan
-        enough = np.isfinite(drawn).sum(axis=0) > 0.5 * resamples
-        if enough.any():
-            deviation[enough] = np.nanstd(drawn[:, enough], axis=0)
+        log_means = np.log((draws @ sums) / (draws @ counts))
+        log_means[~np.isfinite(log_means)] = np.nan
+        is_determined = np.isfinite(log_means).sum(axis=0) > 0.5 * resamples
+        if is_determined.any():
+            deviation[is_determined] = np.nanstd(log_means[:, is_determined], axis=0)
         # Bessel's correction: a bootstrap over few blocks underestimates the deviation.
         deviation *= np.sqrt(blocks / np.maximum(blocks - 1, 1))
     return mean, deviation, np.where(np.isfinite(deviation), blocks, 0)

@@ -40,7 +40,7 @@ class Evidence:
     """Statistics of one effect in a set.
 
     gain [1]: reduction of the held-out loss per residual, about the relative reduction of the RMS error; the smaller of
-    two values, with folds and with whole runs held out. healthy_gain [1]: `HealthyCar.gain`, 0 without reference
+    two values, with folds and with whole runs held out. gain_between_runs [1]: see `HealthyCar`, 0 without reference
     drives. p_value [1]: p-value of the gain, corrected for the whole library. null_p_value [1]: see `null_p_value`.
     shares [1]: by column, see `column_reductions`. position [m]: reduction of the mean held-out position error at the
     end of the horizon. position_in_condition [m]: lower 95 % bound of this reduction in the driving condition where the
@@ -58,7 +58,7 @@ class Evidence:
     position_in_condition: float = 0.0
     noise_ratio: float = 1.0
     bound_distance: float = 1.0
-    healthy_gain: float = 0.0
+    gain_between_runs: float = 0.0
     size: float = 0.0
     sensors_p_value: float | None = None
     sensors_null_p_value: float | None = None
@@ -191,8 +191,8 @@ def collect_evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scor
         p_value=library_p_value(block_scores, gain, scores, len(problem.space.hypotheses)),
         null_p_value=null_p_value(problem, fit, effect), shares=column_reductions(problem, before, after),
         position=position, position_in_condition=position_in_condition, noise_ratio=residual_over_noise(problem, after),
-        bound_distance=distance_to_bound(problem, fit, effect), healthy_gain=problem.healthy_gain, size=float(size),
-        sensors_p_value=sensors_p_value, sensors_null_p_value=sensors_null,
+        bound_distance=distance_to_bound(problem, fit, effect), gain_between_runs=problem.gain_between_runs,
+        size=float(size), sensors_p_value=sensors_p_value, sensors_null_p_value=sensors_null,
         file_comparison=compare_with_file(problem, fit, effect),
         agreement={name: compare_parts(problem, fit, effect, *part) for name, part in partitions.items()})
 

@@ -12,13 +12,13 @@ from ..regression import add_ridge
 from .loss import Loss, Quadratic, rho
 from .space import ACCELEROMETER_GAIN, Quantities, prior_deviations
 
-ITERATIONS, STEP_FRACTIONS = 5, (1.0, 0.5, 0.2)  # maximum number; fractions of a step tried until the loss falls
+ITERATIONS, STEP_FRACTIONS = 5, (1.0, 0.5, 0.2)  # maximum number of steps; fractions tried until the loss falls
 MAX_REUSE_DISTANCE = 0.25  # parameter scales; below it, cached sensitivities are updated instead of recomputed
 SENSITIVITY_CACHE_SIZE = 4  # number of vectors
 MIN_LOSS_REDUCTION = 2e-4  # per residual; a fit ends with the first step that reduces the loss by less
 FOLDS = 8  # groups of blocks, each held out once
 RMS_CLIP_LIMIT = 5.0  # robust scales of the baseline; larger residuals are clipped in an RMS value
-JOINT_DEVIATION = 3.0  # parameter scales; in a joint fit the prior adds at least (distance / this)^2 to the loss
+JOINT_DEVIATION = 3.0  # parameter scales; a joint fit has a prior of at least (distance / JOINT_DEVIATION)^2
 DIVERGED_ERROR = 100.0  # SI unit of the channel; error assigned to a prediction that diverges, and clip limit
 MAX_QUADRATIC_RISE = 0.05  # per residual; at a larger predicted increase of the loss, held-out folds are simulated
 RIDGE = 1e-6  # fraction of the mean curvature, added to the diagonal to keep steps finite without information
@@ -58,9 +58,9 @@ class Sensitivities:
         return Sensitivities(vector, self.indices, self.values + (step / square)[:, None, None] * error)
 
     def with_values(self, indices: np.ndarray, values: np.ndarray) -> "Sensitivities":
-        new = self.values.copy()
-        new[np.searchsorted(self.indices, indices)] = values
-        return Sensitivities(self.vector, self.indices, new)
+        all_values = self.values.copy()
+        all_values[np.searchsorted(self.indices, indices)] = values
+        return Sensitivities(self.vector, self.indices, all_values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,16 +93,16 @@ class Problem:
     start: (p,) initial vector of a search. prior: (p, p) curvature about `start`, from reference drives, for the
     parameters of effects outside the fitted set; if None, these keep their start values, except the gain of the
     accelerometer, which is free if acceleration is measured. block: (n,) number of the block of each window. noise:
-    (c,) error of each column due to noise alone [SI]. healthy_gain [1]: `HealthyCar.gain`, 0 without reference drives.
+    (c,) error of each column due to noise alone [SI]. gain_between_runs [1]: see `HealthyCar`; by default 0.
 
     quantities: (p,) quantity of the vehicle file that each parameter changes. Its standard deviation s adds a Gaussian
     prior 0.5 D (x / s)^2 to the loss, x: change of the quantity. design_effect D [1]: see `update_design_effect`.
     """
 
     def __init__(self, loss: Loss, start: np.ndarray, block: np.ndarray, prior: np.ndarray | None = None,
-                 noise: np.ndarray | None = None, healthy_gain: float = 0.0, quantities: Quantities | None = None):
+                 noise: np.ndarray | None = None, gain_between_runs: float = 0.0, quantities: Quantities | None = None):
         self.loss, self.space, self.start, self.prior = loss, loss.space, start, prior
-        self.errors, self.healthy_gain, self.design_effect = loss.errors, healthy_gain, 1.0
+        self.errors, self.gain_between_runs, self.design_effect = loss.errors, gain_between_runs, 1.0
         self.residual_count = loss.residual_count
         self.set_quantities((None,) * len(self.space) if quantities is None else quantities)
         self.noise = np.zeros(len(self.errors.windows.columns)) if noise is None else noise
@@ -178,7 +178,7 @@ class Problem:
 
     def update_design_effect(self, vector: np.ndarray) -> None:
         """Estimate the design effect from the residuals at a vector: variance of the scores between blocks, or between
-        runs if larger, divided by the variance for independent residuals; median of all parameters, at least 1.
+        runs if larger, divided by the variance for independent residuals; median over all parameters, at least 1.
 
             D = 2 n var(g_k) / H,   g_k: half the gradient of the loss in part k of n, H: half its second derivative
 
@@ -249,10 +249,10 @@ class Problem:
         a nearby vector; updated at each step. vector: initial vector, by default that of the sensitivities. recompute:
         effects for which the sensitivities are recomputed at each step."""
         names = tuple(names)
-        indices, new = self.free_indices(names), self.space.indices(*recompute)
+        indices, stale = self.free_indices(names), self.space.indices(*recompute)
         initial, vector = sensitivities.vector if vector is None else vector, self.start.copy()
         vector[indices] = initial[indices]
-        sensitivities = self._sensitivities_at(sensitivities, vector, new)
+        sensitivities = self._sensitivities_at(sensitivities, vector, stale)
         cost = self.cost(names, vector, indices)
         for _ in range(iterations if len(indices) else 0):
             q = self.loss.quadratic(self.errors.at(vector), sensitivities.select(indices))
@@ -265,7 +265,7 @@ class Problem:
             else:
                 break
             reduction, vector, cost = cost - trial_cost, trial, trial_cost
-            sensitivities = self._sensitivities_at(sensitivities, vector, new)
+            sensitivities = self._sensitivities_at(sensitivities, vector, stale)
             if reduction < MIN_LOSS_REDUCTION * self.residual_count:
                 break
         return self.fit_at(names, vector, indices, sensitivities)
@@ -277,12 +277,12 @@ class Problem:
         sensitivities = sensitivities.with_values(own_indices, self.loss.sensitivities(fit.vector, own_indices))
         return self.fit(fit.names, sensitivities, iterations=iterations)
 
-    def _sensitivities_at(self, sensitivities: Sensitivities, vector: np.ndarray, new: np.ndarray) -> Sensitivities:
-        """The sensitivities at a new vector, with those to the parameters `new` recomputed."""
+    def _sensitivities_at(self, sensitivities: Sensitivities, vector: np.ndarray, stale: np.ndarray) -> Sensitivities:
+        """The sensitivities at a new vector, with those to the parameters `stale` recomputed."""
         if not np.array_equal(vector, sensitivities.vector):
             reduction = self.errors.at(sensitivities.vector) - self.errors.at(vector)
             sensitivities = sensitivities.update(vector, self.space.scale, reduction)
-        return sensitivities.with_values(new, self.loss.sensitivities(vector, new)) if len(new) else sensitivities
+        return sensitivities.with_values(stale, self.loss.sensitivities(vector, stale)) if len(stale) else sensitivities
 
     def fit_at(self, names: tuple[str, ...], vector: np.ndarray, indices: np.ndarray,
                sensitivities: Sensitivities) -> Fit:
@@ -336,18 +336,18 @@ class Problem:
         return self.leave_out(q, fit.names, fit.vector, fit.indices, groups, at_optimum=True)
 
     def held_out_loss(self, fit: Fit, groups: np.ndarray) -> np.ndarray:
-        """(b,) loss of each block at values fitted without its group, from the quadratic approximation; if this loss is
-        much larger, the smaller of it and the simulated loss. groups: (b,) group of each block."""
+        """(b,) loss of each block at values fitted without its group, from the quadratic approximation; if this is much
+        larger than the loss of the fit, the smaller of it and the simulated loss. groups: (b,) group of each block."""
         steps, held_out = self.leave_out_groups(fit, groups)
         if held_out.sum() - fit.quadratic.cost.sum() < MAX_QUADRATIC_RISE * self.residual_count:
             return held_out
         prior, distance = self.prior_curvature(fit.names, fit.indices), self.distance(fit.vector)[fit.indices]
-        result = np.zeros(self.blocks)
+        simulated_loss = np.zeros(self.blocks)
         for k, d in steps.items():
             in_group, loss = groups == k, self.loss.window_losses(self.take_step(fit.vector, fit.indices, d))
             prior_cost = (distance + d) @ prior @ (distance + d) / self.blocks
-            result[in_group] = np.bincount(self.block, loss, self.blocks)[in_group] + prior_cost
-        return np.minimum(held_out, result)
+            simulated_loss[in_group] = np.bincount(self.block, loss, self.blocks)[in_group] + prior_cost
+        return np.minimum(held_out, simulated_loss)
 
     def held_out_gain(self, without: Fit, fit: Fit) -> float:
         """Reduction of the held-out loss per residual by the additional effects of `fit`, with each of the

@@ -36,14 +36,14 @@ CLOCK_FITS = 3  # number of joint fits for the correction of clocks, each with t
 class HealthyCar:
     """The fitted healthy car. vector: (p,) values of the whole library. prior: (p, p) curvature of the prior about the
     vector. residual_scale: (c,) scale (`Loss.scale_of`) of the errors of each column at the end of the horizon [SI].
-    position_error [m]: mean position error there, in the worst run. gain [1]: largest reduction of the
+    position_error [m]: mean position error there, in the worst run. gain_between_runs [1]: largest reduction of the
     loss per residual of one run by an effect, with a prior from the other runs; smaller gains may be false alarms."""
 
     vector: np.ndarray
     prior: np.ndarray
     residual_scale: np.ndarray
     position_error: float
-    gain: float
+    gain_between_runs: float
 
 
 def fit_healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, settings: DiscoverySettings,
@@ -68,12 +68,12 @@ def fit_healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space:
             widening = (float(stats.t.ppf(0.975, count - 1)) / Z95) ** 2  # for few blocks or runs
             variance = widening * 2.0 * count * gradient.var(axis=0, ddof=1)
             design_effects = np.maximum(design_effects, variance / np.diag(h))
-    widths = np.sqrt(2.0 * design_effects)
+    factors = np.sqrt(2.0 * design_effects)
     position = problem.position_error(problem.errors.at(vector))
     by_run = [position[windows.run == k] for k in np.unique(windows.run)]
     position_error = max((float(np.nanmean(error)) for error in by_run if np.isfinite(error).any()), default=0.0)
-    return HealthyCar(vector, _predictive_prior(h, widths, prior), loss.scale_of(vector)[-len(windows.columns):],
-                      position_error, _gain_between_runs(q, space, windows, widths, prior))
+    return HealthyCar(vector, _predictive_prior(h, factors, prior), loss.scale_of(vector)[-len(windows.columns):],
+                      position_error, _gain_between_runs(q, space, windows, factors, prior))
 
 
 def weak_prior(space: Space) -> np.ndarray:
@@ -84,25 +84,25 @@ def weak_prior(space: Space) -> np.ndarray:
     return prior
 
 
-def _predictive_prior(h: np.ndarray, widths: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """(p, p) curvature h of the loss, with the standard deviations multiplied by `widths` (p,), plus `prior`."""
-    return inverse(widths[:, None] * inverse(h) * widths) + prior
+def _predictive_prior(h: np.ndarray, factors: np.ndarray, prior: np.ndarray) -> np.ndarray:
+    """(p, p) curvature h of a fit, with its standard deviations multiplied by `factors` (p,), plus `prior`."""
+    return inverse(factors[:, None] * inverse(h) * factors) + prior
 
 
-def _gain_between_runs(q: Quadratic, space: Space, windows: Windows, widths: np.ndarray, prior: np.ndarray) -> float:
-    """`HealthyCar.gain` from the quadratic approximation of the loss; 0 with fewer than three runs."""
+def _gain_between_runs(q: Quadratic, space: Space, windows: Windows, factors: np.ndarray, prior: np.ndarray) -> float:
+    """`HealthyCar.gain_between_runs` from the quadratic approximation of the loss; 0 with fewer than three runs."""
     by_run, largest = q.sum_groups(windows.run), 0.0
     if len(windows.names) < 3:
         return largest
     total_h, total_g = by_run.hessian.sum(axis=0) + prior, by_run.gradient.sum(axis=0)
     for k, (h, g) in enumerate(zip(by_run.hessian, by_run.gradient, strict=True)):
         centre = inverse(total_h - h) @ (total_g - g)
-        predictive = _predictive_prior(total_h - h, widths, prior)
-        common = _minimum_loss(h, g, centre, predictive)
+        predictive = _predictive_prior(total_h - h, factors, prior)
+        shared_loss = _minimum_loss(h, g, centre, predictive)
         residual_count = max(int(windows.known[windows.run == k].sum()), 1)
         for effect in space.hypotheses:
-            free = _minimum_loss(h, g, centre, marginalise(predictive, space.indices(effect)))
-            largest = max(largest, (common - free) / residual_count)
+            free_loss = _minimum_loss(h, g, centre, marginalise(predictive, space.indices(effect)))
+            largest = max(largest, (shared_loss - free_loss) / residual_count)
     return largest
 
 

@@ -105,7 +105,7 @@ class Errors:
 
 class Loss:
     """Robust loss, initially with the scale of the residuals at `vector`. known: (n, m) whether a residual is measured,
-    in a window that can be predicted at `vector`; residual_count: their number. scale: (m,) of the residuals [SI]."""
+    in a window that can be predicted at `vector`; residual_count: number of True. scale: (m,) of the residuals [SI]."""
 
     def __init__(self, errors: Errors, vector: np.ndarray):
         self.errors, self.space = errors, errors.space

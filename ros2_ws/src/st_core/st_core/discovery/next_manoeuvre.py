@@ -86,8 +86,8 @@ def simulate_manoeuvres(windows: Windows, base: Model) -> Iterator[tuple[Manoeuv
 def simulate_catalogue(problem: Problem, fit: Fit) -> Curvatures:
     """Curvatures of the loss at the values of a fit, for REPETITIONS drives of each manoeuvre."""
     space, curvatures = problem.space, {}
-    for manoeuvre, simulated in simulate_manoeuvres(problem.errors.windows, space.model.base):
-        loss = Loss(Errors(simulated, space, problem.errors.threads), fit.vector)
+    for manoeuvre, simulated_windows in simulate_manoeuvres(problem.errors.windows, space.model.base):
+        loss = Loss(Errors(simulated_windows, space, problem.errors.threads), fit.vector)
         loss.scale = problem.loss.scale
         no_errors = np.zeros_like(loss.errors.at(fit.vector))
         q = loss.quadratic(no_errors, loss.sensitivities(fit.vector, np.arange(len(space))))
@@ -124,8 +124,8 @@ def list_separabilities(problem: Problem, fit: Fit, effects: Sequence[FoundEffec
 def choose_manoeuvre(problem: Problem, fit: Fit, separabilities: Sequence[Separability], curvatures: Curvatures,
                      design_effect: float) -> NextManoeuvre | None:
     """The manoeuvre with the largest minimum separation over all pairs that these drives separate by less than
-    MIN_SEPARATION. None if there is no such pair, as alternatives then remain due to model errors, which more driving
-    does not reduce, or if no manoeuvre reaches MIN_SEPARATION."""
+    MIN_SEPARATION. None if no manoeuvre reaches MIN_SEPARATION, or if there is no such pair: alternatives then remain
+    because of model errors, which more driving does not reduce."""
     pairs = [(s.first, s.second) for s in separabilities if s.strength < MIN_SEPARATION]
     if not pairs:
         return None

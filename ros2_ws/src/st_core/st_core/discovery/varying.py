@@ -99,4 +99,4 @@ def collect_varying_evidence(problem: Problem, fit: Fit, v: VaryingFit,
     reduction = problem.position_error(rows) - problem.position_error(corrected)
     position, position_in_condition = error_reductions(reduction, partitions.get("condition"))
     return Evidence(v.name, v.gain, v.p_value, shares=column_reductions(problem, rows, corrected), position=position,
-                    position_in_condition=position_in_condition, healthy_gain=problem.healthy_gain)
+                    position_in_condition=position_in_condition, gain_between_runs=problem.gain_between_runs)
