@@ -18,8 +18,8 @@ import numpy as np
 
 
 @dataclass
-class Imported:
-    """An exported model with symbols of its states, inputs and parameters. *_bounds: lower and upper, or infinite."""
+class ImportedModel:
+    """An exported model with symbols of its states, inputs and parameters. *_bounds: (lower, upper) or infinite."""
 
     description: dict
     x: casadi.SX
@@ -31,16 +31,16 @@ class Imported:
     input_bounds: tuple[np.ndarray, np.ndarray]
 
 
-def load(folder: Path) -> Imported:
+def load(folder: Path) -> ImportedModel:
     """The model in a folder written by `st export --format casadi`."""
     description = json.loads((folder / "model.json").read_text(encoding="utf-8"))
     name = description["model"]
     dynamics, step = (casadi.Function.load(str(folder / f"{name}_{kind}.casadi")) for kind in ("dynamics", "step"))
     x, u, p = (casadi.vertcat(*(casadi.SX.sym(v["name"]) for v in description[key]))
                for key in ("states", "inputs", "parameters"))
-    tail = [p] if description["parameters"] else []
-    return Imported(description, x, u, casadi.SX(p), dynamics(x, u, *tail), step, _bounds(description["states"]),
-                    _bounds(description["inputs"]))
+    p_argument = [p] if description["parameters"] else []
+    return ImportedModel(description, x, u, casadi.SX(p), dynamics(x, u, *p_argument), step,
+                         _bounds(description["states"]), _bounds(description["inputs"]))
 
 
 def _bounds(entries: list[dict]) -> tuple[np.ndarray, np.ndarray]:
@@ -49,7 +49,7 @@ def _bounds(entries: list[dict]) -> tuple[np.ndarray, np.ndarray]:
     return np.array(lower), np.array(upper)
 
 
-def make_acados_model(model: Imported):
+def make_acados_model(model: ImportedModel):
     """The model as acados expects it, with explicit and implicit dynamics of SX symbols."""
     from acados_template import AcadosModel
 
@@ -60,30 +60,30 @@ def make_acados_model(model: Imported):
     return result
 
 
-def constrain(ocp, model: Imported) -> None:
-    """Set the bounds of the file as box constraints of an acados OCP; states without bounds have none."""
+def constrain(ocp, model: ImportedModel) -> None:
+    """Set the exported bounds as box constraints of an acados OCP; states without bounds are not constrained."""
     lower, upper = model.state_bounds
-    chosen = np.flatnonzero(np.isfinite(lower) & np.isfinite(upper))
-    ocp.constraints.idxbx, ocp.constraints.lbx, ocp.constraints.ubx = chosen, lower[chosen], upper[chosen]
+    bounded = np.flatnonzero(np.isfinite(lower) & np.isfinite(upper))
+    ocp.constraints.idxbx, ocp.constraints.lbx, ocp.constraints.ubx = bounded, lower[bounded], upper[bounded]
     ocp.constraints.idxbu = np.arange(model.u.numel())
     ocp.constraints.lbu, ocp.constraints.ubu = model.input_bounds
 
 
-def largest_difference(model: Imported, x: np.ndarray, u: np.ndarray, h: float) -> float:
+def largest_difference(model: ImportedModel, x: np.ndarray, u: np.ndarray, h: float) -> float:
     """Largest difference between the exported step and Runge-Kutta integration of the dynamics passed to acados."""
     values = [q["value"] for q in model.description["parameters"]]
     f = casadi.Function("f", [model.x, model.u], [casadi.substitute(model.rates, model.p, casadi.DM(values))]
                         if values else [model.rates])
-    state, part = casadi.DM(x), h / model.description["substeps"]
+    state, substep = casadi.DM(x), h / model.description["substeps"]
     for _ in range(model.description["substeps"]):
         a = f(state, u)
-        b = f(state + part / 2 * a, u)
-        c = f(state + part / 2 * b, u)
-        state = state + part / 6 * (a + 2 * b + 2 * c + f(state + part * c, u))
+        b = f(state + substep / 2 * a, u)
+        c = f(state + substep / 2 * b, u)
+        state = state + substep / 6 * (a + 2 * b + 2 * c + f(state + substep * c, u))
     return float(casadi.norm_inf(state - model.step(x, u, h, *([values] if values else []))))
 
 
-def integrate_with_acados(model: Imported, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
+def integrate_with_acados(model: ImportedModel, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
     from acados_template import AcadosSim, AcadosSimSolver
 
     sim = AcadosSim()
@@ -102,13 +102,13 @@ def main() -> int:
     x = np.zeros(model.x.numel())
     x[2], u = 10.0, np.array([0.05, 0.5])
     print(f"{model.description['model']}: {model.x.numel()} states, {model.u.numel()} inputs, "
-          f"{model.p.numel()} parameters; dynamics against exported step: {largest_difference(model, x, u, 0.05):.1e}")
+          f"{model.p.numel()} parameters; step differs from integration by {largest_difference(model, x, u, 0.05):.1e}")
     if importlib.util.find_spec("acados_template") is None:
         print("acados_template is not installed: the comparison with acados is skipped")
         return 0
     values = [[q["value"] for q in model.description["parameters"]]] if model.description["parameters"] else []
     expected = model.step(x, u, 0.05, *values).full().ravel()
-    print(f"acados against exported step: {np.abs(integrate_with_acados(model, x, u, 0.05) - expected).max():.1e}")
+    print(f"acados differs from the step by {np.abs(integrate_with_acados(model, x, u, 0.05) - expected).max():.1e}")
     return 0
 
 

@@ -10,16 +10,16 @@ from st_core.vehicle import VehicleParameters
 from st_sim.scenarios import Plan
 from st_sim.settings import Settings
 
-MAX_DISTANCE = 4.0  # m from the road; a drive ends there, because the car has left the road
+MAX_DISTANCE = 4.0  # m from the road; at a larger distance the car has left the road, which ends the drive
 SAMPLING_TIME = 0.02  # s between measurements of the tracking error
 
 
 @dataclass(frozen=True)
-class Drive:
-    """Results of one drive. error_*: distance of the CG from the road [m]; speed_rms: of the speed error [m/s].
+class DriveResults:
+    """Results of one drive. error_*: distance of the CG from the road [m]. speed_rms: rms speed error [m/s].
 
-    wall_*, cpu_*: median, 95th percentile and largest time of a solution [ms]. iterations: median. unsolved: number of
-    steps that the solver did not solve. finished: False if the car left the road, after `duration` [s].
+    wall_*, cpu_*: median, 95th percentile and largest time of a solution [ms]. iterations: median per solution.
+    unsolved: number of problems not solved. finished: False if the car left the road, after `duration` [s].
     """
 
     error_rms: float
@@ -42,21 +42,21 @@ class Drive:
 
 
 class Road:
-    """The road of a plan. distance: along the road to its point nearest to the car [m]."""
+    """The road of a plan. distance: position of the car along the road [m]."""
 
     def __init__(self, plan: Plan):
         self.plan, self.distance = plan, plan.start
 
     def track(self, x: float, y: float) -> float:
-        """Update `distance` for a car at (x, y); returns the distance of the car from the road [m, left +]."""
+        """Update `distance` for a car at (x, y) [m]; returns its distance from the road [m], positive to the left."""
         for _ in range(3):
             road = self.plan.path.pose(self.distance)
             self.distance += math.cos(road.yaw) * (x - road.x) + math.sin(road.yaw) * (y - road.y)
         road = self.plan.path.pose(self.distance)
         return math.cos(road.yaw) * (y - road.y) - math.sin(road.yaw) * (x - road.x)
 
-    def ahead(self, steps: int, step: float) -> Reference:
-        """Reference at the end of each step for a car that drives at the speed of the plan."""
+    def make_reference(self, steps: int, step: float) -> Reference:
+        """Road ahead at the end of each step [s], for a car that drives at the speed of the plan."""
         rows, distance = [], self.distance
         for _ in range(steps):
             middle = distance + 0.5 * step * self.plan.speed_at(distance)
@@ -66,19 +66,19 @@ class Road:
 
 
 def drive(controller: Controller, car: VehicleParameters, settings: Settings, plan: Plan, duration: float,
-          seed: int = 0) -> tuple[Drive, np.ndarray]:
-    """Drive a plan; returns its results, and rows (time, x, y, distance from the road, speed error, commanded angle).
+          seed: int = 0) -> tuple[DriveResults, np.ndarray]:
+    """Drive a plan; returns its results, and rows (time, x, y, distance from the road, speed error, road-wheel angle).
 
-    The time of the solver is measured but does not delay its commands.
+    The solver time is measured, but commands take effect without this delay.
     """
     road, plant = Road(plan), ControlledCar(car, settings, seed)
-    here = plan.path.pose(plan.start)
-    plant.place(here.x, here.y, here.yaw, plan.speed_at(plan.start), plan.path.curvature(plan.start))
+    start = plan.path.pose(plan.start)
+    plant.place(start.x, start.y, start.yaw, plan.speed_at(plan.start), plan.path.curvature(plan.start))
     step, rows, solutions = controller.tuning.step, [], []
     finished = True
     while finished and plant.time < duration - 1e-9:
         road.track(*plant.state[:2])
-        solution = controller.control(plant.state, road.ahead(controller.steps, step))
+        solution = controller.control(plant.state, road.make_reference(controller.steps, step))
         solutions.append(solution)
         for _ in range(round(step / SAMPLING_TIME)):
             plant.advance(SAMPLING_TIME, *solution.inputs)
@@ -90,7 +90,7 @@ def drive(controller: Controller, car: VehicleParameters, settings: Settings, pl
     # The first solution has no warm start.
     wall = 1e3 * np.array([s.wall for s in solutions[1:]])
     cpu = 1e3 * np.array([s.cpu for s in solutions[1:]])
-    results = Drive(
+    results = DriveResults(
         error_rms=float(np.sqrt(np.mean(table[:, 3] ** 2))), error_max=float(np.max(np.abs(table[:, 3]))),
         speed_rms=float(np.sqrt(np.mean(table[:, 4] ** 2))), wall_median=float(np.median(wall)),
         wall_p95=float(np.percentile(wall, 95)), wall_max=float(np.max(wall)), cpu_median=float(np.median(cpu)),

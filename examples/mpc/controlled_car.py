@@ -19,7 +19,7 @@ class ControlledCar:
         self._count = 0
 
     def place(self, x: float, y: float, yaw: float, speed: float, curvature: float = 0.0) -> None:
-        """Reset time and set position [m], yaw [rad], speed [m/s] and curvature [1/m, left +], without slip."""
+        """Reset time and set position [m], yaw [rad], speed [m/s] and curvature [1/m, left > 0], without slip."""
         self.plant.place(x, y, yaw, speed, curvature)
         self.steering_wheel_angle = self.plant.rack_steering_wheel_angle
         self._count = 0
@@ -38,8 +38,8 @@ class ControlledCar:
     def advance(self, duration: float, road_wheel_angle: float, velocity_x_dot: float) -> None:
         """Simulate a duration [s] with constant commands.
 
-        road_wheel_angle [rad, left +]: converted to a steering-wheel angle with nominal steering ratio and limited
-        rate, which the plant's steering follows. velocity_x_dot [m/s^2]: converted to a drive force with the nominal
+        road_wheel_angle [rad, left > 0]: converted with the nominal steering ratio to a steering-wheel angle of limited
+        rate, the input of the plant's steering. velocity_x_dot [m/s^2]: converted to a drive force with the nominal
         mass; cornering resistance is compensated, but not drag, slopes and tyre limits.
         """
         car, plant, target = self.car, self.plant, road_wheel_angle * self.car.steering_ratio

@@ -5,7 +5,7 @@
          low_k - e_k <= n_k <= high_k + e_k,  e_k >= 0, with r_e e_k^2 added to the sum     (corridor only)
 
 n, s: distance from the reference point across and along the road [m]; c: velocity across the road [m/s]; d: change of
-the inputs from one step to the next. F is `step` of st_core.backends.casadi_backend. The method is multiple shooting.
+the inputs u from one step to the next. F is `step` of st_core.backends.casadi_backend. The method is multiple shooting.
 """
 
 from dataclasses import dataclass, field
@@ -32,11 +32,11 @@ the previous solution: SQP with qrqp, Gauss-Newton Hessian, full steps."""
 
 @dataclass(frozen=True)
 class Tuning:
-    """Weights [1 / unit^2], limits, and the prediction step h [s], which is also the time between two decisions.
+    """Weights [1 / unit^2], limits, and the prediction step h [s], which is also the control interval.
 
     across, course, along, speed: q_n, q_c, q_s, q_v. steering_change, acceleration_change: r_d, r_a. angle [rad],
-    acceleration [m/s^2]: bounds of u; angle_change, acceleration_step: of d. substeps: of a step, for which the tyre
-    dynamics are too stiff at 3 m/s. outside: r_e [1/m^2]; a feasible corridor is left by millimetres only.
+    acceleration [m/s^2]: bounds of u; angle_change, acceleration_step: of d. substeps: integration steps in h; one is
+    too long for the tyre dynamics at 3 m/s. outside: r_e [1/m^2]; e is a few millimetres if the corridor is feasible.
     """
 
     step: float = 0.1
@@ -55,7 +55,7 @@ class Tuning:
 
 
 class Reference(NamedTuple):
-    """Position [m] and yaw [rad] of the road and speed [m/s] at the end of each step, (steps,) each."""
+    """Position [m] and yaw [rad] of the road and reference speed [m/s] at the end of each step; (steps,) each."""
 
     x: np.ndarray
     y: np.ndarray
@@ -64,10 +64,10 @@ class Reference(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """inputs: (road_wheel_angle [rad], velocity_x_dot [m/s^2]) for the next step. planned: of every step, (steps, 2).
+    """inputs: (road_wheel_angle [rad], velocity_x_dot [m/s^2]) for the next step. planned: of all steps, (steps, 2).
 
-    predicted: (steps, states), at the end of each step. wall, cpu: time of the solver [s]. solved: False if ipopt did
-    not converge (inputs: of its last iterate), or the result is not finite (inputs: the previous ones).
+    predicted: states at the end of each step (steps, states). wall, cpu: elapsed and processor time of the solver [s].
+    solved: False if ipopt did not converge (inputs: last iterate) or the result is not finite (inputs: previous ones).
     """
 
     inputs: tuple[float, float]
@@ -83,7 +83,7 @@ class Solution(NamedTuple):
 class Controller:
     """Controller with one model and horizon. Call `control` every `tuning.step` [s]; it starts from its last solution.
 
-    corridor: whether `control` gets limits of the distance from the road.
+    steps: number in the horizon. corridor: whether `control` is given limits of the distance from the road.
     """
 
     model: Model
@@ -96,7 +96,7 @@ class Controller:
     def __post_init__(self):
         self.symbolic = build(self.model, self.vehicle, self.tuning.substeps)
         if self.symbolic.parameters:
-            raise ValueError(f"model {self.model.name}: {self.symbolic.parameters[0].name} has no value; fix it first")
+            raise ValueError(f"model {self.model.name}: {self.symbolic.parameters[0].name} has no value; give it one")
         self._states = len(self.symbolic.states)
         self._last = (0.0, 0.0)
         self._guess: np.ndarray | None = None
@@ -106,42 +106,42 @@ class Controller:
     def _build_problem(self) -> None:
         t, n, steps = self.tuning, self._states, self.steps
         limits = steps if self.corridor else 0
-        unknown = casadi.MX.sym("unknown", (2 + n) * steps + limits)
-        given = casadi.MX.sym("given", n + 2 + 4 * steps + 2 * limits)
-        rows = casadi.reshape(unknown[:(2 + n) * steps], 2 + n, steps)
-        road = casadi.reshape(given[n + 2:n + 2 + 4 * steps], 4, steps)
-        x, last, residuals, gaps, changes = given[:n], given[n:n + 2], [], [], []
+        variables = casadi.MX.sym("variables", (2 + n) * steps + limits)
+        parameters = casadi.MX.sym("parameters", n + 2 + 4 * steps + 2 * limits)
+        rows = casadi.reshape(variables[:(2 + n) * steps], 2 + n, steps)
+        road = casadi.reshape(parameters[n + 2:n + 2 + 4 * steps], 4, steps)
+        x, last, residuals, gaps, changes = parameters[:n], parameters[n:n + 2], [], [], []
         for k in range(steps):
-            u, ahead = rows[:2, k], rows[2:, k]
-            gaps.append(self.symbolic.step(x, u, t.step) - ahead)
+            u, following = rows[:2, k], rows[2:, k]
+            gaps.append(self.symbolic.step(x, u, t.step) - following)
             change = u - last
             weights = casadi.vertcat(t.steering_change ** 0.5, t.acceleration_change ** 0.5)
-            residuals += [self._stage_residuals(ahead, u, road[:, k]), weights * change]
+            residuals += [self._stage_residuals(following, u, road[:, k]), weights * change]
             changes.append(change)
-            x, last = ahead, u
-        outside, bounds = unknown[(2 + n) * steps:], given[n + 2 + 4 * steps:]
-        residuals = casadi.vertcat(*residuals, t.outside ** 0.5 * outside)
+            x, last = following, u
+        excess, bounds = variables[(2 + n) * steps:], parameters[n + 2 + 4 * steps:]
+        residuals = casadi.vertcat(*residuals, t.outside ** 0.5 * excess)
         low, high = bounds[:limits], bounds[limits:]
-        off = casadi.vertcat(*[self._across(rows[2:, k], road[:, k]) for k in range(limits)])
-        inside = casadi.vertcat(off + outside - low, high + outside - off) if limits else casadi.MX(0, 1)
-        problem = {"x": unknown, "f": casadi.sumsqr(residuals),
-                   "g": casadi.vertcat(*gaps, *changes, inside), "p": given}
+        distances = casadi.vertcat(*[self._across(rows[2:, k], road[:, k]) for k in range(limits)])
+        margins = casadi.vertcat(distances + excess - low, high + excess - distances) if limits else casadi.MX(0, 1)
+        problem = {"x": variables, "f": casadi.sumsqr(residuals),
+                   "g": casadi.vertcat(*gaps, *changes, margins), "p": parameters}
         name, options = SOLVERS[self.solver]
         if self.solver == "rti":
-            options = {**options, "hess_lag": self._gauss_newton(unknown, given, residuals, problem["g"])}
+            options = {**options, "hess_lag": self._gauss_newton(variables, parameters, residuals, problem["g"])}
         self._solve = casadi.nlpsol("mpc", name, problem, {**options, "expand": True})
-        largest = [t.angle_change, t.acceleration_step] * steps
-        self._limits = {"lbg": [0.0] * (n * steps) + [-v for v in largest] + [0.0] * (2 * limits),
-                        "ubg": [0.0] * (n * steps) + largest + [np.inf] * (2 * limits),
+        max_change = [t.angle_change, t.acceleration_step] * steps
+        self._limits = {"lbg": [0.0] * (n * steps) + [-v for v in max_change] + [0.0] * (2 * limits),
+                        "ubg": [0.0] * (n * steps) + max_change + [np.inf] * (2 * limits),
                         "lbx": [-t.angle, t.acceleration[0], *[-np.inf] * n] * steps + [0.0] * limits,
                         "ubx": [t.angle, t.acceleration[1], *[np.inf] * n] * steps + [np.inf] * limits}
 
     @staticmethod
-    def _gauss_newton(unknown, given, residuals, constraints):
-        """Hessian 2 J' J, which is never indefinite, so that every quadratic program has a minimum."""
-        jacobian = casadi.jacobian(residuals, unknown)
+    def _gauss_newton(variables, parameters, residuals, constraints):
+        """Hessian 2 J' J: positive semidefinite, so that every quadratic program has a minimum."""
+        jacobian = casadi.jacobian(residuals, variables)
         scale, multipliers = casadi.MX.sym("scale"), casadi.MX.sym("multipliers", constraints.numel())
-        return casadi.Function("hessian", [unknown, given, scale, multipliers],
+        return casadi.Function("hessian", [variables, parameters, scale, multipliers],
                                [2.0 * scale * casadi.mtimes(jacobian.T, jacobian)],
                                ["x", "p", "lam_f", "lam_g"], ["hess_gamma_x_x"]).expand()
 
@@ -160,16 +160,16 @@ class Controller:
                               t.speed ** 0.5 * (x[2] - road[3]))
 
     def reset(self) -> None:
-        """Discard the last solution; call it before another drive."""
+        """Discard the last solution; call this before a new drive."""
         self._last, self._guess, self._duals = (0.0, 0.0), None, None
 
     def control(self, state: tuple[float, ...], road: Reference,
                 corridor: tuple[np.ndarray, np.ndarray] | None = None,
                 measured: tuple[float, float] | None = None) -> Solution:
-        """Inputs for the next step from the six states at the CG; the yaw of car and road need not be wrapped.
+        """Solution that starts from the six states at the CG; the yaw of car and road need not be wrapped.
 
-        corridor: limits of the distance from the road at the end of each step, left +, (steps,) each [m]. measured:
-        present inputs, required if the car does not follow the last solution.
+        corridor: (lower, upper) limits of the distance from the road at the end of each step, left > 0, (steps,) [m].
+        measured: present inputs, required if the car does not follow the last solution.
         """
         self._last = self._last if measured is None else measured
         start = self.symbolic.start(state, self._last).full().ravel()
@@ -177,10 +177,10 @@ class Controller:
             self._guess = self._rollout(start)
         p = np.concatenate([start, self._last, np.column_stack(road).ravel(), *(corridor or ())])
         count = (2 + self._states) * self.steps
-        first = np.concatenate([self._guess.ravel(), np.zeros(self.steps if self.corridor else 0)])
-        warm = {"lam_x0": self._duals[0], "lam_g0": self._duals[1]} if self._duals else {}
+        initial = np.concatenate([self._guess.ravel(), np.zeros(self.steps if self.corridor else 0)])
+        warm_start = {"lam_x0": self._duals[0], "lam_g0": self._duals[1]} if self._duals else {}
         wall, cpu = perf_counter(), process_time()
-        result = self._solve(x0=first, p=p, **self._limits, **warm)
+        result = self._solve(x0=initial, p=p, **self._limits, **warm_start)
         wall, cpu = perf_counter() - wall, process_time() - cpu
         rows = result["x"].full()[:count].reshape(self.steps, 2 + self._states)
         statistics = self._solve.stats()

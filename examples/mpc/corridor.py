@@ -1,4 +1,4 @@
-"""Tightens a constraint of a controller with a calibrated band: cars that differ from its model pass through gates.
+"""Tightens a constraint of a controller by a calibrated band: cars that differ from its model pass through gates.
 
     ./st shell -- python examples/mpc/corridor.py              50 seeds, with and without tightening
     ./st shell -- python examples/mpc/corridor.py --seeds 5
@@ -7,8 +7,8 @@ The road is straight and has three gates. At 10 m/s the controller stays as clos
 passes close to their posts. Each seed is another car with random mass, tyres, friction and steering (DEVIATIONS). Bands
 of the controller's model over its horizon are calibrated on drives of other random cars through other gates. With
 tightening, the controller keeps the lateral half-width of the band at each point of its horizon as a distance from
-every post. A variant limits this distance to its value NEAR seconds ahead, because later decisions correct larger
-errors. Writes corridor.json; docs/manual/mpc.md explains the result.
+every post. A variant limits this distance to its value NEAR seconds ahead, because later decisions correct the errors
+beyond it. Writes corridor.json; docs/manual/mpc.md explains the result.
 """
 
 import argparse
@@ -42,14 +42,14 @@ from st_sim.scenarios import RoadPlan
 from st_sim.settings import REALISTIC, Settings, read_vehicle
 
 SPEED, DURATION, HORIZON = 10.0, 20.0, 2.5  # m/s, s, s
-DEVIATIONS = {  # standard deviations of the settings of the plant; of the offset in rad
+DEVIATIONS = {  # standard deviations of the plant settings; of the offset in rad
     "mass_factor": 0.04, "front_stiffness_factor": 0.08, "rear_stiffness_factor": 0.08, "friction_factor": 0.05,
     "steering_offset": 0.006, "steering_ratio_factor": 0.02}
-CALIBRATION_CARS, LEVELS = 32, (0.9, 0.95)  # on their drives bands are calibrated; n cars allow levels up to n/(n + 1)
+CALIBRATION_CARS, LEVELS = 32, (0.9, 0.95)  # cars whose drives calibrate the bands; n cars allow levels up to n/(n + 1)
 NEAR = 0.5  # s ahead, after five decisions
 SETTINGS = EvaluationSettings(PredictionSettings(horizon=HORIZON))
 GATE_STARTS = (50.0, 115.0, 180.0)  # m along the road
-MIN_VIOLATION = 0.01  # m beyond a post, from which on a pass counts as a violation
+MIN_VIOLATION = 0.01  # m beyond a post; up to this distance, a pass is not a violation
 
 
 class Margin(NamedTuple):
@@ -64,7 +64,7 @@ class Margin(NamedTuple):
 
 
 class Gate(NamedTuple):
-    """From begin to end [m along the road] the CG must be `clearance` [m] or more left (side 1) or right (-1) of it."""
+    """From begin to end [m along the road], the CG must pass `clearance` [m] or more left (side 1) or right (-1)."""
 
     begin: float
     end: float
@@ -93,8 +93,8 @@ def make_gates(generator: np.random.Generator | None = None) -> list[Gate]:
     return [Gate(start, start + 6.0, int(generator.choice([-1, 1])), generator.uniform(0.5, 1.5)) for start in starts]
 
 
-def limits(gates: Sequence[Gate], distances: np.ndarray, margin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Limits of the distance from the road (left +) at distances along it, with a margin to posts; (n,) each [m]."""
+def compute_limits(gates: Sequence[Gate], distances: np.ndarray, margin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(lower, upper) limits of the distance from the road, left > 0, by distance along it [m]. margin: to the posts."""
     low, high = np.full(len(distances), -4.0), np.full(len(distances), 4.0)
     for gate in gates:
         at_gate = (distances >= gate.begin) & (distances <= gate.end)
@@ -116,7 +116,7 @@ def plant_settings(seed: int) -> Settings:
 
 def drive(controller: Controller, car: VehicleParameters, vehicle: VehicleParameters, gates: Sequence[Gate], seed: int,
           tightening: Margin | None = None) -> Outcome:
-    """Drive a car through the gates. tightening: None for constraints without a margin."""
+    """Drive the car of a seed through the gates. tightening: None for constraints without a margin."""
     controller.reset()
     plan = RoadPlan(straight(400.0, SPEED))
     road, plant, step = Road(plan), ControlledCar(car, plant_settings(seed), seed), controller.tuning.step
@@ -125,19 +125,19 @@ def drive(controller: Controller, car: VehicleParameters, vehicle: VehicleParame
     margin = np.zeros(controller.steps)
     while plant.time < DURATION - 1e-9:
         road.track(*plant.state[:2])
-        ahead = road.ahead(controller.steps, step)
+        reference = road.make_reference(controller.steps, step)
         if tightening is not None:
             # Outside the calibrated conditions the last margin is kept.
             current = _compute_margin(tightening, plant.state, angles, acceleration, step)
             margin = margin if current is None else current
         along = road.distance + step * SPEED * np.arange(1, controller.steps + 1)
-        angle, acceleration = controller.control(plant.state, ahead, limits(gates, along, margin)).inputs
+        angle, acceleration = controller.control(plant.state, reference, compute_limits(gates, along, margin)).inputs
         angles.append(angle)
         for _ in range(round(step / SAMPLING_TIME)):
             rows.append((plant.time, *plant.state, angle))
             plant.advance(SAMPLING_TIME, angle, acceleration)
             offset = road.track(*plant.state[:2])
-            low, high = limits(gates, np.array([road.distance]), np.zeros(1))
+            low, high = compute_limits(gates, np.array([road.distance]), np.zeros(1))
             depth = max(depth, float(low[0]) - offset, offset - float(high[0]))
     table, tuning = np.array(rows), controller.tuning
     cost = (tuning.across * np.mean(table[:, 2] ** 2) + tuning.speed * np.mean((table[:, 3] - SPEED) ** 2)
@@ -160,7 +160,7 @@ def _compute_margin(tightening: Margin, state: Sequence[float], angles: Sequence
 
 
 def _make_log(table: np.ndarray, vehicle: VehicleParameters, seed: int) -> DriveLog:
-    """The drive as recorded by an INS without noise, with the commanded steering."""
+    """The drive as an INS without noise would record it, with the commanded steering."""
     time, x, y, forward, across, yaw, rate, angle = table.T
     time_ns = np.round(time * 1e9).astype(np.int64)
     d_x, d_y = vehicle.cg_to_ins_x, vehicle.cg_to_ins_y
@@ -171,18 +171,18 @@ def _make_log(table: np.ndarray, vehicle: VehicleParameters, seed: int) -> Drive
 
 def calibrate_band(controller: Controller, car: VehicleParameters, vehicle: VehicleParameters,
                    model: str) -> tuple[Band, CalibrationDomain]:
-    """Band and domain of hindsight predictions, because the controller too knows the future inputs."""
+    """Band and domain of hindsight predictions, since the controller also knows the future inputs."""
     runs = []
     for seed in range(CALIBRATION_CARS):
         log = drive(controller, car, vehicle, make_gates(np.random.default_rng([22, seed])), 1000 + seed).log
         runs.append(compute_error_samples([get_model(model)], vehicle, SETTINGS.signals(log), SETTINGS))
     time = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
     band = calibrate(runs, (model, "hindsight"), time, LEVELS)
-    return band, CalibrationDomain.from_runs([one.conditions for one in runs])
+    return band, CalibrationDomain.from_runs([run.conditions for run in runs])
 
 
 def compare(seeds: int, model: str) -> dict[str, dict[str, float]]:
-    """`summarise` of the drives of all seeds, for each variant of the constraint."""
+    """Summary of the drives of all seeds, by variant of the constraint."""
     vehicle, tuning = read_vehicle(config("vehicle/leaf.yaml")), Tuning()
     controller = Controller(get_model(model), vehicle, round(HORIZON / tuning.step), tuning, "rti", corridor=True)
     (band, domain), summaries = calibrate_band(controller, vehicle, vehicle, model), {}
@@ -198,7 +198,7 @@ def compare(seeds: int, model: str) -> dict[str, dict[str, float]]:
 
 
 def summarise(outcomes: Sequence[Outcome]) -> dict[str, float]:
-    """Number and depth of violations [m], mean error [m] and mean cost over all cars."""
+    """Number of violations; largest and median depth [m], mean error [m] and mean cost over all cars."""
     depths, errors, costs = np.array([(outcome.depth, outcome.error, outcome.cost) for outcome in outcomes]).T
     return {"seeds": len(outcomes), "violations": int((depths > MIN_VIOLATION).sum()), "deepest": float(depths.max()),
             "depth_median": float(np.median(depths)), "error_rms": float(np.mean(errors)),

@@ -12,12 +12,12 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 from st_core.palette import FIGURE_STYLE, MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE
 
-MARKER = {"rti": "o", "ipopt": "s"}
+SOLVER_MARKER = {"rti": "o", "ipopt": "s"}
 SOLVER_NAME = {"rti": "real-time iteration (SQP, qrqp)", "ipopt": "IPOPT to convergence"}
 
 
 def draw_trade_off(rows: list[dict], titles: Mapping[str, str], file: Path) -> None:
-    """Draw tracking error over processor time, with a line per model and solver and a point per horizon."""
+    """Draw tracking error over processor time: a line for each model and solver, a point for each horizon."""
     with plt.rc_context(FIGURE_STYLE):
         figure, axes = plt.subplots(1, len(titles), figsize=(3.6 * len(titles) + 0.6, 3.9), squeeze=False, sharex=True,
                                     sharey=True)
@@ -45,7 +45,7 @@ def _draw_line(axis, rows: list[dict], solver: str, model: str) -> None:
     for row in rows:
         size = 16.0 + 22.0 * row["horizon"]
         face = colour if row["finished"] else "white"
-        shape = MARKER[solver] if row["finished"] else "X"
+        shape = SOLVER_MARKER[solver] if row["finished"] else "X"
         axis.scatter(row["cpu_median"], row["error_rms"], s=size, marker=shape, facecolor=face, edgecolor=colour,
                      linewidth=1.0, alpha=0.9, zorder=3)
 
@@ -53,7 +53,7 @@ def _draw_line(axis, rows: list[dict], solver: str, model: str) -> None:
 def _add_legend(figure, rows: list[dict]) -> None:
     entries = [Line2D([], [], color=MODEL_COLOUR.get(model, MEASURED_COLOUR), linestyle=MODEL_LINE.get(model, "solid"),
                       label=model) for model in dict.fromkeys(row["model"] for row in rows)]
-    entries += [Line2D([], [], color=MEASURED_COLOUR, marker=MARKER[solver], linestyle="none",
+    entries += [Line2D([], [], color=MEASURED_COLOUR, marker=SOLVER_MARKER[solver], linestyle="none",
                        label=SOLVER_NAME[solver]) for solver in dict.fromkeys(row["solver"] for row in rows)]
     entries += [Line2D([], [], color=MEASURED_COLOUR, marker="o", linestyle="none", markersize=(16 + 22 * h) ** 0.5,
                        label=f"horizon {h:g} s") for h in sorted({row["horizon"] for row in rows})]
@@ -67,7 +67,7 @@ def draw_paths(tables: Mapping[tuple, np.ndarray], titles: Mapping[str, str], fi
     """Draw the distance from the road over time for the shortest and longest horizon; keys of tables: see nmpc.py."""
     horizons = sorted({key[3] for key in tables})
     extremes = list(dict.fromkeys((horizons[0], horizons[-1])))
-    solver = next(key[1] for key in tables)
+    solver = next(key[1] for key in tables)  # the first one
     with plt.rc_context(FIGURE_STYLE):
         figure, axes = plt.subplots(len(titles), len(extremes), figsize=(8.4, 2.1 * len(titles) + 0.6), squeeze=False,
                                     sharex="row", sharey="row")

@@ -1,4 +1,4 @@
-"""Compares controllers with each model and several horizons: which model and which horizon does path following need?
+"""Compares controllers with each model at several horizons: which model and which horizon does path following need?
 
     ./st shell -- python examples/mpc/nmpc.py                     all models, a minute of processor time
     ./st shell -- python examples/mpc/nmpc.py --quick             one road, two horizons, a few seconds
@@ -14,7 +14,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from closed_loop import Drive, drive
+from closed_loop import DriveResults, drive
 from controller import SOLVERS, Controller, Tuning
 from drawing import draw_paths, draw_trade_off
 from st_core.errors import StCoreError
@@ -29,7 +29,7 @@ HORIZONS = [0.5, 1.0, 2.0, 3.0]  # s
 
 
 def lane_change_at_the_limit() -> Plan:
-    """The double lane change of the scenarios, but at 15 m/s, with up to 7 m/s^2."""
+    """The double lane change of the scenarios at 15 m/s, with lateral accelerations up to 7 m/s^2."""
     speed = 15.0
     return RoadPlan([*straight(40, speed), *lane_shift(3.5, 30, speed), *straight(25, speed),
                      *lane_shift(-3.5, 30, speed), *straight(35, speed)])
@@ -43,13 +43,13 @@ ROADS: dict[str, tuple[Callable[[], Plan], float, str]] = {
 
 
 def main() -> int:
-    options = _arguments()
+    options = _parse_arguments()
     try:
         folder = new_folder(options.output, "mpc")
         vehicle, settings = read_vehicle(options.vehicle), resolve_settings(options.plant)
         models = {}
         for name in options.model:
-            # --vehicle is the plant; a model file may contain an identified vehicle for its model.
+            # --vehicle describes the plant; a model file may contain an identified vehicle for the controller.
             model, model_vehicle = read_model(name, vehicle, str(options.vehicle), vehicle_is_given=False)
             models[model.name] = model, model_vehicle
     except (OSError, StCoreError) as error:
@@ -77,14 +77,14 @@ def main() -> int:
     return 0
 
 
-def _format_row(row: dict, results: Drive) -> str:
+def _format_row(row: dict, results: DriveResults) -> str:
     end = "" if results.finished else f"   left the road after {results.duration:.1f} s"
     return (f"{row['road']:18} {row['solver']:6} {row['model']:10} {row['horizon']:4.1f} s   "
             f"error {results.error_rms:6.3f} rms {results.error_max:6.3f} max m   "
             f"cpu {results.cpu_median:6.2f} median {results.cpu_p95:6.2f} p95 ms   unsolved {results.unsolved}{end}")
 
 
-def _arguments() -> argparse.Namespace:
+def _parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--model", nargs="+", default=MODELS, help="names or model files (.yaml)")
     parser.add_argument("--horizon", nargs="+", type=float, default=HORIZONS, help="s")

@@ -1,13 +1,13 @@
-"""Planner node that publishes plan/inputs ten times a second: the optimal inputs along a road from the present state.
+"""Planner node that publishes plan/inputs ten times a second: optimal inputs from the present state along a road.
 
     ROS_DOMAIN_ID=7 ./st demo --scenario S6 --duration 40                         in one terminal
     ROS_DOMAIN_ID=7 ./st shell -- python examples/mpc/plan_node.py                in another: the road of S6
-    ... plan_node.py --course course.yaml                                         the line of an earlier drive
+    ... plan_node.py --course course.yaml                                         the path of an earlier drive
 
 Each plan is one solution of the controller of nmpc.py over 5.6 s from the measured state (ins/odometry) and steering
-(vehicle/steering). The node does not drive: its plan is a good forecast only while the driver follows the same line and
-speed. The line of a course, which is of the INS point, is used for the CG. docs/manual/forecast.md explains the mode
-`plan`.
+(vehicle/steering). The node does not drive: its plan is a good forecast only while the driver follows the same path at
+the same speed. The path of a course is that of the INS point; the node uses it for the CG. docs/manual/forecast.md
+explains the mode `plan`.
 """
 
 import argparse
@@ -36,9 +36,9 @@ from st_sim.scenarios import RoadPlan, load_plan
 from st_sim.settings import SimulationError
 
 STEPS = 56  # of 0.1 s: the first one, the predictor's horizon of 5 s, and the 0.5 s for which a plan may be used
-ROAD_LENGTH = 5000.0  # m of a scenario's road; a quarter of an hour for S6
+ROAD_LENGTH = 5000.0  # m, length of a scenario's road; S6 takes a quarter of an hour
 MIN_SPEED = 2.0  # m/s; at lower speed the models with tyres are too stiff for the step of the controller
-# m between planned and reference positions; a larger deviation is another minimum, which the solver does not leave.
+# m between planned and reference positions; beyond it, the solver is in another local minimum, which it does not leave.
 MAX_DEVIATION = 3.0
 MAX_GAP = 0.1  # s between the newest odometry and the newest steering
 
@@ -47,7 +47,7 @@ def make_scenario_course(name: str) -> Course:
     """The road of a scenario as a course. Raises SimulationError for a scenario without a fixed road."""
     plan = load_plan(name)
     if not isinstance(plan, RoadPlan):
-        raise SimulationError(f"--road {name}: its road depends on the driver; choose one with a fixed road, as S6")
+        raise SimulationError(f"--road {name}: its road depends on the driver; choose a fixed road, such as S6")
     along = plan.start + np.arange(-50.0, ROAD_LENGTH, SPACING)
     points = [(*plan.path.pose(s), plan.path.curvature(s), plan.speed_at(s)) for s in along.tolist()]
     return Course((Pass(name, (), np.array(points)),))
@@ -63,7 +63,7 @@ def find_next_point(course: Course, last: NearPoint, state: VehicleState) -> Nea
 
 
 def make_reference(course: Course, point: NearPoint, state: VehicleState, steps: int, step: float) -> Reference | None:
-    """The road at the end of each step [s] for a car with its speed; None if the road ends before."""
+    """Road at the end of each step [s] for a car at the speed of the course; None if the road is too short."""
     points = course.passes[point.pass_index].points[point.row:]
     x, y, yaw = points[0, :3]
     along = np.arange(len(points)) * SPACING
@@ -73,13 +73,13 @@ def make_reference(course: Course, point: NearPoint, state: VehicleState, steps:
         ahead.append(ahead[-1] + step * np.interp(middle, along, points[:, 4]))
     if ahead[-1] > along[-1]:
         return None
-    directions = np.unwrap(points[:, 2])
+    yaws = np.unwrap(points[:, 2])
     return Reference(*(np.interp(ahead[1:], along, column)
-                       for column in (points[:, 0], points[:, 1], directions, points[:, 4])))
+                       for column in (points[:, 0], points[:, 1], yaws, points[:, 4])))
 
 
 def make_plan_message(stamp_ns: int, measured: tuple[float, float], solution: Solution, step: float) -> InputPlan:
-    """Message with the plan of a solution: measured inputs at its stamp, planned inputs in the middle of each step."""
+    """Message with a solution's plan: measured inputs at the stamp, then planned inputs in the middle of each step."""
     count = len(solution.planned)
     inputs = np.vstack([measured, solution.planned, solution.planned[-1]])
     seconds = [0.0, *((np.arange(count) + 0.5) * step), count * step]
@@ -94,7 +94,7 @@ def _largest_deviation(solution: Solution, road: Reference) -> float:
 
 
 class Planner(Node):
-    """Publishes a plan in every step of the controller unless the car is slow, not measured, or not on the road."""
+    """Publishes a plan every step of the controller, unless the car is slow, not measured, or off the road."""
 
     def __init__(self, controller: Controller, course: Course):
         super().__init__("planner")
@@ -107,7 +107,7 @@ class Planner(Node):
         self._sample = None
         self._angle, self._angle_ns = 0.0, 0
         self._counts = {"published": 0, "without a road": 0, "not solved": 0, "slow or not measured": 0}
-        self._longest = 0.0
+        self._longest_solution = 0.0
         self.create_timer(controller.tuning.step, self._plan)
 
     def _plan(self) -> None:
@@ -115,7 +115,7 @@ class Planner(Node):
 
     def _publish_plan(self) -> str:
         """Publish a plan if possible; returns the count to increase."""
-        before = self._sample
+        previous = self._sample
         for message, _, _ in self._odometry.take():
             sample = convert.read_ins_sample(message, "map")
             if not isinstance(sample, str):
@@ -123,12 +123,12 @@ class Planner(Node):
         for message, _, _ in self._steering.take():
             if message.valid:
                 self._angle, self._angle_ns = message.road_wheel_angle, convert.to_nanoseconds(message.header.stamp)
-        now, car = self._sample, self._controller.vehicle
-        if now is None or before is None or now.time_ns <= before.time_ns or now.velocity_x < MIN_SPEED \
-                or abs(now.time_ns - self._angle_ns) * 1e-9 > MAX_GAP:
+        newest, car = self._sample, self._controller.vehicle
+        if newest is None or previous is None or newest.time_ns <= previous.time_ns or newest.velocity_x < MIN_SPEED \
+                or abs(newest.time_ns - self._angle_ns) * 1e-9 > MAX_GAP:
             self._controller.reset()
             return "slow or not measured"
-        state = ins_to_cg(now, car.cg_to_ins_x, car.cg_to_ins_y)
+        state = ins_to_cg(newest, car.cg_to_ins_x, car.cg_to_ins_y)
         step = self._controller.tuning.step
         point = find_next_point(self._course, self._point, state)
         road = make_reference(self._course, point, state, self._controller.steps, step) if point else None
@@ -136,19 +136,19 @@ class Planner(Node):
         if road is None:
             self._controller.reset()
             return "without a road"
-        acceleration = (now.velocity_x - before.velocity_x) / ((now.time_ns - before.time_ns) * 1e-9)
+        acceleration = (newest.velocity_x - previous.velocity_x) / ((newest.time_ns - previous.time_ns) * 1e-9)
         measured = self._angle, acceleration
         solution = self._controller.control(state.as_tuple(), road, measured=measured)
-        self._longest = max(self._longest, solution.wall)
+        self._longest_solution = max(self._longest_solution, solution.wall)
         if not solution.solved or _largest_deviation(solution, road) > MAX_DEVIATION:
             self._controller.reset()
             return "not solved"
-        self._publisher.publish(make_plan_message(now.time_ns, measured, solution, step))
+        self._publisher.publish(make_plan_message(newest.time_ns, measured, solution, step))
         return "published"
 
     def close(self) -> None:
         counts = ", ".join(f"{count} {name}" for name, count in self._counts.items())
-        print(f"plans: {counts}; longest solution {self._longest * 1000:.0f} ms", flush=True)
+        print(f"plans: {counts}; longest solution {self._longest_solution * 1000:.0f} ms", flush=True)
 
 
 def main() -> int:

@@ -172,7 +172,7 @@ def test_log_without_shared_signals_is_refused_and_accepts_a_specified_offset(pa
 
 def test_infinite_deviations_are_unknown(pair: Pair) -> None:
     refused = replace(pair.alignment, offset_deviation=math.inf, drift_deviation=math.inf)
-    text = describe_alignment(refused, pair.log.start_ns, absolute=True)
+    text = describe_alignment(refused, pair.log.start_ns, is_utc=True)
     assert text.count("unknown") == 2 and "inf" not in text
 
 

@@ -61,7 +61,7 @@ def test_band_increases_the_distance_to_a_gate_by_its_half_width(monkeypatch):
 
     monkeypatch.setattr(corridor, "DURATION", 6.0)
     gates, time = [corridor.Gate(30.0, 36.0, -1, 1.0)], 0.05 * np.arange(1, 51)
-    low, high = corridor.limits(gates, np.array([29.0, 33.0]), np.array([0.2, 0.2]))
+    low, high = corridor.compute_limits(gates, np.array([29.0, 33.0]), np.array([0.2, 0.2]))
     assert high == pytest.approx([4.0, -1.2]) and low == pytest.approx([-4.0, -4.0])
     # Half-width 0.3 m at every point under all conditions.
     coefficients = np.full((3, 6, compute_features(np.zeros((1, 4))).shape[1]), 0.0)

@@ -38,7 +38,7 @@ def compute_sum8_id(data: Sequence[Any], arbitration_id: int) -> Any:
 
 
 CHECKSUM_RULES = {"xor_nibble": (4, compute_xor_nibble), "sum8_id": (8, compute_sum8_id)}
-"""Name of a checksum -> (number of bits, function of the payload with checksum 0 and the identifier)."""
+"""Name of a rule -> (bits of the checksum, function of the payload with checksum 0 and the identifier)."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,8 @@ class CounterCheck:
     """Checks the counter of one message, frame by frame.
 
     Every step other than +1 is a fault; a step of k > 1 counts as k - 1 lost frames (modulo the counter's range). The
-    received value is always the new reference, so one lost frame counts as one fault. The first frame, and the first
-    after a gap longer than `restart_after_ns` or after a step back in time, are not checked.
+    received value is always the new reference, so one lost frame counts as one fault. The first frame is not checked,
+    nor is the first after a gap longer than `restart_after_ns` or after a step back in time.
     """
 
     def __init__(self, field: Field, restart_after_ns: int):
@@ -95,10 +95,10 @@ class CounterCheck:
 
 def find_counter_faults(field: Field, data: np.ndarray, time_ns: np.ndarray, wrong_checksum: np.ndarray,
                         restart_after_ns: int) -> np.ndarray:
-    """Mask (n,) of the frames of a log with a correct checksum whose counter is not the previous one plus 1.
+    """Mask (n,) of the frames with a correct checksum whose counter does not follow that of the previous frame.
 
-    data: bytes of the frames from `stack_bytes`. time_ns: their times (n,). wrong_checksum: mask (n,) of the
-    frames with a wrong checksum, which are assumed to have the next counter value, as in CounterCheck.skip.
+    data: all frames of a log, from `stack_bytes`. time_ns: their times (n,). wrong_checksum: mask (n,) of the frames
+    with a wrong checksum, which are assumed to have the next counter value, as in CounterCheck.skip.
     restart_after_ns: gap [ns] after which any counter value is accepted.
     """
     value = field.read(data).astype(np.int64)

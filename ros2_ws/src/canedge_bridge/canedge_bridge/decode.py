@@ -35,8 +35,8 @@ class DecodedFrame:
 @dataclass
 class MessageStatistics:
     """Counts of the frames of one message. good: decoded, even if a check in mode `warn` failed. bad: with at least
-    one fault. implausible: with an implausible value; plausible frames withheld with them do not count. dropped: failed
-    a check in mode `drop`. lost: gaps of the counter. last_seen_ns: time of the last good frame with signals."""
+    one fault. implausible: with an implausible value; plausible frames that are withheld do not count. dropped:
+    failed a check in mode `drop`. lost: missing by the counter. last_seen_ns: time of the last good one with values."""
 
     good: int = 0
     bad: int = 0
@@ -60,7 +60,7 @@ class _MessageState:
 
 
 class Decoder:
-    """Decodes the messages of one signal table; raises the errors of `load_table`.
+    """Decodes the messages of one signal table. The constructor raises TableError, as `load_table`.
 
     For a bad frame (wrong length, wrong counter or checksum in mode drop, a value that is not finite or not plausible),
     `decode` counts the fault and returns None; it never raises. skipped: counts of frames that are not decoded, by
@@ -69,7 +69,7 @@ class Decoder:
 
     def __init__(self, dbc_file: str | Path, signals_file: str | Path, needed: Sequence[str] = (),
                  checks: Mapping[str, str] | None = None):
-        """checks: override the table; `MESSAGE`, `MESSAGE.counter` or `MESSAGE.checksum` -> off, warn or drop."""
+        """checks: instead of the table's; `MESSAGE`, `MESSAGE.counter` or `MESSAGE.checksum` -> off, warn or drop."""
         self.table = _override_checks(load_table(dbc_file, signals_file, needed), checks or {})
         self.skipped: Counter[str] = Counter()
         self._states = {spec.key: _MessageState(spec) for spec in self.table.messages.values()}
@@ -100,32 +100,32 @@ class Decoder:
             statistics.wrong_length += 1
             statistics.bad += 1
             return None
-        fault = self._find_fault(state, data, time_ns)
-        statistics.bad += fault is not Mode.OFF
-        if fault is Mode.DROP:
+        reaction = self._check_integrity(state, data, time_ns)
+        statistics.bad += reaction is not Mode.OFF
+        if reaction is Mode.DROP:
             statistics.dropped += 1
             return None
         values = spec.to_si(data)
         if not all(map(math.isfinite, values.values())):
             statistics.not_finite += 1
-            statistics.bad += fault is Mode.OFF
+            statistics.bad += reaction is Mode.OFF
             return None
-        if state.plausibility and not self._are_plausible(state, values, time_ns, fault):
+        if state.plausibility and not self._are_plausible(state, values, time_ns, reaction):
             return None
         statistics.good += 1
         if not values:  # a multiplexed frame that carries none of the table's signals
             return None
         statistics.last_seen_ns = time_ns
-        return DecodedFrame(spec.name, time_ns, replace_gps_time(values), fault is Mode.OFF)
+        return DecodedFrame(spec.name, time_ns, replace_gps_time(values), reaction is Mode.OFF)
 
-    def _are_plausible(self, state: _MessageState, values: Mapping[str, float], time_ns: int, fault: Mode) -> bool:
-        """Whether all values are plausible; also false while too many recent values of a signal are implausible,
-        because plausible ones are then due to chance. fault: of this frame, from `_find_fault`."""
+    def _are_plausible(self, state: _MessageState, values: Mapping[str, float], time_ns: int, reaction: Mode) -> bool:
+        """Whether all values are plausible; false also while too many recent values of a signal are implausible,
+        because plausible ones are then due to chance. reaction: to this frame, from `_check_integrity`."""
         plausible = [state.plausibility[name].accepts(value, time_ns) for name, value in values.items()
                      if name in state.plausibility]
         if not all(plausible):
             state.statistics.implausible += 1
-            state.statistics.bad += fault is Mode.OFF
+            state.statistics.bad += reaction is Mode.OFF
             return False
         return not any(check.fault for check in state.plausibility.values())
 
@@ -134,8 +134,8 @@ class Decoder:
         return [check.fault for state in self._states.values() for check in state.plausibility.values()
                 if check.fault]
 
-    def _find_fault(self, state: _MessageState, data: bytes, time_ns: int) -> Mode:
-        """The mode of the check that the frame fails, checksum before counter; OFF if it fails none."""
+    def _check_integrity(self, state: _MessageState, data: bytes, time_ns: int) -> Mode:
+        """Mode of the check that the frame fails, the checksum before the counter; OFF if it fails neither."""
         spec, statistics = state.spec, state.statistics
         checksum, counter = spec.checksum, spec.counter
         if checksum and checksum.mode is not Mode.OFF and not checksum.is_correct(data, spec.dbc.frame_id):
@@ -235,12 +235,12 @@ class SteeringCalibration:
     steering_ratio: float
 
     def convert(self, sensor: Number) -> tuple[Number, Number]:
-        """(steering wheel angle without offset correction, mean road wheel angle of the front axle) [rad], > 0 left."""
+        """(steering wheel angle without offset correction, mean road wheel angle of the front axle) [rad], left > 0."""
         angle = self.steering_sign * sensor
         return angle, vehicle.road_wheel_angle(angle, self.steering_wheel_offset, self.steering_ratio)
 
     def formula(self) -> str:
-        """Formula of the conversion with the values of the car, for the log."""
+        """Formula of the conversion with the values of the car, as text for the log."""
         offset = math.degrees(self.steering_wheel_offset)
         return (f"road_wheel_angle = ({self.steering_sign:+d} * sensor - ({self.steering_wheel_offset:.6f} rad)) / "
                 f"{self.steering_ratio:g}, positive to the left; steering_wheel_offset = {offset:.3f} deg, so sensor "

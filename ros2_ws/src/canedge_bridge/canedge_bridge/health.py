@@ -11,7 +11,7 @@ from .receiver import BusState, ReceiverStatus
 
 _LEVELS = {BusState.OK: OK, BusState.SILENT: WARN, BusState.ERROR_PASSIVE: WARN, BusState.BUS_OFF: ERROR,
            BusState.DOWN: ERROR, BusState.GONE: ERROR}
-_START_UP_TIME = 2.0  # a missing signal is an error only after this time from the start [s]
+_START_UP_TIME = 2.0  # time after the start before a missing signal is an error [s]
 _RATE_INTERVAL = 0.5  # minimum time between two updates of the frame rates [s]
 _FAULTS = ("wrong_counter", "wrong_checksum", "wrong_length", "not_finite", "implausible")  # in MessageStatistics
 

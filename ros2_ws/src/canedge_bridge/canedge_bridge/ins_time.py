@@ -28,10 +28,10 @@ def replace_gps_time(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _from_gps_seconds(gps: np.ndarray, leap_seconds: np.ndarray) -> np.ndarray:
-    """UTC [s since 1970] of GPS time [s since 1980-01-06]; NaN unless positive, as 0 means unknown.
+    """UTC [s since 1970] of GPS time [s since 1980-01-06]; NaN unless `gps` is positive, as 0 means unknown.
 
-    leap_seconds: as sent by the unit; 0: the leap-second table is used. The caller passes the magnitude, because
-    the sign in a real frame is not known.
+    leap_seconds: magnitude of the offset sent by the unit, because its sign in real frames is not known; 0: the
+    leap-second table is used.
     """
     as_unix = np.where(gps > 0, gps + GPS_EPOCH_UNIX, np.nan)
     return np.where(leap_seconds > 0, as_unix - leap_seconds, _to_utc(as_unix))
@@ -61,7 +61,7 @@ def _day_number(year: np.ndarray, month: np.ndarray, day: np.ndarray) -> np.ndar
 
 
 def split_unix_time(unix_time: float, names: frozenset[str]) -> dict[str, float]:
-    """GPS time of UTC [s since 1970]: GPS_SECONDS_PARTS if `names` has gps_time, else DATE_TIME_PARTS, to 0.01 s."""
+    """GPS time of UTC [s since 1970]: GPS_SECONDS_PARTS if `names` has gps_time, else DATE_TIME_PARTS to 0.01 s."""
     leap = leap_seconds_at_utc(unix_time)
     if "gps_time" in names:
         # Sign as in NCOM: UTC - GPS time, which is negative.

@@ -39,7 +39,7 @@ _INS = {name: name.removeprefix("ins_") for name in CANONICAL_SIGNALS if name.st
 PARAMETERS = (
     Parameter("interface", "socketcan", "python-can interface: socketcan, udp_multicast (loopback only), ..."),
     Parameter("channel", "can0", "can0 for socketcan, group or group:port for udp_multicast"),
-    Parameter("bitrate", 0, "of interfaces that python-can configures; 0: their default", "bit/s", 0, 8_000_000),
+    Parameter("bitrate", 0, "for interfaces that python-can configures; 0: their default", "bit/s", 0, 8_000_000),
     Parameter("dbc_file", "", "DBC of the bus"),
     Parameter("signals_file", "", "table from DBC signals to canonical names, signs, units and checks"),
     Parameter("vehicle_file", "", "vehicle parameters, for steering_ratio and steering_wheel_offset"),
@@ -187,7 +187,7 @@ def serialise_frame(frame: can.Message, time_ns: int) -> bytes:
 
 
 def serialise_frames(frames: list[bytes], bus: str) -> bytes:
-    """st_msgs/CanFrames as CDR, stamped as the first frame. frames: from `serialise_frame`, in order, at least one."""
+    """st_msgs/CanFrames as CDR, with the first frame's stamp. frames: one or more from `serialise_frame`, in order."""
     name = bus.encode() + b"\0"
     head = frames[0][:_STAMP_SIZE] + struct.pack("<I", len(name)) + name + bytes(-len(name) % 4)
     return b"".join((_LITTLE_ENDIAN, head, struct.pack("<I", len(frames)), *frames))

@@ -7,17 +7,17 @@ import numpy as np
 
 from .signals import MessageSpec, SignalSpec
 
-# If more than MAX_IMPLAUSIBLE of the last PLAUSIBILITY_FRAMES values (1 s at 100 Hz) of a signal are implausible, even
-# plausible ones are withheld until as many are consecutive: with a wrong DBC, plausible values are isolated.
+# If more than MAX_IMPLAUSIBLE of the last PLAUSIBILITY_FRAMES values of a signal (1 s at 100 Hz) are implausible, even
+# plausible ones are withheld, until MAX_IMPLAUSIBLE are consecutive: with a wrong DBC, plausible values are isolated.
 PLAUSIBILITY_FRAMES, MAX_IMPLAUSIBLE = 100, 10
 
-Reference = tuple[int, float]  # of an earlier frame: time [ns], value in the unit of the signal
+Reference = tuple[int, float]  # (time [ns], value in the unit of the signal) of an earlier frame
 
 
 def _is_reachable(signal: SignalSpec, message: MessageSpec, value: float, time_ns: int,
                   references: Iterable[Reference | None]) -> bool:
-    """Whether the rate limit permits the change from at least one reference no older than the timeout of the message;
-    true if there is none."""
+    """Whether the rate limit permits the change from any reference that is no older than the timeout of the message;
+    true if there is no such reference."""
     recent = [(last_ns, last) for last_ns, last in filter(None, references)
               if 0 < time_ns - last_ns <= message.timeout_ns]
     # An elapsed time of at least one period is assumed, because frames can arrive closer together than sent.
@@ -29,7 +29,7 @@ def _is_reachable(signal: SignalSpec, message: MessageSpec, value: float, time_n
 class Plausibility:
     """Checks the range and the rate of change of one signal, frame by frame.
 
-    This detects a wrong byte order while the steering wheel turns: a step of the low byte becomes one of 256 steps.
+    Detects, for example, a wrong byte order while the steering wheel turns: a change by 1 becomes a change by 256.
     """
 
     def __init__(self, signal: SignalSpec, message: MessageSpec):
@@ -70,25 +70,25 @@ def find_plausible_frames(signal: SignalSpec, message: MessageSpec, time_ns: np.
                           values: np.ndarray) -> np.ndarray:
     """Mask (n,) of the frames of a log in range, within the rate limit, and not isolated among implausible frames.
 
-    As in `Plausibility`, but later frames are considered too, so that the first frames after implausible ones are
-    accepted. values: SI (n,). time_ns: (n,).
+    Unlike in `Plausibility`, later frames are known, so the first plausible frames after implausible ones are accepted
+    as well. time_ns, values [SI]: (n,).
     """
     physical, frames = values / signal.factor, np.arange(len(values))
     in_range = (physical >= signal.minimum) & (physical <= signal.maximum)
     elapsed_ns = np.diff(time_ns)
-    possible = np.zeros(len(values), dtype=bool)
-    possible[1:] = in_range[1:] & in_range[:-1] & (elapsed_ns > 0) & (elapsed_ns <= message.timeout_ns) & (
+    plausible = np.zeros(len(values), dtype=bool)
+    plausible[1:] = in_range[1:] & in_range[:-1] & (elapsed_ns > 0) & (elapsed_ns <= message.timeout_ns) & (
         np.abs(np.diff(physical)) <= signal.max_rate * np.maximum(elapsed_ns * 1e-9, message.period))
-    last_possible = np.maximum.accumulate(np.where(possible, frames, -1))
+    last_plausible = np.maximum.accumulate(np.where(plausible, frames, -1))
     last_accepted = -1
-    for frame in np.flatnonzero(in_range & ~possible).tolist():  # a jump, or no previous frame to compare with
-        earlier = (max(last_accepted, int(last_possible[frame])), frame - 1 if in_range[frame - 1] else -1)
+    for frame in np.flatnonzero(in_range & ~plausible).tolist():  # a jump, or no previous frame to compare with
+        earlier = (max(last_accepted, int(last_plausible[frame])), frame - 1 if in_range[frame - 1] else -1)
         references = [(int(time_ns[k]), float(physical[k])) for k in earlier if k >= 0]
         if _is_reachable(signal, message, float(physical[frame]), int(time_ns[frame]), references):
-            possible[frame], last_accepted = True, frame
-    count = np.concatenate(([0], np.cumsum(~possible)))  # number of implausible frames before each
+            plausible[frame], last_accepted = True, frame
+    count = np.concatenate(([0], np.cumsum(~plausible)))  # number of implausible frames before each
     recent = count[1:] - count[np.maximum(frames + 1 - PLAUSIBILITY_FRAMES, 0)]
-    _, run, lengths = np.unique(count[1:][possible], return_inverse=True, return_counts=True)
+    _, run, lengths = np.unique(count[1:][plausible], return_inverse=True, return_counts=True)
     isolated = np.zeros(len(values), dtype=bool)
-    isolated[possible] = lengths[run] < MAX_IMPLAUSIBLE
-    return possible & ~((recent > MAX_IMPLAUSIBLE) & isolated)
+    isolated[plausible] = lengths[run] < MAX_IMPLAUSIBLE
+    return plausible & ~((recent > MAX_IMPLAUSIBLE) & isolated)

@@ -30,7 +30,7 @@ class BusState(StrEnum):
     """State of the bus as seen by the receiver."""
 
     OK = "ok"                        # frames are received
-    SILENT = "silent"                # open, no error, but no data frame yet or for a while
+    SILENT = "silent"                # open and without error, but no recent data frame
     ERROR_PASSIVE = "error-passive"  # after many errors, the controller no longer sends active error flags
     BUS_OFF = "bus-off"              # the controller has disconnected from the bus
     DOWN = "down"                    # the interface exists but is switched off
@@ -51,7 +51,7 @@ class ReceiverStatus:
     error_frames: int = 0
     last_error: str = ""  # text of the newest error frame
     open_count: int = 0  # times the bus was opened
-    failures: int = 0  # to open or read the bus
+    failures: int = 0  # failures to open or read the bus
     callback_errors: int = 0  # frames for which `on_frame` raised an exception
     delay: float = float("nan")
     delay_maximum: float = float("nan")
@@ -60,8 +60,8 @@ class ReceiverStatus:
 class Receiver:
     """Calls `on_frame(frame, time_ns)` in its own thread for every frame, including error and remote frames.
 
-    open_bus: opens the bus; called again after a failure to open or read it (except ENETDOWN when reading). The delay
-    is 0.1 s at first, and doubles with each failure up to 5 s.
+    open_bus: opens the bus; called again after a failure to open or read it (except ENETDOWN when reading), after a
+    delay of 0.1 s that doubles with each failure, up to 5 s.
     on_state(state, reason): called in the same thread at every change of state or reason.
     silence: seconds without a data or remote frame after which an open bus counts as silent.
     network_interface: monitored, because not every socket reports that its interface is down or removed; empty for a
@@ -87,7 +87,7 @@ class Receiver:
         self._thread.start()
 
     def stop(self) -> None:
-        """Ends the thread and closes the bus; returns when both are done. It may be called twice."""
+        """Ends the thread and closes the bus; returns when both are done. May be called twice."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()

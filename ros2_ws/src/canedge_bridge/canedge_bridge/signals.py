@@ -321,7 +321,7 @@ def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
     low, high, expectation = spec.minimum, spec.maximum, f"{entry.origin} ({entry.path}.range) expects"
     if not math.isfinite(high) and spec.name == "steering_wheel_angle":
         low, high = -DEFAULT_STEERING_RANGE / spec.factor, DEFAULT_STEERING_RANGE / spec.factor
-        expectation = f"a steering wheel angle without a {entry.path}.range in {entry.origin} has"
+        expectation = f"without {entry.path}.range in {entry.origin} the default range is"
     if not math.isfinite(high) or spec.dbc.is_float:
         return
     physical = [raw * spec.dbc.scale + spec.dbc.offset for raw in raw_range(spec.dbc)]

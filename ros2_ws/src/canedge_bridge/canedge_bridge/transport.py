@@ -172,7 +172,7 @@ class LoopbackMulticastBus(can.BusABC):
 
 
 def parse_channel(channel: str) -> tuple[str, int]:
-    """("239.74.163.2", 43113) from "239.74.163.2" or "239.74.163.2:43113". Raises ValueError for anything else."""
+    """(group, port) of a channel such as "239.74.163.2" or "239.74.163.2:43113". Raises ValueError for any other."""
     group, _, port_text = channel.partition(":")
     try:
         is_multicast = ipaddress.IPv4Address(group).is_multicast

@@ -22,7 +22,7 @@ LONG_RANGE_CHANNEL = 57
 TRIGGER_CHANNELS = {24: "TrigTime", 43: "Trig2Time", 65: "DigitalOutTime", 79: "Trig3Time", 80: "Trig4Time",
                     81: "DigitalOut2Time"}
 
-# Batch S in which all flag bytes declare their fields valid; the encoder tests raw numbers with it.
+# Batch S in which every flag byte declares its fields valid; with it, the encoder tests whether raw numbers are valid.
 _VALID_FLAGS = bytes(6) + b"\0\x01"
 _F32 = struct.Struct("<f")
 _INTEGER_FORMATS = {"shifted": "i8", "digits6": "i24", "lo4": "bits0+4", "hi4": "bits4+4"}
@@ -34,8 +34,8 @@ class Validity:
 
     text: the condition in words, for error messages. accepts: tests the field's raw number and the channel's 8 bytes.
     invalid_raw: raw number written for an invalid value; None if only flag_byte declares it invalid. flag_byte: index
-    of the byte that declares all its fields valid (its value is then flag_valid) or invalid (0xFF); None if the raw
-    number alone decides.
+    of the byte that declares the field valid (value flag_valid) or invalid (0xFF), together with all fields that share
+    this byte; None if the raw number alone decides.
     """
 
     text: str
@@ -57,7 +57,7 @@ class Field:
     kind: format of the raw number:
         u8 to u64, i8 to i32, f32: unsigned or signed integer or float, little-endian
         bits<first>+<count>, lo4, hi4: bits of one byte (no bits: the value is the offset), its lower nibble, its upper
-        nibble; ibits: inverted bits
+        nibble; ibits<first>+<count>: inverted bits
         shifted: signed 7-bit number above a validity bit; digits6: i24, decoded to text of at least six digits
         text<n>: n characters
     An f32 that is negative or NaN, and an empty text, are invalid.
@@ -128,7 +128,7 @@ class Field:
         buffer[:] = (others | (number & mask ^ flip) << shift).to_bytes(8, "little")
 
     def _to_raw(self, value: float | int | str) -> int:
-        """Raw number of a physical value: the closest valid one if scaled, else the integer part. Raises NcomError if
+        """Raw number of a physical value: the nearest valid one if scaled, else the integer part. Raises NcomError if
         an unscaled value does not fit or is a code for "invalid"."""
         unscaled = self.scale == 1 and not self.offset
         _, mask, _, sign = self._bit_layout
@@ -187,7 +187,7 @@ def _word(name: str, first_byte: int, unit: str = "1", scale: float = 1, offset:
 
 
 def _xyz(names: Iterable[str], kind: str, scale: float, unit: str, validity: Validity) -> list[Field]:
-    """Three consecutive two-byte fields, the first at byte 0."""
+    """Three consecutive two-byte fields from byte 0."""
     return [F(name, kind, 2 * i, unit, scale, validity) for i, name in enumerate(names)]
 
 
@@ -351,7 +351,7 @@ TABLE: dict[int, list[Field]] = {
     64: [_byte("CpuPcbType", 0), _byte("GpsExternal.Type", 1), _byte("GpsExternal.Format", 2),
          _byte("DualPortRamStatus", 3), *_nibbles(4, "GpsPrimary.PosRate", "GpsPrimary.VelRate"),
          *_nibbles(5, "GpsPrimary.RawRate", "GpsSecondary.RawRate"),
-         # By the vendor's convention, a unit that sends this channel has GPS but not BeiDou; no bit encodes either.
+         # By the vendor's convention, a unit that sends this channel has GPS but not BeiDou; neither has a bit.
          F("GnssGpsEnabled", "bits0+0", 6, offset=1), F("GnssBeiDouEnabled", "bits0+0", 6, offset=0),
          *(F(name, f"ibits{bit}+1", 6, validity=B6_BIT7_CLEAR) for bit, name in enumerate(
              ("GnssGlonassEnabled", "GnssGalileoEnabled", "RawRngEnabled", "RawDopEnabled", "RawL1Enabled",

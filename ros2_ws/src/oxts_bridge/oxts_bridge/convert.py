@@ -27,8 +27,8 @@ from .ncom import STATUS_RULES, Counters, describe_mode, get_fix_status
 from .status import StatusTracker
 from .stream import ReceivedPacket
 
-# Variance of an unknown quantity in messages that cannot express "unknown": so large that filters ignore the value, but
-# finite, because an infinite variance makes filters fail.
+# Variance of an unknown quantity in messages that cannot express "unknown": large enough for filters to ignore it,
+# but finite, because an infinite variance makes filters fail.
 UNKNOWN_VARIANCE = 1e6
 _UNKNOWN_BLOCK = (UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, UNKNOWN_VARIANCE)
 
@@ -100,7 +100,7 @@ class Publishers:
         """Publish odometry, the transform from odom to base_link, and velocity.
 
         Odometry: pose of the INS point in the map frame (ENU), twist in vehicle axes (FLU). position: ENU in the map
-        frame [m]; None without an origin: only velocity is published.
+        frame [m]; None while the origin is unknown: only velocity is published.
         """
         if position is not None:
             if self._outputs["odometry"].has_subscribers():
@@ -142,7 +142,7 @@ class Publishers:
         self._outputs["nav_sat_fix"].publish(message)
 
     def publish_imu(self, stamp_ns: int, received: ReceivedPacket, motion: Motion | None, accuracy: Accuracy) -> None:
-        """Publish sensor_msgs/Imu, unless a rate or acceleration is invalid. motion: None without a valid attitude.
+        """Publish sensor_msgs/Imu, unless a rate or acceleration is invalid. motion: None if the attitude is invalid.
 
         The orientation covariance is zero if unknown; -1 in its first element means that the orientation is unknown.
         """

@@ -27,18 +27,18 @@ Change: TypeAlias = tuple[int, int, str, Value]
 
 TRIGGER_NAMES = {24: "in1down", 43: "in1up", 65: "out1", 79: "in2down", 80: "in2up", 81: "out2"}
 _LARGEST_UMAC_STATUS = 10  # the vendor's tools limit the code of the robot interface to this value
-# In these fields "invalid" means "no new value": the last value stays valid, as in the vendor's tools.
+# In these fields, "invalid" means "no new value": the last value remains valid, as in the vendor's tools.
 _RETAINED_FIELDS = frozenset(
     name for fields in FIELDS.values() for name, field in fields.items()
     if name.startswith("Inn") or name == "Undulation" or field.validity is B6_BIT7_CLEAR)
 _DERIVATION_FIELDS = {4: ("VnAcc", "VeAcc"), 60: ("Ned2SurfHeading", "Ned2SurfPitch", "Ned2SurfRoll"),
                       63: ("AngAccFiltFreq", "AngAccFiltZeta"), 74: ("LinAccFiltFreq", "LinAccFiltZeta")}
-"""Status channel -> fields that derived columns and surface angles depend on."""
+"""Status channel -> fields on which derived columns and surface angles depend."""
 _SURFACE_ANGLES = ("Surf2OutHeading", "Surf2OutPitch", "Surf2OutRoll")
 _ROWS_PER_WRITE = 1 << 12
 EARTH_RATE = 7.2921151467e-5  # rad/s
-MIN_TRACK_SPEED = 0.14  # m/s; lowest speed with a track while the unit gives no velocity accuracy
-# Distance is not integrated across a step of the packet time that is backward or longer than this [s] (joined files).
+MIN_TRACK_SPEED = 0.14  # m/s; lowest speed with a track while the velocity accuracy is unknown
+# Distance is not integrated across a time step that is negative or longer than this [s], as in joined files.
 LONGEST_STEP = 10.0
 _STEP_TOLERANCE = 0.01  # two successive steps give the sampling rate if they differ by less than this fraction
 
@@ -52,8 +52,8 @@ def write_csv(ncom_path: str | Path, csv_path: str | Path, status_path: str | Pa
     csv_path: columns of `_make_table`, one row per accepted packet; empty: invalid. Units: m, m/s, m/s^2, deg,
     deg/s, deg/s^2; times in GPS seconds. status_path: pkt,channel,field,valid,value, one row per change of value or
     validity.
-    Raises NcomError for a file without packets and if two of the three files are the same; OSError for one that cannot
-    be read or written.
+    Raises NcomError for a file without packets and if two of the three files are the same; OSError for a file that
+    cannot be read or written.
     """
     outputs = [Path(path) for path in (csv_path, status_path) if path is not None]
     for output in outputs:
@@ -145,9 +145,9 @@ def _compute_surface_angles(columns: Columns, surfaces: SettingHistory) -> list[
     for (start, angles), end in zip(surfaces, ends, strict=True):
         if None in angles:
             continue
-        fix = (columns.kind[start:end] != EMPTY) & ~columns.is_approximate[start:end]
+        has_fix = (columns.kind[start:end] != EMPTY) & ~columns.is_approximate[start:end]
         attitude = np.array([columns.heading[start:end], columns.pitch[start:end], columns.roll[start:end]])
-        usable = np.flatnonzero(fix & ~np.isnan(attitude).any(axis=0))
+        usable = np.flatnonzero(has_fix & ~np.isnan(attitude).any(axis=0))
         surface = Rotation.from_euler("ZYX", np.array(angles, float), degrees=True)
         relative = surface.inv() * Rotation.from_euler("ZYX", attitude[:, usable].T)
         heading, pitch, roll = relative.as_euler("ZYX", degrees=True).T
@@ -160,7 +160,7 @@ def _compute_surface_angles(columns: Columns, surfaces: SettingHistory) -> list[
 
 
 def _derive_columns(columns: Columns, history: Mapping[int, SettingHistory]) -> dict[str, np.ndarray]:
-    """Derived columns by name, in the order and units (of m, deg, s) of the vendor's tools."""
+    """Derived columns by name, in the order of the vendor's tools and in their units (m, deg, s)."""
     has_fix = (columns.kind != EMPTY) & ~columns.is_approximate
     names = ("acceleration", "angular_rate", "latitude", "longitude", "altitude", "velocity_ned", "heading", "pitch",
              "roll")
@@ -217,7 +217,7 @@ def _add_speed_and_slip(out: dict, motion: Motion, yaw_rate: np.ndarray, velocit
 
 
 def _add_distances(out: dict, columns: Columns, seconds: np.ndarray) -> None:
-    """Add the trapezoidal integral of the speed, also at trigger packets, which are not nodes of the integration."""
+    """Add the distance [m]: trapezoidal integral of the speed over regular packets, extended to each trigger packet."""
     for name, speed in (("Dist2d", out["Speed2d"]), ("Dist3d", out["Speed3d"])):
         usable = ~np.isnan(speed) & ~np.isnan(seconds)
         series = np.flatnonzero(usable & (columns.kind == REGULAR) & (columns.order == 0))
@@ -254,7 +254,7 @@ def _add_angular_acceleration(out: dict, columns: Columns, seconds: np.ndarray) 
 
 
 def _add_filtered_signals(out: dict, columns: Columns, seconds: np.ndarray, acceleration_filter: SettingHistory,
-                  rate_filter: SettingHistory) -> None:
+                          rate_filter: SettingHistory) -> None:
     regular = (columns.kind == REGULAR) & ~np.isnan(seconds)
     for prefix, signal, changes in (("FiltA", columns.acceleration, acceleration_filter),
                                     ("FiltY", np.array([out["Yx"], out["Yy"], out["Yz"]]), rate_filter)):
@@ -271,9 +271,9 @@ def filter_low_pass(seconds: np.ndarray, values: np.ndarray, settings: SettingHi
         b = (K^2, 2 K^2, K^2) / D,  a = (1, 2 (K^2 - 1) / D, (K^2 - 2 z K + 1) / D),
         K = tan(pi fc / fs),  D = K^2 + 2 z K + 1
 
-    settings: (index of the first sample, (cutoff fc [Hz], damping ratio z)); both 0: no filter; one 0 or None: ignored.
-    NaN until a setting has fc < fs / 2 and three evenly spaced samples, which may precede it; the filter starts in
-    steady state at the first of these.
+    settings: (index of the first sample, (cutoff fc [Hz], damping ratio z)). Both 0: no filter. A setting with only one
+    0, or with None, is ignored. NaN until a setting has fc < fs / 2 and three evenly spaced samples, which may precede
+    it; the filter starts in steady state at the first of these.
     Source: NCOM manual 260702. Checked by: tests/golden/test_ncom_vectors.py (case filters).
     """
     output = np.full(len(values), np.nan)

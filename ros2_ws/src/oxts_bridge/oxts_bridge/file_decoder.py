@@ -23,7 +23,7 @@ UNKNOWN_TIME = np.iinfo(np.int64).min
 
 # Packets searched and verified at once: few after a fault, then four times as many at each step.
 _FIRST_ROWS, _MAX_ROWS = 64, 1 << 16
-# After a fault, this many packets are timed one by one before times are computed in columns again.
+# After a fault, the times of this many packets are computed one by one before columns are used again.
 _SINGLE_STEPS = 16
 
 _FIELDS = np.dtype({
@@ -91,7 +91,7 @@ def decode_file(source: str | Path | bytes) -> Columns:
 
 
 def _find_packets(data: bytes, counters: Counters) -> np.ndarray:
-    """Byte offsets of all packets; counts checksum_errors and skipped_bytes."""
+    """Byte offsets of all packets. Counts checksum_errors and skipped_bytes in `counters`."""
     octets = np.frombuffer(data, np.uint8)
     offsets: list[np.ndarray] = []
     start, size, rows = 0, len(data), _FIRST_ROWS
@@ -177,8 +177,8 @@ def compute_packet_times(ms: np.ndarray, minutes: np.ndarray,
     """GPS time [ms] (-1 unknown) and order (NEW, SAME, LATE) of packets.
 
     The results are the same as from a GpsClock that steps through all packets. Once the clock has settled, times are
-    computed by counting minute rollovers up to the next late packet, or to the next transmitted minute that differs
-    from the count; there, the clock steps through _SINGLE_STEPS packets again.
+    computed by counting minute rollovers, up to the next late packet or the next transmitted minute that differs from
+    the count; there, the clock steps through _SINGLE_STEPS packets again.
 
     ms: milliseconds of the minute. minutes: GPS minute sent with the packet, -1 if none. status_minutes: (index,
     minute) for each status-only packet that sent a minute; index: number of timed packets before it.
@@ -187,7 +187,7 @@ def compute_packet_times(ms: np.ndarray, minutes: np.ndarray,
     ahead = step % ncom.MINUTE_MS
     is_late = ahead >= ncom.HALF_MINUTE_MS
     wraps = np.cumsum((step < 0) & ~is_late)
-    # Minute of each packet that has one, less the rollovers up to it: constant while the count is right.
+    # Minute of each packet that contains one, minus the rollovers up to it: constant while the count is correct.
     timed = np.flatnonzero(minutes >= 0)
     bases = minutes[timed] - wraps[timed]
     stops = np.union1d(np.flatnonzero(is_late), timed[1:][np.diff(bases) != 0])
@@ -215,7 +215,7 @@ def compute_packet_times(ms: np.ndarray, minutes: np.ndarray,
 def _compute_utc_times(raw: np.ndarray, status: np.ndarray, channel: np.ndarray, gps_ns: np.ndarray) -> np.ndarray:
     """UTC [ns since 1970] of each packet.
 
-    UTC - GPS as sent by the unit applies from that packet on; before the first one, the leap-second table is used.
+    UTC - GPS sent in a packet applies from this packet on; before the first one, the leap-second table is used.
     """
     is_timed = gps_ns != UNKNOWN_TIME
     offset = -leap_seconds_at_gps_times(np.where(is_timed, gps_ns // 1_000_000_000, 0))

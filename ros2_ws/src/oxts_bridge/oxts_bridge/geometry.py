@@ -6,7 +6,7 @@ NED and FRD (forward, right, down), as in a packet, become ENU and FLU (forward,
     R_ned_frd = Rz(heading) Ry(pitch) Rx(roll);  about fixed ENU axes: (roll, -pitch, pi/2 - heading)
 
 Source: NCOM manual 260702, REP-103. Checked by: test_geometry.py (worked examples; short distances against the radii of
-the ellipsoid), and the inverse in st_sim.
+the ellipsoid), and the inverse functions in st_sim.
 """
 
 import math
@@ -90,7 +90,7 @@ class Attitude:
                 xz, yz, ve * c * c + vn * f * f + vu * i * i)
 
     def rotate_orientation_covariance(self, attitude_variances: Vector) -> tuple[float, ...]:
-        """Covariance about the ENU axes at small pitch and roll, row by row: Rz(yaw) diag(variances) Rz(yaw)^T.
+        """Covariance about the ENU axes for small pitch and roll, row by row: Rz(yaw) diag(variances) Rz(yaw)^T.
 
         attitude_variances: of roll, pitch, heading [rad^2]."""
         sin, cos, _ = _get_functions(self.yaw)

@@ -15,7 +15,7 @@ from .stream import NcomParser, StreamStatistics
 # Largest median difference between stamps and the host's clock without a warning [s]. The host stamps CAN frames, so
 # this is also the time error of the steering. The delay of the unit and the network is much smaller.
 MAX_CLOCK_OFFSET = 0.05
-# A larger difference [s] is not a delay, but is due to a wrong GPS week or to packets of a recording.
+# A larger difference [s] is not due to a delay, but to a wrong GPS week or to packets of a recording.
 MAX_DELAY = 60.0
 _DAY = 86_400.0  # s
 _NEVER = float("-inf")
@@ -44,7 +44,7 @@ class Health:
         self._previous_ignored = 0
 
     def checks(self) -> list[Check]:
-        """The checks for /diagnostics; some count faults since the previous call."""
+        """The checks for /diagnostics; some count the faults since the previous call."""
         source = self._source()
         if source is None:
             return [Check("source", OK, "not active")]

@@ -11,7 +11,7 @@ from .status import StatusTracker
 from .stream import NcomParser, ReceivedPacket
 
 FIRST_FIX, GIVEN, UNIT = "first_fix", "given", "unit"  # sources of the origin of the map
-# A unit with a local frame sends it at least every 200 packets; after this time [ns], the unit is taken to have none.
+# A unit with a local frame sends it at least every 200 packets; after this time [ns], it is assumed to have none.
 LOCAL_FRAME_TIMEOUT_NS = 10_000_000_000
 
 
@@ -34,7 +34,7 @@ class Accuracy(NamedTuple):
 
 
 def compute_variances(standard_deviations: Vector) -> Vector | None:
-    """Squares of three standard deviations; None if one is unknown."""
+    """Squares of three standard deviations; None if any is unknown."""
     a, b, c = standard_deviations
     return None if isnan(a + b + c) else (a**2, b**2, c**2)
 
@@ -97,9 +97,9 @@ class Origin:
             self._set(GIVEN, *given)
 
     def update(self, motion: Motion, status: StatusTracker, now_ns: int) -> LocalFrame | None:
-        """The map frame, chosen now if it was not before; None while waiting for the unit's local frame.
+        """The map frame; chosen in this call if it was not before. None while waiting for the unit's local frame.
 
-        now_ns: current time of any clock [ns]; the wait ends if it jumps back to before the start of the wait.
+        now_ns: current time of any clock [ns]; the wait ends if this time falls below that of its start.
         """
         if self.frame is not None:
             return self.frame
@@ -121,8 +121,8 @@ class Origin:
 
 def reconstruct_odometry(packets: Iterable[tuple[int, bytes]], origin: Origin, live: bool = True,
                          by_receive_time: bool = False) -> Iterator[tuple[int, Vector, Motion]]:
-    """Yields (UTC [ns since 1970], ENU position relative to the origin [m], motion) of every odometry message that the
-    live node publishes for these packets, bit for bit.
+    """Yields (header stamp [ns since 1970], ENU position relative to the origin [m], motion) of every odometry message
+    that the live node publishes for these packets, bit for bit.
 
     packets: (time of receipt [ns since 1970], 72 bytes), in order of receipt. origin: as configured in the node.
     live: the packets came from a unit, not from a replayed file. by_receive_time: stamp_source was "receive".

@@ -51,11 +51,11 @@ FIRST_MINUTE, LAST_MINUTE = 1_000, 30_525_000
 
 # Order of a packet relative to the newest one. SAME: equal time; DUPLICATE: equal bytes too.
 NEW, SAME, LATE, DUPLICATE = 0, 1, 2, 3
-# Milliseconds of the minute are ambiguous: a packet that would be ahead by this time or more is taken as late instead.
+# Milliseconds of the minute are ambiguous: a packet that would be ahead by this time or more is assumed to be late.
 HALF_MINUTE_MS = 30_000
-# After more than this many consecutive late packets in ascending order, the clock is taken to have been set back.
+# After more than this many consecutive late packets in ascending order, the clock is assumed to have been set back.
 MAX_LATE_RUN = 10
-LONGEST_GAP_NS = 30_000_000_000  # longest pause on the receive clock across which the minute count is continued
+LONGEST_GAP_NS = 30_000_000_000  # longest pause on the receive clock after which the minute count continues
 # Within this time of a minute change [ms], a channel 0 that differs by one minute must be confirmed by the next one.
 CONFIRMATION_MS = 1_000
 # A step of the packet time that exceeds the pause on the receive clock by more than this is a jump [ns].
@@ -309,8 +309,8 @@ class GpsClock:
     """Tracks the GPS time of packets: all contain milliseconds of the minute, and some the minute (channel 0).
 
     The clock counts a minute whenever the milliseconds wrap; a sent minute takes precedence over the count.
-    minute, milliseconds: time of the newest packet, None until known. jumps: number of steps back, forward by more than
-    1 s beyond the pause on the receive clock (0 in a file), or to a sent minute that differs from the count.
+    minute, milliseconds: time of the newest packet, None until known. jumps: number of steps that go back, exceed the
+    pause on the receive clock (0 in a file) by more than 1 s, or lead to a sent minute that differs from the count.
     """
 
     def __init__(self) -> None:
@@ -320,8 +320,8 @@ class GpsClock:
         self._received_ns: int | None = None
         self._unconfirmed_difference: int | None = None  # difference of the last sent minute from the count
         self._late_count = 0  # length of the current run of late packets
-        self._late_ms = 0  # time of its newest packet
-        self._late_minute: int | None = None
+        self._late_ms = 0  # milliseconds of its newest packet
+        self._late_minute: int | None = None  # minute of its newest packet
 
     @property
     def is_settled(self) -> bool:
@@ -368,7 +368,7 @@ class GpsClock:
         return self.minute * MINUTE_MS + self.milliseconds
 
     def _correct_minute(self, ms: int, minute: int) -> bool:
-        """Replace the counted minute by a different one that was sent; returns whether the time jumps."""
+        """Replace the counted minute by a different, confirmed one that was sent; returns whether time jumps."""
         difference = None if self.minute is None else minute - self.minute
         is_near_change = ms < CONFIRMATION_MS or ms >= MINUTE_MS - CONFIRMATION_MS
         if is_near_change and difference in (-1, 1) and self._unconfirmed_difference != difference:
@@ -378,7 +378,7 @@ class GpsClock:
         return difference is not None
 
     def _step_back(self, ms: int, minute: int | None, behind: int) -> tuple[int | None, int]:
-        """(GPS time [ms], order) of a packet that seems late by `behind` [ms]; NEW if the clock was set instead."""
+        """(GPS time [ms], order) of a packet that seems late by `behind` [ms]; order NEW if the clock was set."""
         now = self._compute_time()
         if minute is not None and now is not None and minute * MINUTE_MS + ms > now:  # a later minute was sent
             self.jumps += 1

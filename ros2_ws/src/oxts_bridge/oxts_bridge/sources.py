@@ -22,11 +22,11 @@ _SO_TIMESTAMPNS = getattr(socket, "SO_TIMESTAMPNS", 35)
 _TIMESPEC = struct.Struct("@qq")
 _LARGEST_DATAGRAM = 65_535  # bytes
 _RECEIVE_BUFFER = 1 << 20  # bytes
-_WAKE_PERIOD = 0.2  # s
-RETRY_PERIOD = 1.0  # s
+_WAKE_PERIOD = 0.2  # s; longest time until the thread notices stop()
+RETRY_PERIOD = 1.0  # s between attempts to open the port
 SENDER_TIMEOUT = 2.0  # s; after this silence of the sender in use, another one is accepted
 _MAX_COUNTED_SENDERS = 16
-# A replay does not wait for longer steps of the recorded time, which come from joined files or a clock change [ns].
+# A longer step of the recorded time [ns] comes from joined files or a clock change; the replay does not wait for it.
 LONGEST_PAUSE_NS = 60_000_000_000
 LONGEST_CONTINUATION_MS = 1_000  # a datagram from another port continues the stream only within this time
 
@@ -61,10 +61,10 @@ def continues_stream(newest: Packet | None, data: bytes) -> bool:
 class SourceStatus:
     """State of a source for the diagnostics.
 
-    problem: reason why no data can arrive, or "".  is_done: a replay has reached its end.  sender: address in use.
+    problem: reason why no data can arrive, or empty.  is_done: a replay has reached its end.  sender: address in use.
     datagrams: received datagrams, or packets of a replay.
-    ignored_datagrams: number from up to 16 senders, by address, or by address and port for the address in use.
-    ignored_from_other_ports: number from other ports of the sender in use.  progress: fraction of the file replayed.
+    ignored_datagrams: count from up to 16 senders, by address, or by address and port for the address in use.
+    ignored_from_other_ports: count from other ports of the sender in use.  progress: fraction of the file replayed.
     loops: completed passes of a looped replay.
     """
 

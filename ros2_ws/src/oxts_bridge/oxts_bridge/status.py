@@ -12,8 +12,8 @@ RAW_FIELDS = frozenset(
     | {name for channel in TRIGGER_CHANNELS for name in FIELDS[channel]}
 )
 LOCAL_FRAME = ("RefLat", "RefLon", "RefAlt", "RefHeading")
-_LAG_WEIGHT = 0.01  # of a new value in the filtered lag, as in the vendor's tools
-# Processed even if their bytes repeat: values derived from channels 23 and 45 change; 12 and 57 set the same fields.
+_LAG_WEIGHT = 0.01  # weight of a new value in the filtered lag, as in the vendor's tools
+# Channels processed even if their bytes repeat: values derived from 23 and 45 change; 12 and 57 set the same fields.
 _NEVER_SKIPPED = frozenset({12, 23, 45, 57})
 
 _COUNTER_MODULI = {
@@ -125,7 +125,7 @@ class StatusTracker:
 
 
 def compute_legacy_origin(x: float, y: float, heading: float, latitude: float, longitude: float,
-                           altitude: float) -> tuple[float, float, float, float]:
+                          altitude: float) -> tuple[float, float, float, float]:
     """Local frame of old firmware: latitude, longitude [deg], altitude [m] of its origin, heading [deg] of its x axis.
 
     x, y (left of x): current position in the local frame [m]. heading: of the x axis, clockwise from north [deg].

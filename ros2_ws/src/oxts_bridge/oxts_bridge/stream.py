@@ -8,7 +8,7 @@ from . import channels, ncom
 from .ncom import DUPLICATE, LATE, NEW, SAME, Counters, GpsClock, Packet, StatusRule
 
 _NO_VECTOR = (ncom.NAN, ncom.NAN, ncom.NAN)
-HOST_MINUTE_DELAY_NS = 2_000_000_000  # time without channel 0 until the minute is taken from the host's clock
+HOST_MINUTE_DELAY_NS = 2_000_000_000  # time without channel 0 after which the minute is taken from the host's clock
 GAP_STEP_RATIO = 1.75  # a step longer than this many typical steps is a gap
 _CLOCK_SAMPLES = 1000  # number of stored clock offsets: four seconds at 250 Hz
 
@@ -40,9 +40,9 @@ class ReceivedPacket:
 
 
 class NcomParser:
-    """Parses datagrams or pieces of a file; a packet may extend over several of them.
+    """Parses datagrams or pieces of a file; a packet may span several of them.
 
-    utc_offset: UTC - GPS as sent by the unit [s], None before. minute_from_host: whether the GPS minute is from the
+    utc_offset: UTC - GPS as sent by the unit [s]; None until sent. minute_from_host: whether the GPS minute is from the
     host's clock, because a live stream has no channel 0 (normally sent in every 10th packet).
     """
 
@@ -149,7 +149,7 @@ class NcomParser:
     def _detect_event(self, channel: int, data: bytes, is_trigger: bool) -> int | None:
         """GPS time [ns] of an event that no earlier packet reported, else None.
 
-        Units repeat events in regular packets, so a count that is first seen in a regular packet is of an old event.
+        Units repeat events in regular packets, so a count first seen in a regular packet belongs to an old event.
         """
         gps_ns = channels.decode_event_time(channel, data)
         if gps_ns is None:
@@ -213,7 +213,7 @@ class StreamStatistics:
         return rate, longest
 
     def summarise_clock_offset(self) -> tuple[float, float, float] | None:
-        """Median, 1st percentile, newest value of packet time minus receive time [s], normally < 0; None if unknown."""
+        """Median, 1st percentile and newest of packet time minus receive time [s], normally < 0; None if unknown."""
         offsets = list(self._offsets.copy())
         if not offsets:
             return None

@@ -41,7 +41,7 @@ class AugmentedModel(Model):
         return np.array([self.values[effect][p.name] for effect, p in self.free_parameters])
 
     def with_vector(self, vector: Sequence[float]) -> "AugmentedModel":
-        """The model with other values of the `free_parameters`. Raises ConfigurationError for one out of bounds."""
+        """The model with other values of the `free_parameters`. Raises ConfigurationError for a value out of bounds."""
         values: dict[str, dict[str, float]] = {}
         for (effect, parameter), value in zip(self.free_parameters, vector, strict=True):
             if value != self.values[effect][parameter.name]:
@@ -111,8 +111,8 @@ class AugmentedModel(Model):
         return time, angle
 
     def effective_road_wheel_angle(self, angle: Any, vehicle: VehicleParameters) -> Any:
-        """Road wheel angle [rad] in the equations for a recorded one (float or array): with the effects of ratio,
-        offset and map, but without effects that need signals or act in `steering`."""
+        """Road wheel angle [rad] in the equations for a recorded angle (float or array): with the effects of ratio,
+        offset and map, but without those that need signals or act in `steering`."""
         effects = compose(self.base, self.effects).effects
         hooks = [(index, e.inputs, ()) for index, e in enumerate(effects) if e.inputs and not e.signals]
         return change_inputs(hooks, angle, 0.0 * angle, (), self.parameters(vehicle).thetas)[0] if hooks else angle
@@ -147,7 +147,7 @@ class AugmentedModel(Model):
 
 
 def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedModel:
-    """The base model with further effects.
+    """The base model with additional effects.
 
     effects: values by effect and parameter (null for a parameter that is not fitted and not given), or names of effects
     at their initial values. Raises ConfigurationError, naming effect, parameter and limit, for an unknown or repeated
@@ -179,7 +179,7 @@ def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedMode
 
 
 def _compose(base: Model, effects: tuple[type[Effect], ...], values: Values) -> AugmentedModel:
-    """The model of a base and effects. values: already checked; values of other effects are ignored."""
+    """The model of a base model and effects. values: already checked; those of other effects are ignored."""
     values = MappingProxyType({e.name: values[e.name] for e in effects})
     composed = compose(base, effects)
 

@@ -32,7 +32,7 @@ def _check_sign(value: int | None) -> int | None:
 
 
 def in_range(minimum: float, unit: str, maximum: float = math.inf) -> Callable[[float | None], float | None]:
-    """Callback that rejects a number outside the range, with the unit in the message, unlike typer's own check."""
+    """Callback that rejects a number outside the range; unlike that of typer, its message contains the unit."""
     def check(value: float | None) -> float | None:
         if value is not None and not minimum <= value <= maximum:
             limit = f"above the maximum of {maximum:g}" if value > maximum else f"below the minimum of {minimum:g}"
@@ -102,7 +102,7 @@ class ReadOptions:
         "topic of type st_msgs/Steering.")] = None
     steering_field: Annotated[str | None, typer.Option(
         help="Message field with the steering angle: data (default), drive.steering_angle, ... Without "
-        "--steering-topic: the column of a CSV or VBO.")] = None
+        "--steering-topic: column of a CSV or VBO file.")] = None
     steering_is: Annotated[Literal["road", "wheel"], typer.Option(
         help="Meaning of the steering angle in the bag or table: road wheel angle (road) or steering wheel angle "
         "(wheel), which is converted with ratio and offset of the vehicle file.")] = "road"
@@ -112,7 +112,7 @@ class ReadOptions:
         help="Bags with several topics of type nav_msgs/Odometry: the topic of the INS.")] = None
 
     def resolve(self, **others: Any) -> "tuple[Path | None, ReadSettings]":
-        """(vehicle file, None if the user named none; settings for reading). others: further fields of ReadSettings.
+        """(vehicle file or None if the user named none, settings for reading). others: further fields of ReadSettings.
 
         Raises RunError for a car that cannot be read.
         """

@@ -1,4 +1,4 @@
-"""The commands `st check` and `st car`: find faults in recordings, and mistakes in the folder of a car."""
+"""The commands `st check` and `st car`: find errors in recordings, and mistakes in the folder of a car."""
 
 from pathlib import Path
 from typing import Literal
@@ -44,7 +44,7 @@ def car(
     new: vehicle.yaml, signals.yaml, can.dbc, rt.dbc (of an OxTS RT on the same bus, to append to can.dbc) and car.yaml.
     check: one line for each mistake and each missing entry; if there are none, values unusual for a road car, and the
     uncertainty used for each quantity. Exit status: 0 written, or no mistake; 1 mistakes were found; 2 the folder to
-    check does not exist, or the folder to write does.
+    check does not exist, or the folder to write exists.
     """
     from st_recordings.car_skeleton import find_problems, list_remarks, write_skeleton
 

@@ -1,4 +1,4 @@
-"""The commands `st identify` and `st discover`: find parameters, and errors of vehicle file, sensors and model."""
+"""The commands `st identify` and `st discover`: identify parameters; find errors in vehicle file, sensors and model."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -30,7 +30,7 @@ class ReferenceCommand(TyperCommand):
 def expand_references(arguments: Sequence[str]) -> list[str]:
     """Repeat --reference before each of the paths that follow it, up to the next option."""
     expanded: list[str] = []
-    count = -1  # paths since --reference; -1 outside its list
+    count = -1  # paths since the last --reference; -1 outside its list
     for argument in arguments:
         if argument.startswith("-"):
             count = 0 if argument == REFERENCE else -1
@@ -46,14 +46,14 @@ def discover(
     runs: shared.Runs,
     reference: list[Path] = typer.Option(
         [], REFERENCE, help="Reference drives, of the healthy car: all paths up to the next option. The search starts "
-        "from the fit to these drives instead of the vehicle file."),
+        "from the fit to these drives instead of from the vehicle file."),
     base: str = typer.Option("nonlinear", help="Base model: kinematic, linear, nonlinear, or a model file (.yaml)."),
     output: Path | None = typer.Option(None, help="Folder for the results; default runs/discover-<time>."),
     channels: str = typer.Option(",".join(CHANNELS), help="Measurements to use, separated by commas."),
     effects: Path | None = typer.Option(None, help="Folder of your own effects to include.", **shared.FOLDER),
     certify: bool = typer.Option(
-        False, "--certify", help="Measure power and false alarms: one step of the search on simulated drives, with "
-        "known effects and without any; otherwise the power is predicted. Takes minutes."),
+        False, "--certify", help="Measure power and false-alarm rate: one search step on simulated drives, with known "
+        "effects and without effects; otherwise the power is predicted. Takes minutes."),
     propose: bool | None = typer.Option(
         None, "--propose/--no-propose", help="Search for a relation that is not in the effect library, and write it as "
         "an effect file to keep or delete; default: if the unexplained residual is large. Takes a minute."),
@@ -65,7 +65,7 @@ def discover(
     fresh: bool = typer.Option(False, "--fresh", help="Search again, even if the same inputs have a cached result."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
-    """Find errors of vehicle file, sensors and model; write corrected files and the reduction of the prediction error.
+    """Find errors in vehicle file, sensors and model; write corrected files and the reduction of the prediction error.
 
     Exit status: 0 the result uses all runs, 1 some could not be used, 2 the search could not be started.
     """

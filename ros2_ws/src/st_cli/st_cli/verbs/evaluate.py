@@ -31,7 +31,7 @@ class PredictionOptions:
 
     def make_task(self, read_options: shared.ReadOptions, interval: float = 0.1,
                   **others: Any) -> "tuple[Task, Path | None]":
-        """(task, vehicle file that the user named or None). interval: between starts [s]. others: fields of Task."""
+        """(task, vehicle file that the user named or None). interval: of the starts [s]. others: fields of Task."""
         from st_core.effects import load_folder
         from st_core.log_evaluation import EvaluationSettings
         from st_core.prediction import PredictionSettings
@@ -59,7 +59,7 @@ def evaluate(
     runs: shared.Runs,
     prediction_options: PredictionOptions = PredictionOptions(),
     output: Path | None = typer.Option(None, help="Folder for the results; default runs/evaluate-<time>."),
-    at: str = typer.Option("", help="Starts of the predictions to draw in detail, s, such as 1,10,19; default: four."),
+    at: str = typer.Option("", help="Starts of predictions to draw in detail, s, e.g. 1,10,19; default: four starts."),
     table: Literal["means", "samples"] = typer.Option(
         "means", help="Error statistics: of the means over each horizon, or of all samples."),
     interval: float = typer.Option(0.1, help="Time between starts, s."),
@@ -110,8 +110,8 @@ def calibrate(
     prediction_options: PredictionOptions = PredictionOptions(),
     output: Path = typer.Option(Path("bands.yaml"), help="File for the bands; it must not exist."),
     level: list[float] = typer.Option(
-        [0.5, 0.9], "--level", help="Fraction of paths entirely inside the band; repeatable. n runs allow at most "
-        "n/(n + 1): 9 runs for 0.9."),
+        [0.5, 0.9], "--level", help="Fraction of measured paths entirely inside the band; repeatable. n runs allow at "
+        "most n/(n + 1): 9 runs for 0.9."),
     together: bool = typer.Option(
         False, "--together", help="Recordings of one argument (one day or site) are dependent and count as one run."),
     force: bool = typer.Option(False, "--force", help="Also use runs in which `st check` finds an error."),

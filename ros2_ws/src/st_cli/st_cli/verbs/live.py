@@ -42,7 +42,7 @@ def demo(
     options = ["--seed", str(seed), "--ncom-rate", str(ncom_rate)]
     for name, value in (("--drive", drive and drive.absolute()), ("--scenario", scenario), ("--plant", plant)):
         options += [name, str(value)] if value else []
-    # The car drives on while the predictor stops, so that every prediction up to the end has inputs.
+    # The car continues to drive while the predictor stops, so that even the last prediction has inputs.
     options += ["--duration", str(duration + EXTRA_DRIVING)] if duration else []
     options += [part for setting in effect for part in ("--effect", setting)]
     with shared.report_errors("demo"):

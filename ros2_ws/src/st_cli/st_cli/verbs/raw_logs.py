@@ -26,7 +26,7 @@ VERDICT_STYLE = {"good": "green", "doubtful": "yellow", "refused": "red"}
 @shared.expand_options(shared.ReadOptions)
 def align(
     files: list[Path] = typer.Argument(
-        ..., help="INS recording (.ncom, .xcom, .vbo; CSV with t, vx, yaw_rate) with CAN logs; folder; run.yaml."),
+        ..., help="INS recording (.ncom, .xcom, .vbo; CSV with t, vx, yaw_rate) and CAN logs; a folder; run.yaml."),
     search: tuple[float, float] | None = typer.Option(
         None, help="Bounds of the offset in seconds, if it is known approximately."),
     output: Path | None = typer.Option(None, help="Folder for the results; default runs/align-<name>-<time>."),
@@ -63,9 +63,9 @@ def align(
     raise typer.Exit(1 if alignment.verdict == "refused" else 0)
 
 
-def describe_alignment(alignment: "Alignment", start_ns: int, absolute: bool) -> str:
-    """One-line description of an alignment, for a title. start_ns: start of the CAN log. absolute: INS time is UTC."""
-    offset = (f"offset {_format_seconds(alignment.offset_at_ns(start_ns))} s" if absolute
+def describe_alignment(alignment: "Alignment", start_ns: int, is_utc: bool) -> str:
+    """One-line description of an alignment, for a title. start_ns: start of the CAN log. is_utc: INS time is UTC."""
+    offset = (f"offset {_format_seconds(alignment.offset_at_ns(start_ns))} s" if is_utc
               else f"CAN log starts at INS time {_format_seconds(int(alignment.to_reference_ns(start_ns)))} s")
     if alignment.method == "by hand":
         return f"{offset}, set by hand"
@@ -86,8 +86,8 @@ def print_alignment(pair: "RawRun") -> None:
     if alignment.method != "none":
         start_ns = pair.can.start_ns
         middle = (alignment.at_ns - start_ns) * 1e-9
-        delay_deviation = max((s.latency_uncertainty for s in pair.shared_signals), default=0.0)
-        estimation_deviation = max(alignment.offset_deviation**2 - delay_deviation**2, 0.0) ** 0.5
+        latency_deviation = max((s.latency_uncertainty for s in pair.shared_signals), default=0.0)
+        estimation_deviation = max(alignment.offset_deviation**2 - latency_deviation**2, 0.0) ** 0.5
         table = Table(box=None, padding=(0, 2), show_header=False)
         offset = _format_seconds(alignment.offset_at_ns(start_ns))
         table.add_row("INS minus CAN clock", f"{offset} s", "at the CAN log's start")
@@ -100,9 +100,9 @@ def print_alignment(pair: "RawRun") -> None:
                 table.add_row("INS frames on the bus", pair.latency, "after the instant of measurement")
             table.add_row("INS minus CAN clock", f"{_format_seconds(alignment.offset_ns)} s",
                           f"{middle:.1f} s later, in the middle of the {span}")
-            without_delay = _format_deviation(estimation_deviation * 1e3, "ms")
+            without_latency = _format_deviation(estimation_deviation * 1e3, "ms")
             table.add_row("  standard deviation", _format_deviation(alignment.offset_deviation * 1e3, "ms"),
-                          f"{without_delay} without the uncertainty of the assumed delay")
+                          f"{without_latency} without the uncertainty of the assumed latency")
             table.add_row("drift", f"{alignment.drift_ppm:+.2f} ppm",
                           "INS relative to CAN clock; standard deviation "
                           f"{_format_deviation(alignment.drift_deviation, 'ppm')}")
@@ -140,7 +140,7 @@ def _format_seconds(nanoseconds: int) -> str:
 
 @shared.expand_options(shared.ReadOptions)
 def import_(
-    paths: list[Path] = typer.Argument(..., help="Runs: .ncom with CAN logs, folders of them, run.yaml."),
+    paths: list[Path] = typer.Argument(..., help="Runs: .ncom with CAN logs, folders of them, or run.yaml."),
     output: Path | None = typer.Option(
         None, help="Bag directory; with several runs, the folder of their bags. Default runs/import-<name>-<time>."),
     search: tuple[float, float] | None = typer.Option(None, help="Bounds of the offset in seconds."),
@@ -201,7 +201,7 @@ def _import_run(source: "RunSource", car: "VehicleParameters", folder: Path, set
         print_line(f"[yellow]{escape(warning)}[/yellow]", console)
     print_findings({source.name: imported.findings}, console)
     alignment = imported.run.alignment
-    text = describe_alignment(alignment, imported.run.can.start_ns, absolute=True)
+    text = describe_alignment(alignment, imported.run.can.start_ns, is_utc=True)
     if imported.run.shared_signals:
         draw_alignment(imported.run.shared_signals, alignment, f"{source.name}: {text}", folder / "alignment.png")
     style = VERDICT_STYLE[alignment.verdict]

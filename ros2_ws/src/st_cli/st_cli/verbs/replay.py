@@ -16,7 +16,7 @@ from . import _options as shared
 def replay(
     bag: Path = typer.Argument(..., help="Bag with odometry and steering, or the folder of a run.", exists=True),
     rate: float = typer.Option(1.0, help="Playback speed relative to the recording.", min=0.05, max=100.0),
-    fast: bool = typer.Option(False, "--fast", help="As fast as predictor and evaluator can follow."),
+    fast: bool = typer.Option(False, "--fast", help="Play as fast as predictor and evaluator can follow."),
     force: bool = typer.Option(False, "--force", help="Use the recording even if `st check` finds an error in it."),
     run_options: shared.RunOptions = shared.RunOptions(),
     output: Path | None = typer.Option(None, help="Folder for the run; default runs/replay-<time>."),

@@ -8,7 +8,7 @@
     out: (len(points), 6, n), states at these steps. NaN in a column makes only that column NaN.
 
 numpy_batch needs only numpy; numba_lanes needs numba (imported when used) and is five to twenty times faster.
-casadi_backend is not a backend in this sense: it builds symbolic functions.
+casadi_backend does not advance batches: it builds symbolic functions.
 """
 
 import importlib.util

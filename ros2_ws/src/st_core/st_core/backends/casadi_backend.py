@@ -40,7 +40,7 @@ class Variable:
     value: float = math.nan  # known value of a parameter; NaN if the caller must supply it
 
 
-# Wide enough for driving on a road, narrow enough to help a solver: 35 deg of steering, 1 g of braking or acceleration.
+# Wide enough for road driving, narrow enough to help a solver: 35 deg of steering, 1 g of braking or acceleration.
 _BOUNDS = {"velocity_x": (0.5, 70.0), "velocity_y": (-10.0, 10.0), "yaw_rate": (-3.0, 3.0)}
 INPUTS = (Variable("road_wheel_angle", "rad", -0.61, 0.61), Variable("velocity_x_dot", "m/s^2", -9.81, 9.81))
 
@@ -53,7 +53,7 @@ class SymbolicModel:
         step(x, u, h) -> x_next             RK4 with constant u; h [s] in `substeps` equal parts
         dynamics_jacobian(x, u) -> A, B     d(x_dot)/dx and d(x_dot)/du
         step_jacobian(x, u, h) -> A, B      d(x_next)/dx and d(x_next)/du
-        start(x_six, u) -> x                initial state: the six states and the extra ones
+        start(x_six, u) -> x                initial state: six states and extra states
 
     If `parameters` is not empty, each function has p as last argument: the free parameters, then the signals of the
     model. omitted_effects: effects of the model that act on recorded steering or on sensors, not in the equations.
@@ -108,7 +108,7 @@ def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1, fre
         state = rk4_step(model.rhs, state, w, w, w, symbolic_p, h / substeps)
     next_state = casadi.vertcat(*state)
     six = casadi.SX.sym("x_six", len(STATE_NAMES))
-    begin = casadi.vertcat(*model.start_state(tuple(casadi.vertsplit(six)), w, symbolic_p))
+    start = casadi.vertcat(*model.start_state(tuple(casadi.vertsplit(six)), w, symbolic_p))
 
     def make_function(kind: str, arguments: dict[str, Any], results: dict[str, Any]) -> casadi.Function:
         return casadi.Function(f"{model.name}_{kind}", [*arguments.values(), *p_argument], [*results.values()],
@@ -125,7 +125,7 @@ def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1, fre
         make_function("step", step_arguments, {"x_next": next_state}),
         make_function("dynamics_jacobian", state_arguments, differentiate(rates)),
         make_function("step_jacobian", step_arguments, differentiate(next_state)),
-        make_function("start", {"x_six": six, "u": u}, {"x": begin}))
+        make_function("start", {"x_six": six, "u": u}, {"x": start}))
 
 
 def list_free_parameters(model: str | Model) -> dict[str, Variable]:

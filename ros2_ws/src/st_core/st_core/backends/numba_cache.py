@@ -1,7 +1,7 @@
 """Cache of compiled kernels on disk, shared by all processes.
 
-Each kernel has a folder, named by a hash of all its dependencies: sources and values of all equations and plug-ins,
-these backend modules, numba, numpy, Python and the CPU. The cache of numba checks only the file of the kernel, so it
+Each kernel has a folder, named by a hash of all its dependencies: source files and values of its functions, these
+backend modules, numba, numpy, Python and the CPU. The cache of numba checks only the file of the kernel, so it
 would return outdated code after a change in another file.
 """
 
@@ -26,7 +26,7 @@ KERNEL_LIFETIME = 30 * 86400.0  # s; kernels not used for this long are deleted:
 
 
 def enable_cache(kernel, identity: str) -> Path | None:
-    """Enable the cache of a kernel before compilation, and delete old kernels. Returns its folder; None: no cache."""
+    """Enable the cache of a kernel before compilation, and delete old kernels. Returns its folder, None without one."""
     files = sorted(Path(__file__).parent.glob("*.py"))
     parts = (identity, numba.__version__, np.__version__, platform.python_version(),
              *map(str, cpu_target.target_context.codegen().magic_tuple()),
@@ -125,7 +125,7 @@ class UnhashableError(Exception):
 def compute_fingerprint(function: FunctionType, excluded: frozenset[str] = frozenset()) -> str:
     """sha256 (hex) of a function, of all functions that it can reach, and of their values and source files.
 
-    The same in every process. Raises UnhashableError for a value such as an array, a list, a dict or an instance.
+    It is the same in every process. Raises UnhashableError for a value such as an array, a list, a dict or an instance.
     """
     digest = hashlib.sha256()
     functions = find_reachable_functions(function, excluded)

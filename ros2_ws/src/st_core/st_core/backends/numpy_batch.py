@@ -14,7 +14,7 @@ BLOCK_SIZE = 4096  # columns per call: enough to amortise the overhead of a call
 
 def advance(model: Model, p: Any, start: np.ndarray, w: np.ndarray, offsets: np.ndarray, step: float,
             points: np.ndarray) -> np.ndarray:
-    """States of all columns at the points, see the package."""
+    """States of all columns at the points; see `st_core.backends`."""
     out = np.empty((len(points), len(STATE_NAMES), start.shape[1]))
     rows = {int(point): row for row, point in enumerate(points)}
     with np.errstate(all="ignore"):

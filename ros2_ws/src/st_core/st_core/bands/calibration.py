@@ -39,7 +39,7 @@ class NotFiniteError(StCoreError):
 
 @dataclass(frozen=True, eq=False)
 class ErrorSamples:
-    """Error curves of the starts of one run, without the point at time 0, where errors are 0."""
+    """Errors of the predictions from the starts of one run, without the point at time 0, where they are 0."""
 
     name: str
     conditions: np.ndarray  # (n, 4) as `scale.CONDITIONS`
@@ -103,20 +103,20 @@ def join_runs(runs: Sequence[ErrorSamples]) -> ErrorSamples:
 
 def _is_measured(models: Sequence[Model], signals: LogSignals, starts_ns: np.ndarray,
                  settings: EvaluationSettings) -> np.ndarray:
-    """Mask (n,) of starts with a completely measured horizon, in the recorded drive and as each model corrects it."""
+    """Mask (n,) of starts with a completely measured horizon, in the recorded drive and as corrected by each model."""
     measured = np.ones(len(starts_ns), bool)
     times = starts_ns[:, None] + half_step_grid(0, settings.prediction.steps, settings.prediction.step)
     corrected_logs = [correct_log(model, signals.log, signals.maximum_gap) for model in models]
     for log in {id(log): log for log in (signals.log, *corrected_logs)}.values():
-        drive = signals if log is signals.log else signals.for_log(log)
-        state, = drive.ins_at(starts_ns, "x")
-        acceleration, = drive.ins_at(times, "velocity_x_dot")
-        angle = drive.road_wheel_angle_at(times)
-        measured &= np.isfinite(state) & np.isfinite(angle).all(axis=1) & np.isfinite(acceleration).all(axis=1)
+        log_signals = signals if log is signals.log else signals.for_log(log)
+        position, = log_signals.ins_at(starts_ns, "x")
+        acceleration, = log_signals.ins_at(times, "velocity_x_dot")
+        angle = log_signals.road_wheel_angle_at(times)
+        measured &= np.isfinite(position) & np.isfinite(angle).all(axis=1) & np.isfinite(acceleration).all(axis=1)
     return measured
 
 
-ROUNDING_TOLERANCE = 1.0e-9  # tolerance for rounding errors of levels
+ROUNDING_TOLERANCE = 1.0e-9  # for levels and coverages
 
 
 def compute_highest_level(runs: int) -> float:
@@ -132,7 +132,7 @@ def count_required_runs(level: float) -> int:
 def check_levels(levels: Sequence[float], runs: int) -> None:
     """Raises a one-line StCoreError for 0 runs, or a level outside (0, 1) or above the highest supported level."""
     if not runs:
-        raise StCoreError("no usable run to calibrate bands with")
+        raise StCoreError("bands cannot be calibrated without a usable run")
     for level in levels:
         if not 0.0 < level < 1.0:
             raise StCoreError(f"level {level:g}: must be between 0 and 1")
@@ -197,8 +197,8 @@ def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
     """
     check_levels(levels, len(runs))
     if len(runs) < MIN_CALIBRATION_RUNS:
-        raise StCoreError(f"{len(runs)} run{'' if len(runs) == 1 else 's'}: each run is scored with bands of two "
-                          f"others; give {MIN_CALIBRATION_RUNS} or more")
+        raise StCoreError(f"{len(runs)} run{'' if len(runs) == 1 else 's'}: each run is scored with a band of at "
+                          f"least two others; give {MIN_CALIBRATION_RUNS} runs or more")
     for run in runs:
         if not np.isfinite(run.errors[pair]).all():
             raise StCoreError(f"{run.name}: errors of {pair[0]} are not finite; correct the model or leave the run out")
@@ -213,7 +213,7 @@ def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
             if rows.any():
                 ratio = np.abs(run.errors[pair][rows]) / scale(run.conditions[rows])
                 scores.append(ratio.max(axis=(1, 2)))
-                # Every fifth point is enough, since neighbouring points are redundant.
+                # Every fifth point suffices, because errors at neighbouring points are similar.
                 ratios.append(ratio[:, ::5].reshape(-1, ratio.shape[2]))
     if len(scores) < len(runs):
         try:

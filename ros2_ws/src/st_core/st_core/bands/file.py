@@ -33,7 +33,7 @@ SCHEMA = 2
 HEADER = "# Prediction bands by model and mode. Written by `st calibrate`.\n"
 UNITS = "half-widths along, across: m; yaw: rad; factors and ratios: 1; conditions: m/s, m/s^2, m/s^2, rad/s"
 CHECKED_SETTINGS = ("horizon", "step", "minimum_speed", "maximum_gap", "filter_cutoff", "acceleration", "inputs")
-"""Settings that affect the errors; the other settings only select starts."""
+"""Settings that affect the errors; the others only select starts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ class Bands:
     def half_widths(self, model: str, mode: str, conditions: np.ndarray, level: float) -> np.ndarray:
         """Half-widths (n, points + 1, 3) along and across the predicted path [m] and in yaw [rad], 0 at the start.
 
-        With probability `level`, the whole measured path of the INS point is inside the band in all three. All NaN
+        With probability `level`, the whole measured path of the INS point is inside all three half-widths. All NaN
         outside the calibration domain (`CalibrationDomain.describe_outside`). conditions: (n, 4), from
         `compute_conditions`. Raises KeyError for a model, mode or level that is not in the file.
         """
