@@ -18,13 +18,13 @@ from .regression import SIGMA_PER_MAD
 
 COARSE_CUTOFF, FINE_CUTOFF = 0.5, 4.0  # Hz, of the low-pass while the drift is unknown, and in the final fit
 STAMP_RESOLUTION = 50e-6  # s, of logger time stamps; their rounding error is part of the uncertainty
-GOOD_CORRELATION, USABLE_CORRELATION = 0.95, 0.80  # doubtful if one signal is below, refused if all are below
+GOOD_CORRELATION, USABLE_CORRELATION = 0.95, 0.80  # doubtful: one signal below GOOD; refused: all below USABLE
 MIN_OVERLAP = 20.0  # s, required overlap if no offset fits with an overlap of 40 % of the shorter recording
 UNUSUAL_DRIFT_PPM = 200.0  # two quartz clocks differ by less
 MAX_CLOCK_STEP = 0.05  # s; an alignment with a larger clock step is refused
 MAX_DISAGREEMENT = 0.005  # s, largest difference of the offset of a single signal from the common offset
 MAX_TIME_FRAME_RESIDUAL = 0.02  # s, largest deviation of the offset of a time frame from the fitted line
-GOOD_DEVIATION, USABLE_DEVIATION = 0.005, 0.05  # s, standard deviation of the offset
+GOOD_DEVIATION, USABLE_DEVIATION = 0.005, 0.05  # s, limits of the standard deviation of the offset
 MANUAL_SEARCH, MANUAL_TOLERANCE = 5.0, 0.01  # s, range and smallest tolerance of the check of a given offset
 STEP_SEARCH, WIDE_STEP_SEARCH = 5.0, 40.0  # s, largest step searched for; the second if a signal fits poorly
 WINDOW_DURATION = 30.0  # s, length of a window
@@ -165,7 +165,7 @@ def _align_with_overlap(series: _ResampledSignals, minimum_overlap: float,
         solution = fit(fine, solution.offset, middle, solution.drift)
     except ValueError as error:
         return refused_alignment(*reasons, str(error))
-    lags = []  # of each signal alone
+    lags = []  # fit of each signal alone
     for pair, residual, correlation in zip(fine, solution.residual, solution.correlation, strict=True):
         signal_fit = fit([pair], solution.offset, middle, solution.drift, free_drift=False)
         difference = signal_fit.offset - solution.offset

@@ -29,7 +29,7 @@ MAX_OFFSET_STEP = 0.3  # s, largest change of the offset in one iteration
 class Series:
     """A signal on a regular grid."""
 
-    origin: float  # s, of the first sample
+    origin: float  # s, time of the first sample
     values: np.ndarray
     known: np.ndarray  # True for samples away from gaps and ends
 

@@ -31,7 +31,7 @@ from .file import Bands
 from .scale import MAX_LOG_SCALE, activity_instants, compute_magnitudes, compute_scalar_features, steering_activity
 
 GAIN, START_GAIN, SETTLING_TIME = 0.1, 0.3, 30.0  # 1/s, 1/s, s; bands are 5 % wider than with the best constant factor
-MIN_FACTOR, MAX_FACTOR = 0.05, 100.0  # 1; far below and above calibrated factors
+MIN_FACTOR, MAX_FACTOR = 0.05, 100.0  # 1; far below and far above any calibrated factor
 DEFAULT_FACTORS = {0.5: 1.6, 0.9: 3.0}  # median and 90 % quantile of the largest of 300 correlated normal errors
 SCALE_FORGETTING = 120.0  # s; averaging time of the squared errors; long enough for most manoeuvres on a road
 DEFAULT_SCALE = (0.3, 0.3, 0.02)  # m, m, rad at 1 s ahead, proportional to the squared time; soon outweighed by errors
@@ -279,7 +279,7 @@ class BandCoverage:
     n: int = 0  # number of scored windows with a band
     inside_counts: dict[float, int] = field(default_factory=dict)  # number with the whole path inside, by level
     has_warning: bool = False  # whether the coverage of the highest level is, or recently was, significantly too low
-    statistic: float = 0.0  # S of the highest level, see module; limited to log(FALSE_WARNING_TIME)
+    statistic: float = 0.0  # S of the highest level, see module docstring; limited to log(FALSE_WARNING_TIME)
     _last_ns: int | None = None
 
     def coverage_at(self, level: float) -> float:

@@ -33,7 +33,7 @@ mean square of d(delta)/dt over the ACTIVITY_SPAN before the start. Velocity, ya
 INS point; delta is the road wheel angle."""
 UNITS = {"speed": "m/s", "lateral_acceleration": "m/s^2", "forward_acceleration": "m/s^2", "steering_activity": "rad/s"}
 ACTIVITY_SPAN = 1.0  # s; about the duration of a steering correction; the live predictor stores two seconds
-ACTIVITY_STEP = 0.05  # s; a step of 0.1 deg of a steering wheel with ratio 16 then appears as a rate of 0.002 rad/s
+ACTIVITY_STEP = 0.05  # s; a step of 0.1 deg of the steering wheel, ratio 16, then appears as a rate of 0.002 rad/s
 _INSTANTS_NS = np.round(np.arange(-ACTIVITY_SPAN, 0.5 * ACTIVITY_STEP, ACTIVITY_STEP) / NANOSECOND).astype(np.int64)
 
 

@@ -19,8 +19,8 @@ from .finding import HORIZON, LIMITS, WHEEL_SCALE_TOLERANCE, Advice, Comparison,
 from .motion import MIN_MOVING_SPEED, Motion, correlate, is_near
 from .regression import Estimate, Regression, add_systematic_uncertainty
 
-MAX_LAG = 1.5  # s, in both directions
-MIN_COMMON_TIME = 15.0  # s
+MAX_LAG = 1.5  # s; largest lag searched for, in both directions
+MIN_COMMON_TIME = 15.0  # s; minimum overlap of two series
 NO_BIAS, UNIT_SCALE, NO_DRIFT = Estimate(0.0, 0.0, 0.0), Estimate(1.0, 0.0, 0.0), Estimate(0.0, 0.0, 0.0)
 LAG_TEST_SHIFT = 0.3  # s; a drive determines a lag if lags smaller and larger by this both fit worse
 BIAS_RESIDUAL_RATIO = 1.25  # ratio of the residuals with a scale and with a bias above which a bias is reported
@@ -179,9 +179,9 @@ STANDARD_GRAVITY = 9.80665  # m/s^2, the unit g
 GYRO_CUTOFF, ACCELERATION_CUTOFF, SPEED_CUTOFF = 4.0, 1.5, 1.5  # Hz
 GYRO_CORRELATION = 0.9  # minimum correlation of yaw rate and change of yaw; it is lower if yaw is coarse
 GYRO_SCALE_ERROR = 0.02  # smallest reported deviation from 1; the scale of a gyroscope is accurate to 1 %
-GYRO_BIAS = 0.001  # rad/s, smallest reported; twice the bias of a good INS
+GYRO_BIAS = 0.001  # rad/s; smallest reported bias; twice the bias of a good INS
 ACCELERATION_SCALE_ERROR = 0.35  # smallest reported deviation from 1; roll and pitch of the body cause up to 0.33
-ACCELERATION_LAG = 0.12  # s, smallest reported; filters of accelerometers cause delays of up to 0.1 s
+ACCELERATION_LAG = 0.12  # s; smallest reported lag; filters of accelerometers cause delays of up to 0.1 s
 ACCELEROMETER_ARM = 1.5  # m between accelerometer and INS point
 SEVERE_ACCELERATION_BIAS = 0.3  # m/s^2; a crossfall of 2.5 % causes a bias of 0.25
 MIN_SPEED_DEVIATION = 0.5  # m/s; standard deviation; at constant speed, only slip and noise would be compared

@@ -25,7 +25,7 @@ MAX_TURN = 1.5  # rad; largest change of the course between adjacent windows tha
 MAX_MEDIAN_TURN, MIN_HALVED_LENGTH = 1.0, 0.2  # rad, s; longer windows with a larger median turn are halved
 MIN_RATIO = 1e-10  # smallest ratio of two varying channels; nanoseconds read as seconds cause a ratio of 1e-9
 SAME_RATIO_FACTOR = 1.2  # ratios that differ by less than this factor are taken as equal
-SLOPE_ITERATIONS = 8  # of the robust fit of a slope
+SLOPE_ITERATIONS = 8  # number of iterations of the robust fit of a slope
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,7 +38,7 @@ from .motion import (
 from .regression import Estimate, Regression, add_systematic_uncertainty, is_relevant
 from .sampling import estimate_resolution
 
-WINDOW = 1.0  # s
+WINDOW = 1.0  # s, length of the windows
 HORIZON_WINDOWS = round(HORIZON / WINDOW)  # number of windows in the horizon
 MIN_WINDOWS = 10
 ITERATIONS = 3
@@ -46,7 +46,7 @@ ITERATIONS = 3
 MAX_RESIDUAL_LAG, MAX_RESIDUAL_LEAD = 0.5, 0.25
 MIN_LOSS_RATIO = 1.1  # ratio of the losses of two explanations above which the one with the smaller loss is preferred
 MIN_SIGN_GAIN = 0.01  # m; minimum reduction of the misfit by the opposite sign; RTK noise is 1 cm
-MAX_SIGN_MISFIT_RATIO = 1.2  # ratio of the misfits with opposite sign and with another cause up to which both fit
+MAX_SIGN_MISFIT_RATIO = 1.2  # largest misfit with the opposite sign, divided by that with another cause, if both fit
 MIN_LATERAL_VELOCITY = 0.02  # m/s, root mean square
 SPHERICAL_EARTH_SCALE = 0.005  # largest scale error per axis of a projection on a spherical earth
 MIN_VELOCITY_BIAS = 0.05  # m/s; INS velocities are accurate to 0.03

@@ -26,9 +26,9 @@ from .position import make_lateral_sign_finding
 from .regression import Estimate, Regression, add_systematic_uncertainty
 from .units_and_axes import DEG_PER_RAD
 
-CUTOFF = 1.5  # Hz
-MIN_SPEED, MAX_LATERAL_ACCELERATION = 2.0, 4.0  # m/s, m/s^2; range of linear rear slip
-WINDOW, STANDSTILL_WINDOW = 0.5, 2.0  # s
+CUTOFF = 1.5  # Hz, of the low-pass filter
+MIN_SPEED, MAX_LATERAL_ACCELERATION = 2.0, 4.0  # m/s, m/s^2; limits of driving with linear rear slip
+WINDOW, STANDSTILL_WINDOW = 0.5, 2.0  # s, lengths of the windows
 MIN_REAR_AXLE_WINDOWS = 30
 SLIP_RANGE = 0.5, 1.5  # plausible rear slip, as a fraction of that of the vehicle file
 MAX_COSINE = 0.9  # cosine similarity of speed and yaw rate; 1 on a circle, where heading and point are confounded

@@ -29,7 +29,7 @@ from .fit import Fit, Problem
 from .result import Combination
 
 DRAWS = 100  # number of random draws of the fitted values, for 90 % and 95 % intervals
-MAX_SLIP = 0.35  # rad, above the slip of peak force of every road tyre
+MAX_SLIP = 0.35  # rad, slip angle beyond the peak force of every road tyre
 MIN_SAMPLES = 100  # runs with fewer samples of slip and force are left out of the comparison with the vehicle file
 MIN_FORCE_CHANGE = 0.01  # relative; an effect that changes the force by less does not count as acting on the axle
 SMALL_SLIP = 0.005  # rad, slip angle at which the cornering stiffness of an axle is evaluated

@@ -44,19 +44,19 @@ MIN_TURNING_ACCELERATION = 0.5  # m/s^2, lateral; driving with less counts as st
 MIN_BLOCKS = 4  # minimum number of blocks in a bin for an interval
 FALSE_DISCOVERY_RATE = 0.05  # expected fraction of false positives among the significant bins or cells
 MIN_EXCESS = 1.25  # minimum ratio of the error in a significant bin to the expected error
-SHORT_HORIZON = 1.0  # s, for errors of velocity, yaw rate and acceleration, to locate where they arise
-RESAMPLES = 1000  # bootstrap samples
+SHORT_HORIZON = 1.0  # s, horizon for errors of velocity, yaw rate and acceleration, to locate where they arise
+RESAMPLES = 1000  # number of bootstrap samples
 MAX_RANGES, MAX_PLACES = 3, 2  # maximum numbers of reported ranges and places per channel
 MAX_EXCESS_RATIO = 1.5  # largest ratio between the excesses of neighbouring ranges that are reported as one
 BINNED_BY_MAGNITUDE = ("lateral acceleration", "road-wheel angle", "steering rate")
 MIN_CONTRAST = 1.15  # minimum ratio of the error in a reported range to the error in all driving
 CELL_SIZE = 20.0  # m, side of a cell of the map
 MAX_CELL_DISTANCE = 1.6 * CELL_SIZE  # m, largest distance along each axis between neighbouring cells of one place
-MIN_SEGMENT_DURATION = 8.0  # s between change points
+MIN_SEGMENT_DURATION = 8.0  # s, minimum time between change points
 MAX_P_VALUE = 0.01  # largest p-value of a reported change point
 MIN_ERROR_RATIO = 1.5  # minimum `ratio` of a reported `Segment` or `Cell`
 MAX_CHANGE_POINTS = 3  # maximum number of change points per run and channel
-PERMUTATIONS = 299  # enough to resolve a p-value of 0.01
+PERMUTATIONS = 299  # number of permutations, enough to resolve a p-value of 0.01
 EVERYWHERE = "everywhere"
 
 
