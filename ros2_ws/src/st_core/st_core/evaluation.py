@@ -1,4 +1,4 @@
-"""Compares predictions with later measurements: longitudinal, lateral and yaw errors, and their statistics."""
+"""Comparison of predictions with later measurements: longitudinal, lateral and yaw errors, and their statistics."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -59,10 +59,10 @@ _PendingPrediction = tuple[str, Mode, Trajectory]  # (model, mode, trajectory) t
 class Evaluator:
     """Scores every prediction once the measurements cover its horizon.
 
-    span [s]: length of the stored measurements; at least two horizons. models: from model files, in addition to MODELS.
-    runners: compiled replacements of `predict`, by name of the model, for predictions with these settings
-    (`prediction.CompiledModel`). At most MAXIMUM_PENDING predictions wait; beyond that the oldest are scored as
-    incomplete.
+    span [s]: duration of the stored measurements; at least two horizons. models: models from files, in addition to
+    MODELS. runners: compiled replacements of `predict`, by name of the model, for predictions with these settings
+    (`prediction.CompiledModel`). At most MAXIMUM_PENDING predictions wait for measurements; beyond that the oldest are
+    scored as incomplete.
     """
 
     SIGNAL_TIMEOUT = 1.0  # s after the end of a horizon, by which a late signal must have arrived
@@ -218,7 +218,7 @@ class Statistic:
 
 @dataclass
 class ErrorStatistics:
-    """Statistics of one model and mode, of the mean errors over each horizon; incomplete scores are only counted."""
+    """Statistics of the mean errors over each horizon, for one model and mode; incomplete scores are only counted."""
 
     n_starts: int = 0
     n_incomplete: int = 0

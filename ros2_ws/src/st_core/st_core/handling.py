@@ -60,7 +60,7 @@ class Range:
 _INERTIA_SOURCE = "NHTSA inertia measurements, SAE 1999-01-1336"
 _TYPICAL_SOURCE = "typical vehicle parameters, SAE 840561"
 MAX_UNDERSTEER = 8.0  # deg/g
-PLAUSIBLE = (
+PLAUSIBLE_RANGES = (
     Range("cg_to_front_axle", "fraction of the weight on the front axle", "1", 0.35, 0.68,
           lambda car: car.cg_to_rear_axle / car.wheelbase, _INERTIA_SOURCE),
     Range("yaw_inertia", "dynamic index k^2 / (l_f l_r)", "1", 0.6, 1.4,
@@ -82,8 +82,8 @@ PLAUSIBLE = (
 def find_implausible_values(car: VehicleParameters, original: VehicleParameters | None = None) -> tuple[str, ...]:
     """A sentence for each quantity of the car that is outside its range.
 
-    original: car of the vehicle file, which may be unusual: quantities outside their range for it too are omitted.
+    original: car of the vehicle file; quantities that are outside their range for this car too are omitted.
     """
-    unusual = {quantity.name for quantity in PLAUSIBLE if original and quantity.describe_violation(original)}
-    texts = (quantity.describe_violation(car) for quantity in PLAUSIBLE if quantity.name not in unusual)
+    omitted = {quantity.name for quantity in PLAUSIBLE_RANGES if original and quantity.describe_violation(original)}
+    texts = (quantity.describe_violation(car) for quantity in PLAUSIBLE_RANGES if quantity.name not in omitted)
     return tuple(text for text in texts if text)

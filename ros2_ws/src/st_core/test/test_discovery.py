@@ -456,7 +456,7 @@ def test_unknown_or_inapplicable_effect_is_refused(effects, message):
 
 def test_effect_whose_channel_is_not_selected_is_refused():
     settings = replace(SETTINGS, effects=("lateral_acceleration_bias",), channels=("yaw_rate",))
-    with pytest.raises(ConfigurationError, match="none of those requested applies"):
+    with pytest.raises(ConfigurationError, match="none of the requested ones applies"):
         Space("nonlinear", settings)
 
 

@@ -26,7 +26,6 @@ from st_core.discovery.evidence import (
 )
 from st_core.discovery.partitions import (
     CONDITIONS,
-    TIMES,
     divide_by_condition,
     divide_by_place,
     divide_by_run,
@@ -292,7 +291,7 @@ def test_fewer_than_five_runs_are_divided_into_sections(logs, leaf):
 def test_time_partition_divides_each_run_into_thirds(logs, leaf):
     windows = make_windows(logs, leaf)
     part, labels = make_partitions(windows)["time"]
-    assert labels == list(TIMES)
+    assert labels == list(THIRDS)
     for run in range(3):
         third, seconds = part[windows.run == run], windows.seconds[windows.run == run]
         assert set(third) == {0, 1, 2} and (np.diff(third) >= 0).all()

@@ -495,7 +495,7 @@ def _noise_ratios(position: result.ChannelError | None, channel_noise: Mapping[s
 def complete_delay(delay: result.Combination, effects: Sequence[result.FoundEffect]) -> result.Combination:
     """The total delay with the alternatives of its effects, such as tyre relaxation, added to its effects. If only one
     effect of the model contributes, the interval also covers that of this effect. Other combinations are unchanged."""
-    if not delay.is_time:
+    if not delay.is_delay:
         return delay
     contributors = [e for e in effects if e.name in delay.effects]
     low, high = delay.interval

@@ -6,9 +6,9 @@ from scipy.sparse.csgraph import connected_components
 from .windows import Windows
 
 PLACE_SIZE = 50.0  # m, side of the squares of the map that count as places
-SAME_SITE_FRACTION = 0.2  # fraction of the places of the run with fewer places; runs that share more are at one site
+SAME_SITE_FRACTION = 0.2  # of the places of the run with fewer; two runs that share a larger fraction are at one site
 MIN_RUNS, MIN_PARTS = 5, 6  # fewer than MIN_RUNS runs are divided into at least MIN_PARTS parts in total
-TIMES = ("the first third of the runs", "the second third", "the last third")
+THIRDS = ("the first third of each run", "the second third of each run", "the last third of each run")
 CONDITIONS = ("slow and gentle", "fast and gentle", "slow and hard", "fast and hard")
 
 # ((n,) part of each window, names of the parts)
@@ -22,7 +22,7 @@ def make_partitions(windows: Windows) -> dict[str, Partition]:
     np.maximum.at(durations, windows.run, windows.seconds)
     third = np.minimum((3.0 * windows.seconds / np.maximum(durations[windows.run], 1e-9)).astype(int), 2)
     partitions = {"run": divide_by_run(windows), "site": (site, [f"site {k + 1}" for k in range(int(site.max()) + 1)]),
-                  "time": (third, list(TIMES)), "place": divide_by_place(driving["x"], driving["y"]),
+                  "time": (third, list(THIRDS)), "place": divide_by_place(driving["x"], driving["y"]),
                   "condition": divide_by_condition(driving["speed"], driving["lateral_acceleration"])}
     if site.max() + 1 == len(windows.names):
         del partitions["site"]  # each run is a site
@@ -30,13 +30,13 @@ def make_partitions(windows: Windows) -> dict[str, Partition]:
 
 
 def divide_by_run(windows: Windows) -> Partition:
-    """The runs as parts; with fewer than MIN_RUNS runs, each run in parts of equal duration."""
-    numbers = np.unique(windows.run)
-    if len(numbers) >= MIN_RUNS:
+    """Each run as a part; with fewer than MIN_RUNS runs, each run divided into parts of equal duration."""
+    runs = np.unique(windows.run)
+    if len(runs) >= MIN_RUNS:
         return windows.run, list(windows.names)
-    parts_per_run = int(np.ceil(MIN_PARTS / len(numbers)))
+    parts_per_run = int(np.ceil(MIN_PARTS / len(runs)))
     part = np.zeros(len(windows), int)
-    for run in numbers:
+    for run in runs:
         in_run = windows.run == run
         seconds = windows.seconds[in_run]
         edges = np.linspace(seconds.min(), seconds.max() + 1e-6, parts_per_run + 1)
@@ -46,9 +46,9 @@ def divide_by_run(windows: Windows) -> Partition:
 
 def find_sites(windows: Windows) -> np.ndarray:
     """(n,) site of each window. Runs that share enough places (SAME_SITE_FRACTION), directly or through other runs, are
-    at one site. Distance does not count, because the maps of different sites may have different origins."""
-    number = divide_by_place(windows.driving["x"], windows.driving["y"])[0]
-    places = [set(number[windows.run == run]) for run in range(len(windows.names))]
+    at one site. Distances are not used, because the maps of different sites may have different origins."""
+    place = divide_by_place(windows.driving["x"], windows.driving["y"])[0]
+    places = [set(place[windows.run == run]) for run in range(len(windows.names))]
     same_site = [[len(a & b) > SAME_SITE_FRACTION * max(min(len(a), len(b)), 1) for b in places] for a in places]
     return connected_components(np.array(same_site))[1][windows.run]
 
@@ -56,13 +56,13 @@ def find_sites(windows: Windows) -> np.ndarray:
 def divide_by_place(x: np.ndarray, y: np.ndarray) -> Partition:
     """Squares of the map with side PLACE_SIZE as parts. x, y: (n,) [m]."""
     cells = np.stack([np.floor(x / PLACE_SIZE), np.floor(y / PLACE_SIZE)], axis=1)
-    unique, number = np.unique(cells, axis=0, return_inverse=True)
-    return number.ravel(), [f"east {east:.0f} m, north {north:.0f} m" for east, north in PLACE_SIZE * (unique + 0.5)]
+    squares, place = np.unique(cells, axis=0, return_inverse=True)
+    return place.ravel(), [f"east {east:.0f} m, north {north:.0f} m" for east, north in PLACE_SIZE * (squares + 0.5)]
 
 
 def divide_by_condition(speed: np.ndarray, lateral_acceleration: np.ndarray) -> Partition:
-    """Four kinds of driving as parts: slower or faster than the median speed, each with less or more lateral
-    acceleration than its median."""
+    """Four kinds of driving as parts: slower or faster than the median speed, each with a lateral acceleration
+    below or above the median of its half."""
     fast = speed > np.median(speed)
     hard = np.zeros(len(speed), bool)
     for half in (fast, ~fast):

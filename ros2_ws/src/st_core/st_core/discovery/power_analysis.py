@@ -1,8 +1,8 @@
 """Power and false-alarm rate of the tests on these drives, predicted from the curvature of the loss or measured.
 
-To measure them, the residuals of drives are simulated: those of the final fit, with random signs of whole blocks, plus
-the change caused by a known effect. The effect counts as detected if one forward step of the search selects it, on the
-quadratic approximation of the loss; the whole search is not repeated.
+To measure them, residuals of drives are simulated: those of the final fit, with the sign of each block drawn at random,
+plus the change caused by a known effect. The effect counts as detected if one forward step of the search selects it, on
+the quadratic approximation of the loss; the whole search is not repeated.
 """
 
 from collections.abc import Callable
@@ -16,9 +16,9 @@ from .fit import Fit, Problem
 from .result import Power, PowerAnalysis
 from .settings import Limits
 
-SIZES = (0.25, 0.5, 1.0)  # tested sizes of an effect [parameter scales]
-DRAWS = 20  # simulated drives for each size; the standard deviation of the measured power is at most 0.11
-FALSE_ALARM_DRAWS, FLIPS = 100, 100  # simulated drives without an effect; draws of block signs in each drive
+EFFECT_SIZES = (0.25, 0.5, 1.0)  # tested sizes of an effect [parameter scales]
+DRIVES = 20  # simulated drives for each size of an effect; the standard deviation of the measured power is at most 0.11
+FALSE_ALARM_DRIVES, SIGN_DRAWS = 100, 100  # simulated drives without an effect; draws of block signs for each drive
 
 
 def predict_power(problem: Problem, fit: Fit, scores: Scores, limits: Limits) -> PowerAnalysis:
@@ -33,22 +33,22 @@ def predict_power(problem: Problem, fit: Fit, scores: Scores, limits: Limits) ->
         best = int(np.argmax(information))
         index = indices[best]
         parameter, scale = problem.space.free[index][1], float(problem.space.scale[index])
-        for size in SIZES:
+        for size in EFFECT_SIZES:
             power = _power(problem, fit, index, size, information[best], scores, limits)
             powers.append(Power(effect, parameter.name, parameter.unit, size * scale, power, 0))
     return PowerAnalysis(tuple(powers), 0, 0, measured=False)
 
 
 def find_confounding_effect(problem: Problem, fit: Fit, effect: str, scores: Scores, limits: Limits) -> str:
-    """Name of the effect of the fit that masks `effect` most: if the values of the masking effect were known, a change
-    of `effect` by one parameter scale would be detected with at least `limits.detection_power`; "" if there is none."""
+    """Name of the effect of the fit that masks `effect` most, or "": if its values were known, the power of detecting
+    a change of `effect` by one parameter scale would be largest, and at least `limits.detection_power`."""
     q = problem.full_quadratic(fit.vector).sum_groups(problem.block, problem.blocks)
     names = [n for n in fit.names if not problem.space.overlaps(effect, (n,))]
     indices, masking_effect, largest_power = problem.space.indices(effect), "", limits.detection_power
     for other in names:
         information = efficient_score(q, problem, tuple(n for n in names if n != other), effect)[1]
         index = int(np.argmax(information))
-        power = _power(problem, fit, indices[index], SIZES[-1], information[index], scores, limits)
+        power = _power(problem, fit, indices[index], EFFECT_SIZES[-1], information[index], scores, limits)
         if power >= largest_power:
             masking_effect, largest_power = other, power
     return masking_effect
@@ -68,16 +68,16 @@ def _power(problem: Problem, fit: Fit, index: int, size: float, information: flo
 
 
 def _required_gain(problem: Problem, rows: np.ndarray, reduction: float, limits: Limits) -> float:
-    """Smallest gain per residual at which an effect is named. rows: residuals of the final fit. reduction: decrease of
-    the mean position error when the effect is added to the model [m]."""
+    """Smallest gain per residual at which an effect is named. rows: residuals of the final fit. reduction: reduction of
+    the mean position error by adding the effect to the model [m]."""
     min_gain = limits.negligible if reduction > limits.relevant_position else limits.relevant
-    unexplained = residual_over_noise(problem, rows) > limits.max_noise_ratio
-    return max(min_gain, limits.unexplained_share) if unexplained else min_gain
+    has_unexplained_residual = residual_over_noise(problem, rows) > limits.max_noise_ratio
+    return max(min_gain, limits.unexplained_share) if has_unexplained_residual else min_gain
 
 
 def measure_power(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callable[[], None]) -> PowerAnalysis:
-    """Power and false alarms of a forward step on simulated drives: DRAWS drives for each size of each effect, and
-    FALSE_ALARM_DRAWS drives without an effect."""
+    """Power and false alarms of a forward step on simulated drives: DRIVES for each size of each effect,
+    and FALSE_ALARM_DRIVES without an effect."""
     rng = np.random.default_rng(seed)
     rows = np.nan_to_num(problem.errors.at(fit.vector))
     sensitivities = problem.all_sensitivities(fit.vector).values
@@ -86,28 +86,28 @@ def measure_power(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: C
         indices = problem.space.indices(effect)
         index = indices[int(np.argmax(np.square(sensitivities[indices] / problem.loss.scale).sum(axis=(1, 2))))]
         parameter, scale = problem.space.free[index][1], float(problem.space.scale[index])
-        for size in SIZES:
+        for size in EFFECT_SIZES:
             vector = problem.take_step(fit.vector, np.array([index]), size * problem.space.sign[[index]])
             change = rows - np.nan_to_num(problem.errors.at(vector))
             reduction = float(np.nanmean(problem.position_error(rows + change) - problem.position_error(rows)))
             min_gain = _required_gain(problem, rows, reduction, limits)
             detections = sum(effect in _detect_effects(problem, fit, rows, change, sensitivities, min_gain, limits, rng)
-                             for _ in range(DRAWS))
-            powers.append(Power(effect, parameter.name, parameter.unit, size * scale, detections / DRAWS, DRAWS))
+                             for _ in range(DRIVES))
+            powers.append(Power(effect, parameter.name, parameter.unit, size * scale, detections / DRIVES, DRIVES))
         tick()
     alarms = sum(bool(_detect_effects(problem, fit, rows, 0.0 * rows, sensitivities, limits.relevant, limits, rng))
-                 for _ in range(FALSE_ALARM_DRAWS))
-    return PowerAnalysis(tuple(powers), alarms, FALSE_ALARM_DRAWS, measured=True)
+                 for _ in range(FALSE_ALARM_DRIVES))
+    return PowerAnalysis(tuple(powers), alarms, FALSE_ALARM_DRIVES, measured=True)
 
 
 def _detect_effects(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, sensitivities: np.ndarray,
                     min_gain: float, limits: Limits, rng: np.random.Generator) -> list[str]:
-    """Effects that would be named on one simulated drive: the best one and those inseparable from it; none if the best
+    """Effects that would be named in one simulated drive: the best one and those inseparable from it; none if the best
     is not significant or gains less than `min_gain` per residual. change: (n, m) residuals due to the effect."""
     signs = rng.choice([-1.0, 1.0], problem.blocks)
     simulated_rows = signs[problem.block][:, None] * rows + change
     q = problem.loss.quadratic(simulated_rows, sensitivities).sum_groups(problem.block, problem.blocks)
-    scores = score_effects(problem, q, fit, problem.space.hypotheses, rng, FLIPS)
+    scores = score_effects(problem, q, fit, problem.space.hypotheses, rng, SIGN_DRAWS)
     gains = {effect: gain for effect, (gain, _) in scores.gains.items()}
     best = max(gains, key=lambda e: gains[e].sum())
     p_value = library_p_value(scores.by_effect[best], gains[best], scores, len(gains))

@@ -14,19 +14,19 @@ from .settings import Limits
 
 Outcome = Literal["none", "named", "ambiguous", "several", "varying", "unknown", "not_testable"]
 OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
-# Half-width of an interval at significance level `false_alarm` divided by that of a 95 % interval, normal distribution.
+# Ratio of the half-widths of intervals at significance levels `false_alarm` and 5 %, for a normal distribution.
 FALSE_ALARM_WIDENING = float(stats.norm.isf(0.5 * Limits().false_alarm) / stats.norm.isf(0.025))
-EFFECTIVE = "effective corrections"
-PARTS = (*EFFECT_KINDS, EFFECTIVE, "place or time", "unexplained")
+EFFECTIVE_CORRECTIONS = "effective corrections"
+PARTS = (*EFFECT_KINDS, EFFECTIVE_CORRECTIONS, "place or time", "unexplained")
 """Kinds of cause to which the baseline error is attributed (`BudgetLine`)."""
 Interval = tuple[float, float]
-MODELS = ("base", "model", "named")  # fields of `Discovery` that are models and not part of discovery.json
+MODEL_FIELDS = ("base", "model", "named")  # fields of `Discovery` that are models and not part of discovery.json
 
 
 @dataclass(frozen=True)
 class FittedParameter:
-    """Fitted value, 95 % interval, and null, the value without influence [unit]. The interval allows for dependent
-    windows and differences between runs."""
+    """Fitted value, its 95 % interval, and null, the value at which the effect changes nothing [unit]. The interval
+    allows for dependent windows and differences between runs."""
 
     value: float
     unit: str
@@ -36,7 +36,7 @@ class FittedParameter:
 
 @dataclass(frozen=True)
 class Change:
-    """A held-out error before a step (base) and after it (augmented) [unit]. interval: 95 %, for base - augmented."""
+    """A held-out error before a step (base) and after it (augmented) [unit]. interval: 95 %, of base - augmented."""
 
     base: float
     augmented: float
@@ -73,10 +73,10 @@ class LocalEstimate:
 @dataclass(frozen=True)
 class FoundEffect:
     """One effect of the result. kind: one of EFFECT_KINDS. alternatives: names of effects that the data do not separate
-    from it, best first. position_5s_increase [m]: increase of the mean position error after 5 s without it. agreement:
-    by partition (run, site, time, place, condition), its value in each part. joint: other effects of the result that
-    cancel it; only the combination of their values is identifiable. channel: channel with the largest error reduction
-    relative to its baseline error, "" if no error exceeds twice the noise. share [1]: this relative reduction."""
+    from it, best first. position_5s_increase [m]: increase of the mean position error after 5 s if it is removed.
+    agreement: by partition (run, site, time, place, condition), its value in each part. joint: other effects of the
+    result that cancel it; only the combination of their values is identifiable. channel: channel with the largest error
+    reduction relative to its baseline error, "" if no error exceeds twice the noise. share [1]: that reduction."""
 
     name: str
     kind: str
@@ -104,7 +104,7 @@ class AssumedQuantity:
 @dataclass(frozen=True)
 class Combination:
     """A combination of vehicle parameters that determines predictions: value, 95 % interval and value of the vehicle
-    file [unit]. effects: effects that change it, for a delay also alternatives; the drives do not separate them."""
+    file [unit]. effects: inseparable effects that change it; for a delay, also their alternatives."""
 
     name: str
     unit: str
@@ -114,15 +114,15 @@ class Combination:
     effects: tuple[str, ...]
 
     @property
-    def is_time(self) -> bool:
+    def is_delay(self) -> bool:
         """Whether it is `TOTAL_DELAY`, which is 0 in a vehicle file."""
         return self.unit == "s"
 
     @property
     def differs(self) -> bool:
         """Whether the value of the vehicle file differs significantly, p < `Limits.false_alarm`."""
-        edge = self.interval[0] if self.file < self.value else self.interval[1]
-        return abs(self.file - self.value) > FALSE_ALARM_WIDENING * abs(edge - self.value)
+        end = self.interval[0] if self.file < self.value else self.interval[1]
+        return abs(self.file - self.value) > FALSE_ALARM_WIDENING * abs(end - self.value)
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ class VaryingEffect:
 @dataclass(frozen=True)
 class Reason:
     """A decision and its reason. rule: the rule of `decision` that applied. subject: an effect, or "outcome". figures:
-    numbers that were compared; a key is the name of a quantity in `settings`, `evidence` or `decision`."""
+    the compared numbers, by names of quantities in `settings`, `evidence` or `decision`."""
 
     rule: str
     subject: str
@@ -151,8 +151,8 @@ class Reason:
 
 @dataclass(frozen=True)
 class CandidateEffect:
-    """One effect of the library, in the final model, added to it, or in place of one of its effects. gain [1]: relative
-    reduction of the RMS error. verdict: the rule of `decision` that applied. why: the reason in words, with numbers."""
+    """An effect of the library, tested in the final model, in addition to it, or in place of one of its effects. gain
+    [1]: relative reduction of the RMS error. verdict: the rule of `decision` that applied. why: the reason as text."""
 
     name: str
     kind: str
@@ -166,7 +166,7 @@ class CandidateEffect:
 class BudgetLine:
     """Contribution of one of PARTS to the error. last, first [m]: reduction of the held-out mean position error after
     5 s when this part is added last, or first; for "unexplained", the remaining error. share_last, share_first [1]: the
-    same divided by the baseline error; loss_last, loss_first [1]: the same for the loss."""
+    same divided by the baseline error. loss_last, loss_first [1]: the corresponding fractions of the baseline loss."""
 
     part: str
     last: float
@@ -207,7 +207,7 @@ class PowerAnalysis:
 class LargeErrorRegion:
     """A condition, time or place in which the error is larger than expected from the reference drives or the noise.
     channel: one of CHANNELS. excess [1]: root mean square error divided by the expected one, with 95 % interval; for a
-    time or place, this ratio over all driving times the ratio of the errors there to those in similar conditions."""
+    time or place: this ratio for all driving, multiplied by that of the local errors to those in similar conditions."""
 
     channel: str
     condition: str
@@ -218,7 +218,7 @@ class LargeErrorRegion:
 @dataclass(frozen=True)
 class ChannelError(Change):
     """Held-out error of a channel with the base model (base) and with effects (augmented) [unit]: root mean square at
-    the end of the horizon, but mean for position_5s. interval: 95 %, for base - augmented. floor: error due to noise
+    the end of the horizon, but mean for position_5s. interval: 95 %, of base - augmented. floor: error due to noise
     alone [unit]. worst_run, worst: run with the largest augmented error, and this error [unit]. worse_runs: runs in
     which the effects increase the error by more than the floor."""
 
@@ -230,7 +230,7 @@ class ChannelError(Change):
 
 @dataclass(frozen=True)
 class UntestableEffect:
-    """An effect that is not detectable in these drives. manoeuvre: one of the catalogue that shows it, or ""."""
+    """An effect that is not detectable in these drives. manoeuvre: one of the catalogue that excites it, or ""."""
 
     name: str
     reason: str
@@ -337,7 +337,7 @@ class Discovery:
 
     def document(self) -> dict[str, Any]:
         """The body of discovery.json: only dicts, lists, strings and numbers."""
-        return {f.name: plain_data(getattr(self, f.name)) for f in fields(self) if f.name not in MODELS}
+        return {f.name: plain_data(getattr(self, f.name)) for f in fields(self) if f.name not in MODEL_FIELDS}
 
 
 def unseparated_combinations(combinations: Sequence[Combination],
@@ -346,8 +346,8 @@ def unseparated_combinations(combinations: Sequence[Combination],
     stiffness to mass or, if none of these differs, the first of stability factor and yaw gain; and the total delay."""
     names = {name for e in named for name in (e.name, *e.alternatives)}
     unexplained = [c for c in combinations if c.differs and not names.intersection(c.effects)]
-    delay = [c for c in unexplained if c.is_time]
-    others = [c for c in unexplained if not c.is_time]
+    delay = [c for c in unexplained if c.is_delay]
+    others = [c for c in unexplained if not c.is_delay]
     return (*([c for c in others if "stiffness" in c.name] or others[:1]), *delay)
 
 

@@ -16,10 +16,10 @@ from .partitions import Partition
 from .result import Reason
 from .settings import Limits
 
-CONTENDERS = 4  # maximum number of effects refitted in a step, besides members of composites; half in an exchange
-CONTENDER_FRACTION = 0.5  # fraction of the best gain that a contender must reach; before the refits, its square
+CONTENDERS = 4  # maximum number of effects refitted in a step, plus members of composites; half as many in an exchange
+CONTENDER_FRACTION = 0.5  # fraction of the best gain that a contender must reach; squared before the refits
 FIXED_CURVATURE = 1e9  # prior curvature that fixes a parameter
-JOINT_FITS, JOINT_STEP = 4, 0.1  # maximum number of joint fits; largest step at convergence [parameter scales]
+MAX_JOINT_FITS, JOINT_TOLERANCE = 4, 0.1  # number of joint fits; largest step at convergence [parameter scales]
 MAX_EXCHANGES = 3
 
 NearSet = tuple[tuple[str, ...], np.ndarray]  # (names of the effects in a set, vector of its fit)
@@ -27,9 +27,9 @@ NearSet = tuple[tuple[str, ...], np.ndarray]  # (names of the effects in a set, 
 
 @dataclass
 class SearchState:
-    """State of the search. fit: fit of the current set. order: names in order of selection, at the end of decreasing
-    gain. evidence, fits_without, rivals: by effect of the set, evidence for it, fit without it, and effects tried in
-    its place. refused: (evidence, verdict, fit) of each effect that was tried in addition and rejected.
+    """State of the search. fit: fit of the current set. order: names in order of selection; after the search, by
+    decreasing gain. evidence, fits_without, rivals: by effect of the set, evidence for it, fit without it, and effects
+    tried in its place. refused: (evidence, verdict, fit) of each effect that was tried in addition and rejected.
     cached_scores: scores of the effects outside the set. near_optimal: sets that fit nearly as well (`_find_near_sets`)
     and, without names, fits with a load (`_add_load_rivals`)."""
 
@@ -54,7 +54,7 @@ class SearchState:
 
 class Search:
     """A search from several starts. partitions: partitions of the driving. sensors: see `evidence.Sensors`. tick:
-    called at every refit. judge: gives the verdict on an effect."""
+    called at every refit. judge: function that decides whether an effect is accepted."""
 
     def __init__(self, problem: Problem, limits: Limits, partitions: Mapping[str, Partition], sensors: Mapping,
                  seed: int = 0, tick: Callable[[], None] = lambda: None,
@@ -87,7 +87,7 @@ class Search:
             candidates.append(self._step_from(start) if start else None)
             if candidates[-1] is None:
                 p.loss.scale, p.design_effect = scale, design_effect
-        state = self._exchange_until_accepted(self._select([a for a in candidates if a]))
+        state = self._exchange_until_accepted(self._select([c for c in candidates if c]))
         state.order = sorted(state.fit.names, key=lambda n: -state.evidence[n].gain)
         state.near_optimal = self._find_near_sets(state)
         # A rival that gains as much in addition to an effect as in its place explains different errors.
@@ -100,34 +100,34 @@ class Search:
 
     def _add_load_rivals(self, state: SearchState) -> None:
         """Add a load as a rival of lower tyre stiffness, since drives show only the ratio of stiffness to mass. Unless
-        the drives exclude the load, it becomes an alternative to each effect that is nearer to the vehicle file in the
-        fit with the load. If they exclude a load of the prior standard deviation, one of `limits.min_relative_size`
-        parameter scales is tried. Bands of axle forces include the laden car; intervals of values do not."""
+        the drives exclude the load, it becomes an alternative to each effect whose values it brings nearer to the
+        vehicle file. If they exclude a load of the prior standard deviation, one of `limits.min_relative_size`
+        parameter scales is tried. Bands of axle forces include the laden car; intervals do not."""
         p, names = self.problem, state.fit.names
-        for other in (n for n in p.space.payloads if names and n not in names and not p.space.overlaps(n, names)):
-            for size in (p.space.deviation[p.space.indices(other)], self.limits.min_relative_size):
-                # The load is fixed at this start value: with reference drives, the prior mean of a free parameter.
-                laden_problem, load, vector = copy(p), p.space.indices(other), state.fit.vector.copy()
+        for payload in (n for n in p.space.payloads if names and n not in names and not p.space.overlaps(n, names)):
+            for size in (p.space.deviation[p.space.indices(payload)], self.limits.min_relative_size):
+                # The load keeps this start value; with reference drives it is free, with this value as its prior mean.
+                laden_problem, load, vector = copy(p), p.space.indices(payload), state.fit.vector.copy()
                 laden_problem.start = p.start.copy()
                 vector[load] = laden_problem.start[load] = p.start[load] + size * p.space.scale[load]
                 self.tick()
                 fit = laden_problem.refit(laden_problem.fit(names, laden_problem.all_sensitivities(vector), vector))
                 difference = fit.held_out - state.fit.held_out
-                indices = p.space.indices(*(n for n in names if n in find_confounded_effects(other)))
+                indices = p.space.indices(*(n for n in names if n in find_confounded_effects(payload)))
                 nearer = indices[np.abs(fit.vector - p.start)[indices] < np.abs(state.fit.vector - p.start)[indices]]
                 deficit = float(difference.sum()) / p.residual_count
-                rivals = [Rival(other, name, 1.0, p_no_worse(difference), deficit, state.evidence[name],
-                                p.space.values(other, fit.vector), shared=True)
+                rivals = [Rival(payload, name, 1.0, p_no_worse(difference), deficit, state.evidence[name],
+                                p.space.values(payload, fit.vector), shared=True)
                           for name in sorted({p.space.free[i][0] for i in nearer})]
                 if rivals and is_alternative(rivals[0], self.limits):
                     for rival in rivals:
                         others = state.rivals.get(rival.replaces, ())
-                        state.rivals[rival.replaces] = [*(r for r in others if r.name != other), rival]
+                        state.rivals[rival.replaces] = [*(r for r in others if r.name != payload), rival]
                     state.near_optimal.append(((), fit.vector))
                     break
 
     def add_corrections(self, fit: Fit) -> Fit:
-        """The best fit with all effects of `fit`, which is from a different problem, and further effects."""
+        """The best fit with further effects and all effects of `fit`, a fit of a different problem."""
         self._required = frozenset(fit.names)
         p = self.problem
         state = self._step_from(p.fit(fit.names, p.all_sensitivities(fit.vector), fit.vector))
@@ -135,8 +135,8 @@ class Search:
         return self._drop_rejected(state).fit
 
     def _find_near_sets(self, state: SearchState) -> list[NearSet]:
-        """Sets fitted at the final residual scale with a held-out loss per residual above that of the final set, by
-        less than `limits.unexplained_share`; none if the residual is near the noise."""
+        """Sets fitted at the final residual scale whose held-out loss per residual exceeds that of the final set by
+        less than `limits.unexplained_share`, or is lower; none if the residual is near the noise."""
         p, limits = self.problem, self.limits
         if max((e.noise_ratio for e in state.evidence.values()), default=0.0) <= limits.max_noise_ratio:
             return []
@@ -188,13 +188,13 @@ class Search:
         compared at the residual scale and the design effect of the set with the smallest errors."""
         p = self.problem
         if len(candidates) > 1:
-            smallest = min(candidates, key=lambda a: float(np.log(p.loss.scale_of(a.fit.vector)).sum()))
+            smallest = min(candidates, key=lambda c: float(np.log(p.loss.scale_of(c.fit.vector)).sum()))
             p.loss.rescale(smallest.fit.vector)
             p.update_design_effect(smallest.fit.vector)
-            for a in candidates:
-                a.fit, a.cached_scores = p.fit(a.fit.names, a.fit.sensitivities, iterations=2), None
+            for c in candidates:
+                c.fit, c.cached_scores = p.fit(c.fit.names, c.fit.sensitivities, iterations=2), None
         penalty = self.limits.negligible * p.residual_count
-        return min(candidates, key=lambda a: float(a.fit.held_out.sum()) + penalty * len(a.fit.names))
+        return min(candidates, key=lambda c: float(c.fit.held_out.sum()) + penalty * len(c.fit.names))
 
     def _step_forward(self, state: SearchState) -> Fit | None:
         """The fit with the best further effect that passes the test or that redundant sensors confirm, or None."""
@@ -229,7 +229,7 @@ class Search:
             state.refused[effect] = e, verdict, fits[effect]
             if verdict.rule not in (GAIN_INSIGNIFICANT, NULL):
                 largest_refused = max(largest_refused, gain)
-        # An effect that redundant sensors confirm is added whatever its gain.
+        # An effect that redundant sensors confirm is tried whatever its gain.
         for effect in (n for n in gains if n not in fits and p.prior is None):
             null = sensors_null_p_value(p.space, effect, self.sensors)
             if null is not None and null <= limits.false_alarm:
@@ -239,13 +239,13 @@ class Search:
         return None
 
     def _refit_with(self, fit: Fit, effect: str, start: np.ndarray, sensitivities: Sensitivities | None = None) -> Fit:
-        """A fit with a further effect, from the initial vector with the lower loss: `start` or that of `fit`.
+        """A fit with a further effect, started from `start` or from the vector of `fit`, whichever has the lower loss.
         sensitivities: by default those at `fit`."""
         p = self.problem
         self.tick()
-        better = p.loss.total(start) < p.loss.total(fit.vector)
+        best_start = min(fit.vector, start, key=p.loss.total)
         sensitivities = sensitivities or p.all_sensitivities(fit.vector)
-        return self._remember(p.fit((*fit.names, effect), sensitivities, start if better else fit.vector, (effect,), 2))
+        return self._remember(p.fit((*fit.names, effect), sensitivities, best_start, (effect,), 2))
 
     @staticmethod
     def _gain(without: Fit, fit: Fit) -> float:
@@ -279,7 +279,7 @@ class Search:
         return collect_evidence(self.problem, without, fit, effect, scores, self.partitions, self.sensors)
 
     def _step_backward(self, fit: Fit, scores: Scores) -> Fit:
-        """The fit without the effects that the others make redundant."""
+        """The fit without the effects that fail the test once the others are refitted."""
         p = self.problem
         while len(fit.names) > max(len(self._required), 1):
             rise = {n: self.predicted_rise(fit, n) for n in fit.names if n not in self._required}
@@ -320,12 +320,12 @@ class Search:
         curvature = np.where(free, np.maximum(JOINT_DEVIATION**-2, p.file_curvature), FIXED_CURVATURE)
         joint_problem = Problem(p.loss, p.start, p.block, np.diag(curvature))
         p.loss.rescale(vector)
-        for _ in range(JOINT_FITS):
+        for _ in range(MAX_JOINT_FITS):
             self.tick()
             before = vector
             vector = joint_problem.fit((), p.all_sensitivities(vector), vector, iterations=2).vector
             p.loss.rescale(vector)
-            if np.abs((vector - before) / p.space.scale).max() < JOINT_STEP:
+            if np.abs((vector - before) / p.space.scale).max() < JOINT_TOLERANCE:
                 break
         sensitivities, q = p.all_sensitivities(vector), p.full_quadratic(vector)
 
@@ -366,16 +366,16 @@ class Search:
             state = SearchState(fit, [n for n in state.order if n != weakest], refused={**state.refused, **refused})
         return state
 
-    def _find_weakest_failing(self, state: SearchState, required: float = np.inf) -> str:
+    def _find_weakest_failing(self, state: SearchState, required_gain: float = np.inf) -> str:
         """Fill in `evidence` and `fits_without`, and return the weakest effect that fails the test, or "". An
         effect counts as significant without a refit if its removal is predicted to raise the loss per residual by more
-        than three times `required`; the other criteria still apply."""
+        than three times `required_gain`; the other criteria still apply."""
         p = self.problem
         state.cached_scores = state.cached_scores or self._scores(state.fit)
         state.evidence, state.fits_without = {}, {}
         for name in (n for n in state.fit.names if n not in self._required):
             rise = self.predicted_rise(state.fit, name) / p.residual_count
-            if rise > 3.0 * required:
+            if rise > 3.0 * required_gain:
                 without = state.fits_without[name] = state.fit
                 e = self._evidence(state.fit, state.fit, name, state.scores)
                 state.evidence[name] = replace(e, gain=rise, p_value=0.0)
@@ -386,7 +386,7 @@ class Search:
         return min(failing_names, key=lambda n: state.evidence[n].gain, default="")
 
     def _exchange(self, state: SearchState) -> Fit | None:
-        """Fill in `rivals`; return the best fit with one effect exchanged if significantly better, else `_merge`."""
+        """Fill in `rivals`; return the best significantly better fit with one effect exchanged, or else `_merge`."""
         p, better_fit = self.problem, None
         sensitivities = p.all_sensitivities(state.fit.vector)
         q, to_start = p.full_quadratic(state.fit.vector), -p.distance(state.fit.vector)
@@ -412,8 +412,8 @@ class Search:
                 state.rivals[name].append(rival)
                 if is_alternative(rival, self.limits):
                     alternatives[other].append(fit)
-                significant = rival.p_no_worse > 1.0 - self.limits.undecided_p
-                if (significant and frozenset(fit.names) not in self._visited
+                is_better = rival.p_no_worse > 1.0 - self.limits.undecided_p
+                if (is_better and frozenset(fit.names) not in self._visited
                         and self._judge(rival.evidence, self.limits).rule == ACCEPTED
                         and (better_fit is None or fit.held_out.sum() < better_fit.held_out.sum())):
                     better_fit = fit

@@ -1,7 +1,7 @@
 """The parameter vector of a discovery, and the priors from the vehicle file.
 
 The vector contains all parameters of all effects that apply to the base model, and the gain of the accelerometer due to
-body roll. All vectors use the same compiled functions.
+body roll. One model, compiled once, serves all vectors.
 """
 
 import math
@@ -23,15 +23,14 @@ TYPICAL_GAIN, GAIN_BOUNDS = 0.05, (-0.3, 0.5)  # typical: roll gradient of 5 mra
 
 
 class Space:
-    """Parameters of all effects that apply to a base model. not_searched: further effects of the model. library: names
-    of the effects to choose from, by default all that apply.
+    """Parameters of all effects that apply to a base model. not_searched: effects of the model that are not searched.
+    library: names of the effects to choose from, by default all that apply.
 
     hypotheses: names of the searched effects. without_signal: names of effects that need a further signal, which no
-    drive has. free: (effect name, parameter) of all parameters but the last. null: (p,) vector of the base model.
-    scale: (p,) typical deviations from the null > 0, which are the units of steps and distances. sign: (p,) sign of
-    initial - null. low, high: (p,) bounds. payloads: names of the effects that add a load to the
-    measured car. deviation: (p,) prior standard deviation of their parameters [parameter scales]; inf for all others.
-    """
+    drive has. free: (effect name, parameter) of all parameters but the last, the gain. null: (p,) vector of the base
+    model. scale: (p,) typical deviations from the null > 0, which are the units of steps and distances. sign: (p,) sign
+    of initial - null. low, high: (p,) bounds. payloads: names of the effects that add a load to the measured car.
+    deviation: (p,) prior standard deviation of their parameters [parameter scales]; inf for all others."""
 
     def __init__(self, base: str | Model, settings: DiscoverySettings, not_searched: Sequence[str] = (),
                  library: Collection[str] | None = None):
@@ -96,7 +95,7 @@ def _choose_effects(usable: Sequence[str], settings: DiscoverySettings, availabl
     hypotheses = tuple(n for n in usable if (requested is None or n in requested)
                        and set(get_effect(n).needs) <= set(settings.channels))
     if not hypotheses:
-        raise ConfigurationError("effects: none of those requested applies to this base model with these channels")
+        raise ConfigurationError("effects: none of the requested ones applies to this base model with these channels")
     return hypotheses
 
 
@@ -166,7 +165,7 @@ def _find_changed_quantity(space: Space, vehicle: VehicleParameters, i: int) -> 
 
 
 def _make_quantity(vehicle: VehicleParameters, key: str, slope: float, without_effect: float) -> FileQuantity | None:
-    """The `FileQuantity` of a key of the vehicle file; None without a standard deviation."""
+    """The `FileQuantity` of a key of the vehicle file; None if it has no standard deviation."""
     deviation, entry, quantity = vehicle.uncertainty(key), vehicle.provenance.get(key), find_quantity(key)
     return FileQuantity(key, quantity.si_unit if quantity else "1", value_of(vehicle, key), deviation, slope,
                         bool(entry and entry.uncertainty), without_effect) if deviation else None

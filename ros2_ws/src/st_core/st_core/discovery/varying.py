@@ -52,13 +52,13 @@ def _fit_by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: st
     space, (number, names) = problem.space, partition
     indices = space.indices(effect)
     fitted_indices = problem.free_indices(fit.names) if problem.prior is None else space.indices(*fit.names)
-    others = np.setdiff1d(fitted_indices, indices)
+    other_indices = np.setdiff1d(fitted_indices, indices)
     h = q.hessian.sum(axis=0)
     projection = np.zeros((len(space), len(indices)))  # the other fitted parameters are re-optimised
     projection[indices, np.arange(len(indices))] = 1.0
-    projection[others] = -inverse(h[np.ix_(others, others)]) @ h[np.ix_(others, indices)]
+    projection[other_indices] = -inverse(h[np.ix_(other_indices, other_indices)]) @ h[np.ix_(other_indices, indices)]
     gradient, curvature = q.gradient @ projection, projection.T @ q.hessian @ projection
-    # (part, half the gradient of its loss (k,), curvature (k, k))
+    # (part, half the negative gradient of its loss (m,), half its Hessian (m, m))
     all_parts = [(k, gradient[number == k].sum(axis=0), curvature[number == k].sum(axis=0)) for k in np.unique(number)]
     information = np.diag(sum(hk for *_, hk in all_parts))
     if information.min() <= 1e-9 * float(np.trace(h)) / len(h):

@@ -1,4 +1,4 @@
-"""Reduction of the held-out error by effect, by channel and by kind of cause; values of effects with intervals."""
+"""Reduction of the held-out error by each effect and kind of cause, by channel; values of effects with intervals."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -14,7 +14,7 @@ from .fit import DIVERGED_ERROR, Fit, Problem
 from .partitions import Partition
 from .result import PARTS, BudgetLine, Change, ChannelError, FittedParameter, Step
 
-RESAMPLES = 400  # bootstrap samples of whole blocks, for 95 % intervals
+BOOTSTRAP_SAMPLES = 400  # of whole blocks, for 95 % intervals
 
 
 class HorizonErrors:
@@ -24,11 +24,11 @@ class HorizonErrors:
         self.problem = problem
         self.names = problem.errors.windows.names
         self.run, self.block = problem.errors.windows.run, problem.block
-        draws = np.random.default_rng(seed).integers(problem.blocks, size=(RESAMPLES, problem.blocks))
+        draws = np.random.default_rng(seed).integers(problem.blocks, size=(BOOTSTRAP_SAMPLES, problem.blocks))
         self._weights = np.stack([np.bincount(d, minlength=problem.blocks) for d in draws])
 
     def by_channel(self, fit: Fit) -> dict[str, np.ndarray]:
-        """(n,) squared errors at the end of the horizon by channel, clipped at DIVERGED_ERROR; position_5s: errors."""
+        """(n,) squared errors by channel, but errors for position_5s; errors are clipped at DIVERGED_ERROR."""
         p = self.problem
         rows = p.held_out_rows(fit)
         last = rows.reshape(len(rows), len(p.errors.windows.time), -1)[:, -1]
@@ -81,9 +81,9 @@ def estimate_parameters(problem: Problem, fit: Fit, effect: str, partitions: Map
     indices = space.indices(effect)
     model_error = np.array([p.model_error for p in get_effect(effect).parameters if p.fit])
     deviations = standard_deviations(problem, fit, effect)
-    if problem.prior is not None:  # the values of the healthy car are uncertain as well
-        healthy = np.sqrt(0.5 * np.diag(inverse(problem.prior))[indices]) * space.scale[indices]
-        deviations = np.hypot(deviations, healthy)
+    if problem.prior is not None:  # the values of the reference drives are uncertain as well
+        reference_deviations = np.sqrt(0.5 * np.diag(inverse(problem.prior))[indices]) * space.scale[indices]
+        deviations = np.hypot(deviations, reference_deviations)
     quantile = float(stats.t.ppf(0.975, max(problem.blocks - len(fit.indices), 2)))
     half_widths = quantile * deviations
     if joint_fit is not None:
@@ -97,9 +97,9 @@ def estimate_parameters(problem: Problem, fit: Fit, effect: str, partitions: Map
             _, error, between, _ = random_effects(values, np.square(ratio_deviations))
             ratio_half_width = Z95 * float(np.sqrt(between + error**2))
             half_widths = np.maximum(half_widths, np.abs(fit.vector - space.null)[indices] * ratio_half_width)
-    others = np.array([v[indices] for v in (fit.vector, *(vector for names, vector in near_sets if effect in names))])
-    others -= fit.vector[indices]
-    for i, half_width, below, above in zip(indices, half_widths, others.min(axis=0), others.max(axis=0), strict=True):
+    shifts = np.array([v[indices] for v in (fit.vector, *(vector for names, vector in near_sets if effect in names))])
+    shifts -= fit.vector[indices]
+    for i, half_width, below, above in zip(indices, half_widths, shifts.min(axis=0), shifts.max(axis=0), strict=True):
         parameter, null, value = space.free[i][1], float(space.null[i]), float(fit.vector[i])
         # With reference drives, the reported value is the change since the reference drives.
         value = null + value - float(problem.start[i]) if problem.prior is not None else value
@@ -154,7 +154,7 @@ def compare_channel_errors(errors: HorizonErrors, base: Fit, final: Fit,
 
 
 def leave_one_out(problem: Problem, fit: Fit) -> dict[str, dict[str, dict[str, float]]]:
-    """{run: {effect: {parameter: value}}} with values fitted without this run; empty for a single run."""
+    """{run: {effect: {parameter: value}}}, fitted without this run; empty for a single run."""
     windows = problem.errors.windows
     if len(np.unique(windows.run)) < 2:
         return {}
@@ -179,7 +179,7 @@ def build_budget(problem: Problem, base: Fit, final: Fit, corrected: Fit, varyin
                                              shares_first[1])))
 
     def refit(names: tuple[str, ...]) -> Fit:
-        """The best of three: the base, a fit started at the final values, and one started at the base values."""
+        """The best of three fits: the base, one started at the final values, and one started at the base values."""
         from_final = problem.refit(problem.fit(names, final.sensitivities, iterations=3))
         from_base = problem.refit(problem.fit(names, problem.all_sensitivities(base.vector), base.vector, names))
         return min((from_final, from_base, base), key=lambda fit: float(fit.held_out.sum()))

@@ -114,9 +114,9 @@ def _remember(cache: OrderedDict, key: tuple, value: Any, size: int = RECORDING_
 
 class Windows:
     """The n windows of the runs. starts_ns: (n,) starts on the common clock [ns]. run, block: (n,) numbers of the run
-    and of the block. seconds: (n,) times of the starts since INS and steering of the run have both begun [s]. time:
-    (k,) time of the scored points after the start of a window [s]; the last is the horizon, or SIDESLIP_SETTLING_TIME
-    later without velocity_y. columns: (c,) names of the errors."""
+    and of the block. seconds: (n,) starts, counted from the first instant with both INS and steering of the run [s].
+    time: (k,) time of the scored points after the start of a window [s]; the last is the horizon, or
+    SIDESLIP_SETTLING_TIME later without velocity_y. columns: (c,) names of the errors."""
 
     MIN_SUBSTEPS = 1  # integration steps per STEP
 
@@ -163,7 +163,7 @@ class Windows:
         return tuple(self._batch.signals.ins_at(times, *names))
 
     def _sample_channels(self, times: np.ndarray) -> dict[str, np.ndarray]:
-        """Measured signals at times [ns], smoothed for channels with `smoothed`."""
+        """Measured signals at times [ns], by name; smoothed where `Channel.smoothed` is set."""
         log, signals = self.joined_log, Signals(self.joined_log, MAX_GAP)
         smoothing = dict.fromkeys(("x", "y", "yaw", "velocity_x"), False) | {
             name: channel.smoothed for channel in self.channels for name in channel.signals}
@@ -179,15 +179,14 @@ class Windows:
 
     @cached_property
     def known(self) -> np.ndarray:
-        """(n, m) whether an error is measured and no gap of the inputs precedes it, for the points and columns of each
-        window."""
+        """(n, k c) whether each error is known: measured, and without a gap of the inputs before it."""
         measured = [np.isfinite([self._measured[name] for name in channel.signals]).all(axis=0)
                     for channel in self.channels for _ in channel.columns]
         return (np.stack(measured, axis=-1) & self._has_inputs[..., None]).reshape(len(self), -1)
 
     @cached_property
     def _has_inputs(self) -> np.ndarray:
-        """(n, k) whether no gap of steering or INS precedes a point, since inputs are missing after a gap. Margins are
+        """(n, k) whether steering and INS have no gap before a point, since inputs are missing after a gap. Margins are
         the same as at the ends of a run: MARGIN_NS before the start of a window, half of it after a point."""
         last = np.full(len(self), np.iinfo(np.int64).max)
         for time_ns in (self.joined_log.steering_time_ns, self.joined_log.ins_time_ns):
@@ -281,11 +280,11 @@ def _join(runs: Sequence[DriveLog]) -> tuple[DriveLog, list[int]]:
     return DriveLog(name="all runs", **columns), offsets
 
 
-def _select_starts(runs: Sequence[DriveLog], offsets: Sequence[int], horizon: float,
+def _select_starts(runs: Sequence[DriveLog], offsets: Sequence[int], duration: float,
                    settings: DiscoverySettings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(starts_ns, run, seconds) of `Windows`, for all windows with speeds above MIN_SPEED at both ends."""
-    span_ns = round(horizon / NANOSECOND)
-    usable_duration = sum(max(run.overlap - horizon, 0.0) for run in runs)
+    """(starts_ns, run, seconds) of `Windows`, for a window duration [s], with speeds above MIN_SPEED at both ends."""
+    span_ns = round(duration / NANOSECOND)
+    usable_duration = sum(max(run.overlap - duration, 0.0) for run in runs)
     interval = max(settings.interval, usable_duration / settings.windows)
     spacing = round(round(interval / (STEP / 2)) * (STEP / 2) / NANOSECOND)
     starts, numbers, seconds = [], [], []

@@ -78,7 +78,7 @@ def _find_package(path: str) -> tuple[str, str]:
     finder = pkgutil.get_importer(str(path))
     if not isinstance(finder, FileFinder):
         raise ConfigurationError(f"{path}: not a folder of effects")
-    # A folder has the same package name in every process, because it is part of the key of cached kernels.
+    # The package name depends only on the path, because it is part of the key of kernels cached for later processes.
     return finder.path, "st_effects_" + hashlib.sha256(finder.path.encode()).hexdigest()[:12]
 
 

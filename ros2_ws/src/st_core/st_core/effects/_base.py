@@ -22,7 +22,7 @@ ANY = frozenset(BASE_MODELS)
 EFFECT_KINDS = ("sensors", "vehicle parameters", "physics", "surroundings")
 SLOTS = ("steering", "front axle", "rear axle", "both axles", "body",
          "position", "velocity", "heading", "yaw rate", "acceleration")
-TOTAL_DELAY = "total delay of the steering"  # dead time plus lag, which a fit divides differently from model to model
+TOTAL_DELAY = "total delay of the steering"  # dead time plus lag; how a fit divides this sum depends on the model
 COMBINATIONS = {"front cornering stiffness over mass": "N/(rad kg)", "rear cornering stiffness over mass": "N/(rad kg)",
                 "stability factor K": "s^2/m^2", "steady-state yaw gain at 20 m/s": "1/s",
                 TOTAL_DELAY: "s"}
@@ -40,7 +40,7 @@ class Parameter:
     """A parameter of an effect. Raises ConfigurationError if its fields contradict each other.
 
     null: value at which the effect has no influence. initial: start value of a fit, of typical magnitude. bounds:
-    physical limits, inclusive. source: origin of initial and bounds. meaning: a few words, with the sign. odd: whether
+    physical limits, inclusive. source: origin of initial and bounds. meaning: short text, with the sign. odd: whether
     it changes sign if left and right are exchanged. fit: False for a constant of the car, with null as its default.
     identity: name of the estimate of `st_core.checks.check` that measures it with the same sign and unit, without a
     model of the car; "" if there is none. theory: its physical value, if it is the same for every car. quantity: key of
@@ -124,13 +124,13 @@ class Effect:
         slip_angles(slip_front, slip_rear, extra, instant, prepared, theta) -> changed (slip_front, slip_rear)
         axle_forces(forces, slip_front, slip_rear, instant, prepared, theta) -> (front, rear) [N]
             forces(slip_front, slip_rear, instant) -> (front, rear) [N] without the effect
-        acceleration(instant, prepared, theta) -> added (along x [m/s^2], along y [m/s^2], of yaw [rad/s^2])
+        acceleration(instant, prepared, theta) -> additional acceleration (x [m/s^2], y [m/s^2], yaw [rad/s^2])
         start(slips, instant, prepared, theta) -> initial values of `extra_states`; default 0
-        rates(extra, slips, forces, instant, prepared, theta) -> derivatives of `extra_states`, from the slip angles of
-            the geometry [rad] and the forces [N]
+        rates(extra, slips, forces, instant, prepared, theta) -> time derivatives of `extra_states`; slips, forces:
+            geometric slip angles [rad] and axle forces [N], (front, rear) each
         specific_force(instant, prepared, theta) -> (a_x, a_y) [m/s^2] that an accelerometer at the CG reads in
             addition to the acceleration of the car
-        observe(measured, theta) -> Measured with the readings for true values; correct(measured, theta): the inverse
+        observe(measured, theta) -> the readings that result from the true ones; correct(measured, theta): the inverse
 
     name: unique; default: the name of its file. parameters: a tuple, or parameter if there is only one. physics: the
     equation in one line, with the sign. excited_by: driving that makes it observable. kind: one of EFFECT_KINDS. slot:
@@ -142,9 +142,9 @@ class Effect:
     at_peak_force: whether it is observable only near the peak force of an axle. applies_to: base models. converts:
     (from, to) base model, if it turns one into another. signals: names of the inputs that it requires in addition to
     steering angle and acceleration. extra_states, extra_units: names and units of its states. costly: whether it
-    evaluates the tyres again, and is left out of a fast model at null. forward_only: whether the search adds it only in
-    forward steps, since in a joint fit of the whole library it absorbs parts of other effects. order: rank among the
-    effects with the same hook, lowest first.
+    evaluates the tyres again, and is therefore omitted at null where speed matters. forward_only: whether the search
+    adds it only in forward steps, since in a joint fit of the whole library it absorbs parts of other effects. order:
+    rank among the effects with the same hook, lowest first.
     """
 
     name: ClassVar[str]
@@ -248,13 +248,13 @@ def _check_names(effect: type[Effect]) -> Iterator[str]:
     if len(set(names)) != len(names) or "constants" in names:
         yield f"parameters {', '.join(names)}: a name is used twice, or the reserved name constants is used"
     if bool(effect.extra_states) != (effect.rates is not None):
-        yield "extra_states requires rates, and rates extra_states"
+        yield "extra_states and rates must be declared together"
     if effect.extra_units and len(effect.extra_units) != len(effect.extra_states):
-        yield "extra_units and extra_states differ in number"
+        yield "extra_units and extra_states differ in length"
     if bool(effect.prepared) != (effect.prepare is not None):
-        yield "prepare requires prepared, the names of its results, and prepared requires prepare"
+        yield "prepare and prepared, the names of its results, must be declared together"
     if (effect.observe is None) != (effect.correct is None):
-        yield "observe requires its inverse correct, and correct requires observe"
+        yield "observe and correct, its inverse, must be declared together"
 
 
 def find_source_file(effect: type[Effect]) -> str:

@@ -62,7 +62,7 @@ def spline(t):
 
 
 def evaluate_curve(u, theta):
-    """f(u) of the module docstring, times the share."""
+    """f(u) of the module docstring, times `share`."""
     high = theta.low + INTERVALS * theta.spacing
     t = (minimum(maximum(u, theta.low + 0.0 * u), high + 0.0 * u) - theta.low) / theta.spacing
     s = (minimum(maximum(-u, theta.low + 0.0 * u), high + 0.0 * u) - theta.low) / theta.spacing
@@ -78,7 +78,7 @@ def _basis(t, s, parity, k):
 
 
 def compute_argument(instant, theta):
-    """u without the slip angles, which not all hooks have as arguments."""
+    """Argument u without the terms of the slip angles, which not all hooks receive."""
     return (theta.in_steering * instant.road_wheel_angle
             + theta.in_acceleration_y * instant.velocity_x * instant.yaw_rate
             + theta.in_acceleration_x * instant.velocity_x_dot + theta.in_speed * instant.velocity_x
@@ -122,9 +122,9 @@ def _make_parameters(*constants: Parameter) -> tuple[Parameter, ...]:
 
 
 def fix_curve(kind: type[Effect], odd: bool = False, **values: float) -> tuple[Parameter, ...]:
-    """Parameters of an effect with a fixed curve, of which only its `share` is fitted.
+    """Parameters of an effect with a fixed curve, of which only `share` is fitted.
 
-    kind: the kind of relation whose hooks the effect has. odd: as for Parameter. values: of the parameters of `kind`.
+    kind: relation whose hooks the effect uses. odd: as for Parameter. values: values of parameters of `kind`, by name.
     """
     share = Parameter("share", "1", null=0.0, initial=1.0, bounds=(-3.0, 3.0), meaning="fraction of the fitted curve",
                       source="st discover --propose", odd=odd)
@@ -174,7 +174,7 @@ class RelationEffect(_Relation):
 @_register
 class LaggedRelationEffect(_Relation):
     name = "relation_lagged"
-    physics = "a smooth curve of a quantity that lags, or of its rate, added to the steering of an axle"
+    physics = "a smooth curve of a lagged quantity or of its rate, added to the steering of an axle"
     excited_by = "transients that cover the range of the quantity"
     extra_states = ("lagging",)
     parameters = _make_parameters(

@@ -44,7 +44,7 @@ def compute_drive_forces(lateral_front, instant, car: Drive):
 
 
 def compute_lateral_factor(force, peak, share):
-    """Factor by which a longitudinal force [N] reduces the lateral force of an axle. peak: of the axle force [N]."""
+    """Factor by which a longitudinal force [N] reduces the lateral force of an axle. peak: largest axle force [N]."""
     ratio = force / peak
     return 1.0 - share + share * sqrt(1.0 - minimum(ratio * ratio, MAX_SQUARE_RATIO))
 

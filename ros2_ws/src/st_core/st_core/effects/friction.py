@@ -14,7 +14,7 @@ class Friction(Effect):
     at_peak_force = True
     applies_to = frozenset(("nonlinear",))  # a linear tyre has no peak
     parameter = Parameter("factor", "1", null=1.0, initial=0.8, bounds=(0.1, 1.6),
-                          meaning="ratio of true friction to the tyre data's",
+                          meaning="ratio of true friction to that of the tyre data",
                           source="ice 0.1, wet 0.6-0.8, dry asphalt relative to a test drum 1.0-1.3")
 
     @staticmethod

@@ -1,8 +1,8 @@
 """Saturation of a linear front axle, without a tyre curve from the vehicle file.
 
-s = 1 / mu^2; s = 0 is linear. Where the linear force F equals the limit, the saturated force is 0.76 of it. Fitted to
-brush and Magic Formula curves, the saturated force deviates by less than 2 % of their peak up to twice that slip (4 %
-for a Magic Formula with C = 1.3, E = -3).
+s = 1 / mu^2; s = 0 is linear. At the slip where the linear force F equals the limit, the saturated force is 0.76 F. Up
+to twice this slip it fits brush and Magic Formula curves with an error below 2 % of their peak (4 % for a Magic Formula
+with C = 1.3, E = -3).
 """
 
 from ..ops import sqrt
@@ -10,7 +10,7 @@ from ._base import Effect, Parameter, register
 
 SATURATION = Parameter("saturation", "1", null=0.0, initial=1.0, bounds=(0.0, 16.0),
                        meaning="squared ratio of static load to the axle's largest force: 1 / mu^2",
-                       source="mu of 0.25 to infinity; dry asphalt 0.8-1.2, so 0.7-1.6")
+                       source="mu from 0.25 to infinity; dry asphalt: mu 0.8-1.2, s 0.7-1.6")
 
 
 def saturate(force, load, saturation):

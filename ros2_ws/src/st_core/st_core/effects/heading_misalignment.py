@@ -1,4 +1,4 @@
-"""Misalignment of the INS: its forward axis points to the left of the car's forward axis."""
+"""Misalignment of the INS: its forward axis is rotated by `angle` to the left of the car's forward axis."""
 
 from ..ops import cos, sin
 from ._base import ANY, Effect, Parameter, register

@@ -2,7 +2,7 @@
 
     m' = m + load,  b = load l_r / m',  l_f' = l_f + b,  l_r' = l_r - b,  I_z' = I_z + m b^2 + load (l_r - b)^2
 
-A load farther forward acts like a smaller load over the rear axle. The axle loads change the tyre forces of the
+A load further forward acts like a smaller load over the rear axle. The axle loads change the tyre forces of the
 nonlinear model, but not the stiffnesses of the linear model.
 """
 

@@ -1,7 +1,7 @@
 """Delay of the measured position of the INS point, to first order: (x, y)_measured = (x, y) - time R(yaw) (v_x, v_y).
 
 With time > 0 the measured position lags. `observe` applies this effect first and `correct` reverses it last, when yaw
-and velocity are already true, so `correct` is the exact inverse of `observe`.
+and velocity are already corrected, so `correct` is the exact inverse of `observe`.
 """
 
 from ..ops import cos, sin

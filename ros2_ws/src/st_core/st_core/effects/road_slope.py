@@ -10,7 +10,7 @@ from ._base import Effect, Parameter, register
 
 
 def compute_slope(instant, theta):
-    """Slope of the road (forward, to the left) of the car [1], positive for a rising road."""
+    """Slope of the road in body axes (forward, to the left) [1], positive for a rising road."""
     cosine, sine = cos(instant.yaw), sin(instant.yaw)
     east, north = sin(theta.slope_x), sin(theta.slope_y)
     return east * cosine + north * sine, north * cosine - east * sine
@@ -19,7 +19,7 @@ def compute_slope(instant, theta):
 @register
 class RoadSlope(Effect):
     physics = "a_y = -g (sin(slope_y) cos(yaw) - sin(slope_x) sin(yaw)) on the car, not measured by an accelerometer"
-    excited_by = "the same place in two directions, with an accelerometer: it measures the force of wind, not gravity"
+    excited_by = "the same place in two directions, with an accelerometer, which measures wind force but not gravity"
     kind, slot = "surroundings", "body"
     confounded_with = ("crosswind", "road_bank", "steering_offset")
     parameters = (

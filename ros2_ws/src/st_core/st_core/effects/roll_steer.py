@@ -26,7 +26,7 @@ class RollSteer(Effect):
     order = 60
     parameters = (
         Parameter("gradient", "rad s^2/m", null=0.0, initial=0.0005, bounds=(-0.005, 0.005),
-                  meaning="steer to the outside per lateral acceleration, positive for understeer",
+                  meaning="steer angle to the outside per lateral acceleration, positive for understeer",
                   source="roll 0.3-0.5 deg per m/s^2, roll steer 0-10 %, of either sign in racing cars"),
         Parameter("frequency", "Hz", null=2.0, initial=2.0, bounds=(0.8, 4.0), fit=False,
                   meaning="natural frequency of body roll", source="passenger cars 1.5-2.5 Hz"),

@@ -22,7 +22,7 @@ def displace(measured, shift, speed):
 @register
 class SensorRoll(Effect):
     physics = "INS point moves by shift a_y to the outside of the bend as the body rolls, so v_y by -shift v_x r_dot"
-    excited_by = "sweeps and quickly entered bends: v_y of the INS has a step at their beginning"
+    excited_by = "sweeps and fast corner entries, where v_y of the INS has a step"
     kind, slot = "sensors", "position"
     confounded_with = ("yaw_inertia", "tyre_relaxation")
     needs = ("velocity_y",)
@@ -30,7 +30,7 @@ class SensorRoll(Effect):
     forward_only = True
     order = 5  # the point moves before the errors of its readings are added
     parameter = Parameter("shift", "m s^2/m", null=0.0, initial=0.005, bounds=(-0.005, 0.04),
-                          meaning="outward per lateral acceleration: height above the roll axis times roll gradient",
+                          meaning="outward shift per lateral acceleration: height above roll axis times roll gradient",
                           source="roll 0.3-0.8 deg per m/s^2; 0.3 m above the roll axis (seat) to 1.5 m (roof of a "
                                  "van)")
 

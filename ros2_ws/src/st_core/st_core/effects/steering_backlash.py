@@ -42,8 +42,8 @@ class SteeringBacklash(Effect):
     order = 20
     parameter = Parameter("play", "rad", null=0.0, initial=0.003, bounds=(0.0, 0.02),
                           meaning="total play, as an angle of the road wheels",
-                          source="0.02 rad is 20 deg at a steering wheel with ratio 17, twice the limit of vehicle "
-                                 "tests")
+                          source="0.02 rad is 20 deg at a steering wheel with ratio 17, twice the limit of "
+                                 "vehicle inspections")
 
     @staticmethod
     def steering(time, angle, is_start, theta):

@@ -29,10 +29,10 @@ class SteeringLag(Effect):
     @staticmethod
     def steering(time, angle, is_start, theta):
         spacing = np.diff(time, prepend=time[:1])
-        before = np.concatenate((angle[:1], angle[:-1]))
+        previous = np.concatenate((angle[:1], angle[:-1]))
         with np.errstate(divide="ignore", invalid="ignore"):
             x = np.where(is_start, 1.0, spacing / theta.time_constant)
             m = -np.expm1(-x) / x
         factor = np.where(is_start, 0.0, np.exp(-x))
-        offset = np.where(is_start, angle, (m - factor) * before + (1.0 - m) * angle)
+        offset = np.where(is_start, angle, (m - factor) * previous + (1.0 - m) * angle)
         return time, scan((factor, offset), compose_affine)[1]

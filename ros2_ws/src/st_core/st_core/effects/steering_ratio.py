@@ -17,7 +17,7 @@ class SteeringRatio(Effect):
     applies_to = ANY
     order = 40
     parameter = Parameter("factor", "1", null=1.0, initial=1.05, bounds=(0.5, 2.0),
-                          meaning="true steering ratio / the file's",
+                          meaning="ratio of true steering ratio to the file's",
                           source="identified ratios of one car type vary by 10-20 % in fleets", model_error=0.009)
 
     @staticmethod

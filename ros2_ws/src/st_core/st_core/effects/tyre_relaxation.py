@@ -15,7 +15,7 @@ MIN_TIME_CONSTANT = 0.025  # s; RK4 with 50 ms steps is stable down to 18 ms
 @register
 class TyreRelaxation(Effect):
     physics = "force from alpha', length / v d(alpha')/dt = alpha - alpha', both axles"
-    excited_by = "sweeps at two speeds, one half of the other: the delay is length / v"
+    excited_by = "sweeps at two speeds, one twice the other: the delay is length / v"
     kind, slot = "physics", "both axles"
     confounded_with = ("yaw_inertia", "steering_delay", "steering_lag")
     extra_states = ("slip_front", "slip_rear")

@@ -10,7 +10,7 @@ from ._base import Effect, Parameter, register
 
 @register
 class TyreSlip(Effect):
-    physics = "derivative = (1 - share) kinematic + share dynamic, single-track car with F_y = -C alpha"
+    physics = "state derivative = (1 - share) kinematic + share dynamic model with F_y = -C alpha"
     excited_by = "cornering above 2 m/s^2"
     kind, slot = "physics", "both axles"
     applies_to = frozenset(("kinematic",))

@@ -12,7 +12,7 @@ class YawRateDelay(Effect):
     excited_by = "sweeps and step steers, with measured heading"
     kind, slot = "sensors", "yaw rate"
     needs = ("yaw_rate",)
-    order = 20  # before scale and bias; the order does not affect the reading, since both are constant
+    order = 20  # before scale and bias; as both are constant, the reading does not depend on the order
     parameter = Parameter("time", "s", null=0.0, initial=0.03, bounds=(-0.1, 0.2),
                           meaning="delay of the yaw rate, positive for a lag",
                           source="filters of yaw rate sensors, 10-50 Hz: 5-30 ms; stamps on arrival add as much",

@@ -52,7 +52,7 @@ MIN_SPEED, MAX_RADIUS, MAX_ACCELERATION = 3.0, 300.0, 4.0  # m/s, m, m/s^2
 MAX_SLIP = np.deg2rad(2.0)
 MIN_AXLE_SAMPLES = 500  # minimum number of samples in a regression
 SLIP_BIN_COUNT = 12
-MAX_RANGE_RATIO = 0.8  # mean slip in the lower range / in the full range; above, extrapolation multiplies errors by > 5
+MAX_RANGE_RATIO = 0.8  # mean slip of the lower range / of the full range; if larger, extrapolated errors grow over 5x
 MAX_RELATIVE_UNCERTAINTY = 0.1  # ratio of standard uncertainty to stiffness above which the stiffness is doubtful
 SLIP_QUANTILE = 0.995  # quantile of |slip angle| that counts as the largest slip angle of the drives
 
@@ -81,15 +81,14 @@ class AxleSamples:
         """(mean slip, mean force opposing it) in each bin of |slip|, (b,) each.
 
         The slip at zero force, which is due to offsets of steering and INS, is subtracted first. Bins are omitted
-        if they have fewer than 5 samples, or less than 1 % of the samples of a uniform distribution.
+        if they have fewer than 5 samples, or less than 1 % of their number with a uniform distribution.
         """
         slip = self.slip - self.find_zero_force_slip()
         size, force = np.abs(slip), -self.force * np.sign(slip)
         bins = np.digitize(size, np.linspace(0.0, float(np.quantile(size, SLIP_QUANTILE)), SLIP_BIN_COUNT + 1)) - 1
-        members = [bins == k for k in range(SLIP_BIN_COUNT)]
-        members = [member for member in members if member.sum() >= max(0.01 * len(size) / SLIP_BIN_COUNT, 5)]
-        return (np.array([size[member].mean() for member in members]),
-                np.array([force[member].mean() for member in members]))
+        masks = [bins == k for k in range(SLIP_BIN_COUNT)]
+        masks = [mask for mask in masks if mask.sum() >= max(0.01 * len(size) / SLIP_BIN_COUNT, 5)]
+        return np.array([size[mask].mean() for mask in masks]), np.array([force[mask].mean() for mask in masks])
 
     def find_zero_force_slip(self) -> float:
         """Slip at zero force [rad], by linear regression; 0 if the force does not oppose the slip."""
@@ -121,7 +120,7 @@ class AxleRegression:
         return float(np.hypot(self.standard_error, np.nan_to_num(self.model_error)))
 
     def estimate(self, runs: tuple[str, ...]) -> ParameterEstimate:
-        """Estimate of the stiffness at zero slip; its interval uses the Student quantile of interval95."""
+        """Estimate of the stiffness at zero slip, with an interval by the Student quantile of interval95."""
         half = 0.5 * (self.interval95[1] - self.interval95[0]) * self.uncertainty / max(self.standard_error, 1e-300)
         status: Status = "identified" if self.uncertainty < MAX_RELATIVE_UNCERTAINTY * self.stiffness else "doubtful"
         if self.reasons:
@@ -172,8 +171,8 @@ def _fit_regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> 
         straight = ~slow & (np.abs(run.yaw_rate) * MAX_RADIUS < np.abs(run.velocity_x))
         high_acceleration = ~slow & ~straight & (np.abs(run.lateral_acceleration) > MAX_ACCELERATION)
         masks.append(~(slow | straight | high_acceleration))
-        reasons = {f"slower than {MIN_SPEED:g} m/s": slow, f"straighter than R = {MAX_RADIUS:g} m": straight,
-                   f"above {MAX_ACCELERATION:g} m/s^2": high_acceleration}
+        reasons = {f"slower than {MIN_SPEED:g} m/s": slow, f"on a radius above {MAX_RADIUS:g} m": straight,
+                   f"above |a_y| = {MAX_ACCELERATION:g} m/s^2": high_acceleration}
         rejected += [(run.name, f"{int(mask.sum())} of {len(run)} samples {reason}")
                      for reason, mask in reasons.items() if mask.any()]
     coverage = (
@@ -185,10 +184,10 @@ def _fit_regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> 
     samples = []
     for index, name in enumerate(AXLES):
         rows = []
-        for number, (run, mask) in enumerate(zip(runs, masks, strict=True)):
+        for run_index, (run, mask) in enumerate(zip(runs, masks, strict=True)):
             slip, force = compute_slip_angles(run, vehicle)[index], compute_measured_forces(run, vehicle)[index]
             fast = np.abs(run.velocity_x) >= MIN_SPEED
-            rows.append([v[fast] for v in (slip, force, np.full(len(run), number), run.time,
+            rows.append([v[fast] for v in (slip, force, np.full(len(run), run_index), run.time,
                                            mask & (np.abs(slip) <= MAX_SLIP))])
         samples.append(AxleSamples(name, *(np.concatenate(column) for column in zip(*rows, strict=True))))
     slopes = [_fit_slope(axle) if axle.used.sum() >= 10 else None for axle in samples]
@@ -206,10 +205,11 @@ def _fit_regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> 
 def _fit_slope(samples: AxleSamples) -> Slope:
     """Slope C of F = -C alpha + intercept, fitted to the used samples."""
     slip = samples.slip[samples.used]
-    group = make_blocks(samples.run_index[samples.used], samples.time[samples.used])
-    solution, spread, influence = group.fit_least_squares(np.stack([-slip, np.ones_like(slip)], axis=1),
+    blocks = make_blocks(samples.run_index[samples.used], samples.time[samples.used])
+    solution, spread, influence = blocks.fit_least_squares(np.stack([-slip, np.ones_like(slip)], axis=1),
                                                           samples.force[samples.used])
-    return Slope(float(solution[0]), spread, (group.run.astype(np.int64) << 32) + group.number_in_run, influence[:, 0])
+    number = (blocks.run.astype(np.int64) << 32) + blocks.number_in_run
+    return Slope(float(solution[0]), spread, number, influence[:, 0])
 
 
 def _estimate_model_error(samples: AxleSamples, slope: Slope) -> float:
@@ -229,8 +229,8 @@ def _make_regression(samples: AxleSamples, slope: Slope | None, reasons: Sequenc
     nan, count = float("nan"), int(samples.used.sum())
     reasons = [*reasons, *([] if count >= MIN_AXLE_SAMPLES else [
         f"too few samples: {count} of the {samples.axle} axle meet the limits of speed, radius, |a_y| and slip angle "
-        f"({np.rad2deg(MAX_SLIP):g} deg), {MIN_AXLE_SAMPLES} are needed; also check the steering offset and "
-        "the INS lever arm"])]
+        f"({np.rad2deg(MAX_SLIP):g} deg), but {MIN_AXLE_SAMPLES} are needed; also check the steering offset "
+        "and the INS lever arm"])]
     failed_fields = (samples.axle, nan, nan, (nan, nan), samples)
     if slope is None:
         return AxleRegression(*failed_fields, tuple(reasons), f"{count} samples")
@@ -248,9 +248,9 @@ def _make_regression(samples: AxleSamples, slope: Slope | None, reasons: Sequenc
 
 
 def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
-    """Both stiffnesses by regression, with a covariance from the variation between runs, or blocks if runs are few.
+    """Both stiffnesses by regression; the covariance is from the variation between runs, or between blocks of few runs.
 
-    A stiffness whose interval is not above 0 is NaN and unidentifiable. Raises IdentificationError.
+    A stiffness whose interval is not above 0 is NaN and unidentifiable. Raises IdentificationError for unusable drives.
     """
     logs, notes = prepare_drives(logs, vehicle, "velocity_y")
     runs = [sample_run(log, vehicle) for log in logs]
@@ -271,7 +271,7 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> 
 EVALUATION_SPEED = 20.0  # m/s, speed at which the curve is evaluated; above every minimum_slip_speed
 MIN_DRAWS = 20  # minimum number of drawn models for a band
 MAX_SECANT_STEPS = 6  # for the lateral acceleration; the force error is below 0.1 % even at the bounds of roll steer
-BAND = (0.05, 0.95)  # quantiles of the draws
+BAND_QUANTILES = (0.05, 0.95)  # of the draws
 
 
 @dataclass(frozen=True)
@@ -354,7 +354,7 @@ def make_axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, m
     slip = np.linspace(0.0, float(np.quantile(abs_slip, SLIP_QUANTILE)), 41)
     force, file = (compute_axle_force(candidate, vehicle, axle, slip) for candidate in (model, original))
     rows = [compute_axle_force(candidate, vehicle, axle, slip) for candidate in draws]
-    low, high = np.quantile(rows, BAND, axis=0) if rows else (force, force)
+    low, high = np.quantile(rows, BAND_QUANTILES, axis=0) if rows else (force, force)
     curves = [force, *(compute_axle_force(candidate, vehicle, axle, slip) for candidate in alternatives)]
     counts = np.histogram(abs_slip, slip)[0]
     return ForceCurve(axle, *(tuple(values.tolist()) for values in (

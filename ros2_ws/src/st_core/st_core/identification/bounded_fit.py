@@ -100,7 +100,7 @@ def find_interval_end(residuals: Residuals, fit: BoundedFit, index: int, side: f
         def compute_residuals(free: np.ndarray, fixed: float = value + side * distance) -> np.ndarray:
             return residuals(np.insert(free, index, fixed, axis=-1))
 
-        # At an end of the interval, S is larger by F / (n - k) of S_min, 5 % for n - k = 80; 0.01 % is sufficient.
+        # At an end of the interval, S exceeds S_min by S_min F / (n - k), 5 % for n - k = 80; 0.01 % is sufficient.
         result = _solve(compute_residuals, start, fit.lower[others], fit.upper[others], 1e-4, 60)
         start = result.x
         root = math.sqrt(max(2.0 * result.cost - minimum, 0.0) / threshold)

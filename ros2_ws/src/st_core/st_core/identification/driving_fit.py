@@ -1,4 +1,4 @@
-"""Fit of vehicle and recording parameters to predictions of several drives at once.
+"""Fit of vehicle and sensor parameters to predictions of several drives at once.
 
 Problem, loss and fit are taken from `discovery`: windows of the drives are predicted with the measured inputs, errors
 of yaw rate and lateral velocity at the INS are taken as Student-t distributed, and the effects that represent
@@ -56,15 +56,15 @@ class FitQuantity:
     max_uncertainty: float = 0.0  # otherwise, largest standard uncertainty of an identified value [unit]
 
 
-def _make_scaled_parameter(effect: str, key: str, unit: str) -> FitQuantity:
+def _make_scaled_quantity(effect: str, key: str, unit: str) -> FitQuantity:
     return FitQuantity(effect, unit, lambda car, values: values[f"{effect}.factor"] * float(getattr(car, key)), True)
 
 
 QUANTITIES: Mapping[str, FitQuantity] = {
-    "cornering_stiffness_front": _make_scaled_parameter(FrontStiffness.name, "cornering_stiffness_front", "N/rad"),
-    "cornering_stiffness_rear": _make_scaled_parameter(RearStiffness.name, "cornering_stiffness_rear", "N/rad"),
-    "yaw_inertia": _make_scaled_parameter(YawInertia.name, "yaw_inertia", "kg m^2"),
-    "steering_ratio": _make_scaled_parameter(SteeringRatio.name, "steering_ratio", "1"),
+    "cornering_stiffness_front": _make_scaled_quantity(FrontStiffness.name, "cornering_stiffness_front", "N/rad"),
+    "cornering_stiffness_rear": _make_scaled_quantity(RearStiffness.name, "cornering_stiffness_rear", "N/rad"),
+    "yaw_inertia": _make_scaled_quantity(YawInertia.name, "yaw_inertia", "kg m^2"),
+    "steering_ratio": _make_scaled_quantity(SteeringRatio.name, "steering_ratio", "1"),
     # delta = (delta_h - o_file) / (factor i_file) + angle, so o = o_file - angle factor i_file.
     "steering_wheel_offset": FitQuantity(SteeringOffset.name, "rad", max_uncertainty=0.02, value=lambda car, values: (
         car.steering_wheel_offset - values[f"{SteeringOffset.name}.angle"] * car.steering_ratio
@@ -112,12 +112,12 @@ class _LimitedWindows(Windows):
         with np.errstate(invalid="ignore"):
             self.used = ((speed >= settings.minimum_speed)
                          & (np.abs(speed * rate) <= settings.maximum_acceleration)).all(axis=1)
-            weight = np.square(speed * rate)[self.used]
-            curvature = np.square(rate / speed)[self.used]
-        has_turns = weight.sum() > 0.0
-        self.mean_squared_curvature = float(np.average(curvature, weights=weight)) if has_turns else 0.0
-        self.peak_accelerations = np.sqrt(weight.max(axis=1))
-        self.mean_acceleration = float(np.average(np.sqrt(weight), weights=weight)) if has_turns else 0.0
+            weights = np.square(speed * rate)[self.used]
+            squared_curvature = np.square(rate / speed)[self.used]
+        has_turns = weights.sum() > 0.0
+        self.mean_squared_curvature = float(np.average(squared_curvature, weights=weights)) if has_turns else 0.0
+        self.peak_accelerations = np.sqrt(weights.max(axis=1))
+        self.mean_acceleration = float(np.average(np.sqrt(weights), weights=weights)) if has_turns else 0.0
 
     @cached_property
     def known(self) -> np.ndarray:
@@ -149,7 +149,7 @@ class DrivingFit:
 
 def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Sequence[str],
                 base: str | Model = "nonlinear", settings: DrivingFitSettings = DrivingFitSettings()) -> DrivingFit:
-    """Fit the values of `names`, which are in QUANTITIES and distinct; all others remain fixed.
+    """Fit of the quantities `names`, distinct keys of QUANTITIES; all others remain fixed.
 
     logs: from `run_samples.prepare_drives`. base: linear, nonlinear, or either with known effects. Raises
     IdentificationError for an unknown name, too few windows, and values that the drives do not determine.
@@ -179,8 +179,8 @@ def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Seq
     vector, indices = problem.start.copy(), problem.free_indices(effects)
     for _ in range(MAX_ITERATIONS):  # values and error scale are estimated in turn
         previous_scale = loss.scale.copy()
-        slopes = Sensitivities(vector, indices, loss.sensitivities(vector, indices))
-        vector = problem.fit(effects, slopes, vector=vector, recompute=effects, iterations=12).vector
+        sensitivities = Sensitivities(vector, indices, loss.sensitivities(vector, indices))
+        vector = problem.fit(effects, sensitivities, vector=vector, recompute=effects, iterations=12).vector
         loss.rescale(vector)
         if np.abs(loss.scale / previous_scale - 1.0).max() < SCALE_TOLERANCE:
             break
@@ -191,19 +191,20 @@ def _make_fit(problem: Problem, windows: _LimitedWindows, vector: np.ndarray, ef
               names: Sequence[str], counts: Mapping[str, tuple[int, int]]) -> DrivingFit:
     space, indices = problem.space, problem.free_indices(effects)
     rows = problem.errors.at(vector)
-    slopes = problem.loss.sensitivities(vector, indices)
-    quadratic = problem.loss.quadratic(rows, slopes)
+    sensitivities = problem.loss.sensitivities(vector, indices)
+    quadratic = problem.loss.quadratic(rows, sensitivities)
     used = np.flatnonzero(windows.used)
-    group = make_blocks(windows.run[used], windows.seconds[used])
-    hessian, gradient = group.sum_by_block(quadratic.hessian[used]), group.sum_by_block(quadratic.gradient[used])
+    blocks = make_blocks(windows.run[used], windows.seconds[used])
+    hessian, gradient = blocks.sum_by_block(quadratic.hessian[used]), blocks.sum_by_block(quadratic.gradient[used])
     total = hessian.sum(axis=0)
     size = np.sqrt(np.diag(total).clip(1e-300))
     if np.linalg.cond(total / np.outer(size, size)) > MAX_CONDITION:
-        raise IdentificationError(f"the drives do not determine {', '.join(names)} together: drive at more "
-                                  "speeds and curvatures, or fit fewer parameters")
-    # Ratio of the curvature of the loss to its Gauss-Newton approximation, which is too large.
-    ratio = np.clip((np.diag(problem.loss.curvature(rows, slopes)) / np.diag(total)).mean(), MIN_CURVATURE_RATIO, 1.0)
-    influence = group.compute_influence(ratio * hessian, gradient)
+        raise IdentificationError(f"the drives do not determine {', '.join(names)} together: drive at more speeds and "
+                                  "curvatures, or fit fewer parameters")
+    # The Gauss-Newton approximation overestimates the curvature of the loss.
+    curvature = np.diag(problem.loss.curvature(rows, sensitivities))
+    ratio = np.clip((curvature / np.diag(total)).mean(), MIN_CURVATURE_RATIO, 1.0)
+    influence = blocks.compute_influence(ratio * hessian, gradient)
 
     def to_quantities(vector: np.ndarray) -> np.ndarray:
         effect_values = {f"{e}.{p}": value for e in effects for p, value in space.values(e, vector).items()}
@@ -218,7 +219,7 @@ def _make_fit(problem: Problem, windows: _LimitedWindows, vector: np.ndarray, ef
     points, columns = len(windows.time), len(windows.columns)
     residuals = -rows.reshape(len(rows), points, columns)[used].reshape(-1, columns)
     return DrivingFit(
-        tuple(names), values, group.make_spread(influence @ change.T),
+        tuple(names), values, blocks.make_spread(influence @ change.T),
         tuple(name for name in names if QUANTITIES[name].effect in effects_at_bound),
         change @ np.linalg.inv(total) @ change.T, residuals, np.repeat(windows.run[used], points),
         np.repeat(windows.seconds[used], points), counts,

@@ -100,7 +100,7 @@ def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: st
         relative_error = slip_range_uncertainty.get(estimate.parameter, 0.0) / max(abs(estimate.value), 1e-300)
         model_error = (f"the value changes with the slip range; a model error of {100.0 * relative_error:.1f} % is "
                        "included" if slip_range_uncertainty else
-                       "its change with the slip range is unknown: drive small and large lateral accelerations")
+                       "its change with the slip range is unknown: drive at small and large lateral accelerations")
         verdict = f"{estimate.verdict} {kind} over slip angles up to {np.rad2deg(slip):.1f} deg; {model_error}."
         estimates.append(replace(estimate, verdict=verdict))
     return replace(result, estimates=(*estimates, *result.estimates[len(STIFFNESSES):]), coverage=coverage,
@@ -115,10 +115,10 @@ def estimate_slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehiclePa
     The slip range is measured by the mean |v_x r| weighted by its square, with which the secant of a brush tyre
     decreases about linearly.
     """
-    narrower = replace(settings, maximum_acceleration=float(np.median(fit.peak_accelerations)),
+    low_settings = replace(settings, maximum_acceleration=float(np.median(fit.peak_accelerations)),
                        min_windows=settings.min_windows // 2)
     try:
-        low = fit_driving(logs, vehicle, fit.names, base, narrower)
+        low = fit_driving(logs, vehicle, fit.names, base, low_settings)
     except IdentificationError:
         return {}
     if low.mean_acceleration > MAX_RANGE_RATIO * fit.mean_acceleration:
@@ -177,7 +177,7 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     interval = float(np.median(np.concatenate([np.diff(log.steering_time_ns) for log in logs]))) * NANOSECOND
     delay_uncertainty = interval / np.sqrt(12.0 * sum(used > 0 for used, _ in fit.window_counts.values()))
     row, delay = (fit.names.index(name) for name in ("yaw_inertia", DELAY))
-    # With all other parameters refitted.
+    # Change of the inertia per change of the dead time, with all other parameters refitted.
     inertia_per_delay = abs(float(fit.noise_covariance[row, delay] / fit.noise_covariance[delay, delay]))
     known_uncertainty = {DELAY: delay_uncertainty, "yaw_inertia": inertia_per_delay * delay_uncertainty}
     method = f"multi-step prediction of transients, {describe_model(base)}"
@@ -230,8 +230,8 @@ def _make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivi
     others = [f"Also fitted: {n} {fit.values[i]:.4g} {QUANTITIES[n].unit}, standard uncertainty {uncertainty[i]:.2g}."
               for i, n in enumerate(fit.names) if n not in reported]
     if RATIO not in fit.names:
-        others.append(f"{RATIO} {vehicle.steering_ratio:.4g} of the vehicle file is assumed exact: its error changes "
-                      "the front stiffness; st identify steering estimates it from drives at two or more speeds.")
+        others.append(f"{RATIO} {vehicle.steering_ratio:.4g} of the vehicle file is assumed exact: an error would "
+                      "change the front stiffness; st identify steering estimates it from drives at several speeds.")
     warnings = (*describe_correlations(fit.names, correlation_matrix(covariance)), *others)
     figure = {"residuals": fit.residuals, "residual_run": fit.run_index, "residual_time": fit.time, "names": fit.names,
               "covariance": covariance}

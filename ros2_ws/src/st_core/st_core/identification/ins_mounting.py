@@ -53,11 +53,11 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
     columns = [_make_columns(run, mask, vehicle) for run, mask in pairs]
     run_index = np.concatenate([np.full(len(c), i) for i, c in enumerate(columns)])
     time, speed, lateral, rate, rate_dot, angle = np.concatenate(columns).T
-    group = make_blocks(run_index, time)
+    blocks = make_blocks(run_index, time)
     used_runs = tuple(run.name for run, c in zip(runs, columns, strict=True) if len(c))
 
     regressors = np.stack([speed, rate, speed**2 * rate, speed * rate_dot], axis=1)
-    theta, spread, _ = group.fit_least_squares(regressors, lateral)
+    theta, spread, _ = blocks.fit_least_squares(regressors, lateral)
     misalignment, rear_axle_to_ins, slip = -theta[0], theta[1], -theta[2]
     estimates = [
         _make_estimate("cg_to_ins_x", rear_axle_to_ins - vehicle.cg_to_rear_axle, spread, 1, 1.0, used_runs,
@@ -68,7 +68,7 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
     slip_correlation = correlation_matrix(spread.covariance)[1:3, 1:3]
     warnings = [*notes, *describe_correlations(["lever arm", "rear slip"], slip_correlation),
                 _compare_rear_slip(slip, spread.covariance[2, 2], vehicle)]
-    lateral_position = _estimate_lateral_position(speed, rate, angle, group, vehicle, used_runs)
+    lateral_position = _estimate_lateral_position(speed, rate, angle, blocks, vehicle, used_runs)
     if isinstance(lateral_position, str):
         warnings.append(lateral_position)
     else:
@@ -85,7 +85,7 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
 
 
 def _make_columns(run: RunSamples, mask: np.ndarray, vehicle: VehicleParameters) -> np.ndarray:
-    """(time, v_x, v_y, r, dr/dt, delta) at the INS [SI], (n, 6); of the mask, one sample per SAMPLE_INTERVAL."""
+    """(time, v_x, v_y, r, dr/dt, delta) at the INS [SI], (n, 6), for one sample of the mask per SAMPLE_INTERVAL."""
     rows = np.flatnonzero(mask)
     if len(rows):
         rows = rows[np.unique(np.floor(run.time[rows] / SAMPLE_INTERVAL), return_index=True)[1]]
@@ -95,15 +95,15 @@ def _make_columns(run: RunSamples, mask: np.ndarray, vehicle: VehicleParameters)
                      run.road_wheel_angle[rows]], axis=1)
 
 
-def _estimate_lateral_position(speed: np.ndarray, rate: np.ndarray, angle: np.ndarray, group: Blocks,
-                               vehicle: VehicleParameters, used: tuple[str, ...]) -> ParameterEstimate | str:
+def _estimate_lateral_position(speed: np.ndarray, rate: np.ndarray, angle: np.ndarray, blocks: Blocks,
+                               vehicle: VehicleParameters, used_runs: tuple[str, ...]) -> ParameterEstimate | str:
     """Estimate of cg_to_ins_y, or a warning if it is not identifiable."""
     curvature = rate / speed
     seconds = [float(np.count_nonzero(side * curvature > MIN_CURVATURE)) * SAMPLE_INTERVAL for side in (1.0, -1.0)]
     if min(seconds) < MIN_TIGHT_TIME:
         left, right = seconds
         return (f"cg_to_ins_y is not estimated: the drives have {left:.0f} s of left and {right:.0f} s of right bends "
-                f"tighter than R = {1 / MIN_CURVATURE:.0f} m, {MIN_TIGHT_TIME:g} s each are needed.")
+                f"tighter than R = {1 / MIN_CURVATURE:.0f} m; {MIN_TIGHT_TIME:g} s of each are needed.")
     d_y = 0.0
     for _ in range(4):  # the equation is nearly linear in d_y
         forward = speed + rate * d_y
@@ -112,14 +112,14 @@ def _estimate_lateral_position(speed: np.ndarray, rate: np.ndarray, angle: np.nd
         # delta_file = f (kinematic + c kinematic^3 + slope (d_y' - d_y) + K v r) + o;  d_y': the next value of d_y,
         # f: true steering ratio / ratio of the vehicle file
         regressors = np.stack([kinematic, slope, speed * rate, np.ones_like(speed), kinematic**3], axis=1)
-        theta, spread, _ = group.fit_least_squares(regressors, angle)
+        theta, spread, _ = blocks.fit_least_squares(regressors, angle)
         d_y += float(theta[1] / theta[0])
-    return _make_estimate("cg_to_ins_y", d_y, spread, 1, float(1.0 / theta[0]), used,
-                          f"{d_y:+.3f} m from the CG, left +, from left and right turns", 0.1)
+    return _make_estimate("cg_to_ins_y", d_y, spread, 1, float(1.0 / theta[0]), used_runs,
+                          f"{d_y:+.3f} m from the CG, positive to the left, from turns to both sides", 0.1)
 
 
 def _make_estimate(name: str, value: float, spread: Spread, index: int, factor: float,
-                   used: tuple[str, ...], description: str, max_uncertainty: float) -> ParameterEstimate:
+                   used_runs: tuple[str, ...], description: str, max_uncertainty: float) -> ParameterEstimate:
     """Estimate with the standard uncertainty |factor| times that of regression coefficient `index`."""
     uncertainty = float(abs(factor) * spread.standard_errors[index])
     unit = "rad" if name == MISALIGNMENT else "m"
@@ -129,8 +129,8 @@ def _make_estimate(name: str, value: float, spread: Spread, index: int, factor: 
     prefix = {"identified": "", "doubtful": "Poorly determined: ", "unidentifiable": "Not identifiable: "}[status]
     method = "steering versus curvature in tight bends" if name == "cg_to_ins_y" else "lateral velocity of slow driving"
     return ParameterEstimate(name, float(value), unit, uncertainty, spread.interval(index, value, uncertainty), method,
-                             used, f"{prefix}{description}, standard uncertainty {text}, from {spread.basis[index]}.",
-                             status)
+                             used_runs,
+                             f"{prefix}{description}, standard uncertainty {text}, from {spread.basis[index]}.", status)
 
 
 def _compare_rear_slip(slip: float, variance: float, vehicle: VehicleParameters) -> str:

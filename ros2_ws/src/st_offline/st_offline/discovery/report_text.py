@@ -220,7 +220,7 @@ def format_combination(combination: result.Combination) -> str:
     if combination.unit == "s^2/m^2":
         return (f"{combination.name} {combination.value:.2g} s²/m² ({low:.2g} to {high:.2g}; vehicle file "
                 f"{combination.file:.2g})")
-    if combination.is_time:
+    if combination.is_delay:
         others = [to_words(n) for n in combination.effects if combination.name not in get_effect(n).combinations]
         return " or ".join((f"{combination.name} {combination.value:.3f} s ({low:.3f} to {high:.3f})", *others))
     ratio, low, high = (value / combination.file for value in (combination.value, low, high))
@@ -390,7 +390,7 @@ def recommend(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
         lines.append(f"record more driving{proposed} and add it to the runs")
     if discovery.outcome == "ambiguous" and discovery.next_manoeuvre is not None:
         lines.append("record the next drive and add it to the runs")
-    if not all(c.is_time for c in discovery.unseparated_combinations):
+    if not all(c.is_delay for c in discovery.unseparated_combinations):
         has_model = discovery.model is not None and not discovery.effects and not discovery.minor
         prediction = "predict with model.yaml; " if has_model else ""
         lines.append(f"{prediction}weigh the car and compare its tyres with those of the vehicle file")
