@@ -26,6 +26,7 @@ from st_core.discovery.evidence import (
 )
 from st_core.discovery.partitions import (
     CONDITIONS,
+    THIRDS,
     divide_by_condition,
     divide_by_place,
     divide_by_run,

@@ -88,7 +88,7 @@ def test_effect_without_a_name_and_a_tuple_has_the_name_of_its_file_and_one_para
     ({"parameters": (GAIN, GAIN)}, "a name is used twice"),
     ({"applies_to": frozenset(("bicycle",))}, "applies_to must name one or more of kinematic, linear, nonlinear"),
     ({"extra_states": ("z",)}, "extra_states and rates must be declared together"),
-    ({"prepared": ("z",)}, "prepared requires prepare"),
+    ({"prepared": ("z",)}, "prepare and prepared, the names of its results"),
     ({"observe": staticmethod(lambda measured, theta: measured)}, "observe and correct, its inverse, must be"),
     ({"inputs": None}, "it has no hook"),
 ])
