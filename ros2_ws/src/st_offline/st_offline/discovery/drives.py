@@ -16,7 +16,7 @@ import st_core
 from st_core.augmented import AugmentedModel, augment
 from st_core.checks import Finding
 from st_core.discovery import Discovery, DiscoverySettings
-from st_core.discovery.result import MODELS
+from st_core.discovery.result import MODEL_FIELDS
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 from st_core.models import Model
@@ -161,7 +161,7 @@ def make_result_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], veh
 def write_result(file: Path, discovery: Discovery) -> None:
     """Write a result to the cache, atomically; errors such as a full disk are ignored."""
     content = discovery.document() | {name: (model := getattr(discovery, name)) and [
-        _get_base_name(model), model.values] for name in MODELS}
+        _get_base_name(model), model.values] for name in MODEL_FIELDS}
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         temporary = file.with_name(f".{file.stem}.{os.getpid()}{file.suffix}")
