@@ -118,8 +118,8 @@ def make_half_width_function(band: Band, level: float, vehicle: VehicleParameter
     [rad/s]: root mean square rate of the road-wheel angle in the last second. Its values equal `Band.half_widths`; the
     calibration domain is not checked. Raises ConfigurationError for a level without a band."""
     if level not in band.factors:
-        known = ", ".join(f"{existing:g}" for existing in band.factors)
-        raise ConfigurationError(f"the bands have no level {level:g}; use {known}")
+        levels = ", ".join(f"{available:g}" for available in band.factors)
+        raise ConfigurationError(f"the bands have no level {level:g}; use {levels}")
     x, u, activity = casadi.SX.sym("x", 6), casadi.SX.sym("u", 2), casadi.SX.sym("steering_activity")
     velocity_x = x[2] - x[5] * vehicle.cg_to_ins_y
     condition = compute_magnitudes(velocity_x, x[5], u[1], activity)

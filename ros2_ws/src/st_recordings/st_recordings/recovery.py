@@ -44,12 +44,12 @@ class FileReport(BagFile):
 @dataclass
 class RecoveryReport:
     files: list[FileReport] = field(default_factory=list)
-    metadata_rebuilt: bool = False
+    has_rebuilt_metadata: bool = False
 
     @property
     def was_changed(self) -> bool:
         """Whether anything had to be repaired."""
-        return self.metadata_rebuilt or any(not f.is_intact for f in self.files)
+        return self.has_rebuilt_metadata or any(not f.is_intact for f in self.files)
 
     @property
     def messages(self) -> int:
@@ -67,7 +67,7 @@ class RecoveryReport:
                 state += f", the original is {file.original.name}"
             seconds = (file.end_ns - file.start_ns) / 1e9
             lines.append(f"{file.name}: {file.count} messages over {seconds:.1f} s, {state}")
-        if self.metadata_rebuilt:
+        if self.has_rebuilt_metadata:
             lines.append(f"{FILE_NAME}: rebuilt")
         return "\n".join(lines)
 
@@ -109,7 +109,7 @@ def _recover_directory(source: Path, target: Path) -> RecoveryReport:
     information = _build_information(report.files, [contents for _, contents in results], source)
     if not _metadata_matches(target, information):
         information.save(target)
-        report.metadata_rebuilt = True
+        report.has_rebuilt_metadata = True
     return report
 
 

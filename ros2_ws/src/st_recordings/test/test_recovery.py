@@ -166,7 +166,7 @@ def test_recording_of_many_chunks_is_indexed_completely(tmp_path: Path) -> None:
 
 def test_metadata_is_rebuilt_from_the_file_alone(complete: Path, tmp_path: Path) -> None:
     directory = truncate(complete, tmp_path / "bag", size_of(complete) - 30)
-    assert recover(directory).metadata_rebuilt
+    assert recover(directory).has_rebuilt_metadata
     rebuilt, original = (yaml.safe_load((d / "metadata.yaml").read_text()) for d in (directory, complete))
     assert rebuilt == original
 

@@ -33,7 +33,7 @@ class PredictionBands:
 
     def __init__(self, values: SimpleNamespace, vehicle: VehicleParameters, file_hashes: Mapping[str, str],
                  settings: PredictionSettings, models: Sequence[Model], runners: Mapping[str, Runner]):
-        self._reason, self._calibration = "", ""  # why calibrated bands are missing; origin of the bands file
+        self._reason, self._calibration_note = "", ""  # why bands are missing; origin of the bands file
         self._calibrated: CalibratedBands | None = None
         self._adaptive: AdaptiveBands | None = None
         file = params.read_file(values, "bands_file", Bands.from_yaml)
@@ -41,7 +41,7 @@ class PredictionBands:
             prefix = f"bands_file: {values.bands_file}: "
             evaluation = EvaluationSettings(settings)
             params.translate_errors(values, lambda: file.check(vehicle, file_hashes, evaluation), prefix)
-            self._calibration = f"calibrated on {file.runs} runs"
+            self._calibration_note = f"calibrated on {file.runs} runs"
         if values.adaptive_bands:
             time = settings.step * np.arange(1, settings.steps + 1)
             self._adaptive = AdaptiveBands(time, list(file_hashes), (*MODES, *PLANNED_MODES), file)
@@ -68,7 +68,7 @@ class PredictionBands:
         them.
         """
         if self._adaptive:
-            condition = conditions_now(history, time_ns) if self._calibration else ()  # only a bands file needs it
+            condition = conditions_now(history, time_ns) if self._calibration_note else ()  # only a bands file needs it
             issued, self._reason = self._adaptive.issue(time_ns, condition, modes)
             messages = self._messages.fill() if issued else {}
             return {model: [band for band in bands if (model, band.mode) in issued]
@@ -96,13 +96,13 @@ class PredictionBands:
             return Check("bands", diagnostics.WARN, f"no band: {self._reason}")
         if self._calibrated:
             levels = " and ".join(f"{100 * level:g} %" for level in self._calibrated.levels)
-            return Check("bands", diagnostics.OK, f"{levels}, {self._calibration}")
+            return Check("bands", diagnostics.OK, f"{levels}, {self._calibration_note}")
         if self._adaptive is None:
             return Check("bands", diagnostics.OK, "off (bands_file is empty, adaptive_bands is false)")
         if (seconds := self._adaptive.remaining_warm_up) > 0.0:
             return Check("bands", diagnostics.OK, "adaptive, learning: no band yet", {"driving required [s]": seconds})
         return Check("bands", diagnostics.OK,
-                     f"adaptive, {self._calibration or 'estimated from the errors of this run'}")
+                     f"adaptive, {self._calibration_note or 'estimated from the errors of this run'}")
 
 
 class BandMessages:

@@ -145,9 +145,9 @@ class Inputs:
         """Process messages for `timeout` [s], or until each input has a message since `since_ns` (host UTC)."""
         end = time.monotonic() + timeout
         self.drain()
-        while (min(one.arrival_ns for one in self._inputs) < since_ns
+        while (min(entry.arrival_ns for entry in self._inputs) < since_ns
                and (remaining := end - time.monotonic()) > 0.0):
-            wait_for_any(self._node, [one.subscription for one in self._inputs], remaining)
+            wait_for_any(self._node, [entry.subscription for entry in self._inputs], remaining)
             self.drain()
 
     def drain(self) -> None:
@@ -164,18 +164,18 @@ class Inputs:
 
     def explain(self, reason: str) -> str:
         """`reason` for a missing prediction; if it names a signal with refused messages, also why they are refused."""
-        for one in self._inputs:
-            if one.last_refusal and reason.startswith(one.signal):
-                return f"{reason}; messages arrive but are refused: {one.last_refusal}"
+        for entry in self._inputs:
+            if entry.last_refusal and reason.startswith(entry.signal):
+                return f"{reason}; messages arrive but are refused: {entry.last_refusal}"
         return reason
 
     def make_checks(self) -> list[Check]:
-        warnings = {one.subscription.topic: one.lock.describe_competition(_read_utc()) for one in self._inputs}
-        rejected = {f"{one.signal} messages of other publishers": one.lock.rejected_count for one in self._inputs}
+        warnings = {entry.subscription.topic: entry.lock.describe_competition(_read_utc()) for entry in self._inputs}
+        counts = {f"{entry.signal} messages of other publishers": entry.lock.rejected_count for entry in self._inputs}
         text = "; ".join(f"{topic} is {warning}" for topic, warning in warnings.items() if warning)
         level = diagnostics.ERROR if text else diagnostics.OK
-        return [Check("publishers", level, text or "at most one of each input", rejected),
-                *(one.make_check() for one in self._inputs)]
+        return [Check("publishers", level, text or "at most one of each input", counts),
+                *(entry.make_check() for entry in self._inputs)]
 
 
 def _read_utc() -> float:

@@ -212,12 +212,12 @@ def check_frames(spec: MessageSpec, data: np.ndarray, time_ns: np.ndarray,
         if check is None or check.mode is Mode.OFF:
             continue
         if check.rule:
-            wrong = wrong_checksum = ~check.is_correct(data, spec.dbc.frame_id)
+            is_wrong = wrong_checksum = ~check.is_correct(data, spec.dbc.frame_id)
         else:
-            wrong = find_counter_faults(check.field, data, time_ns, wrong_checksum, spec.timeout_ns)
-        (is_kept if check.mode is Mode.DROP else valid)[wrong] = False
-        if wrong.any():
-            faults.append(f"{name} wrong in {wrong.sum()}")
+            is_wrong = find_counter_faults(check.field, data, time_ns, wrong_checksum, spec.timeout_ns)
+        (is_kept if check.mode is Mode.DROP else valid)[is_wrong] = False
+        if is_wrong.any():
+            faults.append(f"{name} wrong in {is_wrong.sum()}")
     is_accepted = is_kept.copy()
     for signal in spec.signals:
         if signal.is_limited:
