@@ -33,8 +33,8 @@ class Option:
 
 @dataclass(frozen=True, eq=False)
 class NextDrives:
-    """Simulated further drives. sparse_ranges: sparsely driven in the runs. current_separation: from each rival, in the
-    runs. options: all simulated manoeuvres; none for quantities in INDEPENDENT_OF_MANOEUVRE."""
+    """Simulated further drives. sparse_ranges: ranges that the runs hardly cover. current_separation: from each rival,
+    in the runs. options: all simulated manoeuvres; none for quantities in INDEPENDENT_OF_MANOEUVRE."""
 
     sparse_ranges: Sequence[Range] = ()
     current_separation: Mapping[str, float] = field(default_factory=dict)

@@ -132,7 +132,7 @@ def find_relation(discovery: Discovery, runs: Sequence[DriveLog], vehicle: Vehic
 def _select(trials: Sequence[ScreenedCandidate], fits: RelationFits, base_fit: RelationFit,
             effect_names: Sequence[str], reported: Collection[tuple[str, str]],
             tick: Callable[[], None]) -> RelationSearch:
-    """The best significant candidate, or the reason why none is reported. effect_names: those of the result."""
+    """The best significant candidate, or the reason why none is reported. effect_names: effects of the result."""
     limits, residual_count = fits.limits, fits.loss.residual_count
     p_values = selection.compute_p_values(trials, fits.blocks)
     statistics = {s.candidate.name: (s.gain / residual_count, p_values[s.candidate.name])

@@ -25,9 +25,9 @@ class ScreenedCandidate:
     """Statistics of a candidate, linearised at the discovered model.
 
     statistic, null_statistics: score statistic, and (DRAWS,) its values for random signs of the blocks, both divided by
-    the mean of the latter. degrees_of_freedom: effective number for the curve. design_effect: factor by which dependent
-    windows increase the variance of the residual scores, at least 1. gain: reduction of the held-out loss. information:
-    (SPLINES, SPLINES) for the coefficients, with the other parameters projected out.
+    the mean of these values. degrees_of_freedom: effective number for the curve. design_effect: factor by which
+    dependent windows increase the variance of the residual scores, at least 1. gain: reduction of the held-out loss.
+    information: (SPLINES, SPLINES) for the coefficients, with the other parameters projected out.
     """
 
     candidate: Candidate

@@ -96,7 +96,7 @@ def make_summary(runs: Sequence[CheckedRun]) -> list[str]:
 
 
 def write_page(file: Path, runs: Sequence[CheckedRun], unreadable: Mapping[str, str], content: dict[str, Any]) -> None:
-    """Write the page. content: that of check.json."""
+    """Write the page. content: the content of check.json."""
     text = load_template("checking/check.html.jinja").render(
         title=make_title(runs), summary=make_summary(runs), runs=runs, content=content, figures=_draw_figures(runs),
         problems=unreadable, groups=check_report.group_findings({run.name: run.result.findings for run in runs}))

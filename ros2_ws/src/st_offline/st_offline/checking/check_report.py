@@ -181,7 +181,7 @@ def _note_time_zone(offset: float) -> str:
 @dataclass(frozen=True)
 class CheckedRun:
     """One run of `st check`. vehicle_source: file or recording with the vehicle parameters. duration: [s]. warnings:
-    those of the reader, including its corrections. files: sha256 by path. alignment: from `summarise_alignment`.
+    warnings of the reader, including its corrections. files: sha256 by path. alignment: from `summarise_alignment`.
     arguments: those of `st check` that read this run."""
 
     name: str

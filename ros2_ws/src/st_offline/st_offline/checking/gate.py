@@ -1,4 +1,4 @@
-"""Checks recordings before a command uses them, and rejects those with errors."""
+"""Checks recordings before a command uses them, and rejects recordings with errors."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -114,7 +114,7 @@ def build_model_file(discovery: Discovery, request: Request, update: VehicleUpda
 
 def write_page(file: Path, discovery: Discovery, update: VehicleUpdate | None, recordings: Sequence[Drive],
                content: dict[str, Any], figures: Sequence[PageFigure], relation: RelationReport | None = None) -> None:
-    """Write the page. recordings: all runs, including those that cannot be used. content: that of discovery.json.
+    """Write the page. recordings: all runs, including those that cannot be used. content: content of discovery.json.
     relation: report of the search for a relation beyond the library."""
     findings = {drive.name: drive.findings for drive in recordings}
     text = load_template("discovery/discovery.html.jinja").render(

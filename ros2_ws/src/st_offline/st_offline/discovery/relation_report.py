@@ -118,9 +118,9 @@ def _list_alternatives(relation: Relation) -> list[str]:
         names = "; ".join(f"{quantities.spell_out(name)} ({cosine:.2f})" for name, cosine in relation.rivals.items())
         lines.append(f"these drives do not separate it from: {names}. In brackets: cosine similarity of the two "
                      "effects on the predictions (1: identical, 0: unrelated)")
-    for name, share in relation.redundant.items():
+    for name, increase in relation.redundant.items():
         lines.append(f"{quantities.to_words(name)} is named above, but is redundant given this relation (without it, "
-                     f"the residual increases by {share:.1%}): it may have been fitted in place of the relation")
+                     f"the residual increases by {increase:.1%}): it may have been fitted in place of the relation")
     return lines
 
 
@@ -310,8 +310,8 @@ def write_files(search: RelationSearch, vehicle: VehicleParameters, runs: Sequen
     active = {name: parts for name, parts in fitted.effects.items()
               if any(parts[p.name].value != p.null for e in relation.model.effects if e.name == name
                      for p in e.parameters if p.fit)}
-    share = {"share": EffectValue(1.0, None, "st discover --propose")}
-    model = replace(fitted, effects={**active, name_effect(relation): share})
+    scale = {"share": EffectValue(1.0, None, "st discover --propose")}
+    model = replace(fitted, effects={**active, name_effect(relation): scale})
     load_file(str(effects.absolute()), name_effect(relation))
     try:
         (folder / "proposed.yaml").write_text(model.to_yaml(), encoding="utf-8")

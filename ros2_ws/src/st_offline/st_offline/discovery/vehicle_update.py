@@ -82,7 +82,7 @@ def update_vehicle(discovery: Discovery, request: Request) -> VehicleUpdate | No
 
 
 def fold_named_effects(discovery: Discovery, request: Request) -> VehicleUpdate | None:
-    """Fold the named effects into the vehicle file, whether or not this improves its predictions; None without a model.
+    """Fold the named effects into the vehicle file, even if this does not improve predictions; None without a model.
     Effects that an entry can express are folded in the order in which they act. An effect is skipped if its values
     exceed the limits of the file or if predictions would change, as with recordings of the road-wheel angle, or with an
     effect that does not commute with an earlier one (steering play). Minor and effective corrections are not folded."""
@@ -167,7 +167,7 @@ def _compute_held_out_error(discovery: Discovery, vehicle: VehicleParameters, fo
 
 def _adapt_model(discovery: Discovery, car: VehicleParameters, folded: Sequence[type[Effect]],
                  drives: Sequence[DriveLog], vehicle: VehicleParameters) -> AugmentedModel:
-    """Model for the updated vehicle. Effective corrections are dropped if with them its predictions differ from those
+    """Model for the updated vehicle. Effective corrections are dropped if they make its predictions differ from those
     of the complete model by more than MAX_POSITION_DIFFERENCE."""
     assert discovery.model is not None and discovery.named is not None
     values: dict[str, dict[str, float]] = {}
