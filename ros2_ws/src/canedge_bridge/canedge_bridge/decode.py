@@ -113,7 +113,7 @@ class Decoder:
         if state.plausibility and not self._are_plausible(state, values, time_ns, reaction):
             return None
         statistics.good += 1
-        if not values:  # a multiplexed frame that carries none of the table's signals
+        if not values:  # a multiplexed frame without any signal of the table
             return None
         statistics.last_seen_ns = time_ns
         return DecodedFrame(spec.name, time_ns, replace_gps_time(values), reaction is Mode.OFF)
@@ -156,7 +156,7 @@ class Decoder:
 
         message: any message of the DBC. values: by canonical name in SI units, or by DBC name in the DBC's unit; a
         message with GPS time takes `ins_unix_time`. Other signals get the `fill` value of the table, or raw 0. A value
-        outside the range of an integer is clipped, as by a sensor; WRAPPED_SIGNALS are wrapped into the DBC's range.
+        outside the range of its integer is clipped, as by a sensor; WRAPPED_SIGNALS are wrapped into the DBC's range.
         Raises KeyError for an unknown message or signal, ValueError for a value that is not finite.
         """
         dbc = self.table.database.get_message_by_name(message)
@@ -207,7 +207,7 @@ def _physical_to_raw(signal: DbcSignal, physical: float) -> float:
 
 
 def _override_checks(table: SignalTable, overrides: Mapping[str, str]) -> SignalTable:
-    """The table with some modes of counters and checksums overridden. Raises TableError for an invalid override."""
+    """The table with the given modes for counters and checksums. Raises TableError for an invalid override."""
     messages = dict(table.messages)
     for key, text in overrides.items():
         message, _, kind = key.partition(".")

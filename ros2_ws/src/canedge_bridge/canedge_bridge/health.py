@@ -17,7 +17,7 @@ _FAULTS = ("wrong_counter", "wrong_checksum", "wrong_length", "not_finite", "imp
 
 
 class Health:
-    """Checks bus, age of the signals, bad frames and implausible signals, from the counts of decoder and receiver."""
+    """Checks bus, age of signals, bad frames and implausible signals by the counts of the decoder and receiver."""
 
     def __init__(self, bus_name: str, decoder: Decoder, receiver_status: Callable[[], ReceiverStatus],
                  now_ns: Callable[[], int]):
@@ -27,7 +27,7 @@ class Health:
         self._started_at = self._rates_updated_at = time.monotonic()
         self._previous_bad = 0
         self._previous_counts: dict[str, int] = {}  # good frames by message name; "": all frames on the bus
-        self._rates: dict[str, float] = {}  # of the same counts [frames/s]
+        self._rates: dict[str, float] = {}  # increase of these counts [frames/s]
 
     def checks(self) -> list[Check]:
         plausibility = Check("plausibility", OK, "no signal is persistently implausible")

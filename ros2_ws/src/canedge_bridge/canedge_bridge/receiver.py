@@ -39,7 +39,7 @@ class BusState(StrEnum):
 
 @dataclass
 class ReceiverStatus:
-    """Snapshot of the receiver: state, reason (one line, empty without a fault) and counts since the start.
+    """Snapshot of the receiver: state, its reason (one line; empty without a fault) and counts since the start.
 
     delay, delay_maximum: from the receive stamp to the callback [s], median and maximum of the last 512 frames that are
     not error frames; NaN before the first.
@@ -52,7 +52,7 @@ class ReceiverStatus:
     last_error: str = ""  # text of the newest error frame
     open_count: int = 0  # times the bus was opened
     failures: int = 0  # failures to open or read the bus
-    callback_errors: int = 0  # frames for which `on_frame` raised an exception
+    callback_errors: int = 0  # number of frames for which `on_frame` raised an exception
     delay: float = float("nan")
     delay_maximum: float = float("nan")
 
@@ -87,7 +87,7 @@ class Receiver:
         self._thread.start()
 
     def stop(self) -> None:
-        """Ends the thread and closes the bus; returns when both are done. May be called twice."""
+        """Ends the thread and closes the bus; returns when this is done. May be called twice."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()

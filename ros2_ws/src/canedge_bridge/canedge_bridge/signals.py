@@ -31,7 +31,7 @@ CANONICAL_SIGNALS = {
 }
 WRAPPED_SIGNALS = frozenset({"ins_yaw"})
 MAX_SCALING = 1e12  # largest plausible factor or offset of a DBC signal
-# Range of the steering wheel angle to either side [rad] if the table gives none; the signal must reach half of it.
+# Range of the steering wheel angle to either side [rad] if the table gives none; the signal must reach half this range.
 DEFAULT_STEERING_RANGE = math.radians(180)
 
 _MESSAGE = re.compile(r"^BO_ +(?P<id>\d+) +(?P<name>\w+) *:.*\n(?:[ \t]+SG_.*\n|[ \t]*\n(?=[ \t]+SG_))*", re.MULTILINE)
@@ -52,7 +52,7 @@ _UNIT_BY_SPELLING = {text: unit for unit, (_, _, spellings) in UNITS.items() for
 
 
 def find_unit(text: str | None) -> str | None:
-    """Key of UNITS for a unit as written in a DBC or a table; None if unknown."""
+    """Key of UNITS for a unit as spelled in a DBC or a table; None if unknown."""
     return _UNIT_BY_SPELLING.get((text or "").strip().lower().replace(" ", ""))
 
 
@@ -190,7 +190,7 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Sequence[
 
 
 def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
-    """cantools database of a DBC file; if the file is invalid, of the given messages only.
+    """cantools database of a DBC file; if the file is invalid, it contains only the given messages.
 
     In public DBC files of real cars, some messages have overlapping signals, 29-bit identifiers without the extended
     flag, or names that begin with a digit. Raises TableError if the given messages are invalid too.

@@ -20,7 +20,7 @@ _IP_MULTICAST_ALL = 49  # linux/in.h; not in the socket module
 _TIMESPEC = struct.Struct("@ll")
 _LARGEST_DATAGRAM = 4096  # bytes
 _RECEIVE_BUFFER = 1 << 20  # bytes
-# Types of the fields of a datagram, checked because can.Message would accept text as a number and a list as a flag.
+# Types of the fields of a datagram; checked because can.Message would accept a text as number and a list as flag.
 _FIELD_TYPES = {"arbitration_id": int, "dlc": int, "data": bytes, **dict.fromkeys(
     ("is_extended_id", "is_remote_frame", "is_error_frame", "is_fd", "bitrate_switch", "error_state_indicator"), bool)}
 

@@ -230,7 +230,7 @@ def _nibbles(first_byte: int, low: str, high: str) -> list[Field]:
 
 
 def _trigger(channel: int) -> list[Field]:
-    """Fields of the GPS time of an event (minutes, milliseconds, units of 4 us) and its count: decode_event_time()."""
+    """Fields of the GPS time of an event (minutes, milliseconds, 4 us) and its count; see decode_event_time()."""
     name = TRIGGER_CHANNELS[channel].removesuffix("Time")
     return [F(f"{name}Minutes", "i32", 0, "min", validity=POSITIVE), F(f"{name}Milliseconds", "u16", 4, "ms"),
             F(f"{name}Fine", "i8", 6, "4 us"), F(f"{name}Count", "u8", 7, validity=POSITIVE)]

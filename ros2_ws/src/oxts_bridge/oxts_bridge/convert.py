@@ -1,4 +1,4 @@
-"""Converts the motion and status of the INS to ROS messages and publishes them. Frames, signs and units: REP-103.
+"""Converts the motion and status of the INS to ROS messages and publishes them; frames, signs and units as in REP-103.
 
 Frequent messages are reused, because publishing copies them and constructing an Odometry takes longer than all other
 work on a packet.
@@ -144,7 +144,7 @@ class Publishers:
     def publish_imu(self, stamp_ns: int, received: ReceivedPacket, motion: Motion | None, accuracy: Accuracy) -> None:
         """Publish sensor_msgs/Imu, unless a rate or acceleration is invalid. motion: None if the attitude is invalid.
 
-        The orientation covariance is zero if unknown; -1 in its first element means that the orientation is unknown.
+        An unknown orientation covariance is zero; -1 in its first element means that the orientation itself is unknown.
         """
         packet, covariance = received.packet, self._imu.orientation_covariance
         is_valid = isfinite(sum(packet.acceleration) + sum(packet.angular_rate))
@@ -164,7 +164,7 @@ class Publishers:
 
     def publish_trigger(self, stamp_ns: int, channel: int, count: int, position: Vector | None,
                         motion: Motion | None) -> None:
-        """Publish st_msgs/Trigger for an event input or output; position, motion: at that instant, None if unknown."""
+        """Publish st_msgs/Trigger for an event input or output; position, motion: at the event; None if unknown."""
         message = Trigger(header=Header(frame_id=self._settings.map_frame), source=channel, count=count)
         _set_time(message.header.stamp, stamp_ns)
         if position is not None and motion is not None:
@@ -205,7 +205,7 @@ class Publishers:
         self._outputs["status"].publish(message)
 
     def publish_origin(self, stamp_ns: int, geodetic: tuple[float, float, float]) -> None:
-        """Publish the origin of the map. geodetic: latitude, longitude [deg], altitude [m] as the unit sends it."""
+        """Publish the origin of the map. geodetic: latitude, longitude [deg], altitude [m] as sent by the unit."""
         message = NavSatFix(header=Header(frame_id=self._settings.map_frame))
         _set_time(message.header.stamp, stamp_ns)
         message.latitude, message.longitude, message.altitude = geodetic

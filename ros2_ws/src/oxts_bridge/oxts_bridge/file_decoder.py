@@ -228,7 +228,7 @@ def _compute_utc_times(raw: np.ndarray, status: np.ndarray, channel: np.ndarray,
 
 
 def _mask_invalid(columns: Columns) -> None:
-    """Replace values that the navigation status declares invalid, and impossible positions, by NaN."""
+    """Replace values that the navigation status declares invalid, and impossible positions, with NaN."""
     columns.is_approximate &= columns.kind != EMPTY
     no_imu = (columns.kind != REGULAR) & (columns.kind != TRIGGER)
     no_navigation = no_imu | ~_HAS_NAVIGATION[columns.navigation_status]

@@ -83,11 +83,11 @@ class Origin:
     """Origin of the map frame: the first fix, a given point, or the unit's own local frame; constant once chosen.
 
     frame: None until chosen. geodetic: latitude, longitude [deg], altitude [m] of the origin. source: as configured.
-    chosen_source: source of the chosen origin ("" before), FIRST_FIX also if the unit sends no local frame within 10 s.
+    chosen_source: source of the chosen origin ("" before), FIRST_FIX if a unit's local frame is missing for 10 s.
     """
 
     def __init__(self, source: str, given: tuple[float, float, float] | None = None) -> None:
-        """given: latitude, longitude [deg], altitude [m] as the unit sends it; required for source GIVEN."""
+        """given: latitude, longitude [deg], altitude [m] as sent by the unit; required for source GIVEN."""
         self.source = source
         self.chosen_source = ""
         self.frame: LocalFrame | None = None

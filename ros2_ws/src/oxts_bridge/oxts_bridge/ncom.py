@@ -368,7 +368,7 @@ class GpsClock:
         return self.minute * MINUTE_MS + self.milliseconds
 
     def _correct_minute(self, ms: int, minute: int) -> bool:
-        """Replace the counted minute by a different, confirmed one that was sent; returns whether time jumps."""
+        """Replace the counted minute with a different, confirmed one that was sent; returns whether time jumps."""
         difference = None if self.minute is None else minute - self.minute
         is_near_change = ms < CONFIRMATION_MS or ms >= MINUTE_MS - CONFIRMATION_MS
         if is_near_change and difference in (-1, 1) and self._unconfirmed_difference != difference:

@@ -19,8 +19,8 @@ class ReceivedPacket:
 
     packet: values, NaN where the navigation status declares them invalid.  raw: the 72 bytes.  offset: index of the
     first byte in the stream.  kind: regular, status, trigger or empty (no valid part).
-    gps_ns: GPS time of the measurement or event [ns since 1980-01-06], None while unknown.  utc_ns: this time as UTC
-    [ns since 1970].
+    gps_ns: GPS time of the measurement or event [ns since 1980-01-06], None while unknown.  utc_ns: the same time in
+    UTC [ns since 1970].
     order: relative to the newest packet: NEW (newer), SAME (equal time), DUPLICATE (equal bytes), LATE (older).
     event_ns: GPS time of an edge of an event input or output that this packet is the first to report, else None; the
     status channel identifies the input or output and its edge, and byte 7 of batch S counts its events.
@@ -162,7 +162,7 @@ class NcomParser:
         return gps_ns if data[7] != count and (is_trigger or gps_ns > last_ns) else None
 
     def _read_status(self, packet: Packet) -> int | None:
-        """Count an unknown status channel; set the UTC offset, or return the GPS minute, if the channel sends it."""
+        """Count an unknown status channel; set the UTC offset or return the GPS minute if the channel contains one."""
         channel, status, data = packet.channel, packet.navigation_status, packet.batch_s
         self.counters.unknown_channels += channel not in channels.FIELDS
         if channel not in (0, channels.UTC_CHANNEL) or status not in ncom.MINUTE_STATUSES:
@@ -222,7 +222,7 @@ class StreamStatistics:
 
 
 def _mask_invalid(packet: Packet, rule: StatusRule, kind: str) -> bool:
-    """Replace invalid values by NaN; returns whether the position is impossible although declared valid."""
+    """Replace invalid values with NaN; returns whether the position is impossible although declared valid."""
     if kind not in ("regular", "trigger"):
         packet.acceleration = packet.angular_rate = _NO_VECTOR
     if kind == "empty" or rule.navigation == "none":

@@ -96,12 +96,12 @@ class AugmentedModel(Model):
         return self.select_effects(e for e in self.effects if e in self.active_effects or not e.costly)
 
     def select_effects(self, effects: Iterable[type[Effect]]) -> "AugmentedModel":
-        """The model with only the given ones of its effects."""
+        """The model with only the given effects, which must be among its own."""
         selected = tuple(effects)
         return self if len(selected) == len(self.effects) else _compose(self.base, selected, self.values)
 
     def steering(self, time: np.ndarray, angle: np.ndarray, is_start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Time [s] and angle [rad] of the road wheels, with delay, play and lag applied to a recording of the steering.
+        """Time [s] and road wheel angle [rad], with delay, play and lag applied to a steering recording.
 
         time: increasing, from any origin. is_start: True at the first sample and after gaps, where the effects restart.
         """
@@ -138,7 +138,7 @@ class AugmentedModel(Model):
 
     @cached_property
     def active_effects(self) -> tuple[type[Effect], ...]:
-        """Effects with a free parameter that is not at its null value; the others leave predictions bit-identical."""
+        """Effects with a free parameter that is not at its null value; others leave predictions bit-identical."""
         return tuple(e for e in self.effects
                      if any(p.fit and self.values[e.name][p.name] != p.null for p in e.parameters))
 
@@ -216,7 +216,7 @@ def fold_effects(vehicle: VehicleParameters, effects: Iterable[type[Effect]], va
     """The vehicle with effects folded into its parameters; each effect must define `fold`.
 
     Its predictions equal those of the vehicle with the effects, for the same readings. If steering ratio or offset
-    changed, the road wheel angle must be recomputed (`DriveLog.with_steering`), and the play of steering_backlash
+    change, the road wheel angle must be recomputed (`DriveLog.with_steering`), and the play of steering_backlash
     divided by the factor of steering_ratio. Raises ConfigurationError for a value outside the limits of a vehicle file.
     """
     for effect in effects:

@@ -197,7 +197,7 @@ BAG_INPUTS = ("car", "vehicle", "steering_sign", "steering_topic", "steering_fie
 
 
 def expand_options(group: type, *names: str, **annotations: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Decorator that replaces the parameter of type `group`, a dataclass, of a command by one option per field.
+    """Decorator that replaces a command's parameter of type `group`, a dataclass, with one option per field.
 
     names: fields to use, default all. annotations: by field, if they differ from those in `group`. The decorated
     command also groups similar warnings.

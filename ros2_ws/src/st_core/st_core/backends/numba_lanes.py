@@ -39,7 +39,7 @@ FLAGS = ("contract", "nsz", "arcp")
 OPTIONS: Any = {"fastmath": set(FLAGS), "error_model": "numpy", "forceinline": True, "no_cfunc_wrapper": True}
 
 SIGN_MASK = np.int64(-(2**63))  # mask of the sign bit
-MAGNITUDE_MASK = np.int64(2**63 - 1)  # mask of the other bits
+MAGNITUDE_MASK = np.int64(2**63 - 1)  # mask of all bits but the sign bit
 ONE_BITS = np.int64(0x3FF0000000000000)  # bits of 1.0
 
 ROUNDING_OFFSET = 1.5 * 2.0**52  # after adding it, the low bits are the nearest integer
@@ -60,7 +60,7 @@ PI_6, PI_3, HALF_PI = 0.5235987755982989, 1.0471975511965979, 1.5707963267948966
 
 
 def inline(function, implementation=None):
-    """Register a plain function, or another implementation of it, to be inlined in compiled code; returns it."""
+    """Register a plain function, or another implementation, for inlining in compiled code; returns the function."""
     @overload(function, jit_options=OPTIONS, strict=False)
     def implement(*args, **kwargs):
         return implementation or function
@@ -141,7 +141,7 @@ for _function, _implementation in {
 LANES = 48
 INTERLEAVED_VECTORS = 3
 CACHE_LINE = 64  # bytes
-EXCLUDED_MODULES = frozenset((ops.__name__,))  # modules with functions that are compiled above
+EXCLUDED_MODULES = frozenset((ops.__name__,))  # modules whose functions have implementations above
 
 _kernels: dict[Any, Any] = {}
 _inlined_functions: set = set()

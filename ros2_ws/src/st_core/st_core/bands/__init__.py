@@ -1,7 +1,7 @@
 """Prediction bands: regions around a predicted path that contain the whole measured path with a given probability.
 
 A band has half-widths along, across and in yaw at every point of the horizon, for every model, mode and level. In
-hindsight it covers the error of the model alone, in a forecast also the error of the assumed driver inputs. Bands are
+hindsight it covers the error of the model alone; in a forecast, also the error of the assumed driver inputs. Bands are
 calibrated on errors of recorded drives (`compute_error_samples`, `calibrate`) and stored in a file (`Bands`).
 """
 

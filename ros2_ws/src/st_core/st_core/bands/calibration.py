@@ -29,12 +29,12 @@ from ..timeseries import NANOSECOND, half_step_grid
 from ..vehicle import VehicleParameters
 from .scale import CalibrationDomain, Scale, conditions_at, fit_scale, select_evenly
 
-MAX_STARTS_PER_RUN = 1000  # more predictions overlap more and need 1.2 kB each per model and mode
+MAX_STARTS_PER_RUN = 1000  # more predictions overlap more; each needs 1.2 kB per model and mode
 ModelMode = tuple[str, str]  # (model, mode); only forecast errors include those of the assumed future inputs
 
 
 class NotFiniteError(StCoreError):
-    """Errors of a model are not finite although all its inputs were measured."""
+    """Errors of a model that are not finite although all its inputs were measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +120,7 @@ ROUNDING_TOLERANCE = 1.0e-9  # for levels and coverages
 
 
 def compute_highest_level(runs: int) -> float:
-    """Highest level that a number of runs supports, n/(n + 1) [1]."""
+    """Highest level that n runs support, n/(n + 1) [1]."""
     return runs / (runs + 1.0)
 
 
@@ -191,7 +191,7 @@ def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
         band = { |e_a(t)| <= c s_a(t | z)  for all t and a },       score of a window = max over t, a of |e_a(t)| / s_a
 
     A run is scored with a scale fitted to other runs (cross-fitting), because scores of runs used in the fit would be
-    too small. Windows with conditions z outside the domain of the other runs are ignored. time: (points,) ahead [s].
+    too small. Windows with conditions z outside the domain of the other runs are ignored. time: (points,) [s ahead].
     Raises a one-line StCoreError for too few runs with common conditions, an invalid level (`check_levels`), and errors
     that are not finite.
     """

@@ -43,7 +43,7 @@ class Bands:
     vehicle_name: str
     vehicle_hash: str
     settings: Mapping[str, Any]  # from `EvaluationSettings.as_dict`
-    recordings: Mapping[str, str]  # sha256 by name
+    recordings: Mapping[str, str]  # sha256 (hex) by name
     runs: int  # number of runs
     domain: CalibrationDomain
     bands: Mapping[ModelMode, Band]  # by (model, mode)
