@@ -24,7 +24,7 @@ MAX_SUBSTEPS = 64
 SLIP_SPEED_LIMIT = VEHICLE_QUANTITIES["minimum_slip_speed"].maximum  # m/s
 SEARCH_START_SPEED = 60.0  # m/s, where the search for the lowest stable speed begins
 _INCREMENT = 1.0e-5  # m/s or rad/s, increment of the difference quotients
-_warned: set[tuple[str, str, float]] = set()
+_issued_warnings: set[tuple[str, str, float]] = set()
 
 
 def rk4(derivative: Derivative, state: tuple, grid: Sequence[Any], p: Any, step: float) -> list[tuple]:
@@ -41,7 +41,7 @@ def rk4(derivative: Derivative, state: tuple, grid: Sequence[Any], p: Any, step:
 
 
 def rk4_step(derivative: Derivative, state: tuple, w_start: Any, w_middle: Any, w_end: Any, p: Any, step: Any) -> tuple:
-    """The state after one step; w at its start, middle and end. Any number of states."""
+    """The state after one step, for any number of states; w at the start, middle and end of the step."""
     half, sixth = 0.5 * step, step / 6.0
     a = derivative(state, w_start, p)
     b = derivative(tuple([s + half * d for s, d in zip(state, a, strict=True)]), w_middle, p)
@@ -158,13 +158,13 @@ def warn_if_step_too_long(model: str | Model, vehicle: VehicleParameters, speeds
     """Issue StepTooLongWarning, once per model, car and step, if a step [s] is unstable at one of the speeds [m/s]."""
     model = get_model(model)
     key = (model.name, vehicle.name, step)
-    if key in _warned:
+    if key in _issued_warnings:
         return
     factors = {float(v): growth_factor(model, vehicle, v, step) for v in speeds}
     worst = max(factors, key=factors.__getitem__, default=None)
     if worst is None or factors[worst] <= 1.0:
         return
-    _warned.add(key)
+    _issued_warnings.add(key)
     needed = required_slip_speed([model], vehicle, factors, step)
     slip_speed = f"a minimum_slip_speed of {needed:g} m/s in the vehicle file, or " if needed else ""
     warnings.warn(

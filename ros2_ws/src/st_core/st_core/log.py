@@ -34,7 +34,7 @@ class DriveLog:
     yaw: np.ndarray  # from east counter-clockwise, unwrapped [rad]
     velocity_x: np.ndarray  # m/s, forward
     velocity_y: np.ndarray  # m/s, left
-    yaw_rate: np.ndarray  # rad/s, left turn +
+    yaw_rate: np.ndarray  # rad/s, positive in left turns
     steering_time_ns: np.ndarray  # as ins_time_ns, on the clock of the INS
     road_wheel_angle: np.ndarray  # mean of the front axle [rad], positive to the left
     steering_wheel_angle: np.ndarray | None = None  # as measured, with its offset [rad], positive to the left
@@ -102,7 +102,7 @@ class DriveLog:
 
     @property
     def overlap(self) -> float:
-        """Duration for which INS and steering overlap [s]; 0 if they do not."""
+        """Duration of `common_span_ns` [s]; 0 if INS and steering do not overlap."""
         start, end = self.common_span_ns
         return max(end - start, 0) * 1e-9
 

@@ -79,7 +79,7 @@ class EvaluationSettings:
 
 @dataclass(frozen=True, eq=False)
 class ModelErrors:
-    """Errors of one model and mode at the INS point; last axis: AXES [m, m, rad]. NaN for an incomplete start."""
+    """Errors of one model and mode, predicted minus measured; last axis: AXES [m, m, rad]; NaN if incomplete."""
 
     complete: np.ndarray  # (n,), whether the whole horizon was scored
     mean: np.ndarray  # (n, 3), over all points of the horizon, the start included
@@ -157,7 +157,7 @@ class LogEvaluation:
     log_start_ns: int  # first INS sample of the drive
     starts_ns: np.ndarray  # (n,) starts of the predictions
     skipped: dict[str, int]  # number of starts without a prediction, by reason
-    incomplete: dict[str, int]  # number of starts not scored to the end in the mode hindsight, by reason
+    incomplete: dict[str, int]  # number of starts not scored over the whole horizon in the mode hindsight, by reason
     conditions: dict[str, np.ndarray]
     errors: dict[tuple[str, Mode], ModelErrors]  # by (model, mode)
     horizon: np.ndarray  # (points,) [s]
@@ -226,7 +226,7 @@ def regular_starts(log: DriveLog, interval: float) -> np.ndarray:
 
 def usable_starts(signals: LogSignals, vehicle: VehicleParameters, requested: np.ndarray,
                   minimum_speed: float) -> tuple[np.ndarray, dict[str, int]]:
-    """Requested starts [ns] with known inputs and |v_x| >= minimum_speed [m/s] at the CG; others counted by reason."""
+    """(requested starts [ns] with known inputs and |v_x| >= minimum_speed [m/s] at the CG, other starts by reason)."""
     speed, yaw_rate, acceleration = signals.ins_at(requested, "velocity_x", "yaw_rate", "velocity_x_dot")
     angle = signals.road_wheel_angle_at(requested)
     no_ins, no_steering = np.isnan(speed) | np.isnan(acceleration), np.isnan(angle)

@@ -121,7 +121,7 @@ def step(speed: float, lateral: float, hold: float = 4.0, pause: float = 3.0) ->
     """Step steer to one side, then to the other, each held for `hold` [s] after driving straight for `pause` [s]."""
     parts = ((pause, 0.0, 0.0), (hold, 1.0, 1.0), (pause, 0.0, 0.0), (hold, -1.0, -1.0))
     return Manoeuvre("step", speed, lateral, PiecewiseLinear(parts), 2 * (hold + pause), repetitions=2,
-                     description=f"steps of steering to both sides at {speed:g} m/s")
+                     description=f"step steers to both sides at {speed:g} m/s")
 
 
 def ramp_to_limit(speed: float, lateral: float, rise: float = 25.0, fall: float = 2.0, pause: float = 4.0) -> Manoeuvre:
@@ -189,7 +189,7 @@ def there_and_back(speed: float, lateral: float) -> Manoeuvre:
 
 
 def figure_eight() -> Manoeuvre:
-    """Scenario S1 of the paper: 240 deg loops to both sides, transitions of 6 m, straights that close the course."""
+    """Scenario S1 of the paper: 240 deg loops to both sides, transitions of 6 m, straights that close the path."""
     speed, radius, ramp, straight = 4.0, 11.5, 6.0, 34.3015  # m/s, then m
     arc = math.radians(240.0) * radius - ramp
     half = ((straight / 2, 0.0, 0.0), (ramp, 0.0, 1.0), (arc, 1.0, 1.0), (ramp, 1.0, 0.0), (straight / 2, 0.0, 0.0))

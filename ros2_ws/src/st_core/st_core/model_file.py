@@ -83,8 +83,8 @@ class ModelFile:
                 (self.vehicle_name, self.vehicle_hash), (vehicle.name, vehicle.hash)))
             differences = _describe_differences(self.vehicle, vehicle) if self.vehicle else ""
             remark = f" (they differ in {differences})" if differences else ""
-            raise ConfigurationError(f"{prefix}vehicle.hash: the values are valid for {expected}, {origin} is {given}"
-                                     f"{remark}; use the vehicle file with which they were identified")
+            raise ConfigurationError(f"{prefix}vehicle.hash: the values are valid for {expected}, but {origin} is "
+                                     f"{given}{remark}; use the vehicle file with which they were identified")
 
     @property
     def hash(self) -> str:
@@ -121,7 +121,7 @@ class ModelFile:
     def from_yaml(cls, text: str, origin: str = "model") -> "ModelFile":
         """The content of a model file. origin: name shown in errors, usually the path.
 
-        User-defined effects must be loaded first (`effects.load_folder`). Raises ConfigurationError, one line.
+        User-defined effects must be loaded first (`effects.load_folder`). Raises ConfigurationError, with one line.
         """
         try:
             return cls._from_document(load(text))

@@ -52,7 +52,7 @@ class PlannedInputs:
     @classmethod
     def from_path(cls, issued_ns: int, time_ns: np.ndarray, speed: np.ndarray, curvature: np.ndarray,
                   vehicle: VehicleParameters) -> "PlannedInputs":
-        """The plan for a speed v [m/s] and path curvature k [1/m], positive to the left, of the CG.
+        """The plan for a speed v [m/s] of the CG and a curvature k [1/m] of its path, positive to the left.
 
             delta = L (1 + K v^2) k,    velocity_x_dot = dv/dt
 
@@ -62,7 +62,7 @@ class PlannedInputs:
         speed, curvature = np.asarray(speed, float), np.asarray(curvature, float)
         seconds = (np.asarray(time_ns, np.int64) - np.int64(issued_ns)) * NANOSECOND
         if len(seconds) < 2 or not (np.diff(seconds) > 0.0).all() or {speed.shape, curvature.shape} != {seconds.shape}:
-            # No derivative exists: wrong shapes are refused here, too few or unordered points by `find_plan_problem`.
+            # No derivative. The constructor refuses wrong shapes, `find_plan_problem` too few or unordered points.
             return cls(issued_ns, time_ns, curvature, np.zeros_like(speed), speed)
         path = path_inputs(speed, curvature, seconds, vehicle)
         return cls(issued_ns, time_ns, path.road_wheel_angle, path.velocity_x_dot, speed, path.signals[SLIP_FREE_ANGLE])

@@ -92,8 +92,8 @@ def predict_wheel_angles(model: Model, time_ns: np.ndarray, angle: np.ndarray, g
 
 
 def required_lookahead_ns(model: Model) -> int:
-    """How far beyond an instant [ns] the steering must be known to compute the wheel angle there; 0 unless the
-    stamps of the steering are late."""
+    """Time after an instant [ns] for which the steering must be known to compute the wheel angle at the instant; 0
+    unless the stamps of the steering are late."""
     if not isinstance(model, AugmentedModel) or not model.has_steering_dynamics:
         return 0
     time, _ = model.steering(np.zeros(1), np.zeros(1), np.ones(1, bool))
@@ -101,10 +101,9 @@ def required_lookahead_ns(model: Model) -> int:
 
 
 def correct_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveLog:
-    """The drive as recorded by ideal sensors, with delay, play and lag of the steering applied; a model with
-    these sets steering_wheel_angle to None. maximum_gap [s]. Raises StCoreError if a sensor effect needs an
-    acceleration that was not recorded.
-    """
+    """The drive as recorded by ideal sensors, with delay, play and lag of the steering applied; for a model with these
+    effects, steering_wheel_angle becomes None. maximum_gap [s]. Raises StCoreError if a sensor effect needs an
+    acceleration that was not recorded."""
     if not isinstance(model, AugmentedModel):
         return log
     corrected: dict[str, Any] = {}

@@ -171,7 +171,7 @@ def test_substeps_reduce_the_error_and_equal_shorter_steps(leaf, log):
 
 
 def test_too_long_step_is_a_warning_or_is_divided(leaf, monkeypatch):
-    monkeypatch.setattr(integrate, "_warned", set())
+    monkeypatch.setattr(integrate, "_issued_warnings", set())
     stiff, slow_log, starts = replace(leaf, minimum_slip_speed=0.1), drive(mean_speed=3.5), regular_starts(700, 20)
     with pytest.warns(StepTooLongWarning, match=r"minimum_slip_speed of 2\.7 m/s in .* or substeps=2") as caught:
         for _ in range(2):

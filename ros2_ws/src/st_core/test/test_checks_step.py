@@ -83,13 +83,13 @@ def test_minimum_slip_speed_must_exceed_the_lowest_stable_speed(leaf):
 
 
 def test_prediction_does_not_warn_with_the_proposed_value(leaf, log, monkeypatch):
-    monkeypatch.setattr(integrate, "_warned", set())
+    monkeypatch.setattr(integrate, "_issued_warnings", set())
     stiff = replace(leaf, yaw_inertia=0.35 * leaf.yaw_inertia)
     starts = np.arange(0, 50, 5) * 10**9
     with pytest.warns(StepTooLongWarning, match=r"minimum_slip_speed of [\d.]+ m/s in the vehicle file") as caught:
         predict_log("nonlinear", stiff, log, starts, backend="numpy")
     proposed = float(re.search(r"minimum_slip_speed of ([\d.]+) m/s", str(caught[0].message))[1])
-    integrate._warned.clear()
+    integrate._issued_warnings.clear()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         predict_log("nonlinear", replace(stiff, minimum_slip_speed=proposed), log, starts, backend="numpy")

@@ -116,7 +116,7 @@ def test_other_vehicle_is_rejected(leaf):
     file = make_file(leaf)
     file.check_vehicle(leaf, "leaf.yaml")
     ModelFile.from_yaml(MINIMAL).check_vehicle(leaf, "leaf.yaml")
-    with pytest.raises(ConfigurationError, match=r"vehicle\.hash: the values are valid for .*, heavy\.yaml is .* "
+    with pytest.raises(ConfigurationError, match=r"vehicle\.hash: the values are valid for .*, but heavy\.yaml is .* "
                                                   r"\(they differ in mass: 1590, 1700 kg\); use"):
         file.check_vehicle(replace(leaf, mass=1700.0), "heavy.yaml")
 

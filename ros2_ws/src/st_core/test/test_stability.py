@@ -24,7 +24,7 @@ STEP = 0.05
 
 @pytest.fixture(autouse=True)
 def no_previous_warnings(monkeypatch):
-    monkeypatch.setattr(integrate, "_warned", set())
+    monkeypatch.setattr(integrate, "_issued_warnings", set())
 
 
 @pytest.fixture

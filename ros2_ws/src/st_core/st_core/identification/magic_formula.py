@@ -75,7 +75,7 @@ def find_load_levels(data: FlatPlank) -> tuple[np.ndarray, np.ndarray]:
 
 
 def check_table(data: FlatPlank, levels: np.ndarray, level: np.ndarray, nominal_load: float) -> tuple[FlatPlank, bool]:
-    """(the table with a force that opposes the slip angle, whether that required the opposite sign of the slip angle).
+    """(the table, with slip angles of the sign that the force opposes, whether their sign was changed for this).
 
     levels, level: from `find_load_levels`. nominal_load [N]. Raises IdentificationError for an unusable table.
     """
@@ -86,8 +86,8 @@ def check_table(data: FlatPlank, levels: np.ndarray, level: np.ndarray, nominal_
                                   "test has a few loads. Are load and lateral force exchanged?")
     for k, value in enumerate(levels):
         if (level == k).sum() < 3:
-            raise IdentificationError(f"{data.tyre}: {(level == k).sum()} rows at {value:.0f} N, at least 3 are "
-                                      "needed: add some, or leave them out; or are load and lateral force exchanged?")
+            raise IdentificationError(f"{data.tyre}: {(level == k).sum()} rows at {value:.0f} N, but at least 3 are "
+                                      "needed: add or remove rows; or are load and lateral force exchanged?")
     largest = float(np.abs(data.slip).max())
     if largest > MAX_SLIP:
         raise IdentificationError(f"{data.tyre}: slip angle reaches {largest:.4g} rad = {math.degrees(largest):.0f} "
@@ -141,9 +141,9 @@ FITTED_PARAMETERS = {"p_cy1": "Shape", "p_dy1": "Peak friction", "p_dy2": "Load 
 
 @dataclass(frozen=True)
 class TyreFit:
-    """Result of the fit of a tyre."""
+    """A tyre fitted to a flat-plank table."""
 
-    tyre: MagicFormula  # its fitted Magic Formula
+    tyre: MagicFormula  # fitted Magic Formula
     names: tuple[str, ...]  # fitted parameters, SHIFT last
     fit: BoundedFit  # simultaneous fit, with the parameters in this order
     two_stage_tyre: MagicFormula  # the tyre after the paper's two stages, or after stage 1 with one load
@@ -164,7 +164,7 @@ class TyreFit:
 
 
 def fit_tyre(data: FlatPlank, start: MagicFormula) -> TyreFit:
-    """Fit of a tyre in two stages, and then simultaneously. Raises IdentificationError for an unsuitable table.
+    """Fit of a tyre in two stages, followed by a simultaneous fit. Raises IdentificationError for an unsuitable table.
 
     start: source of nominal_load and of all parameters that are not fitted; its scale factors are replaced by 1.
     """
@@ -173,12 +173,11 @@ def fit_tyre(data: FlatPlank, start: MagicFormula) -> TyreFit:
     base = start._replace(lambda_ky=1.0, lambda_cy=1.0, lambda_muy=1.0)
     nominal = int(np.argmin(np.abs(levels - start.nominal_load)))
     at_nominal = {key: getattr(data, key)[level == nominal] for key in ("load", "slip", "force")}
-    first = _fit_nominal_load(replace(data, **at_nominal), base)
-    two_stage_tyre = first
+    two_stage_tyre = _fit_nominal_load(replace(data, **at_nominal), base)
     names: tuple[str, ...] = (*NOMINAL_PARAMETERS, "p_ky1", SHIFT)
     if len(levels) > 1:
         free = ("p_dy2", "p_ey2", "p_ky2") + (("p_ky4",) if len(levels) > 2 else ())
-        two_stage_tyre = _fit_load_dependency(data, first, free)
+        two_stage_tyre = _fit_load_dependency(data, two_stage_tyre, free)
         names = (*(name for name in FITTED_PARAMETERS if name in (*NOMINAL_PARAMETERS, "p_ky1", *free)), SHIFT)
     # Shape and curvature are confounded, and the stages may end in a local minimum.
     others = [two_stage_tyre._replace(p_cy1=shape, p_ey1=curvature, p_ey2=-1.0) for shape, curvature in STARTS]
@@ -235,9 +234,9 @@ def _fit_nominal_load(data: FlatPlank, base: MagicFormula) -> MagicFormula:
     """The tyre after stage 1. The load dependence of `base` corrects for small differences from the nominal load."""
     inner = np.abs(data.slip) <= max(math.radians(2.0), np.sort(np.abs(data.slip))[min(3, len(data.slip) - 1)])
     slope = float(data.slip[inner] @ data.force[inner]) / float(data.slip[inner] @ data.slip[inner])
-    level = float(data.load.mean())
-    start_p_ky1 = slope / abs(float(magic_formula_stiffness(level, base._replace(p_ky1=-1.0))))
-    friction = float(np.abs(data.force).max()) / level
+    mean_load = float(data.load.mean())
+    start_p_ky1 = slope / abs(float(magic_formula_stiffness(mean_load, base._replace(p_ky1=-1.0))))
+    friction = float(np.abs(data.force).max()) / mean_load
     names = (*NOMINAL_PARAMETERS, "p_ky1", SHIFT)
     starts = [base._replace(p_cy1=shape, p_dy1=friction, p_ey1=curvature, p_ky1=start_p_ky1)
               for shape, curvature in STARTS]
@@ -289,7 +288,7 @@ def _get_bounds(names: Sequence[str]) -> tuple[list[float], list[float]]:
 def _make_warnings(data: FlatPlank, tyre_fit: TyreFit, peak: float) -> list[str]:
     sentences = []
     if tyre_fit.opposite_sign:
-        sentences.append("In the table the force has the same sign as the slip angle (the other convention): the sign "
+        sentences.append("In the table the force has the same sign as the slip angle (opposite convention): the sign "
                          "of the slip angle was changed.")
     if (loads := len(tyre_fit.levels)) < 3:
         fixed_parameters = "p_ky4 is" if loads == 2 else "p_dy2, p_ey2, p_ky2 and p_ky4 are"

@@ -45,7 +45,7 @@ MAX_MASS_RANGE = 0.02  # largest relative range of the mass over weighings of on
 
 @dataclass(frozen=True)
 class Weighings:
-    """n weighings."""
+    """Readings of four wheel scales in n weighings."""
 
     readings: np.ndarray  # (n, 4) [kg], columns as WHEELS
     names: tuple[str, ...]  # (n,) names of the weighings
@@ -68,30 +68,30 @@ def identify_mass_and_cg(weighings: Weighings, vehicle: VehicleParameters) -> Id
     used_readings, wheelbase, all_masses = readings[is_used], vehicle.wheelbase, readings.sum(axis=1)
     all_distances = wheelbase * readings[:, 2:].sum(axis=1) / all_masses
     masses, distances = all_masses[is_used], all_distances[is_used]
-    n, mass, front = len(used_readings), float(masses.mean()), float(distances.mean())
+    n, mass, l_f = len(used_readings), float(masses.mean()), float(distances.mean())
     if np.ptp(masses) > MAX_MASS_RANGE * mass:
         raise IdentificationError(f"the weighings of one loading differ by {np.ptp(masses):.1f} kg of {mass:.1f} kg, "
                                   "too much for the same car: weigh again, or note the loading")
     variation = np.cov(masses, distances) / n if n > 1 else np.zeros((2, 2))
     # d l_f / d reading: -l_f / m at the front, (l - l_f) / m at the rear.
-    gradient = np.stack([np.ones(4), np.array([-front, -front, wheelbase - front, wheelbase - front]) / mass])
+    gradient = np.stack([np.ones(4), np.array([-l_f, -l_f, wheelbase - l_f, wheelbase - l_f]) / mass])
     covariance = variation + weighings.scale_uncertainty**2 * gradient @ gradient.T
-    covariance[1, 1] += (front / wheelbase * get_stated_uncertainty(vehicle, "wheelbase")) ** 2
+    covariance[1, 1] += (l_f / wheelbase * get_stated_uncertainty(vehicle, "wheelbase")) ** 2
     uncertainties = np.sqrt(np.diag(covariance)).tolist()
     degrees_of_freedom = [effective_degrees_of_freedom(variation[i, i], covariance[i, i], n - 1) for i in (0, 1)]
-    intervals = list(map(symmetric_interval, (mass, front), uncertainties, degrees_of_freedom))
+    intervals = list(map(symmetric_interval, (mass, l_f), uncertainties, degrees_of_freedom))
     method = (f"four wheel scales, {n} weighing{'s' * (n != 1)}, {weighings.scale_uncertainty:g} kg per scale"
               + (f", {load}" if load else ""))
-    left = float(used_readings[:, [0, 2]].sum() / used_readings.sum())
+    left_fraction = float(used_readings[:, [0, 2]].sum() / used_readings.sum())
     estimates = (
         ParameterEstimate(
             "mass", mass, "kg", uncertainties[0], intervals[0], method, used,
             f"The car weighs {mass:.1f} kg{f' with {load}' if load else ''}."),
         ParameterEstimate(
-            "cg_to_front_axle", front, "m", uncertainties[1], intervals[1], method, used,
-            f"{100 * (1 - front / wheelbase):.1f} % of the load is on the front axle and {100 * left:.1f} % on "
-            f"the left wheels, so the CG is {front:.3f} m behind the front axle."))
-    warnings = tuple(_check_scales(used_readings, len(rejected), front, vehicle))
+            "cg_to_front_axle", l_f, "m", uncertainties[1], intervals[1], method, used,
+            f"{100 * (1 - l_f / wheelbase):.1f} % of the load is on the front axle and {100 * left_fraction:.1f} % on "
+            f"the left wheels, so the CG is {l_f:.3f} m behind the front axle."))
+    warnings = tuple(_check_scales(used_readings, len(rejected), l_f, vehicle))
     figure = {"is_used": is_used, "names": weighings.names, "masses": all_masses, "distances": all_distances}
     return Identification("scales", estimates, used, rejected, correlation_matrix(covariance), (), warnings, figure)
 
@@ -118,12 +118,12 @@ def _check_readings(weighings: Weighings) -> np.ndarray:
     return readings
 
 
-def _check_scales(readings: np.ndarray, rejected_count: int, front: float, vehicle: VehicleParameters) -> Iterator[str]:
-    """Warnings on the weighings used. readings: (n, 4). rejected_count: the others. front: cg_to_front_axle [m]."""
+def _check_scales(readings: np.ndarray, rejected_count: int, l_f: float, vehicle: VehicleParameters) -> Iterator[str]:
+    """Warnings on the weighings used. readings: (n, 4). rejected_count: number of unused weighings. l_f [m]."""
     mean = readings.mean(axis=0)
     cross_weight = (mean[0] + mean[3]) / mean.sum()
     if abs(cross_weight - 0.5) > 0.02:
-        yield (f"The diagonal front left, rear right carries {100 * cross_weight:.1f} % of the weight: the "
+        yield (f"The front-left and rear-right wheels carry {100 * cross_weight:.1f} % of the weight: the "
                "springs are preloaded unequally, or the floor under the scales is uneven; mass and longitudinal CG "
                "position remain valid.")
     if len(readings) == 1:
@@ -132,13 +132,13 @@ def _check_scales(readings: np.ndarray, rejected_count: int, front: float, vehic
     if rejected_count:
         yield f"{rejected_count} of {len(readings) + rejected_count} weighings had a different load and were excluded."
     wheelbase, expected = vehicle.wheelbase, vehicle.cg_to_front_axle
-    if abs(front - expected) > 0.05 * wheelbase and abs(wheelbase - front - expected) < 0.02 * wheelbase:
-        yield (f"cg_to_front_axle is estimated as {front:.3f} m, the vehicle file has {expected:.3f} m; with front and "
-               f"rear columns exchanged it would be {wheelbase - front:.3f} m. Check which columns are which.")
+    if abs(l_f - expected) > 0.05 * wheelbase and abs(wheelbase - l_f - expected) < 0.02 * wheelbase:
+        yield (f"cg_to_front_axle is estimated as {l_f:.3f} m, the vehicle file has {expected:.3f} m; with front and "
+               f"rear columns exchanged it would be {wheelbase - l_f:.3f} m. Check which columns are which.")
 
 
 MAX_LEVEL_PITCH = math.radians(0.5)  # rows with a smaller pitch count as level
-MIN_PITCH_RANGE = math.radians(3.0)  # in a smaller range the rear load changes by a few kg only
+MIN_PITCH_RANGE = math.radians(3.0)  # in a smaller range the rear load changes by only a few kg
 MAX_PITCH = math.radians(45.0)
 PITCH_BIN_WIDTH = math.radians(3.0)
 RADIUS_UNCERTAINTY = 0.003  # m; standard uncertainty of a wheel radius read from a ruler
@@ -156,7 +156,7 @@ class LiftRows:
     rear_radius: np.ndarray  # m, as front_radius
 
     @property
-    def level(self) -> np.ndarray:
+    def is_level(self) -> np.ndarray:
         """Mask (n,) of the rows in which the car is level."""
         return np.abs(self.pitch) <= MAX_LEVEL_PITCH
 
@@ -224,7 +224,7 @@ def identify_cg_height(data: LiftRows, vehicle: VehicleParameters, weighed_mass:
 
 
 def _check_rows(data: LiftRows) -> None:
-    pitch, level = data.pitch, data.level
+    pitch, is_level = data.pitch, data.is_level
     if not (np.isfinite(pitch).all() and np.isfinite(data.rear_load).all() and (data.rear_load > 0.0).all()):
         raise IdentificationError("every row needs a pitch and a rear load above 0 kg")
     if np.abs(pitch).max(initial=0.0) > MAX_PITCH:
@@ -235,18 +235,18 @@ def _check_rows(data: LiftRows) -> None:
     if span < MIN_PITCH_RANGE:
         raise IdentificationError(f"pitch ranges over {math.degrees(span):.3g} deg, at least 3 are needed: lift "
                                   "further; if the column is in radians, name it pitch_rad")
-    steps = len(np.unique(np.round(np.degrees(pitch[~level]), 1)))
-    if not level.any() or steps < 2:
-        raise IdentificationError(f"{int(level.sum())} level rows and {steps} lifted pitch angles: at least one level "
-                                  "row and two lifted pitch angles are needed")
-    if pitch[~level].max() <= 0.0:
-        raise IdentificationError(f"pitch is never positive, down to {math.degrees(pitch.min()):.1f} deg: nose up is "
-                                  "positive, with the front axle lifted")
+    steps = len(np.unique(np.round(np.degrees(pitch[~is_level]), 1)))
+    if not is_level.any() or steps < 2:
+        raise IdentificationError(f"{int(is_level.sum())} level rows and {steps} lifted pitch angles: at least one "
+                                  "level row and two lifted pitch angles are needed")
+    if pitch[~is_level].max() <= 0.0:
+        raise IdentificationError(f"pitch is never positive, but as low as {math.degrees(pitch.min()):.1f} deg: nose "
+                                  "up is positive, with the front axle lifted")
 
 
 def _compute_radii(data: LiftRows, rear_fraction: float) -> tuple[float, str]:
     """(height of the line between the wheel centres at the CG [m], sentence on the deflection of the rear tyres)."""
-    front, rear = (radius[data.level & np.isfinite(radius)] for radius in (data.front_radius, data.rear_radius))
+    front, rear = (radius[data.is_level & np.isfinite(radius)] for radius in (data.front_radius, data.rear_radius))
     if not len(front) or not len(rear):
         raise IdentificationError("the level rows have no wheel radius: measure the height of the front and rear wheel "
                                   "centres above the ground with the car loaded and level")
@@ -269,7 +269,7 @@ def _compute_load_transfers(data: LiftRows, line: Line) -> np.ndarray:
     transfers = np.full(len(data.pitch), np.nan)
     for name, intercept in line.intercepts.items():
         lift = np.asarray(data.lifts) == name
-        level_load = data.rear_load[data.level & lift].mean() if (data.level & lift).any() else intercept
+        level_load = data.rear_load[data.is_level & lift].mean() if (data.is_level & lift).any() else intercept
         transfers[is_usable & lift] = data.rear_load[is_usable & lift] - level_load
     return transfers
 
@@ -284,7 +284,7 @@ def _check_lifts(data: LiftRows, mass: float, rear_fraction: float) -> list[str]
             sentences.append(f"Lift {name}: pitch falls from {pitch[k]:.1f} to {pitch[k + 1]:.1f} deg at row {k + 2} "
                              "of the lift. The order does not affect the fit, but friction changes the load on the "
                              "way down: enter such rows as a separate lift.")
-    measured, expected = float(data.rear_load[data.level].mean()), mass * rear_fraction
+    measured, expected = float(data.rear_load[data.is_level].mean()), mass * rear_fraction
     if abs(measured - expected) > MAX_LOAD_DIFFERENCE * mass:
         sentences.append(f"With the car level, the rear wheels carry {measured:.1f} kg, but mass and CG position of "
                          f"the vehicle file give {expected:.1f} kg: the car was loaded differently. The height applies "

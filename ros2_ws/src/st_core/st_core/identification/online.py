@@ -91,7 +91,7 @@ def fit_recent(log: DriveLog, vehicle: VehicleParameters) -> OnlineFit:
         fit = fit_driving(logs, vehicle, FITTED_PARAMETERS, "nonlinear", FIT_SETTINGS)
     except (StCoreError, np.linalg.LinAlgError) as error:
         return _make_failed_fit(vehicle, str(error))
-    # Offset, ratio, and stiffness scale: mean over both axles of stiffness / stiffness in the vehicle file.
+    # Rows: offset, ratio, and stiffness scale (mean over both axles of stiffness / stiffness in the vehicle file).
     rows = np.zeros((3, len(FITTED_PARAMETERS)))
     rows[0, 0] = rows[1, 1] = 1.0
     rows[2, 2:4] = [0.5 / getattr(vehicle, name) for name in STIFFNESSES]
@@ -115,7 +115,7 @@ def _make_failed_fit(vehicle: VehicleParameters, problem: str) -> OnlineFit:
 
 
 class OnlineIdentifier:
-    """Stores samples in order of time and makes estimates. The caller sets `fit`, from `fit_recent` with a snapshot."""
+    """Stores samples in order of time and makes estimates. The caller sets `fit` to `fit_recent` of a snapshot."""
 
     def __init__(self, vehicle: VehicleParameters):
         self.reset(vehicle)
@@ -209,10 +209,10 @@ class OnlineIdentifier:
                                       (max(times.straight, bends), 5.0, "straights, or of bends to each side")],
             # Ratio and front stiffness are not separable at a single speed.
             "steering_ratio": [(times.left, 5.0, "left bends"), (times.right, 5.0, "right bends"),
-                               (filled_bins, 2, "ranges of speed, 5 s each")],
+                               (filled_bins, 2, "speed ranges with 5 s each")],
             "stiffness_scale": [(times.loaded_left, 3.0, "left bends above 1.5 m/s^2"),
                                 (times.loaded_right, 3.0, "right bends above 1.5 m/s^2"),
-                                (filled_bins, 2, "ranges of speed, 5 s each")],
+                                (filled_bins, 2, "speed ranges with 5 s each")],
         }
         return {name: "; ".join(f"{driven:.0f} of {needed:g}{'' if isinstance(needed, int) else ' s of'} {kind}"
                                 for driven, needed, kind in rows if driven < needed) for name, rows in required.items()}

@@ -1,4 +1,4 @@
-"""Preparation of drives for identification: filtered samples at the CG, bias of the yaw rate, coverage of signals."""
+"""Preparation of drives for identification: filtered samples at the CG, yaw rate bias, coverage of signals."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,10 +14,10 @@ from .result import Coverage, IdentificationError
 
 FILTER_SETTLING_TIME = 0.2  # s; discarded at both ends of each interval without gaps
 MAXIMUM_GAP = 0.1  # s; longest interval between samples that is interpolated
-MIN_COMMON_TIME, MIN_SAMPLES = 5.0, 50  # of a usable drive: INS and steering together [s], INS samples
-MIN_REPORTED_BIAS = 5.0e-4  # rad/s; above the drift of a good INS; acts like 0.1 deg at the steering wheel at 15 m/s
+MIN_COMMON_TIME, MIN_SAMPLES = 5.0, 50  # time with both INS and steering [s], number of INS samples
+MIN_REPORTED_BIAS = 5.0e-4  # rad/s; above the drift of a good INS; like 0.1 deg of steering wheel offset at 15 m/s
 SPEED_EDGES = np.array([0.0, 3.0, 6.0, 9.0, 12.0, 15.0, 20.0, 30.0, 60.0])  # m/s
-ACCELERATION_EDGES = np.array([-8.0, -4.0, -3.0, -2.0, -1.0, -0.3, 0.3, 1.0, 2.0, 3.0, 4.0, 8.0])  # m/s^2, left +
+ACCELERATION_EDGES = np.array([-8.0, -4.0, -3.0, -2.0, -1.0, -0.3, 0.3, 1.0, 2.0, 3.0, 4.0, 8.0])  # m/s^2
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,12 +94,12 @@ def prepare_drives(logs: Sequence[DriveLog], vehicle: VehicleParameters,
         if log.overlap < MIN_COMMON_TIME or len(log.ins_time_ns) < MIN_SAMPLES:
             raise IdentificationError(
                 f"{log.name}: {len(log.ins_time_ns)} INS samples, which overlap with the steering for "
-                f"{log.overlap:.1f} s; at least {MIN_SAMPLES} and {MIN_COMMON_TIME:g} s are needed")
+                f"{log.overlap:.1f} s; at least {MIN_SAMPLES} samples and {MIN_COMMON_TIME:g} s are needed")
         bias = estimate_yaw_rate_bias(log)
         prepared[k] = replace(log, yaw_rate=log.yaw_rate - bias)
         if abs(bias) > MIN_REPORTED_BIAS:
             biases.append(f"{log.name} {bias:+.4f}")
-    warning = f"Yaw rate bias relative to the heading rate, removed [rad/s]: {', '.join(biases)}."
+    warning = f"Removed yaw rate bias, relative to the rate of yaw [rad/s]: {', '.join(biases)}."
     return prepared, (warning,) if biases else ()
 
 

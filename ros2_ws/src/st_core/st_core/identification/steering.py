@@ -10,7 +10,7 @@ All J sweeps have a common slope b; sweep j has the intercept a_j and the mean x
 
 Turntables do not determine the steering-wheel offset, because their zero is not the direction of straight driving. A
 cubic fitted to the residuals describes the nonlinearity of the steering, if it is significant (F test, 1 %). Angles in
-rad, left positive. Source: paper, parameter identification. Checked by: test_identification_experiments.py.
+rad, positive to the left. Source: paper, parameter identification. Checked by: test_identification_experiments.py.
 
 The offset of the steering wheel sensor is estimated from straight driving, by two methods.
 
@@ -54,17 +54,17 @@ class Line:
 
 def fit_line(x: np.ndarray, y: np.ndarray, groups: Sequence[str]) -> Line:
     """Least-squares line. groups: group of each point. Raises IdentificationError for constant x or too few points."""
-    members = _group_columns(groups)
-    design = np.column_stack([x, *members.values()])
-    degrees_of_freedom = len(x) - len(members) - 1
-    square_sum = float(sum(member @ np.square(x - member @ x / member.sum()) for member in members.values()))
+    masks = _group_columns(groups)
+    design = np.column_stack([x, *masks.values()])
+    degrees_of_freedom = len(x) - len(masks) - 1
+    square_sum = float(sum(mask @ np.square(x - mask @ x / mask.sum()) for mask in masks.values()))
     if degrees_of_freedom < 1 or square_sum <= MIN_VARIATION**2 * float(x @ x):
-        raise IdentificationError(f"{len(x)} rows in {len(members)} series do not determine a slope: more rows at "
+        raise IdentificationError(f"{len(x)} rows in {len(masks)} series do not determine a slope: more rows at "
                                   "different settings are needed")
     slope, *intercepts = np.linalg.lstsq(design, y, rcond=None)[0].tolist()
     residuals = y - design @ [slope, *intercepts]
     variance = float(residuals @ residuals) / degrees_of_freedom / square_sum
-    return Line(slope, math.sqrt(variance), dict(zip(members, intercepts, strict=True)), residuals, degrees_of_freedom)
+    return Line(slope, math.sqrt(variance), dict(zip(masks, intercepts, strict=True)), residuals, degrees_of_freedom)
 
 
 def fit_cubic(x: np.ndarray, line: Line, groups: Sequence[str]) -> tuple[tuple[float, float], bool]:
@@ -74,8 +74,8 @@ def fit_cubic(x: np.ndarray, line: Line, groups: Sequence[str]) -> tuple[tuple[f
     """
     design = np.column_stack([x, x**3, *_group_columns(groups).values()])
     coefficients, *_ = np.linalg.lstsq(design, line.residuals, rcond=None)
-    unexplained = line.residuals - design @ coefficients
-    linear_sum, cubic_sum = float(line.residuals @ line.residuals), float(unexplained @ unexplained)
+    cubic_residuals = line.residuals - design @ coefficients
+    linear_sum, cubic_sum = float(line.residuals @ line.residuals), float(cubic_residuals @ cubic_residuals)
     degrees_of_freedom = line.degrees_of_freedom - 1
     if degrees_of_freedom < 1 or linear_sum <= 1e-20:
         return (0.0, 0.0), False
@@ -116,7 +116,7 @@ def identify_steering_ratio(data: Turntable) -> Identification:
     if not (limits.minimum <= ratio <= limits.maximum):
         hint = ("steering wheel and road wheels have opposite signs: left is positive in every column"
                 if ratio < 0.0 else "are steering-wheel and road-wheel columns exchanged, or their units?")
-        raise IdentificationError(f"the steering wheel turns {ratio:.3g} times as far as the road wheels, expected "
+        raise IdentificationError(f"the steering wheel turns {ratio:.3g} times as far as the road wheels, not "
                                   f"{limits.minimum:g} to {limits.maximum:g}: {hint}")
     low, high = symmetric_interval(line.slope, line.uncertainty, line.degrees_of_freedom)
     cubic, significant = fit_cubic(data.steering, line, data.sweeps)
@@ -167,9 +167,9 @@ def _make_warnings(data: Turntable, line: Line) -> list[str]:
     sentences = []
     left_turn, right_turn = data.steering > ANGLE_BIN_WIDTH, data.steering < -ANGLE_BIN_WIDTH
     difference = data.left - data.right - np.median(data.left - data.right)
-    inner = np.concatenate([difference[left_turn], difference[right_turn]])
-    if left_turn.any() and right_turn.any() and inner.mean() < -math.radians(0.3):
-        sentences.append(f"The outer wheel turns further than the inner one by {math.degrees(-inner.mean()):.1f} deg "
+    inner_excess = np.concatenate([difference[left_turn], difference[right_turn]]).mean()
+    if left_turn.any() and right_turn.any() and inner_excess < -math.radians(0.3):
+        sentences.append(f"The outer wheel turns further than the inner one by {math.degrees(-inner_excess):.1f} deg "
                          "on average: left and right columns may be exchanged. Their mean, and with it the ratio, "
                          "is not affected.")
     if len(line.intercepts) > 1:
@@ -182,10 +182,10 @@ def _make_warnings(data: Turntable, line: Line) -> list[str]:
 PAPER_NAME, DIRECT_NAME = "steering_wheel_offset", "steering_wheel_offset_direct"
 SETTINGS = DrivingFitSettings(horizon=2.0, maximum_acceleration=0.5, min_windows=40, channels=("yaw_rate",))
 WINDOW = 2.0  # s; length of a window of the direct method
-MIN_RADIUS = 500.0  # m; of the path in a window, for a full-size car
+MIN_RADIUS = 500.0  # m; minimum radius of the path in a window, for a full-size car
 MAX_ANGLE_DEVIATION = np.deg2rad(3.0)  # standard deviation of the steering wheel angle in a window
 MIN_WINDOWS = 10  # minimum number of windows
-CUTOFF = 1.0  # Hz, low-pass on the measured yaw rate, forward and backward
+CUTOFF = 1.0  # Hz; of the zero-phase low-pass on the measured yaw rate
 
 
 def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:

@@ -19,7 +19,7 @@ class Model:
     inputs(road_wheel_angle, velocity_x_dot, p, *signals) -> w: a tuple of all quantities that depend only on the
         inputs; computed once per instant, or once per prediction with constant inputs. One argument per signal.
     rhs(state, w, p) -> time derivative of the state: six values and one for each of `extra_states`.
-    start(state, w, p) -> the extra states at the start of a prediction, from the six states and w there; None: zeros.
+    start(state, w, p) -> initial extra states of a prediction, from the initial six states and w; None: zeros.
     The functions use `st_core.ops` and accept floats, or arrays of equal shape for a batch.
     """
 
@@ -70,8 +70,8 @@ def motion(state, force_front, force_rear, w, p):
         x_dot = v_x cos psi - v_y sin psi,  y_dot = v_x sin psi + v_y cos psi,  v_x_dot: input
         v_y_dot = (F_f cos d + F_r) / m - v_x r,  psi_dot = r,  r_dot = (l_f F_f cos d - l_r F_r) / I_z
 
-    w: begins with sin d, cos d (d: road wheel angle) and v_x_dot [m/s^2]. p: has mass, yaw_inertia and both CG
-    distances. Source: paper, dynamic model.
+    w: begins with sin d, cos d (d: road wheel angle) and v_x_dot [m/s^2]. p: has mass, yaw_inertia and the distances
+    of both axles from the CG. Source: paper, dynamic model.
     """
     _, _, velocity_x, velocity_y, yaw, yaw_rate = state
     cosine_yaw, sine_yaw = cos(yaw), sin(yaw)
