@@ -24,8 +24,8 @@ _NEVER = float("-inf")
 class Health:
     """Builds diagnostic checks from the counts of the parser, the status and the source.
 
-    live: packets come from a unit, so their stamps can be compared with the host's clock. ellipsoidal: the unit sends
-    ellipsoidal altitude. silence_after: time without packets after which an error is reported [s].
+    is_live: packets come from a unit, so their stamps can be compared with the host's clock. is_ellipsoidal: the unit
+    sends ellipsoidal altitude. silence_after: time without packets after which an error is reported [s].
 
     The node updates the public attributes. navigation_status: newest defined status of a packet that is not a trigger.
     last_packet_at: time of receipt on the monotonic clock [s]. failures: number of packets that could not be
@@ -33,13 +33,15 @@ class Health:
     """
 
     def __init__(self, parser: NcomParser, status: StatusTracker, origin: Origin, statistics: StreamStatistics,
-                 source: Callable[[], SourceStatus | None], live: bool, ellipsoidal: bool, silence_after: float):
+                 source: Callable[[], SourceStatus | None], is_live: bool, is_ellipsoidal: bool,
+                 silence_after: float):
         self.navigation_status: int | None = None
         self.last_packet_at = _NEVER
         self.failures = self.incomplete_packets = 0
         self._best_mode: int | None = None
         self._parser, self._status, self._origin, self._statistics = parser, status, origin, statistics
-        self._source, self._live, self._ellipsoidal, self._silence_after = source, live, ellipsoidal, silence_after
+        self._source, self._silence_after = source, silence_after
+        self._is_live, self._is_ellipsoidal = is_live, is_ellipsoidal
         self._previous_faults: dict[str, int] = {}
         self._previous_ignored = 0
 
@@ -54,7 +56,7 @@ class Health:
     def _check_source(self, source: SourceStatus) -> Check:
         values: dict[str, Any] = {"packets": source.datagrams, "progress %": 100.0 * source.progress,
                                   "loops": source.loops}
-        if self._live:
+        if self._is_live:
             values = {"datagrams": source.datagrams, **({"sender": source.sender} if source.sender else {}),
                       **{f"ignored from {address}": count for address, count in source.ignored_datagrams.items()}}
         if self.failures:
@@ -137,7 +139,7 @@ class Health:
             degraded.append("absolute time (channel 0): topics with stamps of the unit are not published")
         elif self._parser.minute_from_host:
             degraded.append("absolute time (channel 0): minute taken from the host's clock")
-        if status.get("Undulation") is None and not self._ellipsoidal:
+        if status.get("Undulation") is None and not self._is_ellipsoidal:
             degraded.append("geoid undulation (channel 48): altitude of ins/nav_sat_fix is NaN")
         if None in map(compute_variances, Accuracy.from_status(status)):
             degraded.append("accuracies (channels 3, 4, 5): covariances unknown")
@@ -160,9 +162,9 @@ class Health:
         offset = self._parser.utc_offset
         values: dict[str, Any] = {"time jumps": self._parser.clock.jumps,
                                   "UTC offset [s]": "leap-second table" if offset is None else offset}
-        differences = self._statistics.summarise_clock_offset() if self._live else None
+        differences = self._statistics.summarise_clock_offset() if self._is_live else None
         if differences is None:
-            return Check("time", OK, "not compared with the host's clock" if not self._live else "no time yet", values)
+            return Check("time", OK, "no time yet" if self._is_live else "not compared with the host's clock", values)
         median, percentile_1, newest = differences
         values |= {"stamp minus host, median [s]": median, "stamp minus host, 1st percentile [s]": percentile_1}
         if abs(newest) > MAX_DELAY:

@@ -129,8 +129,8 @@ def compute_fingerprint(function: FunctionType, excluded: frozenset[str] = froze
     """
     digest = hashlib.sha256()
     functions = find_reachable_functions(function, excluded)
-    number = {f: str(i) for i, f in enumerate(functions)}
-    describe = partial(_describe_value, number=number)
+    numbers = {f: str(i) for i, f in enumerate(functions)}
+    describe = partial(_describe_value, numbers=numbers)
     for file in map(Path, sorted({f.__code__.co_filename for f in functions})):
         # A function entered at a prompt has no file: only its code and constants are hashed.
         digest.update(hashlib.sha256(file.read_bytes() if file.is_file() else b"").digest())
@@ -147,17 +147,17 @@ def _describe_constants(code: CodeType) -> str:
     return repr([_describe_constants(c) + c.co_code.hex() if isinstance(c, CodeType) else c for c in code.co_consts])
 
 
-def _describe_value(value: Any, number: dict[FunctionType, str]) -> str:
+def _describe_value(value: Any, numbers: dict[FunctionType, str]) -> str:
     if value is None or isinstance(value, bool | int | float | str | bytes):
         return f"{type(value).__name__}:{value!r}"
     if isinstance(value, FunctionType):
-        return f"function {number[value]}" if value in number else f"{value.__module__}.{value.__qualname__}"
+        return f"function {numbers[value]}" if value in numbers else f"{value.__module__}.{value.__qualname__}"
     if isinstance(value, ModuleType):
         return f"module {value.__name__}"
     if isinstance(value, type):
         return f"class {value.__module__}.{value.__qualname__}{getattr(value, '_fields', '')}"
     if isinstance(value, tuple):
-        return f"{_describe_value(type(value), number)}({','.join(_describe_value(v, number) for v in value)})"
+        return f"{_describe_value(type(value), numbers)}({','.join(_describe_value(v, numbers) for v in value)})"
     if isinstance(value, BuiltinFunctionType) and isinstance(value.__self__, ModuleType):
         return f"{value.__module__}.{value.__qualname__}"
     raise UnhashableError(f"{value!r}")
