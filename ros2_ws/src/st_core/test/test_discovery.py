@@ -341,7 +341,7 @@ def test_result_is_reproducible_and_json_serialisable(leaf, offset_runs, offset_
     assert first["effects"][0]["parameters"]["angle"]["unit"] == "rad"
     assert [r["name"] for r in first["runs"]] == ["lane_change 1", "slalom 2", "circle 3"]
     assert first["reasons"][0]["subject"] == "outcome" and first["reasons"][0]["rule"] == first["outcome"]
-    assert {stage for stage, *_ in calls} >= {"searching", "explaining"}
+    assert {stage for stage, *_ in calls} >= {"searching", "decomposing the errors"}
     assert all(0 < done <= total for _, done, total in calls)
 
 

@@ -126,7 +126,7 @@ class _Analysis:
         search = Search(problem, self.limits, partitions, self.sensors, settings.seed, self._ticker("searching"))
         state = search.run()
         without_priors, fit = self._add_corrections(state, partitions)
-        self._ticker("explaining")()
+        self._ticker("decomposing the errors")()
         horizon_errors = waterfall.HorizonErrors(without_priors, settings.seed)
         varying, varying_fit = self._find_varying(state, partitions)
         channel_noise = self._channel_noise(column_noise)
@@ -135,7 +135,7 @@ class _Analysis:
         errors = waterfall.compare_channel_errors(horizon_errors, base, fit, channel_noise)
         named_errors = waterfall.compare_channel_errors(horizon_errors, base, state.fit, channel_noise)
         budget = waterfall.build_budget(problem, base, state.fit, fit, varying_fit, horizon_errors)
-        power = (measure_power(problem, state.fit, self.limits, settings.seed, self._ticker("certifying"))
+        power = (measure_power(problem, state.fit, self.limits, settings.seed, self._ticker("measuring power"))
                  if settings.certify else predict_power(problem, state.fit, state.scores, self.limits))
         effects, design_effect = judged.named, state.scores.design_effect
         curvatures = self._simulate_catalogue(state, effects)
@@ -215,7 +215,7 @@ class _Analysis:
             return problem, state.fit
         without_priors = problem.without_file_priors()
         search = Search(without_priors, self.limits, partitions, self.sensors, self.settings.seed,
-                        self._ticker("correcting"), decision.judge_correction)
+                        self._ticker("searching for corrections"), decision.judge_correction)
         fit = search.add_corrections(state.fit)
         problem.loss.scale = scale
         fit = without_priors.fit_at(fit.names, fit.vector, fit.indices, fit.sensitivities)
@@ -231,7 +231,7 @@ class _Analysis:
         settings, space = self.settings, self.space
         start, prior, gain_between_runs, column_noise = space.null, None, 0.0, self.windows.noise_floor()
         if self.reference:
-            tick = self._ticker("reference")
+            tick = self._ticker("fitting the reference drives")
             healthy = fit_healthy_car(self.reference, self.vehicle, space, settings, self.threads, tick)
             start, prior, gain_between_runs = healthy.vector, healthy.prior, healthy.gain_between_runs
             # The residual of the healthy car counts as noise: it is not a change since the reference drives.
@@ -256,7 +256,7 @@ class _Analysis:
         if not uncertain:
             return runs
         corrections = estimate_clock_corrections(runs, self.vehicle, self.space, self.settings, deviations,
-                                                 self.threads, self._ticker("clocks"))
+                                                 self.threads, self._ticker("correcting clocks"))
         self.clock_errors |= corrections
         warning = ("the offset of the steering clock has a standard deviation of up to "
                    f"{1e3 * max(uncertain):.0f} ms, in {len(uncertain)} of {len(runs)} runs")
@@ -415,7 +415,7 @@ class _Analysis:
         """Curvatures of the loss for the manoeuvres of the catalogue; empty if they are not needed."""
         if not self.settings.locate_errors and not any(e.alternatives for e in effects):
             return {}
-        self._ticker("next drive")()
+        self._ticker("simulating manoeuvres")()
         return simulate_catalogue(self.problem, state.fit)
 
     def _find_untestable(self, state: SearchState, power: result.PowerAnalysis, judged: _JudgedEffects,
@@ -459,7 +459,7 @@ class _Analysis:
                 *(f"large {CHANNELS[r.channel].label} error: {r.condition}" for r in regions[:5]))
 
     def _locate_errors(self, fit: Fit, channel_noise: Mapping[str, float]) -> tuple[result.LargeErrorRegion, ...]:
-        self._ticker("where")()
+        self._ticker("locating errors")()
         noise = {channel: value for channel, value in channel_noise.items() if channel != "position_5s"}
         return find_error_regions(self.runs, self.space.at(fit.vector), self.vehicle, self.settings, self.reference,
                                   noise, float(fit.vector[-1]))
