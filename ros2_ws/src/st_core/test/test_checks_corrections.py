@@ -38,6 +38,8 @@ FAULTS = [
     ("x_scale", 0.964, scaled(0.964, "x")),
     ("y_scale", 1.03, scaled(1.03, "y")),
     ("x_scale", 1.003, scaled(1.003, "x")),
+    ("x_scale", 3.0, scaled(3.0, "x")),
+    ("position_scale", 3.0, scaled(3.0, *POSITION)),
     ("position_scale", 3.28084, scaled(3.28084, *POSITION)),
     ("position_scale", 0.001, scaled(0.001, *POSITION)),
     ("position_lag", 0.1, delayed(0.1, *POSITION)),
@@ -49,6 +51,7 @@ FAULTS = [
     ("velocity_scale", 1.02 * 3.6, scaled(1.02 * 3.6, *VELOCITY)),
     ("velocity_scale", 0.97, scaled(0.97, *VELOCITY)),
     ("velocity_x_scale", 3.6, scaled(3.6, "velocity_x")),
+    ("velocity_x_scale", 0.8, scaled(0.8, "velocity_x")),
     ("velocity_y_scale", 3.0, scaled(3.0, "velocity_y")),
     ("velocity_y_scale", 0.5, scaled(0.5, "velocity_y")),
     ("velocity_lag", 0.2, delayed(0.2, *VELOCITY)),
@@ -222,6 +225,16 @@ def test_wheel_speeds_decide_between_wrong_positions_and_wrong_velocity(log, lea
     (found,) = check(scaled(factor, *channels)(log), leaf, wheels).findings
     assert found.name == name and found.interval[0] <= factor <= found.interval[1]
     assert check(corrected_drive(scaled(factor, *channels)(log), found.advice.entry, leaf), leaf, wheels).findings == ()
+
+
+@pytest.mark.parametrize("factor", [1.25, 3.0])
+def test_wrong_scale_of_positions_gives_no_other_measuring_point(leaf, factor):
+    """Without accelerations, the scale is attributed to the velocity, which then moves the point that it gives."""
+    log = replace(exact_drive(leaf, 120.0, speed=Sines(8.0, ((2.0, 41.0, 0.4), (1.0, 13.0, 1.1)))),
+                  acceleration_x=None, acceleration_y=None)
+    found = findings_by_name(scaled(factor, *POSITION)(log), leaf)
+    assert found.keys() == {"velocity_scale"}
+    assert "measuring_point" in findings_by_name(scaled(0.8, *VELOCITY)(ins_moved(1.5)(log)), leaf)
 
 
 @pytest.mark.parametrize("angle", [0.5, -0.7])

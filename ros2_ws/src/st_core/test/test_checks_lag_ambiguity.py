@@ -115,6 +115,14 @@ def test_lag_of_velocities_gives_no_lag_of_yaw_or_accelerations(leaf, name, chan
     assert found[name].value == pytest.approx(seconds, abs=0.04) and found[name].channels == channels
 
 
+@pytest.mark.parametrize("channels", [("velocity_x", "velocity_y"), ("velocity_x",)])
+def test_lag_of_velocities_names_velocity_x_too_if_the_lateral_velocity_is_small(leaf, channels):
+    straight = Sines(0.0, ((0.01, 23.0, 0.0), (0.005, 6.1, 0.7)))
+    log = exact_drive(leaf, 60.0, speed=Sines(6.0, ((1.5, 21.0, 0.4), (0.5, 7.0, 1.1))), turning=straight)
+    (finding,) = lag_findings(delay(log, 0.08, *channels), leaf).values()
+    assert finding.name in ("velocity_lag", "velocity_x_lag") and finding.text.endswith(": both fit this drive")
+
+
 @pytest.mark.parametrize("rate", [1.0005, 0.9995])
 def test_steering_clock_of_another_rate_is_no_steering_lag(leaf, rate):
     log = exact_drive(leaf, 400.0, rate=20.0)

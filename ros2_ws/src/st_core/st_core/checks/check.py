@@ -9,14 +9,24 @@ from ..log import INS_SIGNALS, STEERING, DriveLog
 from ..sideslip import has_derived_yaw_rate
 from ..vehicle import VehicleParameters
 from . import inertial, position, sampling, vehicle_relations
-from .finding import HORIZON, LIMITS, Advice, AuxiliaryData, Comparison, DriveCheck, Finding, Severity
+from .finding import (
+    HORIZON,
+    LIMITS,
+    WHEEL_SCALE_TOLERANCE,
+    Advice,
+    AuxiliaryData,
+    Comparison,
+    DriveCheck,
+    Finding,
+    Severity,
+)
 from .inertial import Agreement, CheckResult
 from .motion import MIN_MOVING_SPEED, Motion, is_driven
 from .plausibility import drop_implausible, find_broken_channels
 from .position import check_position_steps
 from .regression import Estimate, add_systematic_uncertainty
 from .trial import try_corrections
-from .units_and_axes import check_nominal_rate, check_time_unit, correct_units, other_yaw_fits_better
+from .units_and_axes import check_nominal_rate, check_time_unit, correct_units, is_speed_unit, other_yaw_fits_better
 
 ESTIMATES_BIASED_BY_SIDESLIP = ("steering_lag", "yaw_rate_lag", "yaw_lag")
 MAX_INS_DISTANCE = 3.0  # m; largest distance of the INS ahead of the rear axle
@@ -109,6 +119,7 @@ def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters |
         results.findings.append(wrong_rate)
         corrected, sensors = _check_sensors(motion.with_time_divided(wrong_rate.value), removed_factors)
     findings = _merge_findings_of_units(unit_findings, sensors.findings, sensors.estimates)
+    corrected, findings = position.attribute_scale_to_velocity_x(corrected, findings, sensors.estimates)
     results.findings += position.add_sign_alternative(findings, recorded, corrected)
     results.estimates, results.panels = sensors.estimates, sensors.panels
     if vehicle is not None:
@@ -117,7 +128,7 @@ def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters |
             results.add(vehicle_relations.check_steering(corrected, vehicle, has_steering_wheel))
         unusable_channels = coarse_channels | _list_channels(stuck_findings, "channel_frozen")
         if sideslip_measured and not unusable_channels & {"velocity_y", "yaw_rate"}:
-            results.add(vehicle_relations.check_rear_axle(corrected, vehicle))
+            results.add(_check_rear_axle(corrected, vehicle, findings))
         results.findings += vehicle_relations.check_tyre_limit(corrected)
     results.findings += vehicle_relations.check_standstill(replace(corrected, velocity_x=speed))
     results.findings = _limit_to_measured_channels(results.findings, log, corrected)
@@ -126,6 +137,18 @@ def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters |
             results.estimates.pop(name, None)
     if vehicle is not None:
         results.findings = try_corrections(results.findings, log, vehicle)
+
+
+def _check_rear_axle(motion: Motion, vehicle: VehicleParameters, findings: list[Finding]) -> CheckResult:
+    """Result of `check_rear_axle`, without findings that a scale error of the positions would explain. motion: with a
+    scale of the velocity in the findings corrected, although the positions may be wrong instead."""
+    found, estimates, panel = vehicle_relations.check_rear_axle(motion, vehicle)
+    scale = position.find_velocity_scale(findings)
+    if found and scale is not None and scale.value and not is_speed_unit(scale.value):
+        recorded = motion.apply_entry({"correct": {"velocity": {"scale": scale.value}}})
+        names = {finding.name for finding in vehicle_relations.check_rear_axle(recorded, vehicle)[0]}
+        found = [finding for finding in found if finding.name in names]
+    return found, estimates, panel
 
 
 def _list_channels(findings: list[Finding], name: str = "") -> set[str]:
@@ -172,9 +195,8 @@ def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[M
     motion, position_findings, estimates = position.check_positions(motion)
     position_findings = position.merge_lateral_sign(sign_findings, position_findings, estimates)
     results.estimates = estimates
-    if "wheel_speed" in motion.speeds and (wheel := inertial.compare_speed(recorded, "wheel_speed")):
-        motion, position_findings = position.attribute_scale_to_positions(
-            motion, position_findings, estimates, wheel.scale)
+    motion, position_findings = position.attribute_scale_to_positions(
+        motion, position_findings, estimates, _confirm_velocity(recorded, position_findings))
     if yaw_rate and yaw_rate.determines_lag:
         estimates["yaw_lag"] = add_systematic_uncertainty("yaw_lag", yaw_rate.lag.scaled(-1.0))
     results.findings += lag_findings + position_findings
@@ -196,6 +218,17 @@ def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[M
     for result in (*inertial.check_accelerations(motion), *inertial.check_speeds(motion)):
         results.add(result)
     return motion, results
+
+
+def _confirm_velocity(motion: Motion, findings: list[Finding]) -> str:
+    """Measurements that refute the finding of a scale of the velocity, because they agree with the recorded one."""
+    scale = position.find_velocity_scale(findings)
+    if scale is None or not scale.value:
+        return ""
+    wheel = inertial.compare_speed(motion, "wheel_speed") if "wheel_speed" in motion.speeds else None
+    if wheel and abs(scale.value - 1.0) >= max(2.0 * abs(wheel.scale.value - 1.0), WHEEL_SCALE_TOLERANCE):
+        return "the wheel speed"
+    return "the accelerations" if inertial.accelerations_confirm_velocity(motion, scale.value) else ""
 
 
 def _add_yaw_alternative(finding: Finding, motion: Motion) -> Finding:

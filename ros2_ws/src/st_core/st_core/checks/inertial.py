@@ -187,6 +187,7 @@ SEVERE_ACCELERATION_BIAS = 0.3  # m/s^2; a crossfall of 2.5 % causes a bias of 0
 MIN_SPEED_DEVIATION = 0.5  # m/s; standard deviation; at constant speed, only slip and noise would be compared
 SPEED_LIMITS = {"wheel_speed": (WHEEL_SCALE_TOLERANCE, 0.15), "ins_speed": (0.005, 0.03)}
 """Smallest reported (deviation of the scale from 1, lag [s]); wheel speed signals are averaged over time."""
+ACCELERATIONS = ("acceleration_x", "acceleration_y")
 ACCELERATION_UNITS = {1.0 / STANDARD_GRAVITY: "is its unit g"}
 SPEED_UNITS = {3.6: "is its unit km/h", 2.23694: "is its unit mph", 1.0 / 3.6: "was it divided by 3.6 twice"}
 CORRECTION_KEYS = {"lag": "earlier", "scale": "scale", "bias": "add"}  # keys of run.yaml
@@ -342,22 +343,36 @@ def correct_yaw_rate(motion: Motion, agreement: Agreement) -> Motion:
     return motion.shifted_earlier(agreement.lag.value, "yaw_rate") if agreement.has_lag else motion
 
 
+def _compare_acceleration(motion: Motion, name: str, measured: np.ndarray) -> Agreement | None:
+    """Agreement of a measured acceleration with the derivative of velocity. name: of the channel."""
+    lateral = name == "acceleration_y"
+    velocity, other = (motion.velocity_y, motion.velocity_x) if lateral else (motion.velocity_x, -motion.velocity_y)
+    derived = np.gradient(velocity, motion.time) + other * motion.yaw_rate
+    return compare_series(motion.time, derived, motion.time, measured, ACCELERATION_CUTOFF)
+
+
+def accelerations_confirm_velocity(motion: Motion, factor: float) -> bool:
+    """Whether accelerations agree with the velocity as it is, but not with the velocity divided by a factor."""
+    if motion.moves_sideways:
+        return False
+    agreements = [_compare_acceleration(motion, name, values) for name in ACCELERATIONS
+                  if (values := getattr(motion, name)) is not None]
+    scales = np.array([agreement.scale.value for agreement in agreements if agreement and agreement.correlates])
+    return bool((np.abs(scales - 1.0) < ACCELERATION_SCALE_ERROR).all()
+                and (np.abs(factor * scales - 1.0) >= ACCELERATION_SCALE_ERROR).any())
+
+
 def check_accelerations(motion: Motion) -> list[CheckResult]:
     """Results of comparing accelerations with the derivative of velocity; empty if the velocity has wrong axes."""
     if motion.moves_sideways:
         return []
-    time, speed = motion.time, float(np.median(np.abs(motion.velocity_x)))
-    derived = {"acceleration_x": np.gradient(motion.velocity_x, time) - motion.velocity_y * motion.yaw_rate,
-               "acceleration_y": np.gradient(motion.velocity_y, time) + motion.velocity_x * motion.yaw_rate}
-    measured = {name: values for name in derived if (values := getattr(motion, name)) is not None}
-
-    def compare(name: str, values: np.ndarray) -> Agreement | None:
-        return compare_series(time, derived[name], time, values, ACCELERATION_CUTOFF)
-
-    agreements = {name: compare(name, values) for name, values in measured.items()}
+    speed = float(np.median(np.abs(motion.velocity_x)))
+    measured = {name: values for name in ACCELERATIONS if (values := getattr(motion, name)) is not None}
+    agreements = {name: _compare_acceleration(motion, name, values) for name, values in measured.items()}
     exchanged = dict(zip(measured, reversed(measured), strict=True))
     if len(measured) == 2 and not any(a and a.correlates for a in agreements.values()) and all(
-            (a := compare(name, measured[other])) and a.correlates for name, other in exchanged.items()):
+            (a := _compare_acceleration(motion, name, measured[other])) and a.correlates
+            for name, other in exchanged.items()):
         text = "acceleration_x and acceleration_y are exchanged (x should be forward, y left)"
         return [([Finding("acceleration_axes", Severity.WARNING, (*measured,), text,
                           advice=Advice.for_run_yaml({"columns": exchanged}))], {}, None)]

@@ -24,7 +24,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.stats import binomtest
 
 from ..regression import SIGMA_PER_MAD
-from .finding import HORIZON, LIMITS, WHEEL_SCALE_TOLERANCE, Advice, Comparison, Finding, Severity, neutral_value
+from .finding import HORIZON, LIMITS, Advice, Comparison, Finding, Severity, neutral_value
 from .motion import (
     MAX_GAP,
     MAX_LISTED_TIMES,
@@ -76,6 +76,10 @@ _LATERAL_SCALE = (("velocity_y_scale",), ("velocity_y_scale", "position_referenc
 LATERAL_CAUSES = {"velocity_y_scale": (("position_reference", "yaw_offset"),), "position_reference": _LATERAL_SCALE,
                   "yaw_offset": _LATERAL_SCALE}
 """Causes that may explain the same residual in a drive at one speed, by the cause found."""
+
+ALTERNATIVE_LAGS = {"velocity_lag": ("velocity_x_lag", "only velocity_x does"),
+                    "velocity_x_lag": ("velocity_lag", "velocity_y does, too")}
+"""(other cause, its text) that may explain the same residual where velocity_y is small, by the cause found."""
 
 
 class Cause(NamedTuple):
@@ -162,6 +166,7 @@ def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Es
     findings = [_make_finding(name, causes[name], abs(error.value) * effects[name]) for name, error in errors.items()
                 if not error.covers(0.0)]
     findings = _add_lateral_alternative(findings, problem, causes)
+    findings = _add_lag_alternative(findings, problem, causes)
     estimates = {}
     for name, column in problem.columns.items():  # each is fitted together with the causes found
         if name == "velocity_y_scale" and not column.any():
@@ -175,22 +180,44 @@ def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Es
 
 
 def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estimates: dict[str, Estimate],
-                                 wheel: Estimate) -> tuple[Motion, list[Finding]]:
-    """(motion, findings) with a scale error of the velocity attributed to the positions instead, if it is at least
-    WHEEL_SCALE_TOLERANCE and the wheel speed agrees with the recorded velocity. wheel: wheel speed / velocity."""
-    velocity_scale = next((finding for finding in findings if finding.name == "velocity_scale"), None)
-    if velocity_scale is None or not velocity_scale.value or abs(wheel.value - 1.0) > 0.5 * abs(
-            velocity_scale.value - 1.0) or abs(velocity_scale.value - 1.0) < WHEEL_SCALE_TOLERANCE:
+                                 confirmed_by: str) -> tuple[Motion, list[Finding]]:
+    """(motion, findings) with a scale error of the velocity attributed to the positions instead. confirmed_by: other
+    measurements with which the recorded velocity agrees; "" if there are none."""
+    velocity_scale = find_velocity_scale(findings)
+    if velocity_scale is None or not velocity_scale.value or not confirmed_by:
         return motion, findings
     scale = estimates["position_scale"]
-    text = (f"x and y are {scale.value:.4f} ± {scale.half_width:.4f} times the integrated velocity, which agrees with "
-            "the wheel speed: is the scale of the projection wrong?")
+    text = (f"x and y are {scale.value:.4g} ± {scale.half_width:.4f} times the integrated velocity, which agrees with "
+            f"{confirmed_by}: is the scale of the projection wrong?")
     advice = Advice.correct("position", scale=float(f"{1.0 / scale.value:.5g}"))
     attributed = replace(velocity_scale, name="position_scale", channels=("x", "y"), text=text, value=scale.value,
                          interval=scale.interval, advice=advice)
     factor = {"scale": velocity_scale.value}
     return (motion.apply_entry({"correct": {"position": factor, "velocity": factor}}),
             [attributed if finding is velocity_scale else finding for finding in findings])
+
+
+def find_velocity_scale(findings: list[Finding]) -> Finding | None:
+    """The finding of a scale of both velocities, or None."""
+    return next((finding for finding in findings if finding.name == "velocity_scale"), None)
+
+
+def attribute_scale_to_velocity_x(motion: Motion, findings: list[Finding],
+                                  estimates: dict[str, Estimate]) -> tuple[Motion, list[Finding]]:
+    """(motion, findings) with a scale error of both velocities attributed to velocity_x, if that of velocity_y cancels
+    it: the recorded velocity_y is correct."""
+    both = find_velocity_scale(findings)
+    lateral = next((finding for finding in findings if finding.name == "velocity_y_scale"), None)
+    if both is None or lateral is None or not both.value or not both.advice or "correct" not in both.advice.entry or (
+            abs(both.value * (lateral.value or 0.0) - 1.0) >= MIN_LATERAL_SCALE_ERROR):
+        return motion, findings
+    estimates["velocity_y_scale"] = estimates["velocity_y_scale"].scaled(both.value)
+    text = f"velocity_x, unlike velocity_y, is {both.value:.4g} times the rate of change of positions"
+    attributed = replace(both, name="velocity_x_scale", channels=("velocity_x",), text=text,
+                         advice=Advice.correct("velocity_x", **both.advice.entry["correct"]["velocity"]))
+    lateral_factor = {"scale": both.value * (lateral.value or 1.0)}
+    return (motion.apply_entry({"correct": {"velocity_y": lateral_factor}}),
+            [attributed if finding is both else finding for finding in findings if finding is not lateral])
 
 
 def compute_scaled_misfit(motion: Motion) -> float:
@@ -267,17 +294,14 @@ def _add_lateral_alternative(findings: list[Finding], problem: Regression,
     found_causes = [name for name in LATERAL_CAUSES if name in causes]
     if not found_causes or {*found_causes} > {"velocity_y_scale"}:
         return findings
-    sizes = {name: causes[name].value for name in found_causes}
-    if found_causes[0] == "velocity_y_scale":  # the column was computed with the corrected velocity_y
-        sizes = {name: value / (1.0 + value) for name, value in sizes.items()}
-    recorded = Regression(problem.time, 2.0 * problem.y - problem.compute_residual(sizes), problem.columns)
-    fitted_causes = (*AXIS_SCALES, *found_causes)
-    _, scale, _ = recorded.fit(fitted_causes)
-    limit = MIN_LOSS_RATIO * recorded.compute_loss(fitted_causes, scale)
-    losses = {names: recorded.compute_loss((*AXIS_SCALES, *names), scale) for names in LATERAL_CAUSES[found_causes[0]]
-              if not {*found_causes} <= {*names}}
-    other_causes = min(losses, key=lambda names: MIN_LOSS_RATIO ** len(names) * losses[names])
-    if losses[other_causes] > limit:
+    recorded = _restore_causes(problem, causes, found)
+    explained = (*AXIS_SCALES, *found)
+    _, scale, _ = recorded.fit(explained)
+    limit = MIN_LOSS_RATIO * recorded.compute_loss(explained, scale)
+    losses = {names: recorded.compute_loss((*AXIS_SCALES, *names), scale) for names in LATERAL_CAUSES[found[0]]
+              if not {*found} <= {*names}}
+    others = min(losses, key=lambda names: MIN_LOSS_RATIO ** len(names) * losses[names])
+    if losses[others] > limit:
         return findings
     alternative = "the reference point of the positions and the yaw offset are wrong"
     if "velocity_y_scale" in other_causes:
@@ -289,6 +313,32 @@ def _add_lateral_alternative(findings: list[Finding], problem: Regression,
         if "position_reference" in other_causes:
             alternative += f" and positions refer to a point {values['position_reference']:+.2f} m ahead"
     return [_add_alternative(finding, alternative) if finding.name in found_causes else finding for finding in findings]
+
+
+def _add_lag_alternative(findings: list[Finding], problem: Regression,
+                         causes: dict[str, Estimate]) -> list[Finding]:
+    """The findings; that of a lag of both velocities, or of velocity_x, names the other one if it fits as well.
+    problem: regression for the motion corrected for the causes."""
+    found = next((name for name in ALTERNATIVE_LAGS if name in causes), None)
+    if found is None:
+        return findings
+    other, alternative = ALTERNATIVE_LAGS[found]
+    recorded = _restore_causes(problem, causes, [found])
+    alongside = tuple(name for name in causes if name != found)
+    _, scale, _ = recorded.fit((*alongside, found))
+    if recorded.compute_loss((*alongside, other), scale) > MIN_LOSS_RATIO * recorded.compute_loss(
+            (*alongside, found), scale):
+        return findings
+    return [replace(finding, text=f"{finding.text}, or {alternative}: both fit this drive") if finding.name == found
+            else finding for finding in findings]
+
+
+def _restore_causes(problem: Regression, causes: dict[str, Estimate], names: list[str]) -> Regression:
+    """The regression with the effects of some of the causes found restored. problem: for the corrected motion."""
+    sizes = {name: causes[name].value for name in names}
+    if "velocity_y_scale" in sizes:  # the column has the corrected velocity_y
+        sizes = {name: value / (1.0 + value) for name, value in sizes.items()}
+    return Regression(problem.time, 2.0 * problem.y - problem.compute_residual(sizes), problem.columns)
 
 
 def _add_alternative(finding: Finding, alternative: str) -> Finding:

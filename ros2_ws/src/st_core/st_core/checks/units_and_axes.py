@@ -16,7 +16,7 @@ from scipy.integrate import cumulative_trapezoid
 
 from ..regression import SIGMA_PER_MAD
 from .finding import HORIZON, LIMITS, Advice, Finding, Severity
-from .inertial import GYRO_SCALE_ERROR
+from .inertial import GYRO_SCALE_ERROR, accelerations_confirm_velocity
 from .motion import MIN_DISTANCE, MIN_WINDOWS, Motion, compute_ratios, correlate, is_near
 from .regression import Estimate, Regression, add_systematic_uncertainty
 
@@ -47,6 +47,11 @@ def match_unit(factor: float, table: Mapping[float, Any]) -> float | None:
     return next((known for known in table if is_near(factor, known, UNIT_TOLERANCE)), None)
 
 
+def is_speed_unit(factor: float) -> bool:
+    """Whether a factor is that of a usual unit of speed."""
+    return match_unit(factor, SPEED_UNITS) is not None
+
+
 def _matches(ratio: float, target: float) -> bool:
     """Whether a ratio differs from its target by less than a wrong unit, sign or axis would cause."""
     return is_near(ratio, target, LIMITS.unit_ratio)
@@ -55,8 +60,8 @@ def _matches(ratio: float, target: float) -> bool:
 def correct_units(motion: Motion) -> tuple[Motion, list[Finding]]:
     """(motion with units, signs and axes corrected, the findings). `check_time_unit` must be applied first."""
     findings: list[Finding] = []
-    for step in (_correct_rate_in_unit_of_yaw, _correct_north_east, _correct_yaw_or_rate, _correct_position_axes,
-                 _correct_distance, _correct_velocity_axes, _correct_yaw_offset):
+    for step in (_correct_rate_in_unit_of_yaw, _correct_north_east, _correct_one_axis, _correct_yaw_or_rate,
+                 _correct_position_axes, _correct_distance, _correct_velocity_axes, _correct_yaw_offset):
         motion, finding = step(motion)
         findings += [finding] if finding else []
     by_name = {finding.name: finding for finding in findings}
@@ -165,7 +170,8 @@ def _correct_yaw_scale(motion: Motion, ratio: float) -> MotionAndFinding:
         return motion, None
     corrected, finding = _scale_yaw(motion, ratio)
     factor = finding.value or ratio
-    if abs(factor - ratio) > abs(factor - 1.0) or not other_yaw_fits_better(motion, corrected):
+    misfits = [_compute_misfit(motion, fit_scales=True), _compute_misfit(corrected, fit_scales=True)]
+    if abs(factor - ratio) > abs(factor - 1.0) or not misfits[1] < CLEAR_MISFIT_RATIO * misfits[0]:
         return motion, None
     effect = abs(factor - 1.0) * float(np.std(motion.yaw)) * float(np.median(motion.speed)) * HORIZON
     return corrected, replace(finding, severity=LIMITS.severity(effect), effect=effect)
@@ -282,6 +288,26 @@ def _correct_position_axes(motion: Motion) -> MotionAndFinding:
                     f"the track turns in the opposite direction to the yaw: {text}", None, Advice.for_run_yaml(entry))
 
 
+def _correct_one_axis(motion: Motion) -> MotionAndFinding:
+    """Correct the scale of x or y, if that of the other is correct."""
+    measured, derived = _compute_displacements(motion, motion.velocity_map)
+    if len(measured) < MIN_WINDOWS:
+        return motion, None
+    scales = [float(np.sum(np.abs(m)) / max(np.sum(np.abs(d)), 1e-300))
+              for m, d in ((measured.real, derived.real), (measured.imag, derived.imag))]
+    wrong, common = [not _matches(scale, 1.0) for scale in scales], compute_ratios(motion).position_to_speed
+    if sum(wrong) != 1 or not np.isfinite(common):
+        return motion, None
+    axis, other = ("x", "y") if wrong[0] else ("y", "x")
+    scale = scales[wrong.index(True)]
+    text = f"{axis}, unlike {other}, is {scale:.4g} times the integrated velocity"
+    corrected, finding = _correct(motion, f"{axis}_scale", (axis,), text, scale,
+                                  Advice.correct(axis, scale=float(f"{1.0 / scale:.5g}")))
+    both = motion.apply_entry({"correct": {"position": {"scale": 1.0 / common}}})
+    limit = min(MAX_CONSISTENT_MISFIT * float(np.median(np.abs(derived))), CLEAR_MISFIT_RATIO * _compute_misfit(both))
+    return (corrected, finding) if _compute_misfit(corrected) < limit else (motion, None)
+
+
 def _correct_distance(motion: Motion) -> MotionAndFinding:
     """Correct the unit of positions or velocities."""
     ratio = compute_ratios(motion).position_to_speed
@@ -299,6 +325,11 @@ def _correct_distance(motion: Motion) -> MotionAndFinding:
         return _correct(metres, "position_scale", ("x", "y"), text, ratio,
                         Advice("look", "project latitude and longitude to east and north"))
     velocity_ratio = 1.0 / ratio
+    if not speed and accelerations_confirm_velocity(motion, velocity_ratio):
+        text = (f"x and y are {ratio:.4g} times the integrated velocity, which agrees with the accelerations: is the "
+                "scale of the projection wrong?")
+        return _correct(motion, "position_scale", ("x", "y"), text, ratio,
+                        Advice.correct("position", scale=float(f"{velocity_ratio:.5g}")))
     scale = 1.0 / (speed or velocity_ratio)
     both, forward = (Advice.correct(channel, scale=scale) for channel in ("velocity", "velocity_x"))
     misfit_both, misfit_forward = (_compute_misfit(motion.apply_entry(advice.entry)) for advice in (both, forward))
@@ -316,12 +347,25 @@ def _compute_displacements(motion: Motion, velocity: np.ndarray) -> tuple[np.nda
     return windows.change(motion.position), windows.integral(velocity)
 
 
-def _compute_misfit(motion: Motion) -> float:
-    """Median distance [m] between change of position and integrated velocity per second, after the best rotation."""
+def _compute_misfit(motion: Motion, *, fit_scales: bool = False) -> float:
+    """Median distance [m] between change of position and integrated velocity per second, after the best rotation.
+    fit_scales: whether scales of x and y are fitted, too."""
     measured, derived = _compute_displacements(motion, motion.velocity_map)
+    if not len(measured):
+        return 0.0
     rotation = np.sum(measured * np.conj(derived))
-    rotation /= max(abs(rotation), 1e-300)
-    return float(np.median(np.abs(measured - derived * rotation))) if len(measured) else 0.0
+    derived = derived * rotation / max(abs(rotation), 1e-300)
+    if not fit_scales:
+        return float(np.median(np.abs(measured - derived)))
+    columns = {"x": derived.real, "y": 1j * derived.imag, "yaw": 1j * derived}
+    problem = Regression(np.arange(len(measured), dtype=float), _split(measured - derived),
+                         {name: _split(column) for name, column in columns.items()})
+    return problem.fit((*columns,))[1]
+
+
+def _split(vectors: np.ndarray) -> np.ndarray:
+    """East and north components (n, 2) of complex vectors (n,)."""
+    return np.stack((vectors.real, vectors.imag), axis=1)
 
 
 def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
