@@ -294,14 +294,14 @@ def _add_lateral_alternative(findings: list[Finding], problem: Regression,
     found_causes = [name for name in LATERAL_CAUSES if name in causes]
     if not found_causes or {*found_causes} > {"velocity_y_scale"}:
         return findings
-    recorded = _restore_causes(problem, causes, found)
-    explained = (*AXIS_SCALES, *found)
+    recorded = _restore_causes(problem, causes, found_causes)
+    explained = (*AXIS_SCALES, *found_causes)
     _, scale, _ = recorded.fit(explained)
     limit = MIN_LOSS_RATIO * recorded.compute_loss(explained, scale)
-    losses = {names: recorded.compute_loss((*AXIS_SCALES, *names), scale) for names in LATERAL_CAUSES[found[0]]
-              if not {*found} <= {*names}}
-    others = min(losses, key=lambda names: MIN_LOSS_RATIO ** len(names) * losses[names])
-    if losses[others] > limit:
+    losses = {names: recorded.compute_loss((*AXIS_SCALES, *names), scale) for names in LATERAL_CAUSES[found_causes[0]]
+              if not {*found_causes} <= {*names}}
+    other_causes = min(losses, key=lambda names: MIN_LOSS_RATIO ** len(names) * losses[names])
+    if losses[other_causes] > limit:
         return findings
     alternative = "the reference point of the positions and the yaw offset are wrong"
     if "velocity_y_scale" in other_causes:
