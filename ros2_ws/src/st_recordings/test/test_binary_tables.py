@@ -196,6 +196,8 @@ def save_datasets(file: Path, columns: Columns) -> None:
                 target[f"{group}/time"].attrs["units"] = np.bytes_("ms since 1970-01-01")
         target["camera"] = np.zeros((60, 40, 3))
         target["lost"] = h5py.SoftLink("/nowhere")
+        target["ins/up"] = target["/"]
+        target["ins/self"] = h5py.SoftLink("/ins")
 
 
 def save_compound(file: Path, columns: Columns) -> None:
@@ -239,6 +241,23 @@ def save_export_of_asammdf(file: Path, columns: Columns) -> None:
     mdf.close()
 
 
+def save_external(file: Path, columns: Columns) -> None:
+    """The signals are in another file."""
+    save_datasets(file.with_suffix(".samples"), columns)
+    with h5py.File(file, "w") as target:
+        target["drive"] = h5py.ExternalLink(f"{file.stem}.samples", "/")
+
+
+def save_virtual(file: Path, columns: Columns) -> None:
+    """Virtual datasets of the samples in another file."""
+    with h5py.File(file.with_suffix(".samples"), "w") as source, h5py.File(file, "w") as target:
+        for name, values in columns.items():
+            source[name] = values
+            layout = h5py.VirtualLayout(values.shape, values.dtype)
+            layout[:] = h5py.VirtualSource(f"{file.stem}.samples", name, values.shape)
+            target.create_virtual_dataset(name, layout)
+
+
 def load(file: Path) -> DriveLog:
     (source,) = find_runs([file])
     if source.problem:
@@ -260,7 +279,8 @@ def test_drive_of_matlab_7_3_equals_the_one_of_the_csv_file(
 
 @pytest.mark.parametrize(("save", "extension"), [
     *((save, ".mat") for save in MATLAB), (save_datasets, ".h5"), (save_compound, ".hdf5"),
-    (save_table_of_pandas, ".h5"), (save_frame_of_pandas, ".h5"), (save_export_of_asammdf, ".hdf"),
+    (save_external, ".h5"), (save_virtual, ".h5"), (save_table_of_pandas, ".h5"), (save_frame_of_pandas, ".h5"),
+    (save_export_of_asammdf, ".hdf"),
     (save_parquet_with_date_index, ".parquet"),
     (lambda file, columns: pd.DataFrame(columns).to_parquet(file), ".parquet"), (save_parquet_with_index, ".parquet"),
     (lambda file, columns: pd.DataFrame(columns).to_feather(file), ".feather")])
@@ -290,6 +310,21 @@ def test_columns_or_rows_of_a_matrix_can_be_named_in_a_run_file(columns: Columns
     names = ", ".join(f"{name}: log_{number}" for number, name in enumerate(columns, 1))
     (tmp_path / "drive.run.yaml").write_text(f"csv: drive.mat\ncolumns: {{{names}}}\n")
     np.testing.assert_allclose(load(tmp_path / "drive.run.yaml").velocity_x, columns["velocity_x"])
+
+
+def save_without_its_samples(file: Path, save: Callable[[Path, Columns], None]) -> None:
+    save(file, {name: np.ones(9) for name in ("t", "x", *STEERING)})
+    file.with_suffix(".samples").unlink()
+
+
+def save_blosc(file: Path) -> None:
+    """A dataset whose filter HDF5 does not contain."""
+    with h5py.File(file, "w") as target:
+        settings = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        settings.set_chunk((9,))
+        settings.set_filter(32001, h5py.h5z.FLAG_OPTIONAL, (2, 2))
+        dataset = h5py.h5d.create(target.id, b"speed", h5py.h5t.NATIVE_DOUBLE, h5py.h5s.create_simple((9,)), settings)
+        dataset.write_direct_chunk((0,), bytes(20))
 
 
 def write_truncated_version_7_3(file: Path) -> None:
@@ -325,6 +360,11 @@ def test_code_in_an_attribute_of_a_table_is_not_run(columns: Columns, tmp_path: 
     (lambda file: save_object(file, {"x": np.ones(9), "y": np.ones(9)}, t="duration"), "a.mat",
      r"only MATLAB can read: t \(duration\); .* for example t = seconds\(t\)"),
     (lambda file: save_object(file, {"gain": 3.0}, note="string"), "a.mat", "it contains no vectors"),
+    (lambda file: save_without_its_samples(file, save_external), "a.h5",
+     r"a\.h5: its drive is a link to the file a\.samples, which cannot be opened; copy that file to the same place"),
+    (lambda file: save_without_its_samples(file, save_virtual), "a.h5",
+     r"its /\w+ is a link to the file a\.samples, which cannot be opened; copy that file"),
+    (save_blosc, "a.h5", r"its /speed is compressed with .* \(HDF5 filter 32001\), which h5py cannot read; save it un"),
     (lambda file: file.write_text("t,x,y\n1,2,3\n"), "a.mat", "scipy cannot read the file"),
     (lambda file: savemat(file, {"gain": 3.0, "car": "Leaf"}), "a.mat", "it contains no vectors; save the samples"),
     (lambda file: savemat(file, {"speed": np.ones(9)}), "a.mat",

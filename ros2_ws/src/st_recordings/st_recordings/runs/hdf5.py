@@ -45,6 +45,8 @@ def read_hdf5(file: Path) -> tuple[dict[str, Any], dict[str, str]]:
     try:
         with h5py.File(file, "r", locking=False) as content:
             return _read_group(content, "", objects), objects
+    except RunError:
+        raise
     except Exception as error:  # any, from h5py
         raise RunError(file, f"h5py cannot read the file ({shorten(error)})", "copy it again, or save it uncompressed"
                        ) from None
@@ -60,17 +62,21 @@ def reject_objects(file: Path, objects: dict[str, str]) -> NoReturn:
                        f", for example {'; '.join(statements)}" if statements else ""))
 
 
-def _read_group(group: Any, path: str, objects: dict[str, str]) -> Any:
-    """A struct, or a list of the structs of an array."""
+def _read_group(group: Any, path: str, objects: dict[str, str], parents: tuple[Any, ...] = ()) -> Any:
+    """A struct, or a list of the structs of an array. parents: groups that contain the group; links to them, or to
+    itself, are not followed. Raises RunError for a link to a file that is missing."""
     if _text(group.attrs.get("pandas_type")) == "frame":
         return _read_frame(group)
     fields: dict[str, Any] = {}
     for name in group:
         node = group.get(name)  # None for a link to a missing file or object
+        if node is None and (other := getattr(group.get(name, getlink=True), "filename", None)):
+            _reject_missing_file(group, name, other)
         is_type = hasattr(node, "dtype") and not hasattr(node, "shape")
-        if name.startswith("#") or node is None or is_type or _text(node.attrs.get("CLASS")) == "TINDEX":
+        if name.startswith("#") or node is None or is_type or _text(node.attrs.get("CLASS")) == "TINDEX" or (
+                node in (group, *parents)):
             continue  # parts of other variables in MATLAB, a named datatype, an index of PyTables
-        value = _read_node(node, f"{path}.{name}" if path else name, objects)
+        value = _read_node(node, f"{path}.{name}" if path else name, objects, (group, *parents))
         unit = next((unit for key in UNIT_FIELDS if (unit := _text(node.attrs.get(key)))), "").split(" since ")[0]
         if unit and name.lower() in SAMPLE_FIELDS:
             fields["unit"] = unit
@@ -85,8 +91,27 @@ def _is_of_references(node: Any) -> bool:
     return hasattr(node, "dtype") and bool(node.dtype.metadata and "ref" in node.dtype.metadata)
 
 
-def _read_node(node: Any, path: str, objects: dict[str, str]) -> Any:
-    """The value of a group or dataset; None if it is neither numbers nor text."""
+def _reject_missing_file(node: Any, name: str, missing: str) -> NoReturn:
+    raise RunError(Path(node.file.filename), f"its {name} is a link to the file {missing}, which cannot be opened",
+                   "copy that file to the same place, too")
+
+
+def _check_samples(dataset: Any) -> None:
+    """Raises RunError for samples in a missing file, which HDF5 reads as zeros, or in an unknown compression."""
+    from h5py import h5z
+
+    file, name, settings = Path(dataset.file.filename), dataset.name, dataset.id.get_create_plist()
+    for source in dataset.virtual_sources() if dataset.is_virtual else ():
+        if "%" not in source.file_name and not (file.parent / source.file_name).is_file() and source.file_name != ".":
+            _reject_missing_file(dataset, name, source.file_name)
+    for code, _, _, label in map(settings.get_filter, range(settings.get_nfilters())):
+        if not h5z.filter_avail(code):
+            raise RunError(file, f"its {name} is compressed with {_text(label) or 'an unknown filter'} (HDF5 filter "
+                           f"{code}), which h5py cannot read", "save it uncompressed or with gzip")
+
+
+def _read_node(node: Any, path: str, objects: dict[str, str], parents: tuple[Any, ...]) -> Any:
+    """The value of a group or dataset; None if it is neither numbers nor text. parents: see `_read_group`."""
     kind = _text(node.attrs.get("MATLAB_class"))
     if node.attrs.get("MATLAB_object_decode") == _OPAQUE:
         if kind != "string":
@@ -95,11 +120,11 @@ def _read_node(node: Any, path: str, objects: dict[str, str]) -> Any:
     if "MATLAB_empty" in node.attrs or "MATLAB_sparse" in node.attrs:
         return None
     if not hasattr(node, "dtype"):
-        return _read_group(node, path, objects)
+        return _read_group(node, path, objects, parents)
     if node.dtype.names:
         return None if kind else _read_table(node)  # complex numbers of MATLAB have two fields, too
     if _is_of_references(node):
-        entries = [_read_node(node.file[reference], f"{path}{{{number}}}", objects) if reference else None
+        entries = [_read_node(node.file[reference], f"{path}{{{number}}}", objects, parents) if reference else None
                    for number, reference in enumerate(node[()].ravel(), 1)]
         return entries[0] if len(entries) == 1 else entries
     if kind == "char":
@@ -110,6 +135,7 @@ def _read_node(node: Any, path: str, objects: dict[str, str]) -> Any:
     is_image = len(sizes) > 2 or (len(sizes) == 2 and min(sizes) > MAX_MATRIX_COLUMNS)
     if node.dtype.kind not in "biuf" or not sizes or is_image:
         return None
+    _check_samples(node)
     array = np.squeeze(_use_native_order(node[()]))
     return array.T if kind else array  # MATLAB stores transposed arrays
 
@@ -120,6 +146,7 @@ def _use_native_order(array: np.ndarray) -> np.ndarray:
 
 def _read_table(dataset: Any) -> dict[str, Any]:
     """The columns of a table, with the names that pandas writes into attributes."""
+    _check_samples(dataset)
     numeric = [name for name in dataset.dtype.names if dataset.dtype[name].base.kind in "biufV"]
     columns = _split_columns(dataset.fields(numeric)[()].ravel()) if numeric else {}
     table: dict[str, Any] = {}
@@ -148,6 +175,7 @@ def _read_frame(group: Any) -> dict[str, np.ndarray]:
     columns = {_name_index(_text(index.attrs.get("name")).removesuffix("N."), index.attrs.get("kind")): index[()]}
     for number in range(int(group.attrs["nblocks"])):
         values, names = group[f"block{number}_values"], group[f"block{number}_items"]
+        _check_samples(values)
         if values.dtype.kind in "biuf":
             unit = _find_unit(values.attrs.get("value_type"))
             columns |= {_text(name) + unit: column for name, column in zip(names[()], values[()].T, strict=True)}
