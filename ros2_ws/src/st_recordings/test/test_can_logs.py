@@ -281,6 +281,24 @@ def test_fd_frames_of_64_bytes(tmp_path: Path) -> None:
     assert struct.unpack("<h", frames.payload[1, :2].tobytes()) == (29,)
 
 
+@pytest.mark.parametrize(("known_ids", "ids", "warning"), [
+    ({2, 644, 645}, [2, 644, 645, 716], "its identifiers were read as decimal numbers"),
+    ({0x2, 0x644, 645, 0x716}, [0x2, 0x644, 0x645, 0x716], ""),
+    ((), [0x2, 0x644, 0x645, 0x716], "its identifiers may be decimal or hexadecimal numbers; they were read as hexa")])
+def test_dbc_decides_whether_identifiers_are_decimal(tmp_path: Path, known_ids, ids: list[int], warning: str) -> None:
+    lines = [f"{0.01 * k:.3f},{name},1,1A" for k, name in enumerate((2, 644, 645, 716))]
+    (tmp_path / "a.csv").write_text("\n".join(["Time,ID,DLC,Data", *lines, ""]))
+    log = read_can_logs([tmp_path / "a.csv"], known_ids)
+    assert log.frames.id.tolist() == ids
+    assert (warning in log.warnings[0]) if warning else not log.warnings
+
+
+def test_csv_with_unreadable_times_is_refused_with_what_to_export(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("Time,ID,DLC,Data\n" + "noon:ish,7A,1,1A\n" * 9)
+    with pytest.raises(RunError, match=r"no usable frames .*; export its times in seconds, and identifiers and"):
+        read_can_logs([tmp_path / "a.csv"])
+
+
 @pytest.mark.parametrize("number", [0, 40, 99])
 @pytest.mark.parametrize("stamp", ["nan", "-5.0", "0.5", "4100000000.0", "1" + "0" * 300])
 def test_frame_with_an_impossible_time_is_skipped_and_counted(tmp_path: Path, stamp: str, number: int) -> None:

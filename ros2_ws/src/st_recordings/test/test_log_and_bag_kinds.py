@@ -12,12 +12,12 @@ import can
 import numpy as np
 import pandas as pd
 import pytest
-from drive_kinds import CAR, NAMES, assert_same, assert_warned, csv, rows, vbo, write_bag
+from drive_kinds import CAR, NAMES, assert_same, assert_warned, clock, csv, rows, vbo, write_bag
 from mcap.writer import CompressionType, IndexType
 from st_core.checks import check
 from st_core.log import DriveLog
 from st_recordings.runs import ReadSettings, RunError, find_runs, read
-from st_recordings.runs.can_formats import _find_bases, is_can_log
+from st_recordings.runs.can_formats import _find_number_formats, is_can_log
 from st_recordings.runs.raw import read_pair
 from st_recordings.runs.run_types import SteeringField
 from st_recordings.runs.write import import_run
@@ -121,6 +121,16 @@ def quoted(lines: list[str]) -> str:
     return "\n".join(",".join(f'"{cell}"' for cell in row) for row in rows) + "\n"
 
 
+def with_times(lines: list[str], names: tuple[str, str], to_text: Callable[[float, float], str]) -> str:
+    """mdf2csv with other names of the times and the data. to_text(s since 1970, s since the first frame) -> time."""
+    rows = [line.split(";") for line in mdf2csv(lines).splitlines()]
+    times = [float(row[0]) for row in rows[1:]]
+    rows[0][0], rows[0][-1] = names
+    for row, time in zip(rows[1:], times, strict=True):
+        row[0] = to_text(time, time - times[0])
+    return "\n".join(map(";".join, rows)) + "\n"
+
+
 def decimal_numbers(lines: list[str]) -> str:
     """Identifiers and bytes are decimal, as pandas writes a table of frames."""
     frames = [(time, bus, int(identifier, 16), bytes.fromhex(data))
@@ -201,6 +211,22 @@ LOGS = [
     Log("SavvyCAN", "run.csv", savvycan),
     Log("mdf2csv", "run.csv", mdf2csv),
     Log("quoted", "run.csv", quoted),
+    Log("times of day", "run.csv", lambda lines: with_times(lines, ("Time", "Data"), lambda _, elapsed: clock(
+        (86390.0 + elapsed) % 86400.0))),
+    Log("ISO 8601", "run.csv", lambda lines: with_times(lines, ("Time", "Data"), lambda time, _: datetime.fromtimestamp(
+        time, UTC).isoformat())),
+    Log("us since 1970", "run.csv", lambda lines: with_times(lines, ("timestamp", "Data"), lambda time, _: str(
+        round(time * 1e6))), "its times were read in us"),
+    Log("ns since 1970", "run.csv", lambda lines: with_times(lines, ("timestamp", "Data"), lambda time, _: str(
+        round(time * 1e6) * 1000)), "its times were read in ns"),
+    Log("ms", "run.csv", lambda lines: with_times(lines, ("time", "Data"), lambda _, elapsed: f"{elapsed * 1e3:.3f}"),
+        "its times were read in ms"),
+    Log("us", "run.csv", lambda lines: with_times(lines, ("time", "Data"), lambda _, elapsed: f"{elapsed * 1e6:.0f}"),
+        "its times were read in us"),
+    Log("us since the boot", "run.csv", lambda lines: with_times(
+        lines, ("time", "Data"), lambda _, elapsed: f"{(2000.0 + elapsed) * 1e6:.0f}"), "its times were read in us"),
+    Log("ms in the name", "run.csv", lambda lines: with_times(lines, ("Time [ms]", "Data"), lambda _, elapsed: (
+        f"{elapsed * 1e3:.3f}".replace(".", ",")))),
     Log("decimal numbers", "run.csv", decimal_numbers, "its identifiers were read as decimal numbers"),
     Log("python-can, decimal", "run.csv", lambda lines: python_can(lines, "d"), "were read as decimal numbers"),
     Log("python-can, hexadecimal", "run.csv", lambda lines: python_can(lines, "#x")),
@@ -227,12 +253,14 @@ def test_other_files_are_no_can_log(tmp_path: Path, head: bytes) -> None:
 
 
 @pytest.mark.parametrize("ids, bytes_, bases", [
-    ("2000,2001,,2002", "1,2", (10, 16)), ("600,601", "200,256", (10, 10)), ("0316,0317", "1,2", (16, 16))])
+    ("2000,2001,,2002", "1,2", (10, 16)), ("600,601", "200,256", (10, 10)), ("0316,0317", "1,2", (16, 16)),
+    ("600,601", "1,2", (0, 16)), ("600,6A1", "1,2", (16, 16)), ("600,0x601", "1,2", (16, 16))])
 def test_number_base_of_a_table_of_frames(tmp_path: Path, ids: str, bytes_: str, bases: tuple[int, int]) -> None:
     rows = [f"{k},{name},2,{bytes_},R" for k, name in enumerate(ids.split(","))]
     (tmp_path / "a.csv").write_text("\n".join(["time,id,dlc,data0,data1,label", *rows, ""]))
     names = ["time", "id", "dlc", "data0", "data1", "label"]
-    assert _find_bases(tmp_path / "a.csv", names, ",", {"time": 0, "id": 1, "length": 2, "data": 3}) == bases
+    roles = {"time": 0, "id": 1, "length": 2, "data": 3}
+    assert _find_number_formats(tmp_path / "a.csv", names, ",", roles) == (*bases, "s", True)
 
 
 @pytest.mark.parametrize(("change", "error"), [

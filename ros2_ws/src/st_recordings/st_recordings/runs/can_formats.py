@@ -14,19 +14,17 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from .binary_table import is_signal_table
-from .columns import MOTION_CHANNELS, Layout, find_columns, normalise
+from .columns import MOTION_CHANNELS, UNITS, Layout, find_columns, find_times, normalise
 from .errors import COMPRESSED_MAGIC, format_count, shorten
 from .mf4 import MF4_EXTENSIONS, VENDOR_EXTENSIONS, is_mdf
+from .table_times import PLAUSIBLE_EPOCH, StampReader, month_number
 
 _BLF_HEAD_LENGTH = 16  # bytes: "LOBJ", header size, header version, object size, object type
 _UTF16_BOMS = (b"\xff\xfe", b"\xfe\xff")
 _WEEKDAY_MONTH = re.compile(r"(?i)^(date|begin\s+triggerblock)\s+\S+\s+(\S+)(.*)")
-# First letters of month names -> number; Vector's tools write month names in the language of the computer.
-_MONTHS = {"jan": 1, "gen": 1, "feb": 2, "fév": 2, "fev": 2, "mar": 3, "mär": 3, "mrz": 3, "apr": 4, "avr": 4, "abr": 4,
-           "may": 5, "mai": 5, "mag": 5, "maj": 5, "jun": 6, "giu": 6, "jul": 7, "lug": 7, "aug": 8, "aoû": 8, "ago": 8,
-           "sep": 9, "set": 9, "oct": 10, "okt": 10, "ott": 10, "out": 10, "nov": 11, "dec": 12, "dez": 12, "déc": 12,
-           "dic": 12, "juin": 6, "juil": 7}
 _TABLE_EXTENSIONS = (".csv", ".txt")
 _ENGLISH_MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 # A line of candump without -l: " (1436509052.249713)  can0  RX - -  044   [8]  2A 36"; stamped by -t a, -t z or -t A.
@@ -44,10 +42,14 @@ _CSV_COLUMNS = {"time": ("timestampepoch", "timestamp", "timestamps", "time", "t
                 "id": ("arbitrationid", "id", "idhex", "iddec", "canid", "identifier"),
                 "length": ("datalength", "len", "length", "dlc"),
                 "data": ("databytes", "data", "datahex", "payload", "d0", "d1", "data0", "data1", "byte0", "byte1")}
-_DECIMAL_IDS = ("arbitrationid", "iddec")  # decimal without 0x, which python-can writes before other numbers
 STANDARD_IDS, EXTENDED_IDS = 0x7FF, 0x1FFFFFFF  # largest identifiers
 EXTENDED_DIGITS = 8  # hexadecimal digits of an extended identifier
-MAX_SCANNED_ROWS = 5000  # rows that show whether identifiers and bytes are decimal
+DECIMAL_IDS = "its identifiers were read as decimal numbers"
+AMBIGUOUS_IDS = "its identifiers may be decimal or hexadecimal numbers; they were read as hexadecimal"
+MAX_SCANNED_ROWS = 5000  # rows that show the unit of times, and whether identifiers and bytes are decimal
+MIN_STEPS = 50  # increases of the time that show its unit
+MAX_STEPS = {"s": 0.15, "ms": 50.0}
+"""Largest median step of times in s and in ms, from the start: 7 and 20 frames a second; else they are in us."""
 # Name of an error handler that decodes Windows-1252 bytes in a text that is otherwise UTF-8
 _CP1252_FALLBACK = "single_track_cp1252"
 codecs.register_error(_CP1252_FALLBACK, lambda error: (
@@ -131,12 +133,6 @@ def _read_text(file: Path, notes: list[str], make_reader: Callable[[Lines, list[
         if unreadable_lines:
             notes.insert(0, f"{format_count(len(unreadable_lines), lines.number, 'lines')} cannot be read and were "
                          f"skipped; the first is line {unreadable_lines[0]}")
-
-
-def month_number(name: str) -> int | None:
-    """Number (1 to 12) of a month by its name in a European language; None for an unknown name."""
-    name = name.lower().rstrip(".")
-    return _MONTHS.get(name[:4]) or _MONTHS.get(name[:3])
 
 
 class _CandumpLines(Lines):
@@ -228,29 +224,43 @@ def _split_row(line: str, delimiter: str) -> list[str]:
 def _split_csv_header(line: str) -> tuple[list[str], str, dict[str, int]]:
     """(normalised names of the columns, delimiter, column of each role in _CSV_COLUMNS)."""
     delimiter = next((mark for mark in ";\t" if mark in line), ",")
-    names = [normalise(name) for name in _split_row(line, delimiter)]
+    cells = _split_row(line, delimiter)
+    names = [normalise(name) for name in cells]
     found = {role: next((name for name in known if name in names), None) for role, known in _CSV_COLUMNS.items()}
-    return names, delimiter, {role: names.index(name) for role, name in found.items() if name}
+    roles = {role: names.index(name) for role, name in found.items() if name}
+    if "time" not in roles and (times := find_times(cells)):  # with a unit in its name
+        roles["time"] = times[0].column
+    return names, delimiter, roles
 
 
 def _read_csv(lines: Lines, notes: list[str]) -> Iterator[Any]:
     make_message = import_module("can").Message
-    names, delimiter, roles = _split_csv_header(next(lines, ""))
-    id_base, byte_base = _find_bases(lines.file, names, delimiter, roles)
-    if id_base == 10:
-        notes.append("its identifiers were read as decimal numbers")
-    in_microseconds = (names[roles["time"]], names[roles["data"]]) == ("timestamp", "d1")
+    header = next(lines, "")
+    names, delimiter, roles = _split_csv_header(header)
+    id_base, byte_base, unit, are_whole = _find_number_formats(lines.file, names, delimiter, roles)
+    if id_base != 16:
+        notes.append(AMBIGUOUS_IDS if id_base == 0 else DECIMAL_IDS)
+    stated = next((source.unit for source in find_times(_split_row(header, delimiter))
+                   if source.column == roles["time"] and source.has_stated_unit), None)
+    is_gvret = (names[roles["time"]], names[roles["data"]]) == ("timestamp", "d1")
+    if is_gvret:
+        unit = "us" if are_whole else "s"
+    elif not stated and unit != "s":
+        notes.append(f"its times were read in {unit}")
+    factor, clock = UNITS["time"][stated or unit][0], StampReader()
+
+    def read_time(text: str) -> float:
+        seconds = clock.read(text) if ":" in text else None
+        return float(text.replace(",", ".")) * factor if seconds is None else seconds
 
     def parse(line: str) -> Any:
         row = _split_row(line, delimiter)
         cells = dict(zip(names, row, strict=False))
         data = _read_csv_data(cells, row, names[roles["data"]], roles, byte_base)
-        time, identifier = row[roles["time"]], int(row[roles["id"]], id_base)
-        is_extended = _read_extended_flag(cells)
+        identifier, is_extended = int(row[roles["id"]], id_base or 16), _read_extended_flag(cells)
         bus = cells.get("bus") or cells.get("buschannel", "")
         return make_message(
-            timestamp=_parse_time(time) * (1e-6 if in_microseconds and "." not in time else 1.0),
-            arbitration_id=identifier, data=data, is_fd=len(data) > 8,
+            timestamp=read_time(row[roles["time"]]), arbitration_id=identifier, data=data, is_fd=len(data) > 8,
             is_extended_id=identifier > STANDARD_IDS if is_extended is None else is_extended,
             is_remote_frame="1" in (cells.get("remote"), cells.get("rtr")), is_error_frame=cells.get("error") == "1",
             is_rx=cells.get("dir", "").lower() not in ("1", "tx"),
@@ -265,18 +275,13 @@ def _read_extended_flag(cells: Mapping[str, str]) -> bool | None:
     return None if flag is None else flag.lower() in ("1", "true")
 
 
-def _parse_time(text: str) -> float:
-    """Seconds, since 1970 for a date and time. Raises ValueError."""
-    if ":" not in text:
-        return float(text)
-    time = datetime.fromisoformat(text)
-    return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
-
-
-def _find_bases(file: Path, names: Sequence[str], delimiter: str, roles: Mapping[str, int]) -> tuple[int, int]:
-    """Bases of the identifiers and of bytes in separate columns, 16 or 10, from the first rows."""
+def _find_number_formats(file: Path, names: Sequence[str], delimiter: str, roles: Mapping[str, int]
+                         ) -> tuple[int, int, str, bool]:
+    """(base of the identifiers: 16, 10, or 0 if they may have either; base of bytes in separate columns; unit of times
+    that are numbers; whether all are whole numbers), from the first rows."""
     ids: list[tuple[str, int]] = []
     data: list[tuple[str, int]] = []
+    times: list[float] = []
     with closing(Lines(file)) as lines:
         for line in islice(lines, 1, MAX_SCANNED_ROWS):
             row = _split_row(line, delimiter)
@@ -286,13 +291,27 @@ def _find_bases(file: Path, names: Sequence[str], delimiter: str, roles: Mapping
             flag = _read_extended_flag(dict(zip(names, row, strict=False)))
             is_extended = len(identifier) >= EXTENDED_DIGITS if flag is None else flag
             limit = EXTENDED_IDS if is_extended else STANDARD_IDS
-            ids.append((identifier, -1 if names[roles["id"]] in _DECIMAL_IDS else limit))
+            ids.append((identifier, -1 if names[roles["id"]] == "iddec" else limit))
             length = row[roles["length"]]
             data += [(cell, 0xFF) for cell in row[roles["data"]:][:int(length) if length.isdecimal() else 0] if cell]
+            with suppress(ValueError):
+                times.append(float(row[roles["time"]].replace(",", ".")))
     data_base, is_padded = _find_base(data), any(re.fullmatch("0[0-9]+", text) for text, _ in ids)
-    if names[roles["id"]] == "idhex" or is_padded or not all(text.isdecimal() for text, _ in ids if text):
-        return 16, data_base
-    return 10 if data_base == 10 else _find_base(ids), data_base
+    time_format = _find_time_unit(np.array(times)), all(time.is_integer() for time in times)
+    if not ids or names[roles["id"]] == "idhex" or is_padded or not all(text.isdecimal() for text, _ in ids if text):
+        return 16, data_base, *time_format
+    return 10 if 10 in (data_base, _find_base(ids)) else 0, data_base, *time_format
+
+
+def _find_time_unit(times: np.ndarray) -> str:
+    """Unit of the times of a log: s, ms, us or ns since 1970; or s, ms or us since the start, by the median step."""
+    steps = np.diff(times)[np.diff(times) > 0]
+    step = np.median(steps) if len(steps) >= MIN_STEPS else 0.0
+    for unit in ("s", "ms", "us", "ns") if len(times) else ():
+        is_plausible = PLAUSIBLE_EPOCH[0] <= times[0] * UNITS["time"][unit][0] <= PLAUSIBLE_EPOCH[1]
+        if is_plausible and (unit != "s" or step < MAX_STEPS["s"]):  # us since the start are plausible seconds
+            return unit
+    return next((unit for unit, limit in MAX_STEPS.items() if step < limit), "us")
 
 
 def _find_base(cells: Sequence[tuple[str, int]]) -> int:

@@ -2,7 +2,7 @@
 
 import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from scipy.ndimage import median_filter
 from . import frames as can_frames
 from .bag import is_bag
 from .bag_storage import open_bag
-from .can_formats import FORMATS, UNSTAMPED_LINE, Format
+from .can_formats import AMBIGUOUS_IDS, DECIMAL_IDS, FORMATS, UNSTAMPED_LINE, Format
 from .cdr import CAN_MSGS_FRAME
 from .errors import RunError, check_readable, shorten
 from .frames import ERROR, EXTENDED, FD, MAX_DATA_LENGTH, REMOTE, SENT, CanLog, Frames
@@ -29,16 +29,17 @@ MIN_DECREASING_FRACTION = 0.2
 """Times of a candump that begin at 0 are time steps between frames if a larger fraction decreases, or all are equal."""
 
 
-def read_can_logs(files: Sequence[Path]) -> CanLog:
+def read_can_logs(files: Sequence[Path], known_ids: Collection[int] = ()) -> CanLog:
     """Reads the files of one run (splits of a session, or several buses) and merges their frames by time.
 
+    known_ids: of the DBC; they show whether the identifiers of a CSV are decimal or hexadecimal, if both are possible.
     Raises RunError if no file can be used, or only some have UTC times. Other unusable files only cause warnings.
     """
     logs: list[CanLog] = []
     errors: list[RunError] = []
     for file in sorted(files, key=lambda f: (*parse_session(f), str(f))):
         try:
-            logs.append(_read_log(file))
+            logs.append(_choose_id_base(_read_log(file), known_ids))
         except RunError as error:
             errors.append(error)
     if not logs:
@@ -80,6 +81,20 @@ def _read_log(file: Path) -> CanLog:
     if file.suffix.lower() not in kind.extensions:
         notes.append(f"is a {kind.name} log with the extension {file.suffix or '(none)'}; it was read as such")
     return _read_with_python_can(file, kind, notes)
+
+
+def _choose_id_base(log: CanLog, known_ids: Collection[int]) -> CanLog:
+    """A log with identifiers that may be decimal, in the base with more of the known identifiers."""
+    if AMBIGUOUS_IDS not in log.warnings:
+        return log
+    ids, rows = np.unique(log.frames.id & ~np.uint32(EXTENDED), return_inverse=True)
+    decimal_ids = np.array([int(f"{number:x}") for number in ids.tolist()], np.uint32)
+    n_hexadecimal, n_decimal = (np.isin(each, list(known_ids)).sum() for each in (ids, decimal_ids))
+    notes = tuple(note for note in log.warnings if note != AMBIGUOUS_IDS)
+    if n_decimal > n_hexadecimal:
+        frames = replace(log.frames, id=decimal_ids[rows] | (log.frames.id & np.uint32(EXTENDED)))
+        return replace(log, frames=frames, warnings=(*notes, DECIMAL_IDS))
+    return log if n_decimal == n_hexadecimal else replace(log, warnings=notes)
 
 
 def _read_bag(path: Path) -> CanLog:
@@ -134,7 +149,8 @@ def _read_with_python_can(file: Path, kind: Format, notes: Sequence[str]) -> Can
         format_notes.append(f"frames with more than {MAX_DATA_LENGTH} bytes were skipped: {n_too_long}")
     if not len(frames):
         reasons = f"no usable frames ({'; '.join(format_notes)})" if format_notes else "no frames"
-        raise RunError(file, f"it contains {reasons}", "copy or export it again")
+        raise RunError(file, f"it contains {reasons}", "export its times in seconds, and identifiers and bytes as "
+                       "hexadecimal numbers" if kind.name == "CSV" else "copy or export it again")
     if kind.name == "candump" and _are_time_steps(frames.time_ns):
         frames = replace(frames, time_ns=np.cumsum(frames.time_ns))
         format_notes.append("its times are relative to the previous frame (candump -t d); they were summed")

@@ -56,10 +56,10 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
         raise source.problem
     if not source.path.is_dir():  # a folder is a bag, and its reader checks it
         check_readable(source.path)
-    can = read_can_logs(source.can or source.files)
     dbc = settings.dbc or source.settings.get("dbc") or config("car/leaf/can.dbc")
     table = load_signal_table(dbc, settings.signals or source.settings.get("signals")
                               or config("car/leaf/signals.yaml"))
+    can = read_can_logs(source.can or source.files, {message.frame_id for message in table.database.messages})
     signals = decode_signals(can.frames, table)
     steering = None if settings.for_alignment else find_steering(signals, can.files[0], table, can.warnings)
     parts = _split_log(can)

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from .can_formats import month_number
 from .columns import UNITS, ColumnSource
 from .errors import RunError, format_count
 from .ins_log import LATEST_TIME, MAX_LOST_FRACTION, select_usable_rows
@@ -22,12 +21,23 @@ _COMPACT_STAMP = re.compile(r"(\d{4})-?(\d\d)-?(\d\d)[T_ -](\d\d)[:-]?(\d\d)[:-]
 _UNDERSCORED_STAMP = re.compile(r"(\d{4})_(\d\d?)_(\d\d?)_(\d\d?)_(\d\d)_(\d\d)(?:_(\d+))?")  # 2026_05_04_10_11_12_500
 _SLASHED_DATE = re.compile(r"(?<!\d)(\d\d?)/(\d\d?)/(\d{4})(?!\d)")
 _NAMED_MONTH = re.compile(r"(?<!\d)(\d\d?)[- ]([^\W\d]{3,})\.?[- ](\d{4})(?!\d)")  # 04-May-2026, as MATLAB writes it
+# First letters of month names -> number; Vector's tools write month names in the language of the computer.
+_MONTHS = {"jan": 1, "gen": 1, "feb": 2, "fév": 2, "fev": 2, "mar": 3, "mär": 3, "mrz": 3, "apr": 4, "avr": 4, "abr": 4,
+           "may": 5, "mai": 5, "mag": 5, "maj": 5, "jun": 6, "giu": 6, "jul": 7, "lug": 7, "aug": 8, "aoû": 8, "ago": 8,
+           "sep": 9, "set": 9, "oct": 10, "okt": 10, "ott": 10, "out": 10, "nov": 11, "dec": 12, "dez": 12, "déc": 12,
+           "dic": 12, "juin": 6, "juil": 7}
 ROLLOVER_STEP = 60.0  # s, longest gap between two rows across midnight or across the end of a GPS week
 _DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"))  # (day number of 1970-01-01, program)
-_PLAUSIBLE_EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
+PLAUSIBLE_EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
 DAY, HOUR = 86400.0, 3600.0  # s
 HHMMSS = "HHMMSS"  # unit of a time column that contains times of day as numbers HHMMSS.ss
 MAX_DAMAGED_FRACTION = 0.01  # up to this fraction of the times in a column of unit HHMMSS may be invalid
+
+
+def month_number(name: str) -> int | None:
+    """Number (1 to 12) of a month by its name in a European language; None for an unknown name."""
+    name = name.lower().rstrip(".")
+    return _MONTHS.get(name[:4]) or _MONTHS.get(name[:3])
 
 
 def read_stamps(file: Path, body: str, delimiter: str, column: int, first: str, warnings: list[str]) -> tuple[str, str]:
@@ -44,21 +54,29 @@ def read_stamps(file: Path, body: str, delimiter: str, column: int, first: str, 
 
 def _stamps_to_seconds(body: str, delimiter: str, column: int) -> str:
     """Converts the times of the rows to seconds; a time of day continues past midnight."""
-    rows = [line.split(delimiter) for line in body.split("\n")]
-    offset, previous = 0.0, 0.0
+    rows, clock = [line.split(delimiter) for line in body.split("\n")], StampReader()
     for row in rows:
         if len(row) <= column or not "".join(row).strip():
             continue
-        time = parse_stamp(row[column].strip(' \r"\''))
-        if time is None:
-            row[column] = "nan"
-            continue
-        seconds, period = time
-        if period and previous - seconds > period / 2:
-            offset += period
-        previous = seconds
-        row[column] = f"{offset + seconds:.6f}"
+        seconds = clock.read(row[column].strip(' \r"\''))
+        row[column] = "nan" if seconds is None else f"{seconds:.6f}"
     return "\n".join(map(delimiter.join, rows))
+
+
+class StampReader:
+    """Converts times of consecutive rows to seconds, as `parse_stamp` does; a time of day continues past midnight."""
+
+    def __init__(self) -> None:
+        self._offset, self._previous = 0.0, 0.0
+
+    def read(self, text: str) -> float | None:
+        if (time := parse_stamp(text)) is None:
+            return None
+        seconds, period = time
+        if period and self._previous - seconds > period / 2:
+            self._offset += period
+        self._previous = seconds
+        return self._offset + seconds
 
 
 def _order_dates(file: Path, body: str, warnings: list[str]) -> str:
@@ -126,7 +144,7 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
     elif len(steps) and np.median(steps) < 2e-5:  # steps too short for seconds
         meanings = [(origin, DAY, f"date numbers of {tool} (UTC)") for origin, tool in _DAY_COUNTS]
     for origin, factor, meaning in meanings if not source.has_stated_unit else ():
-        if _PLAUSIBLE_EPOCH[0] <= (median - origin) * factor <= _PLAUSIBLE_EPOCH[1]:
+        if PLAUSIBLE_EPOCH[0] <= (median - origin) * factor <= PLAUSIBLE_EPOCH[1]:
             warnings.append(f"{file}: times of column {source.name} were read as {meaning}")
             return (times - origin) * factor, source
     seconds = times * source.factor
