@@ -2,6 +2,7 @@
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,12 @@ from st_core.evaluation import Evaluator
 from st_core.prediction import PredictionSettings, Predictor, Start, configuration_hash
 from st_core.types import InsSample
 from st_core.vehicle import VehicleParameters
-from st_live import session, verification
+from st_live import replaying, session, verification
 from st_live.replaying import describe_omissions, replay_bag
 from st_live.verification import verify
 from st_recordings.mcap import BagWriter
-from st_recordings.runs.bag import ODOMETRY, STEERING
+from st_recordings.runs.bag import ODOMETRY, STEERING, read_bag
+from st_recordings.runs.errors import RunError
 from support import LEAF, ROOT
 
 PREDICTION, ERROR = "st_msgs/msg/Prediction", "st_msgs/msg/PredictionError"
@@ -271,6 +273,13 @@ def test_replay_uses_the_recorded_model_file(live, tmp_path, monkeypatch):
     parameters, model = runs[0][1], tmp_path / "model.yaml"
     assert model.read_text() == "recorded model" and str(model) in parameters["recorder"]["configuration_files"]
     assert {parameters[node]["model_file"] for node in ("predictor", "evaluator")} == {str(model)}
+
+
+def test_recording_that_is_converted_is_not_replayed(live, tmp_path, monkeypatch):
+    drive = replace(read_bag(live.write()), conversions=("all stamps were moved to the clock of /odom",))
+    monkeypatch.setattr(replaying, "read_bag", lambda *arguments, **settings: drive)
+    with pytest.raises(RunError, match="cannot be played as recorded: all stamps were moved .*; st check, st evaluate and"):
+        replay_bag(tmp_path, tmp_path, None, 0.0, Console())
 
 
 def test_invalid_recording_is_refused(tmp_path):

@@ -17,9 +17,10 @@ from rosbags.typesys.store import Typestore
 from st_core.log import DriveLog
 from st_core.types import body_to_map
 from st_recordings.runs import ReadSettings, RunSource, find_runs, read
-from st_recordings.runs.axes import rotate_to_body_axes
+from st_recordings.runs.axes import convert_odometry, rotate_to_body_axes
 from st_recordings.runs.bag import ODOMETRY, read_bag
 from st_recordings.runs.errors import RunError
+from st_recordings.runs.readers.bag import _is_command
 from st_recordings.runs.run_types import SteeringField
 
 STEER = ReadSettings(steering=SteeringField("/steer", "data", "wheel"))
@@ -210,6 +211,35 @@ def test_odometry_in_north_east_down(tmp_path: Path, drive_log: DriveLog, z_down
     assert read_bag(folder, steering=STEER.steering).conversions  # `st replay` would play the recorded values
 
 
+@pytest.mark.parametrize(("yaw", "is_rotated"), [(np.pi, False), (0.0, False), (np.pi, True), (1.2, True)])
+def test_velocity_of_a_reversing_car(yaw: float, is_rotated: bool) -> None:
+    """Backward in body axes, in any direction of the compass; over ground, its direction is opposite to yaw."""
+    time = np.linspace(0.0, 5.0, 50)
+    over_ground = -2.0 * np.exp(1j * yaw)
+    velocity = over_ground if is_rotated else -2.0
+    columns = {"velocity_x": np.full(50, velocity.real), "velocity_y": np.full(50, velocity.imag),
+               "yaw": np.full(50, yaw), "x": over_ground.real * time, "y": over_ground.imag * time}
+    assert bool(rotate_to_body_axes(columns)) == is_rotated
+    np.testing.assert_allclose(columns["velocity_x"], -2.0)
+    np.testing.assert_allclose(columns["velocity_y"], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("z_down", "drift", "note"), [
+    (True, 1.0, "z of the body axes points down: the sign"), (False, 1.0, "x, y and yaw were converted"),
+    (True, 0.0, "without a yaw rate the data do not show whether z of the body axes points down, which was assumed")])
+def test_odometry_in_north_east_down_without_a_yaw_rate(z_down: bool, drift: float, note: str) -> None:
+    """The sideways displacement shows the sign of velocity_y. drift: the fraction of it that the positions contain."""
+    time = np.linspace(0.0, 10.0, 501)
+    yaw, lateral = 0.2 * time, 0.3 * np.sin(2.0 * time)
+    position = np.cumsum((5.0 + 1j * drift * lateral) * np.exp(1j * yaw)) * 0.02
+    values = {"x": position.imag, "y": position.real, "yaw": np.pi / 2 - yaw, "velocity_x": np.full(501, 5.0),
+              "velocity_y": -lateral if z_down else lateral, "yaw_rate": np.zeros(501)}
+    notes = convert_odometry(values, "odom_ned")
+    np.testing.assert_allclose(values["velocity_y"], lateral)
+    np.testing.assert_allclose(values["yaw"], yaw)
+    assert note in notes[-1]
+
+
 def test_odometry_without_a_yaw_rate(tmp_path: Path, drive_log: DriveLog) -> None:
     def forget(message: Any, k: int) -> Any:
         twist = replace(message.twist.twist, angular=vector(0, 0))
@@ -219,6 +249,15 @@ def test_odometry_without_a_yaw_rate(tmp_path: Path, drive_log: DriveLog) -> Non
     run = read(find_runs([folder])[0], CAR, STEER)
     np.testing.assert_allclose(run.log.yaw_rate, drive_log.yaw_rate, atol=0.05)  # a sweep
     assert_warned(run.warnings, "yaw_rate is 0 in all odometry messages; the derivative of yaw is used")
+
+
+@pytest.mark.parametrize(("topic", "field", "is_command"), [
+    ("/steering_controller/state", "data", False), ("/control/steering_feedback", "data", False),
+    ("/steering_controller/state", "desired.positions.0", True), ("/vehicle/state/steering_cmd", "data", True),
+    ("/ackermann_status", "drive.steering_angle", False), ("/control/steering", "data", True),
+    ("/rack", "data", False)])
+def test_names_of_commands_and_measurements(topic: str, field: str, is_command: bool) -> None:
+    assert _is_command(SteeringField(topic, field)) == is_command
 
 
 @pytest.mark.parametrize("topic", ["/steering_cmd", "/drive"])
@@ -275,6 +314,8 @@ def test_steering_without_stamps_is_moved_to_the_clock_of_the_ins(tmp_path: Path
     assert_same(run.log, drive_log, max_lost=0)
     assert run.log.ins_time_ns[0] == drive_log.ins_time_ns[0] + 18 * 10**9
     assert_warned(run.warnings, f"the clock of {topics[0]} is 18.000 s ahead of that of /steer; all stamps were moved")
+    if "/odom" in topics:  # `st replay` would play the stamps as recorded
+        assert "all stamps were moved" in read_bag(folder, steering=STEER.steering).conversions[0]
 
 
 @pytest.mark.parametrize("topics", [("/odom", "/steer", "/clock"), ("/pose", "/twist", "/steer", "/clock")])

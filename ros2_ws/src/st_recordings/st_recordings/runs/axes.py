@@ -1,6 +1,7 @@
 """Finds the axes of recorded velocities, and rotates velocities to the east and north into body axes."""
 
 import re
+from collections.abc import Mapping
 
 import numpy as np
 from st_core.types import map_to_body, wrap_angle
@@ -12,6 +13,8 @@ MIN_COURSE_SPEED = 1.0
 MIN_COMPARED_SAMPLES = 20
 """Minimum number of samples for comparing positions with the integrated speed, or yaw with the course over ground."""
 MAX_COMPARED_SAMPLES = 10_000
+MIN_CORRELATION = 0.5
+"""Smallest mean cosine of the angle between displacement and an axis, or correlation along it, that shows its sign."""
 MAX_AGREEING_ANGLE = 0.1
 """[rad]. Two directions agree if their median difference, due to sideslip and noise, is smaller than this. The better
 of two interpretations is accepted if the difference of the other is larger by more than this."""
@@ -25,8 +28,8 @@ def convert_odometry(values: dict[str, np.ndarray], frame_id: str) -> list[str]:
     """Converts INS channels of odometry messages to a map with x to the east and to body axes with y to the left;
     changes `values` and returns warnings.
 
-    If a word of frame_id is ned, x is north, y east and yaw a compass heading. The sign of the
-    yaw rate then shows whether z of the body axes also points down.
+    If a word of frame_id is ned, x is north, y east and yaw a compass heading. The sign of the yaw rate, or without one
+    that of the sideways motion, then shows whether z of the body axes also points down; if neither does, it is assumed.
     """
     notes = []
     is_ned = "ned" in find_words(frame_id)
@@ -34,28 +37,43 @@ def convert_odometry(values: dict[str, np.ndarray], frame_id: str) -> list[str]:
         values["x"], values["y"], values["yaw"] = values["y"], values["x"], np.pi / 2 - values["yaw"]
         notes.append(f"frame_id is {frame_id!r}: x, y and yaw were converted from north, east and compass heading")
     warning = rotate_to_body_axes(values)
-    if is_ned and np.sum(np.diff(values["yaw"]) * values["yaw_rate"][1:]) < 0:
+    direction = float(np.sum(np.diff(values["yaw"]) * values["yaw_rate"][1:])) or _correlate_sideways(values)
+    has_signs = values["velocity_y"].any() or values["yaw_rate"].any()
+    if is_ned and has_signs and (direction < 0 or not (direction or warning)):
         values["yaw_rate"] = -values["yaw_rate"]
         values["velocity_y"] = values["velocity_y"] if warning else -values["velocity_y"]
-        notes.append("z of the body axes points down: the sign of yaw_rate and velocity_y was changed")
+        notes.append("z of the body axes points down: the sign of yaw_rate and velocity_y was changed" if direction else
+                     "the sign of velocity_y was changed: without a yaw rate the data do not show whether z of the "
+                     "body axes points down, which was assumed")
     return [*notes, warning] if warning else notes
+
+
+def _correlate_sideways(values: Mapping[str, np.ndarray]) -> float:
+    """Correlation of velocity_y with the sideways displacement between samples; 0 below MIN_CORRELATION."""
+    middle = values["yaw"][1:] - np.diff(values["yaw"]) / 2
+    sideways = ((np.diff(values["x"]) + 1j * np.diff(values["y"])) * np.exp(-1j * middle)).imag
+    velocity = values["velocity_y"][1:]
+    scale = float(np.sqrt(np.sum(sideways**2) * np.sum(velocity**2)))
+    correlation = float(np.sum(sideways * velocity)) / max(scale, 1e-12)
+    return correlation if abs(correlation) > MIN_CORRELATION else 0.0
 
 
 def rotate_to_body_axes(columns: dict[str, np.ndarray], frame_id: str = "") -> str:
     """Rotates velocity_x and velocity_y into body axes if they are velocities over ground; changes `columns`.
 
-    The direction of the velocity decides: it is about 0 in body axes, and about yaw over ground. If both fit, as on a
-    straight road to the east, frame_id decides; without a map frame, body axes are assumed. Returns a warning if the
-    velocities do not have the axes that frame_id names, else "".
+    The direction of the velocity decides: it is about 0 in body axes, and about yaw over ground; both plus 180 degrees
+    for a car that moves backward by its positions. If both fit, as on a straight road to the east, frame_id decides;
+    without a map frame, body axes are assumed. Returns a warning if the velocities do not have the axes that frame_id
+    names, else "".
     """
     velocity = columns["velocity_x"] + 1j * columns["velocity_y"]
     rows = np.flatnonzero((np.abs(velocity) > MIN_COURSE_SPEED) & np.isfinite(columns["yaw"]))
     if len(rows) < MIN_COMPARED_SAMPLES:
         return ""
     rows = rows[:: max(len(rows) // MAX_COMPARED_SAMPLES, 1)]
-    moving, yaw = velocity[rows], columns["yaw"][rows]
+    moving, yaw = velocity[rows], columns["yaw"][rows] + (np.pi if _moves_backward(columns) else 0.0)
     body_angle, *map_angles = (float(np.median(np.abs(wrap_angle(np.angle(direction) - yaw)))) for direction in (
-        moving * np.exp(1j * yaw), moving, 1j * moving.conj()))
+        moving * np.exp(1j * columns["yaw"][rows]), moving, 1j * moving.conj()))
     frame_is_map = is_map = not MAP_FRAMES.isdisjoint(find_words(frame_id))
     if min(body_angle, *map_angles) < MAX_AGREEING_ANGLE < abs(body_angle - min(map_angles)):
         is_map = min(map_angles) < body_angle
@@ -69,3 +87,13 @@ def rotate_to_body_axes(columns: dict[str, np.ndarray], frame_id: str = "") -> s
     return "" if is_map == frame_is_map else (
         f"velocity_x and velocity_y agree with yaw only as velocities {'to ' if is_map else 'in '}{axes}{frame}"
         f"{'; they were rotated into body axes' if is_map else ''}")
+
+
+def _moves_backward(columns: Mapping[str, np.ndarray]) -> bool:
+    """Whether the car mostly moves against its heading, by its positions where it is fast; False without positions."""
+    if not columns.keys() >= {"x", "y"}:
+        return False
+    steps = np.diff(columns["x"]) + 1j * np.diff(columns["y"])
+    fast = np.hypot(columns["velocity_x"], columns["velocity_y"])[1:] > MIN_COURSE_SPEED
+    forward = (steps * np.exp(-1j * columns["yaw"][1:])).real
+    return bool(np.nansum(forward[fast]) < -MIN_CORRELATION * np.nansum(np.abs(steps[fast])))

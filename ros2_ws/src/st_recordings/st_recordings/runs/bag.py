@@ -41,7 +41,7 @@ class BagDrive(LoadedRun):
     records: dict[str, dict[str, str]]  # metadata records, name -> {key: text}
     frame: str  # frame_id of the first odometry message, or of reconstructed odometry
     unknown_topics: tuple[str, ...]  # "topic (type)" of topics neither read nor published by the suite or ROS
-    conversions: tuple[str, ...]  # notes on odometry values that differ from the recorded messages
+    conversions: tuple[str, ...]  # notes on stamps and odometry values that differ from the recorded messages
 
 
 def is_bag(path: Path) -> bool:
@@ -127,7 +127,7 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     elif STEERING not in columns:
         columns[STEERING] = reconstruction.reconstruct_steering()
         topics[STEERING] = storage.by_type[CAN_FRAMES].name + RECONSTRUCTED_SUFFIX
-    notes = [*describe_missing_files(path), *_replace_meaningless_stamps(storage, topics, columns, bool(steering))]
+    stamp_notes = _replace_meaningless_stamps(storage, topics, columns, bool(steering))
     frame = _read_frame_id(storage, topics[ODOMETRY]) if reads_odometry else reconstruction.map_frame()
     log, missing, row_notes, conversions = _build_drive_log(
         path, name or path.stem, columns[ODOMETRY], columns[STEERING], frame)
@@ -140,10 +140,10 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     if (origin := reconstruction.read_origin()) is not None:
         latitude, longitude, altitude = origin
         provenance["origin"] = [math.radians(latitude), math.radians(longitude), altitude]
-    notes += [*row_notes, *conversions]
+    notes = [*describe_missing_files(path), *stamp_notes, *row_notes, *conversions]
     return BagDrive(log=log, provenance=provenance, warnings=tuple(f"{path}: {note}" for note in notes),
                     auxiliary=auxiliary, topics=topics, records=records, frame=frame, unknown_topics=unknown_topics,
-                    conversions=tuple(conversions))
+                    conversions=(*stamp_notes, *conversions))
 
 
 def read_odometry(path: Path, odometry: str | None, files: Sequence[Path]) -> InsLog:
@@ -258,11 +258,11 @@ def _select_odometry(odometry: Mapping[str, np.ndarray], frame_id: str) -> tuple
     time_ns, rows, notes = _select_usable_messages(odometry["header.stamp"], is_usable, "odometry messages", missing)
     values = {name: value[rows] for name, value in values.items()}
     values["yaw"] = np.unwrap(values["yaw"])
-    conversions = []
+    conversions = convert_odometry(values, frame_id)
     if len(rows) > 2 and np.ptp(values["yaw"]) > 0 and not values["yaw_rate"].any():
         values["yaw_rate"] = derive_yaw_rate(time_ns, values["yaw"])
         conversions.append("yaw_rate is 0 in all odometry messages; the derivative of yaw is used")
-    return time_ns, values, missing, notes, [*conversions, *convert_odometry(values, frame_id)]
+    return time_ns, values, missing, notes, conversions
 
 
 def _build_drive_log(path: Path, name: str, odometry: Mapping[str, np.ndarray], steering: Mapping[str, np.ndarray],

@@ -13,7 +13,9 @@ from ..ins_log import InsLog
 from ..readers import Reader, register
 from ..run_types import Label, LoadedRun, ReadSettings, RunSource, SteeringField
 
-_COMMAND = re.compile(r"(?i)cmd|command|control|target|desired|setpoint|ackermann|\bdrive\.steering_angle")
+_COMMAND = re.compile(r"(?i)cmd|command|target|desired|setpoint|reference")
+_COMMAND_TOPIC = re.compile(_COMMAND.pattern + r"|control|ackermann|\bdrive\.steering_angle")
+_MEASUREMENT = re.compile(r"(?i)state|status|feedback|report|measure|actual")
 
 
 def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
@@ -23,10 +25,17 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
 
         return read_raw_run(source, vehicle, settings)
     run = _read_bag(source, vehicle, settings, steering)
-    if steering is None or not _COMMAND.search(f"{steering.topic} {steering.field}"):
+    if steering is None or not _is_command(steering):
         return run
     note = f"{steering.topic} is a command by its name or type, not a measurement; the car follows it with a delay"
     return replace(run, warnings=(*run.warnings, f"{source.path}: {note}"))
+
+
+def _is_command(steering: SteeringField) -> bool:
+    """Whether topic and field have names of a command, such as /control/command, but not /controller/state."""
+    name = f"{steering.topic} {steering.field}"
+    return bool(_COMMAND.search(name.rpartition("/")[2]) or (
+        _COMMAND_TOPIC.search(name) and not _MEASUREMENT.search(name)))
 
 
 def _read_bag(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings,
