@@ -236,6 +236,13 @@ TABLES = [
     Table("sec_usec.csv", lambda log: in_seconds_and_fractions(log, ("sec", "usec"), 1e-6)),
     Table("milliseconds.csv", lambda log: in_seconds_and_fractions(log, ("time_s", "time_ms"), 1e-3)),
     Table("time_and_milliseconds.csv", lambda log: in_seconds_and_fractions(log, ("Time", "Milliseconds"), 1e-3)),
+    *(Table(f"{name}_in_another_column.csv", lambda log, name=name, unit=unit: in_seconds_and_fractions(
+        log, ("Time", name), unit)) for name, unit in (("Time_ms", 1e-3), ("time (us)", 1e-6), ("microsec", 1e-6))),
+    Table("milliseconds_before_time.csv", lambda log: re.sub(
+        r"(?m)^([^,]*),([^,]*)", r"\2,\1", in_seconds_and_fractions(log, ("Time", "Time_ms"), 1e-3))),
+    Table("complete_milliseconds.csv", lambda log: csv(
+        [[f"{float(row[0]) // 1.0:.0f}", f"{float(row[0]) * 1e3:.0f}", *row[1:]] for row in rows(log)],
+        ",".join(("Time", "Time_ms", *NAMES[1:])))),
     Table("clock_and_milliseconds.csv", lambda log: csv(
         [[clock(NOON + (k // 100)), str(k % 100 * 10), *row[1:]] for k, row in enumerate(rows(log))],
         ",".join(("Time", "Millisecond", *NAMES[1:])))),
@@ -368,6 +375,9 @@ def test_parts_of_a_table_are_one_run(tmp_path: Path, drive_log: DriveLog, kind:
     (lambda log: csv(rows(log), header(x="a/latitude", y="b/latitude")),
      "columns a/latitude and b/latitude may each be latitude; name the right one"),
     (lambda log: "time,can_id,dlc,bytes\n0.1,0x2,8,AAAA\n", "this is a CAN log as a table; export it as"),
+    (lambda log: "# CL2000\nTimestamp;Type;ID;Data\n04T101112001;0;2;0102\n", "this is a CAN log as a table; export"),
+    (lambda log: csv([[f"2026-05-04 {clock(NOON)}", *row[1:]] for row in rows(log)], " ".join(NAMES), " "),
+     "its rows have 9 cells, but its header has 8"),
     (lambda log: geographic(log).replace("latitude,longitude", "longitude,latitude"), "are interchanged: they agree"),
     (lambda log: positions_in_radians(geographic(log)),
      r"are in radians: if read as degrees, they give 1/\d\d of the driven"),

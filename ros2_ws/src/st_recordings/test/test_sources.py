@@ -168,7 +168,7 @@ def test_drive_that_is_named_alone_is_read_as_its_run_file_says(tmp_path: Path) 
 
 def test_log_that_is_no_can_log_is_not_called_one(tmp_path: Path) -> None:
     (run,) = find_runs(touch(tmp_path, "a.log", content="$GPGGA,101112.00,5200.00,N\n"))
-    assert "a.log: this is not a CAN log; export other recordings as .csv" in str(run.problem)
+    assert "a.log: this is not a CAN log of a known format; convert a CAN log to .asc" in str(run.problem)
 
 
 def test_each_excludes_drives_with_a_run_file(tmp_path: Path) -> None:
@@ -226,7 +226,7 @@ def test_invalid_run_file_with_a_pattern_refuses_the_recordings_that_match(tmp_p
 def test_text_log_of_an_ins_with_the_extension_asc_is_not_a_can_log(tmp_path: Path) -> None:
     touch(tmp_path, "ins.asc", content="#INSPVAXA,COM1,0,73.5,FINESTEERING,1695,309428.000;INS_SOLUTION_GOOD,51.1\n")
     (run,) = find_runs([tmp_path / "ins.asc"])
-    assert "ins.asc: this is not a CAN log; export other recordings as .csv" in str(run.problem)
+    assert "ins.asc: this is not a CAN log of a known format; convert a CAN log to .asc" in str(run.problem)
 
 
 def test_pattern_of_a_run_yaml_leaves_out_can_logs_in_csv(tmp_path: Path) -> None:

@@ -286,7 +286,8 @@ def find_ambiguous(names: Sequence[str]) -> dict[str, list[str]]:
 
 def find_stamp_columns(names: Sequence[str]) -> tuple[int, int, float] | None:
     """Indices of the columns of a stamp in two parts, and the unit [s] of the second: header.stamp.sec (or secs) and
-    nanosec (or nsecs) of ROS, tv_sec and tv_usec, time_s and time_ms, Time and Millisecond. None without a pair."""
+    nanosec (or nsecs) of ROS, tv_sec and tv_usec, time_s and time_ms, Time and Millisecond or Time_ms. None without a
+    pair."""
     normalised = [normalise(name) for name in names]
     for number, name in enumerate(normalised):
         if not (match := _FRACTION.fullmatch(name)):
@@ -296,10 +297,12 @@ def find_stamp_columns(names: Sequence[str]) -> tuple[int, int, float] | None:
         for seconds in ("sec", "secs", "second", "seconds") if ending != "s" else ("s",) * is_time:
             if stem + seconds in normalised:
                 return normalised.index(stem + seconds), number, _FRACTION_FACTORS[unit]
-        if stem or "/" in names[number]:  # m/s is a speed
+        if "/" in names[number]:  # m/s is a speed
             continue
-        if (times := _find_best_columns(names).get("t")) and times[0].factor == 1.0:
-            return times[0].column, number, _FRACTION_FACTORS[unit]
+        times = [*_find_best_columns(names).get("t", []), *(find_times(names) if stem else ())]
+        for time in times:
+            if time.factor == 1.0 and stem in ("", _without_unit(time.name)):
+                return time.column, number, _FRACTION_FACTORS[unit]
     return None
 
 

@@ -217,7 +217,7 @@ def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layou
     """Finds the column of each channel; the time may be an unnamed first column. Raises RunError for a CAN log."""
     plain = {normalise(name) for name in names}
     sources = find_columns(file, names, layout)
-    if (plain & {"id", "canid", "arbitrationid"} and plain & {"dlc", "len", "length"}
+    if (plain & {"id", "canid", "arbid", "arbitrationid"} and plain & {"dlc", "len", "length", "data", "b1"}
             and column_names.MOTION_CHANNELS.isdisjoint(sources)):
         raise RunError(file, "this is a CAN log as a table", "export it as .asc, .blf, .trc, .mf4, "
                        ".log of candump, or with the columns of python-can's CSVWriter")
@@ -229,10 +229,10 @@ def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layou
     def count_times(source: ColumnSource) -> int:
         return len({row[source.column] for row in rows if source.column < len(row)})
 
-    pair = find_stamp_columns(names)
-    has_fraction = pair is not None and all(
-        not _parse_number(row[pair[1]]) * pair[2] >= 1.0 for line in body.split("\n")
-        if pair[1] < len(row := line.split(delimiter)))
+    pair, whole_second = find_stamp_columns(names), np.zeros(1)
+    has_fraction = pair is not None and column_names.add_fraction(whole_second, pair[2] * np.array([
+        _parse_number(row[pair[1]]) for line in body.split("\n") if pair[1] < len(row := line.split(delimiter))
+    ])) is not whole_second
     if "t" in sources and "t" not in {*layout.columns, *layout.units} and not has_fraction:
         finest = max(column_names.find_times(names), key=count_times, default=sources["t"])
         if 2 * count_times(sources["t"]) < count_times(finest):  # whole seconds, and fractions in another column
@@ -451,7 +451,8 @@ def _parse_numbers(file: Path, body: str, delimiter: str, width: int, warnings: 
     except ValueError as parse_error:
         error = parse_error
     widths = [len(row) for row in _split_cells(file, lines, delimiter)]
-    complete_lines = [line for line, count in zip(lines, widths, strict=False) if count in (width, width + 1)]
+    complete_lines = [line for line, count in zip(lines, widths, strict=False)
+                      if count == width or (count == width + 1 and line.rstrip().endswith(delimiter))]
     lost = len(lines) - len(complete_lines)
     if not complete_lines:
         raise RunError(file, f"its rows have {max(widths, key=widths.count)} cells, but its header has {width}",

@@ -24,7 +24,7 @@ GENERIC_NAMES = ("run", "bag")
 DOCUMENT_EXTENSIONS = (".md", ".txt", ".rst", ".pdf", ".html", ".png", ".jpg", ".json", ".yaml", ".yml", "")
 """Extensions of documents such as README and LICENSE, which are ignored among recordings."""
 MAX_SPLIT_GAP = 5.0  # longest gap or overlap [s] between the end of one file of a split bag and the start of the next
-TABLE_EXTENSIONS = (".lvm", ".xls", ".xlsx", ".ods", ".tdms", ".json", ".erg", ".ld")
+TABLE_EXTENSIONS = (".lvm", ".xls", ".xlsx", ".ods", ".tdms", ".json", ".erg", ".ld", ".pos")
 """Extensions of tables of other programs. Some of these files are text, which can be read with the extension .csv."""
 TEXT_EXPORTS = (".txt", ".tsv", ".dat")
 """Extensions of text tables that programs often export in addition to their own files."""
@@ -32,7 +32,7 @@ UNKNOWN_ADVICE = {
     ".dbc": "give a DBC with --dbc, or put it into the folder of --car",
     ".rd": "this is raw data of an OxTS unit: convert it to NCOM with the software of the unit",
     ".vbb": "export it as .vbo with the software of the logger",
-    ".bin": "rename it to .ncom if it contains NCOM packets",
+    ".bin": "rename it to .ncom if it contains NCOM packets; else export a .csv",
     **dict.fromkeys((".gz", ".zip", ".7z", ".bz2", ".xz", ".zst", ".zstd"), "unpack it first"),
     **dict.fromkeys(TABLE_EXTENSIONS, "rename it to .csv if it is a text table with a header line, or export one"),
 }
@@ -214,7 +214,9 @@ def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
         advice += "".join(f"; {f.name}: {UNKNOWN_ADVICE[f.suffix.lower()]}" for f in sorted(file.parent.iterdir())
                           if f.name.split(".")[0] == file.stem and f.suffix.lower() in UNKNOWN_ADVICE)
         yield _report_problem(file, "no INS recording (.ncom, .csv, .vbo, bag) belongs to this CAN log", advice) if (
-            is_can_log(file)) else _report_problem(file, "this is not a CAN log", "export other recordings as .csv")
+            is_can_log(file)) else _report_problem(
+                file, "this is not a CAN log of a known format", "convert a CAN log to .asc, .blf, .trc or .mf4, and "
+                "export other recordings as .csv")
 
 
 def _group_split_bags(files: Sequence[Path]) -> list[list[Path]]:
