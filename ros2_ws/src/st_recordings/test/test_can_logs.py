@@ -293,6 +293,13 @@ def test_dbc_decides_whether_identifiers_are_decimal(tmp_path: Path, known_ids, 
     assert (warning in log.warnings[0]) if warning else not log.warnings
 
 
+def test_letter_far_behind_the_header_shows_that_identifiers_are_hexadecimal(tmp_path: Path) -> None:
+    lines = [f"{0.01 * k:.3f},{'64A' if k == 5500 else 644},1,1A" for k in range(5600)]
+    (tmp_path / "a.csv").write_text("\n".join(["Time,ID,DLC,Data", *lines, ""]))
+    log = read_can_logs([tmp_path / "a.csv"], {644})
+    assert {*log.frames.id.tolist()} == {0x644, 0x64A} and not log.warnings
+
+
 def test_csv_with_unreadable_times_is_refused_with_what_to_export(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("Time,ID,DLC,Data\n" + "noon:ish,7A,1,1A\n" * 9)
     with pytest.raises(RunError, match=r"no usable frames .*; export its times in seconds, and identifiers and"):

@@ -88,9 +88,12 @@ def _choose_id_base(log: CanLog, known_ids: Collection[int]) -> CanLog:
     if AMBIGUOUS_IDS not in log.warnings:
         return log
     ids, rows = np.unique(log.frames.id & ~np.uint32(EXTENDED), return_inverse=True)
-    decimal_ids = np.array([int(f"{number:x}") for number in ids.tolist()], np.uint32)
-    n_hexadecimal, n_decimal = (np.isin(each, list(known_ids)).sum() for each in (ids, decimal_ids))
+    texts = [f"{number:x}" for number in ids.tolist()]
     notes = tuple(note for note in log.warnings if note != AMBIGUOUS_IDS)
+    if not all(map(str.isdecimal, texts)):  # a later row shows that they are hexadecimal
+        return replace(log, warnings=notes)
+    decimal_ids = np.array([int(text) for text in texts], np.uint32)
+    n_hexadecimal, n_decimal = (np.isin(each, list(known_ids)).sum() for each in (ids, decimal_ids))
     if n_decimal > n_hexadecimal:
         frames = replace(log.frames, id=decimal_ids[rows] | (log.frames.id & np.uint32(EXTENDED)))
         return replace(log, frames=frames, warnings=(*notes, DECIMAL_IDS))
