@@ -160,7 +160,7 @@ def test_course_and_speed_over_ground_give_the_body_velocities(tmp_path: Path, c
     np.testing.assert_allclose(drive.log.velocity_y, expected, atol=1e-9)
     np.testing.assert_allclose(drive.log.yaw_rate, 1.0, atol=1e-6)  # of yaw, not of its own column
     texts = [text.partition(": ")[2] for text in drive.warnings]
-    lacking = ["no column was recognised as velocity_y; it is set to 0, sideslip is unknown"] if course_is_yaw else []
+    lacking = ["no column was recognised as velocity_y; it is set to 0 (unknown sideslip)"] if course_is_yaw else []
     assert texts == [*lacking, "no column was recognised as yaw_rate; the derivative of yaw is used"]
 
 

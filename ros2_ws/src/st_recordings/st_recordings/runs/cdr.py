@@ -32,7 +32,6 @@ from rosbags.typesys.store import Typestore
 from ..paths import project_root
 from .ins_log import SPEEDS
 
-# Message types of the recordings of the suite.
 ODOMETRY, STEERING = "nav_msgs/msg/Odometry", "st_msgs/msg/Steering"
 NCOM, WHEEL_SPEEDS, CAN_FRAMES = "st_msgs/msg/Ncom", "st_msgs/msg/WheelSpeeds", "st_msgs/msg/CanFrames"
 INS_ON_CAN, INS_STATUS = "st_msgs/msg/InsOnCan", "st_msgs/msg/InsStatus"
@@ -101,7 +100,7 @@ def _normalise(fields: Any) -> list[tuple[str, Any]]:
 
 @dataclass(frozen=True)
 class Field:
-    """One number, or `count` consecutive numbers, at byte `offset` of the serialised message, of a numpy dtype."""
+    """A number of a numpy dtype, or `count` consecutive ones, at byte `offset` of the serialised message."""
 
     offset: int
     dtype: str
@@ -124,43 +123,43 @@ class CdrLayout:
         self._store = store
         self.template = np.frombuffer(bytes(store.serialize_cdr(example, type_name)), np.uint8)
         self.fields: dict[str, Field] = {}
-        end = self._walk(type_name, example, "", 0) + _ENCAPSULATION_LENGTH
+        end = self._add_fields(type_name, example, "", 0) + _ENCAPSULATION_LENGTH
         if not end <= len(self.template) < end + 4:
             raise ValueError(f"{type_name}: the layout has {end} bytes, but the message {len(self.template)}")
-        self._fixed = np.ones(len(self.template), dtype=bool)
-        self._fixed[: _ENCAPSULATION_LENGTH] = self._fixed[end:] = False
+        self._is_fixed = np.ones(len(self.template), dtype=bool)
+        self._is_fixed[:_ENCAPSULATION_LENGTH] = self._is_fixed[end:] = False
         for field in self.fields.values():
-            self._fixed[field.offset : field.offset + field.width] = False
+            self._is_fixed[field.offset : field.offset + field.width] = False
 
-    def _walk(self, type_name: str, value: Any, path: str, at: int) -> int:
-        """Adds the fields of a (nested) message at byte `at` of the body; returns the byte after its end."""
+    def _add_fields(self, type_name: str, value: Any, path: str, offset: int) -> int:
+        """Adds the fields of a (nested) message, given its offset in the body; returns the offset of its end."""
         if type_name in ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"):
-            at = _align(at, 4)
-            self.fields[path] = Field(at + _ENCAPSULATION_LENGTH, "<i4", 2)
-            return at + 8
+            offset = _align(offset, 4)
+            self.fields[path] = Field(offset + _ENCAPSULATION_LENGTH, "<i4", 2)
+            return offset + 8
         prefix = f"{path}." if path else ""
         for name, (node, detail) in self._store.fielddefs[type_name][1]:
-            at = self._walk_member(node, detail, getattr(value, name), prefix + name, at)
-        return at
+            offset = self._add_member(node, detail, getattr(value, name), prefix + name, offset)
+        return offset
 
-    def _walk_member(self, node: int, detail: Any, value: Any, path: str, at: int) -> int:
+    def _add_member(self, node: int, detail: Any, value: Any, path: str, offset: int) -> int:
         if node == Nodetype.NAME:
-            return self._walk(detail, value, path, at)
+            return self._add_fields(detail, value, path, offset)
         if node == Nodetype.BASE:
             if detail[0] == "string":
-                return _align(at, 4) + 4 + len(value.encode()) + 1
-            return self._add_numbers(_DTYPES[detail[0]], 1, path, at)
+                return _align(offset, 4) + 4 + len(value.encode()) + 1
+            return self._add_numbers(_DTYPES[detail[0]], 1, path, offset)
         (inner, inner_detail), _ = detail
         if node == Nodetype.SEQUENCE:
-            at = _align(at, 4) + 4
+            offset = _align(offset, 4) + 4
         if inner == Nodetype.BASE and inner_detail[0] != "string":
-            return self._add_numbers(_DTYPES[inner_detail[0]], len(value), path, at) if len(value) else at
+            return self._add_numbers(_DTYPES[inner_detail[0]], len(value), path, offset) if len(value) else offset
         for index, element in enumerate(value):
-            at = self._walk_member(inner, inner_detail, element, f"{path}.{index}", at)
-        return at
+            offset = self._add_member(inner, inner_detail, element, f"{path}.{index}", offset)
+        return offset
 
-    def _add_numbers(self, dtype: str, count: int, path: str, at: int) -> int:
-        field = Field(_align(at, np.dtype(dtype).itemsize) + _ENCAPSULATION_LENGTH, dtype, count)
+    def _add_numbers(self, dtype: str, count: int, path: str, offset: int) -> int:
+        field = Field(_align(offset, np.dtype(dtype).itemsize) + _ENCAPSULATION_LENGTH, dtype, count)
         self.fields[path] = field
         return field.offset - _ENCAPSULATION_LENGTH + field.width
 
@@ -189,7 +188,7 @@ class CdrLayout:
     def fits(self, buffer: np.ndarray, starts: np.ndarray, sizes: np.ndarray) -> bool:
         """Whether the messages at `starts`, of `sizes` bytes, have this layout; padding to four bytes is allowed."""
         size_fits = ((sizes >= len(self.template)) & (sizes < len(self.template) + 4)).all()
-        fixed_bytes = np.nonzero(self._fixed)[0]
+        fixed_bytes = np.nonzero(self._is_fixed)[0]
         return bool(size_fits) and all((buffer[starts + k] == self.template[k]).all() for k in fixed_bytes)
 
 
@@ -200,13 +199,13 @@ def get_field(message: Any, path: str) -> Any:
     return message.sec * 1_000_000_000 + message.nanosec if path.endswith("stamp") else message
 
 
-def _align(at: int, size: int) -> int:
-    return -(-at // size) * size
+def _align(offset: int, size: int) -> int:
+    return -(-offset // size) * size
 
 
 @dataclass(frozen=True)
 class Block:
-    """Messages of one channel in one chunk: in `buffer` (uint8) from `starts` on, each `sizes` bytes long."""
+    """Messages of one channel in one chunk, at the offsets `starts` with `sizes` [bytes] in `buffer` (uint8)."""
 
     buffer: np.ndarray
     starts: np.ndarray
@@ -215,7 +214,7 @@ class Block:
 
 
 def read_summary(path: Path) -> Summary | None:
-    """Reads channels, schemas and chunk indexes of an MCAP file that was closed.
+    """Reads channels, schemas and chunk indexes of an MCAP file that was closed properly.
 
     Returns None for a file without a complete index: truncated, not MCAP, without chunks, or written without message
     indexes or without statistics, channels or schemas in its summary.
@@ -229,15 +228,15 @@ def read_summary(path: Path) -> Summary | None:
         return None
     counts = summary.statistics.channel_message_counts
     indexed_channels = set().union(*(chunk.message_index_offsets for chunk in summary.chunk_indexes))
-    has_channels = all(number in summary.channels for number, count in counts.items() if count)
+    has_channels = all(channel in summary.channels for channel, count in counts.items() if count)
     has_schemas = all(c.schema_id in summary.schemas or not c.schema_id for c in summary.channels.values())
-    is_indexed = indexed_channels >= {number for number, count in counts.items() if count}
+    is_indexed = indexed_channels >= {channel for channel, count in counts.items() if count}
     is_complete = sum(counts.values()) == summary.statistics.message_count
     return summary if has_channels and has_schemas and is_indexed and is_complete else None
 
 
 def read_blocks(path: Path, summary: Summary, channels: Collection[int]) -> Iterator[tuple[int, Block]]:
-    """Yields (channel, its messages in a chunk), chunk by chunk. Raises one of READ_ERRORS."""
+    """Yields (channel, block of its messages in one chunk) in the order of the file. Raises one of READ_ERRORS."""
     chunks = [chunk for chunk in sorted(summary.chunk_indexes, key=lambda c: c.chunk_start_offset)
               if not chunk.message_index_offsets.keys().isdisjoint(channels)]
     with path.open("rb") as stream:
@@ -268,10 +267,10 @@ def _read_block(stream: BinaryIO, chunk: ChunkIndex, channel: int, buffer: np.nd
         raise ValueError("a message index is missing")
     entries = stream.read(struct.unpack_from("<I", head, _RECORD_HEAD_LENGTH + 2)[0])
     times, offsets = np.frombuffer(entries, "<u8").astype(np.int64).reshape(-1, 2).T
-    words = np.ndarray((max(len(buffer) - 7, 0),), "<u8", buffer.data, 0, (1,))
+    uint64_at = np.ndarray((max(len(buffer) - 7, 0),), "<u8", buffer.data, 0, (1,))
     if len(offsets) and not 0 <= int(offsets.min()) <= int(offsets.max()) <= len(buffer) - _MESSAGE_HEAD_LENGTH:
         raise ValueError("a message index points outside its chunk")
-    sizes = words[offsets + 1].astype(np.int64) - 22
+    sizes = uint64_at[offsets + 1].astype(np.int64) - 22
     if (sizes < 0).any() or (sizes > len(buffer) - _MESSAGE_HEAD_LENGTH - offsets).any():
         raise ValueError("a message reaches beyond its chunk")
     return Block(buffer, offsets + _MESSAGE_HEAD_LENGTH, sizes, times)

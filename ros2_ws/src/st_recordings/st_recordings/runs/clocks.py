@@ -11,10 +11,10 @@ from .can_signals import CanSignals, Signal
 from .ins_log import InsLog
 
 # Delays [s]: (expected value, standard deviation).
-INS_ON_CAN_DELAY = (0.002, 0.002)  # default, from the measurement of an INS value to its frame in the log
+INS_ON_CAN_DELAY = (0.002, 0.002)  # from the measurement of an INS value to its frame in the log; default
 WHEEL_SPEED_DELAY = (0.015, 0.015)  # wheel pulses are counted over a period before the speed is sent
-# Standard deviation of longitudinal slip divided by acceleration [s^2/m], which shifts a wheel speed in time by this
-# value times the speed. The ratio is 0.003 for a braked rear axle, 0.007 for a driven one, 0 for one that rolls freely.
+# Standard deviation of the ratio of longitudinal slip to acceleration [s^2/m]; slip shifts a wheel speed in time by
+# this ratio times the speed. It is 0.003 for a braked rear axle, 0.007 for a driven one, 0 for one that rolls freely.
 SLIP_PER_ACCELERATION_DEVIATION = 0.002
 STEERING_DELAY = (-0.06, 0.06)  # negative, because steering leads the yaw rate by the response time of the car
 
@@ -27,7 +27,7 @@ MIN_MOVING_SPEED = 1.0  # m/s; above it, the car counts as moving in the search 
 TIME_FRAME_RESOLUTION = {"RT_MilliTime": 0.001, "RT_DateTime": 0.01}  # s, of the time in each message
 MAX_METHOD_DIFFERENCE = 0.01  # s, between the offsets from the CAN time frame and from the shared signals
 MAX_CLOCK_ERROR = 60.0  # s, assumed for the clock of the logger if the signals allow several offsets
-MIN_RELATIVE_PEAK = 0.97  # minimum ratio of the correlation near the logger's clock to the best one
+MIN_RELATIVE_PEAK = 0.97  # minimum ratio of the correlation near the logger's clock to the highest correlation
 CHECK_SEARCH = 2.0  # s, search range on both sides of the offset from the CAN time frame
 # Signal of the log -> channel with the plausibility limits that apply to it
 PLAUSIBILITY_CHANNELS = {"ins_velocity_x": "velocity_x", "ins_yaw_rate": "yaw_rate", "ins_yaw": "yaw",
@@ -38,8 +38,8 @@ PLAUSIBILITY_CHANNELS = {"ins_velocity_x": "velocity_x", "ins_yaw_rate": "yaw_ra
 def align_clocks(ins: InsLog, can: CanSignals, offset: float | None = None, search: tuple[float, float] | None = None,
                  latency: tuple[float, float] = INS_ON_CAN_DELAY,
                  steering_sign: int = 1) -> tuple[Alignment, list[SharedSignal]]:
-    """Aligns the clocks with the first available of: a given offset; the INS time frame on CAN, checked with shared
-    signals; shared signals; substitute signals, at best doubtful. Without any, the alignment is refused.
+    """Aligns the clocks by the first available of: a given offset; the INS time frame on CAN, checked with shared
+    signals; shared signals; substitute signals (then doubtful at best). Without any of these, refuses the alignment.
 
     offset: INS minus CAN clock [s]. search: bounds of an offset estimated without the time frame [s]. latency: delay of
     INS values on CAN and its standard deviation [s]. steering_sign: +1 if the decoded angle is positive to the left.
@@ -52,19 +52,19 @@ def align_clocks(ins: InsLog, can: CanSignals, offset: float | None = None, sear
     time_frames = [signal for signal in can.find_all("ins_unix_time") if np.isfinite(signal.values).sum() > 1]
     if offset is not None:
         at_ns = int(pairs[0].other_time_ns[0]) if pairs else 0
-        result = manual_alignment(round(offset * 1e9), at_ns, pairs)
+        alignment = manual_alignment(round(offset * 1e9), at_ns, pairs)
     elif ins.is_utc and time_frames:
         finest_frame = min(time_frames, key=lambda s: TIME_FRAME_RESOLUTION.get(s.message, 1.0))
-        result = _align_by_checked_time_frame(finest_frame, pairs if not warning else [], latency)
+        alignment = _align_by_checked_time_frame(finest_frame, pairs if not warning else [], latency)
     elif not pairs:
         reason = "the CAN log and the INS recording have no signal in common; give the offset (--offset)"
         return refused_alignment(reason), pairs
     else:
-        result = align(pairs, search=search)
-        if result.is_ambiguous and search is None and ins.is_utc:
-            result = _prefer_logger_clock(pairs, result)
-        result = result.with_doubts(*filter(None, (warning, _describe_opposite_sign(pairs, result, search))))
-    return replace(result, reasons=(*notes, *result.reasons)), pairs
+        alignment = align(pairs, search=search)
+        if alignment.is_ambiguous and search is None and ins.is_utc:
+            alignment = _prefer_logger_clock(pairs, alignment)
+        alignment = alignment.with_doubts(*filter(None, (warning, _describe_opposite_sign(pairs, alignment, search))))
+    return replace(alignment, reasons=(*notes, *alignment.reasons)), pairs
 
 
 def pair_shared_signals(ins: InsLog, can: CanSignals,
@@ -85,10 +85,10 @@ def pair_shared_signals(ins: InsLog, can: CanSignals,
 
 
 def pair_substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1) -> tuple[list[SharedSignal], str]:
-    """(pair for a log without INS frames, warning): INS speed and vehicle or rear wheel speed, or else curvature and
-    steering wheel angle.
+    """Pairs INS speed with vehicle or rear wheel speed, or else curvature with steering wheel angle, for a log without
+    INS frames. Returns ([pair], warning), or ([], "") if the log has neither speed nor steering.
 
-    steering_sign: +1 if the decoded angle is positive to the left. ([], "") if the log has neither speed nor steering.
+    steering_sign: +1 if the decoded angle is positive to the left.
     """
     velocity_x, yaw_rate = ins.values["velocity_x"], ins.values["yaw_rate"]
     speed = can.find_first("vehicle_speed") or can.find_first("wheel_speed_rear_left")
@@ -119,33 +119,33 @@ def pair_substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1
 def mask_implausible(ins: InsLog, can: CanSignals) -> tuple[InsLog, CanSignals, list[str]]:
     """(both recordings with NaN for implausible values, a note on each affected signal).
 
-    A single sentinel value or spike can be larger than the whole signal, and shifts or hides the correlation peak.
+    A single sentinel value or spike can exceed the range of the signal; it would shift or hide the correlation peak.
     """
     notes: list[str] = []
 
-    def mask(channel: str, label: str, time_ns: np.ndarray, values: np.ndarray, moving: np.ndarray) -> np.ndarray:
+    def mask(channel: str, label: str, time_ns: np.ndarray, values: np.ndarray, is_moving: np.ndarray) -> np.ndarray:
         if len(values) < 2:
             return values
         unwrapped = np.unwrap(np.nan_to_num(values)) if channel == "yaw" else values
-        bad, findings = find_implausible_samples(channel, (time_ns - time_ns[0]) * 1e-9, unwrapped, moving)
-        if bad.any():
-            largest = float(values[bad][np.argmax(np.abs(values[bad]))])
-            notes.append(f"{bad.sum()} of {len(bad)} samples of {label} are implausible (up to {largest:.4g} "
+        is_bad, findings = find_implausible_samples(channel, (time_ns - time_ns[0]) * 1e-9, unwrapped, is_moving)
+        if is_bad.any():
+            largest = float(values[is_bad][np.argmax(np.abs(values[is_bad]))])
+            notes.append(f"{is_bad.sum()} of {len(is_bad)} samples of {label} are implausible (up to {largest:.4g} "
                          f"{findings[0].unit}); the alignment does not use them")
-        return np.where(bad, np.nan, values)
+        return np.where(is_bad, np.nan, values)
 
     speed = can.find_first("ins_velocity_x") or can.find_first("vehicle_speed")
     masked_signals = dict(can.signals)
     for key, signal in can.signals.items():
         if signal.name in PLAUSIBILITY_CHANNELS:
-            moving = (_is_moving(signal.time_ns, speed.time_ns, speed.values) if speed
+            is_moving = (_is_moving(signal.time_ns, speed.time_ns, speed.values) if speed
                       else np.ones(len(signal.values), bool))
             masked_signals[key] = replace(signal, values=mask(
                 PLAUSIBILITY_CHANNELS[signal.name], f"{signal.name} ({signal.message})", signal.time_ns, signal.values,
-                moving))
+                is_moving))
     can = CanSignals(masked_signals, can.faults)
-    moving = _is_moving(ins.time_ns, ins.time_ns, ins.values["velocity_x"])
-    values = {name: mask(name, f"{name} of the INS", ins.time_ns, ins.values[name], moving)
+    is_moving = _is_moving(ins.time_ns, ins.time_ns, ins.values["velocity_x"])
+    values = {name: mask(name, f"{name} of the INS", ins.time_ns, ins.values[name], is_moving)
               for name in ("velocity_x", "yaw_rate", "yaw") if name in ins.values}
     return replace(ins, values={**ins.values, **values}), can, notes
 
@@ -155,9 +155,9 @@ def _is_moving(time_ns: np.ndarray, speed_time_ns: np.ndarray, speed: np.ndarray
     return np.isfinite(mask_standstill(time_ns, np.ones(len(time_ns)), speed_time_ns, speed, MIN_MOVING_SPEED))
 
 
-def _describe_opposite_sign(pairs: list[SharedSignal], result: Alignment, search: tuple[float, float] | None) -> str:
+def _describe_opposite_sign(pairs: list[SharedSignal], alignment: Alignment, search: tuple[float, float] | None) -> str:
     """A note if a refused alignment would be accepted with the opposite steering sign; otherwise empty."""
-    if result.verdict is not Verdict.REFUSED or pairs[0].min_deviation != MIN_VARIATION["curvature"]:
+    if alignment.verdict is not Verdict.REFUSED or pairs[0].min_deviation != MIN_VARIATION["curvature"]:
         return ""
     mirrored_alignment = align([replace(pairs[0], other=-pairs[0].other)], search=search)
     return "" if mirrored_alignment.verdict is Verdict.REFUSED else (
@@ -165,37 +165,37 @@ def _describe_opposite_sign(pairs: list[SharedSignal], result: Alignment, search
         f"{mirrored_alignment.signals[0].correlation:.2f}")
 
 
-def _prefer_logger_clock(pairs: list[SharedSignal], result: Alignment) -> Alignment:
+def _prefer_logger_clock(pairs: list[SharedSignal], alignment: Alignment) -> Alignment:
     """Selects the offset near the clock of the logger if it is one of several that fit equally well."""
     near_zero = align(pairs, search=(-MAX_CLOCK_ERROR, MAX_CLOCK_ERROR))
-    if near_zero.verdict is Verdict.REFUSED or not near_zero.peak or not result.peak or (
-            near_zero.peak.correlation < MIN_RELATIVE_PEAK * result.peak.correlation):
-        return result
+    if near_zero.verdict is Verdict.REFUSED or not near_zero.peak or not alignment.peak or (
+            near_zero.peak.correlation < MIN_RELATIVE_PEAK * alignment.peak.correlation):
+        return alignment
     return near_zero.with_doubts("several offsets fit equally well because laps or manoeuvres repeat; the one within "
                                  f"{MAX_CLOCK_ERROR:.0f} s of the logger's own clock is used")
 
 
 def _align_by_checked_time_frame(frames: Signal, pairs: list[SharedSignal], latency: tuple[float, float]) -> Alignment:
     is_finite = np.isfinite(frames.values)
-    sent_ns = np.round(frames.values[is_finite] * 1e6).astype(np.int64) * 1000
-    result = align_by_time_frame(frames.time_ns[is_finite], sent_ns,
+    ins_time_ns = np.round(frames.values[is_finite] * 1e6).astype(np.int64) * 1000
+    alignment = align_by_time_frame(frames.time_ns[is_finite], ins_time_ns,
                                  TIME_FRAME_RESOLUTION.get(frames.message, 0.01), *latency)
     if not pairs:
-        return result
+        return alignment
     # Search only near the offset of the time frame, because repeated laps fit at several offsets.
-    offset = result.offset_at_ns(result.at_ns) * 1e-9
-    # Only the first message with velocity, yaw rate or yaw, because a second one adds no information.
+    offset = alignment.offset_at_ns(alignment.at_ns) * 1e-9
+    # One message each for velocity, yaw rate and yaw, because a second one adds no information.
     distinct_pairs: dict[str, SharedSignal] = {}
     for pair in pairs:
         distinct_pairs.setdefault(pair.name.partition(" (")[0], pair)
     check = align(list(distinct_pairs.values()), search=(offset - CHECK_SEARCH, offset + CHECK_SEARCH))
     if check.verdict is Verdict.REFUSED:
-        return result.with_doubts(f"the shared signals do not confirm the offset: {check.reasons[-1]}")
-    difference = (check.offset_at_ns(check.at_ns) - result.offset_at_ns(check.at_ns)) * 1e-9
-    result = replace(result, signals=check.signals, peak=check.peak, second_peak=check.second_peak)
+        return alignment.with_doubts(f"the shared signals do not confirm the offset: {check.reasons[-1]}")
+    difference = (check.offset_at_ns(check.at_ns) - alignment.offset_at_ns(check.at_ns)) * 1e-9
+    alignment = replace(alignment, signals=check.signals, peak=check.peak, second_peak=check.second_peak)
     if abs(difference) > MAX_METHOD_DIFFERENCE:
-        return result.with_doubts(f"the shared signals give an offset that differs by {difference * 1e3:+.0f} ms")
-    return result
+        return alignment.with_doubts(f"the shared signals give an offset that differs by {difference * 1e3:+.0f} ms")
+    return alignment
 
 
 def _make_pair(name: str, kind: str, time_ns: np.ndarray, values: np.ndarray, signal: Signal, speed: Signal | None,

@@ -1,4 +1,4 @@
-"""Finds the columns of channels, and their units, by the names that are usual in tables."""
+"""Finds the column and the unit of each channel by the column names that are usual in tables."""
 
 import math
 import re
@@ -39,7 +39,6 @@ UNITS: Mapping[str, Mapping[str, tuple[float, tuple[str, ...]]]] = {
                      "g": (9.80665, ("g0", "gs")), "ft/s^2": (0.3048, ("ft/s2",))},
 }
 
-
 _SPELLINGS = str.maketrans({
     **dict.fromkeys("º˚⁰", "°"), **dict.fromkeys("µμ", "u"), **dict.fromkeys("äÄ", "ae"), **dict.fromkeys("öÖ", "oe"),
     **dict.fromkeys("üÜ", "ue"), "ψ": "psi", "δ": "delta", "ω": "omega", "\u0307": "dot"})
@@ -56,7 +55,7 @@ def normalise(text: str) -> str:
 
 
 _UNITS_BY_SPELLING = {kind: {normalise(text): unit for unit, (_, others) in units.items() for text in (unit, *others)}
-            for kind, units in UNITS.items()}
+                      for kind, units in UNITS.items()}
 _BASE_UNITS = {**_UNITS_BY_SPELLING["length"], **_UNITS_BY_SPELLING["angle"], **_UNITS_BY_SPELLING["time"]}
 
 
@@ -87,7 +86,7 @@ def _split(text: str) -> tuple[str, ...]:
     return tuple(text.split())
 
 
-MOTION_CHANNELS = frozenset({"velocity_x", "yaw_rate", "yaw"})  # a table with one of them is no CAN log
+MOTION_CHANNELS = frozenset({"velocity_x", "yaw_rate", "yaw"})  # a table with one of them is not a CAN log
 COLUMNS: Mapping[str, Channel] = {
     "t": Channel("time", "time", _split(
         "t time t_rt timestamp timestamps stamp time_boot sim_time log_time relative_time elapsed elapsed_time seconds "
@@ -128,7 +127,7 @@ COLUMNS: Mapping[str, Channel] = {
     **{f"velocity_{axis}": Channel("speed", meaning, _split(
         f"velocity_{axis} vel_{axis} v_{axis} {axis}_velocity velocity_{axis[0]} vel_{axis[0]} vel_ned_{axis[0]} "
         f"v{axis[0]}")) for axis, meaning in (("east", "read with velocity_north and yaw if velocity_y is missing"),
-                                              ("north", "as velocity_east"))},
+                                              ("north", "read with velocity_east and yaw if velocity_y is missing"))},
     "yaw_rate": Channel("angular rate", "positive in left turns; if missing, the derivative of yaw", _split(
         "yaw_rate yaw_rate_iso yaw_velocity yaw_vel yaw_speed yaw_dot psi_dot psi_p d_psi r avz wz omega_z omega "
         "angular_velocity_z angular_rate_z z_angular_rate angle_rate_z ang_vel_z ang_vels_z angular_z rate_z gyro_z "
@@ -181,12 +180,12 @@ _SUFFIX = re.compile(rf"(?i)[ _-]+{_SOURCE}$")
 _FRACTION = re.compile(r"(.*?)(n|nano|u|micro|m|milli)(s|secs?|seconds?)")  # normalised name of fractions of a second
 _FRACTION_FACTORS = {"n": 1e-9, "nano": 1e-9, "u": 1e-6, "micro": 1e-6, "m": 1e-3, "milli": 1e-3}
 
-_STEERING = "steering"  # of the steering wheel or of the road wheels
+_STEERING = "steering"  # angle of the steering wheel or of the road wheels; the name leaves this open
 _KINDS_BY_CHANNEL = {**{channel: definition.kind for channel, definition in COLUMNS.items()}, _STEERING: "angle"}
 _CHANNELS_BY_NAME = {**dict.fromkeys(AMBIGUOUS, (_STEERING, 0)),
-               **{normalise(name): (channel, rank) for channel, definition in COLUMNS.items()
-                  for rank, name in enumerate(definition.names)},
-               **dict.fromkeys(("theta", "phi"), ("yaw", DOUBTFUL_RANK))}
+                     **{normalise(name): (channel, rank) for channel, definition in COLUMNS.items()
+                        for rank, name in enumerate(definition.names)},
+                     **dict.fromkeys(("theta", "phi"), ("yaw", DOUBTFUL_RANK))}
 
 
 @dataclass(frozen=True)
@@ -214,11 +213,11 @@ class ColumnSource:
 
 
 class _Meaning(NamedTuple):
-    """The channel that the name of a column denotes."""
+    """What the name of a column denotes."""
 
     channel: str  # a key of COLUMNS, or _STEERING
     rank: int  # of the name among the names of the channel
-    unit: str | None  # as the name states it
+    unit: str | None  # as stated in the name
     path: str  # text before the name of the channel
 
 
@@ -266,8 +265,8 @@ def _find_best_columns(names: Sequence[str]) -> dict[str, list[ColumnSource]]:
         del columns["yaw"]
     forward = columns.get("velocity_x", [])
     if [_without_unit(source.name) for source in forward] == ["v"] and "u" in (
-            plain := [*map(_without_unit, names[:forward[0].column])]):
-        number = plain.index("u")  # u and v may be the forward and the lateral velocity
+            bare_names := [*map(_without_unit, names[:forward[0].column])]):
+        number = bare_names.index("u")  # u and v may be the forward and the lateral velocity
         forward.insert(0, _make_source(number, names[number], "velocity_x", None))
     return columns
 
@@ -285,9 +284,8 @@ def find_ambiguous(names: Sequence[str]) -> dict[str, list[str]]:
 
 
 def find_stamp_columns(names: Sequence[str]) -> tuple[int, int, float] | None:
-    """Indices of the columns of a stamp in two parts, and the unit [s] of the second: header.stamp.sec (or secs) and
-    nanosec (or nsecs) of ROS, tv_sec and tv_usec, time_s and time_ms, Time and Millisecond or Time_ms. None without a
-    pair."""
+    """(column of the seconds, column of their fraction, unit of the fraction [s]) of a stamp in two columns, such as
+    header.stamp.sec and nanosec (ROS), tv_sec and tv_usec, time_s and time_ms, Time and Millisecond or Time_ms."""
     normalised = [normalise(name) for name in names]
     for number, name in enumerate(normalised):
         if not (match := _FRACTION.fullmatch(name)):
@@ -307,7 +305,7 @@ def find_stamp_columns(names: Sequence[str]) -> tuple[int, int, float] | None:
 
 
 def add_fraction(seconds: np.ndarray, fraction: np.ndarray) -> np.ndarray:
-    """Times in two parts [s]; `seconds` unless these are whole and all fractions are below 1 s."""
+    """Adds fractions to whole seconds [s]; returns `seconds` if they are not whole or a fraction is 1 s or more."""
     is_pair = not np.nan_to_num(seconds % 1.0).any() and np.nanmax(fraction, initial=0.0) < 1.0
     return seconds + np.nan_to_num(fraction) if is_pair else seconds
 
@@ -375,7 +373,7 @@ def describe_unknown_units(names: Sequence[str], sources: Mapping[str, ColumnSou
 
 
 def _split_name_and_unit(name: str) -> list[tuple[str, str]]:
-    """All splits of a column name into name and unit, the whole name first; yaw_rate_deg_s: also (yaw_rate, deg_s)."""
+    """Possible splits of a column name into (name, unit); if no unit is in brackets, the first is (whole name, "")."""
     match = re.fullmatch(r"(.*?)[\s_]*[\[(]([^\])]*)[\])]\s*", name)
     if match:
         base, unit = match.groups()

@@ -34,7 +34,7 @@ QUATERNION_CHANNELS = [f"orientation_{axis}" for axis in "xyzw"]
 MIN_DISAGREEING_ANGLE = 0.3
 """[rad]. If the median difference of heading and course is larger, the heading has a different unit or direction."""
 MAX_HELD_FRACTION = 0.3
-"""Positions have a lower rate than the rows if they repeat in a larger fraction of the rows with a moving car."""
+"""Positions have a lower rate than the rows if more than this fraction of the rows with a moving car repeat them."""
 MIN_INTERVAL_RATIO = 1.5
 """A channel has a lower rate than another if the ratio of their median sample intervals exceeds this value."""
 MIN_SIMILAR_RATE = 0.9  # two channels have similar rates if one has more than this fraction of the samples of the other
@@ -42,7 +42,7 @@ MIN_GAP_RATIO = 2.5  # rows are missing between two rows if their time differenc
 MAX_GAP_FRACTION = 0.1
 """If a larger fraction of new positions follows missing rows, the time stamps jitter and no row is missing."""
 MAX_ROUNDING_RATIO = 1.01
-"""A change of position is one unit of the last decimal if their ratio (larger to smaller) is not above this."""
+"""A change of position equals one unit of the last decimal if their ratio, larger to smaller, is at most this."""
 MIN_REGULAR_FRACTION = 0.9
 """Fraction of regular intervals between the samples of a channel, above which its blanks are due to a lower rate."""
 
@@ -69,14 +69,14 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
     A row without a number in an INS channel is left out of the INS samples but not of the steering samples, and vice
     versa; a missing acceleration becomes NaN. vehicle: required for a table with only the steering wheel angle.
     yaw_scale: correction factor of yaw, applied before unwrapping. steering: column that an option names, and its sign.
-    frame_id: of the velocities, if they are from a ROS message.
+    frame_id: frame of the velocities, if they are from a ROS message.
     """
     file = table.file
     _require_columns(table, (*INS_SIGNALS, ROAD_WHEEL))
-    notes = list(table.warnings)
-    columns, origin = _derive_channels(table, notes, frame_id)
-    steering_channels = _choose_steering(table, columns, vehicle, steering, notes)
-    missing = _count_missing(table, columns, steering_channels, notes)
+    warnings = list(table.warnings)
+    columns, origin = _derive_channels(table, warnings, frame_id)
+    steering_channels = _choose_steering(table, columns, vehicle, steering, warnings)
+    missing = _count_missing(table, columns, steering_channels, warnings)
     has_ins = table.is_usable & all_finite(columns, INS_SIGNALS)
     has_steering = table.is_usable & all_finite(columns, steering_channels)
     if min(has_ins.sum(), has_steering.sum()) < 2:
@@ -94,7 +94,7 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
                 advice = "export it as plain numbers"
         elif len(table.is_usable) > 1:
             rows = format_count(int(table.is_usable.sum()), len(table.is_usable), "rows")
-            reason, advice = f": only {rows} have a time later than all rows before", "export the time of each row"
+            reason, advice = f": only {rows} have a time later than all previous rows", "export the time of each row"
         raise RunError(file, f"it contains fewer than two usable rows{reason}", advice)
     values = {name: columns[name][has_ins] for name in INS_SIGNALS}
     values["yaw"] = np.unwrap(yaw_scale * values["yaw"])
@@ -105,12 +105,12 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
     speeds = {name: (table.time_ns[table.is_usable], columns[name][table.is_usable])
               for name in SPEEDS if name in columns}
     first, last = np.flatnonzero(table.is_usable)[[0, -1]]
-    extras = AuxiliaryData({"INS": table.time_ns[first : last + 1]}, missing, compute_car_speed(speeds),
+    auxiliary = AuxiliaryData({"INS": table.time_ns[first : last + 1]}, missing, compute_car_speed(speeds),
                            geographic=origin is not None)
     sources = {channel: f"{source.name} [{source.unit}{'' if source.has_stated_unit else ', assumed'}]"
                for channel, source in table.sources.items()}
     provenance = {"columns": sources, **({"origin": list(origin)} if origin else {})}
-    return LoadedRun(log, provenance, warnings=tuple(notes), auxiliary=extras)
+    return LoadedRun(log, provenance, warnings=tuple(warnings), auxiliary=auxiliary)
 
 
 def build_ins_log(table: Table, required: Sequence[str], yaw_scale: float = 1.0) -> InsLog:
@@ -120,8 +120,8 @@ def build_ins_log(table: Table, required: Sequence[str], yaw_scale: float = 1.0)
     may contain NaN. yaw_scale: as for `build_drive`.
     """
     _require_columns(table, required, ", `can: [CAN LOGS]`")
-    notes = list(table.warnings)
-    columns, origin = _derive_channels(table, notes)
+    warnings = list(table.warnings)
+    columns, origin = _derive_channels(table, warnings)
     channels = [name for name in INS_SIGNALS if name in columns
                 and (name in required or (name == "yaw" and np.isfinite(columns[name]).any()))]
     rows = table.is_usable & all_finite(columns, channels)
@@ -129,13 +129,13 @@ def build_ins_log(table: Table, required: Sequence[str], yaw_scale: float = 1.0)
         _reject_without_fix(table)
         raise RunError(table.file, "it contains fewer than two usable rows", "remove it from the command")
     counted_columns = {name: columns[name] for name in (*channels, *OPTIONAL_INS_SIGNALS) if name in columns}
-    _count_missing(table, counted_columns, (), notes)
+    _count_missing(table, counted_columns, (), warnings)
     values = {name: columns[name][rows] for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS)
               if name in columns and np.isfinite(columns[name][rows]).any()}
     if "yaw" in values:
         values["yaw"] = np.unwrap(yaw_scale * values["yaw"])
     time_ns = table.time_ns[rows]
-    return InsLog(table.file, time_ns, values, time_ns, origin, None, tuple(notes), table.is_utc)
+    return InsLog(table.file, time_ns, values, time_ns, origin, None, tuple(warnings), table.is_utc)
 
 
 def has_drive_columns(file: Path) -> bool:
@@ -206,22 +206,22 @@ def _require_columns(table: Table, required: Sequence[str], can: str = "") -> No
             advice += INTEGRATION_ADVICE
         raise RunError(table.file, f"no column was recognised as {', '.join(texts)}; its columns are "
                        f"{', '.join(table.names)[:200]}", advice)
-    doubtful = (find_ambiguous_steering(table.names) or "")[:60]
+    column = (find_ambiguous_steering(table.names) or "")[:60]
     if ROAD_WHEEL in required and ROAD_WHEEL not in table.sources and STEERING_WHEEL not in table.sources:
-        raise RunError(table.file, f"column {doubtful} may be the angle of the steering wheel or of the road wheels",
-                       f"declare it: --steering-field '{doubtful}' --steering-is wheel (or road); or in a run.yaml, as "
-                       f"columns: {{{STEERING_WHEEL}: {doubtful}}} or {{{ROAD_WHEEL}: {doubtful}}}")
+        raise RunError(table.file, f"column {column} may be the angle of the steering wheel or of the road wheels",
+                       f"declare it: --steering-field '{column}' --steering-is wheel (or road); or in a run.yaml, as "
+                       f"columns: {{{STEERING_WHEEL}: {column}}} or {{{ROAD_WHEEL}: {column}}}")
 
 
 def _reject_without_fix(table: Table) -> None:
-    """Raises RunError if the position is that of latitude and longitude, and these are 0 or empty in all rows."""
+    """Raises RunError if the position is given by latitude and longitude, and both are 0 or empty in all rows."""
     angles = [table.columns[name] for name in ("latitude", "longitude") if name in table.columns.keys() - table.texts]
     if len(angles) == 2 and not {"x", "y"} <= table.columns.keys() and not np.nan_to_num(angles).any():
         raise RunError(table.file, "latitude and longitude are 0 or empty in all rows, so the receiver had no fix",
                        "export x and y, or a part with a fix")
 
 
-def _derive_channels(table: Table, notes: list[str], frame_id: str = ""
+def _derive_channels(table: Table, warnings: list[str], frame_id: str = ""
                      ) -> tuple[dict[str, np.ndarray], tuple[float, float, float] | None]:
     """(columns with derived channels, origin of the map: latitude, longitude [rad] and altitude [m]; None if the table
     has x and y, or no fix).
@@ -230,22 +230,22 @@ def _derive_channels(table: Table, notes: list[str], frame_id: str = ""
     or as in `_complete_motion`; yaw rate from yaw; x, y from latitude, longitude. Interpolates channels of lower rate.
     """
     columns, origin = dict(table.columns), None
-    _interpolate_lower_rates(table, columns, notes)
+    _interpolate_lower_rates(table, columns, warnings)
     if "yaw" not in columns and HEADING in columns:
         columns["yaw"] = np.pi / 2 - columns[HEADING]
     elif "yaw" not in columns and columns.keys() >= {*QUATERNION_CHANNELS}:
         columns["yaw"] = yaw_from_quaternion(*map(columns.__getitem__, QUATERNION_CHANNELS))
     elif "yaw" not in columns and COURSE in columns:
-        columns[COURSE] = _replace_course_when_slow(table, columns, notes)
+        columns[COURSE] = _replace_course_when_slow(table, columns, warnings)
         columns["yaw"] = np.pi / 2 - columns[COURSE]
     if "velocity_y" not in columns and columns.keys() >= {"yaw", "velocity_east", "velocity_north"}:
         east, north = columns["velocity_east"], columns["velocity_north"]
         _check_yaw(table, np.arctan2(north, east), np.hypot(east, north))
         columns["velocity_x"], columns["velocity_y"] = map_to_body(east, north, columns["yaw"])
     elif columns.keys() >= {"velocity_x", "velocity_y", "yaw"}:
-        note = rotate_to_body_axes(columns, frame_id)
-        notes += [f"{table.file}: {note}"] if note else []
-    _complete_motion(table, columns, notes)
+        warning = rotate_to_body_axes(columns, frame_id)
+        warnings += [f"{table.file}: {warning}"] if warning else []
+    _complete_motion(table, columns, warnings)
     if not {"x", "y"} <= columns.keys() and columns.keys() >= {"latitude", "longitude"}:
         latitude, longitude = columns["latitude"], columns["longitude"]
         for name, limit in (("latitude", 90), ("longitude", 360)):
@@ -257,14 +257,14 @@ def _derive_channels(table: Table, notes: list[str], frame_id: str = ""
         has_fix = (latitude != 0.0) | (longitude != 0.0)  # loggers write zeros before the first fix
         if not has_fix.all():
             count_text = format_count(int((~has_fix).sum()), len(has_fix), "rows")
-            notes.append(f"{table.file}: {count_text} have latitude and longitude 0, which means no fix")
+            warnings.append(f"{table.file}: {count_text} have latitude and longitude 0, which means no fix")
         latitude, longitude = (np.where(has_fix, values, np.nan) for values in (latitude, longitude))
         fixes = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude) & table.is_usable)
         origin = (float(latitude[fixes[0]]), float(longitude[fixes[0]]), 0.0) if len(fixes) else None
         columns["x"], columns["y"], _ = LocalFrame(*(origin or (0.0, 0.0, 0.0))).to_enu(latitude, longitude, 0.0)
         _check_distance(table, columns, latitude, longitude)
-    _interpolate_lower_rates(table, columns, notes)
-    _interpolate_held_positions(table, columns, notes)
+    _interpolate_lower_rates(table, columns, warnings)
+    _interpolate_held_positions(table, columns, warnings)
     return columns, origin
 
 
@@ -275,17 +275,17 @@ def _check_yaw(table: Table, course: np.ndarray, speed: np.ndarray) -> None:
     if not channel or table.sources[channel].unit not in ("rad", "deg"):
         return
     source = table.sources[channel]
-    cells = table.columns[channel] / source.factor
-    rows = table.is_usable & np.isfinite(cells) & (speed > MIN_COURSE_SPEED)
+    recorded_angles = table.columns[channel] / source.factor
+    rows = table.is_usable & np.isfinite(recorded_angles) & (speed > MIN_COURSE_SPEED)
     if rows.sum() < MIN_COMPARED_SAMPLES:
         return
-    errors: dict[tuple[str, str], float] = {}
+    differences: dict[tuple[str, str], float] = {}
     for unit in ("rad", "deg"):
-        angle = cells[rows] * UNITS["angle"][unit][0]
+        angle = recorded_angles[rows] * UNITS["angle"][unit][0]
         for name, yaw in (("yaw", angle), (HEADING, np.pi / 2 - angle)):
-            errors[name, unit] = float(np.median(np.abs(wrap_angle(course[rows] - yaw))))
-    name, unit = min(errors, key=lambda candidate: errors[candidate])
-    if errors[channel, source.unit] > MIN_DISAGREEING_ANGLE and errors[name, unit] < MAX_AGREEING_ANGLE:
+            differences[name, unit] = float(np.median(np.abs(wrap_angle(course[rows] - yaw))))
+    name, unit = min(differences, key=lambda candidate: differences[candidate])
+    if differences[channel, source.unit] > MIN_DISAGREEING_ANGLE and differences[name, unit] < MAX_AGREEING_ANGLE:
         raise RunError(table.file, f"column {source.name} agrees with the velocities to the east and north only as "
                        f"{name} in {unit}", f"declare it in a run.yaml, as columns: {{{name}: '{source.name}'}} and "
                        f"units: {{{name}: {unit}}}")
@@ -296,7 +296,7 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
     """Raises RunError if latitude and longitude are in radians without a stated unit, or interchanged.
 
     They are interchanged if they agree with the integrated speed and the heading only the other way round. Distances
-    are compared over steps of one second, so that they are large compared with the noise of the receiver.
+    are compared over steps of one second, so that they are large relative to the noise of the receiver.
     """
     if "velocity_x" not in columns:
         return
@@ -310,17 +310,17 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
     driven_distance = np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time)))[::step]
     if driven_distance[-1] < time[-1] - time[0]:  # below 1 m/s on average, receiver noise dominates
         return
-    moving = np.diff(driven_distance) > 0.5 * np.median(np.diff(driven_distance))
+    is_moving = np.diff(driven_distance) > 0.5 * np.median(np.diff(driven_distance))
     yaw = columns["yaw"][rows[::step]][:-1] if "yaw" in columns else None
 
     def compare(latitude: np.ndarray, longitude: np.ndarray) -> tuple[float, float]:
         """Medians over steps: (ratio of position distance to driven distance, |course - yaw| [rad])."""
-        frame, compared = LocalFrame(float(latitude[rows[0]]), float(longitude[rows[0]]), 0.0), rows[::step]
-        east, north, _ = map(np.diff, frame.to_enu(latitude[compared], longitude[compared], 0.0))
-        ratio = np.median((np.hypot(east, north) / np.maximum(np.diff(driven_distance), 1e-9))[moving])
+        frame, compared_rows = LocalFrame(float(latitude[rows[0]]), float(longitude[rows[0]]), 0.0), rows[::step]
+        east, north, _ = map(np.diff, frame.to_enu(latitude[compared_rows], longitude[compared_rows], 0.0))
+        ratio = np.median((np.hypot(east, north) / np.maximum(np.diff(driven_distance), 1e-9))[is_moving])
         if yaw is None:
             return float(ratio), np.nan
-        return float(ratio), float(np.nanmedian(np.abs(np.angle((east + 1j * north) * np.exp(-1j * yaw)))[moving]))
+        return float(ratio), float(np.nanmedian(np.abs(np.angle((east + 1j * north) * np.exp(-1j * yaw)))[is_moving]))
 
     names = [table.sources[name].name for name in ("latitude", "longitude")]
     ratio, angle = compare(latitude, longitude)
@@ -336,7 +336,7 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
                            f"columns: {{latitude: '{names[1]}', longitude: '{names[0]}'}}")
 
 
-def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
+def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], warnings: list[str]) -> None:
     """Interpolates INS channels with a lower rate or separate stamps at the rows of the channel with the highest rate.
     Of several channels with a similar rate, the one whose rows have numbers in the most channels is taken.
 
@@ -369,17 +369,17 @@ def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes
         if name in ("yaw", HEADING, COURSE):
             values = np.unwrap(values)
         interpolated = np.interp(time[rows], time[samples], values, np.nan, np.nan)
-        after = np.clip(np.searchsorted(time[samples], time[rows]), 1, len(samples) - 1)
-        interpolated[(steps[after - 1] > MIN_GAP_RATIO * median_step) & ~np.isin(rows, samples)] = np.nan
+        next_samples = np.clip(np.searchsorted(time[samples], time[rows]), 1, len(samples) - 1)
+        interpolated[(steps[next_samples - 1] > MIN_GAP_RATIO * median_step) & ~np.isin(rows, samples)] = np.nan
         columns[name] = np.full_like(columns[name], np.nan)
         columns[name][rows] = interpolated
         descriptions.append(f"{name} {format_count(len(samples), int(table.is_usable.sum()), 'rows')}")
     if descriptions:
-        notes.append(f"{table.file}: channels with a lower rate or separate stamps: {', '.join(descriptions)}; their "
-                     "values in the other rows were interpolated")
+        warnings.append(f"{table.file}: channels with a lower rate or separate stamps: {', '.join(descriptions)}; "
+                        "their values in the other rows were interpolated")
 
 
-def _replace_course_when_slow(table: Table, columns: Mapping[str, np.ndarray], notes: list[str]) -> np.ndarray:
+def _replace_course_when_slow(table: Table, columns: Mapping[str, np.ndarray], warnings: list[str]) -> np.ndarray:
     """Course over ground [rad], interpolated where the car is slower than MIN_COURSE_SPEED; constant if it is never
     faster, unchanged if the table has no speed."""
     course = columns[COURSE]
@@ -393,16 +393,17 @@ def _replace_course_when_slow(table: Table, columns: Mapping[str, np.ndarray], n
     is_slow = has_course & (speed < MIN_COURSE_SPEED)
     if not is_slow.any():
         return course
-    moving = np.flatnonzero(has_course & ~is_slow) if (has_course & ~is_slow).any() else np.flatnonzero(has_course)[:1]
-    notes.append(f"{table.file}: {format_count(int(is_slow.sum()), int(table.is_usable.sum()), 'rows')} are slower "
-                 f"than {MIN_COURSE_SPEED:g} m/s; the course is noise there and was interpolated")
+    is_fast = has_course & ~is_slow
+    known_rows = np.flatnonzero(is_fast) if is_fast.any() else np.flatnonzero(has_course)[:1]
+    warnings.append(f"{table.file}: {format_count(int(is_slow.sum()), int(table.is_usable.sum()), 'rows')} are slower "
+                    f"than {MIN_COURSE_SPEED:g} m/s; the course is noise there and was interpolated")
     course = course.copy()
-    course[is_slow] = np.interp(table.time_ns[is_slow] - table.time_ns[0], table.time_ns[moving] - table.time_ns[0],
-                             np.unwrap(course[moving]))
+    time_ns = table.time_ns - table.time_ns[0]
+    course[is_slow] = np.interp(time_ns[is_slow], time_ns[known_rows], np.unwrap(course[known_rows]))
     return course
 
 
-def _complete_motion(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
+def _complete_motion(table: Table, columns: dict[str, np.ndarray], warnings: list[str]) -> None:
     """Adds missing channels: velocity_y from speed and course (velocity_x is then the forward component), or else 0,
     and the yaw rate as the derivative of yaw."""
     if not columns.keys() >= {"velocity_x", "yaw"}:
@@ -413,13 +414,13 @@ def _complete_motion(table: Table, columns: dict[str, np.ndarray], notes: list[s
         speed = columns["velocity_x"]
         columns["velocity_x"], columns["velocity_y"] = speed * np.cos(sideslip), speed * np.sin(sideslip)
         if not np.nan_to_num(sideslip).any():
-            notes.append(f"{table.file}: no column was recognised as velocity_y; it is set to 0, sideslip is unknown")
+            warnings.append(f"{table.file}: no column was recognised as velocity_y; it is set to 0 (unknown sideslip)")
     if "yaw_rate" not in columns:
         columns["yaw_rate"] = differentiate_yaw(table, columns["yaw"])
-        notes.append(f"{table.file}: no column was recognised as yaw_rate; the derivative of yaw is used")
+        warnings.append(f"{table.file}: no column was recognised as yaw_rate; the derivative of yaw is used")
 
 
-def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
+def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], warnings: list[str]) -> None:
     """Interpolates, and at the end extrapolates, positions that have a lower rate than the rows and are repeated."""
     if not columns.keys() >= {"x", "y", "velocity_x"}:
         return
@@ -434,8 +435,8 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], no
     seconds = (table.time_ns[rows] - table.time_ns[rows[0]]) * 1e-9
     resolution = max(float(step[is_new].min()), 1e-9)
     is_moving = np.abs(columns["velocity_x"][rows][1:]) * np.diff(seconds) > (np.median(step[is_new]) + resolution) / 20
-    recorded = ("x", "y") if "x" in table.columns else ("latitude", "longitude")
-    is_rounded = all(_has_steps_of_one_digit(columns[name][rows] / table.sources[name].factor) for name in recorded)
+    names = ("x", "y") if "x" in table.columns else ("latitude", "longitude")
+    is_rounded = all(_has_steps_of_one_digit(columns[name][rows] / table.sources[name].factor) for name in names)
     if is_rounded or (is_moving & ~is_new).sum() <= MAX_HELD_FRACTION * max(is_moving.sum(), 1):
         return
     is_measured = np.concatenate(([True], is_new))
@@ -443,16 +444,16 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], no
     has_gap = np.concatenate(([False], np.diff(seconds) > MIN_GAP_RATIO * np.median(np.diff(seconds))))
     if (is_measured & has_gap).sum() <= MAX_GAP_FRACTION * is_measured.sum() and (is_measured & ~has_gap).sum() > 2:
         is_measured &= ~has_gap
-    before, last = np.flatnonzero(is_measured)[-2:]
+    second_last, last = np.flatnonzero(is_measured)[-2:]
     for name in ("x", "y"):
         values = columns[name].copy()
         values[rows] = np.interp(seconds, seconds[is_measured], columns[name][rows][is_measured])
-        slope = (values[rows[last]] - values[rows[before]]) / (seconds[last] - seconds[before])
+        slope = (values[rows[last]] - values[rows[second_last]]) / (seconds[last] - seconds[second_last])
         values[rows[last:]] = values[rows[last]] + slope * (seconds[last:] - seconds[last])
         columns[name] = values
     rate = (is_measured.sum() - 1) / max(seconds[is_measured][-1] - seconds[0], 1e-9)
-    notes.append(f"{table.file}: positions change in {format_count(int(is_measured.sum()), len(rows), 'rows')}, about "
-                 f"{rate:.0f} Hz; the positions of the other rows were interpolated")
+    warnings.append(f"{table.file}: positions change in {format_count(int(is_measured.sum()), len(rows), 'rows')}, "
+                    f"about {rate:.0f} Hz; the positions of the other rows were interpolated")
 
 
 def _has_steps_of_one_digit(values: np.ndarray) -> bool:
@@ -466,32 +467,32 @@ def _has_steps_of_one_digit(values: np.ndarray) -> bool:
 
 
 def _choose_steering(table: Table, columns: dict[str, np.ndarray], vehicle: VehicleParameters | None,
-                     steering: SteeringField | None, notes: list[str]) -> tuple[str, ...]:
+                     steering: SteeringField | None, warnings: list[str]) -> tuple[str, ...]:
     """Chooses the steering channels to read, applies the sign of an option, and computes the road wheel angle if there
     is only the steering wheel angle. Raises RunError if this requires a vehicle, but none is given."""
     if steering is not None and not steering.topic:
-        named, other = (ROAD_WHEEL, STEERING_WHEEL) if steering.quantity == "road" else (STEERING_WHEEL, ROAD_WHEEL)
-        columns[named] = steering.sign * columns[named]
-        columns.pop(other, None)
+        channel, unused = (ROAD_WHEEL, STEERING_WHEEL) if steering.quantity == "road" else (STEERING_WHEEL, ROAD_WHEEL)
+        columns[channel] = steering.sign * columns[channel]
+        columns.pop(unused, None)
     if ROAD_WHEEL not in columns:
         if vehicle is None:
             raise RunError(table.file, "it has only the steering wheel angle (column "
-                           f"{table.sources[STEERING_WHEEL].name}), and the road wheel angle follows from it only with "
-                           "the steering ratio and offset of the car", "give the vehicle file of the car")
+                           f"{table.sources[STEERING_WHEEL].name}); the road wheel angle can be computed from it only "
+                           "with the steering ratio and offset of the car", "give the vehicle file of the car")
         columns[ROAD_WHEEL] = vehicle.road_wheel_angle(columns[STEERING_WHEEL])
         return (STEERING_WHEEL,)
     if STEERING_WHEEL not in columns:
         return (ROAD_WHEEL,)
     if _count_missing_samples(table.time_ns, columns[STEERING_WHEEL]) > 0.5 * len(columns[STEERING_WHEEL]):
-        notes.append(f"{table.file}: {STEERING_WHEEL} (column {table.sources[STEERING_WHEEL].name}) has no number in "
-                     "more than half of the rows; the road wheel angle is used instead")
+        warnings.append(f"{table.file}: {STEERING_WHEEL} (column {table.sources[STEERING_WHEEL].name}) has no number "
+                        "in more than half of the rows; the road wheel angle is used instead")
         return (ROAD_WHEEL,)
     return ROAD_WHEEL, STEERING_WHEEL
 
 
 def _count_missing(table: Table, columns: Mapping[str, np.ndarray], steering: tuple[str, ...],
-                   notes: list[str]) -> dict[str, int]:
-    """Channel -> number of used rows in which it has no number ("time": of all rows); adds a note on each."""
+                   warnings: list[str]) -> dict[str, int]:
+    """Channel -> number of used rows in which it has no number ("time": of all rows); adds a warning about each."""
     channels = [name for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, *steering) if name in columns]
     counts = {"time": table.rows_without_time,
               **{name: _count_missing_samples(table.time_ns[table.is_usable], columns[name][table.is_usable])
@@ -508,8 +509,8 @@ def _count_missing(table: Table, columns: Mapping[str, np.ndarray], steering: tu
         else:
             consequence = f"these {'steering' if name in steering else 'INS'} samples were left out"
         column = f" (column {source.name})" if source else ""
-        notes.append(f"{table.file}: {name}{column}: {format_count(count, total, 'rows')} have no number"
-                     f"{', more than half' if is_mostly_missing else ''}; {consequence}")
+        warnings.append(f"{table.file}: {name}{column}: {format_count(count, total, 'rows')} have no number"
+                        f"{', more than half' if is_mostly_missing else ''}; {consequence}")
     if ROAD_WHEEL not in steering and STEERING_WHEEL in missing:
         missing[ROAD_WHEEL] = missing.pop(STEERING_WHEEL)
     return missing

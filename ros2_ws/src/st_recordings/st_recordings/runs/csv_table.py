@@ -69,19 +69,19 @@ def read_text(file: Path, size: int = -1) -> str:
 
 def _decode(file: Path, size: int) -> str:
     with file.open("rb") as stream:
-        raw = stream.read(size)
-    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return raw.decode("utf-16", "replace")
-    if len(raw) > 1 and not any(raw[1:200:2]) and all(raw[:200:2]):  # UTF-16 without byte order mark
-        return raw.decode("utf-16-le", "replace")
-    if len(raw) > 1 and not any(raw[:200:2]) and all(raw[1:200:2]):
-        return raw.decode("utf-16-be", "replace")
+        content = stream.read(size)
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return content.decode("utf-16", "replace")
+    if len(content) > 1 and not any(content[1:200:2]) and all(content[:200:2]):  # UTF-16 without byte order mark
+        return content.decode("utf-16-le", "replace")
+    if len(content) > 1 and not any(content[:200:2]) and all(content[1:200:2]):
+        return content.decode("utf-16-be", "replace")
     try:
-        return raw.decode("utf-8-sig", "strict" if size < 0 else "ignore")
+        return content.decode("utf-8-sig", "strict" if size < 0 else "ignore")
     except UnicodeDecodeError:
-        if b"\0" in raw[:4096] or sum(byte > 0x7F for byte in raw[:4096]) > 0.3 * len(raw[:4096]):
+        if b"\0" in content[:4096] or sum(byte > 0x7F for byte in content[:4096]) > 0.3 * len(content[:4096]):
             raise RunError(file, "this is not a text file", "correct its extension") from None
-        return raw.decode("cp1252", "replace")
+        return content.decode("cp1252", "replace")
 
 
 def read_header(file: Path) -> list[str]:
@@ -125,20 +125,20 @@ def join_tables(tables: Sequence[Table]) -> Table:
     parts = sorted((part for part in tables if part.is_usable.any()), key=lambda part: part.time_ns[part.is_usable][0])
     if len(parts) < 2:
         return parts[0] if parts else tables[0]
-    for before, part in pairwise(parts):
-        if part.time_ns[part.is_usable][0] <= before.time_ns[before.is_usable][-1]:
-            raise RunError(part.file, f"it begins before the end of {before.file.name}: parts of one recording must "
+    for previous, part in pairwise(parts):
+        if part.time_ns[part.is_usable][0] <= previous.time_ns[previous.is_usable][-1]:
+            raise RunError(part.file, f"it begins before the end of {previous.file.name}: parts of one recording must "
                            "follow each other on one clock", "list it as a separate run")
     first = parts[0]
     columns = {channel: np.concatenate([part.columns[channel] for part in parts]) for channel in first.columns
                if all(channel in part.columns for part in parts)}
     dropped = sorted({*first.columns} - {*columns})
-    notes = [note for part in parts for note in part.warnings]
-    notes += [f"{first.file}: {', '.join(dropped)}: not used, because not all parts have it"] if dropped else []
+    warnings = [warning for part in parts for warning in part.warnings]
+    warnings += [f"{first.file}: {', '.join(dropped)}: not used, because not all parts have it"] if dropped else []
     sources = {channel: source for channel, source in first.sources.items() if channel in columns or channel == "t"}
     return Table(first.file, first.names, sources, columns,
                  np.concatenate([part.time_ns for part in parts]), sum(part.rows_without_time for part in parts),
-                 np.concatenate([part.is_usable for part in parts]), tuple(notes))
+                 np.concatenate([part.is_usable for part in parts]), tuple(warnings))
 
 
 def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout: Layout, warnings: list[str],
@@ -186,22 +186,22 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
     return Table(file, tuple(names), sources, columns, time_ns, rows_without_time, is_usable, tuple(warnings), texts)
 
 
-def _join_groups(rows: np.ndarray, names: list[str], time: int) -> np.ndarray:
-    """One row for each time of a table in which each group of columns has its own times, in a column of the same name
-    before the group; NaN where a group has no row with this time. `rows` if the times are equal or do not increase."""
-    starts = [number for number in range(time, len(names)) if names[number] == names[time]]
+def _join_groups(rows: np.ndarray, names: list[str], time_column: int) -> np.ndarray:
+    """Joins groups of columns that each begin with their own time column, all of the same name: one row for each time,
+    NaN where a group has no such time. Returns `rows` if all groups have equal times or if times do not increase."""
+    starts = [number for number in range(time_column, len(names)) if names[number] == names[time_column]]
     groups = [rows[np.isfinite(rows[:, start])] for start in starts]
     group_times = [group[:, start] for group, start in zip(groups, starts, strict=True)]
     if any(not len(times) or (np.diff(times) <= 0).any() for times in group_times) or all(
             np.array_equal(times, group_times[0]) for times in group_times):
         return rows
     all_times = np.unique(np.concatenate(group_times))
-    joined = np.full((len(all_times), len(names)), np.nan)
+    joined_rows = np.full((len(all_times), len(names)), np.nan)
     for group, times, (start, end) in zip(groups, group_times, pairwise([*starts, len(names)]), strict=True):
-        joined[np.searchsorted(all_times, times), start:end] = group[:, start:end]
-    joined[np.searchsorted(all_times, group_times[0]), :time] = groups[0][:, :time]
-    joined[:, time] = all_times
-    return joined
+        joined_rows[np.searchsorted(all_times, times), start:end] = group[:, start:end]
+    joined_rows[np.searchsorted(all_times, group_times[0]), :time_column] = groups[0][:, :time_column]
+    joined_rows[:, time_column] = all_times
+    return joined_rows
 
 
 def _add_fraction(rows: np.ndarray, names: list[str], column: int) -> np.ndarray:
@@ -215,9 +215,9 @@ def _add_fraction(rows: np.ndarray, names: list[str], column: int) -> np.ndarray
 def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layout: Layout,
                   warnings: list[str]) -> dict[str, ColumnSource]:
     """Finds the column of each channel; the time may be an unnamed first column. Raises RunError for a CAN log."""
-    plain = {normalise(name) for name in names}
+    column_keys = {normalise(name) for name in names}
     sources = find_columns(file, names, layout)
-    if (plain & {"id", "canid", "arbid", "arbitrationid"} and plain & {"dlc", "len", "length", "data", "b1"}
+    if (column_keys & {"id", "canid", "arbid", "arbitrationid"} and column_keys & {"dlc", "len", "length", "data", "b1"}
             and column_names.MOTION_CHANNELS.isdisjoint(sources)):
         raise RunError(file, "this is a CAN log as a table", "export it as .asc, .blf, .trc, .mf4, "
                        ".log of candump, or with the columns of python-can's CSVWriter")
@@ -307,27 +307,27 @@ def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], preamble: Sequ
     """
     def read_unit_texts(line: str) -> dict[str, str]:
         cells = [cell.strip(' \r"\'') for cell in line.split(delimiter)]
-        found = {channel: text for channel, source in sources.items() if source.column < len(cells)
+        texts = {channel: text for channel, source in sources.items() if source.column < len(cells)
                  and (text := cells[source.column].strip("[]() ")).lower() not in MISSING_MARKS}
         is_data = any(np.isfinite(_parse_number(cell.replace(",", "."))) for cell in cells) or any(
-            parse_stamp(text) or _split_unit(channel, text) for channel, text in found.items())
-        return {} if is_data else found
+            parse_stamp(text) or _split_unit(channel, text) for channel, text in texts.items())
+        return {} if is_data else texts
 
-    def find_invalid(found: Mapping[str, str]) -> list[str]:
-        return [channel for channel, text in found.items()
+    def find_invalid(texts: Mapping[str, str]) -> list[str]:
+        return [channel for channel, text in texts.items()
                 if channel not in layout.units and find_unit(COLUMNS[channel].kind, text) is None]
 
     lines = body.split("\n", MAX_UNIT_ROWS)
     rows = [read_unit_texts(line) for line in lines[:-1]]
-    first = next((k for k, found in enumerate(rows) if lines[k].strip() and not found), len(rows))
+    first = next((k for k, texts in enumerate(rows) if lines[k].strip() and not texts), len(rows))
     # A row of channel numbers may be between the names and the units.
-    first = max(first, *(k + 1 for k, found in enumerate(rows) if len(found) > 1 and not find_invalid(found)), 0)
-    below = [found for found in rows[:first] if found]
-    rows_above = [{c: text for c, text in read_unit_texts(line).items() if c != "t"} for line in preamble]
-    candidates = [*below, *(found for found in rows_above if len(found) > 1)]
-    units = next((found for found in candidates if not find_invalid(found)), None)
-    if units is None and below:
-        units = below[0]
+    first = max(first, *(k + 1 for k, texts in enumerate(rows) if len(texts) > 1 and not find_invalid(texts)), 0)
+    texts_below = [texts for texts in rows[:first] if texts]
+    texts_above = [{c: text for c, text in read_unit_texts(line).items() if c != "t"} for line in preamble]
+    candidates = [*texts_below, *(texts for texts in texts_above if len(texts) > 1)]
+    units = next((texts for texts in candidates if not find_invalid(texts)), None)
+    if units is None and texts_below:
+        units = texts_below[0]
         channel = find_invalid(units)[0]
         kind = COLUMNS[channel].kind
         raise RunError(
@@ -393,16 +393,16 @@ def _split_first_row(body: str, delimiter: str) -> list[str]:
 
 
 def _use_decimal_points(file: Path, body: str, delimiter: str) -> str:
-    """Writes all numbers with decimal points and without thousands separators.
+    """Rewrites all numbers with decimal points and without thousands separators.
 
     All cells of the file together determine whether comma or point is the decimal mark. Raises RunError if a cell
     remains ambiguous: 1,234 may be 1.234 or 1234.
     """
     body = _THOUSANDS_SPACES.sub("", body)
-    quoted = delimiter == "," and '"' in body
-    if not quoted and (delimiter == "," or "," not in body) and not _GROUPED_POINTS.search(body):
+    has_quotes = delimiter == "," and '"' in body
+    if not has_quotes and (delimiter == "," or "," not in body) and not _GROUPED_POINTS.search(body):
         return body
-    if not quoted and "." not in body and not _GROUPED_CELL.search(body):
+    if not has_quotes and "." not in body and not _GROUPED_CELL.search(body):
         return body.replace(",", ".")
     table = _split_cells(file, io.StringIO(body), delimiter)
     cells = {cell.strip(' \r"\'') for row in table for cell in row}
@@ -423,12 +423,12 @@ def _use_decimal_points(file: Path, body: str, delimiter: str) -> str:
         reason = "the file has decimal commas and decimal points" if marks else "no other cell shows which"
         raise RunError(file, f"{ambiguous_cells[0]} may be a number with a decimal mark or with a thousands separator: "
                        f"{reason}", "export it without thousands separators")
-    decimal = next(iter(marks), ",")
-    separator = "." if decimal == "," else ","
+    decimal_mark = next(iter(marks), ",")
+    thousands_separator = "." if decimal_mark == "," else ","
     if len(marks) > 1:  # every cell has at most one mark, and it is decimal
-        decimal, separator = ",", ""
+        decimal_mark, thousands_separator = ",", ""
     return "\n".join(
-        delimiter.join(cell.replace(separator, "").replace(decimal, ".") if _NUMBER.fullmatch(cell)
+        delimiter.join(cell.replace(thousands_separator, "").replace(decimal_mark, ".") if _NUMBER.fullmatch(cell)
                        else cell.replace(delimiter, "." if parse_stamp(cell.strip()) else " ") for cell in row)
         for row in table)
 
@@ -442,7 +442,7 @@ def _split_cells(file: Path, lines: Iterable[str], delimiter: str) -> list[list[
 
 def _parse_numbers(file: Path, body: str, delimiter: str, width: int, warnings: list[str]) -> np.ndarray:
     """Parses the rows into an array (n, width) with NaN for missing numbers. Rows with a different number of cells are
-    left out. Raises RunError if they are half of the rows or more, or the others cannot be read."""
+    left out. Raises RunError if these are half of the rows or more, or if one of the other rows cannot be read."""
     nonblank_lines = [line for line in body.splitlines() if line.strip(f' \t"{delimiter}')]
     # In an ASCII log of NovAtel, every row begins with #.
     lines = [line for line in nonblank_lines if not _is_comment(line, delimiter)] or nonblank_lines
@@ -502,7 +502,7 @@ def all_finite(columns: Mapping[str, np.ndarray], names: Iterable[str]) -> np.nd
 
 
 def differentiate_yaw(table: Table, angle: np.ndarray) -> np.ndarray:
-    """Derivative [rad/s] of a yaw angle [rad] at the used rows; NaN elsewhere, and if fewer than 3 have an angle."""
+    """Derivative [rad/s] of a yaw angle [rad] at the usable rows; NaN in others, or if fewer than 3 have an angle."""
     rate = np.full(len(angle), np.nan)
     rows = np.flatnonzero(table.is_usable & np.isfinite(angle))
     if len(rows) > 2:

@@ -13,8 +13,7 @@ EXTENDED = 0x8000_0000  # flag of a 29-bit id, as in canedge_bridge.extraction a
 SENT, REMOTE, ERROR, FD = 1, 2, 4, 8  # bits of Frames.flags
 MIN_CLOCK_STEP = 0.005  # s; a smaller step back is jitter of the time stamps
 MAX_EARLY_FRAMES = 5
-"""Number of directly preceding frames that may be later than a frame because of jitter; with one more, the clock was
-set back."""
+"""Number of frames directly before a frame that may be later than it (jitter); if more are, the clock was set back."""
 FRAME_HEAD_LENGTH = 20  # bytes in st_msgs/CanFrames before the data of a frame: stamp, id, four flags, length
 MAX_DATA_LENGTH = 64
 _FRAME_ID_OFFSET = 12  # byte of st_msgs/CanFrames at which the length of header.frame_id begins
@@ -77,7 +76,7 @@ def merge_by_time(parts: Sequence[Frames]) -> Frames:
 
 
 def remove_duplicates(frames: Frames) -> tuple[Frames, int]:
-    """(frames that differ from the previous one in time, id, bus, length or payload; number of the others)."""
+    """(frames without those that equal the previous one in time, id, bus, length and payload; number removed)."""
     is_repeated = (frames.time_ns[1:] == frames.time_ns[:-1]) & (frames.id[1:] == frames.id[:-1])
     is_repeated &= (frames.bus[1:] == frames.bus[:-1]) & (frames.length[1:] == frames.length[:-1])
     rows = np.nonzero(is_repeated)[0]
@@ -112,17 +111,17 @@ def remove_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]]]
     return replace(frames, time_ns=time_ns), list(zip(time_ns[backward_steps + 1].tolist(), sizes, strict=True))
 
 
-def build_log(file: Path, parts: Sequence[Frames], notes: Sequence[str], start_ns: int | None = None) -> CanLog:
+def build_log(file: Path, parts: Sequence[Frames], warnings: Sequence[str], start_ns: int | None = None) -> CanLog:
     """Builds the log of one file and removes the steps of its clock. parts: each in the order in which it was written.
     start_ns: by default the time of the first frame."""
     corrected_parts, steps_of_parts = zip(*map(remove_clock_steps, parts), strict=True)
     frames, steps = merge_by_time(corrected_parts), tuple(chain.from_iterable(steps_of_parts))
     if steps:
         times = f"{len(steps)} times, first " if len(steps) > 1 else ""
-        notes = [*notes, f"the logger's clock was set back {times}by {-steps[0][1]:.3f} s; the times after it were "
-                 "moved forward"]
+        warnings = [*warnings, f"the logger's clock was set back {times}by {-steps[0][1]:.3f} s; later times were "
+                    "moved forward"]
     start_ns = int(frames.time_ns[0]) if start_ns is None else start_ns
-    return CanLog(frames, (file,), start_ns, warnings=tuple(notes), steps=steps)
+    return CanLog(frames, (file,), start_ns, warnings=tuple(warnings), steps=steps)
 
 
 def read_frames(messages: Iterable[bytes]) -> Frames:
@@ -136,24 +135,24 @@ def read_frames(messages: Iterable[bytes]) -> Frames:
     sizes = np.array([len(part) for part in parts], np.int64)
     ends = np.cumsum(sizes)
     buffer = np.frombuffer(b"".join(parts) + bytes(FRAME_HEAD_LENGTH + MAX_DATA_LENGTH), np.uint8)
-    at, remaining = np.array(firsts, np.int64) + ends - sizes, np.array(counts, np.int64)
+    offsets, remaining = np.array(firsts, np.int64) + ends - sizes, np.array(counts, np.int64)
     heads = sliding_window_view(buffer, FRAME_HEAD_LENGTH)
-    offsets: list[np.ndarray] = []
+    frame_offsets: list[np.ndarray] = []
     message_numbers: list[np.ndarray] = []
     message = np.arange(len(parts))
     while (has_more := remaining > 0).any():
-        at, remaining, message = at[has_more], remaining[has_more], message[has_more]
-        length = heads[at, 16:20].copy().view("<u4")[:, 0].astype(np.int64)
-        if (length > MAX_DATA_LENGTH).any() or (at + FRAME_HEAD_LENGTH + length > ends[message]).any():
+        offsets, remaining, message = offsets[has_more], remaining[has_more], message[has_more]
+        length = heads[offsets, 16:20].copy().view("<u4")[:, 0].astype(np.int64)
+        if (length > MAX_DATA_LENGTH).any() or (offsets + FRAME_HEAD_LENGTH + length > ends[message]).any():
             raise ValueError("a frame reaches beyond its message")
-        offsets.append(at)
+        frame_offsets.append(offsets)
         message_numbers.append(message)
-        at, remaining = at + FRAME_HEAD_LENGTH + (length + 3) // 4 * 4, remaining - 1
-    if not offsets:
+        offsets, remaining = offsets + FRAME_HEAD_LENGTH + (length + 3) // 4 * 4, remaining - 1
+    if not frame_offsets:
         return empty_frames()
     # The frames are ordered by k; the stable sort orders them by message and keeps the order within a message.
     sequence = np.argsort(np.concatenate(message_numbers), kind="stable")
-    return _build_frames(buffer, np.concatenate(offsets)[sequence])
+    return _build_frames(buffer, np.concatenate(frame_offsets)[sequence])
 
 
 def _locate_first_frame(message: bytes) -> tuple[int, int]:
@@ -170,16 +169,16 @@ def _locate_first_frame(message: bytes) -> tuple[int, int]:
     return count_offset + 4, count
 
 
-def _build_frames(buffer: np.ndarray, at: np.ndarray) -> Frames:
-    heads = sliding_window_view(buffer, FRAME_HEAD_LENGTH)[at]
+def _build_frames(buffer: np.ndarray, offsets: np.ndarray) -> Frames:
+    heads = sliding_window_view(buffer, FRAME_HEAD_LENGTH)[offsets]
     words = heads[:, :12].copy().view("<i4")
     length = heads[:, 16]
     width = 8 if int(length.max()) <= 8 else MAX_DATA_LENGTH
-    payload = sliding_window_view(buffer, width)[at + FRAME_HEAD_LENGTH]
+    payload = sliding_window_view(buffer, width)[offsets + FRAME_HEAD_LENGTH]
     payload[np.arange(width) >= length[:, None]] = 0
     extended, error, remote, fd = ((heads[:, k] != 0).astype(np.uint8) for k in range(12, 16))
     return Frames(
         time_ns=words[:, 0].astype(np.int64) * 1_000_000_000 + words[:, 1].view(np.uint32).astype(np.int64),
         id=words[:, 2].view(np.uint32) | extended.astype(np.uint32) * np.uint32(EXTENDED),
-        payload=payload, length=length, bus=np.zeros(len(at), np.uint8),
+        payload=payload, length=length, bus=np.zeros(len(offsets), np.uint8),
         flags=error * np.uint8(ERROR) | remote * np.uint8(REMOTE) | fd * np.uint8(FD))

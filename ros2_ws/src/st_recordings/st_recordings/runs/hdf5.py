@@ -27,7 +27,7 @@ _TIME_KIND = re.compile(r"(?:datetime|timedelta)64(?:\[(\w+)\])?")
 
 
 def is_hdf5(file: Path) -> bool:
-    """Whether the content is that of HDF5, with or without the head of a file of MATLAB."""
+    """Whether a file is in HDF5 format, with or without the 512-byte header that MATLAB writes."""
     with file.open("rb") as stream:
         head = stream.read(512 + len(_MAGIC))
     return _MAGIC in (head[:len(_MAGIC)], head[512:])
@@ -38,9 +38,9 @@ def read_hdf5(file: Path) -> tuple[dict[str, Any], dict[str, str]]:
     try:
         import h5py
     except ImportError:
-        old = "save it with save(..., '-v7'), " if file.suffix.lower() == ".mat" else ""
-        raise RunError(file, "HDF5 files, as of MATLAB 7.3, require the package h5py",
-                       f"install it, {old}or export a CSV file") from None
+        old_format_advice = "save it with save(..., '-v7'), " if file.suffix.lower() == ".mat" else ""
+        raise RunError(file, "HDF5 files, such as those of MATLAB 7.3, require the package h5py",
+                       f"install it, {old_format_advice}or export a CSV file") from None
     objects: dict[str, str] = {}
     try:
         with h5py.File(file, "r", locking=False) as content:
@@ -63,9 +63,9 @@ def reject_objects(file: Path, objects: dict[str, str]) -> NoReturn:
 
 
 def _read_group(group: Any, path: str, objects: dict[str, str], parents: tuple[Any, ...] = ()) -> Any:
-    """A struct, or a list of the structs of an array. parents: groups that contain the group; links to them, or to
-    itself, are not followed. Raises RunError for a link to a file that is missing."""
-    if _text(group.attrs.get("pandas_type")) == "frame":
+    """The struct in a group, or a list of structs if it is an array. parents: groups that contain the group; links to
+    them, or to itself, are not followed. Raises RunError for a link to a file that is missing."""
+    if _to_text(group.attrs.get("pandas_type")) == "frame":
         return _read_frame(group)
     fields: dict[str, Any] = {}
     for name in group:
@@ -73,21 +73,21 @@ def _read_group(group: Any, path: str, objects: dict[str, str], parents: tuple[A
         if node is None and (other := getattr(group.get(name, getlink=True), "filename", None)):
             _reject_missing_file(group, name, other)
         is_type = hasattr(node, "dtype") and not hasattr(node, "shape")
-        if name.startswith("#") or node is None or is_type or _text(node.attrs.get("CLASS")) == "TINDEX" or (
+        if name.startswith("#") or node is None or is_type or _to_text(node.attrs.get("CLASS")) == "TINDEX" or (
                 node in (group, *parents)):
             continue  # parts of other variables in MATLAB, a named datatype, an index of PyTables
         value = _read_node(node, f"{path}.{name}" if path else name, objects, (group, *parents))
-        unit = next((unit for key in UNIT_FIELDS if (unit := _text(node.attrs.get(key)))), "").split(" since ")[0]
+        unit = next((unit for key in UNIT_FIELDS if (unit := _to_text(node.attrs.get(key)))), "").split(" since ")[0]
         if unit and name.lower() in SAMPLE_FIELDS:
             fields["unit"] = unit
         fields[f"{name} [{unit}]" if unit and name.lower() not in SAMPLE_FIELDS else name] = value
-    if fields and _text(group.attrs.get("MATLAB_class")) == "struct" and all(
+    if fields and _to_text(group.attrs.get("MATLAB_class")) == "struct" and all(
             isinstance(value, list) and "MATLAB_class" not in group[name].attrs for name, value in fields.items()):
         return [dict(zip(fields, entry, strict=True)) for entry in zip(*fields.values(), strict=True)]
     return fields
 
 
-def _is_of_references(node: Any) -> bool:
+def _contains_references(node: Any) -> bool:
     return hasattr(node, "dtype") and bool(node.dtype.metadata and "ref" in node.dtype.metadata)
 
 
@@ -106,13 +106,13 @@ def _check_samples(dataset: Any) -> None:
             _reject_missing_file(dataset, name, source.file_name)
     for code, _, _, label in map(settings.get_filter, range(settings.get_nfilters())):
         if not h5z.filter_avail(code):
-            raise RunError(file, f"its {name} is compressed with {_text(label) or 'an unknown filter'} (HDF5 filter "
+            raise RunError(file, f"its {name} is compressed with {_to_text(label) or 'an unknown filter'} (HDF5 filter "
                            f"{code}), which h5py cannot read", "save it uncompressed or with gzip")
 
 
 def _read_node(node: Any, path: str, objects: dict[str, str], parents: tuple[Any, ...]) -> Any:
     """The value of a group or dataset; None if it is neither numbers nor text. parents: see `_read_group`."""
-    kind = _text(node.attrs.get("MATLAB_class"))
+    kind = _to_text(node.attrs.get("MATLAB_class"))
     if node.attrs.get("MATLAB_object_decode") == _OPAQUE:
         if kind != "string":
             objects[path] = kind
@@ -123,32 +123,32 @@ def _read_node(node: Any, path: str, objects: dict[str, str], parents: tuple[Any
         return _read_group(node, path, objects, parents)
     if node.dtype.names:
         return None if kind else _read_table(node)  # complex numbers of MATLAB have two fields, too
-    if _is_of_references(node):
+    if _contains_references(node):
         entries = [_read_node(node.file[reference], f"{path}{{{number}}}", objects, parents) if reference else None
                    for number, reference in enumerate(node[()].ravel(), 1)]
         return entries[0] if len(entries) == 1 else entries
     if kind == "char":
         return node[()].astype("<u2").tobytes().decode("utf-16-le", "replace")
     if node.shape == () and node.dtype.kind in "OS":
-        return _text(node[()])
+        return _to_text(node[()])
     sizes = [size for size in node.shape or () if size > 1]
     is_image = len(sizes) > 2 or (len(sizes) == 2 and min(sizes) > MAX_MATRIX_COLUMNS)
     if node.dtype.kind not in "biuf" or not sizes or is_image:
         return None
     _check_samples(node)
-    array = np.squeeze(_use_native_order(node[()]))
+    array = np.squeeze(_use_native_byte_order(node[()]))
     return array.T if kind else array  # MATLAB stores transposed arrays
 
 
-def _use_native_order(array: np.ndarray) -> np.ndarray:
+def _use_native_byte_order(array: np.ndarray) -> np.ndarray:
     return array.astype(array.dtype.newbyteorder("="), copy=False)
 
 
 def _read_table(dataset: Any) -> dict[str, Any]:
     """The columns of a table, with the names that pandas writes into attributes."""
     _check_samples(dataset)
-    numeric = [name for name in dataset.dtype.names if dataset.dtype[name].base.kind in "biufV"]
-    columns = _split_columns(dataset.fields(numeric)[()].ravel()) if numeric else {}
+    numeric_names = [name for name in dataset.dtype.names if dataset.dtype[name].base.kind in "biufV"]
+    columns = _split_columns(dataset.fields(numeric_names)[()].ravel()) if numeric_names else {}
     table: dict[str, Any] = {}
     for field, column in columns.items():
         kind, unit = dataset.attrs.get(f"{field}_kind"), _find_unit(dataset.attrs.get(f"{field}_dtype"))
@@ -165,20 +165,20 @@ def _read_table(dataset: Any) -> dict[str, Any]:
 
 
 def _split_columns(rows: np.ndarray) -> dict[str, Any]:
-    return {name: _split_columns(rows[name]) if rows[name].dtype.names else _use_native_order(rows[name])
+    return {name: _split_columns(rows[name]) if rows[name].dtype.names else _use_native_byte_order(rows[name])
             for name in rows.dtype.names or ()}
 
 
 def _read_frame(group: Any) -> dict[str, np.ndarray]:
-    """A table of pandas in the format "fixed": a matrix for each type of columns."""
+    """The columns of a table of pandas in the format "fixed", which has one matrix for each data type."""
     index = group["axis1"]
-    columns = {_name_index(_text(index.attrs.get("name")).removesuffix("N."), index.attrs.get("kind")): index[()]}
+    columns = {_name_index(_to_text(index.attrs.get("name")).removesuffix("N."), index.attrs.get("kind")): index[()]}
     for number in range(int(group.attrs["nblocks"])):
         values, names = group[f"block{number}_values"], group[f"block{number}_items"]
         _check_samples(values)
         if values.dtype.kind in "biuf":
             unit = _find_unit(values.attrs.get("value_type"))
-            columns |= {_text(name) + unit: column for name, column in zip(names[()], values[()].T, strict=True)}
+            columns |= {_to_text(name) + unit: column for name, column in zip(names[()], values[()].T, strict=True)}
     return columns
 
 
@@ -188,8 +188,8 @@ def _name_index(name: str, kind: Any) -> str:
 
 
 def _find_unit(kind: Any) -> str:
-    """" [ns]" for the type datetime64[ns]; also for datetime64 of older pandas; empty for other types."""
-    match = _TIME_KIND.fullmatch(_text(kind))
+    """Unit suffix of a time type, such as " [ns]" for datetime64[ns] or, of older pandas, datetime64; else empty."""
+    match = _TIME_KIND.fullmatch(_to_text(kind))
     return f" [{match[1] or 'ns'}]" if match else ""
 
 
@@ -201,7 +201,7 @@ def _list_pickled_texts(content: Any) -> list[str]:
         "UNICODE" in code.name or "STRING" in code.name)]
 
 
-def _text(value: Any) -> str:
+def _to_text(value: Any) -> str:
     """An attribute as text; empty for other types."""
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.item()

@@ -11,12 +11,12 @@ from st_core.timeseries import interpolate
 from .errors import format_count
 
 # Signals for the speed of the car in order of preference: the unsteered axle gives the most accurate speed.
-_SPEEDS = (("wheel_speed_rear_left", "wheel_speed_rear_right"), ("wheel_speed_front_left", "wheel_speed_front_right"),
-           ("vehicle_speed",))
-SPEEDS = tuple(name for names in _SPEEDS for name in names)
+_SPEED_SETS = (("wheel_speed_rear_left", "wheel_speed_rear_right"),
+               ("wheel_speed_front_left", "wheel_speed_front_right"), ("vehicle_speed",))
+SPEEDS = tuple(name for names in _SPEED_SETS for name in names)
 MAX_WHEEL_GAP_NS = 100_000_000  # longest gap across which the speed of a wheel is interpolated
 LATEST_TIME = 9.0e9  # s since 1970, in the year 2255; int64 nanoseconds end in the year 2262
-MAX_LOST_FRACTION = 0.01  # of the rows; if more are not later than those before them, the clock may have been set back
+MAX_LOST_FRACTION = 0.01  # of the rows; if more are not later than all previous ones, the clock may have been set back
 MAX_END_STEP = 10.0
 """Multiple of the 95th percentile of the time steps; if the first or last step is longer, its outer stamp is wrong."""
 
@@ -50,7 +50,7 @@ def compute_car_speed(speeds: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> Se
 
     speeds: name (one of SPEEDS) -> (ascending times [ns], values [m/s]).
     """
-    for names in _SPEEDS:
+    for names in _SPEED_SETS:
         if all(name in speeds and np.isfinite(speeds[name][1]).any() for name in names):
             time_ns = speeds[names[0]][0]
             wheels = [interpolate(*_select_finite(*speeds[name]), time_ns, MAX_WHEEL_GAP_NS) for name in names]
@@ -85,37 +85,37 @@ def _select_finite(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray,
 def select_usable_rows(time_ns: np.ndarray, noun: str) -> tuple[np.ndarray, list[str]]:
     """(indices of rows with strictly ascending times, warnings about the other rows).
 
-    Rows that are not later than all rows before are left out. If their fraction exceeds MAX_LOST_FRACTION, and the
-    longest part without a backward step has about as many rows as remain, the clock was set back while recording, and
-    only this part is used. A first or last row with a stamp far from the others is left out.
+    Rows that are not later than all previous rows are left out. If their fraction exceeds MAX_LOST_FRACTION, and the
+    longest part without a backward step has about as many rows as would remain, the clock was set back while recording,
+    and only this part is used. A first or last row with a stamp far from that of its neighbour is left out.
 
     time_ns: (n,) int64, in the order of the recording. noun: plural name of the rows, for the warnings.
     """
     n = len(time_ns)
     rows = np.flatnonzero(is_newer(time_ns))
-    lost = n - len(rows)
-    notes = []
+    lost_count = n - len(rows)
+    warnings = []
     backward_steps = -np.diff(time_ns)[np.diff(time_ns) < 0] * 1e-9
-    longest = rows[:0]
-    if len(backward_steps) and lost > max(MAX_LOST_FRACTION * n, 1):
+    longest_part = rows[:0]
+    if len(backward_steps) and lost_count > max(MAX_LOST_FRACTION * n, 1):
         parts = np.split(np.arange(n), np.flatnonzero(np.diff(time_ns) < 0) + 1)
-        longest = max(parts, key=len)
-        longest = longest[is_newer(time_ns[longest])]
-    if len(longest) and n - len(longest) <= lost + MAX_LOST_FRACTION * n:
-        rows = longest
+        longest_part = max(parts, key=len)
+        longest_part = longest_part[is_newer(time_ns[longest_part])]
+    if len(longest_part) and n - len(longest_part) <= lost_count + MAX_LOST_FRACTION * n:
+        rows = longest_part
         times = f"{len(backward_steps)} times, first " if len(backward_steps) > 1 else ""
-        notes.append(f"the clock was set back {times}by {backward_steps[0]:.3f} s: "
-                     f"{format_count(n - len(rows), n, noun)} are not used; split the recording to use them")
-    elif lost:
-        notes.append(f"{format_count(lost, n, noun)} are not later than those before them; they were left out")
+        warnings.append(f"the clock was set back {times}by {backward_steps[0]:.3f} s: "
+                        f"{format_count(n - len(rows), n, noun)} are not used; split the recording to use them")
+    elif lost_count:
+        warnings.append(f"{format_count(lost_count, n, noun)} are not later than those before them; they were left out")
     steps = np.diff(time_ns[rows])
     if len(rows) <= 10:
-        return rows, notes
+        return rows, warnings
     max_end_step = MAX_END_STEP * np.percentile(steps, 95)  # not the median, because rows may arrive in batches
     if steps[-1] > max_end_step:
-        notes.append(f"the last of {n} {noun} is {steps[-1] * 1e-9:.3f} s after the previous one; it was left out")
+        warnings.append(f"the last of {n} {noun} is {steps[-1] * 1e-9:.3f} s after the previous one; it was left out")
         rows = rows[:-1]
     if len(rows) > 10 and steps[0] > max_end_step:
-        notes.append(f"the first of {n} {noun} is {steps[0] * 1e-9:.3f} s before the next one; it was left out")
+        warnings.append(f"the first of {n} {noun} is {steps[0] * 1e-9:.3f} s before the next one; it was left out")
         rows = rows[1:]
-    return rows, notes
+    return rows, warnings

@@ -27,12 +27,12 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
 
     vehicle: used for the steering ratio and offset, and for heading and sideslip if the yaw is the course over ground;
     without a vehicle, the recording (bag, CSV) must contain the road wheel angle. Implausible samples are left out or
-    set to NaN (`st_core.checks.plausibility`), see `auxiliary.implausible`; the run.yaml is applied last.
+    set to NaN (`st_core.checks.plausibility`), see `auxiliary.implausible`; then the run.yaml is applied.
     """
     settings = settings or ReadSettings()
     if source.problem is not None:
         raise source.problem
-    # Hashing releases the GIL, so that it runs in parallel with reading.
+    # Hashing releases the GIL, so it runs in parallel with reading.
     with ThreadPoolExecutor(1) as pool:
         digests = pool.submit(hash_files, (*source.files, *source.can))
         reader = READERS[source.kind]
@@ -97,11 +97,11 @@ def check_coverage(source: RunSource, log: DriveLog) -> list[str]:
             if (unused := seconds[name] - log.overlap) > max(MIN_UNUSED_TIME, MIN_UNUSED_FRACTION * seconds[name])]
 
 
-def _check_size(source: RunSource, log: DriveLog, notes: Iterable[str]) -> None:
-    """Raises RunError, with the notes, if fewer than two samples of INS or of steering remain."""
+def _check_size(source: RunSource, log: DriveLog, warnings: Iterable[str]) -> None:
+    """Raises RunError, with the warnings, if fewer than two samples of INS or of steering remain."""
     if min(len(log.ins_time_ns), len(log.steering_time_ns)) < 2:
         problem = "it contains fewer than two measurements of INS or steering"
-        reasons = (note.removeprefix(f"{source.path}: ") for note in notes)
+        reasons = (warning.removeprefix(f"{source.path}: ") for warning in warnings)
         raise RunError(source.path, "; ".join([problem, *reasons]), "remove it from the command")
 
 

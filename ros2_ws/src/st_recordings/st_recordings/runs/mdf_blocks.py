@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 Buffer = bytes | mmap.mmap
-_HEADER = 24  # bytes of a block before its links: name, reserved, length, number of links
+_HEAD_LENGTH = 24  # bytes of a block before its links: name, reserved, length, number of links
 _UNFINISHED_MAGIC = b"UnFinMF "
 _COUNTERS_UNFINISHED, _LENGTH_UNFINISHED, _LIST_UNFINISHED = 1, 4, 16  # flags of an unfinalised file
 _MAX_INFLATION = 1032  # largest ratio of unpacked to packed bytes with deflate
-_MAX_COMPRESSION_METHOD = 5  # odd methods transpose the records first
+_MAX_COMPRESSION_METHOD = 5  # methods with odd numbers transpose the records first
 _MAX_RECORD_SIZE = 65536  # bytes; a CAN FD frame has about 90
 _VARIABLE_LENGTH_GROUP, _BUS_EVENT, _REMOTE_MASTER = 1, 2, 8  # flags of a channel group
 VARIABLE_LENGTH, _MASTER, VIRTUAL = 1, 2, (3, 6)  # channel types; a master channel contains the time
@@ -82,22 +82,23 @@ class _BlockChecker:
 
     def _read_block(self, offset: int, names: tuple[bytes, ...], links: int = 0, content: int = 0) -> _Block:
         """Reads the block at an offset. links: minimum number of links. content: minimum size of the content [byte]."""
-        if offset + _HEADER > self._size:
+        if offset + _HEAD_LENGTH > self._size:
             raise DamageError(f"a block refers to byte {offset}, but the file ends at byte {self._size}")
         self._mark_visited(offset)
         name = bytes(self._data[offset : offset + 4])
         if name not in names:
-            expected = " or ".join(n[2:].decode() for n in names)
-            raise DamageError(f"no block of type {expected} is at byte {offset}")
+            expected_types = " or ".join(n[2:].decode() for n in names)
+            raise DamageError(f"no block of type {expected_types} is at byte {offset}")
         length, count = struct.unpack_from("<QQ", self._data, offset + 8)
-        end, content_offset = offset + length, offset + _HEADER + 8 * count
-        if name == b"##DT" and self._is_unfinished and not _HEADER <= length <= self._size - offset:
+        end, first_link = offset + length, offset + _HEAD_LENGTH
+        content_offset = first_link + 8 * count
+        if name == b"##DT" and self._is_unfinished and not _HEAD_LENGTH <= length <= self._size - offset:
             end = self._size
         if end > self._size:
             raise DamageError(f"the block at byte {offset} should end at byte {end}, but the file ends at {self._size}")
         if count < links or content_offset + content > end:
             raise DamageError(f"the block at byte {offset} is too short for its content")
-        return _Block(offset, name, struct.unpack_from(f"<{count}Q", self._data, offset + _HEADER), content_offset, end)
+        return _Block(offset, name, struct.unpack_from(f"<{count}Q", self._data, first_link), content_offset, end)
 
     def _mark_visited(self, offset: int) -> None:
         if offset in self._visited:
@@ -106,9 +107,9 @@ class _BlockChecker:
 
     def _check_chain(self, offset: int, name: bytes) -> None:
         """Rejects a circular chain of blocks; follows only the links and does not read the content."""
-        while offset and offset + _HEADER + 8 <= self._size and self._data[offset : offset + 4] == name:
+        while offset and offset + _HEAD_LENGTH + 8 <= self._size and self._data[offset : offset + 4] == name:
             self._mark_visited(offset)
-            offset = struct.unpack_from("<Q", self._data, offset + _HEADER)[0]
+            offset = struct.unpack_from("<Q", self._data, offset + _HEAD_LENGTH)[0]
 
     def _check_data_group(self, offset: int) -> int:
         """Checks a data group; returns the offset of the next one."""
@@ -116,7 +117,7 @@ class _BlockChecker:
         id_size = self._data[block.content]
         if id_size not in (0, 1, 2, 4, 8):
             raise DamageError(f"the block at byte {offset} has record identifiers of {id_size} bytes")
-        layout = RecordLayout(block.links[2] + _HEADER, id_size, {}, set())
+        layout = RecordLayout(block.links[2] + _HEAD_LENGTH, id_size, {}, set())
         expected, group = 0, block.links[1]
         while group:
             group, size = self._check_channel_group(group, layout)
@@ -134,7 +135,7 @@ class _BlockChecker:
         record_id, count, flags, _, _, size, invalidation_size = struct.unpack_from(
             "<QQHHIII", self._data, block.content)
         if record_id in layout.frame_records or record_id in layout.payload_records:
-            raise DamageError(f"the channel group at byte {offset} uses the record identifier {record_id} of another")
+            raise DamageError(f"the channel group at byte {offset} repeats the record identifier {record_id}")
         if flags & _REMOTE_MASTER or len(block.links) != 6 or block.end != block.content + 32:
             raise DamageError(f"the channel group at byte {offset} describes records that no CAN logger writes")
         if flags & _VARIABLE_LENGTH_GROUP:
@@ -206,7 +207,7 @@ class _BlockChecker:
 
     def _measure_records(self, offset: int, kind: bytes) -> int:
         """Unpacked size [byte] of the records behind a link to a block, packed or not, or to a list of blocks."""
-        size, lists, pending_links = 0, 0, [offset]
+        size, list_count, pending_links = 0, 0, [offset]
         while pending_links:
             offset = pending_links.pop()
             if not offset:
@@ -217,12 +218,12 @@ class _BlockChecker:
                 size += self._measure_unpacked_records(block, kind)
             elif block.name == b"##DL":
                 pending_links += block.links
-                lists += 1
+                list_count += 1
             elif block.name == b"##HL":
                 pending_links += block.links[:1]
             else:
                 size += (self._size if self._unfinished_parts & _LENGTH_UNFINISHED else block.end) - block.content
-        if lists > 1 and self._unfinished_parts & (_LIST_UNFINISHED | _LENGTH_UNFINISHED):
+        if list_count > 1 and self._unfinished_parts & (_LIST_UNFINISHED | _LENGTH_UNFINISHED):
             # asammdf would look for the end of the lists forever.
             raise DamageError("it was not finalised, and its records are in more than one list")
         return size

@@ -20,7 +20,7 @@ from . import frames, mdf_blocks
 from .errors import RunError, format_count, shorten
 from .mdf_blocks import VARIABLE_LENGTH, VIRTUAL, DamageError
 
-RECORDS_AT_ONCE = 1 << 20
+MAX_RECORDS_PER_READ = 1 << 20
 LATEST_START, LONGEST_SESSION = 4 * 10**9, 1e9  # s since 1970, s; their sum in ns fits into int64
 MDF_OPTIONS: dict[str, Any] = {"process_bus_logging": False}  # do not decode the frames
 MF4_EXTENSIONS = (".mf4", ".mdf")
@@ -55,7 +55,7 @@ def is_mdf(head: bytes) -> bool:
 def reject_unreadable(path: Path, head: bytes) -> None:
     """Raises RunError for a compressed or encrypted container of the logger vendor, or an unsupported version of MDF.
 
-    head: first 64 bytes of the file or more.
+    head: at least the first 64 bytes of the file.
     """
     extension, version = path.suffix.lower(), head[8:12]
     if extension in _VENDOR_KINDS or head.startswith(b"Generic File"):
@@ -71,7 +71,7 @@ def read_mf4(path: Path) -> frames.CanLog:
     """Reads the valid CAN frames of an MDF 4 file in order of time. The warnings do not name the file.
 
     A file that ends in the middle of a record, as is usual when the ignition is switched off, is read up to that
-    record, with a warning if it is the separate payload of a frame (layout 1). Raises RunError for a file without CAN
+    record, with a warning if that is the separate payload of a frame (layout 1). Raises RunError for a file without CAN
     frames, with invalid blocks, or invalid times.
     """
     warnings: list[str] = []
@@ -199,11 +199,11 @@ def _read_group_frames(log: Any, group: int, start_ns: int) -> Iterator[frames.F
     if not any(channel.channel_type in _TIME_CHANNELS for channel in content.channels):
         raise DamageError("its records have no time channel")
     count = content.channel_group.cycles_nr
-    for first in range(0, count, RECORDS_AT_ONCE):
+    for first in range(0, count, MAX_RECORDS_PER_READ):
         # asammdf allocates as many records as are requested. _build_frames rejects invalid times.
         with np.errstate(all="ignore"):
             signal = log.get(name, group=group, raw=True, ignore_invalidation_bits=False, record_offset=first,
-                             record_count=min(RECORDS_AT_ONCE, count - first))
+                             record_count=min(MAX_RECORDS_PER_READ, count - first))
         yield _build_frames(name, signal, bus, start_ns, {c.name.rsplit(".", 1)[-1]: c for c in content.channels})
 
 

@@ -23,6 +23,8 @@ ACCURACIES = {3: ("EastAcc", "NorthAcc", "AltAcc"), 4: ("VeAcc", "VnAcc", "VdAcc
 
 @dataclass(frozen=True, kw_only=True)
 class NcomLog(InsLog):
+    """INS log of NCOM packets, with all their content."""
+
     columns: Columns  # all packets of the file
     rows: np.ndarray  # indices of the packets that are samples of the log
     motion: Motion  # of the samples
@@ -58,9 +60,9 @@ def read_ncom(file: Path) -> NcomLog:
     if (lost := total - len(samples)) > MAX_LOST_FRACTION * total:
         warnings.append(f"{file}: {format_count(lost, total, 'packets')} have no fix, no time or an invalid value; "
                         "they were left out")
-    usable, notes = select_usable_rows(columns.utc_ns[samples], "packets")
+    usable, row_warnings = select_usable_rows(columns.utc_ns[samples], "packets")
     rows = samples[usable]
-    warnings += [f"{file}: {note}" for note in notes]
+    warnings += [f"{file}: {warning}" for warning in row_warnings]
     motion = Motion.from_packet(columns.take(rows))
     origin = float(motion.latitude[0]), float(motion.longitude[0]), float(motion.altitude[0])
     is_stamped = (columns.kind == file_decoder.REGULAR) & (columns.utc_ns != file_decoder.UNKNOWN_TIME)
@@ -85,23 +87,23 @@ def _describe_damage(columns: Columns, file: Path) -> list[str]:
         faults.append(f"{columns.checksum_errors} packets have a wrong checksum")
     if duplicates := np.count_nonzero(columns.order == DUPLICATE):
         faults.append(f"{duplicates} packets are duplicates")
-    notes = [f"{file}: {', '.join(faults)}; they were left out"] if faults else []
+    warnings = [f"{file}: {', '.join(faults)}; they were left out"] if faults else []
     is_regular = columns.kind == file_decoder.REGULAR
     is_out_of_order = is_regular & np.isin(columns.order, (SAME, LATE))
     if is_out_of_order.sum() > MAX_LOST_FRACTION * is_regular.sum():
         count = format_count(int(is_out_of_order.sum()), int(is_regular.sum()), "packets")
-        notes.append(f"{file}: {count} are out of order or have the time of an earlier packet with other content; "
-                     "they were left out; if two units were recorded, export the packets of one "
-                     "(tshark -Y 'ip.src == ADDRESS')")
-    return notes
+        warnings.append(f"{file}: {count} are out of order or have the time of an earlier packet with other content; "
+                        "they were left out; if two units were recorded, export the packets of one "
+                        "(tshark -Y 'ip.src == ADDRESS')")
+    return warnings
 
 
 def decode_status_channel(columns: Columns, channel: int, names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
     """(indices of the packets that carry a status channel, its values (n, len(names)), NaN where invalid)."""
     packets = np.flatnonzero((columns.channel == channel) & columns.has_status)
     batches = np.ascontiguousarray(columns.raw[packets, BATCH_S]).view("<u8").ravel()
-    distinct, inverse = np.unique(batches, return_inverse=True)
-    fields = [decode_channel(channel, batch.tobytes()) for batch in distinct.astype("<u8")]
+    distinct_batches, inverse = np.unique(batches, return_inverse=True)
+    fields = [decode_channel(channel, batch.tobytes()) for batch in distinct_batches.astype("<u8")]
     values = np.array([[field.get(name) for name in names] for field in fields], float).reshape(-1, len(names))
     return packets, values[inverse]
 
@@ -110,8 +112,8 @@ def select_latest_values(source_packets: np.ndarray, values: np.ndarray, packets
     """(n, k) latest of the `values` that `source_packets` contain, at ascending packets (n,); NaN before the first."""
     if not len(source_packets):
         return np.full((len(packets), values.shape[1]), np.nan)
-    newest = np.searchsorted(source_packets, packets, side="right") - 1
-    return np.where((newest >= 0)[:, None], values[np.maximum(newest, 0)], np.nan)
+    latest = np.searchsorted(source_packets, packets, side="right") - 1
+    return np.where((latest >= 0)[:, None], values[np.maximum(latest, 0)], np.nan)
 
 
 def collect_quality(columns: Columns, packets: np.ndarray) -> InsQuality:

@@ -70,25 +70,25 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
     ins = read_ins(source, settings)
     options = choose_clock_settings(source, settings)
     if not source.can and options["offset"] is None and options["search"] is None:
-        # a bag with the frames on the clock of its odometry
+        # A bag contains the frames on the clock of its odometry.
         alignment, shared_signals = Alignment(), list[SharedSignal]()
     else:
         alignment, shared_signals = align_clocks(ins, signals, **options)
-    notes = []
+    warnings = []
     if alignment.verdict is Verdict.REFUSED and (part := _find_alignable_part(ins, signals, parts, options)):
         span, alignment, shared_signals = part
         signals = signals.select_interval(*span)
         can = replace(can, frames=can.frames.select(slice(*np.searchsorted(can.frames.time_ns, span).tolist())))
         steering = None if settings.for_alignment else find_steering(signals, can.files[0], table, can.warnings)
         used, total = (1e-9 * sum(end - start for start, end in spans) for spans in ([span], parts))
-        notes.append(f"{can.files[0]}: its clock was set, or it contains several drives; the {used:.1f} of "
-                     f"{total:.1f} s ({100.0 * used / total:.0f} %) that match the INS recording are used")
+        warnings.append(f"{can.files[0]}: its clock was set, or it contains several drives; only the {used:.1f} of "
+                        f"{total:.1f} s ({100.0 * used / total:.0f} %) that match the INS recording are used")
     latency_source = "given" if settings.ins_can_latency or source.settings.get("ins_can_latency") else "assumed"
     delay, deviation = (1e3 * value for value in options["latency"])
     latency = f"{delay:g} ms (standard deviation {deviation:g} ms), {latency_source}"
     faults = [f"{can.files[0]}: {message}: {fault}" for message, fault in signals.faults.items()]
     return RawRun(source.name, dbc, ins, can, signals, steering, alignment, shared_signals, latency,
-                  (*source.notes, *ins.warnings, *can.warnings, *faults, *notes))
+                  (*source.notes, *ins.warnings, *can.warnings, *faults, *warnings))
 
 
 def _split_log(can: CanLog) -> list[tuple[int, int]]:
@@ -113,7 +113,7 @@ def _find_alignable_part(ins: InsLog, signals: CanSignals, parts: Sequence[tuple
 
 
 def read_raw_run(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
-    """Reads the drive in an INS recording and CAN logs. Raises RunError, also without a vehicle."""
+    """Reads the drive in an INS recording and CAN logs. Raises RunError, for example without a vehicle."""
     if vehicle is None:
         raise RunError(source.path, "the road wheel angle of a CAN log needs the steering ratio and offset of the car",
                        "give the vehicle file of the car")
@@ -121,7 +121,7 @@ def read_raw_run(source: RunSource, vehicle: VehicleParameters | None, settings:
 
 
 def build_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, run: RawRun) -> LoadedRun:
-    """Builds the drive of a decoded run, on the INS clock. Raises RunError, also if the alignment is not accepted."""
+    """Builds the drive of a decoded run, on the INS clock. Raises RunError, for example for a refused alignment."""
     warnings, verdict, reasons = list(run.warnings), run.alignment.verdict, "; ".join(run.alignment.reasons)
     if verdict is Verdict.REFUSED or (verdict is Verdict.DOUBTFUL and not settings.accept_doubtful):
         advice = "inspect the alignment with `st align`, and give the offset if you know it (--offset)"
@@ -169,7 +169,7 @@ def _describe_rejected_steering(run: RawRun, settings: ReadSettings) -> tuple[Fi
 
 
 def move_to_ins_clock(run: RawRun, settings: ReadSettings, time_ns: np.ndarray) -> np.ndarray:
-    """Times of steering angles [ns], converted from the CAN clock and corrected for the steering latency."""
+    """Converts times of steering angles [ns] from the CAN clock to the INS clock and subtracts the steering latency."""
     return run.alignment.to_reference_ns(time_ns) - round(settings.steering_latency * 1e9)
 
 
@@ -213,13 +213,13 @@ def _find_pair(files: Sequence[Path], settings: ReadSettings) -> RunSource:
         if may_need_can_frames(runs[0].path, runs[0].files) and (settings.search or settings.offset is not None):
             return runs[0]
         raise RunError(runs[0].path, "all its messages are on one clock, so there is nothing to align")
-    raw = [run for run in runs if run.can]
-    if len(raw) != 1:
-        pairs = "no pair" if not raw else f"more than one pair ({', '.join(run.name for run in raw)})"
-        raise RunError(", ".join(map(str, files)), f"{pairs} of INS recording and CAN logs is among these files",
+    pairs = [run for run in runs if run.can]
+    if len(pairs) != 1:
+        count = "no pair" if not pairs else f"more than one pair ({', '.join(run.name for run in pairs)})"
+        raise RunError(", ".join(map(str, files)), f"these files contain {count} of INS recording and CAN logs",
                        "give one INS recording (.ncom, .csv, .vbo or a bag) and its CAN logs")
-    files_of_pair = {*raw[0].files, *raw[0].can, raw[0].run_file}
+    files_of_pair = {*pairs[0].files, *pairs[0].can, pairs[0].run_file}
     if unused := [file for file in files if file.is_file() and file not in files_of_pair]:
-        raise RunError(unused[0], f"this is neither the INS recording {raw[0].path.name} nor one of its CAN logs "
-                       f"({', '.join(log.name for log in raw[0].can)})", "give a log of CAN frames, or leave it out")
-    return raw[0]
+        raise RunError(unused[0], f"this is neither the INS recording {pairs[0].path.name} nor one of its CAN logs "
+                       f"({', '.join(log.name for log in pairs[0].can)})", "give a log of CAN frames, or leave it out")
+    return pairs[0]

@@ -28,7 +28,7 @@ from .ncom import collect_quality
 from .run_types import SteeringField
 
 ORIGIN_TOPIC, ORIGIN_TYPE = "ins/origin", "sensor_msgs/msg/NavSatFix"
-RECONSTRUCTED_SUFFIX = " (reconstructed)"  # of the raw topic's name if odometry or steering is computed from it
+RECONSTRUCTED_SUFFIX = " (reconstructed)"  # added to the name of a topic with raw data that are decoded
 _AUXILIARY_FIELDS = {WHEEL_SPEEDS: ("header.stamp", *WHEEL_FIELDS.values(), "valid"),
                      INS_ON_CAN: ("header.stamp", "velocity_x"), NCOM: ("raw_packet",)}
 _STATUS_FIELDS = ("header.stamp", "navigation_status", "position_mode", "position_accuracy_north",
@@ -83,8 +83,8 @@ class Reconstruction:
         return fix.latitude, fix.longitude, fix.altitude
 
     def _choose_origin(self, bridge: Mapping[str, Any]) -> Origin:
-        if (recorded := self.read_origin()) is not None:
-            return Origin(GIVEN, recorded)
+        if (recorded_origin := self.read_origin()) is not None:
+            return Origin(GIVEN, recorded_origin)
         source = bridge.get("origin_source", FIRST_FIX)
         latitude, longitude, altitude = (float(bridge.get(f"origin_{name}", math.nan))
                                          for name in ("latitude", "longitude", "altitude"))
@@ -116,7 +116,7 @@ class Reconstruction:
                            f"a vehicle file: {error}", "also record vehicle/steering") from None
 
     def choose_auxiliary_fields(self) -> dict[Topic, tuple[str, ...]]:
-        """Auxiliary topics, one per type, and their fields; raw packets only if no other topics have their content."""
+        """Auxiliary topics, one per type, and their fields; raw packets only if no other topics contain their data."""
         fields = {self._by_type[name]: fields for name, fields in _AUXILIARY_FIELDS.items() if name in self._by_type}
         if self._by_type.keys() >= {NCOM, INS_ON_CAN, INS_STATUS}:
             fields.pop(self._by_type[NCOM])
@@ -130,28 +130,28 @@ class Reconstruction:
         "steering". missing: channel -> number of messages without a usable value.
         """
         quality = self._read_reported_quality()
-        wheels = _compute_wheel_speed(columns[WHEEL_SPEEDS]) if WHEEL_SPEEDS in columns else None
+        car_speed = _compute_speed_from_wheels(columns[WHEEL_SPEEDS]) if WHEEL_SPEEDS in columns else None
         ins_on_can = columns.get(INS_ON_CAN)
         ins_speed = make_series(ins_on_can["header.stamp"], ins_on_can["velocity_x"]) if ins_on_can else None
         if WHEEL_SPEEDS not in columns and self.bus_is_described:
             from .can_signals import collect_speeds
 
-            with suppress(RunError):  # the data for checks is optional
-                wheels, decoded_speed = collect_speeds(self._signals)
+            with suppress(RunError):  # the data for checks are optional
+                car_speed, decoded_speed = collect_speeds(self._signals)
                 ins_speed = ins_speed or decoded_speed
         if NCOM in columns and (quality is None or ins_speed is None):
             packet_quality, packet_speed = _decode_packets(columns[NCOM]["raw_packet"])
             quality, ins_speed = quality or packet_quality, ins_speed or packet_speed
-        return AuxiliaryData(stamps, {name: count for name, count in missing.items() if count}, wheels, ins_speed,
+        return AuxiliaryData(stamps, {name: count for name, count in missing.items() if count}, car_speed, ins_speed,
                              quality)
 
     def _read_reported_quality(self) -> InsQuality | None:
-        """INS quality from st_msgs/InsStatus, read one by one because texts vary in length; None if unavailable."""
+        """INS quality from st_msgs/InsStatus messages, whose layout varies with their texts; None if unavailable."""
         if INS_STATUS not in self._by_type:
             return None
         try:
             columns = self._storage.read_one_by_one(self._by_type[INS_STATUS], _STATUS_FIELDS)
-        except RunError:  # the data for checks is optional
+        except RunError:  # the data for checks are optional
             return None
         time_ns, *values = columns.values()
         rows = is_newer(time_ns)
@@ -192,7 +192,7 @@ class Reconstruction:
         return decode_signals(frames, table)
 
 
-def _compute_wheel_speed(columns: Mapping[str, np.ndarray]) -> Series | None:
+def _compute_speed_from_wheels(columns: Mapping[str, np.ndarray]) -> Series | None:
     valid = columns["valid"].astype(bool)
     speeds = {name: make_series(columns["header.stamp"][valid], columns[field][valid])
               for name, field in WHEEL_FIELDS.items()}
@@ -216,7 +216,7 @@ def _decode_packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
 
 
 def find_steering_topic(storage: Storage, steering: SteeringField) -> Topic:
-    """Finds the topic that the option names. Raises RunError if it has no messages or an unknown type."""
+    """Finds the topic of --steering-topic. Raises RunError if it has no messages or an unknown type."""
     topic = next((t for t in storage.topics if steering.matches(t.name)), None)
     if topic is None:
         names = ", ".join(sorted(t.name for t in storage.topics))[:300] or "no messages"

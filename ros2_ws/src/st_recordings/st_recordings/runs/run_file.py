@@ -38,7 +38,7 @@ def read_run_file(path: Path) -> list[RunSource]:
 
 
 def find_described_run(file: Path) -> RunSource | None:
-    """The run that the recording's run.yaml describes, or one with `each` in its folder, else None. Raises RunError."""
+    """Finds a recording's run in its run.yaml, or in one with `each` in its folder; None if absent. Raises RunError."""
     own_run = _read_own_run_file(file.parent, file)
     if own_run and own_run.problem:
         raise own_run.problem
@@ -78,14 +78,14 @@ def _log_unused_run_file(error: RunError) -> None:
 def read_yaml_mapping(file: Path) -> dict[str, Any]:
     """Reads the mapping in a YAML file; {} for an empty file. Raises RunError if it is unreadable or not a mapping."""
     try:
-        table = yaml_text.load(file.read_text(encoding="utf-8"))
+        mapping = yaml_text.load(file.read_text(encoding="utf-8"))
     except OSError as error:
         raise RunError(file, f"cannot be read: {error.strerror}") from None
     except (ConfigurationError, UnicodeDecodeError) as error:
         raise RunError(file, f"invalid YAML: {shorten(error)}") from None
-    if not isinstance(table, dict | None):
+    if not isinstance(mapping, dict | None):
         raise RunError(file, "the file is not a YAML mapping")
-    return table or {}
+    return mapping or {}
 
 
 def _read_content(path: Path) -> dict[str, Any]:
@@ -126,14 +126,14 @@ def _parse_each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
 def _read_own_run_file(path: Path, file: Path) -> RunSource | None:
     """Reads NAME.run.yaml or run.yaml next to `file`, if it lists `file`, or is invalid and may describe it."""
     own_files = (file.with_name(file.stem + RUN_SUFFIX), file.with_name(RUN_FILE))
-    for own in (own for own in own_files if own.exists() and own != path):
+    for own_file in (own_file for own_file in own_files if own_file.exists() and own_file != path):
         try:
-            content = _read_content(own)
-            if "each" not in content and file in (run := _parse_single_run(own, content)).files:
+            content = _read_content(own_file)
+            if "each" not in content and file in (run := _parse_single_run(own_file, content)).files:
                 return run
         except RunError as error:
-            if _may_concern(own, file):
-                return RunSource(own.name, "", (own,), problem=error, run_file=own)
+            if _may_concern(own_file, file):
+                return RunSource(own_file.name, "", (own_file,), problem=error, run_file=own_file)
             _log_unused_run_file(error)
     return None
 

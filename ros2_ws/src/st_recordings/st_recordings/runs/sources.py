@@ -20,7 +20,7 @@ from .run_file import RUN_FILE, RUN_SUFFIX, find_described_run, find_logs, is_ru
 from .run_types import RunSource
 
 GENERIC_NAMES = ("run", "bag")
-"""A run with such a file name (run.ncom with run.mf4, bag/ of st live) is named after its folder."""
+"""Names that do not identify a run (run.ncom with run.mf4, bag/ of st live); it is named after its folder instead."""
 DOCUMENT_EXTENSIONS = (".md", ".txt", ".rst", ".pdf", ".html", ".png", ".jpg", ".json", ".yaml", ".yml", "")
 """Extensions of documents such as README and LICENSE, which are ignored among recordings."""
 MAX_SPLIT_GAP = 5.0  # longest gap or overlap [s] between the end of one file of a split bag and the start of the next
@@ -43,7 +43,7 @@ def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
     """Finds the runs in files and folders, in order of name. A source that cannot be a run has a `problem`.
 
     Individual files that belong together (one INS recording and CAN logs, or the parts of a split bag) form one run.
-    Folders are searched recursively; in them, other files and tables and bags without a drive are ignored.
+    Folders are searched recursively; tables and bags without a drive, and other files, are ignored there.
     """
     runs: list[RunSource] = []
     single_files: list[Path] = []
@@ -86,7 +86,7 @@ def _report_folder_without_runs(folder: Path) -> list[RunSource]:
     unknown_files = [f for f in files if f.suffix.lower() in UNKNOWN_ADVICE.keys() - {*DOCUMENT_EXTENSIONS}]
     binary_files = [f for f in files if f.suffix.lower() in BINARY_EXTENSIONS]  # their problems are found by reading
     return [*(_make_single_run(f, bag) for f in bags), *(_make_single_run(f, READERS["csv"]) for f in binary_files),
-            *map(_reject_unknown_file, unknown_files)] or [_report_problem(
+            *map(_report_unknown_file, unknown_files)] or [_report_problem(
         folder, "this folder contains no recording", "give a folder with .ncom and CAN logs, bags, CSV or VBO files")]
 
 
@@ -111,18 +111,18 @@ def _search_folder(folder: Path) -> list[RunSource]:
             if any(run.problem and run.run_file == path for run in described_runs):
                 stem = path.name.removesuffix(RUN_SUFFIX)
                 used_files.update(f for f in path.parent.iterdir()
-                            if f.is_file() and (path.name == RUN_FILE or f.stem == stem))
+                                  if f.is_file() and (path.name == RUN_FILE or f.stem == stem))
         else:
             files.append(path)
     # A run of `each` may be a part of a recording that another run.yaml describes.
     runs = [run for run in runs if not any({*run.files} < {*other.files} for other in runs)]
     single_files = [path for path in files if path not in used_files or path.is_dir()]
-    usable = {path for path in single_files if _may_belong_to_run(path, files)}
+    usable_files = {path for path in single_files if _may_belong_to_run(path, files)}
     # A file of a split bag may lack odometry, for example if the INS was switched on later.
     bags = [path for path in single_files if path.suffix.lower() in BAG_EXTENSIONS and path.is_file()]
     for group in _group_split_bags(bags):
-        usable.update(group if usable.intersection(group) else ())
-    return runs + _group_files([path for path in single_files if path in usable], named_by_user=False)
+        usable_files.update(group if usable_files.intersection(group) else ())
+    return runs + _group_files([path for path in single_files if path in usable_files], named_by_user=False)
 
 
 def _may_belong_to_run(path: Path, files: Sequence[Path]) -> bool:
@@ -135,7 +135,7 @@ def _may_belong_to_run(path: Path, files: Sequence[Path]) -> bool:
     if path.suffix.lower() in BINARY_EXTENSIONS and any(other.has_drive(file) for file, other in same_stem):
         return False  # probably the same drive
     if path.suffix.lower() in TEXT_EXPORTS and not reader.has_drive(path) and same_stem:
-        return False  # probably exported from the other file
+        return False  # probably an export of a recording with the same stem
     return reader.may_contain_drive(path) or (
         path.suffix.lower() == ".csv" and any(map(is_can_log, find_logs(path, files))))
 
@@ -152,11 +152,11 @@ def _group_files(files: Sequence[Path], named_by_user: bool) -> list[RunSource]:
     readers = {f: reader for f in files if (reader := find_reader(f)) is not None and not is_can_log(f)}
     logs = [f for f in files if f not in readers
             and (is_can_log(f) or (named_by_user and f.suffix.lower() in CAN_EXTENSIONS))]
-    runs = [_reject_unknown_file(f) for f in files if named_by_user and f not in readers and f not in logs]
+    runs = [_report_unknown_file(f) for f in files if named_by_user and f not in readers and f not in logs]
     for group in _group_split_bags([f for f in readers if f.suffix.lower() in BAG_EXTENSIONS and f.is_file()]):
         runs.append(RunSource(group[0].stem.rpartition("_")[0] or group[0].stem, readers[group[0]].kind, tuple(group)))
         readers = {f: reader for f, reader in readers.items() if f not in group}
-    without_logs = []
+    recordings_without_logs = []
     for file, reader in readers.items():
         own_logs = find_logs(file, logs)
         # A table that has a CAN log of the same stem is an INS recording, even if its columns are unknown.
@@ -172,14 +172,14 @@ def _group_files(files: Sequence[Path], named_by_user: bool) -> list[RunSource]:
             runs.append(RunSource(file.stem, reader.kind, (file,), tuple(own_logs), notes=notes))
             logs = [f for f in logs if f not in own_logs]
         else:
-            without_logs.append(file)
-    if len(without_logs) == 1 and logs:
-        file = without_logs[0]
+            recordings_without_logs.append(file)
+    if len(recordings_without_logs) == 1 and logs:
+        file = recordings_without_logs[0]
         return [*runs, RunSource(file.stem, readers[file].kind, (file,), tuple(logs))]
-    return [*runs, *_report_unmatched(without_logs, readers, logs)]
+    return [*runs, *_report_unmatched(recordings_without_logs, readers, logs)]
 
 
-def _reject_unknown_file(file: Path) -> RunSource:
+def _report_unknown_file(file: Path) -> RunSource:
     extensions = sorted({*CAN_EXTENSIONS, *(e for reader in READERS.values() for e in reader.extensions)})
     advice = f"give files with {', '.join(extensions)}, bag folders, or run.yaml, and export others as .csv"
     return _report_problem(file, f"recordings with the extension {file.suffix or '(none)'} are not supported",
@@ -232,12 +232,12 @@ def _group_split_bags(files: Sequence[Path]) -> list[list[Path]]:
 
 def _is_continuation(previous: Path, file: Path) -> bool:
     (stem, _, first), (next_stem, _, second) = previous.stem.rpartition("_"), file.stem.rpartition("_")
-    same_series = (previous.parent, stem, previous.suffix) == (file.parent, next_stem, file.suffix)
-    if not (same_series and first.isdecimal() and second.isdecimal()):
+    is_same_series = (previous.parent, stem, previous.suffix) == (file.parent, next_stem, file.suffix)
+    if not (is_same_series and first.isdecimal() and second.isdecimal()):
         return False
-    earlier, later = read_time_span(previous), read_time_span(file)
-    return int(second) == int(first) + 1 and earlier is not None and later is not None and (
-        abs(later[0] - earlier[1]) * 1e-9 < MAX_SPLIT_GAP)
+    previous_span, span = read_time_span(previous), read_time_span(file)
+    return int(second) == int(first) + 1 and previous_span is not None and span is not None and (
+        abs(span[0] - previous_span[1]) * 1e-9 < MAX_SPLIT_GAP)
 
 
 def _make_single_run(path: Path, reader: Reader) -> RunSource:

@@ -48,11 +48,11 @@ def read_stamps(file: Path, body: str, delimiter: str, column: int, first: str, 
     if parse_stamp(first):
         if "/" in first:
             body = _order_dates(file, body, warnings)
-        body = _stamps_to_seconds(body, delimiter, column)
+        body = _convert_stamps(body, delimiter, column)
     return body, first
 
 
-def _stamps_to_seconds(body: str, delimiter: str, column: int) -> str:
+def _convert_stamps(body: str, delimiter: str, column: int) -> str:
     """Converts the times of the rows to seconds; a time of day continues past midnight."""
     rows, clock = [line.split(delimiter) for line in body.split("\n")], StampReader()
     for row in rows:
@@ -168,9 +168,9 @@ def is_valid_hhmmss(hhmmss: np.ndarray) -> np.ndarray:
 
 def _is_mostly_hhmmss(times: np.ndarray) -> bool:
     """Whether all numbers but the last, which may be truncated, and a few damaged ones are valid HHMMSS.ss."""
-    invalid = ~is_valid_hhmmss(times[:-1])
-    three_in_a_row = (invalid[:-2] & invalid[1:-1] & invalid[2:]).any()
-    return bool(invalid.sum() <= MAX_DAMAGED_FRACTION * len(invalid) and not three_in_a_row)
+    is_invalid = ~is_valid_hhmmss(times[:-1])
+    has_three_in_a_row = (is_invalid[:-2] & is_invalid[1:-1] & is_invalid[2:]).any()
+    return bool(is_invalid.sum() <= MAX_DAMAGED_FRACTION * len(is_invalid) and not has_three_in_a_row)
 
 
 def _is_hhmmss(times: np.ndarray) -> bool:
@@ -196,15 +196,15 @@ def select_usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, f
                        f"declare their unit in a run.yaml, as units: {{t: {unit}}}" if unit else "export seconds")
     # A float of seconds since 1970 resolves microseconds only.
     time_ns = np.round(seconds[has_time] * 1e6).astype(np.int64) * 1000
-    rows, notes = select_usable_rows(time_ns, "rows") if len(time_ns) else (np.empty(0, np.int64), [])
+    rows, row_warnings = select_usable_rows(time_ns, "rows") if len(time_ns) else (np.empty(0, np.int64), [])
     is_usable = np.zeros(len(time_ns), dtype=bool)
     is_usable[rows] = True
     n_backward = int(np.sum(np.diff(time_ns) < 0))
     if 2 * len(rows) < len(time_ns) and n_backward > MAX_LOST_FRACTION * len(time_ns):
         raise RunError(file, f"the times in column {source.name} are not in order: "
-                       f"{format_count(n_backward, len(time_ns), 'rows')} have an earlier time than the row before",
-                       "sort its rows by time; if these are time steps, export their sum")
-    warnings += [f"{file}: {note}" for note in notes]
+                       f"{format_count(n_backward, len(time_ns), 'rows')} have an earlier time than the previous row",
+                       "sort the rows by time; if the column contains time steps, export their cumulative sum")
+    warnings += [f"{file}: {warning}" for warning in row_warnings]
     if 2 * is_usable.sum() < len(is_usable) and not (time_ns % 10**9).any():
         warnings.append(f"{file}: column {source.name} has only whole seconds, each in many rows; export fractions of "
                         "a second")
@@ -216,7 +216,7 @@ def select_usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, f
 
 
 def _guess_time_unit(times: np.ndarray) -> str:
-    """The unit with which all times are before LATEST_TIME and the median step is 0.5 ms to 0.5 s; empty if none is."""
+    """Unit in which all times are before LATEST_TIME and the median step is 0.5 ms to 0.5 s; empty if there is none."""
     times = times[np.isfinite(times)]
     step = np.abs(np.diff(times))
     median_step = float(np.median(step[step > 0.0])) if step.any() else 0.0

@@ -22,7 +22,7 @@ _CREATION_DATE = re.compile(r"created on (\d{1,2})/(\d{1,2})/(\d{4})", re.IGNORE
 _STANDARD_CHANNELS = {"lat": ("latitude", "min"), "latitude": ("latitude", "min"), "long": ("longitude", "min"),
                       "longitude": ("longitude", "min"), "velocity": ("velocity_x", "km/h"),
                       "heading": ("course", "deg"), "time": ("t", HHMMSS)}
-# Units that Racelogic's loggers use for other channels if [channel units] gives none
+# Units in which Racelogic's loggers write other channels, unless [channel units] gives one
 _DEFAULT_UNITS = {"angular rate": "deg/s", "acceleration": "g", "angle": "deg", "speed": "km/h", "length": "m"}
 HEADER_SIZE = 65536  # bytes that contain the column names
 TRUE_HEADING_NAMES = ("trueheading", "truehead", "headingtrue", "heading2", "dualantennaheading")
@@ -129,7 +129,7 @@ def _read_midnight(text: str) -> float:
 def _correct_signs(table: Table) -> Table:
     """Makes longitude positive to the east and the yaw rate positive in left turns. The derivative of the heading gives
     the sign of the yaw rate, and replaces a yaw rate that contradicts it."""
-    columns, notes = dict(table.columns), list(table.warnings)
+    columns, warnings = dict(table.columns), list(table.warnings)
     if "longitude" in columns:
         columns["longitude"] = -columns["longitude"]
     heading = next((columns[name] for name in ("compass_heading", "course") if name in columns), None)
@@ -140,12 +140,12 @@ def _correct_signs(table: Table) -> Table:
         # The derivative is noise if the car drives straight. Means are not subtracted, because both are constant in a
         # steady turn.
         is_turning = rows.sum() > 10 and np.median(np.abs(derivative)) >= MIN_TURN_RATE
-        agreement = yaw_rate @ derivative / max(np.linalg.norm(yaw_rate) * np.linalg.norm(derivative), 1e-12)
-        if is_turning and agreement < -MIN_HEADING_AGREEMENT:
+        similarity = yaw_rate @ derivative / max(np.linalg.norm(yaw_rate) * np.linalg.norm(derivative), 1e-12)
+        if is_turning and similarity < -MIN_HEADING_AGREEMENT:
             columns["yaw_rate"] = -columns["yaw_rate"]
-            notes.append(f"{table.file}: the yaw rate is positive in right turns; its sign was changed")
-        elif is_turning and agreement < MIN_HEADING_AGREEMENT:
-            notes.append(f"{table.file}: the yaw rate channel does not agree with the heading (cosine similarity "
-                         f"{agreement:.2f}); the derivative of the heading is used")
+            warnings.append(f"{table.file}: the yaw rate is positive in right turns; its sign was changed")
+        elif is_turning and similarity < MIN_HEADING_AGREEMENT:
+            warnings.append(f"{table.file}: the yaw rate channel does not agree with the heading (cosine similarity "
+                            f"{similarity:.2f}); the derivative of the heading is used")
             columns["yaw_rate"] = heading_rate
-    return replace(table, columns=columns, warnings=tuple(notes))
+    return replace(table, columns=columns, warnings=tuple(warnings))

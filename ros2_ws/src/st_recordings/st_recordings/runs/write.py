@@ -45,6 +45,8 @@ Stream = tuple[np.ndarray, Callable[[slice], list[Message]]]
 
 @dataclass(frozen=True)
 class ImportResult:
+    """Summary of a written bag."""
+
     counts: dict[str, int]  # messages by topic
     span: float  # time from the first to the last message [s]
     run: RawRun
@@ -113,7 +115,7 @@ class Serialiser:
         return [(time_ns, topic, row.tobytes()) for time_ns, row in zip(times, rows, strict=True)]
 
     def serialise_odometry(self, ins: NcomLog, rows: slice, covariances: Covariances) -> list[Message]:
-        """Odometry of the INS point: pose in the map (ENU), twist in body axes (FLU)."""
+        """Serialises odometry of the INS point: pose in the map (ENU), twist in body axes (FLU)."""
         pose_covariance, twist_covariance = covariances.compute(rows)
         columns = {"header.stamp": ins.time_ns[rows], "pose.covariance": pose_covariance,
                    "twist.covariance": twist_covariance}
@@ -126,7 +128,7 @@ class Serialiser:
         return self.serialise("/ins/odometry", columns, frame_id=MAP_FRAME, child_frame_id=INS_FRAME)
 
     def serialise_wheel_speeds(self, message: str, signals: CanSignals, to_reference: Any) -> list[Message]:
-        """Wheel speeds [m/s], one ROS message per frame of a CAN message; NaN for wheels that are not in the frame.
+        """Serialises wheel speeds [m/s], one ROS message per frame of a CAN message; NaN for wheels not in the frame.
 
         to_reference: converts log times to the INS clock [ns].
         """
@@ -142,7 +144,7 @@ class Serialiser:
         return self.serialise("/vehicle/wheel_speeds", columns)
 
     def serialise_can_frames(self, frames: Frames, time_ns: np.ndarray, bus_name: str) -> list[Message]:
-        """Frames of one bus, one message per CAN_PERIOD_NS. time_ns: ascending times of the frames.
+        """Serialises the frames of one bus, one message per CAN_PERIOD_NS. time_ns: ascending times of the frames.
 
         Each frame consists of a head (stamp, id, four flags, length of the data) and its data, padded to 4 bytes.
         """
@@ -228,7 +230,7 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
 def _make_streams(run: RawRun, vehicle: VehicleParameters, settings: ReadSettings, serialiser: Serialiser
                   ) -> list[Stream]:
     ins, steering = run.ins, run.steering
-    assert isinstance(ins, NcomLog) and steering is not None  # import_run reads only such runs
+    assert isinstance(ins, NcomLog) and steering is not None  # import_run accepts only such runs
     columns, covariances = ins.columns, Covariances(ins)
     packets = np.flatnonzero(columns.navigation_status != 11)  # 11: structure B, a packet without navigation data
     # A packet without a time near the fixes gets the time of the previous packet.

@@ -27,8 +27,8 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
     run = _read_bag(source, vehicle, settings, steering)
     if steering is None or not _is_command(steering):
         return run
-    note = f"{steering.topic} is a command by its name or type, not a measurement; the car follows it with a delay"
-    return replace(run, warnings=(*run.warnings, f"{source.path}: {note}"))
+    warning = f"{steering.topic} is a command by its name or type, not a measurement; the car follows it with a delay"
+    return replace(run, warnings=(*run.warnings, f"{source.path}: {warning}"))
 
 
 def _is_command(steering: SteeringField) -> bool:

@@ -23,11 +23,11 @@ def _get_yaw_scale(source: RunSource) -> float:
     return source.settings.get("correct", {}).get("yaw", Correction()).scale
 
 
-def register_table(kind: str, extensions: tuple[str, ...], read_one: Callable[[Path, Layout], Table],
+def register_table(kind: str, extensions: tuple[str, ...], read_file: Callable[[Path, Layout], Table],
                    **tests: Callable[[Path], bool]) -> None:
-    """Adds a kind of table. kind: also its key in a run.yaml. read_one: reads one file. tests: fields of `Reader`."""
+    """Adds a kind of table. kind: also its key in a run.yaml. read_file: reads one file. tests: fields of `Reader`."""
     def read_and_join(source: RunSource, layout: Layout) -> Table:
-        return join_tables([read_one(file, layout) for file in source.files])
+        return join_tables([read_file(file, layout) for file in source.files])
 
     def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
         layout = csv.add_steering_column(source.settings.get("layout") or Layout(), settings.steering)
