@@ -15,7 +15,7 @@ PUBLISH_PERIOD = 1.0  # s
 
 @dataclass(frozen=True)
 class Check:
-    """One line of /diagnostics. level: OK, WARN, ERROR or STALE; values: key-value pairs, in the order shown."""
+    """One entry of /diagnostics. level: OK, WARN, ERROR or STALE. values: key-value pairs in display order."""
 
     name: str
     level: int
@@ -30,7 +30,7 @@ class Diagnostics:
         self._node = node
         self._hardware_id = hardware_id
         self._collect = collect
-        self._levels: dict[str, int] = {}  # last level of each check
+        self._levels: dict[str, int] = {}  # by name of the check, as last published
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._timer = node.create_timer(PUBLISH_PERIOD, self.publish)
 
@@ -51,10 +51,10 @@ class Diagnostics:
         if check.level == self._levels.get(check.name, OK):
             return
         self._levels[check.name] = check.level
-        line = f"{check.name}: {check.message}"
+        text = f"{check.name}: {check.message}"
         if check.level == OK:
-            self._node.get_logger().info(line)
+            self._node.get_logger().info(text)
         elif check.level == WARN:
-            self._node.get_logger().warning(line)
+            self._node.get_logger().warning(text)
         else:
-            self._node.get_logger().error(line)
+            self._node.get_logger().error(text)

@@ -40,18 +40,18 @@ class Parameter:
         return f"{self.minimum:g} to {self.maximum:g}" + (f" {self.unit}" if self.unit else "")
 
     def check(self, value: Any) -> Any:
-        """The value in the declared type; NaN only if the default is NaN. Raises ConfigurationError with the limit."""
-        expected = type(self.default)
-        if expected is float and isinstance(value, int) and not isinstance(value, bool):
+        """Convert a value to the declared type. NaN is valid only if it is the default. Raises ConfigurationError."""
+        kind = type(self.default)
+        if kind is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
-        if expected in (list, tuple):
+        if kind in (list, tuple):
             if value is None:  # rcl passes `[]` as None
                 return []
             if not isinstance(value, Sequence) or isinstance(value, str):
                 raise ConfigurationError(f"{self.name}: {value!r} is not a list")
             return [str(v) for v in value] if all(isinstance(d, str) for d in self.default) else list(value)
-        if not isinstance(value, expected) or (isinstance(value, bool) and expected is not bool):
-            raise ConfigurationError(f"{self.name}: {value!r} is a {type(value).__name__}, not {expected.__name__}")
+        if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
+            raise ConfigurationError(f"{self.name}: {value!r} is a {type(value).__name__}, not {kind.__name__}")
         if self.choices and value not in self.choices:
             raise ConfigurationError(f"{self.name}: {value!r} is not {self.describe_limit()}")
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
@@ -62,20 +62,20 @@ class Parameter:
 
 
 def declare(node: Node, parameters: Sequence[Parameter]) -> SimpleNamespace:
-    """Declare parameters on a node; returns their checked values as attributes.
+    """Declare parameters on a node and return their checked values as attributes.
 
-    Their additional attribute `message_prefix` names the parameter file, if one was given, and the node.
-    Raises ConfigurationError with this prefix, key and limit, also for a parameter that is given but not declared.
+    A further attribute, `message_prefix`, names the parameter file, if one was given, and the node. Raises
+    ConfigurationError with this prefix, key and limit, also for a parameter that is given but not declared.
     """
     overrides = dict(node._parameter_overrides)  # rclpy has no public access to them before the declaration
     arguments = list(getattr(node.context, "_cli_args", None) or sys.argv)
     files = [arguments[i + 1] for i, option in enumerate(arguments[:-1]) if option == "--params-file"]
     origin = f"{files[-1]}: " if files else ""
-    declared = {p.name for p in parameters}
+    declared_names = {p.name for p in parameters}
     for name in overrides:
-        if name not in declared and name not in BUILT_IN and not name.startswith("qos_overrides."):
+        if name not in declared_names and name not in BUILT_IN and not name.startswith("qos_overrides."):
             raise ConfigurationError(
-                f"{origin}{node.get_name()}: unknown parameter {name}; known: {', '.join(sorted(declared))}")
+                f"{origin}{node.get_name()}: unknown parameter {name}; known: {', '.join(sorted(declared_names))}")
     values = SimpleNamespace(message_prefix=f"{origin}{node.get_name()}.")
     for parameter in parameters:
         try:

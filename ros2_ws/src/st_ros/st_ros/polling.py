@@ -21,13 +21,13 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 UNRESOLVED_PREFIX = "_NODE_NAME"  # prefix of the placeholder for a name that discovery has not resolved
 UNRESOLVED_NODE = "a node whose name is not known yet"  # text shown for such a node
-SUBSCRIBER_COUNT_PERIOD = 0.05  # s between counts of subscribers; a count takes as long as filling a message
+SUBSCRIBER_COUNT_PERIOD = 0.05  # s between counts of subscribers, because a count takes as long as filling a message
 SAMPLE_QOS = QoSProfile(depth=1000)  # 4 s at 250 Hz, so that a briefly blocked subscriber loses no message
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # late subscribers get the last message
 
 
 def create_steady_timer(node: Node, period: float, callback: Callable[[], object]) -> None:
-    """Call `callback` every `period` [s] of a steady clock, also while the clock of a replay is paused."""
+    """Call `callback` every `period` [s] of real time, even while the clock of a replay is paused."""
     node.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
@@ -61,7 +61,7 @@ class PolledSubscription:
     def take(self, limit: int = 1000, entry: str = "source_timestamp") -> Iterator[tuple[Any, int, Any]]:
         """Yield at most `limit` waiting messages, oldest first, as (message, received_ns, entry of rmw_message_info).
 
-        received_ns: host UTC of receipt. entry: source_timestamp (host UTC of publication [ns], 0 if unknown) or
+        received_ns: host UTC at receipt. entry: source_timestamp (host UTC at publication [ns], 0 if unknown) or
         publication_sequence_number (counted by the publisher from 1, None if unknown).
         """
         for _ in range(limit):

@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any
 
 BACKGROUND_NICE = 5
-"""Nice value of recorder, evaluator and viewers; under contention, a third of the CPU time at nice 0."""
+"""Nice value of recorder, evaluator and viewers; they get a third of the CPU time of a competing process at nice 0."""
 _POLICIES = {os.SCHED_OTHER: "normal", os.SCHED_BATCH: "batch", os.SCHED_IDLE: "idle", os.SCHED_FIFO: "FIFO",
              os.SCHED_RR: "round robin"}
 _REALTIME = (os.SCHED_FIFO, os.SCHED_RR)
 _AUTOGROUP_FILE = Path("/proc/self/autogroup")
-_MAX_ATTEMPTS, _PAUSE = 5, 0.11  # -, s; the kernel accepts one change of an autogroup per 0.1 s from a user
+_MAX_ATTEMPTS, _PAUSE = 5, 0.11  # count, s; the kernel accepts one change of an autogroup per user and 0.1 s
 
 
 def read_scheduling() -> dict[str, Any]:

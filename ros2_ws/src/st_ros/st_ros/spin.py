@@ -17,14 +17,14 @@ from rclpy.signals import SignalHandlerOptions
 from . import scheduling
 from .parameters import ConfigurationError
 
-WAKE_PERIOD = 0.1  # s, longest time until the executor reacts to a stop signal
+WAKE_PERIOD = 0.1  # s, longest time until a stop signal ends the spinning
 # Longest wait at the end of a node until its subscribers have acknowledged all messages [s]. Fast DDS detects messages
 # lost over UDP with its heartbeat every 3 s; ros2 launch kills a node after 5 s.
 FLUSH_TIMEOUT = 4.0
 
 
 def run(make_node: Callable[[], Node], arguments: list[str] | None = None, nice: int = 0) -> int:
-    """Make a node and spin it until a stop signal; returns the exit status. nice: nice value after it is made.
+    """Make a node, spin it until a stop signal, and return the exit status. nice: its nice value while it spins.
 
     A node may have `finished: bool` (ends the spinning), `exit_status: int` (read at the end) and `close()` (called
     once before the node is destroyed, while it can still publish).

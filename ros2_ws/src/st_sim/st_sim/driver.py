@@ -22,10 +22,10 @@ TREMOR_TIME = 0.4  # s, correlation time of random steering
 OFFSET_INTEGRAL_GAIN, OFFSET_INTEGRAL_LIMIT = 0.015, 0.03  # 1/(m^2 s), 1/m
 SPEED_GAIN, SPEED_INTEGRAL_GAIN, SPEED_INTEGRAL_LIMIT = 1.2, 0.5, 1.0  # 1/s, 1/s^2, m/s^2
 STEADY_ACCELERATION = 0.5  # m/s^2; above it the integral would add to the feed-forward acceleration
-MIN_STEERING_SPEED = 0.5  # m/s; below it the steering wheel is held, because the course angle is undefined
+MIN_STEERING_SPEED = 0.5  # m/s; below it the steering wheel is held, because the direction of motion is undefined
 MAX_PEDAL_JERK = 10.0  # m/s^3
-MAX_BRAKING, MAX_DRIVE, HOLDING_BRAKE = 7.0, 3.5, 2.0  # m/s^2
-RUN_IN_TIME = 4.0  # s simulated before time 0, so that the drive begins in steady motion
+MAX_BRAKING, MAX_DRIVE, HOLDING_BRAKE = 7.0, 3.5, 2.0  # m/s^2, longitudinal force per mass
+RUN_IN_TIME = 4.0  # s, simulated before time 0, so that the drive begins in steady motion
 
 
 class Driver:
@@ -91,15 +91,15 @@ class Driver:
             self.distance += math.cos(road.yaw) * (x - road.x) + math.sin(road.yaw) * (y - road.y)
 
     def _steer_along(self, s: tuple[float, ...], speed: float) -> float:
-        """Road-wheel angle [rad] that follows the curvature ahead and returns to the road within the preview."""
+        """Road-wheel angle [rad] to follow the curvature ahead and return to the road within the preview distance."""
         road = self.plan.path.pose(self.distance)
         offset = math.cos(road.yaw) * (s[Y] - road.y) - math.sin(road.yaw) * (s[X] - road.x)
-        course = math.remainder(s[YAW] + math.atan2(s[VY], speed) - road.yaw, 2 * math.pi)
+        direction = math.remainder(s[YAW] + math.atan2(s[VY], speed) - road.yaw, 2 * math.pi)
         preview = max(MIN_PREVIEW, PREVIEW_TIME * speed)
         self._offset_integral += OFFSET_INTEGRAL_GAIN * offset * SAMPLING_TIME
         self._offset_integral = min(max(self._offset_integral, -OFFSET_INTEGRAL_LIMIT), OFFSET_INTEGRAL_LIMIT)
         road_curvature = self.plan.path.curvature(self.distance + ANTICIPATION_TIME * speed)
-        curvature = road_curvature - 2 * (offset + preview * math.sin(course)) / preview**2 - self._offset_integral
+        curvature = road_curvature - 2 * (offset + preview * math.sin(direction)) / preview**2 - self._offset_integral
         return math.atan(self.car.wheelbase * curvature) + UNDERSTEER_GRADIENT * speed**2 * curvature
 
     def _control_speed(self, plant: Plant, target_speed: float, acceleration: float) -> None:
@@ -107,13 +107,13 @@ class Driver:
         if plant.is_at_rest and acceleration <= 0.0:
             self.drive_force, self._pedal_acceleration, self._speed_integral = -HOLDING_BRAKE * plant.mass, 0.0, 0.0
             return
-        error = target_speed - s[VX]
+        speed_error = target_speed - s[VX]
         if abs(acceleration) < STEADY_ACCELERATION:
-            integral = self._speed_integral + SPEED_INTEGRAL_GAIN * error * SAMPLING_TIME
+            integral = self._speed_integral + SPEED_INTEGRAL_GAIN * speed_error * SAMPLING_TIME
             self._speed_integral = min(max(integral, -SPEED_INTEGRAL_LIMIT), SPEED_INTEGRAL_LIMIT)
         # Cornering resistance per mass: lateral force of the front axle times the sine of the road-wheel angle.
         cornering = abs(s[VX] * s[YAW_RATE] * math.sin(s[RACK])) * plant.to_rear / self.car.wheelbase
-        target = acceleration + SPEED_GAIN * error + self._speed_integral + cornering - s[VY] * s[YAW_RATE]
+        target = acceleration + SPEED_GAIN * speed_error + self._speed_integral + cornering - s[VY] * s[YAW_RATE]
         target = min(max(target, -MAX_BRAKING), MAX_DRIVE)
         max_change = MAX_PEDAL_JERK * SAMPLING_TIME
         self._pedal_acceleration += min(max(target - self._pedal_acceleration, -max_change), max_change)

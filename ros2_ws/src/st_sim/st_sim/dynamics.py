@@ -127,7 +127,7 @@ def tyre_force(tyre: TyreCoefficients, slip_angle: float, load: float, friction_
 
 
 def lateral_fraction(longitudinal: float, peak: float) -> float:
-    """sqrt(1 - (F_x / D)^2), the fraction of the lateral force that remains with F_x; 0 if |F_x| >= D, the peak."""
+    """sqrt(1 - (F_x / D)^2), the fraction of the lateral force that remains under F_x; 0 if |F_x| >= D, the peak."""
     ratio = longitudinal / peak
     return sqrt(1.0 - ratio * ratio) if -1.0 < ratio < 1.0 else 0.0
 
@@ -143,14 +143,14 @@ def wheel_forces(contact: tuple[float, float, float], tyre: TyreCoefficients, fr
     relaxation, combined, max_rate = contact
     speed = abs(along)
     slip_speed = speed if speed > MIN_SLIP_SPEED else MIN_SLIP_SPEED
-    steady = across / slip_speed
+    steady_slip = across / slip_speed
     if relaxation:
         inverse_time = slip_speed / relaxation
-        rate = (inverse_time if inverse_time < max_rate else max_rate) * (steady - slip)
+        rate = (inverse_time if inverse_time < max_rate else max_rate) * (steady_slip - slip)
         if speed < CREEP_SPEED:
             slip += CREEP_DAMPING * across * (1.0 - speed / CREEP_SPEED)
     else:
-        rate, slip = 0.0, steady
+        rate, slip = 0.0, steady_slip
     lateral, peak = tyre_force(tyre, atan(slip), load, friction)
     if abs(drive) > MAX_PEAK_FRACTION * peak:
         drive = MAX_PEAK_FRACTION * peak if drive > 0 else -MAX_PEAK_FRACTION * peak
@@ -182,7 +182,7 @@ def bring_to_rest(s: Sequence[float], step: float) -> tuple[float, ...]:
     return tuple(values)
 
 
-# long: the equations share two dozen symbols, and a call per equation would slow down every time step.
+# One long function, because the equations share two dozen symbols, and a call per equation would slow down every step.
 def derivative(s: Sequence[float], rack_target: float, drive_force: float, conditions: tuple,  # noqa: PLR0915
                c: Constants) -> tuple[tuple, tuple]:
     """(time derivative of the state; mean front road-wheel angle [rad], and for FL, FR, RL, RR: lateral forces,

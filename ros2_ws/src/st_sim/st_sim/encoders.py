@@ -78,7 +78,7 @@ class NcomEncoder:
         self._status = StatusChannels(origin, rate)
 
     def encode_packet(self, reading: InsReading, status: int = LOCKED) -> bytes:
-        """The 72-byte packet of one epoch; in a status without valid data, fields are invalid, time and position 0."""
+        """The 72-byte packet of one epoch. Before INITIALISING, time and position are 0, missing data invalid."""
         total_ms = round((self._start_gps_ns + round(reading.stamp * 1e9)) / 1_000_000)
         minutes, milliseconds = divmod(total_ms, 60_000)
         channel, batch_s = self._status.encode_next(minutes if status >= INITIALISING else None, reading)
@@ -146,7 +146,7 @@ _CHANGING_CHANNELS = (MINUTES, INNOVATIONS, RECEIVER, IMU_COUNTERS, TIMES)
 
 
 def make_schedule() -> list[int]:
-    """Channel number of each packet of a cycle; slots without a periodic channel contain channel 0."""
+    """Status channel of each packet of a cycle; packets without a periodic channel have channel 0 (MINUTES)."""
     slots: list[int | None] = [None] * CYCLE_LENGTH
 
     def assign(channels: tuple[int, ...], period: int) -> None:
@@ -290,7 +290,7 @@ class CanEncoder:
 class BackgroundTraffic:
     """Other frames of the Car-CAN, each with constant random data, for a realistic load on filters and queues.
 
-    1540 per second; with the 217 encoded by CanEncoder, about CAR_CAN_RATE. INS frames are additional.
+    It contains 1540 frames per second; with the 217 of CanEncoder, about CAR_CAN_RATE. INS frames are additional.
     """
 
     def __init__(self, seed: int):

@@ -27,9 +27,9 @@ _UNITS = {
     "roll": "rad", "pitch": "rad", "steering_wheel_angle": "rad", "road_wheel_angle": "rad", "gear": "code",
     "wheel_speed": "m/s: FL, FR, RL, RR", "lateral_force_front": "N", "lateral_force_rear": "N",
     "longitudinal_force_front": "N", "longitudinal_force_rear": "N", "load_front": "N", "load_rear": "N",
-    "slip_angle_front": "rad, mean of both wheels, + slides left",
-    "slip_angle_rear": "rad, mean of both wheels, + slides left", "friction": "1", "bank_angle": "rad",
-    "grade_angle": "rad", "wind_x": "m/s", "wind_y": "m/s",
+    "slip_angle_front": "rad, mean of both wheels, positive if they slide to the left",
+    "slip_angle_rear": "rad, mean of both wheels, positive if they slide to the left", "friction": "1",
+    "bank_angle": "rad", "grade_angle": "rad", "wind_x": "m/s", "wind_y": "m/s",
 }
 TRUTH_SCHEMA = {
     "type": "object", "title": "Truth",
@@ -52,7 +52,7 @@ def make_truth_record(truth: Truth) -> dict[str, object]:
 
 
 def choose_truth_file(folder: Path) -> Path:
-    """truth.mcap in a folder, or truth_2.mcap, truth_3.mcap and so on if that exists."""
+    """The first of truth.mcap, truth_2.mcap, truth_3.mcap and so on that does not exist in a folder."""
     names = itertools.chain(["truth.mcap"], (f"truth_{number}.mcap" for number in itertools.count(2)))
     return next(folder / name for name in names if not (folder / name).is_file())
 

@@ -41,13 +41,13 @@ def straight(length: float, speed: float) -> list[Piece]:
 
 
 def turn(radius: float, angle_deg: float, speed: float, blend: float = 0.0) -> list[Piece]:
-    """A left turn by an angle [deg]; its curvature rises to 1 / radius and falls linearly, each over `blend` [m].
+    """Turn by an angle [deg, > 0: left]; curvature changes linearly to +-1 / radius and back, each over `blend` [m].
 
     Raises ValueError if the blends alone turn by more than the angle.
     """
     arc = math.radians(abs(angle_deg)) * radius - blend
     if arc < 0:
-        raise ValueError(f"a turn of {angle_deg:g} deg at radius {radius:g} m has no room for blends of {blend:g} m")
+        raise ValueError(f"a turn of {angle_deg:g} deg at radius {radius:g} m is too short for blends of {blend:g} m")
     curvature = math.copysign(1.0 / radius, angle_deg)
     ramp_in = [Piece(blend, 0.0, curvature, speed)] if blend else []
     ramp_out = [Piece(blend, curvature, 0.0, speed)] if blend else []
@@ -87,9 +87,9 @@ class Path:
         self._lap_starts: dict[int, Pose] = {}
 
     def anchor(self, distance: float, pose: Pose) -> None:
-        """Move the whole path so that it passes through `pose` at `distance`."""
+        """Move the whole road so that it passes through `pose` at `distance`."""
         self._lap_starts.clear()
-        self._anchor = Pose(0.0, 0.0, 0.0)  # so that self.pose returns poses in the axes of the path
+        self._anchor = Pose(0.0, 0.0, 0.0)  # so that self.pose returns poses in the axes of the road
         self._anchor = pose.compose(self.pose(distance).inverse())
         self._lap_starts.clear()
 
@@ -139,7 +139,7 @@ class Path:
 
 
 class SpeedProfile:
-    """Highest speed along a path allowed by its target speeds and by acceleration and braking limits [m/s^2, > 0]."""
+    """Highest speed along a road within its target speeds and the limits of acceleration and braking [m/s^2, > 0]."""
 
     def __init__(self, path: Path, acceleration: float, braking: float):
         count = max(4, math.ceil(path.length / SPEED_SPACING))

@@ -41,8 +41,8 @@ class Truth:
 
     Map axes x east, y north, z up; body axes x forward, y left. roll > 0: right side down, pitch > 0: nose up, each
     the sum of body and road. velocity_z > 0: up. steering_wheel_angle > 0: left, without sensor offset.
-    acceleration_x, _y: kinematic, not the specific force. wheel_speed and, in wheel axes and only of a simulated
-    car, lateral_force, longitudinal_force, load [N] and slip_angle [rad]: FL, FR, RL, RR.
+    acceleration_x, _y: kinematic, not the specific force. Tuples are FL, FR, RL, RR: wheel_speed and, only of a
+    simulated car, lateral_force, longitudinal_force, load [N] and slip_angle [rad], in wheel axes.
     """
 
     time: float
@@ -111,7 +111,7 @@ def make_road(settings: Settings) -> Road:
 
 
 def evaluate_road(road: Road, x: float, yaw: float) -> tuple[float, float, float]:
-    """(friction factor, bank, grade [rad]) of a car at x [m, map] with a yaw angle [rad]. Also compiled with numba."""
+    """(friction factor, bank, grade [rad]) for a car at x [m, map] with a yaw angle [rad]. Also compiled with numba."""
     friction = road.friction * (road.patch if x % PATCH_PERIOD < PATCH_LENGTH else 1.0)
     bank, grade = road.bank, road.grade
     if road.hillside or road.wave:
@@ -135,7 +135,7 @@ class Environment:
         self._is_constant = not (self._wind or self._gust_speed or road.hillside or road.wave) and road.patch == 1.0
 
     def advance(self, x: float, yaw: float) -> Conditions:
-        """Advance the gusts by one step; returns the conditions of a car at x [m, map] with a yaw angle [rad]."""
+        """Advance the gusts by one step and return the conditions for a car at x [m, map] with a yaw angle [rad]."""
         if self._is_constant:
             return self._constant
         if self._gust_speed:
@@ -147,7 +147,7 @@ class Environment:
 def make_normal_source(generator: np.random.Generator, block: int = 4096) -> Callable[[], float]:
     """A function that returns one standard normal number per call; drawing in blocks makes it ten times faster.
 
-    Every use of random numbers in st_sim has its own generator, seeded with [seed, number of the use].
+    Each source of randomness in st_sim has its own generator, seeded with [seed, number of the source].
     """
     buffer: list[float] = []
 

@@ -23,7 +23,7 @@ class RecordedDrive:
     """A recorded drive for a Stream. Time 0 is the first row; after the end, the last row is repeated."""
 
     def __init__(self, file: str | Path, car: VehicleParameters):
-        """Raises SimulationError naming the file, and line or column."""
+        """Raises SimulationError naming the file and the line or column."""
         table = _read_table(Path(file))
         self._car = car
         table[:, COLUMNS.index("yaw")] = np.unwrap(table[:, COLUMNS.index("yaw")])
@@ -55,7 +55,7 @@ def _read_table(path: Path) -> np.ndarray:
             reader = csv.DictReader(stream)
             missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
             if missing:
-                raise SimulationError(f"{path}: column {missing[0]} is missing; required are {', '.join(COLUMNS)}")
+                raise SimulationError(f"{path}: column {missing[0]} is missing; required: {', '.join(COLUMNS)}")
             rows = [_parse_row(row, path, reader.line_num) for row in reader]
     except OSError as error:
         raise SimulationError(f"--drive {path}: cannot be read: {error.strerror}") from None
@@ -64,9 +64,9 @@ def _read_table(path: Path) -> np.ndarray:
     if len(rows) < 2:
         raise SimulationError(f"{path}: has {len(rows)} rows, but at least 2 are required")
     table = np.array(rows)
-    backward = np.flatnonzero(np.diff(table[:, 0]) <= 0)
-    if backward.size:
-        raise SimulationError(f"{path}: line {backward[0] + 3}: t does not increase")
+    backward_rows = np.flatnonzero(np.diff(table[:, 0]) <= 0)
+    if backward_rows.size:
+        raise SimulationError(f"{path}: line {backward_rows[0] + 3}: t does not increase")
     return table
 
 

@@ -28,11 +28,11 @@ DEFAULT_DURATION, MAX_DURATION = 60.0, 1e6  # s
 START_GRID_NS = 20_000_000  # drives start on this UTC grid, a multiple of the periods at 100 and 250 Hz
 LEAD_NS = 20_000_000  # minimum time from the end of preparation to the first epoch
 FILE_EPOCH_NS = 1_756_900_800_000_000_000  # 2025-09-03 12:00 UTC: start of a drive written to files with seed 0
-DEFAULT_ORIGIN = "51.448,5.49,65.0"
+DEFAULT_ORIGIN = "51.448,5.49,65.0"  # latitude, longitude [deg], ellipsoidal height [m]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; returns 0, also after SIGINT or SIGTERM, or 2 after an error, with one line on stderr."""
+    """Run the command and return 0, also after SIGINT or SIGTERM, or 2 after an error, with one line on stderr."""
     stop_requested = _watch_signals()
     try:
         options = _make_parser().parse_args(arguments)
@@ -111,9 +111,9 @@ class _Run:
 def _find_can_tables(options: argparse.Namespace) -> tuple[Path, Path]:
     """Find the DBC and signal table of the Leaf, whose messages the virtual car sends with every vehicle file.
 
-    They are searched for in the folder of the vehicle file (with --config, only if in its folder), then in --config;
-    without --config, in the folder above that of the vehicle file, and in config/ of the checkout and of the current
-    folder and its parents.
+    They are searched for in the folder of the vehicle file (with --config, only if that folder is in --config), then in
+    --config; without --config, in the folder above that of the vehicle file, and in config/ of the checkout and of the
+    current folder and its parents.
     """
     vehicle, config = options.vehicle, options.config and options.config.resolve()
     roots = [Path(os.environ.get("ST_ENVIRONMENT") or Path.cwd()), Path.cwd(), *Path.cwd().parents]
@@ -178,7 +178,7 @@ def _run_live(options: argparse.Namespace, stop_requested: Callable[[], bool]) -
 
 
 def _write_files(options: argparse.Namespace, stop_requested: Callable[[], bool]) -> None:
-    """Write the drive to files. CAN frames are stamped by the logger's clock, which has offset and drift."""
+    """Write the drive to files. CAN frames are stamped by the clock of the logger, with its offset and drift."""
     run = _Run(options)
     start_ns = FILE_EPOCH_NS + options.seed * 3_600_000_000_000  # one hour later for each seed
     folder = make_folder("--to-files", options.to_files)

@@ -19,8 +19,8 @@ OpenLoopSteering = Callable[[float], float]  # wheelbase of the car [m] -> road-
 
 LONGEST_ROAD = 20_000.0  # m, longest lap of a road from a file
 MAX_SPEED = 100.0  # m/s
-PEDAL_LEAD = 0.15  # s by which the pedals move before the speed has to change
-SPEED_SLACK = 0.15  # m/s by which the target may fall below the speed while braking
+PEDAL_LEAD = 0.15  # s; the pedals move this much before the target speed changes
+SPEED_SLACK = 0.15  # m/s; while braking, the target speed is at most this much below the speed
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Demand:
 
 class RoadPlan:
     """Plan that follows a road with its speed profile. acceleration, braking: limits of the profile [m/s^2, > 0].
-    start: distance along the path at which the drive begins [m]."""
+    start: distance along the road where the drive begins [m]."""
 
     def __init__(self, pieces: Sequence[Piece], acceleration: float = 1.2, braking: float = 1.5, start: float = 0.0):
         self.path = Path(pieces)
@@ -56,7 +56,7 @@ class RoadPlan:
 
 @dataclass(frozen=True)
 class Phase:
-    """Phase of a plan; ends after `duration` [s], or at `end_speed` [m/s] (-1: never). steering: see Demand."""
+    """Phase of a plan; it ends after `duration` [s] or at `end_speed` [m/s] (-1: at no speed). steering: see Demand."""
 
     steering: str
     acceleration: float = 0.0
@@ -146,7 +146,7 @@ def _make_u_turns() -> Plan:
 
 
 def _make_roundabout() -> Plan:
-    """16 m/s in a slight right bend (1.1 m/s^2), braking, 450 deg to the left at 5 m/s, back to 16 m/s."""
+    """16 m/s in a slight right bend (1.1 m/s^2), braking, 450 deg to the left at 5 m/s, acceleration to 16 m/s."""
     return RoadPlan(
         [*straight(30, 16), *turn(230, -24, 16, 20), *straight(85, 16), *turn(12, 450, 5, 7), *straight(110, 16)],
         acceleration=1.6, braking=2.0)

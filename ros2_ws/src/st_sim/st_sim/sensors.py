@@ -11,8 +11,8 @@ from .dynamics import GRAVITY
 from .plant import Truth, make_normal_source
 from .settings import Settings
 
-OUTAGE_LENGTH = 1.0  # s
-# Vibration noise: speed above which it has its full level [m/s], and fraction of this level at rest.
+OUTAGE_DURATION = 1.0  # s
+# Speed above which vibration noise has its full level [m/s], and fraction of this level at rest.
 FULL_VIBRATION_SPEED, REST_VIBRATION = 5.0, 0.1
 # m/s; lower wheel speeds and vehicle speeds are sent as 0, as in recordings of this family of cars.
 MIN_WHEEL_SPEED, MIN_VEHICLE_SPEED = 1.1 / 3.6, 2.8 / 3.6
@@ -166,7 +166,7 @@ def _cut_off_low_speed(speed: float, minimum: float) -> float:
 
 
 class TransmissionLoss:
-    """Random loss of a fraction of datagrams or frames, and loss of all for 1 s at multiples of `outage_every` [s]."""
+    """Random loss of a fraction of datagrams or frames, and outages of 1 s from each multiple of `outage_every` [s]."""
 
     def __init__(self, fraction: float, outage_every: float, seed: tuple[int, int]):
         self._fraction, self._outage_every = fraction, outage_every
@@ -174,6 +174,6 @@ class TransmissionLoss:
 
     def is_lost(self, time: float) -> bool:
         """Whether the datagram or frame sent at `time` [s since the start] is lost; call once for each."""
-        if self._outage_every and time >= self._outage_every and time % self._outage_every < OUTAGE_LENGTH:
+        if self._outage_every and time >= self._outage_every and time % self._outage_every < OUTAGE_DURATION:
             return True
         return bool(self._fraction) and self._generator.random() < self._fraction

@@ -63,7 +63,6 @@ _TABLE = (
     ("roll_steer", "steering", 0.0, -0.5, 0.5, "1", "front steer to the left per right roll; < 0: understeer"),
     ("rear_roll_steer", "steering", 0.0, -0.5, 0.5, "1", "rear steer to the left per right roll; > 0: understeer"),
     ("ackermann", "steering", 1.0, -0.5, 1.5, "1", "fraction of the full Ackermann angle; 0: parallel wheels"),
-    # Tyres.
     ("front_stiffness_factor", "tyre", 1.0, 0.2, 4.0, "1", "factor on the cornering stiffness of the front tyres"),
     ("rear_stiffness_factor", "tyre", 1.0, 0.2, 4.0, "1", "factor on the cornering stiffness of the rear tyres"),
     ("friction_factor", "tyre", 1.0, 0.05, 2.0, "1", "factor on the peak force of all tyres"),
@@ -71,7 +70,6 @@ _TABLE = (
     ("combined_slip", "tyre", 0.0, 0.0, 1.0, "1", "reduction of F_y by F_x; 1: friction ellipse, 0: none"),
     ("wheel_slip_compliance", "tyre", 0.0, 0.0, 0.2, "1", "longitudinal slip per F_x / F_z, in wheel speeds only"),
     ("camber_thrust", "tyre", 0.0, -2.0, 2.0, "1/rad", "outward lateral force per load and body roll"),
-    # Body.
     ("lateral_load_transfer", "body", 0.0, 0.0, 2.0, "1", "fraction of m a_y h / track"),
     ("longitudinal_load_transfer", "body", 1.0, 0.0, 2.0, "1", "fraction of m a_x h / wheelbase"),
     ("roll_gradient", "body", 0.0, 0.0, 0.03, "rad s^2/m", "body roll per lateral acceleration"),
@@ -90,7 +88,6 @@ _TABLE = (
     ("friction_patch", "environment", 1.0, 0.1, 2.0, "1", "friction factor on the first 10 m of every 40 m of x"),
     ("wind_speed", "environment", 0.0, -40.0, 40.0, "m/s", "steady wind, towards north"),
     ("gust_speed", "environment", 0.0, 0.0, 20.0, "m/s", "standard deviation of gusts, correlated over 1.5 s"),
-    # Driver.
     ("driver_tremor", "driver", 0.0, 0.0, 0.2, "rad", "standard deviation of random steering, at the steering wheel"),
     # INS. ins_noise 1: RT3000 with RTK on a normal road.
     ("ins_noise", "ins", 0.0, 0.0, 10.0, "1", "factor on the noise of the unit"),
@@ -103,7 +100,6 @@ _TABLE = (
     ("lateral_acceleration_bias", "ins", 0.0, -2.0, 2.0, "m/s^2", "error added to the measured lateral acceleration"),
     ("ins_packet_loss", "ins", 0.0, 0.0, 0.9, "1", "fraction of datagrams lost"),
     ("ins_outage_every", "ins", 0.0, 0.0, 3600.0, "s", "period of outages of 1 s; 0: none"),
-    # CAN.
     ("steering_sensor_noise", "can", 0.0, 0.0, 0.1, "rad", "standard deviation at the steering wheel, before rounding"),
     ("steering_sensor_latency", "can", 0.0, 0.0, 0.5, "s", "delay from sample to frame"),
     ("wheel_speed_scale", "can", 1.0, 0.8, 1.2, "1", "factor on the four wheel speeds"),

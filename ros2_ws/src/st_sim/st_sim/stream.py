@@ -19,7 +19,7 @@ from .sensors import Ins, SteeringSensor, TransmissionLoss, read_wheel_speeds
 from .settings import Settings, SimulationError
 
 Source = SimulatedCar | RecordedDrive
-TICK_MS = 2
+TICK_MS = 2  # period at which measurements are checked for being due
 # Period and phase [ms]; the phases differ, because the sensors of a car share no clock.
 TRUTH_SCHEDULE, STEERING_SCHEDULE, WHEEL_SCHEDULE, GEAR_SCHEDULE = (10, 0), (10, 2), (20, 6), (60, 8)
 INS_CAN_DELAY = 0.0015  # s from the datagram to the first CAN frame of the same epoch
@@ -60,7 +60,7 @@ def _is_due(now_ms: int, schedule: tuple[int, int]) -> bool:
 
 
 class Stream:
-    """Outputs of a source, which is advanced at most one tick ahead of them. ins_rate: INS epochs per second.
+    """Outputs of a source, which runs at most one tick ahead of them. ins_rate: INS epochs per second.
     background: whether to add BackgroundTraffic. start_up: whether time 0 is the power-up of the INS."""
 
     def __init__(self, source: Source, settings: Settings, ins: Ins, steering: SteeringSensor, ncom: NcomEncoder,
@@ -80,14 +80,14 @@ class Stream:
         for now_ms in range(0, round(duration * 1000), TICK_MS):
             time = now_ms / 1000
             self._source.advance(time)
-            self._measure(now_ms, time)
+            self._queue_measurements(now_ms, time)
             next_time = (now_ms + TICK_MS) / 1000
             while self._queue and self._queue[0].due < next_time:
                 yield heapq.heappop(self._queue)
         while self._queue:
             yield heapq.heappop(self._queue)
 
-    def _measure(self, now_ms: int, time: float) -> None:
+    def _queue_measurements(self, now_ms: int, time: float) -> None:
         if _is_due(now_ms, self._ins_schedule):
             self._queue_ins(self._source.make_truth(), time)
         if _is_due(now_ms, TRUTH_SCHEDULE):
@@ -130,7 +130,7 @@ class Stream:
 
 @dataclass
 class Report:
-    """Sent outputs. can_errors: frames not sent. late: outputs later than LATE_THRESHOLD. worst_delay: [s]."""
+    """Numbers of sent outputs, of frames not sent, of outputs later than LATE_THRESHOLD, and largest delay [s]."""
 
     ncom_packets: int = 0
     can_frames: int = 0
@@ -180,7 +180,7 @@ def send(outputs: Iterable[Output], send_ncom: Callable[[bytes], object], send_f
     """Send outputs at their deadlines, late ones at once, until there are no more or stop_requested() returns True.
 
     start_time: monotonic time of the start of the drive [s]; None: send as fast as possible. Returns the due time
-    of the last output [s since the start], 0 if none was sent.
+    of the last output that was sent [s since the start], 0 if none was.
     """
     due = 0.0
     for output in outputs:
