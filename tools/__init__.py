@@ -1,1 +1,1 @@
-"""Developer tools, reached by ./st: tests, benchmarks and the generated pages of docs/. Not part of the product."""
+"""Developer tools, run with ./st: tests, benchmarks and the generated pages of docs/. Not part of the product."""

@@ -14,11 +14,11 @@ from .develop import shell, test
 
 app = typer.Typer(name="st", no_args_is_help=True, add_completion=False, pretty_exceptions_show_locals=False)
 FORWARD_ARGUMENTS = {"allow_extra_args": True, "ignore_unknown_options": True}
-for verb in (test, shell, bench):
-    app.command(context_settings=FORWARD_ARGUMENTS)(verb)
+for command in (test, shell, bench):
+    app.command(context_settings=FORWARD_ARGUMENTS)(command)
 
 
-def commands() -> TyperGroup:
+def collect_commands() -> TyperGroup:
     """All commands of `./st`: those of the product and those of this package."""
     group = get_command(product)
     assert isinstance(group, TyperGroup)
@@ -35,16 +35,17 @@ def docs(
 ) -> None:
     """Write docs/reference.md, docs/gallery.md and the figure of the packages from the code.
 
-    With --gallery also the pictures of the gallery, from real output.
+    With --gallery, also regenerate the pictures of the gallery from real output.
     """
     from . import gallery as pictures
     from . import structure
-    from .reference import reference_page
+    from .reference import make_reference_page
 
     console = Console()
     folder = output or project_root() / "docs"
     folder.mkdir(parents=True, exist_ok=True)
-    for name, text in (("reference.md", reference_page(commands())), ("gallery.md", pictures.gallery_page())):
+    pages = {"reference.md": make_reference_page(collect_commands()), "gallery.md": pictures.make_gallery_page()}
+    for name, text in pages.items():
         (folder / name).write_text(text, encoding="utf-8")
         console.print(f"{folder / name}", highlight=False, soft_wrap=True)
     figure = folder / structure.FIGURE

@@ -17,10 +17,10 @@ from st_recordings.paths import project_root, source_version
 
 def bench(
     context: typer.Context,
-    name: str | None = typer.Argument(None, help="Name of a benchmark; without it all are listed."),
+    name: str | None = typer.Argument(None, help="Name of a benchmark; without a name, all are listed."),
     json_file: Path | None = typer.Option(None, "--json", help="File for the result and the machine."),
 ) -> None:
-    """List the benchmarks, or run one and print its figures."""
+    """List the benchmarks, or run one and print its results."""
     folder = project_root() / "bench"
     files = {path.stem: path for path in sorted(folder.glob("*.py")) if not path.stem.startswith("_")}
     # A package has its own options and prints its own result.
@@ -29,7 +29,7 @@ def bench(
     if name is None:
         table = Table("name", "what it measures", box=None)
         for stem, path in sorted({**files, **packages}.items()):
-            table.add_row(stem, _first_line(path))
+            table.add_row(stem, _read_first_line(path))
         console.print(table)
         return
     if name in packages:
@@ -45,12 +45,12 @@ def bench(
     result = _load_module(files[name]).run()
     _print_result(console, name, result)
     if json_file:
-        machine = {"python": platform.python_version(), "machine": platform.machine(), "cpu": _processor_name(),
+        machine = {"python": platform.python_version(), "machine": platform.machine(), "cpu": _read_processor_name(),
                    "version": source_version()}
         json_file.write_text(json.dumps({"bench": name, "machine": machine, "result": result}, indent=2) + "\n")
 
 
-def _first_line(path: Path) -> str:
+def _read_first_line(path: Path) -> str:
     return (ast.get_docstring(ast.parse(path.read_text())) or "").strip().splitlines()[0]
 
 
@@ -100,7 +100,7 @@ def _flatten(result: dict, prefix: str = "") -> list[tuple[str, object]]:
     return rows
 
 
-def _processor_name() -> str:
+def _read_processor_name() -> str:
     for line in Path("/proc/cpuinfo").read_text().splitlines():
         if line.startswith("model name"):
             return line.split(":", 1)[1].strip()

@@ -21,18 +21,18 @@ def test(
     root = project_root()
     # -rfEs lists failed, broken and skipped tests with their reasons.
     pytest = [sys.executable, "-m", "pytest", "-rfEs", "-q"]
-    chosen = "not slow and not timing" if fast else "not timing"
-    # By file, in the order of testpaths: the longest files come first. One worker more than cores, because some tests
+    markers = "not slow and not timing" if fast else "not timing"
+    # Files are distributed in the order of testpaths, the longest first. One worker more than cores, because some tests
     # wait. Timing tests mostly wait: two run at a time, after all others, and only their files are imported.
     by_file = ["--dist", "loadfile", "--no-loadscope-reorder"]
-    timed = [str(file) for folder in ("tests", "ros2_ws/src") for file in sorted((root / folder).rglob("test_*.py"))
+    timing_tests = [str(file) for name in ("tests", "ros2_ws/src") for file in sorted((root / name).rglob("test_*.py"))
              if "mark.timing" in file.read_text(encoding="utf-8")]
     parts = [
-        [*pytest, "-n", str(len(os.sched_getaffinity(0)) + 1), *by_file, "-m", chosen],
-        *([] if fast else [[*pytest, "-n", "2", *by_file, "-m", "timing", *timed]]),
+        [*pytest, "-n", str(len(os.sched_getaffinity(0)) + 1), *by_file, "-m", markers],
+        *([] if fast else [[*pytest, "-n", "2", *by_file, "-m", "timing", *timing_tests]]),
     ]
     if context.args:
-        parts = [[*pytest, *(["-m", chosen] if fast else []), *context.args]]
+        parts = [[*pytest, *(["-m", markers] if fast else []), *context.args]]
     with tempfile.TemporaryDirectory(prefix="st-test-") as logs:
         environment = {**os.environ, **suite.make_loopback_environment(os.environ), "ROS_LOG_DIR": logs}
         statuses = [subprocess.run(part, cwd=root, env=environment, check=False).returncode for part in parts]

@@ -24,11 +24,11 @@ from st_recordings.paths import config
 from st_recordings.results import Predictions, Results, read_predictions, read_results
 
 ST, VIRTUAL_LEAF = (sys.executable, "-m", "st_cli.cli"), (sys.executable, "-m", "st_sim.run")
-ANIMATED = (24.0, 38.0)  # s of the drive
+INTERVAL = (24.0, 38.0)  # s, part of the drive that the animation shows
 FRAMES_PER_SECOND = 5
 SIZE, DPI = (8.0, 4.2), 80
 GHOST_AGES = (1.0, 2.0, 3.0, 4.0, 5.0)  # s, of the earlier predictions that are drawn
-AHEAD, BEHIND, ASIDE = 34.0, 16.0, 30.0  # m, visible range
+AHEAD, BEHIND, ASIDE = 34.0, 16.0, 30.0  # m, range that is visible around the car
 
 
 class GalleryError(RuntimeError):
@@ -39,15 +39,15 @@ class GalleryError(RuntimeError):
 class Exhibit:
     """A command and the picture it draws.
 
-    command: as a user types it, with {} for the folder of the gallery. picture: file that it draws. before: commands
-    that make its input.
+    command: as a user types it, with {} for the folder of the gallery. picture: file that it draws. preparation:
+    commands that write its input.
     """
 
     title: str
     command: str
     picture: str
     text: str
-    before: tuple[str, ...] = ()
+    preparation: tuple[str, ...] = ()
 
 
 SIMULATE = "./st shell -- python -m st_sim.run --vehicle config/vehicle/leaf.yaml "
@@ -74,7 +74,7 @@ EXHIBITS = (
 )
 
 
-def gallery_page() -> str:
+def make_gallery_page() -> str:
     """Text of gallery.md."""
     lines = ["# Gallery", "",
              "See what each command draws, for a drive of the virtual Leaf (S6, U-turns) and a short real drive of "
@@ -83,7 +83,7 @@ def gallery_page() -> str:
              "From the driver's seat: current predictions, predictions made one to five seconds ago, and the "
              "path driven.", "", "![Predicted paths bend with the steering](images/gallery_drive.webp)"]
     for number, exhibit in enumerate(EXHIBITS, 1):
-        commands = (f"$ {_format_command(command)}" for command in (*exhibit.before, exhibit.command))
+        commands = (f"$ {_format_command(command)}" for command in (*exhibit.preparation, exhibit.command))
         lines += ["", f"## {exhibit.title}", "", "```console", *commands, "```", "", exhibit.text, "",
                   f"![{exhibit.title}](images/gallery_{number}.png)"]
     return "\n".join(lines) + "\n"
@@ -94,13 +94,13 @@ def draw_gallery(folder: Path, console: Console) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="st-gallery-") as name:
         for number, exhibit in enumerate(EXHIBITS, 1):
-            for command in (*exhibit.before, exhibit.command):
+            for command in (*exhibit.preparation, exhibit.command):
                 _run_command(command, name, console)
             pictures = sorted(Path(name).glob(exhibit.picture))
             if not pictures:
                 raise GalleryError(f"{exhibit.command} wrote no {exhibit.picture}")
             shutil.copyfile(pictures[0], folder / f"gallery_{number}.png")
-        animate(Path(name, "run"), read_vehicle(config("vehicle/leaf.yaml")), folder / "gallery_drive.webp", *ANIMATED)
+        animate(Path(name, "run"), read_vehicle(config("vehicle/leaf.yaml")), folder / "gallery_drive.webp", *INTERVAL)
 
 
 def _format_command(command: str) -> str:
@@ -118,31 +118,31 @@ def _run_command(command: str, folder: str, console: Console) -> None:
 
 
 def animate(run: Path, car: VehicleParameters, file: Path, first: float, last: float) -> int:
-    """Write seconds `first` to `last` of a run folder as WebP or GIF; returns the number of frames."""
+    """Write seconds `first` to `last` of a run folder as WebP or GIF, and return the number of frames."""
     results, predictions = read_results(run), read_predictions(run / "bag")
-    begin_ns = int(results.track.time_ns[0])
+    run_start_ns = int(results.track.time_ns[0])
     frames = []
     with plt.rc_context(FIGURE_STYLE):
         for seconds in np.arange(first, last, 1.0 / FRAMES_PER_SECOND):
-            frames.append(_draw_frame(results, predictions, car, begin_ns, seconds, first, last))
+            frames.append(_draw_frame(results, predictions, car, run_start_ns, seconds, first, last))
     duration = round(1000 / FRAMES_PER_SECOND)
     frames[0].save(file, save_all=True, append_images=frames[1:], duration=duration, loop=0, quality=60, method=2)
     return len(frames)
 
 
-def _draw_frame(results: Results, predictions: dict[str, Predictions], car: VehicleParameters, begin_ns: int,
+def _draw_frame(results: Results, predictions: dict[str, Predictions], car: VehicleParameters, run_start_ns: int,
                 seconds: float, first: float, last: float) -> Image.Image:
     figure, (scene, errors) = plt.subplots(1, 2, figsize=SIZE, dpi=DPI, width_ratios=(1.0, 1.0))
-    now_ns = begin_ns + round(seconds * 1e9)
+    now_ns = run_start_ns + round(seconds * 1e9)
     track = results.track
     here_x, here_y, yaw = (float(np.interp(now_ns, track.time_ns, v)) for v in (track.x, track.y, track.yaw))
 
-    def draw(x: np.ndarray, y: np.ndarray, **how: object) -> None:
+    def draw(x: np.ndarray, y: np.ndarray, **style: object) -> None:
         forward, left = map_to_body(np.asarray(x) - here_x, np.asarray(y) - here_y, yaw)
-        scene.plot(-left, forward, **how)
+        scene.plot(-left, forward, **style)
 
-    past = (track.time_ns <= now_ns) & (track.time_ns > now_ns - 20e9)
-    draw(track.x[past][::10], track.y[past][::10], color=MEASURED_COLOUR, lw=5, alpha=0.5, solid_capstyle="round")
+    is_past = (track.time_ns <= now_ns) & (track.time_ns > now_ns - 20e9)
+    draw(track.x[is_past][::10], track.y[is_past][::10], color=MEASURED_COLOUR, lw=5, alpha=0.5, solid_capstyle="round")
     for model, forecasts in predictions.items():
         for age in (*reversed(GHOST_AGES), 0.0):
             path = _find_path(forecasts, car, now_ns - round(age * 1e9))
@@ -155,12 +155,12 @@ def _draw_frame(results: Results, predictions: dict[str, Predictions], car: Vehi
     if scene.get_legend_handles_labels()[0]:
         scene.legend(loc="upper left", fontsize=8)
     for (model, mode), scores in results.scores.items():
-        end = (scores.start_ns - begin_ns) * 1e-9 + 5.0
-        known = scores.complete & (end <= seconds)
+        end = (scores.start_ns - run_start_ns) * 1e-9 + 5.0
+        is_known = scores.complete & (end <= seconds)
         if mode == "hindsight":
-            errors.plot(end[known], scores.lateral[known], color=MODEL_COLOUR[model])
+            errors.plot(end[is_known], scores.lateral[is_known], color=MODEL_COLOUR[model])
     errors.axhline(0.0, color="k", lw=0.6)
-    errors.set(xlim=(first, last), ylim=(-0.7, 0.7), xlabel="time, s", ylabel="m (+ = predicted left)")
+    errors.set(xlim=(first, last), ylim=(-0.7, 0.7), xlabel="time, s", ylabel="error, m (+ = predicted left)")
     errors.set_title("mean lateral error over the last 5 s\n(hindsight: measured inputs)")
     canvas = FigureCanvasAgg(figure)
     canvas.draw()

@@ -10,7 +10,7 @@ from st_recordings.paths import project_root
 from st_ros.parameters import Parameter
 from typer.core import TyperGroup, TyperOption
 
-NODES = {  # node: module and name of its parameter table
+NODES = {  # node -> module and name of its parameter table
     "oxts_bridge": ("oxts_bridge.node", "PARAMETERS"),
     "canedge_bridge": ("canedge_bridge.node", "PARAMETERS"),
     "predictor": ("st_predictor.params", "PREDICTOR"),
@@ -32,9 +32,9 @@ TOPICS = (
     ("/ins/trigger", "st_msgs/msg/Trigger", "oxts_bridge", "event inputs and outputs of the INS"),
     ("/ins/origin", "sensor_msgs/msg/NavSatFix", "oxts_bridge", "origin of the map frame; latched"),
     ("/ins/ncom", "st_msgs/msg/Ncom", "oxts_bridge", "every NCOM packet as received"),
-    ("/vehicle/steering", "st_msgs/msg/Steering", "canedge_bridge", "steering wheel and road wheel angle, left +"),
-    ("/vehicle/wheel_speeds", "st_msgs/msg/WheelSpeeds", "canedge_bridge", "four wheels, m/s"),
-    ("/vehicle/ins_on_can", "st_msgs/msg/InsOnCan", "canedge_bridge", "what the INS sends on CAN, to align clocks"),
+    ("/vehicle/steering", "st_msgs/msg/Steering", "canedge_bridge", "steering wheel and road wheel angle, > 0: left"),
+    ("/vehicle/wheel_speeds", "st_msgs/msg/WheelSpeeds", "canedge_bridge", "speeds of the four wheels, m/s"),
+    ("/vehicle/ins_on_can", "st_msgs/msg/InsOnCan", "canedge_bridge", "values of the INS on CAN, for clock alignment"),
     ("/can/frames", "st_msgs/msg/CanFrames", "canedge_bridge", "raw frames, with publish_frames"),
     ("/plan/inputs", "st_msgs/msg/InputPlan", "your planner", "steering and acceleration, or speed and curvature"),
     ("/predictor/<model>/path", "nav_msgs/msg/Path", "predictor", "predicted path of the INS point; 10 Hz"),
@@ -42,17 +42,17 @@ TOPICS = (
     ("/predictor/<model>/plan", "st_msgs/msg/PlannedPrediction", "predictor",
      "the trajectory with the inputs of a plan, and these inputs; while a plan is used"),
     ("/predictor/<model>/course", "st_msgs/msg/PlannedPrediction", "predictor",
-     "the same with the inputs of a recorded course, while it is used"),
+     "the trajectory with the inputs of a recorded course; while a course is used"),
     ("/predictor/status", "st_msgs/msg/PredictorStatus", "predictor",
      "number of predictions due, made and skipped; latched"),
     ("/evaluator/errors", "st_msgs/msg/PredictionError", "evaluator", "scores: forecast, plan, course and hindsight"),
     ("/evaluator/summary", "st_msgs/msg/ErrorSummary", "evaluator", "running statistics; latched"),
     ("/identifier/parameters", "st_msgs/msg/TrackedParameters", "identifier",
-     "steering and stiffness tracked while driving; latched, never applied"),
+     "steering and stiffness estimated while driving; latched, never applied"),
     ("/view/markers", "visualization_msgs/msg/MarkerArray", "markers",
      "car, track, earlier predictions, errors, names; 10 Hz"),
     ("/view/bands", "visualization_msgs/msg/MarkerArray", "markers",
-     "90 % and 50 % bands of the newest predictions, a namespace per model"),
+     "90 % and 50 % bands of the newest predictions, one namespace per model"),
     ("/view/<model>/error", "geometry_msgs/msg/Vector3Stamped", "markers",
      "mean error of a forecast: x longitudinal, y lateral [m], z yaw [rad]"),
     ("/tf", "tf2_msgs/msg/TFMessage", "oxts_bridge", "odom -> base_link"),
@@ -65,7 +65,7 @@ _FIELD = re.compile(
     r"^(?P<type>[\w/]+(?:\[[^\]]*\])?)\s+(?P<name>\w+)\s*(?:=\s*(?P<value>\S+))?\s*(?:#\s*(?P<text>.*))?$")
 
 
-def reference_page(st: TyperGroup) -> str:
+def make_reference_page(st: TyperGroup) -> str:
     """Text of the page; st: the command group with all verbs."""
     parts = [
         "# Reference\n\nLook up commands, topics, message fields and node parameters. `./st docs` writes this page "
@@ -84,14 +84,14 @@ def describe_commands(st: TyperGroup) -> Iterable[str]:
         arguments = [p for p in command.params if p.param_type_name == "argument"]
         options = [p for p in command.params if isinstance(p, TyperOption) and p.name != "help"]
         usage = " ".join([f"./st {name}", *(f"{a.name.upper()}{'…' if a.nargs == -1 else ''}" for a in arguments)])
-        yield f"### `{usage}`\n\n{_plain(command.help)}\n"
+        yield f"### `{usage}`\n\n{_join_lines(command.help)}\n"
         if options:
-            yield table(("option", ""), (
-                (f"`{o.opts[0]}`" + _kind(o), _plain(o.help)) for o in options))
+            yield format_table(("option", ""), (
+                (f"`{o.opts[0]}`" + _format_option_type(o), _join_lines(o.help)) for o in options))
 
 
 def describe_topics() -> str:
-    return table(("topic", "type", "published by", ""), ((f"`{topic}`", *others) for topic, *others in TOPICS))
+    return format_table(("topic", "type", "published by", ""), ((f"`{topic}`", *others) for topic, *others in TOPICS))
 
 
 def describe_messages(folder: Path) -> Iterable[str]:
@@ -106,33 +106,33 @@ def describe_messages(folder: Path) -> Iterable[str]:
             name = field["name"] + (f" = {field['value']}" if field["value"] else "")
             rows.append((f"`{name}`", field["type"].replace("<=", "≤"), field["text"] or ""))
         yield f"### st_msgs/msg/{file.stem}\n\n{' '.join(heading)}\n"
-        yield table(("field", "type", "unit, sign, meaning"), rows)
+        yield format_table(("field", "type", "unit, sign, meaning"), rows)
 
 
 def describe_nodes() -> Iterable[str]:
     for node, (module, name) in NODES.items():
         yield f"### {node}\n"
         parameters: Sequence[Parameter] = getattr(importlib.import_module(module), name)
-        yield table(("parameter", "default", "unit", "range", ""), (
-            (f"`{p.name}`", f"`{_default(p.default)}`", p.unit, _range(p), p.description) for p in parameters))
+        yield format_table(("parameter", "default", "unit", "range", ""), (
+            (f"`{p.name}`", f"`{_to_yaml(p.default)}`", p.unit, _format_range(p), p.description) for p in parameters))
 
 
-def table(heading: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def format_table(heading: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     lines = [heading, ["---"] * len(heading), *rows]
     return "\n".join("| " + " | ".join(str(cell).replace("|", "\\|") for cell in row) + " |" for row in lines) + "\n"
 
 
-def _kind(option: TyperOption) -> str:
+def _format_option_type(option: TyperOption) -> str:
     """Type of the value an option takes, in parentheses; empty for a switch."""
     name = getattr(option.type_descriptor.annotation, "__name__", "text")
     return "" if option.is_flag else f" {({'Path': 'file', 'str': 'text'}).get(name, name)}"
 
 
-def _plain(text: str | None) -> str:
+def _join_lines(text: str | None) -> str:
     return " ".join((text or "").split())
 
 
-def _default(value: object) -> str:
+def _to_yaml(value: object) -> str:
     if isinstance(value, float) and math.isnan(value):
         return ".nan"
     if isinstance(value, list | tuple):
@@ -140,7 +140,7 @@ def _default(value: object) -> str:
     return '""' if value == "" else str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def _range(parameter: Parameter) -> str:
+def _format_range(parameter: Parameter) -> str:
     if parameter.choices:
         return ", ".join(map(str, parameter.choices))
     return f"{parameter.minimum:g} to {parameter.maximum:g}" if math.isfinite(parameter.minimum) else ""

@@ -14,11 +14,11 @@ from matplotlib.patches import FancyArrowPatch
 
 FIGURE = "images/architecture.png"  # in docs/
 BOX = {"boxstyle": "round,pad=0.5", "facecolor": "#eef3f8", "edgecolor": "#2f4b66", "linewidth": 1.2}
-DIRECT, IMPLIED = "#2f4b66", "#b4c0cc"
-BOX_HALF_WIDTH = 0.13  # of the width of the figure, margin included
-ROW_WIDTH = 0.85  # over the width of the figure
-SHIFTS = (0.0, -0.05, 0.05, -0.1, 0.1, -0.15, 0.15)  # of a row that are tried, over the width of the figure
-SWEEPS = 3  # optimisations of every row
+DIRECT_COLOUR, IMPLIED_COLOUR = "#2f4b66", "#b4c0cc"
+BOX_HALF_WIDTH = 0.13  # fraction of the width of the figure, including a margin
+ROW_WIDTH = 0.85  # fraction of the width of the figure
+SHIFTS = (0.0, -0.05, 0.05, -0.1, 0.1, -0.15, 0.15)  # tried shifts of a row, fractions of the width of the figure
+SWEEPS = 3  # number of times that every row is optimised
 
 Edge = tuple[str, str]
 
@@ -29,14 +29,14 @@ def list_packages(sources: Path) -> list[str]:
 
 
 def find_edges(sources: Path) -> set[Edge]:
-    """(package, imported package), including imports in functions; tests and setup.py are excluded."""
+    """Pairs (package, imported package), including imports in functions, but not those in tests and setup.py."""
     packages = list_packages(sources)
     files = ((name, file) for name in packages for file in (sources / name).rglob("*.py"))
     return {(name, top) for name, file in files if file.relative_to(sources).parts[1] != "test" and
-            file.name != "setup.py" for top in _imported_modules(file) if top in packages and top != name}
+            file.name != "setup.py" for top in _find_imported_packages(file) if top in packages and top != name}
 
 
-def _imported_modules(file: Path) -> Iterator[str]:
+def _find_imported_packages(file: Path) -> Iterator[str]:
     """Top-level packages that a file imports, except by relative imports, which stay inside the package."""
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"), str(file))):
         if isinstance(node, ast.Import):
@@ -73,21 +73,21 @@ def find_implied(arrows: set[Edge]) -> set[Edge]:
 def draw_structure(sources: Path, file: Path) -> None:
     """Write the figure as PNG; its metadata lists the arrows, which `read_edges` reads."""
     names, arrows = list_packages(sources), find_edges(sources)
-    centres, indirect = _place_boxes(sort_into_layers(names, arrows), arrows), find_implied(arrows)
+    centres, implied = _place_boxes(sort_into_layers(names, arrows), arrows), find_implied(arrows)
     figure, axes = plt.subplots(figsize=(9.0, 7.0), dpi=110)
     axes.set(xlim=(0.0, 1.0), ylim=(-0.4, max(y for _, y in centres.values()) + 0.4))
     axes.set_axis_off()
     figure.tight_layout(pad=0.2)
     boxes = {name: axes.text(*centre, name, ha="center", va="center", fontsize=11, family="monospace", zorder=3,
                              bbox=BOX) for name, centre in centres.items()}
-    figure.canvas.draw()  # computes the sizes of the boxes, at the edges of which the arrows end
-    for arrow in sorted(arrows, key=lambda a: (a not in indirect, a)):
+    figure.canvas.draw()  # computes the sizes of the boxes, because the arrows end at their borders
+    for arrow in sorted(arrows, key=lambda a: (a not in implied, a)):
         start, end = arrow
-        grey = arrow in indirect
+        is_implied = arrow in implied
         axes.add_patch(FancyArrowPatch(
             centres[start], centres[end], patchA=boxes[start].get_bbox_patch(), patchB=boxes[end].get_bbox_patch(),
-            arrowstyle="-|>", mutation_scale=11, shrinkA=1, shrinkB=1, linewidth=0.9 if grey else 1.5,
-            color=IMPLIED if grey else DIRECT, zorder=1 if grey else 2))
+            arrowstyle="-|>", mutation_scale=11, shrinkA=1, shrinkB=1, linewidth=0.9 if is_implied else 1.5,
+            color=IMPLIED_COLOUR if is_implied else DIRECT_COLOUR, zorder=1 if is_implied else 2))
     file.parent.mkdir(parents=True, exist_ok=True)
     lines = "\n".join(f"{a} -> {b}" for a, b in sorted(arrows))
     figure.savefig(file, metadata={"Description": lines, "Software": None})

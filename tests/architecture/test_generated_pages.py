@@ -12,18 +12,18 @@ from st_predictor import params
 from support import ROOT
 
 from tools import gallery, reference
-from tools.__main__ import commands
+from tools.__main__ import collect_commands
 
 pytestmark = pytest.mark.ros
 DOCS = ROOT / "docs"
 
 
 def test_reference_page_is_up_to_date() -> None:
-    assert (DOCS / "reference.md").read_text() == reference.reference_page(commands()), "run ./st docs"
+    assert (DOCS / "reference.md").read_text() == reference.make_reference_page(collect_commands()), "run ./st docs"
 
 
 def test_reference_lists_every_parameter_and_message_field() -> None:
-    page = reference.reference_page(commands())
+    page = reference.make_reference_page(collect_commands())
     for parameter in params.PREDICTOR + params.RECORDER:
         assert f"| `{parameter.name}` |" in page
     for file in (ROOT / "ros2_ws/src/st_msgs/msg").glob("*.msg"):
@@ -38,7 +38,7 @@ def test_reference_covers_every_node_of_the_parameter_file() -> None:
 
 
 def test_bars_in_table_cells_are_escaped_and_an_invalid_message_line_is_refused(tmp_path) -> None:
-    assert reference.table(("a",), [("x|y",)]) == "| a |\n| --- |\n| x\\|y |\n"
+    assert reference.format_table(("a",), [("x|y",)]) == "| a |\n| --- |\n| x\\|y |\n"
     (tmp_path / "Odd.msg").write_text("float64 = x\n")
     with pytest.raises(ValueError, match=r"Odd\.msg: float64 = x"):
         list(reference.describe_messages(tmp_path))
@@ -46,13 +46,13 @@ def test_bars_in_table_cells_are_escaped_and_an_invalid_message_line_is_refused(
 
 def test_gallery_page_is_up_to_date_and_shows_every_command() -> None:
     text = (DOCS / "gallery.md").read_text()
-    assert text == gallery.gallery_page(), "run ./st docs"
-    for command in (c for exhibit in gallery.EXHIBITS for c in (*exhibit.before, exhibit.command)):
+    assert text == gallery.make_gallery_page(), "run ./st docs"
+    for command in (c for exhibit in gallery.EXHIBITS for c in (*exhibit.preparation, exhibit.command)):
         assert f"$ {command.replace('{}', 'runs/gallery')}" in text
 
 
 def test_every_verb_and_option_shown_in_readme_and_docs_exists() -> None:
-    verbs = commands().commands
+    verbs = collect_commands().commands
     checked = 0
     for page in (ROOT / "README.md", *DOCS.rglob("*.md")):
         for verb, rest in re.findall(r"\./st (\w+)([^`|\n]*)", page.read_text()):
