@@ -358,7 +358,7 @@ def test_parts_of_a_table_are_one_run(tmp_path: Path, drive_log: DriveLog, kind:
     (lambda log: "PK\x03\x04" + csv(rows(log)), r"this is a compressed file \(zip, or a spreadsheet\); unpack it"),
     (lambda log: with_times(log, lambda s: "5.0"), r"1 of \d+ rows .* have a time later than all previous rows"),
     (lambda log: csv(rows(log)[::-1]), r"times in column t are not in order: \d+ of \d+ rows .* earlier .*; sort"),
-    (lambda log: with_times(log, lambda s: f"{0.01 + 0.001 * np.sin(s)}"), "if these are time steps, export"),
+    (lambda log: with_times(log, lambda s: f"{0.01 + 0.001 * np.sin(s)}"), "if the column contains time steps, export"),
     (lambda log: with_times(log, lambda s: "04 Mxy 2026 " + clock(s)), r"the first is '04 Mxy 2026 .*export seconds"),
     (lambda log: geographic(log).replace(",5", ",520"),
      r"latitude \(column latitude\) is about 520\d[.\d]* deg, which is impossible; export"),
