@@ -291,12 +291,14 @@ def _correct_position_axes(motion: Motion) -> MotionAndFinding:
 def _correct_one_axis(motion: Motion) -> MotionAndFinding:
     """Correct the scale of x or y, if that of the other is correct."""
     measured, derived = _compute_displacements(motion, motion.velocity_map)
-    if len(measured) < MIN_WINDOWS:
-        return motion, None
-    scales = [float(np.sum(np.abs(m)) / max(np.sum(np.abs(d)), 1e-300))
-              for m, d in ((measured.real, derived.real), (measured.imag, derived.imag))]
+    scales = []
+    for along_measured, along_derived in ((measured.real, derived.real), (measured.imag, derived.imag)):
+        moves = np.abs(along_derived) >= MIN_DISTANCE  # elsewhere, noise of the positions dominates
+        if moves.sum() < MIN_WINDOWS:
+            return motion, None
+        scales.append(float(np.sum(along_measured[moves] * along_derived[moves]) / np.sum(along_derived[moves]**2)))
     wrong, common = [not _matches(scale, 1.0) for scale in scales], compute_ratios(motion).position_to_speed
-    if sum(wrong) != 1 or not np.isfinite(common):
+    if sum(wrong) != 1 or min(scales) <= 0.0 or not np.isfinite(common):
         return motion, None
     axis, other = ("x", "y") if wrong[0] else ("y", "x")
     scale = scales[wrong.index(True)]
