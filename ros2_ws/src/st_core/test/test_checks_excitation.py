@@ -54,10 +54,10 @@ def test_delayed_sensor_gives_one_finding_in_every_kind_of_driving(leaf, noise):
     assert [finding.name for finding in compare_runs(runs) if finding.consistent] == ["yaw_rate_lag"]
 
 
-@pytest.mark.parametrize("deviation", [0.02, 1.5])
-@pytest.mark.parametrize("heading", [0.0, 0.1, np.pi / 2])
+@pytest.mark.parametrize("deviation", [0.03, 1.5])
+@pytest.mark.parametrize("heading", [0.0, np.pi / 2])
 def test_noise_of_positions_across_a_straight_drive_is_no_scale_of_an_axis(leaf, heading, deviation):
-    log = exact_drive(leaf, 60.0, turning=Sines(0.0, ((0.01, 11.0, 0.3),)))
+    log = exact_drive(leaf, 15.0, turning=Sines(0.0, ()))
     position = (log.x + 1j * log.y) * np.exp(1j * heading)
     noise = deviation * np.random.default_rng(1).normal(size=(2, len(log.x)))
     found = check(replace(log, x=position.real + noise[0], y=position.imag + noise[1], yaw=log.yaw + heading), leaf)
