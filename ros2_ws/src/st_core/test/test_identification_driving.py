@@ -75,7 +75,7 @@ def test_prediction_fit_separates_offset_misalignment_and_gyro_bias(leaf, start_
     assert found["steering_wheel_offset"].value == pytest.approx(leaf.steering_wheel_offset, abs=np.deg2rad(0.1))
     assert found[MISALIGNMENT].value == pytest.approx(0.01, abs=0.0005)
     assert [found[name].value for name in STIFFNESSES] == pytest.approx(true_stiffnesses(leaf), rel=0.02)
-    assert any("Yaw rate bias" in warning and "+0.004" in warning for warning in found.warnings)
+    assert any("yaw rate bias" in warning and "+0.004" in warning for warning in found.warnings)
 
 
 def test_steering_ratio_from_slow_and_fast_bends(leaf, weaving, start_vehicle):
