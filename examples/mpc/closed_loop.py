@@ -1,4 +1,4 @@
-"""Drives the virtual car along a road with the controller, and measures the tracking error at the CG."""
+"""Drives the virtual car along a path with the controller, and measures the tracking error at the CG."""
 
 import math
 from dataclasses import asdict, dataclass
@@ -10,16 +10,17 @@ from st_core.vehicle import VehicleParameters
 from st_sim.scenarios import Plan
 from st_sim.settings import Settings
 
-MAX_DISTANCE = 4.0  # m from the road; at a larger distance the car has left the road, which ends the drive
+MAX_DISTANCE = 4.0  # m; limit of the lateral deviation from the path, above which the drive ends
 SAMPLING_TIME = 0.02  # s between measurements of the tracking error
 
 
 @dataclass(frozen=True)
 class DriveResults:
-    """Results of one drive. error_*: distance of the CG from the road [m]. speed_rms: rms speed error [m/s].
+    """Results of one drive. error_*: lateral deviation of the CG from the path [m]. speed_rms: rms speed error [m/s].
 
-    wall_*, cpu_*: median, 95th percentile and largest time of a solution [ms]. iterations: median per solution.
-    unsolved: number of problems not solved. finished: False if the car left the road, after `duration` [s].
+    wall_*, cpu_*: median, 95th percentile and maximum of the solver time per problem [ms]; iterations: median; all but
+    the first, which has no warm start. unsolved: number of problems without a solution. finished: False if the car left
+    the path, after `duration` [s].
     """
 
     error_rms: float
@@ -42,13 +43,13 @@ class DriveResults:
 
 
 class Road:
-    """The road of a plan. distance: position of the car along the road [m]."""
+    """Reference path of a plan. distance: position of the car along the path [m]."""
 
     def __init__(self, plan: Plan):
         self.plan, self.distance = plan, plan.start
 
     def track(self, x: float, y: float) -> float:
-        """Update `distance` for a car at (x, y) [m]; returns its distance from the road [m], positive to the left."""
+        """Update `distance` for a car at (x, y) [m]; returns its lateral deviation [m], positive to the left."""
         for _ in range(3):
             road = self.plan.path.pose(self.distance)
             self.distance += math.cos(road.yaw) * (x - road.x) + math.sin(road.yaw) * (y - road.y)
@@ -56,7 +57,7 @@ class Road:
         return math.cos(road.yaw) * (y - road.y) - math.sin(road.yaw) * (x - road.x)
 
     def make_reference(self, steps: int, step: float) -> Reference:
-        """Road ahead at the end of each step [s], for a car that drives at the speed of the plan."""
+        """Path ahead at the end of each step [s], for a car that drives at the speed of the plan."""
         rows, distance = [], self.distance
         for _ in range(steps):
             middle = distance + 0.5 * step * self.plan.speed_at(distance)
@@ -67,7 +68,7 @@ class Road:
 
 def drive(controller: Controller, car: VehicleParameters, settings: Settings, plan: Plan, duration: float,
           seed: int = 0) -> tuple[DriveResults, np.ndarray]:
-    """Drive a plan; returns its results, and rows (time, x, y, distance from the road, speed error, road-wheel angle).
+    """Drive a plan; returns its results, and rows (time, x, y, lateral deviation, speed error, road-wheel angle).
 
     The solver time is measured, but commands take effect without this delay.
     """

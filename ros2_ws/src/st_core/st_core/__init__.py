@@ -1,4 +1,4 @@
-"""Single-track vehicle models, prediction and evaluation, without ROS; the equations read no clock and no files.
+"""Single-track vehicle models, prediction and evaluation, without ROS, file access or clock.
 
 The paper cited in docstrings: Aertssen et al., Short-Horizon Position Accuracy of Single-Track Models, AVEC 2026."""
 

@@ -1,4 +1,4 @@
-"""Checks of a recording against the vehicle file, with limits so wide that only a faulty recording exceeds them.
+"""Checks of a recording against the vehicle file, with limits that differences between cars rarely exceed.
 
 Steering: the road wheel angle of a car without slip is atan(L r / v_x). Errors of ratio and wheelbase change it by
 about 10 %, understeer at 20 m/s may nearly double it, and degrees read as radians make it 57 times as large.
@@ -31,9 +31,9 @@ MIN_SPEED, MAX_LATERAL_ACCELERATION = 2.0, 4.0  # m/s, m/s^2; limits of driving 
 WINDOW, STANDSTILL_WINDOW = 0.5, 2.0  # s, lengths of the windows
 MIN_REAR_AXLE_WINDOWS = 30
 SLIP_RANGE = 0.5, 1.5  # plausible rear slip, as a fraction of that of the vehicle file
-MAX_COSINE = 0.9  # cosine similarity of speed and yaw rate; 1 on a circle, where heading and point are confounded
+MAX_COSINE = 0.9  # cosine similarity of speed and yaw rate; 1 on a circle, which confounds misalignment and INS point
 MIN_STEERING_ANGLE = 0.01  # rad; minimum root mean square of the angles for an estimate of the steering gain
-MIN_ANGLE_FOR_SIGN = 0.003  # rad; the same for the sign of the gain, which fast wide bends also determine
+MIN_ANGLE_FOR_SIGN = 0.003  # rad; the same for the sign of the gain alone, for which fast, wide bends suffice
 MAX_OPPOSITE_CORRELATION = -0.8  # correlation of steering and curvature below which the steering has the opposite sign
 MIN_UNRELATED_SPREAD = 0.01  # rad at the road wheels; minimum standard deviation of measured and derived steering
 MIN_GAIN = 1e-6  # ratio of measured to derived angle below which the steering is constant and reported as frozen

@@ -49,7 +49,7 @@ RESAMPLES = 1000  # number of bootstrap samples
 MAX_RANGES, MAX_PLACES = 3, 2  # maximum numbers of reported ranges and places per channel
 MAX_EXCESS_RATIO = 1.5  # largest ratio between the excesses of neighbouring ranges that are reported as one
 BINNED_BY_MAGNITUDE = ("lateral acceleration", "road-wheel angle", "steering rate")
-MIN_CONTRAST = 1.15  # minimum ratio of the error in a reported range to the error in all driving
+MIN_CONTRAST = 1.15  # minimum ratio of the excess in a reported range to the excess in all driving
 CELL_SIZE = 20.0  # m, side of a cell of the map
 MAX_CELL_DISTANCE = 1.6 * CELL_SIZE  # m, largest distance along each axis between neighbouring cells of one place
 MIN_SEGMENT_DURATION = 8.0  # s, minimum time between change points
@@ -64,7 +64,7 @@ EVERYWHERE = "everywhere"
 class Samples:
     """Errors and conditions of n predictions, all finite. run: index into names. time [s]: since the first measurement
     of the run. x, y [m]: position at the start. block: number of the block of time; a block counts as one observation.
-    conditions: (n,) by name [SI]. squares: (n,) square error by channel [SI]."""
+    conditions: (n,) by name [SI]. squares: (n,) squared error by channel [SI]."""
 
     names: tuple[str, ...]
     run: np.ndarray
@@ -145,8 +145,8 @@ def find_error_regions(runs: Sequence[DriveLog], model: AugmentedModel, vehicle:
                        acceleration_gain: float = 0.0) -> tuple[LargeErrorRegion, ...]:
     """Conditions in which the errors of a model are larger than in the reference drives or, without these, than the
     sensor noise; times and places where they are larger than elsewhere under similar conditions. noise: standard
-    deviation by channel [SI]. acceleration_gain: see `Discovery`. Channels that are not measured in the runs and the
-    reference, and channels without a significant range, are left out."""
+    deviation by channel [SI]. acceleration_gain: see `Discovery`. Channels that are not measured in both the runs and
+    the reference, and channels without a significant range, are left out."""
     samples = window_errors(runs, model, vehicle, settings, acceleration_gain)
     expected = window_errors(reference, model, vehicle, settings, acceleration_gain) if reference else None
     if expected is not None:
@@ -167,7 +167,7 @@ def find_error_regions(runs: Sequence[DriveLog], model: AugmentedModel, vehicle:
 
 def window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters,
                   settings: DiscoverySettings, acceleration_gain: float = 0.0) -> Samples:
-    """Errors and conditions of all windows of the runs: square errors at the end of the horizon for channels with
+    """Errors and conditions of all windows of the runs: squared errors at the end of the horizon for channels with
     accumulating errors, mean square errors over the first SHORT_HORIZON for the others."""
     windows = Windows(runs, vehicle, settings)
     short = windows.time <= max(SHORT_HORIZON, float(windows.time[0]))
@@ -352,7 +352,7 @@ def _compute_bin_means(squares: np.ndarray, block: np.ndarray, bins: Sequence[Bi
 
 
 def compute_log_residuals(samples: Samples, channel: str, noise: float) -> np.ndarray:
-    """(n,) residuals of the regression of the log square errors on the conditions; NaN where unknown, and throughout
+    """(n,) residuals of the regression of the log squared errors on the conditions; NaN where unknown, and throughout
     with too few predictions. noise [SI]."""
     squares, c = samples.squares[channel], samples.conditions  # the constants limit the logarithms of values near 0
     rows = np.stack([np.ones(len(squares)), np.log(np.maximum(c["speed"], 0.5)),

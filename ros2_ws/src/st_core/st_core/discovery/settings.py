@@ -1,6 +1,6 @@
 """Options of a discovery, and the limits of its decisions.
 
-Benchmark scores with each limit halved and doubled: docs/measurements/discovery_scores.md.
+Benchmark scores with most limits halved and doubled: docs/measurements/discovery_scores.md.
 """
 
 from dataclasses import dataclass, field, fields
@@ -13,27 +13,28 @@ from ..errors import ConfigurationError
 class Limits:
     """Thresholds of the decisions of a discovery.
 
-    false_alarm [1]: significance level for an effect, corrected for the whole library, for its variation between parts
-    of the driving, for the rejection of the null by redundant sensors, for the path improvement by a relation and, at
-    its default value, for combinations that differ from the vehicle file (`unseparated_combinations`). undecided_p [1]:
-    p-value above which a difference is undecided (between two effects, from the null, or from redundant sensors), and
-    above which a varying effect may be absent in a new part; also the error probability of one-sided confidence bounds,
-    and the relative difference below which two gains count as equal. relevant [1]: relative error reduction required of
-    an effect: over all channels, relative to the errors without it, to be kept; in one channel, relative to the
-    baseline error, to be named. relevant_position [m]: reduction of the mean position error after 5 s, overall or in
-    one driving condition, that suffices instead of `relevant`. min_relative_size [1]: size in parameter scales that
-    suffices instead if redundant sensors confirm the effect; also size of the load tried as an alternative to lower
-    tyre stiffness. negligible [1]: relative reduction of the errors below which an effect is ignored, however
-    significant. min_rival_gain [1]: fraction of an effect's gain that a rival must reach in its place to be an
-    alternative, after subtracting the gain of the rival in addition to it. max_file_deviation [1]: largest accepted
-    deviation of a value from the vehicle file, in standard deviations. min_peak_force [1]: fraction of the peak force
-    of an axle that the drives must reach for a peak to be named. at_bound [1]: distance to a bound, in parameter
-    scales, below which a value counts as being at the bound. max_noise_ratio [1]: ratio of residual to noise above
-    which the residual is reported as unexplained. unexplained_share [1]: fraction of a residual above
-    `max_noise_ratio`; smaller differences may be due to unmodelled effects. An effect must reduce the residual by this
-    fraction to be named, and explain this much more than a rival to exclude it as an alternative. Intervals include the
-    values of sets whose loss is higher by less than this. detection_power [1]: minimum power at which a size counts as
-    detectable. max_effects: largest number of effects in a model.
+    false_alarm [1]: significance level for an effect, corrected for the whole library, for its variation between
+    subsets of the data, for the rejection of the null by redundant sensors, for the path improvement by a relation and,
+    at its default value, for combinations that differ from the vehicle file (`unseparated_combinations`). undecided_p
+    [1]: p-value above which a difference is undecided (between two effects, from the null, or from redundant sensors),
+    and above which a varying effect may be absent in new data; also the error probability of one-sided confidence
+    bounds, and the relative difference below which two gains count as equal. relevant [1]: relative error reduction
+    required of an effect: over all channels, relative to the errors without it, to be kept; in one channel, relative to
+    the baseline error, to be named. relevant_position [m]: reduction of the mean position error at the end of the
+    horizon, overall or in one driving condition, that suffices instead of `relevant`. min_relative_size [1]: size of an
+    effect in parameter scales that suffices instead of `relevant` if redundant sensors confirm the effect; also size of
+    the payload tested as the alternative explanation of a lower tyre stiffness. negligible [1]: relative reduction of
+    the errors below which an effect is ignored, however significant. min_rival_gain [1]: fraction of an effect's gain
+    that a rival must reach in its place to be an alternative, after subtracting the gain of the rival in addition to
+    it. max_file_deviation [1]: largest accepted deviation of a value from the vehicle file, in standard deviations.
+    min_peak_force [1]: fraction of the peak force of an axle that the drives must reach for a peak to be named.
+    at_bound [1]: distance to a bound, in parameter scales, below which a value counts as being at the bound.
+    max_noise_ratio [1]: ratio of residual to noise above which the residual is reported as unexplained.
+    unexplained_share [1]: with a residual above `max_noise_ratio`, the fraction by which an effect must reduce it to be
+    named, and by which it must explain more than a rival to exclude that as an alternative, because smaller differences
+    may be due to unmodelled effects. Intervals include the values of other sets of effects whose loss is higher by less
+    than this fraction. detection_power [1]: minimum power at which a size counts as detectable. max_effects: largest
+    number of effects in a model.
 
     Raises ConfigurationError naming the limit that is not a positive number.
     """

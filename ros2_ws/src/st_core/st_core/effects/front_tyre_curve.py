@@ -1,6 +1,6 @@
 """Peak and curvature of the front axle's force curve, with an unchanged slope at the origin.
 
-    D = peak D of the file,   1 - E = curvature (1 - E of the file) at every load,   slope K unchanged
+    D = peak * D_file,   1 - E = curvature * (1 - E_file) at every load,   slope K unchanged
 
 curvature > 1 means an earlier and sharper peak, < 1 a later one. The tyre parameters are clipped to the limits of the
 vehicle file. A fit determines the curve only within the slip angles of the drives; `identification.axle_forces`

@@ -32,14 +32,15 @@ class Relation:
     """An empirical relation that reduces the held-out loss.
 
     candidate: the model term that it modifies (steering, axle force or grip, yaw moment, side force, a sensor), and the
-    quantity it depends on. coefficients: (8,) of the splines. points: (k,) of the quantity; value, deviation: (k,)
-    the curve there and its standard deviation [`Candidate.unit`]; density: (k,) fraction of the samples near each. gain
+    quantity it depends on. coefficients: (8,) of the splines. points: (k,) of the quantity; value, deviation: (k,) the
+    curve there and its standard deviation [`Candidate.unit`]; density: (k,) fraction of the samples near each. gain
     [1]: reduction of the held-out loss per residual. p_value [1]: of the hypothesis of no gain, corrected for multiple
-    testing. position_5s [m]: held-out position error after 5 s (without, with it); runs: the same by run. model: the
-    model without the relation, at the values fitted with it. rivals: equally good relations, with the cosine similarity
-    of their effects [1]. formulas: closed forms that retain the curve's gain in simulation, best first. agreement: of
-    its size in each run with its overall size. redundant: effects of the result that the relation replaces, with the
-    residual reduction [1] that each still adds. next_drives: sparsely driven ranges, and manoeuvres to drive next.
+    testing. position_5s [m]: held-out position error at the end of the horizon (without, with it); runs: the same by
+    run. model: the model without the relation, at the values fitted with it. rivals: equally good relations, with the
+    cosine similarity of their effects [1]. formulas: closed forms that retain the curve's gain in simulation, best
+    first. agreement: consistency of its size between runs. redundant: effects of the result that the relation replaces,
+    with the residual reduction [1] that each still adds. next_drives: sparsely driven ranges, and manoeuvres to drive
+    next.
     """
 
     candidate: Candidate
@@ -87,20 +88,21 @@ class RelationSearch:
 
 def needs_search(discovery: Discovery) -> bool:
     """Whether the residual of a discovery is large enough for a search: the outcome is unknown, or the position error
-    after 5 s exceeds `limits.max_noise_ratio` times the noise."""
+    at the end of the horizon exceeds `limits.max_noise_ratio` times the noise."""
     return discovery.outcome == "unknown" or bool(discovery.signature)
 
 
 def find_relation(discovery: Discovery, runs: Sequence[DriveLog], vehicle: VehicleParameters,
                   settings: DiscoverySettings | None = None, threads: int = 1, tick: Callable[[], None] = lambda: None,
                   reported: Collection[tuple[str, str]] = ()) -> RelationSearch:
-    """Find the relation that a result of `discover` lacks, or the reason why none is reported.
+    """Find a relation missing in the model of a discovery, or the reason why none is reported.
 
     Every candidate is fitted together with the effects of the result; changes that a parameter of the vehicle file can
-    reproduce are projected out of its evidence. A relation is reported if its p-value over all candidates is below
-    `limits.false_alarm`; if its held-out gain is significant and reaches `limits.relevant` of the residual or
-    `limits.relevant_position`; if the predicted path improves at level `limits.false_alarm` (not required of a sensor
-    relation); and if no run becomes significantly worse. tick: called after each candidate.
+    reproduce are projected out of its evidence. A relation is reported if its p-value, corrected for the number of
+    candidates, is below `limits.false_alarm`; if its held-out gain is significant and reaches `limits.relevant` of the
+    residual or `limits.relevant_position`; if the predicted path improves at level `limits.false_alarm` (not required
+    of a sensor relation); and if neither the mean error grows nor that of a run, significantly and by
+    `limits.relevant_position`. tick: called after each candidate.
     reported: (finding, channel) of `st check`; relations that may imitate a reported sensor fault are rejected.
     Raises StCoreError for a duplicate name, and if no run has both INS and steering.
     """

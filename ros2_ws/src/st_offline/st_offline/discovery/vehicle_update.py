@@ -47,7 +47,7 @@ class VehicleUpdate:
     """A vehicle file with effects folded into its entries, and the model for it.
 
     vehicle, text: updated car and content of vehicle.yaml; original car and "" if vehicle.yaml is not written.
-    model: augmented model for `vehicle`; a folded effect keeps only its effective correction beyond the named value.
+    model: augmented model for `vehicle`; a folded effect keeps the difference of its value in the best model.
     folded: effects in vehicle.yaml. not_folded: changes (before, after), by key, of each effect that is not folded
     because folding would change predictions. changes: (before, after, low, high) by key [SI]; low, high: 95 % interval.
     error: mean position error of the base model after 5 s [m] with the (original, updated) file; held out if there are
@@ -68,7 +68,7 @@ class VehicleUpdate:
 
     @property
     def improves(self) -> bool:
-        """Whether the mean error is at most that of the original file, and no drive is significantly worse."""
+        """Whether the mean error is unknown or not above that of the original file, and no drive significantly worse."""
         return not (self.error[1] > self.error[0] or self.worse_drives)
 
 
@@ -84,8 +84,9 @@ def update_vehicle(discovery: Discovery, request: Request) -> VehicleUpdate | No
 def fold_named_effects(discovery: Discovery, request: Request) -> VehicleUpdate | None:
     """Fold the named effects into the vehicle file, even if this does not improve predictions; None without a model.
     Effects that an entry can express are folded in the order in which they act. An effect is skipped if its values
-    exceed the limits of the file or if predictions would change, as with recordings of the road-wheel angle, or with an
-    effect that does not commute with an earlier one (steering play). Minor and effective corrections are not folded."""
+    exceed the limits of the file or if predictions would change: the steering ratio has no influence if the road-wheel
+    angle was recorded, and some effects do not commute with earlier ones (steering play). Minor and effective
+    corrections are not folded."""
     if discovery.model is None or discovery.named is None:
         return None
     drives = [d.log for d in request.drives if d.log is not None]

@@ -205,7 +205,7 @@ def _join_groups(rows: np.ndarray, names: list[str], time_column: int) -> np.nda
 
 
 def _add_fraction(rows: np.ndarray, names: list[str], column: int) -> np.ndarray:
-    """Times in a column; if they are whole seconds of a stamp, its fractions are added (unless 1 s or more)."""
+    """Times of a column; whole seconds with their fractions added, if these have a column and are all below 1 s."""
     stamps, pair = rows[:, column], find_stamp_columns(names)
     if pair is None or pair[0] != column:
         return stamps
