@@ -226,7 +226,7 @@ def test_velocity_of_a_reversing_car(yaw: float, is_rotated: bool) -> None:
 
 @pytest.mark.parametrize(("z_down", "drift", "note"), [
     (True, 1.0, "z of the body axes points down: the sign"), (False, 1.0, "x, y and yaw were converted"),
-    (True, 0.0, "without a yaw rate the data do not show whether z of the body axes points down, which was assumed")])
+    (True, 0.0, "the data do not show whether z of the body axes points down, which was assumed")])
 def test_odometry_in_north_east_down_without_a_yaw_rate(z_down: bool, drift: float, note: str) -> None:
     """The sideways displacement shows the sign of velocity_y. drift: the fraction of it that the positions contain."""
     time = np.linspace(0.0, 10.0, 501)
@@ -238,6 +238,14 @@ def test_odometry_in_north_east_down_without_a_yaw_rate(z_down: bool, drift: flo
     np.testing.assert_allclose(values["velocity_y"], lateral)
     np.testing.assert_allclose(values["yaw"], yaw)
     assert note in notes[-1]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_at_constant_heading_does_not_show_the_direction_of_z(seed: int) -> None:
+    noise = 0.002 * np.random.default_rng(seed).normal(size=(3, 501))
+    values = {"x": np.linspace(0.0, 50.0, 501), "y": np.zeros(501), "yaw": noise[0], "velocity_x": np.full(501, 5.0),
+              "velocity_y": noise[1], "yaw_rate": noise[2]}
+    assert "which was assumed" in convert_odometry(values, "odom_ned")[-1]
 
 
 def test_odometry_without_a_yaw_rate(tmp_path: Path, drive_log: DriveLog) -> None:
@@ -254,6 +262,8 @@ def test_odometry_without_a_yaw_rate(tmp_path: Path, drive_log: DriveLog) -> Non
 @pytest.mark.parametrize(("topic", "field", "is_command"), [
     ("/steering_controller/state", "data", False), ("/control/steering_feedback", "data", False),
     ("/steering_controller/state", "desired.positions.0", True), ("/vehicle/state/steering_cmd", "data", True),
+    ("/state/ackermann_drive", "drive.steering_angle", True), ("/feedback_controller/control", "data", True),
+    ("/steering_cmd_feedback", "data", False),
     ("/ackermann_status", "drive.steering_angle", False), ("/control/steering", "data", True),
     ("/rack", "data", False)])
 def test_names_of_commands_and_measurements(topic: str, field: str, is_command: bool) -> None:

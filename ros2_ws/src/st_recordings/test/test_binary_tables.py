@@ -182,7 +182,7 @@ def save_parquet_with_date_index(file: Path, columns: Columns) -> None:
 
 
 def save_datasets(file: Path, columns: Columns) -> None:
-    """A group for each sensor, a dataset for each signal, with its unit as attribute; an image; and a lost link."""
+    """A group for each sensor, a dataset for each signal, with its unit as attribute; an image; and lost links."""
     with h5py.File(file, "w") as target:
         for name, values in columns.items():
             if name == "t":
@@ -196,6 +196,7 @@ def save_datasets(file: Path, columns: Columns) -> None:
                 target[f"{group}/time"].attrs["units"] = np.bytes_("ms since 1970-01-01")
         target["camera"] = np.zeros((60, 40, 3))
         target["lost"] = h5py.SoftLink("/nowhere")
+        target["video"] = h5py.ExternalLink("missing.h5", "/frames")
         target["ins/up"] = target["/"]
         target["ins/self"] = h5py.SoftLink("/ins")
 
@@ -361,7 +362,7 @@ def test_code_in_an_attribute_of_a_table_is_not_run(columns: Columns, tmp_path: 
      r"only MATLAB can read: t \(duration\); .* for example t = seconds\(t\)"),
     (lambda file: save_object(file, {"gain": 3.0}, note="string"), "a.mat", "it contains no vectors"),
     (lambda file: save_without_its_samples(file, save_external), "a.h5",
-     r"a\.h5: its drive is a link to the file a\.samples, which cannot be opened; copy that file to the same place"),
+     r"a\.h5: its drive is a link to /\S* in the file a\.samples, which cannot be opened; copy that file to the same"),
     (lambda file: save_without_its_samples(file, save_virtual), "a.h5",
      r"its /\w+ is a link to the file a\.samples, which cannot be opened; copy that file"),
     (save_blosc, "a.h5", r"its /speed is compressed with .* \(HDF5 filter 32001\), which h5py cannot read; save it un"),

@@ -293,6 +293,12 @@ def test_dbc_decides_whether_identifiers_are_decimal(tmp_path: Path, known_ids, 
     assert (warning in log.warnings[0]) if warning else not log.warnings
 
 
+def test_decimal_identifier_that_is_extended_only_as_a_hexadecimal_number(tmp_path: Path) -> None:
+    lines = [f"{0.01 * k:.3f},{1000 if k > 5500 else 100},1,1A" for k in range(5600)]
+    (tmp_path / "a.csv").write_text("\n".join(["Time,ID,DLC,Data", *lines, ""]))
+    assert {*read_can_logs([tmp_path / "a.csv"], {100, 1000}).frames.id.tolist()} == {100, 1000}
+
+
 def test_letter_far_behind_the_header_shows_that_identifiers_are_hexadecimal(tmp_path: Path) -> None:
     lines = [f"{0.01 * k:.3f},{'64A' if k == 5500 else 644},1,1A" for k in range(5600)]
     (tmp_path / "a.csv").write_text("\n".join(["Time,ID,DLC,Data", *lines, ""]))

@@ -17,7 +17,7 @@ from mcap.writer import CompressionType, IndexType
 from st_core.checks import check
 from st_core.log import DriveLog
 from st_recordings.runs import ReadSettings, RunError, find_runs, read
-from st_recordings.runs.can_formats import _find_number_formats, is_can_log
+from st_recordings.runs.can_formats import _find_number_formats, _find_time_unit, is_can_log
 from st_recordings.runs.raw import read_pair
 from st_recordings.runs.run_types import SteeringField
 from st_recordings.runs.write import import_run
@@ -472,3 +472,10 @@ def test_yaw_of_a_csv_with_a_can_log_is_corrected(tmp_path: Path, drive_folder: 
     log = read(source, CAR).log
     np.testing.assert_allclose(np.cos(log.yaw - drive_log.yaw), 1.0, atol=1e-9)
     np.testing.assert_allclose(np.diff(log.yaw), np.diff(drive_log.yaw), atol=1e-6)
+
+
+@pytest.mark.parametrize(("times", "unit"), [
+    (1.7e9 + 0.2 * np.arange(200), "s"), (1.7e9 + np.arange(200), "s"), (1.7e12 + 2.0 * np.arange(200), "ms"),
+    (2.0e9 + 250.0 * np.arange(200), "us"), (0.02 * np.arange(200), "s"), (np.arange(200.0), "ms")])
+def test_unit_of_times_in_a_table_of_frames(times: np.ndarray, unit: str) -> None:
+    assert _find_time_unit(times) == unit

@@ -15,6 +15,8 @@ MIN_COMPARED_SAMPLES = 20
 MAX_COMPARED_SAMPLES = 10_000
 MIN_CORRELATION = 0.5
 """Smallest mean cosine of the angle between displacement and an axis, or correlation along it, that shows its sign."""
+SIGNIFICANT_DEVIATIONS = 3.0
+"""Sum of independent products, in standard deviations, above which it differs from 0 (p = 0.003)."""
 MAX_AGREEING_ANGLE = 0.1
 """[rad]. Two directions agree if their median difference, due to sideslip and noise, is smaller than this. The better
 of two interpretations is accepted if the difference of the other is larger by more than this."""
@@ -37,14 +39,16 @@ def convert_odometry(values: dict[str, np.ndarray], frame_id: str) -> list[str]:
         values["x"], values["y"], values["yaw"] = values["y"], values["x"], np.pi / 2 - values["yaw"]
         notes.append(f"frame_id is {frame_id!r}: x, y and yaw were converted from north, east and compass heading")
     warning = rotate_to_body_axes(values)
-    direction = float(np.sum(np.diff(values["yaw"]) * values["yaw_rate"][1:])) or _correlate_sideways(values)
+    products = np.diff(values["yaw"]) * values["yaw_rate"][1:]
+    total, deviation = float(np.sum(products)), float(np.sqrt(np.sum(products**2)))
+    direction = total if abs(total) > SIGNIFICANT_DEVIATIONS * deviation else _correlate_sideways(values)
     has_signs = values["velocity_y"].any() or values["yaw_rate"].any()
     if is_ned and has_signs and (direction < 0 or not (direction or warning)):
         values["yaw_rate"] = -values["yaw_rate"]
         values["velocity_y"] = values["velocity_y"] if warning else -values["velocity_y"]
         notes.append("z of the body axes points down: the sign of yaw_rate and velocity_y was changed" if direction else
-                     "the sign of velocity_y was changed: without a yaw rate the data do not show whether z of the "
-                     "body axes points down, which was assumed")
+                     "the sign of yaw_rate and velocity_y was changed: the data do not show whether z of the body axes "
+                     "points down, which was assumed")
     return [*notes, warning] if warning else notes
 
 

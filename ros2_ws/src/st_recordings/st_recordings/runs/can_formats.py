@@ -50,6 +50,7 @@ MAX_SCANNED_ROWS = 5000  # rows that show the unit of times, and whether identif
 MIN_STEPS = 50  # increases of the time that show its unit
 MAX_STEPS = {"s": 0.15, "ms": 50.0}
 """Largest median step of times in s and in ms, from the start: 7 and 20 frames a second; else they are in us."""
+MIN_FRAME_DURATION = 40.0  # us, of the shortest frame at 1 Mbit/s
 # Name of an error handler that decodes Windows-1252 bytes in a text that is otherwise UTF-8
 _CP1252_FALLBACK = "single_track_cp1252"
 codecs.register_error(_CP1252_FALLBACK, lambda error: (
@@ -309,7 +310,8 @@ def _find_time_unit(times: np.ndarray) -> str:
     step = np.median(steps) if len(steps) >= MIN_STEPS else 0.0
     for unit in ("s", "ms", "us", "ns") if len(times) else ():
         is_plausible = PLAUSIBLE_EPOCH[0] <= times[0] * UNITS["time"][unit][0] <= PLAUSIBLE_EPOCH[1]
-        if is_plausible and (unit != "s" or step < MAX_STEPS["s"]):  # us since the start are plausible seconds
+        # Late us since the start are plausible seconds, but their steps are larger.
+        if is_plausible and (unit != "s" or step < MIN_FRAME_DURATION):
             return unit
     return next((unit for unit, limit in MAX_STEPS.items() if step < limit), "us")
 

@@ -14,7 +14,7 @@ from scipy.ndimage import median_filter
 from . import frames as can_frames
 from .bag import is_bag
 from .bag_storage import open_bag
-from .can_formats import AMBIGUOUS_IDS, DECIMAL_IDS, FORMATS, UNSTAMPED_LINE, Format
+from .can_formats import AMBIGUOUS_IDS, DECIMAL_IDS, FORMATS, STANDARD_IDS, UNSTAMPED_LINE, Format
 from .cdr import CAN_MSGS_FRAME
 from .errors import RunError, check_readable, shorten
 from .frames import ERROR, EXTENDED, FD, MAX_DATA_LENGTH, REMOTE, SENT, CanLog, Frames
@@ -95,7 +95,9 @@ def _choose_id_base(log: CanLog, known_ids: Collection[int]) -> CanLog:
     decimal_ids = np.array([int(text) for text in texts], np.uint32)
     n_hexadecimal, n_decimal = (np.isin(each, list(known_ids)).sum() for each in (ids, decimal_ids))
     if n_decimal > n_hexadecimal:
-        frames = replace(log.frames, id=decimal_ids[rows] | (log.frames.id & np.uint32(EXTENDED)))
+        # Without a column for it, the hexadecimal reading has decided which identifiers are extended.
+        extended = np.where((ids > STANDARD_IDS) & (decimal_ids <= STANDARD_IDS), 0, EXTENDED).astype(np.uint32)
+        frames = replace(log.frames, id=decimal_ids[rows] | (log.frames.id & extended[rows]))
         return replace(log, frames=frames, warnings=(*notes, DECIMAL_IDS))
     return log if n_decimal == n_hexadecimal else replace(log, warnings=notes)
 

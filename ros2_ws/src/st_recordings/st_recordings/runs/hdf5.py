@@ -18,6 +18,7 @@ SAMPLE_FIELDS = ("data", "value", "values")
 """Fields of a struct, in lower case, that contain the samples of the signal after which the struct is named."""
 UNIT_FIELDS = ("unit", "units", "Unit", "Units")
 TIME_CLASSES = {"duration", "datetime"}
+LINK, LINK_ADVICE = "link", "copy that file to the same place, too"
 _MAGIC = b"\x89HDF\r\n\x1a\n"
 _OPAQUE = 3  # attribute MATLAB_object_decode of an object whose content is in an undocumented form
 _MATLAB_ADVICE = {"timeseries": "{0} = struct('Time', {0}.Time, 'Data', {0}.Data)",
@@ -34,7 +35,7 @@ def is_hdf5(file: Path) -> bool:
 
 
 def read_hdf5(file: Path) -> tuple[dict[str, Any], dict[str, str]]:
-    """(structs, names of objects that only MATLAB can read -> their classes). Raises RunError."""
+    """(structs, names of objects that only MATLAB can read -> their classes, or of broken links). Raises RunError."""
     try:
         import h5py
     except ImportError:
@@ -53,7 +54,10 @@ def read_hdf5(file: Path) -> tuple[dict[str, Any], dict[str, str]]:
 
 
 def reject_objects(file: Path, objects: dict[str, str]) -> NoReturn:
-    """Raises RunError, with a MATLAB statement for the first object of each known class as advice."""
+    """Raises RunError for a broken link, or with a MATLAB statement for the first object of each known class."""
+    for name, kind in objects.items():
+        if kind.startswith(LINK):
+            raise RunError(file, f"its {name} is a {kind}, which cannot be opened", LINK_ADVICE)
     first = {kind: name for name, kind in reversed(objects.items())}
     statements = [form.format(first[kind]) for kind, form in _MATLAB_ADVICE.items() if kind in first]
     names = ", ".join(f"{name} ({kind})" for name, kind in objects.items())[:200]
@@ -64,14 +68,14 @@ def reject_objects(file: Path, objects: dict[str, str]) -> NoReturn:
 
 def _read_group(group: Any, path: str, objects: dict[str, str], parents: tuple[Any, ...] = ()) -> Any:
     """The struct in a group, or a list of structs if it is an array. parents: groups that contain the group; links to
-    them, or to itself, are not followed. Raises RunError for a link to a file that is missing."""
+    them, or to itself, are not followed. objects: see `read_hdf5`; links to missing files are added."""
     if _to_text(group.attrs.get("pandas_type")) == "frame":
         return _read_frame(group)
     fields: dict[str, Any] = {}
     for name in group:
         node = group.get(name)  # None for a link to a missing file or object
-        if node is None and (other := getattr(group.get(name, getlink=True), "filename", None)):
-            _reject_missing_file(group, name, other)
+        if node is None and (other := getattr(link := group.get(name, getlink=True), "filename", "")):
+            objects[f"{path}.{name}" if path else name] = f"{LINK} to {link.path} in the file {other}"
         is_type = hasattr(node, "dtype") and not hasattr(node, "shape")
         if name.startswith("#") or node is None or is_type or _to_text(node.attrs.get("CLASS")) == "TINDEX" or (
                 node in (group, *parents)):
@@ -93,7 +97,7 @@ def _contains_references(node: Any) -> bool:
 
 def _reject_missing_file(node: Any, name: str, missing: str) -> NoReturn:
     raise RunError(Path(node.file.filename), f"its {name} is a link to the file {missing}, which cannot be opened",
-                   "copy that file to the same place, too")
+                   LINK_ADVICE)
 
 
 def _check_samples(dataset: Any) -> None:

@@ -33,9 +33,9 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
 
 def _is_command(steering: SteeringField) -> bool:
     """Whether topic and field have names of a command, such as /control/command, but not /controller/state."""
-    name = f"{steering.topic} {steering.field}"
-    return bool(_COMMAND.search(name.rpartition("/")[2]) or (
-        _COMMAND_TOPIC.search(name) and not _MEASUREMENT.search(name)))
+    topic = steering.topic.rpartition("/")[2]
+    return bool(_COMMAND.search(steering.field) or (
+        _COMMAND_TOPIC.search(f"{steering.topic} {steering.field}") and not _MEASUREMENT.search(topic)))
 
 
 def _read_bag(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings,
