@@ -30,7 +30,7 @@ def reshape(tyre, theta):
 
 @register
 class FrontTyreCurve(Effect):
-    physics = "D_f = peak D_f, 1 - E_f = curvature (1 - E_f) of the file, cornering stiffness unchanged"
+    physics = "D_f = peak * D_f of the file, 1 - E_f = curvature * (1 - E_f of the file), cornering stiffness unchanged"
     excited_by = "cornering towards the limit of the front axle; not observable below 0.3 g"
     kind, slot = "vehicle parameters", "front axle"
     confounded_with = ("friction", "front_stiffness", "lateral_load_transfer", "steering_compliance")

@@ -8,7 +8,7 @@ from .front_tyre_curve import PARAMETERS, reshape
 
 @register
 class RearTyreCurve(Effect):
-    physics = "D_r = peak D_r, 1 - E_r = curvature (1 - E_r) of the file, cornering stiffness unchanged"
+    physics = "D_r = peak * D_r of the file, 1 - E_r = curvature * (1 - E_r of the file), cornering stiffness unchanged"
     excited_by = "cornering towards the limit of the rear axle with measured sideslip; not observable below 0.3 g"
     kind, slot = "vehicle parameters", "rear axle"
     confounded_with = ("friction", "rear_stiffness", "lateral_load_transfer", "cg_position")

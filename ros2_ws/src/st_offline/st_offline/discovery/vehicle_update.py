@@ -36,7 +36,7 @@ POSE_TOLERANCE = 1e-3  # m, rad; predictions that differ by less at the end of t
 MAX_POSITION_DIFFERENCE = 0.02  # m, mean at the end of the horizon; above it, effective corrections are dropped
 SIGNIFICANCE_LEVEL = 0.05  # of a one-sided paired t-test over the predictions of a drive, which do not overlap
 SIGNIFICANT_DIGITS = 6  # of a written value
-SCALE_SOURCE = "value before the corrections of other entries"  # source of a lambda_ky that the file did not contain
+SCALE_SOURCE = "kept at its value while other entries were corrected"  # of a lambda_ky that the file did not contain
 SLIP_SPEED_KEY = "minimum_slip_speed"
 ENTRIES = {**VEHICLE_QUANTITIES,
            **{f"{tyre}.{key}": quantity for tyre in TYRES for key, quantity in TYRE_QUANTITIES.items()}}
