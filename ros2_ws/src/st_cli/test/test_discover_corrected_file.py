@@ -184,9 +184,10 @@ def test_effects_without_a_key_are_written_as_model_of_the_corrected_car(recorde
 def test_constants_at_their_neutral_values_are_not_in_the_model_file(recorded_drive, name):
     fitted = {p.name: p.initial for p in EFFECTS[name].parameters if p.fit}
     found, update = fold_effects(recorded_drive, (name, fitted))
-    file = build_model_file(found, make_request(recorded_drive), update)
-    assert {key: e.value for key, e in file.effects[name].items()} == fitted and all(
-        e.effective is False for e in file.effects[name].values())
+    for result, is_effective in ((found, False), (replace(found, effects=(), named=None), True)):
+        values = build_model_file(result, make_request(recorded_drive), update).effects[name]
+        assert {key: e.value for key, e in values.items()} == fitted
+        assert all(e.effective is is_effective for e in values.values())
 
 
 def test_steering_ratio_remains_in_the_model_without_steering_wheel_angle(recorded_drive):
