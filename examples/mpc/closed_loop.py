@@ -16,27 +16,23 @@ SAMPLING_TIME = 0.02  # s between measurements of the tracking error
 
 @dataclass(frozen=True)
 class DriveResults:
-    """Results of one drive. error_*: lateral deviation of the CG from the path [m]. speed_rms: rms speed error [m/s].
+    """Results of one drive."""
 
-    wall_*, cpu_*: median, 95th percentile and maximum of the solver time per problem [ms]; iterations: median; all but
-    the first, which has no warm start. unsolved: number of problems without a solution. finished: False if the car left
-    the path, after `duration` [s].
-    """
-
-    error_rms: float
+    error_rms: float  # lateral deviation of the CG from the path [m]
     error_max: float
-    speed_rms: float
+    speed_rms: float  # rms speed error [m/s]
+    # Elapsed (wall) and processor time of the solver per problem [ms], without the first, which has no warm start.
     wall_median: float
     wall_p95: float
     wall_max: float
     cpu_median: float
     cpu_p95: float
     cpu_max: float
-    iterations: float
+    iterations: float  # median, without the first problem
     solutions: int
-    unsolved: int
-    duration: float
-    finished: bool
+    unsolved: int  # number of problems without a solution
+    duration: float  # time driven [s]
+    finished: bool  # False if the car left the path
 
     def as_dict(self) -> dict:
         return asdict(self)

@@ -32,26 +32,21 @@ the previous solution: SQP with qrqp, Gauss-Newton Hessian, full steps."""
 
 @dataclass(frozen=True)
 class Tuning:
-    """Weights [1 / unit^2], limits, and the prediction step h [s], which is also the control interval.
-
-    across, course, along, speed: q_n, q_c, q_s, q_v. steering_change, acceleration_change: r_d, r_a. angle [rad],
-    acceleration [m/s^2]: bounds of u; angle_change, acceleration_step: of d. substeps: integration steps in h; one is
-    too long for the tyre dynamics at 3 m/s. outside: r_e [1/m^2]; e is a few millimetres if the corridor is feasible.
-    """
+    """Weights [1 / unit^2], limits, and the prediction step h [s], which is also the control interval."""
 
     step: float = 0.1
-    substeps: int = 2
-    across: float = 4.0
-    course: float = 0.4
-    along: float = 0.05
-    speed: float = 1.0
-    steering_change: float = 400.0
-    acceleration_change: float = 0.3
-    angle: float = 0.5
-    angle_change: float = 0.045
-    acceleration: tuple[float, float] = (-5.0, 2.5)
-    acceleration_step: float = 1.0
-    outside: float = 1.0e4
+    substeps: int = 2  # integration steps in h; one is too long for the tyre dynamics at 3 m/s
+    across: float = 4.0  # q_n
+    course: float = 0.4  # q_c
+    along: float = 0.05  # q_s
+    speed: float = 1.0  # q_v
+    steering_change: float = 400.0  # r_d
+    acceleration_change: float = 0.3  # r_a
+    angle: float = 0.5  # bound of the road wheel angle [rad]
+    angle_change: float = 0.045  # bound of its change in a step [rad]
+    acceleration: tuple[float, float] = (-5.0, 2.5)  # bounds [m/s^2]
+    acceleration_step: float = 1.0  # bound of its change in a step [m/s^2]
+    outside: float = 1.0e4  # r_e [1/m^2]; e is a few millimetres if the corridor is feasible
 
 
 class Reference(NamedTuple):

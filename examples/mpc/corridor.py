@@ -73,16 +73,12 @@ class Gate(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """Result of one drive.
+    """Result of one drive."""
 
-    depth: largest distance beyond a post [m], <= 0 without contact. error: rms distance from the road [m]. cost: mean
-    of q_n n^2 + q_v (v - v_ref)^2 + r_d d_delta^2, as in the controller. log: the measurements.
-    """
-
-    depth: float
-    error: float
-    cost: float
-    log: DriveLog
+    depth: float  # largest distance beyond a post [m], <= 0 without contact
+    error: float  # rms distance from the road [m]
+    cost: float  # mean of q_n n^2 + q_v (v - v_ref)^2 + r_d d_delta^2, as in the controller
+    log: DriveLog  # the measurements
 
 
 def make_gates(generator: np.random.Generator | None = None) -> list[Gate]:

@@ -34,20 +34,18 @@ class DecodedFrame:
 
 @dataclass
 class MessageStatistics:
-    """Counts of the frames of one message. good: decoded, even if a check in mode `warn` failed. bad: with at least
-    one fault. implausible: with an implausible value; plausible frames that are withheld do not count. dropped:
-    failed a check in mode `drop`. lost: missing by the counter. last_seen_ns: time of the last good one with values."""
+    """Counts of the frames of one message."""
 
-    good: int = 0
-    bad: int = 0
+    good: int = 0  # decoded, even if a check in mode `warn` failed
+    bad: int = 0  # with at least one fault
     wrong_length: int = 0
     wrong_checksum: int = 0
     wrong_counter: int = 0
     not_finite: int = 0
-    implausible: int = 0
-    dropped: int = 0
-    lost: int = 0
-    last_seen_ns: int | None = None
+    implausible: int = 0  # with an implausible value; plausible frames that are withheld do not count
+    dropped: int = 0  # failed a check in mode `drop`
+    lost: int = 0  # missing by the counter
+    last_seen_ns: int | None = None  # time of the last good one with values
 
 
 class _MessageState:

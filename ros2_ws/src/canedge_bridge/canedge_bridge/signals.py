@@ -58,22 +58,19 @@ def find_unit(text: str | None) -> str | None:
 
 @dataclass(frozen=True)
 class SignalSpec:
-    """One DBC signal and its conversion: si = gain * physical + bias, with `physical` in the unit of the DBC.
-
-    unit: key of UNITS. factor: converts this unit to SI. minimum, maximum: possible range of si / factor [unit].
-    max_rate: largest possible rate of change [unit/s]. sign: extractor of the sign signal, if the sensor sends
-    magnitude and sign separately; `physical` is negated unless this signal is 0 or not in the frame.
-    """
+    """One DBC signal and its conversion: si = gain * physical + bias, with `physical` in the unit of the DBC."""
 
     extractor: Extractor
     name: str
-    unit: str
+    unit: str  # key of UNITS
     gain: float
     bias: float
-    factor: float
-    minimum: float
-    maximum: float
-    max_rate: float
+    factor: float  # converts this unit to SI
+    minimum: float  # of si / factor [unit]
+    maximum: float  # of si / factor [unit]
+    max_rate: float  # largest possible rate of change [unit/s]
+    # Extractor of the sign signal, if the sensor sends magnitude and sign separately; `physical` is negated unless this
+    # signal is 0 or not in the frame.
     sign: Extractor | None = None
 
     @property
@@ -99,17 +96,16 @@ class SignalSpec:
 
 @dataclass(frozen=True)
 class MessageSpec:
-    """One message of the table. period: nominal [s]. timeout: maximum age [s]. fill: raw values that only the encoder
-    uses, by DBC name of the signal."""
+    """One message of the table."""
 
     dbc: DbcMessage
     is_needed: bool  # required on the bus
-    period: float
-    timeout: float
+    period: float  # nominal [s]
+    timeout: float  # maximum age [s]
     signals: tuple[SignalSpec, ...]
     counter: CheckSpec | None
     checksum: CheckSpec | None
-    fill: Mapping[str, int]
+    fill: Mapping[str, int]  # raw values that only the encoder uses, by DBC name of the signal
 
     @property
     def name(self) -> str:

@@ -59,24 +59,18 @@ def continues_stream(newest: Packet | None, data: bytes) -> bool:
 
 @dataclass
 class SourceStatus:
-    """State of a source for the diagnostics.
-
-    problem: reason why no data can arrive, or empty.  is_done: a replay has reached its end.  sender: address in use.
-    datagrams: received datagrams, or packets of a replay.
-    ignored_datagrams: count from up to 16 senders, by address, or by address and port for the address in use.
-    ignored_from_other_ports: count from other ports of the sender in use.  progress: fraction of the file replayed.
-    loops: completed passes of a looped replay.
-    """
+    """State of a source for the diagnostics."""
 
     name: str
-    problem: str = ""
-    is_done: bool = False
-    sender: str = ""
-    datagrams: int = 0
+    problem: str = ""  # reason why no data can arrive, or empty
+    is_done: bool = False  # a replay has reached its end
+    sender: str = ""  # address in use
+    datagrams: int = 0  # received datagrams, or packets of a replay
+    # Count from up to 16 senders, by address, or by address and port for the address in use.
     ignored_datagrams: dict[str, int] = field(default_factory=dict)
-    ignored_from_other_ports: int = 0
-    progress: float = 0.0
-    loops: int = 0
+    ignored_from_other_ports: int = 0  # count from other ports of the sender in use
+    progress: float = 0.0  # fraction of the file replayed
+    loops: int = 0  # completed passes of a looped replay
 
 
 class Source(ABC):

@@ -15,28 +15,20 @@ _CLOCK_SAMPLES = 1000  # number of stored clock offsets: four seconds at 250 Hz
 
 @dataclass(slots=True)
 class ReceivedPacket:
-    """One accepted packet.
+    """One accepted packet."""
 
-    packet: values, NaN where the navigation status declares them invalid.  raw: the 72 bytes.  offset: index of the
-    first byte in the stream.  kind: regular, status, trigger or empty (no valid part).
-    gps_ns: GPS time of the measurement or event [ns since 1980-01-06], None while unknown.  utc_ns: the same time in
-    UTC [ns since 1970].
-    order: relative to the newest packet: NEW (newer), SAME (equal time), DUPLICATE (equal bytes), LATE (older).
-    event_ns: GPS time of an edge of an event input or output that this packet is the first to report, else None; the
-    status channel identifies the input or output and its edge, and byte 7 of batch S counts its events.
-    received_ns: host time of receipt [ns since 1970], None if unknown.
-    """
-
-    packet: Packet
-    raw: bytes
-    offset: int
-    kind: str
+    packet: Packet  # values, NaN where the navigation status declares them invalid
+    raw: bytes  # the 72 bytes
+    offset: int  # index of the first byte in the stream
+    kind: str  # regular, status, trigger or empty (no valid part)
     rule: StatusRule
-    gps_ns: int | None
-    utc_ns: int | None
-    order: int
+    gps_ns: int | None  # GPS time of the measurement or event [ns since 1980-01-06], None while unknown
+    utc_ns: int | None  # the same time in UTC [ns since 1970]
+    order: int  # relative to the newest packet: NEW (newer), SAME (equal time), DUPLICATE (equal bytes), LATE (older)
+    # GPS time of an edge of an event input or output that this packet is the first to report, else None; the status
+    # channel identifies the input or output and its edge, and byte 7 of batch S counts its events.
     event_ns: int | None
-    received_ns: int | None
+    received_ns: int | None  # host time of receipt [ns since 1970], None if unknown
 
 
 class NcomParser:

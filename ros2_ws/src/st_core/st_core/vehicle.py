@@ -74,11 +74,6 @@ class VehicleParameters:
     """One car, in SI units. Raises ConfigurationError, naming the key and the limit, for impossible values.
 
     The limits are wide, from a 1:16 scale model to a loaded truck; `_check_scale` detects a wrong unit.
-    Optional, needed only by some effects, with defaults of a front-wheel-drive car: track_width of both axles [m];
-    drive_front, brake_front, load_transfer_front: fraction of the drive force, brake force and lateral load transfer on
-    the front axle [1] (rear-wheel drive: drive_front 0); side_area: side force coefficient times its reference area,
-    C_y A [m^2]; side_force_arm: distance of the side force ahead of the CG [m]. sources and provenance are by key, such
-    as "tyre_front.p_cy1".
     """
 
     name: str
@@ -100,12 +95,15 @@ class VehicleParameters:
     width: Annotated[float, Quantity("m", 0.03, 4.0)]  # of the body, for drawing
     tyre_front: MagicFormula  # one tyre, lambda_ky filled in
     tyre_rear: MagicFormula  # one tyre, lambda_ky filled in
-    track_width: Annotated[float, Quantity("m", 0.03, 4.0, required=False)] = 1.54
+    # Optional, needed only by some effects, with defaults of a front-wheel-drive car.
+    track_width: Annotated[float, Quantity("m", 0.03, 4.0, required=False)] = 1.54  # of both axles
+    # Fractions of the drive force, brake force and lateral load transfer on the front axle; rear-wheel drive: 0.
     drive_front: Annotated[float, Quantity("1", 0.0, 1.0, required=False)] = 1.0
     brake_front: Annotated[float, Quantity("1", 0.0, 1.0, required=False)] = 0.65
     load_transfer_front: Annotated[float, Quantity("1", 0.0, 1.0, required=False)] = 0.55
-    side_area: Annotated[float, Quantity("m^2", 1.0e-3, 60.0, required=False)] = 2.5
-    side_force_arm: Annotated[float, Quantity("m", -5.0, 5.0, required=False)] = 0.25
+    side_area: Annotated[float, Quantity("m^2", 1.0e-3, 60.0, required=False)] = 2.5  # C_y A, coefficient times area
+    side_force_arm: Annotated[float, Quantity("m", -5.0, 5.0, required=False)] = 0.25  # of the force ahead of the CG
+    # By key in the file, such as "tyre_front.p_cy1".
     sources: Mapping[str, str] = field(default_factory=dict, compare=False, repr=False)
     provenance: Mapping[str, Provenance] = field(default_factory=dict, compare=False, repr=False)
 

@@ -114,16 +114,13 @@ class Supervisor:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of a run. statuses: exit status by process; empty if the user ended the run before all nodes were up.
+    """Result of a run."""
 
-    health: the result of `render_health` before the stop, as text. restarts: as for `Supervisor`.
-    """
-
-    statuses: dict[str, int]
+    statuses: dict[str, int]  # exit status by process; empty if the user ended the run before all nodes were up
     interrupted: bool
     problem: str = ""
-    health: str = ""
-    restarts: dict[str, int] = field(default_factory=dict)
+    health: str = ""  # the result of `render_health` before the stop, as text
+    restarts: dict[str, int] = field(default_factory=dict)  # as for `Supervisor`
 
     @property
     def ok(self) -> bool:

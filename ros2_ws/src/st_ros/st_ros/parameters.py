@@ -20,19 +20,15 @@ class ConfigurationError(ValueError):
 
 @dataclass(frozen=True)
 class Parameter:
-    """One node parameter.
+    """One node parameter."""
 
-    name: as in the YAML file. default: also defines the type; a float accepts integers. unit: of the value, or "" if it
-    has none. minimum, maximum: inclusive. choices: permitted values; empty: any.
-    """
-
-    name: str
-    default: Any
+    name: str  # as in the YAML file
+    default: Any  # also defines the type; a float accepts integers
     description: str
-    unit: str = ""
-    minimum: float = -math.inf
-    maximum: float = math.inf
-    choices: tuple[Any, ...] = ()
+    unit: str = ""  # of the value, or "" if it has none
+    minimum: float = -math.inf  # inclusive
+    maximum: float = math.inf  # inclusive
+    choices: tuple[Any, ...] = ()  # permitted values; empty: any
 
     def describe_limit(self) -> str:
         if self.choices:

@@ -160,17 +160,14 @@ class InsQuality:
 
 @dataclass(frozen=True, eq=False)
 class AuxiliaryData:
-    """Data recorded in addition to the drive, all optional.
+    """Data recorded in addition to the drive, all optional."""
 
-    stamps: recorded time stamps of "INS" and "steering" [int64 ns], before rows were left out. missing: number of rows
-    without a usable value, by channel; a row that lacks only an acceleration was kept. ins_speed: from CAN frames, or
-    from NCOM packets recorded with odometry.
-    """
-
+    # Recorded time stamps of "INS" and "steering" [int64 ns], before rows were left out.
     stamps: Mapping[str, np.ndarray] = field(default_factory=dict)
+    # Number of rows without a usable value, by channel; a row that lacks only an acceleration was kept.
     missing: Mapping[str, int] = field(default_factory=dict)
     wheel_speed: Series | None = None  # forward speed from the wheels or the car's speed signal [m/s]
-    ins_speed: Series | None = None  # forward speed [m/s]
+    ins_speed: Series | None = None  # forward speed [m/s], from CAN frames, or NCOM packets recorded with odometry
     quality: InsQuality | None = None
     corrections: tuple[str, ...] = ()  # descriptions of the corrections in run.yaml
     implausible: tuple[Finding, ...] = ()  # findings about samples that the reader left out, see `plausibility`

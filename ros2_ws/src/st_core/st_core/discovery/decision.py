@@ -19,21 +19,18 @@ PARTITION_NAMES = {"run": "runs", "site": "sites", "time": "times within a run",
 
 @dataclass(frozen=True)
 class Rival:
-    """An effect that could replace the effect `replaces` in the model. share [1]: ratio of its gain to the gain of the
-    replaced effect. p_no_worse [1]: p-value of the hypothesis that it is as good. deficit [1]: gain of the replaced
-    effect minus gain of the rival, per residual. evidence, values: of the rival in place of the replaced effect.
-    shared: both are in the model and the rival explains a part of the replaced effect, which `evidence` then describes.
-    added [1]: gain of the rival in addition to the replaced effect, divided by the gain of that effect."""
+    """An effect that could replace the effect `replaces` in the model."""
 
     name: str
     replaces: str
-    share: float
-    p_no_worse: float
-    deficit: float
-    evidence: Evidence
-    values: Mapping[str, float] = field(default_factory=dict)
+    share: float  # ratio of its gain to the gain of the replaced effect [1]
+    p_no_worse: float  # p-value of the hypothesis that it is as good [1]
+    deficit: float  # gain of the replaced effect minus gain of the rival, per residual [1]
+    evidence: Evidence  # of the rival in place of the replaced effect
+    values: Mapping[str, float] = field(default_factory=dict)  # of the rival in place of the replaced effect
+    # Whether both are in the model and the rival explains a part of the replaced effect, which `evidence` describes.
     shared: bool = False
-    added: float = 0.0
+    added: float = 0.0  # gain of the rival in addition to the replaced effect, divided by the gain of that effect [1]
 
 
 def judge(e: Evidence, limits: Limits) -> Reason:

@@ -62,60 +62,53 @@ EVERYWHERE = "everywhere"
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Errors and conditions of n predictions, all finite. run: index into names. time [s]: since the first measurement
-    of the run. x, y [m]: position at the start. block: number of the block of time; a block counts as one observation.
-    conditions: (n,) by name [SI]. squares: (n,) squared error by channel [SI]."""
+    """Errors and conditions of n predictions, all finite."""
 
     names: tuple[str, ...]
-    run: np.ndarray
-    time: np.ndarray
-    x: np.ndarray
-    y: np.ndarray
-    block: np.ndarray
-    conditions: Mapping[str, np.ndarray]
-    squares: Mapping[str, np.ndarray]
+    run: np.ndarray  # index into names
+    time: np.ndarray  # since the first measurement of the run [s]
+    x: np.ndarray  # position at the start [m]
+    y: np.ndarray  # position at the start [m]
+    block: np.ndarray  # number of the block of time; a block counts as one observation
+    conditions: Mapping[str, np.ndarray]  # (n,) by name [SI]
+    squares: Mapping[str, np.ndarray]  # (n,) squared error by channel [SI]
 
 
 @dataclass(frozen=True)
 class BinExcess:
-    """Error of one channel in one range. excess [1]: ratio of the RMS error to the expected one; interval: 95 %.
-    p_value: of the hypothesis that the error is not larger than expected. blocks: number of blocks. is_covered: whether
-    the reference has enough driving in the range; True without reference drives."""
+    """Error of one channel in one range."""
 
     channel: str
     range: Bin
-    excess: float
-    interval: tuple[float, float]
-    p_value: float
-    blocks: int
-    is_covered: bool = True
+    excess: float  # ratio of the RMS error to the expected one [1]
+    interval: tuple[float, float]  # 95 %, of `excess`
+    p_value: float  # of the hypothesis that the error is not larger than expected
+    blocks: int  # number of blocks
+    is_covered: bool = True  # whether the reference has enough driving in the range; True without reference drives
     is_significant: bool = False
 
 
 @dataclass(frozen=True)
 class Segment:
-    """A segment of a run with larger errors. start, end [s]: since the first measurement of the run. ratio [1]: ratio
-    of the errors to those in the rest of the run under similar conditions (geometric mean)."""
+    """A segment of a run with larger errors."""
 
     channel: str
     run: int
-    start: float
-    end: float
-    ratio: float
+    start: float  # since the first measurement of the run [s]
+    end: float  # since the first measurement of the run [s]
+    ratio: float  # ratio of the errors to those in the rest of the run under similar conditions (geometric mean) [1]
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A square of the map with side CELL_SIZE. x, y [m]: its centre in the map frame. ratio [1]: ratio of the errors to
-    those expected under the same conditions (geometric mean); interval: 95 %. p_value: of the hypothesis that the
-    errors are not larger than expected."""
+    """A square of the map with side CELL_SIZE."""
 
     channel: str
-    x: float
-    y: float
-    ratio: float
-    interval: tuple[float, float]
-    p_value: float
+    x: float  # its centre in the map frame [m]
+    y: float  # its centre in the map frame [m]
+    ratio: float  # ratio of the errors to those expected under the same conditions (geometric mean) [1]
+    interval: tuple[float, float]  # 95 %, of `ratio`
+    p_value: float  # of the hypothesis that the errors are not larger than expected
 
 
 def assign_ranges(samples: Samples) -> list[Bin]:

@@ -37,33 +37,26 @@ class Agreement:
 
 @dataclass(frozen=True)
 class Evidence:
-    """Statistics of one effect in a set.
-
-    gain [1]: reduction of the held-out loss per residual, about the relative reduction of the RMS error; the smaller of
-    two values, with folds and with whole runs held out. gain_between_runs [1]: see `HealthyCar`, 0 without reference
-    drives. p_value [1]: p-value of the gain, corrected for the whole library. null_p_value [1]: see `null_p_value`.
-    shares [1]: by column, see `column_reductions`. position [m]: reduction of the mean held-out position error at the
-    end of the horizon. position_in_condition [m]: lower 95 % bound of this reduction in the driving condition where the
-    bound is largest. noise_ratio [1]: error with the effect divided by the noise, see `residual_over_noise`.
-    bound_distance, size: distances to the nearest bound and from the null [parameter scales]. sensors_p_value,
-    sensors_null_p_value [1]: p-values of the fitted value and the null, given redundant sensors, or None.
-    file_comparison: see `compare_with_file`. agreement: consistency between parts, by partition."""
+    """Statistics of one effect in a set."""
 
     name: str
+    # Reduction of the held-out loss per residual, about the relative reduction of the RMS error; the smaller of two
+    # values, with folds and with whole runs held out [1].
     gain: float
-    p_value: float
-    null_p_value: float = 0.0
-    shares: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    position: float = 0.0
+    p_value: float  # p-value of the gain, corrected for the whole library [1]
+    null_p_value: float = 0.0  # see `null_p_value` [1]
+    shares: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # by column, see `column_reductions` [1]
+    position: float = 0.0  # reduction of the mean held-out position error at the end of the horizon [m]
+    # Lower 95 % bound of this reduction in the driving condition where the bound is largest [m].
     position_in_condition: float = 0.0
-    noise_ratio: float = 1.0
-    bound_distance: float = 1.0
-    gain_between_runs: float = 0.0
-    size: float = 0.0
-    sensors_p_value: float | None = None
-    sensors_null_p_value: float | None = None
-    file_comparison: tuple[FileQuantity, float] | None = None
-    agreement: Mapping[str, Agreement] = field(default_factory=dict)
+    noise_ratio: float = 1.0  # error with the effect divided by the noise, see `residual_over_noise` [1]
+    bound_distance: float = 1.0  # distance to the nearest bound [parameter scales]
+    gain_between_runs: float = 0.0  # see `HealthyCar`, 0 without reference drives [1]
+    size: float = 0.0  # distance from the null [parameter scales]
+    sensors_p_value: float | None = None  # of the fitted value, given redundant sensors [1]
+    sensors_null_p_value: float | None = None  # of the null, given redundant sensors [1]
+    file_comparison: tuple[FileQuantity, float] | None = None  # see `compare_with_file`
+    agreement: Mapping[str, Agreement] = field(default_factory=dict)  # consistency between parts, by partition
 
     @property
     def share(self) -> float:
@@ -83,14 +76,13 @@ def relative_reduction(gain: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """Efficient scores of the effects of the library. by_effect: (b, k) scores by effect. largest: (draws,) largest
-    score statistic of these effects under random signs of the blocks. design_effect [1]: factor by which dependent
-    windows increase the variance of a score (median of these effects), at least 1. gains: by effect, ((b,) reduction of
-    the held-out loss, vector at the optimum), both from the quadratic approximation."""
+    """Efficient scores of the effects of the library."""
 
-    by_effect: Mapping[str, np.ndarray]
-    largest: np.ndarray
+    by_effect: Mapping[str, np.ndarray]  # (b, k) scores by effect
+    largest: np.ndarray  # (draws,) largest score statistic of these effects under random signs of the blocks
+    # Factor by which dependent windows increase the variance of a score (median of these effects), at least 1 [1].
     design_effect: float
+    # By effect, ((b,) reduction of the held-out loss, vector at the optimum), both from the quadratic approximation.
     gains: Mapping[str, tuple[np.ndarray, np.ndarray]]
 
 
@@ -321,12 +313,11 @@ def covariance(problem: Problem, fit: Fit) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class JointFit:
-    """A fit in which all other effects of the library are free as well. indices: (a,) free parameters. covariance:
-    (a, a). shift: (a,) distance of the optimum from the fit. Both are in parameter scales."""
+    """A fit in which all other effects of the library are free as well."""
 
-    indices: np.ndarray
-    covariance: np.ndarray
-    shift: np.ndarray
+    indices: np.ndarray  # (a,) free parameters
+    covariance: np.ndarray  # (a, a) [parameter scales]
+    shift: np.ndarray  # (a,) distance of the optimum from the fit [parameter scales]
 
     def select(self, indices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(standard deviations, shifts) of the parameters `indices` [parameter scales]."""

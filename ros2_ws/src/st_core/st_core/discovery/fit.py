@@ -65,16 +65,14 @@ class Sensitivities:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A set of effects with fitted values. indices: (a,) free parameters. sensitivities: with respect to at least these
-    parameters. quadratic: approximation of the loss of each window in these parameters. held_out: (b,) loss of each
-    block at values fitted without its fold."""
+    """A set of effects with fitted values."""
 
     names: tuple[str, ...]
     vector: np.ndarray
-    indices: np.ndarray
-    sensitivities: Sensitivities
-    quadratic: Quadratic
-    held_out: np.ndarray
+    indices: np.ndarray  # (a,) free parameters
+    sensitivities: Sensitivities  # with respect to at least these parameters
+    quadratic: Quadratic  # approximation of the loss of each window in these parameters
+    held_out: np.ndarray  # (b,) loss of each block at values fitted without its fold
 
 
 def marginalise(prior: np.ndarray, free: np.ndarray) -> np.ndarray:

@@ -34,15 +34,14 @@ CLOCK_FITS = 3  # number of joint fits for the correction of clocks, each with t
 
 @dataclass(frozen=True, eq=False)
 class HealthyCar:
-    """The fitted healthy car. vector: (p,) values of the whole library. prior: (p, p) curvature of the prior about the
-    vector. residual_scale: (c,) scale (`Loss.scale_of`) of the errors of each column at the end of the horizon [SI].
-    position_error [m]: mean position error there, in the worst run. gain_between_runs [1]: largest reduction of the
-    loss per residual of one run by an effect, with a prior from the other runs; smaller gains may be false alarms."""
+    """The fitted healthy car."""
 
-    vector: np.ndarray
-    prior: np.ndarray
-    residual_scale: np.ndarray
-    position_error: float
+    vector: np.ndarray  # (p,) values of the whole library
+    prior: np.ndarray  # (p, p) curvature of the prior about the vector
+    residual_scale: np.ndarray  # (c,) `Loss.scale_of` the errors of each column at the end of the horizon [SI]
+    position_error: float  # mean position error there, in the worst run [m]
+    # Largest reduction of the loss per residual of one run by an effect, with a prior from the other runs; smaller
+    # gains may be false alarms [1].
     gain_between_runs: float
 
 

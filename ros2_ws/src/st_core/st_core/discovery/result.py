@@ -46,16 +46,15 @@ class Change:
 
 @dataclass(frozen=True)
 class Step:
-    """One step of the waterfall, which adds an effect. parameters: values of this effect after the step. position_5s:
-    mean position error after 5 s [m]. channels: root mean square error at the end of the horizon, by channel. runs:
-    mean position error after 5 s (before, after) the step, by run [m]. All errors are held out. Without position among
-    the channels, position_5s is the first entry of channels, and runs are root mean square errors of that channel."""
+    """One step of the waterfall, which adds an effect. All errors are held out."""
 
     effect: str
     kind: str
-    parameters: Mapping[str, FittedParameter]
-    position_5s: Change
-    channels: Mapping[str, Change]
+    parameters: Mapping[str, FittedParameter]  # values of this effect after the step
+    position_5s: Change  # mean position error after 5 s [m]
+    channels: Mapping[str, Change]  # root mean square error at the end of the horizon, by channel
+    # Mean position error after 5 s (before, after) the step, by run [m]. Without position among the channels,
+    # position_5s is the first entry of channels, and runs are root mean square errors of that channel.
     runs: Mapping[str, tuple[float, float]]
 
 
@@ -72,21 +71,20 @@ class LocalEstimate:
 
 @dataclass(frozen=True)
 class FoundEffect:
-    """One effect of the result. kind: one of EFFECT_KINDS. alternatives: names of effects that the data do not separate
-    from it, best first. position_5s_increase [m]: increase of the mean position error after 5 s if it is removed.
-    agreement: by partition (run, site, time, place, condition), its value in each part. joint: other effects of the
-    result that cancel it; only the combination of their values is identifiable. channel: channel with the largest error
-    reduction relative to its baseline error, "" if no error exceeds twice the noise. share [1]: that reduction."""
+    """One effect of the result."""
 
     name: str
-    kind: str
+    kind: str  # one of EFFECT_KINDS
     parameters: Mapping[str, FittedParameter]
-    alternatives: tuple[str, ...]
-    position_5s_increase: float
+    alternatives: tuple[str, ...]  # names of effects that the data do not separate from it, best first
+    position_5s_increase: float  # increase of the mean position error after 5 s if it is removed [m]
+    # By partition (run, site, time, place, condition), its value in each part.
     agreement: Mapping[str, tuple[LocalEstimate, ...]]
+    # Other effects of the result that cancel it; only the combination of their values is identifiable.
     joint: tuple[str, ...] = ()
+    # Channel with the largest error reduction relative to its baseline error, "" if no error exceeds twice the noise.
     channel: str = ""
-    share: float = 0.0
+    share: float = 0.0  # the error reduction in this channel [1]
 
 
 @dataclass(frozen=True)
@@ -127,25 +125,22 @@ class Combination:
 
 @dataclass(frozen=True)
 class VaryingEffect:
-    """A significant effect that varies between parts of the drives. resembles: effect of the library that describes it
-    best. varies_with: run, site, time, place or condition. values: estimate in each part. position_5s_reduction [m]:
-    reduction of the mean position error after 5 s."""
+    """A significant effect that varies between parts of the drives."""
 
-    resembles: str
-    varies_with: str
+    resembles: str  # effect of the library that describes it best
+    varies_with: str  # run, site, time, place or condition
     parameters: Mapping[str, FittedParameter]
-    values: tuple[LocalEstimate, ...]
-    position_5s_reduction: float
+    values: tuple[LocalEstimate, ...]  # estimate in each part
+    position_5s_reduction: float  # reduction of the mean position error after 5 s [m]
 
 
 @dataclass(frozen=True)
 class Reason:
-    """A decision and its reason. rule: the rule of `decision` that applied. subject: an effect, or "outcome". figures:
-    the compared numbers, by names of quantities in `settings`, `evidence` or `decision`."""
+    """A decision and its reason."""
 
-    rule: str
-    subject: str
-    figures: Mapping[str, float]
+    rule: str  # the rule of `decision` that applied
+    subject: str  # an effect, or "outcome"
+    figures: Mapping[str, float]  # the compared numbers, by names of quantities in `settings`, `evidence` or `decision`
     text: str
 
 
@@ -164,16 +159,14 @@ class CandidateEffect:
 
 @dataclass(frozen=True)
 class BudgetLine:
-    """Contribution of one of PARTS to the error. last, first [m]: reduction of the held-out mean position error after
-    5 s when this part is added last, or first; for "unexplained", the remaining error. share_last, share_first [1]: the
-    same divided by the baseline error. loss_last, loss_first [1]: the corresponding fractions of the baseline loss."""
+    """Contribution of one of PARTS to the error, when it is added last or first; "unexplained": the remaining error."""
 
     part: str
-    last: float
+    last: float  # reduction of the held-out mean position error after 5 s [m]
     first: float
-    share_last: float
+    share_last: float  # the same divided by the baseline error [1]
     share_first: float
-    loss_last: float
+    loss_last: float  # the corresponding fraction of the baseline loss [1]
     loss_first: float
 
 
@@ -192,14 +185,13 @@ class Power:
 
 @dataclass(frozen=True)
 class PowerAnalysis:
-    """Power of the tests on these drives. powers: for three sizes of each effect. measured: whether the power is
-    estimated by a step of the search on simulated drives (--certify); otherwise it is predicted from the curvature of
-    the loss. simulated_drives: number of drives simulated without an effect; 0 if not measured. alarms: number of these
-    drives in which an effect was named."""
+    """Power of the tests on these drives."""
 
-    powers: tuple[Power, ...]
-    alarms: int
-    simulated_drives: int
+    powers: tuple[Power, ...]  # for three sizes of each effect
+    alarms: int  # number of drives simulated without an effect in which one was named
+    simulated_drives: int  # number of drives simulated without an effect; 0 if not measured
+    # Whether the power is estimated by a step of the search on simulated drives (--certify); otherwise it is predicted
+    # from the curvature of the loss.
     measured: bool
 
 
@@ -218,14 +210,12 @@ class LargeErrorRegion:
 @dataclass(frozen=True)
 class ChannelError(Change):
     """Held-out error of a channel with the base model (base) and with effects (augmented) [unit]: root mean square at
-    the end of the horizon, but mean for position_5s. interval: 95 %, of base - augmented. floor: error due to noise
-    alone [unit]. worst_run, worst: run with the largest augmented error, and this error [unit]. worse_runs: runs in
-    which the effects increase the error by more than the floor."""
+    the end of the horizon, but mean for position_5s. interval: 95 %, of base - augmented."""
 
-    floor: float
-    worst_run: str = ""
-    worst: float = 0.0
-    worse_runs: tuple[str, ...] = ()
+    floor: float  # error due to noise alone [unit]
+    worst_run: str = ""  # run with the largest augmented error
+    worst: float = 0.0  # this error [unit]
+    worse_runs: tuple[str, ...] = ()  # runs in which the effects increase the error by more than the floor
 
 
 @dataclass(frozen=True)
@@ -239,18 +229,16 @@ class UntestableEffect:
 
 @dataclass(frozen=True)
 class NextManoeuvre:
-    """The manoeuvre that best separates an effect from its alternatives. name: in the catalogue, also the name of the
-    scenario of the virtual car. separates: the pair of effects with the smallest separation. strength: separation of
-    this pair [standard deviations] expected after `times` further drives of the manoeuvre. options: strength by
-    manoeuvre. duration [s] and speed [m/s] refer to one drive."""
+    """The manoeuvre that best separates an effect from its alternatives."""
 
-    name: str
-    separates: tuple[str, str]
+    name: str  # in the catalogue, also the name of the scenario of the virtual car
+    separates: tuple[str, str]  # the pair of effects with the smallest separation
+    # Separation of this pair [standard deviations] expected after `times` further drives of the manoeuvre.
     strength: float
-    options: Mapping[str, float]
+    options: Mapping[str, float]  # strength by manoeuvre
     times: int
-    duration: float
-    speed: float
+    duration: float  # of one drive [s]
+    speed: float  # of one drive [m/s]
     reason: str
 
 
@@ -267,68 +255,63 @@ class Separability:
 
 @dataclass(frozen=True)
 class Run:
-    """A drive of the discovery. site: index of its site; runs with overlapping tracks share a site. windows: number of
-    scored predictions. Both are 0 for a reference drive. seconds: duration with both INS and steering."""
+    """A drive of the discovery."""
 
     name: str
     role: Literal["suspect", "reference"]
-    seconds: float
-    site: int
-    windows: int
+    seconds: float  # duration with both INS and steering
+    site: int  # index of its site; runs with overlapping tracks share one; 0 for a reference drive
+    windows: int  # number of scored predictions; 0 for a reference drive
 
 
 @dataclass(frozen=True, eq=False)
 class Discovery:
-    """The result of `discover`.
+    """The result of `discover`."""
 
-    outcome: none = the residual is near the noise; named = one effect; ambiguous = one effect with alternatives, a
-    combination (`unseparated_combinations`), or a better model without an effect certain enough to be named; several =
-    more than one effect; varying = a significant effect that varies between runs, places, times or conditions; unknown
-    = a residual above the noise that no effect of the library explains, or only one that is at a bound or contradicts
-    the sensors or the vehicle file; not_testable = too little excitation. start: origin of the values at which the
-    search starts. minor: effects that are in the model to avoid a bias of the other values, but are not named. varying:
-    significant effects that vary between parts of the drives. effective: corrections that improve predictions without
-    being properties of the car, despite their names; part of the model, never of a vehicle file.
-
-    base: the model at the start. model: the model with all effects, which predicts best; None if no effect was found.
-    named: the model with named and minor effects only, at the reported values; None if no effect was found. steps: from
-    the base to all effects found. errors: errors of the base and the best model, by channel and for position_5s, the
-    position error at the end of the horizon, which is 5 s by default. named_errors: the same without the effective
-    corrections. reasons: all decisions. leave_one_out: values of the effects, by the run left out of the fit.
-    acceleration_gain [1]: relative excess of the measured lateral specific force over that of the predicted motion, due
-    to body roll. noise: errors of the best model, as in `errors` [SI]; they count as noise in later comparisons.
-    signature: description of the residual. clock_errors: correction of the steering time stamps [s] by corrected run.
-    """
-
+    # none = the residual is near the noise; named = one effect; ambiguous = one effect with alternatives, a combination
+    # (`unseparated_combinations`), or a better model without an effect certain enough to be named; several = more than
+    # one effect; varying = a significant effect that varies between runs, places, times or conditions; unknown = a
+    # residual above the noise that no effect of the library explains, or only one that is at a bound or contradicts the
+    # sensors or the vehicle file; not_testable = too little excitation.
     outcome: Outcome
     effects: tuple[FoundEffect, ...]
+    # Effects that are in the model to avoid a bias of the other values, but are not named.
     minor: tuple[FoundEffect, ...]
-    varying: tuple[VaryingEffect, ...]
-    steps: tuple[Step, ...]
+    varying: tuple[VaryingEffect, ...]  # significant effects that vary between parts of the drives
+    steps: tuple[Step, ...]  # from the base to all effects found
+    # Errors of the base and the best model, by channel and for position_5s, the position error at the end of the
+    # horizon, which is 5 s by default.
     errors: Mapping[str, ChannelError]
     budget: tuple[BudgetLine, ...]
-    reasons: tuple[Reason, ...]
+    reasons: tuple[Reason, ...]  # all decisions
     candidates: tuple[CandidateEffect, ...]
     where: tuple[LargeErrorRegion, ...]
     not_testable: tuple[UntestableEffect, ...]
     next_manoeuvre: NextManoeuvre | None
     separability: tuple[Separability, ...]
     certificate: PowerAnalysis
-    signature: tuple[str, ...]
+    signature: tuple[str, ...]  # description of the residual
     runs: tuple[Run, ...]
-    start: Literal["vehicle file", "reference"]
-    base: AugmentedModel
-    model: AugmentedModel | None
+    start: Literal["vehicle file", "reference"]  # origin of the values at the start of the search
+    base: AugmentedModel  # the model at the start of the search
+    model: AugmentedModel | None  # the model with all effects, which predicts best; None if no effect was found
+    # The model with named and minor effects only, at the reported values; None if no effect was found.
     named: AugmentedModel | None = None
+    # Corrections that improve predictions without being properties of the car, despite their names; part of the model,
+    # never of a vehicle file.
     effective: tuple[FoundEffect, ...] = ()
-    named_errors: Mapping[str, ChannelError] = field(default_factory=dict)
+    named_errors: Mapping[str, ChannelError] = field(default_factory=dict)  # as `errors`, without effective corrections
     axle_curves: tuple[ForceCurve, ...] = ()
     combinations: tuple[Combination, ...] = ()
     assumed: tuple[AssumedQuantity, ...] = ()
     warnings: tuple[str, ...] = ()
+    # Values of the effects, by the run left out of the fit.
     leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]] = field(default_factory=dict)
+    # Correction of the steering time stamps [s] by corrected run.
     clock_errors: Mapping[str, float] = field(default_factory=dict)
+    # Relative excess of the measured lateral specific force over that of the predicted motion, due to body roll [1].
     acceleration_gain: float = 0.0
+    # Errors of the best model, as in `errors` [SI]; they count as noise in later comparisons.
     noise: Mapping[str, float] = field(default_factory=dict)
 
     @property

@@ -27,19 +27,17 @@ NearSet = tuple[tuple[str, ...], np.ndarray]  # (names of the effects in a set, 
 
 @dataclass
 class SearchState:
-    """State of the search. fit: fit of the current set. order: names in order of selection; after the search, by
-    decreasing gain. evidence, fits_without, rivals: by effect of the set, evidence for it, fit without it, and effects
-    tried in its place. refused: (evidence, verdict, fit) of each effect that was tried in addition and rejected.
-    cached_scores: scores of the effects outside the set. near_optimal: sets that fit nearly as well (`_find_near_sets`)
-    and, without names, fits with a load (`_add_load_rivals`)."""
+    """State of the search."""
 
-    fit: Fit
-    order: list[str]
-    evidence: dict[str, Evidence] = field(default_factory=dict)
-    fits_without: dict[str, Fit] = field(default_factory=dict)
+    fit: Fit  # fit of the current set
+    order: list[str]  # names in order of selection; after the search, by decreasing gain
+    evidence: dict[str, Evidence] = field(default_factory=dict)  # for each effect of the set
+    fits_without: dict[str, Fit] = field(default_factory=dict)  # fit without each effect of the set
+    # (evidence, verdict, fit) of each effect that was tried in addition and rejected.
     refused: dict[str, tuple[Evidence, Reason, Fit]] = field(default_factory=dict)
-    rivals: dict[str, list[Rival]] = field(default_factory=dict)
-    cached_scores: Scores | None = None
+    rivals: dict[str, list[Rival]] = field(default_factory=dict)  # effects tried in place of each effect of the set
+    cached_scores: Scores | None = None  # scores of the effects outside the set
+    # Sets that fit nearly as well (`_find_near_sets`) and, without names, fits with a load (`_add_load_rivals`).
     near_optimal: list[NearSet] = field(default_factory=list)
 
     @property

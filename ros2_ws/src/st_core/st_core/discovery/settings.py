@@ -11,48 +11,44 @@ from ..errors import ConfigurationError
 
 @dataclass(frozen=True)
 class Limits:
-    """Thresholds of the decisions of a discovery.
+    """Thresholds of the decisions of a discovery, all above 0. Raises ConfigurationError naming one that is not."""
 
-    false_alarm [1]: significance level for an effect, corrected for the whole library, for its variation between
-    subsets of the data, for the rejection of the null by redundant sensors, for the path improvement by a relation and,
-    at its default value, for combinations that differ from the vehicle file (`unseparated_combinations`). undecided_p
-    [1]: p-value above which a difference is undecided (between two effects, from the null, or from redundant sensors),
-    and above which a varying effect may be absent in new data; also the error probability of one-sided confidence
-    bounds, and the relative difference below which two gains count as equal. relevant [1]: relative error reduction
-    required of an effect: over all channels, relative to the errors without it, to be kept; in one channel, relative to
-    the baseline error, to be named. relevant_position [m]: reduction of the mean position error at the end of the
-    horizon, overall or in one driving condition, that suffices instead of `relevant`. min_relative_size [1]: size of an
-    effect in parameter scales that suffices instead of `relevant` if redundant sensors confirm the effect; also size of
-    the payload tested as the alternative explanation of a lower tyre stiffness. negligible [1]: relative reduction of
-    the errors below which an effect is ignored, however significant. min_rival_gain [1]: fraction of an effect's gain
-    that a rival must reach in its place to be an alternative, after subtracting the gain of the rival in addition to
-    it. max_file_deviation [1]: largest accepted deviation of a value from the vehicle file, in standard deviations.
-    min_peak_force [1]: fraction of the peak force of an axle that the drives must reach for a peak to be named.
-    at_bound [1]: distance to a bound, in parameter scales, below which a value counts as being at the bound.
-    max_noise_ratio [1]: ratio of residual to noise above which the residual is reported as unexplained.
-    unexplained_share [1]: with a residual above `max_noise_ratio`, the fraction by which an effect must reduce it to be
-    named, and by which it must explain more than a rival to exclude that as an alternative, because smaller differences
-    may be due to unmodelled effects. Intervals include the values of other sets of effects whose loss is higher by less
-    than this fraction. detection_power [1]: minimum power at which a size counts as detectable. max_effects: largest
-    number of effects in a model.
-
-    Raises ConfigurationError naming the limit that is not a positive number.
-    """
-
+    # Significance level for an effect, corrected for the whole library, for its variation between subsets of the data,
+    # for the rejection of the null by redundant sensors, for the path improvement by a relation and, at its default
+    # value, for combinations that differ from the vehicle file (`unseparated_combinations`) [1].
     false_alarm: float = 0.01
+    # p-value above which a difference is undecided (between two effects, from the null, or from redundant sensors), and
+    # above which a varying effect may be absent in new data; also the error probability of one-sided confidence bounds,
+    # and the relative difference below which two gains count as equal [1].
     undecided_p: float = 0.05
+    # Relative error reduction required of an effect: over all channels, relative to the errors without it, to be kept;
+    # in one channel, relative to the baseline error, to be named [1].
     relevant: float = 0.025
+    # Reduction of the mean position error at the end of the horizon, overall or in one driving condition, that suffices
+    # instead of `relevant` [m].
     relevant_position: float = 0.02
+    # Size of an effect in parameter scales that suffices instead of `relevant` if redundant sensors confirm the effect;
+    # also size of the payload tested as the alternative explanation of a lower tyre stiffness [1].
     min_relative_size: float = 0.5
+    # Relative reduction of the errors below which an effect is ignored, however significant [1].
     negligible: float = 0.01
+    # Fraction of an effect's gain that a rival must reach in its place to be an alternative, after subtracting the gain
+    # of the rival in addition to it [1].
     min_rival_gain: float = 0.5
+    # Largest accepted deviation of a value from the vehicle file, in standard deviations [1].
     max_file_deviation: float = 3.0
+    # Fraction of the peak force of an axle that the drives must reach for a peak to be named [1].
     min_peak_force: float = 0.98
+    # Distance to a bound, in parameter scales, below which a value counts as being at the bound [1].
     at_bound: float = 0.05
+    # With a residual above `max_noise_ratio`, the fraction by which an effect must reduce it to be named, and by which
+    # it must explain more than a rival to exclude that as an alternative, because smaller differences may be due to
+    # unmodelled effects. Intervals include the values of other sets of effects whose loss is higher by less than this
+    # fraction [1].
     unexplained_share: float = 0.2
-    max_noise_ratio: float = 2.0
-    detection_power: float = 0.8
-    max_effects: int = 16
+    max_noise_ratio: float = 2.0  # ratio of residual to noise above which the residual is reported as unexplained [1]
+    detection_power: float = 0.8  # minimum power at which a size counts as detectable [1]
+    max_effects: int = 16  # largest number of effects in a model
 
     def __post_init__(self) -> None:
         for limit in fields(self):
@@ -62,28 +58,19 @@ class Limits:
 
 @dataclass(frozen=True)
 class DiscoverySettings:
-    """Options of a discovery.
+    """Options of a discovery. Raises ConfigurationError naming the key and the limit."""
 
-    channels: measurements to use. Without velocity_y, sideslip is used neither as a measurement nor in initial states.
-    seed: seed of all random numbers. horizon [s]: duration of a prediction. windows: approximate number of
-    predictions; they start at least `interval` [s] apart, as closer starts add little with a horizon of 5 s. block [s]:
-    duration of a block; blocks count as independent. effects: names to choose from; None for all that apply. limits:
-    thresholds of the decisions. certify: measure the power by one step of the search on simulated drives instead of
-    predicting it. locate_errors: report the conditions, times and places of the largest errors.
-
-    Raises ConfigurationError naming the key and the limit.
-    """
-
+    # Measurements to use. Without velocity_y, sideslip is used neither as a measurement nor in initial states.
     channels: tuple[str, ...] = tuple(CHANNELS)
-    seed: int = 0
-    horizon: float = 5.0
-    windows: int = 400
-    interval: float = 1.0
-    block: float = 10.0
-    effects: tuple[str, ...] | None = None
-    limits: Limits = field(default_factory=Limits)
-    certify: bool = False
-    locate_errors: bool = True
+    seed: int = 0  # of all random numbers
+    horizon: float = 5.0  # of a prediction [s]
+    windows: int = 400  # approximate number of predictions
+    interval: float = 1.0  # shortest time between their starts [s]; closer ones add little with a horizon of 5 s
+    block: float = 10.0  # duration of a block of driving [s]; blocks count as independent
+    effects: tuple[str, ...] | None = None  # names to choose from; None for all that apply
+    limits: Limits = field(default_factory=Limits)  # thresholds of the decisions
+    certify: bool = False  # measure the power by one step of the search on simulated drives instead of predicting it
+    locate_errors: bool = True  # report the conditions, times and places of the largest errors
 
     def __post_init__(self) -> None:
         for channel in self.channels:

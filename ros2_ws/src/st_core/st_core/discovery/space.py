@@ -101,17 +101,15 @@ def _choose_effects(usable: Sequence[str], settings: DiscoverySettings, availabl
 
 @dataclass(frozen=True)
 class FileQuantity:
-    """A quantity of the vehicle file that a parameter of an effect changes. value, deviation [SI]: value and standard
-    deviation in the file. slope: change of the quantity per unit of the parameter. stated: whether the file states the
-    deviation; otherwise it is the default for the quantity. without_effect [SI]: value in a model without the effect; 0
-    if the equations of the base model do not contain the quantity."""
+    """A quantity of the vehicle file that a parameter of an effect changes."""
 
     key: str
     unit: str
-    value: float
-    deviation: float
-    slope: float
-    stated: bool
+    value: float  # in the file [SI]
+    deviation: float  # standard deviation in the file [SI]
+    slope: float  # change of the quantity per unit of the parameter
+    stated: bool  # whether the file states the deviation; otherwise it is the default for the quantity
+    # Value in a model without the effect; 0 if the equations of the base model do not contain the quantity [SI].
     without_effect: float
 
     def at(self, change: float) -> float:

@@ -19,18 +19,16 @@ from .partitions import Partition
 
 @dataclass(frozen=True)
 class VaryingFit:
-    """An effect with its own value in each part of a partition. varies_with: name of the partition. gain [1]: reduction
-    of the loss per residual compared with one common value. p_value [1]: of the hypothesis that the value is the same
-    in all parts, corrected for all effects and partitions. index: parameter with the most information. values: its
-    (value, standard deviation) by part. steps: (p,) step of all parameters [parameter scales], by part."""
+    """An effect with its own value in each part of a partition."""
 
     name: str
-    varies_with: str
-    gain: float
+    varies_with: str  # name of the partition
+    gain: float  # reduction of the loss per residual compared with one common value [1]
+    # Of the hypothesis that the value is the same in all parts, corrected for all effects and partitions [1].
     p_value: float
-    index: int
-    values: Mapping[str, tuple[float, float]]
-    steps: Mapping[int, np.ndarray]
+    index: int  # parameter with the most information
+    values: Mapping[str, tuple[float, float]]  # its (value, standard deviation) by part
+    steps: Mapping[int, np.ndarray]  # (p,) step of all parameters [parameter scales], by part
 
 
 def find_varying_effects(problem: Problem, fit: Fit, partitions: Mapping[str, Partition]) -> list[VaryingFit]:

@@ -37,34 +37,30 @@ NO_HOOK: Any = None  # value of a hook that an effect does not define
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of an effect. Raises ConfigurationError if its fields contradict each other.
-
-    null: value at which the effect has no influence. initial: start value of a fit, of typical magnitude. bounds:
-    physical limits, inclusive. source: origin of initial and bounds. meaning: short text, with the sign. odd: whether
-    it changes sign if left and right are exchanged. fit: False for a constant of the car, with null as its default.
-    identity: name of the estimate of `st_core.checks.check` that measures it with the same sign and unit, without a
-    model of the car; "" if there is none. theory: its physical value, if it is the same for every car. quantity: key of
-    the vehicle file that it is added to, with the same unit and sign, if neither `vehicle` nor `fold` of the effect
-    does so. shape: whether it selects a curve from a family, so that a value at a bound is valid. model_error: standard
-    deviation between the values fitted to one car with models of different equations, from the development cars of
-    `bench/strangers`. deviation: prior standard deviation about null of an addition to the measured car, such as a
-    load, in place of the uncertainties of the vehicle file; inf for other parameters.
-    """
+    """A parameter of an effect. Raises ConfigurationError if its fields contradict each other."""
 
     name: str
     unit: str
-    null: float
-    initial: float
-    bounds: tuple[float, float]
-    source: str
-    meaning: str
-    odd: bool = False
-    fit: bool = True
+    null: float  # value at which the effect has no influence
+    initial: float  # start value of a fit, of typical magnitude
+    bounds: tuple[float, float]  # physical limits, inclusive
+    source: str  # origin of initial and bounds
+    meaning: str  # short text, with the sign
+    odd: bool = False  # whether it changes sign if left and right are exchanged
+    fit: bool = True  # False: a constant of the car, with null as its default
+    # Name of the estimate of `st_core.checks.check` that measures it with the same sign and unit, without a model of
+    # the car; "" if there is none.
     identity: str = ""
-    theory: float | None = None
+    theory: float | None = None  # its physical value, if it is the same for every car
+    # Key of the vehicle file that it is added to, with the same unit and sign, if neither `vehicle` nor `fold` of the
+    # effect does so.
     quantity: str = ""
-    shape: bool = False
+    shape: bool = False  # whether it selects a curve from a family, so that a value at a bound is valid
+    # Standard deviation between the values fitted to one car with models of different equations, from the development
+    # cars of `bench/strangers`.
     model_error: float = 0.0
+    # Prior standard deviation about null of an addition to the measured car, such as a load, in place of the
+    # uncertainties of the vehicle file; inf for other parameters.
     deviation: float = math.inf
 
     def __post_init__(self):
@@ -131,45 +127,39 @@ class Effect:
         specific_force(instant, prepared, theta) -> (a_x, a_y) [m/s^2] that an accelerometer at the CG reads in
             addition to the acceleration of the car
         observe(measured, theta) -> the readings that result from the true ones; correct(measured, theta): the inverse
-
-    name: unique; default: the name of its file. parameters: a tuple, or parameter if there is only one. physics: the
-    equation in one line, with the sign. excited_by: driving that makes it observable. kind: one of EFFECT_KINDS. slot:
-    one of SLOTS, where it acts. confounded_with: effects that are hard to separate from it (it is enough if one of the
-    two names the other), judged by the sensitivities of a single-track car on circle, step, sweep and ramp_to_limit.
-    needs: channels required to observe and separate it. members: effects that it combines. combinations: keys of
-    COMBINATIONS whose deviation from the vehicle file it may explain. imitated_by: causes outside the library that act
-    like it. ratio_to: key of the vehicle file; only the ratio of the effect's quantity to this one is observable.
-    at_peak_force: whether it is observable only near the peak force of an axle. applies_to: base models. converts:
-    (from, to) base model, if it turns one into another. signals: names of the inputs that it requires in addition to
-    steering angle and acceleration. extra_states, extra_units: names and units of its states. costly: whether it
-    evaluates the tyres again, and is therefore omitted at null where speed matters. forward_only: whether the search
-    adds it only in forward steps, since in a joint fit of the whole library it absorbs parts of other effects. order:
-    rank among the effects with the same hook, lowest first.
     """
 
-    name: ClassVar[str]
-    parameter: ClassVar[Parameter]
-    physics: ClassVar[str]
-    excited_by: ClassVar[str]
-    kind: ClassVar[str]
-    slot: ClassVar[str]
+    name: ClassVar[str]  # unique; default: the name of its file
+    parameter: ClassVar[Parameter]  # short for `parameters` with one entry
+    physics: ClassVar[str]  # the equation in one line, with the sign
+    excited_by: ClassVar[str]  # driving that makes it observable
+    kind: ClassVar[str]  # one of EFFECT_KINDS
+    slot: ClassVar[str]  # one of SLOTS, where it acts
     parameters: ClassVar[tuple[Parameter, ...]]
+    # Effects that are hard to separate from it (it is enough if one of the two names the other), judged by the
+    # sensitivities of a single-track car on circle, step, sweep and ramp_to_limit.
     confounded_with: ClassVar[tuple[str, ...]] = ()
-    needs: ClassVar[tuple[str, ...]] = ()
-    members: ClassVar[tuple[str, ...]] = ()
+    needs: ClassVar[tuple[str, ...]] = ()  # channels required to observe and separate it
+    members: ClassVar[tuple[str, ...]] = ()  # effects that it combines
+    # Keys of COMBINATIONS whose deviation from the vehicle file it may explain.
     combinations: ClassVar[tuple[str, ...]] = ()
-    imitated_by: ClassVar[str] = ""
+    imitated_by: ClassVar[str] = ""  # causes outside the library that act like it
+    # Key of the vehicle file; only the ratio of the effect's quantity to this one is observable.
     ratio_to: ClassVar[str] = ""
-    at_peak_force: ClassVar[bool] = False
-    applies_to: ClassVar[frozenset[str]] = DYNAMIC
-    converts: ClassVar[tuple[str, str] | None] = None
+    at_peak_force: ClassVar[bool] = False  # whether it is observable only near the peak force of an axle
+    applies_to: ClassVar[frozenset[str]] = DYNAMIC  # base models that it can be added to
+    converts: ClassVar[tuple[str, str] | None] = None  # (from, to) base model, if it turns one into another
+    # Names of the inputs that it requires in addition to steering angle and acceleration.
     signals: ClassVar[tuple[str, ...]] = ()
-    prepared: ClassVar[tuple[str, ...]] = ()
-    extra_states: ClassVar[tuple[str, ...]] = ()
-    extra_units: ClassVar[tuple[str, ...]] = ()
+    prepared: ClassVar[tuple[str, ...]] = ()  # names of the results of `prepare`
+    extra_states: ClassVar[tuple[str, ...]] = ()  # names of its states
+    extra_units: ClassVar[tuple[str, ...]] = ()  # units of its states
+    # Whether it evaluates the tyres again, and is therefore omitted at null where speed matters.
     costly: ClassVar[bool] = False
+    # Whether the search adds it only in forward steps, since in a joint fit of the whole library it absorbs parts of
+    # other effects.
     forward_only: ClassVar[bool] = False
-    order: ClassVar[int] = 50
+    order: ClassVar[int] = 50  # rank among the effects with the same hook, lowest first
     Theta: ClassVar[Callable[..., Any]]
 
     constants = vehicle = fold = steering = inputs = prepare = slip_angles = axle_forces = NO_HOOK

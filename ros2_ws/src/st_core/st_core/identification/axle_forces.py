@@ -276,17 +276,15 @@ BAND_QUANTILES = (0.05, 0.95)  # of the draws
 
 @dataclass(frozen=True)
 class ForceCurve:
-    """Lateral force of an axle versus slip angle, within the range of the drives. slip: slip angle, >= 0 [rad]. force,
-    low, high, file: force, its 90 % band, and force at the start of the search (vehicle file or reference), positive if
-    it opposes the slip [N]. density: fraction of the samples between neighbouring values of slip."""
+    """Lateral force of an axle versus slip angle, within the range of the drives."""
 
     axle: str
-    slip: tuple[float, ...]
-    force: tuple[float, ...]
-    low: tuple[float, ...]
-    high: tuple[float, ...]
-    file: tuple[float, ...]
-    density: tuple[float, ...]
+    slip: tuple[float, ...]  # slip angle, >= 0 [rad]
+    force: tuple[float, ...]  # positive if it opposes the slip [N]
+    low: tuple[float, ...]  # lower end of its 90 % band [N]
+    high: tuple[float, ...]  # upper end of its 90 % band [N]
+    file: tuple[float, ...]  # force at the start of the search, from vehicle file or reference [N]
+    density: tuple[float, ...]  # fraction of the samples between neighbouring values of slip
 
 
 def compute_axle_forces(model: str | Model, vehicle: VehicleParameters,

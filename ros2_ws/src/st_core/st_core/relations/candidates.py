@@ -94,15 +94,14 @@ RELATIONS = {
 
 @dataclass(frozen=True)
 class Candidate:
-    """A candidate relation. term: one of ALL_TERMS. quantity: one of QUANTITIES. parity: -1 for an odd curve, 0 for any
-    curve. low, high: range of the quantity in the drives. factor: one of FACTORS that multiplies the curve, or ""."""
+    """A candidate relation."""
 
-    term: str
-    quantity: str
-    parity: float
-    low: float
-    high: float
-    factor: str = ""
+    term: str  # one of ALL_TERMS
+    quantity: str  # one of QUANTITIES
+    parity: float  # -1 for an odd curve, 0 for any curve
+    low: float  # smallest value of the quantity in the drives
+    high: float  # largest value of the quantity in the drives
+    factor: str = ""  # one of FACTORS that multiplies the curve, or ""
 
     @property
     def name(self) -> str:

@@ -31,22 +31,18 @@ ROUGHNESS = _SECOND_DIFFERENCE.T @ _SECOND_DIFFERENCE + SIZE_PENALTY * np.eye(SP
 
 @dataclass(frozen=True, eq=False)
 class RelationFit:
-    """A fit with a candidate, or of the discovered model without a relation (candidate None). smoothing: one of
-    PENALTIES, 0 without a candidate. vector: in the candidate's parameter space. residuals: (n, m) [SI], by window.
-    indices: (a,) free parameters, the coefficients last. sensitivities: (a, n, m), reduction of the residuals per scale
-    of these parameters. penalty: (a, a). quadratic: approximation of the loss, by block. held_out: (b,) loss of each
-    block at values fitted without its fold. steps: by fold, step to these values [parameter scales]."""
+    """A fit with a candidate, or of the discovered model without a relation (candidate None)."""
 
     candidate: Candidate | None
-    smoothing: float
-    vector: np.ndarray
-    residuals: np.ndarray
-    indices: np.ndarray
-    sensitivities: np.ndarray
-    penalty: np.ndarray
-    quadratic: Quadratic
-    held_out: np.ndarray
-    steps: dict[int, np.ndarray]
+    smoothing: float  # one of PENALTIES, 0 without a candidate
+    vector: np.ndarray  # in the candidate's parameter space
+    residuals: np.ndarray  # (n, m) [SI], by window
+    indices: np.ndarray  # (a,) free parameters, the coefficients last
+    sensitivities: np.ndarray  # (a, n, m), reduction of the residuals per scale of these parameters
+    penalty: np.ndarray  # (a, a)
+    quadratic: Quadratic  # approximation of the loss, by block
+    held_out: np.ndarray  # (b,) loss of each block at values fitted without its fold
+    steps: dict[int, np.ndarray]  # by fold, step to these values [parameter scales]
 
     @property
     def coefficients(self) -> np.ndarray:

@@ -29,36 +29,29 @@ FitByCandidate = dict[ScreenedCandidate, RelationFit]
 
 @dataclass(frozen=True, eq=False)
 class Relation:
-    """An empirical relation that reduces the held-out loss.
+    """An empirical relation that reduces the held-out loss."""
 
-    candidate: the model term that it modifies (steering, axle force or grip, yaw moment, side force, a sensor), and the
-    quantity it depends on. coefficients: (8,) of the splines. points: (k,) of the quantity; value, deviation: (k,) the
-    curve there and its standard deviation [`Candidate.unit`]; density: (k,) fraction of the samples near each. gain
-    [1]: reduction of the held-out loss per residual. p_value [1]: of the hypothesis of no gain, corrected for multiple
-    testing. position_5s [m]: held-out position error at the end of the horizon (without, with it); runs: the same by
-    run. model: the model without the relation, at the values fitted with it. rivals: equally good relations, with the
-    cosine similarity of their effects [1]. formulas: closed forms that retain the curve's gain in simulation, best
-    first. agreement: consistency of its size between runs. redundant: effects of the result that the relation replaces,
-    with the residual reduction [1] that each still adds. next_drives: sparsely driven ranges, and manoeuvres to drive
-    next.
-    """
-
+    # The model term that it modifies (steering, axle force or grip, yaw moment, side force, a sensor), and the quantity
+    # it depends on.
     candidate: Candidate
-    coefficients: np.ndarray
-    points: np.ndarray
-    value: np.ndarray
-    deviation: np.ndarray
-    density: np.ndarray
-    gain: float
-    p_value: float
-    position_5s: tuple[float, float]
-    runs: Mapping[str, tuple[float, float]]
-    model: AugmentedModel
+    coefficients: np.ndarray  # (8,) of the splines
+    points: np.ndarray  # (k,) values of the quantity
+    value: np.ndarray  # (k,) the curve at these points [`Candidate.unit`]
+    deviation: np.ndarray  # (k,) its standard deviation [`Candidate.unit`]
+    density: np.ndarray  # (k,) fraction of the samples near each point
+    gain: float  # reduction of the held-out loss per residual [1]
+    p_value: float  # of the hypothesis of no gain, corrected for multiple testing [1]
+    position_5s: tuple[float, float]  # held-out position error at the end of the horizon (without, with it) [m]
+    runs: Mapping[str, tuple[float, float]]  # position_5s by run
+    model: AugmentedModel  # the model without the relation, at the values fitted with it
+    # Equally good relations, with the cosine similarity of their effects [1].
     rivals: Mapping[str, float] = field(default_factory=dict)
-    formulas: Sequence[Formula] = ()
+    formulas: Sequence[Formula] = ()  # closed forms that retain the curve's gain in simulation, best first
+    # Consistency of its size between runs.
     agreement: Agreement = field(default_factory=lambda: Agreement({}, 1.0, 0.0))
+    # Effects of the result that the relation replaces, with the residual reduction [1] that each still adds.
     redundant: Mapping[str, float] = field(default_factory=dict)
-    next_drives: NextDrives = field(default_factory=NextDrives)
+    next_drives: NextDrives = field(default_factory=NextDrives)  # sparsely driven ranges, and manoeuvres to drive next
 
     def find_worse_runs(self) -> dict[str, tuple[float, float]]:
         """Held-out position errors (without, with it) [m] of runs in which they grow by MIN_REPORTED_RATIO or more."""
@@ -67,13 +60,13 @@ class Relation:
 
 @dataclass(frozen=True)
 class RelationSearch:
-    """Result of a search. relation: None if none is significant and large enough. reason: why it is None, or the gain
-    of the relation. statistics: held-out gain per residual [1] and p-value [1] of each candidate, best first.
-    detection_limits: by candidate, smallest detectable linear relation, at the end of its range [unit of the curve]."""
+    """Result of a search."""
 
-    relation: Relation | None
-    reason: str
+    relation: Relation | None  # None if none is significant and large enough
+    reason: str  # why it is None, or the gain of the relation
+    # Held-out gain per residual [1] and p-value [1] of each candidate, best first.
     statistics: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    # By candidate, smallest detectable linear relation, at the end of its range [unit of the curve].
     detection_limits: Mapping[str, float] = field(default_factory=dict)
 
     def find_unexamined_terms(self) -> list[str]:

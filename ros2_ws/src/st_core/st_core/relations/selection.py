@@ -22,21 +22,15 @@ MIN_INFORMATION = 0.02  # fraction of the information on the relation; a run wit
 
 @dataclass(frozen=True, eq=False)
 class ScreenedCandidate:
-    """Statistics of a candidate, linearised at the discovered model.
-
-    statistic, null_statistics: score statistic, and (DRAWS,) its values for random signs of the blocks, both divided by
-    the mean of these values. degrees_of_freedom: effective number for the curve. design_effect: factor by which
-    dependent windows increase the variance of the residual scores, at least 1. gain: reduction of the held-out loss.
-    information: (SPLINES, SPLINES) for the coefficients, with the other parameters projected out.
-    """
+    """Statistics of a candidate, linearised at the discovered model."""
 
     candidate: Candidate
-    statistic: float
-    null_statistics: np.ndarray
-    degrees_of_freedom: float
-    design_effect: float
-    gain: float
-    information: np.ndarray
+    statistic: float  # score statistic, divided by its mean over random signs of the blocks
+    null_statistics: np.ndarray  # (DRAWS,) the same for each draw of the signs
+    degrees_of_freedom: float  # effective number for the curve
+    design_effect: float  # factor by which dependent windows increase the variance of the residual scores, at least 1
+    gain: float  # reduction of the held-out loss
+    information: np.ndarray  # (SPLINES, SPLINES) for the coefficients, with the other parameters projected out
 
     def compute_detection_limit(self, p_value: float, blocks: int) -> float:
         """Smallest value of a linear relation at the end of its range [unit of the curve] that reaches a p-value."""

@@ -35,18 +35,16 @@ MODELS = ("linear", "nonlinear")  # checked for stable integration
 
 @dataclass(frozen=True)
 class CheckJob:
-    """Options of `st check`. vehicle: read from vehicle_file; vehicle_is_given: whether the user named that file.
-    output: folder, None for runs/check-<time>. json: file instead of check.json in that folder. correction_file:
-    run.yaml to write."""
+    """Options of `st check`."""
 
     paths: Sequence[Path]
     vehicle: VehicleParameters
     vehicle_file: str
-    vehicle_is_given: bool
+    vehicle_is_given: bool  # whether the user named that file
     read_settings: ReadSettings
-    output: Path | None = None
-    json: Path | None = None
-    correction_file: Path | None = None
+    output: Path | None = None  # folder, None for runs/check-<time>
+    json: Path | None = None  # file instead of check.json in that folder
+    correction_file: Path | None = None  # run.yaml to write
 
 
 def run_command(job: CheckJob, console: Console, report_vehicle: Callable[[str], None] | None = None) -> int:

@@ -180,19 +180,17 @@ def _note_time_zone(offset: float) -> str:
 
 @dataclass(frozen=True)
 class CheckedRun:
-    """One run of `st check`. vehicle_source: file or recording with the vehicle parameters. duration: [s]. warnings:
-    warnings of the reader, including its corrections. files: sha256 by path. alignment: from `summarise_alignment`.
-    arguments: those of `st check` that read this run."""
+    """One run of `st check`."""
 
     name: str
     result: DriveCheck
     vehicle: VehicleParameters
-    vehicle_source: str
-    duration: float
-    warnings: tuple[str, ...]
-    files: Mapping[str, str]
+    vehicle_source: str  # file or recording with the vehicle parameters
+    duration: float  # [s]
+    warnings: tuple[str, ...]  # warnings of the reader, including its corrections
+    files: Mapping[str, str]  # sha256 by path
     alignment: Mapping[str, Any] = field(default_factory=lambda: summarise_alignment(Alignment()))
-    arguments: str = "RUN"
+    arguments: str = "RUN"  # arguments of `st check` that read this run
 
 
 def findings_as_json(findings: Sequence[Finding]) -> list[dict[str, Any]]:

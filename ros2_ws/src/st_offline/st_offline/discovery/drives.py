@@ -32,47 +32,41 @@ RESULT_FORMAT = 3  # version of the format of cached results; other versions are
 
 @dataclass(frozen=True)
 class Drive:
-    """One run. log: None if a problem prevents its use. metadata: for the report, including estimates of the checks and
-    the name of the recorded car ("" if unknown); empty if the run cannot be used. findings: of the checks."""
+    """One run."""
 
     name: str
-    log: DriveLog | None
+    log: DriveLog | None  # None if a problem prevents its use
+    # For the report, including estimates of the checks and the name of the recorded car ("" if unknown); empty if the
+    # run cannot be used.
     metadata: dict[str, Any]
     problem: str = ""
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[Finding, ...] = ()  # of the checks
 
 
 @dataclass(frozen=True)
 class Request:
-    """Options of `st discover`, and the drives and effects read with them.
+    """Options of `st discover`, and the drives and effects read with them."""
 
-    base: name of a model, or a model file. vehicle_text: content of vehicle_file. settings: settings of the search.
-    runs, reference: paths of recordings; drives, reference_drives: read from them with read_settings. effects:
-    folder of user-defined effects; effect_hashes: sha256 of each file in it. output: folder, None for
-    runs/discover-<time>. jobs: number of processes. formats: formats of the figure files. report: whether to write a
-    page. use_cache: whether to use a cached result. force: whether to use runs with errors. propose: whether to search
-    for a relation beyond the library; if None, this depends on the size of the residual.
-    """
-
-    base: str
+    base: str  # name of a model, or a model file
     vehicle: VehicleParameters
     vehicle_file: str
-    vehicle_text: str
+    vehicle_text: str  # content of vehicle_file
     settings: DiscoverySettings
-    runs: Sequence[Path] = ()
-    reference: Sequence[Path] = ()
+    runs: Sequence[Path] = ()  # paths of recordings
+    reference: Sequence[Path] = ()  # paths of recordings
     read_settings: ReadSettings = field(default_factory=ReadSettings)
-    effects: Path | None = None
-    output: Path | None = None
-    jobs: int = 1
-    formats: tuple[str, ...] = ()
-    report: bool = True
-    use_cache: bool = True
-    force: bool = False
+    effects: Path | None = None  # folder of user-defined effects
+    output: Path | None = None  # folder, None for runs/discover-<time>
+    jobs: int = 1  # number of processes
+    formats: tuple[str, ...] = ()  # formats of the figure files
+    report: bool = True  # whether to write a page
+    use_cache: bool = True  # whether to use a cached result
+    force: bool = False  # whether to use runs with errors
+    # Whether to search for a relation beyond the library; if None, this depends on the size of the residual.
     propose: bool | None = None
-    drives: Sequence[Drive] = ()
-    reference_drives: Sequence[Drive] = ()
-    effect_hashes: Mapping[str, str] = field(default_factory=dict)
+    drives: Sequence[Drive] = ()  # read from `runs`
+    reference_drives: Sequence[Drive] = ()  # read from `reference`
+    effect_hashes: Mapping[str, str] = field(default_factory=dict)  # sha256 of each file in `effects`
 
     @property
     def all_drives(self) -> tuple[Drive, ...]:

@@ -44,27 +44,23 @@ ENTRIES = {**VEHICLE_QUANTITIES,
 
 @dataclass(frozen=True)
 class VehicleUpdate:
-    """A vehicle file with effects folded into its entries, and the model for it.
+    """A vehicle file with effects folded into its entries, and the model for it."""
 
-    vehicle, text: updated car and content of vehicle.yaml; original car and "" if vehicle.yaml is not written.
-    model: augmented model for `vehicle`; a folded effect keeps the difference of its value in the best model.
-    folded: effects in vehicle.yaml. not_folded: changes (before, after), by key, of each effect that is not folded
-    because folding would change predictions. changes: (before, after, low, high) by key [SI]; low, high: 95 % interval.
-    error: mean position error of the base model after 5 s [m] with the (original, updated) file; held out if there are
-    several drives. worse_drives: drives with a significantly larger error with the updated file.
-    required_slip_speed: minimum_slip_speed that the model needs [m/s], 0 if the value in the file is sufficient.
-    """
-
-    vehicle: VehicleParameters
-    text: str
+    vehicle: VehicleParameters  # updated car, or the original one if vehicle.yaml is not written
+    text: str  # content of vehicle.yaml; "" if it is not written
+    # Augmented model for `vehicle`; a folded effect keeps the difference of its value in the best model.
     model: AugmentedModel
-    folded: tuple[str, ...]
+    folded: tuple[str, ...]  # effects in vehicle.yaml
+    # (before, after, low, high) by key [SI]; low, high: 95 % interval.
     changes: Mapping[str, tuple[float, float, float, float]]
+    # Changes (before, after), by key, of each effect that is not folded because folding would change predictions.
     not_folded: Mapping[str, Mapping[str, tuple[float, float]]]
+    # Mean position error of the base model after 5 s [m] with the (original, updated) file; held out if there are
+    # several drives.
     error: tuple[float, float] = (math.nan, math.nan)
-    worse_drives: tuple[str, ...] = ()
+    worse_drives: tuple[str, ...] = ()  # drives with a significantly larger error with the updated file
     implausible_values: tuple[str, ...] = ()
-    required_slip_speed: float = 0.0
+    required_slip_speed: float = 0.0  # minimum_slip_speed that the model needs [m/s]; 0 if that of the file suffices
 
     @property
     def improves(self) -> bool:

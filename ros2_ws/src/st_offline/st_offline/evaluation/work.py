@@ -43,27 +43,22 @@ PLANNED_PATH = ("planned_speed", "planned_curvature")  # alternative columns, of
 
 @dataclass(frozen=True)
 class Task:
-    """Settings of an evaluation. models: file name -> model file, and name -> None for each built-in model.
-    vehicle_file: source of `vehicle`. over: "means" (of each horizon) or "samples", for the statistics in the table.
-    starts: times of the predictions drawn in detail [s], () for an automatic choice. folder: folder of the results,
-    None for no files. formats: formats of the figure files. force: whether to evaluate runs in which the checks find
-    errors. bands, course: (file name, content). adaptive: whether to test adaptive bands. effects: folder of the
-    user-defined effects in the model files."""
+    """Settings of an evaluation."""
 
     vehicle: VehicleParameters
-    models: Mapping[str, ModelFile | None]
+    models: Mapping[str, ModelFile | None]  # file name -> model file, and name -> None for each built-in model
     settings: EvaluationSettings = field(default_factory=EvaluationSettings)
     read_settings: ReadSettings = field(default_factory=ReadSettings)
-    vehicle_file: str = ""
-    over: str = "means"
-    starts: tuple[float, ...] = ()
-    folder: Path | None = None
-    formats: tuple[str, ...] = ("png", "pdf")
-    force: bool = False
-    bands: tuple[str, Bands] | None = None
-    course: tuple[str, Course] | None = None
-    adaptive: bool = False
-    effects: Path | None = None
+    vehicle_file: str = ""  # source of `vehicle`
+    over: str = "means"  # "means" (of each horizon) or "samples", for the statistics in the table
+    starts: tuple[float, ...] = ()  # times of the predictions drawn in detail [s], () for an automatic choice
+    folder: Path | None = None  # folder of the results, None for no files
+    formats: tuple[str, ...] = ("png", "pdf")  # formats of the figure files
+    force: bool = False  # whether to evaluate runs in which the checks find errors
+    bands: tuple[str, Bands] | None = None  # (file name, content)
+    course: tuple[str, Course] | None = None  # (file name, content)
+    adaptive: bool = False  # whether to test adaptive bands
+    effects: Path | None = None  # folder of the user-defined effects in the model files
 
     @property
     def model_files(self) -> list[ModelFile]:
@@ -72,22 +67,20 @@ class Task:
 
 @dataclass(frozen=True)
 class RunReport:
-    """Results of one run, picklable. problem: why the run was not evaluated; then only `findings` of the checks are
-    set. ranking: the models by lateral RMSE, in one sentence. metadata: provenance, counts, alignment, warnings. bands:
-    sums of `Scorer` and `sum_shares`. seconds: wall time [s] of reading, predicting and drawing."""
+    """Results of one run, picklable."""
 
     name: str
-    problem: str = ""
-    ranking: str = ""
-    metadata: dict[str, Any] = field(default_factory=dict)
+    problem: str = ""  # why the run was not evaluated; then only `findings` of the checks are set
+    ranking: str = ""  # the models by lateral RMSE, in one sentence
+    metadata: dict[str, Any] = field(default_factory=dict)  # provenance, counts, alignment, warnings
     models: dict[str, Any] = field(default_factory=dict)
     seconds_ahead: dict[str, Any] = field(default_factory=dict)
     bins: list[dict[str, Any]] = field(default_factory=list)
     manoeuvres: list[dict[str, Any]] = field(default_factory=list)
     figures: list[PageFigure] = field(default_factory=list)
-    bands: dict[str, Any] = field(default_factory=dict)
+    bands: dict[str, Any] = field(default_factory=dict)  # sums of `Scorer` and `sum_shares`
     findings: tuple[Finding, ...] = ()
-    seconds: dict[str, float] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)  # wall time [s] of reading, predicting and drawing
 
 
 def evaluate_run(source: RunSource, task: Task, progress: Progress | None = None) -> RunReport:

@@ -21,9 +21,7 @@ SI_FACTORS = {"kg": 1.0, "n": 1.0, "kn": 1000.0, "m": 1.0, "mm": 0.001, "rad": 1
 
 @dataclass(frozen=True)
 class IdentificationJob:
-    """Options of `st identify`. vehicle_file: file of `vehicle`. folder: folder of the results. read_settings: for
-    recordings. force: whether to use drives in which the checks find errors. model: base model of fits by
-    prediction."""
+    """Options of `st identify`."""
 
     experiment: "Experiment"
     files: tuple[Path, ...]
@@ -31,23 +29,22 @@ class IdentificationJob:
     vehicle_file: str
     folder: Path
     read_settings: ReadSettings
-    force: bool
-    model: Model
+    force: bool  # whether to use drives in which the checks find errors
+    model: Model  # base model of fits by prediction
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """One experiment. name: as on the command line. description: one line. required_files: description of the files.
-    identify: reads the files and computes one or more results; raises StCoreError or RunError. draw: draws the figure
-    of a result. needs_files: whether files must be given. uses_recordings: whether the files are recorded drives."""
+    """One experiment."""
 
-    name: str
+    name: str  # as on the command line
     description: str
-    required_files: str
+    required_files: str  # description of the files
+    # Reads the files and computes one or more results; raises StCoreError or RunError.
     identify: Callable[[IdentificationJob], tuple[Identification, ...]]
-    draw: Callable[[Identification, FigureOutput], PageFigure] | None = None
-    needs_files: bool = True
-    uses_recordings: bool = False
+    draw: Callable[[Identification, FigureOutput], PageFigure] | None = None  # draws the figure of a result
+    needs_files: bool = True  # whether files must be given
+    uses_recordings: bool = False  # whether the files are recorded drives
 
 
 def make_estimate_rows(outcome: Identification, vehicle: VehicleParameters) -> list[Sequence[str]]:

@@ -74,23 +74,20 @@ class RunSource:
 
 @dataclass(frozen=True)
 class ReadSettings:
-    """Options for reading runs.
-
-    steering_latency: delay from the motion of the steering wheel to the stamp of its CAN frame [s]. ins_can_latency:
-    delay from the measurement of an INS value to its CAN frame in the log, and its standard deviation [s].
-    accept_doubtful: whether a doubtful alignment is used, with a warning. A refused alignment is never used.
-    for_alignment: whether neither a steering angle nor, in a table, a position is required.
-    """
+    """Options for reading runs."""
 
     dbc: Path | None = None  # None: as in the run.yaml, or else the file of the Leaf
     signals: Path | None = None  # signal table; None as for dbc
     steering_sign: int = 1  # +1 if the decoded angle is positive to the left, else -1
-    steering_latency: float = 0.0
+    steering_latency: float = 0.0  # delay from the motion of the steering wheel to the stamp of its CAN frame [s]
     offset: float | None = None  # INS minus CAN clock [s]; None: as in the run.yaml, or else estimated
     search: tuple[float, float] | None = None  # (lower, upper) bounds of the estimated offset [s]; None: unlimited
-    ins_can_latency: tuple[float, float] | None = None  # None: as in the run.yaml, or else clocks.INS_ON_CAN_DELAY
+    # Delay from the measurement of an INS value to its CAN frame in the log, and its standard deviation [s]; None: as
+    # in the run.yaml, or else clocks.INS_ON_CAN_DELAY.
+    ins_can_latency: tuple[float, float] | None = None
+    # Whether a doubtful alignment is used, with a warning. A refused alignment is never used.
     accept_doubtful: bool = True
-    for_alignment: bool = False
+    for_alignment: bool = False  # whether neither a steering angle nor, in a table, a position is required
     steering: SteeringField | None = None  # for tables, and for bags without st_msgs/Steering
     odometry: str | None = None  # topic to read from a bag with several nav_msgs/Odometry topics
 

@@ -17,25 +17,24 @@ from ..run_types import LoadedRun, ReadSettings, RunSource
 
 @dataclass(frozen=True)
 class Reader:
-    """One kind of recording.
-
-    read: reads the whole drive of a run; raises RunError. None for a kind that never contains the steering angle, so
-    that a run needs CAN logs. read_ins: reads only the INS, for a run with CAN logs. is_folder: whether a folder is one
-    recording. has_drive: whether a file contains a drive, by a quick test; True if undecided. is_incomplete: whether a
-    file without a drive probably should contain one, so that the missing channels are reported. lacks_steering: whether
-    a recording contains no steering angle, so that CAN logs belong to it. is_table: whether it has columns and may
-    consist of several files; `read` and `read_ins` then apply the correction factor of yaw.
-    """
+    """One kind of recording."""
 
     kind: str
     key: str  # key of its files in a run.yaml
     extensions: tuple[str, ...]  # lower case
+    # Reads the whole drive of a run; raises RunError. None for a kind that never contains the steering angle, so that a
+    # run needs CAN logs.
     read: Callable[[RunSource, VehicleParameters | None, ReadSettings], LoadedRun] | None
-    read_ins: Callable[[RunSource, ReadSettings], InsLog] | None = None
-    is_folder: Callable[[Path], bool] | None = None
+    read_ins: Callable[[RunSource, ReadSettings], InsLog] | None = None  # reads only the INS, for a run with CAN logs
+    is_folder: Callable[[Path], bool] | None = None  # whether a folder is one recording
+    # Whether a file contains a drive, by a quick test; True if undecided.
     has_drive: Callable[[Path], bool] = lambda path: True
+    # Whether a file without a drive probably should contain one, so that the missing channels are reported.
     is_incomplete: Callable[[Path], bool] = lambda path: False
+    # Whether a recording contains no steering angle, so that CAN logs belong to it.
     lacks_steering: Callable[[Path], bool] = lambda path: False
+    # Whether it has columns and may consist of several files; `read` and `read_ins` then apply the correction factor of
+    # yaw.
     is_table: bool = False
 
     @property
