@@ -18,6 +18,7 @@ def drive(request):
     return Drive(real_drive(EXAMPLES / "rfs_turn_a.csv") if request.param == "real" else virtual_drive("S6", 3, 60.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FAULTS)
 def test_fault_is_identified_and_its_interval_contains_the_true_size(drive, name):
     kind = KINDS[name]

@@ -36,6 +36,7 @@ def find_free_port() -> int:
         return probe.getsockname()[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ignoring", [False, True], ids=["in front", "in the background"])
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_nodes_end_with_their_launch(tmp_path: Path, number: int, ignoring: bool) -> None:

@@ -34,6 +34,7 @@ def test_input_of_an_earlier_finding_passes(target, path):
     check(target, path.read_bytes())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WITHOUT_OPEN_FINDINGS)
 def test_mutated_inputs_give_no_finding(name):
     """The inputs are the same in every run."""

@@ -181,6 +181,7 @@ def test_bag_of_a_run_with_corrections_and_labels_has_the_recorded_values_and_th
     np.testing.assert_array_equal(read_only_run(tmp_path / "raw.run.yaml", leaf).log.yaw_rate, corrected.log.yaw_rate)
 
 
+@pytest.mark.slow
 def test_bag_has_all_raw_packets_and_frames_with_the_time_of_the_ins(raw: Path, messages: list) -> None:
     log = read_can_logs([raw / "run.mf4"])
     frames, stream = [], b""
@@ -253,6 +254,7 @@ def test_invalid_runs_do_not_prevent_the_import_of_others(raw: Path, tmp_path: P
     assert [f.name for f in (tmp_path / "bags").iterdir()] == ["good"]
 
 
+@pytest.mark.slow
 def test_ins_and_can_log_of_different_drives_are_refused(raw: Path, tmp_path: Path, leaf: VehicleParameters) -> None:
     other = simulate_drive(tmp_path / "other", "--scenario", "S2", can_format="log", duration=30.0)
     mixed = tmp_path / "mixed"

@@ -11,6 +11,7 @@ from ros_processes import free_domain
 pytestmark = pytest.mark.ros
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("parameters", "message"), [
     ({"steering_rato": 17.3}, "unknown parameter steering_rato"),
     ({"steering_sign": 0}, "steering_sign: 0 is not one of 1, -1"),

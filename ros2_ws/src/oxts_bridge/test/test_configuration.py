@@ -29,6 +29,7 @@ def test_sigterm_ends_the_node_with_status_0(tmp_path):
     assert process.returncode == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("parameters", "text"), [
     ({"udp_prot": 3000}, "unknown parameter udp_prot"),
     ({"udp_port": 70000}, "udp_port: 70000 is outside 1 to 65535"),

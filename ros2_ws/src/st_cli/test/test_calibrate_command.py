@@ -34,6 +34,7 @@ def test_calibrate_reports_excluded_runs_and_supported_levels(folder):
     assert (base / "bands.yaml").read_text().count("weave_1.csv") == 2  # files with the same name in two folders
 
 
+@pytest.mark.slow
 def test_recordings_of_one_folder_count_as_one_run_with_together(folder, tmp_path):
     base, _ = folder
     recordings = [base / "known" / f"weave_{k}.csv" for k in range(3)]

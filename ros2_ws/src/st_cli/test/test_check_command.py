@@ -142,6 +142,7 @@ def test_unreadable_input_exits_with_2_and_writes_nothing(tmp_path):
     assert result.exit_code == 2 and "no run can be read" in result.output and not (tmp_path / "o").exists()
 
 
+@pytest.mark.slow
 def test_evaluate_excludes_a_run_with_an_error(faulty_drive, tmp_path, evaluated, checked):
     folder, result, content = evaluated
     assert result.exit_code == 1 and "yaw_rate_scale" in result.output and "--force" in result.output

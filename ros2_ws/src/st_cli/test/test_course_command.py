@@ -47,6 +47,7 @@ def write_geographic(path, rows, latitude=48.0):
     np.savetxt(path, rows, delimiter=",", header=COLUMNS.replace("x,y", "latitude,longitude"), comments="", fmt="%.9f")
 
 
+@pytest.mark.slow
 def test_course_and_run_with_different_origins_share_one_map(folder, tmp_path):
     base, _ = folder
     write_geographic(tmp_path / "old.csv", weave(40.0))
@@ -70,6 +71,7 @@ def test_run_without_an_origin_among_others_is_named(folder, tmp_path):
     assert result.exit_code == 0 and "warning: old: without a map origin" in result.output
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["inputs", "path"])
 def test_planned_columns_add_a_mode(folder, tmp_path, kind):
     base, _ = folder
@@ -97,6 +99,7 @@ def test_invalid_course_file_is_refused(folder, tmp_path):
     assert result.exit_code == 2 and "course.yaml" in result.output
 
 
+@pytest.mark.slow
 def test_adaptive_bands_need_no_calibration(folder, tmp_path):
     base, _ = folder
     result = st("evaluate", base / "old.csv", "--vehicle", base / "car.yaml", "--model", "linear", "--adaptive",

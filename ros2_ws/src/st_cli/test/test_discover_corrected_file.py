@@ -117,6 +117,7 @@ def test_effective_corrections_remain_in_the_model_and_are_marked(recorded_drive
     assert ModelFile.from_yaml(text).effects["friction"]["factor"].effective
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FOLDED)
 def test_updated_file_has_the_values_of_the_folded_effect(recorded_drive, name):
     values = values_of(name, 0.8)
@@ -166,6 +167,7 @@ def test_key_missing_in_the_file_is_added():
     assert found.tyre_front.lambda_muy == 0.8 and replace(found, tyre_front=CAR.tyre_front) == CAR
 
 
+@pytest.mark.slow
 def test_effects_without_a_key_are_written_as_model_of_the_corrected_car(recorded_drive, tmp_path):
     found, update = fold_effects(recorded_drive, ("steering_ratio", {"factor": 0.9}),
                                  ("yaw_rate_bias", {"bias": 0.004}))

@@ -99,6 +99,7 @@ def test_tables_and_figures_are_written(folder):
     assert len(rows) == 1 + 139 and "linear_hindsight_lateral_mean" in rows[0]
 
 
+@pytest.mark.slow
 def test_evaluation_settings_change_the_result_and_are_printed(folder, tmp_path):
     base, _ = folder
     drive = base / "data" / "weave.csv"
@@ -156,6 +157,7 @@ def test_output_folder_is_not_overwritten(folder):
     assert result.exit_code == 2 and "not empty" in result.output
 
 
+@pytest.mark.slow
 def test_model_file_is_evaluated_as_the_augmented_model(folder, tmp_path):
     base, _ = folder
     model = tmp_path / "model.yaml"

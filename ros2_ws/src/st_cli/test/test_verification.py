@@ -167,6 +167,7 @@ def test_deviation_of_yaw_alone_is_found(live):
     assert result.exit_code == 1 and "in yaw 2 mrad (limit 1 mrad)" in " ".join(result.output.split())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unreceived", [range(17), range(250, 400)], ids=["discovered late", "restarted"])
 def test_predictions_before_the_filter_settles_are_excluded_and_counted(live, unreceived, monkeypatch):
     live.unreceived = unreceived

@@ -106,6 +106,7 @@ def assert_lanes_equal_floats(car, base, name, all_at_null=None):
 
 
 # numpy with effects: test_effects.py, test_batch_equals_loop_and_arrays_equal_floats.
+@pytest.mark.slow
 @needs_numba
 @pytest.mark.parametrize(("base", "name"), QUICK)
 def test_effects_in_lanes_equal_floats(leaf, base, name):
@@ -178,6 +179,7 @@ def test_yaw_of_many_turns_predicts_the_same_path(leaf, backend):
     np.testing.assert_allclose(many_turns[:4], single[:4], atol=5e-10)
 
 
+@pytest.mark.slow
 @needs_numba
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="reads x86 instructions")
 @pytest.mark.parametrize("name", MODELS)

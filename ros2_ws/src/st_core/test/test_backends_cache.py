@@ -104,6 +104,7 @@ def test_every_set_of_effects_has_its_own_kernel(install):
     assert halved not in (offset, plain)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("file", "old", "new"), [
     ("tyres.py", "return -cornering_stiffness * slip", "return -1.1 * cornering_stiffness * slip"),
     *(pytest.param(*edit, marks=pytest.mark.slow) for edit in (

@@ -56,6 +56,7 @@ def bands(leaf, logs):
     return Bands(leaf.name, leaf.hash, SETTINGS.as_dict(), {}, 10, domain, found, hashes)
 
 
+@pytest.mark.slow
 def test_live_bands_equal_those_of_the_file_for_the_recorded_drive(bands, logs):
     log, live = logs[10], CalibratedBands(bands, MODELS)
     history = MeasurementHistory(2.0, SETTINGS.prediction.maximum_gap, SETTINGS.prediction.filter_cutoff)

@@ -36,6 +36,7 @@ def assert_equal_to_rounding(values, reference):
     assert np.max(np.abs(values - reference) / np.maximum(1.0, np.abs(reference))) <= 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MODELS)
 def test_thousand_predictions_of_five_seconds_equal_floats(leaf, name):
     model, (states, inputs) = MODELS[name], random_cases(1000)

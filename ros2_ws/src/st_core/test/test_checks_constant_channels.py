@@ -25,6 +25,7 @@ def with_constant(log, *names, value=0.0):
     return replace(log, **{name: np.full_like(getattr(log, name), value) for name in names})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", [0.0, 0.3])
 @pytest.mark.parametrize("name", CHANNELS)
 def test_constant_channel_is_reported(log, leaf, name, value):
@@ -34,6 +35,7 @@ def test_constant_channel_is_reported(log, leaf, name, value):
     assert finding.advice.kind == "look"  # leaving out the complete drive is no correction
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("names", list(combinations(CHANNELS, 2)), ids=" and ".join)
 def test_two_constant_channels_are_an_error_unless_both_are_optional(log, leaf, names):
     errors = check(with_constant(log, *names), leaf).with_severity(Severity.ERROR)

@@ -119,11 +119,13 @@ def equal_as_printed(line, entry):
     return line == (entry if isinstance(entry, str) else pytest.approx(entry, rel=1e-4))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_healthy_drive_has_no_findings(car, seed):
     assert check(exact_drive(car, seed=seed), car).findings == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "value", "fault"), FAULTS, ids=[f"{name} {value:.4g}" for name, value, _ in FAULTS])
 def test_fault_is_estimated_and_its_correction_removes_it(log, leaf, name, value, fault):
     wrong = fault(log)
@@ -139,6 +141,7 @@ def test_fault_is_estimated_and_its_correction_removes_it(log, leaf, name, value
     assert findings_by_name(corrected_drive(wrong, advice.entry, leaf), leaf) == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "fault"), CONVENTION_FAULTS)
 def test_wrong_unit_axis_or_convention_is_an_error_and_its_correction_removes_it(log, leaf, name, fault):
     wrong = fault(log)
@@ -218,6 +221,7 @@ def test_longitude_positive_to_the_west_is_not_taken_for_a_compass_heading(log, 
     assert check(corrected_drive(wrong, found.advice.entry, leaf), leaf, geographic).findings == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("channels", "name"), [(POSITION, "position_scale"), (VELOCITY, "velocity_scale")])
 @pytest.mark.parametrize("factor", [1.05, 0.95])
 def test_wheel_speeds_decide_between_wrong_positions_and_wrong_velocity(log, leaf, channels, name, factor):
@@ -227,6 +231,7 @@ def test_wheel_speeds_decide_between_wrong_positions_and_wrong_velocity(log, lea
     assert check(corrected_drive(scaled(factor, *channels)(log), found.advice.entry, leaf), leaf, wheels).findings == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.25, 3.0])
 def test_wrong_scale_of_positions_gives_no_other_measuring_point(leaf, factor):
     """Without accelerations, the scale is attributed to the velocity, which then moves the point that it gives."""
@@ -247,6 +252,7 @@ def test_steering_wheel_offset_is_corrected_in_the_vehicle_file(log, leaf, angle
     assert findings_by_name(wrong.with_steering(corrected), corrected) == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.0, -1.0, DEG_PER_RAD])
 @pytest.mark.parametrize("angle", [0.04, -0.03])
 def test_road_wheel_offset_is_corrected_in_run_yaml(log, leaf, factor, angle):
@@ -278,6 +284,7 @@ def test_slow_velocity_is_no_scale_of_both_axes_if_the_projection_is_spherical(l
     assert "velocity_scale" in findings_by_name(wrong, leaf)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_scale_of_the_velocity_is_no_scale_of_both_axes_if_these_differ_only_by_noise(log, leaf, seed):
     noise = lfilter([0.2], [1.0, -0.98], np.random.default_rng(seed).normal(size=(2, len(log.x))))  # 1 m, 0.5 s
@@ -308,6 +315,7 @@ def test_scale_of_yaw_and_yaw_rate_are_alternatives_if_positions_are_too_noisy(l
         assert finding.text.endswith("times its true value: positions fit both")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ahead", [-0.4, -1.52])
 @pytest.mark.parametrize("drift", [0.05, 0.1, 0.3])  # m/s, root mean square, with a time constant of 5 s
 def test_drift_of_the_lateral_velocity_is_no_scale(leaf, ahead: float, drift: float):
@@ -332,6 +340,7 @@ def test_measuring_point_gets_no_correction_if_rear_wheels_steer_with_speed(leaf
     assert finding.advice.kind == "look" and "does not fit the rear slip of the vehicle file" in finding.text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("first", "second"), [
     (scaled(1.05, "yaw_rate"), biased(0.05, "yaw_rate")), (scaled(DEG_PER_RAD, "yaw_rate"), delayed(0.3, "yaw_rate")),
     (scaled(DEG_PER_RAD, "yaw"), scaled(DEG_PER_RAD, "yaw_rate")),
@@ -350,6 +359,7 @@ def test_two_faults_give_two_findings_whose_corrections_combine(log, leaf, first
     assert findings_by_name(corrected_drive(wrong, {"correct": entry}, leaf), leaf) == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "fault", "severity"), [
     ("x_scale", scaled(1.003, "x"), "note"), ("x_scale", scaled(0.964, "x"), "warning"),
     ("yaw_rate_bias", biased(0.004, "yaw_rate"), "note"), ("yaw_rate_bias", biased(0.012, "yaw_rate"), "warning"),

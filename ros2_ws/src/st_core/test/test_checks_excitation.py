@@ -41,6 +41,7 @@ def test_run_at_standstill_has_no_findings_and_does_not_change_those_of_other_ru
     assert compare_runs([*delayed_runs, stationary]) == compared and compared[0].consistent
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0005, 0.004, 0.01])
 def test_delayed_sensor_gives_one_finding_in_every_kind_of_driving(leaf, noise):
     drives = [exact_drive(leaf, 60.0, speed=speed, turning=turning, noise=Noise(yaw=noise))
@@ -64,6 +65,7 @@ def test_noise_of_positions_across_a_straight_drive_is_no_scale_of_an_axis(leaf,
     assert {finding.name for finding in found.findings} <= {"position_noise"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.9, 0.97, 1.1, 1.18])
 def test_wrong_nominal_sampling_rate_gives_one_finding(leaf, factor):
     log = exact_drive(leaf, 60.0)

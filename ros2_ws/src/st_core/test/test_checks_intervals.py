@@ -42,6 +42,7 @@ def test_coverage_of_regression_coefficients(correlation):
     assert_coverage([estimate["b"] for estimate in found], -0.3, 0.85, RUNS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("lag", "correlation"), [(0.2, 0.3), (-0.3, 2.0)])
 def test_coverage_of_lag_scale_and_bias(lag, correlation):
     time = np.arange(0.0, 60.0, 0.02)

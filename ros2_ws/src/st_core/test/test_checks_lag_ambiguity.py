@@ -21,6 +21,7 @@ def lag_findings(log, car=None):
     return {name: finding for name, finding in findings_by_name(log, car).items() if name.endswith("_lag")}
 
 
+@pytest.mark.slow
 def test_periodic_motion_gives_no_lag_finding(leaf):
     checked = [check(exact_drive(leaf, 60.0, **SLALOM, seed=seed), leaf) for seed in SEEDS]
     assert not [finding.name for each in checked for finding in each.findings if finding.name.endswith("_lag")]
@@ -82,6 +83,7 @@ def test_equal_steering_lag_in_several_sweeps_gives_one_consistent_finding(leaf)
     assert finding.name == "steering_lag" and finding.consistent and finding.mean == pytest.approx(0.3, abs=0.04)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", [5.0, 20.0])
 def test_course_as_yaw_gives_no_yaw_rate_lag(leaf, speed):
     parts = tuple((0.6 / speed, period, period) for period in (9.0, 5.0, 3.1, 2.3))
@@ -104,6 +106,7 @@ def test_course_as_yaw_gives_no_yaw_rate_lag(leaf, speed):
     assert delayed.severity is Severity.WARNING and delayed.advice.kind == "run.yaml"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [0.1, 0.3, -0.3])
 @pytest.mark.parametrize(("name", "channels"), [
     ("velocity_lag", ("velocity_x", "velocity_y")), ("velocity_x_lag", ("velocity_x",))])
@@ -123,6 +126,7 @@ def test_lag_of_velocities_names_velocity_x_too_if_the_lateral_velocity_is_small
     assert finding.name in ("velocity_lag", "velocity_x_lag") and finding.text.endswith(": both fit this drive")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [1.0005, 0.9995])
 def test_steering_clock_of_another_rate_is_no_steering_lag(leaf, rate):
     log = exact_drive(leaf, 400.0, rate=20.0)

@@ -63,6 +63,7 @@ def with_implausible_samples(log, car, channel, edit):
     return (log.with_steering(car) if wheel else log), places
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("channel", CHANNEL_LIMITS)
 @pytest.mark.parametrize("kind", FAULTS)
 def test_implausible_samples_are_reported_and_left_out_without_other_findings(log, leaf, kind, channel):
@@ -87,6 +88,7 @@ def test_implausible_samples_are_reported_and_left_out_without_other_findings(lo
         assert kept.sum() >= len(time) - 1.2 * len(places) - 10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("channel", [name for name in CHANNEL_LIMITS if name not in ("x", "y", "yaw")])
 def test_zeros_in_a_moving_car_are_reported_as_sentinel_values(log, leaf, channel):
     peak = int(np.argmax(np.abs(getattr(log, "road_wheel_angle" if "wheel" in channel else channel))[500:-500]))
@@ -96,6 +98,7 @@ def test_zeros_in_a_moving_car_are_reported_as_sentinel_values(log, leaf, channe
     assert {finding.name for finding in findings} == {"sentinel_values"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.7, 0.85])
 @pytest.mark.parametrize("channel", ["yaw_rate", "acceleration_y", "road_wheel_angle", "steering_wheel_angle"])
 def test_wrapped_channel_is_the_only_error(log, leaf, channel, share):

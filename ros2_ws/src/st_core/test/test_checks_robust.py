@@ -49,11 +49,13 @@ HEALTHY = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", HEALTHY)
 def test_healthy_drive_of_any_kind_has_no_error(leaf, kind):
     assert errors(exact_drive(leaf, **HEALTHY[kind]), leaf) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", [
     lambda log: replace(log, x=log.x + 5e5, y=log.y + 5e6),
     lambda log: replace(log, yaw=log.yaw + 20.0 * np.pi),

@@ -57,6 +57,7 @@ def test_channel_statistics(leaf):
     assert channels["yaw_rate"].unit == "rad/s" and channels["road_wheel_angle"].repeated < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("channel", "coarse", "fine"), [
     ("x", 0.5, 0.01), ("yaw", np.deg2rad(1.0), np.deg2rad(0.01)), ("velocity_x", 0.2, 0.005)])
 def test_coarse_resolution_is_reported(log, channel, coarse, fine):
@@ -87,6 +88,7 @@ def freeze(log, channel, begin, end):
     return replace(log, **{channel: values}, **({"steering_wheel_angle": None} if steering else {}))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("channel", ["x", "yaw", "velocity_x", "yaw_rate", "acceleration_y", "road_wheel_angle"])
 def test_frozen_channel_is_found_while_the_car_moves(log, leaf, channel):
     finding = findings_by_name(freeze(log, channel, 10.0, 16.0), leaf)["channel_frozen"]

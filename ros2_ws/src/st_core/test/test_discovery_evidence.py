@@ -53,6 +53,7 @@ def p_values(problem) -> dict[str, float]:
 # Significance
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("common", [0.0, 0.7])
 def test_pure_noise_has_false_alarms_at_the_stated_rate(common):
     """The p-value of 0.01 is for the whole library, also if windows of a block have common errors."""

@@ -124,6 +124,7 @@ def test_budget_of_a_single_part_does_not_depend_on_the_order():
 # Intervals
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("common", [0.0, 0.8])
 def test_intervals_cover_the_truth(common):
     """95 of 100, also with errors common to a block; fewer than 88 of 100 occur with probability 0.002."""

@@ -36,6 +36,7 @@ def test_effects_with_a_sensor_estimate():
     assert all(EFFECTS[effect].kind == "sensors" for effect, _ in SENSOR_ESTIMATES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("multiple", [-1.0, 2.5])
 @pytest.mark.parametrize(("effect", "parameter"), SENSOR_ESTIMATES)
 def test_check_estimates_the_value_of_the_effect(leaf, drive, effect, parameter, multiple):

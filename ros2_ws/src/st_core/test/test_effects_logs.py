@@ -45,6 +45,7 @@ def predict_individually(base, name, share, car) -> np.ndarray:
     return np.array(paths)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("backend", ["numpy", "lanes"])
 @pytest.mark.parametrize("base", MODELS)
 def test_batch_over_a_log_equals_individual_predictions(leaf, backend, base):

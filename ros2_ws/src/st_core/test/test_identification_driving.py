@@ -78,6 +78,7 @@ def test_prediction_fit_separates_offset_misalignment_and_gyro_bias(leaf, start_
     assert any("yaw rate bias" in warning and "+0.004" in warning for warning in found.warnings)
 
 
+@pytest.mark.slow
 def test_steering_ratio_from_slow_and_fast_bends(leaf, weaving, start_vehicle):
     start = replace(start_vehicle, steering_ratio=19.5)
     found = identify_steering(weaving, start, "linear")

@@ -47,6 +47,7 @@ def logs(leaf, request):
             for speed, angle in ((8.0, 0.12), (11.0, 0.075), (14.0, 0.055))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("identify", [
     identify_stiffness, lambda logs, car: fit_stiffness(logs, car, "linear"), fit_stiffness],
     ids=["regression", "linear prediction", "nonlinear prediction"])

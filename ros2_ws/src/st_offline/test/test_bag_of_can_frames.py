@@ -55,6 +55,7 @@ def write_bag(folder: Path, log: DriveLog, frames: Frames, storage: StoragePlugi
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("storage", "stamped"), [
     (StoragePlugin.MCAP, True), (StoragePlugin.MCAP, False), (StoragePlugin.SQLITE3, True)])
 def test_steering_is_decoded_from_the_frames(raw, tmp_path, storage, stamped):

@@ -200,6 +200,7 @@ def test_page_contains_every_finding_escaped_and_loads_nothing(tmp_path):
     assert make_title(runs).startswith("Errors in 1 of 2 runs (<script>")
 
 
+@pytest.mark.slow
 def test_page_of_many_runs_is_small(tmp_path):
     runs = [make_run(f"drive {number}") for number in range(60)]
     write_page(tmp_path / "p.html", runs, {}, build_document(runs, {}))

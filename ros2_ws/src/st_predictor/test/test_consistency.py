@@ -70,6 +70,7 @@ def reverse_steering(rows: np.ndarray) -> np.ndarray:
     return -rows[:, STEERING]
 
 
+@pytest.mark.slow
 def test_consistent_measurements_have_no_warning(road: np.ndarray) -> None:
     verdicts = CheckedDrive().drive(road).verdicts
     agreed = [verdict for _, verdict in verdicts if "agree" in verdict.message]
@@ -100,6 +101,7 @@ def test_fault_is_reported_and_clears(road: np.ndarray, column: int, change: Cha
     assert after and all("agree" in verdict.message for verdict in after)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [0.5, 6.4, 640.0])
 def test_position_jump_gives_no_warning(road: np.ndarray, size: float) -> None:
     rows = road.copy()
@@ -110,6 +112,7 @@ def test_position_jump_gives_no_warning(road: np.ndarray, size: float) -> None:
     assert "agree" in drive.verdicts[-1][1].message
 
 
+@pytest.mark.slow
 def test_fault_after_a_position_jump_is_reported(road: np.ndarray) -> None:
     rows = road.copy()
     rows[rows[:, 0] >= FAULT_BEGIN, 1] += 6.4
@@ -165,6 +168,7 @@ def test_failed_check_is_a_warning(road: np.ndarray) -> None:
     assert verdict.message.startswith("check failed: AttributeError: ")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [MAX_CPU_FRACTION, 0.5 * MAX_CPU_FRACTION, 0.002])
 def test_check_uses_at_most_its_share_of_a_core(road: np.ndarray, share: float) -> None:
     drive = CheckedDrive(share=share).drive(road)

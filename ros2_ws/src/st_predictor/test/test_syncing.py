@@ -66,6 +66,7 @@ def record(directory: Path, seconds: float, synced: bool = True, padding: str = 
     return bag, written
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tail", [b"", b"\0", b"\xa5"], ids=["cut", "zeros", "old bytes"])
 @pytest.mark.parametrize("seconds", [1.6, 2.3])
 def test_power_loss_loses_at_most_the_last_second(disk: Disk, tmp_path: Path, seconds: float, tail: bytes) -> None:

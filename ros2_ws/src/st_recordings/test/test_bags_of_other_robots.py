@@ -141,6 +141,7 @@ def write_ros1(file: Path, log: DriveLog, *topics: str) -> Path:
     return file
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("topics", "settings", "rotated"), [
     (("/imu/data", "/fix", "/twist", "/steer"), STEER, True), (("/pose", "/twist", "/steer"), STEER, False),
     (("/pose", "/vehicle/status/velocity_status", "/vehicle/status/steering_status"), ReadSettings(), False)],
@@ -153,6 +154,7 @@ def test_bag_without_odometry_is_read_as_a_table(tmp_path: Path, drive_log: Driv
     assert not run.warnings and run.log.name == "drive" and run.provenance["recorded"] == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("topics", "warning"), [
     (("/imu/data", "/fix", "/map_velocity", "/steer"), ""), (("/imu/data", "/fix", "/gps_velocity", "/steer"), ""),
     (("/imu/data", "/pose", "/base_link_velocity", "/steer"),
@@ -379,6 +381,7 @@ def test_split_bag_whose_first_file_has_no_odometry_is_read(tmp_path: Path, driv
         np.testing.assert_allclose(log.velocity_x, drive_log.velocity_x[first.stop:], atol=2e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("topics", [("/odom", "/steer"), ("/imu/data", "/fix", "/twist", "/steer")])
 def test_bag_of_ros_1_is_read(tmp_path: Path, drive_log: DriveLog, topics) -> None:
     file = write_ros1(tmp_path / "drive.bag", drive_log, *topics)

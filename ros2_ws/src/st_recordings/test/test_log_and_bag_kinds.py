@@ -235,6 +235,7 @@ LOGS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("log", LOGS, ids=[f"{log.name}: {log.title}" for log in LOGS])
 def test_can_log_gives_the_steering(ncom_folder: Path, drive_log: DriveLog, frame_lines: list[str], log: Log) -> None:
     (ncom_folder / log.name).write_bytes(log.text(frame_lines).encode(log.encoding))
@@ -263,6 +264,7 @@ def test_number_base_of_a_table_of_frames(tmp_path: Path, ids: str, bytes_: str,
     assert _find_number_formats(tmp_path / "a.csv", names, ",", roles) == (*bases, "s", True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("change", "error"), [
     (lambda h, d: f"{h}#{d[:8]}", r"2\d+ of 2\d+ frames \(100 %\) have 4 bytes instead of 5 as in the DBC"),
     (lambda h, d: f"{h}#{d}010203", r"have 8 bytes instead of 5 as in the DBC; 2\d+ frames are not used"),
@@ -392,6 +394,7 @@ BAGS: list[tuple[str, Callable[[Path, DriveLog], Path], ReadSettings, str]] = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("write", "settings", "warning"), [row[1:] for row in BAGS], ids=[row[0] for row in BAGS])
 def test_bag_gives_the_drive(tmp_path: Path, drive_log: DriveLog, write, settings: ReadSettings, warning: str) -> None:
     (source,) = find_runs([write(tmp_path, drive_log)])
@@ -463,6 +466,7 @@ def test_csv_or_bag_of_an_ins_is_paired_with_a_can_log(tmp_path: Path, drive_fol
     assert run.provenance["reader"] == f"{kind} and CAN log"
 
 
+@pytest.mark.slow
 def test_yaw_of_a_csv_with_a_can_log_is_corrected(tmp_path: Path, drive_folder: Path, drive_log: DriveLog) -> None:
     (tmp_path / "run.log").write_bytes((drive_folder / "run.log").read_bytes())
     cells = [[*row[:3], f"{np.degrees(float(row[3])) % 360:.6f}", *row[4:7]] for row in rows(drive_log)]

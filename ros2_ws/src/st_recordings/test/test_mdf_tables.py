@@ -46,6 +46,7 @@ def write_signals(file: Path, log: DriveLog, version: str = "4.10", steering: bo
         return Path(mdf.save(file, overwrite=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "options"), [
     ("drive.mf4", {}), ("inca.mf4", {"device": "\\CAN-Monitoring:1"}), ("old.mdf", {"version": "3.30"}),
     ("inca.dat", {"version": "3.30"}), ("invalid.mf4", {"invalid": 20})])

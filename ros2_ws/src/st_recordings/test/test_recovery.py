@@ -85,6 +85,7 @@ def test_truncation_at_and_near_every_record(complete: Path, tmp_path: Path) -> 
         check_numbers(directory, count_recoverable(complete, length), with_metadata=False)
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(share=st.floats(0.0, 1.0, exclude_max=True))
 def test_truncation_anywhere(complete: Path, tmp_path: Path, share: float) -> None:
@@ -101,6 +102,7 @@ def test_truncation_anywhere(complete: Path, tmp_path: Path, share: float) -> No
     check_numbers(directory, count_recoverable(complete, length))
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(share=st.floats(0.0, 1.0, exclude_max=True), flip=st.integers(1, 255))
 def test_one_wrong_byte_affects_only_what_follows_it(complete: Path, tmp_path: Path, share: float, flip: int) -> None:

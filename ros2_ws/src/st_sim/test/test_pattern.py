@@ -119,6 +119,7 @@ def rmse(values):
     return math.sqrt(np.mean(np.square(values)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["S3", "S4", "S7"])
 def test_kinematic_error_exceeds_the_linear_one_by_the_factor_of_the_paper(name):
     errors = compute_errors(name, 55 if name == "S7" else 12)

@@ -35,6 +35,7 @@ def read_truth(folder):
         return messages, metadata
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("can_format", ["log", "mf4"])
 def test_files_are_identical_for_equal_seeds(tmp_path, can_format):
     name = f"run.{can_format}"
@@ -147,6 +148,7 @@ class LiveRun:
         return [json.loads(line) for line in out.splitlines()], err
 
 
+@pytest.mark.slow
 def test_live_outputs_arrive_on_real_sockets(tmp_path):
     live = LiveRun(tmp_path, "--duration", "2", "--ncom-rate", "250", "--can-rate", "full")
     live.listen(lambda: False)
@@ -170,6 +172,7 @@ def test_live_outputs_arrive_on_real_sockets(tmp_path):
     assert [m[0] for m in messages] == list(range(stamps[0], stamps[0] + 2_000_000_000, 10_000_000))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signal_closes_the_files(tmp_path, number):
     live = LiveRun(tmp_path, "--duration", "1000")
@@ -183,6 +186,7 @@ def test_signal_closes_the_files(tmp_path, number):
     assert len(messages) >= 60 and "settings" in metadata
 
 
+@pytest.mark.slow
 def test_repeated_signals_do_not_change_the_exit_status(tmp_path):
     options = ["--vehicle", str(LEAF), "--to-files", str(tmp_path), "--duration", "1"]
     command = [sys.executable, "-m", "st_sim.run", *options]
@@ -193,6 +197,7 @@ def test_repeated_signals_do_not_change_the_exit_status(tmp_path):
     assert process.returncode == 0 and process.communicate()[1] == ""
 
 
+@pytest.mark.slow
 def test_signal_closes_the_files_in_file_mode(tmp_path):
     command = [sys.executable, "-m", "st_sim.run", "--vehicle", str(LEAF), "--to-files", str(tmp_path), "--duration",
                "9e5"]
@@ -275,6 +280,7 @@ def test_wrong_argument_is_refused_in_one_line(arguments, output, capsys):
     assert output in err
 
 
+@pytest.mark.slow
 def test_live_drive_keeps_the_true_motion_of_earlier_drives_in_its_folder(tmp_path):
     """As the recorder keeps its bags."""
     for name in ("truth.mcap", "truth_2.mcap", "truth_3.mcap"):

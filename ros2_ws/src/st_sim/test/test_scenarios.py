@@ -179,6 +179,7 @@ def test_ramp_exceeds_the_limit_of_adhesion():
     assert d.steering_wheel[at_limit] > 1.2 * d.steering_wheel[earlier] and d.ay[at_limit] < 1.05 * d.ay[earlier]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_driver_is_limited_and_repeatable(name):
     """Steering wheel rate and rate of the drive force are limited, and equal seeds give equal drives."""

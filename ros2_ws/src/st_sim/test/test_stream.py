@@ -142,6 +142,7 @@ def test_antenna_lever_arm_is_constant_once_known():
     assert known and fields["ImuTemperature"] == pytest.approx(38.5) and fields["NtripStatus"] == 6
 
 
+@pytest.mark.slow
 def test_starting_unit_passes_through_its_states():
     emitted = outputs(30, start_up=True)
     received, parser = parse(emitted)
@@ -224,6 +225,7 @@ def test_outputs_are_sorted_and_delayed():
     assert first.due == pytest.approx(0.002 + 0.03)
 
 
+@pytest.mark.slow
 def test_losses_leave_countable_gaps():
     emitted = outputs(8, ("ins_packet_loss=0.1", "can_frame_loss=0.1", "ins_outage_every=5"))
     times = [(r.utc_ns - START_NS) / 1e9 for r in parse(emitted)[0] if r.utc_ns]
