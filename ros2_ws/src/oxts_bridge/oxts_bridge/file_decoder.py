@@ -48,21 +48,16 @@ _UTC_OFFSET = np.array([  # indexed by byte 7 of channel 16
 
 @dataclass(kw_only=True)
 class Columns(Packet):
-    """The accepted packets of a file as columns, in file order; structure B packets have kind EMPTY.
+    """The accepted packets of a file as columns, in file order; structure B packets have kind EMPTY."""
 
-    offset: first byte in the file.  raw: (n, 72) uint8.  kind: index into KINDS.  order: as in ReceivedPacket.
-    gps_ns: [ns since 1980-01-06], utc_ns: [ns since 1970], UNKNOWN_TIME where unknown.  is_approximate: true for
-    navigation values sent before the first fix.  has_status: batch S is valid.
-    """
-
-    offset: np.ndarray
-    raw: np.ndarray
-    kind: np.ndarray
-    order: np.ndarray
-    gps_ns: np.ndarray
-    utc_ns: np.ndarray
-    is_approximate: np.ndarray
-    has_status: np.ndarray
+    offset: np.ndarray  # index of the first byte in the file
+    raw: np.ndarray  # (n, 72) uint8
+    kind: np.ndarray  # index into KINDS
+    order: np.ndarray  # as in ReceivedPacket
+    gps_ns: np.ndarray  # [ns since 1980-01-06], UNKNOWN_TIME where unknown
+    utc_ns: np.ndarray  # [ns since 1970], UNKNOWN_TIME where unknown
+    is_approximate: np.ndarray  # whether the navigation values were sent before the first fix
+    has_status: np.ndarray  # whether batch S is valid
     checksum_errors: int  # as in Counters
     skipped_bytes: int  # as in Counters
 

@@ -70,18 +70,16 @@ class NcomError(ValueError):
 
 
 class StatusRule(NamedTuple):
-    """Contents of a packet at a navigation status (byte 21).
-
-    kind: "regular" (a measurement); "trigger" (an event with its time in batch S); "status" (only batch S is valid); or
-    "empty" (nothing is valid). navigation: validity of position, velocity and angles: "none", "valid", or "approximate"
-    (before the first fix, not published). has_time: bytes 1-2 are valid. is_defined: the manual defines this status.
-    """
+    """Contents of a packet at a navigation status (byte 21)."""
 
     text: str
+    # "regular" (a measurement); "trigger" (an event with its time in batch S); "status" (only batch S is valid); or
+    # "empty" (nothing is valid).
     kind: str = "empty"
+    # Validity of position, velocity, angles: "none", "valid", or "approximate" (before the first fix, not published).
     navigation: str = "none"
-    has_time: bool = False
-    is_defined: bool = True
+    has_time: bool = False  # bytes 1-2 are valid
+    is_defined: bool = True  # the manual defines this status
 
     @property
     def has_status(self) -> bool:

@@ -25,9 +25,12 @@ STEPS = (0.01, 0.02, 0.05, 0.1)  # s; the description states the lowest stable s
 
 def export_model(model: Model, vehicle: VehicleParameters, folder: Path, kind: Format, substeps: int = 1,
                  free: Iterable[str] = (), bands: Bands | None = None) -> list[Path]:
-    """Write the functions of a model, model.json and README.md into an existing folder; returns the files. free:
-    parameters that remain arguments of the functions. bands: each mode and level in LEVELS becomes a CasADi function of
-    the half-widths. Raises ConfigurationError for an unknown parameter in `free`, and for bands without this model."""
+    """Write the functions of a model, model.json and README.md into an existing folder; returns the files.
+
+    free: parameters that remain arguments of the functions. bands: each mode and level in LEVELS becomes a CasADi
+    function of the half-widths. Raises ConfigurationError for an unknown parameter in `free`, and for bands without
+    this model.
+    """
     symbolic = build(model, vehicle, substeps, free)
     if kind == "casadi":
         files = [folder / f"{function.name()}.casadi" for function in symbolic.functions]
@@ -114,9 +117,11 @@ def _format_readme(description: dict[str, Any], kind: Format) -> str:
 def make_half_width_function(band: Band, level: float, vehicle: VehicleParameters,
                              name: str = "half_widths") -> casadi.Function:
     """CasADi function that returns the half-widths of a band, (points of the horizon, 3): along, across [m], yaw [rad].
+
     Its arguments are x: the six states at the CG; u: road_wheel_angle [rad], velocity_x_dot [m/s^2]; steering_activity
     [rad/s]: root mean square rate of the road-wheel angle in the last second. Its values equal `Band.half_widths`; the
-    calibration domain is not checked. Raises ConfigurationError for a level without a band."""
+    calibration domain is not checked. Raises ConfigurationError for a level without a band.
+    """
     if level not in band.factors:
         levels = ", ".join(f"{available:g}" for available in band.factors)
         raise ConfigurationError(f"the bands have no level {level:g}; use {levels}")

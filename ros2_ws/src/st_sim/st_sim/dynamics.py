@@ -39,15 +39,12 @@ p_ey1, p_ey2, p_ey3; see `tyre_force`."""
 
 
 class Constants(NamedTuple):
-    """Parameters of the equations of motion [SI]; see SETTINGS. to_front, to_rear: from the CG to each axle. ackermann:
-    (left - right front wheel angle) / 2 / squared sine of their mean. max_relaxation_rate: limit for a stable
-    integration [1/s]. transfer_x: load change of one wheel per a_x, transfer_y: of both wheels of a side per a_y [kg].
-    static_front, static_rear: static load of one wheel [N]."""
+    """Parameters of the equations of motion [SI]; see SETTINGS."""
 
     mass: float
     yaw_inertia: float
-    to_front: float
-    to_rear: float
+    to_front: float  # from the CG to the axle
+    to_rear: float  # from the CG to the axle
     steering_lag: float
     steering_offset: float
     steering_compliance: float
@@ -55,17 +52,17 @@ class Constants(NamedTuple):
     rear_roll_steer: float
     roll_gradient: float
     camber_thrust: float
-    ackermann: float
-    max_relaxation_rate: float
+    ackermann: float  # (left - right front wheel angle) / 2 / squared sine of their mean
+    max_relaxation_rate: float  # limit for a stable integration [1/s]
     relaxation_length: float
     combined_slip: float
     rolling_resistance: float
     drag_area: float
     drive_offset: float
-    transfer_x: float
-    transfer_y: float
-    static_front: float
-    static_rear: float
+    transfer_x: float  # load change of one wheel per a_x [kg]
+    transfer_y: float  # load change of both wheels of a side per a_y [kg]
+    static_front: float  # static load of one wheel [N]
+    static_rear: float  # static load of one wheel [N]
     still_air: bool
     front: TyreCoefficients
     rear: TyreCoefficients

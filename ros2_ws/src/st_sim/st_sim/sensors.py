@@ -20,25 +20,20 @@ MIN_WHEEL_SPEED, MIN_VEHICLE_SPEED = 1.1 / 3.6, 2.8 / 3.6
 
 @dataclass(slots=True)
 class InsReading:
-    """One epoch of the INS in map axes (ENU) and body axes (FLU) [SI].
+    """One epoch of the INS in map axes (ENU) and body axes (FLU) [SI]."""
 
-    stamp: reported time since the start [s]. velocity_x: along the road, also sent as the horizontal speed (0.5 % too
-    high on a grade of 0.1 rad). velocity_z > 0: up. roll > 0: right side down. pitch > 0: nose up. rates: about x, y,
-    z. specific_force: along x, y, z; at rest on level ground +9.81 along z.
-    """
-
-    stamp: float
+    stamp: float  # reported time since the start [s]
     x: float
     y: float
     z: float
-    velocity_x: float
+    velocity_x: float  # along the road, also sent as the horizontal speed (0.5 % too high on a grade of 0.1 rad)
     velocity_y: float
-    velocity_z: float
+    velocity_z: float  # positive up
     yaw: float
-    roll: float
-    pitch: float
-    rates: tuple[float, float, float]
-    specific_force: tuple[float, float, float]
+    roll: float  # positive right side down
+    pitch: float  # positive nose up
+    rates: tuple[float, float, float]  # about x, y, z
+    specific_force: tuple[float, float, float]  # along x, y, z; at rest on level ground +9.81 along z
 
 
 # Standard deviations of white and slow noise [SI], and correlation time of the slow noise [s]. About half the specified

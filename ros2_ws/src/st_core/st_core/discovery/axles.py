@@ -37,10 +37,14 @@ GAIN_SPEED = 20.0  # m/s, speed at which the steady-state yaw gain is evaluated
 
 
 class Axles:
-    """Forces of both axles in a fitted model. joint_fit: covariance of the values; if None, there are no bands and the
-    intervals have zero width. noise_ratio [1]: ratio of residual to noise, by which bands and intervals are widened.
-    near_vectors: vectors of effect sets that fit nearly as well; the bands include their curves. Raises StCoreError if
-    the base model has no tyres, the drives are too short, or the values are too uncertain for a vehicle file."""
+    """Forces of both axles in a fitted model.
+
+    joint_fit: covariance of the values; if None, there are no bands and the intervals have zero width.
+    noise_ratio: ratio of residual to noise, by which bands and intervals are widened [1].
+    near_vectors: vectors of effect sets that fit nearly as well; the bands include their curves.
+    Raises StCoreError if the base model has no tyres, the drives are too short, or the values are too uncertain for a
+    vehicle file.
+    """
 
     def __init__(self, problem: Problem, fit: Fit, joint_fit: JointFit | None, runs: Sequence[DriveLog],
                  vehicle: VehicleParameters, noise_ratio: float, near_vectors: Sequence[np.ndarray] = ()):

@@ -149,12 +149,13 @@ def judge_naming(e: Evidence, limits: Limits, excludes_null: bool = True, parame
                  violation: str = "") -> Reason:
     """Verdict on whether an accepted effect is named, or only stays in the model to avoid a bias of the other values.
 
-    excludes_null: whether an interval excludes the null. parameter_at_bound: parameter with an interval that crosses
-    its bound, or "". peak_force_share [1]: force reached in the drives divided by the peak force, max of both axles;
-    1 if the effect does not act on the peak. worse_axle: an axle on which the effect acts and where the measured forces
-    agree better with the vehicle file than with the final model, or "". summands: other effects of the model, of which
-    only the sum with this effect is identifiable. violation: range that the car with this effect would violate (see
-    `handling.find_implausible_values`), or "".
+    excludes_null: whether an interval excludes the null.
+    parameter_at_bound: parameter with an interval that crosses its bound, or "".
+    peak_force_share: force reached in the drives divided by the peak force, max of both axles; 1 if the effect does not
+        act on the peak [1].
+    worse_axle: axle on which the effect acts and where measured forces agree better with the vehicle file, or "".
+    summands: other effects of the model, of which only the sum with this effect is identifiable.
+    violation: range that the car would violate with this effect (`handling.find_implausible_values`), or "".
     """
     def demote(text: str, **figures: float) -> Reason:
         return Reason(MINOR, e.name, figures or {"gain": e.gain}, f"{text}: it stays in the model, but is not named")
@@ -237,11 +238,15 @@ def decide(limits: Limits, named: Sequence[Evidence], rivals: Mapping[str, Seque
            refused: Sequence[Evidence], noise_ratio: float, detectable_share: float, varying_effects: int = 0,
            combinations: Sequence[str] = (), effects: int = 0,
            base_noise_ratio: float = 1.0) -> tuple[Outcome, Reason]:
-    """The outcome and its reason. noise_ratio [1]: ratio of the residual to the noise. detectable_share [1]: fraction
-    of the library's effects that are detectable in these drives at a size of one parameter scale. varying_effects:
-    number of effects that vary between parts of the drives. combinations: names of the parameter combinations that
-    differ from the vehicle file and that no named effect changes. effects: number of effects in the model.
-    base_noise_ratio [1]: noise_ratio without these effects."""
+    """The outcome and its reason.
+
+    noise_ratio: ratio of the residual to the noise [1].
+    detectable_share: fraction of the library detectable in these drives at a size of one parameter scale [1].
+    varying_effects: number of effects that vary between parts of the drives.
+    combinations: parameter combinations that differ from the vehicle file and that no named effect changes.
+    effects: number of effects in the model.
+    base_noise_ratio: noise_ratio without these effects [1].
+    """
     def conclude(outcome: Outcome, text: str, **figures: float) -> tuple[Outcome, Reason]:
         return outcome, Reason(outcome, "outcome", figures, text)
 

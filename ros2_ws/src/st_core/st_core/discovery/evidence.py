@@ -26,13 +26,11 @@ Sensors = Mapping[str, tuple[float, float, float]]  # by "effect.parameter": (va
 
 @dataclass(frozen=True)
 class Agreement:
-    """Consistency of an effect across the parts of the driving (runs, sites, ...). ratios: by part, (local divided by
-    overall value, standard deviation). p_equal [1]: p-value of the hypothesis of equal values in all parts. p_absent
-    [1]: probability that the effect is absent or of opposite sign in a new part."""
+    """Consistency of an effect across the parts of the driving (runs, sites, ...)."""
 
-    ratios: Mapping[str, tuple[float, float]]
-    p_equal: float
-    p_absent: float
+    ratios: Mapping[str, tuple[float, float]]  # by part, (local divided by overall value, standard deviation)
+    p_equal: float  # p-value of the hypothesis of equal values in all parts [1]
+    p_absent: float  # probability that the effect is absent or of opposite sign in a new part [1]
 
 
 @dataclass(frozen=True)
@@ -364,10 +362,12 @@ def null_p_value(problem: Problem, fit: Fit, effect: str) -> float:
 
 
 def compare_parts(problem: Problem, fit: Fit, effect: str, part: np.ndarray, names: list[str]) -> Agreement:
-    """Compare the values of an effect in the parts of the driving by a random-effects model. part: (n,) part of each
-    window. names: names of the parts. The ratio of a part is 1 plus the Newton step of its loss in the direction of the
-    fitted values; the other fitted parameters are free, with a weak prior (PART_PRIOR). Variances include the design
-    effect. Parts with less information than MIN_INFORMATION_FRACTION are left out."""
+    """Compare the values of an effect in the parts of the driving by a random-effects model.
+
+    part: (n,) part of each window. names: names of the parts. The ratio of a part is 1 plus the Newton step of its loss
+    in the direction of the fitted values; the other fitted parameters are free, with a weak prior (PART_PRIOR).
+    Variances include the design effect. Parts with less information than MIN_INFORMATION_FRACTION are left out.
+    """
     columns = np.searchsorted(fit.indices, problem.space.indices(effect))
     others = np.setdiff1d(np.arange(len(fit.indices)), columns)
     d = ((fit.vector - problem.space.null) / problem.space.scale)[fit.indices[columns]]

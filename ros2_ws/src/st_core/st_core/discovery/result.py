@@ -60,13 +60,13 @@ class Step:
 
 @dataclass(frozen=True)
 class LocalEstimate:
-    """Estimate of an effect in one run, site, time, place or condition. ratio [1]: change from the null relative to the
-    overall change, possibly negative or above 1; in a `VaryingEffect`, relative to the largest local change. deviation:
-    standard deviation of the ratio."""
+    """Estimate of an effect in one run, site, time, place or condition."""
 
     where: str
+    # Change from the null relative to the overall change, possibly negative or above 1; in a `VaryingEffect`, relative
+    # to the largest local change [1].
     ratio: float
-    deviation: float
+    deviation: float  # standard deviation of the ratio
 
 
 @dataclass(frozen=True)
@@ -198,8 +198,10 @@ class PowerAnalysis:
 @dataclass(frozen=True)
 class LargeErrorRegion:
     """A condition, time or place in which the error is larger than expected from the reference drives or the noise.
+
     channel: one of CHANNELS. excess [1]: root mean square error divided by the expected one, with 95 % interval; for a
-    time or place: this ratio for all driving, multiplied by that of the local errors to those in similar conditions."""
+    time or place: this ratio for all driving, multiplied by that of the local errors to those in similar conditions.
+    """
 
     channel: str
     condition: str

@@ -51,8 +51,11 @@ class SearchState:
 
 
 class Search:
-    """A search from several starts. partitions: partitions of the driving. sensors: see `evidence.Sensors`. tick:
-    called at every refit. judge: function that decides whether an effect is accepted."""
+    """A search from several starts, for the set of effects that predicts held-out driving best.
+
+    partitions: of the driving. sensors: `evidence.Sensors`. seed: of the random signs of blocks. tick: called at every
+    refit. judge: decides whether an effect is accepted.
+    """
 
     def __init__(self, problem: Problem, limits: Limits, partitions: Mapping[str, Partition], sensors: Mapping,
                  seed: int = 0, tick: Callable[[], None] = lambda: None,
@@ -64,8 +67,11 @@ class Search:
         self._fits_tried: list[tuple[np.ndarray, NearSet, float]] = []
 
     def run(self) -> SearchState:
-        """The best set from three starts: the empty set; the set found from it plus all physical effects; the
-        library without composites. The last two starts add no payload and no `forward_only` effect."""
+        """The best set from three starts.
+
+        These are the empty set, the set found from it plus all physical effects, and the library without composites.
+        The last two contain no payload and no `forward_only` effect.
+        """
         p = self.problem
         p.update_design_effect(p.start)
         first = self._step_from(p.fit((), p.all_sensitivities(p.start)))
@@ -97,10 +103,12 @@ class Search:
         return state
 
     def _add_load_rivals(self, state: SearchState) -> None:
-        """Add a load as a rival of lower tyre stiffness, since drives show only the ratio of stiffness to mass. Unless
-        the drives exclude the load, it becomes an alternative to each effect whose values it brings nearer to the
-        vehicle file. If they exclude a load of the prior standard deviation, one of `limits.min_relative_size`
-        parameter scales is tried. Bands of axle forces include the laden car; intervals do not."""
+        """Add a load as a rival of lower tyre stiffness, since drives show only the ratio of stiffness to mass.
+
+        The load is an alternative to each effect whose values it brings nearer to the vehicle file, unless the drives
+        exclude it. A load of the prior standard deviation is tried, then one of `limits.min_relative_size` scales.
+        Bands of axle forces include the laden car; intervals do not.
+        """
         p, names = self.problem, state.fit.names
         for payload in (n for n in p.space.payloads if names and n not in names and not p.space.overlaps(n, names)):
             for size in (p.space.deviation[p.space.indices(payload)], self.limits.min_relative_size):
@@ -182,8 +190,10 @@ class Search:
         return fit
 
     def _select(self, candidates: list[SearchState]) -> SearchState:
-        """The set with the lowest held-out loss plus a penalty of `limits.negligible` per effect and residual; all are
-        compared at the residual scale and the design effect of the set with the smallest errors."""
+        """The set with the lowest held-out loss plus a penalty of `limits.negligible` per effect and residual.
+
+        All are compared at the residual scale and the design effect of the set with the smallest errors.
+        """
         p = self.problem
         if len(candidates) > 1:
             smallest = min(candidates, key=lambda c: float(np.log(p.loss.scale_of(c.fit.vector)).sum()))
@@ -365,9 +375,11 @@ class Search:
         return state
 
     def _find_weakest_failing(self, state: SearchState, required_gain: float = np.inf) -> str:
-        """Fill in `evidence` and `fits_without`, and return the weakest effect that fails the test, or "". An
-        effect counts as significant without a refit if its removal is predicted to raise the loss per residual by more
-        than three times `required_gain`; the other criteria still apply."""
+        """Fill in `evidence` and `fits_without`, and return the weakest effect that fails the test, or "".
+
+        An effect counts as significant without a refit if its removal is predicted to raise the loss per residual by
+        more than three times `required_gain`; the other criteria still apply.
+        """
         p = self.problem
         state.cached_scores = state.cached_scores or self._scores(state.fit)
         state.evidence, state.fits_without = {}, {}

@@ -113,10 +113,15 @@ def _remember(cache: OrderedDict, key: tuple, value: Any, size: int = RECORDING_
 
 
 class Windows:
-    """The n windows of the runs. starts_ns: (n,) starts on the common clock [ns]. run, block: (n,) numbers of the run
-    and of the block. seconds: (n,) starts, counted from the first instant with both INS and steering of the run [s].
+    """The n windows of the runs.
+
+    starts_ns: (n,) starts on the common clock [ns].
+    run, block: (n,) numbers of the run and of the block.
+    seconds: (n,) starts, counted from the first instant of the run with both INS and steering [s].
     time: (k,) time of the scored points after the start of a window [s]; the last is the horizon, or
-    SIDESLIP_SETTLING_TIME later without velocity_y. columns: (c,) names of the errors."""
+        SIDESLIP_SETTLING_TIME later without velocity_y.
+    columns: (c,) names of the errors.
+    """
 
     MIN_SUBSTEPS = 1  # integration steps per STEP
 

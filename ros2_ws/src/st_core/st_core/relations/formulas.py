@@ -24,14 +24,13 @@ ShapeFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Formula:
-    """Formula of a relation. shape: name of the shape. text: y as a function of the quantity u [SI], with numbers.
-    retained_fraction [1]: fraction of the curve's held-out gain that remains when the formula is simulated in its
-    place. causes: possible causes from textbooks."""
+    """Formula of a relation."""
 
-    shape: str
-    text: str
+    shape: str  # name of the shape
+    text: str  # y as a function of the quantity u [SI], with numbers
+    # Fraction of the curve's held-out gain that remains when the formula is simulated in its place [1].
     retained_fraction: float
-    causes: str = ""
+    causes: str = ""  # possible causes from textbooks
 
 
 @dataclass(frozen=True, eq=False)

@@ -74,10 +74,14 @@ class RunWindows(Windows):
 
 
 class RelationFits:
-    """Fits of candidate relations in addition to one discovered model. model: this model. effect_names: its effects.
-    acceleration_gain: `Discovery.acceleration_gain`. fold: (b,) `Problem.held_out_groups`. refitted_indices: parameters
-    fitted together with a relation. vehicle_indices: the other vehicle parameters, which are projected out of the
-    evidence for a relation. All fits use the residual scale of `model`."""
+    """Fits of candidate relations in addition to one discovered model.
+
+    model, effect_names: this model and its effects. All fits use its residual scale.
+    acceleration_gain: as in `Discovery`.
+    fold: (b,) `Problem.held_out_groups`.
+    refitted_indices: parameters fitted together with a relation.
+    vehicle_indices: the other vehicle parameters, which are projected out of the evidence for a relation.
+    """
 
     def __init__(self, windows: Windows, model: AugmentedModel, acceleration_gain: float,
                  effect_names: Sequence[str], settings: DiscoverySettings, threads: int = 1):

@@ -184,9 +184,11 @@ def average_finite(values: np.ndarray) -> float:
 
 
 def find_equally_good(excess_loss: np.ndarray, p: float, seed: int) -> np.ndarray:
-    """(k,) whether each rival is as good as the best. excess_loss: (k, b) held-out loss minus that of the best.
-    Paired t test: a rival is worse if its t exceeds the quantile 1 - p of the largest t of all rivals under random
-    signs of whole blocks (Romano and Wolf 2005)."""
+    """(k,) whether each rival is as good as the best.
+
+    excess_loss: (k, b) held-out loss minus that of the best. Paired t test: a rival is worse if its t exceeds the
+    quantile 1 - p of the largest t of all rivals under random signs of whole blocks (Romano and Wolf 2005).
+    """
     if not len(excess_loss):
         return np.zeros(0, bool)
     count = excess_loss.shape[1]
@@ -243,9 +245,11 @@ def compute_cosine(fits: RelationFits, first: RelationFit, second: RelationFit) 
 
 def find_redundant_effects(fits: RelationFits, fit: RelationFit, base_fit: RelationFit,
                            names: Sequence[str]) -> dict[str, float]:
-    """Effects of the result that the relation makes redundant, with the residual reduction [1] that each still adds. An
-    effect is redundant if its held-out gain in addition to the relation is too small or not significant, and the
-    relation without it explains significantly more than the result without the relation."""
+    """Effects of the result that the relation makes redundant, with the residual reduction [1] that each still adds.
+
+    An effect is redundant if its held-out gain in addition to the relation is too small or not significant, and the
+    relation without it explains significantly more than the result without the relation.
+    """
     redundant, limits = {}, fits.limits
     errors_with_both = compute_position_errors(fits, fit)
     # An effect that converts the base model into a different one (`converts`) is a precondition of the relation.

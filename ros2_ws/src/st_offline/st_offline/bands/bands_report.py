@@ -32,9 +32,11 @@ _PROBABILITIES = np.concatenate([0.5 - _HALF_LEVELS[::-1], [0.5], 0.5 + _HALF_LE
 
 
 class Scorer:
-    """Accumulates the scores of bands on one run, with errors in the predicted frame. bands: calibrated bands, or None.
-    adaptive: whether to count the coverage of adaptive bands, which start from `bands`. files: sha256 of each file of
-    the run, by path."""
+    """Accumulates the scores of bands on one run, with errors in the predicted frame.
+
+    bands: calibrated bands, or None. adaptive: whether to count the coverage of adaptive bands, which start from
+    `bands`. files: sha256 of each file of the run, by path.
+    """
 
     ADAPTATION_TIME = 120.0  # s; coverage of adaptive bands is also counted without the starts in this initial time
 

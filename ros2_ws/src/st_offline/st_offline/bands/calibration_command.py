@@ -22,9 +22,12 @@ from ..terminal import print_line, report_problem
 
 def run_command(runs: Sequence[Path], task: Task, output: Path, levels: Sequence[float], together: bool,
                 console: Console) -> int:
-    """Run the command; returns the exit status: 0 if every run was used, else 1. task: car, models and settings of the
-    predictions. levels: nominal coverages. together: whether the recordings in one entry of `runs` are dependent and
-    count as one run. Raises StCoreError or OutputError if no bands can be calibrated or written."""
+    """Run the command; returns the exit status: 0 if every run was used, else 1.
+
+    task: car, models and settings of the predictions. levels: nominal coverages. together: whether the recordings in
+    one entry of `runs` are dependent and count as one run. Raises StCoreError or OutputError if no bands can be
+    calibrated or written.
+    """
     if output.exists():
         raise OutputError(f"{output} exists: choose another --output (existing files are not overwritten)")
     models = load_models(task)

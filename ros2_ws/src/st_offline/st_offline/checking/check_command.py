@@ -123,9 +123,11 @@ def check_file_name(file: Path) -> None:
 
 
 def make_run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read_settings: ReadSettings) -> str:
-    """Text of a run.yaml: comments with the findings, the run as it was read, and its corrections. A
-    correction is only a comment if it belongs elsewhere (vehicle file, option), is negligible, conflicts with an
-    earlier finding, or concerns the columns of a run without a table. Paths are relative to `file`."""
+    """Text of a run.yaml: comments with the findings, the run as it was read, and its corrections.
+
+    A correction is only a comment if it belongs elsewhere (vehicle file, option), is negligible, conflicts with an
+    earlier finding, or concerns the columns of a run without a table. Paths are relative to `file`.
+    """
     corrections: dict[str, Any] = {}
     lines = [HEADER]
     for finding in findings:

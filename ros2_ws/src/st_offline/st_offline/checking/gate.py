@@ -53,9 +53,11 @@ def refuse_errors(source: Path | str, findings: Sequence[Finding], force: bool) 
 
 
 def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettings | None = None) -> list[Finding]:
-    """Check a bag before its replay, with its recorded models and step; returns the findings. vehicle: file to use
-    instead of the recorded vehicle (the default vehicle if none is recorded). Raises RefusedRunError, and RunError for
-    a bag that cannot be read or has no steering topic."""
+    """Check a bag before its replay, with its recorded models and step; returns the findings.
+
+    vehicle: file to use instead of the recorded vehicle (the default vehicle if none is recorded). Raises
+    RefusedRunError, and RunError for a bag that cannot be read or has no steering topic.
+    """
     if bag.suffix.lower() == ROS1_EXTENSION:
         raise RunError(bag, "the nodes cannot receive ROS 1 messages",
                        "convert the bag with rosbags-convert; st check, evaluate and discover read it as it is")

@@ -71,9 +71,11 @@ def collect_provenance(discovery: Discovery, request: Request, seconds: Mapping[
 
 
 def build_model_file(discovery: Discovery, request: Request, update: VehicleUpdate) -> ModelFile | None:
-    """Model file with the effects of `update.model` that are not at their neutral values; None without any. Intervals
-    of changes relative to the reference drives are shifted to the total values. An effect whose value differs from the
-    reported one is marked as an effective correction."""
+    """Model file with the effects of `update.model` that are not at their neutral values; None without any.
+
+    Intervals of changes relative to the reference drives are shifted to the total values. An effect whose value differs
+    from the reported one is marked as an effective correction.
+    """
     intervals: dict[tuple[str, str], Interval] = {}
     for named_effect in discovery.effects:
         for name, p in named_effect.parameters.items():

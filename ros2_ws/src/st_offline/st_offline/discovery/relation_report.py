@@ -290,9 +290,11 @@ def _list_hooks(c: Candidate) -> tuple[str, ...]:
 
 def write_files(search: RelationSearch, vehicle: VehicleParameters, runs: Sequence[str], created: str,
                 digests: dict[str, str], folder: Path) -> dict[str, Path]:
-    """Write the effect file and the model file that uses it; returns the paths by kind, empty without a relation. A
-    relation that depends on the time in the run is not written, because other drives cannot use it. User-defined
-    effects of the model are copied, because a command accepts only one folder of effects."""
+    """Write the effect file and the model file that uses it; returns the paths by kind, empty without a relation.
+
+    A relation that depends on the time in the run is not written, because other drives cannot use it. User-defined
+    effects of the model are copied, because a command accepts only one folder of effects.
+    """
     relation = search.relation
     if relation is None or relation.candidate.quantity == "run_time":
         return {}

@@ -79,10 +79,12 @@ def update_vehicle(discovery: Discovery, request: Request) -> VehicleUpdate | No
 
 def fold_named_effects(discovery: Discovery, request: Request) -> VehicleUpdate | None:
     """Fold the named effects into the vehicle file, even if this does not improve predictions; None without a model.
+
     Effects that an entry can express are folded in the order in which they act. An effect is skipped if its values
     exceed the limits of the file or if predictions would change: the steering ratio has no influence if the road-wheel
     angle was recorded, and some effects do not commute with earlier ones (steering play). Minor and effective
-    corrections are not folded."""
+    corrections are not folded.
+    """
     if discovery.model is None or discovery.named is None:
         return None
     drives = [d.log for d in request.drives if d.log is not None]
@@ -257,8 +259,10 @@ def document_changes(request: Request, car: VehicleParameters, changes: Mapping[
 
 def edit_vehicle_text(text: str, keys: Iterable[str], car: VehicleParameters, digits: int | None = None) -> str:
     """A vehicle file with the entries of these keys replaced by those of `car`; comments and other entries are kept.
+
     digits: significant digits of the values; None: all. A lambda_ky that the file would derive differently is added. If
-    the edited file still does not load as `car`, the result is a new file."""
+    the edited file still does not load as `car`, the result is a new file.
+    """
     keys, tolerance = list(keys), 1e-12 if digits is None else 10.0 ** (1 - digits)  # twice the largest rounding error
     for _ in range(2):
         try:

@@ -90,15 +90,14 @@ def measure_costs(models: Sequence[Model], vehicle: VehicleParameters, signals: 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Accuracy of one model and step with measured inputs, for each of the `seconds` ahead. rms: lateral error [m].
-    level, half_widths: level and mean lateral half-width [m] of the calibrated band, None for too few runs.
-    error_quantiles: lateral error [m] that REQUIRED_FRACTION of the starts do not exceed up to each second, by lower
-    edge of the speed bin [m/s]; all runs have the same weight."""
+    """Accuracy of one model and step with measured inputs, for each of the `seconds` ahead."""
 
     seconds: tuple[int, ...]
-    rms: tuple[float, ...]
-    level: float | None
-    half_widths: tuple[float, ...] | None
+    rms: tuple[float, ...]  # lateral error [m]
+    level: float | None  # of the calibrated band; None for too few runs
+    half_widths: tuple[float, ...] | None  # mean lateral half-width of this band [m]; None for too few runs
+    # Lateral error [m] that REQUIRED_FRACTION of the starts do not exceed up to each second, by lower edge of the speed
+    # bin [m/s]; all runs have the same weight.
     error_quantiles: dict[float, tuple[float, ...]]
 
 

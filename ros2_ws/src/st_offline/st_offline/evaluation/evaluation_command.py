@@ -97,8 +97,10 @@ def evaluate_all(sources: Sequence[RunSource], task: Task, workers: int, schedul
 def evaluate_runs(sources: Sequence[RunSource], task: Task, workers: int, scheduler: str | None,
                   progress: Callable[[RunSource], Progress]) -> Iterator[RunReport]:
     """Yield the report of each run: without Dask in the order of the sources, else in the order of completion.
+
     scheduler: address of a Dask scheduler; its workers read the files under the same paths. Raises ConfigurationError
-    if the workers are not available."""
+    if the workers are not available.
+    """
     if workers <= 1 and not scheduler:
         for source in sources:
             yield evaluate_run(source, task, progress(source))

@@ -205,9 +205,11 @@ def write_starts(file: Path, evaluation: LogEvaluation) -> None:
 
 def make_future_inputs(run: LoadedRun, signals: LogSignals, task: Task) -> dict[Mode, FutureInputs]:
     """Inputs over the horizon for `evaluate_log`: "plan" if the recording contains one, "course" if a course is given.
+
     The passes of this run are removed from the course. If both origins are known, the course is transformed into the
-    map of the run; otherwise both must be in the same map. Raises RunError for planned columns that cannot be read
-    and a course at a different location, ConfigurationError for planned columns whose times do not increase."""
+    map of the run; otherwise both must be in the same map. Raises RunError for planned columns that cannot be read and
+    a course at a different location, ConfigurationError for planned columns whose times do not increase.
+    """
     inputs: dict[Mode, FutureInputs] = {}
     prediction, files = task.settings.prediction, run.provenance["files"]
     plan = _read_planned_columns(files, task.vehicle)

@@ -101,9 +101,11 @@ def _read_hdf5(file: Path) -> Any:
 
 
 def _join_signals(file: Path, signals: list[Signal]) -> Any:
-    """Table of the signals with a time vector. With several time vectors, each time [s] has a row, in which signals of
-    the other vectors are NaN. Without any, the table has the signals of the most frequent length. Raises RunError
-    without signals."""
+    """Table of the signals with a time vector.
+
+    With several time vectors, each time [s] has a row, in which signals of the other vectors are NaN. Without any, the
+    table has the signals of the most frequent length. Raises RunError without signals.
+    """
     import pandas as pd
 
     if not signals:
