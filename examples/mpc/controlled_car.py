@@ -10,7 +10,7 @@ from st_sim.settings import Settings
 
 
 class ControlledCar:
-    """The virtual car under an external controller, which commands road-wheel angle and acceleration."""
+    """The plant of the virtual car without its driver; `advance` simulates it under constant commands."""
 
     def __init__(self, car: VehicleParameters, settings: Settings, seed: int = 0):
         self.car = car

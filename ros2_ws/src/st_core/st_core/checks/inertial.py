@@ -66,10 +66,12 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
     """Agreement of two estimates of a quantity. None if `derived` is constant, if they overlap by less than
     MIN_COMMON_TIME, if one of them spans more than MAX_SPAN, or if |lag| exceeds max_fitted_lag.
 
-    time, measured_time: ascending [s]; values NaN where unknown. cutoff: of the low-pass filter [Hz]. derived_is_angle:
-    whether to compare the rate of `derived`. fit_drift: whether to estimate a constant rate of change of the lag.
-    expected_lag: lag without a fault [s]. max_fitted_lag: limit of the fitted lag [s], which may be outside the
-    searched range of MAX_LAG.
+    time, measured_time: ascending [s]; values NaN where unknown.
+    cutoff: of the low-pass filter [Hz].
+    derived_is_angle: whether to compare the rate of `derived`.
+    fit_drift: whether to estimate a constant rate of change of the lag.
+    expected_lag: lag without a fault [s].
+    max_fitted_lag: limit of the fitted lag [s], which may be outside the searched range of MAX_LAG.
     """
     if max(float(np.ptp(t)) if len(t) else 0.0 for t in (time, measured_time)) > MAX_SPAN:
         return None

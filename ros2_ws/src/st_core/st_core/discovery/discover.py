@@ -47,12 +47,13 @@ def discover(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | M
              clocks: Mapping[str, float] | None = None) -> result.Discovery:
     """Find the effects that the base model lacks to explain the runs.
 
-    runs: suspect drives. vehicle: parameters of the vehicle file, from which the search starts. reference: drives of
-    the healthy car; with them the search starts from the values fitted to these drives and finds later changes.
-    progress(stage, done, total): called regularly. sensor_estimates: (value, low, high) from redundant sensors, value
-    and 95 % interval, by the name of the estimate in `st_core.checks`. parallel: number of threads. clocks: standard
-    deviation of the error of the steering clock [s], by run; clocks of other runs count as exact.
-
+    runs: suspect drives.
+    vehicle: parameters of the vehicle file, from which the search starts.
+    reference: drives of the healthy car; the search then starts from the fit to these drives and finds later changes.
+    progress(stage, done, total): called regularly.
+    sensor_estimates: (value, low, high) from redundant sensors, with 95 % interval, by estimate of `checks`.
+    parallel: number of threads.
+    clocks: standard deviation of the error of the steering clock [s], by run; clocks of other runs count as exact.
     Raises StCoreError if the runs contain no usable prediction, ConfigurationError for settings that are not valid for
     the base model. Checked by: test_discovery*.py, bench/discovery.
     """

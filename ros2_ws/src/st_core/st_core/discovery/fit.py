@@ -88,10 +88,12 @@ def marginalise(prior: np.ndarray, free: np.ndarray) -> np.ndarray:
 class Problem:
     """A loss with its priors, and the fits of sets of effects that minimise it.
 
-    start: (p,) initial vector of a search. prior: (p, p) curvature about `start`, from reference drives, for the
-    parameters of effects outside the fitted set; if None, these keep their start values, except the gain of the
-    accelerometer, which is free if acceleration is measured. block: (n,) number of the block of each window. noise:
-    (c,) error of each column due to noise alone [SI]. gain_between_runs [1]: see `HealthyCar`; by default 0.
+    start: (p,) initial vector of a search.
+    block: (n,) number of the block of each window.
+    prior: (p, p) curvature about `start`, from reference drives, for the parameters of effects outside the fitted set;
+        None: they keep their start values, except the gain of the accelerometer, free if acceleration is measured.
+    noise: (c,) error of each column due to noise alone [SI].
+    gain_between_runs: see `HealthyCar` [1].
 
     quantities: (p,) quantity of the vehicle file that each parameter changes. Its standard deviation s adds a Gaussian
     prior 0.5 D (x / s)^2 to the loss, x: change of the quantity. design_effect D [1]: see `update_design_effect`.

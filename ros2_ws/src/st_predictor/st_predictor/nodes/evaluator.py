@@ -37,6 +37,8 @@ TRAJECTORY_TOLERANCE = 1.0e-6
 
 
 class EvaluatorNode(Node):
+    """Publishes the error of each prediction once its horizon has passed, and a summary once a second."""
+
     def __init__(self) -> None:
         super().__init__("evaluator")
         values = parameters.declare(self, params.EVALUATOR)

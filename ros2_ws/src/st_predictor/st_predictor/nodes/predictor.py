@@ -76,6 +76,8 @@ class TickCounter:
 
 
 class PredictorNode(Node):
+    """Publishes a prediction and a path of every model at each tick, and its status once a second."""
+
     def __init__(self) -> None:
         super().__init__("predictor")
         values = parameters.declare(self, params.PREDICTOR)
@@ -199,8 +201,7 @@ class PredictorNode(Node):
 
     def _publish_predictions(self, start: Start, mode: Mode, inputs: InputSequence | None = None, plan_ns: int = 0,
                              bands: Mapping[str, list[Band]] = MappingProxyType({})) -> dict[str, Trajectory]:
-        """Publish the predictions of all models; returns them by model. inputs: of a plan or course; None: held.
-        """
+        """Publish the predictions of all models; returns them by model. inputs: of a plan or course; None: held."""
         trajectories = {}
         for model in self._core.models:
             run_start = time.perf_counter()
