@@ -151,6 +151,8 @@ def test_file_round_trip_and_rejection_of_edited_files(bands):
     assert reloaded.to_yaml() == text
     with pytest.raises(ConfigurationError, match="x: hash: the content was edited"):
         Bands.from_yaml(text.replace("runs: 12", "runs: 99"), "x")
+    with pytest.raises(ConfigurationError, match="x: schema: 2 is not supported, only 3; run st calibrate again"):
+        Bands.from_yaml(text.replace("schema: 3", "schema: 2").replace("calibration_domain", "seen"), "x")
     for broken in ("", "schema: 1", text[:len(text) // 2], "[1, 2]"):
         with pytest.raises(ConfigurationError) as caught:
             Bands.from_yaml(broken, "x")
@@ -184,7 +186,7 @@ def test_bands_of_another_car_model_or_configuration_are_rejected(bands, leaf):
                                                                  "steering_ratio: {value: 16.3"))
     for arguments, message in (((other, {"linear": ""}, SETTINGS), "vehicle: the bands are for"),
                                ((leaf, {"nonlinear": ""}, SETTINGS), "nonlinear: missing"),
-                               ((leaf, {"linear": "f" * 64}, SETTINGS), "different model file"),
+                               ((leaf, {"linear": "f" * 64}, SETTINGS), "another version of this model file"),
                                ((leaf, {"linear": ""}, EvaluationSettings(acceleration="zero_phase")), "acceleration")):
         with pytest.raises(ConfigurationError, match=message):
             bands.check(*arguments)

@@ -1,17 +1,18 @@
 """The file bands.yaml: the bands of one car, by model and mode, with their settings and the recordings used.
 
-    schema: 2
+    schema: 3
     units: "..."                                         text for the reader; not part of the hash
     vehicle: {name: "...", hash: "..."}
     settings: {horizon: 5.0, step: 0.05, ...}            settings of the predictions; SI
     runs: 12
-    seen: {starts: [[...]], most: [...]}                 calibration domain
+    calibration_domain: {starts_per_cell: [[...]], upper_limits: [...]}
     recordings: {"run.csv": "sha256 ..."}
     bands: {linear: {configuration_hash: "...", hindsight: {...}, forecast: {...}}}
     hash: "..."
 
 Floors are in m, m, rad; coefficients give the natural logarithm of a scale in m, m, rad; factors and ratios are
-dimensionless. A file with edited content is rejected by its hash.
+dimensionless. hindsight: predictions with the inputs as measured; forecast: with those at the start held. An
+edited file is rejected, because its hash no longer matches.
 """
 
 import json
@@ -29,7 +30,7 @@ from ..yaml_text import check_keys, format_number, hash_content, load, quote
 from .calibration import Band, ModelMode
 from .scale import KNOTS, CalibrationDomain, Scale, compute_features
 
-SCHEMA = 2
+SCHEMA = 3
 HEADER = "# Prediction bands by model and mode. Written by `st calibrate`.\n"
 UNITS = "half-widths along, across: m; yaw: rad; factors and ratios: 1; conditions: m/s, m/s^2, m/s^2, rad/s"
 CHECKED_SETTINGS = ("horizon", "step", "minimum_speed", "maximum_gap", "filter_cutoff", "acceleration", "inputs")
@@ -81,17 +82,17 @@ class Bands:
         if vehicle.hash != self.vehicle_hash:
             raise ConfigurationError(f"vehicle: the bands are for {self.vehicle_name!r} {self.vehicle_hash[:12]}, "
                                      f"this is {vehicle.name!r} {vehicle.hash[:12]}; calibrate with drives of this car")
-        present = settings.as_dict()
+        current = settings.as_dict()
         for key in CHECKED_SETTINGS:
-            if present[key] != self.settings[key]:
-                raise ConfigurationError(f"settings.{key}: the bands are for {self.settings[key]}, not {present[key]}; "
+            if current[key] != self.settings[key]:
+                raise ConfigurationError(f"settings.{key}: the bands are for {self.settings[key]}, not {current[key]}; "
                                          "use the same value, or calibrate with this one")
         for model, digest in models.items():
             if model not in self.hashes:
                 raise ConfigurationError(f"bands.{model}: missing; the file has {', '.join(self.models)}; calibrate "
                                          "with that model")
             if hash_configuration(vehicle, self.settings, digest) != self.hashes[model]:
-                raise ConfigurationError(f"bands.{model}: calibrated with a different model file of that name; "
+                raise ConfigurationError(f"bands.{model}: calibrated with another version of this model file; "
                                          "calibrate with this one")
 
     def to_yaml(self) -> str:
@@ -104,9 +105,11 @@ class Bands:
         document: dict[str, Any] = {
             "vehicle": {"name": self.vehicle_name, "hash": self.vehicle_hash}, "settings": dict(self.settings),
             "recordings": dict(self.recordings), "runs": self.runs,
-            "seen": {"starts": self.domain.starts.tolist(), "most": list(self.domain.upper_limits)}, "bands": entries}
+            "calibration_domain": {"starts_per_cell": self.domain.starts.tolist(),
+                                   "upper_limits": list(self.domain.upper_limits)}, "bands": entries}
         lines = [HEADER + f"schema: {SCHEMA}", f"units: {json.dumps(UNITS)}"]
-        lines += [f"{key}: {_to_flow(document[key])}" for key in ("vehicle", "settings", "runs", "seen")]
+        lines += [f"{key}: {_to_flow(document[key])}" for key in
+                  ("vehicle", "settings", "runs", "calibration_domain")]
         lines += ["recordings:", *(f"  {_to_flow(k)}: {_to_flow(v)}" for k, v in document["recordings"].items())]
         lines.append("bands:")
         for model, entry in document["bands"].items():
@@ -129,10 +132,10 @@ class Bands:
     def _read(cls, document: Any) -> "Bands":
         if not isinstance(document, dict):
             raise ConfigurationError("not a bands file; write one with st calibrate")
-        keys = ["schema", "units", "vehicle", "settings", "recordings", "runs", "seen", "bands", "hash"]
+        keys = ["schema", "units", "vehicle", "settings", "recordings", "runs", "calibration_domain", "bands", "hash"]
+        if (schema := document.get("schema", SCHEMA)) != SCHEMA:
+            raise ConfigurationError(f"schema: {schema} is not supported, only {SCHEMA}; run st calibrate again")
         check_keys("", document, keys, required=keys)
-        if document["schema"] != SCHEMA:
-            raise ConfigurationError(f"schema: {document['schema']} is not {SCHEMA}; calibrate again with this version")
         content = {key: document[key] for key in keys[2:-1]}
         if hash_content(content) != document["hash"]:
             raise ConfigurationError("hash: the content was edited; run st calibrate again")
@@ -150,8 +153,9 @@ class Bands:
                 scale = Scale(coefficients, np.array(mode_entry["floor"], float), time)
                 bands[model, mode] = Band(scale, {float(k): float(v) for k, v in mode_entry["factors"].items()},
                                           np.array(mode_entry["ratios"], float))
-        acceleration, activity = map(float, document["seen"]["most"])
-        domain = CalibrationDomain(np.array(document["seen"]["starts"], int), (acceleration, activity))
+        domain_entry = document["calibration_domain"]
+        acceleration, activity = map(float, domain_entry["upper_limits"])
+        domain = CalibrationDomain(np.array(domain_entry["starts_per_cell"], int), (acceleration, activity))
         return cls(document["vehicle"]["name"], document["vehicle"]["hash"], settings, document["recordings"],
                    int(document["runs"]), domain, bands, hashes)
 
