@@ -63,7 +63,7 @@ def test_evaluate_scores_bands_on_unseen_drives(folder, tmp_path):
         assert scores["half_width"]["0.5"]["5"]["lateral"] < scores["half_width"]["0.9"]["5"]["lateral"]
     assert (tmp_path / "o" / "bands_reliability.png").stat().st_size > 5000
     shares = whole["shares"]["linear"]
-    assert shares["starts"] > 50 and set(shares["share"]) == {"parameters", "sensors and start", "what remains"}
+    assert shares["starts"] > 50 and set(shares["share"]) == {"parameters", "sensors and start", "residual"}
     assert sum(part["5"]["lateral"] for part in shares["share"].values()) == pytest.approx(1.0)
     assert shares["share"]["sensors and start"]["5"]["lateral"] > 0.0
     assert "Decomposition of the error" in result.output

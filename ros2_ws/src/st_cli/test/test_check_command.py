@@ -77,13 +77,13 @@ def test_wrong_unit_is_reported_with_exit_status_1(checked):
 
 def test_check_json_schema(checked):
     content = checked[2]
-    assert set(content) == {"schema", "created", "versions", "vehicle", "runs", "together", "failed"}
+    assert set(content) == {"schema", "created", "versions", "vehicle", "runs", "combined_estimates", "failed"}
     assert content["vehicle"] == {str(CAR): {"name": "Hyundai Genesis", "hash": content["vehicle"][str(CAR)]["hash"]}}
     for run in content["runs"].values():
         assert set(run) >= {"findings", "channels", "comparisons", "verdict", "vehicle", "duration", "warnings",
                             "files"}
         for one in run["findings"]:
-            assert set(one) >= {"name", "severity", "channels", "value", "unit", "interval", "text", "where", "effect",
+            assert set(one) >= {"name", "severity", "channels", "value", "unit", "interval", "text", "times", "effect",
                                 "advice", "tried"}
             assert one["severity"] in ("error", "warning", "note") and one["text"]
         for channel in run["channels"].values():

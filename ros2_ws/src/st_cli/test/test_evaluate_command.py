@@ -43,7 +43,7 @@ def test_unusable_runs_are_reported_and_the_others_evaluated(folder):
 def test_evaluation_json_schema(folder):
     base, _ = folder
     content = json.loads((base / "out" / "evaluation.json").read_text())
-    assert content["schema"] == 2 and set(content["runs"]["labelled"]) == {"kinematic", "linear", "nonlinear"}
+    assert content["schema"] == 3 and set(content["runs"]["labelled"]) == {"kinematic", "linear", "nonlinear"}
     for modes in content["runs"]["labelled"].values():
         assert set(modes) == set(MODES)
         for entry in modes.values():

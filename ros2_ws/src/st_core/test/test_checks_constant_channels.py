@@ -32,7 +32,7 @@ def test_constant_channel_is_reported(log, leaf, name, value):
     finding = findings_by_name(with_constant(log, name, value=value), leaf)["channel_frozen"]
     assert finding.severity is (Severity.WARNING if name in OPTIONAL else Severity.ERROR)
     assert finding.channels == (name,)
-    assert finding.advice.kind == "look"  # leaving out the complete drive is no correction
+    assert finding.advice.kind == "text"  # leaving out the complete drive is no correction
 
 
 @pytest.mark.slow

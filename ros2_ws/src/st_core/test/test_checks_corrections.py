@@ -164,7 +164,7 @@ def with_map_velocities(log):
                                           velocity_y=with_map_velocities(log).velocity_x))])
 def test_fault_that_run_yaml_cannot_correct_is_an_error(log, leaf, name, fault):
     found = findings_by_name(fault(log), leaf)
-    assert list(found) == [name] and found[name].severity is Severity.ERROR and found[name].advice.kind == "look"
+    assert list(found) == [name] and found[name].severity is Severity.ERROR and found[name].advice.kind == "text"
     if name == "position_scale":
         assert found[name].value == pytest.approx(1.0 / 111e3, rel=1e-3)
 
@@ -311,7 +311,7 @@ def test_scale_of_yaw_and_yaw_rate_are_alternatives_if_positions_are_too_noisy(l
     coarse = exact_drive(leaf, 30.0, noise=Noise(position=3.0))
     for channel in ("yaw", "yaw_rate"):
         finding = findings_by_name(scaled(1.05, channel)(coarse), leaf)["yaw_rate_scale"]
-        assert finding.channels == ("yaw_rate", "yaw") and finding.advice.kind == "look"
+        assert finding.channels == ("yaw_rate", "yaw") and finding.advice.kind == "text"
         assert finding.text.endswith("times its true value: positions fit both")
 
 
@@ -337,7 +337,7 @@ def test_measuring_point_gets_no_correction_if_rear_wheels_steer_with_speed(leaf
     steered = replace(log, yaw=log.yaw - angle, velocity_x=velocity.real, velocity_y=velocity.imag,
                       yaw_rate=log.yaw_rate - np.gradient(angle, time * 1e-9))
     finding = findings_by_name(steered, leaf)["measuring_point"]
-    assert finding.advice.kind == "look" and "does not fit the rear slip of the vehicle file" in finding.text
+    assert finding.advice.kind == "text" and "does not fit the rear slip of the vehicle file" in finding.text
 
 
 @pytest.mark.slow

@@ -106,5 +106,5 @@ def test_finding_on_a_steady_circle_names_the_opposite_sign_of_velocity_y_as_alt
     x, y, yaw, v_x, v_y, rate = (value + rng.normal(0.0, scatter[name], len(time)) for name, value in values.items())
     log = DriveLog("circle", STAMPS, x, y, yaw, v_x, v_y, rate, STAMPS, 2.7 / radius * ones, None)
     found = [finding for finding in check(log).findings if finding.name in ("position_reference", "yaw_offset")]
-    assert found and {finding.advice.kind for finding in found} == {"look"}
+    assert found and {finding.advice.kind for finding in found} == {"text"}
     assert all("or velocity_y has the opposite sign" in finding.text for finding in found)

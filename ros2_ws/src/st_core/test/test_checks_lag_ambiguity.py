@@ -91,7 +91,7 @@ def test_course_as_yaw_gives_no_yaw_rate_lag(leaf, speed):
     course = replace(log, yaw=log.yaw + np.arctan2(log.velocity_y, log.velocity_x), acceleration_y=None,
                      velocity_x=np.hypot(log.velocity_x, log.velocity_y), velocity_y=np.zeros(len(log.x)))
     uncertain = lag_findings(course, leaf)["yaw_rate_lag"]  # l/v - K v: positive at low speed, negative at high speed
-    assert uncertain.severity is Severity.NOTE and uncertain.advice.kind == "look"
+    assert uncertain.severity is Severity.NOTE and uncertain.advice.kind == "text"
     assert (uncertain.value > 0.0) == (speed < 10.0)
     assert not {"yaw_rate_lag", "steering_lag"} & {*check(course, leaf).estimates}  # discovery does not use it either
     corrected = with_steady_sideslip(course, leaf)  # as when reading a recording

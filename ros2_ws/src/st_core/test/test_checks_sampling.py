@@ -197,7 +197,7 @@ def test_position_jumps_are_found_and_left_out(log, size, end, stretches):
 def test_frequent_position_jumps_have_no_automatic_correction(log):
     since = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
     finding = findings_by_name(replace(log, x=log.x + 0.5 * (np.floor(2.0 * since) % 2)))["position_jumps"]
-    assert finding.value > 50 and finding.advice.kind == "look"
+    assert finding.value > 50 and finding.advice.kind == "text"
 
 
 @pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.7])

@@ -37,7 +37,7 @@ def test_right_correction_is_proposed_and_wrong_one_is_not(leaf, channel, severi
     (kept,) = try_corrections([right], broken, leaf)
     assert kept.advice == right.advice and kept.tried[1] < 1.05 * kept.tried[0]
     (refuted,) = try_corrections([wrong], log, leaf)
-    assert refuted.advice.kind == "look" and not refuted.advice.entry and refuted.tried[1] > refuted.tried[0]
+    assert refuted.advice.kind == "text" and not refuted.advice.entry and refuted.tried[1] > refuted.tried[0]
     assert refuted.severity is (Severity.NOTE if severity is Severity.WARNING else Severity.ERROR)
 
 

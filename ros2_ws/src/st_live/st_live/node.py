@@ -191,7 +191,7 @@ def make_error_table(models: Mapping[str, Mapping[str, Any]], title: str | None 
     models: as in summary.json. digits: number of decimal places.
     """
     table = Table(title=title, title_justify="left", title_style="bold", box=None, padding=(0, 1))
-    for column in ("mode", "model", "starts", *(f"{axis}, m\nmean | max | RMSE" for axis in AXES)):
+    for column in ("mode", "model", "scored", *(f"{axis}, m\nmean | max | RMSE" for axis in AXES)):
         table.add_column(column, justify="left" if column in ("mode", "model") else "right", no_wrap=True)
     for mode in TABLE_MODES:
         rows = {model: modes[mode] for model, modes in models.items() if mode in modes}

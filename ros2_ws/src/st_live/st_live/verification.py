@@ -239,7 +239,7 @@ def _make_table(result: Verification) -> Table:
     table = Table(title=f"Live versus library ({result.vehicle}): largest differences", title_justify="left",
                   title_style="bold", box=None, collapse_padding=True, pad_edge=False)
     table.add_column("model")
-    for heading in ("starts", "start\npoint\nmm", "path\nmm", "hindsight\nscores\nnumber, mm",
+    for heading in ("predictions", "start\npoint\nmm", "path\nmm", "hindsight\nscores\nnumber, mm",
                     "forecast\nscores\nnumber, mm", "only on\none side"):
         table.add_column(heading, justify="right", no_wrap=True)
     for c in result.comparisons:

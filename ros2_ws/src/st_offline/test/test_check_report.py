@@ -48,7 +48,7 @@ MOVED = Finding("measuring_point", Severity.WARNING, (), "the measuring point li
                 (-1.53, -1.47), (), 0.2,
                 Advice("vehicle", "cg_to_ins_x: {value: -1.9, unit: m}", {"cg_to_ins_x": -1.9}))
 COARSE = Finding("resolution_coarse", Severity.NOTE, ("yaw",), "yaw comes in steps", np.nan, "rad",
-                 advice=Advice("look", "log more digits"))
+                 advice=Advice("text", "log more digits"))
 OPPOSITE_SIGN = Finding("steering_sign", Severity.ERROR, ("road_wheel_angle",), "is -1 times the angle", -1.0, "1")
 ALL_FINDINGS = (DEGREES, JUMPS, MOVED, COARSE)
 
@@ -180,8 +180,8 @@ def test_clock_offset_of_the_steering_is_printed(method, text):
 def test_document_contains_only_finite_numbers():
     content = json.loads(json.dumps(build_document([make_run()], {}), allow_nan=False))
     entry = content["runs"]["drive"]
-    assert content["schema"] == 2 and entry["vehicle"] == "leaf.yaml" and "leaf.yaml" in content["vehicle"]
-    assert set(entry["findings"][0]) == {"name", "severity", "channels", "value", "unit", "interval", "text", "where",
+    assert content["schema"] == 3 and entry["vehicle"] == "leaf.yaml" and "leaf.yaml" in content["vehicle"]
+    assert set(entry["findings"][0]) == {"name", "severity", "channels", "value", "unit", "interval", "text", "times",
                                          "effect", "advice", "tried"}
     assert entry["channels"]["yaw_rate"]["missing"] == 3 and entry["comparisons"][0]["residual_rms"] > 10.0
 
@@ -235,7 +235,7 @@ def test_proposed_run_yaml_contains_the_steering_column_of_the_option(tmp_path, 
 
 
 def test_multiline_finding_remains_a_comment(tmp_path):
-    multiline = Finding("yaw_lag", Severity.NOTE, (), "late\nname: other", advice=Advice("look", "x\ny: 1"))
+    multiline = Finding("yaw_lag", Severity.NOTE, (), "late\nname: other", advice=Advice("text", "x\ny: 1"))
     assert yaml.safe_load(make_run_yaml(make_source(tmp_path), [multiline], tmp_path / "run.yaml", ReadSettings())) == {
         "name": "drive", "csv": "drive.csv"}
 

@@ -175,7 +175,7 @@ def _limit_to_measured_channels(findings: list[Finding], log: DriveLog, motion: 
     limits = {"steering_lag": (-np.inf, np.inf),
               "yaw_rate_lag": (-MAX_REAR_COMPLIANCE * speed, MAX_INS_DISTANCE / speed),
               "yaw_lag": (-MAX_INS_DISTANCE / speed, MAX_REAR_COMPLIANCE * speed)}
-    advice = Advice("look", "record the heading of the car and velocity_y; without them the sensor's error is unknown")
+    advice = Advice("text", "record the heading of the car and velocity_y; without them the sensor's error is unknown")
     for k, f in enumerate(findings):
         low, high = limits.get(f.name, (np.inf, -np.inf))
         if f.value is not None and low <= f.value <= high:
@@ -238,7 +238,7 @@ def _add_yaw_alternative(finding: Finding, motion: Motion) -> Finding:
         return finding
     text = f"{finding.text}, or yaw is {1.0 / finding.value:.3f} times its true value: positions fit both"
     return replace(finding, channels=("yaw_rate", "yaw"), text=text,
-                   advice=Advice("look", "record more accurate positions, to distinguish the two"))
+                   advice=Advice("text", "record more accurate positions, to distinguish the two"))
 
 
 def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:

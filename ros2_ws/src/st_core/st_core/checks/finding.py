@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-SCHEMA = 2  # version of check.json; within a version, keys are added but never renamed
+SCHEMA = 3  # version of check.json; within a version, keys are added but never renamed
 
 
 class Severity(StrEnum):
@@ -29,10 +29,10 @@ class Advice:
     """Remedy for a finding. line: text to paste, or an instruction.
 
     kind: "run.yaml": `entry` belongs in run.yaml; "vehicle": `entry` contains values of the vehicle file [SI];
-    "option": `line` is a command-line option; "look": `line` is an instruction.
+    "option": `line` is a command-line option; "text": `line` is an instruction.
     """
 
-    kind: Literal["run.yaml", "vehicle", "option", "look"]
+    kind: Literal["run.yaml", "vehicle", "option", "text"]
     line: str
     entry: Mapping[str, Any] = field(default_factory=dict)
 
@@ -71,8 +71,7 @@ class Finding:
 
     def as_dict(self) -> dict[str, Any]:
         """The entry of this finding in check.json."""
-        return {"where" if key == "times" else key: value
-                for key, value in {**asdict(self), "severity": self.severity.value}.items()}
+        return {**asdict(self), "severity": self.severity.value}
 
 
 def merge_findings(findings: Iterable[Finding]) -> list[Finding]:

@@ -303,7 +303,7 @@ def _make_finding(kind: str, text: str, estimate: Estimate, error: float, tolera
 
 def _make_advice(channel: str, key: str, value: float) -> Advice:
     if channel in SPEED_LIMITS:  # run.yaml cannot correct these
-        return Advice("look", "check its source: unit, wheel radius, clock")
+        return Advice("text", "check its source: unit, wheel radius, clock")
     return Advice.correct(channel, **{key: value})
 
 

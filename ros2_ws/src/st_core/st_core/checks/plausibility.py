@@ -287,4 +287,4 @@ def _make_finding(kind: str, channel: _ChannelSamples, samples: np.ndarray, is_u
     advice = ("change the definition of the signal: more bits, or a larger factor" if kind == "channel_wraps" else
               "check the sensor and the settings of the logger")
     return Finding(kind, severity, (channel.name,), text, value, unit, None, intervals[:MAX_LISTED_INTERVALS],
-                   advice=Advice("look", advice))
+                   advice=Advice("text", advice))

@@ -279,7 +279,7 @@ def merge_lateral_sign(sign: list[Finding], findings: list[Finding],
     if not sign or name not in estimates:
         return [*sign, *findings]
     scale = estimates[name] = estimates[name].scaled(-1.0)
-    if not any(finding.name == name and finding.advice and finding.advice.kind != "look" for finding in findings):
+    if not any(finding.name == name and finding.advice and finding.advice.kind != "text" for finding in findings):
         return [*sign, *findings]
     text = f"velocity_y is {scale} times its value from positions, yaw and velocity_x: it has the opposite sign"
     advice = Advice.correct("velocity_y", scale=float(f"{1.0 / scale.value:.5g}"))
@@ -343,7 +343,7 @@ def _restore_causes(problem: Regression, causes: dict[str, Estimate], names: lis
 
 def _add_alternative(finding: Finding, alternative: str) -> Finding:
     """The finding with an alternative that involves velocity_y, and thus without a correction."""
-    advice = Advice("look", "drive bends of different speed and radius, to distinguish the two")
+    advice = Advice("text", "drive bends of different speed and radius, to distinguish the two")
     return replace(finding, advice=advice, channels=tuple(dict.fromkeys((*finding.channels, "velocity_y"))),
                    text=f"{finding.text}, or {alternative}: both fit this drive")
 
@@ -444,7 +444,7 @@ def _make_finding(name: str, estimate: Estimate, effect: float) -> Finding:
         severity = Severity.ERROR
     correction = {"scale": 1.0 / (reported.value or np.inf), "earlier": reported.value}.get(cause.key, -reported.value)
     advice = (Advice.correct(cause.corrected_channel, **{cause.key: float(f"{correction:.5g}")}) if cause.key else
-              Advice("look", "project latitude and longitude with an origin near the drive"))
+              Advice("text", "project latitude and longitude with an origin near the drive"))
     return Finding(name, severity, cause.channels, text, reported.value, cause.unit, reported.interval, (), effect,
                    advice)
 
@@ -526,7 +526,7 @@ def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
         sigma = float(np.median(np.abs(errors[within]))) / 1.665
         if sigma >= MIN_NOISE:
             text = f"positions are noisy: white noise with a standard deviation of {sigma:.2f} m per axis"
-            advice = Advice("look", "record with RTK, or use the positions of the INS, not of the receiver")
+            advice = Advice("text", "record with RTK, or use the positions of the INS, not of the receiver")
             findings.append(Finding("position_noise", LIMITS.severity(sigma), ("x", "y"), text, sigma, "m",
                                     effect=sigma, advice=advice))
     return motion, findings
@@ -573,7 +573,7 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
     return is_stale, [Finding(
         "position_stale", severity, ("x", "y"), text, fraction, "1", interval, times,
         age * float(np.median(speed[known])),
-        Advice("look", "record each position with the time of its measurement, or leave out rows with a stale one"))]
+        Advice("text", "record each position with the time of its measurement, or leave out rows with a stale one"))]
 
 
 def _check_jumps(motion: Motion, errors: np.ndarray, is_stale: np.ndarray, rounding: float) -> list[Finding]:
@@ -595,7 +595,7 @@ def _check_jumps(motion: Motion, errors: np.ndarray, is_stale: np.ndarray, round
         [round(begin - JUMP_MARGIN, 2), round(end + JUMP_MARGIN, 2)]
         for begin, end in find_time_intervals(np.unique(times), 2.0 * JUMP_MARGIN)]})
     if count > MAX_LISTED_JUMPS:
-        advice = Advice("look", "too many jumps to leave out: record with RTK, or post-process the raw data of the INS")
+        advice = Advice("text", "too many jumps to leave out: record with RTK, or post-process the raw data of the INS")
     return [Finding("position_jumps", LIMITS.severity(effect, largest >= LIMITS.warning_effect), ("x", "y"), text,
                     float(count), "1", None, times[:MAX_LISTED_JUMPS], effect, advice)]
 
@@ -617,4 +617,4 @@ def _check_jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
         return []
     text = f"the stamps jitter by {deviation * 1e3:.1f} ms but the motion is smooth: they are times of reception"
     return [Finding("time_jitter", LIMITS.severity(effect), ("time",), text, deviation, "s", effect=effect,
-                    advice=Advice("look", "use the time of measurement (GPS time)"))]
+                    advice=Advice("text", "use the time of measurement (GPS time)"))]

@@ -117,7 +117,7 @@ def _make_missing_values_finding(channel: str, count: int, motion: Motion, auxil
                 f"{'kept without it' if keeps_row else 'left out'}")
         advice = "check what the logger writes in these rows"
     severity = Severity.NOTE if rate or fraction <= LIMITS.max_note_fraction else Severity.WARNING
-    return Finding("values_missing", severity, (channel,), text, fraction, advice=Advice("look", advice))
+    return Finding("values_missing", severity, (channel,), text, fraction, advice=Advice("text", advice))
 
 
 def make_rejected_frames_finding(time: np.ndarray, frames: int, reason: str) -> Finding:
@@ -129,7 +129,7 @@ def make_rejected_frames_finding(time: np.ndarray, frames: int, reason: str) -> 
     text = (f"road_wheel_angle: {len(time)} of {frames} frames between {time[0]:.2f} and {time[-1]:.2f} s were "
             f"received but not used: {reason}")
     severity = Severity.NOTE if fraction <= MAX_GAP_FRACTION else Severity.WARNING
-    advice = Advice("look", "check the steering sensor, and its range and max_rate in the signal table")
+    advice = Advice("text", "check the steering sensor, and its range and max_rate in the signal table")
     return Finding("values_missing", severity, ("road_wheel_angle",), text, fraction,
                    times=find_time_intervals(time, MAX_GAP), advice=advice)
 
@@ -159,7 +159,7 @@ def _check_stamps(signal: str, stamps: np.ndarray, start_ns: int) -> list[Findin
             advice = "check how the rows were stamped and merged"
         severity = Severity.WARNING if was_reset or fraction > LIMITS.max_note_fraction else Severity.NOTE
         findings.append(Finding(name, severity, STAMPED_CHANNELS[signal], text, fraction, times=times,
-                                advice=Advice("look", advice)))
+                                advice=Advice("text", advice)))
     return findings
 
 
@@ -175,7 +175,7 @@ def _check_gaps(signal: str, time: np.ndarray, excluded_times: Sequence[tuple[fl
                 f"intervals exceed {PREDICTION_GAP:g} s, across which nothing is predicted: few or no starts are "
                 "scored")
         return [Finding("time_gaps", Severity.WARNING, STAMPED_CHANNELS[signal], text, typical, "s",
-                        advice=Advice("look", f"record the {signal} at a higher rate, or find out why most of its "
+                        advice=Advice("text", f"record the {signal} at a higher rate, or find out why most of its "
                                       "samples are not used"))]
     gaps = [k for k in np.flatnonzero(spacing > MAX_GAP)
             if not any(time[k] < begin and end < time[k + 1] for begin, end in excluded_times)]
@@ -188,7 +188,7 @@ def _check_gaps(signal: str, time: np.ndarray, excluded_times: Sequence[tuple[fl
     text = (f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} of the {signal}, {missing:.2f} s in all, longest "
             f"{spacing[gaps].max():.2f} s: nothing is scored there")
     return [Finding("time_gaps", severity, STAMPED_CHANNELS[signal], text, missing, "s", times=times,
-                    advice=Advice("look", "check the logger: lost packets, a full buffer, a restart"))]
+                    advice=Advice("text", "check the logger: lost packets, a full buffer, a restart"))]
 
 
 def find_stuck_channels(motion: Motion, channels: Mapping[str, Sampling]) -> list[Finding]:
@@ -215,7 +215,7 @@ def find_coarse_channels(motion: Motion, stuck: Sequence[Finding]) -> list[Findi
         degrees = f" ({np.rad2deg(step):.2g} deg)" if unit.startswith("rad") else ""
         findings.append(Finding("resolution_coarse", LIMITS.severity(effect), (name,),
                                 f"{name} is rounded to {step:.3g} {unit}{degrees}", step, unit, effect=effect,
-                                advice=Advice("look", f"log {name} with more digits")))
+                                advice=Advice("text", f"log {name} with more digits")))
     return merge_findings(findings)
 
 
@@ -233,7 +233,7 @@ def _check_held(name: str, time: np.ndarray, values: np.ndarray) -> list[Finding
     text = f"{name} changes only once in {median:g} samples: it was recorded at {rate:.3g} Hz and held"
     severity = Severity.WARNING if rate < MIN_HELD_RATE else Severity.NOTE
     return [Finding("samples_repeated", severity, (name,), text, 1.0 - len(lengths) / len(values),
-                    advice=Advice("look", f"log {name} at its own rate, or interpolate it first"))]
+                    advice=Advice("text", f"log {name} at its own rate, or interpolate it first"))]
 
 
 def _check_clipped(name: str, time: np.ndarray, values: np.ndarray, motion: Motion, resolution: float) -> list[Finding]:
@@ -255,7 +255,7 @@ def _check_clipped(name: str, time: np.ndarray, values: np.ndarray, motion: Moti
     times = tuple(sorted((float(time[first[k]]), float(time[last[k]])) for k in clipped))
     limits = " and ".join(f"{limit:.4g}" for limit in sorted({float(values[first[k]]) for k in clipped}))
     text = f"{name} stays at {limits} {UNITS[name]} {len(clipped)} times while other channels change: it is clipped"
-    advice = Advice("look", f"increase the range of the sensor or of its signal: the true {name} is larger there"
+    advice = Advice("text", f"increase the range of the sensor or of its signal: the true {name} is larger there"
                     + (", unless the steering is at its stop" if name == "road_wheel_angle" else ""))
     return [Finding("channel_clipped", Severity.WARNING, (name,), text, float(np.abs(values[first[clipped]]).max()),
                     UNITS[name], times=times, advice=advice)]
@@ -278,9 +278,9 @@ def _check_frozen(name: str, time: np.ndarray, values: np.ndarray, motion: Motio
     throughout = seconds > 0.5 * float(time[-1] - time[0])
     severity = Severity.ERROR if throughout and name not in OPTIONAL_CHANNELS else Severity.WARNING
     if throughout:
-        advice = Advice("look", f"record {name}; no correction can replace it")
+        advice = Advice("text", f"record {name}; no correction can replace it")
     elif name == "road_wheel_angle":
-        advice = Advice("look", "check the steering sensor: its frames repeat one value")
+        advice = Advice("text", "check the steering sensor: its frames repeat one value")
     else:
         frozen_times = [[round(begin, 2), round(end, 2)] for begin, end in times]
         advice = Advice.for_run_yaml({"leave_out": frozen_times})
@@ -377,7 +377,7 @@ def check_quality(quality: InsQuality | None, start_ns: int) -> list[Finding]:
         text = f"the INS is {condition} for {100 * fraction:.0f} % of the time, during which its positions drift"
         severity = Severity.WARNING if fraction > LIMITS.max_note_fraction else Severity.NOTE
         findings.append(Finding("ins_mode", severity, ("ins",), text, fraction, times=list_times(rows), advice=Advice(
-            "look", "leave out these intervals, or post-process the raw data of the INS")))
+            "text", "leave out these intervals, or post-process the raw data of the INS")))
     accuracy = quality.position_accuracy
     known = np.isfinite(accuracy)
     median = float(np.median(accuracy[known])) if known.any() else 0.0
@@ -385,5 +385,5 @@ def check_quality(quality: InsQuality | None, start_ns: int) -> list[Finding]:
         text = f"the median standard deviation of position reported by the INS is {median:.2f} m"
         findings.append(Finding("ins_accuracy", LIMITS.severity(median), ("ins",), text, median, "m",
                                 times=list_times(known & (accuracy >= LIMITS.warning_effect)), effect=median,
-                                advice=Advice("look", "record with RTK, or post-process the raw data of the INS")))
+                                advice=Advice("text", "record with RTK, or post-process the raw data of the INS")))
     return findings

@@ -90,7 +90,7 @@ def _add_outcome(finding: Finding, before: float | None, after: float | None) ->
     advice = (f"its correction is not proposed, as it would raise the prediction error of this run from {before:.2f} "
               f"to {after:.2f} m: look for a different cause")
     severity = Severity.NOTE if finding.severity is Severity.WARNING else finding.severity
-    return replace(finding, severity=severity, advice=Advice("look", advice), tried=(before, after))
+    return replace(finding, severity=severity, advice=Advice("text", advice), tried=(before, after))
 
 
 def _is_worse(before: float, after: float) -> bool:
@@ -178,7 +178,7 @@ def check_step_length(models: Sequence[str | Model], vehicle: VehicleParameters,
         shorter_steps = (step / divisor for divisor in STEP_DIVISORS)
         value, unit = next((t for t in shorter_steps if are_stable(resolved, vehicle, speeds.tolist(), t)), None), "s"
         advice = Advice("option", f"--step {value:.9g}", {"step": value}) if value is not None else Advice(
-            "look", f"no step down to {1e3 * step / MAX_SUBSTEPS:.2g} ms is short enough: check the vehicle's "
+            "text", f"no step down to {1e3 * step / MAX_SUBSTEPS:.2g} ms is short enough: check the vehicle's "
             "yaw_inertia, mass and stiffnesses, and the effects of the model")
     text = (f"integration steps of {1e3 * step:g} ms are too long for the {' and '.join(unstable_models)} model of "
             f"{vehicle.name} at {affected.min():.1f} to {affected.max():.1f} m/s: the lateral motion "

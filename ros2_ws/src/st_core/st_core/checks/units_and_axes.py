@@ -95,7 +95,7 @@ def check_time_unit(motion: Motion) -> MotionAndFinding:
     # A single ratio may also be due to the unit of velocity, so it must match a unit of time.
     if not unit and (len(known) < 2 or 1 / 10 < factor < 10):
         return motion, None
-    question, advice = "", Advice("look", "check the clock that stamps the rows")
+    question, advice = "", Advice("text", "check the clock that stamps the rows")
     if unit:
         factor, (name, symbol) = unit, TIME_UNITS[unit]
         question = f": is its unit {name}?"
@@ -325,7 +325,7 @@ def _correct_distance(motion: Motion) -> MotionAndFinding:
                 "Metres are expected")
         metres = replace(motion, x=motion.x / ratio, y=motion.y / ratio)
         return _correct(metres, "position_scale", ("x", "y"), text, ratio,
-                        Advice("look", "project latitude and longitude to east and north"))
+                        Advice("text", "project latitude and longitude to east and north"))
     velocity_ratio = 1.0 / ratio
     if not speed and accelerations_confirm_velocity(motion, velocity_ratio):
         text = (f"x and y are {ratio:.4g} times the integrated velocity, which agrees with the accelerations: is the "
@@ -388,7 +388,7 @@ def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
         body = velocity * np.exp(-1j * motion.yaw)
         axes = "north and east" if is_north_first else "east and north"
         text = f"velocity_x and velocity_y are in the map frame, {axes}: the body frame is expected"
-        advice = Advice("look", "rotate them by yaw: velocity_x = cos(yaw) east + sin(yaw) north, "
+        advice = Advice("text", "rotate them by yaw: velocity_x = cos(yaw) east + sin(yaw) north, "
                         "velocity_y = cos(yaw) north - sin(yaw) east")
         motion = replace(motion, velocity_x=body.real, velocity_y=body.imag)
     elif distance > 0.0 and motion.moves_sideways and float(

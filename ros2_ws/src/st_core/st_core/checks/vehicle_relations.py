@@ -54,10 +54,10 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
     weight, expected = np.square(np.nan_to_num(derived)), max(stability_factor(vehicle), 0.0)
     mean_square = float(np.average(motion.velocity_x**2, weights=weight)) if weight.any() else 0.0
     largest = max(expected, MAX_UNDERSTEER / DEG_PER_RAD / (vehicle.wheelbase * GRAVITY))
-    understeer = 1.0 + expected * mean_square, 1.0 + largest * mean_square
+    plausible_gains = 1.0 + expected * mean_square, 1.0 + largest * mean_square
     if agreement is None or not agreement.correlates:
         steering_finding = _make_unrelated_finding(motion, derived) or (
-            gain and _make_unit_finding(gain, understeer, vehicle, has_steering_wheel))
+            gain and _make_unit_finding(gain, plausible_gains, vehicle, has_steering_wheel))
         return [steering_finding] if steering_finding else [], {}, None
     # In one long bend, gain and offset are confounded.
     if gain is not None and (agreement.scale.standard_error > 0.2 * abs(agreement.scale.value)
@@ -71,7 +71,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
     response_change = _compute_response_change(motion, vehicle)
     clock = _make_clock_finding(agreement, response_change, lateral_shift) if has_lag else None
     has_lag &= clock is None
-    findings = (_make_unit_finding(gain, understeer, vehicle, has_steering_wheel), clock,
+    findings = (_make_unit_finding(gain, plausible_gains, vehicle, has_steering_wheel), clock,
                 _make_lag_finding(lag, agreement, response, lateral_shift) if has_lag else None,
                 _make_offset_finding(agreement, vehicle, has_steering_wheel, lateral_shift))
     estimates = {"steering_scale": gain, "steering_sign": gain,
@@ -94,9 +94,9 @@ def _make_unrelated_finding(motion: Motion, derived: np.ndarray) -> Finding | No
     if abs(correlation) >= LIMITS.min_correlation:
         return None
     text = (f"the steering does not follow the car's motion (correlation {correlation:.2f}): is it a different signal, "
-            f"from a different drive, or stamped more than {MAX_LAG:g} s too early or too late, or does its sign "
+            f"from a different drive, or time-stamped more than {MAX_LAG:g} s too early or too late, or does its sign "
             "change during the drive?")
-    advice = Advice("look", "compare steering and yaw rate over time; predictions with this steering are invalid")
+    advice = Advice("text", "compare steering and yaw rate over time; predictions with this steering are invalid")
     return Finding("steering_unrelated", Severity.WARNING, ("road_wheel_angle",), text, correlation, advice=advice)
 
 
@@ -114,7 +114,7 @@ def _estimate_steering_gain(motion: Motion, derived: np.ndarray) -> Estimate | N
 
 
 def compute_response_time(vehicle: VehicleParameters, speed: float) -> float:
-    """Lag of the linear car's yaw rate behind slow changes of its steering [s]: the group delay at frequency 0.
+    """Delay of the yaw rate of the linear model for slow steering [s]: the group delay at frequency 0.
 
         tau = -d(arg H)/d(omega),   H = c (i omega - A)^-1 b:   tau = -(c A^-2 b) / (c A^-1 b)
     """
@@ -145,13 +145,13 @@ def _compute_lateral_shift(speed: float, vehicle: VehicleParameters) -> float:
     return abs(0.5 * speed * yaw_gain) * HORIZON**2
 
 
-def _make_unit_finding(gain: Estimate, understeer: tuple[float, float], vehicle: VehicleParameters,
+def _make_unit_finding(gain: Estimate, plausible_gains: tuple[float, float], vehicle: VehicleParameters,
                        has_steering_wheel: bool) -> Finding | None:
     """Finding of a steering gain that only a wrong unit or sign can explain; None for a plausible gain.
 
-    understeer: expected and largest plausible gain; a gain of 1 is plausible too, since stiffnesses may be inaccurate.
+    plausible_gains: the expected and the largest one; 1 is plausible too, since stiffnesses may be inaccurate.
     """
-    (expected, largest), value, limit = understeer, gain.value, LIMITS.steering_unit_ratio
+    (expected, largest), value, limit = plausible_gains, gain.value, LIMITS.steering_unit_ratio
     if abs(value) < MIN_GAIN or (gain.interval[1] > 1.0 / limit and gain.interval[0] < limit * largest):
         return None
     ratio = f"steering ratio {vehicle.steering_ratio:g} of the vehicle file"
@@ -197,7 +197,7 @@ def _make_clock_finding(agreement: Agreement, response_change: float, lateral_sh
             "during the drive")
     effect = lateral_shift * abs(change.value) * float(np.std(agreement.derived)) * np.sqrt(2.0) / HORIZON
     return _make_finding("time_rate", ("road_wheel_angle",), text, rate, "1", effect,
-                         Advice("look", "stamp the steering and the motion with one clock"))
+                         Advice("text", "time-stamp the steering and the motion with one clock"))
 
 
 def _make_lag_finding(lag: Estimate, agreement: Agreement, response: float, lateral_shift: float) -> Finding | None:
@@ -256,12 +256,12 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
     if abs(float(forward @ rate)) > MAX_COSINE * float(np.linalg.norm(forward) * np.linalg.norm(rate)):
         return [], {}, None
     problem = Regression(windows.time[usable], lateral[:, None], {
-        "heading": -forward[:, None], "point": rate[:, None], "slip": -(forward**2 * rate)[:, None],
+        "misalignment": -forward[:, None], "lever_arm": rate[:, None], "slip": -(forward**2 * rate)[:, None],
         "roll": -(windows.change(motion.velocity_x * motion.yaw_rate)[usable] / WINDOW)[:, None]})
     estimates = _fit_rear_axle(problem, vehicle, has_varying_speed(forward))
     distance_in_file = vehicle.cg_to_rear_axle + vehicle.cg_to_ins_x
-    heading = add_systematic_uncertainty("heading_misaligned", estimates["heading"])
-    point = add_systematic_uncertainty("measuring_point", estimates["point"].shifted(-distance_in_file))
+    heading = add_systematic_uncertainty("heading_misaligned", estimates["misalignment"])
+    point = add_systematic_uncertainty("measuring_point", estimates["lever_arm"].shifted(-distance_in_file))
     # If v_y has the opposite sign, the point appears as far behind the axle as it is ahead, and the slip is negative.
     is_mirrored = (point.covers(-2.0 * distance_in_file) and distance_in_file > LIMITS.ins_position
                    and estimates["slip"].interval[1] < 0.0)
@@ -284,19 +284,19 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
 
 
 def _fit_rear_axle(problem: Regression, vehicle: VehicleParameters, speed_varies: bool) -> dict[str, Estimate]:
-    """Estimates of heading [rad], point [m ahead of the rear axle], slip [rad s^2/m] and roll [s^2].
+    """Estimates of misalignment [rad], lever_arm [m ahead of the rear axle], slip [rad s^2/m] and roll [s^2].
 
     If the speed does not vary, or if the standard error of the slip is at least 25 %, the slip is that of the vehicle
     file +/- 50 %.
     """
     expected = rear_slip_coefficient(vehicle)
     if speed_varies:
-        free = problem.estimate(("heading", "point", "slip", "roll"))
+        free = problem.estimate(("misalignment", "lever_arm", "slip", "roll"))
         if free["slip"].standard_error < 0.25 * expected:
             return free
     middle, low, high = (
         Regression(problem.time, problem.compute_residual({"slip": slip}), problem.columns).estimate(
-            ("heading", "point", "roll"))
+            ("misalignment", "lever_arm", "roll"))
         for slip in (expected, *(factor * expected for factor in SLIP_RANGE)))
     return {"slip": Estimate(expected, 0.25 * expected, 0.5 * expected), **{
         name: estimate.widened(max(abs(other[name].value - estimate.value) for other in (low, high)))
@@ -315,8 +315,8 @@ def _make_point_finding(point: Estimate, slip: Estimate, motion: Motion, vehicle
     # |R(yaw2) - R(yaw1)|, by which a wrong point shifts the displacement over the horizon.
     turn = 2.0 * np.abs(np.sin(0.5 * windows.change(motion.yaw))) if len(windows) else np.zeros(1)
     effect = abs(point.value) * float(np.sqrt(np.square(turn).mean()))
-    text = (f"the measuring point lies {abs(point)} m {'ahead of' if point.value > 0 else 'behind'} the "
-            f"INS point of the vehicle file (cg_to_ins_x {vehicle.cg_to_ins_x:.2f} m)")
+    text = (f"the measuring point is {abs(point)} m {'ahead of' if point.value > 0 else 'behind'} "
+            f"the INS position in the vehicle file (cg_to_ins_x {vehicle.cg_to_ins_x:.2f} m)")
     if point.covers(-vehicle.cg_to_ins_x - vehicle.cg_to_rear_axle):
         text += ", which may be the rear axle"
     value = vehicle.cg_to_ins_x + point.value
@@ -325,10 +325,10 @@ def _make_point_finding(point: Estimate, slip: Estimate, motion: Motion, vehicle
     low, high = (factor * rear_slip_coefficient(vehicle) for factor in SLIP_RANGE)
     if abs(value) > vehicle.wheelbase:
         text += f", {abs(value):.2f} m from the CG and thus outside the car"
-        advice = Advice("look", "check velocity_y; while the rear tyres slide, no measuring point can be found")
+        advice = Advice("text", "check velocity_y; while the rear tyres slide, no measuring point can be found")
     elif slip.interval[1] < low or slip.interval[0] > high:
         text += ", but velocity_y does not fit the rear slip of the vehicle file"
-        advice = Advice("look", "measure the INS position: rear wheels that steer differently with speed, or a "
+        advice = Advice("text", "measure the INS position: rear wheels that steer differently with speed, or a "
                         "different cornering_stiffness_rear, have the same effect")
     else:
         text += ", or the rear wheels steer"
@@ -347,7 +347,7 @@ def check_tyre_limit(motion: Motion) -> list[Finding]:
             "wrong")
     times = tuple((float(t), float(t) + WINDOW) for t in windows.time[impossible][:MAX_LISTED_TIMES])
     return [Finding("lateral_acceleration_impossible", Severity.ERROR, ("velocity_x", "yaw_rate"), text, largest,
-                    "m/s^2", times=times, advice=Advice("look", "check speed and yaw rate at these times"))]
+                    "m/s^2", times=times, advice=Advice("text", "check speed and yaw rate at these times"))]
 
 
 def check_standstill(motion: Motion) -> list[Finding]:
@@ -364,5 +364,5 @@ def check_standstill(motion: Motion) -> list[Finding]:
             text = f"{name} is {value:.3g} {unit} while position and yaw are constant"
             times = tuple((float(t), float(t) + STANDSTILL_WINDOW) for t in windows.time[standstill][:MAX_LISTED_TIMES])
             findings.append(Finding("standstill_motion", Severity.WARNING, (name,), text, value, unit, times=times,
-                                    advice=Advice("look", f"check the bias of {name}")))
+                                    advice=Advice("text", f"check the bias of {name}")))
     return findings

@@ -204,7 +204,7 @@ def _divide(value: Any, count: int) -> Any:
 MODE_TITLES = {"hindsight": "hindsight (measured inputs)", "forecast": "forecast (inputs held)"}
 NO_BANDS = ("[dim]no bands were given: calibrate them on other runs of this car with `st calibrate RUN… --vehicle FILE "
             "--output bands.yaml`, and test them on these runs with `--bands bands.yaml`[/dim]")
-RESIDUAL = "what remains"  # key of the residual in evaluation.json
+RESIDUAL = "residual"
 REPORTED_SECONDS = ("1", "3", "5")  # prediction times in the table
 
 
@@ -245,10 +245,11 @@ def make_band_rows(content: Mapping[str, Any]) -> list[dict[str, str]]:
             interval_score, crps = scores["interval_score"].get(top), scores["crps"]
             rows.append({
                 "model": model, "inputs": mode,
-                "starts": str(scores["starts"]), "no band": str(scores["without_band"]),
+                "predictions": str(scores["starts"]), "no band": str(scores["without_band"]),
                 "50 % covers": _format_share(scores["coverage"].get("0.5")),
                 f"{_format_level(top)} covers": _format_share(scores["coverage"].get(top)),
-                "worst cell": f"{worst['coverage']:.0%} ({worst['cell']}, {worst['starts']} starts)" if worst else "-",
+                "worst cell": (f"{worst['coverage']:.0%} ({worst['cell']}, {worst['starts']} predictions)"
+                               if worst else "-"),
                 f"interval score {_format_level(top)}, along | across, m": _format_pair(interval_score),
                 "CRPS, along | across, m": _format_pair(crps),
                 f"half-width {_format_level(top)}, along | across, m": _format_pair(widths[-1] if widths else None)})
@@ -267,7 +268,7 @@ def _format_level(level: str) -> str:
 
 def make_adaptive_rows(content: Mapping[str, Any]) -> list[dict[str, str]]:
     """Table row of each model and mode in the result of `summarise_adaptive`, by column title."""
-    return [{"model": model, "inputs": mode, "starts": str(scores["starts"]),
+    return [{"model": model, "inputs": mode, "predictions": str(scores["starts"]),
              **{f"{_format_level(level)} covers": _format_share(share) for level, share in scores["coverage"].items()},
              **{f"{_format_level(level)} after 2 min": _format_share(share)
                 for level, share in scores["late_coverage"].items()}}
@@ -283,7 +284,8 @@ def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Co
         rows, level = make_band_rows(content), _format_level(_find_top_level(content))
         # A single table would be wider than 80 characters.
         for title, columns in (
-                ("Bands: fraction of paths entirely inside", ("starts", "no band", "50 % covers", f"{level} covers")),
+                ("Bands: fraction of paths entirely inside",
+                 ("predictions", "no band", "50 % covers", f"{level} covers")),
                 (f"Bands: conditions with the lowest coverage of the {level} band", ("worst cell",)),
                 ("Bands: scores and half-width, along | across", (
                     f"interval score {level}, along | across, m", "CRPS, along | across, m",
@@ -365,7 +367,6 @@ def make_share_rows(shares: Mapping[str, Any]) -> list[dict[str, str]]:
                    "rms along | across, m": f"{rms['longitudinal']:.2f} | {rms['lateral']:.2f}"}
             for kind, values in summary["share"].items():
                 text = f"{values[second]['longitudinal']:.0%} | {values[second]['lateral']:.0%}"
-                row["residual" if kind == RESIDUAL else kind] = (
-                    text if kind != PARAMETERS or summary["stated"] else "not stated")
+                row[kind] = text if kind != PARAMETERS or summary["stated"] else "not stated"
             rows.append(row)
     return rows

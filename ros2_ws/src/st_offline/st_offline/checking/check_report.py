@@ -32,7 +32,7 @@ QUANTITY_UNITS = {**{f"{channel}_bias": unit for channel, unit in CHANNEL_UNITS.
                   **dict.fromkeys(("yaw_offset", "heading_misaligned", "steering_offset"), "rad"),
                   **dict.fromkeys(("position_reference", "measuring_point"), "m")}
 ADVICE_PLACE = {"run.yaml": "in its run.yaml: ", "vehicle": "in the vehicle file: ", "option": "with the option ",
-                "look": ""}
+                "text": ""}
 SEVERITY_STYLE = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: "dim"}
 
 
@@ -215,7 +215,7 @@ def build_document(runs: Sequence[CheckedRun], unreadable: Mapping[str, str]) ->
                             for comparison in run.result.comparisons],
             "warnings": list(run.warnings), "files": dict(run.files), "alignment": json_ready(dict(run.alignment)),
         } for run in runs},
-        "together": [json_ready(quantity.as_dict()) for quantity in compare_runs([run.result for run in runs])],
+        "combined_estimates": [json_ready(entry.as_dict()) for entry in compare_runs([run.result for run in runs])],
         "failed": dict(unreadable),
     }
 

@@ -21,7 +21,7 @@ from .drawing import TEXT_COLOUR, WIDTH, FigureOutput, PageFigure, apply_style, 
 from .tables import REPORTED_AXES, format_error, get_axis_statistics, pool_entries, pool_models
 from .work import RunReport, Task, to_file_name
 
-SCHEMA = 2
+SCHEMA = 3
 MAX_RUNS = 40  # in the overview figure
 FORECAST_LABELS = {"forecast": "", "plan": "with the inputs of the plan ", "course": "with the inputs of the course "}
 
@@ -33,7 +33,7 @@ def describe_settings(task: Task) -> dict[str, str]:
     inputs = {"interpolate": "interpolated within a step", "hold": "held over each step"}[settings.inputs]
     return {
         "vehicle": f"{task.vehicle.name} ({task.vehicle_file}, {task.vehicle.hash[:12]})",
-        "starts": f"every {settings.interval:g} s, at {prediction.minimum_speed:g} m/s or more",
+        "predictions": f"every {settings.interval:g} s, at {prediction.minimum_speed:g} m/s or more",
         "horizon": f"{prediction.horizon:g} s in steps of {prediction.step * 1000:g} ms, Runge-Kutta 4",
         "forward acceleration": f"derivative of the INS speed after a {prediction.filter_cutoff:g} Hz low-pass filter, "
                                 f"{filters[settings.acceleration]}",
@@ -102,7 +102,7 @@ def write_results(reports: Sequence[RunReport], task: Task, title: str) -> dict[
         files[name] = folder / f"{name}.csv"
         tables.write_csv(files[name], rows)
     settings = describe_settings(task)
-    note = (f"{settings['vehicle']}; starts {settings['starts']}; horizon {settings['horizon']}; "
+    note = (f"{settings['vehicle']}; predictions {settings['predictions']}; horizon {settings['horizon']}; "
              f"{settings['measured inputs']}.")
     files["latex"].write_text(tables.make_latex_table(evaluated_runs, task.over, note))
     output = FigureOutput(folder, task.formats)

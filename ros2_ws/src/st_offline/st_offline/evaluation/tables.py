@@ -131,13 +131,13 @@ def format_error(value: float | None) -> str:
 
 
 def list_rmse(models: Models, over: str) -> tuple[list[str], list[list[str]]]:
-    """(head, rows): number of starts and RMSE [m] of each model, by mode."""
+    """(head, rows): number of predictions and RMSE [m] of each model, by mode."""
     rows = []
     for model, modes in models.items():
         for k, (mode, entry) in enumerate(modes.items()):
             sizes = (get_axis_statistics(models, model, mode, axis, over)["rmse"] for axis in REPORTED_AXES)
             rows.append(["" if k else model, mode, str(entry["n_starts"]), *map(format_error, sizes)])
-    return ["model", "inputs", "starts", *(f"{axis} RMSE, m" for axis in REPORTED_AXES)], rows
+    return ["model", "inputs", "predictions", *(f"{axis} RMSE, m" for axis in REPORTED_AXES)], rows
 
 
 def compare_modes(reports: Sequence[Any], modes: Sequence[str], over: str) -> tuple[list[str], list[list[str]]]:
@@ -170,7 +170,7 @@ def make_terminal_table(reports: Sequence[Any], over: str, title: str, width: in
     table = Table(title=heading, title_justify="left", box=None, padding=(0, 1))
     table.add_column("run", overflow="fold")
     table.add_column("model", no_wrap=True)
-    for name in ("starts", *REPORTED_AXES, *(f"{mode} RMSE\nlon | lat" for mode in forecast_modes if is_wide)):
+    for name in ("scored", *REPORTED_AXES, *(f"{mode} RMSE\nlon | lat" for mode in forecast_modes if is_wide)):
         table.add_column(name, justify="right", no_wrap=True)
     for report in reports:
         for number, model in enumerate(report.models):
@@ -180,8 +180,8 @@ def make_terminal_table(reports: Sequence[Any], over: str, title: str, width: in
             forecasts = [" | ".join(
                 f"{format_error(get_axis_statistics(report.models, model, mode, axis, over)['rmse']):>5}"
                 for axis in REPORTED_AXES) if mode in report.models[model] else "" for mode in forecast_modes]
-            starts = str(report.models[model]["hindsight"]["n_starts"])
-            table.add_row(Text("" if number else report.name), Text(model, style=MODEL_COLOUR.get(model, "")), starts,
+            count = str(report.models[model]["hindsight"]["n_starts"])
+            table.add_row(Text("" if number else report.name), Text(model, style=MODEL_COLOUR.get(model, "")), count,
                           *cells, *(forecasts if is_wide else []))
         table.add_section()
     return table
