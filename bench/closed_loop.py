@@ -83,7 +83,7 @@ def run_relation(folder: Path) -> dict:
                               "--effects", written["effects"]))
     library, *proposed = compare_drives(*map(read_scored, drives))
     result = {"stated": [e["name"] for e in discovery["effects"]], "kept": [e["name"] for e in discovery["minor"]],
-              "law": discovery["relation"]["proposal"], "why": discovery["relation"]["why"],
+              "law": discovery["relation"]["proposal"], "why": discovery["relation"]["reason"],
               "position_5s": _position_errors(discovery),
               "library": library["lateral"].get("augmented", library["lateral"]["nonlinear"]),
               "starts": library["starts"]}
@@ -251,11 +251,13 @@ def _relation_page(result: dict) -> str:
     relation_lines = [f"Nothing is proposed: {result['why']}."]
     if relation:
         others = "; ".join(f"{name.replace('_', ' ')} (cosine {cosine:.2f})"
-                           for name, cosine in relation["others"].items())
-        read = "; ".join(f"`{r['text']}` ({r['shape']}, {100 * r['explained']:.0f} %)" for r in relation["readings"])
+                           for name, cosine in relation["rivals"].items())
+        read = "; ".join(f"`{r['text']}` ({r['shape']}, {100 * r['retained_fraction']:.0f} %)"
+                         for r in relation["formulas"])
         relation_lines = [
-            f"**Proposed: {relation['place'].replace('_', ' ')} over {relation['quantity'].replace('_', ' ')}.** "
-            f"Readings: {read or 'no simple shape'}.", f"Not distinguishable from it: {others or 'none'}.",
+            f"**Proposed: {relation['term'].replace('_', ' ')} as a function of "
+            f"{relation['quantity'].replace('_', ' ')}.** "
+            f"Formulas: {read or 'no simple shape'}.", f"Not distinguishable from it: {others or 'none'}.",
             "Held-out position error after 5 s of the recorded drives: "
             f"{base:.3f} (file as given), {library:.3f} (library), {relation['position_5s'][1]:.3f} m "
             "(with the relation)."]

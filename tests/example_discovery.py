@@ -60,7 +60,7 @@ def discovery(runs: Sequence[DriveLog], steps: Sequence[tuple[str, Mapping[str, 
         effects.append(FoundEffect(name, kind, fitted(name, values), (alternatives or {}).get(name, ()),
                                    0.9 * (before - after), agreement))
     parts = {part: sum(b - a for (n, _, a), b in zip(steps, totals, strict=False) if get_effect(n).kind == part)
-             for part in ("sensors", "vehicle parameters", "physics", "surroundings")}
+             for part in ("sensors", "vehicle parameters", "physics", "environment")}
     parts |= {"place or time": sum(b.position_5s_reduction for b in varying), "unexplained": totals[-1]}
     budget = tuple(BudgetLine(part, 0.8 * size, size, 0.8 * size / base, size / base, 0.7 * size / base, size / base)
                    for part, size in parts.items())
@@ -86,12 +86,13 @@ def discovery(runs: Sequence[DriveLog], steps: Sequence[tuple[str, Mapping[str, 
                  *(Reason(decision.ACCEPTED, e.name, {"share": 0.2}, "it reduces the errors by 20.0%")
                    for e in effects)),
         candidates=tuple(candidates),
-        where=(LargeErrorRegion("yaw_rate", "lateral acceleration above 3 m/s^2", 4.2, (3.1, 5.5)),),
+        large_error_regions=(LargeErrorRegion("yaw_rate", "lateral acceleration above 3 m/s^2", 4.2, (3.1, 5.5)),),
         not_testable=(UntestableEffect("friction", "no drive reaches the friction limit", "ramp_to_limit"),),
         next_manoeuvre=NextManoeuvre("sweep", ("steering_ratio", "front_stiffness"), 5.5, {"sweep": 5.5, "step": 2.0},
                                      3, 30.0, 14.0, "their effects differ most in it"),
         separability=(Separability("steering_ratio", "front_stiffness", 0.97, 2.2),),
-        certificate=PowerAnalysis(powers, 0, 0, False), signature=("it increases with speed",) * (outcome == "unknown"),
+        power_analysis=PowerAnalysis(powers, 0, 0, False),
+        signature=("it increases with speed",) * (outcome == "unknown"),
         runs=tuple(Run(log.name, "suspect", log.duration, k % 2, 40) for k, log in enumerate(runs))
         + tuple(Run(log.name, "reference", log.duration, 0, 40) for log in reference),
         start="reference" if reference else "vehicle file", base=start, model=model,

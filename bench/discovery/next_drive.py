@@ -24,7 +24,8 @@ def try_suggestion(case: Case, drives: Drives, found: Discovery, settings: Disco
     if case.kind != "one" or not visible or _is_settled(case, found) or suggested is None:
         return {}
     part = m.suggested_part(suggested.name)
-    orders = [Order(f"next_{i + 1}", (case.seed, 300 + i), case.settings, (part,)) for i in range(suggested.times)]
+    orders = [Order(f"next_{i + 1}", (case.seed, 300 + i), case.settings, (part,))
+              for i in range(suggested.repetitions)]
     runs = record_more(case, drives.vehicle, orders)
     again = discover((*drives.suspect, *runs), drives.vehicle, "nonlinear", drives.reference, settings)
     return {"suggested": suggested.name, "separates": list(suggested.separates), "settled": _is_settled(case, again),

@@ -67,7 +67,7 @@ def _run(cases: Sequence[RelationCase], file: Path, until: float | None, whole: 
 
 def _print_record(r: Record) -> None:
     relation = r["law"]
-    answer = f"{relation['place']} over {relation['quantity']} {relation['reads']}" if relation else r["outcome"]
+    answer = f"{relation['place']}({relation['quantity']}) {relation['reads']}" if relation else r["outcome"]
     errors = ", ".join(f"{k} {v:.2f}" for k, v in r["position"].items())
     print(f"{r['block']} {r['index']} [{r['plant']}, {r['hidden']} x {r['scale']:g}] -> {answer}; 5 s {errors} m; "
           f"{sum(r['seconds']):.0f} s", flush=True)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 from st_core.effects import get_effect
-from st_core.relations.candidates import ALL_TERMS
+from st_core.relations.candidates import ALL_TERMS, split_name
 
 from .cars import LEAF
 from .effects import SCATTER
@@ -64,7 +64,7 @@ def is_worse(r: Record) -> bool:
 
 def list_places(r: Record) -> list[str]:
     """Places of the proposed relation and of its alternatives."""
-    return list(dict.fromkeys([r["law"]["place"], *(name.partition(" over ")[0] for name in r["law"]["others"])]))
+    return list(dict.fromkeys([r["law"]["place"], *(split_name(name)[0] for name in r["law"]["others"])]))
 
 
 def list_misnamed_by_library(r: Record) -> list[str]:

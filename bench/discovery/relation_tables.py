@@ -75,10 +75,10 @@ def _failure_rows(records: Sequence[Record]) -> list[tuple[str, ...]]:
         wrong = list_failures(r)
         if wrong:
             relation = r["law"]
-            by = f" times {relation['by']}" if relation and relation["by"] else ""
+            by = f" * {relation['by']}" if relation and relation["by"] else ""
             answer = f"{r['outcome']}, no proposal"
             if relation:
-                answer = f"{relation['place']} over {relation['quantity']}{by}, {relation['reads']}"
+                answer = f"{relation['place']}({relation['quantity']}){by}, {relation['reads']}"
             rows.append((f"{r['block']} {r['index']}", f"{r['plant']}: {r['hidden']} x {r['scale']:g}",
                          answer, "; ".join(wrong)))
     return rows

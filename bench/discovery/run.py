@@ -87,7 +87,7 @@ def describe_answer(found: Discovery) -> Record:
                   for s in found.steps],
         "budget": {b.part: [round(v, 4) for v in (b.share_last, b.share_first)] for b in found.budget},
         "errors": None if errors is None else [round(errors.base, 4), round(errors.augmented, 4)],
-        "powers": [[p.effect, p.parameter, p.size, p.probability] for p in found.certificate.powers],
+        "powers": [[p.effect, p.parameter, p.size, p.probability] for p in found.power_analysis.powers],
         "not_testable": [n.name for n in found.not_testable],
         "refused": [[c.name, round(c.gain, 4), c.verdict] for c in found.candidates[:5]
                     if c.verdict not in ("named", "alternative")],

@@ -120,7 +120,7 @@ def is_reported(r: Record) -> bool:
 
 
 def power_pairs(records: Iterable[Record]) -> list[tuple[str, float, bool]]:
-    """(effect, promised power for the hidden size, whether it was found) for cases with a certificate."""
+    """(effect, promised power for the hidden size, whether it was found) for cases with a power analysis."""
     pairs = []
     for r in records:
         for name in r["hidden"]:
@@ -131,7 +131,7 @@ def power_pairs(records: Iterable[Record]) -> list[tuple[str, float, bool]]:
 
 
 def promised_power(r: Record, name: str) -> float | None:
-    """Power in the certificate for the true size of a hidden effect, interpolated over the logarithm of the size."""
+    """Predicted power for the true size of a hidden effect, interpolated over the logarithm of the size."""
     rows = [(p, abs(size), found) for e, p, size, found in r.get("powers", ()) if e == name]
     truth = r["truth"].get(name)
     if not rows or truth is None or rows[0][0] not in truth:
@@ -194,7 +194,7 @@ def score_rows(records: Sequence[Record]) -> list[Record]:
     judged = [r for r in (*blocks["A"], *blocks["B"]) if r.get("shares")]
     table.add("budget shares against truth, mean difference", "≤ 12 %", "≤ 6 %",
               {**value_of([m for r in judged for m in budget_misses(r)]), "percent": True})
-    table.add("self-certificate: promised power against measured, mean difference", "≤ 12 %", "≤ 6 %",
+    table.add("power analysis: predicted power against measured, mean difference", "≤ 12 %", "≤ 6 %",
               {**_power_error([*blocks["A"], *blocks["B"]]), "percent": True})
     everything = [r["cpu_s"] for r in records if "cpu_s" in r]
     table.add("processor time of discover per case [s], median", "≤ 20", "≤ 5", value_of(everything, np.median))

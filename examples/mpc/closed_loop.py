@@ -38,7 +38,7 @@ class DriveResults:
         return asdict(self)
 
 
-class Road:
+class ReferencePath:
     """Reference path of a plan. distance: position of the car along the path [m]."""
 
     def __init__(self, plan: Plan):
@@ -68,7 +68,7 @@ def drive(controller: Controller, car: VehicleParameters, settings: Settings, pl
 
     The solver time is measured, but commands take effect without this delay.
     """
-    road, plant = Road(plan), ControlledCar(car, settings, seed)
+    road, plant = ReferencePath(plan), ControlledCar(car, settings, seed)
     start = plan.path.pose(plan.start)
     plant.place(start.x, start.y, start.yaw, plan.speed_at(plan.start), plan.path.curvature(plan.start))
     step, rows, solutions = controller.tuning.step, [], []

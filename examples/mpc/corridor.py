@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import casadi
 import numpy as np
-from closed_loop import SAMPLING_TIME, Road
+from closed_loop import SAMPLING_TIME, ReferencePath
 from controlled_car import ControlledCar
 from controller import Controller, Tuning
 from st_core.bands import (
@@ -115,7 +115,8 @@ def drive(controller: Controller, car: VehicleParameters, vehicle: VehicleParame
     """Drive the car of a seed through the gates. tightening: None for constraints without a margin."""
     controller.reset()
     plan = RoadPlan(straight(400.0, SPEED))
-    road, plant, step = Road(plan), ControlledCar(car, plant_settings(seed), seed), controller.tuning.step
+    road, plant = ReferencePath(plan), ControlledCar(car, plant_settings(seed), seed)
+    step = controller.tuning.step
     plant.place(0.0, 0.0, 0.0, SPEED)
     rows, angles, depth, acceleration = [], [0.0] * 12, -np.inf, 0.0
     margin = np.zeros(controller.steps)

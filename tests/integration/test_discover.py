@@ -135,7 +135,7 @@ def test_hidden_change_is_found_with_its_size_without_a_reference(without_refere
         content["named_errors"]["position_5s"]["augmented"])
     # Every named effect has a reason, and every candidate an explanation.
     assert {e["name"] for e in content["effects"]} <= {reason["subject"] for reason in content["reasons"]}
-    assert all(c["why"] for c in content["candidates"])
+    assert all(c["reason"] for c in content["candidates"])
 
 
 def test_corrected_vehicle_file_alone_reduces_lateral_errors(without_reference, tmp_path):
@@ -189,7 +189,7 @@ def test_command_finds_both_changes_and_lists_the_unusable_run(command):
     assert result.output.index("suspect: 3 runs") < result.output.index("5 s position error")
     assert "reference: none" in result.output and "empty" in result.output
     content = json.loads((base / "out" / "discovery.json").read_text())
-    assert content["schema"] == 3
+    assert content["schema"] == 4
     names = {name for e in content["effects"] for name in (e["name"], *e["alternatives"])}
     assert {"steering_lag", "steering_ratio"} <= names
     assert {line["part"] for line in content["budget"]} >= {"vehicle parameters", "physics", "unexplained"}

@@ -84,7 +84,7 @@ def test_offset_that_starts_in_the_middle_of_runs_is_reported_as_varying(tmp_pat
     content = discover_in_files(write_edited(tmp_path, add_offset))
     assert "steering_offset" not in {e["name"] for e in content["effects"]}
     (varying,) = [b for b in content["varying"] if b["resembles"] == "steering_offset"]
-    shares = {value["where"]: value["ratio"] for value in varying["values"]}
+    shares = {value["subset"]: value["ratio"] for value in varying["values"]}
     # The four runs are divided into halves; the offset is in the second ones.
     halves = [[shares.get(f"{run}, part {k}") for k in (1, 2)] for run in RUNS]
     both = [pair for pair in halves if None not in pair]

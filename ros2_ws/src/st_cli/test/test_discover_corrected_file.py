@@ -88,7 +88,7 @@ def test_model_stiffer_than_the_car_raises_the_minimum_slip_speed_of_the_file(re
     assert update.vehicle.minimum_slip_speed > CAR.minimum_slip_speed and update.vehicle.yaw_inertia == CAR.yaw_inertia
     needed = required_slip_speed((update.model,), update.vehicle, STABILITY_SPEEDS, PredictionSettings().step)
     assert needed == update.vehicle.minimum_slip_speed
-    assert update.vehicle.sources["minimum_slip_speed"] == "stable with steps of 50 ms; before 3.0 m/s"
+    assert update.vehicle.sources["minimum_slip_speed"] == "stable with steps of 50 ms; previously 3.0 m/s"
     assert f"for steering ratio; minimum_slip_speed 3 → {update.vehicle.minimum_slip_speed:.4g} m/s" in "".join(
         recommend(found, update))
 
@@ -141,7 +141,7 @@ def test_only_lines_of_the_changed_keys_are_edited(recorded_drive):
     assert note.uncertainty == pytest.approx(0.02 * 0.1 * 17.3 / 1.96, rel=0.02)
     assert note.method == "st discover" and note.data == "weave" and len(note.date) == 10
     source = update.vehicle.sources["steering_ratio"]
-    assert source.startswith("st discover, 20") and "95 % interval 15.5" in source and source.endswith("before 17.3")
+    assert source.startswith("st discover, 20") and "95 % interval 15.5" in source and source.endswith("previously 17.3")
 
 
 def test_unit_in_the_file_is_kept(recorded_drive):

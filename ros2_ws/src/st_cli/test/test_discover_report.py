@@ -14,7 +14,7 @@ from st_cli.verbs.discover import expand_references
 from st_core.augmented import augment
 from st_core.checks import Advice, Finding, Severity
 from st_core.discovery import DiscoverySettings
-from st_core.discovery.error_regions import window_errors
+from st_core.discovery.error_regions import compute_window_errors
 from st_core.discovery.result import (
     CandidateEffect,
     Combination,
@@ -129,7 +129,7 @@ def test_correction_of_recordings_is_advised_only_if_one_exists(logs):
     lag = Finding("yaw_rate_lag", Severity.WARNING, ("yaw_rate",), "yaw_rate lags yaw by 0.30 s", 0.3, "s", effect=0.4,
                    advice=Advice.correct("yaw_rate", earlier=0.3))
     frozen = Finding("channel_frozen", Severity.WARNING, ("velocity_y",), "velocity_y is 0 throughout",
-                    advice=Advice("look", "record velocity_y"))
+                    advice=Advice("text", "record velocity_y"))
     found = discovery(logs, STEPS[:1], 1.72)
     correct, look = (dict(report_text.summarise(found, None, {"a": [one]}))["recordings"] for one in (lag, frozen))
     assert correct.endswith("correct them as st check proposes, and run st discover again")
@@ -198,8 +198,8 @@ def make_figure_data(found, logs, folder=None):
 
 def test_figures_are_drawn_only_if_they_have_content(logs, tmp_path):
     full = discovery(logs, STEPS, 1.72, varying=(make_varying_effect(logs),))
-    nothing = replace(full.certificate, powers=())
-    empty = replace(discovery(logs, (), 1.72), budget=(), certificate=nothing, candidates=(), errors={})
+    nothing = replace(full.power_analysis, powers=())
+    empty = replace(discovery(logs, (), 1.72), budget=(), power_analysis=nothing, candidates=(), errors={})
     slip = tuple(0.01 * k for k in range(11))
     curve = ForceCurve("front", slip, *(tuple(9e4 * factor * s for s in slip) for factor in (0.8, 0.75, 0.85, 1.0)),
                        (0.1,) * 10)
@@ -214,7 +214,7 @@ def test_maps_are_drawn_from_window_errors(tmp_path):
     files = [write_drive(tmp_path / f"{speed}.csv", weave(90.0, speed)) for speed in (7.0, 9.0)]
     long = [read_drive(source, CAR, ReadSettings(), force=True).log for source in find_runs(files)]
     found, settings = discovery(long, STEPS[:1], 1.72), DiscoverySettings(channels=("yaw_rate", "position"))
-    before, after = (window_errors(long, model, CAR, settings) for model in (found.base, found.model))
+    before, after = (compute_window_errors(long, model, CAR, settings) for model in (found.base, found.model))
     one = FigureData(found, long, before, after, FigureOutput(tmp_path, ("png",)))
     drawn = draw_maps(one)
     assert drawn.key == "map" and "complete model" in drawn.svg
@@ -269,7 +269,7 @@ def test_page_and_terminal_contain_the_result_and_escape_names(logs, drive, tmp_
     request = make_request(drive)
     corrected = update_vehicle(found, request)
     content = build_document(found, request, corrected, {})
-    assert content["schema"] == 3 and content["files"]["vehicle.yaml"]["kept"]["steering_ratio"]
+    assert content["schema"] == 4 and content["files"]["vehicle.yaml"]["not_folded"]["steering_ratio"]
     json.dumps(content, allow_nan=False)
     page = tmp_path / "report.html"
     write_page(page, found, corrected, [], content, [draw_waterfall(make_figure_data(found, logs))])

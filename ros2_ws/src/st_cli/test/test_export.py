@@ -100,7 +100,7 @@ def test_content_of_the_model_description(tmp_path, augmented):
     assert [i["name"] for i in description["inputs"]] == ["road_wheel_angle", "velocity_x_dot"]
     assert description["parameters"] == [{"name": "road_bank.angle", "unit": "rad", "lower": -0.3, "upper": 0.3,
                                       "value": 0.05}]
-    assert description["effects_not_in_the_equations"] == ["steering_delay"]
+    assert description["omitted_effects"] == ["steering_delay"]
     arguments = description["functions"]["augmented_step"]["arguments"]
     assert arguments == {"x": [8, 1], "u": [2, 1], "h": [1, 1], "p": [1, 1]}
     assert sorted(description["files"]) == sorted(f.name for f in out.iterdir() if f.suffix == ".casadi")

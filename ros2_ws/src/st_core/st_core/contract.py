@@ -101,7 +101,7 @@ def _check_backends(effect: type[Effect], vehicle: VehicleParameters, base: Mode
 
 
 def _check_mirror(effect: type[Effect], vehicle: VehicleParameters, base: Model, model: AugmentedModel) -> str:
-    if effect.kind == "surroundings":
+    if effect.kind == "environment":
         return ""  # wind and slope depend on the map and are not symmetric
     opposite_values = {p.name: -p.initial for p in effect.parameters if p.odd}
     mirror_model = model.with_values({effect.name: opposite_values}) if opposite_values else model
@@ -150,7 +150,7 @@ REQUIREMENTS = {
     "at its initial values it changes something": _check_change,
     "finite at its bounds, and at standstill": _check_finite,
     "equal with floats, in batches, compiled and in CasADi": _check_backends,
-    "left and right are mirror images, except for surroundings and parameters with odd=True": _check_mirror,
+    "left and right are mirror images, except for the environment and parameters with odd=True": _check_mirror,
     "it does not make the car unstable": _check_stability,
     "correct() inverts observe()": _check_correction,
 }

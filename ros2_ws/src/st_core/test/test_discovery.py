@@ -103,7 +103,7 @@ def test_hidden_effect_is_named_with_its_value(leaf, name, parameter, value, dri
     assert effect.position_5s_increase == pytest.approx(error.base - error.augmented, rel=0.5)
     verdicts = {c.name: c.verdict for c in found.candidates}
     assert verdicts[name] == "named" and set(verdicts) == set(Space("nonlinear", SETTINGS).hypotheses)
-    assert all(c.why for c in found.candidates)
+    assert all(c.reason for c in found.candidates)
 
 
 @pytest.mark.slow
@@ -410,7 +410,7 @@ def test_effect_with_a_value_at_its_bound_is_not_named(leaf):
     found = discover(logs, leaf, settings=replace(FEW, effects=("yaw_rate_scale",), channels=("yaw_rate", "position")))
     assert found.outcome == "unknown" and found.effects == ()
     (candidate,) = found.candidates
-    assert candidate.verdict == "on a bound" and "its value is at a bound" in candidate.why
+    assert candidate.verdict == "on a bound" and "its value is at a bound" in candidate.reason
     assert candidate.parameters["factor"] == pytest.approx(1.25)
 
 

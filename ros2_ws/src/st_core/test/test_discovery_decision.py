@@ -64,7 +64,7 @@ NOTHING = {"named": [], "rivals": {}, "refused": [], "noise_ratio": 1.0, "detect
     (GOOD, ACCEPTED, {"gain": 0.2, "p_value": 1e-4, "position": 0.5}),
     (NEGLIGIBLE_GAIN, NEGLIGIBLE, {"gain": 0.005, "negligible": 0.01}),
     (INSIGNIFICANT, GAIN_INSIGNIFICANT, {"p_value": 0.02, "false_alarm": 0.01}),
-    (replace(GOOD, gain_between_runs=0.3), GAIN_INSIGNIFICANT, {"gain": 0.2, "healthy_gain": 0.3}),
+    (replace(GOOD, gain_between_runs=0.3), GAIN_INSIGNIFICANT, {"gain": 0.2, "gain_between_runs": 0.3}),
     (replace(GOOD, gain_between_runs=0.1), ACCEPTED, {}),
     (NULL_POSSIBLE, NULL, {"null_p_value": 0.2, "undecided_p": 0.05}),
     (SMALL_EFFECT, IRRELEVANT, {"gain": 0.02, "position": 0.015}),

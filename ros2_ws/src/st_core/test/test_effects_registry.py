@@ -30,7 +30,7 @@ MAPPED_BANK = '''
         name = "{name}"
         physics = "a_y = -gain g sin(bank_angle)"
         excited_by = "a road whose bank is known"
-        kind, slot = "surroundings", "body"
+        kind, slot = "environment", "body"
         signals = ("bank_angle",)
         parameters = (
             Parameter("gain", "1", null=0.0, initial=1.0, bounds=(0.0, 2.0), meaning="share", source="theory: 1"),
@@ -61,6 +61,10 @@ def test_complete_effect_is_registered():
     assert register(make_effect()) is get_effect("trial")
 
 
+def test_kind_of_earlier_versions_has_its_new_name():
+    assert register(make_effect(kind="surroundings")).kind == "environment"
+
+
 def test_effect_without_a_name_and_a_tuple_has_the_name_of_its_file_and_one_parameter():
     effect = register(make_effect(name=None, parameters=None, parameter=GAIN))
     assert effect is get_effect("test_effects_registry") and effect.parameters == (GAIN,)
@@ -74,8 +78,8 @@ def test_effect_without_a_name_and_a_tuple_has_the_name_of_its_file_and_one_para
     ({"acceleration": lambda instant, prepared, theta: (0.0, 0.0, 0.0)},
      "effect trial: acceleration must be a @staticmethod"),
     ({"physics": ""}, "effect trial: physics is missing"),
-    ({"kind": None}, "effect trial: kind is missing; choose one of sensors, vehicle param.*, surroundings"),
-    ({"kind": "sensor"}, "effect trial: kind 'sensor' is not one of sensors, vehicle parameters, physics, surr"),
+    ({"kind": None}, "effect trial: kind is missing; choose one of sensors, vehicle param.*, environment"),
+    ({"kind": "sensor"}, "effect trial: kind 'sensor' is not one of sensors, vehicle parameters, physics, envi"),
     ({"slot": None}, "effect trial: slot is missing; choose one of steering, front axle, .*, acceleration"),
     ({"slot": "front"}, "effect trial: slot 'front' is not one of steering"),
     ({"needs": "yaw"}, "effect trial: needs must be a tuple of names"),

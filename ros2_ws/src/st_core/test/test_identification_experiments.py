@@ -59,7 +59,7 @@ def test_weighings_with_another_loading_are_excluded(leaf):
     (lambda r: np.where(np.arange(4) == 1, np.nan, r), "weighing 1: front_right reads nan kg; all four wheels"),
     (lambda r: r * [1, 1, 1, 0], "weighing 1: rear_right reads 0 kg"),
     (lambda r: r[:, [0, 2, 1, 3]] * [1, 0.7, 1.2, 1], "the front wheels carry"),
-    (lambda r: r * [[1.0], [1.0], [1.05]], "the weighings of one loading differ by "),
+    (lambda r: r * [[1.0], [1.0], [1.05]], "the weighings with equal loading differ by "),
 ])
 def test_implausible_weighings_are_rejected(leaf, change, message):
     data = weighings(leaf, 0)
@@ -91,7 +91,7 @@ def test_noise_free_lift_gives_exact_cg_height_at_every_pitch(leaf):
                     rear_radius=np.full(12, radius))
     found = identify_cg_height(exact, leaf)
     assert found["cg_height"].value == pytest.approx(leaf.cg_height, rel=1e-9)
-    single = found.figure["single"]
+    single = found.figure["height_per_row"]
     assert np.isfinite(single).sum() == 10 and single[np.isfinite(single)] == pytest.approx(leaf.cg_height, rel=1e-9)
 
 

@@ -16,7 +16,7 @@ from st_core.identification.result import (
     ParameterEstimate,
     apply_to_vehicle,
     compare_with_file,
-    describe_stale_scales,
+    describe_stale_lambda,
 )
 from st_core.tyres import stiffness_scale
 from st_core.vehicle import DERIVED_SOURCE, Provenance, VehicleParameters
@@ -93,8 +93,8 @@ def test_contradiction_with_the_vehicle_file_is_reported_with_numbers(leaf):
 def test_stale_stiffness_scale_is_reported(leaf):
     fixed = replace(leaf, sources={**leaf.sources, "tyre_front.lambda_ky": "by hand"})
     found = [make_identification(make_estimate("cornering_stiffness_front", 80000.0))]
-    assert describe_stale_scales(fixed, found)[0].startswith("tyre_front.lambda_ky of the vehicle file is outdated")
-    assert describe_stale_scales(leaf, found) == ()
+    assert describe_stale_lambda(fixed, found)[0].startswith("tyre_front.lambda_ky of the vehicle file is outdated")
+    assert describe_stale_lambda(leaf, found) == ()
 
 
 def test_lambda_ky_at_static_load_matches_the_paper(leaf):

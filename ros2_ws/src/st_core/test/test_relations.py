@@ -272,7 +272,7 @@ def test_run_time_starts_at_zero_in_every_run(leaf):
     time = compute_run_time(windows, windows.starts_ns)
     assert time == pytest.approx(windows.seconds)
     found = find_candidates(windows)
-    assert {c.name for c in found} >= {"both_grip over run_time", "front_steer over steering_rate"}
+    assert {c.name for c in found} >= {"both_grip(run_time)", "front_steer(steering_rate)"}
     assert {c.factor for c in found} == {by for *_, by in RELATIONS}
 
 
@@ -314,7 +314,7 @@ def test_curve_at_its_bound_is_refused(leaf, fits):
     c = Candidate("side_force", "speed", 0.0, 3.0, 20.0)
     assert describe_unusable_curve(fits, fit_with_curve(fits, c, np.full(SPLINES, 1.0))) == ""
     at_bound = fit_with_curve(fits, c, np.eye(SPLINES)[2] * 100.0)
-    assert "side_force over speed reaches its limit" in describe_unusable_curve(fits, at_bound)
+    assert "side_force(speed) reaches its limit" in describe_unusable_curve(fits, at_bound)
 
 
 @pytest.mark.slow
@@ -323,7 +323,7 @@ def test_relation_that_makes_the_car_unstable_is_refused(leaf, fits, sign, text)
     c = Candidate("yaw_moment", "yaw_rate", -1.0, -0.15, 0.15)
     curve_fit = fit_with_curve(fits, c, fit_splines(c, lambda u: sign * 25.0 * u))
     reason = describe_unusable_curve(fits, curve_fit)
-    assert text in reason and bool(text) == reason.startswith("yaw_moment over yaw_rate makes the simulated car")
+    assert text in reason and bool(text) == reason.startswith("yaw_moment(yaw_rate) makes the simulated car")
 
 
 @pytest.mark.slow

@@ -28,7 +28,7 @@ INPUTS_OF_MODE = {"hindsight": "measured inputs", "forecast": "inputs held"}
 def report_results(folder: Path, outcome: Outcome, extra: dict[str, Any], console: Console) -> int:
     """Write and print the results of a run; returns the exit status.
 
-    extra: further entries of summary.json; `what` is the title. Status 0: every process ended normally, and a horizon
+    extra: further entries of summary.json, with `title`. Status 0: every process ended normally, and a horizon
     was scored or the user ended the run; 130: the user ended the run before all nodes were up; 1: all other cases.
     """
     if outcome.interrupted and not outcome.statuses:
@@ -43,8 +43,8 @@ def report_results(folder: Path, outcome: Outcome, extra: dict[str, Any], consol
             return 1
         summary = summarise(results, {**extra, "exit_statuses": outcome.statuses})
         replace_file(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
-        draw_paths(results, f"{extra['what']}: {make_headline(summary)}", folder / "paths.png")
-    title = f"{extra['what']}: mean error over each horizon, at the INS point"
+        draw_paths(results, f"{extra['title']}: {make_headline(summary)}", folder / "paths.png")
+    title = f"{extra['title']}: mean error over each horizon, at the INS point"
     console.print(make_error_table(summary["models"], title))
     for line in format_band_lines(results.bands):
         console.out(line, highlight=False)

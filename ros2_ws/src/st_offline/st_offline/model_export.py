@@ -67,7 +67,7 @@ def make_description(symbolic: SymbolicModel, model: Model, vehicle: VehiclePara
         "model": symbolic.name,
         "base": model.base.name if isinstance(model, AugmentedModel) else model.name,
         "effects": {name: dict(values) for name, values in effects.items()},
-        "effects_not_in_the_equations": list(symbolic.omitted_effects),
+        "omitted_effects": list(symbolic.omitted_effects),
         "vehicle": {"name": vehicle.name, "hash": vehicle.hash},
         "version": __version__,
         "frame": "x forward, y left, z up; centre of gravity; map x east, y north; yaw counter-clockwise from east",
@@ -93,7 +93,7 @@ def _format_readme(description: dict[str, Any], kind: Format) -> str:
     states, inputs, parameters = (", ".join(f"{v['name']} [{v['unit']}]" for v in description[key]) or "none"
                                   for key in ("states", "inputs", "parameters"))
     stable = ", ".join(f"{h} s: {v:g} m/s" for h, v in description["stable_above_m_s"].items())
-    missing = ", ".join(description["effects_not_in_the_equations"])
+    missing = ", ".join(description["omitted_effects"])
     usage = (f'```python\nimport casadi\nstep = casadi.Function.load("{name}_step.casadi")\n'
              f"x_next = step(x, u, h{p})\n```" if kind == "casadi" else
              f"Compile `{name}.c` (C99, needs libm only) and include `{name}.h`. Matrices are stored column by column, "
@@ -106,7 +106,7 @@ def _format_readme(description: dict[str, Any], kind: Format) -> str:
         f"{description['frame']}.",
         f"States x: {states}. Inputs u: {inputs}. Parameters p: {parameters}. Bounds, and the arguments and results of "
         "each function, are in model.json; use the bounds, or narrower ones, as constraints.",
-        "`dynamics`: time derivative. `step`: classical Runge-Kutta over h [s], inputs held, "
+        "`dynamics`: time derivative. `step`: classical Runge-Kutta over h [s], inputs constant, "
         f"{description['substeps']} substep(s). `dynamics_jacobian`, `step_jacobian`: their derivatives A with respect "
         "to x and B with respect to u. `start`: appends the initial values of the additional states to the six states.",
         f"Speed above which a step h is stable (the equations are stiff at low speed): {stable}.",

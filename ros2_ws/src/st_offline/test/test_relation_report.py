@@ -49,7 +49,7 @@ def make_relation(place: str, quantity: str, parity: float, by: str = "") -> Rel
     at = np.linspace(c.low, c.high, 41)
     return Relation(c, heights, at, heights @ c.compute_splines(at), 0.01 + 0.0 * at, 0.0 * at + 1 / 41, 0.1, 0.001,
                     (0.8, 0.5), {"lap": (0.8, 0.5)}, augment("nonlinear", {"mass": {"factor": 1.1}}),
-                    {"side_force over speed": 0.9},
+                    {"side_force(speed)": 0.9},
                     (Formula("linear", "y = 2 u", 0.97, "a cause"),), redundant={"mass": 0.004})
 
 
@@ -122,7 +122,7 @@ def test_variation_between_runs_is_reported_and_relation_of_time_writes_no_file(
 
 def test_written_files_and_report_describe_the_proposal(tmp_path, registry):
     relation = make_relation("rear_steer", "acceleration_y", -1.0)
-    search = RelationSearch(relation, "it reduces the errors by 10 %", {"rear_steer over acceleration_y": (0.1, 0.001)})
+    search = RelationSearch(relation, "it reduces the errors by 10 %", {"rear_steer(acceleration_y)": (0.1, 0.001)})
     files = write_files(search, CAR, ["lap"], "2026-01-01T00:00:00", {"lap": "0" * 64}, tmp_path)
     load_folder(str(files["effects"].parent))
     text = files["effects"].read_text()
@@ -139,7 +139,7 @@ def test_written_files_and_report_describe_the_proposal(tmp_path, registry):
     assert "u: lateral acceleration (forward speed times yaw rate; positive to the left), m/s²" in lines
     assert "physics = \"y = curve of the lateral acceleration: additional steer angle of the rear wheels" in text
     content = build_relation_document(search)
-    assert content["proposal"]["place"] == "rear_steer" and len(content["proposal"]["curve"]["at"]) == 41
+    assert content["proposal"]["term"] == "rear_steer" and len(content["proposal"]["curve"]["points"]) == 41
 
 
 def test_next_proposal_includes_the_effects_it_requires(tmp_path, registry):
@@ -173,8 +173,8 @@ def test_reason_is_reported_without_a_proposal(tmp_path):
     assert write_files(search, CAR, [], "", {}, tmp_path) == {} and not list(tmp_path.iterdir())
     groups = [("proposal", ["none: no relation is significant"])]
     assert report_relation(search, DISCOVERY, CAR, "out") == RelationReport(groups)
-    search = RelationSearch(None, "the curve of side_force over speed runs into its bound",
-                            {"side_force over speed": (0.1, 0.2)})
+    search = RelationSearch(None, "the curve of side_force(speed) runs into its bound",
+                            {"side_force(speed)": (0.1, 0.2)})
     reason = "the curve of additional side force on the body as a function of the speed runs into its bound"
     assert f"none: {reason}" in format_report(search)
     assert build_relation_document(search)["proposal"] is None
@@ -197,7 +197,7 @@ def test_files_are_listed_with_the_commands_that_use_them():
 def test_next_drives_are_recommended_with_their_gain():
     relation = make_relation("yaw_moment", "acceleration_x", NO_PARITY)
     brake, sweep = (next(m for m in CATALOGUE if m.name == name) for name in ("brake_in_turn", "sweep"))
-    rival = "side_force over speed"
+    rival = "side_force(speed)"
     drives = NextDrives([(-3.0, -2.0), (1.0, 1.5)], {rival: 1.0},
                         [Option(brake, 0.5 * relation.deviation, {rival: 6.0}, (4.0, 0.0)),
                          Option(sweep, 0.8 * relation.deviation, {rival: 1.5}, (0.0, 0.1))])
@@ -210,7 +210,7 @@ def test_next_drives_are_recommended_with_their_gain():
     assert "for a narrower interval: brake_in_turn, 3 times" in text and "The widest 95 % interval shrinks" in text
     assert "from ± 0.02 to ± 0.0098 rad/s²" in text
     content = build_relation_document(RelationSearch(relation, "", {}))["proposal"]["next_drives"]
-    assert content["most_separating"] == {"manoeuvre": "brake_in_turn", "from": rival}
+    assert content["most_separating"] == {"manoeuvre": "brake_in_turn", "rival": rival}
     assert content["most_precise"] == "brake_in_turn" and len(content["options"]) == 2
     weak = replace(relation, next_drives=replace(drives, options=drives.options[1:]))
     assert "no manoeuvre of the catalogue separates it much better from" in "\n".join(describe_next_drives(weak))
@@ -218,7 +218,7 @@ def test_next_drives_are_recommended_with_their_gain():
     imprecise = replace(relation, next_drives=replace(drives, options=[option]))
     assert "for a narrower interval" not in "\n".join(describe_next_drives(imprecise))
     without_options = replace(drives, current_separation={}, options=[])
-    of_place = replace(relation, rivals={"side_force over position_x": 0.9}, next_drives=without_options)
+    of_place = replace(relation, rivals={"side_force(position_x)": 0.9}, next_drives=without_options)
     text = "\n".join(describe_next_drives(of_place))
     assert "from effects of place, heading or time: repeat the drive twice" in text and "much better" not in text
 

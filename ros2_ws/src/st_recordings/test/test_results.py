@@ -65,7 +65,7 @@ def run_folder(tmp_path: Path) -> Path:
 
 
 def test_summary_equals_the_statistics_of_the_arrays(run_folder: Path) -> None:
-    summary = summarise(read_results(run_folder), {"what": "test"})
+    summary = summarise(read_results(run_folder), {"title": "test"})
     assert list(summary["models"]) == ["kinematic", "linear"]
     assert summary["configuration_hash"] == "cafe"
     assert summary["units"] == {"longitudinal": "m", "lateral": "m", "yaw": "rad"}

@@ -1,1 +1,1 @@
-"""The virtual Leaf: a simulated car and its sensors down to NCOM and CAN bytes."""
+"""Simulated Nissan Leaf and its sensors, with NCOM and CAN output."""

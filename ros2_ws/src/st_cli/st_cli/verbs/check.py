@@ -36,7 +36,7 @@ def check(
 
 
 def car(
-    what: Literal["new", "check"] = typer.Argument(..., help="new, or check.", show_default=False),
+    action: Literal["new", "check"] = typer.Argument(..., help="new, or check.", show_default=False),
     folder: str = typer.Argument(..., help="Folder of the car; check: also a name in config/car.", show_default=False),
 ) -> None:
     """Write the folder of a new car for you to fill in, or check the folder of a car.
@@ -49,7 +49,7 @@ def car(
     from st_recordings.car_skeleton import find_problems, list_remarks, write_skeleton
 
     with shared.report_errors("car"):
-        if what == "new":
+        if action == "new":
             for file in write_skeleton(Path(folder)):
                 typer.echo(file)
             return

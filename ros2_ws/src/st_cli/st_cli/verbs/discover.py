@@ -51,9 +51,9 @@ def discover(
     output: Path | None = typer.Option(None, help="Folder for the results; default runs/discover-<time>."),
     channels: str = typer.Option(",".join(CHANNELS), help="Measurements to use, separated by commas."),
     effects: Path | None = typer.Option(None, help="Folder of your own effects to include.", **shared.FOLDER),
-    certify: bool = typer.Option(
-        False, "--certify", help="Measure power and false-alarm rate: one search step on simulated drives, with known "
-        "effects and without effects; otherwise the power is predicted. Takes minutes."),
+    simulate_power: bool = typer.Option(
+        False, "--simulate-power", help="Measure power and false-alarm rate: one search step on simulated drives, with "
+        "known effects and without effects; otherwise the power is predicted. Takes minutes."),
     propose: bool | None = typer.Option(
         None, "--propose/--no-propose", help="Search for a relation that is not in the effect library, and write it as "
         "an effect file to keep or delete; default: if the unexplained residual is large. Takes a minute."),
@@ -78,8 +78,9 @@ def discover(
         parameters, file = shared.load_vehicle_or_default(vehicle)
         request = Request(
             base, parameters, str(file), file.read_text(encoding="utf-8"),
-            DiscoverySettings(channels=shared.split_names(channels), seed=seed, certify=certify), runs, reference,
-            read_settings, effects, output, jobs, shared.split_names(figures), report, not fresh, force, propose)
+            DiscoverySettings(channels=shared.split_names(channels), seed=seed, simulate_power=simulate_power), runs,
+            reference, read_settings, effects, output, jobs, shared.split_names(figures), report, not fresh, force,
+            propose)
         status = run_command(request, shared.console)
     shared.report_default_car("discover", vehicle, file)
     raise typer.Exit(status)
@@ -87,13 +88,13 @@ def discover(
 
 @shared.expand_options(shared.ReadOptions)
 def identify(
-    what: str | None = typer.Argument(None, help="Name of an experiment; without it all experiments are listed."),
+    experiment: str | None = typer.Argument(None, help="Name of an experiment; without it all experiments are listed."),
     files: list[Path] = typer.Argument(None, help="Data of the experiment: tables (CSV) or recordings."),
     model: Path | None = typer.Option(
         None, help="Model file used to predict drives, instead of nonlinear; its effects are not changed.",
         **shared.FILE),
     effects: shared.EffectsOfModel = None,
-    output: Path | None = typer.Option(None, help="Folder for the results; default runs/identify-<what>-<time>."),
+    output: Path | None = typer.Option(None, help="Folder for the results; default runs/identify-<experiment>-<time>."),
     force: bool = typer.Option(False, "--force", help="Also use drives in which `st check` finds an error."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
@@ -108,22 +109,22 @@ def identify(
     from st_offline.identification.identify_command import EXPERIMENTS, run_command
     from st_recordings.paths import new_folder
 
-    if what is None:
+    if experiment is None:
         table = Table("experiment", "identifies", "data", box=None)
-        for experiment in EXPERIMENTS.values():
-            table.add_row(experiment.name, experiment.description, experiment.required_files)
+        for row in EXPERIMENTS.values():
+            table.add_row(row.name, row.description, row.required_files)
         shared.console.print(table)
         return
-    if what not in EXPERIMENTS:
-        typer.echo(f"st identify: unknown experiment {what!r}; use {', '.join(EXPERIMENTS)}", err=True)
+    if experiment not in EXPERIMENTS:
+        typer.echo(f"st identify: unknown experiment {experiment!r}; use {', '.join(EXPERIMENTS)}", err=True)
         raise typer.Exit(2)
-    with shared.report_errors(f"identify {what}"):
+    with shared.report_errors(f"identify {experiment}"):
         vehicle, read_settings = read_options.resolve()
         parameters, file = shared.load_vehicle_or_default(vehicle)
-        folder = new_folder(output, f"identify-{what}", create=False)
+        folder = new_folder(output, f"identify-{experiment}", create=False)
         base = load_model(model, effects, parameters, str(file))
-        job = IdentificationJob(EXPERIMENTS[what], tuple(files or ()), parameters, str(file), folder, read_settings,
-                                force, base)
+        job = IdentificationJob(EXPERIMENTS[experiment], tuple(files or ()), parameters, str(file), folder,
+                                read_settings, force, base)
         status = run_command(job, shared.console)
     shared.report_default_car("identify", vehicle, file)
     raise typer.Exit(status)

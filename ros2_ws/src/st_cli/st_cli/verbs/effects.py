@@ -21,7 +21,7 @@ HOOK_LABELS = {
 
 
 def effects(
-    what: Literal["list", "check"] = typer.Argument("list", help="list, or check."),
+    action: Literal["list", "check"] = typer.Argument("list", help="list, or check."),
     files: list[Path] = typer.Argument(None, help="check: effect files (.py); default all effects of the library."),
     car: shared.CarName = None,
     vehicle: shared.VehicleFile = None,
@@ -39,7 +39,7 @@ def effects(
     with shared.report_errors("effects", OSError):
         if own_effects is not None:
             load_folder(str(own_effects.absolute()))
-        if what == "list":
+        if action == "list":
             _print_library()
             return
         named_file = shared.ReadOptions(car, vehicle).fill_in_car().vehicle

@@ -133,7 +133,7 @@ def calibrate(
 
 @shared.expand_options(shared.ReadOptions)
 def course(
-    what: Literal["build"] = typer.Argument(..., help="The action: build.", show_default=False),
+    action: Literal["build"] = typer.Argument(..., help="The action: build.", show_default=False),
     runs: list[Path] = typer.Argument(
         ..., help="Recordings of drives at one site: bags, .ncom with CAN logs, CSV, run.yaml, or folders of them.",
         show_default=False),

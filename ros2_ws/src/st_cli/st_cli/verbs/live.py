@@ -31,7 +31,7 @@ def demo(
     ncom_rate: int = typer.Option(100, help="NCOM packets per second: 100 or 250."),
     seed: int = typer.Option(0, help="Seed of the simulated noise."),
     run_options: shared.RunOptions = shared.RunOptions(),
-    output: Path | None = typer.Option(None, help="Folder for the run; default runs/demo-<what>-<time>."),
+    output: Path | None = typer.Option(None, help="Folder for the run; default runs/demo-<scenario>-<time>."),
 ) -> None:
     """Run the live suite on the virtual Leaf or on a recorded drive; show how well each model predicts."""
     from st_live import configuration, session
@@ -48,9 +48,9 @@ def demo(
     with shared.report_errors("demo"):
         car = configuration.VirtualCar(configuration.resolve_vehicle_file(vehicle), options,
                                        plant_vehicle and plant_vehicle.absolute())
-        what, source = (title, "recorded drive") if drive else (f"scenario {title}", "virtual Leaf")
+        description, source = (title, "recorded drive") if drive else (f"scenario {title}", "virtual Leaf")
         vehicle_name = configuration.find_vehicle_name(car.vehicle)
-        summary = {"what": what, "source": source, "vehicle": vehicle_name, "seed": seed}
+        summary = {"title": description, "source": source, "vehicle": vehicle_name, "seed": seed}
         status = _run(f"demo-{title}", summary, car.vehicle, car.make_bridge_parameters(), run_options, output,
                       source=lambda suite: session.make_timer(duration, car.start(suite) - session.END_MARGIN))
     raise typer.Exit(status)
@@ -82,7 +82,7 @@ def live(
         car = car_options.fill_in_car(requires_bus=True)
         vehicle = configuration.resolve_vehicle_file(car.vehicle)
         bridges = configuration.make_bridge_parameters(vehicle, ins, can | car.sensor_settings, car.dbc, car.signals)
-        summary = {"what": "live", "source": f"{can_interface}:{can_channel}, NCOM port {ncom_port}",
+        summary = {"title": "live", "source": f"{can_interface}:{can_channel}, NCOM port {ncom_port}",
                  "vehicle": configuration.find_vehicle_name(vehicle)}
         status = _run("live", summary, vehicle, bridges, run_options, output, car.vehicle is None,
                       source=lambda _: session.make_timer(duration), default_domain=0, supervised=True,
@@ -108,7 +108,7 @@ def _run(name: str, summary: dict[str, Any], vehicle: Path, bridges: Mapping[str
     parameters = configuration.set_bands_and_course(parameters, options.bands, options.course, options.adaptive)
     if reports_car:
         shared.report_default_car(name, None, vehicle)
-    outcome = session.run(folder, parameters, summary["what"], shared.console, view, **arguments)
+    outcome = session.run(folder, parameters, summary["title"], shared.console, view, **arguments)
     status = report.report_results(folder, outcome, summary, shared.console)
     view.finish(folder, shared.console)
     return status

@@ -40,7 +40,7 @@ def replay(
         folder = new_folder(output, f"replay-{bag.stem}")
         outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, shared.console, view, run_options.bands,
                                    run_options.course, run_options.adaptive, read_settings)
-    summary = {"what": f"replay of {bag.name}", "source": str(bag), "vehicle": name,
+    summary = {"title": f"replay of {bag.name}", "source": str(bag), "vehicle": name,
              "findings": findings_as_json(findings)}
     status = report_results(folder, outcome, summary, shared.console)
     view.finish(folder, shared.console)

@@ -98,7 +98,7 @@ def _reject_insignificant(e: Evidence, limits: Limits) -> Reason | None:
         return Reason(GAIN_INSIGNIFICANT, e.name, {"p_value": e.p_value, "false_alarm": limits.false_alarm},
                       f"it is not significant: p = {e.p_value:.2g}, corrected for the number of effects tested")
     if e.gain < e.gain_between_runs:
-        return Reason(GAIN_INSIGNIFICANT, e.name, {"gain": e.gain, "healthy_gain": e.gain_between_runs},
+        return Reason(GAIN_INSIGNIFICANT, e.name, {"gain": e.gain, "gain_between_runs": e.gain_between_runs},
                       f"it reduces the errors by {e.share:.1%}; differences between drives of the healthy "
                       f"car alone give a reduction of {relative_reduction(e.gain_between_runs):.1%}")
     if e.null_p_value > limits.undecided_p:

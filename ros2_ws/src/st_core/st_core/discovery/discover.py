@@ -137,7 +137,7 @@ class _Analysis:
         named_errors = waterfall.compare_channel_errors(horizon_errors, base, state.fit, channel_noise)
         budget = waterfall.build_budget(problem, base, state.fit, fit, varying_fit, horizon_errors)
         power = (measure_power(problem, state.fit, self.limits, settings.seed, self._ticker("measuring power"))
-                 if settings.certify else predict_power(problem, state.fit, state.scores, self.limits))
+                 if settings.simulate_power else predict_power(problem, state.fit, state.scores, self.limits))
         effects, design_effect = judged.named, state.scores.design_effect
         curvatures = self._simulate_catalogue(state, effects)
         untestable = self._find_untestable(state, power, judged, curvatures)
@@ -149,10 +149,10 @@ class _Analysis:
             outcome=outcome, effects=effects, minor=judged.minor, combinations=judged.combinations,
             effective=(*judged.contradicted, *self._list_corrections(without_priors, fit, state)),
             varying=varying, steps=tuple(steps), errors=errors, named_errors=named_errors,
-            budget=tuple(budget), reasons=reasons,
-            candidates=self._list_candidates(state, judged.verdicts), where=regions, not_testable=untestable,
+            budget=tuple(budget), reasons=reasons, large_error_regions=regions,
+            candidates=self._list_candidates(state, judged.verdicts), not_testable=untestable,
             next_manoeuvre=choose_manoeuvre(problem, state.fit, separability, curvatures, design_effect),
-            separability=separability, certificate=power, runs=self._list_runs(), clock_errors=self.clock_errors,
+            separability=separability, power_analysis=power, runs=self._list_runs(), clock_errors=self.clock_errors,
             signature=self._describe_residual(noise_ratios[1], regions), base=space.at(base.vector),
             start="reference" if self.reference else "vehicle file", warnings=tuple(self.warnings),
             model=space.at(fit.vector) if fit.names else None, assumed=self._list_assumed(),

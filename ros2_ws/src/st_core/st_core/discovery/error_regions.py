@@ -123,7 +123,7 @@ def assign_ranges(samples: Samples) -> list[Bin]:
 
 
 def describe_range(quantity: str, low: float, high: float | None) -> str:
-    """Text of a range, such as "speed above 12 m/s"."""
+    """Description of a range, such as "speed above 12 m/s"."""
     unit = CONDITIONS[quantity][0]
     if high is None:
         return f"{quantity} above {low:g} {unit}"
@@ -140,8 +140,8 @@ def find_error_regions(runs: Sequence[DriveLog], model: AugmentedModel, vehicle:
     sensor noise; times and places where they are larger than elsewhere under similar conditions. noise: standard
     deviation by channel [SI]. acceleration_gain: see `Discovery`. Channels that are not measured in both the runs and
     the reference, and channels without a significant range, are left out."""
-    samples = window_errors(runs, model, vehicle, settings, acceleration_gain)
-    expected = window_errors(reference, model, vehicle, settings, acceleration_gain) if reference else None
+    samples = compute_window_errors(runs, model, vehicle, settings, acceleration_gain)
+    expected = compute_window_errors(reference, model, vehicle, settings, acceleration_gain) if reference else None
     if expected is not None:
         common = [c for c in samples.squares if c in expected.squares and np.isfinite(expected.squares[c]).any()]
         samples = replace(samples, squares={c: samples.squares[c] for c in common})
@@ -158,8 +158,8 @@ def find_error_regions(runs: Sequence[DriveLog], model: AugmentedModel, vehicle:
                  for region in _list_channel_regions(channel, bins, segments, cells, samples, expected is not None))
 
 
-def window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters,
-                  settings: DiscoverySettings, acceleration_gain: float = 0.0) -> Samples:
+def compute_window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters,
+                          settings: DiscoverySettings, acceleration_gain: float = 0.0) -> Samples:
     """Errors and conditions of all windows of the runs: squared errors at the end of the horizon for channels with
     accumulating errors, mean square errors over the first SHORT_HORIZON for the others."""
     windows = Windows(runs, vehicle, settings)

@@ -62,7 +62,7 @@ class Step:
 class LocalEstimate:
     """Estimate of an effect in one run, site, time, place or condition."""
 
-    where: str
+    subset: str
     # Change from the null relative to the overall change, possibly negative or above 1; in a `VaryingEffect`, relative
     # to the largest local change [1].
     ratio: float
@@ -147,14 +147,14 @@ class Reason:
 @dataclass(frozen=True)
 class CandidateEffect:
     """An effect of the library, tested in the final model, in addition to it, or in place of one of its effects. gain
-    [1]: relative reduction of the RMS error. verdict: the rule of `decision` that applied. why: the reason as text."""
+    [1]: relative reduction of the RMS error. verdict: the rule of `decision` that applied. reason: as text."""
 
     name: str
     kind: str
     parameters: Mapping[str, float]
     gain: float
     verdict: str
-    why: str
+    reason: str
 
 
 @dataclass(frozen=True)
@@ -190,8 +190,8 @@ class PowerAnalysis:
     powers: tuple[Power, ...]  # for three sizes of each effect
     alarms: int  # number of drives simulated without an effect in which one was named
     simulated_drives: int  # number of drives simulated without an effect; 0 if not measured
-    # Whether the power is estimated by a step of the search on simulated drives (--certify); otherwise it is predicted
-    # from the curvature of the loss.
+    # Whether the power is estimated by a step of the search on simulated drives (--simulate-power); otherwise it is
+    # predicted from the curvature of the loss.
     measured: bool
 
 
@@ -235,10 +235,10 @@ class NextManoeuvre:
 
     name: str  # in the catalogue, also the name of the scenario of the virtual car
     separates: tuple[str, str]  # the pair of effects with the smallest separation
-    # Separation of this pair [standard deviations] expected after `times` further drives of the manoeuvre.
+    # Separation of this pair [standard deviations] expected after `repetitions` drives of the manoeuvre.
     strength: float
     options: Mapping[str, float]  # strength by manoeuvre
-    times: int
+    repetitions: int
     duration: float  # of one drive [s]
     speed: float  # of one drive [m/s]
     reason: str
@@ -287,11 +287,11 @@ class Discovery:
     budget: tuple[BudgetLine, ...]
     reasons: tuple[Reason, ...]  # all decisions
     candidates: tuple[CandidateEffect, ...]
-    where: tuple[LargeErrorRegion, ...]
+    large_error_regions: tuple[LargeErrorRegion, ...]
     not_testable: tuple[UntestableEffect, ...]
     next_manoeuvre: NextManoeuvre | None
     separability: tuple[Separability, ...]
-    certificate: PowerAnalysis
+    power_analysis: PowerAnalysis
     signature: tuple[str, ...]  # description of the residual
     runs: tuple[Run, ...]
     start: Literal["vehicle file", "reference"]  # origin of the values at the start of the search

@@ -53,7 +53,7 @@ class Limits:
     def __post_init__(self) -> None:
         for limit in fields(self):
             if not getattr(self, limit.name) > 0:
-                raise ConfigurationError(f"limit {limit.name}: {getattr(self, limit.name)!r} is not above 0")
+                raise ConfigurationError(f"limit {limit.name}: {getattr(self, limit.name)!r} is not positive")
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class DiscoverySettings:
     block: float = 10.0  # duration of a block of driving [s]; blocks count as independent
     effects: tuple[str, ...] | None = None  # names to choose from; None for all that apply
     limits: Limits = field(default_factory=Limits)  # thresholds of the decisions
-    certify: bool = False  # measure the power by one step of the search on simulated drives instead of predicting it
+    simulate_power: bool = False  # measure the power by a search step on simulated drives instead of predicting it
     locate_errors: bool = True  # report the conditions, times and places of the largest errors
 
     def __post_init__(self) -> None:

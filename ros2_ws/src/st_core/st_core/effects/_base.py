@@ -19,7 +19,7 @@ BASE_MODELS = ("kinematic", "linear", "nonlinear")
 DYNAMIC = frozenset(("linear", "nonlinear"))
 ANY = frozenset(BASE_MODELS)
 
-EFFECT_KINDS = ("sensors", "vehicle parameters", "physics", "surroundings")
+EFFECT_KINDS = ("sensors", "vehicle parameters", "physics", "environment")
 SLOTS = ("steering", "front axle", "rear axle", "both axles", "body",
          "position", "velocity", "heading", "yaw rate", "acceleration")
 TOTAL_DELAY = "total delay of the steering"  # dead time plus lag; how a fit divides this sum depends on the model
@@ -179,6 +179,8 @@ def register(effect: type[Effect], registry: dict[str, type[Effect]] = EFFECTS) 
         raise ConfigurationError(f"{effect.__qualname__}: must be a subclass of Effect with a name of a-z, 0-9 and _; "
                                  "without a name, it has that of its file")
     effect.name = name
+    if effect.__dict__.get("kind") == "surroundings":
+        effect.kind = "environment"  # in files of earlier versions
     if "parameter" in effect.__dict__:
         effect.parameters = (effect.parameter,)
     if existing := EFFECTS.get(name) or UNLISTED_EFFECTS.get(name):

@@ -14,22 +14,22 @@ from ._base import Effect, Parameter, register
 MAX_SQUARE_RATIO = 0.98**2  # limit of (F_x / D)^2 that keeps the derivative of the root finite
 
 
-class Drive(NamedTuple):
+class ForceDistribution(NamedTuple):
     mass: float  # kg
     drive_front: float  # fraction of the drive force on the front axle
     brake_front: float  # fraction of the brake force on the front axle
 
 
-class Car(NamedTuple):
-    drive: Drive
+class Constants(NamedTuple):
+    distribution: ForceDistribution
     tyres: TyreParameters
 
 
-def select_drive_parameters(vehicle) -> Drive:
-    return Drive(vehicle.mass, vehicle.drive_front, vehicle.brake_front)
+def get_force_distribution(vehicle) -> ForceDistribution:
+    return ForceDistribution(vehicle.mass, vehicle.drive_front, vehicle.brake_front)
 
 
-def compute_drive_forces(lateral_front, instant, car: Drive):
+def compute_drive_forces(lateral_front, instant, car: ForceDistribution):
     """Longitudinal forces (front, rear) along the wheels [N] that the forward motion requires, without drag.
 
         F_x = m (v_x_dot - v_y r) + F_f sin delta,   divided between the axles as drive or brake force
@@ -62,7 +62,7 @@ class CombinedSlip(Effect):
 
     @staticmethod
     def constants(vehicle):
-        return Car(select_drive_parameters(vehicle), parameters(vehicle))
+        return Constants(get_force_distribution(vehicle), parameters(vehicle))
 
     @staticmethod
     def prepare(road_wheel_angle, velocity_x_dot, signals, theta):
@@ -74,6 +74,6 @@ class CombinedSlip(Effect):
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, instant, prepared, theta):
         front, rear = forces(slip_front, slip_rear, instant)
-        drive_front, drive_rear = compute_drive_forces(front, instant, theta.constants.drive)
-        return (front * compute_lateral_factor(drive_front, prepared[0], theta.share),
-                rear * compute_lateral_factor(drive_rear, prepared[1], theta.share))
+        longitudinal_front, longitudinal_rear = compute_drive_forces(front, instant, theta.constants.distribution)
+        return (front * compute_lateral_factor(longitudinal_front, prepared[0], theta.share),
+                rear * compute_lateral_factor(longitudinal_rear, prepared[1], theta.share))

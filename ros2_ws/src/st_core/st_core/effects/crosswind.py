@@ -31,7 +31,7 @@ def compute_flow_term(along, across):
 class Crosswind(Effect):
     physics = "side force rho/2 side_area abs(u) u_y at side_force_arm ahead of the CG, u: air relative to the car"
     excited_by = "straight driving in two directions; two speeds separate it from a steering offset"
-    kind, slot = "surroundings", "body"
+    kind, slot = "environment", "body"
     confounded_with = ("steering_offset", "road_slope", "road_bank", "lateral_acceleration_bias")
     parameters = (
         Parameter("wind_x", "m/s", null=0.0, initial=1.0, bounds=(-30.0, 30.0), meaning="wind towards east",

@@ -1,7 +1,7 @@
-"""Delay of the measured position of the INS point, to first order: (x, y)_measured = (x, y) - time R(yaw) (v_x, v_y).
+"""Delay of the measured position of the INS point, to first order: (x, y)_measured = (x, y) - t R(yaw) (v_x, v_y).
 
-With time > 0 the measured position lags. `observe` applies this effect first and `correct` reverses it last, when yaw
-and velocity are already corrected, so `correct` is the exact inverse of `observe`.
+With t (parameter `time`) > 0 the measured position lags. `observe` applies this effect first and `correct` reverses it
+last, when yaw and velocity are already corrected, so `correct` is the exact inverse of `observe`.
 """
 
 from ..ops import cos, sin
@@ -19,7 +19,7 @@ def extrapolate(measured, time):
 @register
 class PositionLag(Effect):
     physics = "measured (x, y) = (x, y) - time * ground velocity; yaw and velocity are unaffected"
-    excited_by = "any change of velocity over ground with position fixes: turns, braking"
+    excited_by = "turns and braking, with position measurements"
     kind, slot = "sensors", "position"
     needs = ("position",)
     applies_to = ANY

@@ -13,7 +13,7 @@ from ._base import Effect, Parameter, register
 class RoadBank(Effect):
     physics = "a_y = -g sin(angle) on the car, not measured by an accelerometer"
     excited_by = "straight driving with an accelerometer; the same road in both directions"
-    kind, slot = "surroundings", "body"
+    kind, slot = "environment", "body"
     confounded_with = ("crosswind", "road_slope", "lateral_acceleration_bias", "steering_offset")
     parameter = Parameter("angle", "rad", null=0.0, initial=0.02, bounds=(-0.3, 0.3), odd=True,
                           meaning="road rises to the left of the car",

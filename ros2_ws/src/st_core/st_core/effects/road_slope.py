@@ -20,7 +20,7 @@ def compute_slope(instant, theta):
 class RoadSlope(Effect):
     physics = "a_y = -g (sin(slope_y) cos(yaw) - sin(slope_x) sin(yaw)) on the car, not measured by an accelerometer"
     excited_by = "the same place in two directions, with an accelerometer, which measures wind force but not gravity"
-    kind, slot = "surroundings", "body"
+    kind, slot = "environment", "body"
     confounded_with = ("crosswind", "road_bank", "steering_offset")
     parameters = (
         Parameter("slope_x", "rad", null=0.0, initial=0.01, bounds=(-0.2, 0.2), meaning="rises towards map x (east)",

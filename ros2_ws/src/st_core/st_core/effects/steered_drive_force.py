@@ -5,7 +5,7 @@ The published single-track models have the forward acceleration as input and do 
 
 from ..ops import tan
 from ._base import Effect, Parameter, register
-from .combined_slip import compute_drive_forces, select_drive_parameters
+from .combined_slip import compute_drive_forces, get_force_distribution
 
 
 @register
@@ -18,7 +18,7 @@ class SteeredDriveForce(Effect):
     parameter = Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 1.5), meaning="1: full force",
                           source="theory: 1")
 
-    constants = staticmethod(select_drive_parameters)
+    constants = staticmethod(get_force_distribution)
 
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, instant, prepared, theta):

@@ -40,7 +40,7 @@ from .steering import Line, fit_line
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 SCALE_UNCERTAINTY = 0.5  # kg; standard uncertainty of one scale: class III wheel pads with a resolution of 0.5 kg
 MAX_SIDE_DIFFERENCE = 0.2  # left-right difference divided by the axle load; below 0.12 with one person in the car
-MAX_MASS_RANGE = 0.02  # largest relative range of the mass over weighings of one loading
+MAX_MASS_RANGE = 0.02  # largest relative range of the mass over weighings with equal loading
 
 
 @dataclass(frozen=True)
@@ -70,8 +70,8 @@ def identify_mass_and_cg(weighings: Weighings, vehicle: VehicleParameters) -> Id
     masses, distances = all_masses[is_used], all_distances[is_used]
     n, mass, l_f = len(used_readings), float(masses.mean()), float(distances.mean())
     if np.ptp(masses) > MAX_MASS_RANGE * mass:
-        raise IdentificationError(f"the weighings of one loading differ by {np.ptp(masses):.1f} kg of {mass:.1f} kg, "
-                                  "too much for the same car: weigh again, or note the loading")
+        raise IdentificationError(f"the weighings with equal loading differ by {np.ptp(masses):.1f} kg of "
+                                  f"{mass:.1f} kg, too much for the same car: weigh again, or note the loading")
     variation = np.cov(masses, distances) / n if n > 1 else np.zeros((2, 2))
     # d l_f / d reading: -l_f / m at the front, (l - l_f) / m at the rear.
     gradient = np.stack([np.ones(4), np.array([-l_f, -l_f, wheelbase - l_f, wheelbase - l_f]) / mass])
@@ -162,7 +162,7 @@ class LiftRows:
 
 
 def compute_pitch(lift: np.ndarray, front_radius: np.ndarray, rear_radius: np.ndarray, wheelbase: float) -> np.ndarray:
-    """Pitch [rad] relative to the first row, from the lift of the ground under the front wheels [m]; (n,) each.
+    """Pitch [rad] relative to the first row, from the height of the platform under the front wheels [m]; (n,) each.
 
         theta_k = asin((lift_k + r_front,k - r_rear,k) / l),    pitch_k = theta_k - theta_0
 
@@ -218,7 +218,7 @@ def identify_cg_height(data: LiftRows, vehicle: VehicleParameters, weighed_mass:
     if abs(average - height) > 2.0 * uncertainty:
         warnings.append(f"The average over the pitch angles, {average:.3f} m, differs from the fit, {height:.3f} m, by "
                         "more than twice the uncertainty of the fit: the average weights all pitch angles equally.")
-    figure = {"pitch": data.pitch, "rear_load": data.rear_load, "lifts": data.lifts, "single": heights,
+    figure = {"pitch": data.pitch, "rear_load": data.rear_load, "lifts": data.lifts, "height_per_row": heights,
               "average": average, "slope": line.slope, "intercepts": line.intercepts}
     return Identification("cg-height", (estimate,), lifts, (), None, (coverage,), tuple(warnings), figure)
 

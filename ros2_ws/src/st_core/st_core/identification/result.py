@@ -159,7 +159,7 @@ def apply_to_vehicle(vehicle: VehicleParameters, identifications: Iterable[Ident
     return replace(changed, sources={**changed.sources, **sources}, provenance={**vehicle.provenance, **provenance})
 
 
-def describe_stale_scales(vehicle: VehicleParameters, identifications: Iterable[Identification]) -> tuple[str, ...]:
+def describe_stale_lambda(vehicle: VehicleParameters, identifications: Iterable[Identification]) -> tuple[str, ...]:
     """A sentence for each tyre whose lambda_ky, set in the vehicle file, depends on a changed value."""
     changed = {estimate.parameter for identification in identifications for estimate in identification.estimates
                if estimate.status != "unidentifiable"}

@@ -105,7 +105,7 @@ class Candidate:
 
     @property
     def name(self) -> str:
-        return f"{self.term} over {self.quantity}{f' times {self.factor}' if self.factor else ''}"
+        return f"{self.term}({self.quantity}){f' * {self.factor}' if self.factor else ''}"
 
     @property
     def effect(self) -> str:
@@ -156,6 +156,13 @@ class Candidate:
                 for v in (u, -u))
         return self.typical_size * np.stack([
             _relation.spline(t - k) + self.parity * _relation.spline(s - k) for k in range(-1, _relation.SPLINES - 1)])
+
+
+def split_name(name: str) -> tuple[str, str, str]:
+    """(term, quantity, factor) of a `Candidate.name`; the factor is "" if there is none."""
+    function, _, factor = name.partition(" * ")
+    term, _, quantity = function.removesuffix(")").partition("(")
+    return term, quantity, factor
 
 
 def compute_run_time(windows: Windows, time_ns: np.ndarray) -> np.ndarray:

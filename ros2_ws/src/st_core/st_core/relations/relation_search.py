@@ -12,7 +12,7 @@ from ..discovery.settings import DiscoverySettings
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
 from . import selection
-from .candidates import FACTORS, SENSOR_READINGS, TYPICAL_SIZES, Candidate, compute_quantities
+from .candidates import FACTORS, SENSOR_READINGS, TYPICAL_SIZES, Candidate, compute_quantities, split_name
 from .formulas import Formula, simulate_formulas
 from .next_drive import NextDrives, find_sparse_ranges, suggest_drives
 from .relation_fit import RelationFit, RelationFits, RunWindows
@@ -47,7 +47,7 @@ class Relation:
     # Equally good relations, with the cosine similarity of their effects [1].
     rivals: Mapping[str, float] = field(default_factory=dict)
     formulas: Sequence[Formula] = ()  # closed forms that retain the curve's gain in simulation, best first
-    # Consistency of its size between runs.
+    # Consistency of its size across runs.
     agreement: Agreement = field(default_factory=lambda: Agreement({}, 1.0, 0.0))
     # Effects of the result that the relation replaces, with the residual reduction [1] that each still adds.
     redundant: Mapping[str, float] = field(default_factory=dict)
@@ -73,8 +73,8 @@ class RelationSearch:
         """Model terms for which all detection limits exceed MAX_DETECTION_LIMIT typical magnitudes."""
         smallest: dict[str, float] = {}
         for name, limit in self.detection_limits.items():
-            term, _, quantities = name.partition(" over ")
-            typical_size = TYPICAL_SIZES[term] / FACTORS.get(quantities.partition(" times ")[2], 1.0)
+            term, _, factor = split_name(name)
+            typical_size = TYPICAL_SIZES[term] / FACTORS.get(factor, 1.0)
             smallest[term] = min(smallest.get(term, np.inf), limit / typical_size)
         return [term for term, size in smallest.items() if size > MAX_DETECTION_LIMIT]
 
@@ -139,7 +139,8 @@ def _select(trials: Sequence[ScreenedCandidate], fits: RelationFits, base_fit: R
     if not significant:
         name, (gain, p_value) = next(iter(statistics.items()))
         return RelationSearch(None, f"no relation is significant. The best, {name}, lowers the held-out loss by "
-                              f"{gain:.3f} per residual, p = {p_value:.2g} over all candidates; "
+                              f"{gain:.3f} per residual, p = {p_value:.2g}, corrected for the number of "
+                              "candidates; "
                               f"p < {limits.false_alarm:g} is required", statistics, detection_limits)
     imitated_faults = {trial: fault for trial in significant
                        if (fault := _find_imitated_fault(trial.candidate, reported))}

@@ -13,7 +13,7 @@ from rich.progress import Progress
 from st_core.augmented import AugmentedModel
 from st_core.checks import Severity, pool_estimates
 from st_core.discovery import Discovery, discover
-from st_core.discovery.error_regions import Samples, window_errors
+from st_core.discovery.error_regions import Samples, compute_window_errors
 from st_core.discovery.library_fit import apply_clock_corrections
 from st_core.effects import load_folder
 from st_core.errors import ConfigurationError
@@ -168,7 +168,7 @@ def draw_figures(discovery: Discovery, request: Request, output: FigureOutput) -
     settings = replace(request.settings, channels=tuple(c for c in discovery.errors if c in request.settings.channels))
 
     def compute_errors(model: AugmentedModel) -> Samples:
-        return window_errors(runs, model, request.vehicle, settings, discovery.acceleration_gain)
+        return compute_window_errors(runs, model, request.vehicle, settings, discovery.acceleration_gain)
 
     after = compute_errors(discovery.model) if discovery.model else None
     data = FigureData(discovery, runs, compute_errors(discovery.base), after, output)

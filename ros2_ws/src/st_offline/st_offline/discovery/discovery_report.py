@@ -25,7 +25,7 @@ from .drives import Drive, Request
 from .relation_report import RelationReport
 from .vehicle_update import ENTRIES, VehicleUpdate
 
-SCHEMA = 3
+SCHEMA = 4
 FIRST_VERDICTS = ("alternative", "varies")  # effects with these verdicts come first in the table of other effects
 MAX_ROWS = 8  # of regions, other effects and undetectable effects; discovery.json contains all
 FILE_MEANINGS = {
@@ -42,9 +42,10 @@ def build_document(discovery: Discovery, request: Request, update: VehicleUpdate
     """The content of discovery.json. seconds: duration of each stage."""
     changes = {} if update is None else {key: {"before": before, "after": after, "interval": (low, high)}
                                          for key, (before, after, low, high) in update.changes.items()}
-    files = {"vehicle.yaml": {"folded": update.folded if update else (), "kept": update.not_folded if update else {},
-                              "changes": changes, "error": update.error if update else (),
-                              "objections": update.implausible_values if update else ()}}
+    files = {"vehicle.yaml": {"folded": update.folded if update else (),
+                              "not_folded": update.not_folded if update else {}, "changes": changes,
+                              "error": update.error if update else (),
+                              "implausible_values": update.implausible_values if update else ()}}
     return {"schema": SCHEMA, **json_ready(discovery.document()), "files": json_ready(files),
             "provenance": json_ready(collect_provenance(discovery, request, seconds))}
 
@@ -64,7 +65,7 @@ def collect_provenance(discovery: Discovery, request: Request, seconds: Mapping[
         "reference": reference,
         "refused": {d.name: findings_as_json(d.findings) for d in request.all_drives if d.problem and d.findings},
         "not_used": {d.name: d.problem for d in request.all_drives if d.problem},
-        "effects_of_the_user": dict(request.effect_hashes),
+        "user_defined_effects": dict(request.effect_hashes),
         "versions": collect_versions(),
         "seconds": dict(seconds),
     }
@@ -140,7 +141,7 @@ def _make_tables(discovery: Discovery, content: Mapping[str, Any]) -> dict[str, 
     parts = [(b.part, f"{metres(b.last)}, {b.share_last:.0%}", f"{metres(b.first)}, {b.share_first:.0%}",
               f"{b.loss_last:.0%}", f"{b.loss_first:.0%}") for b in sorted(discovery.budget, key=lambda b: -b.last)]
     regions = [(quantities.label_channel(r.channel), *report_text.describe_condition(r))
-               for r in sorted(discovery.where, key=lambda r: -r.interval[0])[:MAX_ROWS]]
+               for r in sorted(discovery.large_error_regions, key=lambda r: -r.interval[0])[:MAX_ROWS]]
     combinations = [(f"{c.name}, {c.unit}".replace("^2", "²"), f"{c.value:.4g}",
                      f"{c.interval[0]:.4g} to {c.interval[1]:.4g}", f"{c.file:.4g}")
                     for c in sorted(discovery.combinations, key=lambda c: -abs(c.value - c.file)
@@ -181,7 +182,7 @@ def _make_wide_tables(discovery: Discovery) -> list[Table]:
     plain = quantities.to_words
     tested = [c for c in discovery.candidates if c.name not in {e.name for e in (*discovery.effects, *discovery.minor)}]
     candidates = [
-        (plain(c.name), quantities.format_fitted(c.name, c.parameters), f"{100 * c.gain:.1f}", c.verdict, c.why)
+        (plain(c.name), quantities.format_fitted(c.name, c.parameters), f"{100 * c.gain:.1f}", c.verdict, c.reason)
         for c in sorted(tested, key=lambda c: (c.verdict not in FIRST_VERDICTS, -c.gain))[:MAX_ROWS]]
     undetectable = [(plain(n.name), n.reason, n.manoeuvre) for n in sorted(
         discovery.not_testable, key=lambda n: report_text.rank_by_kind(n.name))[:MAX_ROWS]]
@@ -194,9 +195,9 @@ def _make_wide_tables(discovery: Discovery) -> list[Table]:
                               if separations else ""), report_text.PAIR_HEAD, report_text.list_pair_rows(discovery)),
         Table("Other effects that were tried", "Improvement: reduction of the errors over all channels by this effect, "
               "in addition to the result. An alternative is fitted in place of the named effect.",
-              ("effect", "fitted", "improvement, %", "verdict", "why"), candidates,
+              ("effect", "fitted", "improvement, %", "verdict", "reason"), candidates,
               f"the first {len(candidates)} of {len(tested)}; all in discovery.json"),
-        Table("Not detectable in these drives", "", ("effect", "why", "recommended manoeuvre"), undetectable,
+        Table("Not detectable in these drives", "", ("effect", "reason", "recommended manoeuvre"), undetectable,
               f"the first {len(undetectable)} of {len(discovery.not_testable)}")]
 
 

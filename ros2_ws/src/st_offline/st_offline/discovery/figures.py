@@ -50,7 +50,7 @@ class FigureData:
         """Channel of the region with the highest lower 95 % limit of the ratio of error to expected error; the first
         channel if there are no regions."""
         channels = list(self.before.squares)
-        regions = [region for region in self.discovery.where if region.channel in channels]
+        regions = [region for region in self.discovery.large_error_regions if region.channel in channels]
         return max(regions, key=lambda region: region.interval[0]).channel if regions else channels[0]
 
 
@@ -207,7 +207,7 @@ def draw_agreement(data: FigureData) -> PageFigure | None:
     parts: dict[str, dict[str, None]] = {}  # names of the parts of each partition; the dict keeps their order
     for e in effects:
         for partition, entries in e.agreement.items():
-            parts.setdefault(partition, {}).update(dict.fromkeys(v.where for v in entries))
+            parts.setdefault(partition, {}).update(dict.fromkeys(v.subset for v in entries))
     single_row_labels = {partition: f"{len(names)} {partition}s" for partition, names in parts.items()
                          if partition == "place" or len(names) > MAX_ROWS}
     labels = [(partition, where) for partition, names in parts.items()
@@ -215,7 +215,7 @@ def draw_agreement(data: FigureData) -> PageFigure | None:
     figure, panels = plt.subplots(1, len(effects), figsize=(HALF_WIDTH, 1.3 + 0.17 * len(labels)), sharey=True,
                                   squeeze=False)
     for axes, effect in zip(panels[0], effects, strict=True):
-        _draw_ratios(axes, [(labels.index((partition, v.where)), v) for partition, entries in effect.agreement.items()
+        _draw_ratios(axes, [(labels.index((partition, v.subset)), v) for partition, entries in effect.agreement.items()
                             if partition not in single_row_labels for v in entries])
         for partition in single_row_labels.keys() & effect.agreement.keys():
             ratios = np.clip([v.ratio for v in effect.agreement[partition]], *axes.get_xlim())

@@ -8,6 +8,7 @@ from st_core.discovery.result import FittedParameter
 from st_core.discovery.settings import Limits
 from st_core.effects import EFFECTS, Parameter
 from st_core.relations import Candidate, Relation
+from st_core.relations.candidates import split_name
 from st_core.vehicle import VehicleParameters
 
 MAX_DECIMALS = 6  # numbers that need more are written with an exponent
@@ -155,12 +156,11 @@ def explain_unit(c: Candidate, vehicle: VehicleParameters) -> str:
 
 def spell_out(name: str) -> str:
     """Description of the relation with this `Candidate.name`; the name itself for an unknown term or quantity."""
-    term, _, argument = name.partition(" over ")
-    quantity, _, factor = argument.partition(" times ")
+    term, quantity, factor = split_name(name)
     if term not in TERM_NAMES or quantity not in QUANTITY_NAMES:
         return name
     text = f"{TERM_NAMES[term]} as a function of the {QUANTITY_NAMES[quantity]}"
-    return f"{text} times {QUANTITY_NAMES[factor]}" if factor else text
+    return f"{text}, multiplied by the {QUANTITY_NAMES[factor]}" if factor else text
 
 
 def get_curve_unit(unit: str) -> tuple[float, str]:

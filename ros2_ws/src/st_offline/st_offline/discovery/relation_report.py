@@ -220,7 +220,7 @@ EFFECT_FILE = '''"""PROPOSAL, not an established effect: {title}.
 
 Fitted by st discover to {count} drives, {created}: {runs}.
 For {quantity} from {range}; constant beyond. {meaning}
-Held-out position error after 5 s: {before:.2f} -> {after:.2f} m; p = {p_value:.2g} over all candidates.
+Held-out position error after 5 s: {before:.2f} -> {after:.2f} m; p = {p_value:.2g}, corrected for multiple testing.
 {formulas}
 Keep it, rename it, or delete it.
 """
@@ -271,7 +271,7 @@ def make_effect_code(relation: Relation, runs: Sequence[str], created: str) -> s
         p_value=relation.p_value, formulas=formulas, base=kind.__name__, odd=c.is_one_sided,
         cls="".join(word.title() for word in name_effect(relation).split("_")),
         physics=f"y = curve of the {quantities.QUANTITY_NAMES[c.quantity]}: {meaning}",
-        kind="surroundings" if c.quantity in MAP_QUANTITIES else "sensors" if c.is_sensor_error else "physics",
+        kind="environment" if c.quantity in MAP_QUANTITIES else "sensors" if c.is_sensor_error else "physics",
         slot=SLOTS[c.term], states="".join(
             f'\n    extra_states = ("lagging",)\n    extra_units = ("{QUANTITIES[FILTERED_QUANTITIES[q][0]]}",)'
             for q in (c.quantity, c.factor) if q in FILTERED_QUANTITIES),
@@ -328,30 +328,32 @@ def build_relation_document(search: RelationSearch) -> dict:
     tried = [{"relation": name, "gain": gain, "p_value": p_value, "detection_limit": search.detection_limits.get(name)}
              for name, (gain, p_value) in search.statistics.items()]
     if relation is None:
-        return {"proposal": None, "why": search.reason, "tried": tried}
+        return {"proposal": None, "reason": search.reason, "tried": tried}
     c = relation.candidate
-    return {"why": search.reason, "tried": tried, "proposal": {
-        "place": c.term, "quantity": c.quantity, "by": c.factor, "unit": c.unit,
+    return {"reason": search.reason, "tried": tried, "proposal": {
+        "term": c.term, "quantity": c.quantity, "factor": c.factor, "unit": c.unit,
         "quantity_unit": QUANTITIES[c.quantity], "range": [c.low, c.high],
-        "curve": {"at": relation.points.tolist(),
+        "curve": {"points": relation.points.tolist(),
                   **{key: getattr(relation, key).tolist() for key in ("value", "deviation", "density")}},
         "gain": relation.gain, "p_value": relation.p_value, "position_5s": list(relation.position_5s),
-        "runs": {name: list(pair) for name, pair in relation.runs.items()}, "others": dict(relation.rivals),
+        "runs": {name: list(pair) for name, pair in relation.runs.items()}, "rivals": dict(relation.rivals),
         "redundant": dict(relation.redundant), "next_drives": _build_drives_document(relation),
-        "shares": {name: list(pair) for name, pair in relation.agreement.ratios.items()},
+        "size_ratios": {name: list(pair) for name, pair in relation.agreement.ratios.items()},
         "p_equal": relation.agreement.p_equal,
-        "readings": [{"shape": f.shape, "text": f.text, "explained": f.retained_fraction, "causes": f.causes}
+        "formulas": [{"shape": f.shape, "text": f.text, "retained_fraction": f.retained_fraction, "causes": f.causes}
                      for f in relation.formulas]}}
 
 
 def _build_drives_document(relation: Relation) -> dict:
     drives, separating = relation.next_drives, relation.next_drives.find_most_separating()
     precise = drives.find_most_precise(relation.deviation)
-    return {"sparse": [list(between) for between in drives.sparse_ranges],
-            "most_separating": {"manoeuvre": separating[0].manoeuvre.name, "from": separating[1]} if separating
+    return {"sparse_ranges": [list(between) for between in drives.sparse_ranges],
+            "most_separating": {"manoeuvre": separating[0].manoeuvre.name, "rival": separating[1]} if separating
             else None,
             "most_precise": precise.manoeuvre.name if precise else None,
             "current_separation": dict(drives.current_separation), "options": [
-                {"manoeuvre": o.manoeuvre.name, "speed": o.manoeuvre.speed, "lateral": o.manoeuvre.lateral_acceleration,
-                 "duration": o.manoeuvre.duration, "times": REPETITIONS, "largest_deviation": float(o.deviation.max()),
-                 "separation": dict(o.separation), "seconds_in_sparse": list(o.seconds)} for o in drives.options]}
+                {"manoeuvre": o.manoeuvre.name, "speed": o.manoeuvre.speed,
+                 "lateral_acceleration": o.manoeuvre.lateral_acceleration, "duration": o.manoeuvre.duration,
+                 "repetitions": REPETITIONS, "largest_deviation": float(o.deviation.max()),
+                 "separation": dict(o.separation), "seconds_in_sparse_ranges": list(o.seconds)}
+                for o in drives.options]}

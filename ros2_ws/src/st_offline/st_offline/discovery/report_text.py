@@ -142,7 +142,7 @@ def _describe_findings(findings: Mapping[str, Sequence[Finding]]) -> str:
     finding, names = serious[0]
     more = f" and {len(serious) - 1} more" if len(serious) > 1 else ""
     correction = ("The recordings contain faults: correct them as st check proposes, and run st discover again"
-                  if finding.advice is None or finding.advice.kind != "look" else f"Advice: {finding.advice.line}")
+                  if finding.advice is None or finding.advice.kind != "text" else f"Advice: {finding.advice.line}")
     return f"{finding.text} ({', '.join(filter(None, (*names, describe_effect(finding))))}){more}. {correction}"
 
 
@@ -180,7 +180,7 @@ def explain_effects(discovery: Discovery) -> list[str]:
 def describe_varying(effect: result.VaryingEffect) -> str:
     """Sentence on an effect that varies between parts of the drives, with its most significant local values."""
     ranked = sorted(effect.values, key=lambda v: -abs(v.ratio) / max(v.deviation, 1e-9))[:MAX_PARTS]
-    ratios = "; ".join(f"{v.where}: {v.ratio:.2f} ± {Z95 * v.deviation:.2f}" for v in effect.values if v in ranked)
+    ratios = "; ".join(f"{v.subset}: {v.ratio:.2f} ± {Z95 * v.deviation:.2f}" for v in effect.values if v in ranked)
     more = f" and {len(effect.values) - len(ranked)} more" if len(effect.values) > len(ranked) else ""
     name = f"{to_words(effect.resembles)} {format_briefly(effect.resembles, effect.parameters)}"
     return (f"an effect that resembles {name} reduces the error by {format_metres(effect.position_5s_reduction)}, but "
@@ -193,7 +193,7 @@ def count_agreement(effect: result.FoundEffect) -> str:
     counts = []
     for partition in ("run", "site"):
         parts = effect.agreement.get(partition, ())
-        noun = "parts of runs" if any(", part " in v.where for v in parts) else f"{partition}s"
+        noun = "parts of runs" if any(", part " in v.subset for v in parts) else f"{partition}s"
         significant = sum(v.ratio - Z95 * v.deviation > 0.0 for v in parts)
         counts += [f"{significant} of {len(parts)} {noun}"] if parts else []
     return ", ".join(counts) or "-"
@@ -251,7 +251,7 @@ def list_pair_rows(discovery: Discovery) -> list[tuple[str, ...]]:
 def list_undetectable(discovery: Discovery) -> str:
     """Effects that are not detectable in these drives, with the largest size examined, vehicle parameters first."""
     largest = {p.effect: f" of {format_deviation(p.size, p.unit)}"
-               for p in sorted(discovery.certificate.powers, key=lambda p: abs(p.size))}
+               for p in sorted(discovery.power_analysis.powers, key=lambda p: abs(p.size))}
     # The combination of these effects is detectable.
     combined = {name for c in discovery.unseparated_combinations for name in c.effects}
     ranked = sorted((n.name for n in discovery.not_testable if n.name not in combined), key=rank_by_kind)
@@ -268,7 +268,7 @@ def format_separation(strength: float) -> str:
 def list_detectable(discovery: Discovery) -> str:
     """The smallest detectable size of each effect in these drives, vehicle parameters first."""
     smallest: dict[str, result.Power] = {}
-    for power in sorted(discovery.certificate.powers, key=lambda p: abs(p.size)):
+    for power in sorted(discovery.power_analysis.powers, key=lambda p: abs(p.size)):
         if power.probability >= LIMITS.detection_power:
             smallest.setdefault(power.effect, power)
     ranked = sorted(smallest.values(), key=lambda p: rank_by_kind(p.effect))
@@ -289,7 +289,7 @@ def describe_next_drive(discovery: Discovery) -> str:
         return ""
     first, second = map(to_words, drive.separates)
     now = next((p.strength for p in discovery.separability if {p.first, p.second} == set(drive.separates)), 0.0)
-    return (f"next drive: {drive.name}, {drive.times} times {drive.duration:.0f} s at {drive.speed:.1f} m/s, to "
+    return (f"next drive: {drive.name}, {drive.repetitions} times {drive.duration:.0f} s at {drive.speed:.1f} m/s, to "
             f"separate {first} and {second} by {format_separation(drive.strength)} σ of the noise (these drives: "
             f"{format_separation(now)} σ; required: {MIN_SEPARATION:g} σ)")
 
@@ -417,9 +417,9 @@ def list_details(discovery: Discovery, update: VehicleUpdate | None) -> list[tup
     """(heading, sentences) of the sections below the summary, without empty sections."""
     reasons = {r.subject: r.text for r in discovery.reasons if r.rule in (MINOR, FORCES, IMPLAUSIBLE)}
     decisions = [reason.text for reason in discovery.reasons if reason.subject == "outcome"]
-    if discovery.certificate.measured:
-        decisions.append(f"false alarms: an effect was named in {discovery.certificate.alarms} of "
-                         f"{discovery.certificate.simulated_drives} simulated drives without an effect")
+    if discovery.power_analysis.measured:
+        decisions.append(f"false alarms: an effect was named in {discovery.power_analysis.alarms} of "
+                         f"{discovery.power_analysis.simulated_drives} simulated drives without an effect")
     minor = [f"{name_with_alternatives(discovery, e)}: {reasons[e.name]}" for e in sort_by_size(discovery.minor)
              if e.name in reasons]
     sections = [*((role, [text]) for role, text in describe_drives(discovery)), ("meaning", explain_effects(discovery)),

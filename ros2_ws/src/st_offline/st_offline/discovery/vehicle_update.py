@@ -251,7 +251,7 @@ def document_changes(request: Request, car: VehicleParameters, changes: Mapping[
         previous, *ends = (format_number(float(f"{x:.{SIGNIFICANT_DIGITS}g}")) for x in (before, low, high))
         source = (f"stable with steps of {1e3 * PredictionSettings().step:g} ms" if key == SLIP_SPEED_KEY else
                   f"{origin}, 95 % interval {' to '.join(ends)}")
-        sources[key] = f"{source}; before {previous} {ENTRIES[key].si_unit}".removesuffix(" 1")
+        sources[key] = f"{source}; previously {previous} {ENTRIES[key].si_unit}".removesuffix(" 1")
         deviation = float(f"{(high - low) / (2.0 * Z95):.3g}")
         entries[key] = replace(provenance, uncertainty=deviation if deviation > 0.0 else None)
     return replace(car, sources=sources, provenance=entries)

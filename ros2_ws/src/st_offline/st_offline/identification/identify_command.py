@@ -53,17 +53,17 @@ def run_command(job: IdentificationJob, console: Console) -> int:
     updated_vehicle = result.apply_to_vehicle(job.vehicle, outcomes, f"{now:%Y-%m-%d}")
     warnings = (*outcomes[0].warnings, *find_implausible_values(updated_vehicle, job.vehicle))
     outcomes = (replace(outcomes[0], warnings=warnings), *outcomes[1:])
-    scale_warnings = result.describe_stale_scales(job.vehicle, outcomes)
+    lambda_warnings = result.describe_stale_lambda(job.vehicle, outcomes)
     with console.status("writing"):
         paths = write_results(job, outcomes, updated_vehicle, make_provenance(job, now))
-    print_results(outcomes, job.vehicle, scale_warnings, console)
+    print_results(outcomes, job.vehicle, lambda_warnings, console)
     list_files({paths["identification.json"]: "values, uncertainties, verdicts",
                 paths["vehicle.yaml"]: "vehicle file with the identified values",
                 paths["report.html"]: "figures, correlations, lists of used and rejected data"}, console)
     return 0 if any(e.status != "unidentifiable" for outcome in outcomes for e in outcome.estimates) else 1
 
 
-def print_results(outcomes: Sequence[result.Identification], vehicle: VehicleParameters, scale_warnings: Sequence[str],
+def print_results(outcomes: Sequence[result.Identification], vehicle: VehicleParameters, lambda_warnings: Sequence[str],
                   console: Console) -> None:
     """Print the findings of the checks, and the table, verdicts and warnings of each result."""
     print_findings(collect_findings_by_drive(outcomes), console)
@@ -79,7 +79,7 @@ def print_results(outcomes: Sequence[result.Identification], vehicle: VehiclePar
                              ("yellow", outcome.warnings)):
             for text in texts:
                 print_line(f"  [{style}]{escape(text)}[/]", console)
-    for sentence in scale_warnings:
+    for sentence in lambda_warnings:
         print_line(f"  [yellow]{escape(sentence)}[/yellow]", console)
 
 
@@ -130,15 +130,16 @@ def make_experiment_details(outcome: result.Identification) -> dict[str, Any]:
     """Entry of one experiment in details.json."""
     matrix = outcome.correlation
     return {
-        "what": outcome.experiment, "used": list(outcome.used_data),
-        "rejected": [{"data": name, "why": reason} for name, reason in outcome.rejected_data],
+        "experiment": outcome.experiment, "used": list(outcome.used_data),
+        "rejected": [{"data": name, "reason": reason} for name, reason in outcome.rejected_data],
         "parameters": [e.parameter for e in outcome.estimates],
         "status": {e.parameter: e.status for e in outcome.estimates},
         "correlation": None if matrix is None else [[round(float(x), 6) for x in row] for row in matrix],
         "warnings": list(outcome.warnings),
         "findings": {name: findings_as_json(findings) for name, findings in outcome.findings.items()},
         "coverage": [{"signal": c.signal, "unit": c.unit, "edges": [float(x) for x in c.edges],
-                      "counts": [int(x) for x in c.counts], "needed": c.min_samples, "bins_needed": c.min_filled_bins}
+                      "counts": [int(x) for x in c.counts], "min_samples": c.min_samples,
+                      "min_filled_bins": c.min_filled_bins}
                      for c in outcome.coverage],
     }
 

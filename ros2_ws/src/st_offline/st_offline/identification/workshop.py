@@ -173,7 +173,7 @@ def draw_height(outcome: Identification, output: FigureOutput) -> PageFigure:
         marker = "os^Dv<>P"[k % 8]
         left.plot(pitch[rows], data["rear_load"][rows], marker, color=TEXT_COLOUR, ms=4.5, mfc="none", label=name)
         left.plot(np.degrees(grid), intercept + data["slope"] * np.tan(grid), color=MODEL_COLOUR["augmented"], lw=1.0)
-        right.plot(pitch[rows], data["single"][rows], marker, color=TEXT_COLOUR, ms=4.5, mfc="none")
+        right.plot(pitch[rows], data["height_per_row"][rows], marker, color=TEXT_COLOUR, ms=4.5, mfc="none")
     left.set(xlabel="pitch, deg", ylabel="load on the rear wheels, kg")
     left.legend(title="lift", fontsize=8)
     right.axhspan(*estimate.interval95, color=MODEL_COLOUR["augmented"], alpha=0.2, lw=0, label="95 % interval")
