@@ -419,14 +419,16 @@ def test_rows_after_the_clock_was_set_back_are_left_out_with_their_share(tmp_pat
     assert not [w for w in derived.warnings if "have no number" in w] and not derived.auxiliary.missing
 
 
-@pytest.mark.parametrize(("radius", "sign", "note"), [(40.0, -1, "its sign was changed"), (40.0, 1, ""), (1e6, -1, "")])
-def test_sign_of_a_vbo_yaw_rate_in_a_steady_turn(tmp_path: Path, radius: float, sign: int, note: str) -> None:
+@pytest.mark.parametrize(("radius", "straight", "sign", "note"), [
+    (40.0, 0, -1, "its sign was changed"), (40.0, 0, 1, ""), (40.0, 500, -1, "its sign was changed"), (1e6, 0, -1, "")])
+def test_sign_of_a_vbo_yaw_rate_in_a_steady_turn(tmp_path: Path, radius: float, straight: int, sign: int,
+                                                 note: str) -> None:
     """A constant yaw rate cannot be correlated with the heading, only its size compared; on a straight (radius [m] of
-    1e6) not even that."""
-    rate = 10.0 / radius
-    turned = np.degrees(rate) * 0.05 * np.arange(600)
+    1e6) not even that. One turn after a long straight (of so many rows) is enough."""
+    rate = np.where(np.arange(600) < straight, 0.0, 10.0 / radius)
+    turned = np.degrees(np.cumsum(rate)) * 0.05
     lines = "\n".join(f"{120000 + 0.05 * k:.2f} {3120 + 0.0003 * k:.6f} -90.0 36.0 {(90 - turned[k]) % 360:.4f} "
-                      f"{sign * np.degrees(rate):.5f} 0.1" for k in range(600))
+                      f"{sign * np.degrees(rate[k]):.5f} 0.1" for k in range(600))
     run = read_text(tmp_path / "turn.vbo",
                     f'[column names]\ntime lat long velocity heading YawRate "Steer"\n[data]\n{lines}\n')
     expected = rate if note or sign > 0 else -rate

@@ -29,8 +29,8 @@ TRUE_HEADING_NAMES = ("trueheading", "truehead", "headingtrue", "heading2", "dua
 MIN_HEADING_AGREEMENT = 0.5
 """A yaw rate channel is not used if its cosine similarity with the derivative of the heading is lower in magnitude."""
 MIN_TURN_RATE = 0.01
-"""[rad/s]. The yaw rate is not checked if the median magnitude of the derivative of the heading is lower; a heading
-noise of 0.1 deg at 5 Hz has about this derivative."""
+"""[rad/s]. The yaw rate is replaced only if the median magnitude of the derivative of the heading is higher, its sign
+changed only if the largest is; a heading noise of 0.1 deg at 5 Hz has about this derivative."""
 
 
 def read_vbo(file: Path, layout: Layout) -> Table:
@@ -137,14 +137,14 @@ def _correct_signs(table: Table) -> Table:
         heading_rate = differentiate_yaw(table, -heading)
         rows = np.isfinite(columns["yaw_rate"]) & np.isfinite(heading_rate) & (np.abs(columns["velocity_x"]) > 3.0)
         yaw_rate, derivative = columns["yaw_rate"][rows], heading_rate[rows]
-        # The derivative is noise if the car drives straight. Means are not subtracted, because both are constant in a
-        # steady turn.
-        is_turning = rows.sum() > 10 and np.median(np.abs(derivative)) >= MIN_TURN_RATE
+        # The derivative is noise if the car drives straight; one turn shows the sign. Means are not subtracted, because
+        # both are constant in a steady turn.
+        usual, largest = np.quantile(np.abs(derivative), [0.5, 1.0]) if rows.sum() > 10 else (0.0, 0.0)
         similarity = yaw_rate @ derivative / max(np.linalg.norm(yaw_rate) * np.linalg.norm(derivative), 1e-12)
-        if is_turning and similarity < -MIN_HEADING_AGREEMENT:
+        if largest >= MIN_TURN_RATE and similarity < -MIN_HEADING_AGREEMENT:
             columns["yaw_rate"] = -columns["yaw_rate"]
             warnings.append(f"{table.file}: the yaw rate is positive in right turns; its sign was changed")
-        elif is_turning and similarity < MIN_HEADING_AGREEMENT:
+        elif usual >= MIN_TURN_RATE and similarity < MIN_HEADING_AGREEMENT:
             warnings.append(f"{table.file}: the yaw rate channel does not agree with the heading (cosine similarity "
                             f"{similarity:.2f}); the derivative of the heading is used")
             columns["yaw_rate"] = heading_rate
