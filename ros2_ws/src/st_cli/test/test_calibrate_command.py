@@ -47,6 +47,11 @@ def test_recordings_of_one_folder_count_as_one_run_with_together(folder, tmp_pat
     assert "weave_10" in (tmp_path / "bands.yaml").read_text()
 
 
+def test_level_in_percent_is_refused_before_a_run_is_read(tmp_path):
+    refused = st("calibrate", tmp_path, "--level", 90, "--output", tmp_path / "bands.yaml")
+    assert refused.exit_code == 2 and refused.output == "st calibrate: level 90: must be between 0 and 1; 90 % is 0.9\n"
+
+
 @pytest.mark.slow
 def test_evaluate_scores_bands_on_unseen_drives(folder, tmp_path):
     base, _ = folder

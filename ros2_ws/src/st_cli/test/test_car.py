@@ -69,14 +69,18 @@ def test_invalid_car_yaml_is_refused(car_folder, text, message):
     assert str(car_folder / "car.yaml") in str(error.value)
 
 
-def test_unknown_car_is_refused_with_a_list_of_known_cars():
-    with pytest.raises(RunError, match=r"contains no vehicle\.yaml.*hyundai_genesis, leaf"):
+def test_unknown_car_is_refused_with_a_list_of_known_cars(tmp_path):
+    with pytest.raises(RunError, match=r"does not exist.*hyundai_genesis, leaf"):
         load_car("unknown_car")
+    with pytest.raises(RunError, match=r"contains no vehicle\.yaml.*hyundai_genesis, leaf"):
+        load_car(str(tmp_path))
 
 
 def test_file_instead_of_a_car_folder_is_refused(car_folder):
     with pytest.raises(RunError, match=f"this is a file; a car is a folder; give --car {car_folder}, or --vehicle"):
         load_car(str(car_folder / "vehicle.yaml"))
+    with pytest.raises(RunError, match="this is a file; a car is a folder; give --vehicle"):
+        load_car(str(config("vehicle/leaf.yaml")))
 
 
 @pytest.mark.parametrize("name", ["calibrate", "check", "discover", "evaluate", "identify", "import", "live"])

@@ -99,6 +99,11 @@ def test_invalid_course_file_is_refused(folder, tmp_path):
     assert result.exit_code == 2 and "course.yaml" in result.output
 
 
+def test_missing_recording_is_named_once(tmp_path):
+    result = st("course", "build", "nosuch", "-o", tmp_path / "course.yaml")
+    assert result.exit_code == 2 and result.output.count("nosuch:") == 1, result.output
+
+
 @pytest.mark.slow
 def test_adaptive_bands_need_no_calibration(folder, tmp_path):
     base, _ = folder

@@ -68,7 +68,9 @@ def test_violated_requirement_is_reported_with_exit_status_1(proposal):
 
 
 @pytest.mark.parametrize(("arguments", "fragment"), [
-    (("check", "nothing.py"), "nothing.py: does not exist"), (("describe",), "'describe' is not one of")])
+    (("check", "nothing.py"), "nothing.py: does not exist"),
+    (("check", __file__.replace(".py", ".csv")), "the name of an effect file ends in .py"),
+    (("describe",), "'describe' is not one of")])
 def test_wrong_arguments_are_refused_in_one_line(arguments, fragment):
     result = st("effects", *arguments)
     assert result.exit_code == 2 and fragment in result.output

@@ -286,8 +286,9 @@ def test_recording_that_is_converted_is_not_replayed(live, tmp_path, monkeypatch
 def test_invalid_recording_is_refused(tmp_path):
     file = tmp_path / "x.mcap"
     file.write_bytes(b"nothing of the kind")
-    result = st_verify(file)
-    assert result.exit_code == 2 and "x.mcap" in result.output
+    for verb in ("verify", "view"):
+        result = st(verb, file)
+        assert result.exit_code == 2 and "x.mcap" in result.output and "no car was named" not in result.stderr
 
 
 @pytest.mark.slow

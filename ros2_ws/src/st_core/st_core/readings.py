@@ -38,8 +38,9 @@ def find_missing_reading(model: Model, missing: Sequence[str]) -> tuple[str, str
     velocity or yaw rate; None if no effect does."""
     if not isinstance(model, AugmentedModel):
         return None
+    known_missing = [name for name in missing if name in Measured._fields]
     for effect in model.active_effects:
-        for reading in missing if effect.correct else ():
+        for reading in known_missing if effect.correct else ():
             example = Measured(1.0, 2.0, 0.1, 10.0, 0.2, 0.3, 0.4, 3.0)._replace(**{reading: np.nan})
             reduced = model.select_effects(e for e in model.effects if e.converts or e is effect)
             if np.isnan(reduced.correct(example)[:6]).any():

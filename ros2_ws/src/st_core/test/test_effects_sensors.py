@@ -157,6 +157,10 @@ def test_no_built_in_effect_needs_acceleration_for_its_correction():
             assert find_missing_reading(augment("linear", [effect.name]), ("acceleration_x", "acceleration_y")) is None
 
 
+def test_signal_without_a_reading_is_no_missing_reading():
+    assert find_missing_reading(augment("linear", ["yaw_rate_scale"]), ("a_later_signal",)) is None
+
+
 def test_models_without_sensor_effects_return_samples_unchanged():
     sample = InsSample(5, 1.0, 2.0, 0.3, 4.0, 0.5, 0.6)
     assert correct_sample(MODELS["linear"], sample) is sample

@@ -36,7 +36,8 @@ def print_line(text: str, console: Console) -> None:
 
 
 def report_problem(name: str, problem: str, console: Console) -> None:
-    print_line(f"[red]{escape(name)}[/red]: {escape(problem)}", console)
+    """Print a line that begins with the name, which a problem with a path may already do."""
+    print_line(f"[red]{escape(name)}[/red]: {escape(problem.removeprefix(f'{name}: '))}", console)
 
 
 def list_files(files: Mapping[Path, str], console: Console) -> None:

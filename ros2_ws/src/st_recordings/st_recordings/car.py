@@ -49,11 +49,13 @@ def load_car(name: str) -> Car:
     """
     folder = Path(name) if "/" in name or Path(name).is_dir() else config("car") / name
     if folder.is_file():
-        raise RunError(folder, "this is a file; a car is a folder", f"give --car {folder.absolute().parent}, or "
-                       "--vehicle for a vehicle file alone")
+        parent = folder.absolute().parent
+        alternative = f"--car {parent}, or " if (parent / "vehicle.yaml").is_file() else ""
+        raise RunError(folder, "this is a file; a car is a folder",
+                       f"give {alternative}--vehicle for a vehicle file alone")
     if not (folder / "vehicle.yaml").is_file():
-        raise RunError(folder, "not a car folder: it contains no vehicle.yaml",
-                       f"known cars are {', '.join(list_cars())}; or name the folder of a car")
+        problem = "not a car folder: it contains no vehicle.yaml" if folder.is_dir() else "this car does not exist"
+        raise RunError(folder, problem, f"known cars are {', '.join(list_cars())}; or name the folder of a car")
     file = folder / "car.yaml"
     table = read_yaml_mapping(file) if file.exists() else {}
     if unknown := sorted(table.keys() - STEERING_DEFAULTS.keys()):

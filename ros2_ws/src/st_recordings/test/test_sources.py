@@ -163,7 +163,7 @@ def test_drive_that_is_named_alone_is_read_as_its_run_file_says(tmp_path: Path) 
     assert run.run_file is None and run.files == (drive,)
     touch(tmp_path, "a.run.yaml", content="csvv: a.csv\n")
     (run,) = find_runs([drive])
-    assert "unknown key csvv" in str(run.problem)
+    assert "unknown key csvv, did you mean csv?; known keys are" in str(run.problem)
 
 
 def test_log_that_is_no_can_log_is_not_called_one(tmp_path: Path) -> None:

@@ -73,8 +73,10 @@ def _check_effects(files: Sequence[Path], car: "VehicleParameters") -> bool:
     from st_core.errors import ConfigurationError
 
     for file in files:
-        if not file.is_file() or file.suffix != ".py":
-            raise ConfigurationError(f"{file}: does not exist, or its name does not end in .py")
+        if file.suffix != ".py":
+            raise ConfigurationError(f"{file}: the name of an effect file ends in .py")
+        if not file.is_file():
+            raise ConfigurationError(f"{file}: does not exist")
     selected = [e for f in files for e in load_file(str(f.resolve().parent), f.stem)] if files else EFFECTS.values()
     all_met = True
     for effect in selected:

@@ -74,7 +74,7 @@ def evaluate(
         **shared.FILE),
     advise: float | None = typer.Option(
         None, help="Permitted lateral error, m: also report the cheapest model and step that meet it, by speed and "
-        "prediction time, with cost, error and band width of each.", callback=shared.in_range(0.001, "m")),
+        "prediction time, with cost, error and band width of each.", callback=shared.in_range(0.001, "m", 100.0)),
     force: bool = typer.Option(False, "--force", help="Also evaluate runs in which `st check` finds an error."),
     workers: int = typer.Option(1, help="Number of runs evaluated in parallel (Dask).", min=1),
     scheduler: str | None = typer.Option(None, help="Address of a Dask scheduler to use instead of --workers."),

@@ -174,7 +174,8 @@ def import_(
             written += 1
         except (RunError, OutputError) as error:
             typer.echo(f"st import: {error}", err=True)
-    shared.report_default_car("import", vehicle, file)
+    if written:
+        shared.report_default_car("import", vehicle, file)
     if written < len(runs):
         raise typer.Exit(1 if written else 2)
 
@@ -213,8 +214,10 @@ def _import_run(source: "RunSource", car: "VehicleParameters", folder: Path, set
 
 def ncom(
     file: Path = typer.Argument(..., help="NCOM recording.", **shared.FILE),
-    csv: Path = typer.Option(..., "--csv", help="File for the navigation values, one row per packet."),
-    status: Path | None = typer.Option(None, "--status", help="File for the status fields, one row per change."),
+    csv: Path = typer.Option(..., "--csv", help="File for the navigation values, one row per packet.",
+                             dir_okay=False),
+    status: Path | None = typer.Option(None, "--status", help="File for the status fields, one row per change.",
+                                       dir_okay=False),
 ) -> None:
     """Write an NCOM file as CSV: time, acceleration, rates, position, velocity, attitude and derived values."""
     from oxts_bridge.export import write_csv

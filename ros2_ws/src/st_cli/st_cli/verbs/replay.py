@@ -69,8 +69,8 @@ def verify(
 
     with shared.report_errors("verify"):
         vehicle, read_settings = read_options.resolve()
-        shared.report_default_car_of_bag("verify", bag, vehicle)
         print_findings({bag.name: check_bag(find_bag(bag), vehicle, force, read_settings)}, shared.console)
+        shared.report_default_car_of_bag("verify", bag, vehicle)
         status = verify_command(bag, vehicle, tolerance, replays_first, output, shared.console, read_settings)
     raise typer.Exit(status)
 
@@ -96,10 +96,10 @@ def view(
         if recording.suffix != ".rrd":
             from st_live.recorded_view import draw_recording
 
-            shared.report_default_car_of_bag("view", recording, vehicle)
             file = save or Path(name, "view.rrd")
             with shared.console.status("drawing"):
                 n_frames = draw_recording(recording, file, vehicle)
+            shared.report_default_car_of_bag("view", recording, vehicle)
             shared.console.out(f"{n_frames} frames of {recording.name}", highlight=False)
         elif save:
             raise SuiteError(f"--save {save}: {recording} is already a saved view; leave out --save")

@@ -129,13 +129,19 @@ def count_required_runs(level: float) -> int:
     return max(1, math.ceil(level / (1.0 - level) - ROUNDING_TOLERANCE))
 
 
+def check_level_range(levels: Sequence[float]) -> None:
+    """Raises StCoreError for a level outside (0, 1)."""
+    for level in levels:
+        if not 0.0 < level < 1.0:
+            raise StCoreError(f"level {level:g}: must be between 0 and 1; 90 % is 0.9")
+
+
 def check_levels(levels: Sequence[float], runs: int) -> None:
     """Raises a one-line StCoreError for 0 runs, or a level outside (0, 1) or above the highest supported level."""
     if not runs:
         raise StCoreError("bands cannot be calibrated without a usable run")
+    check_level_range(levels)
     for level in levels:
-        if not 0.0 < level < 1.0:
-            raise StCoreError(f"level {level:g}: must be between 0 and 1")
         if level > compute_highest_level(runs) + ROUNDING_TOLERANCE:
             verb = "run supports" if runs == 1 else "runs support"
             raise StCoreError(f"{runs} {verb} levels up to {compute_highest_level(runs):.1%}, n/(n + 1), not "

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from ..corrections import COMPONENTS
-from ..log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
+from ..log import INS_SIGNALS, DriveLog
 from ..timeseries import NANOSECOND
 from .finding import AuxiliaryData
 
@@ -77,7 +77,7 @@ class Motion:
 
     def select_ins(self, mask: np.ndarray) -> "Motion":
         """The motion with only the INS samples in a mask (n,)."""
-        names = ("time", *INS_SIGNALS, *OPTIONAL_INS_SIGNALS)
+        names = ("time", *INS_SIGNALS, "acceleration_x", "acceleration_y")
         return replace(self, **{name: value[mask] for name in names if (value := getattr(self, name)) is not None})
 
     def make_windows(self, length: float, longest_gap: float = MAX_GAP) -> "Windows":

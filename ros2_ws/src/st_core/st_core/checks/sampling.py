@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..log import STEERING
+from ..log import OPTIONAL_INS_SIGNALS, STEERING
 from ..prediction import PredictionSettings
 from ..regression import white_noise
 from ..timeseries import NANOSECOND
@@ -97,7 +97,7 @@ def check_timing(motion: Motion, auxiliary: AuxiliaryData, excluded: Sequence[Fi
 def _make_missing_values_finding(channel: str, count: int, motion: Motion, auxiliary: AuxiliaryData) -> Finding:
     time, signal = (motion.steering_time, "steering") if channel in STEERING else (motion.time, "INS")
     stamps = auxiliary.stamps.get(signal, auxiliary.stamps.get("INS", np.zeros(0)))
-    keeps_row = channel.startswith("acceleration")  # a row that lacks only an acceleration is kept
+    keeps_row = channel in OPTIONAL_INS_SIGNALS  # a row that lacks only such a signal is kept
     fraction, rate = count / max(len(time) + (0 if keeps_row else count), 1), 0.0
     spacing, row_spacing = np.diff(time), np.diff(stamps * NANOSECOND)
     if not keeps_row and min(len(spacing), len(row_spacing)) >= MIN_MEASURED_STEPS:

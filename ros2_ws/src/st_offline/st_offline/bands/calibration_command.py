@@ -6,7 +6,13 @@ from pathlib import Path
 from rich.console import Console
 from rich.markup import escape
 from st_core.bands import Band, Bands, CalibrationDomain, ErrorSamples, calibrate
-from st_core.bands.calibration import check_levels, compute_error_samples, compute_highest_level, join_runs
+from st_core.bands.calibration import (
+    check_level_range,
+    check_levels,
+    compute_error_samples,
+    compute_highest_level,
+    join_runs,
+)
 from st_core.bands.file import hash_configuration, make_times
 from st_core.log_evaluation import MODES
 from st_core.models import Model
@@ -30,6 +36,7 @@ def run_command(runs: Sequence[Path], task: Task, output: Path, levels: Sequence
     """
     if output.exists():
         raise OutputError(f"{output} exists: choose another --output (existing files are not overwritten)")
+    check_level_range(levels)
     models = load_models(task)
     recordings: dict[str, str] = {}
     problems: list[str] = []

@@ -11,7 +11,7 @@ from oxts_bridge.geometry import Attitude, LocalFrame, Vector
 from oxts_bridge.motion import Motion
 from oxts_bridge.ncom import BATCH_S, DUPLICATE, LATE, NEW, SAME, STATUS_RULES, NcomError
 from st_core.checks import InsQuality
-from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
+from st_core.log import INS_SIGNALS
 
 from .errors import RunError, check_readable, format_count
 from .ins_log import MAX_LOST_FRACTION, InsLog, select_usable_rows
@@ -67,7 +67,7 @@ def read_ncom(file: Path) -> NcomLog:
     origin = float(motion.latitude[0]), float(motion.longitude[0]), float(motion.altitude[0])
     is_stamped = (columns.kind == file_decoder.REGULAR) & (columns.utc_ns != file_decoder.UNKNOWN_TIME)
     position = motion.locate(LocalFrame(*origin))
-    channels = zip((*INS_SIGNALS, *OPTIONAL_INS_SIGNALS), (
+    channels = zip((*INS_SIGNALS, "acceleration_x", "acceleration_y"), (
         *position[:2], np.unwrap(np.pi / 2 - columns.heading[rows]), *motion.body_velocity[:2],
         motion.angular_velocity[2], *motion.acceleration[:2]), strict=True)
     values = {name: column for name, column in channels if np.isfinite(column).any()}

@@ -91,7 +91,8 @@ def read_yaml_mapping(file: Path) -> dict[str, Any]:
 def _read_content(path: Path) -> dict[str, Any]:
     content = read_yaml_mapping(path)
     if unknown := [key for key in content if key not in _KEYS]:
-        raise RunError(path, f"unknown key {unknown[0]}", f"known keys are {', '.join(_KEYS)}")
+        raise RunError(path, f"unknown key {unknown[0]}{yaml_text.suggest_key(unknown[0], _KEYS)}",
+                       f"known keys are {', '.join(_KEYS)}")
     return content
 
 
@@ -300,7 +301,8 @@ def _check_mapping(path: Path, key: str, value: Any, known_keys: Any) -> dict[st
         raise RunError(path, f"{key}: expected a mapping", f"known keys are {', '.join(known_keys)}")
     unknown = [name for name in value if name not in known_keys]
     if unknown:
-        raise RunError(path, f"{key}: unknown key {unknown[0]}", f"known keys are {', '.join(known_keys)}")
+        raise RunError(path, f"{key}: unknown key {unknown[0]}{yaml_text.suggest_key(unknown[0], known_keys)}",
+                       f"known keys are {', '.join(known_keys)}")
     return value
 
 
