@@ -69,7 +69,7 @@ EXHIBITS = (
             "Turntable readings, one ratio fitted through all sweeps, and the residuals of the line."),
     Exhibit("What is missing from a vehicle file and the sensors", "./st discover examples/data "
             "--vehicle config/vehicle/hyundai_genesis.yaml --output {}/discover", "discover/figures/waterfall.png",
-            "Two recorded drives and a vehicle file, without reference drives. The page report.html states what is "
+            "Three recorded drives and a vehicle file, without reference drives. The page report.html states what is "
             "missing, how certain that is, whether it is the same everywhere, and what to do."),
 )
 

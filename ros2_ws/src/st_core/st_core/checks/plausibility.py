@@ -86,7 +86,7 @@ def drop_implausible(log: DriveLog, start_ns: int) -> tuple[DriveLog, list[Findi
                            (log.steering_time_ns, (steering,))):
         seconds, moving = (time_ns - start_ns) * NANOSECOND, _detect_motion(log, time_ns)
         for name in names:
-            if (values := getattr(log, name)) is not None:
+            if name in CHANNEL_LIMITS and (values := getattr(log, name)) is not None:
                 masks[name], channel_findings = find_implausible_samples(name, seconds, values, moving)
                 findings += channel_findings
     with_nan: dict[str, Any] = {name: np.where(masks[name], np.nan, getattr(log, name))
