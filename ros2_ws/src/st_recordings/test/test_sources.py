@@ -210,6 +210,7 @@ def test_invalid_run_file_refuses_only_the_recordings_that_it_names(tmp_path: Pa
     assert find_runs([b])[0].problem is None and find_runs([b])[0].files == (b,)
     assert [record.getMessage() for record in caplog.records if record.getMessage().startswith(f"warning: {file}")]
     assert "recordings that this file does not name are read without it" in caplog.text
+    assert [run.files for run in find_runs([tmp_path]) if run.problem is None] == [(b,)]
 
 
 @pytest.mark.parametrize(("name", "content"), [
@@ -327,7 +328,8 @@ def test_invalid_run_yaml_is_refused(tmp_path: Path, content: str, message: str)
 
 
 def test_files_of_an_invalid_run_yaml_are_not_separate_runs(tmp_path: Path) -> None:
-    touch(tmp_path, "d.csv", "1.log", "2.log")
+    touch(tmp_path, "d.csv", content=DRIVE)
+    touch(tmp_path, "1.log", "2.log")
     touch(tmp_path, "run.yaml", content="csv: e*.csv\ncan: '*.log'\n")
     (run,) = find_runs([tmp_path])
     assert run.problem is not None and run.name == "run.yaml"

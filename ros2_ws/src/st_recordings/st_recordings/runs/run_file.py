@@ -71,6 +71,14 @@ def _may_concern(path: Path, file: Path) -> bool:
         fnmatch(file.name, Path(value.strip("'\" \r")).name) for value in values)
 
 
+def find_concerned_files(path: Path) -> list[Path]:
+    """Files in the folder of an invalid run.yaml that it may describe (`_may_concern`). If it names none of the
+    recordings, all files, unless its own name is that of a recording."""
+    files = [f for f in path.parent.iterdir() if f.is_file()]
+    named_files = [f for f in files if _may_concern(path, f)]
+    return files if path.name == RUN_FILE and not any(map(find_reader, named_files)) else named_files
+
+
 def _log_unused_run_file(error: RunError) -> None:
     log_warnings([f"{error}; recordings that this file does not name are read without it"])
 

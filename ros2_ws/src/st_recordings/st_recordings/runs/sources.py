@@ -16,7 +16,7 @@ from .can_formats import is_can_log
 from .errors import RunError
 from .mf4 import MF4_EXTENSIONS, parse_session
 from .readers import READERS, Reader, find_reader
-from .run_file import RUN_FILE, RUN_SUFFIX, find_described_run, find_logs, is_run_file, read_run_file
+from .run_file import find_concerned_files, find_described_run, find_logs, is_run_file, read_run_file
 from .run_types import RunSource
 
 GENERIC_NAMES = ("run", "bag")
@@ -109,9 +109,7 @@ def _search_folder(folder: Path) -> list[RunSource]:
             used_files.update(file for run in described_runs for file in (*run.files, *run.can))
             # The files of an invalid run.yaml are not separate runs, so that one mistake is reported once.
             if any(run.problem and run.run_file == path for run in described_runs):
-                stem = path.name.removesuffix(RUN_SUFFIX)
-                used_files.update(f for f in path.parent.iterdir()
-                                  if f.is_file() and (path.name == RUN_FILE or f.stem == stem))
+                used_files.update(find_concerned_files(path))
         else:
             files.append(path)
     # A run of `each` may be a part of a recording that another run.yaml describes.
