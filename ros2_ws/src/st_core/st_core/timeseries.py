@@ -14,6 +14,7 @@ Source: paper, section on the models' inputs. Checked by: test_filtering.py, tes
 """
 
 import math
+from bisect import bisect_left
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
@@ -26,6 +27,7 @@ NANOSECOND = 1.0e-9
 REORDER_WINDOW_NS = 500_000_000  # samples that are older than the newest one by more than this are rejected as late
 SETBACK_SAMPLES = 5  # after this many consecutive late samples the clock counts as set back
 MAXIMUM_SAMPLES = 200_000
+MIN_RECOVERED_FRACTION = 0.01  # of all times; see `find_ascending`
 
 
 class TimeSeries:
@@ -199,6 +201,26 @@ def find_neighbours(times: np.ndarray, instants: np.ndarray, gap_ns: int) -> Nei
     known = exact | ((instants > times[before]) & (instants < times[after]) & (spacing <= gap_ns))
     fraction = np.where(exact, 1.0, (instants - times[before]) / np.maximum(spacing, 1))
     return Neighbours(before, after, exact, known, fraction)
+
+
+def find_ascending(times: np.ndarray) -> np.ndarray:
+    """Mask (n,) of strictly ascending times: those that are later than all previous ones, or the longest ascending
+    subsequence if it is longer by MIN_RECOVERED_FRACTION, as it is if a single time is far too late."""
+    is_newer = np.diff(np.maximum.accumulate(times), prepend=times[:1] - 1) > 0
+    if is_newer.sum() >= (1.0 - MIN_RECOVERED_FRACTION) * len(times):
+        return is_newer
+    # Patience sorting: the last time, and its row, of the best subsequence of each length so far.
+    last_times, last_rows, previous_rows = list[int](), list[int](), list[int]()
+    for row, time in enumerate(times.tolist()):
+        length = bisect_left(last_times, time)
+        previous_rows.append(last_rows[length - 1] if length else -1)
+        last_times[length:length + 1], last_rows[length:length + 1] = [time], [row]
+    if len(last_times) <= is_newer.sum() + MIN_RECOVERED_FRACTION * len(times):
+        return is_newer
+    is_ascending, row = np.zeros(len(times), bool), last_rows[-1]
+    while row >= 0:
+        is_ascending[row], row = True, previous_rows[row]
+    return is_ascending
 
 
 def interpolate(time_ns: np.ndarray, values: np.ndarray, instants_ns: np.ndarray, gap_ns: int) -> np.ndarray:

@@ -419,6 +419,17 @@ def test_rows_after_the_clock_was_set_back_are_left_out_with_their_share(tmp_pat
     assert not [w for w in derived.warnings if "have no number" in w] and not derived.auxiliary.missing
 
 
+def test_rows_with_a_time_far_too_late_are_left_out_alone(tmp_path: Path, drive_log: DriveLog) -> None:
+    cells = rows(drive_log)
+    for k in (500, 501, 900):
+        cells[k][0] = f"{float(cells[k][0]) + 500:.6f}"
+    run = read_text(tmp_path / "late.csv", csv(cells))
+    assert len(run.log.x) == len(cells) - 3
+    assert_warned(run.warnings, r"3 of \d+ rows \(0\.\d+ %\) are out of order in time; they were left out")
+    (finding,) = [f for f in check(run.log, CAR, run.auxiliary).findings if f.name == "time_order" and "INS" in f.text]
+    assert f"3 of {len(cells)} rows" in finding.text
+
+
 @pytest.mark.parametrize(("radius", "straight", "sign", "note"), [
     (40.0, 0, -1, "its sign was changed"), (40.0, 0, 1, ""), (40.0, 500, -1, "its sign was changed"), (1e6, 0, -1, "")])
 def test_sign_of_a_vbo_yaw_rate_in_a_steady_turn(tmp_path: Path, radius: float, straight: int, sign: int,

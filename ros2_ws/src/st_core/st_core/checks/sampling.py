@@ -8,7 +8,7 @@ import numpy as np
 from ..log import OPTIONAL_INS_SIGNALS, STEERING
 from ..prediction import PredictionSettings
 from ..regression import white_noise
-from ..timeseries import NANOSECOND
+from ..timeseries import NANOSECOND, find_ascending
 from .finding import HORIZON, LIMITS, Advice, AuxiliaryData, Finding, InsQuality, Sampling, Severity, merge_findings
 from .motion import MAX_GAP, MAX_LISTED_TIMES, Motion, find_groups, find_spans, find_time_intervals
 
@@ -140,8 +140,7 @@ def _check_stamps(signal: str, stamps: np.ndarray, start_ns: int) -> list[Findin
     step = np.diff(stamps)
     newest = np.maximum.accumulate(stamps)[:-1]
     findings = []
-    # After a step back, rows are unusable until their stamps exceed the latest stamp before the step.
-    old = (stamps[1:] <= newest) & (step != 0)
+    old = ~find_ascending(stamps)[1:] & (step != 0)
     for name, faulty, lost in (("time_order", step < 0, old), ("time_duplicates", step == 0, step == 0)):
         if not faulty.any():
             continue

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from st_core.checks import InsQuality, Series
-from st_core.timeseries import interpolate
+from st_core.timeseries import find_ascending, interpolate
 
 from .errors import format_count
 
@@ -63,13 +63,8 @@ def make_series(time_ns: np.ndarray, values: np.ndarray) -> Series | None:
     time_ns, values = _select_finite(np.asarray(time_ns, np.int64), values)
     if not len(time_ns):
         return None
-    rows = is_newer(time_ns)
+    rows = find_ascending(time_ns)
     return Series(time_ns[rows], values[rows])
-
-
-def is_newer(time_ns: np.ndarray) -> np.ndarray:
-    """Whether each time is later than all previous ones."""
-    return np.diff(np.maximum.accumulate(time_ns), prepend=time_ns[:1] - 1) > 0
 
 
 def is_mostly_known(values: np.ndarray | None) -> bool:
@@ -85,14 +80,14 @@ def _select_finite(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray,
 def select_usable_rows(time_ns: np.ndarray, noun: str) -> tuple[np.ndarray, list[str]]:
     """(indices of rows with strictly ascending times, warnings about the other rows).
 
-    Rows that are not later than all previous rows are left out. If their fraction exceeds MAX_LOST_FRACTION, and the
-    longest part without a backward step has about as many rows as would remain, the clock was set back while recording,
-    and only this part is used. A first or last row with a stamp far from that of its neighbour is left out.
+    Rows are left out as in `find_ascending`. If their fraction exceeds MAX_LOST_FRACTION, and the longest part without
+    a backward step has about as many rows as would remain, the clock was set back while recording, and only this part
+    is used. A first or last row with a stamp far from that of its neighbour is left out.
 
     time_ns: (n,) int64, in the order of the recording. noun: plural name of the rows, for the warnings.
     """
     n = len(time_ns)
-    rows = np.flatnonzero(is_newer(time_ns))
+    rows = np.flatnonzero(find_ascending(time_ns))
     lost_count = n - len(rows)
     warnings = []
     backward_steps = -np.diff(time_ns)[np.diff(time_ns) < 0] * 1e-9
@@ -100,14 +95,15 @@ def select_usable_rows(time_ns: np.ndarray, noun: str) -> tuple[np.ndarray, list
     if len(backward_steps) and lost_count > max(MAX_LOST_FRACTION * n, 1):
         parts = np.split(np.arange(n), np.flatnonzero(np.diff(time_ns) < 0) + 1)
         longest_part = max(parts, key=len)
-        longest_part = longest_part[is_newer(time_ns[longest_part])]
+        longest_part = longest_part[find_ascending(time_ns[longest_part])]
     if len(longest_part) and n - len(longest_part) <= lost_count + MAX_LOST_FRACTION * n:
         rows = longest_part
         times = f"{len(backward_steps)} times, first " if len(backward_steps) > 1 else ""
         warnings.append(f"the clock was set back {times}by {backward_steps[0]:.3f} s: "
                         f"{format_count(n - len(rows), n, noun)} are not used; split the recording to use them")
     elif lost_count:
-        warnings.append(f"{format_count(lost_count, n, noun)} are not later than those before them; they were left out")
+        reason = "not later than those before them" if time_ns[rows].max() == time_ns.max() else "out of order in time"
+        warnings.append(f"{format_count(lost_count, n, noun)} are {reason}; they were left out")
     steps = np.diff(time_ns[rows])
     if len(rows) <= 10:
         return rows, warnings

@@ -18,12 +18,13 @@ from oxts_bridge.motion import FIRST_FIX, GIVEN, Motion, Origin, reconstruct_odo
 from oxts_bridge.ncom import NEW, NcomError
 from st_core.checks import AuxiliaryData, InsQuality, Series
 from st_core.errors import StCoreError
+from st_core.timeseries import find_ascending
 from st_core.vehicle import VehicleParameters
 
 from .bag_storage import Storage, Topic, find_file_text, parse_parameters
 from .cdr import CAN_FRAMES, INS_ON_CAN, INS_STATUS, NCOM, WHEEL_FIELDS, WHEEL_SPEEDS
 from .errors import RunError
-from .ins_log import compute_car_speed, is_newer, make_series
+from .ins_log import compute_car_speed, make_series
 from .ncom import collect_quality
 from .run_types import SteeringField
 
@@ -154,7 +155,7 @@ class Reconstruction:
         except RunError:  # the data for checks are optional
             return None
         time_ns, *values = columns.values()
-        rows = is_newer(time_ns)
+        rows = find_ascending(time_ns)
         status, mode, north, east = (column[rows].astype(float) for column in values)
         return InsQuality(time_ns[rows], status, mode, np.hypot(north, east))
 
@@ -207,7 +208,7 @@ def _decode_packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
         return None, None
     timed_packets = np.flatnonzero((columns.kind == file_decoder.REGULAR) & (columns.order == NEW)
                            & (columns.utc_ns != file_decoder.UNKNOWN_TIME))
-    rows = timed_packets[is_newer(columns.utc_ns[timed_packets])]
+    rows = timed_packets[find_ascending(columns.utc_ns[timed_packets])]
     if not len(rows):
         return None, None
     forward = Motion.from_packet(columns.take(rows)).body_velocity[0]
