@@ -205,6 +205,12 @@ def test_steering_delayed_by_seconds_is_found(log, leaf, seconds):
     assert {"steering_lag", "steering_unrelated"} & findings_by_name(delayed_log, leaf).keys()
 
 
+def test_yaw_and_its_rate_are_in_degrees_where_sideslip_makes_gon_fit_the_course(log, leaf):
+    """In a fast lane change, the course turns 14 % less than the car."""
+    found = errors(scaled(1.16 * DEG_PER_RAD, "yaw", "yaw_rate")(log), leaf)
+    assert found["yaw_rate_scale"].text.endswith("is its unit deg/s?")
+
+
 def test_geographic_positions_show_that_yaw_and_yaw_rate_are_clockwise(log, leaf):
     geographic = AuxiliaryData(geographic=True)
     wrong = replace(yaw_from_north()(log), yaw_rate=-log.yaw_rate)

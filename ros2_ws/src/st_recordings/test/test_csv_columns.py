@@ -214,13 +214,14 @@ def test_steering_wheel_angle_requires_a_vehicle(tmp_path: Path) -> None:
         read(run)
 
 
-def test_steering_angle_of_an_unspecified_wheel_is_refused(tmp_path: Path) -> None:
-    file = write(tmp_path / "d.csv", {**PLAIN, "road_wheel_angle": "steering_angle_rad"})
+@pytest.mark.parametrize("name", ["steering_angle_rad", "Delta_Wheel_rad"])
+def test_steering_angle_of_an_unspecified_wheel_is_refused(tmp_path: Path, name: str) -> None:
+    file = write(tmp_path / "d.csv", {**PLAIN, "road_wheel_angle": name})
     assert has_drive_columns(file)
-    with pytest.raises(RunError, match=r"column steering_angle_rad may be the angle of the steering wheel or of the "
-                       r"road wheels; .* in a run\.yaml, as columns: \{steering_wheel_angle: steering_angle_rad\} or"):
+    with pytest.raises(RunError, match=rf"column {name} may be the angle of the steering wheel or of the road wheels; "
+                       rf".* in a run\.yaml, as columns: \{{steering_wheel_angle: {name}\}} or"):
         read_csv(file, CAR)
-    assert_values(read_csv(file, layout=Layout({"road_wheel_angle": "steering_angle_rad"})).log)
+    assert_values(read_csv(file, layout=Layout({"road_wheel_angle": name})).log)
 
 
 @pytest.mark.parametrize(("x", "y"), [("x", "y"), ("east", "Northing [km]")])

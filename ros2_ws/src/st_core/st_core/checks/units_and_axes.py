@@ -131,7 +131,9 @@ def other_yaw_fits_better(motion: Motion, other: Motion) -> bool:
 def _correct_rate_in_unit_of_yaw(motion: Motion) -> MotionAndFinding:
     """Correct a yaw rate in the same wrong unit as yaw, by comparison with the course; yaw is corrected later."""
     ratios = compute_ratios(motion)
-    size = _round_to_angle_unit(ratios.rate_to_course, COURSE_TOLERANCE)
+    # Degrees and gon differ by less than the tolerance; a gyroscope in gon/s does not exist.
+    size = (DEG_PER_RAD if is_near(abs(ratios.rate_to_course), DEG_PER_RAD, COURSE_TOLERANCE) else
+            _round_to_angle_unit(ratios.rate_to_course, COURSE_TOLERANCE))
     if size in ANGLE_UNITS and _matches(abs(ratios.yaw_to_rate), 1.0) and _matches(abs(ratios.yaw_to_course), size):
         return _scale_yaw_rate(motion, ratios.rate_to_course, "the course of the positions", size)
     return motion, None

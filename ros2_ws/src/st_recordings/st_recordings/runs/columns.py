@@ -157,8 +157,8 @@ COLUMNS: Mapping[str, Channel] = {
 }
 """All known columns; docs/csv_columns.md is generated from this table (test_csv_columns.py)."""
 
-AMBIGUOUS = {normalise(name) for name in
-             _split("steering_angle steering steer steer_angle steered_angle steering_position steering_pos")}
+AMBIGUOUS = {normalise(name) for name in _split(
+    "steering_angle steering steer steer_angle steered_angle steering_position steering_pos delta_wheel")}
 """Names that mean the steering wheel in some files and the road wheels in others."""
 
 MAX_NAME_LENGTH = 200  # characters; of a longer name, only the end counts
