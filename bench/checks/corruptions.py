@@ -40,25 +40,21 @@ class Size:
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of fault.
-
-    findings: names of findings that are right. how: see the module. shows: whether a drive can show a fault of a size.
-    channel: a channel that the finding must name. tolerance: permitted error of the value relative to the truth, for
-    shares, counts, steps and gross factors. also: other findings that are true. before: preparation of the drive.
-    either_side: in a real drive the fault has the sign of the deviation that the drive already has, because with the
-    other sign the two might cancel.
-    """
+    """A kind of fault."""
 
     name: str
-    findings: tuple[str, ...]
-    how: str
+    findings: tuple[str, ...]  # names of findings that are right
+    how: str  # see the module
     edit: Edit
     sizes: tuple[Size, Size]
-    shows: Shows
-    channel: str | None = None
+    shows: Shows  # whether a drive can show a fault of a size
+    channel: str | None = None  # a channel that the finding must name
+    # Permitted error of the value relative to the truth, for shares, counts, steps and gross factors.
     tolerance: float = 0.0
-    also: tuple[str, ...] = ()
-    before: Callable[[Recording], Recording] | None = None
+    also: tuple[str, ...] = ()  # other findings that are true
+    before: Callable[[Recording], Recording] | None = None  # preparation of the drive
+    # In a real drive the fault has the sign of the deviation that the drive already has, because with the other sign
+    # the two might cancel.
     either_side: bool = False
 
 

@@ -34,33 +34,25 @@ STIFFNESS = ("front_stiffness", "rear_stiffness", "both stiffnesses")
 
 @dataclass(frozen=True)
 class Case:
-    """One task for `discover`.
-
-    block: A to E; kind: kind of case in the block. car: the healthy car; settings: those of the driven car; file:
-    settings that the vehicle file assumes, None if it is identified. hidden: effects of the library that are present,
-    or wrong in the file; words: their description. scales: their sizes. with_vy: whether v_y is measured. reference:
-    whether healthy drives are given. effects: names of the candidates, None for all. shifted: whether roads or speeds
-    differ from the reference. parts: manoeuvres, None for the default. from_: fraction of each run after which the
-    change is present. elsewhere: settings at the second site, where every other run is driven.
-    """
+    """One task for `discover`."""
 
     set_: str
-    block: str
+    block: str  # A to E
     index: int
-    kind: str
-    car: HealthyCar
-    settings: Settings
-    file: Settings | None
-    hidden: tuple[str, ...] = ()
-    words: str = "nothing"
-    scales: tuple[float, ...] = ()
-    with_vy: bool = True
-    reference: bool = False
-    effects: tuple[str, ...] | None = None
-    shifted: bool = False
-    parts: tuple[m.Part, ...] | None = None
-    from_: float = 0.0
-    elsewhere: Settings | None = None
+    kind: str  # kind of case in the block
+    car: HealthyCar  # the healthy car
+    settings: Settings  # of the driven car
+    file: Settings | None  # settings that the vehicle file assumes, None if it is identified
+    hidden: tuple[str, ...] = ()  # effects of the library that are present, or wrong in the file
+    words: str = "nothing"  # their description
+    scales: tuple[float, ...] = ()  # their sizes
+    with_vy: bool = True  # whether v_y is measured
+    reference: bool = False  # whether healthy drives are given
+    effects: tuple[str, ...] | None = None  # names of the candidates, None for all
+    shifted: bool = False  # whether roads or speeds differ from the reference
+    parts: tuple[m.Part, ...] | None = None  # manoeuvres, None for the default
+    from_: float = 0.0  # fraction of each run after which the change is present
+    elsewhere: Settings | None = None  # settings at the second site, where every other run is driven
 
     @property
     def seed(self) -> int:

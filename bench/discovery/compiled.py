@@ -36,30 +36,23 @@ class Stopped(Exception):
 
 @dataclass(frozen=True)
 class Programme:
-    """Commands of the driver every 0.01 s from the start; all arrays have the same length.
+    """Commands of the driver every 0.01 s from the start; all arrays have the same length."""
 
-    steering_wheel: steering wheel angle, left + [rad]. yaw: heading to keep [rad], relative to that at which the
-    control of the heading begins; gain: road wheel angle per heading error [1], 0 without control. speed [m/s] and its
-    derivative acceleration [m/s^2].
-    """
-
-    steering_wheel: np.ndarray
-    yaw: np.ndarray
-    gain: np.ndarray
-    speed: np.ndarray
-    acceleration: np.ndarray
+    steering_wheel: np.ndarray  # steering wheel angle, left + [rad]
+    yaw: np.ndarray  # heading to keep [rad], relative to that at which the control of the heading begins
+    gain: np.ndarray  # road wheel angle per heading error [1], 0 without control
+    speed: np.ndarray  # [m/s]
+    acceleration: np.ndarray  # derivative of the speed [m/s^2]
 
 
 @dataclass(frozen=True)
 class Recording:
-    """True motion every 0.01 s. rows: (n, RECORDED). steering_wheel: angle one step after each row [rad], when the
-    steering sensor samples it. bank, grade: angles of the road [rad].
-    """
+    """True motion every 0.01 s."""
 
-    rows: np.ndarray
-    steering_wheel: np.ndarray
-    bank: np.ndarray
-    grade: np.ndarray
+    rows: np.ndarray  # (n, RECORDED)
+    steering_wheel: np.ndarray  # angle one step after each row [rad], when the steering sensor samples it
+    bank: np.ndarray  # angle of the road [rad]
+    grade: np.ndarray  # angle of the road [rad]
 
 
 def drive(car: VehicleParameters, settings: Settings, programme: Programme, seed: int,

@@ -26,20 +26,15 @@ MAX_ERROR = {"factor": 0.02, "angle": 0.0005}
 
 @dataclass(frozen=True)
 class Drives:
-    """The drives of a case.
+    """The drives of a case."""
 
-    reference, suspect, vehicle: input of `discover`. held_out: further drives of the suspect car; healthy_held_out: the
-    same programmes, driven by the healthy car. truth: values, relative to the vehicle file, of all effects for which
-    the plant has a setting. mistaken: effects whose values in the identified file are wrong.
-    """
-
-    reference: tuple[DriveLog, ...]
+    reference: tuple[DriveLog, ...]  # input of `discover`, as suspect and vehicle
     suspect: tuple[DriveLog, ...]
-    held_out: tuple[DriveLog, ...]
-    healthy_held_out: tuple[DriveLog, ...]
+    held_out: tuple[DriveLog, ...]  # further drives of the suspect car
+    healthy_held_out: tuple[DriveLog, ...]  # the same programmes, driven by the healthy car
     vehicle: VehicleParameters
-    truth: Values
-    mistaken: tuple[str, ...] = ()
+    truth: Values  # values, relative to the vehicle file, of all effects for which the plant has a setting
+    mistaken: tuple[str, ...] = ()  # effects whose values in the identified file are wrong
 
 
 def settings_of(case: Case) -> DiscoverySettings:

@@ -16,13 +16,12 @@ Stated = dict[tuple[str, str], tuple[float, float, float]]
 
 @dataclass(frozen=True)
 class Edited:
-    """Comparison for one edit. moved: whether the interval of the stated value contains the expected value, or the
-    effect is an alternative of a stated one. others: other effects with changed values. expected, stated: value of the
-    edited parameter."""
+    """Comparison for one edit."""
 
+    # Whether the interval of the stated value contains the expected one, or the effect is an alternative of the stated.
     moved: bool
-    others: tuple[str, ...]
-    expected: float
+    others: tuple[str, ...]  # other effects with changed values
+    expected: float  # value of the edited parameter
     stated: tuple[float, float, float] | None
 
 

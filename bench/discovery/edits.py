@@ -25,18 +25,14 @@ Column = Callable[[DriveLog, float], DriveLog]
 
 @dataclass(frozen=True)
 class Edit:
-    """A change of recordings. effect, parameter: those of the library that describe it. size: typical size.
+    """A change of recordings."""
 
-    column: changes a recording; None for a change of the mass in the vehicle file. times: the value is multiplied by
-    1 + size; otherwise size is added. inverse: the parameter changes with the opposite sign, or by the inverse factor.
-    """
-
-    effect: str
-    parameter: str
-    size: float
-    column: Column | None
-    times: bool = False
-    inverse: bool = False
+    effect: str  # effect of the library that describes it
+    parameter: str  # parameter of this effect
+    size: float  # typical size
+    column: Column | None  # changes a recording; None for a change of the mass in the vehicle file
+    times: bool = False  # the value is multiplied by 1 + size; otherwise size is added
+    inverse: bool = False  # the parameter changes with the opposite sign, or by the inverse factor
 
     def expected(self, value: float, size: float) -> float:
         """The value of the parameter after the edit, if it was `value` before."""

@@ -17,18 +17,15 @@ Values = dict[str, dict[str, float]]
 
 @dataclass(frozen=True)
 class Hidden:
-    """One setting of a plant. library: name of the effect, None if no effect of the library describes the setting.
-
-    factor: the setting is multiplied by 1 + change; otherwise the change is added. with_: other settings of the healthy
-    car without which the effect cannot be hidden. group: effects of one group are not hidden together.
-    """
+    """One setting of a plant."""
 
     setting: str
-    library: str | None
+    library: str | None  # name of the effect, None if no effect of the library describes the setting
     full: float
     signs: tuple[int, ...] = BOTH
-    factor: bool = False
-    group: str = ""
+    factor: bool = False  # the setting is multiplied by 1 + change; otherwise the change is added
+    group: str = ""  # effects of one group are not hidden together
+    # Other settings of the healthy car without which the effect cannot be hidden.
     with_: Mapping[str, float] | None = None
 
     def applied(self, settings: Settings, scale: float, sign: int) -> dict[str, float]:

@@ -46,24 +46,19 @@ def _add_g_sensitivity(log: DriveLog, vehicle: VehicleParameters, size: float) -
 
 @dataclass(frozen=True)
 class Hidden:
-    """A hidden relation.
-
-    places, shapes: right places of a proposal, and right shapes of its first reading (empty if none is right). slots:
-    slots of the library in which it acts. settings: added to those of the plant; relation: change of the equations;
-    change: change of the recording, with its size. elsewhere: relation of the multi-body cars, in place of settings
-    that only the virtual Leaf has. removed: effect that is removed from the library, together with similar ones.
-    """
+    """A hidden relation."""
 
     name: str
-    places: tuple[str, ...]
-    shapes: tuple[str, ...]
-    slots: tuple[str, ...]
-    settings: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
-    relation: Relation = NO_RELATION
-    change: Change | None = None
+    places: tuple[str, ...]  # right places of a proposal
+    shapes: tuple[str, ...]  # right shapes of its first reading; empty if none is right
+    slots: tuple[str, ...]  # slots of the library in which it acts
+    settings: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))  # added to those of the plant
+    relation: Relation = NO_RELATION  # change of the equations
+    change: Change | None = None  # change of the recording, with its size
     size: float = 0.0
+    # Relation of the multi-body cars, in place of settings that only the virtual Leaf has.
     elsewhere: Relation | None = None
-    removed: str = ""
+    removed: str = ""  # effect that is removed from the library, together with similar ones
 
     def relation_in(self, plant: str) -> Relation:
         return self.relation if plant == LEAF or self.elsewhere is None else self.elsewhere

@@ -58,26 +58,20 @@ BODY_STATES = 29
 
 
 class Options(NamedTuple):
-    """Parameters of sensors, steering and air.
+    """Parameters of sensors, steering and air."""
 
-    level: pitch of the car at rest [rad], at which the INS was levelled. nominal: steering ratio of the programme;
-    ratio: that of the car. play: half of the play at the steering wheel [rad]. memory: fraction of the error of the
-    rack position that remains after a step, for the lag. offset: at the road wheels [rad]. to_rear, wheelbase [m].
-    drag_area [m^2]. still_air: whether there is no wind. wind: towards north [m/s]; gust: standard deviation [m/s].
-    """
-
-    level: float
-    nominal: float
-    ratio: float
-    play: float
-    memory: float
-    offset: float
-    to_rear: float
-    wheelbase: float
-    drag_area: float
-    still_air: bool
-    wind: float
-    gust: float
+    level: float  # pitch of the car at rest [rad], at which the INS was levelled
+    nominal: float  # steering ratio of the programme
+    ratio: float  # that of the car
+    play: float  # half of the play at the steering wheel [rad]
+    memory: float  # fraction of the error of the rack position that remains after a step, for the lag
+    offset: float  # at the road wheels [rad]
+    to_rear: float  # [m]
+    wheelbase: float  # [m]
+    drag_area: float  # [m^2]
+    still_air: bool  # whether there is no wind
+    wind: float  # towards north [m/s]
+    gust: float  # standard deviation of the wind [m/s]
 
 
 def drive_multibody(car: str, settings: Mapping[str, float], programme: Programme, seed: int,

@@ -25,19 +25,18 @@ MAX_LATERAL_VELOCITY = 6.0  # m/s; at a higher one the car has spun, and the dri
 
 @dataclass(frozen=True)
 class Order:
-    """A run to drive. settings: those of plant and sensors. before: settings until the fraction `from_` of the run,
-    None for the same settings throughout. factors: on speed and lateral acceleration. moved: distance of the site to
-    the east [m]. relation: see `relation_equations`."""
+    """A run to drive."""
 
     name: str
     seed: tuple[int, ...]
-    settings: Settings
+    settings: Settings  # those of plant and sensors
     parts: tuple[m.Part, ...] | None = None
-    factors: tuple[float, float] = (1.0, 1.0)
+    factors: tuple[float, float] = (1.0, 1.0)  # on speed and lateral acceleration
+    # Settings until the fraction `from_` of the run, None for the same settings throughout.
     before: Settings | None = None
     from_: float = 0.0
-    moved: float = 0.0
-    relation: Relation = NO_RELATION
+    moved: float = 0.0  # distance of the site to the east [m]
+    relation: Relation = NO_RELATION  # see `relation_equations`
 
 
 def record_run(plant: str, vehicle: VehicleParameters, order: Order) -> DriveLog:

@@ -31,22 +31,19 @@ SIGNED = ("ratio", "offset", "lever", "gyro_scale", "gyro_bias", "heading")
 
 @dataclass(frozen=True)
 class Case:
-    """A car with its hidden errors, its vehicle file and its drives.
-
-    hidden: error -> size [SI]; ratio: of the file over the true one, minus 1; lever: true minus that of the file [m];
-    load: mass above the rear axle [kg]; worn_*: factor on the stiffness; compliance: additional [rad/N]. guess: values
-    of the vehicle file that were not measured. uncertainty: standard deviations in the file. drives: (road, lateral
-    acceleration that the driver accepts [m/s^2], duration [s]). sensors: errors of the sensors.
-    """
+    """A car with its hidden errors, its vehicle file and its drives."""
 
     name: str
     car: str
+    # Error -> size [SI]; ratio: of the file over the true one, minus 1; lever: true minus that of the file [m]; load:
+    # mass above the rear axle [kg]; worn_*: factor on the stiffness; compliance: additional [rad/N].
     hidden: Mapping[str, float]
-    guess: Mapping[str, float]
-    uncertainty: Mapping[str, float]
+    guess: Mapping[str, float]  # values of the vehicle file that were not measured
+    uncertainty: Mapping[str, float]  # standard deviations in the file
+    # (road, lateral acceleration that the driver accepts [m/s^2], duration [s]).
     drives: tuple[tuple[str, float, float], ...]
     seed: int = 0
-    sensors: Mapping[str, float] = field(default_factory=dict)
+    sensors: Mapping[str, float] = field(default_factory=dict)  # errors of the sensors
 
 
 def is_possible(car: Stranger, faults: tuple[str, ...]) -> bool:

@@ -17,16 +17,7 @@ GRAVITY = 9.81
 
 
 class Numbers(NamedTuple):
-    """Parameters of a car and its tyres, all float.
-
-    stiffness_front, stiffness_rear: cornering stiffness of an axle at static load [N/rad]. grip: peak friction [1].
-    sliding: friction of full sliding over grip [1]. load_loss: relative loss of stiffness per relative load increase.
-    drive_front: share of the drive force on the front axle. steer_lag [s]. compliance, compliance_rear: steer angle per
-    lateral force of the axle [rad/N], to the outside. column: steer angle per aligning torque [rad/(N m)]; trail:
-    pneumatic trail at small slip [m]. roll_steer: rear axle, steer angle per roll angle, understeer + [1].
-    roll_stiffness [N m/rad], roll_damping [N m s/rad], roll_inertia [kg m^2], relaxation [m], roll_front: share of the
-    lateral load transfer on the front axle. ackermann: 0 parallel, 1 full geometry.
-    """
+    """Parameters of a car and its tyres, all float."""
 
     mass: float
     inertia: float
@@ -34,46 +25,42 @@ class Numbers(NamedTuple):
     front: float
     height: float
     track: float
-    stiffness_front: float
-    stiffness_rear: float
-    grip: float
+    stiffness_front: float  # of the axle at static load [N/rad]
+    stiffness_rear: float  # of the axle at static load [N/rad]
+    grip: float  # peak friction [1]
     tyre: float
-    drive_front: float
-    sliding: float = 0.8
-    load_loss: float = 0.25
-    steer_lag: float = 0.0
-    compliance: float = 0.0
-    compliance_rear: float = 0.0
-    column: float = 0.0
-    trail: float = 0.0
-    roll_steer: float = 0.0
-    roll_stiffness: float = 1e6
-    roll_damping: float = 2e4
-    roll_inertia: float = 500.0
-    roll_front: float = 0.55
-    relaxation: float = 0.0
-    ackermann: float = 0.0
+    drive_front: float  # share of the drive force on the front axle
+    sliding: float = 0.8  # friction of full sliding over grip [1]
+    load_loss: float = 0.25  # relative loss of stiffness per relative load increase
+    steer_lag: float = 0.0  # [s]
+    compliance: float = 0.0  # front steer angle per lateral force of the axle, to the outside [rad/N]
+    compliance_rear: float = 0.0  # the same of the rear axle [rad/N]
+    column: float = 0.0  # steer angle per aligning torque [rad/(N m)]
+    trail: float = 0.0  # pneumatic trail at small slip [m]
+    roll_steer: float = 0.0  # rear steer angle per roll angle, understeer + [1]
+    roll_stiffness: float = 1e6  # [N m/rad]
+    roll_damping: float = 2e4  # [N m s/rad]
+    roll_inertia: float = 500.0  # [kg m^2]
+    roll_front: float = 0.55  # share of the lateral load transfer on the front axle
+    relaxation: float = 0.0  # [m]
+    ackermann: float = 0.0  # 0 parallel, 1 full geometry
 
 
 @dataclass(frozen=True)
 class Stranger:
-    """A car. origin: source of its parameters. ratio: steering wheel angle over road wheel angle [1].
-
-    ins: position of the INS ahead of the CG [m]. ins_rate, steering_rate [Hz]. steering_step: resolution of the
-    steering sensor [deg]. package: name of a multi-body car; settings: its changed values.
-    """
+    """A car."""
 
     name: str
     description: int
-    origin: str
+    origin: str  # source of its parameters
     numbers: Numbers
-    ratio: float
-    ins: float
-    ins_rate: int = 100
-    steering_rate: int = 100
-    steering_step: float = 0.1
-    package: str = ""
-    settings: tuple[tuple[str, float], ...] = ()
+    ratio: float  # steering wheel angle over road wheel angle [1]
+    ins: float  # position of the INS ahead of the CG [m]
+    ins_rate: int = 100  # [Hz]
+    steering_rate: int = 100  # [Hz]
+    steering_step: float = 0.1  # resolution of the steering sensor [deg]
+    package: str = ""  # name of a multi-body car
+    settings: tuple[tuple[str, float], ...] = ()  # its changed values
 
     def changed(self, **numbers: float) -> "Stranger":
         return replace(self, numbers=self.numbers._replace(**numbers))
