@@ -59,18 +59,15 @@ class Reference(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """inputs: (road_wheel_angle [rad], velocity_x_dot [m/s^2]) for the next step. planned: of all steps, (steps, 2).
+    """Result of `Controller.control`."""
 
-    predicted: states at the end of each step (steps, states). wall, cpu: elapsed and processor time of the solver [s].
-    solved: False if ipopt did not converge (inputs: last iterate) or the result is not finite (inputs: previous ones).
-    """
-
-    inputs: tuple[float, float]
-    planned: np.ndarray
-    predicted: np.ndarray
-    wall: float
-    cpu: float
+    inputs: tuple[float, float]  # (road_wheel_angle [rad], velocity_x_dot [m/s^2]) for the next step
+    planned: np.ndarray  # inputs of all steps, (steps, 2)
+    predicted: np.ndarray  # states at the end of each step, (steps, states)
+    wall: float  # elapsed time of the solver [s]
+    cpu: float  # processor time of the solver [s]
     iterations: int
+    # False if ipopt did not converge (inputs: last iterate) or the result is not finite (inputs: previous ones).
     solved: bool
 
 

@@ -52,16 +52,12 @@ def raw_range(signal: DbcSignal) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class Field:
-    """Position of an unsigned integer of up to 64 bits in a frame.
+    """Position of an unsigned integer of up to 64 bits in a frame."""
 
-    low_byte: index of its least significant byte. high_bytes: indices of its other bytes, most significant first.
-    shift: number of bits below it in its least significant byte. bits: width.
-    """
-
-    high_bytes: tuple[int, ...]
-    low_byte: int
-    shift: int
-    bits: int
+    high_bytes: tuple[int, ...]  # indices of its other bytes, most significant first
+    low_byte: int  # index of its least significant byte
+    shift: int  # number of bits below it in its least significant byte
+    bits: int  # width
 
     @classmethod
     def from_signal(cls, signal: DbcSignal) -> "Field":

@@ -30,17 +30,14 @@ _INTEGER_FORMATS = {"shifted": "i8", "digits6": "i24", "lo4": "bits0+4", "hi4": 
 
 @dataclass(frozen=True)
 class Validity:
-    """Condition under which a field is valid.
+    """Condition under which a field is valid."""
 
-    text: the condition in words, for error messages. accepts: tests the field's raw number and the channel's 8 bytes.
-    invalid_raw: raw number written for an invalid value; None if only flag_byte declares it invalid. flag_byte: index
-    of the byte that declares the field valid (value flag_valid) or invalid (0xFF), together with all fields that share
-    this byte; None if the raw number alone decides.
-    """
-
-    text: str
-    accepts: Callable[[int, bytes], bool]
+    text: str  # the condition in words, for error messages
+    accepts: Callable[[int, bytes], bool]  # tests the field's raw number and the channel's 8 bytes
+    # Raw number written for an invalid value; None if only flag_byte declares it invalid.
     invalid_raw: int | None = None
+    # Index of the byte that declares the field valid (value flag_valid) or invalid (0xFF), together with all fields
+    # that share this byte; None if the raw number alone decides.
     flag_byte: int | None = None
     flag_valid: int = 0
 

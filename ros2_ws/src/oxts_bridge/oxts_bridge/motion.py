@@ -16,14 +16,11 @@ LOCAL_FRAME_TIMEOUT_NS = 10_000_000_000
 
 
 class Accuracy(NamedTuple):
-    """Standard deviations reported by the unit; NaN if unknown (never sent, or declared outdated).
+    """Standard deviations reported by the unit; NaN if unknown (never sent, or declared outdated)."""
 
-    position: east, north, up [m]. velocity: east, north, up [m/s]. attitude: roll, pitch, heading [rad].
-    """
-
-    position: Vector
-    velocity: Vector
-    attitude: Vector
+    position: Vector  # east, north, up [m]
+    velocity: Vector  # east, north, up [m/s]
+    attitude: Vector  # roll, pitch, heading [rad]
 
     @classmethod
     def from_status(cls, status: StatusTracker) -> "Accuracy":
@@ -41,20 +38,16 @@ def compute_variances(standard_deviations: Vector) -> Vector | None:
 
 @dataclass(slots=True)
 class Motion:
-    """Motion of the INS point in ROS axes, at one instant or in columns.
+    """Motion of the INS point in ROS axes, at one instant or in columns."""
 
-    latitude, longitude [rad], altitude [m]: as sent.  velocity: ENU [m/s].  body_velocity [m/s], angular_velocity
-    [rad/s], acceleration [m/s^2]: FLU.  acceleration: specific force, +9.8 up at rest.
-    """
-
-    latitude: Number
-    longitude: Number
-    altitude: Number
+    latitude: Number  # as sent [rad]
+    longitude: Number  # as sent [rad]
+    altitude: Number  # as sent [m]
     attitude: Attitude
-    velocity: Vector
-    body_velocity: Vector
-    angular_velocity: Vector
-    acceleration: Vector
+    velocity: Vector  # ENU [m/s]
+    body_velocity: Vector  # FLU [m/s]
+    angular_velocity: Vector  # FLU [rad/s]
+    acceleration: Vector  # specific force, FLU, +9.8 up at rest [m/s^2]
 
     @classmethod
     def from_packet(cls, packet: Packet) -> "Motion":

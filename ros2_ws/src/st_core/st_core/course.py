@@ -54,11 +54,11 @@ class Pass:
 
 
 class NearPoint(NamedTuple):
-    """Point of a pass near the car. pass_index: in `Course.passes`; row: in its points. distance: from the car [m]."""
+    """Point of a pass near the car."""
 
-    pass_index: int
-    row: int
-    distance: float
+    pass_index: int  # index in `Course.passes`
+    row: int  # index in the points of this pass
+    distance: float  # from the car [m]
 
 
 @dataclass(frozen=True, eq=False)

@@ -253,8 +253,8 @@ def test_text_of_an_alternative_names_the_effect_it_replaces():
     (NOTHING | dict(named=[GOOD], rivals={"mass": [EQUAL_RIVAL]}), "ambiguous", {"names": 2}),
     (NOTHING | dict(named=[GOOD], refused=[VARYING], noise_ratio=9.0, detectable_share=0.1), "named", {}),
     (NOTHING | dict(refused=[AT_BOUND, VARYING], noise_ratio=9.0, detectable_share=0.1), "varying", {}),
-    (NOTHING | dict(refused=[AT_BOUND], varying_effects=1, noise_ratio=9.0, detectable_share=0.1), "varying", {}),
-    (NOTHING | dict(named=[GOOD], varying_effects=1), "named", {}),
+    (NOTHING | dict(refused=[AT_BOUND], n_varying=1, noise_ratio=9.0, detectable_share=0.1), "varying", {}),
+    (NOTHING | dict(named=[GOOD], n_varying=1), "named", {}),
     (NOTHING | dict(refused=[AT_BOUND], detectable_share=0.1), "unknown", {}),
     (NOTHING | dict(refused=[SENSORS_DISAGREE], detectable_share=0.1), "unknown", {}),
     (NOTHING | dict(refused=[NEGLIGIBLE_GAIN, INSIGNIFICANT, SMALL_EFFECT]), "none", {"noise_ratio": 1.0}),
@@ -263,10 +263,10 @@ def test_text_of_an_alternative_names_the_effect_it_replaces():
      {"noise_ratio": 9.0}),  # an unexplained residual takes precedence
     (NOTHING | dict(noise_ratio=2.5), "unknown", {"noise_ratio": 2.5, "max_noise_ratio": 2.0}),
     (NOTHING, "none", {"noise_ratio": 1.0, "max_noise_ratio": 2.0}),
-    (NOTHING | dict(effects=3, base_noise_ratio=15.0, detectable_share=0.7), "ambiguous",
+    (NOTHING | dict(n_effects=3, base_noise_ratio=15.0, detectable_share=0.7), "ambiguous",
      {"effects": 3, "base_noise_ratio": 15.0, "max_noise_ratio": 2.0}),
-    (NOTHING | dict(effects=3, base_noise_ratio=15.0, noise_ratio=2.5), "unknown", {"noise_ratio": 2.5}),
-    (NOTHING | dict(effects=3, base_noise_ratio=1.9), "none", {}),
+    (NOTHING | dict(n_effects=3, base_noise_ratio=15.0, noise_ratio=2.5), "unknown", {"noise_ratio": 2.5}),
+    (NOTHING | dict(n_effects=3, base_noise_ratio=1.9), "none", {}),
     (NOTHING | dict(base_noise_ratio=15.0), "none", {}),  # nothing reduces it significantly
 ])
 def test_outcome_of_a_search_result(answer, outcome, figures):

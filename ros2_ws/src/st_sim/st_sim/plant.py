@@ -84,14 +84,13 @@ class Truth:
 
 
 class Conditions(NamedTuple):
-    """Road and air at the car. friction: factor on the peak force of the tyres. bank_angle > 0: rises to the left,
-    grade_angle > 0: rises ahead [rad]. wind_x, wind_y: velocity of the air in map axes [m/s]."""
+    """Road and air at the car."""
 
-    friction: float
-    bank_angle: float
-    grade_angle: float
-    wind_x: float
-    wind_y: float
+    friction: float  # factor on the peak force of the tyres
+    bank_angle: float  # positive: rises to the left [rad]
+    grade_angle: float  # positive: rises ahead [rad]
+    wind_x: float  # velocity of the air towards east [m/s]
+    wind_y: float  # velocity of the air towards north [m/s]
 
 
 class Road(NamedTuple):

@@ -235,16 +235,16 @@ def is_alternative(rival: Rival, limits: Limits) -> bool:
 
 
 def decide(limits: Limits, named: Sequence[Evidence], rivals: Mapping[str, Sequence[Rival]],
-           refused: Sequence[Evidence], noise_ratio: float, detectable_share: float, varying_effects: int = 0,
-           combinations: Sequence[str] = (), effects: int = 0,
+           refused: Sequence[Evidence], noise_ratio: float, detectable_share: float, n_varying: int = 0,
+           combinations: Sequence[str] = (), n_effects: int = 0,
            base_noise_ratio: float = 1.0) -> tuple[Outcome, Reason]:
     """The outcome and its reason.
 
     noise_ratio: ratio of the residual to the noise [1].
     detectable_share: fraction of the library detectable in these drives at a size of one parameter scale [1].
-    varying_effects: number of effects that vary between parts of the drives.
+    n_varying: number of effects that vary between parts of the drives.
     combinations: parameter combinations that differ from the vehicle file and that no named effect changes.
-    effects: number of effects in the model.
+    n_effects: number of effects in the model.
     base_noise_ratio: noise_ratio without these effects [1].
     """
     def conclude(outcome: Outcome, text: str, **figures: float) -> tuple[Outcome, Reason]:
@@ -254,15 +254,15 @@ def decide(limits: Limits, named: Sequence[Evidence], rivals: Mapping[str, Seque
         return conclude("several", f"{len(named)} effects are significant and relevant, and do not vary "
                         "significantly", effects=len(named))
     if named:
-        names = 1 + sum(is_alternative(r, limits) for r in rivals.get(named[0].name, ()))
-        if names > 1:
-            return conclude("ambiguous", f"{names} effects explain the errors equally well", names=names)
+        count = 1 + sum(is_alternative(r, limits) for r in rivals.get(named[0].name, ()))
+        if count > 1:
+            return conclude("ambiguous", f"{count} effects explain the errors equally well", names=count)
         return conclude("named", "one effect is significant and relevant, and does not vary significantly")
     if combinations:
         return conclude("ambiguous", f"{' and '.join(combinations)}: different from the vehicle file, but the "
                         "effects behind this difference cannot be separated", combinations=len(combinations))
     verdicts = [judge(e, limits) for e in refused if is_relevant(e, limits)]
-    if varying_effects or any(v.rule == VARIES for v in verdicts):
+    if n_varying or any(v.rule == VARIES for v in verdicts):
         return conclude("varying", "a significant effect varies between parts of the drives")
     if any(v.rule in (BOUND, SENSORS, FILE) for v in verdicts):
         return conclude("unknown", "a significant effect is rejected, because its value is at a bound or contradicts "
@@ -271,10 +271,10 @@ def decide(limits: Limits, named: Sequence[Evidence], rivals: Mapping[str, Seque
         return conclude("unknown", f"the position error is {noise_ratio:.1f} times the noise, and no further effect "
                         "of the library reduces it significantly", noise_ratio=noise_ratio,
                         max_noise_ratio=limits.max_noise_ratio)
-    if effects and base_noise_ratio > limits.max_noise_ratio:
+    if n_effects and base_noise_ratio > limits.max_noise_ratio:
         return conclude("ambiguous", f"the model reduces the position error from {base_noise_ratio:.1f} to "
                         f"{noise_ratio:.1f} times the noise, but none of its effects is certain enough to be named",
-                        effects=effects, base_noise_ratio=base_noise_ratio,
+                        effects=n_effects, base_noise_ratio=base_noise_ratio,
                         max_noise_ratio=limits.max_noise_ratio)
     if detectable_share < limits.detection_power:
         return conclude("not_testable", f"only {detectable_share:.0%} of the library's effects would be "

@@ -79,13 +79,12 @@ def fit_effects(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str 
 
 
 class _JudgedEffects(NamedTuple):
-    """The effects of the final fit. minor: in the model, but not named. contradicted: refuted by the measured axle
-    forces, or making the car implausible. verdicts: by effect. Other fields: see `Discovery`."""
+    """The effects of the final fit; other fields as in `Discovery`."""
 
     named: tuple[result.FoundEffect, ...]
-    minor: tuple[result.FoundEffect, ...]
-    contradicted: tuple[result.FoundEffect, ...]
-    verdicts: dict[str, result.Reason]
+    minor: tuple[result.FoundEffect, ...]  # in the model, but not named
+    contradicted: tuple[result.FoundEffect, ...]  # refuted by measured axle forces, or making the car implausible
+    verdicts: dict[str, result.Reason]  # by effect
     leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]
     curves: tuple[ForceCurve, ...]
     combinations: tuple[result.Combination, ...]
@@ -181,7 +180,7 @@ class _Analysis:
                 name, get_effect(name).kind,
                 {n: replace_interval(p, sensors.get(f"{name}.{n}")) for n, p in values.items()},
                 tuple(r.name for r in others), evidence.position, _local_estimates(evidence),
-                search.find_cancelling(state.fit, name), *decision.find_most_affected(evidence, self.limits)))
+                search.find_cancelling_effects(state.fit, name), *decision.find_most_affected(evidence, self.limits)))
         leave_one_out = waterfall.leave_one_out(problem, state.fit)
         axles, curves, combinations = self._analyse_axles(state, joint_fit, noise_ratio)
         verdicts = self._name_effects(state, effects, axles, leave_one_out)
@@ -191,7 +190,7 @@ class _Analysis:
                               tuple(complete_delay(c, effects) for c in combinations))
 
     def _decide_outcome(self, state: SearchState, judged: _JudgedEffects, untestable: Sequence[result.UntestableEffect],
-                        noise_ratios: tuple[float, float], varying_effects: int,
+                        noise_ratios: tuple[float, float], n_varying: int,
                         ) -> tuple[result.Outcome, tuple[result.Reason, ...]]:
         """Outcome, and the reasons for it and for the verdict on each effect that was tried. noise_ratios [1]: ratio of
         position error to noise, without and with the effects."""
@@ -201,8 +200,8 @@ class _Analysis:
         outcome, reason = decision.decide(
             self.limits, named=[state.evidence[e.name] for e in judged.named], rivals=state.rivals,
             refused=[evidence for evidence, *_ in state.refused.values()], noise_ratio=noise_ratios[1],
-            detectable_share=detectable, varying_effects=varying_effects, combinations=[c.name for c in combinations],
-            effects=len(state.fit.names), base_noise_ratio=noise_ratios[0])
+            detectable_share=detectable, n_varying=n_varying, combinations=[c.name for c in combinations],
+            n_effects=len(state.fit.names), base_noise_ratio=noise_ratios[0])
         return outcome, (reason, *judged.verdicts.values(),
                          *(decision.judge_alternative(r, self.limits) for r in state.all_rivals),
                          *(verdict for _, verdict, _ in state.refused.values()))

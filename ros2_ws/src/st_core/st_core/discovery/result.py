@@ -89,27 +89,25 @@ class FoundEffect:
 
 @dataclass(frozen=True)
 class AssumedQuantity:
-    """A quantity of the vehicle file used as a prior: value and standard deviation [unit]. stated: whether the file
-    states the standard deviation; otherwise it is the default for the quantity."""
+    """A quantity of the vehicle file used as a prior: value and standard deviation [unit]."""
 
     key: str
     unit: str
     value: float
     deviation: float
-    stated: bool
+    stated: bool  # whether the file states the standard deviation; otherwise it is the default for the quantity
 
 
 @dataclass(frozen=True)
 class Combination:
-    """A combination of vehicle parameters that determines predictions: value, 95 % interval and value of the vehicle
-    file [unit]. effects: inseparable effects that change it; for a delay, also their alternatives."""
+    """A combination of vehicle parameters that determines predictions."""
 
     name: str
     unit: str
     value: float
-    interval: Interval
-    file: float
-    effects: tuple[str, ...]
+    interval: Interval  # 95 %
+    file: float  # value of the vehicle file
+    effects: tuple[str, ...]  # inseparable effects that change it; for a delay, also their alternatives
 
     @property
     def is_delay(self) -> bool:
@@ -146,15 +144,14 @@ class Reason:
 
 @dataclass(frozen=True)
 class CandidateEffect:
-    """An effect of the library, tested in the final model, in addition to it, or in place of one of its effects. gain
-    [1]: relative reduction of the RMS error. verdict: the rule of `decision` that applied. reason: as text."""
+    """An effect of the library, tested in the final model, in addition to it, or in place of one of its effects."""
 
     name: str
     kind: str
     parameters: Mapping[str, float]
-    gain: float
-    verdict: str
-    reason: str
+    gain: float  # relative reduction of the RMS error [1]
+    verdict: str  # the rule of `decision` that applied
+    reason: str  # as text
 
 
 @dataclass(frozen=True)
@@ -172,15 +169,14 @@ class BudgetLine:
 
 @dataclass(frozen=True)
 class Power:
-    """Probability [1] of detecting an effect of a given size [unit] in these drives. simulated_drives: number of drives
-    simulated to estimate it; 0 if it is predicted without simulation."""
+    """Probability [1] of detecting an effect of a given size [unit] in these drives."""
 
     effect: str
     parameter: str
     unit: str
     size: float
     probability: float
-    simulated_drives: int
+    simulated_drives: int  # number of drives simulated to estimate it; 0 if it is predicted without simulation
 
 
 @dataclass(frozen=True)
@@ -197,14 +193,12 @@ class PowerAnalysis:
 
 @dataclass(frozen=True)
 class LargeErrorRegion:
-    """A condition, time or place in which the error is larger than expected from the reference drives or the noise.
+    """A condition, time or place in which the error is larger than expected from the reference drives or the noise."""
 
-    channel: one of CHANNELS. excess [1]: root mean square error divided by the expected one, with 95 % interval; for a
-    time or place: this ratio for all driving, multiplied by that of the local errors to those in similar conditions.
-    """
-
-    channel: str
+    channel: str  # one of CHANNELS
     condition: str
+    # Root mean square error divided by the expected one, with 95 % interval; for a time or place: this ratio for all
+    # driving, multiplied by that of the local errors to those in similar conditions [1].
     excess: float
     interval: Interval
 
@@ -222,11 +216,11 @@ class ChannelError(Change):
 
 @dataclass(frozen=True)
 class UntestableEffect:
-    """An effect that is not detectable in these drives. manoeuvre: one of the catalogue that excites it, or ""."""
+    """An effect that is not detectable in these drives."""
 
     name: str
     reason: str
-    manoeuvre: str = ""
+    manoeuvre: str = ""  # one of the catalogue that excites it, or ""
 
 
 @dataclass(frozen=True)
@@ -246,12 +240,12 @@ class NextManoeuvre:
 
 @dataclass(frozen=True)
 class Separability:
-    """Separability of two effects in these drives. cosine [1]: cosine similarity of the error changes that they cause.
-    strength: part of the first effect that the second and others do not explain [standard deviations of the noise]."""
+    """Separability of two effects in these drives."""
 
     first: str
     second: str
-    cosine: float
+    cosine: float  # cosine similarity of the error changes that they cause [1]
+    # Part of the first effect that the second and others do not explain [standard deviations of the noise].
     strength: float
 
 

@@ -290,7 +290,7 @@ class Search:
         """The fit without the effects that fail the test once the others are refitted."""
         p = self.problem
         while len(fit.names) > max(len(self._required), 1):
-            rise = {n: self.predicted_rise(fit, n) for n in fit.names if n not in self._required}
+            rise = {n: self.predict_rise(fit, n) for n in fit.names if n not in self._required}
             weakest = min(rise, key=rise.__getitem__)
             if rise[weakest] > 3.0 * self.limits.relevant * p.residual_count:
                 return fit
@@ -300,7 +300,7 @@ class Search:
             fit = without
         return fit
 
-    def predicted_rise(self, fit: Fit, *names: str, fixed: tuple[str, ...] = ()) -> float:
+    def predict_rise(self, fit: Fit, *names: str, fixed: tuple[str, ...] = ()) -> float:
         """Increase of the loss if the effects `names` are removed from a fit, from the quadratic approximation. fixed:
         effects that keep their values; the others are refitted."""
         p = self.problem
@@ -310,13 +310,13 @@ class Search:
         is_free = ~is_removed & ~np.isin(fit.indices, p.space.indices(*fixed))
         return _constrained_step(p, fit.quadratic, fit.vector, fit.indices, step, is_free)[0]
 
-    def find_cancelling(self, fit: Fit, name: str) -> tuple[str, ...]:
+    def find_cancelling_effects(self, fit: Fit, name: str) -> tuple[str, ...]:
         """Effects of a fit that cancel `name`, so that the drives show only the sum: without both, the loss increases
         by less than `limits.min_rival_gain` times the smaller increase without one of them, with the other fixed."""
         cancelling_names = []
         for other in (n for n in fit.names if n != name):
-            alone = min(self.predicted_rise(fit, name, fixed=(other,)), self.predicted_rise(fit, other, fixed=(name,)))
-            if self.predicted_rise(fit, name, other) < self.limits.min_rival_gain * alone:
+            alone = min(self.predict_rise(fit, name, fixed=(other,)), self.predict_rise(fit, other, fixed=(name,)))
+            if self.predict_rise(fit, name, other) < self.limits.min_rival_gain * alone:
                 cancelling_names.append(other)
         return tuple(cancelling_names)
 
@@ -384,7 +384,7 @@ class Search:
         state.cached_scores = state.cached_scores or self._scores(state.fit)
         state.evidence, state.fits_without = {}, {}
         for name in (n for n in state.fit.names if n not in self._required):
-            rise = self.predicted_rise(state.fit, name) / p.residual_count
+            rise = self.predict_rise(state.fit, name) / p.residual_count
             if rise > 3.0 * required_gain:
                 without = state.fits_without[name] = state.fit
                 e = self._evidence(state.fit, state.fit, name, state.scores)

@@ -99,12 +99,12 @@ class AxleSamples:
 
 @dataclass(frozen=True, eq=False)
 class AxleRegression:
-    """Result of the regression of one axle. stiffness, standard_error, interval95 [N/rad]: NaN if the fit failed."""
+    """Result of the regression of one axle; NaN if the fit failed."""
 
     axle: str
-    stiffness: float
-    standard_error: float
-    interval95: tuple[float, float]
+    stiffness: float  # [N/rad]
+    standard_error: float  # [N/rad]
+    interval95: tuple[float, float]  # [N/rad]
     samples: AxleSamples  # all samples above the minimum speed
     reasons: tuple[str, ...]  # why the value is rejected; empty for a usable value
     basis: str  # text on the number of samples and blocks

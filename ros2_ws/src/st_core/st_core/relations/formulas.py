@@ -35,16 +35,15 @@ class Formula:
 
 @dataclass(frozen=True, eq=False)
 class FittedShape:
-    """A shape fitted to a quadratic loss. parameters: fitted to all blocks; parameters_by_fold: without one fold.
-    explained_fraction [1] of the curve's gain. held_out: (b,) held-out loss minus the held-out loss of the curve."""
+    """A shape fitted to a quadratic loss."""
 
     name: str
     text: str
     function: ShapeFunction
-    parameters: np.ndarray
-    parameters_by_fold: Mapping[int, np.ndarray]
-    explained_fraction: float
-    held_out: np.ndarray
+    parameters: np.ndarray  # fitted to all blocks
+    parameters_by_fold: Mapping[int, np.ndarray]  # fitted without each fold
+    explained_fraction: float  # of the gain of the curve [1]
+    held_out: np.ndarray  # (b,) held-out loss minus the held-out loss of the curve
 
 
 SHAPES: dict[str, tuple[str, int, ShapeFunction]] = {

@@ -22,23 +22,21 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class Option:
-    """Expected result after REPETITIONS further drives of one manoeuvre. deviation: (k,) standard deviation of the
-    curve [its unit]. separation: from each rival [standard deviations]. seconds: per drive, in each sparse range."""
+    """Expected result after REPETITIONS further drives of one manoeuvre."""
 
     manoeuvre: Manoeuvre
-    deviation: np.ndarray
-    separation: Mapping[str, float]
-    seconds: Sequence[float]
+    deviation: np.ndarray  # (k,) standard deviation of the curve [its unit]
+    separation: Mapping[str, float]  # from each rival [standard deviations]
+    seconds: Sequence[float]  # per drive, in each sparse range
 
 
 @dataclass(frozen=True, eq=False)
 class NextDrives:
-    """Simulated further drives. sparse_ranges: ranges that the runs hardly cover. current_separation: from each rival,
-    in the runs. options: all simulated manoeuvres; none for quantities in INDEPENDENT_OF_MANOEUVRE."""
+    """Simulated further drives."""
 
-    sparse_ranges: Sequence[Range] = ()
-    current_separation: Mapping[str, float] = field(default_factory=dict)
-    options: Sequence[Option] = ()
+    sparse_ranges: Sequence[Range] = ()  # ranges that the runs hardly cover
+    current_separation: Mapping[str, float] = field(default_factory=dict)  # from each rival, in the runs
+    options: Sequence[Option] = ()  # all simulated manoeuvres; none for quantities in INDEPENDENT_OF_MANOEUVRE
 
     def find_most_precise(self, deviation: np.ndarray) -> Option | None:
         """The option with the lowest maximum deviation; None without options, or if the improvement is below

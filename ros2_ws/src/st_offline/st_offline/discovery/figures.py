@@ -32,12 +32,12 @@ AXIS_LIMIT = 3.0  # largest magnitude on the axis of local ratios; longer interv
 
 @dataclass(frozen=True)
 class FigureData:
-    """Data of the figures. runs: suspect drives. before, after: errors of the base and of the complete model."""
+    """Data of the figures."""
 
     discovery: Discovery
-    runs: Sequence[DriveLog]
-    before: Samples
-    after: Samples | None
+    runs: Sequence[DriveLog]  # suspect drives
+    before: Samples  # errors of the base model
+    after: Samples | None  # errors of the complete model
     output: FigureOutput
 
     @property

@@ -44,12 +44,11 @@ TABLE_STYLE: Mapping[str, Any] = {"title_justify": "left", "title_style": "bold"
 
 @dataclass(frozen=True)
 class Cost:
-    """Processor time per prediction [s]. interpreted: single prediction without numba. compiled: single prediction
-    with numba, None if the model cannot be compiled. batch: mean over a batch of at most MAX_BATCH predictions."""
+    """Processor time per prediction [s]."""
 
-    interpreted: float
-    compiled: float | None
-    batch: float
+    interpreted: float  # single prediction without numba
+    compiled: float | None  # single prediction with numba, None if the model cannot be compiled
+    batch: float  # mean over a batch of at most MAX_BATCH predictions
 
 
 def measure_costs(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals,

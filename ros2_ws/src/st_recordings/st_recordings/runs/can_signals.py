@@ -111,14 +111,13 @@ def _describe_similar_id(ids: np.ndarray, key: int) -> str:
 
 @dataclass(frozen=True)
 class _DecodedMessage:
-    """Signals of one message. fault: description of its faults. rejected_times_ns: log times of rejected frames.
-    n_frames: number of its frames. n_valid: number of its usable and valid frames."""
+    """Signals of one message."""
 
     signals: tuple[Signal, ...]
-    fault: str
-    rejected_times_ns: np.ndarray
-    n_frames: int
-    n_valid: int = 0
+    fault: str  # description of its faults
+    rejected_times_ns: np.ndarray  # log times of rejected frames
+    n_frames: int  # number of its frames
+    n_valid: int = 0  # number of its usable and valid frames
 
 
 def _decode_message(frames: Frames, rows: np.ndarray, spec: MessageSpec) -> _DecodedMessage:
