@@ -85,7 +85,7 @@ def describe_answer(found: Discovery) -> Record:
         "unexplained": bool(found.signature),
         "steps": [[s.effect, round(s.position_5s.base, 4), round(s.position_5s.augmented, 4)]
                   for s in found.steps],
-        "budget": {b.part: [round(v, 4) for v in (b.share_last, b.share_first)] for b in found.budget},
+        "budget": {b.part: [round(v, 4) for v in (b.share_added_last, b.share_added_first)] for b in found.budget},
         "errors": None if errors is None else [round(errors.base, 4), round(errors.augmented, 4)],
         "powers": [[p.effect, p.parameter, p.size, p.probability] for p in found.power_analysis.powers],
         "not_testable": [n.name for n in found.not_testable],

@@ -100,14 +100,15 @@ def test_budget_divides_the_error_reduction_by_kind_of_effect(explained):
     lines = {line.part: line for line in waterfall.build_budget(problem, base, final, final, None, ends)}
     assert list(lines) == ["sensors", "vehicle parameters", "unexplained"]
     error = waterfall.compare_channel_errors(ends, base, final, {})["position_5s"]
-    assert lines["unexplained"].last == lines["unexplained"].first == pytest.approx(error.augmented, rel=0.01)
-    assert lines["unexplained"].share_last == pytest.approx(error.augmented / error.base, rel=0.01)
+    assert lines["unexplained"].added_last == lines["unexplained"].added_first
+    assert lines["unexplained"].added_last == pytest.approx(error.augmented, rel=0.01)
+    assert lines["unexplained"].share_added_last == pytest.approx(error.augmented / error.base, rel=0.01)
     # Mean position error proportional to sqrt(3^2 + 2^2 + 1): without the mass 2^2 + 1, without the bias 3^2 + 1.
     unit = error.augmented
-    assert lines["vehicle parameters"].last == pytest.approx(unit * (np.sqrt(10.0) - 1.0), rel=0.15)
-    assert lines["vehicle parameters"].first == pytest.approx(unit * (np.sqrt(14.0) - np.sqrt(5.0)), rel=0.15)
-    assert lines["sensors"].last == pytest.approx(unit * (np.sqrt(5.0) - 1.0), rel=0.15)
-    assert lines["vehicle parameters"].loss_last > lines["sensors"].loss_last > 0.0
+    assert lines["vehicle parameters"].added_last == pytest.approx(unit * (np.sqrt(10.0) - 1.0), rel=0.15)
+    assert lines["vehicle parameters"].added_first == pytest.approx(unit * (np.sqrt(14.0) - np.sqrt(5.0)), rel=0.15)
+    assert lines["sensors"].added_last == pytest.approx(unit * (np.sqrt(5.0) - 1.0), rel=0.15)
+    assert lines["vehicle parameters"].loss_added_last > lines["sensors"].loss_added_last > 0.0
 
 
 def test_budget_of_a_single_part_does_not_depend_on_the_order():
@@ -116,9 +117,10 @@ def test_budget_of_a_single_part_does_not_depend_on_the_order():
     ends = waterfall.HorizonErrors(problem, 0)
     _, base = waterfall.build_steps(problem, final, ["mass"], ends, {})
     part, unexplained = waterfall.build_budget(problem, base, final, final, None, ends)
-    assert (part.part, part.last, part.loss_last) == ("vehicle parameters", part.first, part.loss_first)
-    assert part.share_last + unexplained.share_last == pytest.approx(1.0)
-    assert part.loss_last + unexplained.loss_last == pytest.approx(1.0)
+    assert (part.part, part.added_last) == ("vehicle parameters", part.added_first)
+    assert part.loss_added_last == part.loss_added_first
+    assert part.share_added_last + unexplained.share_added_last == pytest.approx(1.0)
+    assert part.loss_added_last + unexplained.loss_added_last == pytest.approx(1.0)
 
 
 # Intervals

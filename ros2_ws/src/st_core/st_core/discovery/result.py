@@ -159,12 +159,12 @@ class BudgetLine:
     """Contribution of one of PARTS to the error, when it is added last or first; "unexplained": the remaining error."""
 
     part: str
-    last: float  # reduction of the held-out mean position error after 5 s [m]
-    first: float
-    share_last: float  # the same divided by the baseline error [1]
-    share_first: float
-    loss_last: float  # the corresponding fraction of the baseline loss [1]
-    loss_first: float
+    added_last: float  # reduction of the held-out mean position error after 5 s [m]
+    added_first: float
+    share_added_last: float  # the same divided by the baseline error [1]
+    share_added_first: float
+    loss_added_last: float  # the corresponding fraction of the baseline loss [1]
+    loss_added_first: float
 
 
 @dataclass(frozen=True)
