@@ -257,7 +257,7 @@ def test_suggested_manoeuvre_separates_two_effects_as_predicted(leaf):
     result = choose_manoeuvre(problem, fit, [before], options, design)
     assert result.separates == ("yaw_inertia", "steering_lag") and result.name in {m.name for m in CATALOGUE}
     assert result.strength == max(result.options.values()) >= MIN_SEPARATION and result.strength > before.strength
-    more, refitted = fit_drives(leaf, ("weave", *[result.name] * result.times), true, ("yaw_inertia",))
+    more, refitted = fit_drives(leaf, ("weave", *[result.name] * result.repetitions), true, ("yaw_inertia",))
     more.loss.scale = problem.loss.scale
     after, = list_separabilities(more, refitted, answer, design)
     assert after.strength == pytest.approx(result.strength, rel=0.5)
