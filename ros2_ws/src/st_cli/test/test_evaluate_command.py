@@ -148,7 +148,7 @@ def test_unusable_run_writes_no_report(folder, tmp_path):
     base, _ = folder
     result = evaluate(base / "data" / "short.csv", "--output", tmp_path / "o")
     assert result.exit_code == 2 and "no run can be used: " in result.output and "the horizon of 5 s" in result.output
-    assert not list((tmp_path / "o").iterdir())
+    assert not (tmp_path / "o").exists()
 
 
 def test_output_folder_is_not_overwritten(folder):

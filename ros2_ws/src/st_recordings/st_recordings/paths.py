@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from datetime import UTC, datetime
 from functools import lru_cache, wraps
 from importlib import metadata
@@ -49,6 +50,9 @@ class OutputError(OSError):
     """An output folder cannot be used. The text is one line for the user."""
 
 
+_created_folders: list[Path] = []
+
+
 def new_folder(output: Path | None, name: str, create: bool = True) -> Path:
     """Absolute path of `output`, or else of runs/<name>-<time>, created if `create`. Raises OutputError if it is a
     file, is not empty, or cannot be read or created; with `create`, also if its disk is full."""
@@ -58,6 +62,8 @@ def new_folder(output: Path | None, name: str, create: bool = True) -> Path:
             problem = "is a file" if folder.is_file() else "is not empty"
             raise OutputError(f"{folder} {problem}: choose another --output (existing files are not overwritten)")
         if create:
+            if not folder.exists():
+                _created_folders.append(folder.absolute())
             folder.mkdir(parents=True, exist_ok=True)
             if (free_space := shutil.disk_usage(folder).free) < MIN_FREE_SPACE:
                 raise OutputError(f"{folder}: its disk is full ({free_space / 1e6:.1f} MB left, "
@@ -67,6 +73,13 @@ def new_folder(output: Path | None, name: str, create: bool = True) -> Path:
     except OSError as error:
         raise OutputError(f"{folder}: cannot be created: {error.strerror}") from None
     return folder.absolute()
+
+
+def remove_empty_folders() -> None:
+    """Removes the folders made by `new_folder` in which nothing was written, when a command ends with an error."""
+    while _created_folders:
+        with suppress(OSError):
+            _created_folders.pop().rmdir()
 
 
 def replace_file(path: Path, text: str) -> None:

@@ -61,13 +61,14 @@ EffectsOfModel = Annotated[Path | None, typer.Option(
 def report_errors(verb: str, *additional: type[Exception]) -> Iterator[None]:
     """Report errors in the inputs of a command in one line, with exit status 2. additional: further error types."""
     from st_core.errors import StCoreError
-    from st_recordings.paths import OutputError
+    from st_recordings.paths import OutputError, remove_empty_folders
     from st_recordings.runs.errors import RunError
 
     expected: tuple[type[Exception], ...] = (StCoreError, RunError, OutputError, UnicodeDecodeError, *additional)
     try:
         yield
     except expected as error:
+        remove_empty_folders()
         typer.echo(f"st {verb}: {error}", err=True)
         raise typer.Exit(2) from None
 
