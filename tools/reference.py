@@ -5,6 +5,7 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Literal, get_args, get_origin
 
 from st_recordings.paths import project_root
 from st_ros.parameters import Parameter
@@ -123,9 +124,16 @@ def format_table(heading: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def _format_option_type(option: TyperOption) -> str:
-    """Type of the value an option takes, in parentheses; empty for a switch."""
-    name = getattr(option.type_descriptor.annotation, "__name__", "text")
-    return "" if option.is_flag else f" {({'Path': 'file', 'str': 'text'}).get(name, name)}"
+    """What an option takes, after its name: a type, the choices, or as many types as values; empty for a switch."""
+    if option.is_flag:
+        return ""
+    annotation = option.type_descriptor.annotation
+    kind, parts = get_origin(annotation), get_args(annotation)
+    if kind is Literal:
+        return " " + " or ".join(f"`{part}`" for part in parts)
+    types = parts if kind is tuple else parts[:1] or (annotation,)
+    names = (getattr(part, "__name__", "text") for part in types)
+    return " " + " ".join({"Path": "file", "str": "text", "float": "number", "int": "integer"}.get(n, n) for n in names)
 
 
 def _join_lines(text: str | None) -> str:

@@ -43,7 +43,7 @@ def draw_comparison(comparison: Comparison, run: CheckedRun, prefix: str) -> dra
     lower.axhline(0.0, color=drawing.TEXT_COLOUR, lw=0.5)
     lower.set_xlabel("time after the first INS measurement, s")
     unit = check_report.get_unit_symbol(comparison.unit) or "1"
-    upper.set_ylabel(unit)
+    upper.set_ylabel(f"{comparison.title.partition(':')[0]}\n{unit}")
     lower.set_ylabel(f"difference\n{unit}")
     figure.align_ylabels()
     figure.legend(loc="outside lower left", ncols=2)

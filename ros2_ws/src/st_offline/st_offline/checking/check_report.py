@@ -70,6 +70,8 @@ def format_headline(result: DriveCheck) -> str:
     worst = min(result.findings, key=rank_severity).severity
     texts = [finding.text for finding in result.findings if finding.severity is worst]
     more = f"; and {len(texts) - MAX_LISTED} more" if len(texts) > MAX_LISTED else ""
+    if len(texts) > 1:  # a list reads better without the questions about causes at the end of the sentences
+        texts = [text.rpartition(": ")[0] or text if text.endswith("?") else text for text in texts]
     return f"{count_by_severity(result.findings)}: {'; '.join(texts[:MAX_LISTED])}{more}"
 
 
