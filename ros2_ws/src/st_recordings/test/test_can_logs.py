@@ -1,6 +1,8 @@
 """CAN logs: a real CANedge2 file frame by frame, both MF4 layouts, splits, truncated files, other formats."""
 
 import csv
+import itertools
+import re
 import struct
 from pathlib import Path
 
@@ -178,6 +180,24 @@ def test_logs_written_by_python_can(tmp_path: Path, extension: str) -> None:
         assert np.array_equal(found.bus, [f.bus for f in frames])
 
 
+@pytest.mark.parametrize("kind", ["content", "head", "length"])
+def test_blf_is_read_behind_a_damaged_container(tmp_path: Path, kind: str) -> None:
+    file = tmp_path / "drive.blf"
+    with can.BLFWriter(file) as writer:
+        for k in range(20_000):
+            writer.on_message_received(can.Message(
+                timestamp=1.7e9 + 0.001 * k, arbitration_id=2, is_extended_id=False, data=k.to_bytes(4, "little")))
+    content = bytearray(file.read_bytes())
+    second = content.index(b"LOBJ\x10\0", content.index(b"LOBJ\x10\0") + 1)
+    offset, damage = {"content": (300, bytes(64)), "head": (0, bytes(8)), "length": (8, b"\xff" * 3)}[kind]
+    content[second + offset : second + offset + len(damage)] = damage
+    file.write_bytes(content)
+    log = read_can_logs([file])
+    numbers = log.frames.payload[:, :4].copy().view("<u4")[:, 0]
+    assert numbers[-1] == 19_999 and (np.diff(numbers.astype(int)) == 1).sum() == len(numbers) - 2
+    assert re.search(r"damaged after frame \d+ .*; frames in \d+ of \d+ bytes \(\d\d %\) may be", log.warnings[0])
+
+
 DATE = "date Mon May 4 10:11:12.000 am 2026\n"
 ASC = "  1  2             Rx   d 3 01 02 03\n"
 
@@ -312,9 +332,9 @@ def test_csv_with_unreadable_times_is_refused_with_what_to_export(tmp_path: Path
         read_can_logs([tmp_path / "a.csv"])
 
 
-@pytest.mark.parametrize("number", [0, 40, 99])
-@pytest.mark.parametrize("stamp", ["nan", "-5.0", "0.5", "4100000000.0", "1" + "0" * 300])
-def test_frame_with_an_impossible_time_is_skipped_and_counted(tmp_path: Path, stamp: str, number: int) -> None:
+@pytest.mark.parametrize(("number", "stamp"), [(40, "1699999500.0"), *itertools.product(
+    (0, 40, 99), ("nan", "-5.0", "0.5", "4100000000.0", "1" + "0" * 300))])
+def test_frame_with_an_impossible_time_is_skipped_and_counted(tmp_path: Path, number: int, stamp: str) -> None:
     lines = [f"({1_700_000_000 + 0.01 * k:.6f}) can0 123#{k:02X}" for k in range(100)]
     lines[number] = f"({stamp}) can0 123#FF"
     (tmp_path / "log.log").write_text("\n".join(lines) + "\n")

@@ -169,6 +169,13 @@ TABLES = [
                                                     "steering wheel angle [°]"), encoding="cp1252"),
     Table("utf16.csv", lambda log: csv(rows(log)), encoding="utf-16"),
     Table("utf16_big_endian.csv", lambda log: csv(rows(log)), encoding="utf-16-be"),
+    Table("two_encodings.csv", lambda log: in_degrees(
+        log, "\udce4\nt [s],x [m],y [m],yaw [°],vx [m/s],vy [m/s],yaw rate [°/s],steering wheel angle [°]"),
+          "header is in line 2"),
+    Table("zeros_at_line_ends.csv", lambda log: csv(rows(log)).replace("\n", "\0\n")),
+    Table("header_twice.csv", lambda log: header() + "\n" + csv(rows(log)), "1 of .* rows .* have no number"),
+    Table("long_preamble.csv", lambda log: "".join(f"key {k}: value, {k}\n" for k in range(200)) + csv(rows(log)),
+          "header is in line 201"),
     Table("sep_line.csv", lambda log: "sep=;\n" + csv(rows(log), ";".join(NAMES), ";")),
     Table("pipes.csv", lambda log: csv(rows(log), "|".join(NAMES), "|")),
     Table("tabs.txt", lambda log: csv(rows(log), "\t".join(NAMES), "\t")),
@@ -260,6 +267,9 @@ TABLES = [
           "column Time occurs 2 times; each is the time of the columns after it"),
     Table("navgraph.csv", navgraph),
     Table("end_of_week.csv", lambda log: with_times(log, lambda s: f"{(604790 + s) % 604800:.6f}")),
+    Table("end_of_hour.csv", lambda log: with_times(log, lambda s: f"{(3590 + s) % 3600:.6f}")),
+    Table("end_of_32_bits.csv", lambda log: with_times(log, lambda s: f"{(4294957296 + s * 1e6) % 2**32:.0f}").replace(
+        "t,", "t_us,", 1)),
     Table("compact_date.csv", lambda log: with_times(log, lambda s: f"20260504_{clock(NOON + s).replace(':', '')}")),
     Table("clock_format.csv", lambda log: with_times(log, lambda s: clock(NOON + s)).replace(
         "t,", "Time (HH:MM:SS.SS),", 1)),
@@ -317,7 +327,7 @@ IN_ANOTHER_MAP = {"geographic.csv", "hemispheres.csv", "mode_after_the_longitude
 @pytest.mark.parametrize("table", TABLES, ids=[table.name for table in TABLES])
 def test_table_gives_the_drive(tmp_path: Path, drive_log: DriveLog, table: Table) -> None:
     file = tmp_path / table.name
-    file.write_bytes(table.text(drive_log).encode(table.encoding))
+    file.write_bytes(table.text(drive_log).encode(table.encoding, "surrogateescape"))
     run = read(find_runs([file])[0], CAR)
     assert_same(run.log, drive_log, max_lost=3 if table.name == "missing_values.csv" else 1,
                 rotated=table.name in IN_ANOTHER_MAP)
@@ -354,6 +364,7 @@ def test_parts_of_a_table_are_one_run(tmp_path: Path, drive_log: DriveLog, kind:
     (lambda log: csv(rows(log)).replace(".", ","), "its rows have 16 cells, but its header has 8"),
     (lambda log: csv(rows(log), "Zt;Ost;Nord;Kurs;Vor;Quer;Rate;Lenk", ";").replace(".", ","),
      "its columns are Zt, Ost, Nord, Kurs, Vor, Quer, Rate, Lenk"),
+    (lambda log: "\0" * 5000, "it contains nothing but blanks or zero bytes; copy it again"),
     (lambda log: csv(rows(log), header(t="Δt")), "no column was recognised as t;"),
     (lambda log: "PK\x03\x04" + csv(rows(log)), r"this is a compressed file \(zip, or a spreadsheet\); unpack it"),
     (lambda log: with_times(log, lambda s: "5.0"), r"1 of \d+ rows .* have a time later than all previous rows"),

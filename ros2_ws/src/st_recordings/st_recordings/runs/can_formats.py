@@ -1,7 +1,7 @@
 """Reads CAN logs in text and binary formats with python-can; unreadable lines are skipped."""
 
-import codecs
 import csv
+import mmap
 import re
 from base64 import b64decode
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -18,11 +18,13 @@ import numpy as np
 
 from .binary_table import is_signal_table
 from .columns import MOTION_CHANNELS, UNITS, Layout, find_columns, find_times, normalise
-from .errors import COMPRESSED_MAGIC, format_count, shorten
+from .errors import COMPRESSED_MAGIC, CP1252_FALLBACK, format_count, shorten
 from .mf4 import MF4_EXTENSIONS, VENDOR_EXTENSIONS, is_mdf
 from .table_times import PLAUSIBLE_EPOCH, StampReader, month_number
 
 _BLF_HEAD_LENGTH = 16  # bytes: "LOBJ", header size, header version, object size, object type
+_BLF_CONTAINER = re.compile(rb"LOBJ\x10\0\x01\0.{4}\x0a\0\0\0", re.DOTALL)  # its head
+_BLF_PADDING = 3  # largest number of bytes between two containers
 _UTF16_BOMS = (b"\xff\xfe", b"\xfe\xff")
 _WEEKDAY_MONTH = re.compile(r"(?i)^(date|begin\s+triggerblock)\s+\S+\s+(\S+)(.*)")
 _TABLE_EXTENSIONS = (".csv", ".txt")
@@ -51,10 +53,6 @@ MIN_STEPS = 50  # increases of the time that show its unit
 MAX_STEPS = {"s": 0.15, "ms": 50.0}
 """Largest median step of times in s and in ms, from the start: 7 and 20 frames a second; else they are in us."""
 MIN_FRAME_DURATION = 40.0  # us, of the shortest frame at 1 Mbit/s
-# Name of an error handler that decodes Windows-1252 bytes in a text that is otherwise UTF-8
-_CP1252_FALLBACK = "single_track_cp1252"
-codecs.register_error(_CP1252_FALLBACK, lambda error: (
-    error.object[error.start:error.end].decode("cp1252", "replace"), error.end))  # type: ignore[attr-defined]
 
 
 class Lines:
@@ -74,7 +72,7 @@ class Lines:
         # Comments and dates may contain Windows-1252 characters, even after the first 64 KiB.
         is_utf8 = head.startswith(head.decode("utf-8", "ignore").encode())
         codec = "utf-16" if head[:2] in _UTF16_BOMS else "utf-8-sig" if is_utf8 else "cp1252"
-        self._stream = file.open(encoding=codec, errors=_CP1252_FALLBACK)
+        self._stream = file.open(encoding=codec, errors=CP1252_FALLBACK)
         self.number, self.last = 0, ""
 
     def __iter__(self) -> "Lines":
@@ -339,11 +337,28 @@ def _read_csv_data(cells: Mapping[str, str], row: Sequence[str], name: str, role
     return data
 
 
-def _read_blf(file: Path, notes: list[str]) -> Iterator[Any]:
+def _open_blf(file: Path) -> Any:
     from can.io import blf
 
     class Reader(blf.BLFReader):
-        """Rejects objects shorter than their header; python-can would read an object of length 0 forever."""
+        """Rejects objects shorter than their header, which python-can would read forever, and continues after damage.
+
+        start: byte behind the last container that was read as a whole, after its padding.
+        """
+
+        start = 0
+
+        def find_next_container(self) -> int:
+            with mmap.mmap(self.file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+                match = _BLF_CONTAINER.search(content, self.start + _BLF_PADDING + 1)
+                return match.start() if match else len(content)
+
+        def _parse_container(self, data: bytes) -> Iterator[Any]:
+            # After damage, a container may begin with the end of a lost object.
+            yield from super()._parse_container(data if self._tail else data[max(data.find(b"LOBJ"), 0):])
+            if self.find_next_container() < (end := self.file.tell()):
+                raise blf.BLFParseError("a container has a wrong length")
+            self.start = end
 
         def _parse_data(self, data: bytes) -> Iterator[Any]:
             offset = data.find(b"LOBJ", 0, 8)
@@ -354,19 +369,31 @@ def _read_blf(file: Path, notes: list[str]) -> Iterator[Any]:
                 offset = data.find(b"LOBJ", offset + length, offset + length + 8)
             return super()._parse_data(data)
 
-    size = file.stat().st_size
+        def skip_damage(self) -> int:
+            """Goes to the next container; returns the number of bytes from the damaged one to it."""
+            start, self.start = self.start, self.find_next_container()
+            self.file.seek(self.start)
+            self._tail = b""
+            return self.start - start
+
     reader = Reader(str(file))
-    count = 0
-    try:
-        for message in reader:
-            count += 1
-            yield message
-    except Exception as error:
-        offset = min(reader.file.tell(), size) if not reader.file.closed else size
-        notes.append(f"is damaged after frame {count} ({shorten(error)}); the remaining "
-                     f"{format_count(size - offset, size, 'bytes')} are not used")
-    finally:
-        reader.stop()
+    reader.start = reader.file.tell()
+    return reader
+
+
+def _read_blf(file: Path, notes: list[str]) -> Iterator[Any]:
+    size, count, lost, damage = file.stat().st_size, 0, 0, ""
+    with _open_blf(file) as reader:
+        while not reader.file.closed:
+            try:
+                for message in reader:
+                    count += 1
+                    yield message
+            except Exception as error:
+                damage = damage or f"is damaged after frame {count} ({shorten(error)})"
+                lost += reader.skip_damage()
+    if damage:
+        notes.append(f"{damage}; frames in {format_count(lost, size, 'bytes')} may be missing")
     if not reader.file_size:
         notes.append("was not closed by its logger; its end may be missing")
     elif size < reader.file_size:

@@ -23,7 +23,8 @@ from .mf4 import MF4_EXTENSIONS, is_mdf, parse_session, read_mf4, reject_unreada
 
 _BAG_FIELDS = ("header.stamp", "id", "is_rtr", "is_extended", "is_error", "dlc", "data")  # of can_msgs/Frame
 BLOCK_SIZE = 65536  # messages converted to columns at a time
-MAX_TIME_JUMP_NS = 86400 * 10**9  # 1 day; a time that is earlier or later than both neighbours by more is damaged
+MAX_TIME_JUMPS_NS = 60 * 10**9, 86400 * 10**9
+"""60 s, and 1 day at the ends of a log; a time that is earlier or later than both neighbours by more is damaged."""
 FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times are relative to the start of the log
 MIN_DECREASING_FRACTION = 0.2
 """Times of a candump that begin at 0 are time steps between frames if a larger fraction decreases, or all are equal."""
@@ -146,7 +147,9 @@ def _read_with_python_can(file: Path, kind: Format, notes: Sequence[str]) -> Can
                        ) from None
     frames = can_frames.concatenate(parts) if parts else can_frames.empty_frames()
     if len(frames) > 1:
-        is_outlier = np.abs(frames.time_ns - median_filter(frames.time_ns, 3, mode="mirror")) > MAX_TIME_JUMP_NS
+        limit = np.full(len(frames), MAX_TIME_JUMPS_NS[0])
+        limit[[0, -1]] = MAX_TIME_JUMPS_NS[1]
+        is_outlier = np.abs(frames.time_ns - median_filter(frames.time_ns, 3, mode="mirror")) > limit
         frames, n_untimed = frames.select(~is_outlier), n_untimed + int(is_outlier.sum())
     if n_untimed:
         format_notes.append(f"frames with an impossible time were skipped: {n_untimed}")

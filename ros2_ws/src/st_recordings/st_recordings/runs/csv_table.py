@@ -14,13 +14,13 @@ from st_core.sideslip import derive_yaw_rate
 from . import columns as column_names
 from .binary_table import BINARY_EXTENSIONS, is_signal_table, read_binary_table, read_names, read_signals
 from .columns import COLUMNS, UNITS, ColumnSource, Layout, find_columns, find_stamp_columns, find_unit, normalise
-from .errors import RunError, check_readable, format_count, shorten
+from .errors import CP1252_FALLBACK, RunError, check_readable, format_count, shorten
 from .table_times import convert_to_seconds, parse_stamp, read_stamps, select_usable_times
 
 MAX_TIME_ROWS = 500  # number of rows in which distinct times are counted, to find the finest time column
 HEMISPHERES = {"latitude": {"N", "S"}, "longitude": {"E", "W"}}
 MAX_UNIT_ROWS = 5  # largest number of rows without numbers (units, sources, types) below the header
-MAX_HEADER_LINES = 60  # lines at the start of the file searched for the header; loggers write metadata before it
+MAX_HEADER_LINES = 300  # lines at the start of the file searched for the header; loggers write metadata before it
 MISSING_MARKS = {"", "-", "--", "nan", "na", "n/a", "#n/a", "#na", "null", "none", "inf", "-inf", "+inf", "nil"}
 _GROUPED_NUMBER = {mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:{re.escape(mark)}\d{{3}})+") for mark in ",."}
 _GROUPED_CELL = re.compile(r"(?:^|[;\t])\s*[+-]?[1-9]\d{0,2}(?:,\d{3})+\s*(?=[;\t\r\n]|$)", re.MULTILINE)
@@ -63,6 +63,7 @@ def read_text(file: Path, size: int = -1) -> str:
     size: number of bytes to read, ignoring any that are not UTF-8; -1: all (RunError for a binary file).
     """
     text = _decode(file, size).replace("\r\n", "\n").replace("\r", "\n")
+    text = re.sub(r"\0+(?=\n|$)", "", text) if "\0" in text else text  # some loggers end each line with a zero
     text = _LINE_END_IN_CELL.sub(lambda cell: cell[0].replace("\n", " "), text)
     return _QUOTED_ROW.sub(lambda row: row[1].replace('""', '"') if set(row[1]) & set(",;\t") else row[0], text)
 
@@ -77,11 +78,12 @@ def _decode(file: Path, size: int) -> str:
     if len(content) > 1 and not any(content[:200:2]) and all(content[1:200:2]):
         return content.decode("utf-16-be", "replace")
     try:
-        return content.decode("utf-8-sig", "strict" if size < 0 else "ignore")
+        return content.decode("utf-8-sig")
     except UnicodeDecodeError:
-        if b"\0" in content[:4096] or sum(byte > 0x7F for byte in content[:4096]) > 0.3 * len(content[:4096]):
+        n_text = len(content[:4096])
+        if size < 0 and (b"\0" in content[:4096] or sum(byte > 0x7F for byte in content[:4096]) > 0.3 * n_text):
             raise RunError(file, "this is not a text file", "correct its extension") from None
-        return content.decode("cp1252", "replace")
+        return content.decode("utf-8-sig", CP1252_FALLBACK)
 
 
 def read_header(file: Path) -> list[str]:
@@ -106,7 +108,8 @@ def read_table(file: Path, layout: Layout) -> Table:
         return replace(parse_table(file, names, body, ",", layout, warnings), names=tuple(read_names(file)))
     if file.suffix.lower() in BINARY_EXTENSIONS:
         return parse_table(file, *read_binary_table(file), ",", layout, warnings)
-    text = read_text(file)
+    if not (text := read_text(file)).strip():
+        raise RunError(file, "it contains nothing but blanks or zero bytes", "copy it again")
     n_above = _find_header_line(text.split("\n", MAX_HEADER_LINES + 1)[:MAX_HEADER_LINES], layout)
     *preamble, header, body = (text + "\n").split("\n", n_above + 1)
     if n_above > 1 or (n_above and not _SEPARATOR.match(preamble[0])):
@@ -279,8 +282,9 @@ def _find_header_line(lines: list[str], layout: Layout | None = None) -> int:
     for line in lines[:MAX_HEADER_LINES]:
         names, _ = _split_header(line)
         layout_names = set(layout.columns.values()).intersection(names) if layout else ()
-        counts.append(len(find_columns(Path(), names, Layout())) + len(layout_names) if len(names) > 1 else 0)
         words.append(sum(bool(name) and not _NUMBER.fullmatch(name) for name in names))
+        may_be_header = len(names) > 1 and (words[-1] or layout_names)
+        counts.append(len(find_columns(Path(), names, Layout())) + len(layout_names) if may_be_header else 0)
     counts = counts if max(counts, default=0) > 1 else words
     return counts.index(max(counts)) if counts else 0
 
@@ -308,6 +312,7 @@ def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], preamble: Sequ
     def read_unit_texts(line: str) -> dict[str, str]:
         cells = [cell.strip(' \r"\'') for cell in line.split(delimiter)]
         texts = {channel: text for channel, source in sources.items() if source.column < len(cells)
+                 and cells[source.column] != source.name  # the names may be repeated below the header
                  and (text := cells[source.column].strip("[]() ")).lower() not in MISSING_MARKS}
         is_data = any(np.isfinite(_parse_number(cell.replace(",", "."))) for cell in cells) or any(
             parse_stamp(text) or _split_unit(channel, text) for channel, text in texts.items())

@@ -1,5 +1,6 @@
 """Errors and warnings about recordings; each is one sentence with the file, the problem and the remedy."""
 
+import codecs
 import logging
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -10,6 +11,10 @@ from pathlib import Path
 COMPRESSED_MAGIC = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip, or a spreadsheet", b"BZh": "bzip2", b"\xfd7zXZ": "xz",
                     b"7z\xbc\xaf": "7-Zip", b"\x28\xb5\x2f\xfd": "zstd"}
 """First bytes of a compressed file -> its kind."""
+CP1252_FALLBACK = "single_track_cp1252"
+"""Name of an error handler that decodes Windows-1252 bytes in a text that is otherwise UTF-8."""
+codecs.register_error(CP1252_FALLBACK, lambda error: (
+    error.object[error.start:error.end].decode("cp1252", "replace"), error.end))  # type: ignore[attr-defined]
 _LOGGER = logging.getLogger("st_recordings")
 _logged_warnings: set[str] = set()
 MAX_SIMILAR_WARNINGS = 3  # number of similar warnings that are logged in full while warnings are grouped

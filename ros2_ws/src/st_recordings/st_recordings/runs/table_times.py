@@ -149,8 +149,9 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
             return (times - origin) * factor, source
     seconds = times * source.factor
     known_rows = np.flatnonzero(np.isfinite(seconds))
-    for period in (DAY, 7 * DAY):  # seconds of a day or of a GPS week
-        is_rollover = np.diff(seconds[known_rows]) < -period + ROLLOVER_STEP
+    # Seconds of an hour, a day or a GPS week, or microseconds in 32 bits
+    for period, longest_step in ((HOUR, 1.0), (2**32 * 1e-6, 1.0), (DAY, ROLLOVER_STEP), (7 * DAY, ROLLOVER_STEP)):
+        is_rollover = np.diff(seconds[known_rows]) < -period + longest_step
         if is_rollover.any() and seconds[known_rows].min() >= 0.0 and seconds[known_rows].max() <= period + 1.0:
             seconds[known_rows[1:]] += period * np.cumsum(is_rollover)
     return seconds, source
