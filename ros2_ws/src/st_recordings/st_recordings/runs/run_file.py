@@ -38,10 +38,11 @@ def read_run_file(path: Path) -> list[RunSource]:
 
 
 def find_described_run(file: Path) -> RunSource | None:
-    """Finds a recording's run in its run.yaml, or in one with `each` in its folder; None if absent. Raises RunError."""
+    """Finds a recording's run in its run.yaml, or in one with `each` in its folder; None if absent. An invalid run.yaml
+    is a `problem` of the recording."""
     own_run = _read_own_run_file(file.parent, file)
     if own_run and own_run.problem:
-        raise own_run.problem
+        return RunSource(file.name, "", (file,), problem=own_run.problem)
     if own_run and own_run.files == (file,):
         return own_run
     for path in sorted(file.parent.glob(f"*{RUN_FILE}")):
@@ -50,7 +51,7 @@ def find_described_run(file: Path) -> RunSource | None:
                 runs = read_run_file(path)
             except RunError as error:
                 if _may_concern(path, file):
-                    raise
+                    return RunSource(file.name, "", (file,), problem=error)
                 _log_unused_run_file(error)
                 continue
             if (run := next((run for run in runs if file in run.files), None)) is not None:

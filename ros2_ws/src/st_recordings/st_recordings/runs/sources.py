@@ -62,20 +62,13 @@ def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
             single_files.append(path)
     if len(single_files) > 1 or runs:
         single_files = [f for f in single_files if not _is_document(f)] or single_files
-    described_runs = [run for path in single_files if (run := _find_described_run(path)) is not None]
+    described_runs = [run for path in filter(find_reader, single_files) if (run := find_described_run(path))]
     other_files = [f for f in single_files if not any(f in (*run.files, *run.can) for run in described_runs)]
     if any(f.suffix.lower() in CAN_EXTENSIONS for f in other_files):  # CAN logs that no run.yaml describes
         described_runs = [run for run in described_runs if not run.can]
         other_files = [f for f in single_files if not any(f in run.files for run in described_runs)]
     described_runs = [run for run in described_runs if run not in runs]  # its run.yaml is also given
     return _assign_distinct_names([*runs, *described_runs, *_group_files(other_files, named_by_user=True)])
-
-
-def _find_described_run(path: Path) -> RunSource | None:
-    try:
-        return find_described_run(path) if find_reader(path) is not None else None
-    except RunError as error:
-        return RunSource(path.name, "", (path,), problem=error)
 
 
 def _report_folder_without_runs(folder: Path) -> list[RunSource]:
