@@ -23,7 +23,7 @@ import psutil
 from faults.catalogue import CAN, HANGING, INS, KILLED, Fault
 from faults.rig import Rig, running
 from st_core.palette import FIGURE_STYLE
-from st_recordings.mcap import recover
+from st_recordings.recovery import recover
 from st_recordings.runs.bag_storage import open_bag
 
 FIGURE = Path(__file__).resolve().parents[1] / "docs" / "images" / "soak.png"

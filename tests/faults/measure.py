@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from bags import nanoseconds, read_messages
-from st_recordings.mcap import recover
+from st_recordings.recovery import recover
 
 from .catalogue import CONTINUE, STOP, Fault
 from .rig import Rig

@@ -14,8 +14,9 @@ from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 from mdf_files import LogFrame, write_layout_2
 from rosbags.rosbag2 import ReaderError
-from st_recordings.mcap import BagWriter, RecoveryError, recover
+from st_recordings.mcap import BagWriter
 from st_recordings.mcap_contents import read_records
+from st_recordings.recovery import RecoveryError, recover
 from st_recordings.runs import csv
 from st_recordings.runs.bag import ODOMETRY, STEERING, read_bag
 from st_recordings.runs.can_logs import read_can_logs

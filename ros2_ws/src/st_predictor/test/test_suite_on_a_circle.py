@@ -74,7 +74,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 
 def test_nodes_end_with_status_0_and_closed_files(run: Run) -> None:
-    from st_recordings.mcap import recover
+    from st_recordings.recovery import recover
 
     assert run.statuses == {"predictor": 0, "evaluator": 0, "recorder": 0}
     assert not recover(run.folder / "bag").was_changed

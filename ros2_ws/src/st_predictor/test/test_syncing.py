@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 from bags import DEFINITION, TYPE, TYPE_HASH, numbered, read_numbers
 from st_recordings import mcap
-from st_recordings.mcap import BagWriter, recover
+from st_recordings.mcap import BagWriter
+from st_recordings.recovery import recover
 
 START_NS = 1_790_000_000_000_000_000
 RATE = 500  # messages/s

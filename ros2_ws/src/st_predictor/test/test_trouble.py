@@ -224,7 +224,7 @@ def test_recorder_reports_a_full_disk_and_continues(processes: Processes) -> Non
 
 @pytest.mark.slow
 def test_killed_recorder_loses_at_most_a_second(processes: Processes) -> None:
-    from st_recordings.mcap import recover
+    from st_recordings.recovery import recover
 
     node, bag = start_recorder(processes)
     feeder = processes.start([sys.executable, str(ROOT / "tests" / "circle_feeder.py"), "--duration", "20"], "feeder")

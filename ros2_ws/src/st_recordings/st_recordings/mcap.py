@@ -23,9 +23,6 @@ from mcap.records import Channel, Chunk, Header, MessageIndex, Metadata, Schema
 from . import bag_metadata
 from .bag_metadata import BagFile, BagInformation, Qos, Topic, collect_custom_data, format_qos, make_qos
 from .mcap_contents import MAGIC, Contents
-from .recovery import RecoveryError, RecoveryReport, recover
-
-__all__ = ["BagWriter", "Qos", "RecoveryError", "RecoveryReport", "make_qos", "recover"]
 
 CHUNK_SIZE = 1024 * 1024
 """Bytes that are compressed together; at high data rates a chunk is full before FLUSH_PERIOD has passed."""

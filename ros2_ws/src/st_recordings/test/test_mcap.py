@@ -17,7 +17,8 @@ import pytest
 import yaml
 from bags import DEFINITION, TYPE, TYPE_HASH, add_numbered_topic, numbered, read_numbers, read_numbers_with_mcap
 from st_recordings.bag_metadata import make_qos
-from st_recordings.mcap import FLUSH_PERIOD, BagWriter, recover
+from st_recordings.mcap import FLUSH_PERIOD, BagWriter
+from st_recordings.recovery import recover
 
 START_NS = 1_790_000_000_000_000_000
 
@@ -167,7 +168,7 @@ def test_bag_that_is_still_recorded_is_not_recovered(tmp_path: Path) -> None:
     bag, (a,) = new_bag(tmp_path / "bag")
     bag.write(a, numbered(1), START_NS)
     bag.flush()
-    program = f"from st_recordings.mcap import recover; recover({str(tmp_path / 'bag')!r})"
+    program = f"from st_recordings.recovery import recover; recover({str(tmp_path / 'bag')!r})"
     result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=30, check=False)
     bag.close()
     assert "still being recorded" in result.stderr

@@ -10,8 +10,9 @@ from bags import DEFINITION, TYPE, add_numbered_topic, numbered, read_numbers, r
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.opcode import Opcode
-from st_recordings.mcap import BagWriter, RecoveryError, recover
+from st_recordings.mcap import BagWriter
 from st_recordings.mcap_contents import read_records
+from st_recordings.recovery import RecoveryError, recover
 
 START_NS = 1_790_000_000_000_000_000
 CHUNK = 10  # messages of /a

@@ -232,7 +232,7 @@ def recover(
         None, help="Path of the repaired recording; default: in place, and the damaged file is renamed."),
 ) -> None:
     """Repair a recording cut off by a crash or power loss; a complete recording is not changed."""
-    from st_recordings import mcap
+    from st_recordings import recovery
 
     with shared.report_errors("recover", OSError, ValueError):
-        typer.echo(str(mcap.recover(path, output)))
+        typer.echo(str(recovery.recover(path, output)))

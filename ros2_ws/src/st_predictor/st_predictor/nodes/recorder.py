@@ -15,8 +15,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy
 from rclpy.serialization import deserialize_message
 from rclpy.topic_endpoint_info import TopicEndpointInfo
-from st_recordings.bag_metadata import UnknownTypeError
-from st_recordings.mcap import Qos
+from st_recordings.bag_metadata import Qos, UnknownTypeError
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
 from st_ros.parameters import ConfigurationError
