@@ -6,7 +6,6 @@ import signal
 import sys
 import time
 from collections.abc import Callable
-from types import FrameType
 
 import rclpy
 from rclpy.duration import Duration
@@ -29,7 +28,7 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None, nice:
     A node may have `finished: bool` (ends the spinning), `exit_status: int` (read at the end) and `close()` (called
     once before the node is destroyed, while it can still publish).
     """
-    stop = StopRequest()
+    stop_requested = catch_stop_signals()
     node = executor = None
     status = 0
     try:
@@ -47,7 +46,7 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None, nice:
             scheduling.lower_priority(nice)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        while not stop.requested and rclpy.ok() and not getattr(node, "finished", False):
+        while not stop_requested() and rclpy.ok() and not getattr(node, "finished", False):
             executor.spin_once(timeout_sec=WAKE_PERIOD)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
@@ -76,18 +75,14 @@ def flush(node: Node) -> None:
         publisher.wait_for_all_acked(Duration(seconds=max(0.0, end - time.monotonic())))
 
 
-class StopRequest:
-    """Turns SIGINT and SIGTERM into a flag, so that they do not interrupt the closing of a node."""
-
-    def __init__(self) -> None:
-        self.requested = False
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._request)
-            # The interpreter removes the handlers before it exits; a signal after that would change the exit status.
-            atexit.register(signal.signal, number, signal.SIG_IGN)
-
-    def _request(self, number: int, frame: FrameType | None) -> None:
-        self.requested = True
+def catch_stop_signals() -> Callable[[], bool]:
+    """Catch SIGINT and SIGTERM, which then do not interrupt the closing of a node; returns whether one has arrived."""
+    received: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda number, _: received.append(number))
+        # The interpreter removes the handlers before it exits; a signal after that would change the exit status.
+        atexit.register(signal.signal, number, signal.SIG_IGN)
+    return lambda: bool(received)
 
 
 def _format_error(error: Exception) -> str:

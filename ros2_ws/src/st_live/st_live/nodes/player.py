@@ -92,7 +92,7 @@ class Player:
     """
 
     def __init__(self, settings: Mapping[str, Any]):
-        self._stop = spin.StopRequest()
+        self._stop_requested = spin.catch_stop_signals()
         self._settings, self._bag, self._rate = settings, Path(settings["bag"]), settings["rate"]
         self._published_topics = dict(zip((settings["odometry"], settings["steering"]), INPUT_TOPICS, strict=True))
         field = settings["steering_field"]
@@ -120,10 +120,10 @@ class Player:
             first_ns = clock_ns = self._advance(reader.start_time, reader.start_time, time.monotonic())
             start_time, duration = time.monotonic(), (reader.end_time - reader.start_time) * 1e-9
             for connection, log_ns, data in reader.messages(connections=connections):
-                while clock_ns + CLOCK_STEP_NS <= log_ns and not self._stop.requested:
+                while clock_ns + CLOCK_STEP_NS <= log_ns and not self._stop_requested():
                     clock_ns = self._advance(clock_ns + CLOCK_STEP_NS, first_ns, start_time)
                     self._report((clock_ns - first_ns) * 1e-9, duration)
-                if self._stop.requested:
+                if self._stop_requested():
                     break
                 if self._steering_field and connection.topic == self._settings["steering"]:
                     message = reader.deserialize(data, connection.msgtype)
@@ -167,7 +167,7 @@ class Player:
         end = time.monotonic() + DISCOVERY_TIMEOUT
         expected = {p: SUBSCRIBER_EXCEPTIONS.get(p.topic_name, MIN_SUBSCRIBERS) for p in (*publishers, self._clock)}
         while any(p.get_subscription_count() < count for p, count in expected.items()):
-            if time.monotonic() > end or self._stop.requested:
+            if time.monotonic() > end or self._stop_requested():
                 return False
             time.sleep(0.05)
         return True
