@@ -82,7 +82,7 @@ def test_semicolons_and_other_column_orders(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("lines", "message"), [
-    ([""], "no column was recognised as t, x"),
+    ([""], "it contains nothing but blanks or zero bytes; copy it again"),
     (["t,vx,vy,yaw_rate,delta", *["0,1,0,0,0"] * 3], "no .*; if no position was recorded, add columns x, y and yaw"),
     (["t,x,y,yaw", "0,0,0,0"],
      "no column was recognised as velocity_x, .*; its columns are t, x, y, yaw; .*columns: {velocity_x: NAME"),
