@@ -237,6 +237,29 @@ def test_wheel_speeds_decide_between_wrong_positions_and_wrong_velocity(log, lea
     assert check(corrected_drive(scaled(factor, *channels)(log), found.advice.entry, leaf), leaf, wheels).findings == ()
 
 
+@pytest.mark.parametrize("unit", [1.0, 1.0 / G])
+@pytest.mark.parametrize(("sign_x", "sign_y", "text"), [
+    (1.0, 1.0, "left)"), (1.0, -1.0, "and acceleration_y has the opposite sign: the sensor is turned by 90 deg"),
+    (-1.0, 1.0, "and acceleration_x has the opposite sign: the sensor is turned by 90 deg"),
+    (-1.0, -1.0, "and acceleration_y and acceleration_x have the opposite sign")])
+def test_turned_accelerometer_is_found_and_its_correction_removes_it(log, leaf, sign_x, sign_y, text, unit):
+    wrong = replace(log, acceleration_x=unit * sign_x * log.acceleration_y,
+                    acceleration_y=unit * sign_y * log.acceleration_x)
+    found = findings_by_name(wrong, leaf)
+    assert list(found) == ["acceleration_axes"]
+    assert text in found["acceleration_axes"].text and ("unit g" in found["acceleration_axes"].text) == (unit != 1.0)
+    advice = found["acceleration_axes"].advice
+    assert equal_as_printed(yaml.safe_load(advice.line.replace("  # and ", "\n")), advice.entry)
+    assert findings_by_name(corrected_drive(wrong, advice.entry, leaf), leaf) == {}
+
+
+def test_wrong_scale_of_positions_does_not_raise_the_severity_of_the_heading(leaf):
+    log = ins_rotated(0.0055)(exact_drive(leaf, 120.0, speed=Sines(8.0, ((2.0, 41.0, 0.4), (1.0, 13.0, 1.1)))))
+    log = replace(log, acceleration_x=None, acceleration_y=None)
+    for fault in (scaled(1.0, *POSITION), scaled(1.25, *POSITION)):
+        assert findings_by_name(fault(log), leaf)["heading_misaligned"].severity is Severity.NOTE
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.25, 3.0])
 def test_wrong_scale_of_positions_gives_no_other_measuring_point(leaf, factor):

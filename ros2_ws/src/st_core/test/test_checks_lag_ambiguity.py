@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from exact_drive import Noise, Sines, delay, exact_drive
-from exact_faults import findings_by_name
+from exact_faults import findings_by_name, position_point_moved
 from st_core.checks import Severity, check, compare_runs
 from st_core.checks.inertial import compare_series
 from st_core.sideslip import with_steady_sideslip
@@ -137,3 +137,29 @@ def test_steering_clock_of_another_rate_is_no_steering_lag(leaf, rate):
     assert finding.name == "time_rate" and finding.channels == ("road_wheel_angle",)
     assert finding.interval[0] < rate < finding.interval[1] and "steering_lag" not in checked.estimates
     assert lag_findings(delay(log, 0.3, "road_wheel_angle"), leaf).keys() == {"steering_lag"}
+
+
+@pytest.mark.parametrize("seconds", [0.1, -0.1])
+@pytest.mark.parametrize("ahead", [1.5, -1.5])
+def test_lag_of_yaw_is_found_with_positions_of_another_point(leaf, ahead, seconds):
+    found = findings_by_name(delay(position_point_moved(ahead)(exact_drive(leaf)), seconds, "yaw"), leaf)
+    assert found.keys() == {"yaw_lag", "position_reference"}
+    assert found["yaw_lag"].value == pytest.approx(seconds, abs=0.01)
+    assert found["position_reference"].value == pytest.approx(ahead, abs=0.1)
+    found = findings_by_name(delay(position_point_moved(ahead)(exact_drive(leaf)), seconds, "yaw_rate"), leaf)
+    assert found.keys() == {"yaw_rate_lag", "position_reference"}
+
+
+@pytest.mark.parametrize("channel", ["yaw", "yaw_rate"])
+def test_lag_of_yaw_or_yaw_rate_names_both_if_another_point_has_the_same_effect(leaf, channel):
+    log = exact_drive(leaf, speed=Sines(12.0, ()))
+    found = findings_by_name(delay(position_point_moved(1.5)(log), 0.1, channel), leaf)
+    assert found["yaw_rate_lag"].text.endswith(": both fit this drive") and "or yaw l" in found["yaw_rate_lag"].text
+    named = [found[name] for name in ("yaw_rate_lag", "position_reference", "position_lag") if name in found]
+    assert len(named) == 2 and all(finding.advice.kind == "look" for finding in named)
+
+
+def test_missing_lateral_velocity_is_named_with_the_reference_point_that_it_implies(leaf):
+    log = exact_drive(leaf, speed=Sines(6.0, ((1.5, 21.0, 0.4), (0.5, 7.0, 1.1))))
+    finding = findings_by_name(replace(log, velocity_y=np.zeros(len(log.x))))["position_reference"]
+    assert finding.value > 0.0 and "velocity_y is missing or 0" in finding.text

@@ -173,8 +173,9 @@ def test_share_of_missing_values_refers_to_all_recorded_rows(log, channel, share
     assert ("they were kept without it" in finding.text) is (channel == "acceleration_x")
 
 
-def test_positions_repeated_at_a_lower_rate_are_no_jumps(log):
-    rows = np.arange(len(log.x)) // 10 * 10
+@pytest.mark.parametrize("count", [10, 100])
+def test_positions_repeated_at_a_lower_rate_are_no_jumps_and_have_no_lag(log, count):
+    rows = np.maximum((np.arange(len(log.x)) - count // 2) // count * count + count // 2, 0)
     assert list(findings_by_name(replace(log, x=log.x[rows], y=log.y[rows]))) == ["samples_repeated"]
 
 

@@ -138,6 +138,19 @@ def test_first_new_position_after_lost_rows_is_not_interpolated_to(tmp_path: Pat
     np.testing.assert_allclose(log.x, 20.0 * log.ins_time_ns * 1e-9, atol=1e-6)
 
 
+@pytest.mark.parametrize("steps", [1, 10])
+@pytest.mark.parametrize("rest", [0, 300])
+def test_outage_of_the_positions_is_not_interpolated(tmp_path: Path, steps: int, rest: int) -> None:
+    known = [k // steps * steps if k < 200 or k >= 600 else 190 for k in range(600 + rest)]
+    drive = read_csv(write(tmp_path, [HEADER, *(f"{0.01 * k:.2f},{0.2 * row:.3f},0,0,20,0,0,0,0,0"
+                                                for k, row in enumerate(known))]))
+    moved = 0.2 * np.arange(600 + rest)
+    assert drive.log.x[:190] == pytest.approx(moved[:190], abs=1e-6)
+    assert drive.log.x[200:600] == pytest.approx(38.0)
+    assert drive.log.x[600:] == pytest.approx(moved[600:], abs=1e-6)
+    assert "repeat a position for long" in "".join(drive.warnings)
+
+
 def test_rows_with_repeated_times_are_left_out(tmp_path: Path) -> None:
     lines = [line for line in rows(40) for _ in range(3)]
     drive = read_csv(write(tmp_path, [HEADER, *lines]))

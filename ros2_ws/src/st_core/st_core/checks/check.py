@@ -29,6 +29,7 @@ from .trial import try_corrections
 from .units_and_axes import check_nominal_rate, check_time_unit, correct_units, is_speed_unit, other_yaw_fits_better
 
 ESTIMATES_BIASED_BY_SIDESLIP = ("steering_lag", "yaw_rate_lag", "yaw_lag")
+EXPLAINED_BY_YAW_LAG = ("yaw_rate_lag", "position_lag", "position_reference")
 MAX_INS_DISTANCE = 3.0  # m; largest distance of the INS ahead of the rear axle
 MAX_REAR_COMPLIANCE = 0.01  # rad s^2/m; rear cornering compliance (slip angle per a_y): road cars 0.003 to 0.008
 MIN_INS_SAMPLES = 50  # with fewer samples, only implausible samples and time stamps are reported
@@ -108,7 +109,9 @@ def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters |
     # The derivative of a coarse channel is dominated by rounding.
     motion = replace(motion, acceleration_x=None if "velocity_x" in coarse_channels else motion.acceleration_x,
                      acceleration_y=None if coarse_channels & {"velocity_y", "yaw_rate"} else motion.acceleration_y)
-    if not _list_channels(stuck_findings, "samples_repeated") & {"x", "y"}:  # held positions always step
+    if {"x", "y"} & _list_channels(stuck_findings, "samples_repeated"):  # held positions always step
+        motion = sampling.interpolate_held_positions(motion)
+    else:
         motion, step_findings = check_position_steps(motion)
         results.findings += step_findings
     speed, sideslip_measured = motion.velocity_x, CHANNELS["velocity_y"].is_measured_in(log)
@@ -140,14 +143,16 @@ def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters |
 
 
 def _check_rear_axle(motion: Motion, vehicle: VehicleParameters, findings: list[Finding]) -> CheckResult:
-    """Result of `check_rear_axle`, without findings that a scale error of the positions would explain. motion: with a
-    scale of the velocity in the findings corrected, although the positions may be wrong instead."""
+    """Result of `check_rear_axle`, without findings, or with less severe ones, where a scale error of the positions
+    would explain the rest. motion: with a scale of the velocity in the findings corrected, although the positions may
+    be wrong instead."""
     found, estimates, panel = vehicle_relations.check_rear_axle(motion, vehicle)
     scale = position.find_velocity_scale(findings)
     if found and scale is not None and scale.value and not is_speed_unit(scale.value):
         recorded = motion.apply_entry({"correct": {"velocity": {"scale": scale.value}}})
-        names = {finding.name for finding in vehicle_relations.check_rear_axle(recorded, vehicle)[0]}
-        found = [finding for finding in found if finding.name in names]
+        others = {finding.name: finding for finding in vehicle_relations.check_rear_axle(recorded, vehicle)[0]}
+        found = [max(finding, others[finding.name], key=lambda f: [*Severity].index(f.severity))
+                 for finding in found if finding.name in others]
     return found, estimates, panel
 
 
@@ -177,6 +182,9 @@ def _limit_to_measured_channels(findings: list[Finding], log: DriveLog, motion: 
               "yaw_lag": (-MAX_INS_DISTANCE / speed, MAX_REAR_COMPLIANCE * speed)}
     advice = Advice("text", "record the heading of the car and velocity_y; without them the sensor's error is unknown")
     for k, f in enumerate(findings):
+        if f.name == "position_reference":
+            text = f"{f.text}; velocity_y is missing or 0, which is right for a point of the rear axle only"
+            findings[k] = replace(f, text=text)
         low, high = limits.get(f.name, (np.inf, -np.inf))
         if f.value is not None and low <= f.value <= high:
             text = f"{f.text}; velocity_y is missing or 0, so yaw may be the course and the lag may be due to sideslip"
@@ -190,7 +198,7 @@ def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[M
     results = _Results(panels=[position.make_distance_panel(motion, removed_factors)])
     motion, sign_findings = position.check_lateral_sign(motion)
     yaw_rate, tolerances = inertial.compare_yaw_rate(motion)
-    motion, lag_findings = _check_yaw_lag(motion, yaw_rate)
+    motion, lag_findings, other_lag = _check_yaw_lag(motion, yaw_rate)
     recorded = motion
     motion, position_findings, estimates = position.check_positions(motion)
     position_findings = position.merge_lateral_sign(sign_findings, position_findings, estimates)
@@ -205,7 +213,8 @@ def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[M
     results.add(inertial.judge_agreement(
         yaw_rate, tolerances, "yaw rate: sensor versus change of yaw", removed_factors.get("yaw_rate_scale", 1.0),
         removed_factors.get("yaw_scale", removed_factors.get("yaw_convention", 1.0))))
-    results.findings = [_add_yaw_alternative(finding, motion) for finding in results.findings]
+    results.findings = [_add_lag_alternative(_add_yaw_alternative(finding, motion), other_lag)
+                        for finding in results.findings]
     if yaw_rate and yaw_rate.scale.value:  # a constant yaw rate has no scale
         estimates["yaw_scale"] = add_systematic_uncertainty("yaw_scale", yaw_rate.scale.inverse())
     for name in removed_factors.keys() & estimates.keys():  # from corrected to recorded units
@@ -253,20 +262,33 @@ def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
     return aligned.shifted_earlier(-seconds, name), findings
 
 
-def _check_yaw_lag(motion: Motion, agreement: Agreement | None) -> tuple[Motion, list[Finding]]:
-    """(corrected motion, finding) if yaw lags or leads the yaw rate and positions confirm that yaw is wrong."""
+def _check_yaw_lag(motion: Motion, agreement: Agreement | None) -> tuple[Motion, list[Finding], str]:
+    """(corrected motion, finding, "") if yaw lags or leads the yaw rate and positions confirm that yaw is wrong;
+    (motion, [], description of this lag) if they fit either."""
     if (agreement is None or not agreement.has_lag or not agreement.correlates
             or abs(agreement.lag.value) < LIMITS.lag):
-        return motion, []
+        return motion, [], ""
     lag = add_systematic_uncertainty("yaw_lag", agreement.lag.scaled(-1.0))
     corrected = motion.shifted_earlier(lag.value, "yaw")
-    if not position.positions_confirm_yaw_lag(motion, corrected, lag.value):
-        return motion, []
+    is_yaw = position.positions_confirm_yaw_lag(motion, corrected, lag.value)
+    verb = "lags" if lag.value > 0.0 else "leads"
+    if not is_yaw:
+        return motion, [], "" if is_yaw is not None else f"yaw {verb} by {abs(lag)} s"
     effect = abs(lag.value) * float(np.std(motion.yaw_rate)) * float(np.median(motion.speed)) * HORIZON
     severity = LIMITS.severity(effect, abs(lag.value) >= LIMITS.severe_lag)
-    text = f"yaw {'lags' if lag.value > 0.0 else 'leads'} yaw rate and positions by {abs(lag)} s"
+    text = f"yaw {verb} yaw rate and positions by {abs(lag)} s"
     return corrected, [Finding("yaw_lag", severity, ("yaw",), text, lag.value, "s", lag.interval, effect=effect,
-                               advice=Advice.correct("yaw", earlier=float(f"{lag.value:.4g}")))]
+                               advice=Advice.correct("yaw", earlier=float(f"{lag.value:.4g}")))], ""
+
+
+def _add_lag_alternative(finding: Finding, alternative: str) -> Finding:
+    """The finding; without a correction if the alternative, a lag of yaw, explains it as well. alternative: "" if there
+    is none."""
+    if not alternative or finding.name not in EXPLAINED_BY_YAW_LAG:
+        return finding
+    advice = Advice("look", "drive bends of different speed and radius, to distinguish the two")
+    return replace(finding, channels=tuple(dict.fromkeys((*finding.channels, "yaw"))), advice=advice,
+                   text=f"{finding.text}, or {alternative}: both fit this drive")
 
 
 def _find_removed_factors(unit_findings: list[Finding]) -> dict[str, float]:

@@ -6,7 +6,7 @@ An accelerometer measures the specific force, so a slope appears as a bias of a_
 a bias of a_y. If the accelerometer is at a distance d behind the INS point, its a_y lags by d / v at speed v.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -364,6 +364,36 @@ def accelerations_confirm_velocity(motion: Motion, factor: float) -> bool:
                 and (np.abs(factor * scales - 1.0) >= ACCELERATION_SCALE_ERROR).any())
 
 
+def _find_exchanged_accelerations(motion: Motion, measured: Mapping[str, np.ndarray]) -> Finding | None:
+    """Finding of exchanged accelerations, as of a sensor turned by 90 deg, which also changes the sign of one of them;
+    None if the exchanged channels do not agree with velocity either. measured: by channel."""
+    if len(measured) != 2:
+        return None
+    sources = dict(zip(measured, reversed(measured), strict=True))
+    factors = {}
+    for name, source in sources.items():
+        agreement = _compare_acceleration(motion, name, measured[source])
+        if agreement is None or not agreement.correlates:
+            return None
+        factors[name] = _find_nearest_factor(agreement.scale.value, (1.0, *ACCELERATION_UNITS))
+    text = "acceleration_x and acceleration_y are exchanged (x should be forward, y left)"
+    opposite = [source for name, source in sources.items() if factors[name] < 0.0]
+    if opposite:
+        text += f", and {' and '.join(opposite)} {'have' if len(opposite) == 2 else 'has'} the opposite sign"
+    if len(opposite) == 1:
+        text += ": the sensor is turned by 90 deg"
+    questions = {ACCELERATION_UNITS.get(abs(factor)) for factor in factors.values()} - {None}
+    text += "".join(f": {question}?" for question in questions)
+    correct = {name: {"scale": float(f"{1.0 / factor:.6g}")} for name, factor in factors.items() if factor != 1.0}
+    entry = {"columns": sources, **({"correct": correct} if correct else {})}
+    return Finding("acceleration_axes", Severity.WARNING, (*measured,), text, advice=Advice.for_run_yaml(entry))
+
+
+def _find_nearest_factor(scale: float, sizes: Iterable[float]) -> float:
+    """The factor, a size with the sign of the scale, that is nearest to the scale in ratio."""
+    return float(np.copysign(min(sizes, key=lambda size: abs(np.log(abs(scale) / size))), scale))
+
+
 def check_accelerations(motion: Motion) -> list[CheckResult]:
     """Results of comparing accelerations with the derivative of velocity; empty if the velocity has wrong axes."""
     if motion.moves_sideways:
@@ -371,13 +401,10 @@ def check_accelerations(motion: Motion) -> list[CheckResult]:
     speed = float(np.median(np.abs(motion.velocity_x)))
     measured = {name: values for name in ACCELERATIONS if (values := getattr(motion, name)) is not None}
     agreements = {name: _compare_acceleration(motion, name, values) for name, values in measured.items()}
-    exchanged = dict(zip(measured, reversed(measured), strict=True))
-    if len(measured) == 2 and not any(a and a.correlates for a in agreements.values()) and all(
-            (a := _compare_acceleration(motion, name, measured[other])) and a.correlates
-            for name, other in exchanged.items()):
-        text = "acceleration_x and acceleration_y are exchanged (x should be forward, y left)"
-        return [([Finding("acceleration_axes", Severity.WARNING, (*measured,), text,
-                          advice=Advice.for_run_yaml({"columns": exchanged}))], {}, None)]
+    if not any(agreement and agreement.correlates for agreement in agreements.values()):
+        exchanged = _find_exchanged_accelerations(motion, measured)
+        if exchanged:
+            return [([exchanged], {}, None)]
     results = []
     for name, agreement in agreements.items():
         axis, reference, lag = "forward", "velocity", ACCELERATION_LAG

@@ -42,8 +42,7 @@ WINDOW = 1.0  # s, length of the windows
 HORIZON_WINDOWS = round(HORIZON / WINDOW)  # number of windows in the horizon
 MIN_WINDOWS = 10
 ITERATIONS = 3
-# Largest fraction of the position lag that remains after a lag of yaw, or a (rarer) lead, is corrected.
-MAX_RESIDUAL_LAG, MAX_RESIDUAL_LEAD = 0.5, 0.25
+MAX_RESIDUAL_LAG = 0.5  # position lag with the right yaw, divided by that with a yaw whose lag is wrong, at most
 MIN_LOSS_RATIO = 1.1  # ratio of the losses of two explanations above which the one with the smaller loss is preferred
 MIN_SIGN_GAIN = 0.01  # m; minimum reduction of the misfit by the opposite sign; RTK noise is 1 cm
 MAX_SIGN_MISFIT_RATIO = 1.2  # largest misfit with the opposite sign, divided by that with another cause, if both fit
@@ -104,7 +103,7 @@ CAUSES = {
     "velocity_y_scale": Cause(("velocity_y",), "velocity_y", "scale", "1", "velocity_y is {value:.3f} ± {half:.3f} "
                               "times its value from positions, yaw and velocity_x"),
     "yaw_offset": Cause(("yaw",), "yaw", "add", "rad", "yaw points {size:.4f} ± {half:.4f} rad ({degrees:.2f} deg) too "
-                        "far {side}, according to positions and velocities"),
+                        "far {side}, according to positions and velocities: or is the map's north another one?"),
     "position_lag": Cause(("x", "y"), "position", "earlier", "s",
                           "positions {lag} velocity and yaw by {size:.3f} ± {half:.3f} s"),
     "velocity_lag": Cause(("velocity_x", "velocity_y"), "velocity", "earlier", "s",
@@ -142,24 +141,59 @@ def make_residual_regression(motion: Motion) -> Regression:
                       {name: np.stack((column.real, column.imag), axis=1) for name, column in columns.items()})
 
 
-def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Estimate]]:
-    """(motion corrected for the causes found, the findings, reported estimate of every cause); with fewer than
-    MIN_WINDOWS windows, the motion as given and no estimates."""
+class _Explanation(NamedTuple):
+    """Causes of the residual, the motion corrected for them, and the effect of each cause after the horizon [m per
+    unit]."""
+
+    causes: dict[str, Estimate]
+    corrected: Motion
+    effects: dict[str, float]
+
+
+def _explain_residual(motion: Motion, rare_explanations: Mapping[tuple[str, ...], set[str]]) -> _Explanation | None:
+    """The causes found by repeated selection and correction; None with fewer than MIN_WINDOWS windows.
+    rare_explanations: those of RARE_EXPLANATIONS that are considered."""
     causes: dict[str, Estimate] = {}
     corrected = motion
     for _ in range(ITERATIONS):  # the effect of a large cause is nonlinear and biases the other estimates
         problem = make_residual_regression(corrected)
         if len(problem.time) < MIN_WINDOWS:
-            return motion, [], {}
+            return None
         effects = {name: problem.compute_effect(name, HORIZON_WINDOWS) for name in problem.columns}  # m per unit
         min_values = {name: max(LIMITS.min_reported_effect / max(effect, 1e-9),
                                 MIN_REPORTED_VALUES.get(name, MIN_REPORTED_VALUES.get(CAUSES[name].unit, 0.0)))
                       for name, effect in effects.items()}
-        refined = _refine_causes(problem, causes, min_values, has_varying_speed(motion.velocity_x))
+        explanations = rare_explanations if has_varying_speed(motion.velocity_x) else {}
+        refined = _refine_causes(problem, causes, min_values, explanations)
         causes = {name: estimate for name, estimate in refined.items() if is_relevant(estimate, min_values[name])}
         corrected = _correct_causes(motion, causes)
         if not causes:
             break
+    return _Explanation(causes, corrected, effects)
+
+
+def _fits_better(explanation: _Explanation, other: _Explanation) -> bool:
+    """Whether the loss of an explanation is clearly smaller than that of another, or not clearly larger if it has fewer
+    causes."""
+    problem, other_problem = (make_residual_regression(each.corrected) for each in (explanation, other))
+    _, scale, _ = other_problem.fit((*other.causes,))
+    ratio = MIN_LOSS_RATIO if len(explanation.causes) >= len(other.causes) else 1.0 / MIN_LOSS_RATIO
+    return (ratio * problem.compute_loss((*explanation.causes,), scale)
+            < other_problem.compute_loss((*other.causes,), scale))
+
+
+def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Estimate]]:
+    """(motion corrected for the causes found, the findings, reported estimate of every cause); with fewer than
+    MIN_WINDOWS windows, the motion as given and no estimates."""
+    explanation = _explain_residual(motion, RARE_EXPLANATIONS)
+    if explanation is None:
+        return motion, [], {}
+    if RARE_CAUSES & explanation.causes.keys():
+        # They were selected from a linear approximation, which is inaccurate where another cause is large.
+        usual = _explain_residual(motion, {})
+        if usual is not None and not _fits_better(explanation, usual):
+            explanation = usual
+    causes, corrected, effects = explanation
     problem = make_residual_regression(corrected)
     errors = {name: _convert_to_reported(name, estimate).shifted(-neutral_value(name))
               for name, estimate in causes.items()}
@@ -226,21 +260,39 @@ def compute_scaled_misfit(motion: Motion) -> float:
     return problem.fit(AXIS_SCALES)[1] if len(problem.time) >= MIN_WINDOWS else np.inf
 
 
-def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> bool:
-    """Whether yaw, not the position, lags by `lag` [s]. corrected: the motion without that lag of yaw.
+def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> bool | None:
+    """Whether yaw, not the yaw rate, lags by `lag` [s]; None if both fit. corrected: the motion without that lag.
 
-    At constant speed both explanations fit; yaw is then wrong if its correction removes most of the position lag.
+    At constant speed v, a lag T of yaw, a lag -T of the positions, and a reference point v T ahead have the same
+    effect. The yaw with which the positions have the smaller lag of their own is right, wherever their reference point
+    is. If the drive does not determine this lag, the reference point is assumed to be that of the velocities.
     """
-    problem, corrected_problem = make_residual_regression(motion), make_residual_regression(corrected)
-    if len(problem.time) < MIN_WINDOWS:
+    sides = make_residual_regression(motion), make_residual_regression(corrected)
+    if len(sides[0].time) < MIN_WINDOWS:
         return False
     causes = (*AXIS_SCALES, "position_lag", "velocity_lag", "velocity_x_lag")
-    (_, misfit, _), (remaining, misfit_after, _) = problem.fit(causes), corrected_problem.fit(causes)
-    recorded = problem.estimate(causes)["position_lag"]
-    max_ratio = MAX_RESIDUAL_LAG if lag > 0.0 else MAX_RESIDUAL_LEAD
-    yaw_explains_lag = recorded.is_significant and abs(remaining["position_lag"]) < max_ratio * abs(recorded.value)
-    return MIN_LOSS_RATIO**2 * misfit_after < misfit or (
-        yaw_explains_lag and misfit_after < MIN_LOSS_RATIO * misfit)
+    with_reference = (*causes, "position_reference")
+    is_yaw = _has_clearly_smaller_lag(*sides, with_reference)
+    if is_yaw is not None or abs(lag) < LIMITS.severe_lag:
+        return bool(is_yaw)
+    is_yaw = _has_clearly_smaller_lag(*sides, causes)
+    if is_yaw is None:
+        return None
+    # Changes of speed may still contradict this assumption.
+    _, scale, _ = sides[is_yaw].fit(with_reference)
+    losses = [side.compute_loss(with_reference, scale) for side in sides]
+    return None if losses[is_yaw] > MIN_LOSS_RATIO * losses[not is_yaw] else is_yaw
+
+
+def _has_clearly_smaller_lag(recorded: Regression, corrected: Regression, causes: tuple[str, ...]) -> bool | None:
+    """Whether the position lag, fitted with other causes, is clearly smaller in the corrected motion than in the
+    recorded one (False: larger); None if neither is clearly smaller."""
+    lags = [abs(add_systematic_uncertainty("position_lag", side.estimate(causes)["position_lag"]))
+            for side in (recorded, corrected)]
+    smaller, larger = sorted(lags, key=lambda lag: lag.value)
+    if not larger.is_significant or smaller.value > MAX_RESIDUAL_LAG * larger.value:
+        return None
+    return smaller is lags[1]
 
 
 def check_lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
@@ -362,17 +414,18 @@ def add_sign_alternative(findings: list[Finding], recorded: Motion, corrected: M
 
 
 def _refine_causes(problem: Regression, causes: dict[str, Estimate], min_values: dict[str, float],
-                   speed_varies: bool) -> dict[str, Estimate]:
-    """Refined values of the causes found so far, and further causes. min_values: smallest reported value by cause."""
+                   rare_explanations: Mapping[tuple[str, ...], set[str]]) -> dict[str, Estimate]:
+    """Refined values of the causes found so far, and further causes. min_values: smallest reported value by cause.
+    rare_explanations: those of RARE_EXPLANATIONS that are considered."""
     excluded = {*causes, *(other for name in causes for other in CONFOUNDED.get(name, ()))}
     candidates = [name for name in min_values if name not in excluded]
     further = _find_causes(problem, [name for name in candidates if name not in RARE_CAUSES], min_values, tuple(causes))
     _, scale, _ = problem.fit((*causes, *further))
     loss = problem.compute_loss((*causes, *further), scale)
-    for rare, confounded in RARE_EXPLANATIONS.items():
+    for rare, confounded in rare_explanations.items():
         is_tried = confounded & {*further} if rare[0] in CONFOUNDED else len(rare) == 1 or (
             MIN_LOSS_RATIO * problem.compute_loss(sorted({*causes, *further, *rare}), scale) < loss)
-        if {*rare} <= {*candidates} and is_tried and speed_varies:
+        if {*rare} <= {*candidates} and is_tried:
             others = [name for name in candidates if name not in {*confounded, *RARE_CAUSES, *rare}]
             alternative = (*rare, *_find_causes(problem, others, min_values, (*causes, *rare)))
             other_loss = problem.compute_loss((*causes, *alternative), scale)

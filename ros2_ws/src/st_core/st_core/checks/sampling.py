@@ -356,6 +356,14 @@ def drop_frozen_samples(motion: Motion, findings: Sequence[Finding]) -> Motion:
     return motion
 
 
+def interpolate_held_positions(motion: Motion) -> Motion:
+    """The motion with positions that are held at a lower rate interpolated between their changes; held, they would have
+    a lag that depends on the phase of the windows in which they are compared."""
+    changes = {name: np.flatnonzero(np.diff(getattr(motion, name), prepend=np.nan) != 0.0) for name in ("x", "y")}
+    return replace(motion, **{name: np.interp(motion.time, motion.time[rows], getattr(motion, name)[rows])
+                              for name, rows in changes.items()})
+
+
 def check_quality(quality: InsQuality | None, start_ns: int) -> list[Finding]:
     """Findings from the status and accuracy reported by the INS. start_ns: zero of the times [ns]."""
     if quality is None or len(quality.time_ns) < 2:

@@ -331,7 +331,7 @@ def _make_point_finding(point: Estimate, slip: Estimate, motion: Motion, vehicle
         advice = Advice("text", "measure the INS position: rear wheels that steer differently with speed, or a "
                         "different cornering_stiffness_rear, have the same effect")
     else:
-        text += ", or the rear wheels steer"
+        text += ", or the rear wheels steer, or the distance of the CG from the rear axle is wrong in the file"
     return _make_finding("measuring_point", ("velocity_y", "x", "y"), text, point, "m", effect, advice)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from oxts_bridge.geometry import LocalFrame
 from st_core.checks import AuxiliaryData
+from st_core.checks.sampling import MIN_FREEZE_TIME
 from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
 from st_core.types import map_to_body, wrap_angle
 from st_core.vehicle import VehicleParameters
@@ -421,7 +422,10 @@ def _complete_motion(table: Table, columns: dict[str, np.ndarray], warnings: lis
 
 
 def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], warnings: list[str]) -> None:
-    """Interpolates, and at the end extrapolates, positions that have a lower rate than the rows and are repeated."""
+    """Interpolates, and at the end extrapolates, positions that have a lower rate than the rows and are repeated.
+
+    Positions repeated during an outage remain: `st check` reports them as frozen.
+    """
     if not columns.keys() >= {"x", "y", "velocity_x"}:
         return
     rows = np.flatnonzero(table.is_usable & all_finite(columns, ("x", "y", "velocity_x")))
@@ -444,16 +448,29 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], wa
     has_gap = np.concatenate(([False], np.diff(seconds) > MIN_GAP_RATIO * np.median(np.diff(seconds))))
     if (is_measured & has_gap).sum() <= MAX_GAP_FRACTION * is_measured.sum() and (is_measured & ~has_gap).sum() > 2:
         is_measured &= ~has_gap
+    is_outage = _find_outages(seconds, is_measured)
     second_last, last = np.flatnonzero(is_measured)[-2:]
     for name in ("x", "y"):
-        values = columns[name].copy()
-        values[rows] = np.interp(seconds, seconds[is_measured], columns[name][rows][is_measured])
-        slope = (values[rows[last]] - values[rows[second_last]]) / (seconds[last] - seconds[second_last])
-        values[rows[last:]] = values[rows[last]] + slope * (seconds[last:] - seconds[last])
-        columns[name] = values
-    rate = (is_measured.sum() - 1) / max(seconds[is_measured][-1] - seconds[0], 1e-9)
+        recorded = columns[name][rows]
+        values = np.interp(seconds, seconds[is_measured], recorded[is_measured])
+        slope = (values[last] - values[second_last]) / (seconds[last] - seconds[second_last])
+        values[last:] = values[last] + slope * (seconds[last:] - seconds[last])
+        columns[name] = columns[name].copy()
+        columns[name][rows] = np.where(is_outage, recorded, values)
+    n_frozen = int(is_outage.sum())
+    duration = float(np.diff(seconds)[:last][~is_outage[:last]].sum())
+    rate = (is_measured.sum() - 1) / max(duration, 1e-9)
+    outages = f"; {format_count(n_frozen, len(rows), 'rows')} repeat a position for long" if n_frozen else ""
     warnings.append(f"{table.file}: positions change in {format_count(int(is_measured.sum()), len(rows), 'rows')}, "
-                    f"about {rate:.0f} Hz; the positions of the other rows were interpolated")
+                    f"about {rate:.0f} Hz; the positions of the other rows were interpolated{outages}")
+
+
+def _find_outages(seconds: np.ndarray, is_measured: np.ndarray) -> np.ndarray:
+    """Mask (n,) of the rows in outages of the positions, longer than those of the usual rate and than a pause that `st
+    check` tolerates. seconds: (n,) times [s]. is_measured: (n,) whether a row has a new position; the first one has."""
+    interval = np.diff(seconds[is_measured], append=seconds[-1])
+    is_long = interval > max(MIN_FREEZE_TIME, MIN_GAP_RATIO * float(np.median(interval)))
+    return is_long[np.cumsum(is_measured) - 1]
 
 
 def _has_steps_of_one_digit(values: np.ndarray) -> bool:
