@@ -156,7 +156,7 @@ def test_lag_of_yaw_or_yaw_rate_names_both_if_another_point_has_the_same_effect(
     found = findings_by_name(delay(position_point_moved(1.5)(log), 0.1, channel), leaf)
     assert found["yaw_rate_lag"].text.endswith(": both fit this drive") and "or yaw l" in found["yaw_rate_lag"].text
     named = [found[name] for name in ("yaw_rate_lag", "position_reference", "position_lag") if name in found]
-    assert len(named) == 2 and all(finding.advice.kind == "look" for finding in named)
+    assert len(named) == 2 and all(finding.advice.kind == "text" for finding in named)
 
 
 def test_missing_lateral_velocity_is_named_with_the_reference_point_that_it_implies(leaf):

@@ -286,7 +286,7 @@ def _add_lag_alternative(finding: Finding, alternative: str) -> Finding:
     is none."""
     if not alternative or finding.name not in EXPLAINED_BY_YAW_LAG:
         return finding
-    advice = Advice("look", "drive bends of different speed and radius, to distinguish the two")
+    advice = Advice("text", "drive bends of different speed and radius, to distinguish the two")
     return replace(finding, channels=tuple(dict.fromkeys((*finding.channels, "yaw"))), advice=advice,
                    text=f"{finding.text}, or {alternative}: both fit this drive")
 

@@ -369,7 +369,7 @@ def _find_exchanged_accelerations(motion: Motion, measured: Mapping[str, np.ndar
     None if the exchanged channels do not agree with velocity either. measured: by channel."""
     if len(measured) != 2:
         return None
-    sources = dict(zip(measured, reversed(measured), strict=True))
+    sources = dict(zip(measured, reversed([*measured]), strict=True))
     factors = {}
     for name, source in sources.items():
         agreement = _compare_acceleration(motion, name, measured[source])
