@@ -180,7 +180,7 @@ def test_logs_written_by_python_can(tmp_path: Path, extension: str) -> None:
         assert np.array_equal(found.bus, [f.bus for f in frames])
 
 
-@pytest.mark.parametrize("kind", ["content", "head", "length"])
+@pytest.mark.parametrize("kind", ["content", "head", "length", "type", "method"])
 def test_blf_is_read_behind_a_damaged_container(tmp_path: Path, kind: str) -> None:
     file = tmp_path / "drive.blf"
     with can.BLFWriter(file) as writer:
@@ -189,11 +189,13 @@ def test_blf_is_read_behind_a_damaged_container(tmp_path: Path, kind: str) -> No
                 timestamp=1.7e9 + 0.001 * k, arbitration_id=2, is_extended_id=False, data=k.to_bytes(4, "little")))
     content = bytearray(file.read_bytes())
     second = content.index(b"LOBJ\x10\0", content.index(b"LOBJ\x10\0") + 1)
-    offset, damage = {"content": (300, bytes(64)), "head": (0, bytes(8)), "length": (8, b"\xff" * 3)}[kind]
+    offset, damage = {"content": (300, bytes(64)), "head": (0, bytes(8)), "length": (8, b"\xff" * 3),
+                      "type": (12, b"\x63"), "method": (16, b"\x63")}[kind]
     content[second + offset : second + offset + len(damage)] = damage
     file.write_bytes(content)
     log = read_can_logs([file])
     numbers = log.frames.payload[:, :4].copy().view("<u4")[:, 0]
+    assert len(set(numbers)) == len(numbers) < 20_000
     assert numbers[-1] == 19_999 and (np.diff(numbers.astype(int)) == 1).sum() == len(numbers) - 2
     assert re.search(r"damaged after frame \d+ .*; frames in \d+ of \d+ bytes \(\d\d %\) may be", log.warnings[0])
 

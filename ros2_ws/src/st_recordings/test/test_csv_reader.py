@@ -151,6 +151,20 @@ def test_outage_of_the_positions_is_not_interpolated(tmp_path: Path, steps: int,
     assert "repeat a position for long" in "".join(drive.warnings)
 
 
+def test_missing_rows_are_no_outage_of_the_positions(tmp_path: Path) -> None:
+    lines = [f"{0.01 * k:.2f},{0.2 * (k // 10 * 10):.3f},0,0,20,0,0,0,0,0" for k in range(1200)]
+    del lines[405:615]
+    drive = read_csv(write(tmp_path, [HEADER, *lines]))
+    assert drive.log.x == pytest.approx(20.0e-9 * drive.log.ins_time_ns, abs=1e-6)
+    assert "repeat a position" not in "".join(drive.warnings)
+
+
+def test_zeros_in_the_middle_of_a_file_cost_one_row(tmp_path: Path) -> None:
+    lines = rows(200)
+    lines[100] = lines[100][:9] + "\0" * 300_000 + lines[100][9:]
+    assert len(read_csv(write(tmp_path, [HEADER, *lines])).log.x) == 199
+
+
 def test_rows_with_repeated_times_are_left_out(tmp_path: Path) -> None:
     lines = [line for line in rows(40) for _ in range(3)]
     drive = read_csv(write(tmp_path, [HEADER, *lines]))

@@ -458,6 +458,17 @@ def test_sign_of_a_vbo_yaw_rate_in_a_steady_turn(tmp_path: Path, radius: float, 
     assert any("yaw rate" in w for w in run.warnings) == bool(note)
 
 
+def test_bias_of_a_vbo_yaw_rate_does_not_change_its_sign(tmp_path: Path) -> None:
+    """A bend to the right, so wide that a gyroscope with a bias to the left is positive in it."""
+    rate = np.where((np.arange(600) >= 300) & (np.arange(600) < 400), -0.013, -0.004)
+    turned = np.degrees(np.cumsum(rate)) * 0.05
+    lines = "\n".join(f"{120000 + 0.05 * k:.2f} {3120 + 0.0003 * k:.6f} -90.0 36.0 {(90 - turned[k]) % 360:.4f} "
+                      f"{np.degrees(rate[k] + 0.02):.5f} 0.1" for k in range(600))
+    run = read_text(tmp_path / "bend.vbo",
+                    f'[column names]\ntime lat long velocity heading YawRate "Steer"\n[data]\n{lines}\n')
+    np.testing.assert_allclose(run.log.yaw_rate, rate + 0.02, atol=1e-5)
+
+
 @pytest.mark.parametrize(("start", "seconds_of_day"), [(NOON, False), (86390.0, False), (45296.0, True)],
                          ids=["noon", "over midnight", "seconds of the day"])
 def test_vbo_gives_the_drive(tmp_path: Path, drive_log: DriveLog, start: float, seconds_of_day: bool) -> None:

@@ -1,9 +1,9 @@
 """Backend that numba compiles from the functions of a model; vector registers hold several predictions (lanes).
 
 All functions of a model are inlined into one loop over lanes, which contains a stage of a Runge-Kutta step and is
-vectorised by LLVM. With all four stages in the loop, compiling takes twice as long (36 effects: 33 s instead of 14 s),
-and only the kinematic model is faster, because its middle stages share their inputs. Three vectors are interleaved,
-because each operation within a vector waits for the previous one. Measurements: docs/measurements/performance.md.
+vectorised by LLVM. With all four stages in the loop, compiling takes more than twice as long, and only the kinematic
+model is faster, because its middle stages share their inputs. Three vectors are interleaved, because each operation
+within a vector waits for the previous one. Measurements: docs/measurements/performance.md.
 
 The functions of `st_core.ops` have versions without branches. Sine, cosine: x = n pi/2 + r with |r| <= pi/4. pi/2 is
 split into two parts, the first with 33 bits, so that its product with n is exact up to |n| = 2^20 or 1.6e6 rad. Arc

@@ -151,7 +151,7 @@ def _check_rear_axle(motion: Motion, vehicle: VehicleParameters, findings: list[
     if found and scale is not None and scale.value and not is_speed_unit(scale.value):
         recorded = motion.apply_entry({"correct": {"velocity": {"scale": scale.value}}})
         others = {finding.name: finding for finding in vehicle_relations.check_rear_axle(recorded, vehicle)[0]}
-        found = [max(finding, others[finding.name], key=lambda f: [*Severity].index(f.severity))
+        found = [replace(finding, severity=max(finding.severity, others[finding.name].severity, key=[*Severity].index))
                  for finding in found if finding.name in others]
     return found, estimates, panel
 

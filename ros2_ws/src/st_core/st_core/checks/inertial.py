@@ -373,7 +373,9 @@ def _find_exchanged_accelerations(motion: Motion, measured: Mapping[str, np.ndar
     factors = {}
     for name, source in sources.items():
         agreement = _compare_acceleration(motion, name, measured[source])
-        if agreement is None or not agreement.correlates:
+        # In periodic driving, the opposite sign also correlates at a lag of half a period.
+        if (agreement is None or not agreement.correlates
+                or agreement.correlation_without_lag * agreement.scale.value <= 0.0):
             return None
         factors[name] = _find_nearest_factor(agreement.scale.value, (1.0, *ACCELERATION_UNITS))
     text = "acceleration_x and acceleration_y are exchanged (x should be forward, y left)"

@@ -274,7 +274,7 @@ def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> 
     with_reference = (*causes, "position_reference")
     is_yaw = _has_clearly_smaller_lag(*sides, with_reference)
     if is_yaw is not None or abs(lag) < LIMITS.severe_lag:
-        return bool(is_yaw)
+        return is_yaw
     is_yaw = _has_clearly_smaller_lag(*sides, causes)
     if is_yaw is None:
         return None

@@ -42,7 +42,7 @@ class Evidence:
     # values, with folds and with whole runs held out [1].
     gain: float
     p_value: float  # p-value of the gain, corrected for the whole library [1]
-    null_p_value: float = 0.0  # see `null_p_value` [1]
+    null_p_value: float = 0.0  # p-value of the hypothesis that the effect has its null values [1]
     shares: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # by column, see `column_reductions` [1]
     position: float = 0.0  # reduction of the mean held-out position error at the end of the horizon [m]
     # Lower 95 % bound of this reduction in the driving condition where the bound is largest [m].

@@ -354,10 +354,10 @@ def _open_blf(file: Path) -> Any:
                 return match.start() if match else len(content)
 
         def _parse_container(self, data: bytes) -> Iterator[Any]:
-            # After damage, a container may begin with the end of a lost object.
-            yield from super()._parse_container(data if self._tail else data[max(data.find(b"LOBJ"), 0):])
             if self.find_next_container() < (end := self.file.tell()):
                 raise blf.BLFParseError("a container has a wrong length")
+            # After damage, a container may begin with the end of a lost object.
+            yield from super()._parse_container(data if self._tail else data[max(data.find(b"LOBJ"), 0):])
             self.start = end
 
         def _parse_data(self, data: bytes) -> Iterator[Any]:

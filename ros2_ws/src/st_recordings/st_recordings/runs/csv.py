@@ -445,10 +445,13 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], wa
         return
     is_measured = np.concatenate(([True], is_new))
     # The first new position after missing rows may have been measured during the gap, so its time is unknown.
-    has_gap = np.concatenate(([False], np.diff(seconds) > MIN_GAP_RATIO * np.median(np.diff(seconds))))
+    steps = np.diff(seconds, prepend=seconds[0])
+    usual_step = np.median(steps[1:])
+    has_gap = steps > MIN_GAP_RATIO * usual_step
     if (is_measured & has_gap).sum() <= MAX_GAP_FRACTION * is_measured.sum() and (is_measured & ~has_gap).sum() > 2:
         is_measured &= ~has_gap
-    is_outage = _find_outages(seconds, is_measured)
+    # Missing rows are no outage of the positions.
+    is_outage = _find_outages(np.cumsum(np.where(has_gap, usual_step, steps)), is_measured)
     second_last, last = np.flatnonzero(is_measured)[-2:]
     for name in ("x", "y"):
         recorded = columns[name][rows]

@@ -60,10 +60,10 @@ def read_text(file: Path, size: int = -1) -> str:
     """Reads text in UTF-8, UTF-16 or Windows-1252. Line ends become \\n, or a space within a quoted cell. A row
     exported as one quoted cell is split into its cells.
 
-    size: number of bytes to read, ignoring any that are not UTF-8; -1: all (RunError for a binary file).
+    size: number of bytes to read; -1: all (RunError for a binary file).
     """
     text = _decode(file, size).replace("\r\n", "\n").replace("\r", "\n")
-    text = re.sub(r"\0+(?=\n|$)", "", text) if "\0" in text else text  # some loggers end each line with a zero
+    text = re.sub(r"(?<!\0)\0+(?=\n|$)", "", text) if "\0" in text else text  # some loggers end each line with a zero
     text = _LINE_END_IN_CELL.sub(lambda cell: cell[0].replace("\n", " "), text)
     return _QUOTED_ROW.sub(lambda row: row[1].replace('""', '"') if set(row[1]) & set(",;\t") else row[0], text)
 

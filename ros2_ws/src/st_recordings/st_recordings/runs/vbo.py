@@ -137,9 +137,11 @@ def _correct_signs(table: Table) -> Table:
         heading_rate = differentiate_yaw(table, -heading)
         rows = np.isfinite(columns["yaw_rate"]) & np.isfinite(heading_rate) & (np.abs(columns["velocity_x"]) > 3.0)
         yaw_rate, derivative = columns["yaw_rate"][rows], heading_rate[rows]
-        # The derivative is noise if the car drives straight; one turn shows the sign. Means are not subtracted, because
-        # both are constant in a steady turn.
+        # The derivative is noise if the car drives straight; one turn shows the sign. Means are not subtracted from
+        # steady turns, in which both are constant, but otherwise a bias of the yaw rate could decide.
         usual, largest = np.quantile(np.abs(derivative), [0.5, 1.0]) if rows.sum() > 10 else (0.0, 0.0)
+        if 0.0 < usual < MIN_TURN_RATE:
+            yaw_rate, derivative = yaw_rate - yaw_rate.mean(), derivative - derivative.mean()
         similarity = yaw_rate @ derivative / max(np.linalg.norm(yaw_rate) * np.linalg.norm(derivative), 1e-12)
         if largest >= MIN_TURN_RATE and similarity < -MIN_HEADING_AGREEMENT:
             columns["yaw_rate"] = -columns["yaw_rate"]
