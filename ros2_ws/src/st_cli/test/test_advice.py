@@ -96,7 +96,7 @@ def test_tables_of_advice_fit_into_80_columns():
         console.print(make_table(rows, title=title, **TABLE_STYLE))
     lines = [" ".join(line.split()) for line in console.export_text().splitlines()]
     assert "model step, s interpreted compiled batch" in lines and "model step, s 1 s 2 s 3 s 4 s 5 s" in lines
-    assert "nonlinear 0.025 1.23e+04 (123.0) 1.23e+04 (123.0) 1.23e+04 (123.0)" in lines
+    assert "nonlinear 0.025 12300 (123.0) 12300 (123.0) 12300 (123.0)" in lines
 
 
 def test_only_steps_that_divide_one_second_and_the_horizon_are_tried():

@@ -224,8 +224,9 @@ def make_advice_rows(costs: Mapping[ModelStep, Cost], accuracies: Mapping[ModelS
     rows = []
     for (model, step), cost in costs.items():
         row = {"model": model, "step, s": f"{step:g}"}
-        row |= {f"{kind}, µs (x)": f"{1e6 * seconds_used:.3g} ({seconds_used / lowest[kind]:.1f})"
-                if (seconds_used := getattr(cost, kind)) is not None else "-" for kind in lowest}
+        row |= {f"{kind}, µs (x)": "-" if (time := getattr(cost, kind)) is None else
+                f"{np.format_float_positional(1e6 * time, 3, fractional=False, trim='-')} ({time / lowest[kind]:.1f})"
+                for kind in lowest}
         accuracy = accuracies.get((model, step))
         for name, values in (("error", accuracy and accuracy.rms), ("band", accuracy and accuracy.half_widths)):
             row |= {f"{name} {second} s, m": "-" if not values else f"{values[k]:.2f}"
