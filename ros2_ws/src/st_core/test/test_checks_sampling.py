@@ -173,10 +173,12 @@ def test_share_of_missing_values_refers_to_all_recorded_rows(log, channel, share
     assert ("they were kept without it" in finding.text) is (channel == "acceleration_x")
 
 
-@pytest.mark.parametrize("count", [10, 100])
-def test_positions_repeated_at_a_lower_rate_are_no_jumps_and_have_no_lag(log, count):
+@pytest.mark.parametrize(("channels", "count"), [
+    (("x", "y"), 10), (("x", "y"), 100), (("velocity_x", "velocity_y"), 10), (("yaw",), 10), (("yaw_rate",), 20)])
+def test_values_repeated_at_a_lower_rate_are_no_jumps_and_have_no_lag(log, channels, count):
     rows = np.maximum((np.arange(len(log.x)) - count // 2) // count * count + count // 2, 0)
-    assert list(findings_by_name(replace(log, x=log.x[rows], y=log.y[rows]))) == ["samples_repeated"]
+    repeated = replace(log, **{name: getattr(log, name)[rows] for name in channels})
+    assert list(findings_by_name(repeated)) == ["samples_repeated"]
 
 
 @pytest.mark.parametrize(("size", "end", "stretches"), [

@@ -106,7 +106,8 @@ def test_verdict_counts_findings_and_states_their_consequence():
     assert check_report.format_verdict(make_check([])) == "no findings in 1 comparison"
     assert "nothing could be compared" in check_report.format_verdict(DriveCheck((), {}, ()))
     assert check_report.format_headline(make_check([DEGREES])) == "1 error: yaw rate is 57.3 times too large: deg/s?"
-    two = check_report.format_headline(make_check([DEGREES, replace(DEGREES, text="yaw: 57.3 times too large: deg?")]))
+    asking = replace(DEGREES, text="yaw: 57.3 times too large: deg?: gon?")
+    two = check_report.format_headline(make_check([DEGREES, asking]))
     assert two == "2 errors: yaw rate is 57.3 times too large; yaw: 57.3 times too large"
 
 

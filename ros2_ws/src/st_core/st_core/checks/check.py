@@ -23,7 +23,7 @@ from .finding import (
 from .inertial import Agreement, CheckResult
 from .motion import MIN_MOVING_SPEED, Motion, is_driven
 from .plausibility import drop_implausible, find_broken_channels
-from .position import check_position_steps
+from .position_steps import check_position_steps
 from .regression import Estimate, add_systematic_uncertainty
 from .trial import try_corrections
 from .units_and_axes import check_nominal_rate, check_time_unit, correct_units, is_speed_unit, other_yaw_fits_better
@@ -109,9 +109,8 @@ def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters |
     # The derivative of a coarse channel is dominated by rounding.
     motion = replace(motion, acceleration_x=None if "velocity_x" in coarse_channels else motion.acceleration_x,
                      acceleration_y=None if coarse_channels & {"velocity_y", "yaw_rate"} else motion.acceleration_y)
-    if {"x", "y"} & _list_channels(stuck_findings, "samples_repeated"):  # held positions always step
-        motion = sampling.interpolate_held_positions(motion)
-    else:
+    motion = sampling.interpolate_held_channels(motion, stuck_findings)
+    if not {"x", "y"} & _list_channels(stuck_findings, "samples_repeated"):  # held positions always step
         motion, step_findings = check_position_steps(motion)
         results.findings += step_findings
     speed, sideslip_measured = motion.velocity_x, CHANNELS["velocity_y"].is_measured_in(log)
@@ -213,8 +212,10 @@ def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[M
     results.add(inertial.judge_agreement(
         yaw_rate, tolerances, "yaw rate: sensor versus change of yaw", removed_factors.get("yaw_rate_scale", 1.0),
         removed_factors.get("yaw_scale", removed_factors.get("yaw_convention", 1.0))))
-    results.findings = [_add_lag_alternative(_add_yaw_alternative(finding, motion), other_lag)
-                        for finding in results.findings]
+    results.findings = [_add_yaw_alternative(finding, motion) for finding in results.findings]
+    if other_lag:
+        results.findings = [position.add_alternative(finding, other_lag, "yaw")
+                            if finding.name in EXPLAINED_BY_YAW_LAG else finding for finding in results.findings]
     if yaw_rate and yaw_rate.scale.value:  # a constant yaw rate has no scale
         estimates["yaw_scale"] = add_systematic_uncertainty("yaw_scale", yaw_rate.scale.inverse())
     for name in removed_factors.keys() & estimates.keys():  # from corrected to recorded units
@@ -279,16 +280,6 @@ def _check_yaw_lag(motion: Motion, agreement: Agreement | None) -> tuple[Motion,
     text = f"yaw {verb} yaw rate and positions by {abs(lag)} s"
     return corrected, [Finding("yaw_lag", severity, ("yaw",), text, lag.value, "s", lag.interval, effect=effect,
                                advice=Advice.correct("yaw", earlier=float(f"{lag.value:.4g}")))], ""
-
-
-def _add_lag_alternative(finding: Finding, alternative: str) -> Finding:
-    """The finding; without a correction if the alternative, a lag of yaw, explains it as well. alternative: "" if there
-    is none."""
-    if not alternative or finding.name not in EXPLAINED_BY_YAW_LAG:
-        return finding
-    advice = Advice("text", "drive bends of different speed and radius, to distinguish the two")
-    return replace(finding, channels=tuple(dict.fromkeys((*finding.channels, "yaw"))), advice=advice,
-                   text=f"{finding.text}, or {alternative}: both fit this drive")
 
 
 def _find_removed_factors(unit_findings: list[Finding]) -> dict[str, float]:

@@ -280,9 +280,8 @@ def _make_lag_finding(agreement: Agreement, lag: Estimate, tolerances: Tolerance
 
 def _make_unit_finding(scale: Estimate, tolerances: Tolerances) -> Finding:
     """Finding of a scale far from 1. If a unit or sign explains it, the correction has the exact factor of the unit."""
-    factors = (sign * size for size in (1.0, *tolerances.unit_questions) for sign in (1.0, -1.0))
-    factor = min((f for f in factors if f != 1.0 and is_near(scale.value, f, LIMITS.channel_unit_ratio)),
-                 key=lambda f: abs(np.log(scale.value / f)), default=scale.value)
+    nearest = _find_nearest_factor(scale.value, (1.0, *tolerances.unit_questions))
+    factor = nearest if is_near(scale.value, nearest, LIMITS.channel_unit_ratio) else scale.value
     opposite = "does it have the opposite sign" if factor < 0.0 else ""
     reason = " and ".join(filter(None, (tolerances.unit_questions.get(abs(factor), ""), opposite)))
     text = (f"{tolerances.channel} is {scale} times its value from {tolerances.reference}"

@@ -89,8 +89,8 @@ def drop_implausible(log: DriveLog, start_ns: int) -> tuple[DriveLog, list[Findi
             if name in CHANNEL_LIMITS and (values := getattr(log, name)) is not None:
                 masks[name], channel_findings = find_implausible_samples(name, seconds, values, moving)
                 findings += channel_findings
-    with_nan: dict[str, Any] = {name: np.where(masks[name], np.nan, getattr(log, name))
-                                for name in OPTIONAL_INS_SIGNALS if name in masks}
+    with_nan: dict[str, Any] = {name: np.where(mask, np.nan, getattr(log, name)) for name, mask in masks.items()
+                                if name in OPTIONAL_INS_SIGNALS}
     log = replace(log, **with_nan)
     faulty_rows, faulty_steering = np.any([masks[name] for name in INS_SIGNALS], axis=0), masks[steering]
     if faulty_rows.any() and not faulty_rows.all():

@@ -20,23 +20,10 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
-from scipy.stats import binomtest
 
-from ..regression import SIGMA_PER_MAD
 from .finding import HORIZON, LIMITS, Advice, Comparison, Finding, Severity, neutral_value
-from .motion import (
-    MAX_GAP,
-    MAX_LISTED_TIMES,
-    MIN_MOVING_SPEED,
-    Motion,
-    find_groups,
-    find_time_intervals,
-    has_varying_speed,
-    is_near,
-)
+from .motion import Motion, has_varying_speed, is_near
 from .regression import Estimate, Regression, add_systematic_uncertainty, is_relevant
-from .sampling import estimate_resolution
 
 WINDOW = 1.0  # s, length of the windows
 HORIZON_WINDOWS = round(HORIZON / WINDOW)  # number of windows in the horizon
@@ -150,15 +137,13 @@ class _Explanation(NamedTuple):
     effects: dict[str, float]
 
 
-def _explain_residual(motion: Motion, rare_explanations: Mapping[tuple[str, ...], set[str]]) -> _Explanation | None:
-    """The causes found by repeated selection and correction; None with fewer than MIN_WINDOWS windows.
-    rare_explanations: those of RARE_EXPLANATIONS that are considered."""
+def _explain_residual(motion: Motion, rare_explanations: Mapping[tuple[str, ...], set[str]]) -> _Explanation:
+    """The causes found by repeated selection and correction. rare_explanations: those of RARE_EXPLANATIONS that are
+    considered."""
     causes: dict[str, Estimate] = {}
     corrected = motion
     for _ in range(ITERATIONS):  # the effect of a large cause is nonlinear and biases the other estimates
         problem = make_residual_regression(corrected)
-        if len(problem.time) < MIN_WINDOWS:
-            return None
         effects = {name: problem.compute_effect(name, HORIZON_WINDOWS) for name in problem.columns}  # m per unit
         min_values = {name: max(LIMITS.min_reported_effect / max(effect, 1e-9),
                                 MIN_REPORTED_VALUES.get(name, MIN_REPORTED_VALUES.get(CAUSES[name].unit, 0.0)))
@@ -173,26 +158,33 @@ def _explain_residual(motion: Motion, rare_explanations: Mapping[tuple[str, ...]
 
 
 def _fits_better(explanation: _Explanation, other: _Explanation) -> bool:
-    """Whether the loss of an explanation is clearly smaller than that of another, or not clearly larger if it has fewer
-    causes."""
     problem, other_problem = (make_residual_regression(each.corrected) for each in (explanation, other))
     _, scale, _ = other_problem.fit((*other.causes,))
-    ratio = MIN_LOSS_RATIO if len(explanation.causes) >= len(other.causes) else 1.0 / MIN_LOSS_RATIO
-    return (ratio * problem.compute_loss((*explanation.causes,), scale)
-            < other_problem.compute_loss((*other.causes,), scale))
+    loss = problem.compute_loss((*explanation.causes,), scale)
+    other_loss = other_problem.compute_loss((*other.causes,), scale)
+    return _is_preferred(loss, len(explanation.causes), other_loss, len(other.causes))
+
+
+def _is_preferred(loss: float, count: int, other_loss: float, other_count: int) -> bool:
+    """Whether the loss of `count` causes is clearly smaller than that of others, or, with fewer causes, not clearly
+    larger."""
+    ratio = MIN_LOSS_RATIO if count >= other_count else 1.0 / MIN_LOSS_RATIO
+    return ratio * loss < other_loss
 
 
 def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Estimate]]:
     """(motion corrected for the causes found, the findings, reported estimate of every cause); with fewer than
     MIN_WINDOWS windows, the motion as given and no estimates."""
-    explanation = _explain_residual(motion, RARE_EXPLANATIONS)
-    if explanation is None:
+    if len(motion.make_windows(WINDOW)) < MIN_WINDOWS:
         return motion, [], {}
-    if RARE_CAUSES & explanation.causes.keys():
-        # They were selected from a linear approximation, which is inaccurate where another cause is large.
-        usual = _explain_residual(motion, {})
-        if usual is not None and not _fits_better(explanation, usual):
-            explanation = usual
+    explanation = _explain_residual(motion, RARE_EXPLANATIONS)
+    # Rare causes were selected from a linear approximation, which is inaccurate where another cause is large.
+    for rare in sorted(RARE_CAUSES & explanation.causes.keys()):
+        others = {names: confounded for names, confounded in RARE_EXPLANATIONS.items()
+                  if rare not in names and {*names} <= explanation.causes.keys()}
+        without = _explain_residual(motion, others)
+        if not _fits_better(explanation, without):
+            explanation = without
     causes, corrected, effects = explanation
     problem = make_residual_regression(corrected)
     errors = {name: _convert_to_reported(name, estimate).shifted(-neutral_value(name))
@@ -364,7 +356,7 @@ def _add_lateral_alternative(findings: list[Finding], problem: Regression,
         alternative = f"velocity_y is {factor:.2f} times its true value"
         if "position_reference" in other_causes:
             alternative += f" and positions refer to a point {values['position_reference']:+.2f} m ahead"
-    return [_add_alternative(finding, alternative) if finding.name in found_causes else finding for finding in findings]
+    return [add_alternative(finding, alternative) if finding.name in found_causes else finding for finding in findings]
 
 
 def _add_lag_alternative(findings: list[Finding], problem: Regression,
@@ -393,10 +385,10 @@ def _restore_causes(problem: Regression, causes: dict[str, Estimate], names: lis
     return Regression(problem.time, 2.0 * problem.y - problem.compute_residual(sizes), problem.columns)
 
 
-def _add_alternative(finding: Finding, alternative: str) -> Finding:
-    """The finding with an alternative that involves velocity_y, and thus without a correction."""
+def add_alternative(finding: Finding, alternative: str, channel: str = "velocity_y") -> Finding:
+    """The finding with an alternative that involves another channel, and thus without a correction."""
     advice = Advice("text", "drive bends of different speed and radius, to distinguish the two")
-    return replace(finding, advice=advice, channels=tuple(dict.fromkeys((*finding.channels, "velocity_y"))),
+    return replace(finding, advice=advice, channels=tuple(dict.fromkeys((*finding.channels, channel))),
                    text=f"{finding.text}, or {alternative}: both fit this drive")
 
 
@@ -410,7 +402,7 @@ def add_sign_alternative(findings: list[Finding], recorded: Motion, corrected: M
                           0.5 * compute_scaled_misfit(recorded)):
         return findings
     alternative = "velocity_y has the opposite sign (left is positive)"
-    return [_add_alternative(finding, alternative) if finding.name in names else finding for finding in findings]
+    return [add_alternative(finding, alternative) if finding.name in names else finding for finding in findings]
 
 
 def _refine_causes(problem: Regression, causes: dict[str, Estimate], min_values: dict[str, float],
@@ -430,8 +422,8 @@ def _refine_causes(problem: Regression, causes: dict[str, Estimate], min_values:
             alternative = (*rare, *_find_causes(problem, others, min_values, (*causes, *rare)))
             other_loss = problem.compute_loss((*causes, *alternative), scale)
             joint = problem.estimate((*causes, *alternative))
-            ratio = MIN_LOSS_RATIO if len(alternative) >= len(further) else 1.0 / MIN_LOSS_RATIO
-            if (ratio * other_loss < loss and all(is_relevant(joint[name], min_values[name]) for name in rare)
+            if (_is_preferred(other_loss, len(alternative), loss, len(further))
+                    and all(is_relevant(joint[name], min_values[name]) for name in rare)
                     and (rare[0] in CONFOUNDED or _has_lateral_scale_error(problem, (*causes, *alternative)))):
                 further, loss = alternative, other_loss
     estimates = problem.estimate((*causes, *further))
@@ -533,141 +525,3 @@ def make_distance_panel(motion: Motion, factors: Mapping[str, float]) -> Compari
                       "from velocity and yaw", windows.time, measured * factors.get("position_scale", 1.0),
                       derived * abs(factors.get("velocity_scale", factors.get("velocity_x_scale", 1.0))),
                       (*CAUSES, "position_scale", "velocity_x_scale", "velocity_y_scale"))
-
-
-OUTLIER_SIGMAS = 6.0  # number of robust standard deviations above which a step is not noise
-MIN_JUDGED_STEPS = 50  # minimum number of steps for judging jitter, stale samples and noise
-MIN_NOISE = 0.05  # m per axis; white noise is 2 cm for RTK positions, and far less for INS positions
-MIN_JUMP = 0.2  # m; the distance in 10 ms at 20 m/s
-MAX_LISTED_JUMPS = 50  # largest number of jumps that are listed and left out
-JUMP_MARGIN = 0.5 * MAX_GAP + 0.01  # s; time left out on each side of a jump, so that a gap results
-MIN_STALE_SAMPLES = 5
-STALE_WARNING_FRACTION = 0.05  # fraction of stale samples above which their finding is a warning
-MIN_AGE, MAX_AGE = 0.15, 1.2  # limits of the age of a stale sample divided by the sampling interval
-MIN_AGE_RATIO, MAX_AGE_RATIO = 0.5, 1.6  # limits of the age of a stale sample divided by the median age
-MAX_AGE_SPREAD = 0.35  # largest robust standard deviation of the ages of stale samples, divided by their median
-MIN_STEP_BALANCE = 0.5  # minimum ratio between the numbers of forward and backward steps
-MAX_CROSS_TRACK_FRACTION = 0.3  # largest cross-track component of the step of a stale sample, divided by the step
-
-
-def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """(motion, findings) of a check of position steps for jumps, stale samples, noise and jitter of the time stamps.
-
-        d_k = p_k - p_{k-1} - integral of R(yaw) v dt
-
-    A jump is one large d. A stale position, which is older by one receiver interval h, causes a step back along the
-    track by v h, and the next new position an equal step forward. Time stamps that jitter are replaced by evenly spaced
-    ones, and then nothing else is reported.
-    """
-    if len(motion.time) < MIN_JUDGED_STEPS:
-        return motion, []
-    # d_k, as east + i north [m], and its along-track part divided by the speed [s], NaN at standstill.
-    errors = np.diff(motion.position) - np.diff(cumulative_trapezoid(motion.velocity_map, motion.time, initial=0.0))
-    speed, to_track = motion.speed[1:], np.exp(-1j * np.angle(motion.velocity_map[1:]))  # rotation into the track
-    along = np.where(speed > MIN_MOVING_SPEED, (errors * to_track).real / np.maximum(speed, MIN_MOVING_SPEED), np.nan)
-    jitter = _check_jitter(motion, along)
-    if jitter:
-        groups = zip(*find_groups(np.diff(motion.time) > MAX_GAP), strict=True)
-        even = [np.linspace(motion.time[first], motion.time[last], last - first + 1) for first, last in groups]
-        return replace(motion, time=np.concatenate(even)), jitter
-    rounding = max(estimate_resolution(motion.time, motion.x), estimate_resolution(motion.time, motion.y))
-    is_stale, findings = _check_stale(motion, errors, along, rounding)
-    findings += _check_jumps(motion, errors, is_stale, rounding)
-    within = np.diff(motion.time) <= MAX_GAP
-    if rounding == 0.0 and within.sum() >= MIN_JUDGED_STEPS:
-        # With white noise of positions, |d_k| has a Rayleigh distribution with median 1.665 sigma.
-        sigma = float(np.median(np.abs(errors[within]))) / 1.665
-        if sigma >= MIN_NOISE:
-            text = f"positions are noisy: white noise with a standard deviation of {sigma:.2f} m per axis"
-            advice = Advice("text", "record with RTK, or use the positions of the INS, not of the receiver")
-            findings.append(Finding("position_noise", LIMITS.severity(sigma), ("x", "y"), text, sigma, "m",
-                                    effect=sigma, advice=advice))
-    return motion, findings
-
-
-def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
-                 rounding: float) -> tuple[np.ndarray, list[Finding]]:
-    """(mask of the steps due to stale samples, the findings). along: see `check_position_steps`."""
-    known = np.isfinite(along)
-    no_steps = np.zeros(len(along), bool)
-    if known.sum() < MIN_JUDGED_STEPS:
-        return no_steps, []
-    step = along - np.median(along[known])  # s, < 0: back along the track
-    spacing = float(np.median(np.diff(motion.time)))
-    small = np.abs(step[known]) < MIN_AGE * spacing
-    spread = SIGMA_PER_MAD * float(np.median(np.abs(step[known][small]))) if small.any() else np.inf
-    speed = motion.speed[1:]
-    across = np.sqrt(np.maximum(np.abs(errors) ** 2 - np.where(known, along * speed, 0.0) ** 2, 0.0))
-    # At low speed, position noise resembles an age of many milliseconds, but is as large across the track as along it.
-    noise = SIGMA_PER_MAD * float(np.median(across[known]))
-    large = (known & (np.abs(step) > max(OUTLIER_SIGMAS * spread, MIN_AGE * spacing))
-             & (np.abs(step) * speed > OUTLIER_SIGMAS * noise))
-    # Stale samples cause steps along the track only, whereas jumps have any direction.
-    if large.sum() < MIN_STALE_SAMPLES or np.median(across[large]) > MAX_CROSS_TRACK_FRACTION * np.median(
-            np.abs(errors[large])):
-        return no_steps, []
-    age = float(np.median(np.abs(step[large])))
-    ages_are_similar = SIGMA_PER_MAD * float(np.median(np.abs(np.abs(step[large]) - age))) < MAX_AGE_SPREAD * age
-    back, forward = known & (step < -MIN_AGE_RATIO * age), known & (step > MIN_AGE_RATIO * age)
-    steps_are_balanced = MIN_STEP_BALANCE < forward.sum() / max(back.sum(), 1) < 1.0 / MIN_STEP_BALANCE
-    if not ages_are_similar or not steps_are_balanced or age > MAX_AGE * spacing or (
-            float(np.median(np.abs(errors[large]))) < 3.0 * rounding):
-        return no_steps, []
-    fraction = float(back.sum() / known.sum())
-    trials = max(round(float(known.sum()) * spacing), 1)  # errors of neighbouring samples are not independent
-    ends = binomtest(round(fraction * trials), trials).proportion_ci(method="wilson")
-    interval = min(float(ends.low), fraction), max(float(ends.high), fraction)
-    text = (f"{100 * fraction:.3g} % of the positions are stale: they step back to where the car was "
-            f"{age * 1e3:.0f} ms earlier, and the next ones step forward again")
-    severity = Severity.WARNING if fraction > STALE_WARNING_FRACTION else Severity.NOTE
-    is_stale = ((back | forward) & (np.abs(step) < MAX_AGE_RATIO * age)
-                & (across < MAX_CROSS_TRACK_FRACTION * np.abs(errors)))
-    times = find_time_intervals(motion.time[1:][back], 5.0)[:MAX_LISTED_TIMES]
-    return is_stale, [Finding(
-        "position_stale", severity, ("x", "y"), text, fraction, "1", interval, times,
-        age * float(np.median(speed[known])),
-        Advice("text", "record each position with the time of its measurement, or leave out rows with a stale one"))]
-
-
-def _check_jumps(motion: Motion, errors: np.ndarray, is_stale: np.ndarray, rounding: float) -> list[Finding]:
-    size = np.abs(errors - np.median(errors.real) - 1j * np.median(errors.imag))
-    scale = SIGMA_PER_MAD * float(np.median(size))
-    within = (np.diff(motion.time) <= MAX_GAP) & ~is_stale
-    large = within & (size > max(OUTLIER_SIGMAS * scale, MIN_JUMP, 2.0 * rounding))
-    count = int(large.sum())
-    if not count:
-        return []
-    times = tuple((float(motion.time[k]), float(motion.time[k + 1])) for k in np.flatnonzero(large))
-    median, largest = float(np.median(size[large])), float(size[large].max())
-    text = (f"positions jump {count} time{'s' if count > 1 else ''} without a matching velocity: median "
-            f"{median:.2f} m, largest {largest:.2f} m")
-    fraction = min(count * HORIZON / max(float(motion.time[-1] - motion.time[0]), 1.0), 1.0)
-    effect = median * float(np.sqrt(fraction))
-    # Intervals with jumps become gaps, across which no prediction is scored.
-    advice = Advice.for_run_yaml({"leave_out": [
-        [round(begin - JUMP_MARGIN, 2), round(end + JUMP_MARGIN, 2)]
-        for begin, end in find_time_intervals(np.unique(times), 2.0 * JUMP_MARGIN)]})
-    if count > MAX_LISTED_JUMPS:
-        advice = Advice("text", "too many jumps to leave out: record with RTK, or post-process the raw data of the INS")
-    return [Finding("position_jumps", LIMITS.severity(effect, largest >= LIMITS.warning_effect), ("x", "y"), text,
-                    float(count), "1", None, times[:MAX_LISTED_JUMPS], effect, advice)]
-
-
-def _check_jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
-    """Finding of uneven time stamps of a smooth motion, for which d / v = mean dt - dt."""
-    spacing = np.diff(motion.time)
-    median = float(np.median(spacing))
-    inside = (spacing < MAX_GAP) & np.isfinite(along)
-    if inside.sum() < MIN_JUDGED_STEPS:
-        return []
-    uneven = (spacing - median)[inside]
-    power, deviation = float(np.sum(uneven**2)), float(np.std(uneven))
-    if deviation < 0.05 * median or power <= 0.0:
-        return []
-    slope = float(np.sum(along[inside] * -uneven) / power)  # 1 if the motion is smooth, 0 if the stamps are correct
-    effect = deviation * float(np.median(motion.speed[1:][inside]))
-    if slope < 0.5 or effect < LIMITS.min_reported_effect:
-        return []
-    text = f"the stamps jitter by {deviation * 1e3:.1f} ms but the motion is smooth: they are times of reception"
-    return [Finding("time_jitter", LIMITS.severity(effect), ("time",), text, deviation, "s", effect=effect,
-                    advice=Advice("text", "use the time of measurement (GPS time)"))]

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..log import OPTIONAL_INS_SIGNALS, STEERING
+from ..log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, STEERING
 from ..prediction import PredictionSettings
 from ..regression import white_noise
 from ..timeseries import NANOSECOND, find_ascending
@@ -356,12 +356,16 @@ def drop_frozen_samples(motion: Motion, findings: Sequence[Finding]) -> Motion:
     return motion
 
 
-def interpolate_held_positions(motion: Motion) -> Motion:
-    """The motion with positions that are held at a lower rate interpolated between their changes; held, they would have
-    a lag that depends on the phase of the windows in which they are compared."""
-    changes = {name: np.flatnonzero(np.diff(getattr(motion, name), prepend=np.nan) != 0.0) for name in ("x", "y")}
-    return replace(motion, **{name: np.interp(motion.time, motion.time[rows], getattr(motion, name)[rows])
-                              for name, rows in changes.items()})
+def interpolate_held_channels(motion: Motion, stuck: Sequence[Finding]) -> Motion:
+    """The motion with the INS channels that are held at a lower rate interpolated between their changes; held, they
+    would have a lag. stuck: of `find_stuck_channels`."""
+    held = {name for finding in stuck if finding.name == "samples_repeated" for name in finding.channels}
+    signals = {}
+    for name in sorted(held & {*INS_SIGNALS}):
+        values = getattr(motion, name)
+        changes = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
+        signals[name] = np.interp(motion.time, motion.time[changes], values[changes])
+    return replace(motion, **signals)
 
 
 def check_quality(quality: InsQuality | None, start_ns: int) -> list[Finding]:

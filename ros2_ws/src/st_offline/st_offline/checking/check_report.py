@@ -1,6 +1,7 @@
 """Formats the findings of the checks as text, for the terminal and for check.json (docs/manual/checks.md)."""
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -71,7 +72,7 @@ def format_headline(result: DriveCheck) -> str:
     texts = [finding.text for finding in result.findings if finding.severity is worst]
     more = f"; and {len(texts) - MAX_LISTED} more" if len(texts) > MAX_LISTED else ""
     if len(texts) > 1:  # a list reads better without the questions about causes at the end of the sentences
-        texts = [text.rpartition(": ")[0] or text if text.endswith("?") else text for text in texts]
+        texts = [re.sub(r"(: [^:]*\?)+$", "", text) for text in texts]
     return f"{count_by_severity(result.findings)}: {'; '.join(texts[:MAX_LISTED])}{more}"
 
 

@@ -1,0 +1,149 @@
+"""Checks of the steps between successive positions: jumps, stale samples, noise, and jitter of the time stamps."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+from scipy.stats import binomtest
+
+from ..regression import SIGMA_PER_MAD
+from .finding import HORIZON, LIMITS, Advice, Finding, Severity
+from .motion import MAX_GAP, MAX_LISTED_TIMES, MIN_MOVING_SPEED, Motion, find_groups, find_time_intervals
+from .sampling import estimate_resolution
+
+OUTLIER_SIGMAS = 6.0  # number of robust standard deviations above which a step is not noise
+MIN_JUDGED_STEPS = 50  # minimum number of steps for judging jitter, stale samples and noise
+MIN_NOISE = 0.05  # m per axis; white noise is 2 cm for RTK positions, and far less for INS positions
+MIN_JUMP = 0.2  # m; the distance in 10 ms at 20 m/s
+MAX_LISTED_JUMPS = 50  # largest number of jumps that are listed and left out
+JUMP_MARGIN = 0.5 * MAX_GAP + 0.01  # s; time left out on each side of a jump, so that a gap results
+MIN_STALE_SAMPLES = 5
+STALE_WARNING_FRACTION = 0.05  # fraction of stale samples above which their finding is a warning
+MIN_AGE, MAX_AGE = 0.15, 1.2  # limits of the age of a stale sample divided by the sampling interval
+MIN_AGE_RATIO, MAX_AGE_RATIO = 0.5, 1.6  # limits of the age of a stale sample divided by the median age
+MAX_AGE_SPREAD = 0.35  # largest robust standard deviation of the ages of stale samples, divided by their median
+MIN_STEP_BALANCE = 0.5  # minimum ratio between the numbers of forward and backward steps
+MAX_CROSS_TRACK_FRACTION = 0.3  # largest cross-track component of the step of a stale sample, divided by the step
+
+
+def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
+    """(motion, findings) of a check of position steps for jumps, stale samples, noise and jitter of the time stamps.
+
+        d_k = p_k - p_{k-1} - integral of R(yaw) v dt
+
+    A jump is one large d. A stale position, which is older by one receiver interval h, causes a step back along the
+    track by v h, and the next new position an equal step forward. Time stamps that jitter are replaced by evenly spaced
+    ones, and then nothing else is reported.
+    """
+    if len(motion.time) < MIN_JUDGED_STEPS:
+        return motion, []
+    # d_k, as east + i north [m], and its along-track part divided by the speed [s], NaN at standstill.
+    errors = np.diff(motion.position) - np.diff(cumulative_trapezoid(motion.velocity_map, motion.time, initial=0.0))
+    speed, to_track = motion.speed[1:], np.exp(-1j * np.angle(motion.velocity_map[1:]))  # rotation into the track
+    along = np.where(speed > MIN_MOVING_SPEED, (errors * to_track).real / np.maximum(speed, MIN_MOVING_SPEED), np.nan)
+    jitter = _check_jitter(motion, along)
+    if jitter:
+        groups = zip(*find_groups(np.diff(motion.time) > MAX_GAP), strict=True)
+        even = [np.linspace(motion.time[first], motion.time[last], last - first + 1) for first, last in groups]
+        return replace(motion, time=np.concatenate(even)), jitter
+    rounding = max(estimate_resolution(motion.time, motion.x), estimate_resolution(motion.time, motion.y))
+    is_stale, findings = _check_stale(motion, errors, along, rounding)
+    findings += _check_jumps(motion, errors, is_stale, rounding)
+    within = np.diff(motion.time) <= MAX_GAP
+    if rounding == 0.0 and within.sum() >= MIN_JUDGED_STEPS:
+        # With white noise of positions, |d_k| has a Rayleigh distribution with median 1.665 sigma.
+        sigma = float(np.median(np.abs(errors[within]))) / 1.665
+        if sigma >= MIN_NOISE:
+            text = f"positions are noisy: white noise with a standard deviation of {sigma:.2f} m per axis"
+            advice = Advice("text", "record with RTK, or use the positions of the INS, not of the receiver")
+            findings.append(Finding("position_noise", LIMITS.severity(sigma), ("x", "y"), text, sigma, "m",
+                                    effect=sigma, advice=advice))
+    return motion, findings
+
+
+def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
+                 rounding: float) -> tuple[np.ndarray, list[Finding]]:
+    """(mask of the steps due to stale samples, the findings). along: see `check_position_steps`."""
+    known = np.isfinite(along)
+    no_steps = np.zeros(len(along), bool)
+    if known.sum() < MIN_JUDGED_STEPS:
+        return no_steps, []
+    step = along - np.median(along[known])  # s, < 0: back along the track
+    spacing = float(np.median(np.diff(motion.time)))
+    small = np.abs(step[known]) < MIN_AGE * spacing
+    spread = SIGMA_PER_MAD * float(np.median(np.abs(step[known][small]))) if small.any() else np.inf
+    speed = motion.speed[1:]
+    across = np.sqrt(np.maximum(np.abs(errors) ** 2 - np.where(known, along * speed, 0.0) ** 2, 0.0))
+    # At low speed, position noise resembles an age of many milliseconds, but is as large across the track as along it.
+    noise = SIGMA_PER_MAD * float(np.median(across[known]))
+    large = (known & (np.abs(step) > max(OUTLIER_SIGMAS * spread, MIN_AGE * spacing))
+             & (np.abs(step) * speed > OUTLIER_SIGMAS * noise))
+    # Stale samples cause steps along the track only, whereas jumps have any direction.
+    if large.sum() < MIN_STALE_SAMPLES or np.median(across[large]) > MAX_CROSS_TRACK_FRACTION * np.median(
+            np.abs(errors[large])):
+        return no_steps, []
+    age = float(np.median(np.abs(step[large])))
+    ages_are_similar = SIGMA_PER_MAD * float(np.median(np.abs(np.abs(step[large]) - age))) < MAX_AGE_SPREAD * age
+    back, forward = known & (step < -MIN_AGE_RATIO * age), known & (step > MIN_AGE_RATIO * age)
+    steps_are_balanced = MIN_STEP_BALANCE < forward.sum() / max(back.sum(), 1) < 1.0 / MIN_STEP_BALANCE
+    if not ages_are_similar or not steps_are_balanced or age > MAX_AGE * spacing or (
+            float(np.median(np.abs(errors[large]))) < 3.0 * rounding):
+        return no_steps, []
+    fraction = float(back.sum() / known.sum())
+    trials = max(round(float(known.sum()) * spacing), 1)  # errors of neighbouring samples are not independent
+    ends = binomtest(round(fraction * trials), trials).proportion_ci(method="wilson")
+    interval = min(float(ends.low), fraction), max(float(ends.high), fraction)
+    text = (f"{100 * fraction:.3g} % of the positions are stale: they step back to where the car was "
+            f"{age * 1e3:.0f} ms earlier, and the next ones step forward again")
+    severity = Severity.WARNING if fraction > STALE_WARNING_FRACTION else Severity.NOTE
+    is_stale = ((back | forward) & (np.abs(step) < MAX_AGE_RATIO * age)
+                & (across < MAX_CROSS_TRACK_FRACTION * np.abs(errors)))
+    times = find_time_intervals(motion.time[1:][back], 5.0)[:MAX_LISTED_TIMES]
+    return is_stale, [Finding(
+        "position_stale", severity, ("x", "y"), text, fraction, "1", interval, times,
+        age * float(np.median(speed[known])),
+        Advice("text", "record each position with the time of its measurement, or leave out rows with a stale one"))]
+
+
+def _check_jumps(motion: Motion, errors: np.ndarray, is_stale: np.ndarray, rounding: float) -> list[Finding]:
+    size = np.abs(errors - np.median(errors.real) - 1j * np.median(errors.imag))
+    scale = SIGMA_PER_MAD * float(np.median(size))
+    within = (np.diff(motion.time) <= MAX_GAP) & ~is_stale
+    large = within & (size > max(OUTLIER_SIGMAS * scale, MIN_JUMP, 2.0 * rounding))
+    count = int(large.sum())
+    if not count:
+        return []
+    times = tuple((float(motion.time[k]), float(motion.time[k + 1])) for k in np.flatnonzero(large))
+    median, largest = float(np.median(size[large])), float(size[large].max())
+    text = (f"positions jump {count} time{'s' if count > 1 else ''} without a matching velocity: median "
+            f"{median:.2f} m, largest {largest:.2f} m")
+    fraction = min(count * HORIZON / max(float(motion.time[-1] - motion.time[0]), 1.0), 1.0)
+    effect = median * float(np.sqrt(fraction))
+    # Intervals with jumps become gaps, across which no prediction is scored.
+    advice = Advice.for_run_yaml({"leave_out": [
+        [round(begin - JUMP_MARGIN, 2), round(end + JUMP_MARGIN, 2)]
+        for begin, end in find_time_intervals(np.unique(times), 2.0 * JUMP_MARGIN)]})
+    if count > MAX_LISTED_JUMPS:
+        advice = Advice("text", "too many jumps to leave out: record with RTK, or post-process the raw data of the INS")
+    return [Finding("position_jumps", LIMITS.severity(effect, largest >= LIMITS.warning_effect), ("x", "y"), text,
+                    float(count), "1", None, times[:MAX_LISTED_JUMPS], effect, advice)]
+
+
+def _check_jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
+    """Finding of uneven time stamps of a smooth motion, for which d / v = mean dt - dt."""
+    spacing = np.diff(motion.time)
+    median = float(np.median(spacing))
+    inside = (spacing < MAX_GAP) & np.isfinite(along)
+    if inside.sum() < MIN_JUDGED_STEPS:
+        return []
+    uneven = (spacing - median)[inside]
+    power, deviation = float(np.sum(uneven**2)), float(np.std(uneven))
+    if deviation < 0.05 * median or power <= 0.0:
+        return []
+    slope = float(np.sum(along[inside] * -uneven) / power)  # 1 if the motion is smooth, 0 if the stamps are correct
+    effect = deviation * float(np.median(motion.speed[1:][inside]))
+    if slope < 0.5 or effect < LIMITS.min_reported_effect:
+        return []
+    text = f"the stamps jitter by {deviation * 1e3:.1f} ms but the motion is smooth: they are times of reception"
+    return [Finding("time_jitter", LIMITS.severity(effect), ("time",), text, deviation, "s", effect=effect,
+                    advice=Advice("text", "use the time of measurement (GPS time)"))]
