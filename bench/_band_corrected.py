@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from st_core.bands.shares import Intervals
+from st_core.bands.error_budget import Intervals
 from st_core.checks import check, pool_estimates
 from st_core.discovery import DiscoverySettings, discover
 from st_core.log import DriveLog

@@ -99,12 +99,12 @@ def find_counter_faults(field: Field, data: np.ndarray, time_ns: np.ndarray, wro
 
     data: all frames of a log, from `stack_bytes`. time_ns: their times (n,). wrong_checksum: mask (n,) of the frames
     with a wrong checksum, which are assumed to have the next counter value, as in CounterCheck.skip.
-    restart_after_ns: gap [ns] after which any counter value is accepted.
+    restart_after_ns: gap [ns] after which any counter value is accepted, as after a step back in time.
     """
     value = field.read(data).astype(np.int64)
     index = np.arange(len(value))
     previous = np.concatenate(([-1], np.maximum.accumulate(np.where(wrong_checksum, -1, index))[:-1]))
     expected = value[previous] + (index - previous)
     wrong = (previous >= 0) & ~wrong_checksum & (((value - expected) & field.mask) != 0)
-    gap = np.diff(time_ns, prepend=time_ns[:1]) > restart_after_ns
-    return wrong & ~gap
+    elapsed_ns = np.diff(time_ns, prepend=time_ns[:1])
+    return wrong & (elapsed_ns >= 0) & (elapsed_ns <= restart_after_ns)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from canedge_bridge.checks import CHECKSUM_RULES, CheckSpec, CounterCheck, Mode
+from canedge_bridge.checks import CHECKSUM_RULES, CheckSpec, CounterCheck, Mode, find_counter_faults
 from canedge_bridge.extraction import Field, stack_bytes
 from hypothesis import given
 from hypothesis import strategies as st
@@ -74,3 +74,17 @@ def test_skipped_frame_is_not_lost():
     check.skip(1)
     assert check.accepts(b"\x05", 2)
     assert check.lost == 0
+
+
+@given(frames=st.lists(st.tuples(st.integers(0, 15), st.integers(-SECOND, 2 * SECOND), st.booleans()), min_size=1))
+def test_counters_of_a_log_are_judged_like_those_of_single_frames(frames):
+    field, check = Field((), 0, 0, 4), CounterCheck(Field((), 0, 0, 4), SECOND)
+    counters, steps, wrong_checksum = (np.array(column) for column in zip(*frames, strict=True))
+    time_ns = np.cumsum(steps)
+    faults = []
+    for counter, time, is_wrong in zip(counters.tolist(), time_ns.tolist(), wrong_checksum, strict=True):
+        faults.append(not is_wrong and not check.accepts(bytes([counter]), time))
+        if is_wrong:
+            check.skip(time)
+    data = stack_bytes(counters.astype(np.uint8)[:, None], 1)
+    assert find_counter_faults(field, data, time_ns, wrong_checksum, SECOND).tolist() == faults

@@ -53,8 +53,8 @@ class Field:
     counter_bits: width of a counter that wraps, else 0; status.StatusTracker unwraps it.
     kind: format of the raw number:
         u8 to u64, i8 to i32, f32: unsigned or signed integer or float, little-endian
-        bits<first>+<count>, lo4, hi4: bits of one byte (no bits: the value is the offset), its lower nibble, its upper
-        nibble; ibits<first>+<count>: inverted bits
+        bits<first>+<count>: bits of one byte (count 0: the value is the offset); ibits<first>+<count>: inverted bits
+        lo4, hi4: lower, upper nibble of a byte
         shifted: signed 7-bit number above a validity bit; digits6: i24, decoded to text of at least six digits
         text<n>: n characters
     An f32 that is negative or NaN, and an empty text, are invalid.
@@ -106,7 +106,7 @@ class Field:
     def encode(self, buffer: bytearray, value: Value) -> None:
         """Write a value into the 8 bytes, but not its flag byte. None: write `invalid_raw`, or nothing without one.
 
-        A scaled or "shifted" quantity is clipped to the range of its format; others out of range raise NcomError.
+        A scaled or "shifted" quantity and a text are clipped to their format; integers out of range raise NcomError.
         """
         if self.kind.startswith("text"):
             size = int(self.kind[4:])
@@ -429,7 +429,7 @@ def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
 
     A missing field, None or NaN is encoded as invalid, or as 0 if the format has no such code. The multiplier of
     the long-range lever arm (channel 57) is 1, so its components are limited to 32.767 m. Raises NcomError for an
-    unknown channel or field, a value out of range, or a missing field whose flag byte declares others valid.
+    unknown channel or field, an integer out of range, or a missing field whose flag byte declares others valid.
     """
     fields = FIELDS.get(channel)
     if fields is None:

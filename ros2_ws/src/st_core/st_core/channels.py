@@ -103,7 +103,7 @@ CHANNELS: Mapping[str, Channel] = {channel.name: channel for channel in (
 
 CHANNEL_OF_COLUMN = {column: channel for channel in CHANNELS.values() for column in channel.columns}
 POSITION_5S = "position_5s"
-"""Mean position error at the end of the horizon, the first quantity in reports: after 5 s, or without velocity_y after
-5.75 s, because scoring then begins `windows.SIDESLIP_SETTLING_TIME` later."""
+"""Mean position error at the end of the horizon, the first quantity in reports: by default after 5 s, or without
+velocity_y after 5.75 s, because scoring then begins `windows.SIDESLIP_SETTLING_TIME` later."""
 UNITS = {POSITION_5S: "m"} | {name: channel.unit for name, channel in CHANNELS.items()}
 LABELS = {POSITION_5S: "position after 5 s"} | {name: channel.label for name, channel in CHANNELS.items()}

@@ -49,12 +49,10 @@ CarName = Annotated[str | None, typer.Option(
     "--vehicle, --dbc, --signals and --steering-... each replace a part of it.")]
 VehicleFile = Annotated[Path | None, typer.Option(
     help="Vehicle file; default: from --car, else from the Leaf.", **FILE)]
-VehicleOfBag = Annotated[Path | None, typer.Option(
+BagVehicle = Annotated[Path | None, typer.Option(
     help="Vehicle file; default: from --car, else from the recording, else from the Leaf.", **FILE)]
-EffectsOfFile = Annotated[Path | None, typer.Option(
+ModelEffects = Annotated[Path | None, typer.Option(
     help="Folder of your own effects that a model file uses.", **FOLDER)]
-EffectsOfModel = Annotated[Path | None, typer.Option(
-    help="Folder of your own effects that --model uses.", **FOLDER)]
 
 
 @contextmanager
@@ -165,7 +163,7 @@ class RunOptions:
 
     model: Annotated[Path | None, typer.Option(
         help="Model file (model.yaml of `st discover`): a fourth model in addition to the three.", **FILE)] = None
-    effects: EffectsOfModel = None
+    effects: ModelEffects = None
     bands: Annotated[Path | None, typer.Option(
         help="Bands around every prediction (bands.yaml of `st calibrate`).", **FILE)] = None
     adaptive: Annotated[bool | None, typer.Option(
@@ -247,7 +245,7 @@ def report_default_car(verb: str, named_file: Path | None, file: Path | str) -> 
                    f"({', '.join(list_cars())}, or a folder)", err=True)
 
 
-def report_default_car_of_bag(verb: str, bag: Path, vehicle: Path | None) -> None:
+def report_default_car_for_bag(verb: str, bag: Path, vehicle: Path | None) -> None:
     """Call `report_default_car` if neither user nor bag names a vehicle file. Raises RunError for an unreadable bag."""
     from st_live.configuration import find_bag
     from st_recordings.results import parse_configuration

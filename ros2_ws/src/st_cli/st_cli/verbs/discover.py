@@ -23,8 +23,8 @@ class ReferenceCommand(TyperCommand):
         except typer.BadParameter as error:
             if REFERENCE not in expanded or error.param is None or error.param.name != "runs":
                 raise
-            raise typer.BadParameter(f"no runs are left: {REFERENCE} takes every path that follows it; name the runs "
-                                     "before it, or put -- between", ctx) from None
+            raise typer.BadParameter(f"no runs are left: {REFERENCE} takes every path up to the next option; name "
+                                     "the runs before it, or after --", ctx) from None
 
 
 def expand_references(arguments: Sequence[str]) -> list[str]:
@@ -93,7 +93,7 @@ def identify(
     model: Path | None = typer.Option(
         None, help="Model file used to predict drives, instead of nonlinear; its effects are not changed.",
         **shared.FILE),
-    effects: shared.EffectsOfModel = None,
+    effects: shared.ModelEffects = None,
     output: Path | None = typer.Option(None, help="Folder for the results; default runs/identify-<experiment>-<time>."),
     force: bool = typer.Option(False, "--force", help="Also use drives in which `st check` finds an error."),
     read_options: shared.ReadOptions = shared.ReadOptions(),

@@ -94,7 +94,7 @@ def _check_effects(files: Sequence[Path], car: "VehicleParameters") -> bool:
 def export(
     model: str = typer.Argument(..., help="kinematic, linear, nonlinear, or a model file (.yaml).", show_default=False),
     kind: Literal["casadi", "c"] = typer.Option("casadi", "--format", help="CasADi functions, or C with a header."),
-    effects: shared.EffectsOfFile = None,
+    effects: shared.ModelEffects = None,
     car: shared.CarName = None,
     vehicle: shared.VehicleFile = None,
     output: Path | None = typer.Option(None, help="Folder for the files; default runs/export-<time>."),

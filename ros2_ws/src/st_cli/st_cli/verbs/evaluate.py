@@ -20,7 +20,7 @@ class PredictionOptions:
 
     model: Annotated[list[str], typer.Option(
         help="kinematic, linear, nonlinear, or a model file (augmented); repeatable.")] = MODELS
-    effects: shared.EffectsOfFile = None
+    effects: shared.ModelEffects = None
     acceleration: Annotated[Literal["causal", "zero-phase"], typer.Option(
         help="Filter of the forward speed before it is differentiated; live, only causal is possible.")] = "causal"
     inputs: Annotated[Literal["interpolate", "hold"], typer.Option(

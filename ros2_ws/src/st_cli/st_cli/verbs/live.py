@@ -83,7 +83,7 @@ def live(
         vehicle = configuration.resolve_vehicle_file(car.vehicle)
         bridges = configuration.make_bridge_parameters(vehicle, ins, can | car.sensor_settings, car.dbc, car.signals)
         summary = {"title": "live", "source": f"{can_interface}:{can_channel}, NCOM port {ncom_port}",
-                 "vehicle": configuration.find_vehicle_name(vehicle)}
+                   "vehicle": configuration.find_vehicle_name(vehicle)}
         status = _run("live", summary, vehicle, bridges, run_options, output, car.vehicle is None,
                       source=lambda _: session.make_timer(duration), default_domain=0, supervised=True,
                       realtime=realtime)

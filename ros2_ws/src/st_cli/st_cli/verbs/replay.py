@@ -11,7 +11,7 @@ import typer
 from . import _options as shared
 
 
-@shared.expand_options(shared.ReadOptions, *shared.BAG_INPUTS, vehicle=shared.VehicleOfBag)
+@shared.expand_options(shared.ReadOptions, *shared.BAG_INPUTS, vehicle=shared.BagVehicle)
 @shared.expand_options(shared.RunOptions, "bands", "adaptive", "course", "view", "view_address", "view_save")
 def replay(
     bag: Path = typer.Argument(..., help="Bag with odometry and steering, or the folder of a run.", exists=True),
@@ -36,18 +36,18 @@ def replay(
         view = run_options.make_view()
         findings = check_bag(bag, vehicle, force, read_settings)
         print_findings({bag.name: findings}, shared.console)
-        shared.report_default_car_of_bag("replay", bag, vehicle)
+        shared.report_default_car_for_bag("replay", bag, vehicle)
         folder = new_folder(output, f"replay-{bag.stem}")
         outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, shared.console, view, run_options.bands,
                                    run_options.course, run_options.adaptive, read_settings)
     summary = {"title": f"replay of {bag.name}", "source": str(bag), "vehicle": name,
-             "findings": findings_as_json(findings)}
+               "findings": findings_as_json(findings)}
     status = report_results(folder, outcome, summary, shared.console)
     view.finish(folder, shared.console)
     raise typer.Exit(status)
 
 
-@shared.expand_options(shared.ReadOptions, *shared.BAG_INPUTS, vehicle=shared.VehicleOfBag)
+@shared.expand_options(shared.ReadOptions, *shared.BAG_INPUTS, vehicle=shared.BagVehicle)
 def verify(
     bag: Path = typer.Argument(..., help="A recording, or the folder of a run of st.", exists=True),
     tolerance: float = typer.Option(
@@ -70,7 +70,7 @@ def verify(
     with shared.report_errors("verify"):
         vehicle, read_settings = read_options.resolve()
         print_findings({bag.name: check_bag(find_bag(bag), vehicle, force, read_settings)}, shared.console)
-        shared.report_default_car_of_bag("verify", bag, vehicle)
+        shared.report_default_car_for_bag("verify", bag, vehicle)
         status = verify_command(bag, vehicle, tolerance, replays_first, output, shared.console, read_settings)
     raise typer.Exit(status)
 
@@ -78,7 +78,7 @@ def verify(
 def view(
     recording: Path = typer.Argument(..., help="Folder of a run, a bag, or a saved view (.rrd).", exists=True),
     car: shared.CarName = None,
-    vehicle: shared.VehicleOfBag = None,
+    vehicle: shared.BagVehicle = None,
     save: Path | None = typer.Option(None, help="Only write the view to this file (.rrd)."),
 ) -> None:
     """Show a recorded run in the browser, forwards and backwards in time, until Ctrl-C."""
@@ -99,7 +99,7 @@ def view(
             file = save or Path(name, "view.rrd")
             with shared.console.status("drawing"):
                 n_frames = draw_recording(recording, file, vehicle)
-            shared.report_default_car_of_bag("view", recording, vehicle)
+            shared.report_default_car_for_bag("view", recording, vehicle)
             shared.console.out(f"{n_frames} frames of {recording.name}", highlight=False)
         elif save:
             raise SuiteError(f"--save {save}: {recording} is already a saved view; leave out --save")

@@ -265,7 +265,7 @@ def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 def _check_yaw_lag(motion: Motion, agreement: Agreement | None) -> tuple[Motion, list[Finding], str]:
     """(corrected motion, finding, "") if yaw lags or leads the yaw rate and positions confirm that yaw is wrong;
-    (motion, [], description of this lag) if they fit either."""
+    (motion, [], description of this lag) if they fit both."""
     if (agreement is None or not agreement.has_lag or not agreement.correlates
             or abs(agreement.lag.value) < LIMITS.lag):
         return motion, [], ""

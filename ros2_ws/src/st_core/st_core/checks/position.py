@@ -29,7 +29,7 @@ WINDOW = 1.0  # s, length of the windows
 HORIZON_WINDOWS = round(HORIZON / WINDOW)  # number of windows in the horizon
 MIN_WINDOWS = 10
 ITERATIONS = 3
-MAX_RESIDUAL_LAG = 0.5  # position lag with the right yaw, divided by that with a yaw whose lag is wrong, at most
+MAX_RESIDUAL_LAG = 0.5  # largest position lag with the right yaw, divided by that with the wrong one
 MIN_LOSS_RATIO = 1.1  # ratio of the losses of two explanations above which the one with the smaller loss is preferred
 MIN_SIGN_GAIN = 0.01  # m; minimum reduction of the misfit by the opposite sign; RTK noise is 1 cm
 MAX_SIGN_MISFIT_RATIO = 1.2  # largest misfit with the opposite sign, divided by that with another cause, if both fit
@@ -90,7 +90,7 @@ CAUSES = {
     "velocity_y_scale": Cause(("velocity_y",), "velocity_y", "scale", "1", "velocity_y is {value:.3f} ± {half:.3f} "
                               "times its value from positions, yaw and velocity_x"),
     "yaw_offset": Cause(("yaw",), "yaw", "add", "rad", "yaw points {size:.4f} ± {half:.4f} rad ({degrees:.2f} deg) too "
-                        "far {side}, according to positions and velocities: or is the map's north another one?"),
+                        "far {side}, according to positions and velocities: or does the map have a different north?"),
     "position_lag": Cause(("x", "y"), "position", "earlier", "s",
                           "positions {lag} velocity and yaw by {size:.3f} ± {half:.3f} s"),
     "velocity_lag": Cause(("velocity_x", "velocity_y"), "velocity", "earlier", "s",
@@ -470,7 +470,7 @@ def _find_causes(problem: Regression, candidates: list[str], min_values: dict[st
         _, scale, _ = problem.fit([*required, *causes])
         # On a drive along one axis, the motion along the other axis decides between both explanations.
         is_velocity_scale = (problem.compute_loss([*required, *others, "velocity_scale"], scale)
-                       <= MIN_LOSS_RATIO * problem.compute_loss([*required, *causes], scale))
+                             <= MIN_LOSS_RATIO * problem.compute_loss([*required, *causes], scale))
     return (*others, "velocity_scale") if is_velocity_scale else tuple(causes)
 
 

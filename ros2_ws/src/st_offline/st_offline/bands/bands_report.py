@@ -10,9 +10,9 @@ from matplotlib.lines import Line2D
 from rich.console import Console
 from st_core.bands import AdaptiveBand, Band, Bands, conditions_at
 from st_core.bands.calibration import LEVELS, RELIABILITY_LEVELS, to_predicted_frame
+from st_core.bands.error_budget import PARAMETERS, SENSORS, Intervals, sum_squared_contributions
 from st_core.bands.file import make_times
 from st_core.bands.scale import EDGES, UNITS, find_bins
-from st_core.bands.shares import PARAMETERS, SENSORS, Intervals, sum_squared_contributions
 from st_core.log import LogSignals
 from st_core.log_evaluation import AXES, Block, EvaluationSettings, label_bin
 from st_core.model_file import ModelFile

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from st_core.augmented import augment
-from st_core.bands.shares import PARAMETERS, SENSORS, sum_squared_contributions
+from st_core.bands.error_budget import PARAMETERS, SENSORS, sum_squared_contributions
 from st_core.log import INS_SIGNALS, DriveLog
 from st_core.log_evaluation import EvaluationSettings
 from st_core.models import get_model
