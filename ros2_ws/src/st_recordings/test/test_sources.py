@@ -62,7 +62,7 @@ def test_recordings_without_a_partner_are_reported(tmp_path: Path) -> None:
     assert len(runs) == 2
     assert all("give them the same name, or list the files of each run" in str(run.problem) for run in runs)
     only_can = find_runs(touch(tmp_path / "only_can", "d.log"))
-    assert "no INS recording (.ncom, .csv, .vbo, bag) belongs to this CAN log" in str(only_can[0].problem)
+    assert "no INS recording (.ncom, .csv, .vbo, bag) matches this CAN log" in str(only_can[0].problem)
     raw_data = find_runs(touch(tmp_path / "raw_data", "d.log", "d.rd"))
     assert any("d.rd: this is raw data of an OxTS unit: convert it to NCOM" in str(run.problem) for run in raw_data)
     only_ins = find_runs(touch(tmp_path / "only_ins", "e.ncom"))

@@ -21,7 +21,7 @@ MAX_STEERING_WHEEL_ANGLE = 9.5  # rad; about the end stop at 540 deg
 TREMOR_TIME = 0.4  # s, correlation time of random steering
 OFFSET_INTEGRAL_GAIN, OFFSET_INTEGRAL_LIMIT = 0.015, 0.03  # 1/(m^2 s), 1/m
 SPEED_GAIN, SPEED_INTEGRAL_GAIN, SPEED_INTEGRAL_LIMIT = 1.2, 0.5, 1.0  # 1/s, 1/s^2, m/s^2
-STEADY_ACCELERATION = 0.5  # m/s^2; above it the integral would add to the feed-forward acceleration
+STEADY_ACCELERATION = 0.5  # m/s^2; above it the speed integral is constant, so that it does not wind up
 MIN_STEERING_SPEED = 0.5  # m/s; below it the steering wheel is held, because the direction of motion is undefined
 MAX_PEDAL_JERK = 10.0  # m/s^3
 MAX_BRAKING, MAX_DRIVE, HOLDING_BRAKE = 7.0, 3.5, 2.0  # m/s^2, longitudinal force per mass
@@ -31,7 +31,7 @@ RUN_IN_TIME = 4.0  # s, simulated before time 0, so that the drive begins in ste
 class Driver:
     """Driver of one car. Call advance() before every step of the plant: it updates the two inputs of the plant.
 
-    steering_wheel_angle: true [rad], positive to the left. drive_force: of all wheels [N]. distance: on the road [m].
+    steering_wheel_angle: true [rad], positive to the left. drive_force: of all wheels [N]. distance: along road [m].
     """
 
     def __init__(self, car: VehicleParameters, settings: Settings, plan: Plan, seed: int = 0):
@@ -84,7 +84,7 @@ class Driver:
             self._tremor = memory * self._tremor + self._tremor_sigma * math.sqrt(1 - memory**2) * self._draw()
 
     def _update_distance(self, x: float, y: float, speed: float) -> None:
-        """Set `distance` to that of the road point nearest to the car at x, y [m]."""
+        """Set `distance` to that of the road point nearest to x, y [m]."""
         self.distance += speed * SAMPLING_TIME
         for _ in range(2):
             road = self.plan.path.pose(self.distance)

@@ -60,7 +60,7 @@ def _is_due(now_ms: int, schedule: tuple[int, int]) -> bool:
 
 
 class Stream:
-    """Outputs of a source, which runs at most one tick ahead of them. ins_rate: INS epochs per second.
+    """Outputs of a source in order of time. The source runs at most one tick ahead. ins_rate: INS epochs per second.
     background: whether to add BackgroundTraffic. start_up: whether time 0 is the power-up of the INS."""
 
     def __init__(self, source: Source, settings: Settings, ins: Ins, steering: SteeringSensor, ncom: NcomEncoder,

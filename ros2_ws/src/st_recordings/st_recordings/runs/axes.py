@@ -14,9 +14,9 @@ MIN_COMPARED_SAMPLES = 20
 """Minimum number of samples for comparing positions with the integrated speed, or yaw with the course over ground."""
 MAX_COMPARED_SAMPLES = 10_000
 MIN_CORRELATION = 0.5
-"""Smallest mean cosine of the angle between displacement and an axis, or correlation along it, that shows its sign."""
+"""Minimum magnitude of a correlation of displacement and velocity, or of their mean cosine, that shows a sign."""
 SIGNIFICANT_DEVIATIONS = 3.0
-"""Sum of independent products, in standard deviations, above which it differs from 0 (p = 0.003)."""
+"""A sum of independent products differs from 0 (p = 0.003) if it exceeds this multiple of its standard deviation."""
 MAX_AGREEING_ANGLE = 0.1
 """[rad]. Two directions agree if their median difference, due to sideslip and noise, is smaller than this. The better
 of two interpretations is accepted if the difference of the other is larger by more than this."""

@@ -25,10 +25,10 @@ MIN_VARIATION = {"speed": 0.3, "rate": 0.01, "angle": 0.05, "curvature": 0.001}
 MIN_CURVATURE_SPEED = 3.0  # m/s; at lower speeds, the curvature (yaw rate divided by speed) is noise
 MIN_MOVING_SPEED = 1.0  # m/s; above it, the car counts as moving in the search for implausible values
 TIME_FRAME_RESOLUTION = {"RT_MilliTime": 0.001, "RT_DateTime": 0.01}  # s, of the time in each message
-MAX_METHOD_DIFFERENCE = 0.01  # s, between the offsets from the CAN time frame and from the shared signals
+MAX_METHOD_DIFFERENCE = 0.01  # s, between the offsets from the INS time on CAN and from the shared signals
 MAX_CLOCK_ERROR = 60.0  # s, assumed for the clock of the logger if the signals allow several offsets
 MIN_RELATIVE_PEAK = 0.97  # minimum ratio of the correlation near the logger's clock to the highest correlation
-CHECK_SEARCH = 2.0  # s, search range on both sides of the offset from the CAN time frame
+CHECK_SEARCH = 2.0  # s, search range on both sides of the offset from the INS time on CAN
 # Signal of the log -> channel with the plausibility limits that apply to it
 PLAUSIBILITY_CHANNELS = {"ins_velocity_x": "velocity_x", "ins_yaw_rate": "yaw_rate", "ins_yaw": "yaw",
                          "vehicle_speed": "velocity_x", "wheel_speed_rear_left": "velocity_x",
@@ -38,11 +38,11 @@ PLAUSIBILITY_CHANNELS = {"ins_velocity_x": "velocity_x", "ins_yaw_rate": "yaw_ra
 def align_clocks(ins: InsLog, can: CanSignals, offset: float | None = None, search: tuple[float, float] | None = None,
                  latency: tuple[float, float] = INS_ON_CAN_DELAY,
                  steering_sign: int = 1) -> tuple[Alignment, list[SharedSignal]]:
-    """Aligns the clocks by the first available of: a given offset; the INS time frame on CAN, checked with shared
-    signals; shared signals; substitute signals (then doubtful at best). Without any of these, refuses the alignment.
+    """Aligns the clocks by the first available of: a given offset; the INS time on CAN, checked with shared signals;
+    shared signals; substitute signals (then doubtful at best). Without any of these, refuses the alignment.
 
     offset: INS minus CAN clock [s].
-    search: bounds of an offset estimated without the time frame [s].
+    search: bounds of an offset estimated without the INS time [s].
     latency: delay of INS values on CAN and its standard deviation [s].
     steering_sign: +1 if the decoded angle is positive to the left.
     Returns (alignment, signals that it uses or that can check it).
@@ -184,7 +184,7 @@ def _align_by_checked_time_frame(frames: Signal, pairs: list[SharedSignal], late
                                  TIME_FRAME_RESOLUTION.get(frames.message, 0.01), *latency)
     if not pairs:
         return alignment
-    # Search only near the offset of the time frame, because repeated laps fit at several offsets.
+    # Search only near the offset from the INS time, because repeated laps fit at several offsets.
     offset = alignment.offset_at_ns(alignment.at_ns) * 1e-9
     # One message each for velocity, yaw rate and yaw, because a second one adds no information.
     distinct_pairs: dict[str, SharedSignal] = {}

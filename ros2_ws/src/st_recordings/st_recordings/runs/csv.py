@@ -469,8 +469,10 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], wa
 
 
 def _find_outages(seconds: np.ndarray, is_measured: np.ndarray) -> np.ndarray:
-    """Mask (n,) of the rows in outages of the positions, longer than those of the usual rate and than a pause that `st
-    check` tolerates. seconds: (n,) times [s]. is_measured: (n,) whether a row has a new position; the first one has."""
+    """Mask (n,) of the rows in outages of the positions: longer than MIN_FREEZE_TIME and MIN_GAP_RATIO usual intervals.
+
+    seconds: (n,) times [s]. is_measured: (n,) whether a row has a new position; the first one has.
+    """
     interval = np.diff(seconds[is_measured], append=seconds[-1])
     is_long = interval > max(MIN_FREEZE_TIME, MIN_GAP_RATIO * float(np.median(interval)))
     return is_long[np.cumsum(is_measured) - 1]

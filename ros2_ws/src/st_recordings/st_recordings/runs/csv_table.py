@@ -17,7 +17,7 @@ from .columns import COLUMNS, UNITS, ColumnSource, Layout, find_columns, find_st
 from .errors import CP1252_FALLBACK, RunError, check_readable, format_count, shorten
 from .table_times import convert_to_seconds, parse_stamp, read_stamps, select_usable_times
 
-MAX_TIME_ROWS = 500  # number of rows in which distinct times are counted, to find the finest time column
+MAX_TIME_ROWS = 500  # rows in which distinct times are counted, to find the time column with the highest resolution
 HEMISPHERES = {"latitude": {"N", "S"}, "longitude": {"E", "W"}}
 MAX_UNIT_ROWS = 5  # largest number of rows without numbers (units, sources, types) below the header
 MAX_HEADER_LINES = 300  # lines at the start of the file searched for the header; loggers write metadata before it
@@ -130,8 +130,8 @@ def join_tables(tables: Sequence[Table]) -> Table:
         return parts[0] if parts else tables[0]
     for previous, part in pairwise(parts):
         if part.time_ns[part.is_usable][0] <= previous.time_ns[previous.is_usable][-1]:
-            raise RunError(part.file, f"it begins before the end of {previous.file.name}: parts of one recording must "
-                           "follow each other on one clock", "list it as a separate run")
+            raise RunError(part.file, f"it begins before the end of {previous.file.name}, but the parts of a recording "
+                           "must not overlap in time", "list it as a separate run")
     first = parts[0]
     columns = {channel: np.concatenate([part.columns[channel] for part in parts]) for channel in first.columns
                if all(channel in part.columns for part in parts)}
@@ -222,8 +222,8 @@ def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layou
     sources = find_columns(file, names, layout)
     if (column_keys & {"id", "canid", "arbid", "arbitrationid"} and column_keys & {"dlc", "len", "length", "data", "b1"}
             and column_names.MOTION_CHANNELS.isdisjoint(sources)):
-        raise RunError(file, "this is a CAN log as a table", "export it as .asc, .blf, .trc, .mf4, "
-                       ".log of candump, or with the columns of python-can's CSVWriter")
+        raise RunError(file, "this is a table of CAN frames in an unknown format", "export it as .asc, .blf, .trc, "
+                       ".mf4 or candump .log, or with the columns of python-can's CSVWriter")
     warnings += [f"{file}: {sentence}" for sentence in column_names.describe_unknown_units(names, sources).values()]
     warnings += [f"{file}: columns {' and '.join(candidates)} may each be {channel}; none of them is used"
                  for channel, candidates in column_names.find_ambiguous(names).items() if channel not in sources]

@@ -50,7 +50,7 @@ def find_described_run(file: Path) -> RunSource | None:
             try:
                 runs = read_run_file(path)
             except RunError as error:
-                if _may_concern(path, file):
+                if _may_describe(path, file):
                     return RunSource(file.name, "", (file,), problem=error)
                 _log_unused_run_file(error)
                 continue
@@ -63,7 +63,7 @@ def _read_leniently(path: Path) -> str:
     return path.read_text("utf-8", "replace")
 
 
-def _may_concern(path: Path, file: Path) -> bool:
+def _may_describe(path: Path, file: Path) -> bool:
     """Whether an invalid run.yaml may be about a recording, judging by its own name and by names or patterns in its
     text (single words or ends of lines); True if the text is not UTF-8."""
     text = _read_leniently(path)
@@ -72,11 +72,11 @@ def _may_concern(path: Path, file: Path) -> bool:
         fnmatch(file.name, Path(value.strip("'\" \r")).name) for value in values)
 
 
-def find_concerned_files(path: Path) -> list[Path]:
-    """Files in the folder of an invalid run.yaml that it may describe (`_may_concern`). If it names none of the
+def find_described_files(path: Path) -> list[Path]:
+    """Files in the folder of an invalid run.yaml that it may describe (`_may_describe`). If it names none of the
     recordings, all files, unless its own name is that of a recording."""
     files = [f for f in path.parent.iterdir() if f.is_file()]
-    named_files = [f for f in files if _may_concern(path, f)]
+    named_files = [f for f in files if _may_describe(path, f)]
     return files if path.name == RUN_FILE and not any(map(find_reader, named_files)) else named_files
 
 
@@ -142,7 +142,7 @@ def _read_own_run_file(path: Path, file: Path) -> RunSource | None:
             if "each" not in content and file in (run := _parse_single_run(own_file, content)).files:
                 return run
         except RunError as error:
-            if _may_concern(own_file, file):
+            if _may_describe(own_file, file):
                 return RunSource(own_file.name, "", (own_file,), problem=error, run_file=own_file)
             _log_unused_run_file(error)
     return None

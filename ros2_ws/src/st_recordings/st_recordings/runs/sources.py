@@ -16,7 +16,7 @@ from .can_formats import is_can_log
 from .errors import RunError
 from .mf4 import MF4_EXTENSIONS, parse_session
 from .readers import READERS, Reader, find_reader
-from .run_file import find_concerned_files, find_described_run, find_logs, is_run_file, read_run_file
+from .run_file import find_described_files, find_described_run, find_logs, is_run_file, read_run_file
 from .run_types import RunSource
 
 GENERIC_NAMES = ("run", "bag")
@@ -102,7 +102,7 @@ def _search_folder(folder: Path) -> list[RunSource]:
             used_files.update(file for run in described_runs for file in (*run.files, *run.can))
             # The files of an invalid run.yaml are not separate runs, so that one mistake is reported once.
             if any(run.problem and run.run_file == path for run in described_runs):
-                used_files.update(find_concerned_files(path))
+                used_files.update(find_described_files(path))
         else:
             files.append(path)
     # A run of `each` may be a part of a recording that another run.yaml describes.
@@ -192,7 +192,7 @@ def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
             advice = f"{signals[0]} contains signals but no CAN frames: give the log with the frames"
         elif others and not logs:
             advice += f"; if {others[0]} is a CAN log, convert it to .asc, .blf, .log (candump), .trc or .mf4"
-        yield _report_problem(file, f"no CAN log belongs to it: {reason}", advice)
+        yield _report_problem(file, f"no matching CAN log: {reason}", advice)
     for session in dict.fromkeys(parse_session(f)[0] for f in logs) if not recordings else ():
         file = next(f for f in logs if parse_session(f)[0] == session)
         csv = READERS["csv"]
@@ -204,7 +204,7 @@ def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
             advice += f"; the run.yaml can also name unknown columns of {tables[0]}, as columns: {{x: NAME, ...}}"
         advice += "".join(f"; {f.name}: {UNKNOWN_ADVICE[f.suffix.lower()]}" for f in sorted(file.parent.iterdir())
                           if f.name.split(".")[0] == file.stem and f.suffix.lower() in UNKNOWN_ADVICE)
-        yield _report_problem(file, "no INS recording (.ncom, .csv, .vbo, bag) belongs to this CAN log", advice) if (
+        yield _report_problem(file, "no INS recording (.ncom, .csv, .vbo, bag) matches this CAN log", advice) if (
             is_can_log(file)) else _report_problem(
                 file, "this is not a CAN log of a known format", "convert a CAN log to .asc, .blf, .trc or .mf4, and "
                 "export other recordings as .csv")

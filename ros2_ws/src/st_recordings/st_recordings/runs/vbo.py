@@ -24,7 +24,7 @@ _STANDARD_CHANNELS = {"lat": ("latitude", "min"), "latitude": ("latitude", "min"
                       "heading": ("course", "deg"), "time": ("t", HHMMSS)}
 # Units in which Racelogic's loggers write other channels, unless [channel units] gives one
 _DEFAULT_UNITS = {"angular rate": "deg/s", "acceleration": "g", "angle": "deg", "speed": "km/h", "length": "m"}
-HEADER_SIZE = 65536  # bytes that contain the column names
+HEADER_SIZE = 65536  # bytes that are read to find the column names
 TRUE_HEADING_NAMES = ("trueheading", "truehead", "headingtrue", "heading2", "dualantennaheading")
 MIN_HEADING_AGREEMENT = 0.5
 """A yaw rate channel is not used if its cosine similarity with the derivative of the heading is lower in magnitude."""
