@@ -210,12 +210,12 @@ def _make_rhs(geometric_slips, changed_slips, forces, base_rates, acceleration, 
 
 def _blend(kinematic, dynamic, base_begin, index):
     def rhs(state, w, p):
-        share = p.thetas[index].share
-        remainder = 1.0 - share
+        weight = p.thetas[index].share
+        remainder = 1.0 - weight
         k = kinematic(state[:N_STATES], w[base_begin:], p.base)
         d = dynamic(state, w, p)
-        return (remainder * k[0] + share * d[0], remainder * k[1] + share * d[1], remainder * k[2] + share * d[2],
-                remainder * k[3] + share * d[3], remainder * k[4] + share * d[4], remainder * k[5] + share * d[5],
+        return (remainder * k[0] + weight * d[0], remainder * k[1] + weight * d[1], remainder * k[2] + weight * d[2],
+                remainder * k[3] + weight * d[3], remainder * k[4] + weight * d[4], remainder * k[5] + weight * d[5],
                 *d[N_STATES:])
     return rhs
 

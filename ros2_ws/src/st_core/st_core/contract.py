@@ -154,7 +154,7 @@ REQUIREMENTS = {
     "it does not make the car unstable": _check_stability,
     "correct() inverts observe()": _check_correction,
 }
-"""For each requirement, the function of effect, car, base and model that describes a violation."""
+"""For each requirement, the function of effect, vehicle, base and model that describes a violation."""
 
 
 def _make_driver_inputs(side: float, acceleration: float) -> tuple[np.ndarray, np.ndarray]:

@@ -1,6 +1,6 @@
 """Corrections of known faults of a recording: scale, bias, delay, reference point, misalignment of the INS.
 
-    corrected value = scale * recorded value + add,   corrected stamp = recorded stamp - earlier
+    corrected value = scale * recorded value + add,   corrected time = recorded time - earlier
 
 Corrections belong in the run.yaml of a recording; recorded files are not changed. Checked by: test_corrections.py.
 """
@@ -37,7 +37,7 @@ UNITS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Correction:
-    """Correction of one channel. scale [1]. add [unit of the channel]. earlier: delay to subtract from its stamps [s].
+    """Correction of one channel. scale [1]. add [unit of the channel]. earlier: delay to subtract from its times [s].
     ahead: forward shift of the reference point of the position [m], along body x."""
 
     scale: float = 1.0
@@ -56,9 +56,9 @@ def apply_corrections(log: DriveLog, corrections: Mapping[str, Correction], vehi
         heading.add = a:    yaw -> yaw + a,  (v, acceleration)_body -> R(-a) (v, acceleration)_body; R(yaw) v unchanged
         position.ahead = d: (x, y) -> (x, y) + d (cos yaw, sin yaw)
 
-    An INS channel that is shifted in time is interpolated at the stamps of the other channels. Samples without an
+    An INS channel that is shifted in time is interpolated at the times of the other channels. Samples without an
     interpolated value (at the ends, in gaps longer than MAXIMUM_GAP) are removed; an acceleration is NaN instead. The
-    stamps of the steering are shifted. If its angle is scaled or offset, the steering wheel angle is corrected so that
+    times of the steering are shifted. If its angle is scaled or offset, the steering wheel angle is corrected so that
     ratio and offset of `vehicle` give the corrected road wheel angle; without a vehicle it is removed.
 
     leave_out: intervals of INS samples to remove, (start, end) [s] after the first recorded sample, both included.
@@ -140,9 +140,7 @@ def _correct_ins(log: DriveLog, corrections: Mapping[str, Correction]) -> DriveL
         changes[name] = values
     if not changes:
         return log
-    known = np.all([np.isfinite(changes[name]) for name in INS_SIGNALS if name in changes], axis=0)
-    if np.all(known):
-        return replace(log, **changes)
+    known = np.isfinite([changes.get(name, getattr(log, name)) for name in INS_SIGNALS]).all(axis=0)
     return replace(log.select_ins(known), **{name: values[known] for name, values in changes.items()})
 
 

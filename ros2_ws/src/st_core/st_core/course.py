@@ -103,7 +103,7 @@ class Course:
 
         Raises StCoreError, one line, for a distance beyond MAX_ORIGIN_DISTANCE.
         """
-        if not (distance := math.hypot(east, north)) <= MAX_ORIGIN_DISTANCE:  # also refuses NaN
+        if not (distance := math.hypot(east, north)) <= MAX_ORIGIN_DISTANCE:  # also rejects NaN
             raise StCoreError(f"the course was recorded elsewhere: the map origins are {distance / 1000.0:.1f} km "
                               f"apart (limit {MAX_ORIGIN_DISTANCE / 1000.0:g} km)")
         offset = np.array([east, north, 0.0, 0.0, 0.0])

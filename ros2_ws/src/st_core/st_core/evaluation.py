@@ -15,7 +15,7 @@ from .timeseries import NANOSECOND, TimeSeries, half_step_grid
 from .types import InputSequence, InsSample, Trajectory, VehicleState, pose_errors
 from .vehicle import VehicleParameters
 
-EARLIEST = -(2**62)  # ns, before all stamps
+EARLIEST = -(2**62)  # ns, before any measurement
 Mode = Literal["forecast", "hindsight", "plan", "course"]
 """Inputs over the horizon: forecast = held at their values at the start; hindsight = measured over the horizon; plan =
 from a motion planner; course = from earlier drives at the same place."""
@@ -113,7 +113,7 @@ class Evaluator:
         """Scores of predictions whose horizon is covered by both signals or ended SIGNAL_TIMEOUT before newest_ns, and
         of abandoned ones.
 
-        newest_ns: current time on the clock of the stamps; None: time of the newest INS sample.
+        newest_ns: current time on the clock of the samples; None: time of the newest INS sample.
         """
         scores, self._incomplete_scores = self._incomplete_scores, []
         ins, steering = (EARLIEST if s.newest is None else s.newest for s in (self.history.ins, self.history.steering))

@@ -10,7 +10,7 @@
 
 The values are valid for one car, identified by `vehicle.hash`. A value with `effective: true` improves the prediction
 but is not a property of the car. An interval is a 95 % confidence interval, null if unknown. The hash covers base,
-values and vehicle: a file that does not match its hash is refused as edited; a file without one is not checked.
+values and vehicle: a file that does not match its hash is rejected as edited; a file without one is not checked.
 """
 
 from collections.abc import Mapping

@@ -188,7 +188,7 @@ class Predictor:
     def find_start(self, now_ns: int) -> Start | Skip:
         """The newest instant at which both INS and steering are known, or the reason for making no prediction.
 
-        now_ns: current time on the clock of the stamps. A sample more than stale_after in the future counts as stale.
+        now_ns: current time on the clock of the samples. A sample more than stale_after in the future counts as stale.
         """
         limit = self.settings.stale_after
         for name, age in self.ages(now_ns).items():

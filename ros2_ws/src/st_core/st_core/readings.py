@@ -94,7 +94,7 @@ def predict_wheel_angles(model: Model, time_ns: np.ndarray, angle: np.ndarray, g
 
 def required_lookahead_ns(model: Model) -> int:
     """Time after an instant [ns] for which the steering must be known to compute the wheel angle at the instant; 0
-    unless the stamps of the steering are late."""
+    unless the time stamps of the steering are late."""
     if not isinstance(model, AugmentedModel) or not model.has_steering_dynamics:
         return 0
     time, _ = model.steering(np.zeros(1), np.zeros(1), np.ones(1, bool))

@@ -57,7 +57,7 @@ CONFIRMED = replace(GOOD, sensors_p_value=0.6, sensors_null_p_value=0.001)
 SMALL_GAIN = replace(GOOD, gain=0.02, p_value=1e-4)
 WORSE_RIVAL = replace(EQUAL_RIVAL, p_no_worse=0.01)
 CLOSE_RIVAL = replace(WORSE_RIVAL, evidence=replace(WORSE_RIVAL.evidence, noise_ratio=5.0))
-NOTHING = {"named": [], "rivals": {}, "refused": [], "noise_ratio": 1.0, "detectable_share": 0.9}
+NOTHING = {"named": [], "rivals": {}, "rejected": [], "noise_ratio": 1.0, "detectable_share": 0.9}
 
 
 @pytest.mark.parametrize(("evidence", "rule", "figures"), [
@@ -196,7 +196,7 @@ def test_varying_effect_is_relevant_by_its_gain(gain, p_value, between, relevant
 def test_varying_effect_without_effect_on_the_position_is_not_relevant():
     assert not varies_relevantly(replace(GOOD, position=0.01, position_in_condition=0.01), LIMITS)
     small = replace(AT_BOUND, position=0.01, position_in_condition=0.01)
-    assert decide(LIMITS, **(NOTHING | dict(refused=[small])))[0] == "none"
+    assert decide(LIMITS, **(NOTHING | dict(rejected=[small])))[0] == "none"
 
 
 @pytest.mark.parametrize(("interval", "known", "expected"), [
@@ -251,13 +251,13 @@ def test_text_of_an_alternative_names_the_effect_it_replaces():
     (NOTHING | dict(named=[GOOD], rivals={"mass": [replace(EQUAL_RIVAL, share=0.1)]}), "named", {}),
     (NOTHING | dict(named=[GOOD], rivals={"friction": [EQUAL_RIVAL]}), "named", {}),  # a rival of another effect
     (NOTHING | dict(named=[GOOD], rivals={"mass": [EQUAL_RIVAL]}), "ambiguous", {"names": 2}),
-    (NOTHING | dict(named=[GOOD], refused=[VARYING], noise_ratio=9.0, detectable_share=0.1), "named", {}),
-    (NOTHING | dict(refused=[AT_BOUND, VARYING], noise_ratio=9.0, detectable_share=0.1), "varying", {}),
-    (NOTHING | dict(refused=[AT_BOUND], n_varying=1, noise_ratio=9.0, detectable_share=0.1), "varying", {}),
+    (NOTHING | dict(named=[GOOD], rejected=[VARYING], noise_ratio=9.0, detectable_share=0.1), "named", {}),
+    (NOTHING | dict(rejected=[AT_BOUND, VARYING], noise_ratio=9.0, detectable_share=0.1), "varying", {}),
+    (NOTHING | dict(rejected=[AT_BOUND], n_varying=1, noise_ratio=9.0, detectable_share=0.1), "varying", {}),
     (NOTHING | dict(named=[GOOD], n_varying=1), "named", {}),
-    (NOTHING | dict(refused=[AT_BOUND], detectable_share=0.1), "unknown", {}),
-    (NOTHING | dict(refused=[SENSORS_DISAGREE], detectable_share=0.1), "unknown", {}),
-    (NOTHING | dict(refused=[NEGLIGIBLE_GAIN, INSIGNIFICANT, SMALL_EFFECT]), "none", {"noise_ratio": 1.0}),
+    (NOTHING | dict(rejected=[AT_BOUND], detectable_share=0.1), "unknown", {}),
+    (NOTHING | dict(rejected=[SENSORS_DISAGREE], detectable_share=0.1), "unknown", {}),
+    (NOTHING | dict(rejected=[NEGLIGIBLE_GAIN, INSIGNIFICANT, SMALL_EFFECT]), "none", {"noise_ratio": 1.0}),
     (NOTHING | dict(detectable_share=0.7), "not_testable", {"detectable_share": 0.7, "detection_power": 0.8}),
     (NOTHING | dict(detectable_share=0.7, noise_ratio=9.0), "unknown",
      {"noise_ratio": 9.0}),  # an unexplained residual takes precedence

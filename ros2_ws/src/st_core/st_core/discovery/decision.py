@@ -1,4 +1,4 @@
-"""All decisions of a discovery, as pure functions of evidence and limits."""
+"""All decisions of a discovery, as pure functions of evidence and limits. A named effect is reported as a cause."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -235,7 +235,7 @@ def is_alternative(rival: Rival, limits: Limits) -> bool:
 
 
 def decide(limits: Limits, named: Sequence[Evidence], rivals: Mapping[str, Sequence[Rival]],
-           refused: Sequence[Evidence], noise_ratio: float, detectable_share: float, n_varying: int = 0,
+           rejected: Sequence[Evidence], noise_ratio: float, detectable_share: float, n_varying: int = 0,
            combinations: Sequence[str] = (), n_effects: int = 0,
            base_noise_ratio: float = 1.0) -> tuple[Outcome, Reason]:
     """The outcome and its reason.
@@ -261,7 +261,7 @@ def decide(limits: Limits, named: Sequence[Evidence], rivals: Mapping[str, Seque
     if combinations:
         return conclude("ambiguous", f"{' and '.join(combinations)}: different from the vehicle file, but the "
                         "effects behind this difference cannot be separated", combinations=len(combinations))
-    verdicts = [judge(e, limits) for e in refused if is_relevant(e, limits)]
+    verdicts = [judge(e, limits) for e in rejected if is_relevant(e, limits)]
     if n_varying or any(v.rule == VARIES for v in verdicts):
         return conclude("varying", "a significant effect varies between parts of the drives")
     if any(v.rule in (BOUND, SENSORS, FILE) for v in verdicts):

@@ -199,12 +199,12 @@ class _Analysis:
         combinations = result.unseparated_combinations(judged.combinations, judged.named)
         outcome, reason = decision.decide(
             self.limits, named=[state.evidence[e.name] for e in judged.named], rivals=state.rivals,
-            refused=[evidence for evidence, *_ in state.refused.values()], noise_ratio=noise_ratios[1],
+            rejected=[evidence for evidence, *_ in state.rejected.values()], noise_ratio=noise_ratios[1],
             detectable_share=detectable, n_varying=n_varying, combinations=[c.name for c in combinations],
             n_effects=len(state.fit.names), base_noise_ratio=noise_ratios[0])
         return outcome, (reason, *judged.verdicts.values(),
                          *(decision.judge_alternative(r, self.limits) for r in state.all_rivals),
-                         *(verdict for _, verdict, _ in state.refused.values()))
+                         *(verdict for _, verdict, _ in state.rejected.values()))
 
     def _add_corrections(self, state: SearchState, partitions: Mapping[str, Partition]) -> tuple[Problem, Fit]:
         """(problem without the priors of the vehicle file, its fit with the effects found and effective corrections);
@@ -358,7 +358,7 @@ class _Analysis:
         varying, varying_fit = None, None
         # An effect of the final fit, or an alternative to one, is not also reported as varying.
         reported = [*state.fit.names, *(r.name for r in state.all_rivals if decision.is_alternative(r, self.limits))]
-        for name, (evidence, verdict, fit) in state.refused.items():
+        for name, (evidence, verdict, fit) in state.rejected.items():
             if (verdict.rule == decision.VARIES and not self.space.overlaps(name, reported)
                     and decision.is_relevant(evidence, self.limits)):
                 partition = decision.varying_partition(evidence, self.limits)
@@ -388,8 +388,8 @@ class _Analysis:
             values: Mapping[str, float] = space.values(name, state.fit.vector)
             if name in state.evidence:
                 verdict, gain = verdicts[name], state.evidence[name].gain
-            elif name in state.refused:
-                evidence, verdict, fit = state.refused[name]
+            elif name in state.rejected:
+                evidence, verdict, fit = state.rejected[name]
                 gain, values = evidence.gain, space.values(name, fit.vector)
             elif name in rivals:
                 rival = rivals[name]

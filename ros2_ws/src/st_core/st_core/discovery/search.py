@@ -34,7 +34,7 @@ class SearchState:
     evidence: dict[str, Evidence] = field(default_factory=dict)  # for each effect of the set
     fits_without: dict[str, Fit] = field(default_factory=dict)  # fit without each effect of the set
     # (evidence, verdict, fit) of each effect that was tried in addition and rejected.
-    refused: dict[str, tuple[Evidence, Reason, Fit]] = field(default_factory=dict)
+    rejected: dict[str, tuple[Evidence, Reason, Fit]] = field(default_factory=dict)
     rivals: dict[str, list[Rival]] = field(default_factory=dict)  # effects tried in place of each effect of the set
     cached_scores: Scores | None = None  # scores of the effects outside the set
     # Sets that fit nearly as well (`_find_near_sets`) and, without names, fits with a load (`_add_load_rivals`).
@@ -165,7 +165,7 @@ class Search:
             scale = self.problem.loss.scale
             extended_fit = self._step_forward(state) if len(state.fit.names) < self.limits.max_effects else None
             if extended_fit is None:
-                self.problem.loss.scale = scale  # `_step_forward` may have changed it for effects that it refused
+                self.problem.loss.scale = scale  # `_step_forward` may have changed it for effects that it rejected
                 return state
             state.fit = self._rescale(self._step_backward(extended_fit, state.scores))
             state.order = [n for n in dict.fromkeys((*state.order, *extended_fit.names)) if n in state.fit.names]
@@ -225,18 +225,18 @@ class Search:
         if not fits:
             return None
         without, fits = self._refine(state.fit, fits)
-        largest_refused, state.refused = 0.0, {}  # largest gain of a significant effect that was refused
+        largest_rejected, state.rejected = 0.0, {}  # largest gain of a significant effect that was rejected
         for effect in self._order_members_first(fits, without):
             gain = self._gain(without, fits[effect])
-            if gain < CONTENDER_FRACTION * largest_refused:
+            if gain < CONTENDER_FRACTION * largest_rejected:
                 break
             e = self._evidence(without, fits[effect], effect, state.scores)
             verdict = self._judge(e, limits)
             if verdict.rule == ACCEPTED:
                 return fits[effect]
-            state.refused[effect] = e, verdict, fits[effect]
+            state.rejected[effect] = e, verdict, fits[effect]
             if verdict.rule not in (GAIN_INSIGNIFICANT, NULL):
-                largest_refused = max(largest_refused, gain)
+                largest_rejected = max(largest_rejected, gain)
         # An effect that redundant sensors confirm is tried whatever its gain.
         for effect in (n for n in gains if n not in fits and p.prior is None):
             null = sensors_null_p_value(p.space, effect, self.sensors)
@@ -369,9 +369,9 @@ class Search:
     def _drop_rejected(self, state: SearchState) -> SearchState:
         """Drop the effects that fail the test, weakest first, and fill in the evidence of the others."""
         while weakest := self._find_weakest_failing(state):
-            fit = self._rescale(state.fits_without[weakest])
-            refused = {weakest: (state.evidence[weakest], self._judge(state.evidence[weakest], self.limits), state.fit)}
-            state = SearchState(fit, [n for n in state.order if n != weakest], refused={**state.refused, **refused})
+            fit, e = self._rescale(state.fits_without[weakest]), state.evidence[weakest]
+            rejected = {**state.rejected, weakest: (e, self._judge(e, self.limits), state.fit)}
+            state = SearchState(fit, [n for n in state.order if n != weakest], rejected=rejected)
         return state
 
     def _find_weakest_failing(self, state: SearchState, required_gain: float = np.inf) -> str:

@@ -1,6 +1,6 @@
 """Lateral component of the drive and brake force of the steered wheels, F_x,front sin delta.
 
-The published single-track models have the forward acceleration as input and do not contain this component.
+The base models, whose input is the forward acceleration, do not contain this component.
 """
 
 from ..ops import tan

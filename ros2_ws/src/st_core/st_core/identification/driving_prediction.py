@@ -212,8 +212,8 @@ def _make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivi
     offset_error, ratio_error, _ = SYSTEMATIC_ERRORS
     relative_errors = dict.fromkeys(STIFFNESSES, relative_error) | {RATIO: ratio_error}
     added_uncertainty = [math.hypot(systematic_uncertainty.get(n, 0.0), known_uncertainty.get(n, 0.0),
-                        offset_error if n == OFFSET else relative_errors.get(n, 0.0) * v)
-             for n, v in zip(fit.names, fit.values, strict=True)]
+                                    offset_error if n == OFFSET else relative_errors.get(n, 0.0) * v)
+                         for n, v in zip(fit.names, fit.values, strict=True)]
     # Systematic errors are assumed to be uncorrelated: only the variances increase.
     covariance = spread.covariance + np.diag(np.square(added_uncertainty))
     indices = [fit.names.index(name) for name in reported]

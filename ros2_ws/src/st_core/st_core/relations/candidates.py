@@ -99,8 +99,8 @@ class Candidate:
     term: str  # one of ALL_TERMS
     quantity: str  # one of QUANTITIES
     parity: float  # -1 for an odd curve, 0 for any curve
-    low: float  # smallest value of the quantity in the drives
-    high: float  # largest value of the quantity in the drives
+    low: float  # lower end of the curve: quantile TAIL_FRACTION of the quantity in the drives
+    high: float  # upper end of the curve, accordingly; -low for an odd curve
     factor: str = ""  # one of FACTORS that multiplies the curve, or ""
 
     @property
