@@ -140,7 +140,7 @@ def _correct_ins(log: DriveLog, corrections: Mapping[str, Correction]) -> DriveL
         changes[name] = values
     if not changes:
         return log
-    known = np.isfinite([changes.get(name, getattr(log, name)) for name in INS_SIGNALS]).all(axis=0)
+    known = np.all([np.isfinite(changes.get(name, getattr(log, name))) for name in INS_SIGNALS], axis=0)
     return replace(log.select_ins(known), **{name: values[known] for name, values in changes.items()})
 
 
