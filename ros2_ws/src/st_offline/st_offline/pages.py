@@ -1,12 +1,13 @@
 """Loads the templates of the self-contained report pages; all inserted text except drawings is escaped."""
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import jinja2
-from markupsafe import Markup
+from markupsafe import Markup, escape
 from st_core.palette import MODEL_COLOUR
 
 from .checking import check_report
@@ -40,11 +41,19 @@ def make_columns(head: Sequence[str], rows: Iterable[Sequence[Any]],
     return result
 
 
+def _mark_commands(value: Any) -> Any:
+    """A text with `commands` as HTML; other values unchanged."""
+    if isinstance(value, Markup) or not isinstance(value, str):
+        return value
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(value))))
+
+
 def load_template(name: str) -> jinja2.Template:
-    """Load a template, by its path in this package. Filters: `drawing` inserts an SVG unescaped, `cells` gives the
-    values of a row."""
+    """Load a template, by its path in this package. Commands in backquotes become <code>. Filters: `drawing` inserts an
+    SVG unescaped, `cells` gives the values of a row."""
     environment = jinja2.Environment(loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True,
-                                     undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+                                     undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+                                     finalize=_mark_commands)
     environment.filters.update(drawing=Markup, cells=lambda row: list(row.values()))
     environment.globals.update(checking=check_report, columns=make_columns, colours=MODEL_COLOUR, dark=DARK_COLOURS)
     return environment.get_template(name)

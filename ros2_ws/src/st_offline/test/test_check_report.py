@@ -190,10 +190,11 @@ def test_document_contains_only_finite_numbers():
 
 
 def test_page_contains_every_finding_escaped_and_loads_nothing(tmp_path):
-    runs, failed = [make_run(HOSTILE), make_run("second", [])], {"third": "it is <b>broken</b>"}
+    runs, failed = [make_run(HOSTILE), make_run("second", [])], {"third": "it is <b>broken</b>: `st <x>`"}
     write_page(tmp_path / "p.html", runs, failed, build_document(runs, failed))
     text = (tmp_path / "p.html").read_text()
     assert "<script" not in text and "&lt;script&gt;alert(1)" in text and "it is &lt;b&gt;broken" in text
+    assert "/b&gt;: <code>st &lt;x&gt;</code>" in text
     assert not re.findall(r'(?:src|href)="(?!#|data:)[^"]+"|url\((?!#)|@import', text)
     for one in (DEGREES, MOVED, COARSE):
         assert one.text in text and one.name in text

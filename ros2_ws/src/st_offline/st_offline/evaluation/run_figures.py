@@ -59,9 +59,9 @@ def choose_starts(evaluation: LogEvaluation, times: Sequence[float]) -> np.ndarr
     return np.unique(rows)
 
 
-def add_legend(figure: plt.Figure, models: Sequence[Model], extra: Sequence[Line2D], **style: Any) -> None:
-    """Add a legend of the models and extra lines below the figure. style: overrides the line styles of the models."""
-    handles = [Line2D([], [], **get_line_style(m.name) | style, label=m.name) for m in models]
+def add_legend(figure: plt.Figure, models: Sequence[Model], extra: Sequence[Line2D]) -> None:
+    """Add a legend of the models and extra lines below the figure."""
+    handles = [Line2D([], [], **get_line_style(m.name), label=m.name) for m in models]
     figure.legend(handles=[*handles, *extra], loc="outside lower left", ncols=6)
 
 
@@ -138,14 +138,14 @@ def draw_horizon_means(data: FigureData) -> PageFigure:
     """Draw the mean errors over the horizon, speed and acceleration versus start time: figure 2 of the paper."""
     evaluation = data.evaluation
     figure, (upper, lower, context) = plt.subplots(
-        3, 1, figsize=(WIDTH, 5.2), height_ratios=(1.3, 1.3, 0.9), sharex=True)
+        3, 1, figsize=(WIDTH, 6.0), height_ratios=(1.3, 1.3, 0.9), sharex=True)
     for k, (axes, axis) in enumerate(((upper, "longitudinal"), (lower, "lateral"))):
         axes.axhline(0, color=TEXT_COLOUR, lw=0.6)
         for model in data.models:
             line = evaluation.errors[model.name, "hindsight"].mean[:, k]
             # The linear and nonlinear models often coincide; the wider line of the linear model remains visible.
-            width = 2.4 if model.name == "linear" else 1.0
-            axes.plot(*_reduce_over_time(evaluation, line), **get_line_style(model.name) | {"ls": "-", "lw": width})
+            width = 2.4 if model.name == "linear" else 1.2
+            axes.plot(*_reduce_over_time(evaluation, line), **get_line_style(model.name), lw=width)
         axes.set_ylabel(AXIS_LABEL[axis])
     speed, lateral = evaluation.conditions["speed"], evaluation.conditions["lateral_acceleration"]
     context.plot(*_reduce_over_time(evaluation, speed), color=TEXT_COLOUR, lw=1.0)
@@ -154,7 +154,7 @@ def draw_horizon_means(data: FigureData) -> PageFigure:
     context.set_xlabel("start of the prediction $t_0$, s after the first INS measurement")
     extra = [Line2D([], [], color=TEXT_COLOUR, lw=1.0, label="speed, m/s"),
              Line2D([], [], color=MEASURED_COLOUR, lw=1.0, label="lateral acceleration, m/s² (positive to the left)")]
-    add_legend(figure, data.models, extra, ls="solid")
+    add_legend(figure, data.models, extra)
     title = f"{evaluation.name}: {describe_ranking(evaluation)}"
     caption = "Error averaged over each horizon (hindsight: measured inputs), versus its start time."
     return save_figure(figure, data.output, "horizon_means", title, caption)
