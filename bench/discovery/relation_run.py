@@ -81,7 +81,7 @@ def _answer_record(found: Discovery, search: RelationSearch) -> Record:
     if one is not None:
         redundant = tuple(one.redundant)
         relation = {"place": one.candidate.term, "quantity": one.candidate.quantity, "by": one.candidate.factor,
-               "others": dict(one.rivals), "p_value": one.p_value, "gain": one.gain,
+               "others": dict(one.alternatives), "p_value": one.p_value, "gain": one.gain,
                "shape": one.formulas[0].shape if one.formulas else "",
                "reads": one.formulas[0].text if one.formulas else "", "promised": list(one.position_5s)}
     return {"outcome": found.outcome, "searched": needs_search(found), "why": search.reason, "law": relation,

@@ -151,7 +151,7 @@ def test_minor_effects_are_listed_with_all_alternatives(logs):
 
 @pytest.mark.parametrize(("outcome", "message"), [
     ("none", "no significant model error"), ("not_testable", "too little excitation"),
-    ("ambiguous", "no effect is certain enough to be named"),
+    ("ambiguous", "no effect is certain enough to be reported as a cause"),
     ("unknown", "a significant error that no effect of the library explains")])
 def test_title_states_the_outcome_if_no_effect_is_named(logs, outcome, message):
     assert message in report_text.format_title(discovery(logs, (), 1.72, outcome=outcome))
@@ -170,8 +170,9 @@ def test_unexplained_residual_is_reported_with_the_named_effects(logs):
 def test_varying_effect_is_reported_but_not_named(logs):
     found = discovery(logs, (), 1.72, varying=(make_varying_effect(logs),), outcome="varying")
     title = report_text.format_title(found)
-    assert title.endswith("an effect that resembles crosswind (0.090 m) but varies between runs; no effect is named")
-    (text,) = dict(report_text.list_details(found, None))["varying, not named"]
+    assert title.endswith("an effect that resembles crosswind (0.090 m) but varies between runs; "
+                          "no effect is reported as a cause")
+    (text,) = dict(report_text.list_details(found, None))["varying effects"]
     assert "not a property of the car" in text and "other: -1.00 ± 0.39" in text
 
 

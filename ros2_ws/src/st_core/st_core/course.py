@@ -201,7 +201,7 @@ MAX_DIFFERENCE = 7.0  # largest d of the best candidate for which the course is 
 RECENT_TIME = 2.0  # s, length of the past driving that is compared with a candidate
 BLEND_TIME = 0.3  # s, time constant of the transition from measured to predicted inputs: the lag of a driver
 DECAY_TIME = 0.7  # s, time constant of the decaying acceleration: pedals change about once a second
-FORGETTING_TIME = 10.0  # s, time constant of the mean square errors E: two horizons
+FORGETTING_TIME = 10.0  # s, time constant of the mean squared errors E: two horizons
 INITIAL_CURVATURE_ERRORS, INITIAL_SPEED_ERRORS = (1.0, 0.2), (1.0, 1.0, 0.5, 0.3)
 """Initial E [m^2], in the order of the forecasts of `CourseTracker`, from leave-one-out errors of real laps."""
 SQUARED_ERROR_LIMITS = (0.01, 9.0)  # m^2: the accuracy of the INS, and the largest influence of one error
@@ -274,7 +274,7 @@ class CourseTracker:
     combined with other forecasts:
 
         curvature: held, course        speed: acceleration held, zero, decaying with DECAY_TIME, course
-        weight of each ~ E^-2,     E: mean square error of past forecasts, with exponential forgetting (FORGETTING_TIME)
+        weight of each ~ E^-2,    E: mean squared error of past forecasts, with exponential forgetting (FORGETTING_TIME)
 
     A forecast of curvature is scored by the position after the distance driven, a forecast of speed by the distance
     driven. Source: Bates and Granger, The combination of forecasts, 1969. Checked by: test_course.py;
@@ -333,7 +333,7 @@ class CourseTracker:
         return elapsed_time
 
     def _score(self, ego: EgoMotion, elapsed: float) -> None:
-        """Update the mean square errors with the errors of the forecasts that have ended."""
+        """Update the mean squared errors with the errors of the forecasts that have ended."""
         new_weight = min(elapsed / FORGETTING_TIME, 1.0)
         while self._pending and self._pending[0].end_ns <= ego.time_ns:
             _, distance, start, distances, path = self._pending.popleft()

@@ -97,7 +97,7 @@ class VehicleParameters:
     tyre_rear: MagicFormula  # one tyre, lambda_ky filled in
     # Optional, needed only by some effects, with defaults of a front-wheel-drive car.
     track_width: Annotated[float, Quantity("m", 0.03, 4.0, required=False)] = 1.54  # of both axles
-    # Front shares of drive force, brake force and lateral load transfer; rear-wheel drive: drive_front 0.
+    # Front fractions of drive force, brake force and lateral load transfer; rear-wheel drive: drive_front 0.
     drive_front: Annotated[float, Quantity("1", 0.0, 1.0, required=False)] = 1.0
     brake_front: Annotated[float, Quantity("1", 0.0, 1.0, required=False)] = 0.65
     load_transfer_front: Annotated[float, Quantity("1", 0.0, 1.0, required=False)] = 0.55

@@ -120,7 +120,7 @@ class Scene:
         rings = [np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1) for r in RINGS]
         recording.log("ahead/rings", rr.LineStrips2D(rings, colors=[LIGHT_GREY], radii=THIN_LINE, draw_order=-1.0),
                       static=True)
-        # Ring names are at the front right, where paths rarely cover them.
+        # Ring labels are at the front right, where paths rarely cover them.
         recording.log("ahead/ring_names", rr.Points2D(
             [(0.7 * r, -0.7 * r) for r in RINGS[1::2]], radii=THIN_LINE, colors=[(120, 120, 120)],
             labels=[f"{r} m" for r in RINGS[1::2]], show_labels=True), static=True)

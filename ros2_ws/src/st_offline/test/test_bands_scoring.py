@@ -24,7 +24,7 @@ def test_bands_are_scored_at_their_highest_level():
     sums = sum_band_scores(band, conditions, errors)
     content = summarise_bands({"models": {"linear": {"hindsight": {**sums, "without_band": 0}}}})
     (row,) = make_band_rows(content)
-    assert "80 % covers" in row and "90 % covers" not in row and row["worst cell"] != "-"
+    assert "80 % band" in row and "90 % band" not in row and row["worst cell"] != "-"
     assert content["models"]["linear"]["hindsight"]["worst_cell"]["starts"] == 400
 
 

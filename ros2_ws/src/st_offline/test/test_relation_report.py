@@ -132,7 +132,7 @@ def test_written_files_and_report_describe_the_proposal(tmp_path, registry):
     lines = format_report(search)
     assert "without the relation, 0.500 m with it; noise floor 0.060 m" in lines
     assert "do not separate it from: additional side force on the body as a function of the speed (0.90)" in lines
-    assert "mass is named above, but is redundant given this relation (without it, the residual increases" in lines
+    assert "mass is reported above, but is redundant given this relation (without it, the residual increases" in lines
     assert "1 of 1 runs" in lines
     assert "widest interval at -6 m/s²: " in lines and "± 1.1 ° (95 %)" in lines
     assert "y = 2 u (linear; keeps 97% of" in lines and "textbook causes: a cause. These" in lines
@@ -218,7 +218,7 @@ def test_next_drives_are_recommended_with_their_gain():
     imprecise = replace(relation, next_drives=replace(drives, options=[option]))
     assert "for a narrower interval" not in "\n".join(describe_next_drives(imprecise))
     without_options = replace(drives, current_separation={}, options=[])
-    of_place = replace(relation, rivals={"side_force(position_x)": 0.9}, next_drives=without_options)
+    of_place = replace(relation, alternatives={"side_force(position_x)": 0.9}, next_drives=without_options)
     text = "\n".join(describe_next_drives(of_place))
     assert "from effects of place, heading or time: repeat the drive twice" in text and "much better" not in text
 

@@ -82,7 +82,7 @@ class ConsistencyMonitor:
             return
         cpu_start = time.thread_time()
         try:
-            findings = [one for one in check(log, self._vehicle).findings if one.name not in NOT_REPORTED_LIVE]
+            findings = [f for f in check(log, self._vehicle).findings if f.name not in NOT_REPORTED_LIVE]
         finally:
             self.cpu_time += time.thread_time() - cpu_start
             self._not_before = first_poll + self.cpu_time / self._max_cpu_fraction

@@ -93,7 +93,7 @@ class Path:
 class History:
     """Measured track and newest predictions; times are UTC. Samples that are not newer than the last are ignored.
 
-    But a pose older than the last by 1 s or more, as after the restart of a replay, clears the history.
+    A pose that is older by 1 s or more, as after the restart of a replay, clears the history instead.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,5 @@
-"""Decomposition of a model's mean square error into parts due to parameters, sensors and initial state, and a residual.
+"""Decomposition of the mean squared error of a model into parts due to parameters, sensors and initial state,
+and a residual.
 
     mean e_a(t)^2 = sum_p mean( (de_a(t)/dp sigma_p)^2 ) + sum_s mean( (de_a(t)/ds sigma_s)^2 ) + residual
 

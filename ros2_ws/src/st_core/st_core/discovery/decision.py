@@ -125,7 +125,7 @@ def position_reduction(e: Evidence) -> float:
 
 
 def is_relevant(e: Evidence, limits: Limits) -> bool:
-    """Whether an effect is large enough to be named, judged by its error reduction in the most affected channel or in
+    """Whether an effect is large enough to be reported: by its error reduction in the most affected channel or in
     position or, if redundant sensors confirm it, by its size."""
     return (find_most_affected(e, limits)[1] >= limits.relevant or position_reduction(e) >= limits.relevant_position
             or (is_confirmed(e, limits) and e.size >= limits.min_relative_size))
@@ -147,7 +147,7 @@ def _relevance_values(e: Evidence, limits: Limits) -> dict[str, float]:
 def judge_naming(e: Evidence, limits: Limits, excludes_null: bool = True, parameter_at_bound: str = "",
                  peak_force_share: float = 1.0, worse_axle: str = "", summands: Sequence[str] = (),
                  violation: str = "") -> Reason:
-    """Verdict on whether an accepted effect is named, or only stays in the model to avoid a bias of the other values.
+    """Verdict on whether an accepted effect is reported as a cause, or only kept to avoid a bias of other values.
 
     excludes_null: whether an interval excludes the null.
     parameter_at_bound: parameter with an interval that crosses its bound, or "".
@@ -158,15 +158,17 @@ def judge_naming(e: Evidence, limits: Limits, excludes_null: bool = True, parame
     violation: range that the car would violate with this effect (`handling.find_implausible_values`), or "".
     """
     def demote(text: str, **figures: float) -> Reason:
-        return Reason(MINOR, e.name, figures or {"gain": e.gain}, f"{text}: it stays in the model, but is not named")
+        return Reason(MINOR, e.name, figures or {"gain": e.gain},
+                      f"{text}: it stays in the model, but is not reported as a cause")
 
     confirmed_by_sensors = is_confirmed(e, limits)
     if worse_axle:
         return Reason(FORCES, e.name, {"gain": e.gain}, f"the measured forces of the {worse_axle} axle agree "
-                      "less well with it than with the vehicle file: it improves predictions, but is not named")
+                      "less well with it than with the vehicle file: it improves predictions, but is not reported as a "
+                      "cause")
     if violation:
         return Reason(IMPLAUSIBLE, e.name, {"gain": e.gain}, f"with it the car is implausible: {violation}; "
-                      "it improves predictions, but is not named")
+                      "it improves predictions, but is not reported as a cause")
     if summands:
         return demote(f"only its sum with {' and '.join(summands).replace('_', ' ')} is identifiable")
     if parameter_at_bound:
@@ -273,7 +275,8 @@ def decide(limits: Limits, named: Sequence[Evidence], rivals: Mapping[str, Seque
                         max_noise_ratio=limits.max_noise_ratio)
     if n_effects and base_noise_ratio > limits.max_noise_ratio:
         return conclude("ambiguous", f"the model reduces the position error from {base_noise_ratio:.1f} to "
-                        f"{noise_ratio:.1f} times the noise, but none of its effects is certain enough to be named",
+                        f"{noise_ratio:.1f} times the noise, but none of its effects is certain enough to be "
+                        "reported as a cause",
                         effects=n_effects, base_noise_ratio=base_noise_ratio,
                         max_noise_ratio=limits.max_noise_ratio)
     if detectable_share < limits.detection_power:

@@ -2,7 +2,7 @@
 
 For each range (bin) of a condition:
 
-    excess = sqrt(mean square error in the bin / expected mean square error)
+    excess = sqrt(mean squared error in the bin / expected mean squared error)
 
 The expected error is that of the reference drives in the same bin, or in their worst bin if this bin has too few
 blocks; without reference drives it is the sensor noise. Standard deviations are from a bootstrap of whole blocks of
@@ -161,7 +161,7 @@ def find_error_regions(runs: Sequence[DriveLog], model: AugmentedModel, vehicle:
 def compute_window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters,
                           settings: DiscoverySettings, acceleration_gain: float = 0.0) -> Samples:
     """Errors and conditions of all windows of the runs: squared errors at the end of the horizon for channels with
-    accumulating errors, mean square errors over the first SHORT_HORIZON for the others."""
+    accumulating errors, mean squared errors over the first SHORT_HORIZON for the others."""
     windows = Windows(runs, vehicle, settings)
     short = windows.time <= max(SHORT_HORIZON, float(windows.time[0]))
     errors = windows.errors(model, acceleration_gain)

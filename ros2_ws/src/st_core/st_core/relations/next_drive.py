@@ -1,4 +1,4 @@
-"""Next drive for a relation: the manoeuvres that best reduce its uncertainty or separate it from its rivals."""
+"""Next drive for a relation: the manoeuvres that best reduce its uncertainty or separate it from its alternatives."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -26,7 +26,7 @@ class Option:
 
     manoeuvre: Manoeuvre
     deviation: np.ndarray  # (k,) standard deviation of the curve [its unit]
-    separation: Mapping[str, float]  # from each rival [standard deviations]
+    separation: Mapping[str, float]  # from each alternative [standard deviations]
     seconds: Sequence[float]  # per drive, in each sparse range
 
 
@@ -35,7 +35,7 @@ class NextDrives:
     """Simulated further drives."""
 
     sparse_ranges: Sequence[Range] = ()  # ranges that the runs hardly cover
-    current_separation: Mapping[str, float] = field(default_factory=dict)  # from each rival, in the runs
+    current_separation: Mapping[str, float] = field(default_factory=dict)  # from each alternative, in the runs
     options: Sequence[Option] = ()  # all simulated manoeuvres; none for quantities in INDEPENDENT_OF_MANOEUVRE
 
     def find_most_precise(self, deviation: np.ndarray) -> Option | None:
@@ -45,16 +45,16 @@ class NextDrives:
         return best if best is not None and MIN_IMPROVEMENT * best.deviation.max() <= deviation.max() else None
 
     def find_most_separating(self) -> tuple[Option, str] | None:
-        """The option with the largest separation from its nearest rival, and that rival; None without rivals, below
-        MIN_SEPARATION, or below MIN_IMPROVEMENT times the current separation."""
-        nearest_rivals = [(option, min(option.separation, key=option.separation.__getitem__))
+        """The option with the largest separation from its nearest alternative, and the alternative's name; None without
+        alternatives, below MIN_SEPARATION, or below MIN_IMPROVEMENT times the current separation."""
+        nearest = [(option, min(option.separation, key=option.separation.__getitem__))
                    for option in self.options if option.separation]
-        best = max(nearest_rivals, key=lambda pair: pair[0].separation[pair[1]], default=None)
+        best = max(nearest, key=lambda pair: pair[0].separation[pair[1]], default=None)
         if best is None:
             return None
-        option, rival = best
-        required = max(MIN_SEPARATION, MIN_IMPROVEMENT * self.current_separation[rival])
-        return best if option.separation[rival] >= required else None
+        option, alternative = best
+        required = max(MIN_SEPARATION, MIN_IMPROVEMENT * self.current_separation[alternative])
+        return best if option.separation[alternative] >= required else None
 
 
 def find_sparse_ranges(points: np.ndarray, density: np.ndarray, parity: float) -> list[Range]:
@@ -70,20 +70,20 @@ def find_sparse_ranges(points: np.ndarray, density: np.ndarray, parity: float) -
             for first, last in ends.reshape(-1, 2)]
 
 
-def suggest_drives(fits: RelationFits, fit: RelationFit, rivals: Mapping[str, RelationFit], design_effect: float,
+def suggest_drives(fits: RelationFits, fit: RelationFit, alternatives: Mapping[str, RelationFit], design_effect: float,
                    points: np.ndarray, deviation: np.ndarray, sparse_ranges: Sequence[Range]) -> NextDrives:
-    """Simulate each manoeuvre as an addition to the runs. rivals: equally good relations. design_effect: see
+    """Simulate each manoeuvre as an addition to the runs. alternatives: equally good relations. design_effect: see
     `ScreenedCandidate`. points: (k,) of the quantity. deviation: (k,) of the curve."""
     candidate = fit.candidate
     assert candidate is not None
     if candidate.quantity in INDEPENDENT_OF_MANOEUVRE:
         return NextDrives(sparse_ranges)
     splines = candidate.compute_splines(points)
-    rivals = {name: other for name, other in rivals.items()
+    alternatives = {name: other for name, other in alternatives.items()
               if other.candidate is not None and other.candidate.quantity not in INDEPENDENT_OF_MANOEUVRE}
     recorded_curvature = {name: _compute_joint_curvature(fits.loss, fit.residuals, fit.sensitivities,
                                                          other.sensitivities[-SPLINES:], fit)
-                          for name, other in rivals.items()}
+                          for name, other in alternatives.items()}
     curvature = fit.quadratic.hessian.sum(axis=0)
     variance = _compute_variance(curvature + fit.penalty, splines)
     options = []
@@ -95,16 +95,17 @@ def suggest_drives(fits: RelationFits, fit: RelationFit, rivals: Mapping[str, Re
         new_variance = _compute_variance(curvature + added_curvature + fit.penalty, splines)
         ratio = np.sqrt(new_variance / np.maximum(variance, 1e-30))
         separation = {}
-        for name, other in rivals.items():
-            rival_sensitivities = _make_loss(fits, windows, other).sensitivities(other.vector, fits.relation_indices)
-            joint_curvature = _compute_joint_curvature(loss, residuals, sensitivities, rival_sensitivities, fit)
+        for name, other in alternatives.items():
+            other_sensitivities = _make_loss(fits, windows, other).sensitivities(other.vector, fits.relation_indices)
+            joint_curvature = _compute_joint_curvature(loss, residuals, sensitivities, other_sensitivities, fit)
             separation[name] = _compute_separation(recorded_curvature[name] + REPETITIONS * joint_curvature, fit, other,
                                                    design_effect)
         u = compute_quantities(windows)[candidate.quantity]
         size = np.abs(u) if candidate.parity == ODD else u
         seconds = [manoeuvre.duration * float(((size >= low) & (size <= high)).mean()) for low, high in sparse_ranges]
         options.append(Option(manoeuvre, deviation * np.minimum(ratio, 1.0), separation, seconds))
-    current = {name: _compute_separation(h, fit, rivals[name], design_effect) for name, h in recorded_curvature.items()}
+    current = {name: _compute_separation(h, fit, alternatives[name], design_effect)
+               for name, h in recorded_curvature.items()}
     return NextDrives(sparse_ranges, current, options)
 
 
@@ -117,15 +118,15 @@ def _make_loss(fits: RelationFits, windows: Windows, fit: RelationFit) -> Loss:
 
 
 def _compute_joint_curvature(loss: Loss, residuals: np.ndarray, sensitivities: np.ndarray,
-                             rival_sensitivities: np.ndarray, fit: RelationFit) -> np.ndarray:
-    """Curvature of the loss in the other parameters, a rival's coefficients and a scale factor of the relation."""
+                             other_sensitivities: np.ndarray, fit: RelationFit) -> np.ndarray:
+    """Curvature of the loss in the other parameters, the coefficients of an alternative and the relation's scale."""
     scale_sensitivity = np.einsum("p,pnm->nm", fit.coefficients, sensitivities[-SPLINES:])
-    all_sensitivities = np.concatenate([sensitivities[:-SPLINES], rival_sensitivities, scale_sensitivity[None]])
+    all_sensitivities = np.concatenate([sensitivities[:-SPLINES], other_sensitivities, scale_sensitivity[None]])
     return loss.quadratic(residuals, all_sensitivities).hessian.sum(axis=0)
 
 
 def _compute_separation(h: np.ndarray, fit: RelationFit, other: RelationFit, design_effect: float) -> float:
-    """Separation of a relation from a rival, in standard deviations. h: result of `_compute_joint_curvature`."""
+    """Separation of a relation from an alternative, in standard deviations. h: result of `_compute_joint_curvature`."""
     other_count = len(fit.indices) - SPLINES
     penalty = np.zeros((len(h) - 1, len(h) - 1))
     penalty[other_count:, other_count:] = other.penalty[-SPLINES:, -SPLINES:]

@@ -1,4 +1,4 @@
-"""Search for an empirical relation that a result of `discover` lacks: a curve added to one term of the model."""
+"""Search for an empirical relation missing from the result of `discover`: a curve added to one term of the model."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -45,7 +45,7 @@ class Relation:
     runs: Mapping[str, tuple[float, float]]  # position_5s by run
     model: AugmentedModel  # the model without the relation, at the values fitted with it
     # Equally good relations, with the cosine similarity of their effects [1].
-    rivals: Mapping[str, float] = field(default_factory=dict)
+    alternatives: Mapping[str, float] = field(default_factory=dict)
     formulas: Sequence[Formula] = ()  # closed forms that retain the curve's gain in simulation, best first
     # Consistency of its size across runs.
     agreement: Agreement = field(default_factory=lambda: Agreement({}, 1.0, 0.0))
@@ -140,8 +140,7 @@ def _select(trials: Sequence[ScreenedCandidate], fits: RelationFits, base_fit: R
         name, (gain, p_value) = next(iter(statistics.items()))
         return RelationSearch(None, f"no relation is significant. The best, {name}, lowers the held-out loss by "
                               f"{gain:.3f} per residual, p = {p_value:.2g}, corrected for the number of "
-                              "candidates; "
-                              f"p < {limits.false_alarm:g} is required", statistics, detection_limits)
+                              f"candidates; p < {limits.false_alarm:g} is required", statistics, detection_limits)
     imitated_faults = {trial: fault for trial in significant
                        if (fault := _find_imitated_fault(trial.candidate, reported))}
     remaining = [s for s in significant if s not in imitated_faults]
@@ -202,8 +201,8 @@ def _make_relation(best: ScreenedCandidate, fitted: FitByCandidate, base_fit: Re
     others = [trial for trial in fitted if trial is not best]
     excess = np.array([fitted[trial].held_out - fit.held_out for trial in others])
     is_equally_good = selection.find_equally_good(excess, fits.limits.undecided_p, fits.settings.seed)
-    rivals = {trial.candidate.name: fitted[trial]
-              for trial, is_rival in zip(others, is_equally_good, strict=True) if is_rival}
+    alternatives = {trial.candidate.name: fitted[trial]
+                    for trial, is_good in zip(others, is_equally_good, strict=True) if is_good}
     u = compute_quantities(fits.windows)[c.quantity]
     points = np.linspace(c.low, c.high, selection.POINTS)
     splines = c.compute_splines(points)
@@ -219,9 +218,9 @@ def _make_relation(best: ScreenedCandidate, fitted: FitByCandidate, base_fit: Re
         c, fit.coefficients, points, fit.coefficients @ splines, deviation, density,
         float(gains.sum()) / fits.loss.residual_count, p_value,
         (float(np.nanmean(before)), float(np.nanmean(after))), runs, without_relation,
-        {name: selection.compute_cosine(fits, fit, other) for name, other in rivals.items()},
+        {name: selection.compute_cosine(fits, fit, other) for name, other in alternatives.items()},
         simulate_formulas(fits, fit, base_fit), selection.compare_runs(fits, fit),
         selection.find_redundant_effects(fits, fit, base_fit, effect_names),
-        suggest_drives(fits, fit, rivals, best.design_effect, points, deviation,
+        suggest_drives(fits, fit, alternatives, best.design_effect, points, deviation,
                        find_sparse_ranges(points, density, c.parity)))
     return relation, f"it {selection.describe_gain(fits, gains, before - after)}"

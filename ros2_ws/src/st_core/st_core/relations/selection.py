@@ -1,4 +1,4 @@
-"""Screening of candidate relations, reasons to reject them, equally good rivals, and redundant effects."""
+"""Screening of candidate relations, reasons to reject them, equally good alternatives, and redundant effects."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -184,10 +184,10 @@ def average_finite(values: np.ndarray) -> float:
 
 
 def find_equally_good(excess_loss: np.ndarray, p: float, seed: int) -> np.ndarray:
-    """(k,) whether each rival is as good as the best.
+    """(k,) whether each alternative is as good as the best.
 
-    excess_loss: (k, b) held-out loss minus that of the best. Paired t test: a rival is worse if its t exceeds the
-    quantile 1 - p of the largest t of all rivals under random signs of whole blocks (Romano and Wolf 2005).
+    excess_loss: (k, b) held-out loss minus that of the best. Paired t test: an alternative is worse if its t exceeds
+    the quantile 1 - p of the largest t of all under random signs of whole blocks (Romano and Wolf 2005).
     """
     if not len(excess_loss):
         return np.zeros(0, bool)

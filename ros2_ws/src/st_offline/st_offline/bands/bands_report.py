@@ -246,8 +246,8 @@ def make_band_rows(content: Mapping[str, Any]) -> list[dict[str, str]]:
             rows.append({
                 "model": model, "inputs": mode,
                 "predictions": str(scores["starts"]), "no band": str(scores["without_band"]),
-                "50 % covers": _format_share(scores["coverage"].get("0.5")),
-                f"{_format_level(top)} covers": _format_share(scores["coverage"].get(top)),
+                "50 % band": _format_percent(scores["coverage"].get("0.5")),
+                f"{_format_level(top)} band": _format_percent(scores["coverage"].get(top)),
                 "worst cell": (f"{worst['coverage']:.0%} ({worst['cell']}, {worst['starts']} predictions)"
                                if worst else "-"),
                 f"interval score {_format_level(top)}, along | across, m": _format_pair(interval_score),
@@ -269,9 +269,9 @@ def _format_level(level: str) -> str:
 def make_adaptive_rows(content: Mapping[str, Any]) -> list[dict[str, str]]:
     """Table row of each model and mode in the result of `summarise_adaptive`, by column title."""
     return [{"model": model, "inputs": mode, "predictions": str(scores["starts"]),
-             **{f"{_format_level(level)} covers": _format_share(share) for level, share in scores["coverage"].items()},
-             **{f"{_format_level(level)} after 2 min": _format_share(share)
-                for level, share in scores["late_coverage"].items()}}
+             **{f"{_format_level(level)} band": _format_percent(c) for level, c in scores["coverage"].items()},
+             **{f"{_format_level(level)} band after 2 min": _format_percent(c)
+                for level, c in scores["late_coverage"].items()}}
             for model, modes in content.items() for mode, scores in modes.items()]
 
 
@@ -285,7 +285,7 @@ def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Co
         # A single table would be wider than 80 characters.
         for title, columns in (
                 ("Bands: fraction of paths entirely inside",
-                 ("predictions", "no band", "50 % covers", f"{level} covers")),
+                 ("predictions", "no band", "50 % band", f"{level} band")),
                 (f"Bands: conditions with the lowest coverage of the {level} band", ("worst cell",)),
                 ("Bands: scores and half-width, along | across", (
                     f"interval score {level}, along | across, m", "CRPS, along | across, m",
@@ -302,10 +302,10 @@ def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Co
                                  title="Adaptive bands: fraction of paths entirely inside"))
     if rows := make_share_rows(summarise_shares(pooled)):
         console.print(make_table(rows, title="Decomposition of the error with measured inputs: shares of the mean "
-                                 "square error, along | across", width=min(console.width, 140)))
+                                 "squared error, along | across", width=min(console.width, 140)))
 
 
-def _format_share(value: float | None) -> str:
+def _format_percent(value: float | None) -> str:
     return "-" if value is None else f"{value:.1%}"
 
 
@@ -339,7 +339,7 @@ def _name_seconds(values: np.ndarray) -> dict[str, dict[str, float]]:
 
 def summarise_shares(sums: Sums) -> dict[str, Any]:
     """By model: number of starts, RMS of the error and of the contribution of each cause [m, m, rad], shares of the
-    mean square error. The shares of the kinds of causes (parameters, sensors) and of the residual add up to 1. stated:
+    mean squared error. The shares of the kinds of causes (parameters, sensors) and of the residual add up to 1. stated:
     parameters with a stated uncertainty."""
     summary = {}
     for model, sums_of_model in sums.get("shares", {}).items():

@@ -80,7 +80,7 @@ def build_model_file(discovery: Discovery, request: Request, update: VehicleUpda
     intervals: dict[tuple[str, str], Interval] = {}
     for named_effect in discovery.effects:
         for name, p in named_effect.parameters.items():
-            assert discovery.named is not None  # because there are named effects
+            assert discovery.named is not None  # because there are reported effects
             total = discovery.named.values[named_effect.name][name]
             low, high = (total + end - p.value for end in p.interval)
             intervals[named_effect.name, name] = (min(low, total), max(high, total))
@@ -105,7 +105,7 @@ def build_model_file(discovery: Discovery, request: Request, update: VehicleUpda
             effects[name] = complete.effects[name]
             continue
         source = ("st discover: effective correction" if is_effective else
-                  f"st discover: not named: {minor[name]}" if name in minor else base_source)
+                  f"st discover: minor effect: {minor[name]}" if name in minor else base_source)
         fitted = {p.name for p in effect.parameters if p.fit}
         effects[name] = {parameter: estimate if parameter not in fitted else replace(
             estimate, source=source, effective=is_effective, interval=None if is_effective else estimate.interval)
@@ -195,7 +195,7 @@ def _make_wide_tables(discovery: Discovery) -> list[Table]:
               "reproduce." + (f" After each possible next drive, for the pair that it separates least: {separations}."
                               if separations else ""), report_text.PAIR_HEAD, report_text.list_pair_rows(discovery)),
         Table("Other effects that were tried", "Improvement: reduction of the errors over all channels by this effect, "
-              "in addition to the result. An alternative is fitted in place of the named effect.",
+              "in addition to the result. An alternative is fitted in place of the reported effect.",
               ("effect", "fitted", "improvement, %", "verdict", "reason"), candidates,
               f"the first {len(candidates)} of {len(tested)}; all in discovery.json"),
         Table("Not detectable in these drives", "", ("effect", "reason", "recommended manoeuvre"), undetectable,

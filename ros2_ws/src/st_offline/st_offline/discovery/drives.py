@@ -32,7 +32,7 @@ RESULT_FORMAT = 3  # version of the format of cached results; other versions are
 
 @dataclass(frozen=True)
 class Drive:
-    """One run."""
+    """One run, read and checked."""
 
     name: str
     log: DriveLog | None  # None if a problem prevents its use

@@ -92,12 +92,12 @@ def draw_waterfall(data: FigureData) -> PageFigure | None:
                Line2D([], [], color=MEASURED_COLOUR, ls="--", label="noise floor")]
     figure.legend(handles=handles, loc="outside lower left", ncols=len(handles))
     caption = ("Each row adds one effect and refits all values; its value and change belong to that step. Line: "
-               "95 % interval of the change. Effects in parentheses are part of the fit, but not named.")
+               "95 % interval of the change. Effects in parentheses are part of the fit, but not reported as causes.")
     return save_figure(figure, data.output, "waterfall", "Error of each step of the search", caption)
 
 
 def _format_step(discovery: Discovery, step: Step) -> tuple[str, str]:
-    """(effect and values of a step, in parentheses if it is not named; change of the error)."""
+    """(effect and values of a step, in parentheses if it is not a reported cause; change of the error)."""
     label = f"{quantities.to_words(step.effect)}  {quantities.format_briefly(step.effect, step.parameters)}"
     change = step.position_5s.augmented - step.position_5s.base
     text = f"{change:+.2f} m"
@@ -210,8 +210,8 @@ def draw_agreement(data: FigureData) -> PageFigure | None:
             parts.setdefault(partition, {}).update(dict.fromkeys(v.subset for v in entries))
     single_row_labels = {partition: f"{len(names)} {partition}s" for partition, names in parts.items()
                          if partition == "place" or len(names) > MAX_ROWS}
-    labels = [(partition, where) for partition, names in parts.items()
-              for where in ([single_row_labels[partition]] if partition in single_row_labels else names)]
+    labels = [(partition, label) for partition, names in parts.items()
+              for label in ([single_row_labels[partition]] if partition in single_row_labels else names)]
     figure, panels = plt.subplots(1, len(effects), figsize=(HALF_WIDTH, 1.3 + 0.17 * len(labels)), sharey=True,
                                   squeeze=False)
     for axes, effect in zip(panels[0], effects, strict=True):
@@ -227,7 +227,7 @@ def draw_agreement(data: FigureData) -> PageFigure | None:
         for axes in panels[0]:
             axes.axhline(row - 0.5, color=TEXT_COLOUR, lw=0.5)
     figure.supxlabel("ratio of the local to the overall estimate", fontsize=8)
-    panels[0][0].set_yticks(range(len(labels)), [where for _, where in labels], fontsize=7)
+    panels[0][0].set_yticks(range(len(labels)), [label for _, label in labels], fontsize=7)
     panels[0][0].set_ylim(len(labels) - 0.5, -0.5)
     caption = ("Point: the effect refitted to one part of the driving, with the other effects fixed, divided by "
                "the overall estimate; filled if the 95 % interval (bar) excludes zero. Solid line: the overall "

@@ -114,13 +114,14 @@ def _describe_uncertainty(relation: Relation) -> list[str]:
 
 def _list_alternatives(relation: Relation) -> list[str]:
     lines = []
-    if relation.rivals:
-        names = "; ".join(f"{quantities.spell_out(name)} ({cosine:.2f})" for name, cosine in relation.rivals.items())
+    if relation.alternatives:
+        names = "; ".join(f"{quantities.spell_out(name)} ({cosine:.2f})"
+                          for name, cosine in relation.alternatives.items())
         lines.append(f"these drives do not separate it from: {names}. In brackets: cosine similarity of the two "
                      "effects on the predictions (1: identical, 0: unrelated)")
     for name, increase in relation.redundant.items():
-        lines.append(f"{quantities.to_words(name)} is named above, but is redundant given this relation (without it, "
-                     f"the residual increases by {increase:.1%}): it may have been fitted in place of the relation")
+        lines.append(f"{quantities.to_words(name)} is reported above, but is redundant given this relation (without "
+                     f"it, the residual increases by {increase:.1%}): it may have been fitted in place of the relation")
     return lines
 
 
@@ -187,14 +188,14 @@ def describe_next_drives(relation: Relation) -> list[str]:
     lines = []
     separating, precise = drives.find_most_separating(), drives.find_most_precise(relation.deviation)
     if separating is not None:
-        option, rival = separating
-        ratio = option.separation[rival] / max(drives.current_separation[rival], 1e-9)
-        lines.append(f"to separate it from {quantities.spell_out(rival)}: {_describe_manoeuvre(option)}. Their "
+        option, alternative = separating
+        ratio = option.separation[alternative] / max(drives.current_separation[alternative], 1e-9)
+        lines.append(f"to separate it from {quantities.spell_out(alternative)}: {_describe_manoeuvre(option)}. Their "
                      f"separation is then {ratio:.1f} times as large")
     elif drives.current_separation:
         lines.append("no manoeuvre of the catalogue separates it much better from its alternatives: look for "
                      "the cause on the car itself")
-    if len(drives.current_separation) < len(relation.rivals):
+    if len(drives.current_separation) < len(relation.alternatives):
         lines.append(f"to separate it from effects of place, heading or time: {REPEAT_ELSEWHERE}")
     if precise is not None:
         y_scale, unit = quantities.get_curve_unit(c.unit)
@@ -336,7 +337,7 @@ def build_relation_document(search: RelationSearch) -> dict:
         "curve": {"points": relation.points.tolist(),
                   **{key: getattr(relation, key).tolist() for key in ("value", "deviation", "density")}},
         "gain": relation.gain, "p_value": relation.p_value, "position_5s": list(relation.position_5s),
-        "runs": {name: list(pair) for name, pair in relation.runs.items()}, "rivals": dict(relation.rivals),
+        "runs": {name: list(pair) for name, pair in relation.runs.items()}, "rivals": dict(relation.alternatives),
         "redundant": dict(relation.redundant), "next_drives": _build_drives_document(relation),
         "size_ratios": {name: list(pair) for name, pair in relation.agreement.ratios.items()},
         "p_equal": relation.agreement.p_equal,

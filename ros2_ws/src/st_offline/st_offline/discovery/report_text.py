@@ -37,11 +37,11 @@ OTHER_CAUSE = " or a cause outside the library with the same effect"
 EFFECT_HEAD = ("effect", "value (95 % interval)", "5 s position error without it", "largest reduction",
                "significant in")
 EFFECT_NOTE = ("Errors are those of the complete model on held-out drives; \"without it\" means that this effect is "
-               "removed and the others are refitted. An effect is named only if it is significant and reduces the "
-               f"error of a channel by at least {100 * LIMITS.relevant:g} %, or the 5 s position error, over all "
-               f"driving or in one condition, by at least {LIMITS.relevant_position:g} m. A sensor error that "
-               "redundant sensors confirm is also named, if it is at least "
-               f"{LIMITS.min_relative_size:g} times its typical size")
+               "removed and the others are refitted. An effect is reported as a cause only if it is significant and "
+               f"reduces the error of a channel by at least {100 * LIMITS.relevant:g} %, or the 5 s position error, "
+               f"over all driving or in one condition, by at least {LIMITS.relevant_position:g} m. A sensor error that "
+               f"redundant sensors confirm is also reported, if it is at least {LIMITS.min_relative_size:g} times its "
+               "typical size")
 PAIR_HEAD = ("effect", "alternative", f"fraction of the gain (limit {LIMITS.min_rival_gain:.0%})",
              f"increase of the residual (limit {LIMITS.unexplained_share:.0%})",
              f"p (limit {LIMITS.undecided_p:g})", "cosine", "separation, σ of the noise")
@@ -64,7 +64,7 @@ def sort_by_size(effects: Sequence[result.FoundEffect]) -> list[result.FoundEffe
 
 
 def list_effect_rows(discovery: Discovery) -> list[tuple[str, str, str, str, str]]:
-    """Table row of each named effect, with the columns of EFFECT_HEAD."""
+    """Table row of each reported effect, with the columns of EFFECT_HEAD."""
     return [(name_with_alternatives(discovery, e, to_words(e.name)), "; ".join(format_parameters(e.name, e.parameters)),
              f"{'+' if e.position_5s_increase >= 0.0 else '−'}{format_metres(abs(e.position_5s_increase))}",
              f"{label_channel(e.channel)} error by {100 * e.share:.0f} %" if e.channel and e.share >= 0.005 else "-",
@@ -92,9 +92,10 @@ def format_title(discovery: Discovery) -> str:
     if discovery.outcome == "varying":
         varying = [f"an effect that resembles {to_words(v.resembles)} ({format_metres(v.position_5s_reduction)}) but "
                    f"varies between {PARTITION_NAMES[v.varies_with]}" for v in discovery.varying]
-        return f"{_describe_errors(discovery)}: {'; '.join((*unexplained, *varying, 'no effect is named'))}"
+        clauses = (*unexplained, *varying, "no effect is reported as a cause")
+        return f"{_describe_errors(discovery)}: {'; '.join(clauses)}"
     if discovery.outcome == "ambiguous":
-        return f"{_describe_errors(discovery)}: no effect is certain enough to be named"
+        return f"{_describe_errors(discovery)}: no effect is certain enough to be reported as a cause"
     return f"{_describe_errors(discovery)}: no significant model error"
 
 
@@ -114,7 +115,7 @@ def _describe_errors(discovery: Discovery) -> str:
     after = "" if discovery.model is None else f" → {format_metres(named if corrections_help else position.augmented)}"
     after += f", {format_metres(position.augmented)} with effective corrections" if corrections_help else ""
     more = len(discovery.minor) + (0 if corrections_help else len(discovery.effective)) if discovery.effects else 0
-    others = f", with {more} more effect{'' if more == 1 else 's'} that {'is' if more == 1 else 'are'} not named"
+    others = f", with {format_count(more, 'more effect')} not reported as {'a cause' if more == 1 else 'causes'}"
     return f"5 s position error {format_metres(position.base)}{after} (held-out{others if more else ''})"
 
 
@@ -379,8 +380,8 @@ def recommend(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
     if others:
         lines.append(f"predict with model.yaml, which adds {', '.join(others)}")
     if discovery.signature and discovery.effects:
-        lines.append("the named effects do not explain the whole error, and the residual may have biased their values: "
-                     "compare them with known data of the car")
+        lines.append("the reported effects do not explain the whole error, and the residual may have biased their "
+                     "values: compare them with known data of the car")
     if discovery.outcome == "unknown" or discovery.signature:
         lines.append("check in which conditions the model has large errors; you can add an effect of your own "
                      "(docs/manual/effects.md)")
@@ -396,11 +397,11 @@ def recommend(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
         lines.append(f"{prediction}weigh the car and compare its tyres with those of the vehicle file")
     if discovery.minor and discovery.effects:
         minor = ", ".join(name_with_alternatives(discovery, e) for e in discovery.minor)
-        lines.append(f"model.yaml also contains {minor}: part of the fit, but not named as properties of the car")
+        lines.append(f"model.yaml also contains {minor}: part of the fit, but not reported as properties of the car")
     elif discovery.minor:
         minor = ", ".join(to_words(e.name) for e in discovery.minor)
-        lines.append(f"predict with model.yaml, which contains {minor}: part of the fit, but not named as properties "
-                     "of the car")
+        lines.append(f"predict with model.yaml, which contains {minor}: part of the fit, but not reported as "
+                     "properties of the car")
     return lines or ["nothing"]
 
 
@@ -423,11 +424,11 @@ def list_details(discovery: Discovery, update: VehicleUpdate | None) -> list[tup
     minor = [f"{name_with_alternatives(discovery, e)}: {reasons[e.name]}" for e in sort_by_size(discovery.minor)
              if e.name in reasons]
     sections = [*((role, [text]) for role, text in describe_drives(discovery)), ("meaning", explain_effects(discovery)),
-                ("decision rule", decisions), ("not named", minor),
+                ("decision rule", decisions), ("minor effects", minor),
                 ("to do", recommend(discovery, update)[1:]),
                 ("effective corrections", describe_effective(discovery)),
                 ("taken from the vehicle file", list_priors(discovery)),
-                ("varying, not named", list(map(describe_varying, discovery.varying))),
+                ("varying effects", list(map(describe_varying, discovery.varying))),
                 ("detectability", [list_detectable(discovery)])]
     return [(heading, texts) for heading, section in sections if (texts := [text for text in section if text])]
 

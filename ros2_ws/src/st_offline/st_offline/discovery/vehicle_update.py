@@ -1,4 +1,4 @@
-"""Folds the named effects of a discovery into the user's vehicle file: they become corrections of its entries."""
+"""Folds the reported effects of a discovery into the user's vehicle file: they become corrections of its entries."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -48,7 +48,7 @@ class VehicleUpdate:
 
     vehicle: VehicleParameters  # updated car, or the original one if vehicle.yaml is not written
     text: str  # content of vehicle.yaml; "" if it is not written
-    # Augmented model for `vehicle`; a folded effect keeps the difference of its value in the best model.
+    # Augmented model for `vehicle`; a folded effect keeps the difference between its complete and its named value.
     model: AugmentedModel
     folded: tuple[str, ...]  # effects in vehicle.yaml
     # (before, after, low, high) by key [SI]; low, high: 95 % interval.
@@ -78,7 +78,7 @@ def update_vehicle(discovery: Discovery, request: Request) -> VehicleUpdate | No
 
 
 def fold_named_effects(discovery: Discovery, request: Request) -> VehicleUpdate | None:
-    """Fold the named effects into the vehicle file, even if this does not improve predictions; None without a model.
+    """Fold the reported effects into the vehicle file, even if this does not improve predictions; None without a model.
 
     Effects that an entry can express are folded in the order in which they act. An effect is skipped if its values
     exceed the limits of the file or if predictions would change: the steering ratio has no influence if the road-wheel
@@ -146,7 +146,7 @@ def _compute_held_out_error(discovery: Discovery, vehicle: VehicleParameters, fo
                             drives: Sequence[DriveLog]) -> tuple[tuple[float, float], tuple[str, ...]]:
     """`error` and `worse_drives` of `VehicleUpdate`; each drive is predicted with values fitted to the other drives, if
     any. (0, inf) and the drive if these values are outside the limits of a vehicle file."""
-    assert discovery.named is not None  # because there are named effects
+    assert discovery.named is not None  # because there are reported effects
     errors, worse = [], []
     for drive in drives:
         values = {**discovery.named.values, **discovery.leave_one_out.get(drive.name, {})}
@@ -222,7 +222,7 @@ def _compute_errors(model: AugmentedModel, vehicle: VehicleParameters, drives: S
 def _compute_interval(discovery: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
                       key: str) -> tuple[float, float]:
     """95 % interval of an entry of the file, from the intervals of the folded effects, assumed to be independent."""
-    assert discovery.named is not None  # because there are named effects
+    assert discovery.named is not None  # because there are reported effects
     values = {name: dict(entry) for name, entry in discovery.named.values.items()}
     centre = value_of(fold_effects(vehicle, folded, values), key)
     below = above = 0.0  # sums of squares

@@ -16,7 +16,7 @@ STANDSTILL_SPEED = 0.5  # m/s
 CURVATURE_LIMITS = (0.01, 0.005)  # 1/m
 LATERAL_ACCELERATION_LIMITS = (0.8, 0.4)  # m/s^2
 MIN_PART_DURATION = 1.5  # s; a shorter part is merged into its longer neighbour
-MIN_LONGITUDINAL_ACCELERATION = 0.7  # m/s^2, magnitude of the mean in a straight named braking or accelerating
+MIN_LONGITUDINAL_ACCELERATION = 0.7  # m/s^2, magnitude of the mean in a straight classified as braking or accelerating
 MIN_TURN, MIN_U_TURN, MIN_CIRCLE = np.radians([30.0, 150.0, 240.0])  # rad, heading change
 
 

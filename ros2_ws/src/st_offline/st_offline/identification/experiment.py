@@ -35,7 +35,7 @@ class IdentificationJob:
 
 @dataclass(frozen=True)
 class Experiment:
-    """One experiment."""
+    """An experiment of `st identify`."""
 
     name: str  # as on the command line
     description: str

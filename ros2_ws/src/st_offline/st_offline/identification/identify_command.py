@@ -25,7 +25,7 @@ from ..pages import load_template
 from ..terminal import list_files, make_table, print_line
 from .driving import DRIVE_EXPERIMENTS
 from .experiment import COLUMN_NAMES, Experiment, IdentificationJob, make_estimate_rows
-from .workshop import CG_HEIGHT, LAMBDA, SCALES, STEERING_RATIO, TYRE
+from .static_tests import CG_HEIGHT, LAMBDA, SCALES, STEERING_RATIO, TYRE
 
 EXPERIMENTS: dict[str, Experiment] = {
     experiment.name: experiment for experiment in (SCALES, CG_HEIGHT, STEERING_RATIO, TYRE, *DRIVE_EXPERIMENTS, LAMBDA)}

@@ -1,4 +1,4 @@
-"""Experiments of `st identify` in the workshop: scales, turntables, axle lift, flat-plank tyre tests."""
+"""Experiments of `st identify` without driving: scales, turntables, axle lift, flat-plank tyre tests."""
 
 from collections.abc import Sequence
 from pathlib import Path
