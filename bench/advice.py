@@ -63,6 +63,15 @@ def draw_advice(costs: Mapping[advice_report.ModelStep, advice_report.Cost],
                            f"Filled: rms error; hollow: half-width of the band; dashed: {tolerance:g} m.")
 
 
+def describe_columns(accuracies: dict) -> str:
+    """Text on the columns of the advice."""
+    level = next((accuracy.level for accuracy in accuracies.values()), None)
+    bands = "none, fewer than 3 runs" if level is None else (
+        f"mean lateral half-width of the {level:.0%} simultaneous band, calibrated on these runs")
+    return ("processor time per prediction, in brackets as a multiple of the lowest; error: lateral RMS error with "
+            f"measured inputs; band: {bands}")
+
+
 def run() -> dict:
     """Rows by model and step, and the cheapest choice for each speed; empty without the shared drives."""
     folders = [NINE_DRIVES, MORE_DRIVES]
@@ -74,7 +83,7 @@ def run() -> dict:
     draw_advice(costs, accuracies, TOLERANCE, FigureOutput(project_root() / "docs" / "images", ("png",)))
     rows = advice_report.make_advice_rows(costs, accuracies)
     choice = advice_report.make_choice_rows(find_cheapest(costs, accuracies, TOLERANCE))
-    title, caption = advice_report.make_choice_title(TOLERANCE), advice_report.make_caption(accuracies)
+    title, caption = advice_report.make_choice_title(TOLERANCE), describe_columns(accuracies)
     replace_part(PAGE, "advice", "\n".join([
         f"Genesis, {len(sources)} real drives. {caption[0].upper()}{caption[1:]}.", "", format_records(rows), "",
         f"{title}:", "", format_records(choice), "", "![Error and band against cost](../images/advice.png)"]))

@@ -252,10 +252,8 @@ def _make_table(result: Verification) -> Table:
 
 def _print_conclusion(result: Verification, tolerance: float, console: Console) -> int:
     n_scores = sum(sum(c.n_scores.values()) for c in result.comparisons)
-    n_one_sided = sum(c.n_one_sided for c in result.comparisons)
-    n_truncated = sum(c.n_truncated for c in result.comparisons)
-    n_settling = sum(c.n_settling for c in result.comparisons)
-    n_planned = sum(c.n_planned for c in result.comparisons)
+    n_one_sided, n_truncated, n_settling, n_planned = np.sum(
+        [(c.n_one_sided, c.n_truncated, c.n_settling, c.n_planned) for c in result.comparisons], axis=0)
     yaw_difference = max(c.yaw_difference for c in result.comparisons)
     passed = max(result.largest_difference, yaw_difference) <= tolerance and not n_one_sided
     verdict = "[green]live equals offline[/green]" if passed else "[red]live differs from offline[/red]"

@@ -132,15 +132,15 @@ def describe_unusable_curve(fits: RelationFits, fit: RelationFit) -> str:
 
 
 def describe_deterioration(fits: RelationFits, name: str, before: np.ndarray, after: np.ndarray) -> str:
-    """Reason to reject a relation that increases the mean held-out position error after 5 s, or increases it in one run
-    significantly and by at least `Limits.relevant_position`; "" if there is none. Runs with fewer than
-    three blocks are not tested. before, after: (n,) [m]."""
+    """Reason to reject a relation that increases the mean held-out position error at the end of the horizon, or in one
+    run significantly and by at least `Limits.relevant_position`; "" if there is none. Runs with fewer than three blocks
+    are not tested. before, after: (n,) [m]."""
     increase = after - before
     if not np.isfinite(increase).any():
         return ""
     if np.nanmean(increase) > 0.0:
-        return (f"{name} is significant, but raises the held-out position error after 5 s from "
-                f"{np.nanmean(before):.3f} to {np.nanmean(after):.3f} m")
+        return (f"{name} is significant, but raises the held-out position error after "
+                f"{fits.settings.horizon:g} s from {np.nanmean(before):.3f} to {np.nanmean(after):.3f} m")
     blocks, run, names = average_by_block(fits, increase), fits.problem.run_of_block, fits.windows.names
     for k in np.unique(run):
         run_increases = blocks[(run == k) & np.isfinite(blocks)]
@@ -148,8 +148,9 @@ def describe_deterioration(fits: RelationFits, name: str, before: np.ndarray, af
         if len(run_increases) <= 2 or np.nanmean(increase[windows]) < fits.limits.relevant_position:
             continue
         if compute_lower_bound(run_increases, fits.limits.undecided_p / len(names)) > 0.0:  # Bonferroni over the runs
-            return (f"{name} is significant, but raises the held-out position error of {names[k]} after 5 s from "
-                    f"{np.nanmean(before[windows]):.3f} to {np.nanmean(after[windows]):.3f} m")
+            return (f"{name} is significant, but raises the held-out position error of {names[k]} after "
+                    f"{fits.settings.horizon:g} s from {np.nanmean(before[windows]):.3f} to "
+                    f"{np.nanmean(after[windows]):.3f} m")
     return ""
 
 

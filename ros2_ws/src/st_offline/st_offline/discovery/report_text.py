@@ -427,7 +427,7 @@ def list_details(discovery: Discovery, update: VehicleUpdate | None) -> list[tup
                 ("decision rule", decisions), ("minor effects", minor),
                 ("to do", recommend(discovery, update)[1:]),
                 ("effective corrections", describe_effective(discovery)),
-                ("taken from the vehicle file", list_priors(discovery)),
+                ("priors from the vehicle file", list_priors(discovery)),
                 ("varying effects", list(map(describe_varying, discovery.varying))),
                 ("detectability", [list_detectable(discovery)])]
     return [(heading, texts) for heading, section in sections if (texts := [text for text in section if text])]

@@ -257,14 +257,6 @@ def split_rows(rows: Sequence[Mapping[str, str]],
         for title, pattern in patterns.items()}
 
 
-def make_caption(accuracies: Mapping[ModelStep, Accuracy]) -> str:
-    level = next((accuracy.level for accuracy in accuracies.values()), None)
-    bands = "band: none, fewer than 3 runs" if level is None else (
-        f"band: mean lateral half-width of the {level:.0%} simultaneous band, calibrated on these runs")
-    return ("processor time per prediction, in brackets as a multiple of the lowest; error: lateral RMS error with "
-            f"measured inputs; {bands}")
-
-
 def make_choice_title(tolerance: float) -> str:
     return (f"Cheapest model and step with a lateral error within {tolerance:g} m up to each second, in "
             f"{REQUIRED_FRACTION:.0%} of the starts, with measured inputs")

@@ -74,19 +74,15 @@ def _classify_samples(speed: np.ndarray, yaw_rate: np.ndarray) -> np.ndarray:
 def _merge_short_intervals(states: np.ndarray, shortest: int) -> list[tuple[int, int]]:
     """(first, last) index of each interval of equal states. An interval of fewer than `shortest` samples is merged into
     its longer neighbour; `states` is modified in place."""
-    spans = list(itertools.pairwise([0, *(np.flatnonzero(np.diff(states)) + 1).tolist(), len(states)]))
-    while len(spans) > 1:
-        size, i = min((b - a, i) for i, (a, b) in enumerate(spans))
-        if size >= shortest:
-            break
-        neighbours = [j for j in (i - 1, i + 1) if 0 <= j < len(spans)]
-        longest_neighbour = max(neighbours, key=lambda j: spans[j][1] - spans[j][0])
-        states[slice(*spans[i])] = states[spans[longest_neighbour][0]]
-        nearby = spans[max(i - 1, 0):i + 2]
-        edges = [nearby[0][0], *(a for a, _ in nearby[1:] if states[a - 1] != states[a]), nearby[-1][1]]
-        spans[max(i - 1, 0):i + 2] = itertools.pairwise(edges)
-    # The last point of an interval is the first of the next, so that heading changes add up.
-    return [(a, min(b, len(states) - 1)) for a, b in spans]
+    while True:
+        edges = [0, *(np.flatnonzero(np.diff(states)) + 1).tolist(), len(states)]
+        sizes = np.diff(edges)
+        i = int(sizes.argmin())
+        if len(sizes) == 1 or sizes[i] >= shortest:
+            # The last point of an interval is the first of the next, so that heading changes add up.
+            return [(a, min(b, len(states) - 1)) for a, b in itertools.pairwise(edges)]
+        longest_neighbour = max((j for j in (i - 1, i + 1) if 0 <= j < len(sizes)), key=lambda j: sizes[j])
+        states[edges[i]:edges[i + 1]] = states[edges[longest_neighbour]]
 
 
 def _name_part(state: int, heading_change: float, acceleration: float) -> str:

@@ -27,7 +27,7 @@ AXES = ("along", "across", "yaw")
 class PredictionBands:
     """Bands around the predicted paths: from a bands file, adapted to the errors of this run, both, or none.
 
-    file_hashes: hash of the model file by model, "" for a model of the paper. models, runners: as for `Evaluator`.
+    file_hashes: hash of the model file by model, "" for a built-in model. models, runners: as for `Evaluator`.
     Raises ConfigurationError for bands of a different car, model or configuration.
     """
 
