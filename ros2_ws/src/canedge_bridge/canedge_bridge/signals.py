@@ -34,6 +34,8 @@ MAX_SCALING = 1e12  # largest plausible factor or offset of a DBC signal
 # Range of the steering wheel angle to either side [rad] if the table gives none; the signal must reach half this range.
 DEFAULT_STEERING_RANGE = math.radians(180)
 
+_BYTE_ORDER_MARKS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16", b"\xef\xbb\xbf": "utf-8-sig"}
+"""First bytes of a DBC -> its encoding; without them, Windows-1252, which cantools assumes."""
 _MESSAGE = re.compile(r"^BO_ +(?P<id>\d+) +(?P<name>\w+) *:.*\n(?:[ \t]+SG_.*\n|[ \t]*\n(?=[ \t]+SG_))*", re.MULTILINE)
 _SIGNAL_ATTRIBUTE = re.compile(r"^(?:SIG_VALTYPE_|SG_MUL_VAL_) +(?P<id>\d+) .*;", re.MULTILINE)
 MAX_STANDARD_ID, MAX_EXTENDED_ID = 0x7FF, 0x1FFFFFFF
@@ -192,7 +194,9 @@ def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
     flag, or names that begin with a digit. Raises TableError if the given messages are invalid too.
     """
     try:
-        text = path.read_bytes().decode("cp1252", "replace")  # the encoding that cantools assumes for DBC
+        content = path.read_bytes()
+        codec = next((name for mark, name in _BYTE_ORDER_MARKS.items() if content.startswith(mark)), "cp1252")
+        text = content.decode(codec, "replace")
     except OSError as error:
         raise TableError(f"{path}: cannot be read: {error.strerror}") from None
     try:

@@ -123,6 +123,14 @@ def test_decreasing_and_duplicate_time_stamps_are_counted(log):
     assert findings_by_name(log, auxiliary=healthy) == {}
 
 
+def test_first_stamp_far_too_late_is_counted(log):
+    stamps = log.ins_time_ns.copy()
+    stamps[0] += 10**15
+    finding = findings_by_name(log, auxiliary=AuxiliaryData(stamps={"INS": stamps}))["time_order"]
+    assert finding.value == pytest.approx(1 / len(stamps)) and f"1 of {len(stamps)} rows" in finding.text
+    assert abs(finding.times[0][0]) < 1.0
+
+
 @pytest.mark.parametrize(("seconds", "severity"), [(1.0, Severity.NOTE), (4.0, Severity.WARNING)])
 def test_gaps_are_reported_with_length_and_time(log, leaf, seconds, severity):
     since = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9

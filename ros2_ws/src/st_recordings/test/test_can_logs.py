@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from asammdf import MDF, Signal
 from mdf_files import LogFrame, write_layout_2
+from st_recordings.runs.can_formats import is_can_log
 from st_recordings.runs.can_logs import read_can_logs
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.frames import EXTENDED, SENT, Frames
@@ -148,6 +149,29 @@ def test_times_after_the_clock_was_set_back_are_moved_forward(tmp_path: Path) ->
     assert "clock was set back by 1.500 s; later times were moved forward" in log.warnings[0]
     assert (np.diff(log.frames.time_ns) >= 0).all()
     assert log.frames.time_ns[-1] - log.frames.time_ns[0] == pytest.approx(399 * 500_000, abs=1_000_000)
+
+
+@pytest.mark.parametrize("error", [3600.0, -20.0])
+def test_only_the_times_between_two_opposite_clock_steps_are_corrected(tmp_path: Path, error: float) -> None:
+    file = tmp_path / "block.log"
+    file.write_text("".join(f"({2000 + 0.001 * k + (error if 100 <= k < 200 else 0):.6f}) can0 002#{k:04X}\n"
+                            for k in range(400)))
+    log = read_can_logs([file])
+    assert np.allclose(log.frames.time_ns * 1e-9, 2000 + 0.001 * np.arange(400), atol=0.002) and not log.steps
+    assert f"clock was wrong by {error:+.3f} s for 0.099 s; the times of these 100 frames were" in log.warnings[0]
+
+
+@pytest.mark.parametrize("codec", ["utf-16", "utf-16-le", "utf-16-be"])
+@pytest.mark.parametrize("extension", ["log", "asc", "trc", "csv"])
+def test_text_logs_in_utf_16_are_read(tmp_path: Path, extension: str, codec: str) -> None:
+    file = tmp_path / f"drive.{extension}"
+    with can.Logger(file) as writer:
+        for k in range(50):
+            writer.on_message_received(can.Message(timestamp=1.7e9 + 0.01 * k, arbitration_id=2, data=[k],
+                                                   is_extended_id=False))
+    file.write_bytes(file.read_text(encoding="utf-8").encode(codec))
+    assert is_can_log(file)
+    assert read_can_logs([file]).frames.payload[:, 0].tolist() == list(range(50))
 
 
 @pytest.mark.parametrize("extension", [".mfc", ".mfe", ".mfm", ".MF4"])

@@ -159,6 +159,27 @@ def test_missing_rows_are_no_outage_of_the_positions(tmp_path: Path) -> None:
     assert "repeat a position" not in "".join(drive.warnings)
 
 
+@pytest.mark.parametrize("speed", [10.0, 20.0])
+def test_positions_held_for_a_second_at_constant_speed_are_interpolated(tmp_path: Path, speed: float) -> None:
+    """Each step is 10 or 20 m and nothing else, as if a position were rounded to tens of metres."""
+    drive = read_csv(write(tmp_path, [HEADER, *(f"{0.01 * k:.2f},{speed * (k // 100)},0,0,{speed},0,0,0,0,0"
+                                                for k in range(2000))]))
+    assert drive.log.x == pytest.approx(speed * 0.01 * np.arange(2000), abs=1e-6)
+    assert any("about 1 Hz; the positions of the other rows were interpolated" in w for w in drive.warnings)
+
+
+@pytest.mark.parametrize(("start", "wrong", "text"), [
+    (3590.0, 995, False), (604790.0, 5, False), (86390.0, 5, False), (45296.0, 5, True), (101112.0, 5, False)],
+    ids=["last second of an hour", "end of a week", "end of a day", "text", "HHMMSS"])
+def test_time_of_zero_is_no_rollover(tmp_path: Path, start: float, wrong: int, text: bool) -> None:
+    times = [start + 0.01 * k if k != wrong else 0.0 for k in range(900 if start != 3590.0 else 1000)]
+    stamps = [f"{int(t // 3600):02d}:{int(t // 60 % 60):02d}:{t % 60:06.3f}" if text else f"{t:.2f}" for t in times]
+    drive = read_csv(write(tmp_path, [HEADER, *(f"{stamp},{0.2 * k:.3f},0,0,20,0,0,0,0,0"
+                                                for k, stamp in enumerate(stamps))]))
+    assert len(drive.log.x) == len(times) - 1
+    assert np.ptp(drive.log.ins_time_ns) == round((times[-1] - times[0]) * 100) * 10**7
+
+
 def test_zeros_in_the_middle_of_a_file_cost_one_row(tmp_path: Path) -> None:
     lines = rows(200)
     lines[100] = lines[100][:9] + "\0" * 300_000 + lines[100][9:]

@@ -458,6 +458,24 @@ def test_sign_of_a_vbo_yaw_rate_in_a_steady_turn(tmp_path: Path, radius: float, 
     assert any("yaw rate" in w for w in run.warnings) == bool(note)
 
 
+@pytest.mark.parametrize("scale", [-1.0, -0.5, 0.5])
+def test_negative_scale_of_a_vbo_yaw_rate_and_the_change_of_its_sign_are_one(tmp_path: Path, scale: float) -> None:
+    lines = "\n".join(f"{120000 + 0.05 * k:.2f} {3120 + 0.0003 * k:.6f} -90.0 36.0 {(90 - 0.5 * k) % 360:.4f} -10.0 0.1"
+                      for k in range(600))
+    (tmp_path / "turn.vbo").write_text(
+        f'[column names]\ntime lat long velocity heading YawRate "Steer"\n[data]\n{lines}\n')
+    run_file = tmp_path / "turn.run.yaml"
+    run_file.write_text(f"vbo: turn.vbo\ncorrect: {{yaw_rate: {{scale: {scale}}}}}\n")
+    run = read(find_runs([run_file])[0], CAR, VBO_SETTINGS)
+    np.testing.assert_allclose(run.log.yaw_rate, abs(scale) * np.radians(10.0))
+    assert any("is this change of sign; it is applied once" in w for w in run.warnings) == (scale < 0)
+
+
+def test_steering_topic_for_a_table_is_refused(tmp_path: Path, drive_log: DriveLog) -> None:
+    with pytest.raises(RunError, match=r"drive\.csv: --steering-topic: /steer is a topic of a bag, but this is"):
+        read_text(tmp_path / "drive.csv", csv(rows(drive_log)), ReadSettings(steering=SteeringField("/steer")))
+
+
 def test_bias_of_a_vbo_yaw_rate_does_not_change_its_sign(tmp_path: Path) -> None:
     """A bend to the right, so wide that a gyroscope with a bias to the left is positive in it."""
     rate = np.where((np.arange(600) >= 300) & (np.arange(600) < 400), -0.013, -0.004)

@@ -412,6 +412,22 @@ def test_missing_split_of_a_bag_causes_a_warning(tmp_path: Path, drive_log: Driv
     assert_warned(second.warnings, "2 files between drive_3.mcap and this one are missing, so these two are")
 
 
+@pytest.mark.parametrize("in_folder", [True, False])
+def test_splits_with_numbers_in_another_order_are_ordered_by_time(tmp_path: Path, drive_log: DriveLog,
+                                                                  in_folder: bool) -> None:
+    edges = np.linspace(0, len(drive_log.x), 4).astype(int)
+    (tmp_path / "bag").mkdir()
+    for k, number in enumerate((2, 0, 1)):
+        write_bag(tmp_path / "bag" / f"drive_{number}.mcap", drive_log, edges[k], edges[k + 1])
+    if in_folder:
+        (tmp_path / "bag/metadata.yaml").write_text("rosbag2_bagfile_information: {relative_file_paths: [drive_0.mcap, "
+                                                    "drive_1.mcap, drive_2.mcap]}\n")
+    (source,) = find_runs([tmp_path / "bag"] if in_folder else sorted((tmp_path / "bag").iterdir()))
+    run = read(source, CAR)
+    assert_same(run.log, drive_log, max_lost=0)
+    assert not run.warnings
+
+
 def test_time_of_day_in_names_of_bags_is_not_a_split_number(tmp_path: Path, drive_log: DriveLog) -> None:
     write_splits(tmp_path, drive_log)
     for file in tmp_path.glob("drive_*.mcap"):

@@ -1,6 +1,7 @@
 """MF4 logs with damaged block descriptions: refused in one sentence before asammdf reads them."""
 
 import math
+import re
 import struct
 import warnings
 from pathlib import Path
@@ -119,4 +120,21 @@ def test_truncated_file_with_two_unsorted_groups_is_read_to_its_last_frame(tmp_p
     truncated = tmp_path / "log.MF4"
     truncated.write_bytes(file.content + content[records:-5])
     log = read_mf4(truncated)
-    assert len(log.frames) == 261 and "the file ends in the middle of a frame" in log.warnings[0]
+    assert len(log.frames) == 261 and "no complete frame follows byte" in log.warnings[0]
+
+
+@pytest.mark.parametrize("layout", [1, 2])
+def test_damage_within_the_records_is_reported_with_its_place_and_size(tmp_path, layout):
+    """asammdf ends silently at the first record with an unknown identifier."""
+    frames = [LogFrame(500 * k, 1, 0x002, bytes(5)) for k in range(200)]
+    content = bytearray(REAL.read_bytes() if layout == 1 else
+                        write_layout_2(tmp_path / "log.MF4", START_NS, frames).read_bytes())
+    records = read_link(content, read_link(content, 64, 0), 2) + 24
+    middle = records + (len(content) - records) // 2 // 22 * 22
+    content[middle:middle + 80] = b"\xff" * 80
+    damaged = tmp_path / "damaged.MF4"
+    damaged.write_bytes(content)
+    log = read_mf4(damaged)
+    assert 50 < len(log.frames) < (262 if layout == 1 else 200)
+    assert re.search(r"(no valid record is at|no complete frame follows) byte \d+; (its|the) last \d+ of \d+ bytes .*"
+                     r"\((4\d|5\d)(\.\d+)? %\) are not used", log.warnings[0])

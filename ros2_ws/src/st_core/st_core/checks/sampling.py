@@ -137,11 +137,11 @@ def make_rejected_frames_finding(time: np.ndarray, frames: int, reason: str) -> 
 def _check_stamps(signal: str, stamps: np.ndarray, start_ns: int) -> list[Finding]:
     if len(stamps) < 2:
         return []
-    step = np.diff(stamps)
-    newest = np.maximum.accumulate(stamps)[:-1]
+    step, is_ascending = np.diff(stamps), find_ascending(stamps)
+    newest = np.maximum.accumulate(np.where(is_ascending, stamps, stamps[is_ascending][0]))[:-1]
     findings = []
-    old = ~find_ascending(stamps)[1:] & (step != 0)
-    for name, faulty, lost in (("time_order", step < 0, old), ("time_duplicates", step == 0, step == 0)):
+    lost_rows = ~is_ascending & np.append(True, step != 0)
+    for name, faulty, lost in (("time_order", step < 0, lost_rows), ("time_duplicates", step == 0, step == 0)):
         if not faulty.any():
             continue
         count, fraction = int(lost.sum()), float(lost.sum()) / len(stamps)

@@ -186,10 +186,9 @@ def _read_listed_files(directory: Path) -> list[str]:
 
 
 def list_bag_files(directory: Path) -> list[Path]:
-    """Storage files of a bag directory, in the order of metadata.yaml if it lists them all, else by number."""
+    """Storage files of a bag directory, in order of their first messages; those without messages by number."""
     files = sorted((f for f in directory.iterdir() if f.suffix.lower() in EXTENSIONS), key=natural_sort_key)
-    order = {name: k for k, name in enumerate(_read_listed_files(directory))}
-    return sorted(files, key=lambda f: order.get(f.name, -1)) if {f.name for f in files} <= order.keys() else files
+    return sorted(files, key=lambda f: read_time_span(f) or (0, 0)) if len(files) > 1 else files
 
 
 def describe_missing_files(path: Path) -> list[str]:

@@ -18,14 +18,13 @@ import numpy as np
 
 from .binary_table import is_signal_table
 from .columns import MOTION_CHANNELS, UNITS, Layout, find_columns, find_times, normalise
-from .errors import COMPRESSED_MAGIC, CP1252_FALLBACK, format_count, shorten
+from .errors import COMPRESSED_MAGIC, CP1252_FALLBACK, find_utf16, format_count, shorten
 from .mf4 import MF4_EXTENSIONS, VENDOR_EXTENSIONS, is_mdf
 from .table_times import PLAUSIBLE_EPOCH, StampReader, month_number
 
 _BLF_HEAD_LENGTH = 16  # bytes: "LOBJ", header size, header version, object size, object type
 _BLF_CONTAINER = re.compile(rb"LOBJ\x10\0\x01\0.{4}\x0a\0\0\0", re.DOTALL)  # its head
 _BLF_PADDING = 3  # largest number of bytes between two containers
-_UTF16_BOMS = (b"\xff\xfe", b"\xfe\xff")
 _WEEKDAY_MONTH = re.compile(r"(?i)^(date|begin\s+triggerblock)\s+\S+\s+(\S+)(.*)")
 _TABLE_EXTENSIONS = (".csv", ".txt")
 _ENGLISH_MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
@@ -71,7 +70,7 @@ class Lines:
             head = stream.read(1 << 16)
         # Comments and dates may contain Windows-1252 characters, even after the first 64 KiB.
         is_utf8 = head.startswith(head.decode("utf-8", "ignore").encode())
-        codec = "utf-16" if head[:2] in _UTF16_BOMS else "utf-8-sig" if is_utf8 else "cp1252"
+        codec = find_utf16(head) or ("utf-8-sig" if is_utf8 else "cp1252")
         self._stream = file.open(encoding=codec, errors=CP1252_FALLBACK)
         self.number, self.last = 0, ""
 
@@ -401,7 +400,7 @@ def _read_blf(file: Path, notes: list[str]) -> Iterator[Any]:
 
 
 def _is_csv(head: bytes) -> bool:
-    first_line = re.split(rb"[\r\n]", head.replace(b"\0", b""), maxsplit=1)[0].decode("utf-8-sig", "ignore")
+    first_line = re.split(rb"[\r\n]", head, maxsplit=1)[0].decode("utf-8-sig", "ignore")
     names, _, roles = _split_csv_header(first_line)
     return _CSV_COLUMNS.keys() == roles.keys() and MOTION_CHANNELS.isdisjoint(find_columns(Path(), names, Layout()))
 
@@ -414,13 +413,13 @@ def _is_trc(head: bytes) -> bool:
 
 
 def _is_candump(head: bytes) -> bool:
-    lines = head.replace(b"\0", b"").splitlines()[:20]
+    lines = head.splitlines()[:20]
     return any(re.match(rb"\W*\(\d+\.\d+\) \S+ [0-9A-Fa-f]+#", line) or _SCREEN_LINE.match(line.decode("latin-1"))
                for line in lines)
 
 
 def _is_asc(head: bytes) -> bool:
-    text = head.replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe" + b" \t\r\n")
+    text = head.lstrip(b"\xef\xbb\xbf \t\r\n")
     return any(part in text for part in (b"\nbase hex", b"\nbase dec")) or bool(
         _ASC_DATE.match(text) or _ASC_LINE.search(text))
 
@@ -439,6 +438,14 @@ EXTENSIONS = frozenset({e for f in FORMATS for e in f.extensions}.difference(_TA
                        | {*MF4_EXTENSIONS, *VENDOR_EXTENSIONS})
 
 
+def read_head(file: Path) -> bytes:
+    """First bytes of a file; those of a text in UTF-16 are converted to UTF-8. Raises OSError."""
+    with file.open("rb") as stream:
+        head = stream.read(4096)
+    codec = find_utf16(head)
+    return head.decode(codec, "ignore").encode() if codec else head
+
+
 def is_can_log(file: Path) -> bool:
     """Whether a file is a CAN log, by its extension, or by its content if other programs also use the extension.
 
@@ -450,8 +457,7 @@ def is_can_log(file: Path) -> bool:
     if extension not in SHARED_EXTENSIONS:
         return extension in EXTENSIONS
     try:
-        with file.open("rb") as stream:
-            head = stream.read(4096)
+        head = read_head(file)
     except OSError:
         head = b""
     if extension == ".csv":

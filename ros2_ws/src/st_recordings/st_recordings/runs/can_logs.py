@@ -14,7 +14,7 @@ from scipy.ndimage import median_filter
 from . import frames as can_frames
 from .bag import is_bag
 from .bag_storage import open_bag
-from .can_formats import AMBIGUOUS_IDS, DECIMAL_IDS, FORMATS, STANDARD_IDS, UNSTAMPED_LINE, Format
+from .can_formats import AMBIGUOUS_IDS, DECIMAL_IDS, FORMATS, STANDARD_IDS, UNSTAMPED_LINE, Format, read_head
 from .cdr import CAN_MSGS_FRAME
 from .errors import RunError, check_readable, shorten
 from .frames import ERROR, EXTENDED, FD, MAX_DATA_LENGTH, REMOTE, SENT, CanLog, Frames
@@ -63,8 +63,7 @@ def _read_log(file: Path) -> CanLog:
     if is_bag(file):
         return _read_bag(file)
     check_readable(file)
-    with file.open("rb") as stream:
-        head = stream.read(4096)
+    head = read_head(file)
     reject_unreadable(file, head)
     if is_mdf(head):
         return read_mf4(file)

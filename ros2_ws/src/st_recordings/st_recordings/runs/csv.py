@@ -438,7 +438,8 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], wa
         return
     seconds = (table.time_ns[rows] - table.time_ns[rows[0]]) * 1e-9
     resolution = max(float(step[is_new].min()), 1e-9)
-    is_moving = np.abs(columns["velocity_x"][rows][1:]) * np.diff(seconds) > (np.median(step[is_new]) + resolution) / 20
+    usual_interval = np.median(np.diff(seconds[1:][is_new], prepend=seconds[0]))
+    is_moving = np.abs(columns["velocity_x"][rows][1:]) * usual_interval > (np.median(step[is_new]) + resolution) / 20
     names = ("x", "y") if "x" in table.columns else ("latitude", "longitude")
     is_rounded = all(_has_steps_of_one_digit(columns[name][rows] / table.sources[name].factor) for name in names)
     if is_rounded or (is_moving & ~is_new).sum() <= MAX_HELD_FRACTION * max(is_moving.sum(), 1):
@@ -485,7 +486,9 @@ def _has_steps_of_one_digit(values: np.ndarray) -> bool:
     if not len(size):
         return True
     digit = 10.0 ** np.round(np.log10(size.min()))
-    return bool(np.mean(np.maximum(size / digit, digit / size) <= MAX_ROUNDING_RATIO) > MIN_REGULAR_FRACTION)
+    is_digit = np.maximum(size / digit, digit / size) <= MAX_ROUNDING_RATIO
+    is_multiple = np.abs(values / digit - np.round(values / digit)) < MAX_ROUNDING_RATIO - 1.0
+    return bool(digit <= 1.0 and is_digit.mean() > MIN_REGULAR_FRACTION and is_multiple.all())
 
 
 def _choose_steering(table: Table, columns: dict[str, np.ndarray], vehicle: VehicleParameters | None,

@@ -14,7 +14,7 @@ from st_core.sideslip import derive_yaw_rate
 from . import columns as column_names
 from .binary_table import BINARY_EXTENSIONS, is_signal_table, read_binary_table, read_names, read_signals
 from .columns import COLUMNS, UNITS, ColumnSource, Layout, find_columns, find_stamp_columns, find_unit, normalise
-from .errors import CP1252_FALLBACK, RunError, check_readable, format_count, shorten
+from .errors import CP1252_FALLBACK, RunError, check_readable, find_utf16, format_count, shorten
 from .table_times import convert_to_seconds, parse_stamp, read_stamps, select_usable_times
 
 MAX_TIME_ROWS = 500  # rows in which distinct times are counted, to find the time column with the highest resolution
@@ -71,12 +71,8 @@ def read_text(file: Path, size: int = -1) -> str:
 def _decode(file: Path, size: int) -> str:
     with file.open("rb") as stream:
         content = stream.read(size)
-    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return content.decode("utf-16", "replace")
-    if len(content) > 1 and not any(content[1:200:2]) and all(content[:200:2]):  # UTF-16 without byte order mark
-        return content.decode("utf-16-le", "replace")
-    if len(content) > 1 and not any(content[:200:2]) and all(content[1:200:2]):
-        return content.decode("utf-16-be", "replace")
+    if codec := find_utf16(content):
+        return content.decode(codec, "replace")
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:

@@ -22,6 +22,15 @@ MAX_SIMILAR_WARNINGS = 3  # number of similar warnings that are logged in full w
 _groups: ContextVar[dict[str, list[str]] | None] = ContextVar("_groups", default=None)
 
 
+def find_utf16(content: bytes) -> str | None:
+    """Codec of a text in UTF-16, with or without a byte order mark; None for other content."""
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return "utf-16"
+    is_zero = [not any(content[start:200:2]) for start in (0, 1)]
+    is_text = [len(content) > 1 and all(content[start:200:2]) for start in (0, 1)]
+    return "utf-16-le" if is_text[0] and is_zero[1] else "utf-16-be" if is_zero[0] and is_text[1] else None
+
+
 class RunError(ValueError):
     """A run or one of its files cannot be used. path: the file, folder or option that the message names."""
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
-from itertools import chain
+from itertools import chain, pairwise
 from pathlib import Path
 from struct import Struct
 
@@ -86,15 +86,15 @@ def remove_duplicates(frames: Frames) -> tuple[Frames, int]:
     return frames.select(np.delete(np.arange(len(frames)), rows + 1)), len(rows)
 
 
-def remove_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]]]:
-    """Moves the times after each backward step of the logger's clock forward.
+def remove_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]], list[str]]:
+    """Moves the times after each backward step of the logger's clock forward, or those between two opposite steps.
 
     A logger writes frames as they arrive, so a step back in time (see MAX_EARLY_FRAMES) means that its clock was set.
     The true interval across the step is lost (a millisecond on a busy bus); the median interval replaces it.
 
     Returns:
-        (frames in the order in which they were written, clock steps). A clock step is (new time of the frame after the
-        step [ns], negative size of the step [s]).
+        (frames in the order in which they were written, clock steps, notes on pairs of opposite steps). A clock step is
+        (new time of the frame after the step [ns], negative size of the step [s]).
     """
     time_ns = frames.time_ns
     steps = np.diff(time_ns)
@@ -102,20 +102,41 @@ def remove_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]]]
     is_step = [not (time_ns[max(k - MAX_EARLY_FRAMES, 0) : k] <= time_ns[k + 1]).any() for k in backward_steps]
     backward_steps = backward_steps[np.array(is_step, bool)]
     if not len(backward_steps):
-        return frames, []
+        return frames, [], []
     median_step = int(np.median(steps[steps >= 0])) if (steps >= 0).any() else 0
     correction = np.zeros(len(frames), dtype=np.int64)
-    correction[backward_steps + 1] = median_step - steps[backward_steps]
+    notes, single_steps, start = list[str](), list[int](), 0
+    for row, end in pairwise([*backward_steps.tolist(), len(steps)]):
+        first, last = row, _find_opposite_step(steps, row, start, end, 2 * median_step)
+        if last is None:
+            single_steps.append(row)
+        else:
+            first, last = sorted((row, last))
+            correction[last + 1] -= median_step - steps[first]
+            duration = (time_ns[last] - time_ns[first + 1]) * 1e-9
+            notes.append(f"the logger's clock was wrong by {(steps[first] - median_step) * 1e-9:+.3f} s for "
+                         f"{duration:.3f} s; the times of these {last - first} frames were corrected")
+        correction[first + 1] += median_step - steps[first]
+        start = (last or row) + 1
     time_ns = time_ns + np.cumsum(correction)
-    sizes = (steps[backward_steps] * 1e-9).tolist()
-    return replace(frames, time_ns=time_ns), list(zip(time_ns[backward_steps + 1].tolist(), sizes, strict=True))
+    return replace(frames, time_ns=time_ns), [
+        (int(time_ns[row + 1]), float(steps[row] * 1e-9)) for row in single_steps], notes
+
+
+def _find_opposite_step(steps: np.ndarray, row: int, start: int, end: int, tolerance: int) -> int | None:
+    """Row of the forward step from `start` to `end` that reverses the backward step at `row`, if no other step is half
+    as large; None without one. steps [ns]. tolerance: of their sum, in addition to MIN_CLOCK_STEP [ns]."""
+    large_steps = start + np.flatnonzero(steps[start:end] > -steps[row] / 2)
+    is_opposite = len(large_steps) == 1 and abs(steps[large_steps[0]] + steps[row]) <= tolerance + MIN_CLOCK_STEP * 1e9
+    return int(large_steps[0]) if is_opposite else None
 
 
 def build_log(file: Path, parts: Sequence[Frames], warnings: Sequence[str], start_ns: int | None = None) -> CanLog:
     """Builds the log of one file and removes the steps of its clock. parts: each in the order in which it was written.
     start_ns: by default the time of the first frame."""
-    corrected_parts, steps_of_parts = zip(*map(remove_clock_steps, parts), strict=True)
+    corrected_parts, steps_of_parts, notes = zip(*map(remove_clock_steps, parts), strict=True)
     frames, steps = merge_by_time(corrected_parts), tuple(chain.from_iterable(steps_of_parts))
+    warnings = [*warnings, *chain.from_iterable(notes)]
     if steps:
         times = f"{len(steps)} times, first " if len(steps) > 1 else ""
         warnings = [*warnings, f"the logger's clock was set back {times}by {-steps[0][1]:.3f} s; later times were "

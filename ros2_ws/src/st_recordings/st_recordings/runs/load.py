@@ -16,6 +16,7 @@ from st_core.vehicle import VehicleParameters
 from .errors import RunError, log_warnings
 from .readers import READERS
 from .run_types import LoadedRun, ReadSettings, RunSource
+from .vbo import YAW_RATE_REVERSED
 
 MIN_UNUSED_TIME, MIN_UNUSED_FRACTION = 1.0, 0.01
 """[s], and fraction of the recording. Time that only INS or only steering covers is reported if it exceeds both."""
@@ -71,6 +72,12 @@ def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters
     corrections: dict[str, Correction] = dict(source.settings.get("correct", {}))
     if "yaw" in corrections and READERS[source.kind].is_table:
         corrections["yaw"] = replace(corrections["yaw"], scale=1.0)  # its reader has applied the factor
+    notes = list[str]()
+    rate = corrections.get("yaw_rate")
+    if rate is not None and rate.scale < 0 and f"{source.path}: {YAW_RATE_REVERSED}" in run.warnings:
+        corrections["yaw_rate"] = replace(rate, scale=-rate.scale)
+        notes.append(f"{source.path}: the negative scale of yaw_rate in its run.yaml is this change of sign; it is "
+                     "applied once")
     try:
         log = apply_corrections(run.log, corrections, vehicle, excluded_intervals)
     except StCoreError as error:
@@ -79,7 +86,7 @@ def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters
     labels = tuple(replace(label, start=label.start - shift, end=label.end - shift) for label in run.labels)
     return replace(
         run, log=log, labels=labels, provenance={**run.provenance, "corrected": list(phrases)},
-        warnings=(*run.warnings, f"{source.path}: corrected by its run.yaml: {'; '.join(phrases)}"),
+        warnings=(*run.warnings, f"{source.path}: corrected by its run.yaml: {'; '.join(phrases)}", *notes),
         auxiliary=replace(run.auxiliary, corrections=phrases))
 
 

@@ -43,6 +43,7 @@ class RecordLayout:
     """Layout of the records in an unsorted data group."""
 
     start: int  # offset of the first record
+    size: int  # of all records [bytes]
     id_size: int  # bytes of a record identifier
     frame_records: dict[int, tuple[int, bool]]  # identifier -> (size [bytes], whether its payload is separate)
     payload_records: set[int]  # identifiers of the separate payload records
@@ -117,14 +118,14 @@ class _BlockChecker:
         id_size = self._data[block.content]
         if id_size not in (0, 1, 2, 4, 8):
             raise DamageError(f"the block at byte {offset} has record identifiers of {id_size} bytes")
-        layout = RecordLayout(block.links[2] + _HEAD_LENGTH, id_size, {}, set())
+        layout = RecordLayout(block.links[2] + _HEAD_LENGTH, 0, id_size, {}, set())
         expected, group = 0, block.links[1]
         while group:
             group, size = self._check_channel_group(group, layout)
             expected += size
         if id_size and self._data[block.links[2] : block.links[2] + 4] == b"##DT":
             self.layouts.append(layout)
-        size = self._measure_records(block.links[2], b"DT")
+        layout.size = size = self._measure_records(block.links[2], b"DT")
         if expected > size and not self._unfinished_parts & _COUNTERS_UNFINISHED:
             raise DamageError(f"the block at byte {offset} declares {expected} bytes of records, but there are {size}")
         return block.links[0]

@@ -139,6 +139,8 @@ def _open_readable_part(path: Path, warnings: list[str]) -> Any:
     try:
         log = MDF(path, **MDF_OPTIONS)
         if all(_has_payloads(log, group) for group in range(len(log.groups))):
+            if layout is not None:
+                warnings += _describe_unread_records(log, layout)
             return log
     except Exception:  # any, from asammdf: the file is truncated or damaged
         pass
@@ -149,12 +151,28 @@ def _open_readable_part(path: Path, warnings: list[str]) -> Any:
     if end is None:
         raise DamageError("it contains no complete frame")
     mdf_blocks.check_blocks(content[:end])
-    warnings.append(f"the file ends in the middle of a frame; its last {len(content) - end} bytes are not used")
+    count = format_count(len(content) - end, len(content), "bytes")
+    warnings.append(f"no complete frame follows byte {end}; the last {count} are not used")
     log = MDF(io.BytesIO(content[:end]), **MDF_OPTIONS)
     if not all(_has_payloads(log, group) for group in range(len(log.groups))):
         log.close()
         raise DamageError("the payload offsets in its frames are invalid")
     return log
+
+
+def _describe_unread_records(log: Any, layout: mdf_blocks.RecordLayout) -> list[str]:
+    """A warning if asammdf stopped at an invalid record; none if only the last record is incomplete."""
+    size = 0
+    for content in log.groups:
+        group = content.channel_group
+        payloads = [list(content.get_signal_data_blocks(index)) for index in range(len(content.channels))]
+        size += group.cycles_nr * (layout.id_size + group.samples_byte_nr + group.invalidation_bytes_nr)
+        size += sum(group.cycles_nr * layout.id_size + sum(block.original_size for block in blocks)
+                    for blocks in payloads if blocks)
+    if layout.size - size <= layout.id_size + max(length for length, _ in layout.frame_records.values()):
+        return []
+    return [f"no valid record is at byte {layout.start + size}; its last "
+            f"{format_count(layout.size - size, layout.size, 'bytes of records')} are not used"]
 
 
 def _find_frame_channel(log: Any, group: int) -> str | None:

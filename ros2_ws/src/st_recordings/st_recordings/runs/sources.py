@@ -3,11 +3,11 @@
 import glob
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 from st_core import yaml_text
 
-from ..paths import natural_sort_key
 from .bag_storage import EXTENSIONS as BAG_EXTENSIONS
 from .bag_storage import read_time_span
 from .binary_table import BINARY_EXTENSIONS
@@ -211,24 +211,25 @@ def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
 
 
 def _group_split_bags(files: Sequence[Path]) -> list[list[Path]]:
-    """Groups of two or more bag files drive_0, drive_1, ..., each of which begins when the previous one ends."""
+    """Groups of two or more bag files drive_0, drive_1, ..., each of which begins when the previous one ends, in order
+    of time. No number between those of two consecutive files is missing."""
+    series: dict[tuple[Path, str, str], dict[int, Path]] = {}
+    for file in files:
+        stem, _, digits = file.stem.rpartition("_")
+        if digits.isdecimal():
+            series.setdefault((file.parent, stem, file.suffix), {})[int(digits)] = file
     groups: list[list[Path]] = []
-    for file in sorted(files, key=lambda f: (f.parent, natural_sort_key(f))):
-        if groups and _is_continuation(groups[-1][-1], file):
-            groups[-1].append(file)
-        else:
-            groups.append([file])
+    for parts in series.values():
+        spans = {number: span for number, part in parts.items() if len(parts) > 1 and (span := read_time_span(part))}
+        numbers = sorted(spans, key=lambda number: spans[number])
+        groups += [[parts[number]] for number in numbers[:1]]
+        for previous, number in pairwise(numbers):
+            part, between = parts[number], range(min(previous, number), max(previous, number))
+            if parts.keys() >= {*between} and abs(spans[number][0] - spans[previous][1]) * 1e-9 < MAX_SPLIT_GAP:
+                groups[-1].append(part)
+            else:
+                groups.append([part])
     return [group for group in groups if len(group) > 1]
-
-
-def _is_continuation(previous: Path, file: Path) -> bool:
-    (stem, _, first), (next_stem, _, second) = previous.stem.rpartition("_"), file.stem.rpartition("_")
-    is_same_series = (previous.parent, stem, previous.suffix) == (file.parent, next_stem, file.suffix)
-    if not (is_same_series and first.isdecimal() and second.isdecimal()):
-        return False
-    previous_span, span = read_time_span(previous), read_time_span(file)
-    return int(second) == int(first) + 1 and previous_span is not None and span is not None and (
-        abs(span[0] - previous_span[1]) * 1e-9 < MAX_SPLIT_GAP)
 
 
 def _make_single_run(path: Path, reader: Reader) -> RunSource:

@@ -73,8 +73,8 @@ class StampReader:
         if (time := parse_stamp(text)) is None:
             return None
         seconds, period = time
-        if period and self._previous - seconds > period / 2:
-            self._offset += period
+        if period and abs(self._previous - seconds) > period / 2:  # a wrong time of 0 is followed by a jump forward
+            self._offset = max(self._offset + np.copysign(period, self._previous - seconds), 0.0)
         self._previous = seconds
         return self._offset + seconds
 
@@ -137,7 +137,7 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
             warnings.append(f"{file}: times of column {source.name} were read as HHMMSS, a time of day")
         seconds = np.where(is_valid_hhmmss(times), seconds_of_day(times), np.nan)
         known_rows = np.isfinite(seconds)
-        seconds[known_rows] += DAY * np.cumsum(np.diff(seconds[known_rows], prepend=seconds[known_rows][:1]) < -DAY / 2)
+        seconds[known_rows] += DAY * _count_rollovers(seconds[known_rows], DAY / 2)
         return seconds, source
     if median > LATEST_TIME:
         meanings = [(0.0, UNITS["time"][unit][0], f"{unit} since 1970") for unit in ("ms", "us", "ns")]
@@ -151,10 +151,17 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
     known_rows = np.flatnonzero(np.isfinite(seconds))
     # Seconds of an hour, a day or a GPS week, or microseconds in 32 bits
     for period, longest_step in ((HOUR, 1.0), (2**32 * 1e-6, 1.0), (DAY, ROLLOVER_STEP), (7 * DAY, ROLLOVER_STEP)):
-        is_rollover = np.diff(seconds[known_rows]) < -period + longest_step
-        if is_rollover.any() and seconds[known_rows].min() >= 0.0 and seconds[known_rows].max() <= period + 1.0:
-            seconds[known_rows[1:]] += period * np.cumsum(is_rollover)
+        if len(known_rows) and seconds[known_rows].min() >= 0.0 and seconds[known_rows].max() <= period + 1.0:
+            seconds[known_rows] += period * _count_rollovers(seconds[known_rows], period - longest_step)
     return seconds, source
+
+
+def _count_rollovers(seconds: np.ndarray, min_jump: float) -> np.ndarray:
+    """Number of rollovers before each time. After a jump back that a jump forward reverses, times are wrong instead."""
+    jumps = np.diff(seconds, prepend=seconds[:1])
+    rows = np.flatnonzero(np.abs(jumps) > min_jump)
+    is_rollover = (jumps[rows] < 0) & (np.append(jumps[rows[1:]], -1.0) < 0)
+    return np.cumsum(np.isin(np.arange(len(seconds)), rows[is_rollover]))
 
 
 def seconds_of_day(hhmmss: np.ndarray) -> np.ndarray:

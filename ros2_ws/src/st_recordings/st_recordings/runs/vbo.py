@@ -16,6 +16,7 @@ from .csv_table import Table, differentiate_yaw, parse_table, read_text
 from .errors import RunError, check_readable
 from .table_times import HHMMSS
 
+YAW_RATE_REVERSED = "the yaw rate is positive in right turns; its sign was changed"
 _SECTION = re.compile(r"^\[([^\]]*)\][ \t]*\n", re.MULTILINE)
 _CREATION_DATE = re.compile(r"created on (\d{1,2})/(\d{1,2})/(\d{4})", re.IGNORECASE)
 # Standard channels: name in [column names] -> (channel, unit).
@@ -145,7 +146,7 @@ def _correct_signs(table: Table) -> Table:
         similarity = yaw_rate @ derivative / max(np.linalg.norm(yaw_rate) * np.linalg.norm(derivative), 1e-12)
         if largest >= MIN_TURN_RATE and similarity < -MIN_HEADING_AGREEMENT:
             columns["yaw_rate"] = -columns["yaw_rate"]
-            warnings.append(f"{table.file}: the yaw rate is positive in right turns; its sign was changed")
+            warnings.append(f"{table.file}: {YAW_RATE_REVERSED}")
         elif usual >= MIN_TURN_RATE and similarity < MIN_HEADING_AGREEMENT:
             warnings.append(f"{table.file}: the yaw rate channel does not agree with the heading (cosine similarity "
                             f"{similarity:.2f}); the derivative of the heading is used")
