@@ -71,7 +71,21 @@ def test_title_and_table_list_values_with_the_largest_effect_first(logs):
     effects = [replace(e, channel="yaw", share=0.25) for e in reversed(found.effects)]
     first, *_, last = report_text.list_effect_rows(replace(found, effects=tuple(effects)))
     assert first[0] == "steering ratio" and first[2:4] == ("+0.90 m", "heading error by 25 %")
-    assert last[2] == "+0.000 m" and "2 of 2 runs, 2 of 2 sites" in last
+    assert last[2] == "0.000 m" and "2 of 2 runs, 2 of 2 sites" in last
+
+
+def test_effective_correction_is_described_by_the_error_it_reduces_most(logs):
+    found = discovery(logs, STEPS, 1.72)
+    named = found.errors | {"yaw_rate": replace(found.errors["yaw_rate"], augmented=0.016)}
+    (text,) = report_text.describe_effective(replace(found, named_errors=named, effective=found.effects[:1]))
+    assert "steering ratio × 0.8940 (yaw rate error 0.917°/s → 0.573°/s): improves predictions" in text
+
+
+def test_all_effects_of_the_model_file_are_listed(logs):
+    found = discovery(logs, STEPS, 1.72)
+    update = VehicleUpdate(CAR, "", found.model, (), {}, {"steering_ratio": {"steering_ratio": (15.87, 14.2)}})
+    expected = "predict with model.yaml, which adds steering ratio, heading misalignment, lateral acceleration bias"
+    assert expected in report_text.recommend(found, update)
 
 
 def test_value_on_its_bound_is_marked_except_shape_factors():

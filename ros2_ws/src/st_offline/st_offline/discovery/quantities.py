@@ -76,6 +76,12 @@ def format_metres(value: float) -> str:
     return f"{value:.2f} m" if abs(value) >= 0.095 else f"{value:.3f} m"
 
 
+def format_metre_change(change: float) -> str:
+    """A change of a length [m], with its sign; without, if it is rounded to 0."""
+    size = format_metres(abs(change))
+    return size if abs(change) < 5e-4 else f"{'+' if change > 0.0 else '−'}{size}"
+
+
 def format_decimal(number: float, decimals: int) -> str:
     """Text of a number with the given decimals, or with an exponent for more than MAX_DECIMALS; with one significant
     digit if it would be rounded to 0."""

@@ -19,6 +19,7 @@ from .quantities import (
     format_briefly,
     format_deviation,
     format_fitted,
+    format_metre_change,
     format_metres,
     format_parameters,
     format_value,
@@ -66,7 +67,7 @@ def sort_by_size(effects: Sequence[result.FoundEffect]) -> list[result.FoundEffe
 def list_effect_rows(discovery: Discovery) -> list[tuple[str, str, str, str, str]]:
     """Table row of each reported effect, with the columns of EFFECT_HEAD."""
     return [(name_with_alternatives(discovery, e, to_words(e.name)), "; ".join(format_parameters(e.name, e.parameters)),
-             f"{'+' if e.position_5s_increase >= 0.0 else '−'}{format_metres(abs(e.position_5s_increase))}",
+             format_metre_change(e.position_5s_increase),
              f"{label_channel(e.channel)} error by {100 * e.share:.0f} %" if e.channel and e.share >= 0.005 else "-",
              count_agreement(e)) for e in sort_by_size(discovery.effects)]
 
@@ -306,14 +307,16 @@ def list_priors(discovery: Discovery) -> list[str]:
 
 def describe_effective(discovery: Discovery) -> list[str]:
     """Sentence on the effective corrections of the model; empty without any."""
-    if not discovery.effective:
+    if not discovery.effective or not discovery.named_errors:
         return []
-    position, named = discovery.errors.get("position_5s"), discovery.named_errors.get("position_5s")
-    errors = (f" ({format_metres(named.augmented)} → {format_metres(position.augmented)} after 5 s)"
-              if position and named else "")
+    changes = {name: (error.augmented, discovery.errors[name].augmented, error.unit)
+               for name, error in discovery.named_errors.items()}
+    # The channel with the largest relative reduction.
+    name = min(changes, key=lambda n: changes[n][1] / max(changes[n][0], 1e-12))
+    before, after = (format_value(value, changes[name][2]) for value in changes[name][:2])
     names = ", ".join(f"{to_words(e.name)} {format_briefly(e.name, e.parameters)}" for e in discovery.effective)
-    return [f"{names}{errors}: improves predictions, but is not a property of the car; model.yaml contains it, marked "
-            "effective"]
+    return [f"{names} ({label_channel(name)} error {before} → {after}): improves predictions, but is not a property of "
+            "the car; model.yaml contains it, marked effective"]
 
 
 def _list_vehicle_recommendations(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
@@ -376,9 +379,8 @@ def recommend(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
     if sensors:
         lines.append(f"{', '.join(sensors)}: either use model.yaml, or correct the sensors or the recordings "
                      "(run.yaml) and run st discover again; doing both corrects the error twice")
-    others = [to_words(e.name) for e in not_in_file if update is None or e.name not in update.not_folded]
-    if others:
-        lines.append(f"predict with model.yaml, which adds {', '.join(others)}")
+    if not_in_file:
+        lines.append(f"predict with model.yaml, which adds {', '.join(to_words(e.name) for e in not_in_file)}")
     if discovery.signature and discovery.effects:
         lines.append("the reported effects do not explain the whole error, and the residual may have biased their "
                      "values: compare them with known data of the car")
