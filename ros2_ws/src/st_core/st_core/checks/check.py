@@ -90,8 +90,10 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
     # Accelerations are last, since no prediction depends on them.
     findings = sorted(results.findings, key=lambda finding: (
         [*Severity].index(finding.severity), finding.concerns_only_acceleration, -(finding.effect or np.inf)))
+    ambiguous = {finding.name for finding in findings if position.AMBIGUOUS in finding.text}
     return DriveCheck(tuple(findings), channels, tuple(results.panels),
-                      {name: (estimate.value, *estimate.interval) for name, estimate in results.estimates.items()})
+                      {name: (estimate.value, *estimate.interval) for name, estimate in results.estimates.items()
+                       if name not in ambiguous})
 
 
 def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters | None, time_unit: Finding | None,

@@ -125,7 +125,7 @@ class DriveCheck:
     findings: tuple[Finding, ...]  # the most severe first
     channels: Mapping[str, Sampling]
     comparisons: tuple[Comparison, ...]  # in the order of the checks
-    # (value, lower and upper 95 % limit) by name of the finding
+    # (value, lower and upper 95 % limit) by name of the finding, without findings that name an alternative
     estimates: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
     def with_severity(self, severity: Severity) -> tuple[Finding, ...]:

@@ -33,6 +33,7 @@ MAX_RESIDUAL_LAG = 0.5  # largest position lag with the right yaw, divided by th
 MIN_LOSS_RATIO = 1.1  # ratio of the losses of two explanations above which the one with the smaller loss is preferred
 MIN_SIGN_GAIN = 0.01  # m; minimum reduction of the misfit by the opposite sign; RTK noise is 1 cm
 MAX_SIGN_MISFIT_RATIO = 1.2  # largest misfit with the opposite sign, divided by that with another cause, if both fit
+AMBIGUOUS = ": both fit this drive"  # end of the text of a finding with an alternative, which has no estimate
 MIN_LATERAL_VELOCITY = 0.02  # m/s, root mean square
 SPHERICAL_EARTH_SCALE = 0.005  # largest scale error per axis of a projection on a spherical earth
 MIN_VELOCITY_BIAS = 0.05  # m/s; INS velocities are accurate to 0.03
@@ -373,7 +374,7 @@ def _add_lag_alternative(findings: list[Finding], problem: Regression,
     if recorded.compute_loss((*alongside, other), scale) > MIN_LOSS_RATIO * recorded.compute_loss(
             (*alongside, found), scale):
         return findings
-    return [replace(finding, text=f"{finding.text}, or {alternative}: both fit this drive") if finding.name == found
+    return [replace(finding, text=f"{finding.text}, or {alternative}{AMBIGUOUS}") if finding.name == found
             else finding for finding in findings]
 
 
@@ -389,7 +390,7 @@ def add_alternative(finding: Finding, alternative: str, channel: str = "velocity
     """The finding with an alternative that involves another channel, and thus without a correction."""
     advice = Advice("text", "drive bends of different speed and radius, to distinguish the two")
     return replace(finding, advice=advice, channels=tuple(dict.fromkeys((*finding.channels, channel))),
-                   text=f"{finding.text}, or {alternative}: both fit this drive")
+                   text=f"{finding.text}, or {alternative}{AMBIGUOUS}")
 
 
 def add_sign_alternative(findings: list[Finding], recorded: Motion, corrected: Motion) -> list[Finding]:
