@@ -4,16 +4,67 @@ import numpy as np
 import pytest
 from discovery_drives import linear_problem, recorded
 from st_core.discovery import DiscoverySettings
-from st_core.discovery.library_fit import _gain_between_runs, fit_healthy_car, theoretical_values
+from st_core.discovery.library_fit import (
+    _gain_between_runs,
+    _predictive_prior,
+    fit_healthy_car,
+    theoretical_values,
+)
 from st_core.discovery.space import Space
 
 FEW = ("steering_offset", "mass", "yaw_rate_bias")
 
 
-def gain_between_runs(problem) -> float:
+def gain_between_runs(problem, vector=None) -> float:
+    """The gain, from the quadratic approximation about a vector; by default about the start."""
+    vector, size = problem.start if vector is None else vector, len(problem.space)
     q = problem.loss.quadratic(problem.errors.at(problem.start), problem.errors.signatures)
-    size = len(problem.space)
-    return _gain_between_runs(q, problem.space, problem.errors.windows, np.ones(size), np.eye(size) / 9.0)
+    prior = np.eye(size) / 9.0
+    return _gain_between_runs(q.after(problem.distance(vector)), problem.space, problem.errors.windows,
+                              np.full(size, 1.5), prior, prior @ problem.distance(vector))
+
+
+def leave_one_out_gain(problem) -> float:
+    """The gain by direct fits of the least-squares problem: all runs but one, then that run with this fit as prior."""
+    q = problem.loss.quadratic(problem.errors.at(problem.start), problem.errors.signatures)
+    free, run, gains = problem.space.indices(*FEW), problem.errors.windows.run, []
+    by_run = q.select(free).sum_groups(run)
+    roots = [np.linalg.cholesky(h).T for h in by_run.hessian]
+    targets = [np.linalg.solve(r.T, g) for r, g in zip(roots, by_run.gradient, strict=True)]
+    weak = np.eye(len(free)) / 3.0
+    for k in range(len(roots)):
+        others = [j for j in range(len(roots)) if j != k]
+        centre = np.linalg.lstsq(np.vstack([weak, *(roots[j] for j in others)]),
+                                 np.concatenate([np.zeros(len(free)), *(targets[j] for j in others)]))[0]
+
+        def loss(free_effect: str = "", k=k, others=others, centre=centre) -> float:
+            # A free effect gets a shift of its own, which the prior does not see.
+            own = np.eye(len(free))[:, np.isin(free, problem.space.indices(free_effect) if free_effect else [])]
+            prior = np.vstack([weak, *(roots[j] / 1.5 for j in others)])
+            rows = np.block([[roots[k], roots[k] @ own], [prior, 0.0 * prior @ own]])
+            target = np.concatenate([targets[k], prior @ centre])
+            residual = target - rows @ np.linalg.lstsq(rows, target)[0]
+            return float(residual @ residual)
+        gains += [(loss() - loss(effect)) / problem.loss.known[run == k].sum() for effect in FEW]
+    return max(gains)
+
+
+def test_gain_between_runs_is_that_of_direct_fits_without_the_run():
+    problem = linear_problem(FEW, {"mass": 2.0}, 1, runs=4)
+    assert gain_between_runs(problem) == pytest.approx(leave_one_out_gain(problem), rel=1e-4)
+
+
+def test_gain_between_runs_does_not_depend_on_the_vector_of_the_approximation():
+    problem = linear_problem(FEW, {"mass": 2.0}, 1, runs=4)
+    other = problem.start.copy()
+    other[problem.space.indices(*FEW)] += 2.0 * problem.space.scale[problem.space.indices(*FEW)]
+    assert gain_between_runs(problem, other) == pytest.approx(gain_between_runs(problem), rel=1e-6)
+
+
+def test_predictive_prior_of_parameters_that_no_drive_excites_is_the_weak_prior():
+    weak = np.diag([0.1, 0.2, 0.3])
+    predictive = _predictive_prior(np.diag([0.0, 8.0, 0.0]), np.full(3, 2.0), weak)
+    np.testing.assert_allclose(predictive, np.diag([0.1, 2.2, 0.3]))
 
 
 def test_gain_of_healthy_drives_is_larger_if_one_run_differs():

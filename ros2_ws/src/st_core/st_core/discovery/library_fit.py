@@ -48,7 +48,8 @@ class HealthyCar:
 def fit_healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, settings: DiscoverySettings,
                     threads: int, tick: Callable[[], None]) -> HealthyCar:
     """Fit the healthy car to its drives. The prior is the predictive distribution for a new drive of the same car: the
-    covariance of the values times the design effect, times 2 because both reference and new drive are uncertain."""
+    covariance from the drives times the design effect, times 2 because both reference and new drive are uncertain,
+    combined with the weak prior and the priors of the vehicle file."""
     windows = Windows(runs, vehicle, settings)
     prior, quantities = weak_prior(space), find_file_quantities(space, vehicle)
     fits = []
@@ -58,7 +59,8 @@ def fit_healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space:
     vector, prior, loss = min(fits, key=lambda fit: float(np.log(fit[2].scale).sum()))
     problem = Problem(loss, space.null, windows.block, prior)
     q = problem.full_quadratic(vector)
-    h = q.hessian.sum(axis=0) + prior
+    h = q.hessian.sum(axis=0)
+    information = np.maximum(np.diag(h), 1e-9 * np.trace(h))
     design_effects = np.ones(len(h))  # at least 1; see `Problem.update_design_effect`
     for group in (windows.block, windows.run):
         gradient = q.sum_groups(group).gradient
@@ -66,13 +68,13 @@ def fit_healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space:
         if count > 2:
             widening = (float(stats.t.ppf(0.975, count - 1)) / Z95) ** 2  # for few blocks or runs
             variance = widening * 2.0 * count * gradient.var(axis=0, ddof=1)
-            design_effects = np.maximum(design_effects, variance / np.diag(h))
+            design_effects = np.maximum(design_effects, variance / information)
     factors = np.sqrt(2.0 * design_effects)
     position = problem.position_error(problem.errors.at(vector))
     by_run = [position[windows.run == k] for k in np.unique(windows.run)]
     position_error = max((float(np.nanmean(error)) for error in by_run if np.isfinite(error).any()), default=0.0)
     return HealthyCar(vector, _predictive_prior(h, factors, prior), loss.scale_of(vector)[-len(windows.columns):],
-                      position_error, _gain_between_runs(q, space, windows, factors, prior))
+                      position_error, _gain_between_runs(q, space, windows, factors, prior, prior @ problem.distance(vector)))
 
 
 def weak_prior(space: Space) -> np.ndarray:
@@ -84,18 +86,21 @@ def weak_prior(space: Space) -> np.ndarray:
 
 
 def _predictive_prior(h: np.ndarray, factors: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """(p, p) curvature h of a fit, with its standard deviations multiplied by `factors` (p,), plus `prior`."""
-    return inverse(factors[:, None] * inverse(h) * factors) + prior
+    """(p, p) curvature h of the loss of some drives, with its standard deviations multiplied by `factors` (p,), plus
+    `prior`."""
+    return h / np.outer(factors, factors) + prior
 
 
-def _gain_between_runs(q: Quadratic, space: Space, windows: Windows, factors: np.ndarray, prior: np.ndarray) -> float:
-    """`HealthyCar.gain_between_runs` from the quadratic approximation of the loss; 0 with fewer than three runs."""
+def _gain_between_runs(q: Quadratic, space: Space, windows: Windows, factors: np.ndarray, prior: np.ndarray,
+                       prior_gradient: np.ndarray) -> float:
+    """`HealthyCar.gain_between_runs` from the quadratic approximation of the loss; 0 with fewer than three runs.
+    prior_gradient: (p,) half the gradient of the prior at the vector of the approximation."""
     by_run, largest = q.sum_groups(windows.run), 0.0
     if len(windows.names) < 3:
         return largest
-    total_h, total_g = by_run.hessian.sum(axis=0) + prior, by_run.gradient.sum(axis=0)
+    total_h, total_g = by_run.hessian.sum(axis=0), by_run.gradient.sum(axis=0) - prior_gradient
     for k, (h, g) in enumerate(zip(by_run.hessian, by_run.gradient, strict=True)):
-        centre = inverse(total_h - h) @ (total_g - g)
+        centre = inverse(total_h - h + prior) @ (total_g - g)
         predictive = _predictive_prior(total_h - h, factors, prior)
         shared_loss = _minimum_loss(h, g, centre, predictive)
         residual_count = max(int(windows.known[windows.run == k].sum()), 1)
