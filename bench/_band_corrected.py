@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-import numpy as np
 from st_core.bands.error_budget import Intervals
 from st_core.checks import check, pool_estimates
 from st_core.discovery import DiscoverySettings, discover
@@ -18,8 +17,7 @@ from st_offline.discovery.vehicle_update import update_vehicle
 
 def correct_files(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[VehicleParameters, Model, Intervals]:
     """Vehicle, model and 95 % intervals of its parameters, from the files that `st discover` writes for these logs."""
-    sensors = pool_estimates([{name: value for name, value in check(log, vehicle).estimates.items()
-                               if np.isfinite(value).all()} for log in logs])
+    sensors = pool_estimates([check(log, vehicle).estimates for log in logs])
     settings = DiscoverySettings()
     discovery = discover(logs, vehicle, "nonlinear", (), settings, sensor_estimates=sensors)
     request = Request("nonlinear", vehicle, "the file", vehicle.to_yaml(), settings,

@@ -30,8 +30,7 @@ def run_case(case: RelationCase, whole: bool = True) -> Record:
     drives = drives_of(case)
     vehicle, settings = drives.vehicle, case.settings
     begin = time.process_time()
-    sensors = pool_estimates([{n: v for n, v in check(log, vehicle).estimates.items() if np.isfinite(v).all()}
-                              for log in drives.suspect])
+    sensors = pool_estimates([check(log, vehicle).estimates for log in drives.suspect])
     found = discover(drives.suspect, vehicle, "nonlinear", (), settings, sensor_estimates=sensors)
     middle = time.process_time()
     search = find_relation(found, drives.suspect, vehicle, settings) if needs_search(found) else RelationSearch(

@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from st_core.checks import check, pool_estimates
 from st_core.discovery import Discovery, DiscoverySettings, discover
 from st_core.discovery.result import FoundEffect
@@ -63,9 +62,7 @@ def describe_case(case: AnyCase) -> Record:
 def _discover(suspect, vehicle, reference, settings: DiscoverySettings) -> tuple[Discovery, float]:
     """Runs the discovery as `st discover` does, with the sensor estimates of the checks; also returns its time [s]."""
     begin = time.process_time()
-    sensors = pool_estimates([{name: value for name, value in check(log, vehicle).estimates.items()
-                               if np.isfinite(value).all()}
-                              for log in suspect])
+    sensors = pool_estimates([check(log, vehicle).estimates for log in suspect])
     found = discover(suspect, vehicle, "nonlinear", reference, settings, sensor_estimates=sensors)
     return found, round(time.process_time() - begin, 2)
 

@@ -71,7 +71,7 @@ def test_title_and_table_list_values_with_the_largest_effect_first(logs):
     effects = [replace(e, channel="yaw", share=0.25) for e in reversed(found.effects)]
     first, *_, last = report_text.list_effect_rows(replace(found, effects=tuple(effects)))
     assert first[0] == "steering ratio" and first[2:4] == ("+0.90 m", "heading error by 25 %")
-    assert last[2] == "0.000 m" and "2 of 2 runs, 2 of 2 sites" in last
+    assert last[2] == "+0.000 m" and "2 of 2 runs, 2 of 2 sites" in last
 
 
 def test_effective_correction_is_described_by_the_error_it_reduces_most(logs):

@@ -124,7 +124,7 @@ def test_infinite_interval_does_not_change_a_pooled_estimate():
     unknown = {"a": (5.0, -np.inf, np.inf)}
     assert pool_estimates([*known, unknown]) == pool_estimates(known)
     assert pool_estimates([unknown, known[0]]) == pool_estimates(known[:1])
-    assert pool_estimates([unknown, unknown]) == unknown
+    assert pool_estimates([unknown, unknown]) == {}
 
 
 def test_findings_are_sorted_by_frequency():

@@ -72,16 +72,16 @@ def compare_runs(runs: Sequence[DriveCheck]) -> list[RunComparison]:
 
 
 def pool_estimates(runs: Sequence[Mapping[str, Sequence[float]]]) -> dict[str, tuple[float, float, float]]:
-    """Estimate (value, ends of its 95 % interval) of each quantity, pooled over the runs by random effects."""
+    """Estimate (value, ends of its 95 % interval) of each quantity, pooled over the runs by random effects, without
+    those whose interval is infinite in all runs."""
     result = {}
     for name in dict.fromkeys(name for run in runs for name in run):
-        estimates = [run[name] for run in runs if name in run]
-        rows = _select_finite(estimates)
+        rows = _select_finite([run[name] for run in runs if name in run])
         if len(rows) > 1:
             mean, interval, _, _ = _random_effects(rows)
             result[name] = (mean, *interval)
-        else:
-            value, low, high = map(float, rows[0] if len(rows) else estimates[0])
+        elif len(rows):
+            value, low, high = rows[0].tolist()
             result[name] = value, low, high
     return result
 

@@ -63,7 +63,9 @@ class Evidence:
 
 def describe_position_reduction(reduction: float) -> str:
     """Text that follows "it reduces", such as "the position error after 5 s by 3.2 cm". reduction: [m]."""
-    size = "less than 0.1" if abs(reduction) < 5e-4 else f"{100.0 * reduction:.1f}"
+    if reduction <= -5e-4:
+        return "the position error after 5 s not at all"
+    size = "less than 0.1" if reduction < 5e-4 else f"{100.0 * reduction:.1f}"
     return f"the position error after 5 s by {size} cm"
 
 

@@ -73,8 +73,9 @@ def fit_healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space:
     position = problem.position_error(problem.errors.at(vector))
     by_run = [position[windows.run == k] for k in np.unique(windows.run)]
     position_error = max((float(np.nanmean(error)) for error in by_run if np.isfinite(error).any()), default=0.0)
+    gain = _gain_between_runs(q, space, windows, factors, prior, prior @ problem.distance(vector))
     return HealthyCar(vector, _predictive_prior(h, factors, prior), loss.scale_of(vector)[-len(windows.columns):],
-                      position_error, _gain_between_runs(q, space, windows, factors, prior, prior @ problem.distance(vector)))
+                      position_error, gain)
 
 
 def weak_prior(space: Space) -> np.ndarray:
@@ -86,8 +87,7 @@ def weak_prior(space: Space) -> np.ndarray:
 
 
 def _predictive_prior(h: np.ndarray, factors: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """(p, p) curvature h of the loss of some drives, with its standard deviations multiplied by `factors` (p,), plus
-    `prior`."""
+    """(p, p) curvature h of the loss, with its standard deviations multiplied by `factors` (p,), plus `prior`."""
     return h / np.outer(factors, factors) + prior
 
 

@@ -157,8 +157,7 @@ def _find_result(request: Request, base: Model, progress: Progress) -> tuple[Dis
 
 def pool_sensor_estimates(drives: Sequence[Drive]) -> dict[str, tuple[float, float, float]]:
     """Sensor errors estimated by the checks and pooled over the drives, (value, ends of its 95 % interval) by name."""
-    return pool_estimates([{name: value for name, value in d.metadata["estimates"].items() if None not in value}
-                           for d in drives if d.log is not None])
+    return pool_estimates([d.metadata["estimates"] for d in drives if d.log is not None])
 
 
 def draw_figures(discovery: Discovery, request: Request, output: FigureOutput) -> list[PageFigure]:

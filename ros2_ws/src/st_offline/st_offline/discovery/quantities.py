@@ -69,17 +69,12 @@ def format_value(value: float, unit: str) -> str:
     return append_unit(f"{value * get_display_unit(unit)[0]:.3g}", unit)
 
 
-def format_metres(value: float) -> str:
-    """A length [m] to the centimetre, below 0.095 m to the millimetre; "unknown" if not finite."""
+def format_metres(value: float, sign: str = "") -> str:
+    """A length [m] to the centimetre, below 0.095 m to the millimetre; "unknown" if not finite. sign: "+" to write it
+    before positive lengths and 0."""
     if not math.isfinite(value):
         return "unknown"
-    return f"{value:.2f} m" if abs(value) >= 0.095 else f"{value:.3f} m"
-
-
-def format_metre_change(change: float) -> str:
-    """A change of a length [m], with its sign; without, if it is rounded to 0."""
-    size = format_metres(abs(change))
-    return size if abs(change) < 5e-4 else f"{'+' if change > 0.0 else '−'}{size}"
+    return (f"{value:{sign}z.2f} m" if abs(value) >= 0.095 else f"{value:{sign}z.3f} m").replace("-", "−")
 
 
 def format_decimal(number: float, decimals: int) -> str:

@@ -19,7 +19,6 @@ from .quantities import (
     format_briefly,
     format_deviation,
     format_fitted,
-    format_metre_change,
     format_metres,
     format_parameters,
     format_value,
@@ -67,7 +66,7 @@ def sort_by_size(effects: Sequence[result.FoundEffect]) -> list[result.FoundEffe
 def list_effect_rows(discovery: Discovery) -> list[tuple[str, str, str, str, str]]:
     """Table row of each reported effect, with the columns of EFFECT_HEAD."""
     return [(name_with_alternatives(discovery, e, to_words(e.name)), "; ".join(format_parameters(e.name, e.parameters)),
-             format_metre_change(e.position_5s_increase),
+             format_metres(e.position_5s_increase, "+"),
              f"{label_channel(e.channel)} error by {100 * e.share:.0f} %" if e.channel and e.share >= 0.005 else "-",
              count_agreement(e)) for e in sort_by_size(discovery.effects)]
 
