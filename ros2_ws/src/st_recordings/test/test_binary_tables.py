@@ -146,7 +146,7 @@ def save_time_series_structs(file: Path, columns: Columns) -> None:
 def test_channels_on_different_clocks_are_refused(columns: Columns, tmp_path: Path) -> None:
     gyro = {"t": columns["t"] + 100.0, "yaw_rate": columns["yaw_rate"]}
     savemat(tmp_path / "a.mat", {"gyro": gyro, "ins": {name: columns[name] for name in columns if name != "yaw_rate"}})
-    with pytest.raises(RunError, match="its channels have numbers at different times; export them with times of one"):
+    with pytest.raises(RunError, match="its channels have numbers at different times; export them on one clock"):
         load(tmp_path / "a.mat")
 
 
@@ -362,9 +362,9 @@ def test_code_in_an_attribute_of_a_table_is_not_run(columns: Columns, tmp_path: 
      r"only MATLAB can read: t \(duration\); .* for example t = seconds\(t\)"),
     (lambda file: save_object(file, {"gain": 3.0}, note="string"), "a.mat", "it contains no vectors"),
     (lambda file: save_without_its_samples(file, save_external), "a.h5",
-     r"a\.h5: its drive is a link to /\S* in the file a\.samples, which cannot be opened; copy that file to the same"),
+     r"a\.h5: its drive is a link to /\S* in the file a\.samples, which cannot be opened; also copy that file"),
     (lambda file: save_without_its_samples(file, save_virtual), "a.h5",
-     r"its /\w+ is a link to the file a\.samples, which cannot be opened; copy that file"),
+     r"its /\w+ is a link to the file a\.samples, which cannot be opened; also copy that file"),
     (save_blosc, "a.h5", r"its /speed is compressed with .* \(HDF5 filter 32001\), which h5py cannot read; save it un"),
     (lambda file: file.write_text("t,x,y\n1,2,3\n"), "a.mat", "scipy cannot read the file"),
     (lambda file: savemat(file, {"gain": 3.0, "car": "Leaf"}), "a.mat", "it contains no vectors; save the samples"),

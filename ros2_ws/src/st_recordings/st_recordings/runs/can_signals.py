@@ -111,9 +111,7 @@ def _describe_similar_id(ids: np.ndarray, key: int) -> str:
 
 @dataclass(frozen=True)
 class _DecodedMessage:
-    """Signals of one message."""
-
-    signals: tuple[Signal, ...]
+    signals: tuple[Signal, ...]  # of one message
     fault: str  # description of its faults
     rejected_times_ns: np.ndarray  # log times of rejected frames
     n_frames: int  # number of its frames

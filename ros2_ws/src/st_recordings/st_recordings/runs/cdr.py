@@ -100,7 +100,7 @@ def _normalise(fields: Any) -> list[tuple[str, Any]]:
 
 @dataclass(frozen=True)
 class Field:
-    """A number of a numpy dtype, or `count` consecutive ones, at byte `offset` of the serialised message."""
+    """One number, or `count` consecutive numbers, of a numpy dtype at byte `offset` of the serialised message."""
 
     offset: int
     dtype: str

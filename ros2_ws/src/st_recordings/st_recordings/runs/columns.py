@@ -180,7 +180,7 @@ _SUFFIX = re.compile(rf"(?i)[ _-]+{_SOURCE}$")
 _FRACTION = re.compile(r"(.*?)(n|nano|u|micro|m|milli)(s|secs?|seconds?)")  # normalised name of fractions of a second
 _FRACTION_FACTORS = {"n": 1e-9, "nano": 1e-9, "u": 1e-6, "micro": 1e-6, "m": 1e-3, "milli": 1e-3}
 
-_STEERING = "steering"  # angle of the steering wheel or of the road wheels; the name leaves this open
+_STEERING = "steering"  # angle of the steering wheel or of the road wheels; the name is ambiguous
 _KINDS_BY_CHANNEL = {**{channel: definition.kind for channel, definition in COLUMNS.items()}, _STEERING: "angle"}
 _CHANNELS_BY_NAME = {**dict.fromkeys(AMBIGUOUS, (_STEERING, 0)),
                      **{normalise(name): (channel, rank) for channel, definition in COLUMNS.items()
@@ -213,7 +213,7 @@ class ColumnSource:
 
 
 class _Meaning(NamedTuple):
-    """What the name of a column denotes."""
+    """Meaning of the name of a column."""
 
     channel: str  # a key of COLUMNS, or _STEERING
     rank: int  # of the name among the names of the channel

@@ -84,7 +84,7 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
         _reject_without_fix(table)
         reason, advice = "", "remove it from the command"
         if has_ins.sum() < 2 and all(np.isfinite(each[table.is_usable]).sum() > 1 for each in table.columns.values()):
-            reason, advice = ": its channels have numbers at different times", "export them with times of one clock"
+            reason, advice = ": its channels have numbers at different times", "export them on one clock"
         elif missing:
             channel = max(missing, key=lambda name: missing[name])
             total = len(table.time_ns) + table.rows_without_time

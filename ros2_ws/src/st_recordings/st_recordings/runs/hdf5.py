@@ -18,7 +18,7 @@ SAMPLE_FIELDS = ("data", "value", "values")
 """Fields of a struct, in lower case, that contain the samples of the signal after which the struct is named."""
 UNIT_FIELDS = ("unit", "units", "Unit", "Units")
 TIME_CLASSES = {"duration", "datetime"}
-LINK, LINK_ADVICE = "link", "copy that file to the same place, too"
+LINK, LINK_ADVICE = "link", "also copy that file"
 _MAGIC = b"\x89HDF\r\n\x1a\n"
 _OPAQUE = 3  # attribute MATLAB_object_decode of an object whose content is in an undocumented form
 _MATLAB_ADVICE = {"timeseries": "{0} = struct('Time', {0}.Time, 'Data', {0}.Data)",

@@ -96,7 +96,7 @@ def check_coverage(source: RunSource, log: DriveLog) -> list[str]:
     spans = {"INS": log.ins_time_ns, "steering": log.steering_time_ns}
     if min(time[-1] for time in spans.values()) <= max(time[0] for time in spans.values()):
         raise RunError(source.path, "INS and steering were not recorded at the same time",
-                       "check that the files belong to one drive, and check the offset if you gave one")
+                       "check that the files are from the same drive, and check the offset if you gave one")
     seconds = {name: float(time[-1] - time[0]) * 1e-9 for name, time in spans.items()}
     return [f"{source.path}: {unused:.1f} of {seconds[name]:.1f} s of the {name} "
             f"({100.0 * unused / seconds[name]:.0f} %) are not used: no usable sample of the {other} covers them"

@@ -45,7 +45,7 @@ class Reconstruction:
         self._records, self._nodes = records, parse_parameters(records)
 
     @property
-    def bus_is_described(self) -> bool:
+    def has_decodable_frames(self) -> bool:
         """Whether the recording includes CAN frames with their DBC and signal table."""
         return CAN_FRAMES in self._by_type and None not in self._read_descriptions()
 
@@ -134,7 +134,7 @@ class Reconstruction:
         car_speed = _compute_speed_from_wheels(columns[WHEEL_SPEEDS]) if WHEEL_SPEEDS in columns else None
         ins_on_can = columns.get(INS_ON_CAN)
         ins_speed = make_series(ins_on_can["header.stamp"], ins_on_can["velocity_x"]) if ins_on_can else None
-        if WHEEL_SPEEDS not in columns and self.bus_is_described:
+        if WHEEL_SPEEDS not in columns and self.has_decodable_frames:
             from .can_signals import collect_speeds
 
             with suppress(RunError):  # the data for checks are optional
@@ -167,7 +167,7 @@ class Reconstruction:
     def _table(self) -> Any:
         from .can_signals import load_signal_table
 
-        if not self.bus_is_described:
+        if not self.has_decodable_frames:
             raise RunError(self._path, "it contains raw CAN frames, but no DBC and signal table to decode them",
                            "also record vehicle/steering")
         with tempfile.TemporaryDirectory() as folder:

@@ -29,9 +29,9 @@ class Reader:
     is_folder: Callable[[Path], bool] | None = None  # whether a folder is one recording
     # Whether a file contains a drive, by a quick test; True if undecided.
     has_drive: Callable[[Path], bool] = lambda path: True
-    # Whether a file without a drive probably should contain one, so that the missing channels are reported.
+    # Whether a file probably should contain a drive but lacks channels, so that these are reported.
     is_incomplete: Callable[[Path], bool] = lambda path: False
-    # Whether a recording contains no steering angle, so that CAN logs belong to it.
+    # Whether a recording contains no steering angle, so that it needs CAN logs.
     lacks_steering: Callable[[Path], bool] = lambda path: False
     # Whether it has columns and may consist of several files; `read` and `read_ins` then apply the correction factor of
     # yaw.
