@@ -231,13 +231,11 @@ def _add_distances(out: dict, columns: Columns, seconds: np.ndarray) -> None:
             step = np.diff(seconds[series])
             step[(step < 0) | (step > LONGEST_STEP)] = 0.0
             total = np.concatenate([[0.0], np.cumsum(0.5 * (speed[series][1:] + speed[series][:-1]) * step)])
-            remaining = np.flatnonzero(usable & ~np.isin(np.arange(len(speed)), series))
-            distance[series] = total
-            before = np.searchsorted(series, remaining) - 1
-            remaining, before = remaining[before >= 0], before[before >= 0]
+            rows = series[0] + np.flatnonzero(usable[series[0]:])
+            before = np.searchsorted(series, rows, side="right") - 1
             last = series[before]
-            elapsed = np.where(columns.kind[remaining] == REGULAR, 0.0, seconds[remaining] - seconds[last])
-            distance[remaining] = total[before] + 0.5 * (speed[remaining] + speed[last]) * elapsed
+            elapsed = np.where(columns.kind[rows] == REGULAR, 0.0, seconds[rows] - seconds[last])
+            distance[rows] = total[before] + 0.5 * (speed[rows] + speed[last]) * elapsed
         out[name] = distance
 
 

@@ -218,10 +218,10 @@ class ReplaySource(Source):
     def _play(self) -> None:
         start = time.monotonic()
         for number, (packet, due) in enumerate(zip(self._packets, self._due.tolist(), strict=True), 1):
-            if due >= 0:
-                wait = start + due * 1e-9 / self._speed - time.monotonic()
-                if wait > 0 and self._stop.wait(wait):
-                    return
+            now = time.monotonic()
+            start = now if due < 0 else start  # packets before the start offset are sent at once
+            if self._stop.wait(start + max(due, 0) * 1e-9 / self._speed - now):
+                return
             self._on_data(packet.tobytes(), time.time_ns(), due >= 0)
             self.status.datagrams += 1
             self.status.progress = number / len(self._packets)
