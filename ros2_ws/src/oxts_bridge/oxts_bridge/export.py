@@ -8,6 +8,7 @@ also given at status 2, but not at 21 and 22. Checked by: tests/golden/test_ncom
 
 import csv
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -140,9 +141,8 @@ def _compute_surface_angles(columns: Columns, surfaces: SettingHistory) -> list[
     surfaces: index of the first packet and (heading, pitch, roll) of the surface in NED [deg], None: invalid.
     """
     changes: list[Change] = []
-    ends = [index for index, _ in [*surfaces, (len(columns), ())]][1:]
     previous: list[float | None] = [None, None, None]
-    for (start, angles), end in zip(surfaces, ends, strict=True):
+    for (start, angles), (end, _) in pairwise([*surfaces, (len(columns), ())]):
         if None in angles:
             continue
         has_fix = (columns.kind[start:end] != EMPTY) & ~columns.is_approximate[start:end]
@@ -281,8 +281,7 @@ def filter_low_pass(seconds: np.ndarray, values: np.ndarray, settings: SettingHi
             continue
         if not changes or changes[-1][1] != (cutoff, damping):
             changes.append((start, (cutoff, damping)))
-    for number, (start, (cutoff, damping)) in enumerate(changes, 1):
-        end = changes[number][0] if number < len(changes) else len(values)
+    for (start, (cutoff, damping)), (end, _) in pairwise([*changes, (len(values), (0.0, 0.0))]):
         if not cutoff:
             output[start:end] = values[start:end]
             continue
