@@ -15,7 +15,7 @@ MAX_FORMULAS, POINTS = 3, 61  # largest number of formulas; number of points in 
 MIN_EXPLAINED_FRACTION = 0.5  # minimum fraction of the curve's gain (quadratic approximation) that a shape must explain
 MIN_EXPLAINED_INCREASE = 1e-3  # minimum increase of this fraction over any shape with fewer parameters
 EQUAL_GAIN = 0.98  # fraction of the gain of the best shape: a simpler shape that explains more is preferred
-SIMILAR_GAIN = 0.9  # the same for a simpler shape with a held-out loss that is not significantly higher
+SIMILAR_GAIN = 0.9  # fraction that suffices if the held-out loss of the simpler shape is not significantly higher
 MIN_RETAINED_GAIN = 0.9  # minimum fraction of the held-out gain of the curve that a formula must retain in simulation
 MAX_VALUE_RATIO = 2.0  # maximum ratio of the largest value of a formula to that of the curve, within its range
 

@@ -38,7 +38,7 @@ class RelationFit:
     vector: np.ndarray  # in the candidate's parameter space
     residuals: np.ndarray  # (n, m) [SI], by window
     indices: np.ndarray  # (a,) free parameters, the coefficients last
-    sensitivities: np.ndarray  # (a, n, m), reduction of the residuals per scale of these parameters
+    sensitivities: np.ndarray  # (a, n, m), reduction of the residuals per parameter scale
     penalty: np.ndarray  # (a, a)
     quadratic: Quadratic  # approximation of the loss, by block
     held_out: np.ndarray  # (b,) loss of each block at values fitted without its fold

@@ -113,8 +113,7 @@ def average_by_block(fits: RelationFits, values: np.ndarray) -> np.ndarray:
     """(b,) mean of the finite (n,) values in the windows of each block; NaN for a block without any."""
     is_finite = np.isfinite(values)
     count = np.bincount(fits.block[is_finite], minlength=fits.blocks)
-    with np.errstate(invalid="ignore"):
-        return np.bincount(fits.block[is_finite], values[is_finite], fits.blocks) / np.where(count, count, np.nan)
+    return np.bincount(fits.block[is_finite], values[is_finite], fits.blocks) / np.where(count, count, np.nan)
 
 
 def describe_unusable_curve(fits: RelationFits, fit: RelationFit) -> str:
@@ -155,7 +154,7 @@ def describe_deterioration(fits: RelationFits, name: str, before: np.ndarray, af
 
 
 def describe_gain(fits: RelationFits, gains: np.ndarray, position_gain: np.ndarray) -> str:
-    """Held-out gain in words. gains: (b,) reduction of the loss. position_gain: (n,) of the position error [m]."""
+    """Text on the held-out gain. gains: (b,) reduction of the loss. position_gain: (n,) of the position error [m]."""
     gain, low = (-np.expm1(-total / fits.loss.residual_count)
                  for total in (gains.sum(), compute_lower_bound(gains, fits.limits.undecided_p)))
     return (f"reduces the held-out residual of all channels by {gain:.1%} (95 % confidence: at least {low:.1%}), "
@@ -209,17 +208,17 @@ def compare_runs(fits: RelationFits, fit: RelationFit) -> Agreement:
     gradient = fit.quadratic.gradient @ direction
     curvature = np.einsum("i,bij,j->b", direction, fit.quadratic.hessian, direction)
     run = fits.problem.run_of_block
-    informative_runs = [k for k in np.unique(run) if curvature[run == k].sum() > MIN_INFORMATION * curvature.sum()]
+    gradients, curvatures = np.bincount(run, gradient), np.bincount(run, curvature)
+    informative_runs = np.flatnonzero(curvatures > MIN_INFORMATION * curvature.sum())
     if len(informative_runs) < 2:
         return Agreement({}, 1.0, 0.0)
-    excess = {k: gradient[run == k].sum() / curvature[run == k].sum() for k in informative_runs}
-    scatter = sum(float(np.square(gradient - excess[k] * curvature)[run == k].sum()) for k in informative_runs)
-    is_informative = np.isin(run, informative_runs)
-    variance_ratio, count = 2.0 * scatter / curvature[is_informative].sum(), is_informative.sum()
+    excess = gradients / np.maximum(curvatures, 1e-30)
+    used = np.isin(run, informative_runs)
+    scatter = np.square(gradient - excess[run] * curvature)[used].sum()
+    variance_ratio, count = 2.0 * scatter / curvature[used].sum(), used.sum()
     design_effect = max(variance_ratio * count / max(count - len(informative_runs), 1), 1.0)
-    variances = np.array([0.5 * design_effect / curvature[run == k].sum() for k in informative_runs])
-    ratios = np.array([1.0 + excess[k] for k in informative_runs])
-    return pool_ratios(ratios, variances, [fits.windows.names[k] for k in informative_runs])
+    return pool_ratios(1.0 + excess[informative_runs], 0.5 * design_effect / curvatures[informative_runs],
+                       [fits.windows.names[k] for k in informative_runs])
 
 
 def compute_position_errors(fits: RelationFits, fit: RelationFit) -> np.ndarray:

@@ -268,8 +268,8 @@ def print_runs(runs: Sequence[CheckedRun], console: Console) -> None:
 
 
 def group_findings(runs: Mapping[str, Sequence[Finding]]) -> list[tuple[Finding, list[str]]]:
-    """Groups of findings with the same name, channels and sign of the value, which the text states: (the most severe
-    finding, of these the one with the largest effect; names of the runs), the most severe group first."""
+    """Findings grouped by name, channels and sign of the value: (the most severe finding, or among equally severe ones
+    that with the largest effect; names of the runs). The most severe group is first."""
     by_key: dict[tuple[str, tuple[str, ...], bool], list[tuple[Finding, str]]] = {}
     for name, findings in runs.items():
         for finding in findings:

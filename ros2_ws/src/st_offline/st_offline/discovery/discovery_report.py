@@ -153,14 +153,14 @@ def _make_tables(discovery: Discovery, content: Mapping[str, Any]) -> dict[str, 
               "units.", ("key", "given file", "vehicle.yaml", "95 % interval"), changes),
         Table("Held-out error of each channel", "Root mean square at the end of the horizon; for the position after "
               "5 s, the mean. \"After\" is with model.yaml. Sorted by the relative reduction.",
-              ("error of", "before", "after", "reduced by (95 %)", "noise", "worst run", "runs with a larger error"),
+              ("channel", "before", "after", "reduced by (95 %)", "noise", "worst run", "runs with a larger error"),
               channels),
         Table("Parts of the error", "Reduction of the mean position error after 5 s by each part when it is added to "
               "the model last, after all other parts, or first, as the only one. Loss: reduction of the sum that the "
               "fit minimises. The unexplained part includes the noise.",
               ("part", "added last", "added first", "loss, added last", "loss, added first"), parts),
-        Table("Where the base model has the largest errors", "", ("error of", "where", f"times {expected} (95 %)"),
-              regions),
+        Table("Where the base model has the largest errors", "",
+              ("channel", "driving condition", f"ratio to {expected} (95 %)"), regions),
         Table("Identifiable combinations", "Predictions depend on these combinations. The interval of a single effect "
               "differs, because it also depends on the uncertainties of the vehicle file. Cornering stiffness: secant "
               f"at a slip angle of {math.degrees(SMALL_SLIP):.1f}°. Stability factor K: road-wheel angle = wheelbase / "

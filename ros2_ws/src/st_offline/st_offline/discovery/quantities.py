@@ -11,7 +11,7 @@ from st_core.relations import Candidate, Relation
 from st_core.relations.candidates import split_name
 from st_core.vehicle import VehicleParameters
 
-MAX_DECIMALS = 6  # numbers that need more are written with an exponent
+MAX_DECIMALS = 6  # numbers that need more are written in format `g`
 BOUND_TOLERANCE = Limits().at_bound  # distance from a bound, divided by the typical size of the parameter
 DISPLAY_UNITS = {"rad": (math.degrees(1.0), "°"), "rad/s": (math.degrees(1.0), "°/s")}  # (factor from SI, unit)
 TERM_NAMES = {
@@ -78,8 +78,8 @@ def format_metres(value: float, sign: str = "") -> str:
 
 
 def format_decimal(number: float, decimals: int) -> str:
-    """Text of a number with the given decimals, or with an exponent for more than MAX_DECIMALS; with one significant
-    digit if it would be rounded to 0."""
+    """Text of a number with the given decimals; to the same precision in format `g` for more than MAX_DECIMALS, and
+    with one significant digit if it would be rounded to 0."""
     if decimals <= MAX_DECIMALS:
         text = f"{number:.{decimals}f}"
         return text if float(text) else f"{number + 0.0:.1g}"  # neither "-0.0" nor "× 0" for a small number

@@ -154,9 +154,9 @@ def describe_drives(discovery: Discovery) -> list[tuple[str, str]]:
         runs = [run for run in discovery.runs if run.role == role]
         names = ", ".join(f"{run.name} {run.seconds:.0f} s" for run in runs)
         sites = len({run.site for run in runs})
-        where = f" at {sites} sites (overlapping tracks are one site)" if sites > 1 else ""
+        locations = f" at {sites} sites (overlapping tracks are one site)" if sites > 1 else ""
         lines.append((role, f"{format_count(len(runs), 'run')}, {sum(r.seconds for r in runs):.0f} s"
-                      f"{where}: {names}" if runs else "none; the search starts from the vehicle file"))
+                      f"{locations}: {names}" if runs else "none; the search starts from the vehicle file"))
     return lines
 
 
@@ -324,11 +324,11 @@ def _list_vehicle_recommendations(discovery: Discovery, update: VehicleUpdate | 
     if update is not None and not update.text and not update.improves:
         before, after = update.error
         worse = ", ".join(update.worse_drives)
-        where = f", with a significant increase in {worse}" if worse else ""
+        increase = f", with a significant increase in {worse}" if worse else ""
         drives = "held-out drives" if discovery.leave_one_out else "these drives"
         reason = (f"values fitted without {worse} are outside the limits of a vehicle file" if math.isinf(after) else
                   f"alone it would change the position error after 5 s from {format_metres(before)} to "
-                  f"{format_metres(after)} on {drives}{where}")
+                  f"{format_metres(after)} on {drives}{increase}")
         lines.append(f"vehicle.yaml is not written: {reason}; use model.yaml")
     if update is not None and update.required_slip_speed:
         lines.append(f"model.yaml needs minimum_slip_speed = {update.required_slip_speed:g} m/s for stable steps of "
@@ -439,8 +439,9 @@ def describe_condition(region: result.LargeErrorRegion) -> tuple[str, str]:
     first = region.condition.split()[0]
     preposition = ("" if first in ("everywhere", "within") else
                    "at " if first in ("speed", "lateral", "road-wheel", "steering", "forward") else "in ")
-    where = preposition + region.condition.replace("^2", "²")
+    condition = preposition + region.condition.replace("^2", "²")
     if region.excess > MAX_RATIO:
-        return where, f"more than {MAX_RATIO:g}"
+        return condition, f"more than {MAX_RATIO:g}"
     low, high = region.interval
-    return where, f"{region.excess:.1f} ({f'{low:.1f} to {high:.1f}' if high < MAX_RATIO else f'more than {low:.1f}'})"
+    interval = f"{low:.1f} to {high:.1f}" if high < MAX_RATIO else f"more than {low:.1f}"
+    return condition, f"{region.excess:.1f} ({interval})"

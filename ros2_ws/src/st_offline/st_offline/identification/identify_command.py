@@ -161,7 +161,7 @@ def render_page(outcomes: Sequence[result.Identification], figures: Sequence[Pag
                                          for name, row in zip(names, outcome.correlation, strict=False)]
 
     return load_template("identification/page.html.jinja").render(
-        title=f"{vehicle.name}: {', '.join(values)}", about=provenance,
+        title=f"{vehicle.name}: {', '.join(values)}", provenance=provenance,
         outcomes=list(zip(outcomes, figures, strict=True)), heads=COLUMN_NAMES,
         findings=collect_findings_by_drive(outcomes), correlation=make_correlation_table,
         rows=lambda outcome: make_estimate_rows(outcome, vehicle), excitation=make_excitation_table)
