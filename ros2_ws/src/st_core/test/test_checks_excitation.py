@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from exact_drive import SPEED, Noise, Sines, delay, exact_drive
+from exact_drive import SILENT, SPEED, Noise, Sines, delay, exact_drive
+from exact_faults import findings_by_name
 from st_core.checks import AuxiliaryData, Severity, check, compare_runs
 from st_core.log import DriveLog
 
@@ -63,6 +64,40 @@ def test_noise_of_positions_across_a_straight_drive_is_no_scale_of_an_axis(leaf,
     noise = deviation * np.random.default_rng(1).normal(size=(2, len(log.x)))
     found = check(replace(log, x=position.real + noise[0], y=position.imag + noise[1], yaw=log.yaw + heading), leaf)
     assert {finding.name for finding in found.findings} <= {"position_noise"}
+
+
+def test_small_drift_across_a_straight_drive_is_no_large_scale_of_an_axis(leaf):
+    log = exact_drive(leaf, 60.0, turning=Sines(0.0, ((2e-6, 20.0, 0.0),)), noise=SILENT)
+    assert findings_by_name(replace(log, y=97.0 * log.y)) == {}
+
+
+@pytest.mark.parametrize("seconds", [18.0, -3.0])
+def test_positions_of_another_clock_are_one_error(leaf, seconds):
+    found = findings_by_name(delay(exact_drive(leaf, 60.0), seconds, "x", "y"), leaf)
+    assert list(found) == ["position_lag"] and found["position_lag"].severity is Severity.ERROR
+    assert found["position_lag"].value == pytest.approx(seconds, abs=0.02)
+
+
+def test_fault_of_the_yaw_rate_is_found_although_yaw_turns_at_standstill(leaf):
+    log = delay(exact_drive(leaf, 60.0), 0.12, "yaw_rate")
+    rows, seconds = np.maximum(np.arange(-1000, len(log.x)), 0), 0.01 * np.arange(len(log.x) + 1000)
+    moves = np.arange(-1000, len(log.x)) > 0
+    stamps = log.ins_time_ns[0] - 10**10 + np.round(1e9 * seconds).astype(np.int64)
+    standing = {name: np.where(moves, getattr(log, name)[rows], 0.0)
+                for name in ("velocity_x", "velocity_y", "yaw_rate", "acceleration_x", "acceleration_y")}
+    standing["yaw_rate"] += 0.001 * np.random.default_rng(1).normal(size=len(rows))
+    yaw = log.yaw[rows] + np.where(moves, 0.0, 1.1 * np.exp(-((seconds - 5.0) / 0.3) ** 2))
+    waiting = replace(log, ins_time_ns=stamps, x=log.x[rows], y=log.y[rows], yaw=yaw, **standing)
+    assert findings_by_name(waiting)["yaw_rate_lag"].value == pytest.approx(0.12, abs=0.01)
+
+
+def test_spin_has_no_impossible_lateral_acceleration(leaf):
+    log = exact_drive(leaf, 40.0, speed=Sines(15.0, ()), turning=Sines(0.0, ()))
+    time = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
+    angle = np.pi * (1.0 + np.tanh((time - 20.0) / 1.5))
+    spinning = replace(log, yaw=log.yaw + angle, velocity_x=15.0 * np.cos(angle), velocity_y=-15.0 * np.sin(angle),
+                       yaw_rate=log.yaw_rate + np.gradient(angle, time))
+    assert "lateral_acceleration_impossible" not in findings_by_name(spinning, leaf)
 
 
 @pytest.mark.slow

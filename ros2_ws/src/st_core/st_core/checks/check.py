@@ -85,8 +85,11 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
         stuck_findings = sampling.find_stuck_channels(motion, channels)
         results.findings += stuck_findings
         if ins_is_usable:
-            broken_channels |= find_broken_channels(stuck_findings)
-            _check_relations(motion, log, vehicle, time_unit, stuck_findings, broken_channels, results)
+            clock_findings = inertial.check_position_clock(motion)
+            results.findings += clock_findings
+            if not clock_findings:  # other findings would only follow from the wrong clock
+                broken_channels |= find_broken_channels(stuck_findings)
+                _check_relations(motion, log, vehicle, time_unit, stuck_findings, broken_channels, results)
     # Accelerations are last, since no prediction depends on them.
     findings = sorted(results.findings, key=lambda finding: (
         [*Severity].index(finding.severity), finding.concerns_only_acceleration, -(finding.effect or np.inf)))

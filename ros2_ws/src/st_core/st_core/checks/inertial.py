@@ -20,6 +20,7 @@ from .motion import MIN_MOVING_SPEED, Motion, correlate, is_near
 from .regression import Estimate, Regression, add_systematic_uncertainty
 
 MAX_LAG = 1.5  # s; largest lag searched for, in both directions
+MAX_CLOCK_OFFSET = 40.0  # s; largest offset between two clocks searched for; TAI is 37 s ahead of UTC
 MIN_COMMON_TIME = 15.0  # s; minimum overlap of two series
 NO_BIAS, UNIT_SCALE, NO_DRIFT = Estimate(0.0, 0.0, 0.0), Estimate(1.0, 0.0, 0.0), Estimate(0.0, 0.0, 0.0)
 LAG_TEST_SHIFT = 0.3  # s; a drive determines a lag if lags smaller and larger by this both fit worse
@@ -62,7 +63,7 @@ class Agreement:
 def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, measured: np.ndarray,
                    cutoff: float, *, derived_is_angle: bool = False, fit_bias: bool = True,
                    fit_drift: bool = False, expected_lag: float = 0.0,
-                   max_fitted_lag: float = MAX_LAG) -> Agreement | None:
+                   max_lag: float = MAX_LAG, max_fitted_lag: float = MAX_LAG) -> Agreement | None:
     """Agreement of two estimates of a quantity. None if `derived` is constant, if they overlap by less than
     MIN_COMMON_TIME, if one of them spans more than MAX_SPAN, or if |lag| exceeds max_fitted_lag.
 
@@ -71,7 +72,8 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
     derived_is_angle: whether to compare the rate of `derived`.
     fit_drift: whether to estimate a constant rate of change of the lag.
     expected_lag: lag without a fault [s].
-    max_fitted_lag: limit of the fitted lag [s], which may be outside the searched range of MAX_LAG.
+    max_lag: largest lag searched for, in both directions [s].
+    max_fitted_lag: limit of the fitted lag [s], which may be outside the searched range.
     """
     if max(float(np.ptp(t)) if len(t) else 0.0 for t in (time, measured_time)) > MAX_SPAN:
         return None
@@ -81,7 +83,7 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
         return None
     pair = Pair("", reference, other)
     try:
-        solution, *alternatives = _find_best_offsets(pair, cutoff)
+        solution, *alternatives = _find_best_offsets(pair, cutoff, max_lag)
     except (ValueError, np.linalg.LinAlgError):
         return None
     if not abs(solution.offset) <= max_fitted_lag:
@@ -115,12 +117,12 @@ def _fits_worse(pair: Pair, offset: float, best_offset: float, cutoff: float) ->
     return residual > _compute_f_limit(common, cutoff, 0.95) * smallest
 
 
-def _find_best_offsets(pair: Pair, cutoff: float) -> list[Fit]:
+def _find_best_offsets(pair: Pair, cutoff: float, max_lag: float) -> list[Fit]:
     """Fits of the best offset and of all offsets that are not significantly worse, the smallest offset first.
 
         (1 - r^2) / (1 - r_best^2) <= F(0.975; n, n),   n = 2 cutoff T: independent samples of the residual in time T
     """
-    lags, correlation = mean_correlation([pair], MIN_COMMON_TIME, (-MAX_LAG, MAX_LAG)) or (np.zeros(0), np.zeros(0))
+    lags, correlation = mean_correlation([pair], MIN_COMMON_TIME, (-max_lag, max_lag)) or (np.zeros(0), np.zeros(0))
     if not correlation.max(initial=0.0) > 0.0:
         return [fit([pair], offset=0.0, middle=0.0, free_drift=False)]
     residual = 1.0 - np.maximum(correlation, 0.0) ** 2
@@ -313,11 +315,16 @@ def format_alternative_lags(agreement: Agreement, response: float = 0.0) -> str:
     return f" (or {text}, which fits equally well: the motion is periodic)" if text else ""
 
 
+def _compare_yaw_rate(motion: Motion, cutoff: float) -> Agreement | None:
+    """Agreement of yaw rate and change of yaw while the car moves; a yaw from the course is undefined at standstill."""
+    yaw = np.where(motion.speed > MIN_MOVING_SPEED, motion.yaw, np.nan)
+    return compare_series(motion.time, yaw, motion.time, motion.yaw_rate, cutoff, derived_is_angle=True)
+
+
 def compare_yaw_rate(motion: Motion) -> tuple[Agreement | None, Tolerances]:
     """(agreement of yaw rate and change of yaw, tolerances). The effect of a wrong initial yaw rate decays within
     LIMITS.yaw_settling_time."""
-    agreement = compare_series(motion.time, motion.yaw, motion.time, motion.yaw_rate, GYRO_CUTOFF,
-                               derived_is_angle=True)
+    agreement = _compare_yaw_rate(motion, GYRO_CUTOFF)
     position_effect = LIMITS.yaw_settling_time * float(np.median(np.abs(motion.velocity_x))) * HORIZON
     return agreement, Tolerances(
         "yaw_rate", "yaw", "rad/s", LIMITS.lag, GYRO_SCALE_ERROR, GYRO_BIAS, LIMITS.severe_lag, severe_scale=0.03,
@@ -326,8 +333,7 @@ def compare_yaw_rate(motion: Motion) -> tuple[Agreement | None, Tolerances]:
 
 def estimate_yaw_rate_lag(motion: Motion) -> float:
     """Lag of the yaw rate behind yaw [s]; 0 unless it is significant, severe (LIMITS) and improves the correlation."""
-    agreement = compare_series(motion.time, motion.yaw, motion.time, motion.yaw_rate, ACCELERATION_CUTOFF,
-                               derived_is_angle=True)
+    agreement = _compare_yaw_rate(motion, ACCELERATION_CUTOFF)
     if (agreement is None or not agreement.has_lag or abs(agreement.lag.value) < LIMITS.severe_lag
             or agreement.correlation < LIMITS.min_correlation):
         return 0.0
@@ -430,6 +436,21 @@ def check_speeds(motion: Motion) -> list[CheckResult]:
         title = f"forward speed: {name.replace('_', ' ')} versus velocity_x"
         results.append(judge_agreement(compare_speed(motion, name), tolerances, title))
     return results
+
+
+def check_position_clock(motion: Motion) -> list[Finding]:
+    """Finding of positions stamped by another clock, whose speed agrees with the velocity only with a large lag."""
+    speed = np.abs(np.gradient(motion.position, motion.time))
+    agreement = compare_series(motion.time, motion.speed, motion.time, speed, SPEED_CUTOFF, max_lag=MAX_CLOCK_OFFSET,
+                               max_fitted_lag=MAX_CLOCK_OFFSET)
+    if (agreement is None or not (agreement.has_lag and agreement.determines_lag)
+            or abs(agreement.lag.value) <= MAX_LAG or agreement.correlation < MIN_SCALE_CORRELATION):
+        return []
+    lag = agreement.lag
+    text = (f"positions {'lag' if lag.value > 0.0 else 'lead'} velocity by {abs(lag)} s: are they stamped by another "
+            "clock, as GPS time, which is 18 s ahead of UTC?")
+    return [Finding("position_lag", Severity.ERROR, ("x", "y"), text, lag.value, "s", lag.interval,
+                    advice=Advice.correct("position", earlier=float(f"{lag.value:.5g}")))]
 
 
 def compare_speed(motion: Motion, name: str) -> Agreement | None:

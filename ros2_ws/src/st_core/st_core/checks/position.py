@@ -151,11 +151,19 @@ def _explain_residual(motion: Motion, rare_explanations: Mapping[tuple[str, ...]
                       for name, effect in effects.items()}
         explanations = rare_explanations if has_varying_speed(motion.velocity_x) else {}
         refined = _refine_causes(problem, causes, min_values, explanations)
-        causes = {name: estimate for name, estimate in refined.items() if is_relevant(estimate, min_values[name])}
+        causes = {name: estimate for name, estimate in refined.items()
+                  if is_relevant(estimate, min_values[name]) and not _is_absurd(name, estimate, effects[name])}
         corrected = _correct_causes(motion, causes)
         if not causes:
             break
     return _Explanation(causes, corrected, effects)
+
+
+def _is_absurd(name: str, estimate: Estimate, effect: float) -> bool:
+    """Whether a cause is a scale of an axis as far from 1 as only a wrong unit is, but hardly shifts the positions, as
+    such a unit would. effect: of the cause [m per unit]."""
+    return (name in AXIS_SCALES and abs(estimate.value) * effect < LIMITS.warning_effect
+            and not is_near(1.0 + estimate.value, 1.0, LIMITS.unit_ratio))
 
 
 def _fits_better(explanation: _Explanation, other: _Explanation) -> bool:
@@ -387,10 +395,11 @@ def _restore_causes(problem: Regression, causes: dict[str, Estimate], names: lis
 
 
 def add_alternative(finding: Finding, alternative: str, channel: str = "velocity_y") -> Finding:
-    """The finding with an alternative that involves another channel, and thus without a correction."""
-    advice = Advice("text", "drive bends of different speed and radius, to distinguish the two")
-    return replace(finding, advice=advice, channels=tuple(dict.fromkeys((*finding.channels, channel))),
-                   text=f"{finding.text}, or {alternative}{AMBIGUOUS}")
+    """The finding with an alternative that involves another channel: at most a warning, and without a correction."""
+    return replace(finding, severity=max(finding.severity, Severity.WARNING, key=[*Severity].index),
+                   channels=tuple(dict.fromkeys((*finding.channels, channel))),
+                   text=f"{finding.text}, or {alternative}{AMBIGUOUS}",
+                   advice=Advice("text", "drive bends of different speed and radius, to distinguish the two"))
 
 
 def add_sign_alternative(findings: list[Finding], recorded: Motion, corrected: Motion) -> list[Finding]:

@@ -338,12 +338,13 @@ def _make_point_finding(point: Estimate, slip: Estimate, motion: Motion, vehicle
 def check_tyre_limit(motion: Motion) -> list[Finding]:
     """Finding of a sustained lateral acceleration above the limit of road tyres."""
     windows = motion.make_windows(WINDOW)
-    lateral = windows.mean(motion.velocity_x * motion.yaw_rate)
+    # In a spin, the change of velocity_y cancels the product of speed and yaw rate.
+    lateral = windows.mean(motion.velocity_x * motion.yaw_rate) + windows.change(motion.velocity_y) / WINDOW
     impossible = np.abs(lateral) > LIMITS.lateral_acceleration
     if impossible.sum() < 2:
         return []
     largest = float(np.abs(lateral).max())
-    text = (f"speed times yaw rate reaches {largest:.0f} m/s^2, but tyres reach about 10 m/s^2: speed or yaw rate is "
+    text = (f"velocity and yaw rate give up to {largest:.0f} m/s^2 to the side, but tyres reach about 10 m/s^2: one is "
             "wrong")
     times = tuple((float(t), float(t) + WINDOW) for t in windows.time[impossible][:MAX_LISTED_TIMES])
     return [Finding("lateral_acceleration_impossible", Severity.ERROR, ("velocity_x", "yaw_rate"), text, largest,
