@@ -291,7 +291,7 @@ class CourseTracker:
         self.restart()
 
     def restart(self) -> None:
-        """Forget past driving, pending forecasts and errors."""
+        """Discard past driving, pending forecasts and errors."""
         self._distance = 0.0
         self._past: deque[tuple[float, EgoMotion]] = deque()
         self._pending: deque[_PendingForecast] = deque()

@@ -140,18 +140,10 @@ def required_slip_speed(models: Sequence[str | Model], vehicle: VehicleParameter
     modes decreases, which makes one of them faster. None if no permitted value suffices, because extra states, for
     example of tyre relaxation, are stiff at high speed.
     """
-    speeds, models = sorted(speeds), [get_model(model) for model in models]
-
-    def is_stable(tenths: int) -> bool:
-        return are_stable(models, replace(vehicle, minimum_slip_speed=tenths / 10.0), speeds, step)
-
-    first = math.ceil(10.0 * vehicle.minimum_slip_speed)
-    coarse = np.unique(np.geomspace(first, 10.0 * SLIP_SPEED_LIMIT, 80).astype(int)).tolist()
-    stable = next((k for k, tenths in enumerate(coarse) if is_stable(tenths)), None)
-    if stable is None:
-        return None
-    low = coarse[stable - 1] + 1 if stable else first
-    return next(tenths for tenths in range(low, coarse[stable] + 1) if is_stable(tenths)) / 10.0
+    speeds, models = sorted(speeds), [get_model(model) for model in models]  # unstable at low speeds: tested first
+    candidates = np.arange(math.ceil(10.0 * vehicle.minimum_slip_speed), 10.0 * SLIP_SPEED_LIMIT + 1.0) / 10.0
+    return next((v for v in candidates.tolist()
+                 if are_stable(models, replace(vehicle, minimum_slip_speed=v), speeds, step)), None)
 
 
 def warn_if_step_too_long(model: str | Model, vehicle: VehicleParameters, speeds: Iterable[float], step: float) -> None:

@@ -27,18 +27,17 @@ class PiecewiseLinear:
     parts: tuple[tuple[float, float, float], ...]
 
     def __call__(self, time: np.ndarray) -> np.ndarray:
-        ends, durations, first, last = self._table
-        i = np.minimum(np.searchsorted(ends, time, side="right"), len(ends) - 1)
-        return first[i] + (last - first)[i] * np.clip((time - ends[i]) / durations[i] + 1.0, 0.0, 1.0)
+        return np.interp(time, *self._corners)
 
     @property
     def duration(self) -> float:
-        return float(self._table[0][-1])
+        return float(self._corners[0][-1])
 
     @cached_property
-    def _table(self) -> tuple[np.ndarray, ...]:
-        durations, first, last = np.array([part for part in self.parts if part[0] > 0.0]).T
-        return np.cumsum(durations), durations, first, last
+    def _corners(self) -> tuple[np.ndarray, np.ndarray]:
+        """(times, values) at both ends of each part; at a jump, a time occurs twice, and its second value counts."""
+        parts = np.array(self.parts)
+        return np.repeat(np.cumsum([0.0, *parts[:, 0]]), 2)[1:-1], parts[:, 1:].ravel()
 
 
 @dataclass(frozen=True)

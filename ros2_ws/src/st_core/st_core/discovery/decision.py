@@ -188,8 +188,8 @@ def judge_naming(e: Evidence, limits: Limits, excludes_null: bool = True, parame
         return demote("it reduces the errors, but the interval of its value includes the null value")
     channel, share = find_most_affected(e, limits)
     channel_part = f"the baseline {CHANNELS[channel].label} error by {share:.1%} and " if channel else ""
-    where = " in one driving condition" if e.position_in_condition > max(e.position, 0.0) else ""
-    reduction = f"it reduces {channel_part}{describe_position_reduction(position_reduction(e))}{where}"
+    scope = " in one driving condition" if e.position_in_condition > max(e.position, 0.0) else ""
+    reduction = f"it reduces {channel_part}{describe_position_reduction(position_reduction(e))}{scope}"
     if is_relevant(e, limits):
         return Reason(NAMED, e.name, _relevance_values(e, limits), reduction)
     return demote(f"it is significant, but {reduction}; {limits.relevant:.1%} or {100 * limits.relevant_position:.0f} "

@@ -154,7 +154,7 @@ class Effect:
     prepared: ClassVar[tuple[str, ...]] = ()  # names of the results of `prepare`
     extra_states: ClassVar[tuple[str, ...]] = ()  # names of its states
     extra_units: ClassVar[tuple[str, ...]] = ()  # units of its states
-    # Whether it evaluates the tyres again, and is therefore omitted at null where speed matters.
+    # Whether it evaluates the tyres again; at its null values it is then omitted where computing time matters.
     costly: ClassVar[bool] = False
     # Whether the search adds it only in forward steps, since in a joint fit of the whole library it absorbs parts of
     # other effects.

@@ -8,10 +8,10 @@ The change of delta acts only on the slip angle. Its effect on the direction of 
 force for a change of 0.01 rad at delta = 0.1 rad.
 """
 
+from math import tau
+
 from ..ops import cos
 from ._base import Effect, Parameter, register
-
-TWO_PI = 6.283185307179586
 
 
 @register
@@ -50,5 +50,5 @@ class RollSteer(Effect):
     def rates(extra, slips, forces, instant, prepared, theta):
         a_f, a_f_dot = extra
         a_y = (forces[0] * cos(instant.road_wheel_angle) + forces[1]) / theta.constants
-        omega = TWO_PI * theta.frequency
+        omega = tau * theta.frequency
         return a_f_dot, omega * (omega * (a_y - a_f) - 2.0 * theta.damping * a_f_dot)

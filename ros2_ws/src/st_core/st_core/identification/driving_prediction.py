@@ -149,7 +149,7 @@ def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     result = fit_stiffness(logs, vehicle, base, additional=(RATIO, OFFSET),
                            nuisance=(*NUISANCE_PARAMETERS, DELAY, RELAXATION))
     names = [estimate.parameter for estimate in result.estimates]
-    order = sorted(range(len(names)), key=lambda i: (names[i] != RATIO, names[i] != OFFSET))
+    order = [names.index(name) for name in (RATIO, OFFSET, *STIFFNESSES)]
     correlation = result.correlation[order][:, order] if result.correlation is not None else None
     ratio, *others = (result.estimates[i] for i in order)
     ratio = replace(ratio, verdict=f"{ratio.verdict} Other possible causes: {get_effect(RATIO).imitated_by}.")

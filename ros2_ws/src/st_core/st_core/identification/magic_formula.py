@@ -66,11 +66,8 @@ def find_load_levels(data: FlatPlank) -> tuple[np.ndarray, np.ndarray]:
         raise IdentificationError(f"{data.tyre}: {len(data.load)} rows with loads from {lowest:.4g} N: "
                                   f"{MIN_POINTS} rows with loads above 0 are needed; are load and lateral force "
                                   "exchanged?")
-    order = np.argsort(data.load)
-    sorted_loads = data.load[order]
-    steps = np.diff(sorted_loads) > LEVEL_GAP * sorted_loads[:-1]
-    level = np.empty(len(sorted_loads), int)
-    level[order] = np.concatenate([[0], np.cumsum(steps)])
+    loads = np.sort(data.load)
+    level = np.searchsorted(loads[1:][np.diff(loads) > LEVEL_GAP * loads[:-1]], data.load, side="right")
     return np.array([data.load[level == k].mean() for k in range(level.max() + 1)]), level
 
 

@@ -94,7 +94,7 @@ RELATIONS = {
 
 @dataclass(frozen=True)
 class Candidate:
-    """A candidate relation."""
+    """A relation to be tested: a curve of one quantity, added to one term of the model."""
 
     term: str  # one of ALL_TERMS
     quantity: str  # one of QUANTITIES
