@@ -42,11 +42,10 @@ TRUTH_SCHEMA = {
 def make_truth_record(truth: Truth) -> dict[str, object]:
     record = {name: getattr(truth, name) for name in ("time", *_UNITS) if name in Truth.__dataclass_fields__}
     if truth.load:
-        for axle, (left, right) in (("front", (0, 1)), ("rear", (2, 3))):
-            record[f"lateral_force_{axle}"] = truth.lateral_force[left] + truth.lateral_force[right]
-            record[f"longitudinal_force_{axle}"] = truth.longitudinal_force[left] + truth.longitudinal_force[right]
-            record[f"load_{axle}"] = truth.load[left] + truth.load[right]
-            record[f"slip_angle_{axle}"] = (truth.slip_angle[left] + truth.slip_angle[right]) / 2
+        for axle, wheels in (("front", slice(0, 2)), ("rear", slice(2, 4))):
+            for name in ("lateral_force", "longitudinal_force", "load"):
+                record[f"{name}_{axle}"] = sum(getattr(truth, name)[wheels])
+            record[f"slip_angle_{axle}"] = sum(truth.slip_angle[wheels]) / 2
     record.update(truth.conditions)
     return record
 

@@ -118,24 +118,17 @@ class Ins:
 
 
 def _compute_body_rates(truth: Truth) -> tuple[float, float, float]:
-    """Angular rates [rad/s] of the tilted body about its x, y, z (FLU) for a constant pitch angle.
-
-    In FRD: p = droll - dheading sin(pitch), q = dheading sin(roll) cos(pitch), r = dheading cos(roll) cos(pitch).
-    """
-    heading_rate = -truth.yaw_rate
-    p = truth.roll_rate - heading_rate * math.sin(truth.pitch)
-    q = heading_rate * math.sin(truth.roll) * math.cos(truth.pitch)
-    r = heading_rate * math.cos(truth.roll) * math.cos(truth.pitch)
-    return p, -q, -r
+    """Angular rates [rad/s] of the tilted body about its x, y, z (FLU) for a constant pitch angle."""
+    return (truth.roll_rate + truth.yaw_rate * math.sin(truth.pitch),
+            truth.yaw_rate * math.sin(truth.roll) * math.cos(truth.pitch),
+            truth.yaw_rate * math.cos(truth.roll) * math.cos(truth.pitch))
 
 
 def _compute_specific_force(ax: float, ay: float, roll: float, pitch: float) -> tuple[float, float, float]:
     """Specific force [m/s^2] in tilted body axes (FLU) for a horizontal acceleration (a_x, a_y, 0) and gravity."""
-    forward, right, down = ax, -ay, -GRAVITY
     cp, sp, cr, sr = math.cos(pitch), math.sin(pitch), math.cos(roll), math.sin(roll)
-    forward, down = cp * forward - sp * down, sp * forward + cp * down
-    right, down = cr * right + sr * down, -sr * right + cr * down
-    return forward, -right, -down
+    pitched_up = cp * GRAVITY - sp * ax
+    return cp * ax + sp * GRAVITY, cr * ay + sr * pitched_up, cr * pitched_up - sr * ay
 
 
 class SteeringSensor:

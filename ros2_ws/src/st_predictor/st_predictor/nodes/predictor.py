@@ -236,10 +236,9 @@ class PredictorNode(Node):
     def _make_checks(self) -> list[Check]:
         counts = self._counter.as_dict()
         level, text = diagnostics.OK, "predicting"
-        if self._skip and self._skip.kind == "slow":
+        if self._skip:
+            level = diagnostics.OK if self._skip.kind == "slow" else diagnostics.ERROR
             text = f"no prediction: {self._explain_skip()}"
-        elif self._skip:
-            level, text = diagnostics.ERROR, f"no prediction: {self._explain_skip()}"
         elif self._diverged_models:
             models = ", ".join(sorted(self._diverged_models))
             level, text = diagnostics.WARN, f"prediction not finite, path not published: {models}"

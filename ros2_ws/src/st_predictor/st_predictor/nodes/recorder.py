@@ -219,9 +219,8 @@ def name_files(files: Sequence[str]) -> dict[str, str]:
     keys = {}
     for name, path in paths.items():
         others = [other for other in paths.values() if other != path]
-        for length in range(1, len(path.parts) + 1):
-            if all(other.parts[-length:] != path.parts[-length:] for other in others):
-                break
+        length = next(n for n in range(1, len(path.parts) + 1)
+                      if all(other.parts[-n:] != path.parts[-n:] for other in others))
         keys[name] = Path(*path.parts[-length:]).as_posix()
     return keys
 
