@@ -468,7 +468,7 @@ def test_negative_scale_of_a_vbo_yaw_rate_and_the_change_of_its_sign_are_one(tmp
     run_file.write_text(f"vbo: turn.vbo\ncorrect: {{yaw_rate: {{scale: {scale}}}}}\n")
     run = read(find_runs([run_file])[0], CAR, VBO_SETTINGS)
     np.testing.assert_allclose(run.log.yaw_rate, abs(scale) * np.radians(10.0))
-    assert any("is this change of sign; it is applied once" in w for w in run.warnings) == (scale < 0)
+    assert any("the scale in its run.yaml is applied without its sign" in w for w in run.warnings) == (scale < 0)
 
 
 def test_steering_topic_for_a_table_is_refused(tmp_path: Path, drive_log: DriveLog) -> None:

@@ -76,8 +76,8 @@ def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters
     rate = corrections.get("yaw_rate")
     if rate is not None and rate.scale < 0 and f"{source.path}: {YAW_RATE_REVERSED}" in run.warnings:
         corrections["yaw_rate"] = replace(rate, scale=-rate.scale)
-        notes.append(f"{source.path}: the negative scale of yaw_rate in its run.yaml is this change of sign; it is "
-                     "applied once")
+        notes.append(f"{source.path}: its reader has changed the sign of yaw_rate, so the scale in its run.yaml is "
+                     "applied without its sign")
     try:
         log = apply_corrections(run.log, corrections, vehicle, excluded_intervals)
     except StCoreError as error:

@@ -171,7 +171,7 @@ def _describe_unread_records(log: Any, layout: mdf_blocks.RecordLayout) -> list[
                     for blocks in payloads if blocks)
     if layout.size - size <= layout.id_size + max(length for length, _ in layout.frame_records.values()):
         return []
-    return [f"no valid record is at byte {layout.start + size}; its last "
+    return [f"the record at byte {layout.start + size} is invalid; the last "
             f"{format_count(layout.size - size, layout.size, 'bytes of records')} are not used"]
 
 

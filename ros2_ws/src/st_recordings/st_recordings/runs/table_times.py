@@ -157,7 +157,7 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
 
 
 def _count_rollovers(seconds: np.ndarray, min_jump: float) -> np.ndarray:
-    """Number of rollovers before each time. After a jump back that a jump forward reverses, times are wrong instead."""
+    """Number of rollovers before each time. A backward jump that a forward jump reverses is a wrong time instead."""
     jumps = np.diff(seconds, prepend=seconds[:1])
     rows = np.flatnonzero(np.abs(jumps) > min_jump)
     is_rollover = (jumps[rows] < 0) & (np.append(jumps[rows[1:]], -1.0) < 0)
