@@ -532,11 +532,11 @@ def excludes_null(effect: result.FoundEffect) -> bool:
 
 def replace_interval(fitted: result.FittedParameter,
                      sensors: tuple[float, float, float] | None) -> result.FittedParameter:
-    """The fitted value with an interval as wide as that of the redundant sensors (`discover`), if the fitted
-    interval contains the null, and the sensors agree with the value and exclude the null; otherwise unchanged."""
-    _, low, high = sensors or (0.0, -np.inf, np.inf)
-    contains_null = fitted.interval[0] <= fitted.null <= fitted.interval[1]
-    if not contains_null or not low <= fitted.value <= high or low <= fitted.null <= high:
+    """The fitted value with an interval about it that just contains that of the redundant sensors (`discover`), if
+    this excludes the null and the fitted interval contains both; otherwise unchanged."""
+    value, (_, low, high) = fitted.value, sensors or (0.0, -np.inf, np.inf)
+    half_width = max(high - value, value - low)
+    contains_both = fitted.interval[0] <= min(low, fitted.null) <= max(high, fitted.null) <= fitted.interval[1]
+    if not contains_both or abs(value - fitted.null) <= half_width:
         return fitted
-    half_width = 0.5 * (high - low)
-    return replace(fitted, interval=(fitted.value - half_width, fitted.value + half_width))
+    return replace(fitted, interval=(value - half_width, value + half_width))
