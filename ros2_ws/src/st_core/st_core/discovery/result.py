@@ -296,7 +296,8 @@ class Discovery:
     # Corrections that improve predictions without being properties of the car, despite their names; part of the model,
     # never of a vehicle file.
     effective: tuple[FoundEffect, ...] = ()
-    named_errors: Mapping[str, ChannelError] = field(default_factory=dict)  # as `errors`, without effective corrections
+    # As `errors`, before the search for effective corrections.
+    named_errors: Mapping[str, ChannelError] = field(default_factory=dict)
     axle_curves: tuple[ForceCurve, ...] = ()
     combinations: tuple[Combination, ...] = ()
     assumed: tuple[AssumedQuantity, ...] = ()

@@ -306,16 +306,10 @@ def list_priors(discovery: Discovery) -> list[str]:
 
 def describe_effective(discovery: Discovery) -> list[str]:
     """Sentence on the effective corrections of the model; empty without any."""
-    if not discovery.effective or not discovery.named_errors:
-        return []
-    changes = {name: (error.augmented, discovery.errors[name].augmented, error.unit)
-               for name, error in discovery.named_errors.items()}
-    # The channel with the largest relative reduction.
-    name = min(changes, key=lambda n: changes[n][1] / max(changes[n][0], 1e-12))
-    before, after = (format_value(value, changes[name][2]) for value in changes[name][:2])
-    names = ", ".join(f"{to_words(e.name)} {format_briefly(e.name, e.parameters)}" for e in discovery.effective)
-    return [f"{names} ({label_channel(name)} error {before} → {after}): improves predictions, but is not a property of "
-            "the car; model.yaml contains it, marked effective"]
+    names = ", ".join(f"{to_words(e.name)} {format_briefly(e.name, e.parameters)} (5 s position error without it "
+                      f"{format_metres(e.position_5s_increase, '+')})" for e in discovery.effective)
+    return [f"{names}: improves predictions, but is not a property of the car; model.yaml contains it, marked "
+            "effective"] if names else []
 
 
 def _list_vehicle_recommendations(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
