@@ -140,7 +140,8 @@ def required_slip_speed(models: Sequence[str | Model], vehicle: VehicleParameter
     modes decreases, which makes one of them faster. None if no permitted value suffices, because extra states, for
     example of tyre relaxation, are stiff at high speed.
     """
-    speeds, models = sorted(speeds), [get_model(model) for model in models]  # unstable at low speeds: tested first
+    speeds, models = sorted(speeds), [get_model(model) for model in models]
+    speeds = speeds[-1:] + speeds  # a step is mostly unstable at the highest or at low speeds
     candidates = np.arange(math.ceil(10.0 * vehicle.minimum_slip_speed), 10.0 * SLIP_SPEED_LIMIT + 1.0) / 10.0
     return next((v for v in candidates.tolist()
                  if are_stable(models, replace(vehicle, minimum_slip_speed=v), speeds, step)), None)
