@@ -51,11 +51,6 @@ class RecoveryReport:
         """Whether anything had to be repaired."""
         return self.has_rebuilt_metadata or any(not f.is_intact for f in self.files)
 
-    @property
-    def messages(self) -> int:
-        """Number of messages kept."""
-        return sum(f.count for f in self.files)
-
     def __str__(self) -> str:
         """One line per file, for a terminal."""
         lines = []

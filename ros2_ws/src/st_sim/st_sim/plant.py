@@ -168,8 +168,7 @@ class Plant:
         self.is_at_rest = False
         self.conditions = self.environment.advance(0.0, 0.0)
         self.constants = dynamics.make_constants(car, settings, step)
-        self.mass, self.yaw_inertia = self.constants.mass, self.constants.yaw_inertia
-        self.to_front, self.to_rear = self.constants.to_front, self.constants.to_rear
+        self.mass, self.to_rear = self.constants.mass, self.constants.to_rear
         self._ratio = car.steering_ratio * settings["steering_ratio_factor"]
         self._half_play = settings["steering_backlash"] / 2
         self._delay: deque[float] = deque([0.0] * round(settings["steering_delay"] / step))

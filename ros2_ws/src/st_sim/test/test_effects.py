@@ -226,7 +226,7 @@ def test_cg_shift_changes_the_axle_loads():
     forward = steady(["cg_shift=0.2"])
     load = forward.observe(300.0).load
     assert load[0] / load[2] > 1.5
-    assert forward.to_front == pytest.approx(CAR.cg_to_front_axle - 0.2)
+    assert forward.constants.to_front == pytest.approx(CAR.cg_to_front_axle - 0.2)
 
 
 def test_driver_tremor_has_the_set_size_and_depends_on_the_seed():

@@ -78,7 +78,7 @@ def test_kinetic_energy_decreases_without_drive_force(plant):
     energies = []
     for i in range(3000):
         s = car.state
-        energies.append(0.5 * car.mass * (s[VX] ** 2 + s[VY] ** 2) + 0.5 * car.yaw_inertia * s[YAW_RATE] ** 2)
+        energies.append(0.5 * car.mass * (s[VX] ** 2 + s[VY] ** 2) + 0.5 * car.constants.yaw_inertia * s[YAW_RATE] ** 2)
         car.step(two_sines(i * STEP), 0.0)
     loss = -np.diff(energies)
     # A tyre with relaxation stores energy and may return at most 0.01 % of the total when the steering reverses.
