@@ -158,7 +158,19 @@ def test_only_the_times_between_two_opposite_clock_steps_are_corrected(tmp_path:
                             for k in range(400)))
     log = read_can_logs([file])
     assert np.allclose(log.frames.time_ns * 1e-9, 2000 + 0.001 * np.arange(400), atol=0.002) and not log.steps
-    assert f"clock was wrong by {error:+.3f} s for 0.099 s; the times of these 100 frames were" in log.warnings[0]
+    assert f"clock was wrong by {error:+.3f} s for 0.099 s; the times then were" in log.warnings[0]
+
+
+@pytest.mark.parametrize("count", [1, 150])
+def test_frames_of_zeros_are_no_change_of_the_clock(tmp_path: Path, count: int) -> None:
+    """A damaged part of an MF4 has the time 0; the frames after it keep their times."""
+    seconds = 15 + 0.001 * np.arange(2000)
+    seconds[1000:1000 + count] = 0
+    file = tmp_path / "zeros.log"
+    file.write_text("".join(f"({2000 + t:.6f}) can0 002#{k:04X}\n" for k, t in enumerate(seconds)))
+    log = read_can_logs([file])
+    assert log.frames.time_ns[-1] == 2016_999_000_000 and not log.steps
+    assert "the logger's clock was wrong by -" in log.warnings[0]
 
 
 @pytest.mark.parametrize("codec", ["utf-16", "utf-16-le", "utf-16-be"])

@@ -180,6 +180,29 @@ def test_time_of_zero_is_no_rollover(tmp_path: Path, start: float, wrong: int, t
     assert np.ptp(drive.log.ins_time_ns) == round((times[-1] - times[0]) * 100) * 10**7
 
 
+def test_number_cut_at_the_end_of_a_file_is_left_out(tmp_path: Path) -> None:
+    file = write(tmp_path, [HEADER, *(f"{0.01 * k:.2f},{0.2 * k:.3f},0,0,20,0,0,0,0,0.123" for k in range(100))])
+    complete = file.read_text().rstrip("\n")
+    for text, count in ((complete, 100), (complete[:-1], 99)):
+        file.write_text(text)
+        drive = read_csv(file)
+        assert len(drive.log.x) == count
+        assert any("the last row ends within a number" in w for w in drive.warnings) == (count == 99)
+
+
+@pytest.mark.parametrize(("factor", "origin", "meaning"), [
+    (86400.0, 2440587.5, "Julian days"), (86400.0, 719529.0, "MATLAB"), (1e-3, 0.0, "")])
+def test_day_numbers_and_32_bit_milliseconds(tmp_path: Path, factor: float, origin: float, meaning: str) -> None:
+    start = 1_756_918_800.0 if meaning else 2**32 * 1e-3 - 4.0
+    times = (start + 0.05 * np.arange(200)) / factor + origin
+    header = HEADER if meaning else HEADER.replace("t,", "t [ms],", 1)
+    drive = read_csv(write(tmp_path, [header, *(f"{t if meaning else t % 2**32:.12f},{k:.3f},0,0,20,0,0,0,0,0"
+                                                for k, t in enumerate(times))]))
+    assert len(drive.log.x) == 200
+    assert np.diff(drive.log.ins_time_ns) * 1e-9 == pytest.approx(0.05, abs=1e-4)
+    assert any(f"date numbers of {meaning} (UTC)" in w for w in drive.warnings) == bool(meaning)
+
+
 def test_zeros_in_the_middle_of_a_file_cost_one_row(tmp_path: Path) -> None:
     lines = rows(200)
     lines[100] = lines[100][:9] + "\0" * 300_000 + lines[100][9:]

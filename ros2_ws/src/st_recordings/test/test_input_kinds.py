@@ -471,9 +471,14 @@ def test_negative_scale_of_a_vbo_yaw_rate_and_the_change_of_its_sign_are_one(tmp
     assert any("the scale in its run.yaml is applied without its sign" in w for w in run.warnings) == (scale < 0)
 
 
-def test_steering_topic_for_a_table_is_refused(tmp_path: Path, drive_log: DriveLog) -> None:
-    with pytest.raises(RunError, match=r"drive\.csv: --steering-topic: /steer is a topic of a bag, but this is"):
-        read_text(tmp_path / "drive.csv", csv(rows(drive_log)), ReadSettings(steering=SteeringField("/steer")))
+@pytest.mark.parametrize(("settings", "message"), [
+    (ReadSettings(steering=SteeringField("/steer")), "--steering-topic: /steer is a topic of a bag"),
+    (ReadSettings(odometry="/odom"), "--odometry-topic: /odom is a topic of a bag"),
+    (ReadSettings(offset=2.0), "--offset: 2 s is between clocks of INS and CAN logs")])
+def test_option_for_a_recording_of_another_kind_is_refused(tmp_path: Path, drive_log: DriveLog, settings: ReadSettings,
+                                                           message: str) -> None:
+    with pytest.raises(RunError, match=rf"drive\.csv: {message}"):
+        read_text(tmp_path / "drive.csv", csv(rows(drive_log)), settings)
 
 
 def test_bias_of_a_vbo_yaw_rate_does_not_change_its_sign(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
@@ -426,6 +427,18 @@ def test_splits_with_numbers_in_another_order_are_ordered_by_time(tmp_path: Path
     run = read(source, CAR)
     assert_same(run.log, drive_log, max_lost=0)
     assert not run.warnings
+
+
+def test_steering_field_for_an_ins_with_can_logs_is_refused_or_replaces_them(tmp_path: Path, drive_folder: Path,
+                                                                             drive_log: DriveLog) -> None:
+    (source,) = find_runs([drive_folder / "run.ncom", drive_folder / "run.log"])
+    settings = ReadSettings(steering=SteeringField("", "Steer", "wheel", "deg"))
+    with pytest.raises(RunError, match=r"run\.ncom: --steering-field: Steer is no column, because the steering"):
+        read(source, CAR, settings)
+    table = tmp_path / "run.vbo"
+    table.write_text(vbo(drive_log))
+    run = read(replace(source, kind="vbo", files=(table,)), CAR, settings)
+    assert_warned(run.warnings, "its CAN logs are not used, because an option names the steering angle in this file")
 
 
 def test_time_of_day_in_names_of_bags_is_not_a_split_number(tmp_path: Path, drive_log: DriveLog) -> None:

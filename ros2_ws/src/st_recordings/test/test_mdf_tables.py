@@ -134,7 +134,7 @@ def test_damaged_file_is_refused(drive, tmp_path):
     file = write_signals(tmp_path / "drive.mf4", drive)
     file.write_bytes(file.read_bytes()[:3000])
     (source,) = find_runs([file])
-    with pytest.raises(RunError, match="asammdf cannot read the file"):
+    with pytest.raises(RunError, match="the file is truncated: it ends at byte 3000"):
         read(source, CAR)
 
 
@@ -180,3 +180,14 @@ def test_latitude_and_longitude_in_messages_of_their_own(drive: DriveLog, tmp_pa
     run = read(source, CAR)
     assert_same(run.log, drive, 3, steering=1e-3, rotated=True)
     assert all(count <= 3 for count in run.auxiliary.missing.values()), run.warnings
+
+
+def test_truncated_table_is_reported_as_truncated(tmp_path: Path) -> None:
+    """asammdf writes the description of the signals behind their samples."""
+    with MDF(version="4.10") as mdf:
+        mdf.append([Signal(np.arange(5000.0), np.arange(5000.0), name="velocity_x")])
+        mdf.save(tmp_path / "a.mf4")
+    (tmp_path / "a.mf4").write_bytes((tmp_path / "a.mf4").read_bytes()[:40000])
+    (source,) = find_runs([tmp_path])
+    assert "a.mf4: the file is truncated: it ends at byte 40000, before its first data group at byte 8" in str(
+        source.problem)

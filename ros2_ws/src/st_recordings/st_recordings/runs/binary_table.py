@@ -28,6 +28,7 @@ from .hdf5 import (
     read_hdf5,
     reject_objects,
 )
+from .mdf_blocks import describe_truncation
 from .mf4 import MDF_OPTIONS, open_mdf
 
 ARROW_EXTENSIONS = (".parquet", ".feather")
@@ -188,7 +189,7 @@ def is_signal_table(file: Path) -> bool:
             if stream.read(4) != b"MDF ":
                 return False
             with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
-                return _RAW_FRAMES.search(content) is None
+                return not describe_truncation(content[:96], len(content)) and _RAW_FRAMES.search(content) is None
     except OSError:
         return False
 

@@ -198,6 +198,7 @@ def _read_trc(lines: Lines, notes: list[str]) -> Any:
 
     class Reader(base):
         def _parse_line(self, line: str) -> Any:
+            line = re.sub(r"^(\s*\d+\)?\s+\d+),(?=\d)", r"\1.", line)  # decimal comma of the time
             return self._parse_cols(tuple(line.split(maxsplit=self._num_columns))) if line else None
 
         def _parse_msg_v1_0(self, columns: tuple[str, ...]) -> Any:

@@ -466,7 +466,7 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], wa
     rate = (is_measured.sum() - 1) / max(duration, 1e-9)
     outages = f"; {format_count(n_frozen, len(rows), 'rows')} repeat a position for long" if n_frozen else ""
     warnings.append(f"{table.file}: positions change in {format_count(int(is_measured.sum()), len(rows), 'rows')}, "
-                    f"about {rate:.0f} Hz; the positions of the other rows were interpolated{outages}")
+                    f"about {rate:.3g} Hz; the positions of the other rows were interpolated{outages}")
 
 
 def _find_outages(seconds: np.ndarray, is_measured: np.ndarray) -> np.ndarray:

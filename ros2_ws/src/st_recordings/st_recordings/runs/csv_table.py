@@ -33,7 +33,7 @@ MAX_YAW_RATE = 3.0  # rad/s; a yaw rate column with larger values is in deg/s, a
 _SEPARATOR = re.compile(r"sep=.\s*$", re.MULTILINE)  # how a spreadsheet marks its delimiter
 _LINE_END_IN_CELL = re.compile(r'"[^",;|\t]{0,80}\n[^",;|\t]{1,80}"(?=[,;|\t\n])')
 _QUOTED_ROW = re.compile(r'^"((?:[^"\n]|"")*)"$', re.MULTILINE)  # a row that was exported as one cell
-_THOUSANDS_SPACES = re.compile(r"[\u00a0\u202f\u2009'](?<=\d.)(?=\d{3}(?!\d))")
+_THOUSANDS_SPACES = re.compile(r"[\u00a0\u202f\u2009\u2019'](?<=\d.)(?=\d{3}(?!\d))")
 
 
 @dataclass(frozen=True)
@@ -111,9 +111,18 @@ def read_table(file: Path, layout: Layout) -> Table:
     if n_above > 1 or (n_above and not _SEPARATOR.match(preamble[0])):
         warnings.append(f"{file}: the header is in line {n_above + 1}; the {n_above} lines before it were skipped")
     names, delimiter = _split_header(header)
+    if not text.endswith("\n") and _is_last_cell_truncated(body, delimiter):
+        body = body[:body.rstrip("\n").rfind("\n") + 1]
+        warnings.append(f"{file}: the last row ends within a number and was left out")
     if delimiter == " ":
         body = "\n".join(" ".join(line.split()) for line in body.split("\n"))
     return parse_table(file, names, body, delimiter, layout, warnings, preamble=preamble)
+
+
+def _is_last_cell_truncated(body: str, delimiter: str) -> bool:
+    """Whether the last cell of a table whose last line does not end is shorter than all other cells in its column."""
+    *lengths, last = (len(line) - line.rfind(delimiter) for line in body.rstrip("\n").split("\n"))
+    return len(lengths) > MAX_UNIT_ROWS and last < min(lengths)
 
 
 def join_tables(tables: Sequence[Table]) -> Table:

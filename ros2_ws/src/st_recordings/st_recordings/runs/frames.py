@@ -107,7 +107,7 @@ def remove_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]],
     correction = np.zeros(len(frames), dtype=np.int64)
     notes, single_steps, start = list[str](), list[int](), 0
     for row, end in pairwise([*backward_steps.tolist(), len(steps)]):
-        first, last = row, _find_opposite_step(steps, row, start, end, 2 * median_step)
+        first, last = row, _find_opposite_step(time_ns, row, start, end, median_step)
         if last is None:
             single_steps.append(row)
         else:
@@ -115,7 +115,7 @@ def remove_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]],
             correction[last + 1] -= median_step - steps[first]
             duration = (time_ns[last] - time_ns[first + 1]) * 1e-9
             notes.append(f"the logger's clock was wrong by {(steps[first] - median_step) * 1e-9:+.3f} s for "
-                         f"{duration:.3f} s; the times of these {last - first} frames were corrected")
+                         f"{duration:.3f} s; the times then were corrected (frames: {last - first})")
         correction[first + 1] += median_step - steps[first]
         start = (last or row) + 1
     time_ns = time_ns + np.cumsum(correction)
@@ -123,12 +123,23 @@ def remove_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]],
         (int(time_ns[row + 1]), float(steps[row] * 1e-9)) for row in single_steps], notes
 
 
-def _find_opposite_step(steps: np.ndarray, row: int, start: int, end: int, tolerance: int) -> int | None:
-    """Row of the forward step from `start` to `end` that reverses the backward step at `row`, if no other step is half
-    as large; None without one. steps [ns]. tolerance: of their sum, in addition to MIN_CLOCK_STEP [ns]."""
-    large_steps = start + np.flatnonzero(steps[start:end] > -steps[row] / 2)
-    is_opposite = len(large_steps) == 1 and abs(steps[large_steps[0]] + steps[row]) <= tolerance + MIN_CLOCK_STEP * 1e9
-    return int(large_steps[0]) if is_opposite else None
+def _find_opposite_step(time_ns: np.ndarray, row: int, start: int, end: int, median_step: int) -> int | None:
+    """Row of the forward step, among those from `start` to `end`, that reverses the backward step after `row`.
+
+    None if no step or several are at least half as large, or if the frames between the two steps last clearly longer
+    or shorter than the clock shows. A few frames, or frames of one time, may be followed by a gap.
+    """
+    steps = np.diff(time_ns[start:end + 1])
+    large_steps = start + np.flatnonzero(steps > (time_ns[row] - time_ns[row + 1]) / 2)
+    if len(large_steps) != 1:
+        return None
+    first, last = sorted((row, int(large_steps[0])))
+    elapsed, shown = time_ns[last + 1] - time_ns[first], time_ns[last] - time_ns[first + 1]
+    tolerance, count = 2 * median_step + MIN_CLOCK_STEP * 1e9, last - first
+    usual = np.median(time_ns[count:] - time_ns[:-count])  # duration of as many frames
+    max_elapsed = tolerance + (shown if shown > usual / 2 else 2 * usual)
+    is_short = count <= MAX_EARLY_FRAMES and elapsed >= 0
+    return int(large_steps[0]) if is_short or shown - tolerance <= elapsed <= max_elapsed else None
 
 
 def build_log(file: Path, parts: Sequence[Frames], warnings: Sequence[str], start_ns: int | None = None) -> CanLog:

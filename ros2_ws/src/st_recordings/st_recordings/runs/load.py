@@ -37,12 +37,16 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
     with ThreadPoolExecutor(1) as pool:
         digests = pool.submit(hash_files, (*source.files, *source.can))
         reader = READERS[source.kind]
+        _check_options(source, settings)
         if reader.read is None or (source.can and reader.read_ins and not settings.steering):
             from .raw import read_raw_run  # imports scipy.signal and CAN libraries, which takes two seconds
 
             run = read_raw_run(source, vehicle, settings)
         else:
             run = reader.read(source, vehicle, settings)
+    if settings.steering and source.can:
+        text = f"{source.path}: its CAN logs are not used, because an option names the steering angle in this file"
+        run = replace(run, warnings=(*run.warnings, text))
     _check_size(source, run.log, run.warnings)
     start_ns = int(run.log.ins_time_ns[0])
     log, implausible = drop_implausible(run.log, start_ns)
@@ -57,6 +61,22 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
     run = replace(run, warnings=(*run.warnings, *check_coverage(source, run.log)))
     log_warnings(run.warnings)
     return replace(run, provenance={**run.provenance, "files": digests.result()})
+
+
+def _check_options(source: RunSource, settings: ReadSettings) -> None:
+    """Raises RunError for an option that names a part of a recording of another kind."""
+    steering = settings.steering
+    topics = {"--steering-topic": steering.topic if steering else "", "--odometry-topic": settings.odometry}
+    for option, topic in topics.items():
+        if topic and source.kind != "bag":
+            raise RunError(source.path, f"{option}: {topic} is a topic of a bag, but this is none",
+                           "omit the option, name a column with --steering-field alone, or read bags separately")
+    if steering and READERS[source.kind].read is None:
+        raise RunError(source.path, f"--steering-field: {steering.field} is no column, because the steering angle of "
+                       "this run is in CAN logs", "omit the option, and describe the CAN signal with --signals")
+    if settings.offset is not None and not source.can and source.kind != "bag":
+        raise RunError(source.path, f"--offset: {settings.offset:g} s is between clocks of INS and CAN logs, but all "
+                       "channels of this run are on one clock", "omit the option, or give the CAN logs as well")
 
 
 def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters | None) -> LoadedRun:

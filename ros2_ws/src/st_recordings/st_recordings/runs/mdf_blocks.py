@@ -49,6 +49,14 @@ class RecordLayout:
     payload_records: set[int]  # identifiers of the separate payload records
 
 
+def describe_truncation(head: bytes, size: int) -> str:
+    """What an MDF 4 file lacks that ends before its first data group, from its first 96 bytes; empty for others."""
+    if head[:4] != b"MDF " or head[8:10] != b"4.":
+        return ""
+    offset = int.from_bytes(head[88:96], "little")
+    return f"it ends at byte {size}, before its first data group at byte {offset}" if offset >= size else ""
+
+
 def check_blocks(data: Buffer) -> RecordLayout | None:
     """Checks the blocks that lead to the frames. Raises DamageError if one of them is missing or invalid.
 

@@ -12,8 +12,9 @@ from .bag_storage import EXTENSIONS as BAG_EXTENSIONS
 from .bag_storage import read_time_span
 from .binary_table import BINARY_EXTENSIONS
 from .can_formats import EXTENSIONS as CAN_EXTENSIONS
-from .can_formats import is_can_log
+from .can_formats import is_can_log, read_head
 from .errors import RunError
+from .mdf_blocks import describe_truncation
 from .mf4 import MF4_EXTENSIONS, parse_session
 from .readers import READERS, Reader, find_reader
 from .run_file import find_described_files, find_described_run, find_logs, is_run_file, read_run_file
@@ -195,6 +196,9 @@ def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
         yield _report_problem(file, f"no matching CAN log: {reason}", advice)
     for session in dict.fromkeys(parse_session(f)[0] for f in logs) if not recordings else ():
         file = next(f for f in logs if parse_session(f)[0] == session)
+        if truncation := describe_truncation(read_head(file), file.stat().st_size):
+            yield _report_problem(file, f"the file is truncated: {truncation}", "copy it again")
+            continue
         csv = READERS["csv"]
         tables = [f.name for f in sorted(file.parent.iterdir())
                   if csv.accepts(f) and not is_can_log(f) and not _is_document(f)

@@ -27,7 +27,8 @@ _MONTHS = {"jan": 1, "gen": 1, "feb": 2, "fév": 2, "fev": 2, "mar": 3, "mär": 
            "sep": 9, "set": 9, "oct": 10, "okt": 10, "ott": 10, "out": 10, "nov": 11, "dec": 12, "dez": 12, "déc": 12,
            "dic": 12, "juin": 6, "juil": 7}
 ROLLOVER_STEP = 60.0  # s, longest gap between two rows across midnight or across the end of a GPS week
-_DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"))  # (day number of 1970-01-01, program)
+# (day number of 1970-01-01, its origin)
+_DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"), (2440587.5, "Julian days"))
 PLAUSIBLE_EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
 DAY, HOUR = 86400.0, 3600.0  # s
 HHMMSS = "HHMMSS"  # unit of a time column that contains times of day as numbers HHMMSS.ss
@@ -149,8 +150,9 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
             return (times - origin) * factor, source
     seconds = times * source.factor
     known_rows = np.flatnonzero(np.isfinite(seconds))
-    # Seconds of an hour, a day or a GPS week, or microseconds in 32 bits
-    for period, longest_step in ((HOUR, 1.0), (2**32 * 1e-6, 1.0), (DAY, ROLLOVER_STEP), (7 * DAY, ROLLOVER_STEP)):
+    # (period, longest step) of seconds of an hour, a day or a GPS week, and of micro- or milliseconds in 32 bits
+    for period, longest_step in ((HOUR, 1.0), (2**32 * 1e-6, 1.0), (2**32 * 1e-3, 1.0), (DAY, ROLLOVER_STEP),
+                                 (7 * DAY, ROLLOVER_STEP)):
         if len(known_rows) and seconds[known_rows].min() >= 0.0 and seconds[known_rows].max() <= period + 1.0:
             seconds[known_rows] += period * _count_rollovers(seconds[known_rows], period - longest_step)
     return seconds, source
@@ -217,9 +219,9 @@ def select_usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, f
         warnings.append(f"{file}: column {source.name} has only whole seconds, each in many rows; export fractions of "
                         "a second")
     step = float(np.median(np.diff(time_ns[is_usable])) * 1e-9) if is_usable.sum() > 2 else 0.0
-    if not source.has_stated_unit and step > 1.0:
+    if not source.has_stated_unit and (step > 1.0 or 0.0 < step < 2e-5):
         warnings.append(f"{file}: its times are {step:g} s apart; if they are not in seconds, declare their unit in a "
-                        f"run.yaml, as units: {{t: {_guess_time_unit(seconds) or 'ms'}}}")
+                        f"run.yaml, as units: {{t: {_guess_time_unit(seconds) or ('ms' if step > 1.0 else 'h')}}}")
     return has_time, time_ns, is_usable
 
 

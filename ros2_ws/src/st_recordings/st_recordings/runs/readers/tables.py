@@ -12,7 +12,6 @@ from .. import csv
 from ..binary_table import BINARY_EXTENSIONS
 from ..columns import Layout
 from ..csv_table import Table, join_tables, read_table
-from ..errors import RunError
 from ..ins_log import InsLog
 from ..mf4 import MF4_EXTENSIONS
 from ..run_types import LoadedRun, ReadSettings, RunSource
@@ -31,9 +30,6 @@ def register_table(kind: str, extensions: tuple[str, ...], read_file: Callable[[
         return join_tables([read_file(file, layout) for file in source.files])
 
     def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
-        if settings.steering and settings.steering.topic:
-            raise RunError(source.path, f"--steering-topic: {settings.steering.topic} is a topic of a bag, but this is "
-                           "a table", "name its column with --steering-field alone, or read bags and tables separately")
         layout = csv.add_steering_column(source.settings.get("layout") or Layout(), settings.steering)
         run = csv.build_drive(read_and_join(source, layout), vehicle, _get_yaw_scale(source), settings.steering)
         return replace(run, log=replace(run.log, name=source.name), labels=source.labels,
