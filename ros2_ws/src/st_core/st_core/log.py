@@ -115,11 +115,9 @@ class DriveLog:
         """The measurements with start_ns <= time <= end_ns, of both time bases. name: None leaves it unchanged."""
         span = (start_ns, end_ns + 1)
         ins, steering = (slice(*np.searchsorted(t, span).tolist()) for t in (self.ins_time_ns, self.steering_time_ns))
-        parts: dict[str, Any] = {}
-        for key in (column.name for column in fields(self)):
-            value = getattr(self, key)
-            if isinstance(value, np.ndarray):
-                parts[key] = value[steering if key in ("steering_time_ns", *STEERING) else ins]
+        slices = dict.fromkeys(("steering_time_ns", *STEERING), steering)
+        parts: dict[str, Any] = {column.name: value[slices.get(column.name, ins)] for column in fields(self)
+                                 if isinstance(value := getattr(self, column.name), np.ndarray)}
         return replace(self, name=name or self.name, **parts)
 
     def with_steering(self, vehicle: VehicleParameters) -> "DriveLog":

@@ -6,7 +6,7 @@ time; for each start only mean, mean square and largest error over the horizon a
 """
 
 import math
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
@@ -199,14 +199,13 @@ def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log:
     modes = (*MODES, *(future_inputs or {}))
     results = {(model.name, mode): ModelErrors.empty(len(starts), horizon) for model in model_list for mode in modes}
     conditions = {name: np.full(len(starts), np.nan) for name in CONDITIONS}
-    reasons: dict[str, int] = {}
+    reasons: Counter[str] = Counter()
     for rows, block in evaluate_blocks(model_list, vehicle, signals, starts, settings, future_inputs):
         for name, values in block.conditions.items():
             conditions[name][rows] = values
         for key, errors in block.errors.items():
             results[key].add(rows, errors, horizon)
-        for reason, count in block.incomplete.items():
-            reasons[reason] = reasons.get(reason, 0) + count
+        reasons.update(block.incomplete)
         if on_block:
             on_block(starts[rows], block)
         if progress:

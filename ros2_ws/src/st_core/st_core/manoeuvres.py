@@ -173,10 +173,10 @@ def weave(speed: float, lateral: float, cycles: float = 6.0) -> Manoeuvre:
 
 def circle(speed: float, lateral: float, hold: float = 10.0, ramp: float = 2.0) -> Manoeuvre:
     """Circle for `hold` [s] between ramps of `ramp` [s], then straight for 1 s; then the same to the other side."""
-    return Manoeuvre("circle", speed, lateral,
-                     _both_sides((ramp, 0.0, 1.0), (hold, 1.0, 1.0), (ramp, 1.0, 0.0), (1.0, 0.0, 0.0)),
-                     2 * (hold + 2 * ramp + 1.0), description=f"steady circles to both sides, {speed:g} m/s and "
-                                                          f"{abs(lateral):g} m/s^2, with the steering wheel held")
+    shape = _both_sides((ramp, 0.0, 1.0), (hold, 1.0, 1.0), (ramp, 1.0, 0.0), (1.0, 0.0, 0.0))
+    return Manoeuvre("circle", speed, lateral, shape, shape.duration,
+                     description=f"steady circles to both sides, {speed:g} m/s and {abs(lateral):g} m/s^2, with the "
+                                 "steering wheel held")
 
 
 def there_and_back(speed: float, lateral: float) -> Manoeuvre:

@@ -15,9 +15,7 @@ import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import f as fisher
 
-Residuals = Callable[[np.ndarray], np.ndarray]
-"""Function from parameters (k,) to residuals (n,), or from m sets of parameters (m, k) to residuals (m, n)."""
-
+Residuals = Callable[[np.ndarray], np.ndarray]  # from parameters (k,) to residuals (n,)
 END_TOLERANCE = 0.03  # relative tolerance of the distance from the value to an end of its interval
 MAX_END_STEPS = 8  # largest number of secant steps to an end
 BOUND_TOLERANCE = 1e-6  # distance within which a value is at its bound, as a fraction of the range between both bounds
@@ -67,16 +65,9 @@ def fit_within_bounds(residuals: Residuals, starts: Sequence[Sequence[float]], l
 
 def _solve(residuals: Residuals, start: Sequence[float] | np.ndarray, low: np.ndarray, high: np.ndarray,
            tolerance: float, max_evaluations: int) -> OptimizeResult:
-    def compute_jacobian(values: np.ndarray) -> np.ndarray:
-        """Forward differences in one call of `residuals`; backward where a step would cross the upper bound."""
-        steps = 1e-7 * np.maximum(np.abs(values), 1e-3)
-        steps = np.where(values + steps > high, -steps, steps)
-        rows = residuals(np.concatenate([values[None], values + np.diag(steps)]))
-        return ((rows[1:] - rows[0]) / steps[:, None]).T
-
     inside = np.clip(start, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
-    return least_squares(residuals, inside, compute_jacobian, (low, high), x_scale="jac", xtol=0.1 * tolerance,
-                         ftol=tolerance, gtol=1e-12, max_nfev=max_evaluations)
+    return least_squares(residuals, inside, bounds=(low, high), x_scale="jac", xtol=0.1 * tolerance, ftol=tolerance,
+                         gtol=1e-12, max_nfev=max_evaluations)
 
 
 def find_interval_end(residuals: Residuals, fit: BoundedFit, index: int, side: float) -> tuple[float, bool]:
@@ -98,7 +89,7 @@ def find_interval_end(residuals: Residuals, fit: BoundedFit, index: int, side: f
     last_distance = last_root = 0.0  # root: square root of the increase of S divided by the threshold
     for _ in range(MAX_END_STEPS):
         def compute_residuals(free: np.ndarray, fixed: float = value + side * distance) -> np.ndarray:
-            return residuals(np.insert(free, index, fixed, axis=-1))
+            return residuals(np.insert(free, index, fixed))
 
         # At an end of the interval, S exceeds S_min by S_min F / (n - k), 5 % for n - k = 80; 0.01 % is sufficient.
         result = _solve(compute_residuals, start, fit.lower[others], fit.upper[others], 1e-4, 60)

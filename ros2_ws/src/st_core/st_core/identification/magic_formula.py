@@ -250,7 +250,7 @@ def _fit_load_dependency(data: FlatPlank, nominal_tyre: MagicFormula, names: Seq
         return changed_tyre._replace(p_ky1=-stiffness / unit_stiffness)
 
     def compute_residuals(values: np.ndarray) -> np.ndarray:
-        return tyre_force(data.slip, data.load, make_tyre(np.moveaxis(values, -1, 0)[..., None])) - data.force
+        return tyre_force(data.slip, data.load, make_tyre(values)) - data.force
 
     low, high = _get_bounds(names)
     start = {"p_dy2": -0.1, "p_ey2": 0.0, "p_ky2": 2.0, "p_ky4": 2.0}
@@ -265,14 +265,13 @@ def _fit(data: FlatPlank, starts: Sequence[MagicFormula], names: Sequence[str]) 
 
 def _make_residuals(data: FlatPlank, start: MagicFormula, names: Sequence[str]) -> Residuals:
     def compute_residuals(values: np.ndarray) -> np.ndarray:
-        columns = np.moveaxis(values, -1, 0)[..., None]
-        return tyre_force(data.slip + columns[-1], data.load, _with_values(start, names, columns)) - data.force
+        return tyre_force(data.slip + values[-1], data.load, _with_values(start, names, values)) - data.force
 
     return compute_residuals
 
 
 def _with_values(tyre: MagicFormula, names: Sequence[str], values: Any) -> MagicFormula:
-    """The tyre with values in the order of names, without SHIFT; each value is a number or an array over tyres."""
+    """The tyre with values in the order of names, without SHIFT."""
     return tyre._replace(**{name: value for name, value in zip(names, values, strict=True) if name != SHIFT})
 
 
