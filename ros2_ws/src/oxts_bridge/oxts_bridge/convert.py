@@ -142,9 +142,9 @@ class Publishers:
         self._outputs["nav_sat_fix"].publish(message)
 
     def publish_imu(self, stamp_ns: int, received: ReceivedPacket, motion: Motion | None, accuracy: Accuracy) -> None:
-        """Publish sensor_msgs/Imu, unless a rate or acceleration is invalid. motion: None if the attitude is invalid.
+        """Publish sensor_msgs/Imu, unless a rate or acceleration is invalid. motion: see `extract_motion`.
 
-        An unknown orientation covariance is zero; -1 in its first element means that the orientation itself is unknown.
+        An unknown orientation covariance is zero; -1 in its first element: the orientation is unknown (no `motion`).
         """
         packet, covariance = received.packet, self._imu.orientation_covariance
         is_valid = isfinite(sum(packet.acceleration) + sum(packet.angular_rate))

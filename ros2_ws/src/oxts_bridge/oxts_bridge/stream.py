@@ -52,10 +52,12 @@ class NcomParser:
         self._events: dict[int, tuple[int, int]] = {}  # by channel: count and time of the newest event
 
     def restart(self) -> None:
-        """Prepare for a new stream: discard the time and an incomplete packet, but keep the counters."""
+        """Prepare for a new stream: discard the time, an incomplete packet and the events, but keep the counters."""
         jumps, self.clock = self.clock.jumps, GpsClock()
         self.clock.jumps = jumps
         self._tail, self._in_sync = b"", True
+        self._last_raw = self._last_trigger = b""
+        self._events.clear()
 
     def feed(self, data: bytes, received_ns: int | None = None) -> list[ReceivedPacket]:
         """Accepted packets completed by these bytes, in order; received_ns: host time of receipt [ns since 1970]."""

@@ -145,6 +145,19 @@ def test_trigger_packets_have_their_own_time_and_do_not_affect_the_clock(packet)
     assert parser.counters.late == 0
 
 
+def test_restart_reports_the_events_again(packet):
+    parser = NcomParser()
+    event = encode_trigger(24, START * 1_000_000, 1)
+    stream = packet(START, 0) + packet(START + 8, 24, batch_s=event, navigation_status=22) + b"".join(
+        packet(START + 10 * k, 43, batch_s=encode_trigger(43, (START + 10 * k) * 1_000_000, k)) for k in (1, 2, 3))
+    passes = []
+    for _ in range(2):
+        passes.append([(r.event_ns, r.order) for r in parser.feed(stream)])
+        parser.restart()
+    assert passes[0] == passes[1]
+    assert [event_ns is not None for event_ns, _ in passes[0]] == [False, True, False, True, True]
+
+
 def test_restart_resets_the_time_and_keeps_the_counts(drive):
     parser = NcomParser()
     parser.feed(b"".join(drive(20)) + drive(1)[0][:30])

@@ -325,7 +325,7 @@ def merge_lateral_sign(sign: list[Finding], findings: list[Finding],
                        estimates: dict[str, Estimate]) -> list[Finding]:
     """All findings; significant errors of both sign and scale of velocity_y become one finding.
 
-    sign: of `check_lateral_sign`. findings, estimates: for the motion with the sign corrected; the estimate gets the
+    sign: from `check_lateral_sign`. findings, estimates: for the motion with the sign corrected; the estimate gets the
     sign of the recorded velocity_y.
     """
     name = "velocity_y_scale"

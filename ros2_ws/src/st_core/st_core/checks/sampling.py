@@ -358,7 +358,7 @@ def drop_frozen_samples(motion: Motion, findings: Sequence[Finding]) -> Motion:
 
 def interpolate_held_channels(motion: Motion, stuck: Sequence[Finding]) -> Motion:
     """The motion with the INS channels that are held at a lower rate interpolated between their changes; held, they
-    would have a lag. stuck: of `find_stuck_channels`."""
+    would have a lag. stuck: from `find_stuck_channels`."""
     held = {name for finding in stuck if finding.name == "samples_repeated" for name in finding.channels}
     signals = {}
     for name in sorted(held & {*INS_SIGNALS}):
