@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from exact_drive import Noise, Sines, delay, exact_drive
-from exact_faults import findings_by_name, position_point_moved
+from exact_faults import findings_by_name, position_point_moved, scaled
 from st_core.checks import Severity, check, compare_runs
 from st_core.checks.inertial import compare_series
 from st_core.sideslip import with_steady_sideslip
@@ -159,6 +159,34 @@ def test_lag_of_yaw_or_yaw_rate_names_both_if_another_point_has_the_same_effect(
     assert found["yaw_rate_lag"].text.endswith(": both fit this drive") and "or yaw l" in found["yaw_rate_lag"].text
     named = [found[name] for name in ("yaw_rate_lag", "position_reference", "position_lag") if name in found]
     assert len(named) == 2 and all(finding.advice.kind == "text" for finding in named)
+
+
+def test_small_lag_of_the_yaw_rate_is_not_taken_for_one_of_yaw_where_velocity_y_is_wrong(leaf):
+    log = scaled(0.8, "velocity_y")(delay(exact_drive(leaf), 0.04, "yaw_rate"))
+    assert findings_by_name(log, leaf).keys() == {"velocity_y_scale", "yaw_rate_lag"}
+
+
+MOTORWAY = {"speed": Sines(30.0, ((1.0, 41.0, 0.0),))}
+
+
+@pytest.mark.parametrize("degrees", [2.0, 4.0])
+def test_play_of_the_steering_is_no_lag_or_scale_where_the_car_hardly_steers(leaf, degrees):
+    turning = Sines(0.0, ((0.01, 19.0, 0.0), (0.008, 7.3, 1.0), (0.006, 4.1, 2.0)))
+    log = exact_drive(leaf, 120.0, turning=turning, **MOTORWAY)
+    half, angle = np.radians(0.5 * degrees) / leaf.steering_ratio, log.road_wheel_angle.copy()
+    for k in range(1, len(angle)):
+        angle[k] = np.clip(angle[k - 1], angle[k] - half, angle[k] + half)
+    found = findings_by_name(replace(log, road_wheel_angle=angle, steering_wheel_angle=None), leaf)
+    assert found.keys() == {"steering_lag"} and found["steering_lag"].advice.kind == "text"
+    assert "or the steering has play" in found["steering_lag"].text
+    found = findings_by_name(delay(exact_drive(leaf), 0.3, "road_wheel_angle"), leaf)["steering_lag"]
+    assert "play" not in found.text and found.advice.kind == "run.yaml"
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_of_yaw_is_no_lag_of_the_yaw_rate_on_a_motorway(leaf, seed):
+    turning = Sines(0.0, ((0.006, 11.0, 0.0), (0.004, 5.3, 1.0)))
+    assert findings_by_name(exact_drive(leaf, 120.0, turning=turning, **MOTORWAY, seed=seed), leaf) == {}
 
 
 def test_missing_lateral_velocity_is_named_with_the_reference_point_that_it_implies(leaf):

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.stats import f as fisher
 
 from ..clock_fit import STEP, Fit, Pair, fit, mean_correlation, resample, select_common_samples
@@ -174,9 +175,12 @@ def _fit_line(problem: Regression, derived: np.ndarray, correlation: float,
 
 
 def _select_common_samples(pair: Pair, offset: float) -> tuple[np.ndarray, np.ndarray]:
-    """(rows of `other` for which both series are known at this offset [s], the reference values there)."""
+    """(rows of `other` for which both series are known at this offset [s], the reference values there).
+
+    Linear interpolation would attenuate the noise between the samples, and thus favour some offsets.
+    """
     rows, time = select_common_samples(pair, (offset, 0.0))
-    return rows, np.interp(time, pair.reference.time, pair.reference.values)
+    return rows, CubicSpline(pair.reference.time, pair.reference.values)(time)
 
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, the unit g

@@ -274,7 +274,9 @@ def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> 
     causes = (*AXIS_SCALES, "position_lag", "velocity_lag", "velocity_x_lag")
     with_reference = (*causes, "position_reference")
     is_yaw = _has_clearly_smaller_lag(*sides, with_reference)
-    if is_yaw is not None or abs(lag) < LIMITS.severe_lag:
+    if abs(lag) < LIMITS.severe_lag:  # a small error of the velocities has the effect of a small lag of yaw
+        return None if is_yaw else is_yaw
+    if is_yaw is not None:
         return is_yaw
     is_yaw = _has_clearly_smaller_lag(*sides, causes)
     if is_yaw is None:

@@ -22,7 +22,7 @@ from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
 from .finding import HORIZON, LIMITS, SYSTEMATIC_UNCERTAINTY, Advice, Comparison, Finding, Severity
 from .inertial import MAX_LAG, MIN_COMMON_TIME, NO_BIAS, Agreement, CheckResult, compare_series, format_alternative_lags
 from .motion import MAX_LISTED_TIMES, MIN_MOVING_SPEED, Motion, correlate, has_varying_speed
-from .position import make_lateral_sign_finding
+from .position import AMBIGUOUS, make_lateral_sign_finding
 from .regression import Estimate, Regression, add_systematic_uncertainty
 from .units_and_axes import DEG_PER_RAD
 
@@ -36,6 +36,7 @@ MIN_STEERING_ANGLE = 0.01  # rad; minimum root mean square of the angles for an 
 MIN_ANGLE_FOR_SIGN = 0.003  # rad; the same for the sign of the gain alone, for which fast, wide bends suffice
 MAX_OPPOSITE_CORRELATION = -0.8  # correlation of steering and curvature below which the steering has the opposite sign
 MIN_UNRELATED_SPREAD = 0.01  # rad at the road wheels; minimum standard deviation of measured and derived steering
+STEERING_PLAY = 0.07  # rad of the steering wheel; play of usual cars, which acts like a lag of small steering angles
 MIN_GAIN = 1e-6  # ratio of measured to derived angle below which the steering is constant and reported as frozen
 
 
@@ -71,8 +72,10 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
     response_change = _compute_response_change(motion, vehicle)
     clock = _make_clock_finding(agreement, response_change, lateral_shift) if has_lag else None
     has_lag &= clock is None
-    findings = (_make_unit_finding(gain, plausible_gains, vehicle, has_steering_wheel), clock,
-                _make_lag_finding(lag, agreement, response, lateral_shift) if has_lag else None,
+    # Play takes its width from every turn, so small steering angles have too small a gain.
+    has_play = 0.0 < (1.0 - gain.value) * agreement.spread < 0.5 * STEERING_PLAY / vehicle.steering_ratio
+    findings = (None if has_play else _make_unit_finding(gain, plausible_gains, vehicle, has_steering_wheel), clock,
+                _make_lag_finding(lag, agreement, response, lateral_shift, vehicle) if has_lag else None,
                 _make_offset_finding(agreement, vehicle, has_steering_wheel, lateral_shift))
     estimates = {"steering_scale": gain, "steering_sign": gain,
                  "steering_offset": add_systematic_uncertainty("steering_offset", agreement.bias)}
@@ -95,7 +98,7 @@ def _make_unrelated_finding(motion: Motion, derived: np.ndarray) -> Finding | No
         return None
     text = (f"the steering does not follow the car's motion (correlation {correlation:.2f}): is it a different signal, "
             f"from a different drive, or time-stamped more than {MAX_LAG:g} s too early or too late, or does its sign "
-            "change during the drive?")
+            "change during the drive, or do the tyres slide?")
     advice = Advice("text", "compare steering and yaw rate over time; predictions with this steering are invalid")
     return Finding("steering_unrelated", Severity.WARNING, ("road_wheel_angle",), text, correlation, advice=advice)
 
@@ -200,7 +203,8 @@ def _make_clock_finding(agreement: Agreement, response_change: float, lateral_sh
                          Advice("text", "time-stamp the steering and the motion with one clock"))
 
 
-def _make_lag_finding(lag: Estimate, agreement: Agreement, response: float, lateral_shift: float) -> Finding | None:
+def _make_lag_finding(lag: Estimate, agreement: Agreement, response: float, lateral_shift: float,
+                      vehicle: VehicleParameters) -> Finding | None:
     """Finding of a lag beyond the response time [s] of the car; None if it is small. lateral_shift: see
     `_compute_lateral_shift`."""
     if not lag.is_significant or not agreement.expected_lag_rejected or abs(lag.value) < LIMITS.steering_lag:
@@ -213,8 +217,12 @@ def _make_lag_finding(lag: Estimate, agreement: Agreement, response: float, late
     if agreement.drift.is_significant:
         text += f", or its clock runs {agreement.drift.shifted(1.0)} times as fast as that of the motion"
     advice = Advice.correct("road_wheel_angle", earlier=float(f"{lag.value:.3g}"))
-    return _make_finding("steering_lag", ("road_wheel_angle",), text, lag, "s", effect,
-                         replace(advice, line=f"{advice.line}  # or --steering-latency"))
+    advice = replace(advice, line=f"{advice.line}  # or --steering-latency")
+    rate = float(np.std(np.gradient(agreement.derived, agreement.time)))  # rad/s
+    if abs(lag.value) * rate < 0.5 * STEERING_PLAY / vehicle.steering_ratio:
+        text += f", or the steering has play{AMBIGUOUS}"
+        advice = Advice("text", "drive narrower bends, to distinguish the two")
+    return _make_finding("steering_lag", ("road_wheel_angle",), text, lag, "s", effect, advice)
 
 
 def _make_offset_finding(agreement: Agreement, vehicle: VehicleParameters, has_steering_wheel: bool,
