@@ -17,7 +17,7 @@ BAND, CALIBRATED = "conformal", "scaled to its level"
 
 
 def write_rows(rows: Mapping[str, Mapping[str, str]], page: Path = PAGE) -> None:
-    """Replaces the rows with the same titles, and keeps all others."""
+    """Replaces the rows with the same titles on the page; other rows stay."""
     page_rows = {cells[0]: cells for cells in map(_split_row, read_part(page, ROWS_PART).splitlines()[2:])}
     page_rows |= {title: [title, *row.values()] for title, row in rows.items()}
     columns = ["held out", *next(iter(rows.values()))]
@@ -38,11 +38,11 @@ def summarise_groups(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
         entry = {"held out": name}
         for column, (low, high) in AIMS.items():
             percents = (_leading_percent(row[column]) for row in methods[BAND])
-            shares = [percent for percent in percents if percent is not None]
-            text = _format_range(shares, "{:.0f}", " %")
-            entry[column] = f"**{text}**" if shares and not low <= min(shares) <= max(shares) <= high else text
-        calibrated = {method: of for method, of in methods.items() if method.endswith(CALIBRATED)}
-        others = {method: of for method, of in methods.items() if method not in calibrated and method != BAND}
+            known = [percent for percent in percents if percent is not None]
+            text = _format_range(known, "{:.0f}", " %")
+            entry[column] = f"**{text}**" if known and not low <= min(known) <= max(known) <= high else text
+        calibrated = {method: rows for method, rows in methods.items() if method.endswith(CALIBRATED)}
+        others = {method: rows for method, rows in methods.items() if method not in calibrated and method != BAND}
         entry["score over the best at its level"] = _format_ratios(methods[BAND], calibrated)
         entry["score over the best uncalibrated"] = _format_ratios(methods[BAND], others)
         entry["which covers"] = _format_range([_leading_percent(row["90 % covers"]) for row in _best_rows(others)],
@@ -53,7 +53,7 @@ def summarise_groups(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
 
 def _format_ratios(band: Sequence[Mapping[str, str]], others: Mapping[str, Sequence[Mapping[str, str]]]) -> str:
     """Formats the range, over the models, of the larger score ratio of both axes, in bold if it misses the aim."""
-    ratios = [max(mine / best for mine, best in zip(_interval_scores(row), _interval_scores(other), strict=True))
+    ratios = [max(score / best for score, best in zip(_interval_scores(row), _interval_scores(other), strict=True))
               for row, other in zip(band, _best_rows(others), strict=False)]
     text = _format_range(ratios, "{:.2f}", "")
     return f"**{text}**" if ratios and max(ratios) > MAX_SCORE_RATIO else text

@@ -1,7 +1,7 @@
-"""Divides the latency of a prediction, from the sockets of INS and CAN to a subscriber, at every available stamp.
+"""Splits the latency of a prediction, from the sockets of INS and CAN to a subscriber, at every available time stamp.
 
-A message counts as received at the stamp of the middleware in the listener, a process on the same machine; messages
-reach the predictor at about the same time.
+A message counts as received when the middleware of the listener, a process on the same machine, stamps it; the
+predictor receives it at about the same time.
 """
 
 from collections.abc import Mapping, Sequence

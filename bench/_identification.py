@@ -31,10 +31,10 @@ def apply_estimates(car: VehicleParameters, estimates: Iterable[ParameterEstimat
     return car.with_values(values).with_derived_scales()
 
 
-def bends(speed: float, across: float, hold: float = 4.0) -> Callable[[Builder], None]:
-    """Alternating bends at a lateral acceleration `across` [m/s^2], with ramps of one second and straights between."""
+def bends(speed: float, lateral: float, hold: float = 4.0) -> Callable[[Builder], None]:
+    """Alternating bends at a lateral acceleration [m/s^2], with ramps of one second and straights between."""
     def build(road: Builder) -> None:
-        curvature = across / speed**2
+        curvature = lateral / speed**2
         angle = curvature * (road.car.wheelbase + 0.004 * speed**2)
         ramp = np.linspace(0.0, 1.0, round(1.0 / DT))
         turn = angle * np.concatenate((ramp, np.ones(round(hold / DT)), ramp[::-1]))
@@ -116,7 +116,7 @@ def _drive_run(run: Run, number: int, plant: str, driver: int, seconds: float) -
 def record_all(plant: str, seed: int, sensors: Sequence[str] = SENSORS,
                seconds: float = SECONDS) -> Mapping[str, list[DriveLog]]:
     """All drives of an identification, by kind."""
-    turned = (f"ins_lever_error={LEVER_ERROR}", f"ins_misalignment={MISALIGNMENT}")
+    mounting = (f"ins_lever_error={LEVER_ERROR}", f"ins_misalignment={MISALIGNMENT}")
     kinds: Mapping[str, tuple[Runs, tuple[str, ...]]] = {
-        "bends": (BENDS, ()), "straight": (STRAIGHTS, ()), "slow": (SLOW, turned), "transient": (TRANSIENTS, ())}
+        "bends": (BENDS, ()), "straight": (STRAIGHTS, ()), "slow": (SLOW, mounting), "transient": (TRANSIENTS, ())}
     return {kind: record(runs, plant, seed, effects, seconds, sensors) for kind, (runs, effects) in kinds.items()}

@@ -1,4 +1,4 @@
-"""Identifies the Genesis from four of its drives, and tests the result by the position errors of the others."""
+"""Identifies the Genesis from four of its drives, and evaluates the position errors on the others."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -45,7 +45,7 @@ def identify_genesis() -> dict:
                "paper, steering and INS as identified": identify_stiffness(
                    [correct_mounting(log, everything[MISALIGNMENT].value) for log in training],
                    with_estimates(car, everything, (*STEERING, "cg_to_ins_x")))}
-    result = {"learnt from": ", ".join(TRAINING_DRIVES),
+    result = {"identified from": ", ".join(TRAINING_DRIVES),
               "estimates": {name: _format_estimates(one) for name, one in results.items()}}
     result["by drive"] = {name: _identify_single(log, car) for name, log in logs.items()}
     result["yaw inertia"] = _describe_estimates(lambda: identify_yaw_inertia(training, car))
@@ -57,13 +57,13 @@ def identify_genesis() -> dict:
         "and stiffnesses": (with_estimates(car, steered), steered[MISALIGNMENT].value),
         "and lever arm": (with_estimates(car, everything), everything[MISALIGNMENT].value),
     }
-    for what, chosen in (("judged on the others", others), ("on the drives learnt from", training)):
-        result[what] = {name: position_errors(chosen, *step) for name, step in steps.items()}
+    for title, chosen in (("evaluated on the other drives", others), ("evaluated on the drives used", training)):
+        result[title] = {name: position_errors(chosen, *step) for name, step in steps.items()}
     return result
 
 
 def with_estimates(car: VehicleParameters, found: Identification, names=None) -> VehicleParameters:
-    """The car with the estimates of the named parameters, or with all estimates."""
+    """The car with the estimates of `names`, or with all estimates."""
     chosen = [e for e in found.estimates if names is None or e.parameter in names]
     return apply_estimates(car, chosen)
 

@@ -7,7 +7,7 @@ BEGIN, END = "<!-- {}: written by `./st bench` -->\n", "<!-- end of {} -->\n"
 
 
 def read_part(page: Path, name: str) -> str:
-    """The present text of a part."""
+    """The current text of a part."""
     return page.read_text(encoding="utf-8").split(BEGIN.format(name))[1].split(END.format(name))[0]
 
 

@@ -19,7 +19,7 @@ from st_recordings.runs import find_runs
 TOLERANCE = 0.3  # m, lateral
 MODELS = ("kinematic", "linear", "nonlinear")
 UNSUITABLE_DRIVES = ("wrong_projection", "rear_ref")
-"""Prefixes of drives with another map projection, or another reference point of the car."""
+"""Prefixes of drives with a wrong map projection, or another reference point of the car."""
 PAGE = project_root() / "docs" / "measurements" / "mpc.md"
 MARKERS = ("o", "s", "^", "D", "v")
 
@@ -33,7 +33,7 @@ def draw_advice(costs: Mapping[advice_report.ModelStep, advice_report.Cost],
     seconds = [s for s in known if s in (1, 2, 3, 5)] or known[:1]
     steps = sorted({step for _, step in accuracies})
     with apply_style():
-        drawn, panels = plt.subplots(1, len(seconds), figsize=(WIDTH, 3.4), sharey=True, squeeze=False)
+        figure, panels = plt.subplots(1, len(seconds), figsize=(WIDTH, 3.4), sharey=True, squeeze=False)
         for axes, second in zip(panels[0], seconds, strict=True):
             for (model, step), one in accuracies.items():
                 k, marker = one.seconds.index(second), MARKERS[steps.index(step) % len(MARKERS)]
@@ -58,13 +58,13 @@ def draw_advice(costs: Mapping[advice_report.ModelStep, advice_report.Cost],
                     Line2D([], [], ls="", marker="D", color=TEXT_COLOUR, ms=5, mfc="none",
                            label="half-width of the band"),
                     Line2D([], [], color=TEXT_COLOUR, lw=0.7, ls=(0, (4, 3)), label=f"{tolerance:g} m")]
-        drawn.legend(handles=handles, loc="outside lower left", ncols=6)
-        save_figure(drawn, output, "advice", "Cost and accuracy of each model and step",
+        figure.legend(handles=handles, loc="outside lower left", ncols=6)
+        save_figure(figure, output, "advice", "Cost and accuracy of each model and step",
                            f"Filled: rms error; hollow: half-width of the band; dashed: {tolerance:g} m.")
 
 
 def describe_columns(accuracies: dict) -> str:
-    """Text on the columns of the advice."""
+    """Caption that explains the columns of the advice."""
     level = next((accuracy.level for accuracy in accuracies.values()), None)
     bands = "none, fewer than 3 runs" if level is None else (
         f"mean lateral half-width of the {level:.0%} simultaneous band, calibrated on these runs")

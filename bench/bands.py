@@ -147,22 +147,22 @@ def score_days(runs: Runs) -> list[Row]:
     """Coverage of each day by bands calibrated on the other days, with the runs of a day joined to one run."""
     rows = []
     days = {day: join_runs([runs[name] for name in names]) for day, names in DAYS.items()}
-    stated = (0.5, compute_highest_level(len(days) - 1))
+    levels = (0.5, compute_highest_level(len(days) - 1))
     for pair in ((model, mode) for model in MODELS for mode in MODES):
         covered = []
         for day, new in days.items():
             known = [one for other, one in days.items() if other != day]
-            band = calibrate(known, pair, TIME, stated)
+            band = calibrate(known, pair, TIME, levels)
             domain = CalibrationDomain.from_runs([one.conditions for one in known])
             kept = domain.contains(new.conditions)
             if not kept.any():
                 continue
             errors = np.abs(new.errors[pair][kept].astype(float))
             scores = (errors / band.scale(new.conditions[kept])).max(axis=(1, 2))
-            covered.append([float((scores <= band.factors[level]).mean()) for level in stated])
+            covered.append([float((scores <= band.factors[level]).mean()) for level in levels])
         rows.append({"model": pair[0], "mode": pair[1]} | {
-            f"{level:.0%} covers (days)": f"{np.mean(shares):.0%} ({', '.join(f'{one:.0%}' for one in shares)})"
-            for level, shares in zip(stated, zip(*covered, strict=True), strict=True)})
+            f"{level:.0%} covers (days)": f"{np.mean(rates):.0%} ({', '.join(f'{one:.0%}' for one in rates)})"
+            for level, rates in zip(levels, zip(*covered, strict=True), strict=True)})
     return rows
 
 
@@ -203,7 +203,7 @@ def score_corrected() -> dict[str, Row]:
 
 
 def _write_shares(runs: Sequence[dict]) -> None:
-    """Writes the causes of the errors of the corrected car to the page."""
+    """Writes the error budget of the corrected car to the page."""
     shares = summarise_shares(pool_sums(runs))
     (one,) = shares.values()
     causes = {name: values["5"]["lateral"] for name, values in one["rms_of_cause"].items()}
@@ -298,16 +298,16 @@ def sum_scores(band: Band, known: Sequence[ErrorSamples], new: Sequence[ErrorSam
 
 def format_cells(runs: Sequence[dict], refused: Sequence[str]) -> Row:
     """Cells of a row. refused: groups for which no band could be calibrated, each with the reason."""
-    of_all = summarise_bands({"models": {"m": {"q": pool_sums(runs)}}})["models"]["m"]["q"] if runs else None
-    if of_all is None or not of_all["starts"]:
+    pooled = summarise_bands({"models": {"m": {"q": pool_sums(runs)}}})["models"]["m"]["q"] if runs else None
+    if pooled is None or not pooled["starts"]:
         return dict.fromkeys(COLUMNS, "-") | {"no band": "; ".join(refused) or "100%"}
     every = {level: [one["coverage"][level] / one["starts"] for one in runs if one["starts"]]
              for level in ("0.9", "0.5")}
-    worst, width = of_all["worst_cell"], of_all["half_width"]["0.9"]["5"]
-    without = of_all["without_band"] / (of_all["without_band"] + of_all["starts"])
+    worst, width = pooled["worst_cell"], pooled["half_width"]["0.9"]["5"]
+    without = pooled["without_band"] / (pooled["without_band"] + pooled["starts"])
     cells = [f"{np.mean(every['0.9']):.1%}", f"{min(every['0.9']):.0%}", f"{np.mean(every['0.5']):.1%}",
              f"{worst['coverage']:.0%} ({worst['cell']}, {worst['starts']})" if worst else "no cell of 200",
-             _pair(of_all["interval_score"]["0.9"]), _pair(of_all["crps"]), _pair(width),
+             _pair(pooled["interval_score"]["0.9"]), _pair(pooled["crps"]), _pair(width),
              "; ".join([f"{without:.1%}", *refused])]
     return dict(zip(COLUMNS, cells, strict=True))
 

@@ -24,7 +24,7 @@ COUNT = 5760  # predictions; a multiple of 48, 32 and 24 lanes
 
 
 def run() -> dict:
-    """Rates, their ratios to the limit, largest difference of the end states, and processor time of a whole log [s]."""
+    """Rates, their ratios to the limit, largest difference of end states, and processor time of a whole log [s]."""
     car, log = leaf(), weaving_drive(600.0)
     with pin_to_core(), tempfile.TemporaryDirectory(prefix="st-bench-") as folder:
         results = {name: _model(name, car, log, Path(folder)) for name in MODELS}
@@ -73,8 +73,8 @@ def _model(name: str, car, log, folder: Path) -> dict:
     }
     counts = {key: start.shape[1] for key in (*cpp, "lanes", "numpy batch")}
     counts |= {"numba scalar": 240, "floats": 2, "casadi map": 50, "casadi generated C": 50}
-    apart = float(np.abs(calls["lanes"]() - reference).max())
+    difference = float(np.abs(calls["lanes"]() - reference).max())
     rates = {key: counts[key] / seconds for key, seconds in measure_alternately(calls).items()}
     best = max(rates[key] for key in cpp)
     return {"per_s": rates, "of_limit": {key: rate / best for key, rate in rates.items() if key not in cpp},
-            "lanes_over_numba_scalar": rates["lanes"] / rates["numba scalar"], "lanes_minus_limit": apart}
+            "lanes_over_numba_scalar": rates["lanes"] / rates["numba scalar"], "lanes_minus_limit": difference}

@@ -172,7 +172,7 @@ def _write_wrong_file(folder: Path) -> Path:
 
 
 def _st(*arguments: object) -> None:
-    # Without the domain of a suite that may be running.
+    # Not in the ROS domain of a suite that may be running.
     clean = {k: v for k, v in os.environ.items() if k != "ROS_DOMAIN_ID"}
     subprocess.run([str(project_root() / "st"), *map(str, arguments)], check=True, env=clean)
 
@@ -237,7 +237,7 @@ def _effects_page(result: dict) -> str:
         f"Found (the true factor of the ratio is 1/{RATIO_ERROR:g} = {1 / RATIO_ERROR:.3f}); held-out 5 s position "
         f"{base:.2f} → {augmented:.2f} m:", "",
         "| effect | value, 95 % interval |", "|---|---|", *(row(e) for e in result["found"]), "",
-        f"Kept, not named: {', '.join(e['name'] for e in result['kept']) or 'nothing'}.", "",
+        f"In the model, but not reported as causes: {', '.join(e['name'] for e in result['kept']) or 'nothing'}.", "",
         f"Live, lateral error over 5 s in hindsight, RMSE over {result['after']['starts']} starts of both drives:", "",
         "| model | before, m | after, m |", "|---|---|---|", *rows, "",
         "![Errors of the models before and after, live](../images/closed_loop.png)", ""))
@@ -252,12 +252,12 @@ def _relation_page(result: dict) -> str:
     if relation:
         others = "; ".join(f"{name.replace('_', ' ')} (cosine {cosine:.2f})"
                            for name, cosine in relation["rivals"].items())
-        read = "; ".join(f"`{r['text']}` ({r['shape']}, {100 * r['retained_fraction']:.0f} %)"
+        formulas = "; ".join(f"`{r['text']}` ({r['shape']}, {100 * r['retained_fraction']:.0f} %)"
                          for r in relation["formulas"])
         relation_lines = [
             f"**Proposed: {relation['term'].replace('_', ' ')} as a function of "
             f"{relation['quantity'].replace('_', ' ')}.** "
-            f"Formulas: {read or 'no simple shape'}.", f"Not distinguishable from it: {others or 'none'}.",
+            f"Formulas: {formulas or 'no simple shape'}.", f"Not distinguishable from it: {others or 'none'}.",
             "Held-out position error after 5 s of the recorded drives: "
             f"{base:.3f} (file as given), {library:.3f} (library), {relation['position_5s'][1]:.3f} m "
             "(with the relation)."]
@@ -284,7 +284,7 @@ def _relation_page(result: dict) -> str:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--folder", type=Path, help="folder for all runs; those that it contains are not repeated")
+    parser.add_argument("--folder", type=Path, help="folder for all runs; existing runs are not repeated")
     parser.add_argument("--relation", "--law", action="store_true",
                         help="only the case of the relation that is not in the library")
     given = parser.parse_args()

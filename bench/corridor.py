@@ -1,4 +1,4 @@
-"""Gates that a controller passes with 50 cars, with constraints as given and tightened by a band.
+"""Passes of 50 cars through gates, with the constraints of the controller as given and tightened by a band.
 
 Writes its table to docs/measurements/mpc.md. It takes fifteen minutes of processor time; ST_CORRIDOR_SEEDS changes the
 number of cars.

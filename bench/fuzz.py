@@ -61,16 +61,16 @@ def fuzz_packets(seed: int, seconds: float) -> dict:
         accepted += pipeline.parser.counters.packets
     elapsed = processor_seconds() - started
     result = {"inputs": inputs, "accepted": accepted, "seconds": elapsed, "per_s": inputs / elapsed}
-    return result | {"findings": len(failures), **{f"finding {what}": f"seed {at}" for what, at in failures.items()}}
+    return result | {"findings": len(failures), **{f"finding {text}": f"seed {at}" for text, at in failures.items()}}
 
 
 def make_bulk_block(seed: int, base: np.ndarray) -> bytes:
-    """A block of packets with 1 to 3 changed bytes each, three of four with correct checksums; bytes are missing."""
+    """Packets with 1 to 3 changed bytes each, three of four with correct checksums; bytes are missing in 5 places."""
     rng = np.random.default_rng(seed)
     data = base[rng.integers(len(base), size=BLOCK)]
     rows = np.arange(BLOCK)
-    for share in (1.0, 0.5, 0.25):
-        hit = rows[rng.random(BLOCK) < share]
+    for probability in (1.0, 0.5, 0.25):
+        hit = rows[rng.random(BLOCK) < probability]
         data[hit, rng.integers(1, PACKET_SIZE, len(hit))] = rng.integers(256, size=len(hit))
     with_checksum = rows[rng.random(BLOCK) < 0.75]
     for end in (22, 61, 71):
@@ -103,7 +103,7 @@ def fuzz_bulk(seed: int, seconds: float) -> dict:
         blocks += 1
     elapsed = processor_seconds() - started
     result = {"inputs": blocks * BLOCK, "accepted": accepted, "seconds": elapsed, "findings": len(failures)}
-    return result | {f"finding {what}": f"seed {at}" for what, at in failures.items()}
+    return result | {f"finding {text}": f"seed {at}" for text, at in failures.items()}
 
 
 def run() -> dict:

@@ -48,23 +48,23 @@ def identify_seed(seed: int, car: VehicleParameters) -> dict[str, tuple[Identifi
     offset = identify_steering_offset(logs["straight"], start)
     # The next steps use the estimated offset, as for a real car.
     start = replace(start, steering_wheel_offset=offset["steering_wheel_offset"].value)
-    right_ins = replace(start, cg_to_ins_x=car.cg_to_ins_x)
+    known_ins = replace(start, cg_to_ins_x=car.cg_to_ins_x)
     stiffness = {name: getattr(car, name) for name in STIFFNESSES}
     steering = {"steering_ratio": car.steering_ratio, "steering_wheel_offset": car.steering_wheel_offset}
     known = augment("nonlinear", KNOWN_EFFECTS)
-    mass_right = replace(right_ins, yaw_inertia=car.yaw_inertia)
-    paper = identify_stiffness(logs["bends"], mass_right)
+    known_inertia = replace(known_ins, yaw_inertia=car.yaw_inertia)
+    paper = identify_stiffness(logs["bends"], known_inertia)
     return {
         "offset": (offset, {"steering_wheel_offset": car.steering_wheel_offset,
                             "steering_wheel_offset_direct": car.steering_wheel_offset}),
         "paper": (paper, stiffness),
         "paper, against the curve over the slips driven": (paper, curve_slopes(paper, car)),
-        "prediction": (fit_stiffness(logs["bends"], mass_right, known), stiffness),
+        "prediction": (fit_stiffness(logs["bends"], known_inertia, known), stiffness),
         "ins": (identify_ins_mounting(logs["slow"], start),
                 {"cg_to_ins_x": car.cg_to_ins_x + LEVER_ERROR, "ins_misalignment": MISALIGNMENT, "cg_to_ins_y": 0.0}),
-        "steering": (identify_steering(logs["bends"], replace(mass_right, steering_ratio=19.0), known),
+        "steering": (identify_steering(logs["bends"], replace(known_inertia, steering_ratio=19.0), known),
                      steering),
-        "yaw inertia": (identify_yaw_inertia(logs["transient"], right_ins, known),
+        "yaw inertia": (identify_yaw_inertia(logs["transient"], known_ins, known),
                         {"yaw_inertia": car.yaw_inertia})}
 
 
@@ -80,7 +80,7 @@ def curve_slopes(identification: Identification, car: VehicleParameters) -> dict
 
 
 def score_seeds(numbers: Iterable[int] = SEEDS) -> dict:
-    """Coverage of the 95 % intervals over the seeds, errors, and mean stated uncertainty."""
+    """Coverage of the 95 % intervals over the seeds, errors, and mean standard uncertainty of the estimates."""
     car = leaf()
     pairs: dict[tuple[str, str], list] = {}
     for seed in numbers:
@@ -104,7 +104,7 @@ def _summary(rows: list) -> dict:
 
 
 def score_noise_free() -> dict:
-    """Errors of the stiffnesses [%] that a single-track model causes for a double-track plant without noise."""
+    """Errors of the stiffnesses [%] that result from a single-track model of a double-track plant, without noise."""
     car = leaf()
     return {"radii 40 to 100 m": _stiffness_errors(record_all("ideal", 0, NO_NOISE)["bends"], car, car),
             "radii 20 to 24 m": _stiffness_errors(record(TIGHT_BENDS, "ideal", 0, sensors=NO_NOISE), car, car)}

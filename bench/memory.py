@@ -21,11 +21,11 @@ def run() -> dict:
         time.sleep(max(0.0, minutes * 60 - 60))
         seconds = minutes * 60 - 60
         for name, process in processes.items():
-            share = (sum(process.cpu_times()[:2]) - cpu[name]) / seconds if seconds else float("nan")
+            load = (sum(process.cpu_times()[:2]) - cpu[name]) / seconds if seconds else float("nan")
             result[name] = {
                 "memory_mb_1_min": first[name],
                 "memory_mb_end": process.memory_info().rss / 2**20,
-                "cpu_share_of_a_core": share,
+                "cpu_share_of_a_core": load,
                 "open_files": process.num_fds(),
             }
     return result

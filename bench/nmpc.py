@@ -20,7 +20,7 @@ EXAMPLE = project_root() / "examples" / "mpc"
 
 
 def run() -> dict:
-    """Distance from the road [m] and processor time [ms] of the real-time iteration, by road and horizon."""
+    """Lateral deviation [m] and processor time [ms] of the real-time iteration, by road and horizon."""
     with tempfile.TemporaryDirectory(prefix="st-bench-") as name:
         folder = Path(name) / "out"
         subprocess.run([sys.executable, EXAMPLE / "nmpc.py", "--output", folder], check=True,

@@ -36,9 +36,9 @@ def run() -> dict:
             }
 
 
-def _run_separately(what: str, source: Path, output: Path) -> dict:
-    done = subprocess.run([sys.executable, __file__, what, str(source), str(output)], check=True, capture_output=True,
-                          text=True)
+def _run_separately(command: str, source: Path, output: Path) -> dict:
+    done = subprocess.run([sys.executable, __file__, command, str(source), str(output)], check=True, text=True,
+                          capture_output=True)
     return json.loads(done.stdout.splitlines()[-1])
 
 
@@ -53,14 +53,14 @@ def _drive(folder: Path, seconds: float) -> None:
     ])
 
 
-def _timed(parts: dict[str, tuple[Any, str]]) -> dict[str, float]:
+def _time_functions(parts: dict[str, tuple[Any, str]]) -> dict[str, float]:
     """Adds up the time spent in functions: name -> [s], updated by each call. parts: name -> (module, function)."""
     seconds = dict.fromkeys(parts, 0.0)
 
     def timed(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        def wrapper(*given: Any, **named: Any) -> Any:
+        def wrapper(*arguments: Any, **options: Any) -> Any:
             start = time.perf_counter()
-            result = function(*given, **named)
+            result = function(*arguments, **options)
             seconds[name] += time.perf_counter() - start
             return result
         return wrapper
@@ -70,14 +70,14 @@ def _timed(parts: dict[str, tuple[Any, str]]) -> dict[str, float]:
     return seconds
 
 
-def _reading() -> dict[str, tuple[Any, str]]:
+def _reading_functions() -> dict[str, tuple[Any, str]]:
     from st_recordings.runs import ncom, raw
 
     return {"read_ncom": (ncom, "read_ncom"), "read_mf4": (raw, "read_can_logs"),
             "decode_can": (raw, "decode_signals"), "align": (raw, "align_clocks")}
 
 
-def _spent(seconds: dict[str, float], wall: float) -> dict[str, float]:
+def _time_parts(seconds: dict[str, float], wall: float) -> dict[str, float]:
     """Wall time and its parts, processor time of this process and its children [s], and their largest peak memory."""
     # The peak memory in the resource usage of this process would include that of its parent.
     own = re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text())
@@ -92,14 +92,14 @@ def measure_import(logs: Path, output: Path) -> dict:
     from st_recordings.runs import ReadSettings, find_runs, write
 
     (source,), vehicle = find_runs([logs]), leaf()
-    seconds = _timed(_reading())
+    seconds = _time_functions(_reading_functions())
     start = time.perf_counter()
     done = write.import_run(source, vehicle, output, ReadSettings(),
                             lambda run: check_for_use(source.path, run, vehicle, False))
     total = time.perf_counter() - start
     return {"minutes": done.span / 60, "ncom_packets": done.counts["/ins/ncom"], "can_frames": len(done.run.can.frames),
-            "verdict": str(done.run.alignment.verdict), "times_real_time": done.span / total, **_spent(seconds, total),
-            "bag_mb": sum(f.stat().st_size for f in output.iterdir()) / 2**20}
+            "verdict": str(done.run.alignment.verdict), "times_real_time": done.span / total,
+            **_time_parts(seconds, total), "bag_mb": sum(f.stat().st_size for f in output.iterdir()) / 2**20}
 
 
 def measure_evaluate(source: Path, output: Path) -> dict:
@@ -109,14 +109,14 @@ def measure_evaluate(source: Path, output: Path) -> dict:
     from st_offline.evaluation import evaluation_command, work
     from st_recordings.runs import bag, load
 
-    reading = {"read_bag": (bag, "read_bag")} if (source / "metadata.yaml").exists() else _reading()
+    reading = {"read_bag": (bag, "read_bag")} if (source / "metadata.yaml").exists() else _reading_functions()
     parts = {**reading, "hash": (load, "hash_files"), "predict": (work, "evaluate_log"),
              "starts_csv": (work, "write_starts"), "draw": (work, "draw_run"),
              "report": (evaluation_command, "write_results")}
-    seconds = _timed(parts)
+    seconds = _time_functions(parts)
     status = cli.app(["evaluate", str(source), "--output", str(output)], standalone_mode=False)
     wall = time.time() - psutil.Process().create_time()
-    return {"exit_status": status or 0, **_spent(seconds, wall)}
+    return {"exit_status": status or 0, **_time_parts(seconds, wall)}
 
 
 if __name__ == "__main__":

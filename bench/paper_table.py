@@ -33,16 +33,16 @@ def run() -> dict:
     rows: dict = {}
     with tempfile.TemporaryDirectory(prefix="st-paper-") as folder:
         drives = read_runs(write_scenarios(Path(folder)), leaf())
-    for name, printed in PAPER.items():
+    for name, paper in PAPER.items():
         evaluation = evaluate_log(MODELS, leaf(), drives[name])
         rows[name] = {"starts": evaluation.errors["linear", "hindsight"].n_starts}
         ours = {model: [evaluation.errors[model, "hindsight"].statistics(axis) for axis in AXES] for model in MODELS}
-        for model, theirs in zip(MODELS, printed, strict=True):
+        for model, theirs in zip(MODELS, paper, strict=True):
             for k, axis in enumerate(AXES):
                 rows[name][f"{model} {axis}"] = f"{_text(ours[model][k])} ({_text(theirs[k])})"
         for k, axis in enumerate(AXES):
             ratio = ours["kinematic"][k][2] / ours["linear"][k][2]
-            rows[name][f"kinematic / linear RMSE, {axis}"] = f"{ratio:.1f} ({printed[0][k][2] / printed[1][k][2]:.1f})"
+            rows[name][f"kinematic / linear RMSE, {axis}"] = f"{ratio:.1f} ({paper[0][k][2] / paper[1][k][2]:.1f})"
     return rows
 
 

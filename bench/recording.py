@@ -45,7 +45,7 @@ def write_bag(folder: Path, seconds: float, synced: bool) -> dict:
 
 
 def _pool() -> bytes:
-    """Random content in which every other byte is zero, because signals too can be compressed; all messages differ."""
+    """Random content, compressible like signals because every other byte is zero; all messages differ."""
     random = np.random.default_rng(0)
     return (random.integers(0, 256, (2**21, 2)) * (0, 1)).astype(np.uint8).tobytes()
 

@@ -45,7 +45,7 @@ class Samples:
     handles: dict[str, list[float]] = field(default_factory=dict)
     segments: list[int] = field(default_factory=list)  # shared-memory segments that a node of the suite maps
     orphaned_segments: list[int] = field(default_factory=list)  # segments that ended nodes left behind
-    sender_delays: list[float] = field(default_factory=list)  # delay of the sender [s]
+    sender_delays: list[float] = field(default_factory=list)  # [s] that the simulated car sends late
     load: list[float] = field(default_factory=list)  # load of the machine
     all_segments: set[str] = field(default_factory=set)  # names of all segments mapped so far
 
@@ -166,10 +166,10 @@ def draw(samples: Samples, series: dict, when: list[tuple[float, float]], began_
         axes[2].set(ylabel="shared-memory segments", ylim=(0, None))
         axes[2].legend(loc="upper left", fontsize=8)
         at = (series["start_ns"] - began_ns) / 60e9
-        for share, label in ((50, "median"), (99, "99 %")):
+        for percent, label in ((50, "median"), (99, "99 %")):
             edges = np.arange(0, samples.minutes[-1], 1.0)
             inside = [series["age_ms"][(at >= e) & (at < e + 1)] for e in edges]
-            axes[3].plot(edges + 0.5, [np.percentile(x, share) if len(x) else np.nan for x in inside], label=label)
+            axes[3].plot(edges + 0.5, [np.percentile(x, percent) if len(x) else np.nan for x in inside], label=label)
         axes[3].set(ylabel="measured to published, ms", yscale="log")
         axes[3].legend(loc="upper left", fontsize=8)
         axes[4].plot(samples.minutes, samples.load, color="#888888")

@@ -1,4 +1,4 @@
-"""Time from a new interpreter to the first predictions: live with floats; a batch with kernels new and cached."""
+"""Time from the start of Python to the first predictions: live with floats; a batch with new and cached kernels."""
 
 import os
 import subprocess

@@ -13,7 +13,7 @@ from latency import PERIOD, Listener, measure_latencies
 PHASES = ("no view", "view", "view that hangs")
 REPETITIONS = 3
 SETTLING_TIME = 3.0  # s after a change, which are not measured
-MIN_TICK_SHARE = 0.2  # fraction of the ticks of a phase that must be received
+MIN_TICK_FRACTION = 0.2  # fraction of the ticks of a phase that must be received
 
 
 def run() -> dict:
@@ -51,7 +51,7 @@ def _summarise(listeners: list[Listener], seconds: float) -> dict:
         intervals += list(np.diff(last) * 1e-6)
         repetitions.append(measure_latencies(node)[0])
     pooled = np.concatenate(repetitions)
-    if len(pooled) < MIN_TICK_SHARE * 10.0 * seconds:
+    if len(pooled) < MIN_TICK_FRACTION * 10.0 * seconds:
         raise RuntimeError(f"only {len(pooled)} ticks received in {seconds:.0f} s: the machine is too busy")
     return {
         "ticks": len(pooled),

@@ -27,9 +27,9 @@ def main(jobs: int) -> str:
     settings: list[Setting] = [("unchanged", 1.0)]
     settings += [(field.name, factor) for field in fields(LIMITS) for factor in (0.5, 2.0)]
     verdicts: dict[Setting, str] = {}
-    for setting, words in zip(settings, map_parallel(_score_setting, settings, jobs), strict=True):
-        verdicts[setting] = words
-        print(*setting, words, flush=True)
+    for setting, verdict in zip(settings, map_parallel(_score_setting, settings, jobs), strict=True):
+        verdicts[setting] = verdict
+        print(*setting, verdict, flush=True)
     rows = [("unchanged", "", verdicts["unchanged", 1.0], "")]
     rows += [(field.name, f"{getattr(LIMITS, field.name):g}", verdicts[field.name, 0.5], verdicts[field.name, 2.0])
              for field in fields(LIMITS)]
@@ -37,7 +37,7 @@ def main(jobs: int) -> str:
 
 
 def _score_setting(setting: Setting) -> str:
-    """Formats the share of right cases of the smaller sizes, the number with other findings, and the false alarms."""
+    """Percentage of correct cases with the smaller sizes, cases with other findings, and false alarms, as text."""
     name, factor = setting
     before = None if factor == 1.0 else getattr(LIMITS, name)
     check_as_recorded.cache_clear()

@@ -19,7 +19,7 @@ PAGE = Path("docs") / "manual" / "checks.md"
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="st bench checks", description=(
-        "Puts known faults into real and virtual drives, and scores the findings of `st check`. Run the sealed drives "
+        "Adds known faults to real and virtual drives, and scores the findings of `st check`. Run the sealed drives "
         "only once, at the end, and those of development as often as you like."))
     parser.add_argument("--sealed", action="store_true", help="use the sealed drives, with random sizes")
     parser.add_argument("--kind", action="append", choices=sorted(KINDS), metavar="NAME", help="may be repeated")
@@ -97,7 +97,7 @@ def _print_in_full(set_: str, name: str, kinds: Sequence[str]) -> int:
                 print(f"== {kind.name} {size.label}: {name} cannot show this fault")
                 continue
             corrupted, truth = kind.edit(clean, size.value)
-            print(f"== {kind.name} {size.label}: {kind.how} {truth:.5g}; expected {' or '.join(kind.findings)}")
+            print(f"== {kind.name} {size.label}: {kind.operation} {truth:.5g}; expected {' or '.join(kind.findings)}")
             for title, result in (("as recorded", check_as_recorded(clean)), ("corrupted", run_check(corrupted))):
                 print(f"-- {title}")
                 for finding in result.findings:
@@ -110,6 +110,6 @@ def _print_in_full(set_: str, name: str, kinds: Sequence[str]) -> int:
 def _print_kinds() -> int:
     for kind in KINDS.values():
         sizes = " / ".join(size.label for size in kind.sizes)
-        print(f"{kind.name:32} {sizes:28} {kind.how:6} {' or '.join(kind.findings)}")
+        print(f"{kind.name:32} {sizes:28} {kind.operation:6} {' or '.join(kind.findings)}")
     print(f"{len(KINDS)} kinds; drives: {', '.join(drives.list_drives('development'))}")
     return 0

@@ -1,7 +1,7 @@
 """Kinds of faults in a recording: each is an edit of a good recording, with the expected finding of `st check`.
 
-An edit returns the corrupted recording and the true change of the value in the finding: with `how` "times" its factor,
-with "plus" its summand, with "is" the value itself; with "named" the finding has no value.
+An edit returns the corrupted recording and a number, which relates to the value of the finding by `operation`: "times":
+a factor; "plus": an offset; "is": the value itself; "named": the finding has no value.
 """
 
 from collections.abc import Callable
@@ -23,7 +23,7 @@ from .recording import (
 )
 
 DEG, GON, G, FOOT, MPH, KMH = 57.29577951, 63.66197724, 9.80665, 3.280839895, 2.236936292, 3.6
-"""Units per rad, rad, m/s^2 per g, per m, per m/s, per m/s."""
+"""Degrees and gon per rad, m/s^2 per g, feet per m, mph and km/h per m/s."""
 Edit = Callable[[Recording, float], tuple[Recording, float]]
 Shows = Callable[[Recording, float], bool]
 
@@ -43,15 +43,15 @@ class Kind:
     """A kind of fault."""
 
     name: str
-    findings: tuple[str, ...]  # names of findings that are right
-    how: str  # see the module
+    findings: tuple[str, ...]  # names of correct findings
+    operation: str  # see the module
     edit: Edit
     sizes: tuple[Size, Size]
     shows: Shows  # whether a drive can show a fault of a size
     channel: str | None = None  # a channel that the finding must name
-    # Permitted error of the value relative to the truth, for shares, counts, steps and gross factors.
+    # Permitted relative error of the value, for fractions, counts, steps and gross factors.
     tolerance: float = 0.0
-    also: tuple[str, ...] = ()  # other findings that are true
+    also: tuple[str, ...] = ()  # further correct findings
     before: Callable[[Recording], Recording] | None = None  # preparation of the drive
     # In a real drive the fault has the sign of the deviation that the drive already has, because with the other sign
     # the two might cancel.
@@ -115,21 +115,21 @@ def whole_and_half(value: float) -> tuple[Size, Size]:
 
 
 POSITION, VELOCITY, WHEEL = ("x", "y"), ("velocity_x", "velocity_y"), ("road_wheel_angle", "steering_wheel_angle")
-SHARE = 0.05  # tolerance of shares, counts and lengths
-GROSS = 0.25  # tolerance of values that include the errors of the vehicle file in ratio, offset and understeer
+FINE = 0.05  # tolerance of fractions, counts and durations
+GROSS = 0.25  # tolerance of values affected by errors of the vehicle file in ratio, offset and understeer
 
 TIME = (
     Kind("stamps in other units", ("time_unit",), "is", f.change_time_unit, unit_sizes(("ms", 1e3), ("us", 1e6)),
-         v.moves, tolerance=SHARE),
-    Kind("gaps", ("time_gaps",), "is", f.remove_three_spans, two_sizes(1.0, 2.0, "s, three"), v.moves, tolerance=SHARE),
-    Kind("long gap", ("time_gaps",), "is", f.remove_one_span, two_sizes(5.0, 10.0, "s, one"), v.moves, tolerance=SHARE),
+         v.moves, tolerance=FINE),
+    Kind("gaps", ("time_gaps",), "is", f.remove_three_spans, two_sizes(1.0, 2.0, "s, three"), v.moves, tolerance=FINE),
+    Kind("long gap", ("time_gaps",), "is", f.remove_one_span, two_sizes(5.0, 10.0, "s, one"), v.moves, tolerance=FINE),
     Kind("stamps twice", ("time_duplicates",), "is", f.repeat_stamps, two_sizes(0.05, 0.2, "of the rows"), v.moves,
-         tolerance=SHARE, before=with_stamps),
+         tolerance=FINE, before=with_stamps),
     Kind("stamps out of order", ("time_order",), "is", f.swap_stamps, two_sizes(0.05, 0.2, "of the rows"), v.moves,
-         tolerance=SHARE, before=with_stamps),
+         tolerance=FINE, before=with_stamps),
     Kind("stamps jitter", ("time_jitter",), "is", f.add_jitter, two_sizes(0.006, 0.015, "s"), v.moves, tolerance=0.15),
     Kind("rows missing", ("values_missing",), "is", f.drop_rows, two_sizes(0.05, 0.2, "of the rows"), v.moves,
-         tolerance=SHARE),
+         tolerance=FINE),
 )
 POSITIONS = (
     Kind("x scaled", ("x_scale",), "times", scale("x"), two_sizes(0.964, 1.05), v.moves_in_x_and_y),
@@ -143,14 +143,14 @@ POSITIONS = (
     Kind("positions late", ("position_lag",), "plus", delay(*POSITION), two_sizes(0.05, 0.2, "s"),
          v.turns_and_accelerates),
     Kind("positions stale", ("position_stale",), "is", f.make_positions_stale, two_sizes(0.1, 0.3, "of the rows"),
-         v.moves, tolerance=SHARE, also=("samples_repeated",)),
+         v.moves, tolerance=FINE, also=("samples_repeated",)),
     Kind("positions jump every second", ("position_jumps",), "is", f.jump_every_second, two_sizes(0.3, 1.0, "m"),
-         v.moves, tolerance=SHARE),
+         v.moves, tolerance=FINE),
     Kind("positions jump once", ("position_jumps",), "is", f.jump_once, two_sizes(0.5, 6.0, "m"), v.moves),
     Kind("reference point of positions", ("position_reference",), "plus", edit_log(f.move_positions_ahead),
          two_sizes(0.7, 1.5, "m"), v.bends_at_several_speeds),
     Kind("positions rounded", ("resolution_coarse",), "is", f.round_channels(*POSITION), two_sizes(0.25, 1.0, "m"),
-         v.moves, channel="x", tolerance=SHARE, also=("samples_repeated",)),
+         v.moves, channel="x", tolerance=FINE, also=("samples_repeated",)),
 )
 YAW = (
     Kind("yaw in other units", ("yaw_scale",), "times", scale("yaw"), unit_sizes(("deg", DEG), ("gon", GON)), v.turns),
@@ -160,7 +160,7 @@ YAW = (
          either_side=True),
     Kind("yaw late", ("yaw_lag",), "plus", delay("yaw"), two_sizes(0.1, 0.3, "s"), v.turns),
     Kind("yaw rounded", ("resolution_coarse",), "is", f.round_channels("yaw"),
-         (Size("1 deg", 1 / DEG), Size("2 deg", 2 / DEG)), v.turns, channel="yaw", tolerance=SHARE,
+         (Size("1 deg", 1 / DEG), Size("2 deg", 2 / DEG)), v.turns, channel="yaw", tolerance=FINE,
          also=("samples_repeated",)),
     Kind("yaw rate in other units", ("yaw_rate_scale",), "times", scale("yaw_rate"),
          unit_sizes(("deg/s", DEG), ("mrad/s", 1e3)), v.turns),
@@ -170,9 +170,9 @@ YAW = (
          either_side=True),
     Kind("yaw rate late", ("yaw_rate_lag",), "plus", delay("yaw_rate"), two_sizes(0.1, 0.3, "s"), v.turns),
     Kind("yaw rate held", ("samples_repeated",), "is", f.hold("yaw_rate"), two_sizes(5.0, 2.0, "Hz"), v.turns,
-         channel="yaw_rate", tolerance=SHARE, also=("yaw_rate_lag", "resolution_coarse")),
+         channel="yaw_rate", tolerance=FINE, also=("yaw_rate_lag", "resolution_coarse")),
     Kind("yaw rate frozen", ("channel_frozen",), "is", f.freeze("yaw_rate"), two_sizes(10.0, 30.0, "s"),
-         v.long_enough("yaw_rate"), channel="yaw_rate", tolerance=SHARE, also=("samples_repeated",)),
+         v.long_enough("yaw_rate"), channel="yaw_rate", tolerance=FINE, also=("samples_repeated",)),
 )
 VELOCITIES = (
     Kind("velocity_x in other units", ("velocity_x_scale",), "times", scale("velocity_x"),
@@ -187,7 +187,7 @@ VELOCITIES = (
     Kind("velocities late", ("velocity_lag",), "plus", delay(*VELOCITY), two_sizes(0.15, 0.4, "s"),
          v.turns_and_accelerates),
     Kind("velocity at standstill", ("standstill_motion",), "is", f.creep, two_sizes(0.1, 0.3, "m/s"), v.stops,
-         tolerance=SHARE),
+         tolerance=FINE),
 )
 ACCELERATIONS = (
     Kind("a_y in other units", ("acceleration_y_scale",), "times", scale("acceleration_y"),
@@ -215,17 +215,17 @@ STEERING = (
     Kind("steering offset", ("steering_offset",), "plus", road_wheel_only(shift("road_wheel_angle")),
          two_sizes(0.03, 0.08, "rad"), v.steers_and_bends, either_side=True),
     Kind("steering frozen", ("channel_frozen",), "is", f.freeze(*WHEEL), two_sizes(10.0, 30.0, "s"),
-         v.long_enough("road_wheel_angle"), channel="road_wheel_angle", tolerance=SHARE, also=("samples_repeated",)),
+         v.long_enough("road_wheel_angle"), channel="road_wheel_angle", tolerance=FINE, also=("samples_repeated",)),
 )
 INS = (
     Kind("measuring point moved back", ("measuring_point",), "plus", negate(edit_log(move_ins)),
          two_sizes(0.8, 1.5, "m"), v.bends_slowly),
     Kind("INS askew", ("heading_misaligned",), "plus", edit_log(rotate_ins), two_sizes(0.02, 0.05, "rad"),
          v.bends_and_straights, either_side=True),
-    Kind("without RTK", ("ins_mode",), "is", f.lose_rtk, two_sizes(0.2, 0.6, "of the time"), v.moves, tolerance=SHARE,
+    Kind("without RTK", ("ins_mode",), "is", f.lose_rtk, two_sizes(0.2, 0.6, "of the time"), v.moves, tolerance=FINE,
          before=with_good_quality),
     Kind("poor accuracy", ("ins_accuracy",), "is", f.worsen_accuracy, two_sizes(0.5, 2.0, "m"), v.moves,
-         tolerance=SHARE, before=with_good_quality),
+         tolerance=FINE, before=with_good_quality),
     Kind("wheel speed scaled", ("wheel_speed_scale",), "times", scale_wheel_speed, two_sizes(1.05, 1.15), v.moves,
          before=with_wheel_speed),
     Kind("wheel speed late", ("wheel_speed_lag",), "plus", delay_wheel_speed, two_sizes(0.3, 0.6, "s"), v.accelerates,

@@ -21,16 +21,16 @@ def change_time_unit(r: Recording, factor: float) -> Edited:
     """Stamps that advance `factor` times too fast from the first measurement on."""
     start = r.log.start_ns
 
-    def faster(time_ns: np.ndarray) -> np.ndarray:
+    def speed_up(time_ns: np.ndarray) -> np.ndarray:
         return start + (time_ns - start) * round(factor)
-    series = {name: replace(part, time_ns=faster(part.time_ns)) for name in TIMED
+    series = {name: replace(part, time_ns=speed_up(part.time_ns)) for name in TIMED
               if (part := getattr(r.auxiliary, name)) is not None}
-    log = {name: faster(getattr(r.log, name)) for name in ("ins_time_ns", "steering_time_ns")}
+    log = {name: speed_up(getattr(r.log, name)) for name in ("ins_time_ns", "steering_time_ns")}
     return r.with_log(**log).with_auxiliary(**series), factor
 
 
 def remove_three_spans(r: Recording, seconds: float) -> Edited:
-    return _remove_spans(r, [(share * r.log.duration, seconds) for share in (0.25, 0.5, 0.75)])
+    return _remove_spans(r, [(fraction * r.log.duration, seconds) for fraction in (0.25, 0.5, 0.75)])
 
 
 def remove_one_span(r: Recording, seconds: float) -> Edited:
@@ -47,29 +47,29 @@ def _remove_spans(r: Recording, gaps: list[tuple[float, float]]) -> Edited:
     return corrupted, float(steps[steps > 0.25].sum())
 
 
-def repeat_stamps(r: Recording, share: float) -> Edited:
-    """A fraction `share` of the recorded rows repeats the previous row; a reader leaves them out."""
+def repeat_stamps(r: Recording, fraction: float) -> Edited:
+    """A `fraction` of the recorded rows has the stamp of the previous row; a reader leaves them out."""
     generator = _generator(r)
 
-    def doubled(time: np.ndarray) -> np.ndarray:
-        count = round(share / (1 - share) * len(time))
+    def repeat(time: np.ndarray) -> np.ndarray:
+        count = round(fraction / (1 - fraction) * len(time))
         rows = np.sort(generator.choice(len(time), count, replace=False))
         return np.insert(time, rows + 1, time[rows])
-    return r.with_auxiliary(stamps={name: doubled(time) for name, time in r.auxiliary.stamps.items()}), share
+    return r.with_auxiliary(stamps={name: repeat(time) for name, time in r.auxiliary.stamps.items()}), fraction
 
 
-def swap_stamps(r: Recording, share: float) -> Edited:
-    """A fraction `share` of the rows is recorded before the previous measurement; a reader leaves them out."""
+def swap_stamps(r: Recording, fraction: float) -> Edited:
+    """A `fraction` of the rows has a stamp before that of the previous row; a reader leaves them out."""
     generator, stamps, rising = _generator(r), {}, {}
     for name, in_order in r.auxiliary.stamps.items():
         time = in_order.copy()
-        rows = 2 * generator.choice(len(time) // 2, round(share * len(time)), replace=False)
+        rows = 2 * generator.choice(len(time) // 2, round(fraction * len(time)), replace=False)
         time[rows], time[rows + 1] = in_order[rows + 1], in_order[rows]
         stamps[name] = time
         rising[name] = np.ones(len(time), bool)
         # The later stamp comes first and is kept, because the log itself is in order of time.
         rising[name][rows] = False
-    return select_rows(r, rising["INS"], rising["steering"]).with_auxiliary(stamps=stamps), share
+    return select_rows(r, rising["INS"], rising["steering"]).with_auxiliary(stamps=stamps), fraction
 
 
 def add_jitter(r: Recording, size: float) -> Edited:
@@ -85,9 +85,9 @@ def add_jitter(r: Recording, size: float) -> Edited:
     return r.with_log(**fields), float(np.std(np.diff(late) - np.diff(time))) * 1e-9
 
 
-def drop_rows(r: Recording, share: float) -> Edited:
+def drop_rows(r: Recording, fraction: float) -> Edited:
     """Rows in which the yaw rate has no value, and which a reader therefore left out."""
-    is_recorded = _generator(r).random(len(r.log.x)) >= share
+    is_recorded = _generator(r).random(len(r.log.x)) >= fraction
     corrupted = select_rows(r, is_recorded, np.ones(len(r.log.steering_time_ns), bool))
     missing = int((~is_recorded).sum())
     return corrupted.with_auxiliary(missing={"yaw_rate": missing}), missing / len(is_recorded)
@@ -116,8 +116,8 @@ def move_positions_ahead(log: DriveLog, distance: float) -> DriveLog:
     return replace(log, x=log.x + distance * np.cos(log.yaw), y=log.y + distance * np.sin(log.yaw))
 
 
-def make_positions_stale(r: Recording, share: float) -> Edited:
-    old = _generator(r).random(len(r.log.x)) < share
+def make_positions_stale(r: Recording, fraction: float) -> Edited:
+    old = _generator(r).random(len(r.log.x)) < fraction
     old[0] = False
     rows = np.arange(len(old)) - old
     # The finding counts the steps back, from a new position to an old one.
@@ -155,7 +155,7 @@ def hold(channel: str) -> Callable[[Recording, float], Edited]:
 def freeze(*channels: str) -> Callable[[Recording, float], Edited]:
     """Freezes channels in the span in which the first one varies most. True value: how long it is constant [s]."""
     def edit(r: Recording, seconds: float) -> Edited:
-        start = find_liveliest(r, channels[0], seconds)
+        start = find_busiest_span(r, channels[0], seconds)
         if start is None:
             raise ValueError(f"{r.name}: the car never moves for {seconds:g} s")
         fields = {}
@@ -179,7 +179,7 @@ def _constant_duration(r: Recording, channel: str, values: np.ndarray, start: fl
     return float(time[last] - time[first]) * 1e-9
 
 
-def find_liveliest(r: Recording, channel: str, seconds: float) -> float | None:
+def find_busiest_span(r: Recording, channel: str, seconds: float) -> float | None:
     """Start [s] of the span in which a channel varies most while the car moves; None if there is none."""
     speed, best = np.abs(r.log.velocity_x), None
     for start in np.arange(1.0, r.log.duration - seconds - 1.0):
@@ -206,10 +206,10 @@ def creep(r: Recording, speed: float) -> Edited:
     return r.with_log(velocity_x=np.where(is_standing(r), speed, r.log.velocity_x)), speed
 
 
-def lose_rtk(r: Recording, share: float) -> Edited:
+def lose_rtk(r: Recording, fraction: float) -> Edited:
     quality = r.auxiliary.quality
     time = np.linspace(0.0, 1.0, len(quality.time_ns))
-    lost = np.abs(time - 0.5) < share / 2
+    lost = np.abs(time - 0.5) < fraction / 2
     modes = np.where(lost, DIFFERENTIAL, RTK_INTEGER).astype(float)
     return r.with_auxiliary(quality=replace(quality, position_mode=modes)), float(lost.mean())
 

@@ -32,9 +32,9 @@ def main(seeds: int, seconds: float, jobs: int) -> tuple[str, int]:
                 names[text.split()[1]] += 1
                 print(f"{scenario} seed {seed}: {text}", flush=True)
     low, high = wilson(counts["warning"], counts["drives"])
-    share = 100 * counts["warning"] / counts["drives"]
+    percent = 100 * counts["warning"] / counts["drives"]
     text = (f"{counts['drives']} drives of {seconds:g} s, {len(SCENARIOS)} scenarios: errors in {counts['error']}, "
-            f"warnings in {counts['warning']} ({share:.2f} %, 95 % interval {100 * low:.2f} to {100 * high:.2f} %)"
+            f"warnings in {counts['warning']} ({percent:.2f} %, 95 % interval {100 * low:.2f} to {100 * high:.2f} %)"
             + "".join(f"; `{name}` {count}" for name, count in names.items()) + ".")
     print(f"{text} {time.monotonic() - begin:.0f} s")
     return text, int(bool(counts["error"]))

@@ -15,16 +15,16 @@ STEERING = ("road_wheel_angle", "steering_wheel_angle")
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A drive with the vehicle file that its user has. real: a real drive, with unknown faults.
+    """A drive with the vehicle file of its user. real: a real drive, with unknown faults.
 
-    own: for a virtual drive, finding -> value that sensors without a fault show, if it differs from 1 or 0.
+    baseline: for a virtual drive, finding -> value of sensors without a fault, where not 1 (scales) or 0 (offsets).
     """
 
     log: DriveLog
     vehicle: VehicleParameters
     real: bool
     auxiliary: AuxiliaryData = field(default_factory=AuxiliaryData)
-    own: Mapping[str, float] = field(default_factory=dict)
+    baseline: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -53,8 +53,8 @@ TIMED = ("wheel_speed", "ins_speed", "quality")
 """Parts of AuxiliaryData with time stamps."""
 
 
-def _rows(part: Series | InsQuality, kept: np.ndarray) -> Series | InsQuality:
-    return replace(part, **{name: getattr(part, name)[kept] for name in part.__dataclass_fields__})
+def _rows(part: Series | InsQuality, rows: np.ndarray) -> Series | InsQuality:
+    return replace(part, **{name: getattr(part, name)[rows] for name in part.__dataclass_fields__})
 
 
 def middle_half(recording: Recording) -> Recording:

@@ -39,4 +39,4 @@ def choose_sizes(kind: Kind, drive: str, set_: str) -> list[Size]:
     if set_ == "development":
         return list(kind.sizes)
     generator = np.random.default_rng(zlib.crc32(f"{set_} {drive} {kind.name}".encode()))
-    return [scale_size(size, kind.how, float(generator.uniform(SMALLEST, LARGEST))) for size in kind.sizes]
+    return [scale_size(size, kind.operation, float(generator.uniform(SMALLEST, LARGEST))) for size in kind.sizes]

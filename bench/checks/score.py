@@ -1,8 +1,8 @@
 """Scores the findings of `check` on a corrupted drive.
 
-The truth is known for a virtual drive, because its sensors are. A real drive has unknown deviations, so the truth is
-the estimate for the drive as recorded, combined with the edit: multiplied by factors, added to offsets. Shares, counts
-and lengths are those of the edit, also for real drives.
+The sensors of a virtual drive are known, and so is the truth. A real drive has unknown deviations, so the truth is the
+estimate for the drive as recorded, combined with the edit: multiplied by factors, added to offsets. Fractions, counts
+and durations are those of the edit, also for real drives.
 """
 
 from dataclasses import replace
@@ -23,7 +23,7 @@ def run_check(recording: Recording) -> DriveCheck:
 
 
 def try_check(recording: Recording) -> tuple[DriveCheck, str]:
-    """(result, error text): an exception of a check is a wrong answer and does not end the matrix."""
+    """(result, error text): an exception in a check is scored as a wrong answer."""
     try:
         return run_check(recording), ""
     except Exception as error:
@@ -37,7 +37,7 @@ def check_as_recorded(recording: Recording) -> DriveCheck:
 
 
 class Drive:
-    """A recording and its preparations for the kinds of faults, each made only once."""
+    """A recording, prepared for each kind of fault only once."""
 
     def __init__(self, recording: Recording):
         self.recording = recording
@@ -76,7 +76,7 @@ def score_case(drive: Drive, kind: Kind, size: Size) -> Record | None:
 
 
 def find_finding(result: DriveCheck, kind: Kind) -> Finding | None:
-    """The most severe finding with a right name and channel."""
+    """The most severe finding with a correct name and channel."""
     for finding in result.findings:
         if finding.name in kind.findings and (kind.channel is None or kind.channel in finding.channels):
             return finding
@@ -85,15 +85,15 @@ def find_finding(result: DriveCheck, kind: Kind) -> Finding | None:
 
 def true_value(kind: Kind, size: Size, clean: Recording, change: float) -> tuple[float | None, str]:
     """(true value of the finding, its source: "edit" or "drive")."""
-    if kind.how == "named":
+    if kind.operation == "named":
         return None, "edit"
-    if kind.how == "is":
+    if kind.operation == "is":
         return change, "edit"
     if not clean.real:
-        known = [clean.own[name] for name in kind.findings if name in clean.own]
-        return combine(kind.how, known[0], change) if known else change, "edit"
+        known = [clean.baseline[name] for name in kind.findings if name in clean.baseline]
+        return combine(kind.operation, known[0], change) if known else change, "edit"
     own = estimate_as_recorded(kind, clean)
-    return (change, "edit") if own is None else (combine(kind.how, own, change), "drive")
+    return (change, "edit") if own is None else (combine(kind.operation, own, change), "drive")
 
 
 def estimate_as_recorded(kind: Kind, clean: Recording) -> float | None:
@@ -106,8 +106,8 @@ def choose_side(kind: Kind, clean: Recording) -> int:
     return -1 if kind.either_side and clean.real and (estimate_as_recorded(kind, clean) or 0.0) < 0 else 1
 
 
-def combine(how: str, own: float, change: float) -> float:
-    return own * change if how == "times" else own + change
+def combine(operation: str, own: float, change: float) -> float:
+    return own * change if operation == "times" else own + change
 
 
 def is_inside(kind: Kind, finding: Finding, truth: float | None) -> bool:
@@ -136,9 +136,9 @@ def format_finding(finding: Finding) -> str:
     return f"{finding.severity.value} {finding.name}{value}{unit} [{', '.join(finding.channels)}]"
 
 
-def scale_size(size: Size, how: str, share: float) -> Size:
-    """The same fault, `share` times as large; the size of a factor is its difference from 1."""
+def scale_size(size: Size, operation: str, factor: float) -> Size:
+    """The same fault, `factor` times as large; the size of a factor is its difference from 1."""
     if size.fixed:
         return size
-    value = 1 + (size.value - 1) * share if how == "times" else size.value * share
+    value = 1 + (size.value - 1) * factor if operation == "times" else size.value * factor
     return replace(size, value=value, label=f"{value:.3g} {size.label.partition(' ')[2]}".strip())

@@ -29,7 +29,7 @@ def summarise(records: Sequence[Record]) -> Record:
     return {"kinds": by("kind"), "drives": by("drive"), "total": [*groups, count_row(records, which="all")]}
 
 
-def format_share(r: Record) -> str:
+def format_accuracy(r: Record) -> str:
     low, high = r["interval"]
     percent = 100 * r["right"] / r["cases"] if r["cases"] else 0.0
     return f"{percent:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
@@ -37,12 +37,12 @@ def format_share(r: Record) -> str:
 
 def as_markdown(document: Record) -> str:
     """Formats the totals, and the kinds with wrong cases."""
-    total = [(r["which"], str(r["cases"]), format_share(r)) for r in document["total"]]
+    total = [(r["which"], str(r["cases"]), format_accuracy(r)) for r in document["total"]]
     missed = [(r["kind"], str(r["cases"]), str(r["right"])) for r in document["kinds"] if r["right"] < r["cases"]]
     count = len(document["kinds"])
-    where = (f"Set {document['set']}, version {document['version']}, {document['date']}: {count} kinds, "
-             f"{count - len(missed)} of them without a miss.")
-    parts = [where, format_table(("drives", "cases", "right (95 % interval)"), total)]
+    heading = (f"Set {document['set']}, version {document['version']}, {document['date']}: {count} kinds, "
+               f"{count - len(missed)} of them without a miss.")
+    parts = [heading, format_table(("drives", "cases", "right (95 % interval)"), total)]
     return "\n\n".join([*parts, format_table(("kind", "cases", "right"), missed)] if missed else parts)
 
 
@@ -51,7 +51,7 @@ def as_text(document: Record) -> str:
         return [f"{r[key]:32} {r['cases']:4} cases  named {r['named']:4} ({r['as_note']} as a note)  inside "
                 f"{r['inside']:4}  right {r['right']:4}  new errors in {r['new_errors']}, warnings in "
                 f"{r['new_warnings']}" for r in rows]
-    total = [f"{r['which']}: {format_share(r)} of {r['cases']} right" for r in document["total"]]
+    total = [f"{r['which']}: {format_accuracy(r)} of {r['cases']} right" for r in document["total"]]
     return "\n".join([*lines(document["kinds"], "kind"), "", *lines(document["drives"], "drive"), "", *total])
 
 

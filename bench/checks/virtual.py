@@ -53,7 +53,7 @@ def virtual_drive(scenario: str, seed: int, seconds: float) -> Recording:
 
 
 def _true_deviations(settings: Settings, readings: list[InsReading], exact: list[InsReading]) -> dict[str, float]:
-    """Values that sensors without a fault show: the mean of the noise over the drive is a bias.
+    """Values of findings for sensors without a fault: the mean of the noise over the drive is a bias.
 
     The body rolls outwards and pitches: accelerometers also measure a component of gravity, and the measured yaw rate
     is cos(roll) cos(pitch) times the true one, because its axis is fixed to the body.

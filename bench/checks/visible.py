@@ -1,13 +1,13 @@
 """Conditions for which a drive can show a fault: a fault that changes no sample is not a case.
 
-The limits are about those at which a fault of the smaller size exceeds the noise of a normal INS.
+At the limits, a fault of the smaller size about equals the noise of a normal INS.
 """
 
 from collections.abc import Callable
 
 import numpy as np
 
-from .faults import find_liveliest, is_standing
+from .faults import find_busiest_span, is_standing
 from .recording import Recording
 
 Shows = Callable[[Recording, float], bool]
@@ -17,15 +17,15 @@ MIN_X_DOT_DEVIATION = 0.25  # m/s^2, standard deviation of dv_x/dt
 MIN_CORNERING_DEVIATION = 0.4  # m/s^2, standard deviation of r v_x
 MIN_LATERAL_VELOCITY = 0.05  # m/s, root mean square of v_y
 MIN_CURVATURE_DEVIATION = 0.005
-"""Standard deviation of the curvature [1/m]. On a circle, errors of measuring point, heading and tyres look alike."""
-MAX_STRAIGHT_CURVATURE, MIN_STRAIGHT_SHARE = 0.005, 0.1
-"""Curvature of a straight [1/m], and minimum share of straights in the drive."""
+"""Standard deviation of the curvature [1/m]. A circle confounds errors of measuring point, heading and tyres."""
+MAX_STRAIGHT_CURVATURE, MIN_STRAIGHT_FRACTION = 0.005, 0.1
+"""Curvature of a straight [1/m], and minimum fraction of straights in the drive."""
 MAX_SLOW_SPEED, MIN_SLOW_TURNING = 8.0, 0.3
 """[m/s], and integral of the squared yaw rate below this speed [rad^2/s]. At higher speed, tyre slip moves the point
 about which the car turns."""
 MIN_SPEED_VARIATION = 0.1
 """Standard deviation of the speed over its mean. At one speed, a point further ahead looks like an early sample."""
-MIN_AXIS_SHARE = 0.2  # minimum share of the distance along x, and along y
+MIN_AXIS_FRACTION = 0.2  # minimum fraction of the distance along x, and along y
 MAX_LEVER_ARM = 1.5  # m, of an accelerometer from the INS point
 MIN_STANDSTILL = 3.0  # s
 
@@ -47,7 +47,7 @@ def slides_and_bends(r: Recording, size: float = 0.0) -> bool:
 
 
 def bends_and_straights(r: Recording, size: float = 0.0) -> bool:
-    return bends(r) and float(np.mean(np.abs(_curvature(r)) < MAX_STRAIGHT_CURVATURE)) > MIN_STRAIGHT_SHARE
+    return bends(r) and float(np.mean(np.abs(_curvature(r)) < MAX_STRAIGHT_CURVATURE)) > MIN_STRAIGHT_FRACTION
 
 
 def bends_at_several_speeds(r: Recording, size: float = 0.0) -> bool:
@@ -61,7 +61,7 @@ def bends_slowly(r: Recording, size: float = 0.0) -> bool:
 
 def moves_in_x_and_y(r: Recording, size: float = 0.0) -> bool:
     distances = [np.abs(np.diff(r.log.x)).sum(), np.abs(np.diff(r.log.y)).sum()]
-    return moves(r) and min(distances) > MIN_AXIS_SHARE * sum(distances)
+    return moves(r) and min(distances) > MIN_AXIS_FRACTION * sum(distances)
 
 
 def accelerates(r: Recording, size: float = 0.0) -> bool:
@@ -102,8 +102,8 @@ def stops(r: Recording, size: float = 0.0) -> bool:
 
 
 def long_enough(channel: str) -> Shows:
-    """Whether a drive has a span of that length in which the car moves, and is at least twice as long."""
-    return lambda r, seconds: r.log.duration > 2 * seconds and find_liveliest(r, channel, seconds) is not None
+    """Whether the car moves for the duration of the fault, and the drive is at least twice as long."""
+    return lambda r, seconds: r.log.duration > 2 * seconds and find_busiest_span(r, channel, seconds) is not None
 
 
 def _curvature(r: Recording) -> np.ndarray:

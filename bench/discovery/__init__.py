@@ -1,4 +1,4 @@
-"""Blind benchmark of `st discover`: hidden effects in two plants and in real drives, answers and scores."""
+"""Blind benchmark of `st discover`: scores of its answers for hidden effects in two plants and in real drives."""
 
 import sys
 from collections.abc import Sequence

@@ -16,13 +16,13 @@ FACTORS = (0.5, 2.0)
 
 def list_variants() -> list[tuple[str, float, Limits]]:
     """Lists (field, factor, limits), first the unchanged limits without a name."""
-    usual = Limits()
-    rows: list[tuple[str, float, Limits]] = [("", 1.0, usual)]
+    default = Limits()
+    rows: list[tuple[str, float, Limits]] = [("", 1.0, default)]
     for field in fields(Limits):
         for factor in FACTORS:
-            value = getattr(usual, field.name) * factor
-            changed = max(round(value), 1) if isinstance(getattr(usual, field.name), int) else value
-            rows.append((field.name, factor, replace(usual, **{field.name: changed})))
+            value = getattr(default, field.name) * factor
+            changed = max(round(value), 1) if isinstance(getattr(default, field.name), int) else value
+            rows.append((field.name, factor, replace(default, **{field.name: changed})))
     return rows
 
 

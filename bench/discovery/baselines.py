@@ -20,10 +20,10 @@ TYRES = ("front_stiffness", "rear_stiffness", "friction")
 PARAMSD_EFFECTS = {"steering_ratio": "factor", "tyre_stiffness": "factor", "steering_offset": "angle"}
 PARAMSD_SCALES = (0.05, 0.1, 0.005)
 RATIO, STIFFNESS, OFFSET = (0.5, 2.0), (0.3, 3.0), (-0.1, 0.1)
-"""Range checks of paramsd: ratio 0.5 to 2 of the nominal, stiffness 0.2 to 5; the bounds of the library are
-narrower."""
+"""Bounds. Those of paramsd are 0.5 to 2 for the ratio, and 0.2 to 5 for the stiffness, which the library bounds more
+narrowly."""
 START_INTERVAL, HORIZON, POINT_INTERVAL = 1.0, 3.0, 0.1
-"""Interval of the starts, length of the predictions, and interval of the compared yaw rates [s]."""
+"""Interval of the starts, horizon, and interval of the compared yaw rates [s]."""
 
 
 def compare_methods(case: Case, drives: Drives) -> dict[str, Any]:
@@ -41,7 +41,7 @@ def compare_methods(case: Case, drives: Drives) -> dict[str, Any]:
 
 
 def fit_paramsd(runs: Sequence[DriveLog], vehicle: VehicleParameters) -> dict[str, dict[str, float]]:
-    """Steering ratio, stiffness of both axles and steering offset from the linear single-track car's yaw rate.
+    """Steering ratio, stiffness of both axles and steering offset from the yaw rate of the linear single-track model.
 
         minimise sum of (r measured - r of the linear model with measured steering and speed)^2
 

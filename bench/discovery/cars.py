@@ -1,4 +1,4 @@
-"""Healthy cars: the plants with random deviations of a few per cent from their usual parameters."""
+"""Healthy cars: the plants with random deviations of a few per cent from their nominal parameters."""
 
 from dataclasses import dataclass, field
 
@@ -10,7 +10,7 @@ from . import multibody_car
 LEAF = "leaf"
 PLANTS = (LEAF, *multibody_car.CARS)
 
-# Standard deviations: relative to the usual value, or absolute for a usual value of 0.
+# Standard deviations: relative to the nominal value, or absolute for a nominal value of 0.
 _FACTOR = {
     "mass_factor": 0.03, "yaw_inertia_factor": 0.05, "front_stiffness_factor": 0.04, "rear_stiffness_factor": 0.04,
     "friction_factor": 0.03, "steering_ratio_factor": 0.02, "relaxation_length": 0.15, "steering_lag": 0.2,

@@ -44,7 +44,7 @@ class Case:
     settings: Settings  # of the driven car
     file: Settings | None  # settings that the vehicle file assumes, None if it is identified
     hidden: tuple[str, ...] = ()  # effects of the library that are present, or wrong in the file
-    words: str = "nothing"  # their description
+    words: str = "nothing"  # description of them
     scales: tuple[float, ...] = ()  # their sizes
     with_vy: bool = True  # whether v_y is measured
     reference: bool = False  # whether healthy drives are given
@@ -59,9 +59,9 @@ class Case:
         return seed_of(self.set_, self.block, self.index)
 
 
-def seed_of(set_: str, *what: object) -> int:
-    """The seed of a case, a hash of the set and of `what`."""
-    text = f"{SEALED if set_ == 'sealed' else set_} {' '.join(map(str, what))}"
+def seed_of(set_: str, *labels: object) -> int:
+    """The seed of a case, a hash of the set and the `labels`."""
+    text = f"{SEALED if set_ == 'sealed' else set_} {' '.join(map(str, labels))}"
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:6], "big")
 
 
@@ -119,9 +119,9 @@ def _several_errors(set_: str, index: int) -> Case:
     draw, plant = _draw(set_, "B", index), _choose_plant(index)
     car = healthy_car(plant, (seed_of(set_, "B", index, "car"),))
     file, driven, hidden, words = dict(car.settings), car.settings, [], []
-    many, chosen = int(draw.integers(3, 6)), []
+    count, chosen = int(draw.integers(3, 6)), []
     for name in draw.permutation(list(WRONG)):
-        if len(chosen) < many and not (name in STIFFNESS and set(chosen) & set(STIFFNESS)):
+        if len(chosen) < count and not (name in STIFFNESS and set(chosen) & set(STIFFNESS)):
             chosen.append(str(name))
     for name in chosen:
         settings, largest = WRONG[name]
@@ -144,7 +144,7 @@ def _several_errors(set_: str, index: int) -> Case:
 
 
 def _no_error(set_: str, index: int) -> Case:
-    """C: alternately, the base model itself is the car, or the file was identified on other drives of the car."""
+    """C: alternately, the base model itself drives, or the vehicle file was identified on other drives of the car."""
     car = healthy_car(_choose_plant(index), (seed_of(set_, "C", index, "car"),))
     kind = "base" if index % 2 == 0 else "identified"
     return Case(set_, "C", index, kind, car, car.settings, car.settings if kind == "base" else None)
@@ -197,8 +197,8 @@ def _varying_effect(set_: str, index: int) -> Case:
     return {"place": _at_places, "time": _begins_midway, "unknown": _outside_library}[kind](case, number, draw)
 
 
-def _add_effect(case: Case, what: Hidden, scale: float, draw: np.random.Generator, **others) -> Case:
-    chosen = [(what, scale, int(draw.choice(what.signs)))]
+def _add_effect(case: Case, hidden: Hidden, scale: float, draw: np.random.Generator, **others) -> Case:
+    chosen = [(hidden, scale, int(draw.choice(hidden.signs)))]
     return replace(case, settings=_apply(case.settings, chosen), words=_describe(chosen), scales=(scale,), **others)
 
 

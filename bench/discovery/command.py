@@ -23,14 +23,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
                         help="maximum number of cases of each block; default all")
     parser.add_argument("--until", type=float, metavar="MINUTES", help="start no case after this time")
     parser.add_argument("--part", type=_part, default=(0, 1), metavar="K/N",
-                        help="run the share of process K of N; each process writes its own file")
+                        help="run the cases of process K of N; each process writes its own file")
     parser.add_argument("--out", type=Path, help="file of JSON lines; cases that it contains are not run again")
     parser.add_argument("--plain", action="store_true", help="without baselines and suggested drives")
     parser.add_argument("--ablation", action="store_true",
                         help="run the cases with each limit of the decision halved and doubled")
     parser.add_argument("--tables", type=Path, nargs="+", metavar="FILE",
-                        help="only write docs/measurements/discovery_scores.md from these files; of a case in "
-                             "several files, the last is used")
+                        help="only write docs/measurements/discovery_scores.md from these files; if several "
+                             "contain a case, the last counts")
     chosen = parser.parse_args(arguments)
     if chosen.tables:
         records = read_files(chosen.tables)

@@ -1,7 +1,7 @@
-"""The compiled virtual car: the functions of st_sim, driven by a programme instead of a driver.
+"""The compiled virtual car: the equations of st_sim, driven by a programme instead of a driver.
 
-It repeats the order of `Plant.step`: steering wheel -> delay -> play -> ratio -> lag, step of Heun's method. Standstill
-is not included, so that a car that stops is rejected. Checked by: tests/bench/test_discovery_plants.py.
+The order is that of `Plant.step`: steering wheel -> delay -> play -> ratio -> lag, step of Heun's method. Standstill
+is not simulated: a car that stops is rejected. Checked by: tests/bench/test_discovery_plants.py.
 """
 
 from dataclasses import dataclass

@@ -21,14 +21,14 @@ RUNS, HELD_OUT = 3, 2
 IDENTIFIED = ("front_stiffness", "rear_stiffness", "friction", "steering_ratio", "steering_offset")
 """Quantities that block C identifies on other drives of the car."""
 MAX_ERROR = {"factor": 0.02, "angle": 0.0005}
-"""Largest error of an identified value that is not a mistake [1, rad]."""
+"""Maximum error of an identified value that counts as correct [1, rad]."""
 
 
 @dataclass(frozen=True)
 class Drives:
     """The drives of a case."""
 
-    reference: tuple[DriveLog, ...]  # input of `discover`, as suspect and vehicle
+    reference: tuple[DriveLog, ...]  # reference, suspect and vehicle are the input of `discover`
     suspect: tuple[DriveLog, ...]
     held_out: tuple[DriveLog, ...]  # further drives of the suspect car
     healthy_held_out: tuple[DriveLog, ...]  # the same programmes, driven by the healthy car
@@ -72,7 +72,7 @@ def record_more(case: Case, vehicle: VehicleParameters, orders: list[Order]) -> 
 
 
 def without_vy(log: DriveLog) -> DriveLog:
-    """The log of a set of sensors without v_y, which is zero, so that nothing can use it by accident."""
+    """The log without measured v_y: it is set to zero, so that nothing can use it by accident."""
     return replace(log, velocity_y=np.zeros_like(log.velocity_y))
 
 

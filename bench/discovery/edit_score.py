@@ -1,6 +1,6 @@
 """Block F: compares the answer for edited drives with the answer for the drives as recorded.
 
-The value before the edit is the one in the latter answer, whether it was stated, kept, or only fitted in addition.
+The value before the edit is that in the answer for the drives as recorded, whether stated, kept, or only fitted.
 """
 
 from dataclasses import dataclass

@@ -1,7 +1,7 @@
 """Settings of the plants, and the effects of the library (st_core.effects) to which they correspond.
 
 The settings act in the equations of the plants. `full` is the change for a large effect (scale 1), `signs` are its
-possible directions; neither the library nor a real car has the other direction.
+directions; a direction that does not occur in real cars is left out, here and in the library.
 """
 
 from collections.abc import Mapping
@@ -80,18 +80,18 @@ OUTSIDE_LIBRARY = (
     Hidden("rear_roll_steer", None, 0.25),
     Hidden("camber_thrust", None, 1.0, UP),
 )
-"""Changes that no effect of the library describes; some can nearly be imitated (rear roll steer, camber thrust). The
-Ackermann share is not included, because these drives do not show it."""
+"""Changes that no effect of the library describes; some nearly can (rear roll steer, camber thrust). The
+Ackermann fraction is not included, because these drives do not show it."""
 
 SENSORS = ("yaw_rate_scale", "yaw_rate_bias", "speed_scale", "lateral_acceleration_bias", "sensor_lever_arm")
 PHYSICS = ("steering_lag", "steering_delay", "steering_backlash", "steering_compliance", "roll_steer",
            "tyre_relaxation", "combined_slip", "lateral_load_transfer", "crosswind", "road_bank")
-"""Effects of which block B adds up to two of each kind to the wrong parameters."""
+"""Block B adds up to two effects of each kind to the wrong parameters."""
 
 PLANT_DIFFERENCES: dict[str, dict[str, str]] = {
     "leaf": {
         "steering_lag": "the virtual car's steering has a lag of 40 ms, the model none",
-        "steering_delay": "the steering's stamps are 4 ms late; part of the lag looks like it",
+        "steering_delay": "the steering angle is stamped 4 ms late; part of the lag acts like a delay",
         "steering_compliance": "the front wheels give 1.5e-6 rad/N",
         "roll_steer": "the front wheels steer by -3 % of the roll",
         "tyre_relaxation": "the tyres relax over 0.4 m, the model's do not",
@@ -104,20 +104,20 @@ PLANT_DIFFERENCES: dict[str, dict[str, str]] = {
     "multibody": {
         "lateral_load_transfer": "four wheels on springs",
         "longitudinal_load_transfer": "as above",
-        "combined_slip": "its tyres' own weighting of longitudinal and lateral slip",
-        "steered_drive_force": "drive and brakes act at the steered wheels too",
-        "roll_steer": "camber and kinematics of its axles turn with the roll",
-        "tyre_stiffness": "a Magic Formula of the project's form is only fitted to its tyres",
+        "combined_slip": "its tyres weight longitudinal and lateral slip differently",
+        "steered_drive_force": "drive and brakes also act at the steered wheels",
+        "roll_steer": "camber and toe of its axles change with roll",
+        "tyre_stiffness": "the tyres of the vehicle file are only a fit to its tyres",
         "front_stiffness": "as above",
         "rear_stiffness": "as above",
         "friction": "as above",
-        "yaw_rate_scale": "the gyroscope leans with the body, up to 0.11 rad, and shows 0.6 % less there",
+        "yaw_rate_scale": "the gyroscope rolls with the body, by up to 0.11 rad, and then reads 0.6 % low",
     },
 }
-"""Plant -> effect that the plant has in every case, but not the base model -> reason. Naming it is right."""
+"""Plant -> effect that the plant always has, but not the base model -> reason. Reporting it is correct."""
 SCATTER = ("heading_misalignment", "lateral_acceleration_bias", "yaw_rate_scale", "speed_scale")
-"""Effects that every car has to some degree and that are not in a vehicle file. Naming one is right if the stated
-interval contains its true value; the same applies to remaining errors of an identified file."""
+"""Effects that every car has to some degree and that are not in a vehicle file. Reporting one is correct if the stated
+interval contains its true value; the same applies to residual errors of an identified file."""
 
 # Effects whose value is the ratio of the settings of car and file ...
 _QUOTIENTS = {"steering_ratio": "steering_ratio_factor", "front_stiffness": "front_stiffness_factor",

@@ -18,9 +18,9 @@ OTHERS = ("several", "unknown", "none")
 
 
 def count_confusion(records: Sequence[dict[str, Any]]) -> tuple[list[str], list[str], np.ndarray]:
-    """(hidden effects, stated effects, counts) for the cases of block A in which the effect matters.
+    """(hidden effects, stated effects, counts) for the cases of block A in which the effect is relevant.
 
-    If several effects are stated and the hidden one is among them, it counts.
+    Of several stated effects, the hidden one counts if it is among them.
     """
     truths = [h.library for h in KNOWN]
     single = [r for r in records if r["block"] == "A" and relevant_effects(r)]
@@ -40,22 +40,22 @@ def _stated(r: dict[str, Any]) -> str:
 
 
 def is_of_interest(r: dict[str, Any], name: str) -> bool:
-    """Whether an effect counts; true differences between plant and model do not, unless they are hidden."""
+    """Whether an effect counts; true differences between plant and model count only if hidden."""
     return name in r["hidden"] or name not in plant_differences(r["plant"])
 
 
 def draw_confusion(records: Sequence[dict[str, Any]], file: Path) -> None:
     truths, columns, counts = count_confusion(records)
     figure, axes = plt.subplots(figsize=(11, 8.5), layout="constrained")
-    share = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
-    image = axes.imshow(share, cmap="Blues", vmin=0, vmax=1, aspect="auto")
+    fraction = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    image = axes.imshow(fraction, cmap="Blues", vmin=0, vmax=1, aspect="auto")
     axes.set_xticks(range(len(columns)), columns, rotation=90)
     axes.set_yticks(range(len(truths)), [f"{t} ({n})" for t, n in zip(truths, counts.sum(axis=1), strict=True)])
     for i, j in zip(*np.nonzero(counts), strict=True):
-        axes.text(j, i, counts[i, j], ha="center", va="center", color="white" if share[i, j] > 0.6 else "black")
+        axes.text(j, i, counts[i, j], ha="center", va="center", color="white" if fraction[i, j] > 0.6 else "black")
     axes.axvline(len(columns) - len(OTHERS) - 0.5, color="0.5", lw=0.8)
-    axes.set_xlabel("best name stated")
+    axes.set_xlabel("stated effect")
     axes.set_ylabel("hidden effect (block A, where it matters)")
-    figure.colorbar(image, label="share of the row [1]")
+    figure.colorbar(image, label="fraction of the row [1]")
     figure.savefig(file, dpi=110)
     plt.close(figure)

@@ -49,8 +49,8 @@ class Hidden:
     """A hidden relation."""
 
     name: str
-    places: tuple[str, ...]  # right places of a proposal
-    shapes: tuple[str, ...]  # right shapes of its first reading; empty if none is right
+    places: tuple[str, ...]  # correct places of a proposal
+    shapes: tuple[str, ...]  # correct shapes of its first formula; empty if none is correct
     slots: tuple[str, ...]  # slots of the library in which it acts
     settings: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))  # added to those of the plant
     relation: Relation = NO_RELATION  # change of the equations

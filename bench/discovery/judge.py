@@ -1,5 +1,5 @@
 """Compares an answer with the truth: held-out errors of base model, answer and oracle, benefit of each hidden effect,
-and shares of the error by kind."""
+and contributions to the error by kind."""
 
 from typing import Any
 
@@ -30,8 +30,8 @@ def true_effects(case: Case) -> set[str]:
 def judge_answer(case: Case, drives: Drives, found: Discovery) -> Record:
     """Scores of an answer: position error [m] and loss of base model, answer and oracle.
 
-    worth: hidden effect -> loss without it over that of the oracle. shares: part -> shares (added last, added first) of
-    the position error of the base model. fitted: values of the oracle.
+    worth: hidden effect -> loss without it, relative to that of the oracle. shares: kind -> fraction of the position
+    error of the base model (added last, added first). fitted: values of the oracle.
     """
     settings = settings_of(case)
     judge = Judge(drives.held_out, drives.vehicle, settings)
@@ -74,15 +74,15 @@ def _judge_visibility(case: Case, drives: Drives, judge: Judge, base: Point, ans
 
 
 def _shares(judge: Judge, oracle: Oracle, names: set[str]) -> Record:
-    """By part, relative to the mean position error of the base model: increase without the part, decrease with it
-    alone."""
+    """By kind of effect, relative to the mean position error of the base model: increase without these effects, and
+    decrease with them alone."""
     base, best = judge.position(oracle.base), judge.position(oracle.best)
     shares = {}
     for part in PARTS[:4]:
-        of_part = [n for n in names if get_effect(n).kind == part]
-        if of_part:
-            shares[part] = [(judge.position(oracle.without(of_part)) - best) / base,
-                            (base - judge.position(oracle.only(of_part))) / base]
+        effects = [n for n in names if get_effect(n).kind == part]
+        if effects:
+            shares[part] = [(judge.position(oracle.without(effects)) - best) / base,
+                            (base - judge.position(oracle.only(effects))) / base]
     return shares
 
 

@@ -43,8 +43,8 @@ from .relation_equations import Car as Body
 from .sensing import PERIOD, STEERING_PHASE, make_log
 
 STEP = 0.001
-"""Integration step [s]. Half of it changes a manoeuvre of 9 s by less than 1 mm, 5 ms by 0.3 m, because the spin of a
-wheel settles within 2 ms at low speed."""
+"""Integration step [s]. Half of it changes a path of 9 s by less than 1 mm, 5 ms by 0.3 m, because the spin of a wheel
+settles within 2 ms at low speed."""
 DECIDE, SENSED = round(PERIOD / STEP), round(STEERING_PHASE / STEP) - 1
 """Steps between two decisions of steering and pedals; the step after which the steering sensor samples."""
 MIN_SPEED = 2.5  # m/s
@@ -166,8 +166,8 @@ def _add_relation(f, x, relation, body, time, ax):
 
 
 def rates(x, steering_rate, acceleration, surroundings, p, drag_area, still_air):
-    """The 29 rates of the package with slope and wind. here: bank, grade [rad], wind towards x and y of the map
-    [m/s]."""
+    """The 29 rates of the package with slope and wind. surroundings: bank, grade [rad], wind towards x and y of the
+    map [m/s]."""
     bank, grade, wind_x, wind_y = surroundings
     f = dynamics(x, (steering_rate, acceleration), p)
     air_x, air_y = air_force(still_air, drag_area, x[P_YAW], x[P_VX], x[P_VY], wind_x, wind_y)

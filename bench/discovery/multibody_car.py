@@ -40,8 +40,8 @@ SLIP_RANGE, LOAD_RANGE = 0.2, (0.3, 1.8)
 
 @dataclass(frozen=True)
 class Choice:
-    """Data of a car that the package does not contain. number: that of its parameter set. cg_to_ins_x [m]: the INS is
-    on the centreline, at the height of the CG of the body."""
+    """Data of a car that the package does not contain. number: of its parameter set. cg_to_ins_x [m]: the INS is on the
+    centreline, at the height of the CG of the body."""
 
     number: int
     name: str
@@ -92,13 +92,13 @@ class PerAxle(ExecutionLoader):
     def get_source(self, fullname: str) -> str:
         calls: Counter = Counter()
 
-        def named(call: re.Match) -> str:
+        def replace_tyre(call: re.Match) -> str:
             # The first argument is the slip of one wheel: s_lf, alpha_RR.
             axle = {"f": "tire_front", "r": "tire_rear"}[call[2].lower()]
             calls[axle] += 1
             return f"{call[1]}p.{axle})"
         source = re.sub(r"(\btireModel\.\w+\(\w+_[lr]([fr]), .*)\bp\.tire\)",
-                        named, Path(self.get_filename(fullname)).read_text("utf-8"), flags=re.IGNORECASE)
+                        replace_tyre, Path(self.get_filename(fullname)).read_text("utf-8"), flags=re.IGNORECASE)
         if calls != {"tire_front": 8, "tire_rear": 8} or re.search(r"\bp\.tire\b", source):
             raise ImportError(f"{fullname}: {dict(calls)} calls of the tyre, 8 per axle in version 3.0.2")
         return source

@@ -14,9 +14,9 @@ from .score import relevant_effects, stratum
 
 def try_suggestion(case: Case, drives: Drives, found: Discovery, settings: DiscoverySettings,
                    record: Mapping[str, Any]) -> dict[str, Any]:
-    """Whether the suggested drive settles the case: the hidden effect is then stated without alternatives.
+    """Result of the suggested drive; the case is settled if the hidden effect is then stated without alternatives.
 
-    Returns {} unless the case has one hidden effect that matters, is not yet settled, and has a suggested drive.
+    {} unless the case has one relevant hidden effect, is not yet settled, and has a suggested drive.
     record: record of the case so far.
     """
     suggested = found.next_manoeuvre

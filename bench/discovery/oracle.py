@@ -1,4 +1,4 @@
-"""The oracle: the true effects, fitted to the suspect drives and judged on held-out drives.
+"""The oracle: the true effects, fitted to the suspect drives and evaluated on held-out drives.
 
     loss = mean over windows, points and channels of log(1 + z^2 / 4),   z = error / size
 
@@ -83,9 +83,9 @@ def scale_errors(errors: np.ndarray, size: np.ndarray) -> np.ndarray:
 
 
 class Oracle:
-    """The named effects, fitted to drives by a robust Gauss-Newton method from `start`.
+    """The effects `names`, fitted to drives by a robust Gauss-Newton method from `start`.
 
-    The other effects, and removed ones, have their values at `origin`, by default null.
+    Other and removed effects have their values at `origin`, by default null.
     """
 
     def __init__(self, drives: Sequence[DriveLog], vehicle: VehicleParameters, names: Collection[str], start: Values,
@@ -112,7 +112,7 @@ class Oracle:
         return self._at(np.append(self._null[:-1], self._x[-1]))
 
     def without(self, names: Collection[str]) -> Point:
-        """The model without the named effects; the others are fitted again with the derivatives at the best point,
+        """The model without the effects `names`; the others are fitted again with the derivatives at the best point,
         which takes a few evaluations instead of a hundred."""
         removed = np.array([n in names for n, _ in self._free] + [False])
         if not removed.any():
@@ -183,14 +183,14 @@ class Oracle:
     def _step(self, x: np.ndarray, hessian: np.ndarray, gradient: np.ndarray, free: np.ndarray) -> np.ndarray:
         """The minimum of the quadratic approximation within the bounds, in typical sizes."""
         low, high = (((side - x) / self._unit)[free] for side in (self._low, self._high))
-        d, held = np.zeros(len(free)), np.zeros(len(free), bool)
+        d, fixed = np.zeros(len(free)), np.zeros(len(free), bool)
         for _ in free:
-            rest = gradient[~held] - hessian[np.ix_(~held, held)] @ d[held]
-            d[~held] = np.linalg.solve(hessian[np.ix_(~held, ~held)], rest)
-            outside = ~held & ((d < low) | (d > high))
+            residual = gradient[~fixed] - hessian[np.ix_(~fixed, fixed)] @ d[fixed]
+            d[~fixed] = np.linalg.solve(hessian[np.ix_(~fixed, ~fixed)], residual)
+            outside = ~fixed & ((d < low) | (d > high))
             if not outside.any():
                 break
-            d, held = np.clip(d, low, high), held | outside
+            d, fixed = np.clip(d, low, high), fixed | outside
         return d
 
     def _differences(self, z: np.ndarray) -> np.ndarray:

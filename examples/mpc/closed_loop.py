@@ -10,7 +10,7 @@ from st_core.vehicle import VehicleParameters
 from st_sim.scenarios import Plan
 from st_sim.settings import Settings
 
-MAX_DISTANCE = 4.0  # m; limit of the lateral deviation from the path, above which the drive ends
+MAX_DEVIATION = 4.0  # m; limit of the lateral deviation from the path, above which the drive ends
 SAMPLING_TIME = 0.02  # s between measurements of the tracking error
 
 
@@ -29,8 +29,8 @@ class DriveResults:
     cpu_p95: float
     cpu_max: float
     iterations: float  # median, without the first problem
-    solutions: int
-    unsolved: int  # number of problems without a solution
+    solutions: int  # number of control steps
+    unsolved: int  # number of control steps without a solution
     duration: float  # time driven [s]
     finished: bool  # False if the car left the path
 
@@ -47,10 +47,10 @@ class ReferencePath:
     def track(self, x: float, y: float) -> float:
         """Update `distance` for a car at (x, y) [m]; returns its lateral deviation [m], positive to the left."""
         for _ in range(3):
-            road = self.plan.path.pose(self.distance)
-            self.distance += math.cos(road.yaw) * (x - road.x) + math.sin(road.yaw) * (y - road.y)
-        road = self.plan.path.pose(self.distance)
-        return math.cos(road.yaw) * (y - road.y) - math.sin(road.yaw) * (x - road.x)
+            point = self.plan.path.pose(self.distance)
+            self.distance += math.cos(point.yaw) * (x - point.x) + math.sin(point.yaw) * (y - point.y)
+        point = self.plan.path.pose(self.distance)
+        return math.cos(point.yaw) * (y - point.y) - math.sin(point.yaw) * (x - point.x)
 
     def make_reference(self, steps: int, step: float) -> Reference:
         """Path ahead at the end of each step [s], for a car that drives at the speed of the plan."""
@@ -68,21 +68,21 @@ def drive(controller: Controller, car: VehicleParameters, settings: Settings, pl
 
     The solver time is measured, but commands take effect without this delay.
     """
-    road, plant = ReferencePath(plan), ControlledCar(car, settings, seed)
+    path, plant = ReferencePath(plan), ControlledCar(car, settings, seed)
     start = plan.path.pose(plan.start)
     plant.place(start.x, start.y, start.yaw, plan.speed_at(plan.start), plan.path.curvature(plan.start))
     step, rows, solutions = controller.tuning.step, [], []
     finished = True
     while finished and plant.time < duration - 1e-9:
-        road.track(*plant.state[:2])
-        solution = controller.control(plant.state, road.make_reference(controller.steps, step))
+        path.track(*plant.state[:2])
+        solution = controller.control(plant.state, path.make_reference(controller.steps, step))
         solutions.append(solution)
         for _ in range(round(step / SAMPLING_TIME)):
             plant.advance(SAMPLING_TIME, *solution.inputs)
             x, y, speed, *_ = plant.state
-            offset = road.track(x, y)
-            rows.append((plant.time, x, y, offset, speed - plan.speed_at(road.distance), solution.inputs[0]))
-        finished = abs(offset) < MAX_DISTANCE
+            offset = path.track(x, y)
+            rows.append((plant.time, x, y, offset, speed - plan.speed_at(path.distance), solution.inputs[0]))
+        finished = abs(offset) < MAX_DEVIATION
     table = np.array(rows)
     # The first solution has no warm start.
     wall = 1e3 * np.array([s.wall for s in solutions[1:]])

@@ -1,10 +1,10 @@
-"""Nonlinear model predictive control of a car along a road, with any model of the suite.
+"""Nonlinear model predictive control of a car along a path, with any model of the suite.
 
     min  sum_k  q_n n_k^2 + q_c c_k^2 + q_s s_k^2 + q_v (v_k - v_ref,k)^2 + r_d (d_delta_k)^2 + r_a (d_a_k)^2
     s.t. x_{k+1} = F(x_k, u_k, h),  u_k = u_{k-1} + d_k,  bounds on u and d
          low_k - e_k <= n_k <= high_k + e_k,  e_k >= 0, with r_e e_k^2 added to the sum     (corridor only)
 
-n, s: distance from the reference point across and along the road [m]; c: velocity across the road [m/s]; d: change of
+n, s: lateral and longitudinal deviation from the reference point [m]; c: velocity across the path [m/s]; d: change of
 the inputs u from one step to the next. F is `step` of st_core.backends.casadi_backend. The method is multiple shooting.
 """
 
@@ -42,7 +42,7 @@ class Tuning:
     speed: float = 1.0  # q_v
     steering_change: float = 400.0  # r_d
     acceleration_change: float = 0.3  # r_a
-    angle: float = 0.5  # bound of the road wheel angle [rad]
+    angle: float = 0.5  # bound of the road-wheel angle [rad]
     angle_change: float = 0.045  # bound of its change in a step [rad]
     acceleration: tuple[float, float] = (-5.0, 2.5)  # bounds [m/s^2]
     acceleration_step: float = 1.0  # bound of its change in a step [m/s^2]
@@ -50,7 +50,7 @@ class Tuning:
 
 
 class Reference(NamedTuple):
-    """Position [m] and yaw [rad] of the road and reference speed [m/s] at the end of each step; (steps,) each."""
+    """Position [m] and yaw [rad] of the path, and speed [m/s], at the end of each step; (steps,) each."""
 
     x: np.ndarray
     y: np.ndarray
@@ -75,7 +75,7 @@ class Solution(NamedTuple):
 class Controller:
     """Controller with one model and horizon. Call `control` every `tuning.step` [s]; it starts from its last solution.
 
-    steps: number in the horizon. corridor: whether `control` is given limits of the distance from the road.
+    steps: number in the horizon. corridor: whether `control` gets limits of the lateral deviation.
     """
 
     model: Model
@@ -101,20 +101,20 @@ class Controller:
         variables = casadi.MX.sym("variables", (2 + n) * steps + limits)
         parameters = casadi.MX.sym("parameters", n + 2 + 4 * steps + 2 * limits)
         rows = casadi.reshape(variables[:(2 + n) * steps], 2 + n, steps)
-        road = casadi.reshape(parameters[n + 2:n + 2 + 4 * steps], 4, steps)
+        reference = casadi.reshape(parameters[n + 2:n + 2 + 4 * steps], 4, steps)
         x, last, residuals, gaps, changes = parameters[:n], parameters[n:n + 2], [], [], []
         for k in range(steps):
             u, following = rows[:2, k], rows[2:, k]
             gaps.append(self.symbolic.step(x, u, t.step) - following)
             change = u - last
             weights = casadi.vertcat(t.steering_change ** 0.5, t.acceleration_change ** 0.5)
-            residuals += [self._stage_residuals(following, u, road[:, k]), weights * change]
+            residuals += [self._stage_residuals(following, u, reference[:, k]), weights * change]
             changes.append(change)
             x, last = following, u
         excess, bounds = variables[(2 + n) * steps:], parameters[n + 2 + 4 * steps:]
         residuals = casadi.vertcat(*residuals, t.outside ** 0.5 * excess)
         low, high = bounds[:limits], bounds[limits:]
-        distances = casadi.vertcat(*[self._across(rows[2:, k], road[:, k]) for k in range(limits)])
+        distances = casadi.vertcat(*[self._across(rows[2:, k], reference[:, k]) for k in range(limits)])
         margins = casadi.vertcat(distances + excess - low, high + excess - distances) if limits else casadi.MX(0, 1)
         problem = {"x": variables, "f": casadi.sumsqr(residuals),
                    "g": casadi.vertcat(*gaps, *changes, margins), "p": parameters}
@@ -138,36 +138,36 @@ class Controller:
                                ["x", "p", "lam_f", "lam_g"], ["hess_gamma_x_x"]).expand()
 
     @staticmethod
-    def _across(x, road):
-        return casadi.cos(road[2]) * (x[1] - road[1]) - casadi.sin(road[2]) * (x[0] - road[0])
+    def _across(x, reference):
+        return casadi.cos(reference[2]) * (x[1] - reference[1]) - casadi.sin(reference[2]) * (x[0] - reference[0])
 
-    def _stage_residuals(self, x, u, road):
+    def _stage_residuals(self, x, u, reference):
         t = self.tuning
-        sine, cosine = casadi.sin(road[2]), casadi.cos(road[2])
-        off_x, off_y = x[0] - road[0], x[1] - road[1]
+        sine, cosine = casadi.sin(reference[2]), casadi.cos(reference[2])
+        off_x, off_y = x[0] - reference[0], x[1] - reference[1]
         rates = self.symbolic.dynamics(x, u)
-        return casadi.vertcat(t.across ** 0.5 * self._across(x, road),
+        return casadi.vertcat(t.across ** 0.5 * self._across(x, reference),
                               t.along ** 0.5 * (cosine * off_x + sine * off_y),
                               t.course ** 0.5 * (cosine * rates[1] - sine * rates[0]),
-                              t.speed ** 0.5 * (x[2] - road[3]))
+                              t.speed ** 0.5 * (x[2] - reference[3]))
 
     def reset(self) -> None:
         """Discard the last solution; call this before a new drive."""
         self._last, self._guess, self._duals = (0.0, 0.0), None, None
 
-    def control(self, state: tuple[float, ...], road: Reference,
+    def control(self, state: tuple[float, ...], reference: Reference,
                 corridor: tuple[np.ndarray, np.ndarray] | None = None,
                 measured: tuple[float, float] | None = None) -> Solution:
-        """Solution that starts from the six states at the CG; the yaw of car and road need not be wrapped.
+        """Solution that starts from the six states at the CG; the yaw of car and path need not be wrapped.
 
-        corridor: (lower, upper) limits of the distance from the road at the end of each step, left > 0, (steps,) [m].
-        measured: present inputs, required if the car does not follow the last solution.
+        corridor: (lower, upper) limits of the lateral deviation at the end of each step, left > 0, (steps,) [m].
+        measured: current inputs, required if the car does not follow the last solution.
         """
         self._last = self._last if measured is None else measured
         start = self.symbolic.start(state, self._last).full().ravel()
         if self._guess is None:
             self._guess = self._rollout(start)
-        p = np.concatenate([start, self._last, np.column_stack(road).ravel(), *(corridor or ())])
+        p = np.concatenate([start, self._last, np.column_stack(reference).ravel(), *(corridor or ())])
         count = (2 + self._states) * self.steps
         initial = np.concatenate([self._guess.ravel(), np.zeros(self.steps if self.corridor else 0)])
         warm_start = {"lam_x0": self._duals[0], "lam_g0": self._duals[1]} if self._duals else {}

@@ -3,12 +3,12 @@
     ./st shell -- python examples/mpc/corridor.py              50 seeds, with and without tightening
     ./st shell -- python examples/mpc/corridor.py --seeds 5
 
-The road is straight and has three gates. At 10 m/s the controller stays as close to the road as the gates allow, so it
-passes close to their posts. Each seed is another car with random mass, tyres, friction and steering (DEVIATIONS). Bands
-of the controller's model over its horizon are calibrated on drives of other random cars through other gates. With
-tightening, the controller keeps the lateral half-width of the band at each point of its horizon as a distance from
-every post. A variant limits this distance to its value NEAR seconds ahead, because later decisions correct the errors
-beyond it. Writes corridor.json; docs/manual/mpc.md explains the result.
+The reference path is straight and has three gates. At 10 m/s the controller deviates from it no more than the gates
+require, so the car passes close to their posts. Each seed is another car with random mass, tyres, friction and steering
+(DEVIATIONS). Bands of the controller's model over its horizon are calibrated on drives of other random cars through
+other gates. With tightening, the controller keeps the lateral half-width of the band at each point of its horizon as a
+distance from every post. A variant limits this distance to its value NEAR seconds ahead, because later decisions
+correct the errors beyond it. Writes corridor.json; docs/manual/mpc.md explains the result.
 """
 
 import argparse
@@ -48,7 +48,7 @@ DEVIATIONS = {  # standard deviations of the plant settings; of the offset in ra
 CALIBRATION_CARS, LEVELS = 32, (0.9, 0.95)  # cars whose drives calibrate the bands; n cars allow levels up to n/(n + 1)
 NEAR = 0.5  # s ahead, after five decisions
 SETTINGS = EvaluationSettings(PredictionSettings(horizon=HORIZON))
-GATE_STARTS = (50.0, 115.0, 180.0)  # m along the road
+GATE_STARTS = (50.0, 115.0, 180.0)  # m along the path
 MIN_VIOLATION = 0.01  # m beyond a post; up to this distance, a pass is not a violation
 
 
@@ -64,7 +64,7 @@ class Margin(NamedTuple):
 
 
 class Gate(NamedTuple):
-    """From begin to end [m along the road], the CG must pass `clearance` [m] or more left (side 1) or right (-1)."""
+    """From begin to end [m along the path], the CG must pass `clearance` [m] or more left (side 1) or right (-1)."""
 
     begin: float
     end: float
@@ -76,7 +76,7 @@ class Outcome(NamedTuple):
     """Result of one drive."""
 
     depth: float  # largest distance beyond a post [m], <= 0 without contact
-    error: float  # rms distance from the road [m]
+    error: float  # rms lateral deviation [m]
     cost: float  # mean of q_n n^2 + q_v (v - v_ref)^2 + r_d d_delta^2, as in the controller
     log: DriveLog  # the measurements
 
@@ -90,7 +90,7 @@ def make_gates(generator: np.random.Generator | None = None) -> list[Gate]:
 
 
 def compute_limits(gates: Sequence[Gate], distances: np.ndarray, margin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(lower, upper) limits of the distance from the road, left > 0, by distance along it [m]. margin: to the posts."""
+    """(lower, upper) limits of the lateral deviation, left > 0, by distance along the path [m]. margin: to posts."""
     low, high = np.full(len(distances), -4.0), np.full(len(distances), 4.0)
     for gate in gates:
         at_gate = (distances >= gate.begin) & (distances <= gate.end)
@@ -115,26 +115,26 @@ def drive(controller: Controller, car: VehicleParameters, vehicle: VehicleParame
     """Drive the car of a seed through the gates. tightening: None for constraints without a margin."""
     controller.reset()
     plan = RoadPlan(straight(400.0, SPEED))
-    road, plant = ReferencePath(plan), ControlledCar(car, plant_settings(seed), seed)
+    path, plant = ReferencePath(plan), ControlledCar(car, plant_settings(seed), seed)
     step = controller.tuning.step
     plant.place(0.0, 0.0, 0.0, SPEED)
     rows, angles, depth, acceleration = [], [0.0] * 12, -np.inf, 0.0
     margin = np.zeros(controller.steps)
     while plant.time < DURATION - 1e-9:
-        road.track(*plant.state[:2])
-        reference = road.make_reference(controller.steps, step)
+        path.track(*plant.state[:2])
+        reference = path.make_reference(controller.steps, step)
         if tightening is not None:
             # Outside the calibrated conditions the last margin is kept.
             current = _compute_margin(tightening, plant.state, angles, acceleration, step)
             margin = margin if current is None else current
-        along = road.distance + step * SPEED * np.arange(1, controller.steps + 1)
+        along = path.distance + step * SPEED * np.arange(1, controller.steps + 1)
         angle, acceleration = controller.control(plant.state, reference, compute_limits(gates, along, margin)).inputs
         angles.append(angle)
         for _ in range(round(step / SAMPLING_TIME)):
             rows.append((plant.time, *plant.state, angle))
             plant.advance(SAMPLING_TIME, angle, acceleration)
-            offset = road.track(*plant.state[:2])
-            low, high = compute_limits(gates, np.array([road.distance]), np.zeros(1))
+            offset = path.track(*plant.state[:2])
+            low, high = compute_limits(gates, np.array([path.distance]), np.zeros(1))
             depth = max(depth, float(low[0]) - offset, offset - float(high[0]))
     table, tuning = np.array(rows), controller.tuning
     cost = (tuning.across * np.mean(table[:, 2] ** 2) + tuning.speed * np.mean((table[:, 3] - SPEED) ** 2)

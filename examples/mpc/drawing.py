@@ -31,7 +31,7 @@ def draw_trade_off(rows: list[dict], titles: Mapping[str, str], file: Path) -> N
             scale.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             scale.set_major_formatter(FormatStrFormatter("%g"))
             scale.set_minor_formatter(NullFormatter())
-        axes[0][0].set_ylabel("distance from the road, rms [m]")
+        axes[0][0].set_ylabel("lateral deviation, rms [m]")
         _add_legend(figure, rows)
         figure.savefig(file)
         plt.close(figure)
@@ -59,12 +59,12 @@ def _add_legend(figure, rows: list[dict]) -> None:
                        label=f"horizon {h:g} s") for h in sorted({row["horizon"] for row in rows})]
     if any(not row["finished"] for row in rows):
         entries.append(Line2D([], [], color=MEASURED_COLOUR, marker="X", markerfacecolor="white", linestyle="none",
-                              label="left the road"))
+                              label="left the path"))
     figure.legend(handles=entries, loc="outside lower center", ncols=min(5, len(entries)))
 
 
 def draw_paths(tables: Mapping[tuple, np.ndarray], titles: Mapping[str, str], file: Path) -> None:
-    """Draw the distance from the road over time for the shortest and longest horizon; keys of tables: see nmpc.py."""
+    """Draw the lateral deviation over time for the shortest and longest horizon; keys of tables: see nmpc.py."""
     horizons = sorted({key[3] for key in tables})
     extremes = list(dict.fromkeys((horizons[0], horizons[-1])))
     solver = next(key[1] for key in tables)  # the first one
@@ -78,7 +78,7 @@ def draw_paths(tables: Mapping[tuple, np.ndarray], titles: Mapping[str, str], fi
                     axis.plot(table[:, 0], table[:, 3], color=MODEL_COLOUR.get(model, MEASURED_COLOUR),
                               linestyle=MODEL_LINE.get(model, "solid"), label=model)
                 axis.set_title(f"{title}; horizon {horizon:g} s")
-            row[0].set_ylabel("left of the road [m]")
+            row[0].set_ylabel("lateral deviation, left > 0 [m]")
         for axis in axes[-1]:
             axis.set_xlabel("time [s]")
         axes[0][0].legend()

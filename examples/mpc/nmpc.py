@@ -78,7 +78,7 @@ def main() -> int:
 
 
 def _format_row(row: dict, results: DriveResults) -> str:
-    end = "" if results.finished else f"   left the road after {results.duration:.1f} s"
+    end = "" if results.finished else f"   left the path after {results.duration:.1f} s"
     return (f"{row['road']:18} {row['solver']:6} {row['model']:10} {row['horizon']:4.1f} s   "
             f"error {results.error_rms:6.3f} rms {results.error_max:6.3f} max m   "
             f"cpu {results.cpu_median:6.2f} median {results.cpu_p95:6.2f} p95 ms   unsolved {results.unsolved}{end}")

@@ -1,4 +1,4 @@
-"""Planner node that publishes plan/inputs ten times a second: optimal inputs from the present state along a road.
+"""Planner node that publishes plan/inputs ten times a second: optimal inputs along a road from the current state.
 
     ROS_DOMAIN_ID=7 ./st demo --scenario S6 --duration 40                         in one terminal
     ROS_DOMAIN_ID=7 ./st shell -- python examples/mpc/plan_node.py                in another: the road of S6
@@ -54,7 +54,7 @@ def make_scenario_course(name: str) -> Course:
 
 
 def find_next_point(course: Course, last: NearPoint, state: VehicleState) -> NearPoint | None:
-    """The course point near the car that best continues the last one; None if the car is not on the road.
+    """The course point near the car that best continues the last one; None if none is near.
 
     The nearest point may belong to another lap, which continues differently.
     """
@@ -94,7 +94,7 @@ def _largest_deviation(solution: Solution, road: Reference) -> float:
 
 
 class Planner(Node):
-    """Publishes a plan every step of the controller, unless the car is slow, not measured, or off the road."""
+    """Publishes a plan every step of the controller, unless the car is slow, not measured, or off the course."""
 
     def __init__(self, controller: Controller, course: Course):
         super().__init__("planner")
@@ -106,7 +106,7 @@ class Planner(Node):
         self._point = NearPoint(0, 0, 0.0)
         self._sample = None
         self._angle, self._angle_ns = 0.0, 0
-        self._counts = {"published": 0, "without a road": 0, "not solved": 0, "slow or not measured": 0}
+        self._counts = {"published": 0, "no road ahead": 0, "not solved": 0, "slow or not measured": 0}
         self._longest_solution = 0.0
         self.create_timer(controller.tuning.step, self._plan)
 
@@ -135,7 +135,7 @@ class Planner(Node):
         self._point = point or self._point
         if road is None:
             self._controller.reset()
-            return "without a road"
+            return "no road ahead"
         acceleration = (newest.velocity_x - previous.velocity_x) / ((newest.time_ns - previous.time_ns) * 1e-9)
         measured = self._angle, acceleration
         solution = self._controller.control(state.as_tuple(), road, measured=measured)
