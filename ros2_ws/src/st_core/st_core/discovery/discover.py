@@ -82,7 +82,7 @@ class _JudgedEffects(NamedTuple):
     """The effects of the final fit; other fields as in `Discovery`."""
 
     named: tuple[result.FoundEffect, ...]
-    minor: tuple[result.FoundEffect, ...]  # in the model, but not named
+    minor: tuple[result.FoundEffect, ...]  # in the model, but not reported as causes
     contradicted: tuple[result.FoundEffect, ...]  # refuted by measured axle forces, or making the car implausible
     verdicts: dict[str, result.Reason]  # by effect
     leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]

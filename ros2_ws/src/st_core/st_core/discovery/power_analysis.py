@@ -68,7 +68,7 @@ def _power(problem: Problem, fit: Fit, index: int, size: float, information: flo
 
 
 def _required_gain(problem: Problem, rows: np.ndarray, reduction: float, limits: Limits) -> float:
-    """Smallest gain per residual at which an effect is named. rows: residuals of the final fit. reduction: reduction of
+    """Smallest gain per residual for reporting an effect. rows: residuals of the final fit. reduction: reduction of
     the mean position error by adding the effect to the model [m]."""
     min_gain = limits.negligible if reduction > limits.relevant_position else limits.relevant
     has_unexplained_residual = residual_over_noise(problem, rows) > limits.max_noise_ratio
@@ -102,7 +102,7 @@ def measure_power(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: C
 
 def _detect_effects(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, sensitivities: np.ndarray,
                     min_gain: float, limits: Limits, rng: np.random.Generator) -> list[str]:
-    """Effects that would be named in one simulated drive: the best one and those inseparable from it; none if the best
+    """Effects to be reported in one simulated drive: the best one and those inseparable from it; none if the best
     is not significant or gains less than `min_gain` per residual. change: (n, m) residuals due to the effect."""
     signs = rng.choice([-1.0, 1.0], problem.blocks)
     simulated_rows = signs[problem.block][:, None] * rows + change

@@ -184,7 +184,7 @@ class PowerAnalysis:
     """Power of the tests on these drives."""
 
     powers: tuple[Power, ...]  # for three sizes of each effect
-    alarms: int  # number of drives simulated without an effect in which one was named
+    alarms: int  # number of drives simulated without an effect in which one was reported
     simulated_drives: int  # number of drives simulated without an effect; 0 if not measured
     # Whether the power is estimated by a step of the search on simulated drives (--simulate-power); otherwise it is
     # predicted from the curvature of the loss.
@@ -265,13 +265,13 @@ class Discovery:
     """The result of `discover`."""
 
     # none = the residual is near the noise; named = one effect; ambiguous = one effect with alternatives, a combination
-    # (`unseparated_combinations`), or a better model without an effect certain enough to be named; several = more than
+    # (`unseparated_combinations`), or a better model without an effect certain enough to report; several = more than
     # one effect; varying = a significant effect that varies between runs, places, times or conditions; unknown = a
     # residual above the noise that no effect of the library explains, or only one that is at a bound or contradicts the
     # sensors or the vehicle file; not_testable = too little excitation.
     outcome: Outcome
     effects: tuple[FoundEffect, ...]
-    # Effects that are in the model to avoid a bias of the other values, but are not named.
+    # Effects that are in the model to avoid a bias of the other values, but are not reported as causes.
     minor: tuple[FoundEffect, ...]
     varying: tuple[VaryingEffect, ...]  # significant effects that vary between parts of the drives
     steps: tuple[Step, ...]  # from the base to all effects found

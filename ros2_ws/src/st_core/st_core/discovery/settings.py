@@ -22,7 +22,7 @@ class Limits:
     # and the relative difference below which two gains count as equal [1].
     undecided_p: float = 0.05
     # Relative error reduction required of an effect: over all channels, relative to the errors without it, to be kept;
-    # in one channel, relative to the baseline error, to be named as a cause [1].
+    # in one channel, relative to the baseline error, to be reported as a cause [1].
     relevant: float = 0.025
     # Reduction of the mean position error at the end of the horizon, overall or in one driving condition, that suffices
     # instead of `relevant` [m].
@@ -37,11 +37,11 @@ class Limits:
     min_rival_gain: float = 0.5
     # Largest accepted deviation of a value from the vehicle file, in standard deviations [1].
     max_file_deviation: float = 3.0
-    # Fraction of the peak force of an axle that the drives must reach for an effect on it to be named [1].
+    # Fraction of the peak force of an axle that the drives must reach for an effect on it to be reported [1].
     min_peak_force: float = 0.98
     # Distance to a bound, in parameter scales, below which a value counts as being at the bound [1].
     at_bound: float = 0.05
-    # With a residual above `max_noise_ratio`, the fraction by which an effect must reduce it to be named, and by which
+    # With a residual above `max_noise_ratio`, the fraction by which an effect must reduce it to be a cause, and by which
     # it must explain more than a rival to exclude that as an alternative, because smaller differences may be due to
     # unmodelled effects. Intervals include the values of other sets of effects whose loss is higher by less than this
     # fraction [1].
