@@ -197,8 +197,8 @@ def _varying_effect(set_: str, index: int) -> Case:
     return {"place": _at_places, "time": _begins_midway, "unknown": _outside_library}[kind](case, number, draw)
 
 
-def _add_effect(case: Case, hidden: Hidden, scale: float, draw: np.random.Generator, **others) -> Case:
-    chosen = [(hidden, scale, int(draw.choice(hidden.signs)))]
+def _add_effect(case: Case, added: Hidden, scale: float, draw: np.random.Generator, **others) -> Case:
+    chosen = [(added, scale, int(draw.choice(added.signs)))]
     return replace(case, settings=_apply(case.settings, chosen), words=_describe(chosen), scales=(scale,), **others)
 
 

@@ -2,7 +2,7 @@
 
 Steering is open loop, so that any car can drive the same programme, except on roads, where the driver keeps the
 heading. The size of a manoeuvre is the lateral acceleration that the nominal car would reach. Random manoeuvres are
-shorter than suggested ones.
+shorter than those that `st discover` suggests.
 """
 
 from collections.abc import Callable
@@ -21,7 +21,7 @@ DT = 0.01
 HEADING_GAIN = 0.3
 SPEED_CHANGE = 2.5  # m/s^2, acceleration between two manoeuvres
 STRAIGHT = 0.6  # s of straight driving before each manoeuvre
-INTO = 0.5  # s of steering into a manoeuvre that begins in a bend
+ENTRY_TIME = 0.5  # s of steering into a manoeuvre that begins in a bend
 TREMOR, TREMOR_TIME = 0.01, 0.4  # standard deviation at the steering wheel [rad] and time constant [s] of the tremor
 
 
@@ -36,7 +36,7 @@ class Builder:
     heading: float = 0.0
 
     def add(self, angle: np.ndarray, speed: np.ndarray | float | None = None, closed: bool = False) -> None:
-        """Adds a part. angle: road wheel angle [rad]; speed [m/s], by default the present one; closed: keep the
+        """Adds a part. angle: road wheel angle [rad]; speed [m/s], by default the current one; closed: keep the
         heading."""
         speeds = np.broadcast_to(self.speed if speed is None else speed, angle.shape)
         curvature = angle / (self.car.wheelbase + UNDERSTEER_GRADIENT * speeds**2)
@@ -47,11 +47,11 @@ class Builder:
         self.speed, self.heading = float(speeds[-1]), float(turned[-1])
 
     def drive(self, manoeuvre: Manoeuvre, seconds: float | None = None) -> None:
-        """Adds a manoeuvre, whose speed is the present one. seconds: its duration, by default one period."""
+        """Adds a manoeuvre, whose speed is the current one. seconds: its duration, by default one period."""
         time = _time(manoeuvre.period if seconds is None else seconds)
         angle = manoeuvre.steering(time, self.car.wheelbase)
         if manoeuvre.profile(np.zeros(1))[0]:
-            angle *= np.minimum(time / INTO, 1.0)
+            angle *= np.minimum(time / ENTRY_TIME, 1.0)
         # A driver who brakes with a constant steering angle does not control the heading.
         self.add(angle, manoeuvre.speed_at(time), closed=manoeuvre.closed_loop and not manoeuvre.pedals)
 
@@ -152,14 +152,14 @@ FULL = (SWEEP, LIMIT, BRAKING, ORDINARY)
 EXTRA = (STEPS, SLALOM, WEAVE)
 
 
-def _whole(b: Builder, lateral: float, manoeuvre: Manoeuvre) -> None:
+def _drive_all(b: Builder, lateral: float, manoeuvre: Manoeuvre) -> None:
     b.drive(manoeuvre, manoeuvre.duration)
 
 
 def suggested_part(name: str) -> Part:
     """A manoeuvre of the catalogue as it is suggested. Raises StopIteration for an unknown name."""
     one = next(m for m in CATALOGUE if m.name == name)
-    return Part(partial(_whole, manoeuvre=one), (one.speed, one.speed), (one.lateral_acceleration,) * 2)
+    return Part(partial(_drive_all, manoeuvre=one), (one.speed, one.speed), (one.lateral_acceleration,) * 2)
 
 
 def make_programme(car: VehicleParameters, seed: tuple[int, ...], parts: tuple[Part, ...] | None = None,

@@ -1,7 +1,7 @@
-"""Sparse regression of residual accelerations (SINDy), with which the discovery is compared.
+"""Sparse regression of residual accelerations (SINDy), for comparison with the discovery.
 
 Sequentially thresholded least squares (STLSQ, Brunton et al. 2016) with a library of physical terms, applied to
-measured minus modelled accelerations. The algorithm has ten lines, so that PySINDy is not required.
+measured minus modelled accelerations. The algorithm is short, so PySINDy is not required.
 """
 
 from collections.abc import Sequence
@@ -18,8 +18,8 @@ STRIDE = 5  # samples; after a filter of 5 Hz, 20 Hz are enough
 EQUATIONS = ("velocity_y", "yaw_rate", "acceleration_y")
 TERMS = ("1", "angle", "angle rate", "slip front", "slip rear", "slip front^3", "slip rear^3", "r vx", "ay abs(ay)",
          "vx^2", "ax")
-# Largest standardised term -> effects that a person would name.
-NAMED_BY = {
+# Largest standardised term -> effects that an engineer would conclude.
+SUGGESTED_EFFECTS = {
     "1": ("steering_offset", "road_bank", "crosswind", "lateral_acceleration_bias", "heading_misalignment"),
     "angle": ("steering_ratio", "front_stiffness", "steering_compliance", "roll_steer", "mass"),
     "angle rate": ("steering_lag", "steering_delay", "tyre_relaxation", "yaw_inertia", "steering_backlash"),
@@ -32,7 +32,7 @@ NAMED_BY = {
 
 
 def fit_sparse(library: np.ndarray, target: np.ndarray, threshold: float = THRESHOLD) -> np.ndarray:
-    """Coefficients of STLSQ: least squares is repeated without the terms below the threshold, until none is below it.
+    """Coefficients of STLSQ: least squares without the terms below the threshold, repeated until none is below it.
 
     library: (n, terms), target: (n,), both standardised.
     """
@@ -68,11 +68,11 @@ class Regression:
         """Effects that the largest term suggests; empty without terms."""
         if not self.coefficients.any():
             return ()
-        return NAMED_BY[TERMS[int(np.argmax(np.abs(self.coefficients).max(axis=0)))]]
+        return SUGGESTED_EFFECTS[TERMS[int(np.argmax(np.abs(self.coefficients).max(axis=0)))]]
 
     def residual_over_noise(self, runs: Sequence[DriveLog]) -> tuple[float, float]:
-        """Mean squares of the residual accelerations of other drives before and after the regression, in variances of
-        the fitted ones."""
+        """Mean squares of the residual accelerations of other drives before and after the regression, relative to the
+        variances in the fitted drives."""
         library, target = self._rows(runs)
         before = target / self._target_size
         after = before - self._standard(library) @ self.coefficients.T
@@ -82,10 +82,10 @@ class Regression:
         return (library - self._mean) / self._size
 
     def _rows(self, runs: Sequence[DriveLog]) -> tuple[np.ndarray, np.ndarray]:
-        parts = [self._of(run) for run in runs]
+        parts = [self._rows_of_run(run) for run in runs]
         return np.concatenate([a for a, _ in parts]), np.concatenate([b for _, b in parts])
 
-    def _of(self, log: DriveLog) -> tuple[np.ndarray, np.ndarray]:
+    def _rows_of_run(self, log: DriveLog) -> tuple[np.ndarray, np.ndarray]:
         """(library, measured minus modelled accelerations) of one drive."""
         car = self._base.effective_vehicle(self._vehicle)
         time = log.ins_time_ns

@@ -1,7 +1,7 @@
 """Methods for comparison with a proposal: regressions of the residual accelerations.
 
-The residual accelerations of the fitted drives are described by a sparse regression (`regression`) or a Gaussian
-process, and added to those of the model in the simulation of the held-out drives.
+A sparse regression (`regression`) or a Gaussian process describes the residual accelerations of the fitted drives. It
+is added to the model in the simulation of the held-out drives.
 """
 
 import warnings
@@ -31,7 +31,7 @@ Push = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarr
 
 def compare_methods(drives: Sequence[DriveLog], held_out: Sequence[DriveLog], vehicle: VehicleParameters,
                     answer: AugmentedModel, settings: DiscoverySettings) -> dict[str, Any]:
-    """Held-out position error after 5 s [m] by method, and the names that the methods suggest."""
+    """Held-out position error after 5 s [m] by method, and the effects or inputs that the methods suggest."""
     windows = Windows(held_out, vehicle, settings)
     regression = Regression(drives, vehicle, answer)
     process, inputs = _fit_process(regression, drives, vehicle, answer)
@@ -76,24 +76,24 @@ def _fit_process(regression: Regression, drives: Sequence[DriveLog], vehicle: Ve
     inputs = np.stack([rows["angle"], rows["slip front"], rows["slip rear"], speed, rate, rows["ax"]], axis=1)
     mean, size = inputs.mean(axis=0), inputs.std(axis=0) + 1e-9
     chosen = np.random.default_rng(SEED).choice(len(inputs), min(SAMPLES, len(inputs)), replace=False)
-    made, named = [], []
+    processes, relevant_inputs = [], []
     for k in (0, 1):
         kernel = RBF(np.ones(len(FEATURES)), (0.2, 1e3)) + WhiteKernel(0.5)
         process = GaussianProcessRegressor(kernel, normalize_y=True, random_state=SEED)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ConvergenceWarning)  # of inputs that do not matter
+            warnings.simplefilter("ignore", ConvergenceWarning)  # of irrelevant inputs
             process.fit((inputs[chosen] - mean) / size, target[chosen, k])
-        made.append(process)
-        named.append(FEATURES[int(np.argmin(process.kernel_.k1.length_scale))])
+        processes.append(process)
+        relevant_inputs.append(FEATURES[int(np.argmin(process.kernel_.k1.length_scale))])
 
     def push(states, angle, a_x):
         f = (_features(states, angle, a_x, car) - mean) / size
         good = np.isfinite(f).all(axis=1)
         added = np.zeros((2, len(f)))
-        for k, process in enumerate(made):
+        for k, process in enumerate(processes):
             added[k, good] = process.predict(f[good])
         return added[0], added[1]
-    return push, named
+    return push, relevant_inputs
 
 
 def _position_error(windows: Windows, vehicle: VehicleParameters, answer: AugmentedModel, push: Push) -> float:

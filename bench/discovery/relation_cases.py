@@ -24,8 +24,8 @@ WRONG = {"front_stiffness_factor": 1.15, "steering_ratio_factor": 0.94, "yaw_ine
 
 @dataclass(frozen=True)
 class RelationCase:
-    """A case of block L, M or N. hidden: None in N. car: the healthy car. scale: factor on the size. wrong: of the
-    file."""
+    """A case of block L, M or N. hidden: None in N. car: the healthy car. scale: factor on the size. wrong: whether the
+    vehicle file has wrong values."""
 
     set_: str
     block: str

@@ -21,7 +21,7 @@ def main(arguments: Sequence[str]) -> int:
         "L: twelve relations, M: six effects removed from the library, N: no relation."))
     parser.add_argument("--set", default="development", help="development, sealed, sealed-2, or any other word")
     parser.add_argument("--until", type=float, metavar="MINUTES", help="start no case after this time")
-    parser.add_argument("--skip", type=int, default=0, metavar="CASES", help="leave out the first cases")
+    parser.add_argument("--skip", type=int, default=0, metavar="CASES", help="skip the first cases")
     parser.add_argument("--plain", action="store_true", help="without oracle and baselines")
     parser.add_argument("--out", type=Path, default=Path("relations.jsonl"),
                         help="file of JSON lines; cases that it contains are not run again")
@@ -53,11 +53,11 @@ def _run(cases: Sequence[RelationCase], file: Path, until: float | None, whole: 
             if until is not None and time.time() >= until:
                 break
             try:
-                answered = run_case(case, whole)
+                record = run_case(case, whole)
             except Stopped as error:
                 print(f"{case.block} {case.index}: cannot be driven, {error}", flush=True)
                 continue
-            done[key] = {"set": key[0], "block": key[1], "index": key[2], "version": source_version(), **answered}
+            done[key] = {"set": key[0], "block": key[1], "index": key[2], "version": source_version(), **record}
             with file.open("a") as out:
                 out.write(json.dumps(done[key]) + "\n")
             _print_record(done[key])

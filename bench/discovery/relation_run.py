@@ -25,8 +25,8 @@ ORACLE_LEFT_OUT = ("front_stiffness", "rear_stiffness")
 
 
 def run_case(case: RelationCase, whole: bool = True) -> Record:
-    """The record of a case. whole: with the oracle and the two baselines. As in `st discover`, a relation is searched
-    only if a large error is unexplained."""
+    """The record of a case. whole: with the oracle and the two baselines. As in `st discover`, a relation is
+    searched only if a large error is unexplained."""
     drives = drives_of(case)
     vehicle, settings = drives.vehicle, case.settings
     begin = time.process_time()

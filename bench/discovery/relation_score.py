@@ -16,7 +16,7 @@ from .score import wilson
 Record = dict[str, Any]
 WORSE = 1.02  # ratio of the position errors with and without a relation above which the relation is worse
 CLOSABLE = 0.02, 0.1
-"""Minimum gain of the oracle for a meaningful share of it: [m], and relative to the error with the library."""
+"""Minimum gain of the oracle for a meaningful fraction of it: [m], and relative to the error with the library."""
 DURATION = 300.0  # s of driving for which the processor time is reported
 
 
@@ -30,12 +30,12 @@ def unexplained_error(r: Record) -> float:
 
 
 def is_closable(r: Record) -> bool:
-    least, share = CLOSABLE
-    return unexplained_error(r) > max(least, share * r["position"]["found"])
+    least, fraction = CLOSABLE
+    return unexplained_error(r) > max(least, fraction * r["position"]["found"])
 
 
 def is_noticed(r: Record) -> bool:
-    """Whether the answer reports an effect that no known one explains; only then a relation is searched."""
+    """Whether the answer reports an error that no effect of the library explains; only then a relation is searched."""
     return r["searched"]
 
 
@@ -49,12 +49,12 @@ def is_place_right(r: Record) -> bool:
 
 
 def is_slot_right(r: Record) -> bool:
-    """Whether the place of the relation, or of one of its alternatives, is right."""
+    """Whether the place of the relation, or of one of its alternatives, is correct."""
     return bool(set(list_places(r)) & set(hidden_of(r).places))
 
 
-def closed_share(r: Record, after: float | None = None) -> float:
-    """Share of the unexplained error that the proposal removes; 0 without a proposal."""
+def closed_fraction(r: Record, after: float | None = None) -> float:
+    """Fraction of the unexplained error that the proposal removes; 0 without a proposal."""
     return (r["position"]["found"] - (r["position"]["proposed"] if after is None else after)) / unexplained_error(r)
 
 
@@ -67,15 +67,15 @@ def list_places(r: Record) -> list[str]:
     return list(dict.fromkeys([r["law"]["place"], *(split_name(name)[0] for name in r["law"]["others"])]))
 
 
-def list_misnamed_by_library(r: Record) -> list[str]:
-    """Effects of the library that are stated alone that are neither in the car nor in a slot of the relation."""
-    fine = {*plant_differences(r["plant"]), *SCATTER}
-    return [n for n in r["alone"] if n not in fine and get_effect(n).slot not in hidden_of(r).slots]
+def list_wrong_effects_by_library(r: Record) -> list[str]:
+    """Effects of the library that are stated alone, but are neither in the car nor in a slot of the relation."""
+    true = {*plant_differences(r["plant"]), *SCATTER}
+    return [n for n in r["alone"] if n not in true and get_effect(n).slot not in hidden_of(r).slots]
 
 
-def list_misnamed(r: Record) -> list[str]:
-    """Misnamed effects that the proposal does not declare redundant."""
-    return [n for n in list_misnamed_by_library(r) if n not in r.get("redundant", ())]
+def list_wrong_effects(r: Record) -> list[str]:
+    """Wrong effects stated alone that the proposal does not declare redundant."""
+    return [n for n in list_wrong_effects_by_library(r) if n not in r.get("redundant", ())]
 
 
 def is_shape_right(r: Record) -> bool:
@@ -91,7 +91,7 @@ def make_row(name: str, measured: str, required: str = "", goal: str = "") -> tu
     return name, measured, required, goal
 
 
-def format_share(hits: Iterable[bool]) -> str:
+def format_ratio(hits: Iterable[bool]) -> str:
     values = list(hits)
     if not values:
         return "no cases"
@@ -105,7 +105,7 @@ def format_counts(numbers: Iterable[int]) -> str:
 
 
 def format_spread(values: Sequence[float]) -> str:
-    """Formats median and 10th percentile of shares."""
+    """Formats median and 10th percentile of fractions."""
     if not len(values):
         return "no cases"
     return f"{np.median(values):.0%} / {np.quantile(values, 0.1):.0%} ({len(values)} cases)"
@@ -120,27 +120,27 @@ def score_rows(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
     times = [seconds(r) for r in records]
     alarms = sum(r["law"] is not None for r in nothing)
     return [
-        make_row("noticed (reported as missing)", format_share(map(is_noticed, hidden)), "85 %", "95 %"),
-        make_row("... by a proposal, or as the outcome *unknown*", format_share(map(is_proposed_or_unknown, hidden))),
-        make_row("... where the library leaves an error", format_share(map(is_noticed, matter))),
-        make_row("... on the virtual Leaf, where nothing else is missing", format_share(is_noticed(r) for r in hidden
+        make_row("noticed (reported as missing)", format_ratio(map(is_noticed, hidden)), "85 %", "95 %"),
+        make_row("... by a proposal, or as the outcome *unknown*", format_ratio(map(is_proposed_or_unknown, hidden))),
+        make_row("... where the library leaves an error", format_ratio(map(is_noticed, matter))),
+        make_row("... on the virtual Leaf, where nothing else is missing", format_ratio(is_noticed(r) for r in hidden
                                                                                         if r["plant"] == LEAF)),
-        make_row("right slot, or a set that contains it, of proposals", format_share(map(is_slot_right, proposed)),
+        make_row("right slot, or a set that contains it, of proposals", format_ratio(map(is_slot_right, proposed)),
                  "80 %", "90 %"),
-        make_row("... the place of the proposal itself", format_share(map(is_place_right, proposed))),
-        make_row("... where the library leaves an error", format_share(is_slot_right(r) for r in matter if r["law"])),
+        make_row("... the place of the proposal itself", format_ratio(map(is_place_right, proposed))),
+        make_row("... where the library leaves an error", format_ratio(is_slot_right(r) for r in matter if r["law"])),
         make_row(f"... places named, of {len(ALL_TERMS)}: median / largest",
                  format_counts(len(list_places(r)) for r in proposed)),
         make_row("held-out gap closed relative to the oracle, median / 10th percentile",
-                 format_spread([closed_share(r) for r in matter]), "70 / 40 %", "90 / 60 %"),
-        make_row("held-out error increased, of proposals", format_share(map(is_worse, proposed)), "1 %", "0"),
+                 format_spread([closed_fraction(r) for r in matter]), "70 / 40 %", "90 / 60 %"),
+        make_row("held-out error increased, of proposals", format_ratio(map(is_worse, proposed)), "1 %", "0"),
         make_row("proposal without a hidden relation", f"{alarms} of {len(nothing)}", "1 of 60", "0"),
         make_row("... reported as missing", f"{sum(map(is_noticed, nothing))} of {len(nothing)}"),
-        make_row("a wrong effect of the library stated alone", format_share(bool(list_misnamed(r)) for r in hidden),
-                 "5 %", "2 %"),
+        make_row("a wrong effect of the library stated alone",
+                 format_ratio(bool(list_wrong_effects(r)) for r in hidden), "5 %", "2 %"),
         make_row("... before the corrections of the proposal",
-                 format_share(bool(list_misnamed_by_library(r)) for r in hidden)),
-        make_row("first reading of the shape right, if the place is", format_share(map(is_shape_right, shaped)),
+                 format_ratio(bool(list_wrong_effects_by_library(r)) for r in hidden)),
+        make_row("first reading of the shape right, if the place is", format_ratio(map(is_shape_right, shaped)),
                  "60 %", "80 %"),
         make_row("time, 5 minutes of driving, one core, median / largest",
                  f"{np.median(times):.0f} / {max(times):.0f} s"
@@ -154,8 +154,8 @@ def method_rows(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
     everywhere = [r for r in records if r.get("baselines")]
 
     def one(name: str, after: Callable[[Record], float], names: str) -> tuple[str, str, str, str]:
-        worse = format_share(after(r) > WORSE * r["position"]["found"] for r in everywhere)
-        return name, format_spread([closed_share(r, after(r)) for r in given]), worse, names
+        worse = format_ratio(after(r) > WORSE * r["position"]["found"] for r in everywhere)
+        return name, format_spread([closed_fraction(r, after(r)) for r in given]), worse, names
 
     def regressed(r: Record) -> bool:
         return bool({get_effect(n).slot for n in r["baselines"]["regression_names"]} & set(hidden_of(r).slots))
@@ -164,9 +164,9 @@ def method_rows(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
     most = max(set(inputs), key=inputs.count) if inputs else "-"
     return [
         one("proposal, or none", lambda r: r["position"]["proposed"],
-            "a relation; slot right in " + format_share(map(is_slot_right, [r for r in everywhere if r["law"]]))),
+            "a relation; slot right in " + format_ratio(map(is_slot_right, [r for r in everywhere if r["law"]]))),
         one("sparse regression of residual accelerations", lambda r: r["baselines"]["regression"],
-            f"its largest term; a name related to it acts in the slot in {format_share(map(regressed, everywhere))}"),
+            f"its largest term; a name related to it acts in the slot in {format_ratio(map(regressed, everywhere))}"),
         one("Gaussian process on residual accelerations", lambda r: r["baselines"]["process"],
             f"nothing; its shortest length scale is most often that of the {most} "
             f"({inputs.count(most)} of {len(inputs)})"),

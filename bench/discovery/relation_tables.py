@@ -54,8 +54,8 @@ def _relation_rows(records: Sequence[Record]) -> list[tuple[str, ...]]:
     for r in records:
         by[r["hidden"]].append(r)
 
-    def mean(rows: Sequence[Record], which: str) -> str:
-        values = [r["position"][which] for r in rows if which in r["position"]]
+    def mean(rows: Sequence[Record], model: str) -> str:
+        values = [r["position"][model] for r in rows if model in r["position"]]
         return f"{sum(values) / len(values):.2f}" if values else "-"
 
     lines = []
@@ -65,7 +65,7 @@ def _relation_rows(records: Sequence[Record]) -> list[tuple[str, ...]]:
             relations = [r for r in rows if r["law"]]
             slot = "-" if name == "nothing" else f"{sum(map(score.is_slot_right, relations))} of {len(relations)}"
             lines.append((name, str(len(rows)), str(sum(map(score.is_noticed, rows))), slot,
-                          *(mean(rows, which) for which in ("base", "found", "proposed", "oracle"))))
+                          *(mean(rows, model) for model in ("base", "found", "proposed", "oracle"))))
     return lines
 
 
@@ -85,7 +85,7 @@ def _failure_rows(records: Sequence[Record]) -> list[tuple[str, ...]]:
 
 
 def list_failures(r: Record) -> list[str]:
-    """Errors of an answer; empty for a right one."""
+    """Errors of an answer; empty for a correct one."""
     if r["block"] == "N":
         return ["a proposal without a hidden relation"] if r["law"] else []
     wrong = []
@@ -97,5 +97,5 @@ def list_failures(r: Record) -> list[str]:
         wrong += ["error increased"] if score.is_worse(r) else []
         if score.is_place_right(r) and score.hidden_of(r).shapes and not score.is_shape_right(r):
             wrong.append(f"shape read as {r['law']['shape'] or 'none'}")
-    misnamed = score.list_misnamed(r)
-    return [*wrong, *([f"stated alone: {', '.join(misnamed)}"] if misnamed else [])]
+    effects = score.list_wrong_effects(r)
+    return [*wrong, *([f"stated alone: {', '.join(effects)}"] if effects else [])]

@@ -12,9 +12,9 @@ from st_sim.settings import REALISTIC
 from .oracle import BASE
 from .sensing import round_to_resolution, select_noise
 
-MARGIN_NS = 700_000_000  # at both ends, where the smoothed forward acceleration is unknown
+MARGIN_NS = 700_000_000  # at both ends, where the smoothed longitudinal acceleration is unknown
 STEERING_NOISE = REALISTIC["steering_sensor_noise"]  # rad, at the steering wheel
-WIDTH = 15  # samples of 10 ms for smoothing the recorded angle, because a driver steers more slowly
+WIDTH = 15  # samples of 10 ms for smoothing the recorded angle; drivers steer more slowly than this
 
 
 def resimulate(log: DriveLog, vehicle: VehicleParameters, seed: int) -> DriveLog:
@@ -39,8 +39,8 @@ def resimulate(log: DriveLog, vehicle: VehicleParameters, seed: int) -> DriveLog
     noise = dict(zip(("x", "y", "velocity_x", "velocity_y", "yaw", "rate", "force"), select_noise(
         seed, len(x), v_x, ("x", "y", "velocity_x", "velocity_y", "yaw", "rate_z", "force_y")), strict=True))
 
-    def read(values: np.ndarray, what: str, rounding: str) -> np.ndarray:
-        return round_to_resolution(values + noise[what], rounding)
+    def read(values: np.ndarray, channel: str, rounding: str) -> np.ndarray:
+        return round_to_resolution(values + noise[channel], rounding)
 
     steering = log.road_wheel_angle * vehicle.steering_ratio + vehicle.steering_wheel_offset
     steering = steering + STEERING_NOISE * np.random.default_rng([seed, 4]).standard_normal(len(steering))

@@ -1,6 +1,6 @@
 """Runs cases: their drives, the answer of `discover`, and its comparison with the truth.
 
-Many cases run in an order in which all blocks advance at the same rate, and an interrupted run can be continued.
+Cases run in an order in which all blocks advance at the same rate; an interrupted run can be continued.
 """
 
 import json
@@ -24,7 +24,7 @@ from .effects import SCATTER
 from .judge import judge_answer
 from .next_drive import try_suggestion
 
-BASELINE_INTERVAL = 3  # every third case of blocks A and B is also given to the other methods
+BASELINE_INTERVAL = 3  # every third case of blocks A and B is also run with the other methods
 Record = dict[str, Any]
 AnyCase = Case | EditCase
 
@@ -128,9 +128,9 @@ def read_records(file: Path) -> dict[tuple[str, str, int], Record]:
 
 
 def read_files(files: Iterable[Path]) -> list[Record]:
-    """Records of several files; if files answer a case with the same limit, the record of the last file is used."""
-    kept = {(*key, *r.get("limit", ())): r for file in files for key, r in read_records(file).items()}
-    return list(kept.values())
+    """Records of several files; if several contain a case with the same limit, the last counts."""
+    records = {(*key, *r.get("limit", ())): r for file in files for key, r in read_records(file).items()}
+    return list(records.values())
 
 
 def run_all(cases: Iterable[AnyCase], file: Path, until: float | None, report: Callable[[Record], None],

@@ -1,4 +1,4 @@
-"""Computes scores from records: shares with 95 % Wilson intervals, with the required values and the goals."""
+"""Computes scores from records: fractions with 95 % Wilson intervals, required values and goals."""
 
 import math
 from collections import defaultdict
@@ -15,28 +15,28 @@ from .judge import plant_differences
 
 Record = dict[str, Any]
 MIN_LOSS_RATIO = 1.10
-"""A hidden effect counts if the held-out loss of the oracle without it, divided by that with it, is at least this."""
+"""A hidden effect is relevant if the oracle's held-out loss without it, divided by that with it, is at least this."""
 CLOSABLE = 0.02, 0.1
-"""Minimum gain of the oracle, [m] and as share of the base error, for a share of it to be meaningful."""
+"""Minimum gain of the oracle, [m] and relative to the base error, for a meaningful fraction of it."""
 WORSE = 1.02
 """Ratio of held-out position error to that of the base above which an answer is worse."""
 MIN_HIDDEN_LOSS_RATIO = 1.10
-"""Block E: least ratio of the base's loss to its loss on drives of the healthy car for a hidden effect to count."""
+"""Block E: minimum ratio of the base's loss to its loss on drives of the healthy car for a relevant hidden effect."""
 STRATA = (("strong", 0.5), ("medium", 0.25), ("weak", 0.1), ("invisible", -math.inf))
-MIN_CASES = 4  # cases of an effect for a comparison of its promised power with the results
+MIN_CASES = 4  # cases of an effect for a comparison of its predicted power with the results
 
 
-def wilson(hits: int, of: int, z: float = 1.959964) -> tuple[float, float]:
-    """95 % interval of a share: (p + z^2/2n +- z sqrt(p(1-p)/n + z^2/4n^2)) / (1 + z^2/n). (0, 1) for no cases.
+def wilson(hits: int, count: int, z: float = 1.959964) -> tuple[float, float]:
+    """95 % interval of a proportion: (p + z^2/2n +- z sqrt(p(1-p)/n + z^2/4n^2)) / (1 + z^2/n). (0, 1) for no cases.
 
     Source: Wilson, JASA 22 (1927).
     """
-    if not of:
+    if not count:
         return 0.0, 1.0
-    p, square = hits / of, z * z
-    middle = p + square / (2 * of)
-    half = z * math.sqrt(p * (1 - p) / of + square / (4 * of * of))
-    return max(0.0, (middle - half) / (1 + square / of)), min(1.0, (middle + half) / (1 + square / of))
+    p, square = hits / count, z * z
+    middle = p + square / (2 * count)
+    half = z * math.sqrt(p * (1 - p) / count + square / (4 * count * count))
+    return max(0.0, (middle - half) / (1 + square / count)), min(1.0, (middle + half) / (1 + square / count))
 
 
 def stratum(detectability: float) -> str:
@@ -101,7 +101,7 @@ def values_inside(r: Record) -> list[tuple[str, bool]]:
     return rows
 
 
-def closed_share(r: Record) -> float | None:
+def closed_fraction(r: Record) -> float | None:
     """Fraction of the oracle's reduction of the held-out 5 s position error; None if that reduction is too small."""
     p = r.get("position", {})
     if "oracle" not in p or p["base"] - p["oracle"] < max(CLOSABLE[0], CLOSABLE[1] * p["base"]):
@@ -120,17 +120,17 @@ def is_reported(r: Record) -> bool:
 
 
 def power_pairs(records: Iterable[Record]) -> list[tuple[str, float, bool]]:
-    """(effect, promised power for the hidden size, whether it was found) for cases with a power analysis."""
+    """(effect, predicted power for the hidden size, whether it was found) for cases with a power analysis."""
     pairs = []
     for r in records:
         for name in r["hidden"]:
-            promised = promised_power(r, name)
-            if promised is not None:
-                pairs.append((name, promised, is_stated(r, name)))
+            predicted = predicted_power(r, name)
+            if predicted is not None:
+                pairs.append((name, predicted, is_stated(r, name)))
     return pairs
 
 
-def promised_power(r: Record, name: str) -> float | None:
+def predicted_power(r: Record, name: str) -> float | None:
     """Predicted power for the true size of a hidden effect, interpolated over the logarithm of the size."""
     rows = [(p, abs(size), found) for e, p, size, found in r.get("powers", ()) if e == name]
     truth = r["truth"].get(name)
@@ -143,7 +143,7 @@ def promised_power(r: Record, name: str) -> float | None:
 
 
 def budget_misses(r: Record) -> list[float]:
-    """Absolute errors of the estimated shares of the error, each part added last."""
+    """Absolute errors of the estimated error contributions, each part added last."""
     return [abs(r["budget"].get(part, [0.0])[0] - last) for part, (last, _) in r.get("shares", {}).items()]
 
 
@@ -157,9 +157,9 @@ def share_of(hits: Sequence[bool]) -> Record:
             "high": high}
 
 
-def value_of(values: Iterable[float | None], how: Callable[[Sequence[float]], float] = np.mean) -> Record:
+def value_of(values: Iterable[float | None], reduce: Callable[[Sequence[float]], float] = np.mean) -> Record:
     given = [v for v in values if v is not None]
-    return {"of": len(given), "value": float(how(given)) if given else None}
+    return {"of": len(given), "value": float(reduce(given)) if given else None}
 
 
 class Table:
@@ -204,7 +204,7 @@ def score_rows(records: Sequence[Record]) -> list[Record]:
 
 
 def _score_found_effects(table: Table, rows: list[Record], prefix: str) -> None:
-    """Adds the rows of blocks A and B. who: prefix of their names."""
+    """Adds the rows of blocks A and B. prefix: of their names."""
     slack = "within 6 points of " if prefix else ""
     table.add(f"{prefix}A and B: effects that matter, stated alone or in a set", slack + "90 %", "97 %",
               share_of([is_stated(r, n) for r in rows for n in relevant_effects(r)]))
@@ -214,7 +214,7 @@ def _score_found_effects(table: Table, rows: list[Record], prefix: str) -> None:
               value_of([len(g) for r in rows for g in list_statements(r)]))
     table.add(f"{prefix}A and B: values inside their 95 % interval", slack + "85 %", "92 %",
               share_of([inside for r in rows for _, inside in values_inside(r)]))
-    shares = [closed_share(r) for r in rows]
+    shares = [closed_fraction(r) for r in rows]
     for name, q, required, goal in (("median", 0.5, "92 %", "98 %"), ("10th percentile", 0.1, "75 %", "90 %")):
         table.add(f"{prefix}A and B: held-out 5 s position closed relative to the oracle, {name}", slack + required,
                   goal, {**value_of(shares, lambda v, q=q: np.quantile(v, q)), "percent": True})
@@ -262,11 +262,11 @@ def _score_edits(table: Table, rows: list[Record]) -> None:
 
 
 def _power_error(rows: Iterable[Record]) -> Record:
-    """Mean over the effects of the difference between mean promised power and share of cases in which they were
+    """Mean, over the effects, of the difference between mean predicted power and fraction of cases in which they were
     found."""
     by: dict[str, list[tuple[float, bool]]] = defaultdict(list)
-    for name, promised, found in power_pairs(rows):
-        by[name].append((promised, found))
+    for name, predicted, found in power_pairs(rows):
+        by[name].append((predicted, found))
     return value_of([abs(float(np.mean([p for p, _ in v])) - float(np.mean([f for _, f in v])))
                      for v in by.values() if len(v) >= MIN_CASES])
 

@@ -92,7 +92,7 @@ def _noise_free_readings(rows: np.ndarray, bank: np.ndarray, grade: np.ndarray, 
 
 
 def _noise(seed: int, count: int, speed: np.ndarray) -> np.ndarray:
-    """Noise (15, n) for `ins_noise` 1: white noise, for rates and forces larger at high speed, and slow noise."""
+    """Noise (15, n) for `ins_noise` 1: slow noise, and white noise, which for rates and forces grows with speed."""
     kinds = len(CHANNELS)
     draws = _stream(np.random.default_rng([seed, 3]), kinds * (1 + 2 * count), 4096)
     first, draws = draws[:kinds], draws[kinds:].reshape(count, kinds, 2)
@@ -113,7 +113,7 @@ def select_noise(seed: int, count: int, speed: np.ndarray, channels: Sequence[st
 
 
 def _stream(generator: np.random.Generator, count: int, block: int) -> np.ndarray:
-    """The first numbers of `environment.make_normal_source`, which takes blocks from their ends."""
+    """The first numbers of `st_sim.plant.make_normal_source`, which takes blocks from their ends."""
     blocks = [generator.standard_normal(block)[::-1] for _ in range(-(-count // block))]
     return np.concatenate(blocks)[:count]
 

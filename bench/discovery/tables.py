@@ -27,12 +27,12 @@ See how often `st discover` is right, by kind of case and by effect ([how it wor
 
 | block | cases |
 |---|---|
-| **A** | one effect is hidden; otherwise the vehicle file is that of the car |
+| **A** | one effect is hidden; otherwise the vehicle file is correct |
 | **B** | three to five parameters of the file are wrong; up to two sensor errors and two physical effects are hidden |
 | **C** | nothing is wrong: the base model itself is the car, or the file was identified on other drives |
 | **D** | one effect or none, with healthy reference drives |
 | **E** | effects that vary between places, or begin in the middle of every run, or are unknown to the library |
-| **F** | known changes put into nine real drives |
+| **F** | known changes of nine real drives |
 
 A to C and E are without a reference. A third of A to C is on the multi-body cars of commonroad-vehicle-models, the rest
 on the virtual Leaf. In brackets: cases, and the 95 % Wilson interval."""
@@ -73,8 +73,8 @@ def _origin(records: Sequence[Record]) -> str:
     development = sum(r["set"] != "sealed" for r in records if r["index"] >= 0)
     if not development:
         return text
-    which = f"All {development}" if development == counts.total() else f"{development} of the {counts.total()}"
-    warning = (f"**Development cases.** {which} cases below were known during the development of "
+    cases = f"All {development}" if development == counts.total() else f"{development} of the {counts.total()}"
+    warning = (f"**Development cases.** {cases} cases below were known during the development of "
                "the decision: they show progress, not quality.")
     if "sealed" not in sets:
         warning += " **The sealed set has not been opened yet.**"
@@ -106,7 +106,7 @@ def _by_effect(records: Sequence[Record]) -> str:
 
 
 def _methods(records: Sequence[Record]) -> str:
-    compared = [r for r in records if r.get("baselines") and score.closed_share(r) is not None]
+    compared = [r for r in records if r.get("baselines") and score.closed_fraction(r) is not None]
     if not compared:
         return NOT_RUN
 
@@ -164,8 +164,8 @@ def _failure_tables(records: Sequence[Record]) -> list[str]:
             if r["block"] == block and r["index"] >= 0:
                 wrong = list_failures(r, plain)
                 if wrong:
-                    what = f"{r['plant']}: {r['words']}" if "words" in r else f"{r['kind']} {r['size']:+.3g}"
-                    rows.append((f"{block} {r['index']}", what, f"{r['outcome']}: {format_answer(r)}",
+                    hidden = f"{r['plant']}: {r['words']}" if "words" in r else f"{r['kind']} {r['size']:+.3g}"
+                    rows.append((f"{block} {r['index']}", hidden, f"{r['outcome']}: {format_answer(r)}",
                                  "; ".join(wrong)))
         if rows:
             parts.append(format_table(("case", "hidden", "answer", "wrong"), rows))
@@ -179,7 +179,7 @@ def format_answer(r: Record) -> str:
 
 
 def list_failures(r: Record, plain: Record | None) -> list[str]:
-    """Errors of an answer; empty for a right one."""
+    """Errors of an answer; empty for a correct one."""
     if r["outcome"] == "error":
         return [r["error"]]
     block = r["block"]

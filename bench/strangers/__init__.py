@@ -1,4 +1,4 @@
-"""Tests `st discover` with cars that share no equation with the project, and scores its statements."""
+"""Tests `st discover` with cars whose equations differ from the project's, and scores its statements."""
 
 from collections.abc import Sequence
 

@@ -1,9 +1,9 @@
-"""Changes of the answers if a number that decides in a discovery is halved or doubled.
+"""Changes of the answers if a limit of the discovery is halved or doubled.
 
     python -m bench.strangers.ablation [--cases NAME ...] [--page]
 
-Development cases only. A case is driven and searched once; numbers that act after the search reuse that search. Numbers
-of the error regions are applied to the errors of the model of the vehicle file. Numbers that act only on suggested
+Development cases only. A case is driven and searched once; limits that act after the search reuse that search. Limits
+of the error regions are applied to the errors of the model of the vehicle file. Limits that act only on suggested
 drives are not included. The functions of the discovery are called without the estimates of `st check` for the sensors.
 One JSON line for each case and variant is appended to .st/strangers/ablation.jsonl; --page writes the table of all
 these lines.
@@ -58,7 +58,7 @@ CONSTANTS: dict[str, Any] = {"UNSELECTED_DEVIATION": evidence, **IN_AXLES, **IN_
 """Module of each constant, or all modules that import it."""
 NUMBERS = (*LIMITS, "model_error", *CONSTANTS)
 SEARCHED = ("max_file_deviation", "min_relative_size", *IN_SEARCH)
-"""Numbers that act during the search; all others act after it."""
+"""Limits that act during the search; all others act after it."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -81,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def count_variants(name: str, numbers: Sequence[str]) -> Iterator[dict[str, Any]]:
-    """Yields the counts of one case, unchanged and with each number changed."""
+    """Yields the counts of one case, unchanged and with each limit changed."""
     with tempfile.TemporaryDirectory(prefix="st-ablation-") as temporary:
         folder = Path(temporary)
         truth = write_case(cases("development")[name], folder)
@@ -89,24 +89,24 @@ def count_variants(name: str, numbers: Sequence[str]) -> Iterator[dict[str, Any]
         logs = [read_csv(path, vehicle).log for path in sorted((folder / "drives").glob("*.csv"))]
     analysis = Analysis(logs, vehicle, "nonlinear", (), DiscoverySettings(), None, {}, 1, {})
     searched = _search(analysis)
-    usual, regions = _count(analysis, searched, truth), _find_regions(analysis, searched)
-    yield {"case": name, "number": "", "factor": 1.0, "changed": False, **usual, "regions": len(regions)}
+    unchanged, regions = _count(analysis, searched, truth), _find_regions(analysis, searched)
+    yield {"case": name, "number": "", "factor": 1.0, "changed": False, **unchanged, "regions": len(regions)}
     for number in numbers:
         for factor in FACTORS:
             with _multiply(analysis, number, factor) as other:
                 if number in IN_REGIONS:
                     changed = _find_regions(other, searched)
-                    yield {"case": name, "number": number, "factor": factor, "changed": changed != regions, **usual,
+                    yield {"case": name, "number": number, "factor": factor, "changed": changed != regions, **unchanged,
                            "regions": len(changed)}
                     continue
                 found = _count(other, _search(other) if number in SEARCHED else searched, truth)
-            yield {"case": name, "number": number, "factor": factor, "changed": found != usual, **found,
+            yield {"case": name, "number": number, "factor": factor, "changed": found != unchanged, **found,
                    "regions": len(regions)}
 
 
 @contextmanager
 def _multiply(analysis: Any, number: str, factor: float) -> Iterator[Any]:
-    """Context in which one number is multiplied; yields the analysis that uses it."""
+    """Context in which one limit is multiplied; yields the analysis that uses it."""
     if number in LIMITS:
         other = copy(analysis)
         other.limits = replace(analysis.limits, **{number: factor * getattr(analysis.limits, number)})
@@ -142,7 +142,7 @@ def _find_regions(analysis: Any, searched: tuple[Any, ...]) -> set[tuple[str, st
 
 
 def _count(analysis: Any, searched: tuple[Any, ...], truth: Mapping[str, Any]) -> dict[str, int]:
-    """Counts of statements, hidden errors, values and points of the axle curves, and how many are right."""
+    """Counts of statements, hidden errors, values and points of the axle curves, and of the correct ones among them."""
     analysis.problem, floor, parts, search, found = searched
     names = analysis._judge_effects(search, found, parts, floor)
     answer = {"effects": [_as_dict(one) for one in names.named], "minor": [_as_dict(one) for one in names.minor],
@@ -163,7 +163,7 @@ def _as_dict(effect: Any) -> dict[str, Any]:
 
 
 def page_table(lines: Sequence[Mapping[str, Any]]) -> str:
-    """The table: for each number and factor, sums over the cases, and number of cases in which a count changes."""
+    """The table: for each limit and factor, sums over the cases, and number of cases in which a count changes."""
     newest = {(line["case"], line["number"], line["factor"]): line for line in lines}
     rows = []
     for number, factor in dict.fromkeys((number, factor) for _, number, factor in newest):

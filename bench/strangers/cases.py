@@ -14,9 +14,9 @@ from .vehicles import CARS, DEVELOPMENT, MULTI_BODY, SEALED, Stranger
 
 HALVES = {"development": (DEVELOPMENT, 20261125), "sealed": (SEALED, 31415926)}
 NEW_USER = "new_user"
-"""The case of a new user: front-wheel drive, brush tyres, a vehicle file that is right except for the steering ratio,
+"""The case of a new user: front-wheel drive, brush tyres, a vehicle file that is correct except for the steering ratio,
 and six mild drives."""
-LOAD_AHEAD = 0.3  # m from the rear axle forward to the load
+LOAD_AHEAD = 0.3  # m, distance of the load ahead of the rear axle
 SINGLE = {"ratio": 6, "offset": 4, "load": 4, "lever": 4, "worn_front": 4, "worn_rear": 4, "compliance": 3, "delay": 3,
           "gyro_scale": 2, "gyro_bias": 1, "heading": 1}
 PAIRS = (("ratio", "offset"), ("lever", "delay"), ("heading", "offset"), ("ratio", "worn_rear"))

@@ -29,8 +29,8 @@ KEPT = ("outcome", "effects", "minor", "effective", "combinations", "varying", "
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs and scores the chosen cases; exit status 1 if `st discover` failed for one of them."""
     parser = argparse.ArgumentParser(prog="st bench strangers", description=(
-        "Runs st discover for drives of cars that share no equation with the project, recorded as CSV, with the "
-        "vehicle file of a usual owner, and scores its answers."))
+        "Runs st discover for drives of cars whose equations differ from the project's, recorded as CSV, with the "
+        "vehicle file of a typical owner, and scores its answers."))
     parser.add_argument("--cases", choices=[*HALVES, NEW_USER], default="development")
     parser.add_argument("--only", nargs="+", metavar="TEXT", help="names of cases, or parts of names")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="only every N-th of the chosen cases")
@@ -42,16 +42,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--score", action="store_true", help="only score the existing answers, of any version")
     parser.add_argument("--page", action="store_true", help="also write the tables in docs/measurements/strangers.md")
     chosen = parser.parse_args(arguments)
-    some = [case for case in cases(chosen.cases).values()
+    selected = [case for case in cases(chosen.cases).values()
             if not chosen.only or case.name in chosen.only
             or any(text in case.name for text in chosen.only if text not in cases(chosen.cases))][::chosen.every]
     if chosen.list:
-        print("\n".join(f"{case.name}: {_describe_hidden(case)}" for case in some))
+        print("\n".join(f"{case.name}: {_describe_hidden(case)}" for case in selected))
         return 0
     folder = chosen.output or project_root() / ".st" / "strangers" / chosen.cases
     folder.mkdir(parents=True, exist_ok=True)
     results = []
-    for case in some:
+    for case in selected:
         file = folder / f"{case.name}.json"
         known = json.loads(file.read_text()) if file.exists() else None
         if known and (chosen.score or (not chosen.fresh and known["version"] == source_version())):
@@ -102,7 +102,7 @@ def case_lines(result: Mapping[str, Any]) -> list[str]:
         return [f"{result['case']}: FAILED: {result['failed'].strip().splitlines()[-1:]}"]
     errors, held = result["answer"]["errors"]["position_5s"], result["held_out"]
     lines = [f"{result['case']} ({result['seconds']} s): "
-             + ", ".join(f"{name} {'named' if ok else 'MISSED'}" for name, ok in score.named_errors(result).items())]
+             + ", ".join(f"{name} {'reported' if ok else 'MISSED'}" for name, ok in score.named_errors(result).items())]
     lines += [f"   {format_statement(line)}" for line in score.list_statements(result)]
     ratios = ", ".join(f"{axle} {value:.2f}" for axle, value in score.force_errors(result).items() if "_" not in axle)
     inside, count = score.count_in_band(result)
@@ -113,7 +113,7 @@ def case_lines(result: Mapping[str, Any]) -> list[str]:
 
 
 def format_statement(line: Mapping[str, Any]) -> str:
-    """Formats a statement, and whether it is true for the car."""
+    """Text of a statement, and whether it is true of the car."""
     if line.get("value") is None:
         return f"{line['effect']}: {'in the car' if line['in_car'] else 'NOT IN THE CAR'}"
     low, high = line["interval"] or (None, None)
@@ -129,7 +129,7 @@ def format_statement(line: Mapping[str, Any]) -> str:
 
 
 def _describe_hidden(case: Case) -> str:
-    text = ", ".join(f"{name} {size:.4g}" for name, size in case.hidden.items()) or "no error except the usual guesses"
+    text = ", ".join(f"{name} {size:.4g}" for name, size in case.hidden.items()) or "no error except guessed values"
     return f"{text}; {DESCRIPTIONS[CARS[case.car].description]}"
 
 

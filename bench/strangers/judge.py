@@ -1,4 +1,4 @@
-"""Judges an answer of `st discover` by prediction errors on held-out drives and by the axle forces it implies."""
+"""Evaluates an answer of `st discover` by prediction errors on held-out drives and by the axle forces it implies."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,7 +18,7 @@ INTERVAL = 0.25  # s between predictions
 
 
 def held_out_errors(folder: Path, output: Path) -> dict[str, float | None]:
-    """Mean position error after 5 s [m] on the held-out drives with the file of the owner, with vehicle.yaml of the
+    """Mean position error after 5 s [m] on the held-out drives with the owner's vehicle file, with vehicle.yaml of the
     answer alone, and with model.yaml; None for a file that was not written."""
     original = read_vehicle(folder / "car" / "vehicle.yaml")
     new = read_vehicle(output / "vehicle.yaml") if (output / "vehicle.yaml").exists() else None
@@ -49,8 +49,8 @@ def implied_forces(truth: Mapping[str, Any], folder: Path, output: Path,
     """By axle, in steady cornering over the measured slip angles: slip angle [rad] and lateral forces [N, against the
     slip].
 
-    Forces of the car, of the file of the owner, of the answer (its named and minor effects at their stated values), and
-    of model.yaml with all corrections.
+    Forces of the car, of the owner's vehicle file, of the answer (its effects, also minor ones, at their stated
+    values), and of model.yaml with all corrections.
     """
     original = read_vehicle(folder / "car" / "vehicle.yaml")
     stated = {one["name"]: {key: p["value"] for key, p in one["parameters"].items()}
@@ -62,7 +62,7 @@ def implied_forces(truth: Mapping[str, Any], folder: Path, output: Path,
     forces = {name: _forces(model.select_effects([e for e in model.effects if _is_of_the_car(e)]), vehicle, truth)
               for name, (model, vehicle) in models.items()}
     return {axle: {"slip": grid.tolist(), "true": true.tolist(),
-                   **{name: of[axle].tolist() for name, of in forces.items()}}
+                   **{name: by_axle[axle].tolist() for name, by_axle in forces.items()}}
             for axle, (grid, true) in _grids(truth).items()}
 
 
@@ -71,7 +71,7 @@ def _is_of_the_car(effect: type) -> bool:
 
 
 def _grids(truth: Mapping[str, Any]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """By axle ten slip angles, of the same steady states for both axles, and the true forces."""
+    """By axle: ten slip angles, of the same steady states for both axles, and the true forces."""
     grids = {}
     for axle, curve in truth["axles"].items():
         slip = np.linspace(curve["slip"][0], curve["slip"][-1], 10)
@@ -80,7 +80,7 @@ def _grids(truth: Mapping[str, Any]) -> dict[str, tuple[np.ndarray, np.ndarray]]
 
 
 def _forces(model: AugmentedModel, vehicle: VehicleParameters, truth: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """By axle the force [N] of a model at these slip angles, from its accelerations, mass, inertia and lengths.
+    """By axle: force [N] of a model at these slip angles, from its accelerations, mass, inertia and lengths.
 
         F_f = (m a_y l_r + I r_dot) / L,  F_r = (m a_y l_f - I r_dot) / L,  a_y = v_y_dot + v_x r
     """

@@ -1,4 +1,4 @@
-"""Drives the multi-body cars of `bench.discovery` on the roads of this benchmark, with the results of
+"""Drives the multi-body cars of `bench.discovery` on the roads of this benchmark; the rows are those of
 `plants.drive`."""
 
 from dataclasses import replace

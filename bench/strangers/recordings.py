@@ -22,7 +22,7 @@ FORMATS = {"t": "%.4f", "x": "%.4f", "y": "%.4f", "yaw": "%.5f", "velocity_x": "
            "yaw_rate": "%.5f", "acceleration_x": "%.4f", "acceleration_y": "%.4f", "steering_wheel_angle": "%.5f"}
 HELD_OUT = ("hills", "country")
 """Roads of the drives that `st discover` does not get."""
-TREMOR = 0.002  # rad of the road wheels
+TREMOR = 0.002  # rad at the road wheels
 
 
 def write_case(case: Case, folder: Path, shorten: float = 1.0) -> dict:

@@ -12,10 +12,10 @@ MEMBERS = {"tyre_stiffness": ("front_stiffness", "rear_stiffness")}
 
 
 def list_statements(result: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """One dict for each named effect: whether it is in the car, value, interval, true range, and whether the interval
-    overlaps it (None without a value).
+    """One dict for each reported effect: whether it is in the car, value, interval, true range, and whether the
+    interval overlaps it (None without a value).
 
-    Effective corrections and minor effects are no statements.
+    Effective corrections and minor effects are not statements.
     """
     truth, statements = result["truth"], []
     for one in named_effects(result["answer"]):
@@ -46,7 +46,7 @@ def alternatives(effect: Mapping[str, Any]) -> set[str]:
 
 def true_range(name: str, result: Mapping[str, Any]) -> list[float] | None:
     """True range of the first parameter; that of the front stiffness includes the tyres alone if elasticity is
-    named."""
+    reported."""
     truth = result["truth"]
     value = truth["effects"].get(name)
     if name == "front_stiffness" and value:
@@ -58,7 +58,7 @@ def true_range(name: str, result: Mapping[str, Any]) -> list[float] | None:
 
 
 def named_errors(result: Mapping[str, Any]) -> dict[str, bool]:
-    """Hidden error -> whether it is named, alone or with alternatives.
+    """Hidden error -> whether it is reported, alone or with alternatives.
 
     For errors of axle stiffness, a combination whose interval contradicts the vehicle file counts as well. For a load
     it does not, because the guessed stiffness of the file contradicts it in any case.
@@ -75,7 +75,7 @@ def named_errors(result: Mapping[str, Any]) -> dict[str, bool]:
 
 
 def force_errors(result: Mapping[str, Any]) -> dict[str, float]:
-    """By axle: rms error of the implied force of the answer over that of the file [1], over the measured slip;
+    """By axle: rms error of the implied force of the answer relative to that of the file [1], over the measured slip;
     and `<axle>_file`, `<axle>_answer`, `<axle>_model`: rms errors over the largest true force [1]."""
     by_axle = {}
     for axle, curve in (result.get("forces") or {}).items():
@@ -104,7 +104,7 @@ def count_in_band(result: Mapping[str, Any]) -> tuple[int, int]:
 
 
 def axle_bands(answer: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-    """By axle the force curve of the answer (slip, low, high); empty for an answer without curves."""
+    """By axle: force curve of the answer (slip, low, high); empty for an answer without curves."""
     return {curve["axle"]: curve for curve in answer.get("axle_curves") or ()}
 
 
@@ -140,7 +140,7 @@ def totals(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "processor seconds per case": float(np.mean([one["seconds"] for one in results])) if results else None}
 
 
-def _mean_force_error(results: Sequence[Mapping[str, Any]], of: str) -> float | None:
+def _mean_force_error(results: Sequence[Mapping[str, Any]], source: str) -> float | None:
     """Mean over cases and axles of an implied-force error [1]."""
-    values = [value for one in results for key, value in force_errors(one).items() if key.endswith(f"_{of}")]
+    values = [value for one in results for key, value in force_errors(one).items() if key.endswith(f"_{source}")]
     return float(np.mean(values)) if values else None

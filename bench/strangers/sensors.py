@@ -32,9 +32,9 @@ def measure(car: Stranger, rows: np.ndarray, hidden: Mapping[str, float],
 
     def noise(kind: str) -> np.ndarray:
         white, slow = NOISE[kind]
-        keep = math.exp(-1 / (rate * SLOW_TIME))
-        kicks = slow * math.sqrt(1 - keep * keep) * rng.standard_normal(n)
-        drift = lfilter([1.0], [1.0, -keep], kicks, zi=[keep * slow * rng.standard_normal()])[0]
+        memory = math.exp(-1 / (rate * SLOW_TIME))
+        kicks = slow * math.sqrt(1 - memory * memory) * rng.standard_normal(n)
+        drift = lfilter([1.0], [1.0, -memory], kicks, zi=[memory * slow * rng.standard_normal()])[0]
         return white * rng.standard_normal(n) + drift
 
     c, s = math.cos(skew), math.sin(skew)

@@ -12,16 +12,16 @@ from .cases import Case, file_car, true_car
 from .tyres import side_force
 from .vehicles import BRISTLE, ELASTIC, FOUR_WHEELS, GRAVITY, MULTI_BODY, ROLLING, SPRUNG, Numbers
 
-MIN_DEVIATION = 0.03  # relative deviation from the file from which on the car has an effect
+MIN_DEVIATION = 0.03  # minimum relative deviation from the file for the car to have an effect
 MIN_HEIGHT_DEVIATION = 0.03  # m
 OUTER_WHEEL = 0.02
-"""Largest relative excess of the steer angle due to the laden outer wheel of a parallel linkage, t delta / (2 L) times
-the load shift: the car turns like one with a smaller steering ratio."""
+"""Largest relative excess of the steer angle of a parallel linkage due to the laden outer wheel, t delta / (2 L) times
+the load transfer: the car turns as with a smaller steering ratio."""
 PACKAGE_FRICTION = 1.049  # p_dy1 of commonroad-vehicle-models
 MAX_YAW_ACCELERATION, MAX_STEER_RATE, MIN_SPEED = 0.15, 0.12, 6.0
 """Limits of the rows for the axle force curves [rad/s^2, rad/s of the road wheels, m/s]."""
 POINTS, EDGE = 12, 0.005
-"""Points of a curve; share of the rows with the largest slip angles that are left out."""
+"""Points of a curve; fraction of the rows, those with the largest slip angles, that is left out."""
 SHAPES = ("front_tyre_curve", "rear_tyre_curve", "tyre_load_sensitivity", "front_saturation", "rear_saturation",
           "tyre_saturation", "combined_slip", "steered_drive_force")
 """Effects that all these cars have, but in other equations than the library, so that no value can be compared."""
@@ -31,18 +31,18 @@ ACCEPTED = {
     "worn_rear": ("rear_stiffness",), "compliance": ("steering_compliance", "front_stiffness", "roll_steer"),
     "delay": ("steering_delay", "steering_lag"), "gyro_scale": ("yaw_rate_scale",), "gyro_bias": ("yaw_rate_bias",),
     "heading": ("heading_misalignment",)}
-"""Names under which a hidden error counts as named: its own and those of effects that act identically."""
+"""Effects whose report counts for a hidden error: its own and those that act identically."""
 CONFOUNDED = (("front_stiffness", "steering_compliance", "roll_steer"), ("steering_delay", "steering_lag"))
 """Effects that act identically at the accelerations driven; `tyre_stiffness` is the sum of both axles' stiffness."""
 
 
 def find_truth(case: Case, drives: Iterable[np.ndarray], vehicle: VehicleParameters) -> dict[str, Any]:
-    """The truth as JSON values. vehicle: the file of the owner.
+    """The truth as JSON values. vehicle: the owner's vehicle file.
 
     effects: name -> range [low, high] of the first parameter, null without a value to compare. hidden: error -> size
     and accepted names. axles: axle -> slip angle [rad, >= 0], force of the car [N, against the slip], and force of the
     file at the same slip angle. tyre_stiffness_front: factor of the front tyres without elasticity, which the front
-    stiffness may also have if the elasticity is named.
+    stiffness may also have if the elasticity is reported.
     """
     car, file = true_car(case), file_car(case)
     curves = axle_curves(car.numbers, drives, vehicle)
@@ -153,8 +153,8 @@ def axle_curves(n: Numbers, drives: Iterable[np.ndarray], vehicle: VehicleParame
     for rows in drives:
         steady = (np.abs(rows[:, plants.TURN]) < MAX_YAW_ACCELERATION) & (rows[:, 3] > MIN_SPEED) & (
             np.abs(np.gradient(rows[:, plants.WHEEL], plants.STEP)) < MAX_STEER_RATE)
-        for into, values in zip(columns, plants.axle_forces(rows[steady], n), strict=True):
-            into.append(values)
+        for column, values in zip(columns, plants.axle_forces(rows[steady], n), strict=True):
+            column.append(values)
     slip_f, force_f, slip_r, force_r = (np.concatenate(one) for one in columns)
     return {"front": _curve(slip_f, force_f, n.wheelbase - n.front, vehicle, vehicle.tyre_front),
             "rear": _curve(slip_r, force_r, n.front, vehicle, vehicle.tyre_rear)}

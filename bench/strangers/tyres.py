@@ -13,14 +13,14 @@ from .vehicles import BRUSH, BURCKHARDT, DUGOFF, FIALA, TABLE, TMEASY
 TABLE_SLIP = np.radians([0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.5, 8.0, 10.0, 12.0, 16.0, 24.0])
 TABLE_LOAD = np.array([0.25, 0.6, 1.0, 1.4, 1.9])
 """Load over static load [1]."""
-TABLE_SHARE = np.array([
+TABLE_FORCE = np.array([
     [0.0, 0.150, 0.293, 0.424, 0.540, 0.724, 0.847, 0.925, 0.985, 1.000, 0.985, 0.955, 0.890, 0.800],
     [0.0, 0.136, 0.268, 0.390, 0.500, 0.680, 0.808, 0.894, 0.965, 0.990, 0.988, 0.962, 0.900, 0.812],
     [0.0, 0.119, 0.235, 0.345, 0.446, 0.618, 0.748, 0.842, 0.926, 0.965, 0.975, 0.956, 0.900, 0.815],
     [0.0, 0.101, 0.200, 0.296, 0.386, 0.546, 0.675, 0.774, 0.872, 0.926, 0.950, 0.940, 0.892, 0.812],
     [0.0, 0.082, 0.163, 0.242, 0.318, 0.458, 0.580, 0.680, 0.790, 0.860, 0.905, 0.908, 0.872, 0.800]])
-"""Lateral force over grip times load, by load and slip: of the order of flat-belt measurements of car tyres."""
-TABLE_SLOPE = TABLE_SHARE[2, 1] / TABLE_SLIP[1]
+"""Lateral force over grip times load, by load and slip: typical of flat-belt measurements of car tyres."""
+TABLE_SLOPE = TABLE_FORCE[2, 1] / TABLE_SLIP[1]
 
 
 @njit(cache=True)
@@ -32,15 +32,15 @@ def tabulated(slip, stretch, load_ratio):
     j = np.searchsorted(TABLE_LOAD, x, side="right") - 1
     u = (a - TABLE_SLIP[i]) / (TABLE_SLIP[i + 1] - TABLE_SLIP[i])
     v = (x - TABLE_LOAD[j]) / (TABLE_LOAD[j + 1] - TABLE_LOAD[j])
-    low = TABLE_SHARE[j, i] * (1 - u) + TABLE_SHARE[j, i + 1] * u
-    high = TABLE_SHARE[j + 1, i] * (1 - u) + TABLE_SHARE[j + 1, i + 1] * u
+    low = TABLE_FORCE[j, i] * (1 - u) + TABLE_FORCE[j, i + 1] * u
+    high = TABLE_FORCE[j + 1, i] * (1 - u) + TABLE_FORCE[j + 1, i + 1] * u
     return low * (1 - v) + high * v
 
 
 @njit(cache=True)
 def tmeasy(t, slope, peak):
-    """Force [N] at lateral slip t = tan(alpha) >= 0. slope: at t = 0 [N]; peak [N]; 0.85 peak from 3 times its slip
-    on."""
+    """Force [N] at lateral slip t = tan(alpha) >= 0. slope: at t = 0 [N]; peak [N]; 0.85 peak above 3 times its
+    slip."""
     at_peak = 2.2 * peak / slope
     if t <= at_peak:
         s = t / at_peak
@@ -67,24 +67,24 @@ def side_force(kind, slip, stiffness, load, longitudinal, grip, sliding, load_ra
     limit = grip * load
     if kind == DUGOFF:
         tangent = math.tan(slip)
-        share = limit / (2 * math.hypot(longitudinal, stiffness * tangent) + 1e-9)
-        return -stiffness * tangent * (share * (2 - share) if share < 1 else 1.0)
-    left = math.sqrt(max(limit * limit - longitudinal * longitudinal, 0.01 * limit * limit))
+        ratio = limit / (2 * math.hypot(longitudinal, stiffness * tangent) + 1e-9)
+        return -stiffness * tangent * (ratio * (2 - ratio) if ratio < 1 else 1.0)
+    available = math.sqrt(max(limit * limit - longitudinal * longitudinal, 0.01 * limit * limit))
     if kind == BURCKHARDT:
         s = math.sin(abs(slip))
-        return -math.copysign(left * (1.02 * (1 - math.exp(-stiffness / limit * 1.05 * s)) - 0.1 * s), slip)
+        return -math.copysign(available * (1.02 * (1 - math.exp(-stiffness / limit * 1.05 * s)) - 0.1 * s), slip)
     tangent = math.tan(slip)
     if kind == FIALA:
-        if abs(tangent) >= 3 * left / stiffness:
-            return -math.copysign(left, slip)
+        if abs(tangent) >= 3 * available / stiffness:
+            return -math.copysign(available, slip)
         scaled = stiffness * tangent
-        return -scaled + scaled * abs(scaled) / (3 * left) - scaled**3 / (27 * left * left)
-    reduced = left / limit
+        return -scaled + scaled * abs(scaled) / (3 * available) - scaled**3 / (27 * available * available)
+    reduced = available / limit
     if kind == BRUSH:
         return -math.copysign(brush(abs(tangent), stiffness, grip * reduced, sliding, load), slip)
     if kind == TMEASY:
-        return -math.copysign(tmeasy(abs(tangent), stiffness, left), slip)
+        return -math.copysign(tmeasy(abs(tangent), stiffness, available), slip)
     if kind == TABLE:
         stretch = stiffness * load_ratio / (limit * TABLE_SLOPE)
-        return -math.copysign(left * tabulated(slip, stretch, load_ratio), slip)
+        return -math.copysign(available * tabulated(slip, stretch, load_ratio), slip)
     return 0.0

@@ -1,4 +1,4 @@
-"""Cars of this benchmark: their parameters in SI units, and the origin of these."""
+"""Cars of this benchmark: their parameters in SI units, and the sources of the parameters."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -29,7 +29,7 @@ class Numbers(NamedTuple):
     stiffness_rear: float  # of the axle at static load [N/rad]
     grip: float  # peak friction [1]
     tyre: float
-    drive_front: float  # share of the drive force on the front axle
+    drive_front: float  # fraction of the drive force on the front axle
     sliding: float = 0.8  # friction of full sliding over grip [1]
     load_loss: float = 0.25  # relative loss of stiffness per relative load increase
     steer_lag: float = 0.0  # [s]
@@ -41,7 +41,7 @@ class Numbers(NamedTuple):
     roll_stiffness: float = 1e6  # [N m/rad]
     roll_damping: float = 2e4  # [N m s/rad]
     roll_inertia: float = 500.0  # [kg m^2]
-    roll_front: float = 0.55  # share of the lateral load transfer on the front axle
+    roll_front: float = 0.55  # fraction of the lateral load transfer on the front axle
     relaxation: float = 0.0  # [m]
     ackermann: float = 0.0  # 0 parallel, 1 full geometry
 
@@ -66,7 +66,7 @@ class Stranger:
         return replace(self, numbers=self.numbers._replace(**numbers))
 
 
-TEXTBOOK = "values of the order found in textbooks"
+TEXTBOOK = "typical textbook values"
 DEVELOPMENT = (
     Stranger("saloon", ROLLING, TEXTBOOK, Numbers(
         1580.0, 2650.0, 2.71, 1.19, 0.55, 1.56, 118e3, 142e3, 0.95, DUGOFF, 1.0, compliance=2.7e-6,
