@@ -27,7 +27,7 @@ NANOSECOND = 1.0e-9
 REORDER_WINDOW_NS = 500_000_000  # samples that are older than the newest one by more than this are rejected as late
 SETBACK_SAMPLES = 5  # after this many consecutive late samples the clock counts as set back
 MAXIMUM_SAMPLES = 200_000
-MIN_RECOVERED_FRACTION = 0.01  # of all times; see `find_ascending`
+MIN_RECOVERED_FRACTION = 0.01  # of all times [1]; at most this part is lost to a stamp that is too late; saves time
 
 
 class TimeSeries:

@@ -24,7 +24,7 @@ from .table_times import PLAUSIBLE_EPOCH, StampReader, month_number
 
 _BLF_HEAD_LENGTH = 16  # bytes: "LOBJ", header size, header version, object size, object type
 _BLF_CONTAINER = re.compile(rb"LOBJ\x10\0\x01\0.{4}\x0a\0\0\0", re.DOTALL)  # its head
-_BLF_PADDING = 3  # largest number of bytes between two containers
+_BLF_PADDING = 3  # bytes; the most after a container, because the format aligns each to four bytes
 _WEEKDAY_MONTH = re.compile(r"(?i)^(date|begin\s+triggerblock)\s+\S+\s+(\S+)(.*)")
 _TABLE_EXTENSIONS = (".csv", ".txt")
 _ENGLISH_MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")

@@ -26,7 +26,7 @@ _MONTHS = {"jan": 1, "gen": 1, "feb": 2, "fév": 2, "fev": 2, "mar": 3, "mär": 
            "may": 5, "mai": 5, "mag": 5, "maj": 5, "jun": 6, "giu": 6, "jul": 7, "lug": 7, "aug": 8, "aoû": 8, "ago": 8,
            "sep": 9, "set": 9, "oct": 10, "okt": 10, "ott": 10, "out": 10, "nov": 11, "dec": 12, "dez": 12, "déc": 12,
            "dic": 12, "juin": 6, "juil": 7}
-ROLLOVER_STEP = 60.0  # s, longest gap between two rows across midnight or across the end of a GPS week
+ROLLOVER_STEP = 60.0  # s, longest gap between two rows across midnight or the end of a GPS week; 1 s for shorter clocks
 # (day number of 1970-01-01, its origin)
 _DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"), (2440587.5, "Julian days"))
 PLAUSIBLE_EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
