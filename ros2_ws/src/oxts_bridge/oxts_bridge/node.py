@@ -138,6 +138,7 @@ class OxtsBridge(LifecycleNode):
         if self._live:
             return UdpSource(s.bind_address, s.udp_port, s.sender_filter, self._on_data, self._source_changed.trigger,
                              lambda data: continues_stream(self._newest_packet, data))
+        self._parser.restart()  # the parser may have read the file before a deactivation
         return ReplaySource(Path(s.replay_file), self._on_data, self._parser.restart, s.speed_factor, s.loop,
                             s.start_offset)
 

@@ -310,6 +310,20 @@ def test_messages_are_published_only_in_the_active_state(rig, drive):
     assert change_state(rig, cleanup) and change_state(rig, shutdown)
 
 
+def test_replay_begins_again_when_reactivated(rig, drive, tmp_path):
+    activate, deactivate = 3, 4
+    (tmp_path / "drive.ncom").write_bytes(b"".join(drive(60, step_ms=10)))
+    rig = rig(connect=False, autostart=False, replay_file=tmp_path / "drive.ncom")
+    assert change_state(rig, 1)
+    rig.wait_connected()
+    stamps = []
+    for count in (60, 120):
+        assert change_state(rig, activate)
+        stamps.append([stamp_ms(m) for m in rig.messages("ins/odometry", count)[count - 60 :]])
+        assert change_state(rig, deactivate)
+    assert stamps[0] == stamps[1]
+
+
 def test_packets_without_a_heading_are_reported_and_published_without_odometry(rig, packet):
     """A single antenna before the heading is initialised, or a unit that marks single values as invalid."""
     rig = rig()
