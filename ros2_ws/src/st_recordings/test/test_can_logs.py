@@ -108,7 +108,7 @@ def test_splits_of_a_session_are_joined_in_order_of_time(tmp_path: Path) -> None
     assert "files of the session are missing: 2" in incomplete.warnings[0]
     repeated = read_can_logs([*files, write_layout_2(session / "00000003-60AA0000.MF4", START_NS, frames[600:])])
     assert len(repeated.frames) == 900
-    assert "300 frames are in the logs more than once" in repeated.warnings[0]
+    assert "frames that are in the logs more than once: 300" in repeated.warnings[0]
 
 
 def test_session_and_number_follow_from_the_path() -> None:

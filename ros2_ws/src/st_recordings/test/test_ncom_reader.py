@@ -93,7 +93,7 @@ def test_packets_with_a_wrong_checksum_are_counted(tmp_path: Path) -> None:
     file.write_bytes(bytes(stream[: 200 * 72 + 40]))
     log = read_ncom(file)
     assert len(log.time_ns) == 199
-    assert "packets have a wrong checksum" in log.warnings[0]
+    assert " packet has a wrong checksum" in log.warnings[0]
 
 
 def test_longest_part_is_kept_where_the_clock_was_set_back(tmp_path: Path) -> None:

@@ -59,7 +59,8 @@ class Coverage:
 
     def describe(self) -> str:
         return (f"{self.signal}: {self.filled_bins} of {len(self.counts)} bins from {self.edges[0]:.4g} to "
-                f"{self.edges[-1]:.4g} {self.unit} have at least {self.min_samples} samples "
+                f"{self.edges[-1]:.4g} {self.unit} have at least {self.min_samples} "
+                f"sample{'s' * (self.min_samples > 1)} "
                 f"(needed: {self.min_filled_bins})")
 
 

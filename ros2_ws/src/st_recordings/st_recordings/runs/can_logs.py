@@ -52,7 +52,7 @@ def read_can_logs(files: Sequence[Path], known_ids: Collection[int] = ()) -> Can
     warnings = [f"{log.files[0]}: {note}" for log in logs for note in log.warnings]
     frames, n_repeated = can_frames.remove_duplicates(can_frames.merge_by_time([log.frames for log in logs]))
     if n_repeated:
-        warnings.append(f"{used_files[0]}: {n_repeated} frames are in the logs more than once; each is used once")
+        warnings.append(f"{used_files[0]}: frames that are in the logs more than once: {n_repeated}; each is used once")
     warnings += [str(error) for error in errors] + _describe_missing_splits(used_files)
     return CanLog(frames, used_files, min(log.start_ns for log in logs), logs[0].is_utc, tuple(warnings),
                   tuple(step for log in logs for step in log.steps))

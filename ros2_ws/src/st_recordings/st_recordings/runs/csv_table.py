@@ -109,7 +109,7 @@ def read_table(file: Path, layout: Layout) -> Table:
     n_above = _find_header_line(text.split("\n", MAX_HEADER_LINES + 1)[:MAX_HEADER_LINES], layout)
     *preamble, header, body = (text + "\n").split("\n", n_above + 1)
     if n_above > 1 or (n_above and not _SEPARATOR.match(preamble[0])):
-        warnings.append(f"{file}: the header is in line {n_above + 1}; the {n_above} lines before it were skipped")
+        warnings.append(f"{file}: the header is in line {n_above + 1}; what is above it was skipped")
     names, delimiter = _split_header(header)
     if not text.endswith("\n") and _is_last_cell_truncated(body, delimiter):
         body = body[:body.rstrip("\n").rfind("\n") + 1]

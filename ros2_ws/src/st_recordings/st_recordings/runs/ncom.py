@@ -83,10 +83,10 @@ def _describe_damage(columns: Columns, file: Path) -> list[str]:
         is_capture = stream.read(4) in file_decoder.CAPTURE_MAGIC  # a capture has headers between the packets
     if columns.skipped_bytes and not is_capture:
         faults.append(f"{format_count(columns.skipped_bytes, file.stat().st_size, 'bytes')} are not part of a packet")
-    if columns.checksum_errors:
-        faults.append(f"{columns.checksum_errors} packets have a wrong checksum")
+    if (errors := columns.checksum_errors):
+        faults.append(f"{errors} packet{'s have' if errors > 1 else ' has'} a wrong checksum")
     if duplicates := np.count_nonzero(columns.order == DUPLICATE):
-        faults.append(f"{duplicates} packets are duplicates")
+        faults.append(f"{duplicates} packet{'s are duplicates' if duplicates > 1 else ' is a duplicate'}")
     warnings = [f"{file}: {', '.join(faults)}; they were left out"] if faults else []
     is_regular = columns.kind == file_decoder.REGULAR
     is_out_of_order = is_regular & np.isin(columns.order, (SAME, LATE))
