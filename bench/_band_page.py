@@ -45,8 +45,8 @@ def summarise_groups(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
         others = {method: rows for method, rows in methods.items() if method not in calibrated and method != BAND}
         entry["score over the best at its level"] = _format_ratios(methods[BAND], calibrated)
         entry["score over the best uncalibrated"] = _format_ratios(methods[BAND], others)
-        entry["which covers"] = _format_range([_leading_percent(row["90 % covers"]) for row in _best_rows(others)],
-                                              "{:.0f}", " %")
+        coverages = [_leading_percent(row["90 % covers"]) for row in _best_rows(others)]
+        entry["coverage of that one"] = _format_range(coverages, "{:.0f}", " %")
         summaries.append(entry)
     return summaries
 

@@ -54,7 +54,7 @@ DEVIATIONS = {"friction_factor": 0.75, "steering_offset": 0.01, "mass_factor": 1
 
 Runs = Mapping[str, ErrorSamples]
 Row = dict[str, str]
-COLUMNS = ("90 % covers", "least run", "50 % covers", "worst cell of 200 starts", "interval score", "CRPS",
+COLUMNS = ("90 % covers", "worst run", "50 % covers", "worst cell of 200 starts", "interval score", "CRPS",
            "half-width at 5 s", "no band")
 CALIBRATED = ("conformal",)
 

@@ -22,7 +22,7 @@ def run() -> dict:
     variants = compare(int(os.environ.get("ST_CORRIDOR_SEEDS", "50")), MODEL)
     rows = [{"constraint": name, "cars": str(one["seeds"]), "touch a post": str(one["violations"]),
              "deepest, m": f"{one['deepest']:.2f}", "median depth, m": f"{one['depth_median']:.2f}",
-             "rms from the road, m": f"{one['error_rms']:.3f}", "cost": f"{one['cost']:.2f}"}
+             "rms deviation, m": f"{one['error_rms']:.3f}", "cost": f"{one['cost']:.2f}"}
             for name, one in variants.items()]
     replace_part(PAGE, "corridor", format_records(rows))
     return {"corridor": {row["constraint"]: row for row in rows}}

@@ -20,6 +20,7 @@ from st_core.vehicle import VehicleParameters
 
 BASE = "nonlinear"
 TAIL = 4.0
+MAX_ERROR = 100.0  # m, position error of a prediction that diverges
 MAX_SCALED_ERROR = 30.0
 """Limit of the scaled errors, so that a window that diverges does not dominate the sum."""
 GAIN, GAIN_UNIT = 0.05, 0.05
@@ -67,9 +68,13 @@ class Judge:
         return float(np.mean(np.square(scale_errors(self.errors(at), self.size))))
 
     def position(self, at: Point) -> float:
-        """Mean position error after 5 s [m]; a prediction that diverges counts 100 m."""
-        last = self.errors(at)[:, -1, self._lateral:self._lateral + 2]
-        return float(np.mean(np.minimum(np.nan_to_num(np.hypot(*last.T), nan=100.0, posinf=100.0), 100.0)))
+        """Mean position error after 5 s [m]."""
+        return mean_distance(self.errors(at)[:, -1, self._lateral:self._lateral + 2])
+
+
+def mean_distance(errors: np.ndarray) -> float:
+    """Mean length of position errors (n, 2) [m]; a prediction that diverges counts MAX_ERROR."""
+    return float(np.mean(np.minimum(np.nan_to_num(np.hypot(*errors.T), nan=MAX_ERROR), MAX_ERROR)))
 
 
 def error_sizes(errors: np.ndarray) -> np.ndarray:

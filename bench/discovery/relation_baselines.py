@@ -19,9 +19,10 @@ from st_core.log import DriveLog
 from st_core.types import cg_to_ins_position
 from st_core.vehicle import VehicleParameters
 
+from .oracle import mean_distance
 from .regression import TERMS, Regression
 
-HORIZON, MAX_ERROR = 5.0, 100.0  # s; m, error of a prediction that diverges
+HORIZON = 5.0  # s
 SAMPLES, SEED = 250, 5
 """Number of random samples for the Gaussian process, because its cost grows with their cube."""
 FEATURES = ("angle", "slip front", "slip rear", "speed", "yaw rate", "a_x")
@@ -113,8 +114,7 @@ def _position_error(windows: Windows, vehicle: VehicleParameters, answer: Augmen
             state = _integrate_step(answer, state, rows[k:k + 3], p, lateral, yaw_acceleration)
         x, y = cg_to_ins_position(state[0], state[1], state[4], car.cg_to_ins_x, car.cg_to_ins_y)
         measured_x, measured_y = windows.measured_at(times[:, -1], "x", "y")
-        distance = np.hypot(x - measured_x, y - measured_y)
-    return float(np.mean(np.minimum(np.nan_to_num(distance, nan=MAX_ERROR, posinf=MAX_ERROR), MAX_ERROR)))
+    return mean_distance(np.column_stack([x - measured_x, y - measured_y]))
 
 
 def _integrate_step(model: AugmentedModel, state: tuple, w: Sequence[tuple], p, lateral, yaw_acceleration) -> tuple:

@@ -3,7 +3,6 @@
 import time
 from typing import Any
 
-import numpy as np
 from st_core.augmented import AugmentedModel, augment
 from st_core.checks import check, pool_estimates
 from st_core.discovery import Discovery, discover
@@ -15,11 +14,10 @@ from st_core.vehicle import VehicleParameters
 from . import relation_baselines
 from .effects import SCATTER, members
 from .judge import plant_differences
-from .oracle import Oracle
+from .oracle import Oracle, mean_distance
 from .relation_cases import RelationCase, drives_of
 
 Record = dict[str, Any]
-MAX_ERROR = 100.0  # m, error of a prediction that diverges
 ORACLE_LEFT_OUT = ("front_stiffness", "rear_stiffness")
 """Differences of the plants that the oracle does not fit, because `tyre_stiffness` is their combination."""
 
@@ -62,7 +60,7 @@ def proposed_model(search: RelationSearch) -> AugmentedModel | None:
 def position_error(windows: RunWindows, model: AugmentedModel) -> float:
     """Mean position error after 5 s [m]."""
     last = windows.errors(model)[:, -1, windows.columns.index("position_lateral"):][:, :2]
-    return float(np.mean(np.minimum(np.nan_to_num(np.hypot(*last.T), nan=MAX_ERROR, posinf=MAX_ERROR), MAX_ERROR)))
+    return mean_distance(last)
 
 
 def _oracle_error(case: RelationCase, healthy: list[DriveLog], held_out: list[DriveLog],
