@@ -96,11 +96,11 @@ def _measure_style(number: int, style: str) -> list[Row]:
     file = vehicle_of(cars.LEAF, healthy)
     kinds = [getattr(programmes, name) for name in STYLES[style]]
 
-    def drive(kind: int, which: int, count: int, after: Mapping[str, float] | None = None) -> DriveLog:
+    def drive(kind: int, index: int, count: int, after: Mapping[str, float] | None = None) -> DriveLog:
         """Log of `count` manoeuvres. after: settings of the car from the middle of the drive on."""
         parts = tuple(kinds[k % len(kinds)] for k in range(count))
         changed: dict[str, Any] = {} if after is None else {"before": healthy, "from_": 0.5}
-        order = Order(f"{kind} {which}", (SEED, number, kind, which), after or healthy, parts, **changed)
+        order = Order(f"{kind} {index}", (SEED, number, kind, index), after or healthy, parts, **changed)
         return record_run(cars.LEAF, file, order)
 
     models = [get_model(model) for model in MODELS]
@@ -131,13 +131,13 @@ def _changed_rows(style: str, name: str, drives: Sequence[DriveWarnings]) -> lis
         delays = [min((t - 0.5 * one.seconds for t in one.begins[key] if t > 0.5 * one.seconds), default=np.inf)
                   for one in drives]
         early = sum(any(t <= 0.5 * one.seconds for t in one.begins[key]) for one in drives)
-        median, soon = float(np.median(delays)), sum(delay <= 60.0 for delay in delays)
+        median, detected = float(np.median(delays)), sum(delay <= 60.0 for delay in delays)
         before = f", {early} before the change" if early else ""
-        rows.append(_row(style, name, key, f"{soon} of {len(drives)}{before}",
+        rows.append(_row(style, name, key, f"{detected} of {len(drives)}{before}",
                          f"{median:.0f} s" if np.isfinite(median) else "none"))
     return rows
 
 
-def _row(style: str, change: str, key: tuple[str, str], soon: str, delay: str) -> Row:
-    return {"style": style, "change": change, "model": key[0], "mode": key[1], "within a minute": soon,
+def _row(style: str, change: str, key: tuple[str, str], detected: str, delay: str) -> Row:
+    return {"style": style, "change": change, "model": key[0], "mode": key[1], "within a minute": detected,
             "median delay": delay}

@@ -123,15 +123,15 @@ def score_rows(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
         make_row("noticed (reported as missing)", format_ratio(map(is_noticed, hidden)), "85 %", "95 %"),
         make_row("... by a proposal, or as the outcome *unknown*", format_ratio(map(is_proposed_or_unknown, hidden))),
         make_row("... where the library leaves an error", format_ratio(map(is_noticed, matter))),
-        make_row("... on the virtual Leaf, where nothing else is missing", format_ratio(is_noticed(r) for r in hidden
-                                                                                        if r["plant"] == LEAF)),
-        make_row("right slot, or a set that contains it, of proposals", format_ratio(map(is_slot_right, proposed)),
-                 "80 %", "90 %"),
+        make_row("... on the virtual Leaf, where nothing else is missing",
+                 format_ratio(is_noticed(r) for r in hidden if r["plant"] == LEAF)),
+        make_row("proposals with the correct slot, alone or among alternatives",
+                 format_ratio(map(is_slot_right, proposed)), "80 %", "90 %"),
         make_row("... the place of the proposal itself", format_ratio(map(is_place_right, proposed))),
         make_row("... where the library leaves an error", format_ratio(is_slot_right(r) for r in matter if r["law"])),
         make_row(f"... places named, of {len(ALL_TERMS)}: median / largest",
                  format_counts(len(list_places(r)) for r in proposed)),
-        make_row("held-out gap closed relative to the oracle, median / 10th percentile",
+        make_row("unexplained error removed, relative to the oracle, median / 10th percentile",
                  format_spread([closed_fraction(r) for r in matter]), "70 / 40 %", "90 / 60 %"),
         make_row("held-out error increased, of proposals", format_ratio(map(is_worse, proposed)), "1 %", "0"),
         make_row("proposal without a hidden relation", f"{alarms} of {len(nothing)}", "1 of 60", "0"),
@@ -140,8 +140,8 @@ def score_rows(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
                  format_ratio(bool(list_wrong_effects(r)) for r in hidden), "5 %", "2 %"),
         make_row("... before the corrections of the proposal",
                  format_ratio(bool(list_wrong_effects_by_library(r)) for r in hidden)),
-        make_row("first reading of the shape right, if the place is", format_ratio(map(is_shape_right, shaped)),
-                 "60 %", "80 %"),
+        make_row("first formula of the correct shape, if the place is correct",
+                 format_ratio(map(is_shape_right, shaped)), "60 %", "80 %"),
         make_row("time, 5 minutes of driving, one core, median / largest",
                  f"{np.median(times):.0f} / {max(times):.0f} s"
                  if times else "no cases", "90 s", "30 s"),
@@ -149,7 +149,7 @@ def score_rows(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
 
 
 def method_rows(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
-    """(method, gap closed, made worse, names) for the cases of all methods."""
+    """(method, unexplained error removed, error increased, names) for the cases with all methods."""
     given = [r for r in records if r.get("baselines") and is_closable(r)]
     everywhere = [r for r in records if r.get("baselines")]
 

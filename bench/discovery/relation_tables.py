@@ -36,7 +36,7 @@ def _methods(records: Sequence[Record]) -> list[str]:
     if not any(r.get("baselines") for r in records):
         return []
     return ["Other methods on the same cases, starting from the same answer of `st discover`, simulated the same way:",
-            format_table(("method", "gap closed, median / 10th percentile", "error increased", "names"),
+            format_table(("method", "unexplained error removed, median / 10th percentile", "error increased", "names"),
                          score.method_rows(records))]
 
 

@@ -192,7 +192,7 @@ def score_rows(records: Sequence[Record]) -> list[Record]:
     table.add("suggested drive, once driven, settles", "60 %", "85 %",
               share_of_records([r for r in records if "settled" in r], lambda r: r["settled"]))
     judged = [r for r in (*blocks["A"], *blocks["B"]) if r.get("shares")]
-    table.add("budget shares against truth, mean difference", "≤ 12 %", "≤ 6 %",
+    table.add("error budget against truth, mean difference", "≤ 12 %", "≤ 6 %",
               {**value_of([m for r in judged for m in budget_misses(r)]), "percent": True})
     table.add("power analysis: predicted power against measured, mean difference", "≤ 12 %", "≤ 6 %",
               {**_power_error([*blocks["A"], *blocks["B"]]), "percent": True})
@@ -214,10 +214,10 @@ def _score_found_effects(table: Table, rows: list[Record], prefix: str) -> None:
               value_of([len(g) for r in rows for g in list_statements(r)]))
     table.add(f"{prefix}A and B: values inside their 95 % interval", slack + "85 %", "92 %",
               share_of([inside for r in rows for _, inside in values_inside(r)]))
-    shares = [closed_fraction(r) for r in rows]
+    fractions = [closed_fraction(r) for r in rows]
     for name, q, required, goal in (("median", 0.5, "92 %", "98 %"), ("10th percentile", 0.1, "75 %", "90 %")):
-        table.add(f"{prefix}A and B: held-out 5 s position closed relative to the oracle, {name}", slack + required,
-                  goal, {**value_of(shares, lambda v, q=q: np.quantile(v, q)), "percent": True})
+        table.add(f"{prefix}A and B: held-out 5 s position error reduced, relative to the oracle, {name}",
+                  slack + required, goal, {**value_of(fractions, lambda v, q=q: np.quantile(v, q)), "percent": True})
     table.add(f"{prefix}A and B: held-out error increased", "≤ 1 %", "0",
               share_of_records([r for r in rows if "position" in r], is_worse))
 
@@ -255,7 +255,7 @@ def _score_with_reference(table: Table, rows: list[Record]) -> None:
 def _score_edits(table: Table, rows: list[Record]) -> None:
     plain = next((r for r in rows if r["index"] < 0), None)
     compared = [] if plain is None else [compare_edit(plain, r) for r in rows if r["index"] >= 0]
-    table.add("F: moves by the edit, inside the interval; others do not beyond theirs", "90 %", "96 %",
+    table.add("F: the edited value moves by the edit, the others stay, within their intervals", "90 %", "96 %",
               share_of([e.moved and not e.others for e in compared]))
     table.add("  the edited value moves by the edit", "", "", share_of([e.moved for e in compared]))
     table.add("  others do not move", "", "", share_of([not e.others for e in compared]))

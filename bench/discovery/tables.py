@@ -53,10 +53,10 @@ def as_markdown(records: Sequence[Record], ablated: Sequence[Record]) -> str:
         "## The two plants", _plants(records),
         "## By hidden effect", "Blocks A and B: hidden effects that matter, how often they are stated, and how often "
         "the value stated is right.", _by_effect(records), f"![confusion](../images/{FIGURE.name})",
-        "## Other methods", "Share of the oracle's improvement in held-out 5 s position, on the cases of A and B that "
-        "were given to all of them.", _methods(records),
+        "## Other methods", "Fraction of the oracle's reduction of the held-out 5 s position error, on the cases of A "
+        "and B that were given to all of them.", _methods(records),
         "## Limits of the decision", _ablation(ablated),
-        "## True differences between plant and model", "Naming one of these is right, whatever is hidden.",
+        "## True differences between plant and model", "Reporting one of these is correct, whatever is hidden.",
         format_table(("plant", "effect", "why"), [(plant, name, why) for plant, rows in PLANT_DIFFERENCES.items()
                                                   for name, why in rows.items()]),
         "## Wrong answers", *_failure_tables(records),
@@ -118,7 +118,7 @@ def _methods(records: Sequence[Record]) -> str:
                                        "percent": True})
                         for q in (0.5, 0.1)), format_result(worse))
     rows = [row("no change", lambda r: r["position"]["base"]),
-            row("tyres tuned again (three numbers)", lambda r: r["baselines"]["tyres"]),
+            row("tyres refitted (three parameters)", lambda r: r["baselines"]["tyres"]),
             row("paramsd's equations (ratio, stiffness, offset)", lambda r: r["baselines"]["paramsd"]),
             row("discover", lambda r: r["position"]["found"]),
             row("oracle: the true effects fitted", lambda r: r["position"]["oracle"])]
