@@ -97,9 +97,11 @@ def true_value(kind: Kind, size: Size, clean: Recording, change: float) -> tuple
 
 
 def estimate_as_recorded(kind: Kind, clean: Recording) -> float | None:
-    """The estimate for the drive as recorded; None if there is none."""
-    estimates = check_as_recorded(clean).estimates
-    return next((estimates[name][0] for name in kind.findings if name in estimates), None)
+    """The estimate for the drive as recorded, or the value of its finding; None if there is neither."""
+    result = check_as_recorded(clean)
+    values = {finding.name: finding.value for finding in result.findings}
+    values |= {name: estimate for name, (estimate, _, _) in result.estimates.items()}
+    return next((values[name] for name in kind.findings if name in values), None)
 
 
 def choose_side(kind: Kind, clean: Recording) -> int:
