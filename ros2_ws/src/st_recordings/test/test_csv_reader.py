@@ -10,6 +10,7 @@ from st_recordings.runs.columns import Layout
 from st_recordings.runs.csv import (
     MOTION_SIGNALS,
     _count_missing_samples,
+    _has_steps_of_one_digit,
     build_ins_log,
     has_drive_columns,
     read_csv,
@@ -178,6 +179,34 @@ def test_time_of_zero_is_no_rollover(tmp_path: Path, start: float, wrong: int, t
                                                 for k, stamp in enumerate(stamps))]))
     assert len(drive.log.x) == len(times) - 1
     assert np.ptp(drive.log.ins_time_ns) == round((times[-1] - times[0]) * 100) * 10**7
+
+
+@pytest.mark.parametrize("text", [True, False])
+def test_pause_of_half_a_day_after_midnight_is_no_step_back_in_time(tmp_path: Path, text: bool) -> None:
+    times = [86390.0 + 0.01 * k for k in range(1500)] + [86400.0 + 46800.0 + 0.01 * k for k in range(1500)]
+    clock = [(int(t % 86400 // 3600), int(t // 60 % 60), t % 60) for t in times]
+    stamps = [f"{h:02d}:{m:02d}:{s:06.3f}" if text else f"{h:02d}{m:02d}{s:05.2f}" for h, m, s in clock]
+    drive = read_csv(write(tmp_path, [HEADER, *(f"{stamp},{0.2 * k:.3f},0,0,20,0,0,0,0,0"
+                                                for k, stamp in enumerate(stamps))]))
+    assert np.ptp(drive.log.ins_time_ns) == pytest.approx((times[-1] - times[0]) * 1e9, abs=1e6)
+    assert not any("set back" in warning for warning in drive.warnings)
+
+
+@pytest.mark.parametrize("cells", [[f"{150 - k // 2}" for k in range(103)],
+                                   [f"{-1.0 + 0.01 * k:.2f}" for k in range(101)]])
+def test_short_last_cell_is_complete(tmp_path: Path, cells: list[str]) -> None:
+    file = write(tmp_path, [HEADER + ",extra", *(f"{0.01 * k:.2f},{0.2 * k:.3f},0,0,20,0,0,0,0,0,{cell}"
+                                                 for k, cell in enumerate(cells))])
+    file.write_text(file.read_text().rstrip("\n"))
+    assert len(read_csv(file).log.x) == len(cells)
+
+
+@pytest.mark.parametrize("origin", [0.0, 3.456])
+def test_rounded_positions_are_recognised(origin: float) -> None:
+    rounded = np.round(np.cumsum(np.full(3000, 0.02)) + 0.3 * np.sin(np.arange(3000) / 200.0), 1) - origin
+    rounded[1500] += 0.037  # a wrong row
+    assert _has_steps_of_one_digit(rounded)
+    assert not _has_steps_of_one_digit(np.cumsum(np.random.default_rng(0).normal(1.0, 0.05, 3000)))
 
 
 def test_number_cut_at_the_end_of_a_file_is_left_out(tmp_path: Path) -> None:

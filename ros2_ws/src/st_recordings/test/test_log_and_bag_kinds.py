@@ -429,16 +429,24 @@ def test_splits_with_numbers_in_another_order_are_ordered_by_time(tmp_path: Path
     assert not run.warnings
 
 
-def test_steering_field_for_an_ins_with_can_logs_is_refused_or_replaces_them(tmp_path: Path, drive_folder: Path,
+def test_steering_field_for_an_ins_with_can_logs_is_unused_or_replaces_them(tmp_path: Path, drive_folder: Path,
                                                                              drive_log: DriveLog) -> None:
     (source,) = find_runs([drive_folder / "run.ncom", drive_folder / "run.log"])
     settings = ReadSettings(steering=SteeringField("", "Steer", "wheel", "deg"))
-    with pytest.raises(RunError, match=r"run\.ncom: --steering-field: Steer is no column, because the steering"):
-        read(source, CAR, settings)
+    assert any("does not use --steering-field Steer, because its steering angle is in CAN logs" in warning
+               for warning in read(source, CAR, settings).warnings)
     table = tmp_path / "run.vbo"
     table.write_text(vbo(drive_log))
     run = read(replace(source, kind="vbo", files=(table,)), CAR, settings)
     assert_warned(run.warnings, "its CAN logs are not used, because an option names the steering angle in this file")
+
+
+def test_date_and_time_in_names_of_bags_is_not_a_split_number(tmp_path: Path, drive_log: DriveLog) -> None:
+    write_splits(tmp_path, drive_log)
+    (tmp_path / "drive_1.mcap").unlink()
+    for number, name in ((0, "d_20260401101112000000000"), (2, "d_20260501101112000000000")):
+        (tmp_path / f"drive_{number}.mcap").rename(tmp_path / f"{name}.mcap")
+    assert len(find_runs([tmp_path])) == 3  # the other parts are one run
 
 
 def test_time_of_day_in_names_of_bags_is_not_a_split_number(tmp_path: Path, drive_log: DriveLog) -> None:

@@ -186,9 +186,10 @@ def _read_listed_files(directory: Path) -> list[str]:
 
 
 def list_bag_files(directory: Path) -> list[Path]:
-    """Storage files of a bag directory, in order of their first messages; those without messages by number."""
+    """Storage files of a bag directory, in order of their first messages, or by number if one has no known time."""
     files = sorted((f for f in directory.iterdir() if f.suffix.lower() in EXTENSIONS), key=natural_sort_key)
-    return sorted(files, key=lambda f: read_time_span(f) or (0, 0)) if len(files) > 1 else files
+    spans = {f: read_time_span(f) for f in files} if len(files) > 1 else {}
+    return sorted(files, key=spans.__getitem__) if spans and all(spans.values()) else files
 
 
 def describe_missing_files(path: Path) -> list[str]:

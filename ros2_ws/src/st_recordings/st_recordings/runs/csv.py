@@ -487,8 +487,9 @@ def _has_steps_of_one_digit(values: np.ndarray) -> bool:
         return True
     digit = 10.0 ** np.round(np.log10(size.min()))
     is_digit = np.maximum(size / digit, digit / size) <= MAX_ROUNDING_RATIO
-    is_multiple = np.abs(values / digit - np.round(values / digit)) < MAX_ROUNDING_RATIO - 1.0
-    return bool(digit <= 1.0 and is_digit.mean() > MIN_REGULAR_FRACTION and is_multiple.all())
+    digits = (values - np.quantile(values, 0.5, method="nearest")) / digit  # a position relative to an origin, too
+    is_multiple = np.abs(digits - np.round(digits)) < MAX_ROUNDING_RATIO - 1.0
+    return bool(digit <= 1.0 and min(is_digit.mean(), is_multiple.mean()) > MIN_REGULAR_FRACTION)
 
 
 def _choose_steering(table: Table, columns: dict[str, np.ndarray], vehicle: VehicleParameters | None,

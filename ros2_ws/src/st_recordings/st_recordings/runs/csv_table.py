@@ -120,9 +120,12 @@ def read_table(file: Path, layout: Layout) -> Table:
 
 
 def _is_last_cell_truncated(body: str, delimiter: str) -> bool:
-    """Whether the last cell of a table whose last line does not end is shorter than all other cells in its column."""
-    *lengths, last = (len(line) - line.rfind(delimiter) for line in body.rstrip("\n").split("\n"))
-    return len(lengths) > MAX_UNIT_ROWS and last < min(lengths)
+    """Whether the last cell of a table whose last line does not end has fewer decimals than all others of its column,
+    which have equally many."""
+    cells = (line[line.rfind(delimiter) + 1:] for line in body.rstrip("\n").split("\n"))
+    points = ((cell, max(cell.rfind("."), cell.rfind(","))) for cell in cells)
+    *decimals, last = (len(cell) - point if point >= 0 else 0 for cell, point in points)
+    return len(decimals) > MAX_UNIT_ROWS and min(decimals) == max(decimals) > last
 
 
 def join_tables(tables: Sequence[Table]) -> Table:

@@ -37,14 +37,14 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
     with ThreadPoolExecutor(1) as pool:
         digests = pool.submit(hash_files, (*source.files, *source.can))
         reader = READERS[source.kind]
-        _check_options(source, settings)
         if reader.read is None or (source.can and reader.read_ins and not settings.steering):
             from .raw import read_raw_run  # imports scipy.signal and CAN libraries, which takes two seconds
 
             run = read_raw_run(source, vehicle, settings)
         else:
             run = reader.read(source, vehicle, settings)
-    if settings.steering and source.can:
+    run = replace(run, warnings=(*run.warnings, *_list_unused_options(source, settings)))
+    if settings.steering and source.can and READERS[source.kind].read is not None:
         text = f"{source.path}: its CAN logs are not used, because an option names the steering angle in this file"
         run = replace(run, warnings=(*run.warnings, text))
     _check_size(source, run.log, run.warnings)
@@ -63,20 +63,19 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
     return replace(run, provenance={**run.provenance, "files": digests.result()})
 
 
-def _check_options(source: RunSource, settings: ReadSettings) -> None:
-    """Raises RunError for an option that names a part of a recording of another kind."""
-    steering = settings.steering
-    topics = {"--steering-topic": steering.topic if steering else "", "--odometry-topic": settings.odometry}
-    for option, topic in topics.items():
-        if topic and source.kind != "bag":
-            raise RunError(source.path, f"{option}: {topic} is a topic of a bag, but this is none",
-                           "omit the option, name a column with --steering-field alone, or read bags separately")
-    if steering and READERS[source.kind].read is None:
-        raise RunError(source.path, f"--steering-field: {steering.field} is no column, because the steering angle of "
-                       "this run is in CAN logs", "omit the option, and describe the CAN signal with --signals")
+def _list_unused_options(source: RunSource, settings: ReadSettings) -> list[str]:
+    """Warnings about options that do not apply to this recording; another recording of the same command may need them.
+    """
+    steering, reader = settings.steering, READERS[source.kind]
+    unused = [f"{option} {topic}, because it is not a bag" for option, topic in (
+        ("--steering-topic", steering.topic if steering else ""), ("--odometry-topic", settings.odometry))
+        if topic and source.kind != "bag"]
+    if steering and not steering.topic and reader.read is None:
+        unused.append(f"--steering-field {steering.field}, because its steering angle is in CAN logs; --signals "
+                      "describes their signals")
     if settings.offset is not None and not source.can and source.kind != "bag":
-        raise RunError(source.path, f"--offset: {settings.offset:g} s is between clocks of INS and CAN logs, but all "
-                       "channels of this run are on one clock", "omit the option, or give the CAN logs as well")
+        unused.append(f"--offset {settings.offset:g}, because all its channels are on one clock")
+    return [f"{source.path}: this recording does not use {text}" for text in unused]
 
 
 def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters | None) -> LoadedRun:
@@ -85,19 +84,20 @@ def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters
     Label times are relative to the first INS sample, so they are shifted if the first samples are left out.
     """
     excluded_intervals = source.settings.get("leave_out", ())
-    phrases = (*describe_corrections(source.settings.get("correct", {})),
-               *(f"INS left out from {start:g} to {end:g} s" for start, end in excluded_intervals))
-    if not phrases:
-        return run
     corrections: dict[str, Correction] = dict(source.settings.get("correct", {}))
-    if "yaw" in corrections and READERS[source.kind].is_table:
-        corrections["yaw"] = replace(corrections["yaw"], scale=1.0)  # its reader has applied the factor
     notes = list[str]()
     rate = corrections.get("yaw_rate")
     if rate is not None and rate.scale < 0 and f"{source.path}: {YAW_RATE_REVERSED}" in run.warnings:
         corrections["yaw_rate"] = replace(rate, scale=-rate.scale)
+        corrections = {name: correction for name, correction in corrections.items() if correction != Correction()}
         notes.append(f"{source.path}: its reader has changed the sign of yaw_rate, so the scale in its run.yaml is "
                      "applied without its sign")
+    phrases = (*describe_corrections(corrections),
+               *(f"INS left out from {start:g} to {end:g} s" for start, end in excluded_intervals))
+    if not phrases:
+        return replace(run, warnings=(*run.warnings, *notes))
+    if "yaw" in corrections and READERS[source.kind].is_table:
+        corrections["yaw"] = replace(corrections["yaw"], scale=1.0)  # its reader has applied the factor
     try:
         log = apply_corrections(run.log, corrections, vehicle, excluded_intervals)
     except StCoreError as error:

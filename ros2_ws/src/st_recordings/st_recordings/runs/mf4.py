@@ -169,7 +169,7 @@ def _describe_unread_records(log: Any, layout: mdf_blocks.RecordLayout) -> list[
         size += group.cycles_nr * (layout.id_size + group.samples_byte_nr + group.invalidation_bytes_nr)
         size += sum(group.cycles_nr * layout.id_size + sum(block.original_size for block in blocks)
                     for blocks in payloads if blocks)
-    if layout.size - size <= layout.id_size + max(length for length, _ in layout.frame_records.values()):
+    if layout.size - size <= layout.id_size + max((length for length, _ in layout.frame_records.values()), default=0):
         return []
     return [f"the record at byte {layout.start + size} is invalid; the last "
             f"{format_count(layout.size - size, layout.size, 'bytes of records')} are not used"]

@@ -196,7 +196,12 @@ def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
         yield _report_problem(file, f"no matching CAN log: {reason}", advice)
     for session in dict.fromkeys(parse_session(f)[0] for f in logs) if not recordings else ():
         file = next(f for f in logs if parse_session(f)[0] == session)
-        if truncation := describe_truncation(read_head(file), file.stat().st_size):
+        try:
+            truncation = describe_truncation(read_head(file), file.stat().st_size)
+        except OSError as error:
+            yield _report_problem(file, f"cannot be read: {error.strerror}", "check its permissions, or copy it again")
+            continue
+        if truncation:
             yield _report_problem(file, f"the file is truncated: {truncation}", "copy it again")
             continue
         csv = READERS["csv"]
@@ -229,7 +234,8 @@ def _group_split_bags(files: Sequence[Path]) -> list[list[Path]]:
         groups += [[parts[number]] for number in numbers[:1]]
         for previous, number in pairwise(numbers):
             part, between = parts[number], range(min(previous, number), max(previous, number))
-            if parts.keys() >= {*between} and abs(spans[number][0] - spans[previous][1]) * 1e-9 < MAX_SPLIT_GAP:
+            gap = abs(spans[number][0] - spans[previous][1]) * 1e-9  # s
+            if gap < MAX_SPLIT_GAP and all(k in parts for k in between):  # time stamps as numbers: a long range
                 groups[-1].append(part)
             else:
                 groups.append([part])

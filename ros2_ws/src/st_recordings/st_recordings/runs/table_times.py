@@ -68,14 +68,16 @@ class StampReader:
     """Converts times of consecutive rows to seconds, as `parse_stamp` does; a time of day continues past midnight."""
 
     def __init__(self) -> None:
-        self._offset, self._previous = 0.0, 0.0
+        self._offset, self._previous, self._before = 0.0, 0.0, np.inf  # s; _before: last time before a rollover
 
     def read(self, text: str) -> float | None:
         if (time := parse_stamp(text)) is None:
             return None
         seconds, period = time
-        if period and abs(self._previous - seconds) > period / 2:  # a wrong time of 0 is followed by a jump forward
-            self._offset = max(self._offset + np.copysign(period, self._previous - seconds), 0.0)
+        if period and self._previous - seconds > period / 2:
+            self._offset, self._before = self._offset + period, self._previous
+        elif period and seconds - self._previous > period / 2 and seconds >= self._before:
+            self._offset, self._before = self._offset - period, np.inf  # the clock returns from a wrong time of 0
         self._previous = seconds
         return self._offset + seconds
 
@@ -159,11 +161,12 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
 
 
 def _count_rollovers(seconds: np.ndarray, min_jump: float) -> np.ndarray:
-    """Number of rollovers before each time. A backward jump that a forward jump reverses is a wrong time instead."""
+    """Number of rollovers before each time. After a backward jump to a wrong time, such as 0, the clock returns: the
+    next jump ends at or after the time before it."""
     jumps = np.diff(seconds, prepend=seconds[:1])
     rows = np.flatnonzero(np.abs(jumps) > min_jump)
-    is_rollover = (jumps[rows] < 0) & (np.append(jumps[rows[1:]], -1.0) < 0)
-    return np.cumsum(np.isin(np.arange(len(seconds)), rows[is_rollover]))
+    returns = np.append(seconds[rows[1:]], -np.inf) >= seconds[rows - 1]
+    return np.cumsum(np.isin(np.arange(len(seconds)), rows[(jumps[rows] < 0) & ~returns]))
 
 
 def seconds_of_day(hhmmss: np.ndarray) -> np.ndarray:
