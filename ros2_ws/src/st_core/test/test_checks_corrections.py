@@ -341,7 +341,7 @@ def test_scale_of_yaw_and_yaw_rate_are_alternatives_if_positions_are_too_noisy(l
     for channel in ("yaw", "yaw_rate"):
         finding = findings_by_name(scaled(1.05, channel)(coarse), leaf)["yaw_rate_scale"]
         assert finding.channels == ("yaw_rate", "yaw") and finding.advice.kind == "text"
-        assert finding.text.endswith("times its true value: positions fit both")
+        assert finding.text.endswith("times its true value: both fit this drive")
 
 
 @pytest.mark.slow

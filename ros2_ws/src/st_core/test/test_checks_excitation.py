@@ -78,6 +78,13 @@ def test_positions_of_another_clock_are_one_error(leaf, seconds):
     assert found["position_lag"].value == pytest.approx(seconds, abs=0.02)
 
 
+@pytest.mark.parametrize("seconds", [5.0, 18.0])
+def test_velocities_of_another_clock_are_no_error_of_the_positions(leaf, seconds):
+    found = findings_by_name(delay(exact_drive(leaf, 120.0), seconds, "velocity_x", "velocity_y"), leaf)
+    assert found and "position_lag" not in found
+
+
+
 def test_fault_of_the_yaw_rate_is_found_although_yaw_turns_at_standstill(leaf):
     log = delay(exact_drive(leaf, 60.0), 0.12, "yaw_rate")
     rows, seconds = np.maximum(np.arange(-1000, len(log.x)), 0), 0.01 * np.arange(len(log.x) + 1000)

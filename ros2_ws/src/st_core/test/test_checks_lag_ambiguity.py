@@ -170,17 +170,28 @@ MOTORWAY = {"speed": Sines(30.0, ((1.0, 41.0, 0.0),))}
 
 
 @pytest.mark.parametrize("degrees", [2.0, 4.0])
-def test_play_of_the_steering_is_no_lag_or_scale_where_the_car_hardly_steers(leaf, degrees):
+def test_play_of_the_steering_is_an_alternative_where_the_car_hardly_steers(leaf, degrees):
     turning = Sines(0.0, ((0.01, 19.0, 0.0), (0.008, 7.3, 1.0), (0.006, 4.1, 2.0)))
     log = exact_drive(leaf, 120.0, turning=turning, **MOTORWAY)
     half, angle = np.radians(0.5 * degrees) / leaf.steering_ratio, log.road_wheel_angle.copy()
     for k in range(1, len(angle)):
         angle[k] = np.clip(angle[k - 1], angle[k] - half, angle[k] + half)
     found = findings_by_name(replace(log, road_wheel_angle=angle, steering_wheel_angle=None), leaf)
-    assert found.keys() == {"steering_lag"} and found["steering_lag"].advice.kind == "text"
-    assert "or the steering has play" in found["steering_lag"].text
+    assert {"steering_lag"} <= found.keys() <= {"steering_lag", "steering_scale"}
+    assert all(finding.advice.kind == "text" and "or the steering has play" in finding.text
+               for finding in found.values())
     found = findings_by_name(delay(exact_drive(leaf), 0.3, "road_wheel_angle"), leaf)["steering_lag"]
     assert "play" not in found.text and found.advice.kind == "run.yaml"
+
+
+@pytest.mark.parametrize(("gain", "severity"), [(-1.0, Severity.ERROR), (1.0 / 57.3, Severity.WARNING)])
+def test_play_does_not_hide_a_wrong_sign_or_unit_where_the_car_hardly_steers(leaf, gain, severity):
+    turning = Sines(0.0, ((0.01, 19.0, 0.0), (0.008, 7.3, 1.0), (0.006, 4.1, 2.0)))
+    log = exact_drive(leaf, 120.0, turning=turning, **MOTORWAY)
+    found = check(replace(log, road_wheel_angle=gain * log.road_wheel_angle, steering_wheel_angle=None), leaf)
+    (finding,) = [one for one in found.findings if one.name in ("steering_scale", "steering_sign")]
+    assert finding.severity is severity and finding.value == pytest.approx(gain, rel=0.1)
+    assert ("play" in finding.text) == (severity is Severity.WARNING)
 
 
 @pytest.mark.parametrize("seed", range(4))

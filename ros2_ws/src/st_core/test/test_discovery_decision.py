@@ -202,6 +202,7 @@ def test_varying_effect_without_effect_on_the_position_is_not_relevant():
 @pytest.mark.parametrize(("interval", "known", "expected"), [
     ((-1.0, 9.0), (3.5, 3.0, 5.0), (3.0, 5.0)),  # the sensors exclude the null
     ((-1.0, 9.0), (2.5, 2.0, 3.5), (2.0, 6.0)),  # also if the fitted value is outside their interval
+    ((-1.0, 4.5), (3.5, 3.0, 5.0), (3.0, 5.0)),  # also if their interval exceeds the fitted one
     ((1.0, 7.0), (3.5, 3.0, 5.0), (1.0, 7.0)),  # already excluded
     ((-1.0, 9.0), (1.0, -1.0, 5.0), (-1.0, 9.0)),  # not excluded by the sensors
     ((-1.0, 9.0), (9.0, 8.0, 10.0), (-1.0, 9.0)),  # the sensors disagree

@@ -87,7 +87,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
         if ins_is_usable:
             clock_findings = inertial.check_position_clock(motion)
             results.findings += clock_findings
-            if not clock_findings:  # other findings would only follow from the wrong clock
+            if not clock_findings:  # the other checks need positions of the same time
                 broken_channels |= find_broken_channels(stuck_findings)
                 _check_relations(motion, log, vehicle, time_unit, stuck_findings, broken_channels, results)
     # Accelerations are last, since no prediction depends on them.
@@ -251,7 +251,7 @@ def _add_yaw_alternative(finding: Finding, motion: Motion) -> Finding:
     if finding.name != "yaw_rate_scale" or not finding.value or other_yaw_fits_better(
             replace(motion, yaw=finding.value * motion.yaw), motion):
         return finding
-    text = f"{finding.text}, or yaw is {1.0 / finding.value:.3f} times its true value: positions fit both"
+    text = f"{finding.text}, or yaw is {1.0 / finding.value:.3f} times its true value{position.AMBIGUOUS}"
     return replace(finding, channels=("yaw_rate", "yaw"), text=text,
                    advice=Advice("text", "record more accurate positions, to distinguish the two"))
 

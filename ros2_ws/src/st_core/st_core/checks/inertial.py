@@ -18,9 +18,11 @@ from ..clock_types import MAX_SPAN
 from ..regression import symmetric_interval
 from .finding import HORIZON, LIMITS, WHEEL_SCALE_TOLERANCE, Advice, Comparison, Finding, Severity
 from .motion import MIN_MOVING_SPEED, Motion, correlate, is_near
+from .position import MIN_LOSS_RATIO
 from .regression import Estimate, Regression, add_systematic_uncertainty
 
 MAX_LAG = 1.5  # s; largest lag searched for, in both directions
+GPS_AHEAD_OF_UTC = 18.0  # s, since 2017
 MAX_CLOCK_OFFSET = 40.0  # s; largest offset between two clocks searched for; TAI is 37 s ahead of UTC
 MIN_COMMON_TIME = 15.0  # s; minimum overlap of two series
 NO_BIAS, UNIT_SCALE, NO_DRIFT = Estimate(0.0, 0.0, 0.0), Estimate(1.0, 0.0, 0.0), Estimate(0.0, 0.0, 0.0)
@@ -443,7 +445,8 @@ def check_speeds(motion: Motion) -> list[CheckResult]:
 
 
 def check_position_clock(motion: Motion) -> list[Finding]:
-    """Finding of positions stamped by another clock, whose speed agrees with the velocity only with a large lag."""
+    """Finding of positions stamped by another clock: their speed agrees with the velocity, and their course with yaw,
+    only with a large lag."""
     speed = np.abs(np.gradient(motion.position, motion.time))
     agreement = compare_series(motion.time, motion.speed, motion.time, speed, SPEED_CUTOFF, max_lag=MAX_CLOCK_OFFSET,
                                max_fitted_lag=MAX_CLOCK_OFFSET)
@@ -451,8 +454,15 @@ def check_position_clock(motion: Motion) -> list[Finding]:
             or abs(agreement.lag.value) <= MAX_LAG or agreement.correlation < MIN_SCALE_CORRELATION):
         return []
     lag = agreement.lag
-    text = (f"positions {'lag' if lag.value > 0.0 else 'lead'} velocity by {abs(lag)} s: are they stamped by another "
-            "clock, as GPS time, which is 18 s ahead of UTC?")
+    moving = speed > MIN_MOVING_SPEED
+    course = np.exp(1j * np.angle(np.gradient(motion.position, motion.time)[moving]))
+    yaw = [np.interp(motion.time[moving] - shift, motion.time, motion.yaw) for shift in (0.0, lag.value)]
+    loss, loss_with_lag = (float(np.square(np.abs(course - np.exp(1j * values))).mean()) for values in yaw)
+    if loss <= MIN_LOSS_RATIO * loss_with_lag:  # the velocity may be late instead, or the drive is straight
+        return []
+    gps = ", as GPS time, which is 18 s ahead of UTC" if abs(abs(lag.value) - GPS_AHEAD_OF_UTC) < 1.0 else ""
+    text = (f"positions {'lag' if lag.value > 0.0 else 'lead'} velocity and yaw by {abs(lag)} s: are they stamped by "
+            f"another clock{gps}?")
     return [Finding("position_lag", Severity.ERROR, ("x", "y"), text, lag.value, "s", lag.interval,
                     advice=Advice.correct("position", earlier=float(f"{lag.value:.5g}")))]
 

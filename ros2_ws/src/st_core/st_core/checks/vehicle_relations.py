@@ -37,6 +37,7 @@ MIN_ANGLE_FOR_SIGN = 0.003  # rad; the same for the sign of the gain alone, for 
 MAX_OPPOSITE_CORRELATION = -0.8  # correlation of steering and curvature below which the steering has the opposite sign
 MIN_UNRELATED_SPREAD = 0.01  # rad at the road wheels; minimum standard deviation of measured and derived steering
 STEERING_PLAY = 0.07  # rad of the steering wheel; play of usual cars, which acts like a lag of small steering angles
+NARROWER_BENDS = Advice("text", "drive narrower bends, to distinguish the two")
 MIN_GAIN = 1e-6  # ratio of measured to derived angle below which the steering is constant and reported as frozen
 
 
@@ -73,8 +74,8 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
     clock = _make_clock_finding(agreement, response_change, lateral_shift) if has_lag else None
     has_lag &= clock is None
     # Play takes its width from every turn, so small steering angles have too small a gain.
-    has_play = 0.0 < (1.0 - gain.value) * agreement.spread < 0.5 * STEERING_PLAY / vehicle.steering_ratio
-    findings = (None if has_play else _make_unit_finding(gain, plausible_gains, vehicle, has_steering_wheel), clock,
+    may_be_play = 0.0 < (1.0 - gain.value) * agreement.spread < 0.5 * STEERING_PLAY / vehicle.steering_ratio
+    findings = (_make_unit_finding(gain, plausible_gains, vehicle, has_steering_wheel, may_be_play), clock,
                 _make_lag_finding(lag, agreement, response, lateral_shift, vehicle) if has_lag else None,
                 _make_offset_finding(agreement, vehicle, has_steering_wheel, lateral_shift))
     estimates = {"steering_scale": gain, "steering_sign": gain,
@@ -149,10 +150,11 @@ def _compute_lateral_shift(speed: float, vehicle: VehicleParameters) -> float:
 
 
 def _make_unit_finding(gain: Estimate, plausible_gains: tuple[float, float], vehicle: VehicleParameters,
-                       has_steering_wheel: bool) -> Finding | None:
+                       has_steering_wheel: bool, may_be_play: bool = False) -> Finding | None:
     """Finding of a steering gain that only a wrong unit or sign can explain; None for a plausible gain.
 
     plausible_gains: the expected and the largest one; 1 is plausible too, since stiffnesses may be inaccurate.
+    may_be_play: whether play of the steering explains a positive gain that is not that of a unit.
     """
     (expected, largest), value, limit = plausible_gains, gain.value, LIMITS.steering_unit_ratio
     if abs(value) < MIN_GAIN or (gain.interval[1] > 1.0 / limit and gain.interval[0] < limit * largest):
@@ -170,6 +172,9 @@ def _make_unit_finding(gain: Estimate, plausible_gains: tuple[float, float], veh
     reason = " and ".join(filter(None, (reasons.get(exact, ""), opposite)))
     text = (f"road_wheel_angle is {value:.3g} times the angle from yaw rate and speed"
             + (f": {reason}?" if reason else ""))
+    if may_be_play and not reason:
+        return Finding("steering_scale", Severity.WARNING, ("road_wheel_angle",),
+                       f"{text}, or the steering has play{AMBIGUOUS}", value, "1", gain.interval, advice=NARROWER_BENDS)
     advice = Advice.correct("road_wheel_angle", scale=float(f"{1.0 / np.copysign(exact, value):.6g}"))
     if has_steering_wheel and exact == 1.0 / vehicle.steering_ratio:  # its offset was also subtracted
         advice = Advice.correct("road_wheel_angle", scale=vehicle.steering_ratio,
@@ -221,7 +226,7 @@ def _make_lag_finding(lag: Estimate, agreement: Agreement, response: float, late
     rate = float(np.std(np.gradient(agreement.derived, agreement.time)))  # rad/s
     if abs(lag.value) * rate < 0.5 * STEERING_PLAY / vehicle.steering_ratio:
         text += f", or the steering has play{AMBIGUOUS}"
-        advice = Advice("text", "drive narrower bends, to distinguish the two")
+        advice = NARROWER_BENDS
     return _make_finding("steering_lag", ("road_wheel_angle",), text, lag, "s", effect, advice)
 
 

@@ -532,11 +532,13 @@ def excludes_null(effect: result.FoundEffect) -> bool:
 
 def replace_interval(fitted: result.FittedParameter,
                      sensors: tuple[float, float, float] | None) -> result.FittedParameter:
-    """The fitted value with an interval about it that just contains that of the redundant sensors (`discover`), if
-    this excludes the null and the fitted interval contains both; otherwise unchanged."""
+    """The fitted value with a symmetric interval just wide enough to contain that of the redundant sensors
+    (`discover`), if this excludes the null, the fitted interval contains the null, and the two intervals overlap;
+    otherwise unchanged."""
     value, (_, low, high) = fitted.value, sensors or (0.0, -np.inf, np.inf)
     half_width = max(high - value, value - low)
-    contains_both = fitted.interval[0] <= min(low, fitted.null) <= max(high, fitted.null) <= fitted.interval[1]
-    if not contains_both or abs(value - fitted.null) <= half_width:
+    contains_null = fitted.interval[0] <= fitted.null <= fitted.interval[1]
+    overlap = low <= fitted.interval[1] and fitted.interval[0] <= high
+    if not (contains_null and overlap) or abs(value - fitted.null) <= half_width:
         return fitted
     return replace(fitted, interval=(value - half_width, value + half_width))
