@@ -189,7 +189,7 @@ def list_bag_files(directory: Path) -> list[Path]:
     """Storage files of a bag directory, in order of their first messages, or by number if one has no known time."""
     files = sorted((f for f in directory.iterdir() if f.suffix.lower() in EXTENSIONS), key=natural_sort_key)
     spans = {f: read_time_span(f) for f in files} if len(files) > 1 else {}
-    return sorted(files, key=spans.__getitem__) if spans and all(spans.values()) else files
+    return sorted(files, key=lambda f: spans[f] or (0, 0)) if spans and all(spans.values()) else files
 
 
 def describe_missing_files(path: Path) -> list[str]:
