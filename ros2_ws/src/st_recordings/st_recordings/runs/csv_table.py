@@ -122,10 +122,12 @@ def read_table(file: Path, layout: Layout) -> Table:
 def _is_last_cell_truncated(body: str, delimiter: str) -> bool:
     """Whether the last cell of a table whose last line does not end has fewer decimals than all others of its column,
     which have equally many."""
-    cells = (line[line.rfind(delimiter) + 1:] for line in body.rstrip("\n").split("\n"))
+    lines = body.rstrip("\n").split("\n")
+    cells = (line[line.rfind(delimiter) + 1:] for line in lines)
     points = ((cell, max(cell.rfind("."), cell.rfind(","))) for cell in cells)
     *decimals, last = (len(cell) - point if point >= 0 else 0 for cell, point in points)
-    return len(decimals) > MAX_UNIT_ROWS and min(decimals) == max(decimals) > last
+    return (len(decimals) > MAX_UNIT_ROWS and lines[-1].count(delimiter) == lines[-2].count(delimiter)
+            and min(decimals) == max(decimals) > last)
 
 
 def join_tables(tables: Sequence[Table]) -> Table:
