@@ -1,4 +1,4 @@
-"""Methods to compute bands: conformal, parametric, and scaled to their level on the calibration runs."""
+"""Methods to compute bands: conformal, parametric, and scaled to nominal coverage of the calibration runs."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -46,7 +46,7 @@ def parametric_band(band: Band, runs: Sequence[ErrorSamples], pair: ModelMode, b
 
 
 def scale_to_level(band: Band, runs: Sequence[ErrorSamples], pair: ModelMode) -> Band:
-    """The band with factors for which its coverage of the equally weighted calibration runs is its level."""
+    """The band with factors for which its coverage of the equally weighted calibration runs is the nominal one."""
     grid = np.linspace(0.0, 1.0, 201)
     parts = [np.quantile((np.abs(one.errors[pair]) / band.scale(one.conditions)).max(axis=(1, 2)), grid)
              for one in runs]

@@ -1,4 +1,4 @@
-"""Writes the results of the benchmark of bands, and their comparison with the aims, to docs/measurements/bands.md."""
+"""Writes the results of the benchmark of bands, and their comparison with targets, to docs/measurements/bands.md."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,7 +11,7 @@ ROWS_PART, AIMS_PART = "table of held-out runs", "comparison with the aims"
 AIMS = {"90 % covers": (86.0, 94.0), "50 % covers": (45.0, 55.0), "worst cell of 200 starts": (80.0, 100.0)}
 """Column -> lower and upper bound of the coverage [%]."""
 MAX_SCORE_RATIO = 1.15
-"""Aim for the interval score divided by that of the best alternative."""
+"""Target for the interval score divided by that of the best alternative."""
 MODELS = ("kinematic", "linear", "nonlinear")
 BAND, CALIBRATED = "conformal", "scaled to its level"
 
@@ -27,7 +27,7 @@ def write_rows(rows: Mapping[str, Mapping[str, str]], page: Path = PAGE) -> None
 
 
 def summarise_groups(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
-    """Ranges over all models for each held-out group and mode, in bold if they miss the aim."""
+    """Ranges over all models for each held-out group and mode, in bold if they miss the target."""
     groups: dict[str, dict[str, list[Mapping[str, str]]]] = {}
     for row in (one for one in rows if one["interval score"] != "-"):
         title, mode, method = _split_title(row["held out"])
@@ -52,7 +52,7 @@ def summarise_groups(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
 
 
 def _format_ratios(band: Sequence[Mapping[str, str]], others: Mapping[str, Sequence[Mapping[str, str]]]) -> str:
-    """Formats the range, over the models, of the larger score ratio of both axes, in bold if it misses the aim."""
+    """Formats the range, over the models, of the larger score ratio of the axes, in bold if it misses the target."""
     ratios = [max(score / best for score, best in zip(_interval_scores(row), _interval_scores(other), strict=True))
               for row, other in zip(band, _best_rows(others), strict=False)]
     text = _format_range(ratios, "{:.2f}", "")

@@ -1,4 +1,4 @@
-"""Edits of recordings other than factors, offsets and delays; each returns the recording and the true value."""
+"""Edits of recordings other than factors, offsets and delays. Edited: the recording and the true value."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,7 +18,7 @@ def _generator(recording: Recording) -> np.random.Generator:
 
 
 def change_time_unit(r: Recording, factor: float) -> Edited:
-    """Stamps that advance `factor` times too fast from the first measurement on."""
+    """Time stamps that advance `factor` times too fast from the first measurement on."""
     start = r.log.start_ns
 
     def speed_up(time_ns: np.ndarray) -> np.ndarray:
@@ -48,7 +48,7 @@ def _remove_spans(r: Recording, gaps: list[tuple[float, float]]) -> Edited:
 
 
 def repeat_stamps(r: Recording, fraction: float) -> Edited:
-    """A `fraction` of the recorded rows has the stamp of the previous row; a reader leaves them out."""
+    """A `fraction` of the recorded rows repeats the time of the previous row; a reader leaves them out."""
     generator = _generator(r)
 
     def repeat(time: np.ndarray) -> np.ndarray:
@@ -59,7 +59,7 @@ def repeat_stamps(r: Recording, fraction: float) -> Edited:
 
 
 def swap_stamps(r: Recording, fraction: float) -> Edited:
-    """A `fraction` of the rows has a stamp before that of the previous row; a reader leaves them out."""
+    """A `fraction` of the rows has an earlier time than the previous row; a reader leaves them out."""
     generator, stamps, rising = _generator(r), {}, {}
     for name, in_order in r.auxiliary.stamps.items():
         time = in_order.copy()
@@ -67,13 +67,13 @@ def swap_stamps(r: Recording, fraction: float) -> Edited:
         time[rows], time[rows + 1] = in_order[rows + 1], in_order[rows]
         stamps[name] = time
         rising[name] = np.ones(len(time), bool)
-        # The later stamp comes first and is kept, because the log itself is in order of time.
+        # The later time comes first and is kept; in the log, which is in order, its row is the second.
         rising[name][rows] = False
     return select_rows(r, rising["INS"], rising["steering"]).with_auxiliary(stamps=stamps), fraction
 
 
 def add_jitter(r: Recording, size: float) -> Edited:
-    """Stamps with random delays of standard deviation `size` [s], in the same order. True value: standard deviation of
+    """Times with random delays of standard deviation `size` [s], in the same order. True value: standard deviation of
     the change of the intervals [s]."""
     time = r.log.ins_time_ns
     noise = np.round(size * 1e9 * _generator(r).standard_normal(len(time))).astype(np.int64)

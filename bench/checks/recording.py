@@ -17,7 +17,7 @@ STEERING = ("road_wheel_angle", "steering_wheel_angle")
 class Recording:
     """A drive with the vehicle file of its user. real: a real drive, with unknown faults.
 
-    baseline: for a virtual drive, finding -> value of sensors without a fault, where not 1 (scales) or 0 (offsets).
+    baseline: for a virtual drive, finding -> its value without a fault, if that is not 1 (scales) or 0 (offsets).
     """
 
     log: DriveLog
@@ -42,7 +42,7 @@ class Recording:
         return replace(self, auxiliary=replace(self.auxiliary, **fields))
 
     def between(self, start_ns: int, end_ns: int) -> "Recording":
-        """The part of the recording between two times [ns], without stamps, which belong to the whole recording."""
+        """The part of the recording between two times [ns], without `stamps`, which belong to the whole recording."""
         auxiliary = {name: None if (part := getattr(self.auxiliary, name)) is None else _rows(
             part, (part.time_ns >= start_ns) & (part.time_ns <= end_ns)) for name in TIMED}
         return replace(self, log=self.log.slice(start_ns, end_ns),
@@ -93,7 +93,7 @@ def _delay(time_ns: np.ndarray, values: np.ndarray, seconds: float) -> np.ndarra
 
 
 def with_good_quality(recording: Recording) -> Recording:
-    """Adds the status of a unit that has RTK all the time."""
+    """Adds the status of a unit with uninterrupted RTK."""
     time = recording.log.ins_time_ns
     level = np.ones(len(time))
     return recording.with_auxiliary(quality=InsQuality(time, LOCKED * level, RTK_INTEGER * level, 0.01 * level))
@@ -114,6 +114,6 @@ def _noisy_speed(recording: Recording, noise: float) -> Series:
 
 
 def with_stamps(recording: Recording) -> Recording:
-    """Adds stamps without a fault."""
+    """Adds time stamps without a fault."""
     log = recording.log
     return recording.with_auxiliary(stamps={"INS": log.ins_time_ns, "steering": log.steering_time_ns})

@@ -151,12 +151,12 @@ def _no_error(set_: str, index: int) -> Case:
 
 
 def _with_reference(set_: str, index: int) -> Case:
-    """D: the nominal vehicle file and healthy reference drives; three of five cases hide one effect, the others
+    """D: the nominal vehicle file and healthy reference drives; three of five cases have one effect, the others
     none."""
     draw = _draw(set_, "D", index)
     group = index // PER_CAR
     with_vy = group % 5 != 4
-    # Every third car has settings with which the effects that need them can be hidden.
+    # Every third car has the settings that some changes require.
     required = {"combined_slip": 0.0} if group % 3 == 0 else {}
     car = healthy_car(LEAF, (seed_of(set_, "D", "car", group),), **required)
     nominal = healthy_car(LEAF, (0,)).settings | _file_of_leaf()

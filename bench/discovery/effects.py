@@ -17,15 +17,15 @@ Values = dict[str, dict[str, float]]
 
 @dataclass(frozen=True)
 class Hidden:
-    """One setting of a plant."""
+    """A change of one setting of a plant, unknown to discovery."""
 
     setting: str
     library: str | None  # name of the effect, None if no effect of the library describes the setting
     full: float
     signs: tuple[int, ...] = BOTH
     factor: bool = False  # the setting is multiplied by 1 + change; otherwise the change is added
-    group: str = ""  # effects of one group are not hidden together
-    # Other settings of the healthy car without which the effect cannot be hidden.
+    group: str = ""  # changes of one group are not injected together
+    # Other settings of the healthy car that the change requires to have an effect.
     with_: Mapping[str, float] | None = None
 
     def applied(self, settings: Settings, scale: float, sign: int) -> dict[str, float]:
@@ -74,7 +74,7 @@ PLACES = (
     Hidden("terrain_wave", None, 0.06, UP),
     Hidden("hillside_slope", None, 0.05),
 )
-"""Changes that depend on the place. The slope exists at one of two sites, otherwise the library would describe it."""
+"""Changes that depend on the place. The slope exists at one of two sites only; the library describes one at both."""
 OUTSIDE_LIBRARY = (
     Hidden("gust_speed", None, 10.0, UP),
     Hidden("rear_roll_steer", None, 0.25),
@@ -86,7 +86,7 @@ Ackermann fraction is not included, because these drives do not show it."""
 SENSORS = ("yaw_rate_scale", "yaw_rate_bias", "speed_scale", "lateral_acceleration_bias", "sensor_lever_arm")
 PHYSICS = ("steering_lag", "steering_delay", "steering_backlash", "steering_compliance", "roll_steer",
            "tyre_relaxation", "combined_slip", "lateral_load_transfer", "crosswind", "road_bank")
-"""Block B adds up to two effects of each kind to the wrong parameters."""
+"""Up to two effects of each kind are present in block B, in addition to wrong parameters in the vehicle file."""
 
 PLANT_DIFFERENCES: dict[str, dict[str, str]] = {
     "leaf": {

@@ -1,7 +1,7 @@
 """Simulates INS and steering sensor for a whole drive at once, and returns a DriveLog.
 
 The values, including noise, are those of `st_sim.sensors`, with random numbers in the same order. They are then rounded
-as on NCOM and CAN, and converted to the axes of the suite. Checked by: tests/bench/test_discovery_plants.py.
+as on NCOM and CAN, and converted to the axes of `DriveLog`. Checked by: tests/bench/test_discovery_plants.py.
 """
 
 from collections.abc import Sequence

@@ -53,7 +53,7 @@ class ReferencePath:
         return math.cos(point.yaw) * (y - point.y) - math.sin(point.yaw) * (x - point.x)
 
     def make_reference(self, steps: int, step: float) -> Reference:
-        """Path ahead at the end of each step [s], for a car that drives at the speed of the plan."""
+        """Path ahead at the end of each of the `steps`, for a car at the speed of the plan. step: duration [s]."""
         rows, distance = [], self.distance
         for _ in range(steps):
             middle = distance + 0.5 * step * self.plan.speed_at(distance)

@@ -1,4 +1,4 @@
-"""Settings of the virtual car, each with a null value that disables its effect, and the reader of its vehicle file.
+"""Settings of the virtual car, each with a null value, that of an ideal car, and the reader of its vehicle file.
 
 In the preset `ideal` all settings are null; `realistic` is a typical car. A file or `--effect name=value` changes them.
 """

@@ -111,7 +111,7 @@ class ReadOptions:
         help="Bags with several topics of type nav_msgs/Odometry: the topic of the INS.")] = None
 
     def resolve(self, **others: Any) -> "tuple[Path | None, ReadSettings]":
-        """(vehicle file or None if the user named none, settings for reading). others: further fields of ReadSettings.
+        """(vehicle file or None, settings for reading), from options and --car. others: further fields of ReadSettings.
 
         Raises RunError for a car that cannot be read.
         """

@@ -59,13 +59,13 @@ class Finding:
     unit: str = "1"
     interval: tuple[float, float] | None = None  # 95 % confidence interval of value [unit]
     times: tuple[tuple[float, float], ...] = ()  # [s since the first INS measurement]; empty: the whole run
-    effect: float | None = None  # approximate shift of the position after the horizon [m]
+    effect: float | None = None  # approximate shift of the position at the end of the horizon [m]
     advice: Advice | None = None
     tried: tuple[float, float] | None = None  # prediction error [m] without and with the correction, if tried
 
     @property
     def concerns_only_acceleration(self) -> bool:
-        """Whether only accelerations are affected, which identification and discovery use, but no prediction."""
+        """Whether only accelerations are affected, which identification and discovery use, but predictions do not."""
         return (self.effect is None and bool(self.channels)
                 and all(channel.startswith("acceleration") for channel in self.channels))
 
@@ -125,7 +125,7 @@ class DriveCheck:
     findings: tuple[Finding, ...]  # the most severe first
     channels: Mapping[str, Sampling]
     comparisons: tuple[Comparison, ...]  # in the order of the checks
-    # (value, lower and upper 95 % limit) by name of the finding, without findings that name an alternative
+    # (value, lower and upper 95 % limit) by name of the finding, without ambiguous ones (two possible causes)
     estimates: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
     def with_severity(self, severity: Severity) -> tuple[Finding, ...]:
@@ -180,7 +180,7 @@ WHEEL_SCALE_TOLERANCE = 0.03  # relative change of the tyre radius with wear and
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of the findings. Effects are shifts of the position after the horizon."""
+    """Limits of the findings. Effects are shifts of the position at the end of the horizon."""
 
     min_reported_effect: float = 0.02  # m; an RTK position is accurate to 2 cm
     warning_effect: float = 0.25  # m; the best models have errors of 0.4 m over such horizons

@@ -1,9 +1,9 @@
-"""Trial of corrections: each is applied to the run, and is proposed unless the predictions become worse.
+"""Trial of corrections: they are applied to the run, and proposed unless its predictions become worse.
 
 The prediction error is the distance between measured position and prediction by the linear single-track model, both
-from the corrected drive, HORIZON after starts that are HORIZON apart. A wrong steering ratio or offset in the vehicle
-file would favour corrections that compensate it. Each trial therefore also fits errors of both, gain g [1] and
-offset o [rad]:
+from the corrected drive, HORIZON after each start; the starts are HORIZON apart. A wrong steering ratio or offset in
+the vehicle file would favour corrections that compensate it. Each trial therefore also fits errors of both, gain g [1]
+and offset o [rad]:
 
     e = e_0 + (de/dg) g + (de/do) o,    least squares within |g| <= MAX_GAIN, |o| <= MAX_OFFSET
 
@@ -35,13 +35,13 @@ from .motion import find_time_intervals
 # real drives (at most 7 % worse) stay below this.
 MAX_ERROR_RATIO, ERROR_NOISE = 1.1, 0.02
 GAIN_STEP, OFFSET_STEP = 0.03, 0.003  # 1, rad; steps of the difference quotients
-MAX_GAIN, MAX_OFFSET = LIMITS.steering_unit_ratio - 1.0, 0.1  # 1, rad at the road wheels; larger than in any car
+MAX_GAIN, MAX_OFFSET = LIMITS.steering_unit_ratio - 1.0, 0.1  # 1, rad at the road wheels; larger than plausible errors
 MIN_STARTS = 4
 MIN_REDUCED_STARTS = 100  # many starts are reduced to 100 to 199; more would change the error by less than 1 %
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
 MAX_TRIAL_SUBSTEPS = 50  # steps of 1 ms
 SPEED_COUNT = 40  # number of speeds, from the lowest to the highest of the run, at which the stability is computed
-STEP_DIVISORS = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, MAX_SUBSTEPS)  # divisors that yield steps with few digits
+STEP_DIVISORS = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, MAX_SUBSTEPS)  # the resulting steps are round numbers
 MERGE_GAP = 1.0  # s; intervals with a smaller gap are merged
 Run = tuple[DriveLog, VehicleParameters]
 
@@ -51,7 +51,7 @@ def try_corrections(findings: list[Finding], log: DriveLog, vehicle: VehiclePara
 
     The corrections of all errors are applied together, since one wrong unit may mask another. If they do not fail and
     are not harmful, the correction of each warning is then tried separately. A warning with a harmful correction
-    becomes a note. Corrections that affect no prediction are not tried.
+    becomes a note. Corrections that affect no prediction, and `leave_out`, are not tried.
     """
     tried_findings = [finding for finding in findings if _is_tried(finding)]
     if not tried_findings:
@@ -152,10 +152,10 @@ def _apply_advice(run: Run, advice: Advice | None) -> Run | None:
 
 def check_step_length(models: Sequence[str | Model], vehicle: VehicleParameters, log: DriveLog,
                       step: float) -> Finding | None:
-    """Finding of integration steps that are too long for at least one model; None if the step [s] is short enough.
+    """Finding `step_too_long`: a step [s] too long for at least one model; None if the step is short enough.
 
     The value of the finding is the minimum_slip_speed [m/s] that makes the step stable, else the longest stable step
-    [s], else None. For a small car, no speed above the median is proposed: that would soften the tyres throughout.
+    [s], else None. For a scale-model car, no value above the median speed is proposed: it would lower most tyre forces.
     """
     resolved = [get_model(model) for model in models]
     speed = np.abs(log.velocity_x)

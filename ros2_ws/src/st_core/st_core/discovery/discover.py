@@ -34,7 +34,7 @@ from .windows import MARGIN_NS, MIN_SPEED, Windows
 
 Progress = Callable[[str, int, int], None]
 SensorEstimates = Mapping[str, tuple[float, float, float]]
-MIN_WINDOWS = 3  # smallest number of predictions that can be divided into a fit and a test
+MIN_WINDOWS = 3  # smallest number of predictions that can be divided into a training and a test set
 MIN_TURNING_FRACTION = 0.05  # smallest fraction of driving in turns, and of turns to each side, without a warning
 CONTAINED_IN_INPUT = "the measured forward acceleration is an input and already contains it"
 NEVER_TESTABLE = {"drag": CONTAINED_IN_INPUT, "rolling_resistance": CONTAINED_IN_INPUT,
@@ -47,11 +47,11 @@ def discover(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | M
              clocks: Mapping[str, float] | None = None) -> result.Discovery:
     """Find the effects that the base model lacks to explain the runs.
 
-    runs: suspect drives.
+    runs: drives to be diagnosed.
     vehicle: parameters of the vehicle file, from which the search starts.
     reference: drives of the healthy car; the search then starts from the fit to these drives and finds later changes.
     progress(stage, done, total): called regularly.
-    sensor_estimates: (value, low, high) from redundant sensors, with 95 % interval, by estimate of `checks`.
+    sensor_estimates: (value, lower, upper 95 % limit) from redundant sensors, by name of the estimate in `checks`.
     parallel: number of threads.
     clocks: standard deviation of the error of the steering clock [s], by run; clocks of other runs count as exact.
     Raises StCoreError if the runs contain no usable prediction, ConfigurationError for settings that are not valid for
@@ -192,8 +192,8 @@ class _Analysis:
     def _decide_outcome(self, state: SearchState, judged: _JudgedEffects, untestable: Sequence[result.UntestableEffect],
                         noise_ratios: tuple[float, float], n_varying: int,
                         ) -> tuple[result.Outcome, tuple[result.Reason, ...]]:
-        """Outcome, and the reasons for it and for the verdict on each effect that was tried. noise_ratios [1]: ratio of
-        position error to noise, without and with the effects."""
+        """Outcome, and the reasons for it and for the verdict on each effect that was tried. noise_ratios: ratio of
+        position error to noise, without and with the effects [1]."""
         hypotheses = self.space.hypotheses
         detectable = 1.0 - sum(n.name in hypotheses for n in untestable) / len(hypotheses)
         combinations = result.unseparated_combinations(judged.combinations, judged.named)
@@ -420,7 +420,7 @@ class _Analysis:
 
     def _find_untestable(self, state: SearchState, power: result.PowerAnalysis, judged: _JudgedEffects,
                          curvatures: Curvatures) -> tuple[result.UntestableEffect, ...]:
-        """Effects that are not detectable in these drives, with the reason and a manoeuvre that would show them."""
+        """Effects that are not detectable in these drives, with the reason and a manoeuvre to detect them."""
         names = {*(name for e in judged.named for name in (e.name, *e.alternatives)), *(e.name for e in judged.minor)}
         untestable, problem = [], self.problem
         for name in self.space.hypotheses:
@@ -493,7 +493,7 @@ def _noise_ratios(position: result.ChannelError | None, channel_noise: Mapping[s
 
 
 def complete_delay(delay: result.Combination, effects: Sequence[result.FoundEffect]) -> result.Combination:
-    """The total delay with the alternatives of its effects, such as tyre relaxation, added to its effects. If only one
+    """The total delay; its `effects` also list the alternatives to those found, such as tyre relaxation. If only one
     effect of the model contributes, the interval also covers that of this effect. Other combinations are unchanged."""
     if not delay.is_delay:
         return delay

@@ -213,7 +213,7 @@ def _fit_slope(samples: AxleSamples) -> Slope:
 
 
 def _estimate_model_error(samples: AxleSamples, slope: Slope) -> float:
-    """Standard uncertainty of the secant as an estimate of the stiffness at zero slip [N/rad]; NaN if unknown."""
+    """Standard uncertainty of the slope as an estimate of the stiffness at zero slip [N/rad]; NaN if unknown."""
     size = np.abs(samples.slip - samples.find_zero_force_slip())
     low = replace(samples, used=samples.used & (size <= 0.5 * np.quantile(size[samples.used], SLIP_QUANTILE)))
     mean, mean_low = (float(np.average(sizes, weights=sizes**2)) if sizes.any() else np.inf
@@ -268,7 +268,7 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> 
                           (*notes, *describe_correlations([e.parameter for e in estimates], correlation)), figure)
 
 
-EVALUATION_SPEED = 20.0  # m/s, speed at which the curve is evaluated; above every minimum_slip_speed
+EVALUATION_SPEED = 20.0  # m/s, speed at which the curve is evaluated; not below any minimum_slip_speed
 MIN_DRAWS = 20  # minimum number of drawn models for a band
 MAX_SECANT_STEPS = 6  # for the lateral acceleration; the force error is below 0.1 % even at the bounds of roll steer
 BAND_QUANTILES = (0.05, 0.95)  # of the draws
@@ -283,7 +283,7 @@ class ForceCurve:
     force: tuple[float, ...]  # positive if it opposes the slip [N]
     low: tuple[float, ...]  # lower end of its 90 % band [N]
     high: tuple[float, ...]  # upper end of its 90 % band [N]
-    file: tuple[float, ...]  # force at the start of the search, from vehicle file or reference [N]
+    file: tuple[float, ...]  # force of the model before the search, from vehicle file or reference [N]
     density: tuple[float, ...]  # fraction of the samples between neighbouring values of slip
 
 

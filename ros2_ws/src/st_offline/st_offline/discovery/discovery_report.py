@@ -72,7 +72,7 @@ def collect_provenance(discovery: Discovery, request: Request, seconds: Mapping[
 
 
 def build_model_file(discovery: Discovery, request: Request, update: VehicleUpdate) -> ModelFile | None:
-    """Model file with the effects of `update.model` that are not at their neutral values; None without any.
+    """Model file with the effects of `update.model` that are not at their null values; None without any.
 
     Intervals of changes relative to the reference drives are shifted to the total values. An effect whose value differs
     from the reported one is marked as an effective correction.

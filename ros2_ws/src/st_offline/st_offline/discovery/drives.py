@@ -81,7 +81,8 @@ class Request:
 
 def read_drives(sources: Sequence[RunSource], vehicle: VehicleParameters, settings: ReadSettings, jobs: int,
                 tick: Callable[[], None], force: bool = False) -> list[Drive]:
-    """Read all runs, in the order of the sources. jobs: number of processes. tick: called after each run."""
+    """Read all runs, in the order of the sources. jobs: number of processes. tick: called after each run; with several
+    processes, not for sources with a problem."""
     if jobs <= 1 or len(sources) < 2:
         drives = []
         for source in sources:

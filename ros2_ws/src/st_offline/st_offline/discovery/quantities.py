@@ -88,7 +88,7 @@ def format_decimal(number: float, decimals: int) -> str:
 
 
 def format_parameter(p: FittedParameter, parameter: Parameter | None = None, interval: bool = True) -> str:
-    """Value and 95 % interval; a parameter with the neutral value 1 is written as a factor. parameter: definition of
+    """Value and 95 % interval; a parameter with the null value 1 is written as a factor. parameter: definition of
     `p`; with it, a value at a limit of its range is marked. The interval may cross that limit."""
     typical_size = abs(parameter.initial - parameter.null) if parameter else 0.0
     bounds = parameter.hard_bounds if parameter else ()
@@ -130,7 +130,7 @@ def format_fitted(name: str, numbers: Mapping[str, float]) -> str:
 
 
 def format_deviation(deviation: float, unit: str) -> str:
-    """Magnitude of a deviation from the neutral value; in per cent if it is dimensionless."""
+    """Magnitude of a deviation from the null value; in per cent if it is dimensionless."""
     return f"{float(f'{100 * abs(deviation):.2g}'):g} %" if unit == "1" else format_value(abs(deviation), unit)
 
 

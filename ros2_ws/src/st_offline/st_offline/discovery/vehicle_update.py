@@ -202,7 +202,7 @@ def find_changed_entries(vehicle: VehicleParameters, effect: type[Effect], value
 
 
 def neutralise_effects(model: AugmentedModel, effects: Iterable[type[Effect]]) -> AugmentedModel:
-    """The model with these effects at their neutral values."""
+    """The model with these effects at their null values."""
     return model.with_values({e.name: {p.name: p.null for p in e.parameters} for e in effects})
 
 

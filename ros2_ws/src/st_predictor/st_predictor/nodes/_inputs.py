@@ -26,8 +26,8 @@ QUEUE_DEPTH = 4000  # queued messages per topic: 16 s at 250 Hz, in case the nod
 class PublisherLock:
     """Accepts only messages of the first publisher of an input, so that measurements of two cars are never mixed.
 
-    A message does not name its publisher, but each publisher numbers its messages consecutively: they form a chain. If
-    two chains have reached the same number, they cannot be distinguished, and neither is used.
+    A message does not name its publisher, but each publisher numbers its messages consecutively: they form a chain.
+    None is used while several publish before the first is accepted, or if two chains have reached the same number.
 
     names: full node names of all publishers at the last `update`. rejected_count: number of messages rejected so far.
     """
@@ -101,7 +101,7 @@ class _Input:
     def take_accepted(self) -> Iterator[Any]:
         """Queued messages of the accepted publisher."""
         previous_warning, count = self.lock.describe_competition(_read_utc()), self.subscription.count_publishers()
-        # Add new publishers before reading, and remove ended ones only afterwards: their messages may still be queued.
+        # Add new publishers before reading, and remove those that ended only afterwards: their messages may be queued.
         if count > len(self.lock.names):
             self.lock.update(self.subscription.find_publisher_names())
         for message, arrival_ns, number in self.subscription.take(QUEUE_DEPTH, "publication_sequence_number"):

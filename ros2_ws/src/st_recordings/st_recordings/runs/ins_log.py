@@ -1,4 +1,4 @@
-"""INS measurements of any recording in the axes of the suite, selection of usable time stamps, and vehicle speed."""
+"""INS measurements of any recording in the axes of `DriveLog`, selection of usable time stamps, and vehicle speed."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,9 +16,9 @@ _SPEED_SETS = (("wheel_speed_rear_left", "wheel_speed_rear_right"),
 SPEEDS = tuple(name for names in _SPEED_SETS for name in names)
 MAX_WHEEL_GAP_NS = 100_000_000  # longest gap across which the speed of a wheel is interpolated
 LATEST_TIME = 9.0e9  # s since 1970, in the year 2255; int64 nanoseconds end in the year 2262
-MAX_LOST_FRACTION = 0.01  # of the rows; if more are not later than all previous ones, the clock may have been set back
+MAX_LOST_FRACTION = 0.01  # of the rows; if more are out of order in time, the clock may have been set back
 MAX_END_STEP = 10.0
-"""Multiple of the 95th percentile of the time steps; if the first or last step is longer, its outer stamp is wrong."""
+"""Multiple of the 95th percentile of the steps; a longer first or last time step means a wrong first or last time."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def select_usable_rows(time_ns: np.ndarray, noun: str) -> tuple[np.ndarray, list
 
     Rows are left out as in `find_ascending`. If their fraction exceeds MAX_LOST_FRACTION, and the longest part without
     a backward step has about as many rows as would remain, the clock was set back while recording, and only this part
-    is used. A first or last row with a stamp far from that of its neighbour is left out.
+    is used. If there are more than 10 rows, a first or last one with a time far from its neighbour's is left out.
 
     time_ns: (n,) int64, in the order of the recording. noun: plural name of the rows, for the warnings.
     """

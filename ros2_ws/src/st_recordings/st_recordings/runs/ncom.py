@@ -1,4 +1,4 @@
-"""Reads NCOM packets of an INS from .ncom and .xcom files and network captures, in the axes of the suite."""
+"""Reads NCOM packets of an INS from .ncom and .xcom files and network captures, in the axes of `DriveLog`."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -117,7 +117,7 @@ def select_latest_values(source_packets: np.ndarray, values: np.ndarray, packets
 
 
 def collect_quality(columns: Columns, packets: np.ndarray) -> InsQuality:
-    """Quality that the unit reports at packets with ascending times."""
+    """Quality reported by the unit, at packets in order of time."""
     position = select_latest_values(*decode_status_channel(columns, 3, ACCURACIES[3]), packets)
     return InsQuality(columns.utc_ns[packets], columns.navigation_status[packets].astype(float),
                       select_latest_values(*decode_status_channel(columns, 0, ("GpsPosMode",)), packets)[:, 0],

@@ -26,7 +26,7 @@ _MONTHS = {"jan": 1, "gen": 1, "feb": 2, "fév": 2, "fev": 2, "mar": 3, "mär": 
            "may": 5, "mai": 5, "mag": 5, "maj": 5, "jun": 6, "giu": 6, "jul": 7, "lug": 7, "aug": 8, "aoû": 8, "ago": 8,
            "sep": 9, "set": 9, "oct": 10, "okt": 10, "ott": 10, "out": 10, "nov": 11, "dec": 12, "dez": 12, "déc": 12,
            "dic": 12, "juin": 6, "juil": 7}
-ROLLOVER_STEP = 60.0  # s, longest gap between two rows across midnight or the end of a GPS week; 1 s for shorter clocks
+ROLLOVER_STEP = 60.0  # s, longest gap across midnight or the end of a GPS week; 1 s for clocks with a shorter period
 # (day number of 1970-01-01, its origin)
 _DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"), (2440587.5, "Julian days"))
 PLAUSIBLE_EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
@@ -100,8 +100,8 @@ def _replace_month_name(match: re.Match[str]) -> str:
 
 
 def parse_stamp(text: str) -> tuple[float, float] | None:
-    """(seconds since 1970, since midnight or since the full hour; period [s] after which they restart, or 0) of a time.
-    A time without time zone is UTC. None for a text that is not a time."""
+    """Reads a time: (seconds since 1970, since midnight or since the full hour; period [s] after which they restart, or
+    0). A time without time zone is UTC. None for a text that is not a time."""
     if match := _UNDERSCORED_STAMP.fullmatch(text):
         text = "{}-{}-{} {}:{}:{}.{}".format(*match.groups("0"))
     match = _STAMP.fullmatch(_COMPACT_STAMP.sub(r"\1-\2-\3 \4:\5:\6", text))
@@ -127,7 +127,7 @@ def parse_stamp(text: str) -> tuple[float, float] | None:
 def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warnings: list[str]
                        ) -> tuple[np.ndarray, ColumnSource]:
     """(times [s] without rollovers, their source). Times are in the stated unit, or HHMMSS, days, or ms, us, ns since
-    1970. A column declared as HHMMSS that contains other times is read as seconds, with the unit not stated."""
+    1970. A column declared as HHMMSS that contains other times is read as seconds, as if it had no stated unit."""
     finite = times[np.isfinite(times)]
     if source.unit == HHMMSS and not _is_mostly_hhmmss(finite):
         warnings.append(f"{file}: its times are not HHMMSS; they were read as seconds")

@@ -29,12 +29,12 @@ class Reader:
     is_folder: Callable[[Path], bool] | None = None  # whether a folder is one recording
     # Whether a file contains a drive, by a quick test; True if undecided.
     has_drive: Callable[[Path], bool] = lambda path: True
-    # Whether a file probably should contain a drive but lacks channels, so that these are reported.
+    # Whether a file is probably meant to contain a drive but lacks channels, so that these are reported.
     is_incomplete: Callable[[Path], bool] = lambda path: False
     # Whether a recording contains no steering angle, so that it needs CAN logs.
     lacks_steering: Callable[[Path], bool] = lambda path: False
-    # Whether it has columns and may consist of several files; `read` and `read_ins` then apply the correction factor of
-    # yaw.
+    # Whether a recording is a table, which may consist of several files; `read` and `read_ins` then apply the factor of
+    # yaw in run.yaml.
     is_table: bool = False
 
     @property
@@ -46,7 +46,7 @@ class Reader:
         return self.needs_can or self.lacks_steering(path)
 
     def may_contain_drive(self, path: Path) -> bool:
-        """Whether a file contains a drive or the INS measurements of one, or probably should."""
+        """Whether a file contains a drive or the INS measurements of one, or is probably meant to."""
         return self.has_drive(path) or self.is_ins_only(path) or self.is_incomplete(path)
 
     def accepts(self, path: Path) -> bool:
