@@ -72,7 +72,7 @@ METHODS: dict[str, Method] = {
     "normal by condition": parametric_band,
     "Student t by condition": lambda band, runs, pair: parametric_band(band, runs, pair, heavy=True),
     "normal, same everywhere": _unconditional_band,
-    "by condition, scaled to its level": scale_to_level,
-    "same everywhere, scaled to its level": lambda band, runs, pair: scale_to_level(
+    "by condition, scaled to nominal coverage": scale_to_level,
+    "same everywhere, scaled to nominal coverage": lambda band, runs, pair: scale_to_level(
         _unconditional_band(band, runs, pair), runs, pair),
 }

@@ -7,13 +7,15 @@ from _pages import format_records, format_table, read_part, replace_part
 from st_recordings.paths import project_root
 
 PAGE = project_root() / "docs" / "measurements" / "bands.md"
-ROWS_PART, AIMS_PART = "table of held-out runs", "comparison with the aims"
-AIMS = {"90 % covers": (86.0, 94.0), "50 % covers": (45.0, 55.0), "worst cell of 200 starts": (80.0, 100.0)}
+ROWS_PART, TARGETS_PART = "table of held-out runs", "comparison with the targets"
+COVERAGE_90, COVERAGE_50 = "90 % band: coverage", "50 % band: coverage"
+WORST_CELL = "worst cell with 200 starts or more"
+TARGETS = {COVERAGE_90: (86.0, 94.0), COVERAGE_50: (45.0, 55.0), WORST_CELL: (80.0, 100.0)}
 """Column -> lower and upper bound of the coverage [%]."""
 MAX_SCORE_RATIO = 1.15
 """Target for the interval score divided by that of the best alternative."""
 MODELS = ("kinematic", "linear", "nonlinear")
-BAND, CALIBRATED = "conformal", "scaled to its level"
+BAND, CALIBRATED = "conformal", "scaled to nominal coverage"
 
 
 def write_rows(rows: Mapping[str, Mapping[str, str]], page: Path = PAGE) -> None:
@@ -22,8 +24,8 @@ def write_rows(rows: Mapping[str, Mapping[str, str]], page: Path = PAGE) -> None
     page_rows |= {title: [title, *row.values()] for title, row in rows.items()}
     columns = ["held out", *next(iter(rows.values()))]
     replace_part(page, ROWS_PART, format_table(columns, page_rows.values()))
-    replace_part(page, AIMS_PART, format_records(summarise_groups([dict(zip(columns, cells, strict=True))
-                                                                   for cells in page_rows.values()])))
+    replace_part(page, TARGETS_PART, format_records(summarise_groups([dict(zip(columns, cells, strict=True))
+                                                                      for cells in page_rows.values()])))
 
 
 def summarise_groups(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
@@ -36,17 +38,17 @@ def summarise_groups(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
     summaries = []
     for name, methods in groups.items():
         entry = {"held out": name}
-        for column, (low, high) in AIMS.items():
+        for column, (low, high) in TARGETS.items():
             percents = (_leading_percent(row[column]) for row in methods[BAND])
             known = [percent for percent in percents if percent is not None]
             text = _format_range(known, "{:.0f}", " %")
             entry[column] = f"**{text}**" if known and not low <= min(known) <= max(known) <= high else text
         calibrated = {method: rows for method, rows in methods.items() if method.endswith(CALIBRATED)}
         others = {method: rows for method, rows in methods.items() if method not in calibrated and method != BAND}
-        entry["score over the best at its level"] = _format_ratios(methods[BAND], calibrated)
-        entry["score over the best uncalibrated"] = _format_ratios(methods[BAND], others)
-        coverages = [_leading_percent(row["90 % covers"]) for row in _best_rows(others)]
-        entry["coverage of that one"] = _format_range(coverages, "{:.0f}", " %")
+        entry["score / best alternative scaled to nominal coverage"] = _format_ratios(methods[BAND], calibrated)
+        entry["score / best unscaled alternative"] = _format_ratios(methods[BAND], others)
+        coverages = [_leading_percent(row[COVERAGE_90]) for row in _best_rows(others)]
+        entry["90 % band of the best unscaled alternative: coverage"] = _format_range(coverages, "{:.0f}", " %")
         summaries.append(entry)
     return summaries
 

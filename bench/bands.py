@@ -14,7 +14,7 @@ from _band_adaptive import Drive, Score, evaluate_drive, join_drives
 from _band_changes import measure_changes
 from _band_corrected import correct_files
 from _band_methods import LEVELS, METHODS, SEED
-from _band_page import PAGE, write_rows
+from _band_page import COVERAGE_50, COVERAGE_90, PAGE, WORST_CELL, write_rows
 from _cars import MORE_DRIVES, NINE_DRIVES
 from _cars import genesis as genesis_vehicle
 from _drawn_bands import SETTINGS, TIME
@@ -54,8 +54,7 @@ DEVIATIONS = {"friction_factor": 0.75, "steering_offset": 0.01, "mass_factor": 1
 
 Runs = Mapping[str, ErrorSamples]
 Row = dict[str, str]
-COLUMNS = ("90 % covers", "worst run", "50 % covers", "worst cell of 200 starts", "interval score", "CRPS",
-           "half-width at 5 s", "no band")
+COLUMNS = (COVERAGE_90, "worst run", COVERAGE_50, WORST_CELL, "interval score", "CRPS", "half-width at 5 s", "no band")
 CALIBRATED = ("conformal",)
 
 
@@ -161,7 +160,7 @@ def score_days(runs: Runs) -> list[Row]:
             scores = (errors / band.scale(new.conditions[kept])).max(axis=(1, 2))
             covered.append([float((scores <= band.factors[level]).mean()) for level in levels])
         rows.append({"model": pair[0], "mode": pair[1]} | {
-            f"{level:.0%} covers (days)": f"{np.mean(rates):.0%} ({', '.join(f'{one:.0%}' for one in rates)})"
+            f"{level:.0%} band: coverage (days)": f"{np.mean(rates):.0%} ({', '.join(f'{one:.0%}' for one in rates)})"
             for level, rates in zip(levels, zip(*covered, strict=True), strict=True)})
     return rows
 

@@ -1,4 +1,4 @@
-"""The command `st bench`: lists and runs the measurements in bench/."""
+"""The command `st bench`: lists and runs the benchmarks in bench/."""
 
 import ast
 import importlib
@@ -18,7 +18,9 @@ from st_recordings.paths import project_root, source_version
 def bench(
     context: typer.Context,
     name: str | None = typer.Argument(None, help="Name of a benchmark; without a name, all are listed."),
-    json_file: Path | None = typer.Option(None, "--json", help="File for the result and the machine."),
+    json_file: Path | None = typer.Option(
+        None, "--json", help="JSON file for the result and a description of the computer; not for benchmarks with own "
+        "options."),
 ) -> None:
     """List the benchmarks, or run one and print its results."""
     folder = project_root() / "bench"
@@ -33,6 +35,9 @@ def bench(
         console.print(table)
         return
     if name in packages:
+        if json_file:
+            typer.echo(f"st bench {name}: --json is not available; this benchmark writes its own results", err=True)
+            raise typer.Exit(2)
         sys.path.insert(0, str(project_root()))
         raise typer.Exit(importlib.import_module(f"bench.{name}").main(context.args))
     if name not in files:

@@ -169,7 +169,7 @@ YAW = (
     Kind("yaw rate bias", ("yaw_rate_bias",), "plus", shift("yaw_rate"), two_sizes(0.01, 0.03, "rad/s"), v.moves,
          either_side=True),
     Kind("yaw rate late", ("yaw_rate_lag",), "plus", delay("yaw_rate"), two_sizes(0.1, 0.3, "s"), v.turns),
-    Kind("yaw rate held", ("samples_repeated",), "is", f.hold("yaw_rate"), two_sizes(5.0, 2.0, "Hz"), v.turns,
+    Kind("yaw rate held", ("samples_repeated",), "is", f.hold_values("yaw_rate"), two_sizes(5.0, 2.0, "Hz"), v.turns,
          channel="yaw_rate", tolerance=FINE, also=("yaw_rate_lag", "resolution_coarse")),
     Kind("yaw rate frozen", ("channel_frozen",), "is", f.freeze("yaw_rate"), two_sizes(10.0, 30.0, "s"),
          v.long_enough("yaw_rate"), channel="yaw_rate", tolerance=FINE, also=("samples_repeated",)),

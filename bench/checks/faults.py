@@ -144,7 +144,8 @@ def round_channels(*channels: str) -> Callable[[Recording, float], Edited]:
     return lambda r, step: (r.with_log(**{c: np.round(getattr(r.log, c) / step) * step for c in channels}), step)
 
 
-def hold(channel: str) -> Callable[[Recording, float], Edited]:
+def hold_values(channel: str) -> Callable[[Recording, float], Edited]:
+    """Updates a channel only `rate` [Hz] times a second. True value: fraction of rows that repeat the previous one."""
     def edit(r: Recording, rate: float) -> Edited:
         new = np.diff(np.floor(r.time * rate), prepend=-1.0) > 0
         rows = np.maximum.accumulate(np.where(new, np.arange(len(new)), 0))
@@ -197,13 +198,13 @@ def _window(r: Recording, channel: str, start: float, seconds: float) -> slice:
     return slice(*np.searchsorted(time, ends).tolist())
 
 
-def is_standing(r: Recording) -> np.ndarray:
+def is_at_standstill(r: Recording) -> np.ndarray:
     return np.abs(r.log.velocity_x) < 0.05
 
 
 def creep(r: Recording, speed: float) -> Edited:
     """A forward velocity that does not become zero when the car stops."""
-    return r.with_log(velocity_x=np.where(is_standing(r), speed, r.log.velocity_x)), speed
+    return r.with_log(velocity_x=np.where(is_at_standstill(r), speed, r.log.velocity_x)), speed
 
 
 def lose_rtk(r: Recording, fraction: float) -> Edited:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .faults import find_busiest_span, is_standing
+from .faults import find_busiest_span, is_at_standstill
 from .recording import Recording
 
 Shows = Callable[[Recording, float], bool]
@@ -98,7 +98,7 @@ def steers_and_bends(r: Recording, size: float = 0.0) -> bool:
 
 
 def stops(r: Recording, size: float = 0.0) -> bool:
-    return float(np.mean(is_standing(r))) * r.log.duration > MIN_STANDSTILL
+    return float(np.mean(is_at_standstill(r))) * r.log.duration > MIN_STANDSTILL
 
 
 def long_enough(channel: str) -> Shows:

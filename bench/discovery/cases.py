@@ -13,7 +13,7 @@ from st_sim.settings import Settings
 
 from . import programmes as m
 from .cars import LEAF, PLANTS, HealthyCar, has_setting, healthy_car
-from .effects import BY_NAME, KNOWN, OUTSIDE_LIBRARY, PHYSICS, PLACES, SENSORS, Hidden, is_similar
+from .effects import BY_NAME, KNOWN, OUTSIDE_LIBRARY, PHYSICS, PLACE_DEPENDENT, SENSORS, InjectedChange, is_similar
 
 SEALED = "single track, discovery, sealed set 11"
 COUNTS = {"A": 100, "B": 120, "C": 120, "D": 150, "E": 60, "F": 100}
@@ -81,24 +81,24 @@ def _choose_plant(index: int) -> str:
     return PLANTS[1 + index // 3 % (len(PLANTS) - 1)] if index % 3 == 2 else LEAF
 
 
-def _list_usable(plant: str) -> list[Hidden]:
+def _list_usable(plant: str) -> list[InjectedChange]:
     return [h for h in KNOWN if has_setting(plant, h.setting) and h.library in EFFECTS]
 
 
-def _draw_from_deck(set_: str, block: str, plant: str, number: int) -> Hidden:
+def _draw_from_deck(set_: str, block: str, plant: str, number: int) -> InjectedChange:
     """Draws from shuffled decks with one card per effect, so that every effect occurs equally often."""
     cards = _list_usable(plant)
     deck = np.random.default_rng(seed_of(set_, block, plant == LEAF, "deck", number // len(cards)))
     return cards[deck.permutation(len(cards))[number % len(cards)]]
 
 
-def _apply(settings: Settings, chosen: Iterable[tuple[Hidden, float, int]]) -> Settings:
+def _apply(settings: Settings, chosen: Iterable[tuple[InjectedChange, float, int]]) -> Settings:
     for hidden, scale, sign in chosen:
         settings = hidden.applied(settings, scale, sign)
     return settings
 
 
-def _describe(chosen: Iterable[tuple[Hidden, float, int]]) -> str:
+def _describe(chosen: Iterable[tuple[InjectedChange, float, int]]) -> str:
     return " + ".join(f"{h.setting} x{sign * scale:g}" for h, scale, sign in chosen)
 
 
@@ -197,13 +197,13 @@ def _varying_effect(set_: str, index: int) -> Case:
     return {"place": _at_places, "time": _begins_midway, "unknown": _outside_library}[kind](case, number, draw)
 
 
-def _add_effect(case: Case, added: Hidden, scale: float, draw: np.random.Generator, **others) -> Case:
+def _add_effect(case: Case, added: InjectedChange, scale: float, draw: np.random.Generator, **others) -> Case:
     chosen = [(added, scale, int(draw.choice(added.signs)))]
     return replace(case, settings=_apply(case.settings, chosen), words=_describe(chosen), scales=(scale,), **others)
 
 
 def _at_places(case: Case, number: int, draw: np.random.Generator) -> Case:
-    hidden = PLACES[number % len(PLACES)]
+    hidden = PLACE_DEPENDENT[number % len(PLACE_DEPENDENT)]
     other = case.settings if hidden.setting == "hillside_slope" else None
     return _add_effect(case, hidden, float(draw.choice([1.0, 0.6])), draw, elsewhere=other)
 

@@ -16,7 +16,7 @@ Values = dict[str, dict[str, float]]
 
 
 @dataclass(frozen=True)
-class Hidden:
+class InjectedChange:
     """A change of one setting of a plant, unknown to discovery."""
 
     setting: str
@@ -37,48 +37,48 @@ class Hidden:
 
 
 KNOWN = (
-    Hidden("steering_offset", "steering_offset", 0.006, group="side"),
-    Hidden("steering_ratio_factor", "steering_ratio", 0.10, factor=True, group="gain"),
-    Hidden("steering_lag", "steering_lag", 0.08, UP, group="time"),
-    Hidden("steering_delay", "steering_delay", 0.05, UP, group="time"),
-    Hidden("steering_backlash", "steering_backlash", 0.2, UP, group="play"),
-    Hidden("steering_compliance", "steering_compliance", 3e-6, UP, group="gain"),
-    Hidden("roll_steer", "roll_steer", 0.2, group="gain"),
-    Hidden("front_stiffness_factor", "front_stiffness", 0.15, factor=True, group="gain"),
-    Hidden("rear_stiffness_factor", "rear_stiffness", 0.2, factor=True, group="rear"),
-    Hidden("friction_factor", "friction", 0.15, DOWN, factor=True, group="limit"),
-    Hidden("relaxation_length", "tyre_relaxation", 0.6, UP, group="time"),
-    Hidden("combined_slip", "combined_slip", 1.0, UP, group="limit", with_={"combined_slip": 0.0}),
-    Hidden("lateral_load_transfer", "lateral_load_transfer", 1.0, UP, group="limit"),
-    Hidden("longitudinal_load_transfer", "longitudinal_load_transfer", 1.0, UP, group="limit"),
-    Hidden("mass_factor", "mass", 0.3, UP, factor=True, group="gain"),
-    Hidden("yaw_inertia_factor", "yaw_inertia", 0.35, factor=True, group="time"),
-    Hidden("cg_shift", "cg_position", 0.2, group="rear"),
-    Hidden("bank_angle", "road_bank", 0.03, group="side"),
-    Hidden("wind_speed", "crosswind", 18.0, group="side"),
-    Hidden("hillside_slope", "road_slope", 0.03, group="side"),
-    Hidden("ins_misalignment", "heading_misalignment", 0.006, group="mounting"),
-    Hidden("ins_lever_error", "sensor_lever_arm", 0.2, group="mounting"),
-    Hidden("yaw_rate_scale", "yaw_rate_scale", 0.05, factor=True, group="rate"),
-    Hidden("yaw_rate_bias", "yaw_rate_bias", 0.008, group="rate"),
-    Hidden("velocity_scale", "speed_scale", 0.01, factor=True, group="speed"),
-    Hidden("lateral_acceleration_bias", "lateral_acceleration_bias", 0.25, group="accelerometer"),
+    InjectedChange("steering_offset", "steering_offset", 0.006, group="side"),
+    InjectedChange("steering_ratio_factor", "steering_ratio", 0.10, factor=True, group="gain"),
+    InjectedChange("steering_lag", "steering_lag", 0.08, UP, group="time"),
+    InjectedChange("steering_delay", "steering_delay", 0.05, UP, group="time"),
+    InjectedChange("steering_backlash", "steering_backlash", 0.2, UP, group="play"),
+    InjectedChange("steering_compliance", "steering_compliance", 3e-6, UP, group="gain"),
+    InjectedChange("roll_steer", "roll_steer", 0.2, group="gain"),
+    InjectedChange("front_stiffness_factor", "front_stiffness", 0.15, factor=True, group="gain"),
+    InjectedChange("rear_stiffness_factor", "rear_stiffness", 0.2, factor=True, group="rear"),
+    InjectedChange("friction_factor", "friction", 0.15, DOWN, factor=True, group="limit"),
+    InjectedChange("relaxation_length", "tyre_relaxation", 0.6, UP, group="time"),
+    InjectedChange("combined_slip", "combined_slip", 1.0, UP, group="limit", with_={"combined_slip": 0.0}),
+    InjectedChange("lateral_load_transfer", "lateral_load_transfer", 1.0, UP, group="limit"),
+    InjectedChange("longitudinal_load_transfer", "longitudinal_load_transfer", 1.0, UP, group="limit"),
+    InjectedChange("mass_factor", "mass", 0.3, UP, factor=True, group="gain"),
+    InjectedChange("yaw_inertia_factor", "yaw_inertia", 0.35, factor=True, group="time"),
+    InjectedChange("cg_shift", "cg_position", 0.2, group="rear"),
+    InjectedChange("bank_angle", "road_bank", 0.03, group="side"),
+    InjectedChange("wind_speed", "crosswind", 18.0, group="side"),
+    InjectedChange("hillside_slope", "road_slope", 0.03, group="side"),
+    InjectedChange("ins_misalignment", "heading_misalignment", 0.006, group="mounting"),
+    InjectedChange("ins_lever_error", "sensor_lever_arm", 0.2, group="mounting"),
+    InjectedChange("yaw_rate_scale", "yaw_rate_scale", 0.05, factor=True, group="rate"),
+    InjectedChange("yaw_rate_bias", "yaw_rate_bias", 0.008, group="rate"),
+    InjectedChange("velocity_scale", "speed_scale", 0.01, factor=True, group="speed"),
+    InjectedChange("lateral_acceleration_bias", "lateral_acceleration_bias", 0.25, group="accelerometer"),
 )
 """Settings that the library describes. roll_steer has the opposite sign there (understeer +), and the backlash is that
 of the steering wheel here. Only the multi-body cars have a bias of the yaw rate; only the virtual Leaf has wind and
 slope."""
 BY_NAME = {hidden.library: hidden for hidden in KNOWN}
 
-PLACES = (
-    Hidden("friction_patch", None, 0.5, DOWN, factor=True),
-    Hidden("terrain_wave", None, 0.06, UP),
-    Hidden("hillside_slope", None, 0.05),
+PLACE_DEPENDENT = (
+    InjectedChange("friction_patch", None, 0.5, DOWN, factor=True),
+    InjectedChange("terrain_wave", None, 0.06, UP),
+    InjectedChange("hillside_slope", None, 0.05),
 )
 """Changes that depend on the place. The slope exists at one of two sites only; the library describes one at both."""
 OUTSIDE_LIBRARY = (
-    Hidden("gust_speed", None, 10.0, UP),
-    Hidden("rear_roll_steer", None, 0.25),
-    Hidden("camber_thrust", None, 1.0, UP),
+    InjectedChange("gust_speed", None, 10.0, UP),
+    InjectedChange("rear_roll_steer", None, 0.25),
+    InjectedChange("camber_thrust", None, 1.0, UP),
 )
 """Changes that no effect of the library describes; some nearly can (rear roll steer, camber thrust). The
 Ackermann fraction is not included, because these drives do not show it."""
@@ -92,13 +92,13 @@ PLANT_DIFFERENCES: dict[str, dict[str, str]] = {
     "leaf": {
         "steering_lag": "the virtual car's steering has a lag of 40 ms, the model none",
         "steering_delay": "the steering angle is stamped 4 ms late; part of the lag acts like a delay",
-        "steering_compliance": "the front wheels give 1.5e-6 rad/N",
+        "steering_compliance": "compliance of the front wheels of 1.5e-6 rad/N",
         "roll_steer": "the front wheels steer by -3 % of the roll",
-        "tyre_relaxation": "the tyres relax over 0.4 m, the model's do not",
+        "tyre_relaxation": "relaxation length of 0.4 m, in the model none",
         "lateral_load_transfer": "load moves to the outer wheels",
         "combined_slip": "friction ellipse at every wheel",
         "steered_drive_force": "it is driven by the front wheels",
-        "longitudinal_load_transfer": "load follows the pitch with 80 ms",
+        "longitudinal_load_transfer": "the load transfer lags by 80 ms, as the pitch does",
         "steering_map": "the mean of both wheels' angles depends on the Ackermann split",
     },
     "multibody": {
@@ -107,7 +107,7 @@ PLANT_DIFFERENCES: dict[str, dict[str, str]] = {
         "combined_slip": "its tyres weight longitudinal and lateral slip differently",
         "steered_drive_force": "drive and brakes also act at the steered wheels",
         "roll_steer": "camber and toe of its axles change with roll",
-        "tyre_stiffness": "the tyres of the vehicle file are only a fit to its tyres",
+        "tyre_stiffness": "the tyres of the vehicle file only approximate its tyres",
         "front_stiffness": "as above",
         "rear_stiffness": "as above",
         "friction": "as above",

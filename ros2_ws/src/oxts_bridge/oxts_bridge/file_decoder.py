@@ -251,5 +251,5 @@ def _describe_missing_packet(name: str, data: bytes) -> str:
     }.get(head)
     if content is None:
         printable = sum(32 <= c < 127 or c in b"\t\r\n" for c in data[:512])
-        content = "text" if printable > 0.95 * len(data[:512]) else f"not recognised (it starts with {head.hex(' ')})"
+        content = "text" if printable > 0.95 * len(data[:512]) else f"of unknown type (it starts with {head.hex(' ')})"
     return f"{name}: no NCOM packet in {len(data)} bytes (one packet is {PACKET_SIZE} bytes); the file is {content}"

@@ -48,11 +48,11 @@ class Channel:
         zero_means_missing = self.zero_means_missing and bool((np.abs(log.velocity_x) > STANDSTILL_SPEED).any())
         return all(v is not None and np.isfinite(v).any() and not (zero_means_missing and not v.any()) for v in values)
 
-    def residuals(self, measured: Mapping[str, np.ndarray], readings: Any) -> tuple[np.ndarray, ...]:
+    def residuals(self, measured: Mapping[str, np.ndarray], predicted: Any) -> tuple[np.ndarray, ...]:
         """Measured minus predicted [unit], by column."""
         if self.errors:
-            return self.errors(measured, readings)
-        return (measured[self.name] - getattr(readings, self.name),)
+            return self.errors(measured, predicted)
+        return (measured[self.name] - getattr(predicted, self.name),)
 
     def noise_deviations(self, log: Any, *motion: Any) -> tuple[float, ...]:
         """Standard deviation of the errors due to noise [unit], by column."""
@@ -93,10 +93,10 @@ CHANNELS: Mapping[str, Channel] = {channel.name: channel for channel in (
     Channel("velocity_y", "lateral velocity", "m/s", 1e-3, zero_means_missing=True),
     Channel("yaw_rate", "yaw rate", "rad/s", 2e-4, smoothed=True),
     Channel("acceleration_y", "lateral acceleration", "m/s^2", 5e-3, smoothed=True),
-    Channel("yaw", "heading", "rad", 1e-4, errors=lambda m, readings: (wrap_angle(m["yaw"] - readings.yaw),),
+    Channel("yaw", "heading", "rad", 1e-4, errors=lambda m, predicted: (wrap_angle(m["yaw"] - predicted.yaw),),
             accumulates=True, noise=_heading_noise),
     Channel("position", "position", "m", 1e-3, ("x", "y"), ("position_lateral", "position_longitudinal"),
-            errors=lambda m, readings: map_to_body(m["x"] - readings.x, m["y"] - readings.y, m["yaw"])[::-1],
+            errors=lambda m, predicted: map_to_body(m["x"] - predicted.x, m["y"] - predicted.y, m["yaw"])[::-1],
             accumulates=True, noise=_position_noise),
 )}
 """Channels by name, the most informative about the car first."""

@@ -27,7 +27,7 @@ from st_core.discovery.decision import (
     decide,
     judge,
     judge_alternative,
-    judge_naming,
+    judge_reporting,
     varies_relevantly,
     varying_partition,
 )
@@ -157,7 +157,7 @@ def test_first_failed_rule_is_the_verdict():
      {}),  # confirmed by the sensors
 ])
 def test_accepted_effect_is_named_or_minor(evidence, rule, figures):
-    verdict = judge_naming(evidence, LIMITS)
+    verdict = judge_reporting(evidence, LIMITS)
     assert verdict.rule == rule and verdict.subject == "mass" and verdict.text
     assert {k: verdict.figures[k] for k in figures} == figures
 
@@ -171,7 +171,7 @@ def test_accepted_effect_is_named_or_minor(evidence, rule, figures):
     (replace(GOOD, position=-0.03), {}, MINOR),  # adding it raises the held-out position error
     (replace(CONFIRMED, position=-0.03), {}, NAMED)])  # but the sensors confirm it
 def test_intervals_and_axle_forces_decide_the_naming(evidence, checks, rule):
-    verdict = judge_naming(evidence, LIMITS, **checks)
+    verdict = judge_reporting(evidence, LIMITS, **checks)
     assert verdict.rule == rule and verdict.text
 
 
@@ -279,7 +279,7 @@ def test_outcome_of_a_search_result(answer, outcome, figures):
 
 
 def judge_low_peak_force(evidence, limits):
-    return judge_naming(evidence, limits, peak_force_share=0.5)
+    return judge_reporting(evidence, limits, peak_force_share=0.5)
 
 
 def decide_outcome(result, limits):
@@ -294,13 +294,13 @@ LIMIT_CASES = [
     ("undecided_p", 0.9, judge, VARYING, VARIES, ACCEPTED),
     ("undecided_p", 0.9, judge, NULL_POSSIBLE, NULL, ACCEPTED),
     ("undecided_p", 1e-9, judge_alternative, WORSE_RIVAL, EXPLAINS_LESS, ALTERNATIVE),
-    ("undecided_p", 1e-9, judge_naming, replace(CONFIRMED, gain=0.1, noise_ratio=5.0, sensors_p_value=0.01), MINOR,
+    ("undecided_p", 1e-9, judge_reporting, replace(CONFIRMED, gain=0.1, noise_ratio=5.0, sensors_p_value=0.01), MINOR,
      NAMED),
     ("relevant", 1e-9, judge, SMALL_EFFECT, IRRELEVANT, ACCEPTED),
-    ("relevant", 1e-9, judge_naming, replace(NO_POSITION_GAIN, shares={"yaw": (0.01, 5.0)}), MINOR, NAMED),
+    ("relevant", 1e-9, judge_reporting, replace(NO_POSITION_GAIN, shares={"yaw": (0.01, 5.0)}), MINOR, NAMED),
     ("relevant", 1e-9, varies_relevantly, SMALL_GAIN, False, True),
     ("relevant_position", 1e-9, judge, SMALL_EFFECT, IRRELEVANT, ACCEPTED),
-    ("relevant_position", 1e-9, judge_naming, NO_POSITION_GAIN, MINOR, NAMED),
+    ("relevant_position", 1e-9, judge_reporting, NO_POSITION_GAIN, MINOR, NAMED),
     ("min_relative_size", 1e-9, judge, replace(SENSOR, size=0.4), IRRELEVANT, ACCEPTED),
     ("negligible", 1e-9, judge, NEGLIGIBLE_GAIN, NEGLIGIBLE, ACCEPTED),
     ("min_rival_gain", 1e-9, judge_alternative, replace(EQUAL_RIVAL, share=0.4), EXPLAINS_LESS, ALTERNATIVE),
@@ -308,10 +308,10 @@ LIMIT_CASES = [
     ("max_file_deviation", 1e9, judge, FILE_DISAGREES, FILE, ACCEPTED),
     ("at_bound", 1e-9, judge, replace(AT_BOUND, bound_distance=0.001), BOUND, ACCEPTED),
     ("unexplained_share", 1e-9, judge_alternative, CLOSE_RIVAL, ALTERNATIVE, EXPLAINS_LESS),
-    ("unexplained_share", 1e-9, judge_naming, replace(LOW_GAIN, noise_ratio=5.0), MINOR, NAMED),
+    ("unexplained_share", 1e-9, judge_reporting, replace(LOW_GAIN, noise_ratio=5.0), MINOR, NAMED),
     ("max_noise_ratio", 1e9, decide_outcome, NOTHING | dict(noise_ratio=9.0), "unknown", "none"),
-    ("max_noise_ratio", 1e9, judge_naming, replace(LOW_GAIN, noise_ratio=5.0), MINOR, NAMED),
-    ("max_noise_ratio", 1e9, judge_naming, replace(NO_POSITION_GAIN, shares={"yaw": (0.1, 5.0)}), NAMED, MINOR),
+    ("max_noise_ratio", 1e9, judge_reporting, replace(LOW_GAIN, noise_ratio=5.0), MINOR, NAMED),
+    ("max_noise_ratio", 1e9, judge_reporting, replace(NO_POSITION_GAIN, shares={"yaw": (0.1, 5.0)}), NAMED, MINOR),
     ("max_noise_ratio", 1e9, judge_alternative, CLOSE_RIVAL, ALTERNATIVE, EXPLAINS_LESS),
     ("detection_power", 1e-9, decide_outcome, NOTHING | dict(detectable_share=0.1), "not_testable", "none"),
 ]

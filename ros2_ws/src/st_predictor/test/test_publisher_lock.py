@@ -12,7 +12,7 @@ def make_lock_in_use(count=1000):
     lock.update([OURS])
     for k in range(1, count + 1):
         assert lock.accept(k, 0.01 * k)
-    assert lock.describe_competition(0.01 * count) == ""
+    assert lock.describe_conflict(0.01 * count) == ""
     return lock, 0.01 * count
 
 
@@ -25,20 +25,20 @@ def test_single_publisher_is_accepted_with_any_numbers():
 def test_second_publisher_is_reported_immediately_and_rejected():
     lock, now = make_lock_in_use()
     lock.update([OURS, OTHER])
-    assert OTHER in lock.describe_competition(now) and "only the first one" in lock.describe_competition(now)
+    assert OTHER in lock.describe_conflict(now) and "first publisher" in lock.describe_conflict(now)
     for k in range(1, 101):
         assert lock.accept(1000 + k, now)
         assert not lock.accept(k, now)
     assert lock.rejected_count == 100
     lock.update([OURS])
-    assert lock.describe_competition(now) == "" and lock.accept(1101, now)
+    assert lock.describe_conflict(now) == "" and lock.accept(1101, now)
 
 
 def test_two_publishers_from_the_start_are_both_rejected():
     lock = PublisherLock()
     lock.update([OURS, OTHER])
     assert not lock.accept(7, 0.0) and not lock.accept(900, 0.0)
-    assert "none is used" in lock.describe_competition(0.0)
+    assert "none is used" in lock.describe_conflict(0.0)
 
 
 @pytest.mark.parametrize("ahead", [-999, -3, 2, 40])
@@ -48,7 +48,7 @@ def test_second_sequence_of_similar_numbers_is_distinguished(ahead):
     for k in range(1001, 1101):
         assert not lock.accept(k + ahead, now)
         assert lock.accept(k, now)
-    assert "only the first one" in lock.describe_competition(now)
+    assert "first publisher" in lock.describe_conflict(now)
 
 
 def test_sequences_that_coincide_are_rejected_until_one_publisher_remains():
@@ -57,7 +57,7 @@ def test_sequences_that_coincide_are_rejected_until_one_publisher_remains():
     lock.update([OURS, OTHER])
     used = [(number, lock.accept(number, now)) for k in range(1, 21) for number in (989 + 2 * k, 990 + 2 * k, 1000 + k)]
     assert [number for number, accepted in used if accepted] == list(range(1001, 1009))
-    assert "cannot be distinguished" in lock.describe_competition(now)
+    assert "cannot be distinguished" in lock.describe_conflict(now)
     lock.update([OTHER])
     assert lock.accept(1031, now)
 
@@ -75,14 +75,14 @@ def test_restarted_publisher_is_accepted_while_the_killed_one_is_in_the_graph():
     lock.update([OURS, OURS])
     later = now + 1.1 * SILENCE_TIMEOUT
     assert lock.accept(1, later) and lock.accept(2, later)
-    assert lock.describe_competition(later) == ""
+    assert lock.describe_conflict(later) == ""
 
 
 def test_second_publisher_of_the_same_name_is_rejected_and_reported():
     lock, now = make_lock_in_use()
     lock.update([OURS, OURS])
     assert not lock.accept(1, now) and lock.accept(1001, now)
-    assert lock.describe_competition(now).startswith("published by 2 nodes (/oxts_bridge, /oxts_bridge)")
+    assert lock.describe_conflict(now).startswith("published by 2 nodes (/oxts_bridge, /oxts_bridge)")
 
 
 def test_other_publisher_is_not_accepted_while_the_first_is_silent():

@@ -18,6 +18,7 @@ from st_recordings.runs.csv import (
 from st_recordings.runs.csv_table import read_table
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.ins_log import yaw_from_quaternion
+from st_recordings.runs.table_times import month_number
 from support import EXAMPLES, GOLDEN_DATA
 
 HEADER = "t,x,y,yaw,vx,vy,yaw_rate,ax,ay,delta"
@@ -103,7 +104,7 @@ def test_times_in_days_of_a_spreadsheet(tmp_path: Path) -> None:
     first = datetime(1899, 12, 30, tzinfo=UTC) + timedelta(days=46146.43)
     assert drive.log.ins_time_ns[0] * 1e-9 == pytest.approx(first.timestamp(), abs=1e-4)
     assert np.diff(drive.log.ins_time_ns) == pytest.approx(0.02e9, abs=1e5)
-    assert "date numbers of a spreadsheet" in drive.warnings[0]
+    assert "spreadsheet date numbers" in drive.warnings[0]
 
 
 def test_ins_log_for_alignment_keeps_rows_without_a_position(tmp_path: Path) -> None:
@@ -220,7 +221,7 @@ def test_number_cut_at_the_end_of_a_file_is_left_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("factor", "origin", "meaning"), [
-    (86400.0, 2440587.5, "Julian days"), (86400.0, 719529.0, "MATLAB"), (1e-3, 0.0, "")])
+    (86400.0, 2440587.5, "Julian dates"), (86400.0, 719529.0, "MATLAB date numbers"), (1e-3, 0.0, "")])
 def test_day_numbers_and_32_bit_milliseconds(tmp_path: Path, factor: float, origin: float, meaning: str) -> None:
     start = 1_756_918_800.0 if meaning else 2**32 * 1e-3 - 4.0
     times = (start + 0.05 * np.arange(200)) / factor + origin
@@ -229,7 +230,22 @@ def test_day_numbers_and_32_bit_milliseconds(tmp_path: Path, factor: float, orig
                                                 for k, t in enumerate(times))]))
     assert len(drive.log.x) == 200
     assert np.diff(drive.log.ins_time_ns) * 1e-9 == pytest.approx(0.05, abs=1e-4)
-    assert any(f"date numbers of {meaning} (UTC)" in w for w in drive.warnings) == bool(meaning)
+    assert any(f"{meaning} (UTC)" in w for w in drive.warnings) == bool(meaning)
+
+
+@pytest.mark.parametrize(("name", "number"), [
+    ("Jan", 1), ("ene.", 1), ("styczeń", 1), ("März", 3), ("maart", 3), ("mrt", 3), ("mei", 5), ("juin", 6),
+    ("juni", 6), ("juillet", 7), ("lip", 7), ("août", 8), ("września", 9), ("paź", 10), ("des", 12),
+    ("grudnia", 12), ("xyz", None)])
+def test_month_names_of_several_languages(name: str, number: int | None) -> None:
+    assert month_number(name) == number
+
+
+@pytest.mark.parametrize("month", ["ene", "jan", "sty"])
+def test_date_with_a_month_name(tmp_path: Path, month: str) -> None:
+    lines = [f"04-{month}-2026 10:11:{12 + 0.02 * k:06.3f},{line.split(',', 1)[1]}" for k, line in enumerate(rows(200))]
+    log = read_csv(write(tmp_path, [HEADER, *lines])).log
+    assert log.ins_time_ns[0] * 1e-9 == pytest.approx(datetime(2026, 1, 4, 10, 11, 12, tzinfo=UTC).timestamp())
 
 
 def test_zeros_in_the_middle_of_a_file_cost_one_row(tmp_path: Path) -> None:

@@ -213,7 +213,7 @@ TABLES = [
     Table("positions_at_20_hz.csv", lambda log: geographic(log, 5),
           r"about 20 Hz; the positions of the other rows were interpolated"),
     # Times.
-    Table("datenum.csv", lambda log: with_times(log, lambda s: f"{739000.5 + s / 86400:.12f}"), "numbers of MATLAB"),
+    Table("datenum.csv", lambda log: with_times(log, lambda s: f"{739000.5 + s / 86400:.12f}"), "MATLAB date numbers"),
     Table("am_pm.csv", lambda log: with_times(log, lambda s: clock((43190 + s) % 43200) + " AP"[1 + (s < 10)] + "M")),
     Table("day_first.csv", lambda log: with_times(log, lambda s: f"25/04/2026 {clock(NOON + s)}")),
     Table("month_first.csv", lambda log: with_times(log, lambda s: f"04/25/2026 {clock(NOON + s)}")),

@@ -10,7 +10,7 @@ from drive_kinds import CAR
 from st_core.log import DriveLog
 from st_recordings.runs import ReadSettings, RunError, RunSource, find_runs, read
 from st_recordings.runs.ncom import read_ncom
-from st_recordings.runs.readers import READERS, Reader, register
+from st_recordings.runs.readers import READERS, Reader, find_reader, register
 from st_recordings.runs.write import import_run
 
 
@@ -46,3 +46,10 @@ def test_import_of_another_ins_is_refused(tmp_path: Path, another_ins: Reader) -
 def test_two_readers_of_one_name_are_refused(another_ins: Reader) -> None:
     with pytest.raises(ValueError, match="another: two readers"):
         register(another_ins)
+
+
+def test_reader_of_a_key_is_the_one_that_accepts_the_file_or_the_first_one() -> None:
+    assert find_reader(Path("run.unknown")) is None and find_reader(Path("run.unknown"), "unknown") is None
+    (first, *_) = (reader for reader in READERS.values() if reader.key == "csv")
+    assert find_reader(Path("run.unknown"), "csv") is first
+    assert find_reader(Path("run.ncom"), "ins").accepts(Path("run.ncom"))

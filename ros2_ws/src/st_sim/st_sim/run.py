@@ -40,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             for name, (_, meaning) in SCENARIOS.items():
                 print(f"{name:28} {meaning}")
             for s in SETTINGS.values():
-                print(f"{s.name:28} {s.group}: {s.meaning} [{s.unit}], {s.low:g} to {s.high:g}; no effect: {s.null:g}")
+                print(f"{s.name:28} {s.group}: {s.meaning} [{s.unit}], {s.low:g} to {s.high:g}; ideal: {s.null:g}")
         elif options.to_files:
             _write_files(options, stop_requested)
         else:

@@ -76,8 +76,8 @@ _TABLE = (
     ("pitch_gradient", "body", 0.0, 0.0, 0.03, "rad s^2/m", "body pitch per longitudinal acceleration"),
     ("mass_factor", "body", 1.0, 0.5, 2.0, "1", "factor on the mass"),
     ("yaw_inertia_factor", "body", 1.0, 0.5, 2.0, "1", "factor on the yaw inertia"),
-    ("cg_shift", "body", 0.0, -0.5, 0.5, "m", "true CG this far ahead of that in the file; the INS does not move"),
-    ("drive_offset", "body", 0.0, -0.5, 0.5, "m", "drive and brake force act this far to the right of the CG"),
+    ("cg_shift", "body", 0.0, -0.5, 0.5, "m", "distance of the CG ahead of that in the file; the INS does not move"),
+    ("drive_offset", "body", 0.0, -0.5, 0.5, "m", "distance of drive and brake force to the right of the CG"),
     ("drag_area", "body", 0.0, 0.0, 2.0, "m^2", "drag coefficient times frontal area"),
     ("rolling_resistance", "body", 0.0, 0.0, 0.1, "1", "rolling resistance per wheel load"),
     # Road and air.

@@ -91,8 +91,9 @@ class ReadOptions:
     signals: Annotated[Path | None, typer.Option(
         help="Signal table for the DBC; default: from --car, else from the Leaf.", **FILE)] = None
     steering_sign: Annotated[int | None, typer.Option(
-        callback=_check_sign, help="1 if the sensor, as decoded with DBC and signal table, is positive to the left, "
-        "-1 if to the right. Default: from --car, else 1; live: else from config/nodes.yaml.")] = None
+        callback=_check_sign, help="1 if the sensor, as decoded with DBC and signal table or as recorded in a topic or "
+        "table, is positive to the left, -1 if to the right. Default: from --car (CAN only), else 1; live: else from "
+        "config/nodes.yaml.")] = None
     steering_latency: Annotated[float | None, typer.Option(
         callback=in_range(0.0, "s", 1.0), help="Delay from steering wheel motion to the stamp of its frame, s. "
         "Default: from --car, else 0; live: else from config/nodes.yaml.")] = None
@@ -137,7 +138,7 @@ class ReadOptions:
         for file, option in ((options.dbc, "--dbc"), (options.signals, "--signals")):
             if requires_bus and file and not file.is_file():
                 raise RunError(file, "does not exist, but is needed to describe the CAN bus",
-                               f"write it, or name another file with {option}")
+                               f"create it, or name another file with {option}")
         return options
 
     @property
@@ -162,7 +163,7 @@ class RunOptions:
     """Options of a run of the nodes, as given by the user; one field per option."""
 
     model: Annotated[Path | None, typer.Option(
-        help="Model file (model.yaml of `st discover`): a fourth model in addition to the three.", **FILE)] = None
+        help="Model file (model.yaml of `st discover`), run alongside kinematic, linear and nonlinear.", **FILE)] = None
     effects: ModelEffects = None
     bands: Annotated[Path | None, typer.Option(
         help="Bands around every prediction (bands.yaml of `st calibrate`).", **FILE)] = None
@@ -170,7 +171,7 @@ class RunOptions:
         "--adaptive/--no-adaptive", help="Adapt the bands to the errors of the run; without --bands they appear "
         "after two minutes of driving. Default: as in config/nodes.yaml (yes).")] = None
     course: Annotated[Path | None, typer.Option(
-        help="Course of `st course build` for this site: also forecast with its steering and speed. "
+        help="Course of `st course build` for this site: adds forecasts with its steering and speed. "
         "Default in a replay: the recorded course.", **FILE)] = None
     record: Annotated[Literal["needed", "all"], typer.Option(
         help="needed: raw packets and frames, odometry, status, steering, predictions, errors, "

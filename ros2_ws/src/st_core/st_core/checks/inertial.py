@@ -218,7 +218,7 @@ class Tolerances:
     severe_lag: float = 0.0  # smallest lag that identification and discovery do not tolerate [s]
     severe_scale: float = 0.0  # the same for the deviation of the scale from 1
     severe_bias: float = np.inf  # the same for the bias [unit]
-    position_effect: float = 0.0  # position shift after the horizon per unit of error [m]
+    position_effect: float = 0.0  # position shift at the end of the horizon per unit of error [m]
     min_spread: float = 0.0  # smallest standard deviation of the reference for which a lag is reported [unit]
     min_correlation: float = LIMITS.min_correlation  # at a lower correlation, only the lag is judged
     unit_questions: Mapping[float, str] = field(default_factory=dict)  # question about the unit, by factor

@@ -130,7 +130,7 @@ def make_residual_regression(motion: Motion) -> Regression:
 
 
 class _Explanation(NamedTuple):
-    """Causes of the residual, the motion corrected for them, and the effect of each cause after the horizon [m per
+    """Causes of the residual, the motion corrected for them, and the effect of each cause at the horizon's end [m per
     unit]."""
 
     causes: dict[str, Estimate]
@@ -487,7 +487,7 @@ def _find_causes(problem: Regression, candidates: list[str], min_values: dict[st
 
 
 def _make_finding(name: str, estimate: Estimate, effect: float) -> Finding:
-    """Finding of a cause. effect: shift of the position after the horizon [m]."""
+    """Finding of a cause. effect: shift of the position at the end of the horizon [m]."""
     cause, reported = CAUSES[name], _convert_to_reported(name, estimate)
     positive = reported.value > 0.0
     spherical = name in AXIS_SCALES and abs(estimate.value) < SPHERICAL_EARTH_SCALE

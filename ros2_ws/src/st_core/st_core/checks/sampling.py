@@ -321,7 +321,7 @@ def _compute_mean_rate(time: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.concatenate([rate, np.full(len(time) - len(rate), rate[-1] if len(rate) else 0.0)])
 
 
-# Position error [m] after the horizon per unit of error of the initial state, and whether the speed multiplies it.
+# Position error [m] at the end of the horizon per unit of error of the initial state; whether the speed multiplies it.
 POSITION_EFFECT = {
     "x": (1.0, False), "y": (1.0, False), "yaw": (HORIZON, True), "velocity_x": (HORIZON, False),
     "velocity_y": (LIMITS.yaw_settling_time * HORIZON, False), "yaw_rate": (LIMITS.yaw_settling_time * HORIZON, True)}

@@ -144,9 +144,9 @@ def _relevance_values(e: Evidence, limits: Limits) -> dict[str, float]:
             "relevant_position": limits.relevant_position}
 
 
-def judge_naming(e: Evidence, limits: Limits, excludes_null: bool = True, parameter_at_bound: str = "",
-                 peak_force_share: float = 1.0, worse_axle: str = "", summands: Sequence[str] = (),
-                 violation: str = "") -> Reason:
+def judge_reporting(e: Evidence, limits: Limits, excludes_null: bool = True, parameter_at_bound: str = "",
+                    peak_force_share: float = 1.0, worse_axle: str = "", summands: Sequence[str] = (),
+                    violation: str = "") -> Reason:
     """Verdict on whether an accepted effect is reported as a cause, or only kept to avoid a bias of other values.
 
     excludes_null: whether an interval excludes the null.

@@ -183,7 +183,7 @@ class _Analysis:
                 search.find_cancelling_effects(state.fit, name), *decision.find_most_affected(evidence, self.limits)))
         leave_one_out = waterfall.leave_one_out(problem, state.fit)
         axles, curves, combinations = self._analyse_axles(state, joint_fit, noise_ratio)
-        verdicts = self._name_effects(state, effects, axles, leave_one_out)
+        verdicts = self._decide_reporting(state, effects, axles, leave_one_out)
         named, minor, contradicted = (tuple(e for e in effects if verdicts[e.name].rule in rules) for rules in (
             (decision.NAMED,), (decision.MINOR,), (decision.FORCES, decision.IMPLAUSIBLE)))
         return _JudgedEffects(named, minor, contradicted, verdicts, leave_one_out, curves,
@@ -207,9 +207,8 @@ class _Analysis:
                          *(verdict for _, verdict, _ in state.rejected.values()))
 
     def _add_corrections(self, state: SearchState, partitions: Mapping[str, Partition]) -> tuple[Problem, Fit]:
-        """(problem without the priors of the vehicle file, its fit with the effects found and effective corrections);
-        problem and fit of the search if the gain is too small, the position error grows, or reference drives replace
-        these priors."""
+        """(problem without the priors of the vehicle file, its fit with effective corrections added); problem and fit
+        of the search if the gain is too small, the position error grows, or reference drives replace these priors."""
         problem, scale = self.problem, self.problem.loss.scale
         if problem.prior is not None:
             return problem, state.fit
@@ -316,8 +315,8 @@ class _Analysis:
         except StCoreError:
             return None, (), ()
 
-    def _name_effects(self, state: SearchState, effects: Sequence[result.FoundEffect], axles: Axles | None,
-                      leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, result.Reason]:
+    def _decide_reporting(self, state: SearchState, effects: Sequence[result.FoundEffect], axles: Axles | None,
+                          leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, result.Reason]:
         """Verdict on each effect of the final fit. With reference drives, intervals include the uncertainty of the
         healthy car, so verdicts do not use them."""
         worse_axles: dict[str, str] = {}
@@ -333,7 +332,7 @@ class _Analysis:
                 violations[name] = next(iter(implausible), "")
         # Only the total delay of the steering is identifiable, not its parts.
         delays = [n for n in names if TOTAL_DELAY in get_effect(n).combinations] if axles is not None else []
-        return {e.name: decision.judge_naming(
+        return {e.name: decision.judge_reporting(
             state.evidence[e.name], self.limits, excludes_null=bool(self.reference) or excludes_null(e),
             parameter_at_bound="" if self.reference else find_parameter_across_bound(e),
             peak_force_share=reached_force_ratio if get_effect(e.name).at_peak_force else 1.0,
@@ -532,9 +531,8 @@ def excludes_null(effect: result.FoundEffect) -> bool:
 
 def replace_interval(fitted: result.FittedParameter,
                      sensors: tuple[float, float, float] | None) -> result.FittedParameter:
-    """The fitted value with a symmetric interval just wide enough to contain that of the redundant sensors
-    (`discover`), if this excludes the null, the fitted interval contains the null, and the two intervals overlap;
-    otherwise unchanged."""
+    """The fitted value with a symmetric interval just wide enough for that of the redundant sensors. Unchanged if it
+    would include the null value, or if the fitted one excludes that value or does not overlap the sensors' interval."""
     value, (_, low, high) = fitted.value, sensors or (0.0, -np.inf, np.inf)
     half_width = max(high - value, value - low)
     contains_null = fitted.interval[0] <= fitted.null <= fitted.interval[1]

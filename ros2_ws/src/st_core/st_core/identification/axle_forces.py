@@ -131,8 +131,8 @@ class AxleRegression:
             model_error = (f"a model error of {100 * self.model_error / self.stiffness:.1f} % is included"
                            if np.isfinite(self.model_error) else "its dependence on the slip range is unknown")
             verdict = (f"{self.stiffness:.0f} N/rad, standard uncertainty "
-                       f"{100 * self.uncertainty / self.stiffness:.1f} %, from {self.basis}. Secant over slip angles "
-                       f"up to {slip:.1f} deg, compliance and roll steer included; {model_error}.")
+                       f"{100 * self.uncertainty / self.stiffness:.1f} %, from {self.basis}. Mean slope over slip "
+                       f"angles up to {slip:.1f} deg, compliance and roll steer included; {model_error}.")
         return ParameterEstimate(f"cornering_stiffness_{self.axle}", self.stiffness, "N/rad", self.uncertainty,
                                  (self.stiffness - half, self.stiffness + half), METHOD, runs, verdict, status)
 

@@ -75,7 +75,7 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
         estimates.append(lateral_position)
         correlation = block_diag(correlation, 1.0)
     figure = {"curvature": rate / speed, "speed": speed, "run": run_index, "names": tuple(run.name for run in runs),
-              "slope": lateral / speed + slip * speed * rate - theta[3] * rate_dot, "theta": theta,
+              "velocity_ratio": lateral / speed + slip * speed * rate - theta[3] * rate_dot, "theta": theta,
               "residual": lateral - regressors @ theta}
     rejected = tuple((run.name, f"{len(run) - int(mask.sum())} of {len(run)} samples outside {MINIMUM_SPEED:g} to "
                       f"{MAXIMUM_SPEED:g} m/s or above {MAXIMUM_ACCELERATION:g} m/s^2")

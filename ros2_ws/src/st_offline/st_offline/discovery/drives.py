@@ -81,8 +81,7 @@ class Request:
 
 def read_drives(sources: Sequence[RunSource], vehicle: VehicleParameters, settings: ReadSettings, jobs: int,
                 tick: Callable[[], None], force: bool = False) -> list[Drive]:
-    """Read all runs, in the order of the sources. jobs: number of processes. tick: called after each run; with several
-    processes, not for sources with a problem."""
+    """Read all runs, in the order of the sources. jobs: number of processes. tick: called as runs are completed."""
     if jobs <= 1 or len(sources) < 2:
         drives = []
         for source in sources:

@@ -63,7 +63,7 @@ def draw_mounting(outcome: Identification, output: FigureOutput) -> PageFigure:
     subset = _thin_rows(len(data["curvature"]))
     for index, name in enumerate(data["names"]):
         rows = subset[data["run"][subset] == index]
-        left.plot(data["curvature"][rows], data["slope"][rows], ".", ms=2.5, label=name)
+        left.plot(data["curvature"][rows], data["velocity_ratio"][rows], ".", ms=2.5, label=name)
     ends = np.array([data["curvature"].min(), data["curvature"].max()])
     left.plot(ends, data["theta"][0] + data["theta"][1] * ends, color=TEXT_COLOUR, lw=1, label="fit")
     left.set(xlabel="yaw rate / forward velocity, 1/m (positive to the left)",
@@ -107,7 +107,7 @@ def draw_stiffness(outcome: Identification, output: FigureOutput) -> PageFigure:
     region_panel.set(xlabel="front, kN/rad", ylabel="rear, kN/rad")
     region_panel.legend(fontsize=8)
     caption = ("Left: force and slip as in the paper, with both slopes. Right: 95 % intervals of both methods, and "
-               "the joint region of the prediction." if paper else "95 % intervals and joint region of the prediction.")
+               "the joint 95 % region of the fit." if paper else "95 % intervals and joint 95 % region of the fit.")
     return save_figure(figure, output, "stiffness", f"Cornering stiffness {values} by prediction", caption)
 
 
@@ -246,7 +246,7 @@ def compare_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base
         name, regression = estimate.parameter, paper[estimate.parameter]
         if regression.status == "unidentifiable":
             estimates.append(estimate)
-            comparisons.append(f"The paper's regression gives no {name}: {regression.verdict}")
+            comparisons.append(f"The paper's regression did not identify {name}: {regression.verdict}")
             continue
         text = describe_contradiction(estimate, regression.value, regression.standard_uncertainty,
                                       "the paper's regression")
@@ -258,7 +258,7 @@ def compare_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base
         else:
             estimates.append(estimate)
         comparisons.append(text or f"The paper's regression gives {name} {regression.value:.0f} N/rad (standard "
-                           f"uncertainty {regression.standard_uncertainty:.0f}), which agrees.")
+                           f"uncertainty {regression.standard_uncertainty:.0f}), in agreement.")
     return replace(outcome, estimates=tuple(estimates), warnings=(*outcome.warnings, *comparisons),
                    figure={**outcome.figure, "paper": paper})
 
@@ -274,6 +274,6 @@ DRIVE_EXPERIMENTS = (
                           compare_stiffness, draw_stiffness, uses_model=True),
     make_drive_experiment("stiffness-paper", "cornering stiffnesses, by the regression of the paper",
                           "bends to both sides", identify_stiffness, draw_stiffness),
-    make_drive_experiment("yaw-inertia", "yaw inertia", "steps, lane changes, sweeps", identify_yaw_inertia,
-                          draw_prediction, uses_model=True),
+    make_drive_experiment("yaw-inertia", "yaw inertia", "steering steps, lane changes, steering sweeps",
+                          identify_yaw_inertia, draw_prediction, uses_model=True),
 )

@@ -75,7 +75,7 @@ class PublisherLock:
     def _may_follow(self, number: int) -> bool:
         return self._accepted_number is not None and 0 < number - self._accepted_number <= MAX_NUMBER_GAP
 
-    def describe_competition(self, now: float) -> str:
+    def describe_conflict(self, now: float) -> str:
         """Warning about competing publishers, empty without any. now: on the clock of `accept` [s]."""
         # A killed publisher stays in the graph for a while with the same name as its successor, but sends nothing.
         has_rejected = self._rejected_at is not None and now - self._rejected_at < WARNING_DURATION
@@ -84,7 +84,7 @@ class PublisherLock:
         names = ", ".join(self.names)
         if self._are_indistinguishable or self._accepted_number is None:
             return f"published by {len(self.names)} nodes that cannot be distinguished; none is used: {names}"
-        return f"published by {len(self.names)} nodes ({names}); only the first one received is used"
+        return f"published by {len(self.names)} nodes ({names}); only messages of the first publisher are used"
 
 
 class _Input:
@@ -100,7 +100,7 @@ class _Input:
 
     def take_accepted(self) -> Iterator[Any]:
         """Queued messages of the accepted publisher."""
-        previous_warning, count = self.lock.describe_competition(_read_utc()), self.subscription.count_publishers()
+        previous_warning, count = self.lock.describe_conflict(_read_utc()), self.subscription.count_publishers()
         # Add new publishers before reading, and remove those that ended only afterwards: their messages may be queued.
         if count > len(self.lock.names):
             self.lock.update(self.subscription.find_publisher_names())
@@ -110,7 +110,7 @@ class _Input:
                 yield message
         if count > 1 or count < len(self.lock.names):
             self.lock.update(self.subscription.find_publisher_names())
-        if previous_warning != self.lock.describe_competition(_read_utc()):
+        if previous_warning != self.lock.describe_conflict(_read_utc()):
             self._on_change()
 
     def count(self, refusal: str) -> None:
@@ -124,7 +124,7 @@ class _Input:
         if self.last_refusal:
             return Check(name, diagnostics.WARN, f"refused: {self.last_refusal}", values)
         if not self.received_count:
-            return Check(name, diagnostics.STALE, f"nothing received on {self.subscription.topic} yet", values)
+            return Check(name, diagnostics.STALE, f"no message accepted on {self.subscription.topic} yet", values)
         return Check(name, diagnostics.OK, "usable", values)
 
 
@@ -170,11 +170,11 @@ class Inputs:
         return reason
 
     def make_checks(self) -> list[Check]:
-        warnings = {entry.subscription.topic: entry.lock.describe_competition(_read_utc()) for entry in self._inputs}
+        warnings = {entry.subscription.topic: entry.lock.describe_conflict(_read_utc()) for entry in self._inputs}
         counts = {f"{entry.signal} messages of other publishers": entry.lock.rejected_count for entry in self._inputs}
         text = "; ".join(f"{topic} is {warning}" for topic, warning in warnings.items() if warning)
         level = diagnostics.ERROR if text else diagnostics.OK
-        return [Check("publishers", level, text or "at most one of each input", counts),
+        return [Check("publishers", level, text or "at most one publisher per input", counts),
                 *(entry.make_check() for entry in self._inputs)]
 
 

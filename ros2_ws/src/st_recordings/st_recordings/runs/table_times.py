@@ -21,14 +21,15 @@ _COMPACT_STAMP = re.compile(r"(\d{4})-?(\d\d)-?(\d\d)[T_ -](\d\d)[:-]?(\d\d)[:-]
 _UNDERSCORED_STAMP = re.compile(r"(\d{4})_(\d\d?)_(\d\d?)_(\d\d?)_(\d\d)_(\d\d)(?:_(\d+))?")  # 2026_05_04_10_11_12_500
 _SLASHED_DATE = re.compile(r"(?<!\d)(\d\d?)/(\d\d?)/(\d{4})(?!\d)")
 _NAMED_MONTH = re.compile(r"(?<!\d)(\d\d?)[- ]([^\W\d]{3,})\.?[- ](\d{4})(?!\d)")  # 04-May-2026, as MATLAB writes it
-# First letters of month names -> number; Vector's tools write month names in the language of the computer.
-_MONTHS = {"jan": 1, "gen": 1, "feb": 2, "fév": 2, "fev": 2, "mar": 3, "mär": 3, "mrz": 3, "apr": 4, "avr": 4, "abr": 4,
-           "may": 5, "mai": 5, "mag": 5, "maj": 5, "jun": 6, "giu": 6, "jul": 7, "lug": 7, "aug": 8, "aoû": 8, "ago": 8,
-           "sep": 9, "set": 9, "oct": 10, "okt": 10, "ott": 10, "out": 10, "nov": 11, "dec": 12, "dez": 12, "déc": 12,
-           "dic": 12, "juin": 6, "juil": 7}
+# First letters of month names in Danish, Dutch, English, French, German, Italian, Norwegian, Polish, Portuguese,
+# Spanish and Swedish -> number; Vector's tools write month names in the language of the computer.
+_MONTHS = {name: number for number, names in enumerate((
+    "jan jän gen ene sty", "feb fév fev lut", "mar mär mrz mrt maa", "apr avr abr kwi", "may mai mag maj mei",
+    "jun juin giu cze", "jul juil lug lip", "aug aoû ago sie", "sep set wrz", "oct okt ott out paź", "nov lis",
+    "dec dez déc dic des gru"), 1) for name in names.split()}
 ROLLOVER_STEP = 60.0  # s, longest gap across midnight or the end of a GPS week; 1 s for clocks with a shorter period
-# (day number of 1970-01-01, its origin)
-_DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"), (2440587.5, "Julian days"))
+# (day number of 1970-01-01, name of the scale)
+_DAY_COUNTS = ((719529.0, "MATLAB date numbers"), (25569.0, "spreadsheet date numbers"), (2440587.5, "Julian dates"))
 PLAUSIBLE_EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
 DAY, HOUR = 86400.0, 3600.0  # s
 HHMMSS = "HHMMSS"  # unit of a time column that contains times of day as numbers HHMMSS.ss
@@ -36,7 +37,7 @@ MAX_DAMAGED_FRACTION = 0.01  # up to this fraction of the times in a column of u
 
 
 def month_number(name: str) -> int | None:
-    """Number (1 to 12) of a month by its name in a European language; None for an unknown name."""
+    """Number (1 to 12) of a month by its name in a language of `_MONTHS`; None for an unknown name."""
     name = name.lower().rstrip(".")
     return _MONTHS.get(name[:4]) or _MONTHS.get(name[:3])
 
@@ -145,7 +146,7 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
     if median > LATEST_TIME:
         meanings = [(0.0, UNITS["time"][unit][0], f"{unit} since 1970") for unit in ("ms", "us", "ns")]
     elif len(steps) and np.median(steps) < 2e-5:  # steps too short for seconds
-        meanings = [(origin, DAY, f"date numbers of {tool} (UTC)") for origin, tool in _DAY_COUNTS]
+        meanings = [(origin, DAY, f"{scale} (UTC)") for origin, scale in _DAY_COUNTS]
     for origin, factor, meaning in meanings if not source.has_stated_unit else ():
         if PLAUSIBLE_EPOCH[0] <= (median - origin) * factor <= PLAUSIBLE_EPOCH[1]:
             warnings.append(f"{file}: times of column {source.name} were read as {meaning}")

@@ -33,8 +33,7 @@ class Reader:
     is_incomplete: Callable[[Path], bool] = lambda path: False
     # Whether a recording contains no steering angle, so that it needs CAN logs.
     lacks_steering: Callable[[Path], bool] = lambda path: False
-    # Whether a recording is a table, which may consist of several files; `read` and `read_ins` then apply the factor of
-    # yaw in run.yaml.
+    # Whether it is a table of one or several files; `read` and `read_ins` then apply the factor of yaw in run.yaml.
     is_table: bool = False
 
     @property
@@ -68,9 +67,9 @@ def register(reader: Reader) -> Reader:
 
 
 def find_reader(path: Path, key: str | None = None) -> Reader | None:
-    """Finds the reader of a file or folder; with a key of a run.yaml, a reader of this key. None if there is none."""
+    """The reader, of this run.yaml key if given, that accepts a file or folder; else the first of the key, or None."""
     candidates = [reader for reader in READERS.values() if key in (None, reader.key)]
-    return next((reader for reader in candidates if reader.accepts(path)), candidates[0] if key else None)
+    return next((one for one in candidates if one.accepts(path)), candidates[0] if key and candidates else None)
 
 
 for _module in sorted(info.name for info in pkgutil.iter_modules(__path__)):
