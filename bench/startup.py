@@ -1,4 +1,4 @@
-"""Time from the start of Python to the first predictions: live with floats; a batch with new and cached kernels."""
+"""Time from the start of Python to first predictions: live in scalar Python; a batch with new and cached kernels."""
 
 import os
 import subprocess

@@ -75,7 +75,7 @@ def named_errors(result: Mapping[str, Any]) -> dict[str, bool]:
 
 
 def force_errors(result: Mapping[str, Any]) -> dict[str, float]:
-    """By axle: rms error of the implied force of the answer relative to that of the file [1], over the measured slip;
+    """By axle: rms error of the force that the answer implies relative to that of the file [1], over the measured slip;
     and `<axle>_file`, `<axle>_answer`, `<axle>_model`: rms errors over the largest true force [1]."""
     by_axle = {}
     for axle, curve in (result.get("forces") or {}).items():

@@ -48,7 +48,7 @@ class Numbers(NamedTuple):
 
 @dataclass(frozen=True)
 class Stranger:
-    """A car."""
+    """A car whose equations differ from those of the project."""
 
     name: str
     description: int

@@ -287,7 +287,7 @@ def _make_lag_finding(agreement: Agreement, lag: Estimate, tolerances: Tolerance
 
 
 def _make_unit_finding(scale: Estimate, tolerances: Tolerances) -> Finding:
-    """Finding of a scale far from 1. If a unit or sign explains it, the correction has the exact factor of the unit."""
+    """Finding about a scale far from 1. If a unit or sign explains it, the correction has the unit's exact factor."""
     nearest = _find_nearest_factor(scale.value, (1.0, *tolerances.unit_questions))
     factor = nearest if is_near(scale.value, nearest, LIMITS.channel_unit_ratio) else scale.value
     opposite = "does it have the opposite sign" if factor < 0.0 else ""
@@ -300,7 +300,7 @@ def _make_unit_finding(scale: Estimate, tolerances: Tolerances) -> Finding:
 
 def _make_finding(kind: str, text: str, estimate: Estimate, error: float, tolerances: Tolerances, correction: float,
                   severe: bool) -> Finding:
-    """Finding of a lag, scale or bias. error: root mean square error of the channel [unit]."""
+    """Finding about a lag, scale or bias. error: root mean square error of the channel [unit]."""
     effect = error * tolerances.position_effect
     unit = {"lag": "s", "scale": "1", "bias": tolerances.unit}[kind]
     return Finding(f"{tolerances.channel}_{kind}", LIMITS.severity(effect, severe), (tolerances.channel,), text,
@@ -376,7 +376,7 @@ def accelerations_confirm_velocity(motion: Motion, factor: float) -> bool:
 
 
 def _find_exchanged_accelerations(motion: Motion, measured: Mapping[str, np.ndarray]) -> Finding | None:
-    """Finding of exchanged accelerations, as of a sensor turned by 90 deg, which also changes the sign of one of them;
+    """Finding about exchanged accelerations, as of a sensor turned by 90 deg, which also changes the sign of one;
     None if the exchanged channels do not agree with velocity either. measured: by channel."""
     if len(measured) != 2:
         return None

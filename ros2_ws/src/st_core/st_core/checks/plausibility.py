@@ -27,7 +27,7 @@ MAX_IMPLAUSIBLE_FRACTION = 0.5  # above it, the channel is unusable, and none of
 MIN_WRAP_RATIO = 0.3  # minimum wrap size divided by the largest plausible step; smaller wraps resemble real changes
 WRAP_SPREAD, WRAP_SYMMETRY = 0.1, 0.2  # tolerances of step and sum of its end values, as fractions of the wrap size
 MAX_WRAPPED_FRACTION = 0.2  # fraction of wrapped samples above which the true range is uncertain
-MAX_NET_CHANGE = 0.5  # largest ratio of net change to sum of |steps| in noise; 1 for a turn in a wrong unit
+MAX_NET_CHANGE = 0.5  # largest ratio of net change to sum of |steps| in noise; 1 in a turn, in any unit
 JUMP_RATIO = 30.0  # minimum ratio of a jump to the 90th percentile of all steps; below 15 in seventeen real drives
 MAX_REVERSAL_ERROR = 0.3  # rad; largest difference of a yaw jump from pi that counts as a reversal of the heading
 MIN_SAMPLES = 20
@@ -53,7 +53,7 @@ CHANNEL_LIMITS: Mapping[str, ChannelLimits] = {
     "acceleration_x": ChannelLimits("m/s^2", 15.0, 80.0),  # kerbs and potholes reach 10 m/s^2 in one sample
     "acceleration_y": ChannelLimits("m/s^2", 15.0, 80.0),
     "road_wheel_angle": ChannelLimits("rad", 0.1, 1.3),  # 2 rad/s for 50 ms; 75 degrees, beyond any steering lock
-    "steering_wheel_angle": ChannelLimits("rad", 1.5, 25.0),  # 30 rad/s for 50 ms, twice an evasive steer; four turns
+    "steering_wheel_angle": ChannelLimits("rad", 1.5, 25.0),  # 30 rad/s for 50 ms, twice an evasive input; four turns
 }
 
 
@@ -146,7 +146,7 @@ def find_broken_channels(findings: Iterable[Finding]) -> set[str]:
 
 
 def _detect_motion(log: DriveLog, instants_ns: np.ndarray) -> np.ndarray:
-    """Mask (n,) of the instants [ns] at which the car moves by velocity or positions, either of which may drop out."""
+    """Mask (n,) of the instants [ns] at which the car moves according to velocity or positions; either may drop out."""
     if len(log.ins_time_ns) < 2:
         return np.zeros(len(instants_ns), bool)
     time, instants = ((t - log.ins_time_ns[0]) * NANOSECOND for t in (log.ins_time_ns, instants_ns))
@@ -157,7 +157,7 @@ def _detect_motion(log: DriveLog, instants_ns: np.ndarray) -> np.ndarray:
 
 
 def _find_jumps(channel: _ChannelSamples, large: np.ndarray, implausible: np.ndarray) -> np.ndarray:
-    """Samples after a step that is much larger than usual in any unit, without a reversal or a wrap-around."""
+    """Samples after a step much larger than the usual steps, except at implausible samples, held values and gaps."""
     constant = channel.step == 0.0  # a step next to a held value belongs to a frozen channel
     is_held = np.append(constant[:1], constant) | np.append(constant, constant[-1:])
     excluded = implausible | (is_held & (channel.update_interval <= 1.5 * channel.spacing))
@@ -231,7 +231,7 @@ def _find_sentinels(channel: _ChannelSamples, large: np.ndarray, moving: np.ndar
 
 def _find_spikes(channel: _ChannelSamples, large: np.ndarray) -> np.ndarray:
     """Samples further than the limit from the median of their neighbours (Hampel 1974, with a physical limit), and
-    runs in which most steps are large and irregular; equal large steps would be a turn in a wrong unit."""
+    runs in which most steps are large and irregular; equal large steps are a turn, recorded in a wrong unit."""
     if not large.any():
         return np.zeros(0, np.int64)
     half = max(round(max(HALF_WINDOW, 2.5 * channel.update_interval) / channel.spacing), 2)  # samples

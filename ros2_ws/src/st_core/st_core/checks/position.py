@@ -318,7 +318,7 @@ def check_lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 
 def make_lateral_sign_finding() -> Finding:
-    """Finding of a velocity_y with the opposite sign."""
+    """Finding about a velocity_y with the opposite sign."""
     return Finding("velocity_y_scale", Severity.ERROR, ("velocity_y",), "velocity_y has the opposite sign (left is "
                    "positive)", -1.0, advice=Advice.correct("velocity_y", scale=-1.0))
 

@@ -130,7 +130,7 @@ def _check_jumps(motion: Motion, errors: np.ndarray, is_stale: np.ndarray, round
 
 
 def _check_jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
-    """Finding of uneven time stamps of a smooth motion, for which d / v = mean dt - dt."""
+    """Finding about uneven time stamps of a smooth motion, for which d / v = mean dt - dt."""
     spacing = np.diff(motion.time)
     median = float(np.median(spacing))
     inside = (spacing < MAX_GAP) & np.isfinite(along)

@@ -105,7 +105,7 @@ def check_time_unit(motion: Motion) -> MotionAndFinding:
 
 
 def check_nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate]) -> Finding | None:
-    """Finding of time stamps at a wrong nominal rate, if velocity and yaw rate are too large by the same factor."""
+    """Finding about time stamps at a wrong nominal rate, if velocity and yaw rate are too large by the same factor."""
     velocity, yaw_rate = (estimates.get(name) for name in ("velocity_scale", "yaw_rate_scale"))
     scale_finding = next((f for f in findings if f.name in ("velocity_scale", "position_scale")), None)
     if velocity is None or yaw_rate is None or scale_finding is None or yaw_rate.shifted(-1.0).covers(0.0):

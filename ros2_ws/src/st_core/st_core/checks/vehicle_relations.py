@@ -88,7 +88,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
 
 
 def _make_unrelated_finding(motion: Motion, derived: np.ndarray) -> Finding | None:
-    """Finding of steering that does not correlate with curvature; None if it does, hardly varies, or is too short."""
+    """Finding about steering not correlated with curvature; None if it is, hardly varies, or is too short."""
     angle = motion.steering_at_ins()
     known = np.isfinite(derived) & np.isfinite(angle)
     if known.sum() < 2 or known.mean() * np.ptp(motion.time) < MIN_COMMON_TIME or (
@@ -151,7 +151,7 @@ def _compute_lateral_shift(speed: float, vehicle: VehicleParameters) -> float:
 
 def _make_unit_finding(gain: Estimate, plausible_gains: tuple[float, float], vehicle: VehicleParameters,
                        has_steering_wheel: bool, may_be_play: bool = False) -> Finding | None:
-    """Finding of a steering gain that only a wrong unit or sign can explain; None for a plausible gain.
+    """Finding about a steering gain that only a wrong unit or sign can explain; None for a plausible gain.
 
     plausible_gains: the expected and the largest one; 1 is plausible too, since stiffnesses may be inaccurate.
     may_be_play: whether play of the steering explains a positive gain that is not that of a unit.
@@ -194,7 +194,7 @@ def _compute_response_change(motion: Motion, vehicle: VehicleParameters) -> floa
 
 
 def _make_clock_finding(agreement: Agreement, response_change: float, lateral_shift: float) -> Finding | None:
-    """Finding of a steering lag that changes during the drive by LIMITS.steering_lag or more; None if it does not.
+    """Finding about a steering lag that changes during the drive by LIMITS.steering_lag or more; None if it does not.
     response_change: see `_compute_response_change`. lateral_shift: see `_compute_lateral_shift`."""
     change = add_systematic_uncertainty("steering_lag", agreement.drift.scaled(float(np.ptp(agreement.time))))  # s
     change = change.widened(response_change)
@@ -210,7 +210,7 @@ def _make_clock_finding(agreement: Agreement, response_change: float, lateral_sh
 
 def _make_lag_finding(lag: Estimate, agreement: Agreement, response: float, lateral_shift: float,
                       vehicle: VehicleParameters) -> Finding | None:
-    """Finding of a lag beyond the response time [s] of the car; None if it is small. lateral_shift: see
+    """Finding about a lag beyond the response time [s] of the car; None if it is small. lateral_shift: see
     `_compute_lateral_shift`."""
     if not lag.is_significant or not agreement.expected_lag_rejected or abs(lag.value) < LIMITS.steering_lag:
         return None
@@ -317,7 +317,7 @@ def _fit_rear_axle(problem: Regression, vehicle: VehicleParameters, speed_varies
 
 
 def _make_point_finding(point: Estimate, slip: Estimate, motion: Motion, vehicle: VehicleParameters) -> Finding | None:
-    """Finding of a displaced INS point; None if it is small. slip: of the rear axle, see `_fit_rear_axle`.
+    """Finding about a displaced INS point; None if it is small. slip: of the rear axle, see `_fit_rear_axle`.
 
     Rear wheels steered by k times the front angle act like a point k wheelbases further ahead. A k that depends on the
     speed changes the slip too, so there is no correction if the slip does not agree with the vehicle file.
@@ -349,7 +349,7 @@ def _make_point_finding(point: Estimate, slip: Estimate, motion: Motion, vehicle
 
 
 def check_tyre_limit(motion: Motion) -> list[Finding]:
-    """Finding of a sustained lateral acceleration above the limit of road tyres."""
+    """Finding about a sustained lateral acceleration above the limit of road tyres."""
     windows = motion.make_windows(WINDOW)
     # In a spin, the change of velocity_y cancels the product of speed and yaw rate.
     lateral = windows.mean(motion.velocity_x * motion.yaw_rate) + windows.change(motion.velocity_y) / WINDOW
@@ -365,7 +365,7 @@ def check_tyre_limit(motion: Motion) -> list[Finding]:
 
 
 def check_standstill(motion: Motion) -> list[Finding]:
-    """Findings of a velocity or yaw rate other than 0 while position and yaw are constant."""
+    """Findings about a velocity or yaw rate other than 0 while position and yaw are constant."""
     windows = motion.make_windows(STANDSTILL_WINDOW)
     distance = np.abs(windows.change(motion.position))
     standstill = (distance < 0.02) & (np.abs(windows.change(motion.yaw)) < 0.002)  # m, rad

@@ -94,7 +94,7 @@ def _load_modules(folder: str, package: str, names: Sequence[str]) -> None:
     try:
         for name in names:
             _import_module(f"{package}.{name}", f"{folder}/{name}.py")
-        available = {*EFFECTS, *_list_modules([folder])}  # a file normally has the name of its effect
+        available = {*EFFECTS, *_list_modules([folder])}  # a file not yet imported is known by its name
         for name, key in itertools.product(sorted(set(EFFECTS) - before), ("confounded_with", "members")):
             for other in (other for other in getattr(EFFECTS[name], key) if other not in available):
                 raise ConfigurationError(f"{folder}: effect {name}: {key}: unknown effect {other}"

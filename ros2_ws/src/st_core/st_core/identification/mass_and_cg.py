@@ -262,7 +262,7 @@ def _compute_radii(data: LiftRows, rear_fraction: float) -> tuple[float, str]:
 
 def _compute_load_transfers(data: LiftRows, line: Line) -> np.ndarray:
     """Rear load minus the level rear load of the same lift, (n,) [kg]; NaN at a pitch below MIN_PITCH_RANGE, or below
-    the largest one if that is smaller.
+    the largest pitch if that is smaller.
 
     The level load of a lift is the mean of its level rows, or else the intercept of its line.
     """
