@@ -202,12 +202,12 @@ class Predictor:
         time_ns: int | None = newest
         previous_ns: int | None = None
         while time_ns is not None and time_ns != previous_ns:  # until both are known at the same instant
-            previous_ns, time_ns = time_ns, self.history.ins.known_until(time_ns)
-            time_ns = None if time_ns is None else self.history.steering.known_until(time_ns)
+            previous_ns, time_ns = time_ns, self.history.ins.newest_known_time(time_ns)
+            time_ns = None if time_ns is None else self.history.steering.newest_known_time(time_ns)
         if time_ns is None or (now_ns - time_ns) * NANOSECOND > limit:
             age_text = "" if time_ns is None else f", last known {(now_ns - time_ns) * NANOSECOND:.2f} s ago"
             reasons = [f"{name}: {series.describe_unknown(newest)} at the newest common instant{age_text}"
-                       for name, series in self._series.items() if series.known_until(newest) != newest]
+                       for name, series in self._series.items() if series.newest_known_time(newest) != newest]
             return Skip("stale", reasons[0] if reasons else "INS and steering: no common instant")
         jump = self.history.last_jump
         if jump and time_ns < jump.time_ns:

@@ -27,7 +27,7 @@ NANOSECOND = 1.0e-9
 REORDER_WINDOW_NS = 500_000_000  # samples that are older than the newest one by more than this are rejected as late
 SETBACK_SAMPLES = 5  # after this many consecutive late samples the clock counts as set back
 MAXIMUM_SAMPLES = 200_000
-MIN_RECOVERED_FRACTION = 0.01  # of all times [1]; at most this part is lost to a stamp that is too late; saves time
+MIN_RECOVERED_FRACTION = 0.01  # of the samples; what the longest ascending subsequence must recover to be used [1]
 
 
 class TimeSeries:
@@ -143,7 +143,7 @@ class TimeSeries:
         result[~known] = np.nan
         return result
 
-    def known_until(self, time_ns: int) -> int | None:
+    def newest_known_time(self, time_ns: int) -> int | None:
         """The newest instant at or before `time_ns` at which the signal is known [ns]; None if there is none."""
         times = self.times
         after = int(np.searchsorted(times, time_ns))
@@ -205,7 +205,7 @@ def find_neighbours(times: np.ndarray, instants: np.ndarray, gap_ns: int) -> Nei
 
 def find_ascending(times: np.ndarray) -> np.ndarray:
     """Mask (n,) of strictly ascending times: those that are later than all previous ones, or the longest ascending
-    subsequence if it is longer by MIN_RECOVERED_FRACTION, as it is if a single time is far too late."""
+    subsequence if it is longer by MIN_RECOVERED_FRACTION, as after a single time far in the future."""
     is_newer = np.diff(np.maximum.accumulate(times), prepend=times[:1] - 1) > 0
     if is_newer.sum() >= (1.0 - MIN_RECOVERED_FRACTION) * len(times):
         return is_newer

@@ -38,14 +38,14 @@ from st_core.discovery.space import FileQuantity
 from st_core.errors import ConfigurationError
 
 LIMITS = Limits()
-GOOD = Evidence("mass", gain=0.2, p_value=1e-4, position=0.5, position_in_condition=0.5)
+GOOD = Evidence("mass", gain=0.2, p_value=1e-4, position_reduction=0.5, position_reduction_in_condition=0.5)
 AGREEING = Agreement({}, p_equal=0.5, p_absent=1e-6)
 DISAGREEING = Agreement({}, p_equal=1e-4, p_absent=0.2)
 NEGLIGIBLE_GAIN, INSIGNIFICANT = replace(GOOD, gain=0.005), replace(GOOD, p_value=0.02)
-SMALL_EFFECT = replace(GOOD, gain=0.02, position=0.01, position_in_condition=0.015)
+SMALL_EFFECT = replace(GOOD, gain=0.02, position_reduction=0.01, position_reduction_in_condition=0.015)
 NULL_POSSIBLE = replace(GOOD, null_p_value=0.2)
 SENSORS_DISAGREE, AT_BOUND = replace(GOOD, sensors_p_value=0.01), replace(GOOD, bound_distance=0.0)
-NO_POSITION_GAIN = replace(GOOD, position=0.01, position_in_condition=0.0)
+NO_POSITION_GAIN = replace(GOOD, position_reduction=0.01, position_reduction_in_condition=0.0)
 MASS = FileQuantity("mass", "kg", 1600.0, 40.0, slope=1600.0, stated=True, without_effect=1600.0)
 FILE_DISAGREES = replace(GOOD, file_comparison=(MASS, 0.25))
 VARYING = replace(GOOD, agreement={"run": AGREEING, "place": DISAGREEING})
@@ -69,8 +69,8 @@ NOTHING = {"named": [], "rivals": {}, "rejected": [], "noise_ratio": 1.0, "detec
     (NULL_POSSIBLE, NULL, {"null_p_value": 0.2, "undecided_p": 0.05}),
     (SMALL_EFFECT, IRRELEVANT, {"gain": 0.02, "position": 0.015}),
     (replace(SMALL_EFFECT, gain=0.03), ACCEPTED, {}),
-    (replace(SMALL_EFFECT, position=0.03), ACCEPTED, {}),
-    (replace(SMALL_EFFECT, position_in_condition=0.03), ACCEPTED, {}),
+    (replace(SMALL_EFFECT, position_reduction=0.03), ACCEPTED, {}),
+    (replace(SMALL_EFFECT, position_reduction_in_condition=0.03), ACCEPTED, {}),
     (replace(SENSOR, gain=0.0, p_value=0.5, null_p_value=0.5, size=0.6), ACCEPTED,
      {}),  # a sensor error, however small its effect on the prediction
     (replace(SENSOR, gain=0.0, p_value=0.5, size=0.4), IRRELEVANT, {"share": 0.0, "position": 0.0}),
@@ -131,7 +131,7 @@ def test_first_failed_rule_is_the_verdict():
     """An effect that fails every rule is corrected rule by rule."""
     worst = Evidence("mass", gain=0.005, p_value=0.5, null_p_value=0.5, sensors_p_value=0.001, bound_distance=0.0,
                      agreement={"run": DISAGREEING})
-    corrections = ({"gain": 0.02}, {"p_value": 1e-4}, {"null_p_value": 0.0}, {"position": 1.0},
+    corrections = ({"gain": 0.02}, {"p_value": 1e-4}, {"null_p_value": 0.0}, {"position_reduction": 1.0},
                    {"sensors_p_value": None}, {"bound_distance": 1.0}, {"agreement": {}})
     rules = []
     for correction in corrections:
@@ -146,8 +146,8 @@ def test_first_failed_rule_is_the_verdict():
     (replace(NO_POSITION_GAIN, shares={"yaw": (0.01, 5.0), "yaw_rate": (0.2, 9.0)}), NAMED, {"share": 0.2}),
     (replace(NO_POSITION_GAIN, shares={"yaw": (0.1, 1.5)}), MINOR, {"share": 0.0}),  # the channel is mostly noise
     (replace(NO_POSITION_GAIN, shares={"yaw": (0.01, 5.0)}), MINOR, {"share": 0.01, "position": 0.01}),
-    (replace(NO_POSITION_GAIN, position=0.03), NAMED, {"position": 0.03}),
-    (replace(NO_POSITION_GAIN, position_in_condition=0.03), NAMED, {"position": 0.03}),
+    (replace(NO_POSITION_GAIN, position_reduction=0.03), NAMED, {"position": 0.03}),
+    (replace(NO_POSITION_GAIN, position_reduction_in_condition=0.03), NAMED, {"position": 0.03}),
     (NO_POSITION_GAIN, MINOR, {"share": 0.0}),
     (LOW_GAIN, NAMED, {"position": 0.5}),
     (replace(LOW_GAIN, noise_ratio=5.0), MINOR, {"gain": 0.1, "noise_ratio": 5.0}),  # more remains unexplained
@@ -168,8 +168,8 @@ def test_accepted_effect_is_named_or_minor(evidence, rule, figures):
     (GOOD, dict(parameter_at_bound="factor"), MINOR), (GOOD, dict(peak_force_share=0.5), MINOR),
     (GOOD, dict(worse_axle="rear"), FORCES), (GOOD, dict(summands=("steering_lag",)), MINOR),
     (CONFIRMED, dict(violation="yaw_inertia: dynamic index k^2 / (l_f l_r) 0.5 is outside 0.6 to 1.4"), IMPLAUSIBLE),
-    (replace(GOOD, position=-0.03), {}, MINOR),  # adding it raises the held-out position error
-    (replace(CONFIRMED, position=-0.03), {}, NAMED)])  # but the sensors confirm it
+    (replace(GOOD, position_reduction=-0.03), {}, MINOR),  # adding it raises the held-out position error
+    (replace(CONFIRMED, position_reduction=-0.03), {}, NAMED)])  # but the sensors confirm it
 def test_intervals_and_axle_forces_decide_the_naming(evidence, checks, rule):
     verdict = judge_reporting(evidence, LIMITS, **checks)
     assert verdict.rule == rule and verdict.text
@@ -194,8 +194,8 @@ def test_varying_effect_is_relevant_by_its_gain(gain, p_value, between, relevant
 
 
 def test_varying_effect_without_effect_on_the_position_is_not_relevant():
-    assert not varies_relevantly(replace(GOOD, position=0.01, position_in_condition=0.01), LIMITS)
-    small = replace(AT_BOUND, position=0.01, position_in_condition=0.01)
+    assert not varies_relevantly(replace(GOOD, position_reduction=0.01, position_reduction_in_condition=0.01), LIMITS)
+    small = replace(AT_BOUND, position_reduction=0.01, position_reduction_in_condition=0.01)
     assert decide(LIMITS, **(NOTHING | dict(rejected=[small])))[0] == "none"
 
 

@@ -15,6 +15,7 @@ from st_core.discovery.evidence import (
     column_reductions,
     compare_parts,
     covariance,
+    describe_position_reduction,
     distance_to_bound,
     library_p_value,
     null_p_value,
@@ -182,6 +183,14 @@ def test_column_shares_are_those_of_the_columns_that_the_effect_changes():
     assert result["velocity_y"] == pytest.approx((0.0, 2.0))
 
 
+@pytest.mark.parametrize(("reduction", "text"), [
+    (0.032, "reduces the position error at the end of the horizon by 3.2 cm"),
+    (-0.0002, "reduces the position error at the end of the horizon by less than 0.1 cm"),
+    (-0.032, "increases the position error at the end of the horizon by 3.2 cm")])
+def test_text_of_a_position_reduction(reduction, text):
+    assert describe_position_reduction(reduction) == text
+
+
 def test_evidence_compares_the_fits_with_and_without_the_effect():
     problem = linear_problem(FEW, {"mass": 1.0}, 8)
     base, scores = screen_base(problem)
@@ -191,11 +200,12 @@ def test_evidence_compares_the_fits_with_and_without_the_effect():
     assert e.gain == pytest.approx(min((base.held_out - fit.held_out).sum(), by_run.sum()) / problem.residual_count)
     decrease = (problem.position_error(problem.held_out_rows(base))
                 - problem.position_error(problem.held_out_rows(fit)))
-    assert e.position == e.position_in_condition == pytest.approx(decrease.mean()) and e.position > 0.0
+    assert e.position_reduction == e.position_reduction_in_condition == pytest.approx(decrease.mean())
+    assert e.position_reduction > 0.0
     halves = (np.arange(160) % 2, ["even", "odd"])
     by_condition = collect_evidence(problem, base, fit, "mass", scores, {"condition": halves}, {})
     lower_bounds = [d.mean() - 1.645 * d.std(ddof=1) / np.sqrt(80) for d in (decrease[::2], decrease[1::2])]
-    assert by_condition.position_in_condition == pytest.approx(max(lower_bounds))
+    assert by_condition.position_reduction_in_condition == pytest.approx(max(lower_bounds))
 
 
 # Agreement between parts

@@ -45,7 +45,7 @@ def test_jump_is_found_at_its_time_and_nothing_is_interpolated_across_it(size, p
     inside = T0 + 1000 * MS - 1
     assert live.ins_at(inside) is None
     assert np.isnan(live.ins.sample(np.array([inside]))).all()
-    assert live.ins.known_until(inside) == T0 + (1000 - period) * MS
+    assert live.ins.newest_known_time(inside) == T0 + (1000 - period) * MS
     assert live.ins.describe_unknown(inside) == f"position jumps by {live.last_jump.size:.2f} m"
     assert live.ins_at(live.last_jump.time_ns) is not None
 

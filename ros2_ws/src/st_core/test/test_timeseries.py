@@ -64,7 +64,8 @@ def test_interpolation_between_neighbours_but_not_across_a_gap(times, instants):
         after = min([t for t in times if t >= ms], default=None)
         known = before is not None and after is not None and after - before <= 100
         assert (one is not None) == known
-        assert samples.known_until(time_ns) == (time_ns if known else None if before is None else T0 + before * MS)
+        newest = time_ns if known else None if before is None else T0 + before * MS
+        assert samples.newest_known_time(time_ns) == newest
         if known:
             assert one == pytest.approx((ms, 0.001 * ms), abs=1e-6)
             np.testing.assert_array_equal(row, one)

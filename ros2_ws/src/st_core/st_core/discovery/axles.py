@@ -33,7 +33,7 @@ MAX_SLIP = 0.35  # rad, slip angle beyond the peak force of every road tyre
 MIN_SAMPLES = 100  # runs with fewer samples of slip and force are left out of the comparison with the vehicle file
 MIN_FORCE_CHANGE = 0.01  # relative; an effect that changes the force by less does not count as acting on the axle
 SMALL_SLIP = 0.005  # rad, slip angle at which the cornering stiffness of an axle is evaluated
-GAIN_SPEED = 20.0  # m/s, speed at which the steady-state yaw gain is evaluated
+GAIN_SPEED = 20.0  # m/s, speed at which the steady-state yaw rate gain is evaluated
 
 
 class Axles:
@@ -41,13 +41,13 @@ class Axles:
 
     joint_fit: covariance of the values; if None, there are no bands and the intervals have zero width.
     noise_ratio: ratio of residual to noise, by which bands and intervals are widened [1].
-    near_vectors: vectors of effect sets that fit nearly as well; the bands include their curves.
+    near_optimal_vectors: vectors of effect sets that fit nearly as well; the bands include their curves.
     Raises StCoreError if the base model has no tyres, the drives are too short, or the values are too uncertain for a
     vehicle file.
     """
 
     def __init__(self, problem: Problem, fit: Fit, joint_fit: JointFit | None, runs: Sequence[DriveLog],
-                 vehicle: VehicleParameters, noise_ratio: float, near_vectors: Sequence[np.ndarray] = ()):
+                 vehicle: VehicleParameters, noise_ratio: float, near_optimal_vectors: Sequence[np.ndarray] = ()):
         if not problem.space.model.base.has_tyres:
             raise StCoreError(f"{problem.space.model.base.name}: this model has no axle forces")
         self.problem, self.fit, self.runs, self.vehicle = problem, fit, runs, vehicle
@@ -64,10 +64,10 @@ class Axles:
             log = replace(log, road_wheel_angle=angle, steering_wheel_angle=None)
             logs.append(log if self.has_sideslip else replace(log, velocity_y=compute_steady_velocity_y(log, car)))
         self.regressions = fit_axle_regressions(logs, car)
-        self.near_models: list[AugmentedModel] = []
+        self.near_optimal_models: list[AugmentedModel] = []
         self.draws: list[AugmentedModel] = []
         if joint_fit is not None:
-            self.near_models = select_valid_models([problem.space.at(vector) for vector in near_vectors], vehicle)
+            self.near_optimal_models = select_valid_models([problem.space.at(v) for v in near_optimal_vectors], vehicle)
             in_model = joint_fit.indices < len(problem.space) - 1  # the last parameter is the accelerometer gain
             indices = joint_fit.indices[in_model]
             covariance, scale = np.zeros((len(self.model.vector),) * 2), problem.space.scale[indices]
@@ -81,7 +81,7 @@ class Axles:
         """`ForceCurve` of each axle in the slip range of the drives. base: initial model, for `ForceCurve.file`.
         Raises StCoreError for drives without slip."""
         return tuple(make_axle_curve(self.model, self.vehicle, r.axle, r.samples.slip, base, self.draws,
-                                     self.near_models) for r in self.regressions)
+                                     self.near_optimal_models) for r in self.regressions)
 
     def combinations(self, base: AugmentedModel) -> tuple[Combination, ...]:
         """`COMBINATIONS` of vehicle parameters, with 95 % intervals."""
@@ -114,16 +114,16 @@ class Axles:
                    for name, model in models.items()}
         return tuple(name for name, change in changes.items() if np.abs(change).max() > MIN_FORCE_CHANGE)
 
-    def find_contradicting_axles(self, base: AugmentedModel,
-                                 leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> tuple[str, ...]:
+    def find_worse_axles(self, base: AugmentedModel,
+                         leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> tuple[str, ...]:
         """Axles with measured forces that agree less with the model than with the vehicle file; none if sideslip is not
         measured or excitation is low. leave_one_out: see `Discovery`."""
-        space, contradicting_axles = self.problem.space, []
+        space, worse_axles = self.problem.space, []
         base = base.with_values({name: space.values(name, self.fit.vector) for name in space.payloads})
         for regression in self.regressions if self.has_sideslip else ():
             if not regression.usable:
                 continue
-            square_errors = np.zeros(2)  # of the model, of the vehicle file
+            squared_errors = np.zeros(2)  # of the model, of the vehicle file
             for k, run in enumerate(self.runs):
                 in_run = np.asarray(regression.samples.run_index) == k
                 if in_run.sum() < MIN_SAMPLES:
@@ -131,10 +131,10 @@ class Axles:
                 samples = replace(regression.samples, **{name: getattr(regression.samples, name)[in_run]
                                                          for name in ("slip", "force", "run_index", "time", "used")})
                 held_out_model = self.model.with_values(leave_one_out.get(run.name, {}))
-                square_errors += [compute_force_error(m, self.vehicle, samples) ** 2 for m in (held_out_model, base)]
-            if square_errors[0] > square_errors[1]:
-                contradicting_axles.append(regression.axle)
-        return tuple(contradicting_axles)
+                squared_errors += [compute_force_error(m, self.vehicle, samples) ** 2 for m in (held_out_model, base)]
+            if squared_errors[0] > squared_errors[1]:
+                worse_axles.append(regression.axle)
+        return tuple(worse_axles)
 
 
 def _combination_values(model: AugmentedModel, vehicle: VehicleParameters) -> np.ndarray:

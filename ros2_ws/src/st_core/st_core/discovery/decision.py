@@ -41,7 +41,7 @@ def judge(e: Evidence, limits: Limits) -> Reason:
     elif not is_relevant(e, limits):
         return Reason(IRRELEVANT, e.name, _relevance_values(e, limits), "redundant sensors confirm it, but it "
                       f"reduces the baseline error of every channel by at most {find_most_affected(e, limits)[1]:.1%}, "
-                      f"and {describe_position_reduction(position_reduction(e))}")
+                      f"and {describe_position_reduction(max_position_reduction(e))}")
     if e.sensors_p_value is not None and e.sensors_p_value < limits.undecided_p:
         return Reason(SENSORS, e.name, {"sensors_p_value": e.sensors_p_value, "undecided_p": limits.undecided_p},
                       f"its value contradicts the redundant sensors (p = {e.sensors_p_value:.2g})")
@@ -58,9 +58,9 @@ def judge(e: Evidence, limits: Limits) -> Reason:
         return Reason(BOUND, e.name, {"bound_distance": e.bound_distance, "at_bound": limits.at_bound},
                       "its value is at a bound, so the best fit is beyond the physical range")
     return _reject_varying(e, limits) or Reason(
-        ACCEPTED, e.name, {"gain": e.gain, "p_value": e.p_value, "position": e.position},
-        f"it reduces the errors by {e.share:.1%} and {describe_position_reduction(e.position)} (p = {e.p_value:.2g}), "
-        f"and does not vary significantly between parts of the drives")
+        ACCEPTED, e.name, {"gain": e.gain, "p_value": e.p_value, "position": e.position_reduction},
+        f"it reduces the errors by {e.share:.1%} and {describe_position_reduction(e.position_reduction)} "
+        f"(p = {e.p_value:.2g}), and does not vary significantly between parts of the drives")
 
 
 def judge_correction(e: Evidence, limits: Limits) -> Reason:
@@ -104,11 +104,11 @@ def _reject_insignificant(e: Evidence, limits: Limits) -> Reason | None:
     if e.null_p_value > limits.undecided_p:
         return Reason(NULL, e.name, {"null_p_value": e.null_p_value, "undecided_p": limits.undecided_p},
                       f"its values do not differ significantly from their null values: p = {e.null_p_value:.2g}")
-    if e.gain < limits.relevant and position_reduction(e) < limits.relevant_position:
-        return Reason(IRRELEVANT, e.name, {"gain": e.gain, "position": position_reduction(e),
+    if e.gain < limits.relevant and max_position_reduction(e) < limits.relevant_position:
+        return Reason(IRRELEVANT, e.name, {"gain": e.gain, "position": max_position_reduction(e),
                                            "relevant": limits.relevant, "relevant_position": limits.relevant_position},
                       f"it is significant, but reduces the errors by {e.share:.1%} and "
-                      f"{describe_position_reduction(position_reduction(e))}; {limits.relevant:.1%} or "
+                      f"{describe_position_reduction(max_position_reduction(e))}; {limits.relevant:.1%} or "
                       f"{100 * limits.relevant_position:.0f} cm is required")
     return None
 
@@ -119,15 +119,16 @@ def is_confirmed(e: Evidence, limits: Limits) -> bool:
             and e.sensors_null_p_value is not None and e.sensors_null_p_value < limits.false_alarm)
 
 
-def position_reduction(e: Evidence) -> float:
-    """Reduction of the position error, overall or in one driving condition [m]."""
-    return max(e.position, e.position_in_condition)
+def max_position_reduction(e: Evidence) -> float:
+    """Reduction of the position error, overall or in one driving condition; the larger of the two [m]."""
+    return max(e.position_reduction, e.position_reduction_in_condition)
 
 
 def is_relevant(e: Evidence, limits: Limits) -> bool:
     """Whether an effect is large enough to be reported: by its error reduction in the most affected channel or in
     position or, if redundant sensors confirm it, by its size."""
-    return (find_most_affected(e, limits)[1] >= limits.relevant or position_reduction(e) >= limits.relevant_position
+    return (find_most_affected(e, limits)[1] >= limits.relevant
+            or max_position_reduction(e) >= limits.relevant_position
             or (is_confirmed(e, limits) and e.size >= limits.min_relative_size))
 
 
@@ -140,8 +141,8 @@ def find_most_affected(e: Evidence, limits: Limits) -> tuple[str, float]:
 
 
 def _relevance_values(e: Evidence, limits: Limits) -> dict[str, float]:
-    return {"share": find_most_affected(e, limits)[1], "position": position_reduction(e), "relevant": limits.relevant,
-            "relevant_position": limits.relevant_position}
+    return {"share": find_most_affected(e, limits)[1], "position": max_position_reduction(e),
+            "relevant": limits.relevant, "relevant_position": limits.relevant_position}
 
 
 def judge_reporting(e: Evidence, limits: Limits, excludes_null: bool = True, parameter_at_bound: str = "",
@@ -176,9 +177,9 @@ def judge_reporting(e: Evidence, limits: Limits, excludes_null: bool = True, par
     if peak_force_share < limits.min_peak_force:
         return demote(f"the drives reach only {peak_force_share:.1%} of the peak force",
                       peak_force_share=peak_force_share, min_peak_force=limits.min_peak_force)
-    if e.position < -limits.relevant_position and not confirmed_by_sensors:
-        return demote(f"without it the held-out position error is {-100 * e.position:.1f} cm smaller",
-                      position=e.position, relevant_position=limits.relevant_position)
+    if e.position_reduction < -limits.relevant_position and not confirmed_by_sensors:
+        return demote(f"without it the held-out position error is {-100 * e.position_reduction:.1f} cm smaller",
+                      position=e.position_reduction, relevant_position=limits.relevant_position)
     if e.noise_ratio > limits.max_noise_ratio and e.gain < limits.unexplained_share and not confirmed_by_sensors:
         return demote(f"it is significant, but reduces the errors by only {e.share:.1%}, and one channel's error "
                       f"remains {e.noise_ratio:.1f} times the noise; a reduction of {limits.unexplained_share:.0%} is "
@@ -187,9 +188,9 @@ def judge_reporting(e: Evidence, limits: Limits, excludes_null: bool = True, par
     if not excludes_null and not confirmed_by_sensors:
         return demote("it reduces the errors, but the interval of its value includes the null value")
     channel, share = find_most_affected(e, limits)
-    channel_part = f"the baseline {CHANNELS[channel].label} error by {share:.1%} and " if channel else ""
-    scope = " in one driving condition" if e.position_in_condition > max(e.position, 0.0) else ""
-    reduction = f"it reduces {channel_part}{describe_position_reduction(position_reduction(e))}{scope}"
+    channel_part = f"reduces the baseline {CHANNELS[channel].label} error by {share:.1%} and " if channel else ""
+    scope = " in one driving condition" if max_position_reduction(e) > max(e.position_reduction, 0.0) else ""
+    reduction = f"it {channel_part}{describe_position_reduction(max_position_reduction(e))}{scope}"
     if is_relevant(e, limits):
         return Reason(NAMED, e.name, _relevance_values(e, limits), reduction)
     return demote(f"it is significant, but {reduction}; {limits.relevant:.1%} or {100 * limits.relevant_position:.0f} "

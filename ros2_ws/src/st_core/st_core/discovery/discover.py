@@ -179,7 +179,7 @@ class _Analysis:
             effects.append(result.FoundEffect(
                 name, get_effect(name).kind,
                 {n: replace_interval(p, sensors.get(f"{name}.{n}")) for n, p in values.items()},
-                tuple(r.name for r in others), evidence.position, _local_estimates(evidence),
+                tuple(r.name for r in others), evidence.position_reduction, _local_estimates(evidence),
                 search.find_cancelling_effects(state.fit, name), *decision.find_most_affected(evidence, self.limits)))
         leave_one_out = waterfall.leave_one_out(problem, state.fit)
         axles, curves, combinations = self._analyse_axles(state, joint_fit, noise_ratio)
@@ -324,7 +324,7 @@ class _Analysis:
         reached_force_ratio, names = 1.0, [e.name for e in effects]
         if axles is not None and not self.reference:
             reached_force_ratio = max(axles.compute_force_ratios().values())
-            for axle in axles.find_contradicting_axles(self.space.at(self.space.null), leave_one_out):
+            for axle in axles.find_worse_axles(self.space.at(self.space.null), leave_one_out):
                 worse_axles |= dict.fromkeys(axles.find_effects_on_axle(axle, names), axle)
             for name in names:
                 model = self.space.at(self.problem.start).with_values({name: self.space.values(name, state.fit.vector)})
@@ -363,12 +363,12 @@ class _Analysis:
                 partition = decision.varying_partition(evidence, self.limits)
                 varying_fit, varying = fit, result.VaryingEffect(
                     name, partition, waterfall.estimate_parameters(self.problem, fit, name, {}),
-                    _local_estimates(evidence)[partition], evidence.position)
+                    _local_estimates(evidence)[partition], evidence.position_reduction)
                 break
         for v in find_varying_effects(self.problem, state.fit, partitions) if varying is None else ():
             evidence = collect_varying_evidence(self.problem, state.fit, v, partitions)
             if decision.varies_relevantly(evidence, self.limits) and not self.space.overlaps(v.name, reported):
-                varying = describe_varying(v, self.space, evidence.position)
+                varying = describe_varying(v, self.space, evidence.position_reduction)
                 break
         if varying is None:
             return (), None

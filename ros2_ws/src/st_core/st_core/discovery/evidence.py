@@ -38,21 +38,21 @@ class Evidence:
     """Statistics of one effect in a set."""
 
     name: str
-    # Reduction of the held-out loss per residual, about the relative reduction of the RMS error; the smaller of two
-    # values, with folds and with whole runs held out [1].
+    # Reduction of the held-out loss per residual, approximately the relative reduction of the RMS error; the smaller of
+    # two values, with folds and with whole runs held out [1].
     gain: float
     p_value: float  # p-value of the gain, corrected for the whole library [1]
     null_p_value: float = 0.0  # p-value of the hypothesis that the effect has its null values [1]
     shares: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # by column, see `column_reductions` [1]
-    position: float = 0.0  # reduction of the mean held-out position error at the end of the horizon [m]
+    position_reduction: float = 0.0  # of the mean held-out position error at the end of the horizon [m]
     # Lower 95 % bound of this reduction in the driving condition where the bound is largest [m].
-    position_in_condition: float = 0.0
+    position_reduction_in_condition: float = 0.0
     noise_ratio: float = 1.0  # error with the effect divided by the noise, see `residual_over_noise` [1]
     bound_distance: float = 1.0  # distance to the nearest bound [parameter scales]
     gain_between_runs: float = 0.0  # see `HealthyCar`, 0 without reference drives [1]
     size: float = 0.0  # distance from the null [parameter scales]
-    sensors_p_value: float | None = None  # of the fitted value, given redundant sensors [1]
-    sensors_null_p_value: float | None = None  # of the null, given redundant sensors [1]
+    sensors_p_value: float | None = None  # of agreement of the fitted value with redundant sensors [1]
+    sensors_null_p_value: float | None = None  # of agreement of the null value with them [1]
     file_comparison: tuple[FileQuantity, float] | None = None  # see `compare_with_file`
     agreement: Mapping[str, Agreement] = field(default_factory=dict)  # consistency between parts, by partition
 
@@ -62,11 +62,10 @@ class Evidence:
 
 
 def describe_position_reduction(reduction: float) -> str:
-    """Text that follows "it reduces", such as "the position error after 5 s by 3.2 cm". reduction: [m]."""
-    if reduction <= -5e-4:
-        return "the position error after 5 s not at all"
-    size = "less than 0.1" if reduction < 5e-4 else f"{100.0 * reduction:.1f}"
-    return f"the position error after 5 s by {size} cm"
+    """Clause such as "reduces the position error at the end of the horizon by 3.2 cm". reduction: [m]."""
+    verb = "increases" if reduction <= -5e-4 else "reduces"
+    size = "less than 0.1" if abs(reduction) < 5e-4 else f"{100.0 * abs(reduction):.1f}"
+    return f"{verb} the position error at the end of the horizon by {size} cm"
 
 
 def relative_reduction(gain: float) -> float:
@@ -159,33 +158,33 @@ def library_p_value(block_scores: np.ndarray, block_gain: np.ndarray, scores: Sc
 
 
 def p_no_worse(difference: np.ndarray) -> float:
-    """p-value of the hypothesis that one loss is no higher than a second. difference: (b,) first minus second loss."""
+    """p-value of the hypothesis that a loss is not higher than another. difference: (b,) that loss minus the other."""
     deviation = float(difference.std(ddof=1)) * np.sqrt(len(difference)) if len(difference) > 1 else np.inf
     return float(stats.norm.sf(difference.sum() / max(deviation, 1e-12)))
 
 
-def collect_evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scores: Scores,
+def collect_evidence(problem: Problem, reduced: Fit, fit: Fit, effect: str, scores: Scores,
                      partitions: Mapping[str, Partition], sensors: Sensors) -> Evidence:
-    """Evidence for an effect of `fit`, compared with the fit `without` it. scores: library scores at `without`."""
-    gain = without.held_out - fit.held_out
+    """Evidence for an effect of `fit`, compared with the fit `reduced`, without it. scores: library scores there."""
+    gain = reduced.held_out - fit.held_out
     block_scores = scores.by_effect.get(effect)
     if block_scores is None:
-        block_scores = efficient_score_at_fit(problem, without, effect, fit.sensitivities)
+        block_scores = efficient_score_at_fit(problem, reduced, effect, fit.sensitivities)
     size = np.abs((fit.vector - problem.space.null) / problem.space.scale)[problem.space.indices(effect)].max()
-    before, after = problem.held_out_rows(without), problem.held_out_rows(fit)
+    before, after = problem.held_out_rows(reduced), problem.held_out_rows(fit)
     reduction = problem.position_error(before) - problem.position_error(after)
     if problem.prior is not None:  # the other values, known from the healthy car, do not compensate for the effect
         before = problem.errors.at(problem.vector_without(fit, effect))
-    position, position_in_condition = error_reductions(reduction, partitions.get("condition"))
+    mean_reduction, reduction_in_condition = error_reductions(reduction, partitions.get("condition"))
     sensors_p_value, sensors_null = sensor_p_values(problem, fit, effect, sensors)
     return Evidence(
-        effect, gain=min(float(gain.sum()) / problem.residual_count, problem.held_out_gain(without, fit)),
+        effect, gain=min(float(gain.sum()) / problem.residual_count, problem.held_out_gain(reduced, fit)),
         p_value=library_p_value(block_scores, gain, scores, len(problem.space.hypotheses)),
         null_p_value=null_p_value(problem, fit, effect), shares=column_reductions(problem, before, after),
-        position=position, position_in_condition=position_in_condition, noise_ratio=residual_over_noise(problem, after),
-        bound_distance=distance_to_bound(problem, fit, effect), gain_between_runs=problem.gain_between_runs,
-        size=float(size), sensors_p_value=sensors_p_value, sensors_null_p_value=sensors_null,
-        file_comparison=compare_with_file(problem, fit, effect),
+        position_reduction=mean_reduction, position_reduction_in_condition=reduction_in_condition,
+        noise_ratio=residual_over_noise(problem, after), bound_distance=distance_to_bound(problem, fit, effect),
+        gain_between_runs=problem.gain_between_runs, size=float(size), sensors_p_value=sensors_p_value,
+        sensors_null_p_value=sensors_null, file_comparison=compare_with_file(problem, fit, effect),
         agreement={name: compare_parts(problem, fit, effect, *part) for name, part in partitions.items()})
 
 
@@ -197,10 +196,10 @@ def residual_over_noise(problem: Problem, rows: np.ndarray) -> float:
     return float((problem.column_rms(rows) / np.maximum(problem.noise, 1e-12)).max())
 
 
-def column_reductions(problem: Problem, without: np.ndarray, with_effect: np.ndarray) -> dict[str, tuple[float, float]]:
+def column_reductions(problem: Problem, reduced: np.ndarray, full: np.ndarray) -> dict[str, tuple[float, float]]:
     """By column, (error reduction divided by the larger of the baseline error and the error without the effect, error
-    without the effect divided by the noise)."""
-    before, after = problem.column_rms(without), problem.column_rms(with_effect)
+    without the effect divided by the noise). reduced, full: rows without and with the effect."""
+    before, after = problem.column_rms(reduced), problem.column_rms(full)
     reduction = (before - after) / np.maximum(problem.baseline_rms, before)
     noise_ratio = before / np.maximum(problem.noise, 1e-12)
     return dict(zip(problem.errors.windows.columns, zip(reduction.tolist(), noise_ratio.tolist(), strict=True),
@@ -250,7 +249,7 @@ def compare_with_file(problem: Problem, fit: Fit, effect: str) -> tuple[FileQuan
 
 
 def sensor_p_values(problem: Problem, fit: Fit, effect: str, sensors: Sensors) -> tuple[float | None, float | None]:
-    """p-values of the fitted value and of the null value, given redundant sensors; None if not measured."""
+    """p-values of agreement of the fitted and of the null value with redundant sensors; None if not measured."""
     deviations = dict(zip(problem.space.indices(effect), standard_deviations(problem, fit, effect), strict=True))
     p_values = [_two_sided_p_value(fit.vector[i] - value, np.hypot(deviation, deviations[i]))
                 for i, value, deviation in _sensor_estimates(problem.space, effect, sensors)]
@@ -260,7 +259,7 @@ def sensor_p_values(problem: Problem, fit: Fit, effect: str, sensors: Sensors) -
 
 
 def sensors_null_p_value(space: Space, effect: str, sensors: Sensors) -> float | None:
-    """p-value of the null value, given redundant sensors; None if not measured."""
+    """p-value of agreement of the null value with redundant sensors; None if not measured."""
     return min((_two_sided_p_value(space.null[i] - value, deviation)
                 for i, value, deviation in _sensor_estimates(space, effect, sensors)), default=None)
 

@@ -60,8 +60,8 @@ def simulate_drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: Vehicle
 
 
 def simulate_manoeuvres(windows: Windows, base: Model) -> Iterator[tuple[Manoeuvre, Windows]]:
-    """Yields each manoeuvre that is not faster than MAX_SPEED_RATIO times the recorded driving, and its simulated
-    windows with the recorded channels. The base model without effects is accurate enough to compare excitation."""
+    """Yields each manoeuvre up to MAX_SPEED_RATIO times the recorded speed that the base model can drive, and its
+    windows up to MAX_LATERAL_ACCELERATION. That model, without effects, is accurate enough to compare excitation."""
     model = augment(base, {})
     fastest = MAX_SPEED_RATIO * float(np.nanquantile(windows.speeds, 0.95))
     settings = replace(windows.settings, windows=50)
@@ -115,10 +115,10 @@ def compute_separation(problem: Problem, fit: Fit, h: np.ndarray, first: str, se
 
 def list_separabilities(problem: Problem, fit: Fit, effects: Sequence[FoundEffect],
                         design_effect: float) -> tuple[Separability, ...]:
-    """Separability of every named effect from its alternatives in these drives."""
+    """Separability of every reported effect from its alternatives in these drives."""
     h = problem.full_quadratic(fit.vector).hessian.sum(axis=0)
-    return tuple(Separability(e.name, rival, *compute_separation(problem, fit, h, e.name, rival, design_effect))
-                 for e in effects for rival in e.alternatives)
+    return tuple(Separability(e.name, other, *compute_separation(problem, fit, h, e.name, other, design_effect))
+                 for e in effects for other in e.alternatives)
 
 
 def choose_manoeuvre(problem: Problem, fit: Fit, separabilities: Sequence[Separability], curvatures: Curvatures,
@@ -140,8 +140,8 @@ def choose_manoeuvre(problem: Problem, fit: Fit, separabilities: Sequence[Separa
     strength, pair = weakest[name]
     manoeuvre = next(m for m in CATALOGUE if m.name == name)
     return NextManoeuvre(name, pair, strength, {n: s for n, (s, _) in weakest.items()}, REPETITIONS, manoeuvre.duration,
-                         manoeuvre.speed, "its smallest separation, that of "
-                         f"{pair[0]} and {pair[1]}, is the largest in the catalogue")
+                         manoeuvre.speed, "it separates even the least separable pair, "
+                         f"{pair[0]} and {pair[1]}, by more than any other manoeuvre of the catalogue does")
 
 
 def find_most_informative(problem: Problem, effect: str, curvatures: Curvatures) -> str:
