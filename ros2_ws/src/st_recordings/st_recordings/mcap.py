@@ -68,7 +68,7 @@ class BagWriter:
         self._topics: list[Topic] = []
         self._schemas: dict[str, int] = {}
         if self.directory.is_dir() and any(self.directory.iterdir()):
-            raise FileExistsError(f"{self.directory} contains files and is not overwritten; name another directory")
+            raise FileExistsError(f"{self.directory} contains files and is not overwritten; choose another directory")
         self.directory.mkdir(parents=True, exist_ok=True)
         self.path = self.directory / f"{self.directory.name}_0.mcap"
         self._contents = Contents()

@@ -28,7 +28,7 @@ DATA_END_LENGTH = 13  # bytes of the record that ends the data section
 
 
 class RecoveryError(ValueError):
-    """One-line reason why a file cannot be recovered. It is unchanged; earlier files of its bag may be repaired."""
+    """One-line reason why a file cannot be recovered; it is unchanged, but earlier files of its bag may be repaired."""
 
 
 @dataclass
@@ -55,7 +55,7 @@ class RecoveryReport:
         """One line per file, for a terminal."""
         lines = []
         for file in self.files:
-            state = "intact, unchanged" if file.is_intact else f"repaired, {file.lost_bytes} bytes could not be kept"
+            state = "intact, unchanged" if file.is_intact else f"repaired, {file.lost_bytes} bytes lost"
             if file.damaged_records:
                 state += f", {file.damaged_records} damaged records left out"
             if file.original:
@@ -82,7 +82,7 @@ def recover(path: Path | str, output: Path | str | None = None) -> RecoveryRepor
     target = Path(output) if output is not None else path
     try:
         if output is not None and target.exists():
-            raise RecoveryError(f"{target} already exists; name an output that does not")
+            raise RecoveryError(f"{target} already exists; choose another output")
         if path.is_dir():
             return _recover_directory(path, target)
         if not path.is_file():

@@ -318,7 +318,7 @@ def test_mf4_without_can_frames_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("version", "message"), [
-    ("4.10", "the log contains no raw CAN frames, only decoded signals: SteeringWheelAngle; .*under csv in a run.yaml"),
+    ("4.10", "the log contains no raw CAN frames, only decoded signals: SteeringWheelAngle; .*under the key csv of"),
     ("3.30", r"this is MDF version 3.30; CAN frames are only read from version 4; convert it with asammdf"),
 ])
 def test_mdf_of_decoded_signals_or_of_version_3_is_refused(tmp_path: Path, version: str, message: str) -> None:

@@ -210,7 +210,7 @@ def test_steering_wheel_angle_requires_a_vehicle(tmp_path: Path) -> None:
     loaded = read(run, CAR)
     assert_values(loaded.log)
     np.testing.assert_allclose(loaded.log.steering_wheel_angle, values()["steering_wheel_angle"], atol=1e-9)
-    with pytest.raises(RunError, match=r"d\.csv: it has only the steering wheel angle \(column swa_deg\).* give the "):
+    with pytest.raises(RunError, match=r"d\.csv: it has only the steering wheel angle \(column swa_deg\).* specify "):
         read(run)
 
 

@@ -90,7 +90,7 @@ def test_folder_with_runs_of_several_kinds_and_other_files(tmp_path: Path) -> No
     runs = by_name(find_runs([tmp_path]))
     assert {name: run.kind for name, run in runs.items()} == {"one": "ncom", "genesis": "csv", tmp_path.name: "bag"}
     assert len(read(runs["genesis"]).log.x) == 50
-    with pytest.raises(RunError, match=r"one\.ncom: .* give the vehicle file"):
+    with pytest.raises(RunError, match=r"one\.ncom: .* specify the vehicle file"):
         read(runs["one"])
     with pytest.raises(RunError, match=r"one\.ncom: the file is empty"):
         read(runs["one"], CAR)
@@ -311,7 +311,7 @@ def test_run_yaml_gives_files_and_settings(tmp_path: Path) -> None:
     ("ins: y.ncom\ncan: 1.log", "ins: 'y.ncom' does not exist"),
     ("csv: e*.csv", r"csv: no file matches 'e\*\.csv'"),
     ("csv: [d.csv, 3]", "csv: expected a file or a list of files"),
-    ("ins: x.ncom", "can: names no CAN log"),
+    ("ins: x.ncom", "can: no CAN log is listed"),
     ("ins: x.ncom\ncan: /logs/*.mf4", "can: '/logs/\\*.mf4' is not a valid pattern"),
     ("ins: x.ncom\ncan: g**", r"can: 'g\*\*' is not a valid pattern"),
     ("ins: x.ncom\ncan: 1.log\noffset: soon", "offset: 'soon' is not a number"),

@@ -16,13 +16,13 @@ def check(
                                      dir_okay=False),
     propose_correction: Path | None = typer.Option(
         None, "--propose-correction", "--propose-cure", dir_okay=False,
-        help="Write a run.yaml that corrects the errors and warnings found; for a single run."),
+        help="Write a run.yaml with corrections for the findings; single run only."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
     """Find errors in recordings: units, signs, clocks, axes, projections, reference points, sensors.
 
     Nothing is corrected; each finding states how to correct it. Exit status: 0 no error found, 1 an error was found or
-    a run could not be read, 2 nothing could be read.
+    a run could not be read, 2 nothing was checked.
     """
     from st_offline.checking.check_command import CheckJob, run_command
 
@@ -37,14 +37,14 @@ def check(
 
 def car(
     action: Literal["new", "check"] = typer.Argument(..., help="new, or check.", show_default=False),
-    folder: str = typer.Argument(..., help="Folder of the car; check: also a name in config/car.", show_default=False),
+    folder: str = typer.Argument(..., help="Folder of the car (check: or a name in config/car).", show_default=False),
 ) -> None:
     """Write the folder of a new car for you to fill in, or check the folder of a car.
 
     new: vehicle.yaml, signals.yaml, can.dbc, rt.dbc (of an OxTS RT on the same bus, to append to can.dbc) and car.yaml.
-    check: one line for each mistake and each missing entry; if there are none, values unusual for a road car, and the
-    uncertainty used for each quantity. Exit status: 0 written, or no mistake; 1 mistakes were found; 2 the folder to
-    check does not exist, or the folder to write exists.
+    check: one line for each mistake and each missing entry; if there are none, values unusual for a road car, doubtful
+    CAN signals, and the uncertainty used for each quantity. Exit status: 0 written, or no mistake; 1 mistakes were
+    found; 2 the folder to check does not exist, or the folder to write is not empty.
     """
     from st_recordings.car_skeleton import find_problems, list_remarks, write_skeleton
 

@@ -14,7 +14,7 @@ from .motion import MAX_GAP, MAX_LISTED_TIMES, Motion, find_groups, find_spans, 
 
 UNITS = {"x": "m", "y": "m", "yaw": "rad", "velocity_x": "m/s", "velocity_y": "m/s", "yaw_rate": "rad/s",
          "acceleration_x": "m/s^2", "acceleration_y": "m/s^2", "road_wheel_angle": "rad"}
-STAMPED_CHANNELS = {"INS": ("time",), "steering": ("road_wheel_angle",)}  # channels affected by wrong stamps
+STAMPED_CHANNELS = {"INS": ("time",), "steering": ("road_wheel_angle",)}  # channels affected by wrong time stamps
 MIN_HELD_FRACTION = 0.7  # minimum fraction of the samples in sequences of equal values of the usual length
 MIN_HELD_RATE = 15.0  # Hz; at 15 m/s, positions held at this rate lag by up to 1 m, and by 0.5 m on average
 PREDICTION_GAP = PredictionSettings().maximum_gap
@@ -82,7 +82,7 @@ def estimate_resolution(time: np.ndarray, values: np.ndarray) -> float:
 
 
 def check_timing(motion: Motion, auxiliary: AuxiliaryData, excluded: Sequence[Finding], start_ns: int) -> list[Finding]:
-    """Findings on time stamps, gaps and missing values. excluded: findings on samples that were left out, whose times
+    """Findings about time stamps, gaps and missing values. excluded: findings about left-out samples, whose times
     are not reported as gaps. start_ns: zero of the times in the findings."""
     findings = []
     for signal, stamps in auxiliary.stamps.items():
@@ -121,7 +121,7 @@ def _make_missing_values_finding(channel: str, count: int, motion: Motion, auxil
 
 
 def make_rejected_frames_finding(time: np.ndarray, frames: int, reason: str) -> Finding:
-    """Finding of steering frames that the decoder rejected for a reason.
+    """Finding about steering frames that the decoder rejected for a reason.
 
     time: of the rejected frames, ascending [s since the first INS measurement]. frames: number of all frames.
     """
@@ -149,13 +149,13 @@ def _check_stamps(signal: str, stamps: np.ndarray, start_ns: int) -> list[Findin
         was_reset = name == "time_order" and largest > MAX_GAP
         times = tuple((float(t), float(t)) for t in (newest[faulty] - start_ns)[:MAX_LISTED_TIMES] * NANOSECOND)
         if was_reset:
-            text = (f"the stamps of the {signal} go back {int(faulty.sum())} time{'s' if faulty.sum() > 1 else ''}, by "
+            text = (f"{signal} time stamps jump back {int(faulty.sum())} time{'s' if faulty.sum() > 1 else ''}, by "
                     f"up to {largest:.4g} s: {count} of {len(stamps)} rows ({100 * fraction:.3g} %) are not used")
             advice = "check the logger: its clock was set back, or it restarted; split the recording there into runs"
         else:
-            text = (f"{count} of {len(stamps)} stamps of the {signal} "
-                    f"{'go back' if name == 'time_order' else 'are duplicates'}; those rows were left out")
-            advice = "check how the rows were stamped and merged"
+            text = (f"{count} of {len(stamps)} {signal} time stamps "
+                    f"{'jump back' if name == 'time_order' else 'are duplicates'}; those rows were left out")
+            advice = "check how the rows were time-stamped and merged"
         severity = Severity.WARNING if was_reset or fraction > LIMITS.max_note_fraction else Severity.NOTE
         findings.append(Finding(name, severity, STAMPED_CHANNELS[signal], text, fraction, times=times,
                                 advice=Advice("text", advice)))
@@ -171,7 +171,7 @@ def _check_gaps(signal: str, time: np.ndarray, excluded_times: Sequence[tuple[fl
     # At twice the required rate or above, long intervals are gaps, which are listed with their times below.
     if typical > 0.5 * PREDICTION_GAP and long_fraction > MAX_LONG_FRACTION:
         text = (f"the {signal} has one sample every {typical:.3g} s, and {100.0 * long_fraction:.0f} % of the "
-                f"intervals exceed {PREDICTION_GAP:g} s, across which nothing is predicted: few or no starts are "
+                f"intervals exceed {PREDICTION_GAP:g} s; no prediction is made across these, so few or none can be "
                 "scored")
         return [Finding("time_gaps", Severity.WARNING, STAMPED_CHANNELS[signal], text, typical, "s",
                         advice=Advice("text", f"record the {signal} at a higher rate, or find out why most of its "
@@ -185,13 +185,13 @@ def _check_gaps(signal: str, time: np.ndarray, excluded_times: Sequence[tuple[fl
     fraction = missing / max(float(time[-1] - time[0]), 1e-9)
     severity = Severity.WARNING if fraction > MAX_GAP_FRACTION else Severity.NOTE
     text = (f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} of the {signal}, {missing:.2f} s in all, longest "
-            f"{spacing[gaps].max():.2f} s: nothing is scored there")
+            f"{spacing[gaps].max():.2f} s: no prediction is scored there")
     return [Finding("time_gaps", severity, STAMPED_CHANNELS[signal], text, missing, "s", times=times,
                     advice=Advice("text", "check the logger: lost packets, a full buffer, a restart"))]
 
 
 def find_stuck_channels(motion: Motion, channels: Mapping[str, Sampling]) -> list[Finding]:
-    """Findings of channels that are held at a lower rate, clipped, or constant while the car moves."""
+    """Findings about channels that are held at a lower rate, clipped, or constant while the car moves."""
     findings = []
     for name, time, values in _iterate_channels(motion):
         resolution = channels[name].resolution
@@ -201,7 +201,7 @@ def find_stuck_channels(motion: Motion, channels: Mapping[str, Sampling]) -> lis
 
 
 def find_coarse_channels(motion: Motion, stuck: Sequence[Finding]) -> list[Finding]:
-    """Findings of channels rounded so coarsely that the initial state has a relevant error, except held channels."""
+    """Findings about channels rounded so coarsely that the initial state has a relevant error, except held channels."""
     held = {channel for finding in stuck if finding.name == "samples_repeated" for channel in finding.channels}
     speed = float(np.median(motion.speed))
     findings = []
@@ -219,7 +219,7 @@ def find_coarse_channels(motion: Motion, stuck: Sequence[Finding]) -> list[Findi
 
 
 def _check_held(name: str, time: np.ndarray, values: np.ndarray) -> list[Finding]:
-    """Finding of a channel that changes only once in k samples, with a constant k."""
+    """Finding about a channel that changes only once in k samples, with a constant k."""
     first, last = find_groups(np.diff(values) != 0.0)
     lengths = last - first + 1
     if len(lengths) < MIN_MEASURED_STEPS:
@@ -236,7 +236,7 @@ def _check_held(name: str, time: np.ndarray, values: np.ndarray) -> list[Finding
 
 
 def _check_clipped(name: str, time: np.ndarray, values: np.ndarray, motion: Motion, resolution: float) -> list[Finding]:
-    """Finding of a channel that stays at its largest or smallest value several times, while other channels change.
+    """Finding about a channel that stays at its largest or smallest value several times, while other channels change.
 
     A rounded signal also repeats its maximum, but repeats the adjacent value almost as often.
     """
@@ -254,14 +254,14 @@ def _check_clipped(name: str, time: np.ndarray, values: np.ndarray, motion: Moti
     times = tuple(sorted((float(time[first[k]]), float(time[last[k]])) for k in clipped))
     limits = " and ".join(f"{limit:.4g}" for limit in sorted({float(values[first[k]]) for k in clipped}))
     text = f"{name} stays at {limits} {UNITS[name]} {len(clipped)} times while other channels change: it is clipped"
-    advice = Advice("text", f"increase the range of the sensor or of its signal: the true {name} is larger there"
+    advice = Advice("text", f"increase the range of the sensor or of its signal: the true {name} is beyond it"
                     + (", unless the steering is at its stop" if name == "road_wheel_angle" else ""))
     return [Finding("channel_clipped", Severity.WARNING, (name,), text, float(np.abs(values[first[clipped]]).max()),
                     UNITS[name], times=times, advice=advice)]
 
 
 def _check_frozen(name: str, time: np.ndarray, values: np.ndarray, motion: Motion, resolution: float) -> list[Finding]:
-    """Finding of a channel that is constant for much longer than usual while other channels change."""
+    """Finding about a channel that is constant for much longer than usual while other channels change."""
     first, last = find_groups(np.diff(values) != 0.0)
     duration = time[last] - time[first]
     usual_pause = float(np.sort(duration)[max(int(0.98 * len(duration)) - 1, 0)]) if len(duration) > 5 else 0.0
@@ -273,7 +273,7 @@ def _check_frozen(name: str, time: np.ndarray, values: np.ndarray, motion: Motio
     times = tuple((float(time[first[k]]), float(time[last[k]])) for k in frozen)
     text = f"{name} is constant for {seconds:.1f} s while the car moves"
     if name == "velocity_y" and not values.any():
-        text = "velocity_y is missing or 0 throughout, so the sideslip at each start is unknown"
+        text = "velocity_y is missing or 0 throughout, so the initial sideslip of each prediction is unknown"
     throughout = seconds > 0.5 * float(time[-1] - time[0])
     severity = Severity.ERROR if throughout and name not in OPTIONAL_CHANNELS else Severity.WARNING
     if throughout:
@@ -357,8 +357,7 @@ def drop_frozen_samples(motion: Motion, findings: Sequence[Finding]) -> Motion:
 
 
 def interpolate_held_channels(motion: Motion, stuck: Sequence[Finding]) -> Motion:
-    """The motion with the INS channels that are held at a lower rate interpolated between their changes; held, they
-    would have a lag. stuck: from `find_stuck_channels`."""
+    """The motion with held INS channels interpolated between their changes. stuck: from `find_stuck_channels`."""
     held = {name for finding in stuck if finding.name == "samples_repeated" for name in finding.channels}
     signals = {}
     for name in sorted(held & {*INS_SIGNALS}):

@@ -33,7 +33,7 @@ def compute_tyre_forces(slip, load, transfer, tyre):
 
 @register
 class LateralLoadTransfer(Effect):
-    physics = ("F = F(F_z/2 + dF) + F(F_z/2 - dF) per axle, dF = share m a_y h / track; "
+    physics = ("F_axle = F_right(F_z/2 + dF) + F_left(F_z/2 - dF), dF = share m a_y h / track; "
                "M_z = -track/2 sin(delta) (F_right - F_left) of the front axle")
     excited_by = "cornering at the limit, transients; not observable below 0.4 g"
     kind, slot = "physics", "both axles"

@@ -504,7 +504,7 @@ def _choose_steering(table: Table, columns: dict[str, np.ndarray], vehicle: Vehi
         if vehicle is None:
             raise RunError(table.file, "it has only the steering wheel angle (column "
                            f"{table.sources[STEERING_WHEEL].name}); the road wheel angle can be computed from it only "
-                           "with the steering ratio and offset of the car", "give the vehicle file of the car")
+                           "with the steering ratio and offset of the car", "specify the vehicle file of the car")
         columns[ROAD_WHEEL] = vehicle.road_wheel_angle(columns[STEERING_WHEEL])
         return (STEERING_WHEEL,)
     if STEERING_WHEEL not in columns:

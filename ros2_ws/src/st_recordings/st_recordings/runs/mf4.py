@@ -26,7 +26,7 @@ MDF_OPTIONS: dict[str, Any] = {"process_bus_logging": False}  # do not decode th
 MF4_EXTENSIONS = (".mf4", ".mdf")
 _VENDOR_KINDS = {".mfc": "compressed", ".mfe": "encrypted", ".mfm": "compressed and encrypted"}
 VENDOR_EXTENSIONS = tuple(_VENDOR_KINDS)
-_FLAGS_OF_KIND = {"CAN_DataFrame": 0, "CAN_RemoteFrame": frames.REMOTE, "CAN_ErrorFrame": frames.ERROR}
+_KIND_FLAGS = {"CAN_DataFrame": 0, "CAN_RemoteFrame": frames.REMOTE, "CAN_ErrorFrame": frames.ERROR}
 _TIME_CHANNELS = (2, 3)  # channel types of time: master, virtual master
 FD_LENGTHS = np.array([*range(9), 12, 16, 20, 24, 32, 48, 64], np.uint8)  # data length code -> bytes, ISO 11898-1
 _BUS = re.compile(r"CAN[ _]?(\d+)")
@@ -61,7 +61,7 @@ def reject_unreadable(path: Path, head: bytes) -> None:
     if extension in _VENDOR_KINDS or head.startswith(b"Generic File"):
         kind = _VENDOR_KINDS.get(extension, "compressed or encrypted")
         raise RunError(path, f"this is a {kind} log in the container format of CSS Electronics, which cannot be read",
-                       "convert it with their mdf2finalized or CANedge MF4 converter, and give the resulting .MF4")
+                       "convert it with their mdf2finalized or CANedge MF4 converter, and pass the resulting .MF4")
     if is_mdf(head) and version[:2] != b"4.":
         raise RunError(path, f"this is MDF version {version.decode('latin-1').strip()}; CAN frames are only read from "
                        "version 4", "convert it with asammdf")
@@ -95,7 +95,7 @@ def read_mf4(path: Path) -> frames.CanLog:
     if not parts and decoded_signals:
         raise RunError(path, "the log contains no raw CAN frames, only decoded signals: "
                        f"{', '.join(decoded_signals)[:200]}",
-                       "give the log with the raw frames, or name this file under csv in a run.yaml, as a table")
+                       "pass the log with the raw frames, or list this file under the key csv of a run.yaml")
     if not parts:
         raise RunError(path, "the log contains no CAN frames", "check that the logger was connected to the right bus")
     return frames.build_log(path, parts, warnings, start_ns)
@@ -177,7 +177,7 @@ def _describe_unread_records(log: Any, layout: mdf_blocks.RecordLayout) -> list[
 
 def _find_frame_channel(log: Any, group: int) -> str | None:
     names = {channel.name for channel in log.groups[group].channels}
-    return next((name for name in _FLAGS_OF_KIND if name in names), None)
+    return next((name for name in _KIND_FLAGS if name in names), None)
 
 
 def _has_payloads(log: Any, group: int) -> bool:
@@ -218,7 +218,7 @@ def _read_group_frames(log: Any, group: int, start_ns: int) -> Iterator[frames.F
         raise DamageError("its records have no time channel")
     count = content.channel_group.cycles_nr
     for first in range(0, count, MAX_RECORDS_PER_READ):
-        # asammdf allocates as many records as are requested. _build_frames rejects invalid times.
+        # asammdf allocates as many records as are requested. Invalid times only warn here; _build_frames rejects them.
         with np.errstate(all="ignore"):
             signal = log.get(name, group=group, raw=True, ignore_invalidation_bits=False, record_offset=first,
                              record_count=min(MAX_RECORDS_PER_READ, count - first))
@@ -264,7 +264,7 @@ def _build_frames(name: str, signal: Any, bus: int, start_ns: int, channels: Map
     is_extended = get_column("IDE").astype(bool) | (identifier > 0x7FF)
     length = _convert_lengths(get_column("DataLength"), channels["DataLength"]) if "DataLength" in members else \
         FD_LENGTHS[get_column("DLC", 8) & 15]
-    flags = np.full(n, _FLAGS_OF_KIND[name], np.uint8)
+    flags = np.full(n, _KIND_FLAGS[name], np.uint8)
     flags[get_column("Dir").astype(bool)] |= frames.SENT
     flags[get_column("EDL").astype(bool)] |= frames.FD
     return frames.Frames(

@@ -70,7 +70,7 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
     ins = read_ins(source, settings)
     options = choose_clock_settings(source, settings)
     if not source.can and options["offset"] is None and options["search"] is None:
-        # A bag contains the frames on the clock of its odometry.
+        # CAN frames in a bag are stamped by the same clock as its odometry.
         alignment, shared_signals = Alignment(), list[SharedSignal]()
     else:
         alignment, shared_signals = align_clocks(ins, signals, **options)
@@ -81,7 +81,7 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
         can = replace(can, frames=can.frames.select(slice(*np.searchsorted(can.frames.time_ns, span).tolist())))
         steering = None if settings.for_alignment else find_steering(signals, can.files[0], table, can.warnings)
         used, total = (1e-9 * sum(end - start for start, end in spans) for spans in ([span], parts))
-        warnings.append(f"{can.files[0]}: its clock was set, or it contains several drives; only the {used:.1f} of "
+        warnings.append(f"{can.files[0]}: its clock was adjusted or it contains several drives; only the {used:.1f} of "
                         f"{total:.1f} s ({100.0 * used / total:.0f} %) that match the INS recording are used")
     latency_source = "given" if settings.ins_can_latency or source.settings.get("ins_can_latency") else "assumed"
     delay, deviation = (1e3 * value for value in options["latency"])
@@ -116,7 +116,7 @@ def read_raw_run(source: RunSource, vehicle: VehicleParameters | None, settings:
     """Reads the drive in an INS recording and CAN logs. Raises RunError, for example without a vehicle."""
     if vehicle is None:
         raise RunError(source.path, "the road wheel angle of a CAN log needs the steering ratio and offset of the car",
-                       "give the vehicle file of the car")
+                       "specify the vehicle file of the car")
     return build_drive(source, vehicle, settings, read_raw(source, settings, keep_frames=False))
 
 
@@ -124,7 +124,7 @@ def build_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSet
     """Builds the drive of a decoded run, on the INS clock. Raises RunError, for example for a refused alignment."""
     warnings, verdict, reasons = list(run.warnings), run.alignment.verdict, "; ".join(run.alignment.reasons)
     if verdict is Verdict.REFUSED or (verdict is Verdict.DOUBTFUL and not settings.accept_doubtful):
-        advice = "inspect the alignment with `st align`, and give the offset if you know it (--offset)"
+        advice = "inspect the alignment with `st align`, and specify the offset if you know it (--offset)"
         if verdict is Verdict.REFUSED:
             raise RunError(source.path, f"its clock cannot be aligned with that of the CAN log: {reasons}", advice)
         raise RunError(source.path, f"the alignment of its clock with that of the CAN log is doubtful: {reasons}",
@@ -217,9 +217,9 @@ def _find_pair(files: Sequence[Path], settings: ReadSettings) -> RunSource:
     if len(pairs) != 1:
         count = "no pair" if not pairs else f"more than one pair ({', '.join(run.name for run in pairs)})"
         raise RunError(", ".join(map(str, files)), f"these files contain {count} of INS recording and CAN logs",
-                       "give one INS recording (.ncom, .csv, .vbo or a bag) and its CAN logs")
-    files_of_pair = {*pairs[0].files, *pairs[0].can, pairs[0].run_file}
-    if unused := [file for file in files if file.is_file() and file not in files_of_pair]:
+                       "pass one INS recording (.ncom, .csv, .vbo or a bag) and its CAN logs")
+    pair_files = {*pairs[0].files, *pairs[0].can, pairs[0].run_file}
+    if unused := [file for file in files if file.is_file() and file not in pair_files]:
         raise RunError(unused[0], f"this is neither the INS recording {pairs[0].path.name} nor one of its CAN logs "
-                       f"({', '.join(log.name for log in pairs[0].can)})", "give a log of CAN frames, or leave it out")
+                       f"({', '.join(log.name for log in pairs[0].can)})", "pass a log of CAN frames, or omit it")
     return pairs[0]

@@ -24,7 +24,7 @@ TABLE_KEYS = tuple(reader.key for reader in READERS.values() if reader.is_table)
 _FILE_KEYS = tuple(dict.fromkeys(reader.key for reader in sorted(READERS.values(), key=lambda r: not r.needs_can)))
 _KEYS = ("name", *_FILE_KEYS, "each", "can", "offset", "ins_can_latency", "labels", "dbc", "signals", "columns",
          "units", "correct", "leave_out")
-_KEYS_OF_ONE_RUN = (*_FILE_KEYS, "name", "can", "labels", "leave_out")
+_SINGLE_RUN_KEYS = (*_FILE_KEYS, "name", "can", "labels", "leave_out")
 
 
 def is_run_file(path: Path) -> bool:
@@ -38,8 +38,8 @@ def read_run_file(path: Path) -> list[RunSource]:
 
 
 def find_described_run(file: Path) -> RunSource | None:
-    """Finds a recording's run in its run.yaml, or in one with `each` in its folder; None if absent. An invalid run.yaml
-    is a `problem` of the recording."""
+    """Finds a recording's run in its run.yaml, or in one with `each` in its folder; None if absent. The error
+    of an invalid run.yaml is the `problem` of the result."""
     own_run = _read_own_run_file(file.parent, file)
     if own_run and own_run.problem:
         return RunSource(file.name, "", (file,), problem=own_run.problem)
@@ -73,8 +73,8 @@ def _may_describe(path: Path, file: Path) -> bool:
 
 
 def find_described_files(path: Path) -> list[Path]:
-    """Files in the folder of an invalid run.yaml that it may describe (`_may_describe`). If it names none of the
-    recordings, all files, unless its own name is that of a recording."""
+    """Files in the folder of an invalid run.yaml that it may describe (`_may_describe`). All files if it is the
+    plain run.yaml and mentions no recording."""
     files = [f for f in path.parent.iterdir() if f.is_file()]
     named_files = [f for f in files if _may_describe(path, f)]
     return files if path.name == RUN_FILE and not any(map(find_reader, named_files)) else named_files
@@ -122,7 +122,7 @@ def _parse_single_run(path: Path, content: Mapping[str, Any]) -> RunSource:
 
 def _parse_each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
     """One run per file, with the CAN logs of the same stem. A run.yaml for the file alone takes priority."""
-    if keys := [key for key in content if key in _KEYS_OF_ONE_RUN]:
+    if keys := [key for key in content if key in _SINGLE_RUN_KEYS]:
         raise RunError(path, f"key {keys[0]} describes one run, but `each` describes several",
                        "write a NAME.run.yaml for this run")
     files = dict.fromkeys(_find_matching_files(path, "each", content["each"]))
@@ -165,7 +165,7 @@ def _build_run(path: Path, content: Mapping[str, Any], name: str, key: str, file
     reader = find_reader(files[0], key)
     assert reader is not None  # _FILE_KEYS are the keys of the readers
     if reader.needs_can and not logs:
-        raise RunError(path, "can: names no CAN log", "list the logs, a folder that contains them, or a pattern")
+        raise RunError(path, "can: no CAN log is listed", "list the logs, a folder that contains them, or a pattern")
     for setting in ("columns", "units"):
         if setting in content and not reader.is_table:
             raise RunError(path, f"{setting}: only {' and '.join(TABLE_KEYS)} files have columns, and other files have "
@@ -221,9 +221,9 @@ def _find_matching_files(path: Path, key: str, value: Any) -> list[Path]:
 
 def _parse_latency(path: Path, key: str, value: Any) -> tuple[float, float]:
     try:
-        latency, deviation = map(float, value)
-        if 0.0 <= latency <= 1.0 and 0.0 <= deviation <= 1.0:
-            return latency, deviation
+        latency, standard_deviation = map(float, value)
+        if 0.0 <= latency <= 1.0 and 0.0 <= standard_deviation <= 1.0:
+            return latency, standard_deviation
     except (TypeError, ValueError):
         pass
     raise RunError(path, f"{key}: {value!r} is not [latency, standard deviation] in seconds, each 0 to 1")
