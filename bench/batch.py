@@ -1,7 +1,8 @@
-"""Predictions per second of processor time: lanes, numpy, floats, numba scalar, C++ SIMD, CasADi, commonroad.
+"""Predictions per second of processor time: numba SIMD ("lanes"), numpy, scalar Python ("floats"), scalar numba, C++
+SIMD, CasADi, commonroad.
 
-Each prediction covers 5 s with RK4 steps of 50 ms; one starts every 100 ms of a ten-minute drive. The implementations
-alternate on one core. The limit is the fastest of the C++ variants.
+Each prediction covers 5 s with RK4 steps of 50 ms (odeint in two of commonroad); one starts every 100 ms of a
+ten-minute drive. All except commonroad alternate on one core. The limit is the fastest of the C++ variants.
 """
 
 import tempfile
@@ -15,7 +16,7 @@ from _peers import STEP, STEPS, casadi_calls, commonroad_calls, compile_limit, c
 from st_core.backends import numba_lanes, numpy_batch
 from st_core.batch import LogBatch, plan_blocks
 from st_core.log import LogSignals
-from st_core.models import MODELS as KNOWN
+from st_core.models import get_model
 from st_core.prediction import predict
 from st_core.types import InputSequence, VehicleState
 
@@ -31,21 +32,21 @@ def run() -> dict:
         seconds = measure_alternately(commonroad_calls(), repetitions=2, min_time=0.0)
         results["commonroad_per_s"] = {k: 1.0 / s for k, s in seconds.items()}
 
-        def everything():
+        def predict_log():
             batch = LogBatch(log, start_times(log), points=POINTS)
             return [batch.predict(name, car) for name in MODELS]
 
-        everything()
+        predict_log()
         times = []
         for _ in range(5):
             begin = time.process_time()
-            everything()
+            predict_log()
             times.append(time.process_time() - begin)
     return {**results, "ten_minutes_three_models_cpu_s": float(np.median(times))}
 
 
 def _model(name: str, car, log, folder: Path) -> dict:
-    model = KNOWN[name]
+    model = get_model(name)
     p, signals = model.parameters(car), LogSignals(log, 0.1, 5.0)
     times = start_times(log)[:COUNT]
     block, = plan_blocks(times, 25_000_000 * np.arange(2 * STEPS + 1), numba_lanes.LANES)
@@ -57,7 +58,7 @@ def _model(name: str, car, log, folder: Path) -> dict:
     w = block.tabulate(model.inputs(angle, acceleration, p))
     start = np.ascontiguousarray(signals.states_at(times, car).T)
     one = [InputSequence(angle[4 * i:4 * i + 201], acceleration[4 * i:4 * i + 201]) for i in (0, 1000)]
-    few = start[:, :240].copy()
+    subset = start[:, :240].copy()
 
     def floats():
         return [predict(name, car, VehicleState(*start[:, i]), seq) for i, seq in zip((0, 1000), one, strict=True)]
@@ -68,7 +69,7 @@ def _model(name: str, car, log, folder: Path) -> dict:
         **cpp,
         "lanes": lambda: numba_lanes.advance(model, p, start, w, block.offsets, STEP, LAST)[0],
         "numpy batch": lambda: numpy_batch.advance(model, p, start, w, block.offsets, STEP, LAST)[0],
-        "numba scalar": compile_numba_scalar(model, p, few, w, block.offsets), "floats": floats,
+        "numba scalar": compile_numba_scalar(model, p, subset, w, block.offsets), "floats": floats,
         **casadi_calls(folder, name, car, 50),
     }
     counts = {key: start.shape[1] for key in (*cpp, "lanes", "numpy batch")}

@@ -1,4 +1,4 @@
-"""Duration of a predictor tick: start state and 5 s predictions of three models with floats, without and with bands."""
+"""Duration of a predictor tick with and without bands: start state and predictions of three models in scalar Python."""
 
 import time
 
@@ -18,11 +18,11 @@ LAST_NS = 1_990_000_000
 def run() -> dict:
     """Processor time per tick [ms] at 10 m/s in a gentle turn, alternating between ticks without and with bands.
 
-    With bands, a tick includes the half-widths of both modes and levels, and the band fields of the messages.
+    With bands, a tick includes the half-widths for both input modes and confidence levels, and their message fields.
     """
     vehicle = leaf()
-    predictor, live = Predictor(vehicle, MODELS, PredictionSettings()), CalibratedBands(random_bands(vehicle), MODELS)
-    messages = BandMessages(live.half_widths)
+    predictor, bands = Predictor(vehicle, MODELS, PredictionSettings()), CalibratedBands(random_bands(vehicle), MODELS)
+    messages = BandMessages(bands.half_widths)
     for k in range(200):
         time_ns = k * 10_000_000
         predictor.add_ins(InsSample(time_ns, 10 * k * 0.01, 0.0, 0.0, 10.0, 0.05, 0.2))
@@ -34,7 +34,7 @@ def run() -> dict:
         if isinstance(start, Skip):
             raise RuntimeError(start.reason)
         if with_bands := bool(k % 2):
-            if not live.update(conditions_now(predictor.history, start.time_ns)):
+            if not bands.update(conditions_now(predictor.history, start.time_ns)):
                 raise RuntimeError("no band at these conditions")
             messages.fill()
         for model in MODELS:

@@ -35,8 +35,9 @@ def compare_methods(case: Case, drives: Drives) -> dict[str, Any]:
     result: dict[str, Any] = {"tyres": round(judge.position(tyres), 4), "paramsd": round(judge.position(identified), 4)}
     if case.with_vy:
         regression = Regression(drives.suspect, drives.vehicle, null_model())
-        before, after = regression.residual_over_noise(drives.held_out)
-        result["regression"] = {"names": list(regression.names), "before": round(before, 4), "after": round(after, 4)}
+        before, after = regression.normalised_mean_squares(drives.held_out)
+        result["regression"] = {"names": list(regression.suggested_effects), "before": round(before, 4),
+                                "after": round(after, 4)}
     return result
 
 

@@ -14,11 +14,11 @@ from st_core.vehicle import VehicleParameters
 
 THRESHOLD = 0.1  # terms with a smaller contribution, in standard deviations of the residual, are removed
 ITERATIONS = 10
-STRIDE = 5  # samples; after a filter of 5 Hz, 20 Hz are enough
+STRIDE = 5  # samples; 20 Hz suffices after the 5 Hz low-pass filter
 EQUATIONS = ("velocity_y", "yaw_rate", "acceleration_y")
 TERMS = ("1", "angle", "angle rate", "slip front", "slip rear", "slip front^3", "slip rear^3", "r vx", "ay abs(ay)",
          "vx^2", "ax")
-# Largest standardised term -> effects that an engineer would conclude.
+# Largest standardised term -> effects that an engineer would infer from it.
 SUGGESTED_EFFECTS = {
     "1": ("steering_offset", "road_bank", "crosswind", "lateral_acceleration_bias", "heading_misalignment"),
     "angle": ("steering_ratio", "front_stiffness", "steering_compliance", "roll_steer", "mass"),
@@ -57,35 +57,35 @@ class Regression:
     def __init__(self, drives: Sequence[DriveLog], vehicle: VehicleParameters, base: AugmentedModel):
         self._vehicle, self._base = vehicle, base
         library, target = self._rows(drives)
-        self._mean, self._size = library.mean(axis=0), library.std(axis=0) + 1e-12
-        self._size[0], self._mean[0] = 1.0, 0.0
-        self._target_size = target.std(axis=0)
-        self.coefficients = np.stack([fit_sparse(self._standard(library), target[:, i] / self._target_size[i])
+        self._mean, self._deviation = library.mean(axis=0), library.std(axis=0) + 1e-12
+        self._deviation[0], self._mean[0] = 1.0, 0.0
+        self._target_deviation = target.std(axis=0)
+        self.coefficients = np.stack([fit_sparse(self._standardise(library), target[:, i] / self._target_deviation[i])
                                       for i in range(len(EQUATIONS))])
 
     @property
-    def names(self) -> tuple[str, ...]:
+    def suggested_effects(self) -> tuple[str, ...]:
         """Effects that the largest term suggests; empty without terms."""
         if not self.coefficients.any():
             return ()
         return SUGGESTED_EFFECTS[TERMS[int(np.argmax(np.abs(self.coefficients).max(axis=0)))]]
 
-    def residual_over_noise(self, runs: Sequence[DriveLog]) -> tuple[float, float]:
-        """Mean squares of the residual accelerations of other drives before and after the regression, relative to the
+    def normalised_mean_squares(self, runs: Sequence[DriveLog]) -> tuple[float, float]:
+        """Mean squares of the residual accelerations of other drives before and after the regression, divided by the
         variances in the fitted drives."""
         library, target = self._rows(runs)
-        before = target / self._target_size
-        after = before - self._standard(library) @ self.coefficients.T
+        before = target / self._target_deviation
+        after = before - self._standardise(library) @ self.coefficients.T
         return float(np.mean(before**2)), float(np.mean(after**2))
 
-    def _standard(self, library: np.ndarray) -> np.ndarray:
-        return (library - self._mean) / self._size
+    def _standardise(self, library: np.ndarray) -> np.ndarray:
+        return (library - self._mean) / self._deviation
 
     def _rows(self, runs: Sequence[DriveLog]) -> tuple[np.ndarray, np.ndarray]:
-        parts = [self._rows_of_run(run) for run in runs]
+        parts = [self._run_rows(run) for run in runs]
         return np.concatenate([a for a, _ in parts]), np.concatenate([b for _, b in parts])
 
-    def _rows_of_run(self, log: DriveLog) -> tuple[np.ndarray, np.ndarray]:
+    def _run_rows(self, log: DriveLog) -> tuple[np.ndarray, np.ndarray]:
         """(library, measured minus modelled accelerations) of one drive."""
         car = self._base.effective_vehicle(self._vehicle)
         time = log.ins_time_ns

@@ -39,7 +39,7 @@ def compare_methods(drives: Sequence[DriveLog], held_out: Sequence[DriveLog], ve
     return {"plain": _position_error(windows, vehicle, answer, lambda s, angle, a_x: (0.0, 0.0)),
             "regression": _position_error(windows, vehicle, answer, _regression_push(regression, vehicle, answer)),
             "process": _position_error(windows, vehicle, answer, process),
-            "regression_names": list(regression.names), "process_names": inputs}
+            "regression_names": list(regression.suggested_effects), "process_names": inputs}
 
 
 def _features(states: np.ndarray, angle: np.ndarray, a_x: np.ndarray, car: VehicleParameters) -> np.ndarray:
@@ -52,7 +52,7 @@ def _features(states: np.ndarray, angle: np.ndarray, a_x: np.ndarray, car: Vehic
 
 def _regression_push(regression: Regression, vehicle: VehicleParameters, answer: AugmentedModel) -> Push:
     car = answer.effective_vehicle(vehicle)
-    coefficients = regression.coefficients * regression._target_size[:, None] / regression._size
+    coefficients = regression.coefficients * regression._target_deviation[:, None] / regression._deviation
     constant = -coefficients @ regression._mean
 
     def push(states, angle, a_x):

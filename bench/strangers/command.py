@@ -21,9 +21,9 @@ from .recordings import write_case
 from .vehicles import CARS, DESCRIPTIONS
 
 PAGE = project_root() / "docs" / "measurements" / "strangers.md"
-KEPT = ("outcome", "effects", "minor", "effective", "combinations", "varying", "signature", "errors", "named_errors",
-        "axle_curves", "assumed", "files")
-"""Keys of discovery.json that are kept for the score, or to understand wrong answers."""
+STORED_KEYS = ("outcome", "effects", "minor", "effective", "combinations", "varying", "signature", "errors",
+               "named_errors", "axle_curves", "assumed", "files")
+"""Keys of discovery.json that are stored for the score, or to understand wrong answers."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -68,25 +68,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run_case(case: Case, keep: Path | None = None) -> dict[str, Any]:
-    """Writes the recordings of a case and runs `st discover`; returns the answer, held-out errors and implied
-    forces."""
+    """Writes the recordings of a case and runs `st discover`; returns the answer, held-out errors and axle forces."""
     result: dict[str, Any] = {"case": case.name, "version": source_version(), "date": str(date.today())}
     with tempfile.TemporaryDirectory(prefix="st-strangers-") as temporary:
         folder = (keep or Path(temporary)) / case.name
         folder.mkdir(parents=True)
         result["truth"] = write_case(case, folder)
-        found, began, used = folder / "found", time.monotonic(), _processor_time()
+        output, start, cpu_start = folder / "found", time.monotonic(), _processor_time()
         done = subprocess.run(
             [sys.executable, "-m", "st_cli.cli", "discover", str(folder / "drives"), "--car", str(folder / "car"),
-             "--output", str(found), "--no-propose", "--no-report", "--jobs", "1", "--fresh"],
+             "--output", str(output), "--no-propose", "--no-report", "--jobs", "1", "--fresh"],
             cwd=project_root(), check=False, capture_output=True, text=True)
-        result |= {"seconds": round(_processor_time() - used, 1), "elapsed": round(time.monotonic() - began, 1)}
-        if done.returncode > 1 or not (found / "discovery.json").exists():
+        result |= {"seconds": round(_processor_time() - cpu_start, 1), "elapsed": round(time.monotonic() - start, 1)}
+        if done.returncode > 1 or not (output / "discovery.json").exists():
             return result | {"failed": done.stderr[-2000:]}
-        answer = json.loads((found / "discovery.json").read_text())
-        result["answer"] = {key: answer[key] for key in KEPT if key in answer}
-        result["held_out"] = judge.held_out_errors(folder, found)
-        result["forces"] = judge.implied_forces(result["truth"], folder, found, answer)
+        answer = json.loads((output / "discovery.json").read_text())
+        result["answer"] = {key: answer[key] for key in STORED_KEYS if key in answer}
+        result["held_out"] = judge.held_out_errors(folder, output)
+        result["forces"] = judge.implied_forces(result["truth"], folder, output, answer)
     return result
 
 
@@ -108,7 +107,8 @@ def case_lines(result: Mapping[str, Any]) -> list[str]:
     inside, count = score.count_in_band(result)
     lines.append(f"   5 s error {errors['base']:.2f} -> {errors['augmented']:.3f} m, noise {errors['floor']:.3f} m; "
                  "held-out " + ", ".join(f"{key} {value:.2f}" for key, value in held.items() if value is not None)
-                 + f" m; implied force over the file's error: {ratios}; band {inside}/{count}")
+                 + f" m; axle force error relative to the vehicle file: {ratios}; true curve inside the 90 % band at "
+                 f"{inside} of {count} points")
     return lines
 
 

@@ -80,8 +80,8 @@ def main() -> int:
 def _format_row(row: dict, results: DriveResults) -> str:
     end = "" if results.finished else f"   left the path after {results.duration:.1f} s"
     return (f"{row['road']:18} {row['solver']:6} {row['model']:10} {row['horizon']:4.1f} s   "
-            f"error {results.error_rms:6.3f} rms {results.error_max:6.3f} max m   "
-            f"cpu {results.cpu_median:6.2f} median {results.cpu_p95:6.2f} p95 ms   unsolved {results.unsolved}{end}")
+            f"error rms {results.error_rms:6.3f} m, max {results.error_max:6.3f} m; processor time median "
+            f"{results.cpu_median:6.2f} ms, p95 {results.cpu_p95:6.2f} ms; failed solves {results.unsolved}{end}")
 
 
 def _parse_arguments() -> argparse.Namespace:

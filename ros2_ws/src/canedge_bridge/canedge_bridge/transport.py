@@ -20,7 +20,7 @@ _IP_MULTICAST_ALL = 49  # linux/in.h; not in the socket module
 _TIMESPEC = struct.Struct("@ll")
 _LARGEST_DATAGRAM = 4096  # bytes
 _RECEIVE_BUFFER = 1 << 20  # bytes
-# Types of the fields of a datagram; checked because can.Message would accept a text as number and a list as flag.
+# Types of the fields of a datagram; checked because can.Message would accept a string as a number and a list as a flag.
 _FIELD_TYPES = {"arbitration_id": int, "dlc": int, "data": bytes, **dict.fromkeys(
     ("is_extended_id", "is_remote_frame", "is_error_frame", "is_fd", "bitrate_switch", "error_state_indicator"), bool)}
 
@@ -30,7 +30,7 @@ def check_channel(interface: str, channel: str) -> None:
     if interface not in can.VALID_INTERFACES:
         raise ValueError(f"interface {interface!r} is not one of {', '.join(sorted(can.VALID_INTERFACES))}")
     if not channel:
-        raise ValueError(f"channel: empty, but {interface} needs one")
+        raise ValueError(f"channel is empty; interface {interface} requires one")
     if interface == "udp_multicast":
         parse_channel(channel)
 
@@ -179,7 +179,7 @@ def parse_channel(channel: str) -> tuple[str, int]:
     except ValueError:
         is_multicast = False
     if not is_multicast:
-        raise ValueError(f"{channel!r} is not an IPv4 multicast group (224.0.0.0 to 239.255.255.255), :port optional")
+        raise ValueError(f"{channel!r} is not an IPv4 multicast group (224.0.0.0 to 239.255.255.255) or GROUP:PORT")
     port = DEFAULT_PORT if not port_text else int(port_text) if port_text.isdigit() else 0
     if not 1 <= port <= 65535:
         raise ValueError(f"{channel!r}: the port is outside 1 to 65535")

@@ -44,7 +44,7 @@ Progress = Callable[[], tuple[float, float | None, bool]]
 
 @dataclass
 class _SupervisedNode:
-    """State of one node; times are monotonic [s]. restart_at: None while it runs. cause: its last failure."""
+    """State of one node; times are monotonic [s]. restart_at: None while it runs. failure: the last one."""
 
     package: str
     name: str
@@ -53,7 +53,7 @@ class _SupervisedNode:
     restart_at: float | None = None
     back_off: float = MIN_BACK_OFF
     restarts: int = 0
-    cause: str = ""
+    failure: str = ""
 
 
 class Supervisor:
@@ -84,10 +84,10 @@ class Supervisor:
             elif now >= node.restart_at:
                 self._suite.start_node(node.package, node.name)
                 node.started_at, node.has_responded, node.restart_at = now, False, None
-            if node.cause:
-                times = "once" if node.restarts == 1 else f"{node.restarts} times"
+            if node.failure:
+                times = "once:" if node.restarts == 1 else f"{node.restarts} times, most recently:"
                 is_running = node.restart_at is None and node.has_responded
-                text = f"failed {times}; the last time, it {node.cause}"
+                text = f"failed {times} {node.failure}"
                 level, text = (WARN, text) if is_running else (ERROR, f"not running; {text}")
                 self._monitor.add_statuses([Status(f"suite: {node.name}", level, text, now)])
 
@@ -104,10 +104,10 @@ class Supervisor:
             self._suite.stop(node.name, timeout=0.0)
             self._schedule_restart(node, now, f"was silent for {silence:.0f} s and was killed")
 
-    def _schedule_restart(self, node: _SupervisedNode, now: float, cause: str) -> None:
+    def _schedule_restart(self, node: _SupervisedNode, now: float, failure: str) -> None:
         if now - node.started_at > BACK_OFF_RESET_TIME:
             node.back_off = MIN_BACK_OFF
-        node.cause, node.restart_at = cause, now + node.back_off
+        node.failure, node.restart_at = failure, now + node.back_off
         node.back_off = min(2 * node.back_off, MAX_BACK_OFF)
         node.restarts += 1
 
@@ -143,12 +143,12 @@ def run(folder: Path, parameters: Parameters, title: str, console: Console, view
     with _catch_signals() as stop_requested, claim_domain(requested_domain) as domain, Monitor(domain) as monitor:
         if requested_domain is not None:
             time.sleep(DISCOVERY_TIME)
-            _check_no_other_suite(monitor, domain, allowed=0)
+            _check_no_other_suite(monitor, domain, max_instances=0)
         with Suite(folder, parameters, domain, realtime) as suite:
             with console.status(f"starting {len(nodes)} nodes; the first start compiles the models"):
                 if not _start_nodes(suite, monitor, nodes, stop_requested):
                     return Outcome({}, interrupted=True)
-            _check_no_other_suite(monitor, domain, allowed=1)
+            _check_no_other_suite(monitor, domain, max_instances=1)
             console.out(f"{len(nodes)} nodes up in ROS domain {domain}; output in {folder}", highlight=False)
             if suite.realtime_denied:
                 names = ", ".join(sorted(suite.realtime_denied))
@@ -165,10 +165,10 @@ def run(folder: Path, parameters: Parameters, title: str, console: Console, view
         return Outcome(statuses, stop_requested(), problem, health_text, supervisor.restarts if supervisor else {})
 
 
-def _check_no_other_suite(monitor: Monitor, domain: int, allowed: int) -> None:
-    """Raises SuiteError if a node runs more than `allowed` times: two suites would mix their measurements."""
+def _check_no_other_suite(monitor: Monitor, domain: int, max_instances: int) -> None:
+    """Raises SuiteError for more than `max_instances` of a node: two suites would mix their measurements."""
     counts = Counter(monitor.find_node_names())
-    others = [name for _, name in NODES if counts[name] > allowed]
+    others = [name for _, name in NODES if counts[name] > max_instances]
     if others:
         raise SuiteError(f"another suite is running in ROS domain {domain} ({', '.join(others)}): end it, or set "
                          "ROS_DOMAIN_ID to a different number")

@@ -1,4 +1,4 @@
-"""Checks the newest measurements for consistency with `st_core.checks`, and reports the result in /diagnostics."""
+"""Runs `st_core.checks` on the newest measurements, and reports the result in /diagnostics."""
 
 import math
 import time
@@ -120,8 +120,8 @@ def _thin_out(series: TimeSeries, start_ns: int) -> tuple[np.ndarray, np.ndarray
 
 
 def _make_pending_verdict(driving_time: float) -> Verdict:
-    return Verdict("", f"not checked: {driving_time:.0f} s of driving in the last minute or since the position jumped, "
-                   f"{MIN_DRIVING:g} s above {MIN_SPEED:g} m/s required")
+    return Verdict("", f"not checked: only {driving_time:.0f} s above {MIN_SPEED:g} m/s in the last minute or since a "
+                   f"position jump; {MIN_DRIVING:g} s required")
 
 
 def _make_verdict(findings: Sequence[Finding], previous_faults: Set[str], duration: float) -> Verdict:
@@ -139,8 +139,8 @@ def _make_verdict(findings: Sequence[Finding], previous_faults: Set[str], durati
         severity = confirmed[0].severity
         text = "; ".join(fault.text for fault in confirmed if fault.severity is severity)
         return Verdict(severity.value, text, values)
-    text = f"signals agree in the last {duration:.0f} s"
+    text = f"no fault found in the last {duration:.0f} s"
     if faults:
         names = ", ".join(fault.name for fault in faults)
-        text = f"no confirmed fault in the last {duration:.0f} s; to be confirmed by the next check: {names}"
+        text = f"no confirmed fault in the last {duration:.0f} s; awaiting confirmation by the next check: {names}"
     return Verdict("note" if findings else "", text, values)

@@ -29,7 +29,7 @@ WORK_PERIOD = 0.05  # s between reads of the queues; a queued message keeps its 
 TOPIC_SCAN_PERIOD = 0.25  # s between searches for new topics
 RESUME_PERIOD = 5.0  # s between attempts to resume in a new bag, for example after a full disk
 RESUME_SPACE = 200_000_000  # bytes of free disk space required for a new bag
-RESUME_WARNING_DURATION = 10.0  # s, of the warning that a recording was resumed
+RESUME_WARNING_DURATION = 10.0  # s; duration of the warning about a resumed recording
 DIAGNOSTICS = "/diagnostics"
 SILENCE_TIMEOUT = 10.0  # s until a silent node is reported; every node publishes /diagnostics once a second
 QUEUE_DEPTH = 1000  # queued messages per topic: 4 s at 250 Hz, for a slow disk
@@ -170,7 +170,7 @@ class RecorderNode(Node):
         if silent_nodes:
             silences = ", ".join(f"{name} for {seconds:.0f} s" for name, seconds in silent_nodes.items())
             return Check("publishers", diagnostics.WARN, f"nothing recorded from {silences}, not even /diagnostics")
-        return Check("publishers", diagnostics.OK, "messages of all publishers arrive")
+        return Check("publishers", diagnostics.OK, "no silent publisher found")
 
     @property
     def exit_status(self) -> int:
