@@ -15,6 +15,7 @@ from scipy.stats import f as fisher
 
 from ..clock_fit import STEP, Fit, Pair, fit, mean_correlation, resample, select_common_samples
 from ..clock_types import MAX_SPAN
+from ..leap_seconds import LEAP_SECONDS
 from ..regression import symmetric_interval
 from .finding import HORIZON, LIMITS, WHEEL_SCALE_TOLERANCE, Advice, Comparison, Finding, Severity
 from .motion import MIN_MOVING_SPEED, Motion, correlate, is_near
@@ -22,7 +23,6 @@ from .position import MIN_LOSS_RATIO
 from .regression import Estimate, Regression, add_systematic_uncertainty
 
 MAX_LAG = 1.5  # s; largest lag searched for, in both directions
-GPS_AHEAD_OF_UTC = 18.0  # s, since 2017
 MAX_CLOCK_OFFSET = 40.0  # s; largest offset between two clocks searched for; TAI is 37 s ahead of UTC
 MIN_COMMON_TIME = 15.0  # s; minimum overlap of two series
 NO_BIAS, UNIT_SCALE, NO_DRIFT = Estimate(0.0, 0.0, 0.0), Estimate(1.0, 0.0, 0.0), Estimate(0.0, 0.0, 0.0)
@@ -458,9 +458,11 @@ def check_position_clock(motion: Motion) -> list[Finding]:
     course = np.exp(1j * np.angle(np.gradient(motion.position, motion.time)[moving]))
     yaw = [np.interp(motion.time[moving] - shift, motion.time, motion.yaw) for shift in (0.0, lag.value)]
     loss, loss_with_lag = (float(np.square(np.abs(course - np.exp(1j * values))).mean()) for values in yaw)
-    if loss <= MIN_LOSS_RATIO * loss_with_lag:  # the velocity may be late instead, or the drive is straight
+    # The velocity may be late instead, or the drive is straight. Without moving positions, the losses are NaN.
+    if not loss > MIN_LOSS_RATIO * loss_with_lag:
         return []
-    gps = ", as GPS time, which is 18 s ahead of UTC" if abs(abs(lag.value) - GPS_AHEAD_OF_UTC) < 1.0 else ""
+    is_gps_time = abs(abs(lag.value) - LEAP_SECONDS[-1]) < 1.0
+    gps = f", as GPS time, which is {LEAP_SECONDS[-1]} s ahead of UTC" if is_gps_time else ""
     text = (f"positions {'lag' if lag.value > 0.0 else 'lead'} velocity and yaw by {abs(lag)} s: are they stamped by "
             f"another clock{gps}?")
     return [Finding("position_lag", Severity.ERROR, ("x", "y"), text, lag.value, "s", lag.interval,
