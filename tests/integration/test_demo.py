@@ -124,7 +124,7 @@ def test_second_suite_in_a_domain_is_refused_and_interrupt_ends_the_first_with_c
             second = start_demo("--output", str(tmp_path / "second"))
             text, _ = second.communicate(timeout=60)
             assert second.returncode == 2
-            assert f"another suite is running in ROS domain {domain}" in text
+            assert f"ROS domain {domain} already contains running nodes of the suite" in text
             assert not (tmp_path / "second").exists()
             time.sleep(max(0.0, first_scores - time.monotonic()))
             pids = descendants(first)

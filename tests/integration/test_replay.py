@@ -99,7 +99,7 @@ def test_recording_of_another_recorder_is_replayed_and_scored_as_offline(externa
     played = run_module("replay", external, "--steering-topic", "/steer", "--rate", "2", "--output",
                         tmp_path / "played")
     assert played.returncode == 0, played.stdout + played.stderr
-    assert "of unknown type and not played: /chatter (std_msgs/msg/String)" in played.stdout
+    assert "topics of unknown type, not played: /chatter (std_msgs/msg/String)" in played.stdout
     evaluated = run_module("evaluate", external, "--steering-topic", "/steer", "--figures", "", "--output",
                            tmp_path / "evaluated")
     assert evaluated.returncode == 0, evaluated.stdout + evaluated.stderr

@@ -17,7 +17,7 @@ _FAULTS = ("wrong_counter", "wrong_checksum", "wrong_length", "not_finite", "imp
 
 
 class Health:
-    """Checks bus, age of signals, bad frames and implausible signals by the counts of the decoder and receiver."""
+    """Builds checks of bus, age of signals, bad frames and implausible signals from counts of decoder and receiver."""
 
     def __init__(self, bus_name: str, decoder: Decoder, receiver_status: Callable[[], ReceiverStatus],
                  now_ns: Callable[[], int]):

@@ -252,7 +252,7 @@ def _read_message(row: Entry, dbc: DbcMessage, dbc_path: Path, is_needed: bool) 
         _check_sample(sample, dbc, signals, dbc_path)
     return MessageSpec(
         dbc=dbc, is_needed=is_needed, signals=signals,
-        period=row.quantity("period", "s", 0.0005, 60.0), timeout=row.quantity("timeout", "s", 0.001, 600.0),
+        period=row.duration("period", 0.0005, 60.0), timeout=row.duration("timeout", 0.001, 600.0),
         counter=_read_check(row, "counter", dbc, dbc_path), checksum=_read_check(row, "checksum", dbc, dbc_path),
         fill={} if fill is None else {name: fill.integer(
             name, 0, 2 ** _find_signal(dbc, name, dbc_path, row).length - 1) for name in fill})

@@ -24,10 +24,10 @@ def read_document(path: Path) -> Any:
         raise TableError(f"{path}: invalid YAML: {error}") from None
 
 
-def to_one_line(error: object, limit: int = 300) -> str:
-    """The text of an error as one printable line of at most `limit` characters."""
+def to_one_line(error: object) -> str:
+    """The text of an error as one printable line of at most 300 characters."""
     text = "".join(c if c.isprintable() else " " for c in str(error))
-    return textwrap.shorten(text, limit, placeholder=" ...") or type(error).__name__
+    return textwrap.shorten(text, 300, placeholder=" ...") or type(error).__name__
 
 
 _TYPE_NAMES = {str: "a string", bool: "true or false", int: "a whole number"}
@@ -104,11 +104,11 @@ class Entry:
     def integer(self, key: str, minimum: int, maximum: int) -> int:
         return int(self._number(key, self.get(key, int), minimum, maximum))
 
-    def quantity(self, key: str, unit: str, minimum: float, maximum: float) -> float:
-        """A number with its unit, `key: {value: 1.0, unit: s}`."""
+    def duration(self, key: str, minimum: float, maximum: float) -> float:
+        """A number of seconds with its unit, `key: {value: 1.0, unit: s}`."""
         entry = self.entry(key)
         entry.allow_only("value", "unit")
-        entry.choice("unit", (unit,))
+        entry.choice("unit", ("s",))
         return entry.number("value", minimum, maximum)
 
     def interval(self, key: str, default: tuple[float, float]) -> tuple[float, float]:

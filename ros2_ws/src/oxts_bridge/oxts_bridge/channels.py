@@ -106,7 +106,8 @@ class Field:
     def encode(self, buffer: bytearray, value: Value) -> None:
         """Write a value into the 8 bytes, but not its flag byte. None: write `invalid_raw`, or nothing without one.
 
-        A scaled or "shifted" quantity and a text are clipped to their format; integers out of range raise NcomError.
+        A scaled or "shifted" quantity and a text are clipped to their format; other numbers out of range raise
+        NcomError.
         """
         if self.kind.startswith("text"):
             size = int(self.kind[4:])
@@ -115,7 +116,10 @@ class Field:
             buffer[self.first_byte : self.first_byte + size] = octets
             return
         if self.kind == "f32":
-            _F32.pack_into(buffer, self.first_byte, -1.0 if value is None else value)
+            try:
+                _F32.pack_into(buffer, self.first_byte, -1.0 if value is None else value)
+            except OverflowError:
+                raise NcomError(f"{self.name}: {value} does not fit a 32-bit float") from None
             return
         shift, mask, flip, _ = self._bit_layout
         number = self.validity.invalid_raw if value is None else self._to_raw(value)
@@ -429,7 +433,7 @@ def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
 
     A missing field, None or NaN is encoded as invalid, or as 0 if the format has no such code. The multiplier of
     the long-range lever arm (channel 57) is 1, so its components are limited to 32.767 m. Raises NcomError for an
-    unknown channel or field, an integer out of range, or a missing field whose flag byte declares others valid.
+    unknown channel or field, a number out of range, or a missing field whose flag byte declares others valid.
     """
     fields = FIELDS.get(channel)
     if fields is None:

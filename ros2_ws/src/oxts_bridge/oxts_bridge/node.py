@@ -138,9 +138,13 @@ class OxtsBridge(LifecycleNode):
         if self._live:
             return UdpSource(s.bind_address, s.udp_port, s.sender_filter, self._on_data, self._source_changed.trigger,
                              lambda data: continues_stream(self._newest_packet, data))
-        self._parser.restart()  # the parser may have read the file before a deactivation
-        return ReplaySource(Path(s.replay_file), self._on_data, self._parser.restart, s.speed_factor, s.loop,
+        self._restart_stream()  # the file may have been replayed before a deactivation
+        return ReplaySource(Path(s.replay_file), self._on_data, self._restart_stream, s.speed_factor, s.loop,
                             s.start_offset)
+
+    def _restart_stream(self) -> None:
+        self._parser.restart()
+        self._status.restart()
 
     def close(self) -> None:
         """Stop the thread of the source, which must not publish after the node is destroyed."""

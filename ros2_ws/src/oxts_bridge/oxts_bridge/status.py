@@ -32,8 +32,14 @@ class StatusTracker:
     def __init__(self) -> None:
         self.values: dict[str, Value] = {}
         self.raw: dict[int, bytes] = {}
+        self._raw_counts: dict[str, int] = {}  # newest count of every counter, as sent
         self._local_frame: dict[str, Value] = {}
         self._last_pulses: tuple[float, int] | None = None
+
+    def restart(self) -> None:
+        """Prepare for a new stream: counters begin with the count that it sends first; other values stay."""
+        self._raw_counts.clear()
+        self._last_pulses = None
 
     def update(self, channel: int, data: bytes, gps_seconds: float | None = None,
                position: tuple[float, float, float] | None = None) -> dict[str, Value]:
@@ -47,9 +53,10 @@ class StatusTracker:
         self.raw[channel] = data
         fields = decode_channel(channel, data)
         for name, modulus in _COUNTER_MODULI.get(channel, ()):
-            previous = self.values.get(name)
+            count, previous = fields[name], self._raw_counts.get(name)
+            self._raw_counts[name] = count
             if previous is not None:
-                fields[name] = previous + (fields[name] - previous) % modulus
+                fields[name] = self.values[name] + (count - previous) % modulus
         if channel in TRIGGER_CHANNELS:
             time, name = decode_event_time(channel, data), TRIGGER_CHANNELS[channel]
             fields = {name: self.values.get(name) if time is None else time / 1e9}

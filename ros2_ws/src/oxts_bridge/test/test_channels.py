@@ -101,6 +101,7 @@ def test_values_saturate_at_the_largest_that_can_be_encoded():
     (3, {"Northacc": 1.0}, "has no field Northacc"),
     (84, {}, "no published layout"),
     (31, {"PsrDiffEnabled": 1}, "all or none"),
+    (63, {"AngAccFiltFreq": 1e39}, "AngAccFiltFreq: 1e[+]39 does not fit"),
 ])
 def test_invalid_values_are_refused(channel, values, text):
     with pytest.raises(NcomError, match=text):

@@ -29,6 +29,16 @@ def test_counters_are_unwrapped():
     assert status.get("GpsPrimary.Chars") == 65_536 * 2
 
 
+def test_counters_of_a_repeated_replay_begin_with_the_count_sent_first():
+    status = StatusTracker()
+    for sent in (100, 200, 300):
+        status.update(2, encode_channel(2, {"GpsPrimary.Chars": sent}))
+    status.restart()
+    assert status.get("GpsPrimary.Chars") == 300
+    for sent in (100, 200):
+        assert status.update(2, encode_channel(2, {"GpsPrimary.Chars": sent}))["GpsPrimary.Chars"] == sent
+
+
 def test_invalid_or_missing_accuracy_is_unknown_not_zero():
     status = StatusTracker()
     status.update(3, encode_channel(3, {"NorthAcc": 0.1, "EastAcc": 0.2, "AltAcc": 0.3}))

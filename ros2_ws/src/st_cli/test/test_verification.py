@@ -205,7 +205,7 @@ def test_deviating_score_is_found(live):
 
 
 def test_truncated_recording_is_reported(live):
-    assert "is truncated" not in st_verify(live.write()).output and describe_omissions(live.folder, ()) == []
+    assert "was not closed" not in st_verify(live.write()).output and describe_omissions(live.folder, ()) == []
     file = live.folder / f"{live.folder.name}_0.mcap"
     with file.open("rb") as stream:
         chunks = make_reader(stream).get_summary().chunk_indexes
@@ -215,10 +215,10 @@ def test_truncated_recording_is_reported(live):
     recovered = st("recover", live.folder)
     assert recovered.exit_code == 0, recovered.output
     done = st_verify(live.folder)
-    assert f"{live.folder} is truncated" in done.output.replace("\n", "")
+    assert f"{live.folder} was not closed" in done.output.replace("\n", "")
     (text,) = describe_omissions(live.folder, ())
-    assert text.startswith(f"{live.folder} is truncated") and text.endswith("are not played")
-    assert describe_omissions(live.folder, ["/a (b)"])[0] == "of unknown type and not played: /a (b)"
+    assert text.startswith(f"{live.folder} was not closed") and text.endswith("are not played")
+    assert describe_omissions(live.folder, ["/a (b)"])[0] == "topics of unknown type, not played: /a (b)"
 
 
 def test_recording_with_an_error_is_compared_when_forced(live):

@@ -288,17 +288,14 @@ def _start_rerun(processes: Processes, recording: str, port: int) -> Child:
         str(executable), recording, "--serve-web", "--bind", LOOPBACK,
         "--web-viewer-port", str(port), "--hide-welcome-screen"])
     end = time.monotonic() + READY_TIMEOUT
-    while not _accepts_connections(port):
+    while True:
+        with socket.socket() as probe:
+            if probe.connect_ex((LOOPBACK, port)) == 0:
+                return rerun
         if rerun.process.poll() is not None or time.monotonic() > end:
             output = rerun.read_last_lines() or "no output"
             raise SuiteError(f"the Rerun viewer did not start: {output} (log: {rerun.log})")
         time.sleep(0.1)
-    return rerun
-
-
-def _accepts_connections(port: int) -> bool:
-    with socket.socket() as probe:
-        return probe.connect_ex((LOOPBACK, port)) == 0
 
 
 def check_rerun(option: str) -> None:
@@ -318,11 +315,11 @@ def check_new_rerun_file(option: str, file: Path) -> None:
     """Raises SuiteError for a file that is not .rrd, exists, or cannot be written, and without rerun-sdk."""
     check_rerun(option)
     if file.suffix != ".rrd":
-        raise SuiteError(f"{option} {file}: a Rerun recording ends in .rrd")
+        raise SuiteError(f"{option} {file}: the name of a Rerun recording must end in .rrd")
     try:
         file.touch(exist_ok=False)
     except FileExistsError:
-        raise SuiteError(f"{option} {file}: exists already and is not overwritten") from None
+        raise SuiteError(f"{option} {file}: exists already; choose another name") from None
     except OSError as error:
         raise SuiteError(f"{option} {file}: cannot be written: {error.strerror}") from None
     file.unlink()

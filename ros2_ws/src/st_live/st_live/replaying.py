@@ -71,7 +71,7 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
 
 def describe_omissions(bag: Path, unknown: Sequence[str]) -> list[str]:
     """Lines about content that a replay omits: topics of unknown type, and the missing end of a truncated recording."""
-    topics = [f"of unknown type and not played: {', '.join(unknown)}"] if unknown else []
+    topics = [f"topics of unknown type, not played: {', '.join(unknown)}"] if unknown else []
     return topics + ([TRUNCATION_WARNING.format(bag, "played")] if was_interrupted(bag) else [])
 
 

@@ -28,11 +28,11 @@ INPUTS_OF_MODE = {"hindsight": "measured inputs", "forecast": "inputs held"}
 def report_results(folder: Path, outcome: Outcome, extra: dict[str, Any], console: Console) -> int:
     """Write and print the results of a run; returns the exit status.
 
-    extra: further entries of summary.json, with `title`. Status 0: every process ended normally, and a horizon
-    was scored or the user ended the run; 130: the user ended the run before all nodes were up; 1: all other cases.
+    extra: further entries of summary.json, including `title`. Status 0: every process ended normally, and a prediction
+    was scored or the user stopped the run; 130: the user stopped it before all nodes were up; 1: all other cases.
     """
     if outcome.interrupted and not outcome.statuses:
-        console.print("the run was ended before all nodes were up")
+        console.print("the run was stopped before all nodes were up")
         return 130
     _print_problems(folder, outcome, console)
     with console.status("reading the recordings, drawing"):
@@ -51,7 +51,7 @@ def report_results(folder: Path, outcome: Outcome, extra: dict[str, Any], consol
     ticks = summary["ticks"]
     console.print(f"predictions due {ticks['due']}, made {ticks['predicted']}, skipped {ticks['skipped']}")
     if text := describe_incomplete(summary["models"]):
-        console.print(f"starts without a complete horizon, not in the table: {text}", highlight=False)
+        console.print(f"predictions without a complete score, not in the table: {text}", highlight=False)
     for name, content in (("bag", "measurements and predictions"), ("errors", "every score"),
                           ("summary.json", "this table"), ("paths.png", "the figure")):
         console.print(f"  {escape(str(folder / name))}  [dim]{content}[/dim]", highlight=False, soft_wrap=True)
@@ -111,7 +111,7 @@ def _draw_map(axes: Axes, results: Results) -> None:
         along, across = segment.longitudinal, segment.lateral
         axes.plot(x + along * np.cos(yaw) - across * np.sin(yaw), y + along * np.sin(yaw) + across * np.cos(yaw),
                   color=MODEL_COLOUR[model], ls=MODEL_LINE[model], zorder=3)
-    starts = results.drawn_starts()
+    starts = sorted({start_ns for _, start_ns in results.segments})
     for start_ns in starts:
         x, y = (np.interp(start_ns, track.time_ns, v) for v in (track.x, track.y))
         axes.plot(x, y, "o", ms=4, color="k", zorder=4)
@@ -139,7 +139,7 @@ def _draw_errors(axes: Axes, results: Results, mode: str, quantity: str) -> None
 
 
 def describe_incomplete(models: dict[str, Any]) -> str:
-    """Number of starts of one model without a complete horizon, by mode, as a range if the models differ; "" if none.
+    """Number of predictions of one model without a complete score, by mode; a range if the models differ; "" if none.
 
     models: as in summary.json.
     """
@@ -154,5 +154,5 @@ def make_headline(summary: dict[str, Any]) -> str:
     lateral = {model: modes["hindsight"]["lateral"]["rmse"] for model, modes in summary["models"].items()}
     ranking = sorted((rmse, model) for model, rmse in lateral.items() if rmse is not None)
     if not ranking:
-        return "no complete horizon"
+        return "no complete score"
     return "hindsight, lateral RMSE " + ", ".join(f"{model} {rmse:.2f} m" for rmse, model in ranking)

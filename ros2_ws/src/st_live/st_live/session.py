@@ -34,7 +34,7 @@ NODES = (  # package, executable; subscribers start first, so that they miss no 
 STOP_ORDER = ("player", "predictor", "evaluator", "virtual_leaf", "oxts_bridge", "canedge_bridge", "recorder")
 END_MARGIN = 0.5  # s between the end of the run and the end of the source
 START_TIMEOUT = 180.0  # s until all nodes publish diagnostics
-DISCOVERY_TIME = 1.5  # s until nodes of another suite are in the graph; nodes announce their presence every second
+DISCOVERY_TIME = 1.5  # s until nodes that run already are in the graph; they announce their presence every second
 UPDATE_PERIOD = 0.25  # s between checks of the nodes and updates of the terminal
 LOG_PERIOD = 10.0  # s between lines if the output is not a terminal
 
@@ -116,7 +116,7 @@ class Supervisor:
 class Outcome:
     """Result of a run."""
 
-    statuses: dict[str, int]  # exit status by process; empty if the user ended the run before all nodes were up
+    statuses: dict[str, int]  # exit status by process; empty if the user stopped the run before all nodes were up
     interrupted: bool
     problem: str = ""
     health: str = ""  # the result of `render_health` before the stop, as text
@@ -133,7 +133,7 @@ def run(folder: Path, parameters: Parameters, title: str, console: Console, view
     """Start the nodes and the source, show progress until the run is over or Ctrl-C, and stop everything in order.
 
     source: function that starts the source of the data, if it is not the real car, and returns its `Progress`.
-    default_domain: ROS domain unless ROS_DOMAIN_ID is set; None: a free one, isolated from other suites. supervised:
+    default_domain: ROS domain unless ROS_DOMAIN_ID is set; None: a free one, isolated from other runs. supervised:
     restart nodes that end or hang, instead of ending the run. realtime: real-time scheduling for bridges and predictor.
     Raises SuiteError if a node does not start or is already running.
     """
@@ -143,12 +143,12 @@ def run(folder: Path, parameters: Parameters, title: str, console: Console, view
     with _catch_signals() as stop_requested, claim_domain(requested_domain) as domain, Monitor(domain) as monitor:
         if requested_domain is not None:
             time.sleep(DISCOVERY_TIME)
-            _check_no_other_suite(monitor, domain, max_instances=0)
+            _check_instances(monitor, domain, max_instances=0)
         with Suite(folder, parameters, domain, realtime) as suite:
             with console.status(f"starting {len(nodes)} nodes; the first start compiles the models"):
                 if not _start_nodes(suite, monitor, nodes, stop_requested):
                     return Outcome({}, interrupted=True)
-            _check_no_other_suite(monitor, domain, max_instances=1)
+            _check_instances(monitor, domain, max_instances=1)
             console.out(f"{len(nodes)} nodes up in ROS domain {domain}; output in {folder}", highlight=False)
             if suite.realtime_denied:
                 names = ", ".join(sorted(suite.realtime_denied))
@@ -165,13 +165,13 @@ def run(folder: Path, parameters: Parameters, title: str, console: Console, view
         return Outcome(statuses, stop_requested(), problem, health_text, supervisor.restarts if supervisor else {})
 
 
-def _check_no_other_suite(monitor: Monitor, domain: int, max_instances: int) -> None:
-    """Raises SuiteError for more than `max_instances` of a node: two suites would mix their measurements."""
+def _check_instances(monitor: Monitor, domain: int, max_instances: int) -> None:
+    """Raises SuiteError for more than `max_instances` of a node: measurements of two runs would be mixed."""
     counts = Counter(monitor.find_node_names())
     others = [name for _, name in NODES if counts[name] > max_instances]
     if others:
-        raise SuiteError(f"another suite is running in ROS domain {domain} ({', '.join(others)}): end it, or set "
-                         "ROS_DOMAIN_ID to a different number")
+        raise SuiteError(f"ROS domain {domain} already contains running nodes of the suite ({', '.join(others)}): stop "
+                         "them, or set ROS_DOMAIN_ID to a different number")
 
 
 def make_timer(*durations: float | None) -> Progress:

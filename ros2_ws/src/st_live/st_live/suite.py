@@ -39,7 +39,7 @@ Parameters = Mapping[str, Mapping[str, Any]]
 
 
 class SuiteError(StCoreError):
-    """The suite cannot start or continue; the message gives the reason, and the log of a process that has ended."""
+    """A run cannot start or continue; the message gives the reason, and the log of a process that has ended."""
 
 
 @dataclass(frozen=True)
@@ -240,5 +240,5 @@ def claim_domain(requested: int | None = None) -> Iterator[int]:
                 continue
             yield domain
             return
-    raise SuiteError("ROS domains 1 to 101 are in use on this computer: end another suite, or set "
-                     "ROS_DOMAIN_ID to a domain that no other suite uses")
+    raise SuiteError("ROS domains 1 to 101 are in use on this computer: stop the nodes in one of them, or set "
+                     "ROS_DOMAIN_ID to a domain without other nodes of the suite")

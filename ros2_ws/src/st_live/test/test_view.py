@@ -158,7 +158,7 @@ def test_policy_of_the_rerun_page_allows_no_external_requests() -> None:
 
 
 @pytest.mark.parametrize(("name", "text"), [
-    ("view.txt", "ends in .rrd"), ("there.rrd", "exists already"), ("no/where.rrd", "cannot be written"),
+    ("view.txt", "must end in .rrd"), ("there.rrd", "exists already"), ("no/where.rrd", "cannot be written"),
 ])
 def test_invalid_rerun_file_is_refused(tmp_path: Path, name: str, text: str) -> None:
     pytest.importorskip("rerun", reason="not installed with a sourced ROS")

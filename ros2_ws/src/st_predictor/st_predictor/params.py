@@ -25,7 +25,7 @@ _BANDS_FILE = Parameter("bands_file", "", "bands.yaml of st calibrate for this c
 _COURSE_FILE = Parameter("course_file", "", "course.yaml of st course build for this site; empty: none")
 _ADAPTIVE = Parameter("adaptive_bands", True, "adapt the bands to the errors of this run; without bands_file the first "
                       "bands appear after two minutes of driving; false: only the bands of bands_file, unchanged")
-_MAP_FRAME = Parameter("map_frame", "map", "required frame of the odometry; odometry in other frames is refused")
+_MAP_FRAME = Parameter("map_frame", "map", "required frame of the odometry; odometry in other frames is not used")
 _MAXIMUM_GAP = Parameter(
     "maximum_gap", _DEFAULTS.maximum_gap, "longest interval between samples for interpolation", "s", 0.001, 10.0)
 _FILTER_CUTOFF = Parameter(
@@ -45,7 +45,7 @@ PREDICTOR = (
     Parameter("minimum_speed", _DEFAULTS.minimum_speed, "no prediction below this speed", "m/s", 0.0, 50.0),
     Parameter("stale_after", _DEFAULTS.stale_after, "no prediction from inputs older than this", "s", 0.001, 10.0),
     _MAXIMUM_GAP, _FILTER_CUTOFF, _MAP_FRAME,
-    Parameter("plan_frame", "base_link", "required frame of plans on plan/inputs; plans in other frames are refused"),
+    Parameter("plan_frame", "base_link", "required frame of plans on plan/inputs; plans in other frames are not used"),
 )
 
 _NUMBER_IF_EXISTS = Parameter(

@@ -2,6 +2,7 @@
 
 import pytest
 from st_predictor.nodes._inputs import SILENCE_TIMEOUT, PublisherLock
+from st_ros.polling import UNRESOLVED_NODE
 
 OURS, OTHER = "/oxts_bridge", "/intruder"
 
@@ -39,6 +40,19 @@ def test_two_publishers_from_the_start_are_both_rejected():
     lock.update([OURS, OTHER])
     assert not lock.accept(7, 0.0) and not lock.accept(900, 0.0)
     assert "none is used" in lock.describe_conflict(0.0)
+
+
+def test_restarted_publisher_is_accepted_although_the_killed_one_was_never_received():
+    lock = PublisherLock()
+    lock.update([OURS, OURS])
+    assert [lock.accept(number, 0.01 * number) for number in (1, 2, 4)] == [True, True, False]
+    assert lock.accept(5, 0.04 + 1.1 * SILENCE_TIMEOUT)
+
+
+def test_two_publishers_with_unknown_names_are_both_rejected():
+    lock = PublisherLock()
+    lock.update([UNRESOLVED_NODE, UNRESOLVED_NODE])
+    assert not lock.accept(1, 0.0) and not lock.accept(7, 0.0)
 
 
 @pytest.mark.parametrize("ahead", [-999, -3, 2, 40])

@@ -49,15 +49,10 @@ class BagWriter:
                  synced: bool = False):
         """Creates the directory, the file and a first metadata.yaml.
 
-        Args:
-            directory: must be empty or not exist; nothing is ever overwritten.
-            records: MCAP metadata records, name -> {key: text}; short one-line texts also go to `custom_data` of
-                metadata.yaml as "name.key".
-            synced: a separate thread synchronises each chunk with the disk at once, so that a power failure
-                loses only the last second; for live recordings.
-
-        Raises:
-            OSError: the directory cannot be created or written, or is not empty (FileExistsError).
+        directory: must be empty or not exist. records: MCAP metadata records, name -> {key: text}; short one-line texts
+        are also written to metadata.yaml. synced: a separate thread synchronises each chunk with the disk at once, so
+        that a power failure loses only the last second; for live recordings. Raises OSError if the directory cannot be
+        created or written, FileExistsError if it is not empty.
         """
         self.directory = Path(directory).absolute()
         self.error = ""

@@ -70,13 +70,9 @@ class RecoveryReport:
 def recover(path: Path | str, output: Path | str | None = None) -> RecoveryReport:
     """Makes a damaged bag directory or .mcap file readable.
 
-    Args:
-        path: bag directory, or one .mcap file (then metadata.yaml is not changed).
-        output: new directory or file for the repaired bag; it must not exist. By default the bag is repaired in place.
-
-    Raises:
-        RecoveryError: there is no valid MCAP file, one is still being recorded, the output exists, or the disk is full.
-            The file is unchanged; earlier files of a bag may already be repaired.
+    path: bag directory, or one .mcap file (then metadata.yaml is not changed). output: new directory or file for the
+    repaired bag; it must not exist. By default the bag is repaired in place. Raises RecoveryError if there is no valid
+    MCAP file, one is still being recorded, the output exists, or the disk is full.
     """
     path = Path(path)
     target = Path(output) if output is not None else path

@@ -128,9 +128,6 @@ class Results:
     def models(self) -> list[str]:
         return list(dict.fromkeys(model for model, _ in self.scores))
 
-    def drawn_starts(self) -> list[int]:
-        return sorted({start_ns for _, start_ns in self.segments})
-
 
 def parse_configuration(records: Mapping[str, Mapping[str, str]]) -> RecordedConfiguration:
     """Configuration from the metadata records of a recording (`BagDrive.records`); vehicle: None if not recorded."""

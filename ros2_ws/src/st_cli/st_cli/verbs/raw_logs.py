@@ -145,7 +145,7 @@ def import_(
         None, help="Bag directory; with several runs, the folder of their bags. Default runs/import-<name>-<time>."),
     search: tuple[float, float] | None = typer.Option(None, help="Bounds of the offset in seconds."),
     force: bool = typer.Option(False, "--force", help="Also write runs in which `st check` finds an error."),
-    strict: bool = typer.Option(False, "--strict", help="Refuse runs with a doubtful alignment."),
+    strict: bool = typer.Option(False, "--strict", help="Do not write runs with a doubtful alignment."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
     """Write INS recording and CAN logs as one rosbag2 MCAP, aligned to one time base, with raw packets and frames.

@@ -20,7 +20,7 @@ from st_ros.polling import LATCHED, PolledSubscription
 from .. import convert
 
 QUEUE_DEPTH = 10  # queued plans, of which only the newest is used
-PLAN_TIMEOUT = 10.0  # s without a new plan after which a refused plan is dropped, because the planner has stopped
+PLAN_TIMEOUT = 10.0  # s without a new plan after which an unusable plan is discarded, because the planner has stopped
 NO_PREDICTION_TEXT = "not used: no prediction at the moment"
 
 
@@ -33,7 +33,7 @@ class PlanInput:
         self._plan: PlannedInputs | str | None = None
         self._received_at = float("-inf")
         self.problem = ""
-        self._counts = {"received": 0, "used": 0, "refused": 0}
+        self._counts = {"received": 0, "used": 0, "unusable": 0}
 
     def drain(self) -> None:
         for message, _, _ in self._subscription.take(QUEUE_DEPTH):
@@ -48,7 +48,7 @@ class PlanInput:
         inputs = self._plan if isinstance(self._plan, str) else core.plan_inputs(self._plan, start)
         if isinstance(inputs, str):
             self.problem = inputs
-            self._counts["refused"] += 1
+            self._counts["unusable"] += 1
             if time.monotonic() - self._received_at > PLAN_TIMEOUT:
                 self._plan, self.problem = None, ""
             return None
@@ -64,7 +64,7 @@ class PlanInput:
         if self._plan is None:
             return Check("plan", diagnostics.OK, f"none on {self._subscription.topic}: inputs are held", self._counts)
         if self.problem:
-            return Check("plan", diagnostics.WARN, f"refused, inputs are held: {self.problem}", self._counts)
+            return Check("plan", diagnostics.WARN, f"not used, inputs are held: {self.problem}", self._counts)
         return Check("plan", diagnostics.OK, "used", self._counts)
 
 

@@ -12,7 +12,7 @@ from st_core.types import InsSample
 from st_msgs.msg import Steering
 from st_ros import diagnostics
 from st_ros.diagnostics import Check
-from st_ros.polling import PolledSubscription, to_nanoseconds, wait_for_any
+from st_ros.polling import UNRESOLVED_NODE, PolledSubscription, to_nanoseconds, wait_for_any
 
 from .. import convert
 
@@ -27,7 +27,9 @@ class PublisherLock:
     """Accepts only messages of the first publisher of an input, so that measurements of two cars are never mixed.
 
     A message does not name its publisher, but each publisher numbers its messages consecutively: they form a chain.
-    None is used while several publish before the first is accepted, or if two chains have reached the same number.
+    None is used while several nodes publish before the first is accepted, or if two chains have reached the same
+    number. Publishers with one node name are a restarted node and its predecessor, which stays in the graph for a while
+    after it was killed, but sends nothing.
 
     names: full node names of all publishers at the last `update`. rejected_count: number of messages rejected so far.
     """
@@ -59,8 +61,11 @@ class PublisherLock:
         return False
 
     def _continues_chain(self, number: int | None, now: float) -> bool:
-        if self._are_indistinguishable or number is None or self._accepted_number is None or self._accepted_at is None:
+        have_one_name = len(set(self.names)) == 1 and UNRESOLVED_NODE not in self.names
+        if self._are_indistinguishable or number is None:
             return False
+        if self._accepted_number is None or self._accepted_at is None:
+            return have_one_name
         self._rejected_chains = {newest: time for newest, time in self._rejected_chains.items()
                                  if now - time < SILENCE_TIMEOUT}
         if number == self._accepted_number + 1:
@@ -68,16 +73,15 @@ class PublisherLock:
             return not self._are_indistinguishable
         if now - self._accepted_at <= SILENCE_TIMEOUT:
             return False
-        # Messages were lost, or the node was restarted while the killed one is still in the graph.
+        # Messages were lost, or the node was restarted.
         candidates = {newest for newest in self._rejected_chains if self._may_follow(newest)} - {number - 1}
-        return len(set(self.names)) == 1 or (self._may_follow(number) and not candidates)
+        return have_one_name or (self._may_follow(number) and not candidates)
 
     def _may_follow(self, number: int) -> bool:
         return self._accepted_number is not None and 0 < number - self._accepted_number <= MAX_NUMBER_GAP
 
     def describe_conflict(self, now: float) -> str:
         """Warning about competing publishers, empty without any. now: on the clock of `accept` [s]."""
-        # A killed publisher stays in the graph for a while with the same name as its successor, but sends nothing.
         has_rejected = self._rejected_at is not None and now - self._rejected_at < WARNING_DURATION
         if not self._has_competitors or not (len(set(self.names)) > 1 or has_rejected):
             return ""
@@ -88,15 +92,15 @@ class PublisherLock:
 
 
 class _Input:
-    """One input topic. received_count: messages of the accepted publisher, including refused ones. last_refusal: why
-    the newest message was refused, or "". arrival_ns: time of arrival of the newest message [ns], host UTC."""
+    """One input topic. received_count, unusable_count: messages of the accepted publisher, and those that cannot be
+    used. problem: why the newest one cannot be used, or "". arrival_ns: time of its arrival [ns], host UTC."""
 
     def __init__(self, node: Node, signal: str, message_type: type, topic: str, on_change: Callable[[], None]):
         self.signal, self._on_change = signal, on_change
         self.subscription = PolledSubscription(node, message_type, topic, QoSProfile(depth=QUEUE_DEPTH))
         self.lock = PublisherLock()
-        self.received_count = self.refused_count = self.arrival_ns = 0
-        self.last_refusal = ""
+        self.received_count = self.unusable_count = self.arrival_ns = 0
+        self.problem = ""
 
     def take_accepted(self) -> Iterator[Any]:
         """Queued messages of the accepted publisher."""
@@ -113,23 +117,23 @@ class _Input:
         if previous_warning != self.lock.describe_conflict(_read_utc()):
             self._on_change()
 
-    def count(self, refusal: str) -> None:
-        """Count a message. refusal: why it was refused, or ""."""
+    def count(self, problem: str) -> None:
+        """Count a message. problem: why it cannot be used, or ""."""
         self.received_count += 1
-        self.refused_count += bool(refusal)
-        self.last_refusal = refusal
+        self.unusable_count += bool(problem)
+        self.problem = problem
 
     def make_check(self) -> Check:
-        name, values = f"input {self.signal}", {"received": self.received_count, "refused": self.refused_count}
-        if self.last_refusal:
-            return Check(name, diagnostics.WARN, f"refused: {self.last_refusal}", values)
+        name, values = f"input {self.signal}", {"received": self.received_count, "unusable": self.unusable_count}
+        if self.problem:
+            return Check(name, diagnostics.WARN, f"unusable: {self.problem}", values)
         if not self.received_count:
             return Check(name, diagnostics.STALE, f"no message accepted on {self.subscription.topic} yet", values)
         return Check(name, diagnostics.OK, "usable", values)
 
 
 class Inputs:
-    """Passes every usable sample to `add_ins` and `add_steering`, which return False for a sample they refuse.
+    """Passes every usable sample to `add_ins` and `add_steering`, which return False for an unusable sample.
 
     on_change: called when the warning about competing publishers changes, to publish it at once.
     """
@@ -163,10 +167,10 @@ class Inputs:
                 self._steering.count("" if accepted else UNUSABLE_SAMPLE)
 
     def explain(self, reason: str) -> str:
-        """`reason` for a missing prediction; if it names a signal with refused messages, also why they are refused."""
+        """`reason` for a missing prediction; if it names a signal whose newest message is unusable, also why it is."""
         for entry in self._inputs:
-            if entry.last_refusal and reason.startswith(entry.signal):
-                return f"{reason}; messages arrive but are refused: {entry.last_refusal}"
+            if entry.problem and reason.startswith(entry.signal):
+                return f"{reason}; messages arrive but are unusable: {entry.problem}"
         return reason
 
     def make_checks(self) -> list[Check]:

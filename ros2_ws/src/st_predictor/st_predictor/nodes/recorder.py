@@ -87,7 +87,7 @@ class RecorderNode(Node):
         self._next_attempt, self._resume_time = float("inf"), float("-inf")
         # By topic: subscription, channel of the bag, message type, and QoS of the publishers.
         self._recorded_topics: dict[str, tuple[PolledSubscription, int, str, list[Qos]]] = {}
-        self._refusals: dict[str, str] = {}  # reason by topic
+        self._omitted_topics: dict[str, str] = {}  # reason by topic
         self._watchdog = PublisherWatchdog(self)
         self._uses_sim_time = self.get_parameter("use_sim_time").value
         create_steady_timer(self, WORK_PERIOD, self._record_messages)
@@ -98,24 +98,24 @@ class RecorderNode(Node):
 
     def _subscribe_to_new_topics(self) -> None:
         for topic, types in self.get_topic_names_and_types():
-            is_new = topic not in self._recorded_topics and topic not in self._refusals
+            is_new = topic not in self._recorded_topics and topic not in self._omitted_topics
             is_selected = any(fnmatchcase(topic, pattern) for pattern in self._patterns)
             if is_new and is_selected and (publishers := self.get_publishers_info_by_topic(topic)):
                 self._subscribe(topic, types, publishers)
 
     def _subscribe(self, topic: str, types: list[str], publishers: list[TopicEndpointInfo]) -> None:
         if len(types) != 1:
-            self._refusals[topic] = f"published with {len(types)} types: {', '.join(types)}"
+            self._omitted_topics[topic] = f"published with {len(types)} types: {', '.join(types)}"
             return
         message_type = find_message_class(types[0])
         if message_type is None:
-            self._refusals[topic] = f"message type {types[0]} is not installed"
+            self._omitted_topics[topic] = f"message type {types[0]} is not installed"
             return
         try:
             qos = [convert.make_bag_qos(p.qos_profile) for p in publishers]
             channel = self._bag.add_topic(topic, types[0], qos)
         except UnknownTypeError as error:
-            self._refusals[topic] = str(error)
+            self._omitted_topics[topic] = str(error)
             return
         subscription = PolledSubscription(self, message_type, topic, match_qos(publishers, QUEUE_DEPTH), raw=True)
         self._recorded_topics[topic] = subscription, channel, types[0], qos
@@ -153,9 +153,9 @@ class RecorderNode(Node):
 
     def _make_checks(self) -> list[Check]:
         level, text = diagnostics.OK, f"{len(self._recorded_topics)} recorded"
-        if self._refusals:
+        if self._omitted_topics:
             level = diagnostics.WARN
-            text = "not recorded: " + "; ".join(f"{topic}: {reason}" for topic, reason in self._refusals.items())
+            text = "not recorded: " + "; ".join(f"{topic}: {reason}" for topic, reason in self._omitted_topics.items())
         elif not self._recorded_topics:
             level, text = diagnostics.WARN, "none of the topics has a publisher yet"
         topics = Check("topics", level, text, {"topics": len(self._recorded_topics)})

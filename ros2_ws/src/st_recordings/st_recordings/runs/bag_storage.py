@@ -180,11 +180,6 @@ def open_bag(path: Path, files: Sequence[Path] = ()) -> Storage:
     raise RunError(path, problem, "give the folder that `ros2 bag record` or the recorder wrote")
 
 
-def _read_listed_files(directory: Path) -> list[str]:
-    names = read_information(directory).get("relative_file_paths")
-    return [Path(str(name)).name for name in names] if isinstance(names, list) else []
-
-
 def list_bag_files(directory: Path) -> list[Path]:
     """Storage files of a bag directory, in order of their first messages, or by number if one has no known time."""
     files = sorted((f for f in directory.iterdir() if f.suffix.lower() in EXTENSIONS), key=natural_sort_key)
@@ -195,7 +190,8 @@ def list_bag_files(directory: Path) -> list[Path]:
 def describe_missing_files(path: Path) -> list[str]:
     """A note on missing files: files listed in the metadata.yaml of a bag directory or, for a single file of a numbered
     recording, the files before it. Empty if none is missing."""
-    listed_names = _read_listed_files(path)
+    listed_paths = read_information(path).get("relative_file_paths")
+    listed_names = [Path(str(file)).name for file in listed_paths] if isinstance(listed_paths, list) else []
     missing_names = [name for name in listed_names if not (path / name).is_file()]
     if missing_names:
         count = format_count(len(missing_names), len(listed_names), "files")

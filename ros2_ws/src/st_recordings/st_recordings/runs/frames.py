@@ -90,11 +90,9 @@ def remove_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]],
     """Moves the times after each backward step of the logger's clock forward, or those between two opposite steps.
 
     A logger writes frames as they arrive, so a step back in time (see MAX_EARLY_FRAMES) means that its clock was set.
-    The true interval across the step is lost (a millisecond on a busy bus); the median interval replaces it.
-
-    Returns:
-        (frames in the order in which they were written, clock steps, notes on pairs of opposite steps). A clock step is
-        (new time of the frame after the step [ns], negative size of the step [s]).
+    The true interval across the step is lost (a millisecond on a busy bus); the median interval replaces it. Returns
+    (frames in the order in which they were written, clock steps, notes on pairs of opposite steps). A clock step is
+    (new time of the frame after the step [ns], negative size of the step [s]).
     """
     time_ns = frames.time_ns
     steps = np.diff(time_ns)

@@ -91,15 +91,6 @@ def _read_group(group: Any, path: str, objects: dict[str, str], parents: tuple[A
     return fields
 
 
-def _contains_references(node: Any) -> bool:
-    return hasattr(node, "dtype") and bool(node.dtype.metadata and "ref" in node.dtype.metadata)
-
-
-def _reject_missing_file(node: Any, name: str, missing: str) -> NoReturn:
-    raise RunError(Path(node.file.filename), f"its {name} is a link to the file {missing}, which cannot be opened",
-                   LINK_ADVICE)
-
-
 def _check_samples(dataset: Any) -> None:
     """Raises RunError for samples in a missing file, which HDF5 reads as zeros, or in an unknown compression."""
     from h5py import h5z
@@ -107,7 +98,8 @@ def _check_samples(dataset: Any) -> None:
     file, name, settings = Path(dataset.file.filename), dataset.name, dataset.id.get_create_plist()
     for source in dataset.virtual_sources() if dataset.is_virtual else ():
         if "%" not in source.file_name and not (file.parent / source.file_name).is_file() and source.file_name != ".":
-            _reject_missing_file(dataset, name, source.file_name)
+            raise RunError(file, f"its {name} is a link to the file {source.file_name}, which cannot be opened",
+                           LINK_ADVICE)
     for code, _, _, label in map(settings.get_filter, range(settings.get_nfilters())):
         if not h5z.filter_avail(code):
             raise RunError(file, f"its {name} is compressed with {_to_text(label) or 'an unknown filter'} (HDF5 filter "
@@ -127,7 +119,7 @@ def _read_node(node: Any, path: str, objects: dict[str, str], parents: tuple[Any
         return _read_group(node, path, objects, parents)
     if node.dtype.names:
         return None if kind else _read_table(node)  # complex numbers of MATLAB have two fields, too
-    if _contains_references(node):
+    if node.dtype.metadata and "ref" in node.dtype.metadata:
         entries = [_read_node(node.file[reference], f"{path}{{{number}}}", objects, parents) if reference else None
                    for number, reference in enumerate(node[()].ravel(), 1)]
         return entries[0] if len(entries) == 1 else entries

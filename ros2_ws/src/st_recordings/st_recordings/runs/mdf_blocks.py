@@ -58,14 +58,12 @@ def describe_truncation(head: bytes, size: int) -> str:
 
 
 def check_blocks(data: Buffer) -> RecordLayout | None:
-    """Checks the blocks that lead to the frames. Raises DamageError if one of them is missing or invalid.
+    """Layout of the unsorted records that are last in the file, None if there are none, after a check of all blocks
+    that lead to the frames. Raises DamageError if one of them is missing or invalid.
 
     asammdf does not validate these blocks: it crashes on a channel outside its record, allocates a record of a
     gigabyte, and follows circular links forever. Names, comments and sources may be missing. The data block of an
     unfinalised file may have no length; its end is then not checked.
-
-    Returns:
-        The layout of the unsorted records that are last in the file; None if there are none.
     """
     if len(data) < 64 + 104:
         raise DamageError(f"it ends after {len(data)} bytes, within its header")
