@@ -26,12 +26,12 @@ from st_core.log import DriveLog
 from st_core.models import Model, get_model
 from st_core.vehicle import VehicleParameters
 from st_offline.bands.bands_report import (
-    make_share_rows,
+    make_contribution_rows,
     pool_sums,
     sum_band_scores,
-    sum_shares,
+    sum_contributions,
     summarise_bands,
-    summarise_shares,
+    summarise_contributions,
 )
 from st_recordings.paths import project_root
 from st_recordings.runs import find_runs, read
@@ -189,7 +189,8 @@ def score_corrected() -> dict[str, Row]:
     car, model, intervals = correct_files(drives, world.file)
     logs = [world.drive("off", k, world.off).with_steering(car) for k in range(SEEDS)]
     after = {log.name: collect_samples(log, car, (model,)) for log in logs}
-    _write_shares([sum_shares([model], car, SETTINGS.signals(log), SETTINGS, {model.name: intervals}) for log in logs])
+    _write_contributions([sum_contributions([model], car, SETTINGS.signals(log), SETTINGS, {model.name: intervals})
+                          for log in logs])
     before = world.samples("off", SEEDS, world.off)
     healthy = world.samples("seed", SEEDS, world.healthy)
     name = model.name
@@ -201,14 +202,14 @@ def score_corrected() -> dict[str, Row]:
         | score_transfer("virtual, bands of the uncorrected car on the corrected one", before, renamed, "nonlinear")
 
 
-def _write_shares(runs: Sequence[dict]) -> None:
+def _write_contributions(runs: Sequence[dict]) -> None:
     """Writes the error budget of the corrected car to the page."""
-    shares = summarise_shares(pool_sums(runs))
-    (one,) = shares.values()
+    contributions = summarise_contributions(pool_sums(runs))
+    (one,) = contributions.values()
     causes = {name: values["5"]["lateral"] for name, values in one["rms_of_cause"].items()}
     largest = sorted(causes, key=causes.get, reverse=True)[:5]
     text = "; ".join(f"{name} {causes[name]:.2f} m" for name in largest)
-    replace_part(PAGE, "shares", f"{format_records(make_share_rows(shares))}\n\n"
+    replace_part(PAGE, "shares", f"{format_records(make_contribution_rows(contributions))}\n\n"
                  f"The largest causes across at 5 s, rms: {text}.")
 
 

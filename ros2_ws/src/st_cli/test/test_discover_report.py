@@ -76,7 +76,7 @@ def test_title_and_table_list_values_with_the_largest_effect_first(logs):
 
 def test_effective_correction_is_described_by_the_error_without_it(logs):
     found = discovery(logs, STEPS, 1.72)
-    (text,) = report_text.describe_effective(replace(found, effective=found.effects[:1]))
+    (text,) = report_text.describe_effective_corrections(replace(found, effective=found.effects[:1]))
     assert text.startswith("steering ratio × 0.8940 (5 s position error without it +0.90 m): improves predictions")
 
 
@@ -107,7 +107,7 @@ def test_indistinguishable_effects_are_listed_together(logs):
 def test_undetectable_effects_are_listed_with_size_and_car_parameters_first(logs):
     names = ("drag", "friction", "heading_misalignment", "steering_ratio")
     undetectable = tuple(UntestableEffect(name, "") for name in names)
-    text = report_text.list_undetectable(replace(discovery(logs, (), 1.0), not_testable=undetectable))
+    text = report_text.describe_undetectable(replace(discovery(logs, (), 1.0), not_testable=undetectable))
     assert text == ("not detectable in these drives: friction of 40 %, steering ratio of 6 %, heading misalignment of "
                     "0.458°, drag")
 

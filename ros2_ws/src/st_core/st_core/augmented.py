@@ -225,6 +225,7 @@ def fold_effects(vehicle: VehicleParameters, effects: Iterable[type[Effect]], va
     return vehicle
 
 
-def set_effects_to_null(model: AugmentedModel) -> AugmentedModel:
-    """The model with all parameters of its effects at their null values, so that they have no influence."""
-    return model.with_values({e.name: {p.name: p.null for p in e.parameters} for e in model.effects})
+def set_effects_to_null(model: AugmentedModel, effects: Iterable[type[Effect]] | None = None) -> AugmentedModel:
+    """The model with the parameters of the given effects, by default all, at their null values: without influence."""
+    effects = model.effects if effects is None else effects
+    return model.with_values({e.name: {p.name: p.null for p in e.parameters} for e in effects})

@@ -20,7 +20,7 @@ import numpy as np
 from . import integrate
 from .backends import get_backend
 from .errors import ConfigurationError
-from .log import DriveLog, LogSignals, share_memory
+from .log import DriveLog, LogSignals, shares_memory
 from .models import Model, get_model
 from .planned_inputs import SLIP_FREE_ANGLE
 from .prediction import step_count
@@ -165,7 +165,7 @@ class Recording:
 
 
 class LogBatch:
-    """Starts in one drive, whose inputs are sampled once, to be predicted with any models, cars and parameter values.
+    """Predictions from many starts in one drive, with any models, cars and parameters; inputs are sampled only once.
 
     log: a drive, or its LogSignals with settings other than the default. starts_ns: any instants [ns]. Starts that are
     multiples of half an integration step apart are predicted fastest: quantities that depend only on inputs are then
@@ -285,7 +285,7 @@ class LogBatch:
         else:
             # Inputs that the model does not correct are those of the recorded drive.
             recorded = self._uncorrected.sample_cache.get(key)
-            if recorded and share_memory(signals.log, self.signals.log, "steering_time_ns", "road_wheel_angle"):
+            if recorded and shares_memory(signals.log, self.signals.log, "steering_time_ns", "road_wheel_angle"):
                 angle = recorded[0]
             else:
                 angle = block.arrange(signals.road_wheel_angle_at(times_ns))

@@ -124,7 +124,7 @@ def align(signals: Sequence[SharedSignal], search: tuple[float, float] | None = 
     of the offset, the agreement of the signals, the drift, and steps of a clock. The recordings must overlap by 40 % of
     the shorter one and at least 10 s, or by 20 s if no such offset fits. search: range of the offset [s].
 
-    Never raises for the content of a recording: a refused alignment states its reasons. Valid for drifts of a few
+    Unusable recordings raise no exception: a refused alignment states its reasons. Valid for drifts of a few
     hundred ppm and recordings of up to two days. Checked by: tests/golden/test_alignment.py, test_clock_alignment.py.
     """
     series = _resample_signals(signals)

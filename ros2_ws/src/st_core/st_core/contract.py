@@ -35,7 +35,7 @@ READING = Measured(3.0, -2.0, 0.2, 12.0, 0.1, 0.25, 0.4, 2.9, 0.3)
 def check_effect(effect: type[Effect], vehicle: VehicleParameters) -> dict[str, str]:
     """Description of the violation of each requirement, "" if it is fulfilled; an exception counts as a violation."""
     docstring = effect.__doc__ or sys.modules[effect.__module__].__doc__ or ""
-    problems = {"the equation is written in the file":
+    problems = {"the docstring states the equation":
                 "" if docstring.strip() else "no docstring; write one with the equation, units and signs"}
     for text, find_violation in REQUIREMENTS.items():
         try:
@@ -53,10 +53,10 @@ def _check_null(effect: type[Effect], vehicle: VehicleParameters, base: Model, m
     null = set_effects_to_null(model)
     change = float(np.abs(_predict_floats(null, vehicle) - _predict_floats(base, vehicle)).max())
     if np.isnan(change) or change > 0.0:
-        return f"at null the path of {base.name} changes by {change:.3g}; it must be identical to the last bit"
+        return f"with null values the path of the {base.name} model changes by {change:.3g}; it must be bit-identical"
     readings = null.observe(READING), null.correct(READING)
     if readings != (READING, READING) or null.effective_vehicle(vehicle) != vehicle:
-        return "at null it changes a reading or the vehicle parameters"
+        return "null values change a reading or the vehicle parameters"
     return ""
 
 
@@ -67,7 +67,7 @@ def _check_change(effect: type[Effect], vehicle: VehicleParameters, base: Model,
                np.abs(steering[0] - time).max(),
                np.abs(steering[1] - angle).max(), np.abs(np.subtract(model.observe(READING), READING)).max())
     if not max(changes) > 0.0 and model.effective_vehicle(vehicle) == vehicle and not effect.specific_force:
-        return f"at its initial values it changes nothing in the {base.name} model"
+        return f"the initial values change nothing in the {base.name} model"
     return ""
 
 
@@ -116,7 +116,7 @@ def _check_mirror(effect: type[Effect], vehicle: VehicleParameters, base: Model,
 
 def _check_stability(effect: type[Effect], vehicle: VehicleParameters, base: Model, model: AugmentedModel) -> str:
     problem = describe_instability(base, model, vehicle, SPEEDS)
-    return f"at its initial values, {base.name}: {problem}" if problem else ""
+    return f"with initial values, {base.name}: {problem}" if problem else ""
 
 
 def describe_instability(base: Model, model: Model, vehicle: VehicleParameters, speeds: Iterable[float]) -> str:
@@ -146,10 +146,10 @@ def _check_correction(effect: type[Effect], vehicle: VehicleParameters, base: Mo
 
 
 REQUIREMENTS = {
-    "at null it changes nothing, to the last bit": _check_null,
-    "at its initial values it changes something": _check_change,
-    "finite at its bounds, and at standstill": _check_finite,
-    "equal with floats, in batches, compiled and in CasADi": _check_backends,
+    "null values leave predictions bit-identical": _check_null,
+    "initial values change a prediction or a reading": _check_change,
+    "predictions are finite at the bounds and at standstill": _check_finite,
+    "results are equal with floats, in batches, compiled and in CasADi": _check_backends,
     "left and right are mirror images, except for the environment and parameters with odd=True": _check_mirror,
     "it does not make the car unstable": _check_stability,
     "correct() inverts observe()": _check_correction,

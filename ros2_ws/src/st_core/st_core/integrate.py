@@ -51,7 +51,7 @@ def rk4_step(derivative: Derivative, state: tuple, w_start: Any, w_middle: Any, 
 
 
 def _rk4_step_six_states(derivative: Derivative, state: tuple, w_start: Any, w_middle: Any, w_end: Any, p: Any,
-                 step: float) -> tuple:
+                         step: float) -> tuple:
     # rk4_step written out for six states: twice as fast on floats, which the live predictor uses without numba.
     half, sixth = 0.5 * step, step / 6.0
     s0, s1, s2, s3, s4, s5 = state

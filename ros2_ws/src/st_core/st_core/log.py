@@ -132,7 +132,7 @@ class DriveLog:
         return replace(self, road_wheel_angle=vehicle.road_wheel_angle(self.steering_wheel_angle))
 
 
-def share_memory(log: DriveLog, other: DriveLog, *names: str) -> bool:
+def shares_memory(log: DriveLog, other: DriveLog, *names: str) -> bool:
     """Whether the named arrays of two drives share memory; each drive has its own views of the memory."""
     pairs = [(getattr(log, name), getattr(other, name)) for name in names]
     return all(a.size == b.size and a.ctypes.data == b.ctypes.data for a, b in pairs)
@@ -156,7 +156,7 @@ class LogSignals:
 
     def for_log(self, log: DriveLog) -> "LogSignals":
         """The signals of another drive with the same settings; they share the derivative if the speed is the same."""
-        if not share_memory(log, self.log, "ins_time_ns", "velocity_x"):
+        if not shares_memory(log, self.log, "ins_time_ns", "velocity_x"):
             return LogSignals(log, self.maximum_gap, *self._filter)
         other = copy(self)
         other.log = log

@@ -279,7 +279,7 @@ def evaluate_blocks(models: Sequence[Model], vehicle: VehicleParameters, signals
 def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, starts_ns: np.ndarray,
                     settings: EvaluationSettings, planned: Mapping[Mode, tuple[np.ndarray, ...]]) -> Block:
     step, steps = settings.prediction.step, settings.prediction.steps
-    instants, index = _share_instants(starts_ns, half_step_grid(0, steps, step))
+    instants, index = _merge_instants(starts_ns, half_step_grid(0, steps, step))
     times = instants[index].T
     x, y, yaw, *others = signals.ins_at(instants, "x", "y", "yaw", "velocity_x", "yaw_rate", "velocity_x_dot")
     measured_pose = [values[index[::2]].T for values in (x, y, yaw)]
@@ -320,7 +320,7 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
     return Block(errors, trajectories, conditions, _count_reasons(incomplete))
 
 
-def _share_instants(starts_ns: np.ndarray, after_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _merge_instants(starts_ns: np.ndarray, after_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(instants [ns], index): instants[index[k, i]] is start i plus after_ns[k]; overlapping starts share instants."""
     half, span = int(after_ns[1]), int(starts_ns[-1] - starts_ns[0] + after_ns[-1])
     from_first = starts_ns - starts_ns[0]

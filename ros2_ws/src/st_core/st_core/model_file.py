@@ -62,7 +62,8 @@ class ModelFile:
 
     @classmethod
     def from_model(cls, model: AugmentedModel, vehicle: VehicleParameters, provenance: ModelProvenance,
-           intervals: Mapping[tuple[str, str], Interval] | None = None, source: str = "not stated") -> "ModelFile":
+                   intervals: Mapping[tuple[str, str], Interval] | None = None,
+                   source: str = "not stated") -> "ModelFile":
         """The content for a model and its vehicle. intervals: by (effect, parameter). source: of the fitted values."""
         effects = {effect.name: {
             p.name: EffectValue(value, (intervals or {}).get((effect.name, p.name)), source if p.fit else p.source)

@@ -97,7 +97,7 @@ def path_inputs(speed: np.ndarray, curvature: np.ndarray, seconds: np.ndarray,
 
 
 def make_recorded_plan(time_ns: np.ndarray, columns: Sequence[np.ndarray], steps: int, step: float,
-                  maximum_gap: float) -> Callable[[np.ndarray], tuple[np.ndarray, ...]]:
+                       maximum_gap: float) -> Callable[[np.ndarray], tuple[np.ndarray, ...]]:
     """Function that interpolates a recorded plan, for `future_inputs` of `log_evaluation.evaluate_log`.
 
     time_ns: increasing [ns]. columns: planned road wheel angle, velocity_x_dot and, for a path, slip-free angle at
@@ -144,7 +144,7 @@ def _check_timing(plan: PlannedInputs, start_ns: int, horizon: float) -> str:
 
 
 def _check_demand(plan: PlannedInputs, start_ns: int, state: VehicleState, inputs: ControlInput,
-                    vehicle: VehicleParameters) -> str:
+                  vehicle: VehicleParameters) -> str:
     angle, seconds = plan.road_wheel_angle, np.diff(plan.time_ns) * NANOSECOND
     if (largest := float(np.abs(angle).max())) > MAX_ROAD_WHEEL_ANGLE:
         return f"plan: road wheel angle of {largest:.2f} rad (limit {MAX_ROAD_WHEEL_ANGLE:g} rad)"

@@ -87,7 +87,7 @@ def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState,
         grid = [w] * (2 * steps * substeps + 1)
     else:
         by_name = {"road_wheel_angle": inputs.road_wheel_angle, "velocity_x_dot": inputs.velocity_x_dot,
-                 **{name: signals[name] for name in model.signals}}
+                   **{name: signals[name] for name in model.signals}}
         columns = [np.asarray(a, float) for a in by_name.values()]
         for name, values in zip(by_name, columns, strict=True):
             if values.shape != (2 * steps + 1,):

@@ -341,5 +341,5 @@ def _check_scale(car: VehicleParameters) -> None:
 def _check_limits(prefix: str, values: Any, quantities: Mapping[str, Quantity]) -> None:
     for key, quantity in quantities.items():
         value = getattr(values, key)
-        if not quantity.minimum <= value <= quantity.maximum:  # also refuses NaN
+        if not quantity.minimum <= value <= quantity.maximum:  # also rejects NaN
             raise ConfigurationError(f"{prefix}{key}: {value:g} is outside {quantity.limits}; check value and unit")

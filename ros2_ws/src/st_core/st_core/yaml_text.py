@@ -1,6 +1,6 @@
 """Reads and writes configuration in a safe subset of YAML: mappings with text keys, lists and plain values.
 
-Files may come from other people, so other features of YAML are refused: references (a few hundred bytes can expand to
+Files may come from other people, so other features of YAML are rejected: references (a few hundred bytes can expand to
 billions of values), tags, duplicate keys (PyYAML silently uses the last one), several documents, deep nesting.
 """
 
@@ -72,7 +72,7 @@ for _kind in ("int", "float", "timestamp"):
 
 
 def load(text: str) -> Any:
-    """The document in a text; None if empty. Raises ConfigurationError, one line, for invalid or refused YAML."""
+    """The document in a text; None if empty. Raises ConfigurationError, one line, for invalid or rejected YAML."""
     if len(text) > MAX_CHARACTERS:
         raise ConfigurationError(f"{len(text)} characters are too many for a configuration (limit {MAX_CHARACTERS})")
     try:

@@ -180,7 +180,7 @@ def test_conditions_of_a_single_run_are_outside_the_calibration():
     assert enough.contains(probe).all()
 
 
-def test_bands_of_another_car_model_or_configuration_are_rejected(bands, leaf):
+def test_bands_of_a_different_car_model_or_configuration_are_rejected(bands, leaf):
     bands.check(leaf, {"linear": ""}, SETTINGS)
     other = VehicleParameters.from_yaml(FILE.read_text().replace("steering_ratio: {value: 17.3",
                                                                  "steering_ratio: {value: 16.3"))

@@ -21,7 +21,7 @@ def unit_band() -> Band:
 
 
 def draw_errors(seconds, magnitude, seed=3):
-    """Errors of windows every 0.1 s, slowly varying, times magnitude(elapsed share of the drive)."""
+    """Errors of windows every 0.1 s, slowly varying, times magnitude(elapsed fraction of the drive)."""
     rng = np.random.default_rng(seed)
     count = 10 * seconds
     slow = np.convolve(rng.normal(size=count + 50), np.ones(51) / math.sqrt(51.0), mode="valid")

@@ -1,4 +1,4 @@
-"""Shares of the error by cause, for known causes: a parameter, the start state, noise."""
+"""Contributions to the error by cause, for known causes: a parameter, the start state, noise."""
 
 from dataclasses import replace
 
@@ -26,7 +26,7 @@ def straight_drive(noise: float = 0.0, offset: float = 0.0) -> DriveLog:
     return DriveLog("straight", ns, *(v + noise * draw.standard_normal(len(time)) for v in values), ns, zero + offset)
 
 
-def shares(model, vehicle, log, intervals=None):
+def contributions(model, vehicle, log, intervals=None):
     count, total, parts = sum_squared_contributions(get_model(model), vehicle, SETTINGS.signals(log), SETTINGS,
                                                     intervals)
     return total / count, {cause: squares / count for cause, squares in parts.items()}
@@ -39,7 +39,7 @@ def test_white_noise_is_estimated_without_the_motion():
 
 
 def test_start_state_noise_propagates_to_the_end_of_the_path(leaf):
-    _, parts = shares("kinematic", leaf, straight_drive(0.01))
+    _, parts = contributions("kinematic", leaf, straight_drive(0.01))
     yaw = np.sqrt(parts[SENSORS, "yaw at the start"])
     assert yaw[4, 1] == pytest.approx(0.01 * SPEED * 5.0, rel=0.15)
     assert yaw[0, 1] == pytest.approx(0.01 * SPEED * 1.0, rel=0.2)
@@ -50,13 +50,13 @@ def test_start_state_noise_propagates_to_the_end_of_the_path(leaf):
 
 
 def test_parameter_error_of_one_standard_deviation_explains_the_whole_error(leaf):
-    """Wheelbase wrong by its own standard deviation: error and share are equal to first order."""
+    """Wheelbase wrong by its own standard deviation: error and contribution are equal to first order."""
     angle = 0.06  # rad
     yaw_rate = SPEED / leaf.wheelbase * np.tan(angle)  # no slip at the rear axle
     log = Circle(SPEED, leaf.cg_to_rear_axle * yaw_rate, yaw_rate, leaf.cg_to_ins_x).log(angle, SECONDS)
     stated = replace(leaf.with_values({"wheelbase": leaf.wheelbase * 1.02}),
                      provenance={"wheelbase": Provenance(0.02 * leaf.wheelbase)})
-    total, parts = shares("kinematic", stated, log)
+    total, parts = contributions("kinematic", stated, log)
     assert set(cause for cause in parts if cause[0] == PARAMETERS) == {(PARAMETERS, "wheelbase")}
     assert parts[PARAMETERS, "wheelbase"][4, 1] == pytest.approx(total[4, 1], rel=0.15)
     assert sum(squares[4, 1] for cause, squares in parts.items() if cause[0] == SENSORS) < 0.01 * total[4, 1]
@@ -64,7 +64,8 @@ def test_parameter_error_of_one_standard_deviation_explains_the_whole_error(leaf
 
 def test_interval_of_a_model_file_counts_as_a_standard_deviation(leaf):
     model = augment("kinematic", {"steering_offset": {"angle": 0.01}})
-    _, parts = shares(model, leaf, straight_drive(), {("steering_offset", "angle"): (0.01 - 0.00196, 0.01 + 0.00196)})
+    interval = 0.01 - 0.00196, 0.01 + 0.00196
+    _, parts = contributions(model, leaf, straight_drive(), {("steering_offset", "angle"): interval})
     # Lateral deviation for 0.001 rad at the wheels: v^2 t^2 / (2 L) times the angle.
     expected = 0.001 * SPEED**2 * 25.0 / (2.0 * leaf.wheelbase)
     assert np.sqrt(parts[PARAMETERS, "steering_offset.angle"][4, 1]) == pytest.approx(expected, rel=0.05)
@@ -73,8 +74,8 @@ def test_interval_of_a_model_file_counts_as_a_standard_deviation(leaf):
 def test_steering_offset_counts_if_the_steering_wheel_angle_was_recorded(leaf):
     log = straight_drive()
     uncertain = replace(leaf, provenance={"steering_wheel_offset": Provenance(0.01)})
-    assert not [c for c in shares("kinematic", uncertain, log)[1] if c[0] == PARAMETERS]
+    assert not [c for c in contributions("kinematic", uncertain, log)[1] if c[0] == PARAMETERS]
     with_wheel_angle = replace(log, steering_wheel_angle=np.full(len(log.road_wheel_angle), leaf.steering_wheel_offset))
-    found = shares("kinematic", uncertain, with_wheel_angle)[1][PARAMETERS, "steering_wheel_offset"]
+    found = contributions("kinematic", uncertain, with_wheel_angle)[1][PARAMETERS, "steering_wheel_offset"]
     expected = 0.01 / leaf.steering_ratio * SPEED**2 * 25.0 / (2.0 * leaf.wheelbase)
     assert np.sqrt(found[4, 1]) == pytest.approx(expected, rel=0.05)

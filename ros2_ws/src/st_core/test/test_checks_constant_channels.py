@@ -32,7 +32,7 @@ def test_constant_channel_is_reported(log, leaf, name, value):
     finding = findings_by_name(with_constant(log, name, value=value), leaf)["channel_frozen"]
     assert finding.severity is (Severity.WARNING if name in OPTIONAL else Severity.ERROR)
     assert finding.channels == (name,)
-    assert finding.advice.kind == "text"  # leaving out the complete drive is no correction
+    assert finding.advice.kind == "text"  # leaving out the complete drive is not a correction
 
 
 @pytest.mark.slow
@@ -106,7 +106,7 @@ def test_model_car_on_circles_of_constant_steering_has_no_error(log, leaf):
                                       for channel in finding.channels]
 
 
-def test_constant_position_of_a_standing_car_is_no_fault(log, leaf):
+def test_constant_position_of_a_stationary_car_is_not_a_fault(log, leaf):
     """A receiver reports 0.3 m/s while the car waits for 20 s."""
     first = 600
     wait = {name: np.insert(getattr(log, name), first, np.full(2000, getattr(log, name)[first]))

@@ -219,7 +219,7 @@ def test_geographic_positions_show_that_yaw_and_yaw_rate_are_clockwise(log, leaf
     assert check(corrected_drive(wrong, found.advice.entry, leaf), leaf, geographic).findings == ()
 
 
-def test_longitude_positive_to_the_west_is_not_taken_for_a_compass_heading(log, leaf):
+def test_longitude_positive_to_the_west_is_not_mistaken_for_a_compass_heading(log, leaf):
     geographic = AuxiliaryData(geographic=True)
     wrong = replace(log, x=-log.x)
     (found,) = check(wrong, leaf, geographic).findings
@@ -262,7 +262,7 @@ def test_wrong_scale_of_positions_does_not_raise_the_severity_of_the_heading(lea
 
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.25, 3.0])
-def test_wrong_scale_of_positions_gives_no_other_measuring_point(leaf, factor):
+def test_wrong_position_scale_does_not_move_the_reference_point(leaf, factor):
     """Without accelerations, the scale is attributed to the velocity, which then moves the point that it gives."""
     log = replace(exact_drive(leaf, 120.0, speed=Sines(8.0, ((2.0, 41.0, 0.4), (1.0, 13.0, 1.1)))),
                   acceleration_x=None, acceleration_y=None)
@@ -298,7 +298,7 @@ def test_road_wheel_offset_is_corrected_in_run_yaml(log, leaf, factor, angle):
 
 
 @pytest.mark.parametrize("ahead", [1.5, -0.8])
-def test_displaced_measuring_point_is_corrected_in_the_vehicle_file(log, leaf, ahead):
+def test_displaced_reference_point_is_corrected_in_the_vehicle_file(log, leaf, ahead):
     wrong = ins_moved(ahead)(log)
     finding = findings_by_name(wrong, leaf)["measuring_point"]
     low, high = finding.interval
@@ -307,7 +307,7 @@ def test_displaced_measuring_point_is_corrected_in_the_vehicle_file(log, leaf, a
     assert findings_by_name(wrong, replace(leaf, **finding.advice.entry)) == {}
 
 
-def test_slow_velocity_is_no_scale_of_both_axes_if_the_projection_is_spherical(log, leaf):
+def test_low_velocity_is_not_a_scale_of_both_axes_if_the_projection_is_spherical(log, leaf):
     """The axes differ by 0.45 %, and by 0.0056 after division by the scale of the velocity."""
     wrong = scaled(0.8, *VELOCITY)(scaled(0.9955, "x")(log))
     assert "velocity_scale" in findings_by_name(wrong, leaf)
@@ -315,14 +315,14 @@ def test_slow_velocity_is_no_scale_of_both_axes_if_the_projection_is_spherical(l
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
-def test_scale_of_the_velocity_is_no_scale_of_both_axes_if_these_differ_only_by_noise(log, leaf, seed):
+def test_velocity_scale_is_not_a_scale_of_both_axes_if_they_differ_only_by_noise(log, leaf, seed):
     noise = lfilter([0.2], [1.0, -0.98], np.random.default_rng(seed).normal(size=(2, len(log.x))))  # 1 m, 0.5 s
     wrong = scaled(1.04, *VELOCITY)(replace(log, x=log.x + noise[0], y=log.y + noise[1]))
     found = findings_by_name(wrong, leaf)
     assert "velocity_scale" in found and not found.keys() & {"x_scale", "y_scale"}
 
 
-def test_sign_and_scale_of_the_lateral_velocity_are_one_finding(log, leaf):
+def test_sign_and_scale_of_the_lateral_velocity_are_a_single_finding(log, leaf):
     low, high = findings_by_name(scaled(-2.0, "velocity_y")(log), leaf)["velocity_y_scale"].interval
     assert low <= -2.0 <= high
 
@@ -347,7 +347,7 @@ def test_scale_of_yaw_and_yaw_rate_are_alternatives_if_positions_are_too_noisy(l
 @pytest.mark.slow
 @pytest.mark.parametrize("ahead", [-0.4, -1.52])
 @pytest.mark.parametrize("drift", [0.05, 0.1, 0.3])  # m/s, root mean square, with a time constant of 5 s
-def test_drift_of_the_lateral_velocity_is_no_scale(leaf, ahead: float, drift: float):
+def test_drift_of_the_lateral_velocity_is_not_a_scale_error(leaf, ahead: float, drift: float):
     """Noise in a regressor biases its coefficient, here towards a velocity_y that is several times too large."""
     car = replace(leaf, cg_to_ins_x=ahead)
     log, random = exact_drive(car, 120.0), np.random.default_rng(1)
@@ -356,7 +356,7 @@ def test_drift_of_the_lateral_velocity_is_no_scale(leaf, ahead: float, drift: fl
     assert findings_by_name(replace(log, velocity_y=log.velocity_y + noise), car) == {}
 
 
-def test_measuring_point_gets_no_correction_if_rear_wheels_steer_with_speed(leaf):
+def test_reference_point_is_not_corrected_if_rear_wheels_steer_with_speed(leaf):
     """The rear wheels, steered against the front ones at low speed and with them at high speed, turn the heading."""
     log = exact_drive(leaf, 120.0)
     time, speed = log.ins_time_ns, log.velocity_x
@@ -423,7 +423,7 @@ def test_steering_sign_is_found_in_bends_too_wide_for_a_scale(leaf):
     assert set(errors(negated, leaf)) == {"steering_sign"}
 
 
-def test_understeer_at_high_speed_is_not_taken_for_a_wrong_steering_unit(leaf):
+def test_understeer_at_high_speed_is_not_mistaken_for_a_wrong_steering_unit(leaf):
     soft = replace(leaf, cornering_stiffness_front=0.6 * leaf.cornering_stiffness_front)
     fast = drive(soft, 24.0, weave(0.03), 40.0)
     assert 24.0**2 * stability_factor(soft) > 0.8

@@ -44,7 +44,7 @@ def test_run_at_standstill_has_no_findings_and_does_not_change_those_of_other_ru
 
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0005, 0.004, 0.01])
-def test_delayed_sensor_gives_one_finding_in_every_kind_of_driving(leaf, noise):
+def test_delayed_sensor_gives_a_single_finding_in_every_kind_of_driving(leaf, noise):
     drives = [exact_drive(leaf, 60.0, speed=speed, turning=turning, noise=Noise(yaw=noise))
               for speed, turning in ((SPEED, SLALOM), (SPEED, SWEEP), (Sines(15.0, ()), SWEEP))]
     runs = [check(delay(log, 0.36, "yaw_rate"), leaf) for log in drives]
@@ -58,7 +58,7 @@ def test_delayed_sensor_gives_one_finding_in_every_kind_of_driving(leaf, noise):
 
 @pytest.mark.parametrize("deviation", [0.03, 1.5])
 @pytest.mark.parametrize("heading", [0.0, np.pi / 2])
-def test_noise_of_positions_across_a_straight_drive_is_no_scale_of_an_axis(leaf, heading, deviation):
+def test_position_noise_across_a_straight_drive_is_not_an_axis_scale(leaf, heading, deviation):
     log = exact_drive(leaf, 15.0, turning=Sines(0.0, ()))
     position = (log.x + 1j * log.y) * np.exp(1j * heading)
     noise = deviation * np.random.default_rng(1).normal(size=(2, len(log.x)))
@@ -66,20 +66,20 @@ def test_noise_of_positions_across_a_straight_drive_is_no_scale_of_an_axis(leaf,
     assert {finding.name for finding in found.findings} <= {"position_noise"}
 
 
-def test_small_drift_across_a_straight_drive_is_no_large_scale_of_an_axis(leaf):
+def test_small_drift_across_a_straight_drive_is_not_a_large_axis_scale(leaf):
     log = exact_drive(leaf, 60.0, turning=Sines(0.0, ((2e-6, 20.0, 0.0),)), noise=SILENT)
     assert findings_by_name(replace(log, y=97.0 * log.y)) == {}
 
 
 @pytest.mark.parametrize("seconds", [18.0, -3.0])
-def test_positions_of_another_clock_are_one_error(leaf, seconds):
+def test_positions_on_a_different_clock_give_a_single_error(leaf, seconds):
     found = findings_by_name(delay(exact_drive(leaf, 60.0), seconds, "x", "y"), leaf)
     assert list(found) == ["position_lag"] and found["position_lag"].severity is Severity.ERROR
     assert found["position_lag"].value == pytest.approx(seconds, abs=0.02)
 
 
 @pytest.mark.parametrize("seconds", [5.0, 18.0])
-def test_velocities_of_another_clock_are_no_error_of_the_positions(leaf, seconds):
+def test_velocities_on_a_different_clock_are_not_a_position_error(leaf, seconds):
     found = findings_by_name(delay(exact_drive(leaf, 120.0), seconds, "velocity_x", "velocity_y"), leaf)
     assert found and "position_lag" not in found
 

@@ -19,7 +19,7 @@ def correlated_noise(generator, count, step, correlation):
 
 
 def assert_coverage(estimates, truth, min_coverage, runs):
-    """Minimum share of intervals that contain the truth; mean half width between 1.5 and 5.9 times the scatter."""
+    """Minimum fraction of intervals that contain the truth; mean half width between 1.5 and 5.9 times the scatter."""
     covered = sum(estimate.interval[0] <= truth <= estimate.interval[1] for estimate in estimates)
     half_width = np.mean([0.5 * (estimate.interval[1] - estimate.interval[0]) for estimate in estimates])
     scatter = float(np.std([estimate.value for estimate in estimates]))
@@ -58,7 +58,7 @@ def test_coverage_of_lag_scale_and_bias(lag, correlation):
 
 
 def test_coverage_of_the_lag_behind_a_noisy_angle():
-    """The noise of the differentiated angle is no information about the lag."""
+    """The noise of the differentiated angle contains no information about the lag."""
     time = np.arange(0.0, 60.0, 0.01)
     yaw = 0.2 * np.sin(time / 3.7) + 0.075 * np.sin(time + 0.7) + 0.01 * np.sin(2.7 * time + 2.0)
     rate = np.gradient(np.interp(time - 0.08, time, yaw), time)

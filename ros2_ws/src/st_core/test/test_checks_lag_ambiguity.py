@@ -1,4 +1,4 @@
-"""Apparent lags that are none: periodic motion, steering that compensates another yaw moment, course as yaw."""
+"""Apparent lags: periodic motion, steering that compensates an external yaw moment, course as yaw."""
 
 from dataclasses import replace
 
@@ -62,7 +62,7 @@ def test_lag_does_not_depend_on_how_the_period_fits_the_search_grid(period):
         assert len(periods) and np.abs(periods - np.round(periods)).max() < 0.01 and np.abs(periods).min() > 0.5
 
 
-def test_steering_that_compensates_another_yaw_moment_gives_no_lag_finding(leaf):
+def test_steering_that_compensates_an_external_yaw_moment_gives_no_lag_finding(leaf):
     """In a bend, braking turns the car further in, and the driver reduces the steering angle a moment later."""
     bend = exact_drive(leaf, 60.0, turning=Sines(0.3, ((0.02, 9.0, 0.0), (0.01, 3.1, 1.0))))
     angle = bend.road_wheel_angle
@@ -111,7 +111,7 @@ def test_course_as_yaw_gives_no_yaw_rate_lag(leaf, speed):
 @pytest.mark.parametrize(("name", "channels"), [
     ("velocity_lag", ("velocity_x", "velocity_y")), ("velocity_x_lag", ("velocity_x",))])
 def test_lag_of_velocities_gives_no_lag_of_yaw_or_accelerations(leaf, name, channels, seconds):
-    """Yaw and yaw rate differ by 30 ms, as in many INS: positions show that this is no lag of yaw."""
+    """Yaw and yaw rate differ by 30 ms, as in many INS: positions show that yaw does not lag."""
     slow = exact_drive(leaf, 60.0, speed=Sines(6.0, ((1.5, 21.0, 0.4), (0.5, 7.0, 1.1))))
     found = lag_findings(delay(delay(slow, 0.03, "yaw_rate"), seconds, *channels), leaf)
     assert found.keys() == {name, "yaw_rate_lag"}
@@ -128,7 +128,7 @@ def test_lag_of_velocities_names_velocity_x_too_if_the_lateral_velocity_is_small
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rate", [1.0005, 0.9995])
-def test_steering_clock_of_another_rate_is_no_steering_lag(leaf, rate):
+def test_steering_clock_of_a_different_rate_is_not_a_steering_lag(leaf, rate):
     log = exact_drive(leaf, 400.0, rate=20.0)
     start = log.steering_time_ns[0]
     wrong = replace(log, steering_time_ns=start + np.round(rate * (log.steering_time_ns - start)).astype(np.int64))
@@ -141,7 +141,7 @@ def test_steering_clock_of_another_rate_is_no_steering_lag(leaf, rate):
 
 @pytest.mark.parametrize("seconds", [0.1, -0.1])
 @pytest.mark.parametrize("ahead", [1.5, -1.5])
-def test_lag_of_yaw_is_found_with_positions_of_another_point(leaf, ahead, seconds):
+def test_lag_of_yaw_is_found_with_positions_of_a_different_point(leaf, ahead, seconds):
     found = findings_by_name(delay(position_point_moved(ahead)(exact_drive(leaf)), seconds, "yaw"), leaf)
     assert found.keys() == {"yaw_lag", "position_reference"}
     assert found["yaw_lag"].value == pytest.approx(seconds, abs=0.01)
@@ -151,7 +151,7 @@ def test_lag_of_yaw_is_found_with_positions_of_another_point(leaf, ahead, second
 
 
 @pytest.mark.parametrize("channel", ["yaw", "yaw_rate"])
-def test_lag_of_yaw_or_yaw_rate_names_both_if_another_point_has_the_same_effect(leaf, channel):
+def test_lag_of_yaw_or_yaw_rate_names_both_if_a_different_point_has_the_same_effect(leaf, channel):
     log = delay(position_point_moved(1.5)(exact_drive(leaf, speed=Sines(12.0, ()))), 0.1, channel)
     found = findings_by_name(log, leaf)
     ambiguous = {name for name, finding in found.items() if finding.text.endswith(": both fit this drive")}
@@ -161,7 +161,7 @@ def test_lag_of_yaw_or_yaw_rate_names_both_if_another_point_has_the_same_effect(
     assert len(named) == 2 and all(finding.advice.kind == "text" for finding in named)
 
 
-def test_small_lag_of_the_yaw_rate_is_not_taken_for_one_of_yaw_where_velocity_y_is_wrong(leaf):
+def test_small_yaw_rate_lag_is_not_mistaken_for_a_yaw_lag_where_velocity_y_is_wrong(leaf):
     log = scaled(0.8, "velocity_y")(delay(exact_drive(leaf), 0.04, "yaw_rate"))
     assert findings_by_name(log, leaf).keys() == {"velocity_y_scale", "yaw_rate_lag"}
 
@@ -170,7 +170,7 @@ MOTORWAY = {"speed": Sines(30.0, ((1.0, 41.0, 0.0),))}
 
 
 @pytest.mark.parametrize("degrees", [2.0, 4.0])
-def test_play_of_the_steering_is_an_alternative_where_the_car_hardly_steers(leaf, degrees):
+def test_steering_play_is_an_alternative_where_the_car_hardly_steers(leaf, degrees):
     turning = Sines(0.0, ((0.01, 19.0, 0.0), (0.008, 7.3, 1.0), (0.006, 4.1, 2.0)))
     log = exact_drive(leaf, 120.0, turning=turning, **MOTORWAY)
     half, angle = np.radians(0.5 * degrees) / leaf.steering_ratio, log.road_wheel_angle.copy()
@@ -195,7 +195,7 @@ def test_play_does_not_hide_a_wrong_sign_or_unit_where_the_car_hardly_steers(lea
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_noise_of_yaw_is_no_lag_of_the_yaw_rate_on_a_motorway(leaf, seed):
+def test_yaw_noise_is_not_a_yaw_rate_lag_on_a_motorway(leaf, seed):
     turning = Sines(0.0, ((0.006, 11.0, 0.0), (0.004, 5.3, 1.0)))
     assert findings_by_name(exact_drive(leaf, 120.0, turning=turning, **MOTORWAY, seed=seed), leaf) == {}
 

@@ -39,7 +39,7 @@ def test_healthy_or_unknown_ins_status_gives_no_findings(log):
 
 @pytest.mark.parametrize(("field", "good", "bad", "text"), [
     ("position_mode", RTK_INTEGER, DIFFERENTIAL, "without RTK"), ("navigation_status", LOCKED, LOCKING, "not locked")])
-def test_bad_ins_mode_is_reported_with_its_share_and_time(log, field, good, bad, text):
+def test_bad_ins_mode_is_reported_with_its_percentage_and_time(log, field, good, bad, text):
     finding, = quality_findings(log, **{field: with_section(good, bad, slice(50, 95))})
     assert (finding.name, finding.severity, finding.value) == ("ins_mode", Severity.WARNING, pytest.approx(0.15))
     assert text in finding.text and finding.times == (pytest.approx((5.0, 9.4)),)

@@ -72,7 +72,7 @@ def test_healthy_drive_of_any_kind_has_no_error(leaf, kind):
     lambda log: log.select_ins(slice(0)),
 ], ids=["UTM", "10 turns of yaw", "-100 turns of yaw", "rotated map", "other epoch", "no auxiliary channels", "no a_y",
         "slow steering", "no steering", "steering of another day", "no INS"])
-def test_healthy_drive_with_another_origin_or_fewer_channels_has_no_findings(leaf, change):
+def test_healthy_drive_with_a_different_origin_or_fewer_channels_has_no_findings(leaf, change):
     assert check(change(exact_drive(leaf)), leaf).findings == ()
 
 
@@ -87,7 +87,7 @@ def test_estimates_do_not_depend_on_the_origin(leaf):
         assert values == pytest.approx(estimates_moved[name], abs=1e-5), name
 
 
-def test_driving_in_reverse_or_a_reversed_ins_is_no_error(leaf):
+def test_driving_in_reverse_or_a_reversed_ins_is_not_an_error(leaf):
     assert errors(with_reversed_ins(exact_drive(leaf)), leaf) == []
     reverse = exact_drive(leaf, speed=Sines(-3.0, ((1.0, 31.0, 0.0),)), turning=Sines(0.0, ((0.1, 23.0, 0.0),)))
     assert errors(reverse, leaf) == []

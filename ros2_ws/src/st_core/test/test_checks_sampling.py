@@ -142,7 +142,7 @@ def test_gaps_are_reported_with_length_and_time(log, leaf, seconds, severity):
 
 
 @pytest.mark.parametrize(("rows", "severity"), [(3, Severity.NOTE), (400, Severity.WARNING)])
-def test_missing_values_are_reported_with_their_share(log, rows, severity):
+def test_missing_values_are_reported_with_their_percentage(log, rows, severity):
     kept = np.ones(len(log.x), bool)
     kept[np.random.default_rng(1).choice(len(kept), rows, replace=False)] = False
     finding = findings_by_name(log.select_ins(kept),
@@ -167,14 +167,14 @@ def test_slower_sensor_in_common_rows_is_a_note_with_its_rate(log):
 
 
 @pytest.mark.parametrize("gap", [(0.0, 0.4), (0.0, 0.5), (0.3, 0.7)])
-def test_gap_is_not_taken_for_a_slower_sensor(log, gap):
+def test_gap_is_not_mistaken_for_a_slower_sensor(log, gap):
     position = np.linspace(0.0, 1.0, len(log.steering_time_ns))
     finding = missing_steering_finding(log, (position < gap[0]) | (position > gap[1]))
     assert finding.severity is Severity.WARNING and "have no usable value" in finding.text
 
 
 @pytest.mark.parametrize(("channel", "share"), [("road_wheel_angle", 0.5), ("yaw_rate", 0.5), ("acceleration_x", 1.0)])
-def test_share_of_missing_values_refers_to_all_recorded_rows(log, channel, share):
+def test_percentage_of_missing_values_refers_to_all_recorded_rows(log, channel, share):
     count = len(log.steering_time_ns if channel == "road_wheel_angle" else log.x)
     finding = findings_by_name(log, auxiliary=AuxiliaryData(missing={channel: count}))["values_missing"]
     assert finding.value == pytest.approx(share)
@@ -183,7 +183,7 @@ def test_share_of_missing_values_refers_to_all_recorded_rows(log, channel, share
 
 @pytest.mark.parametrize(("channels", "count"), [
     (("x", "y"), 10), (("x", "y"), 100), (("velocity_x", "velocity_y"), 10), (("yaw",), 10), (("yaw_rate",), 20)])
-def test_values_repeated_at_a_lower_rate_are_no_jumps_and_have_no_lag(log, channels, count):
+def test_values_repeated_at_a_lower_rate_are_not_jumps_and_have_no_lag(log, channels, count):
     rows = np.maximum((np.arange(len(log.x)) - count // 2) // count * count + count // 2, 0)
     repeated = replace(log, **{name: getattr(log, name)[rows] for name in channels})
     assert list(findings_by_name(repeated)) == ["samples_repeated"]

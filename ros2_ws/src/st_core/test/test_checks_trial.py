@@ -28,7 +28,7 @@ def inverse_correction(values):
 
 @pytest.mark.parametrize("severity", [Severity.ERROR, Severity.WARNING])
 @pytest.mark.parametrize("channel", FAULTS)
-def test_right_correction_is_proposed_and_wrong_one_is_not(leaf, channel, severity):
+def test_only_the_right_correction_is_proposed(leaf, channel, severity):
     log = exact_drive(leaf, 60.0)
     log = replace(log, steering_wheel_angle=None)
     values = FAULTS[channel]
@@ -56,7 +56,7 @@ def test_correction_outside_the_limits_of_the_vehicle_file_is_not_tried(leaf):
 
 
 @pytest.mark.parametrize("ahead", [2.0, -2.0])
-def test_wrong_correction_is_refused_on_a_steady_circle(leaf, ahead):
+def test_wrong_correction_is_rejected_on_a_steady_circle(leaf, ahead):
     """Steering gain and offset are not separable there; unbounded, they would explain any error."""
     speed, turning = 8.0, 0.5
     circle = exact_drive(leaf, 60.0, speed=Sines(speed, ()), turning=Sines(turning, ()))

@@ -97,7 +97,7 @@ def test_latency_is_subtracted_and_its_uncertainty_added() -> None:
     assert result.offset_deviation == pytest.approx(0.002, rel=0.05)
 
 
-def test_signals_of_different_drives_are_refused() -> None:
+def test_signals_of_different_drives_are_rejected() -> None:
     one, two = recorded(Drive(3, 200), 200, 0, 0), recorded(Drive(4, 200), 200, 0, 0)
     result = align([SharedSignal(a.name, a.reference_time_ns, a.reference, b.other_time_ns, b.other)
                     for a, b in zip(one, two, strict=True)])
@@ -135,7 +135,7 @@ def test_equal_laps_are_ambiguous_unless_the_search_is_bounded() -> None:
     assert (bounded.verdict, round(bounded.offset_ns * 1e-9, 3)) == (Verdict.GOOD, 0.0)
 
 
-def test_alignment_with_an_unknown_deviation_is_refused_despite_a_small_clock_step(monkeypatch) -> None:
+def test_alignment_with_an_unknown_deviation_is_rejected_despite_a_small_clock_step(monkeypatch) -> None:
     def fit_without_deviation(*arguments, **options):
         found = clock_fit.fit(*arguments, **options)
         return found if "free_drift" in options else replace(found, offset_deviation=np.inf)
@@ -148,7 +148,7 @@ def test_alignment_with_an_unknown_deviation_is_refused_despite_a_small_clock_st
 
 
 def test_long_step_of_the_fit_is_shortened_in_its_direction(monkeypatch) -> None:
-    """A clipped offset with an unchanged drift would be a step in another direction, since both are correlated here."""
+    """Clipping the offset alone would change the direction of the step, since offset and drift are correlated here."""
     signals = recorded(Drive(3, 200), 200, 0.0, 0.0)
     pairs = [clock_fit.Pair(s.name, *(clock_fit.resample((time_ns - EPOCH_NS) * 1e-9, values, 0.1) for time_ns, values
                                       in ((s.reference_time_ns, s.reference), (s.other_time_ns, s.other))))
@@ -179,7 +179,7 @@ def test_clock_step_during_the_drive_is_found(step: float, verdict: str) -> None
     assert abs(float(found[2])) < 30
 
 
-def test_constant_signals_are_refused() -> None:
+def test_constant_signals_are_rejected() -> None:
     time = nanoseconds(np.arange(0, 100, 0.01))
     steady = np.full(len(time), 20.0) + np.random.default_rng(8).normal(0, 0.005, len(time))
     result = align([SharedSignal("speed", time, steady, time, steady, min_deviation=0.3)])
@@ -188,7 +188,7 @@ def test_constant_signals_are_refused() -> None:
     assert align([]).reasons == ("the recordings share no signal",)
 
 
-def test_clock_step_of_years_is_refused() -> None:
+def test_clock_step_of_years_is_rejected() -> None:
     signals = recorded(Drive(9, 100), 100, 0, 0)
     long_ago = np.where(np.arange(len(signals[0].other)) < 50, 10**18, 0)
     broken = [SharedSignal(s.name, s.reference_time_ns, s.reference, s.other_time_ns - long_ago, s.other)
@@ -214,7 +214,7 @@ def test_gaps_do_not_disturb_and_standstill_is_masked() -> None:
     assert np.isnan(masked[:80]).all() and np.isfinite(masked[80:]).all()
 
 
-def test_coarse_wrapped_angle_with_another_zero_is_sufficient() -> None:
+def test_coarse_wrapped_angle_with_a_different_zero_is_sufficient() -> None:
     """Yaw at 250 Hz, rounded to 0.01 deg in one recording: differences of successive samples are only rounding."""
     drive = Drive(12, 300)
     yaw = drive.yaw_rate.antiderivative()

@@ -38,10 +38,10 @@ def yaw_acceleration(equation):
 
 
 @pytest.mark.parametrize(("equation", "requirement", "message"), [
-    (lambda gain, r, v_x: (1e-9 + gain) * r, "at null it changes nothing", "to the last bit"),
-    (lambda gain, r, v_x: 0.0 * r, "at its initial values it changes something", "it changes nothing"),
-    (lambda gain, r, v_x: -gain * r / v_x, "finite at its bounds", "division by zero"),
-    (lambda gain, r, v_x: gain * np.float32(r), "equal with floats", "numpy"),
+    (lambda gain, r, v_x: (1e-9 + gain) * r, "null values leave predictions bit-identical", "must be bit-identical"),
+    (lambda gain, r, v_x: 0.0 * r, "initial values change a prediction", "change nothing"),
+    (lambda gain, r, v_x: -gain * r / v_x, "predictions are finite", "division by zero"),
+    (lambda gain, r, v_x: gain * np.float32(r), "results are equal", "numpy"),
     (lambda gain, r, v_x: 0.1 * gain + 0.0 * r, "left and right are mirror images", "odd=True"),
     (lambda gain, r, v_x: 20.0 * gain * r, "it does not make the car unstable", "grows at"),
     (lambda gain, r, v_x: -99.0 * gain * r, "it does not make the car unstable", "too fast for steps"),
@@ -88,6 +88,6 @@ class Good(Effect):
 ''')
     effect, = load_file(str(tmp_path), "good")
     assert find_violations(effect, leaf) == {
-        "the equation is written in the file": "no docstring; write one with the equation, units and signs"}
+        "the docstring states the equation": "no docstring; write one with the equation, units and signs"}
     with pytest.raises(ConfigurationError, match=r"broken.py: cannot be loaded"):
         load_file(str(tmp_path), "broken")

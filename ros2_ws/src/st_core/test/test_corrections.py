@@ -118,7 +118,7 @@ def test_heading_correction_keeps_the_velocity_over_ground() -> None:
     assert_equal(apply_corrections(rotated, {"heading": Correction(add=0.0098)}), log)
 
 
-def test_measuring_point_of_the_positions_is_moved_along_the_car() -> None:
+def test_reference_point_of_the_positions_is_moved_along_the_car() -> None:
     true = drive()
     faulty = replace(true, x=true.x + 1.5 * np.cos(true.yaw), y=true.y + 1.5 * np.sin(true.yaw))
     assert_equal(apply_corrections(faulty, {"position": Correction(ahead=-1.5)}), true)
@@ -162,14 +162,14 @@ def test_uncorrected_steering_wheel_angle_is_removed_without_a_vehicle() -> None
     ({"x": Correction(scale=0.0)}, "x: scale: must not be 0"),
     ({"steering": Correction(), "road_wheel_angle": Correction()}, "are the same channel"),
 ])
-def test_invalid_corrections_are_refused(corrections: dict, message: str) -> None:
+def test_invalid_corrections_are_rejected(corrections: dict, message: str) -> None:
     with pytest.raises(StCoreError, match=message):
         check_corrections(corrections)
     with pytest.raises(StCoreError, match=message):
         apply_corrections(drive(), corrections)
 
 
-def test_corrections_that_leave_no_sample_are_refused() -> None:
+def test_corrections_that_leave_no_sample_are_rejected() -> None:
     with pytest.raises(StCoreError, match="leave no INS sample"):
         apply_corrections(drive(1.0), {"yaw": Correction(earlier=2.0)})
 

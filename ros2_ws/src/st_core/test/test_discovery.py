@@ -156,7 +156,7 @@ def test_one_effect_replaces_two_only_if_it_explains_as_much(heading, expected):
     assert sorted(found.fit.names) == sorted(expected)
 
 
-def test_residual_scale_is_unchanged_when_all_effects_are_refused():
+def test_residual_scale_is_unchanged_when_all_effects_are_rejected():
     problem = linear_problem([PAIR[0], "road_bank"], {PAIR[0]: 3.0}, seed=1)
     signatures, index = problem.errors.signatures, problem.space.indices
     signatures[index("road_bank")] = signatures[index(PAIR[0])]  # two equal candidates
@@ -224,7 +224,7 @@ def test_steering_offset_that_varies_between_runs_is_reported_as_varying(leaf):
 
 @pytest.mark.slow
 def test_steering_offset_in_the_second_half_only_is_not_named(leaf):
-    """It appears during the drive, so it is reported but is no property of the car."""
+    """It appears during the drive, so it is reported, but not as a property of the car."""
     runs = [with_steering_offset(r, 0.006, 0.5) for r in recorded(leaf, {}, 3)]
     found = discover(runs, leaf, settings=SETTINGS)
     assert found.outcome in {"varying", "unknown"} and found.effects == ()
@@ -423,21 +423,21 @@ def test_short_run_is_left_out_with_a_warning(leaf):
     assert [r.name for r in found.runs] == ["slalom 2", "circle 3"]
 
 
-def test_discovery_without_a_run_that_is_long_enough_is_refused(leaf):
+def test_discovery_without_a_run_that_is_long_enough_is_rejected(leaf):
     short = [log.slice(0, 2_000_000_000) for log in recorded(leaf, {}, 8, ("step",))]
     for runs in (short, []):
         with pytest.raises(StCoreError, match="no run is long enough: a run needs 7 s of driving"):
             discover(runs, leaf, settings=FEW)
 
 
-def test_two_runs_with_the_same_name_are_refused(leaf):
+def test_two_runs_with_the_same_name_are_rejected(leaf):
     (run,) = recorded(leaf, {}, 9, ("step",))
     for call in (lambda runs: discover(runs, leaf, "linear"), lambda runs: fit_effects(runs, leaf, "linear", ())):
         with pytest.raises(StCoreError, match="duplicate name; give each drive once"):
             call([run, run])
 
 
-def test_run_at_standstill_is_refused(leaf):
+def test_run_at_standstill_is_rejected(leaf):
     log = recorded(leaf, {}, 9, ("step",))[0]
     stationary = replace(log, velocity_x=0.0 * log.velocity_x)
     with pytest.raises(StCoreError, match=r"drive longer, faster than 1\.5 m/s"):
@@ -449,12 +449,12 @@ def test_run_at_standstill_is_refused(leaf):
 
 @pytest.mark.parametrize(("effects", "message"), [(("steering_lagg",), "steering_lag"),
                                                   (("tyre_slip",), "does not apply")])
-def test_unknown_or_inapplicable_effect_is_refused(effects, message):
+def test_unknown_or_inapplicable_effect_is_rejected(effects, message):
     with pytest.raises(StCoreError, match=message):
         Space("nonlinear", replace(SETTINGS, effects=effects))
 
 
-def test_effect_whose_channel_is_not_selected_is_refused():
+def test_effect_whose_channel_is_not_selected_is_rejected():
     settings = replace(SETTINGS, effects=("lateral_acceleration_bias",), channels=("yaw_rate",))
     with pytest.raises(ConfigurationError, match="none of the requested ones applies"):
         Space("nonlinear", settings)

@@ -183,7 +183,7 @@ def test_intervals_and_axle_forces_decide_the_naming(evidence, checks, rule):
     ({"run": Agreement({}, 0.02, 0.4)}, ""),
     ({"run": Agreement({}, 1e-4, 0.04)}, ""),
 ])
-def test_partition_between_whose_parts_an_effect_varies(agreement, partition):
+def test_partition_across_which_an_effect_varies(agreement, partition):
     assert varying_partition(replace(GOOD, agreement=agreement), LIMITS) == partition
 
 
@@ -236,7 +236,7 @@ def test_verdict_of_a_varying_effect_names_the_partition():
     (replace(EQUAL_RIVAL, evidence=VARYING), VARIES),
     (replace(EQUAL_RIVAL, share=0.4, evidence=AT_BOUND), EXPLAINS_LESS),  # the first rule
 ])
-def test_rival_is_an_alternative_or_refused_by_a_rule(rival, rule):
+def test_rival_is_an_alternative_or_rejected_by_a_rule(rival, rule):
     assert judge_alternative(rival, LIMITS).rule == rule
 
 

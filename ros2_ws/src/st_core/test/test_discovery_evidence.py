@@ -170,7 +170,7 @@ def test_sensor_estimates_confirm_or_contradict_the_fit():
     assert sensor_p_values(problem, fit, "mass", far) == (None, None)
 
 
-def test_column_shares_are_those_of_the_columns_that_the_effect_changes():
+def test_column_reductions_are_those_of_the_columns_that_the_effect_changes():
     problem = linear_problem(FEW, {"mass": 1.0}, 7)
     problem.noise = np.full(len(COLUMNS), 0.01)
     before = np.full(problem.errors.noise.shape, 0.02)

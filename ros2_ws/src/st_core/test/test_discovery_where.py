@@ -105,7 +105,7 @@ def test_stationary_errors_have_no_change_in_time():
                for seed, s in enumerate(drives)) <= 2
 
 
-def test_larger_errors_from_harder_driving_are_no_change_in_time():
+def test_larger_errors_from_harder_driving_are_not_a_change_in_time():
     """The second half is driven harder; errors of hard driving are equal in both halves."""
     def lateral(time):
         return np.where((time > 100.0) ^ ((time % 40.0) < 8.0), 4.0, 0.5)

@@ -61,7 +61,7 @@ def test_batch_over_a_log_equals_individual_predictions(leaf, backend, base):
 
 
 @pytest.mark.parametrize("base", MODELS)
-def test_effect_among_others_at_null_corrects_a_log_as_alone(leaf, base):
+def test_effect_corrects_a_log_equally_with_and_without_other_effects_at_null(leaf, base):
     all_at_null = set_effects_to_null(augment(base, find_applicable_effects(base)))
     for name in list_effects(base):
         values = {name: values_of(name, 1.0)}

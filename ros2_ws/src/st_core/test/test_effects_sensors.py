@@ -157,7 +157,7 @@ def test_no_built_in_effect_needs_acceleration_for_its_correction():
             assert find_missing_reading(augment("linear", [effect.name]), ("acceleration_x", "acceleration_y")) is None
 
 
-def test_signal_without_a_reading_is_no_missing_reading():
+def test_signal_without_a_reading_is_not_a_missing_reading():
     assert find_missing_reading(augment("linear", ["yaw_rate_scale"]), ("a_later_signal",)) is None
 
 

@@ -235,6 +235,6 @@ def test_statistics_are_those_of_the_horizon_means():
     assert statistics.yaw.mean == pytest.approx(0.1) and statistics.longitudinal.max == 0.0
 
 
-def test_statistics_of_nothing_are_nan():
+def test_statistics_without_values_are_nan():
     empty = Statistic()
     assert math.isnan(empty.mean) and math.isnan(empty.max) and math.isnan(empty.rmse)

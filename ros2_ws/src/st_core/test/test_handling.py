@@ -71,7 +71,7 @@ def test_oversteering_car_is_unstable_past_its_critical_speed(leaf):
     ({"steering_ratio": 1.0 / 0.9}, "steering_ratio", "1.11 is outside the range of road cars, 9 to 26"),
     ({"cornering_stiffness_rear": 250_000.0}, "cornering_stiffness_rear", "36.8 1/rad is outside the range"),
 ])
-def test_implausible_value_is_named_with_its_number(leaf, changes, key, number):
+def test_implausible_value_is_reported_with_its_number(leaf, changes, key, number):
     assert not handling.find_implausible_values(leaf)
     found = handling.find_implausible_values(replace(leaf, **changes))
     assert any(text.startswith(f"{key}: ") and number in text and "(" in text for text in found), found

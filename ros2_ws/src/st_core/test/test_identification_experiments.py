@@ -48,7 +48,7 @@ def test_common_scale_error_does_not_average_out(leaf):
     assert repeated["mass"].standard_uncertainty < 1.1
 
 
-def test_weighings_with_another_loading_are_excluded(leaf):
+def test_weighings_with_a_different_loading_are_excluded(leaf):
     data = weighings(leaf, 0, count=4)
     found = identify_mass_and_cg(replace(data, loads=("driver", "driver", "two people", "driver")), leaf)
     assert found.used_data == ("1", "2", "4") and found.rejected_data == (("3", "different loading: two people"),)

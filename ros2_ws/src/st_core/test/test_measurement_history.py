@@ -99,7 +99,7 @@ def test_both_signals_restart_when_ins_time_jumps_back():
     assert live.ins.newest == live.steering.newest == T0 + 190 * MS
 
 
-def test_non_finite_samples_are_refused():
+def test_non_finite_samples_are_rejected():
     live = history()
     live.add_ins(sample(0))
     assert not live.add_ins(sample(10, speed=math.nan))

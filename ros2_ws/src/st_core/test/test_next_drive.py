@@ -21,7 +21,7 @@ SETTINGS = DiscoverySettings(locate_errors=False, block=4.0, windows=100)
 
 
 def fit_relations(leaf, names, scale=None):
-    """Fits of the true and of another relation to drives with a yaw moment proportional to forward acceleration.
+    """Fits of the true relation and of a wrong one to drives with a yaw moment proportional to forward acceleration.
 
     scale: residual scale, by default that of these drives."""
     windows = RunWindows(recorded(leaf, HIDDEN, 3, names), leaf, SETTINGS)
@@ -32,7 +32,7 @@ def fit_relations(leaf, names, scale=None):
 
 
 def standard_deviation(fit):
-    """Of the curve at AT."""
+    """Standard deviation of the curve at AT."""
     splines = RELATION.compute_splines(AT)
     return np.sqrt(np.einsum("ik,ij,jk->k", splines, fit.compute_covariance(), splines))
 

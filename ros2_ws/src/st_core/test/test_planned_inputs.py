@@ -93,7 +93,7 @@ def test_slip_free_steering_is_used_only_by_models_without_tyres(leaf, model, sl
     np.testing.assert_array_equal(used, expected)
 
 
-def test_path_with_arrays_of_unequal_length_is_refused(leaf):
+def test_path_with_arrays_of_unequal_length_is_rejected(leaf):
     with pytest.raises(StCoreError, match="plan: road_wheel_angle has 60 values, time has 61"):
         PlannedInputs.from_path(START, plan().time_ns, np.full(61, 10.0), np.full(60, 0.02), leaf)
 

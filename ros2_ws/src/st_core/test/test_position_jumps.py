@@ -1,4 +1,4 @@
-"""Position jumps are found and counted; no prediction or score crosses them; noise and hard driving are no jumps."""
+"""Position jumps are found and counted; no prediction or score crosses them; noise and hard driving are not jumps."""
 
 import math
 
@@ -65,7 +65,7 @@ def test_jump_across_a_gap_is_found():
 
 
 @pytest.mark.parametrize("speed", [0.0, 5.0, 40.0])
-def test_hard_driving_is_no_jump(speed):
+def test_hard_driving_is_not_a_jump(speed):
     """Accelerations up to 1 g in any direction, sampling intervals of 4 to 500 ms."""
     draw = np.random.default_rng(1)
     live, x, y, v_x, yaw, t = history(), 0.0, 0.0, speed, 0.0, 0
@@ -81,7 +81,7 @@ def test_hard_driving_is_no_jump(speed):
 
 
 @pytest.mark.parametrize("deviation", [0.02, 0.2, 0.5])
-def test_noise_is_no_jump_and_a_jump_is_found_in_noise(deviation):
+def test_noise_is_not_a_jump_and_a_jump_is_found_in_noise(deviation):
     """RTK: 0.02 m; a receiver without RTK may scatter by decimetres between samples."""
     draw = np.random.default_rng(2)
     live = history()

@@ -199,7 +199,7 @@ def test_equally_good_candidates_and_lower_bound_of_a_gain():
     assert compute_lower_bound(draw[0], 0.05) < 0.0
 
 
-def test_relation_that_significantly_worsens_one_run_is_refused(fits):
+def test_relation_that_significantly_worsens_one_run_is_rejected(fits):
     before = np.full(len(fits.windows), 0.5)
     noise = 0.01 * np.random.default_rng(5).normal(size=len(before))
     second = fits.windows.run == 1
@@ -284,7 +284,7 @@ def test_no_relation_is_proposed_for_a_complete_model(leaf, seed):
     assert outcome.relation is None and outcome.reason and outcome.statistics
 
 
-def test_too_few_blocks_and_a_single_run_are_given_as_reasons(leaf):
+def test_too_few_blocks_and_a_single_run_are_reported_as_reasons(leaf):
     logs = recorded(leaf, {}, 3, ("lane_change", "slalom"))
     no_effects, settings = discovery(logs, (), 1.0), DiscoverySettings(locate_errors=False)
     outcome = find_relation(no_effects, logs, leaf, settings)
@@ -310,7 +310,7 @@ def fit_with_curve(fits, candidate, coefficients):
 
 
 @pytest.mark.slow
-def test_curve_at_its_bound_is_refused(leaf, fits):
+def test_curve_at_its_bound_is_rejected(leaf, fits):
     c = Candidate("side_force", "speed", 0.0, 3.0, 20.0)
     assert describe_unusable_curve(fits, fit_with_curve(fits, c, np.full(SPLINES, 1.0))) == ""
     at_bound = fit_with_curve(fits, c, np.eye(SPLINES)[2] * 100.0)
@@ -319,7 +319,7 @@ def test_curve_at_its_bound_is_refused(leaf, fits):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("sign", "text"), [(1.0, "a lateral mode grows at"), (-1.0, "")])
-def test_relation_that_makes_the_car_unstable_is_refused(leaf, fits, sign, text):
+def test_relation_that_makes_the_car_unstable_is_rejected(leaf, fits, sign, text):
     c = Candidate("yaw_moment", "yaw_rate", -1.0, -0.15, 0.15)
     curve_fit = fit_with_curve(fits, c, fit_splines(c, lambda u: sign * 25.0 * u))
     reason = describe_unusable_curve(fits, curve_fit)
@@ -358,7 +358,7 @@ def test_formula_is_reported_only_if_it_keeps_the_gain_in_simulation(leaf, monke
     assert not any(re.fullmatch(r"y = \S+ u( \|u\|)?", one.text) for one in formulas)
 
 
-def test_kinematic_base_without_tyre_slip_is_refused(leaf):
+def test_kinematic_base_without_tyre_slip_is_rejected(leaf):
     logs = recorded(leaf, {}, 3, ("lane_change", "slalom"))
     settings = DiscoverySettings(locate_errors=False, effects=("steering_ratio",))
     outcome = find_relation(discover(logs, leaf, "kinematic", (), settings), logs, leaf, settings)

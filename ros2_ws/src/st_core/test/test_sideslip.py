@@ -73,7 +73,7 @@ def test_stationary_drive_is_unchanged(course: DriveLog) -> None:
     assert with_steady_sideslip(stationary, CAR) is stationary
 
 
-def test_identification_that_needs_the_sideslip_is_refused(course: DriveLog) -> None:
+def test_identification_that_needs_the_sideslip_is_rejected(course: DriveLog) -> None:
     log = with_steady_sideslip(course, CAR)
     for identify in (identify_stiffness, identify_ins_mounting):
         with pytest.raises(IdentificationError, match="road: velocity_y is missing or 0 throughout"):
@@ -93,7 +93,7 @@ def test_checks_do_not_locate_the_ins_on_a_straight_road() -> None:
     assert not {"measuring_point", "heading_misaligned"} & {finding.name for finding in check(log, CAR).findings}
 
 
-def test_measured_yaw_rate_is_not_taken_for_a_derived_one_after_a_long_stop(heading: DriveLog) -> None:
+def test_measured_yaw_rate_is_not_mistaken_for_a_derived_one_after_a_long_stop(heading: DriveLog) -> None:
     """At standstill measured and derived yaw rate are both zero."""
     zero, rest = 0.0 * heading.yaw_rate, np.arange(3 * len(heading.x)) >= len(heading.x)
     time_ns = heading.ins_time_ns[0] + np.arange(len(rest)) * int(np.median(np.diff(heading.ins_time_ns)))

@@ -1,4 +1,4 @@
-"""Cornering stiffness intervals contain the slope at zero slip of tyres with another curve than the vehicle file.
+"""Cornering stiffness intervals contain the slope at zero slip of tyres with a curve other than the vehicle file's.
 
 The car is defined here: two axles of brush tyres with parabolic pressure (Pacejka, Tire and Vehicle Dynamics, ch. 3).
 """

@@ -82,7 +82,7 @@ def test_angles_are_interpolated_along_the_shorter_arc():
     assert samples.sample(np.array([T0 + 5 * MS]))[0, 1] == pytest.approx(math.pi)
 
 
-def test_duplicate_and_non_finite_samples_are_refused():
+def test_duplicate_and_non_finite_samples_are_rejected():
     samples = filled([0, 10, 20])
     assert samples.add(T0 + 10 * MS, (99.0, 0.0)) == (None, False)
     assert samples.add(T0 + 30 * MS, (math.nan, 0.0)) == (None, False)

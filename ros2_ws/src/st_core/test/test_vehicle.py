@@ -50,7 +50,7 @@ def test_genesis_contains_the_published_values():
     assert {"cg_height", "minimum_slip_speed", "cg_to_ins_x", "tyre_front.p_cy1"} <= set(assumed)
 
 
-def test_lambda_ky_can_be_given(leaf):
+def test_lambda_ky_can_be_specified(leaf):
     text = LEAF.replace("tyre_front:\n", 'tyre_front:\n  lambda_ky: {value: 0.5, unit: "1", source: "test"}\n')
     explicit = VehicleParameters.from_yaml(text)
     assert explicit.tyre_front.lambda_ky == 0.5
@@ -87,7 +87,7 @@ def test_values_needed_only_by_effects_are_optional(leaf):
     assert rear_drive.drive_front == 0.0 and rear_drive.hash != leaf.hash
 
 
-def test_drive_share_of_the_front_axle(car):
+def test_drive_fraction_of_the_front_axle(car):
     assert car.drive_front == {"Nissan Leaf ZE0": 1.0, "Hyundai Genesis": 0.0}[car.name]
 
 

@@ -1,4 +1,4 @@
-"""Bags of another bridge: odometry and can_msgs/Frame, from which the signal table and DBC give the steering."""
+"""Bags of other software: odometry and can_msgs/Frame, from which the signal table and DBC give the steering."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -89,7 +89,7 @@ def test_bag_needs_no_alignment_but_a_search_is_done(raw, tmp_path):
     assert abs(pair.alignment.offset_ns) < 50_000_000
 
 
-def test_frames_without_steering_are_refused(raw, tmp_path):
+def test_frames_without_steering_are_rejected(raw, tmp_path):
     log, frames = raw
     folder = write_bag(tmp_path / "drive", log, replace(frames, id=frames.id + np.uint32(1)))
     (source,) = find_runs([folder])
@@ -97,14 +97,14 @@ def test_frames_without_steering_are_refused(raw, tmp_path):
         read(source, CAR)
 
 
-def test_replay_of_frames_alone_is_refused(raw, tmp_path):
+def test_replay_of_frames_alone_is_rejected(raw, tmp_path):
     folder = write_bag(tmp_path / "drive", *raw)
     with pytest.raises(RunError, match="its steering is only in CAN frames") as error:
         check_bag(folder, LEAF, force=True)
     assert "--steering-topic" not in str(error.value)  # no topic of this bag can carry the angle
 
 
-def test_bag_without_frames_is_no_can_log(raw, tmp_path):
+def test_bag_without_frames_is_not_a_can_log(raw, tmp_path):
     log, frames = raw
     folder = write_bag(tmp_path / "drive", log, frames.select(slice(0, 0)))
     with pytest.raises(RunError, match="this bag contains no CAN frames"):

@@ -1,4 +1,4 @@
-"""Bands are not calibrated with a recording that contains the vehicle file of another car."""
+"""Bands are not calibrated with a recording that contains the vehicle file of a different car."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
-from st_offline.bands.calibration_command import _refuse_other_car
+from st_offline.bands.calibration_command import _check_recorded_car
 from st_recordings.runs import LoadedRun, RunError, RunSource
 from support import LEAF
 
@@ -20,8 +20,8 @@ def load_recording(vehicle: VehicleParameters) -> LoadedRun:
     return LoadedRun(log, {"recorded": {"configuration": {"vehicle": vehicle.to_yaml()}}})
 
 
-def test_recording_is_refused_for_another_car_name_but_not_for_other_values():
+def test_recording_is_rejected_for_a_different_car_name_but_not_for_different_values():
     source = RunSource("run", "bag", (Path("bag"),))
-    _refuse_other_car(source, load_recording(replace(CAR, mass=CAR.mass + 50.0)), CAR)
+    _check_recorded_car(source, load_recording(replace(CAR, mass=CAR.mass + 50.0)), CAR)
     with pytest.raises(RunError, match=r"is a drive of 'Another', but the vehicle file is for"):
-        _refuse_other_car(source, load_recording(replace(CAR, name="Another")), CAR)
+        _check_recorded_car(source, load_recording(replace(CAR, name="Another")), CAR)

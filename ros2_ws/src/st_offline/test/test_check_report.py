@@ -25,7 +25,7 @@ from st_offline.checking.check_report import (
     print_run,
     print_runs,
 )
-from st_offline.checking.gate import RefusedRunError
+from st_offline.checking.gate import RejectedRunError
 from st_recordings.paths import OutputError
 from st_recordings.runs import ReadSettings, RunSource
 from st_recordings.runs.columns import Layout
@@ -139,8 +139,8 @@ def test_opposite_steering_sign_comes_first_with_its_correction():
     first = console.file.getvalue().splitlines()[0]
     assert "opposite sign" in first and "--steering-sign -1" in first and "CAN" not in first
     assert "`st check logs/drive.csv --propose-correction run.yaml`" in first
-    assert "opposite sign" in str(RefusedRunError("a.csv", [OPPOSITE_SIGN]))
-    assert "opposite" not in str(RefusedRunError("a.csv", [DEGREES]))
+    assert "opposite sign" in str(RejectedRunError("a.csv", [OPPOSITE_SIGN]))
+    assert "opposite" not in str(RejectedRunError("a.csv", [DEGREES]))
     assert make_summary([make_run("drive", (OPPOSITE_SIGN,))])[1].startswith("The steering angle has the opposite sign")
 
 
@@ -152,7 +152,7 @@ def test_opposite_steering_sign_of_a_can_log_is_corrected_in_car_yaml():
     assert "steering_sign in car.yaml" in first and "--steering-field" not in first and "run.yaml" not in first
 
 
-def test_clock_offsets_of_many_runs_are_one_sentence():
+def test_clock_offsets_of_many_runs_are_summarised_in_one_sentence():
     found = {str(n): summarise_alignment(Alignment(0, -n * 100_000_000, 0.0, 0.001 * n, 0.1, "shared signals", verdict))
              for n, verdict in enumerate((Verdict.GOOD, Verdict.GOOD, Verdict.DOUBTFUL), 1)}
     assert check_report.describe_clocks({**found, "csv": {"method": "none"}}) == (
@@ -283,7 +283,7 @@ def test_new_corrections_are_combined_with_previous_ones():
 
 
 @pytest.mark.parametrize(("name", "message"), [("correction.yaml", "name it run.yaml"), ("run.yaml", "exists; choose")])
-def test_invalid_or_existing_file_name_of_a_proposal_is_refused(tmp_path, name, message):
+def test_invalid_or_existing_file_name_of_a_proposal_is_rejected(tmp_path, name, message):
     (tmp_path / name).write_text("name: mine\n")
     with pytest.raises(OutputError, match=message):
         check_file_name(tmp_path / name)

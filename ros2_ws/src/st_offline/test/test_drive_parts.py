@@ -58,7 +58,7 @@ def test_parts_are_contiguous_and_heading_changes_add_up():
     assert parts[1].start == pytest.approx(5.0, abs=0.6) and parts[1].end == pytest.approx(11.0, abs=0.6)
 
 
-def test_short_heading_change_makes_no_part():
+def test_short_heading_change_does_not_make_a_part():
     assert name_parts(drive((5, 6, 0), (0.5, 6, 8), (5, 6, 0))) == ["straight"]
 
 

@@ -85,7 +85,7 @@ def test_steering_wheel_angle_is_converted_by_the_vehicle_file(tmp_path):
     ("/joints", "position", "'position' of /joints is a list of 2 elements; add an index, such as position.0"),
     ("/joints", "position.2", "'2' is not one of the fields (none)"),
 ])
-def test_invalid_steering_field_is_refused_with_its_name(tmp_path, topic, field, message):
+def test_invalid_steering_field_is_rejected_with_its_name(tmp_path, topic, field, message):
     folder = write_bag(tmp_path / "drive")
     with pytest.raises(RunError) as error:
         check_bag(folder, None, True, ReadSettings(steering=SteeringField(topic, field)))

@@ -21,7 +21,7 @@ from ..composition import compose
 from ..effects import Measured
 from ..errors import StCoreError
 from ..integrate import required_substeps
-from ..log import INS_SIGNALS, DriveLog, LogSignals, share_memory
+from ..log import INS_SIGNALS, DriveLog, LogSignals, shares_memory
 from ..models import Model
 from ..readings import predict_ideal_readings
 from ..sideslip import compute_steady_velocity_y
@@ -56,7 +56,7 @@ class Signals(LogSignals):
         self._lookups: OrderedDict[tuple, tuple] = OrderedDict()
 
     def for_log(self, log: DriveLog) -> "Signals":
-        if not share_memory(log, self.log, "ins_time_ns", "velocity_x"):
+        if not shares_memory(log, self.log, "ins_time_ns", "velocity_x"):
             other = Signals(log, self.maximum_gap)
             other._lookups = self._lookups
             return other

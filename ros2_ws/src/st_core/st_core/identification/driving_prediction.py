@@ -116,7 +116,7 @@ def estimate_slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehiclePa
     decreases about linearly.
     """
     low_settings = replace(settings, maximum_acceleration=float(np.median(fit.peak_accelerations)),
-                       min_windows=settings.min_windows // 2)
+                           min_windows=settings.min_windows // 2)
     try:
         low = fit_driving(logs, vehicle, fit.names, base, low_settings)
     except IdentificationError:

@@ -204,8 +204,8 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
             f"{min_radius:.3g} m, a speed above {settings.minimum_speed:.3g} m/s, and constant steering; "
             f"{MIN_WINDOWS} are needed")
     # Without smoothing, road noise would still cause 0.02 deg of error at the steering wheel after four minutes.
-    smoothed_logs = [replace(log, yaw_rate=filtered_derivative(log.ins_time_ns, log.yaw_rate, CUTOFF, MAXIMUM_GAP,
-                                                    "zero_phase")[0]) for log in logs]
+    smoothed_logs = [replace(log, yaw_rate=filtered_derivative(
+        log.ins_time_ns, log.yaw_rate, CUTOFF, MAXIMUM_GAP, "zero_phase")[0]) for log in logs]
     fit = fit_driving(smoothed_logs, vehicle, (PAPER_NAME,), "linear", settings)
     predicted_runs = tuple(name for name, (count, _) in fit.window_counts.items() if count)
     paper = _make_estimate(PAPER_NAME, fit.values[0], fit.spread, "predicted versus measured yaw rate (paper)",

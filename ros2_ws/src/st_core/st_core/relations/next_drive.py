@@ -80,7 +80,7 @@ def suggest_drives(fits: RelationFits, fit: RelationFit, alternatives: Mapping[s
         return NextDrives(sparse_ranges)
     splines = candidate.compute_splines(points)
     alternatives = {name: other for name, other in alternatives.items()
-              if other.candidate is not None and other.candidate.quantity not in INDEPENDENT_OF_MANOEUVRE}
+                    if other.candidate is not None and other.candidate.quantity not in INDEPENDENT_OF_MANOEUVRE}
     recorded_curvature = {name: _compute_joint_curvature(fits.loss, fit.residuals, fit.sensitivities,
                                                          other.sensitivities[-SPLINES:], fit)
                           for name, other in alternatives.items()}

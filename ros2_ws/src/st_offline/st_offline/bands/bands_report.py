@@ -1,5 +1,5 @@
 """Scores bands against the errors of runs (coverage, interval score, CRPS, half-width), and reports these scores and
-the shares of causes in the prediction error as tables and figures."""
+the contributions of causes to the prediction error as tables and figures."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -300,9 +300,9 @@ def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Co
     if adaptive:
         console.print(make_table(make_adaptive_rows(summarise_adaptive(pooled)), width=min(console.width, 140),
                                  title="Adaptive bands: fraction of paths entirely inside"))
-    if rows := make_share_rows(summarise_shares(pooled)):
-        console.print(make_table(rows, title="Decomposition of the error with measured inputs: shares of the mean "
-                                 "squared error, along | across", width=min(console.width, 140)))
+    if rows := make_contribution_rows(summarise_contributions(pooled)):
+        console.print(make_table(rows, title="Decomposition of the error with measured inputs: fractions of the "
+                                 "mean squared error, along | across", width=min(console.width, 140)))
 
 
 def _format_percent(value: float | None) -> str:
@@ -321,46 +321,46 @@ def collect_intervals(files: Sequence[ModelFile]) -> dict[str, Intervals]:
                                 for name, estimate in parts.items() if estimate.interval is not None} for file in files}
 
 
-def sum_shares(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, settings: EvaluationSettings,
-               intervals: Mapping[str, Intervals]) -> Sums:
+def sum_contributions(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals,
+                      settings: EvaluationSettings, intervals: Mapping[str, Intervals]) -> Sums:
     """{"shares": {model: {starts, total, causes}}} of one run. starts: number of starts. total, causes: squared errors,
     and squared contributions by cause, each summed over the starts, (seconds, axes) [m^2, m^2, rad^2]."""
-    shares: Sums = {}
+    by_model: Sums = {}
     for model in models:
         starts, total, parts = sum_squared_contributions(model, vehicle, signals, settings, intervals.get(model.name))
         causes = {f"{kind}: {name}": squares for (kind, name), squares in parts.items()}
-        shares[model.name] = {"starts": starts, "total": total, "causes": causes}
-    return {"shares": shares}
+        by_model[model.name] = {"starts": starts, "total": total, "causes": causes}
+    return {"shares": by_model}
 
 
 def _name_seconds(values: np.ndarray) -> dict[str, dict[str, float]]:
     return {str(k + 1): dict(zip(AXES, row.tolist(), strict=True)) for k, row in enumerate(values)}
 
 
-def summarise_shares(sums: Sums) -> dict[str, Any]:
-    """By model: number of starts, RMS of the error and of the contribution of each cause [m, m, rad], shares of the
-    mean squared error. The shares of the kinds of causes (parameters, sensors) and of the residual add up to 1. stated:
+def summarise_contributions(sums: Sums) -> dict[str, Any]:
+    """By model: number of starts, RMS of the error and of the contribution of each cause [m, m, rad], and the
+    fractions of the mean squared error due to parameters, sensors and the residual, which add up to 1. stated:
     parameters with a stated uncertainty."""
     summary = {}
     for model, sums_of_model in sums.get("shares", {}).items():
         count, total, causes = sums_of_model["starts"], sums_of_model["total"], sums_of_model["causes"]
         if not count:
             continue
-        shares = {kind: sum((squares for name, squares in causes.items() if name.startswith(f"{kind}: ")),
-                            np.zeros_like(total)) / total for kind in (PARAMETERS, SENSORS)}
-        shares[RESIDUAL] = 1.0 - sum(shares.values())
+        fractions = {kind: sum((squares for name, squares in causes.items() if name.startswith(f"{kind}: ")),
+                               np.zeros_like(total)) / total for kind in (PARAMETERS, SENSORS)}
+        fractions[RESIDUAL] = 1.0 - sum(fractions.values())
         summary[model] = {
             "starts": count, "rms": _name_seconds(np.sqrt(total / count)),
             "rms_of_cause": {name: _name_seconds(np.sqrt(squares / count)) for name, squares in causes.items()},
             "stated": [name.split(": ", 1)[1] for name in causes if name.startswith(f"{PARAMETERS}: ")],
-            "share": {kind: _name_seconds(values) for kind, values in shares.items()}}
+            "share": {kind: _name_seconds(values) for kind, values in fractions.items()}}
     return summary
 
 
-def make_share_rows(shares: Mapping[str, Any]) -> list[dict[str, str]]:
-    """Table row of each model and reported second, by column title."""
+def make_contribution_rows(content: Mapping[str, Any]) -> list[dict[str, str]]:
+    """Table row of each model and reported second in the result of `summarise_contributions`, by column title."""
     rows = []
-    for model, summary in shares.items():
+    for model, summary in content.items():
         for second in (s for s in REPORTED_SECONDS if s in summary["rms"]):
             rms = summary["rms"][second]
             row = {"model": model, "second": second,

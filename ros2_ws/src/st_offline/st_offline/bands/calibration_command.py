@@ -69,7 +69,7 @@ def collect_errors(sources: Sequence[RunSource], task: Task, models: Sequence[Mo
                     if digest in names_by_digest:  # a copy is not an independent sample
                         raise RunError(source.path, f"has the same content as {names_by_digest[digest]}",
                                        "give each recording once")
-                _refuse_other_car(source, run, task.vehicle)
+                _check_recorded_car(source, run, task.vehicle)
                 check_for_use(source.path, run, task.vehicle, task.force, models, task.settings.prediction.step)
                 signals = task.settings.signals(run.log)
                 samples.append(compute_error_samples(models, task.vehicle, signals, task.settings))
@@ -100,7 +100,7 @@ def make_bands(samples: Sequence[ErrorSamples], task: Task, models: Sequence[Mod
                  CalibrationDomain.from_runs([run.conditions for run in samples]), bands, hashes)
 
 
-def _refuse_other_car(source: RunSource, run: LoadedRun, vehicle: VehicleParameters) -> None:
+def _check_recorded_car(source: RunSource, run: LoadedRun, vehicle: VehicleParameters) -> None:
     """Raise RunError if the recorded car has a different name. Updates may have changed its parameters."""
     text = parse_configuration(run.provenance.get("recorded", {})).vehicle
     if text is None:

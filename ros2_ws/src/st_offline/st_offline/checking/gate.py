@@ -25,7 +25,7 @@ RUN_ERRORS = (RunError, StCoreError, MemoryError, OSError)
 ADVICE = "follow the advice of `st check`, or use the recording anyway with --force"
 
 
-class RefusedRunError(RunError):
+class RejectedRunError(RunError):
     """A recording has errors that make an evaluation meaningless. findings: all findings of the run."""
 
     def __init__(self, source: Path | str, findings: Sequence[Finding]):
@@ -46,17 +46,17 @@ def check_log(log: DriveLog, vehicle: VehicleParameters, auxiliary: AuxiliaryDat
     return replace(result, findings=tuple(sorted((*result.findings, too_long), key=check_report.rank_severity)))
 
 
-def refuse_errors(source: Path | str, findings: Sequence[Finding], force: bool) -> None:
-    """Raise RefusedRunError if a finding is an error, unless forced."""
+def raise_for_errors(source: Path | str, findings: Sequence[Finding], force: bool) -> None:
+    """Raise RejectedRunError if the findings contain an error, unless forced."""
     if not force and any(finding.severity is Severity.ERROR for finding in findings):
-        raise RefusedRunError(source, findings)
+        raise RejectedRunError(source, findings)
 
 
 def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettings | None = None) -> list[Finding]:
     """Check a bag before its replay, with its recorded models and step; returns the findings.
 
     vehicle: file to use instead of the recorded vehicle (the default vehicle if none is recorded). Raises
-    RefusedRunError, and RunError for a bag that cannot be read or has no steering topic.
+    RejectedRunError, and RunError for a bag that cannot be read or has no steering topic.
     """
     if bag.suffix.lower() == ROS1_EXTENSION:
         raise RunError(bag, "the nodes cannot receive ROS 1 messages",
@@ -77,15 +77,15 @@ def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettin
     predictor = recorded.nodes.get("predictor", {})
     models = [model for model in predictor.get("models", MODELS) if model in MODELS]
     findings = check_log(log, car, run.auxiliary, models, predictor.get("step", STEP)).findings
-    refuse_errors(bag, findings, force)
+    raise_for_errors(bag, findings, force)
     return list(findings)
 
 
 def check_for_use(source: Path | str, run: LoadedRun, vehicle: VehicleParameters, force: bool,
                   models: Sequence[str | Model] = (), step: float = STEP) -> tuple[Finding, ...]:
-    """Check a drive; returns its findings. Raises RefusedRunError for errors, unless forced."""
+    """Check a drive; returns its findings. Raises RejectedRunError for errors, unless forced."""
     findings = check_log(run.log, vehicle, run.auxiliary, models, step).findings
-    refuse_errors(source, findings, force)
+    raise_for_errors(source, findings, force)
     return findings
 
 

@@ -25,7 +25,7 @@ from st_recordings.paths import json_ready
 from st_recordings.results import parse_configuration
 from st_recordings.runs import ReadSettings, RunSource, read
 
-from ..checking.gate import RUN_ERRORS, RefusedRunError, check_log, describe_problem, refuse_errors
+from ..checking.gate import RUN_ERRORS, RejectedRunError, check_log, describe_problem, raise_for_errors
 
 RESULT_FORMAT = 3  # version of the format of cached results; other versions are not used
 
@@ -109,14 +109,14 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
         try:
             car = "" if recorded is None else VehicleParameters.from_yaml(recorded, "the vehicle in the recording").name
         except StCoreError:
-            car = ""  # recorded by an earlier version, with a value that is refused now
+            car = ""  # recorded by an earlier version, with a value that is now rejected
         metadata = {"files": run.provenance["files"], "duration_s": run.log.duration,
                     "alignment": run.alignment.verdict.value,
                     "clock_deviation_s": json_ready(run.alignment.offset_deviation),
                     "warnings": list(run.warnings), "estimates": json_ready(result.estimates), "vehicle": car}
-        refuse_errors(source.path, result.findings, force)
+        raise_for_errors(source.path, result.findings, force)
         return Drive(source.name, run.log, metadata, findings=result.findings)
-    except RefusedRunError as error:
+    except RejectedRunError as error:
         return Drive(source.name, None, {}, str(error), error.findings)
     except RUN_ERRORS as error:
         return Drive(source.name, None, {}, describe_problem(error, source))

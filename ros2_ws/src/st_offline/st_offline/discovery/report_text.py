@@ -123,7 +123,7 @@ def summarise(discovery: Discovery, update: VehicleUpdate | None,
               findings: Mapping[str, Sequence[Finding]]) -> list[tuple[str, str]]:
     """(heading, text) pairs: combinations; residual and effects that are not separable or detectable; recordings;
     recommendations. findings: those of the checks, by recording."""
-    unresolved = [describe_residual(discovery), list_inseparable(discovery), list_undetectable(discovery)]
+    unresolved = [describe_residual(discovery), describe_inseparable(discovery), describe_undetectable(discovery)]
     combinations = [f"{format_combination(c)}: {', '.join(map(to_words, c.effects[:-1]))} or "
                     f"{to_words(c.effects[-1])}, which these drives do not separate"
                     for c in discovery.unseparated_combinations]
@@ -228,7 +228,7 @@ def format_combination(combination: result.Combination) -> str:
     return f"{combination.name} {ratio:.2f} ({low:.2f} to {high:.2f}) times the vehicle file value"
 
 
-def list_inseparable(discovery: Discovery) -> str:
+def describe_inseparable(discovery: Discovery) -> str:
     """Effects that explain the drives equally well or compensate for each other."""
     names = [" or ".join(map(to_words, (e.name, *e.alternatives))) for e in discovery.effects if e.alternatives]
     pairs = [f"{to_words(e.name)} with {', '.join(map(to_words, e.joint))} (they compensate for each other)"
@@ -249,7 +249,7 @@ def list_pair_rows(discovery: Discovery) -> list[tuple[str, ...]]:
     return rows
 
 
-def list_undetectable(discovery: Discovery) -> str:
+def describe_undetectable(discovery: Discovery) -> str:
     """Effects that are not detectable in these drives, with the largest size examined, vehicle parameters first."""
     largest = {p.effect: f" of {format_deviation(p.size, p.unit)}"
                for p in sorted(discovery.power_analysis.powers, key=lambda p: abs(p.size))}
@@ -266,7 +266,7 @@ def format_separation(strength: float) -> str:
     return f"{strength:.1f}" if strength < MAX_SEPARATION else f"more than {MAX_SEPARATION:g}"
 
 
-def list_detectable(discovery: Discovery) -> str:
+def describe_detectable(discovery: Discovery) -> str:
     """The smallest detectable size of each effect in these drives, vehicle parameters first."""
     smallest: dict[str, result.Power] = {}
     for power in sorted(discovery.power_analysis.powers, key=lambda p: abs(p.size)):
@@ -304,7 +304,7 @@ def list_priors(discovery: Discovery) -> list[str]:
     return [f"{', '.join(priors)}; {change}"] if priors else []
 
 
-def describe_effective(discovery: Discovery) -> list[str]:
+def describe_effective_corrections(discovery: Discovery) -> list[str]:
     """Sentence on the effective corrections of the model; empty without any."""
     names = ", ".join(f"{to_words(e.name)} {format_briefly(e.name, e.parameters)} (5 s position error without it "
                       f"{format_metres(e.position_5s_increase, '+')})" for e in discovery.effective)
@@ -421,10 +421,10 @@ def list_details(discovery: Discovery, update: VehicleUpdate | None) -> list[tup
     sections = [*((role, [text]) for role, text in describe_drives(discovery)), ("meaning", explain_effects(discovery)),
                 ("decision rule", decisions), ("minor effects", minor),
                 ("to do", recommend(discovery, update)[1:]),
-                ("effective corrections", describe_effective(discovery)),
+                ("effective corrections", describe_effective_corrections(discovery)),
                 ("priors from the vehicle file", list_priors(discovery)),
                 ("varying effects", list(map(describe_varying, discovery.varying))),
-                ("detectability", [list_detectable(discovery)])]
+                ("detectability", [describe_detectable(discovery)])]
     return [(heading, texts) for heading, section in sections if (texts := [text for text in section if text])]
 
 

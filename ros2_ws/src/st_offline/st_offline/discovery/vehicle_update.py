@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import yaml
 from scipy import stats
-from st_core.augmented import AugmentedModel, fold_effects
+from st_core.augmented import AugmentedModel, fold_effects, set_effects_to_null
 from st_core.batch import LogBatch
 from st_core.discovery import Discovery
 from st_core.discovery.result import Run
@@ -95,7 +95,7 @@ def fold_named_effects(discovery: Discovery, request: Request) -> VehicleUpdate 
         candidate = (*folded, effect)
         try:
             car = fold_effects(request.vehicle, candidate, discovery.named.values)
-            errors = _compute_errors(neutralise_effects(discovery.named, candidate), car, drives)
+            errors = _compute_errors(set_effects_to_null(discovery.named, candidate), car, drives)
         except StCoreError:  # values outside the limits of a vehicle file, or failed predictions
             continue
         if all(a.shape == b.shape and np.allclose(a, b, rtol=0.0, atol=POSE_TOLERANCE, equal_nan=True)
@@ -180,7 +180,7 @@ def _adapt_model(discovery: Discovery, car: VehicleParameters, folded: Sequence[
     difference = np.concatenate([a - b for a, b in zip(
         _compute_errors(model, car, drives), _compute_errors(discovery.model, vehicle, drives), strict=True)])
     is_similar = np.nanmean(np.hypot(difference[:, 0], difference[:, 1])) < MAX_POSITION_DIFFERENCE
-    return model if is_similar else neutralise_effects(discovery.named, folded)
+    return model if is_similar else set_effects_to_null(discovery.named, folded)
 
 
 def _find_changes(vehicle: VehicleParameters, other: VehicleParameters) -> dict[str, tuple[float, float]]:
@@ -199,11 +199,6 @@ def find_changed_entries(vehicle: VehicleParameters, effect: type[Effect], value
     except StCoreError:  # outside the limits of a vehicle file
         return {}
     return {key: pair for key, pair in pairs.items() if not key.endswith("lambda_ky")}
-
-
-def neutralise_effects(model: AugmentedModel, effects: Iterable[type[Effect]]) -> AugmentedModel:
-    """The model with these effects at their null values."""
-    return model.with_values({e.name: {p.name: p.null for p in e.parameters} for e in effects})
 
 
 def _compute_errors(model: AugmentedModel, vehicle: VehicleParameters, drives: Sequence[DriveLog]) -> list[np.ndarray]:

@@ -71,7 +71,7 @@ def _summarise_bands(evaluated_runs: Sequence[RunReport], task: Task) -> dict[st
     sums = bands_report.pool_sums([r.bands for r in evaluated_runs])
     summary = {"bands": {r.name: bands_report.summarise_bands(r.bands) for r in evaluated_runs},
                "bands_all_runs": {"file": task.bands[0], **bands_report.summarise_bands(sums),
-                                  "shares": bands_report.summarise_shares(sums)}
+                                  "shares": bands_report.summarise_contributions(sums)}
                } if task.bands else {}
     return summary | ({"adaptive_bands": {r.name: bands_report.summarise_adaptive(r.bands) for r in evaluated_runs},
                        "adaptive_bands_all_runs": bands_report.summarise_adaptive(sums)} if task.adaptive else {})
@@ -127,7 +127,7 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
         findings={r.name: r.findings for r in reports}, top_figures=top_figures, band_figures=bands,
         band_rows=bands_report.make_band_rows(pooled_bands),
         adaptive_rows=bands_report.make_adaptive_rows(content.get("adaptive_bands_all_runs", {})),
-        share_rows=bands_report.make_share_rows(pooled_bands.get("shares", {})),
+        contribution_rows=bands_report.make_contribution_rows(pooled_bands.get("shares", {})),
         over=task.over, tables=tables, modes=modes, run_figures=run_figures, formats=task.formats,
         slug=to_file_name)
     file.write_text(text, encoding="utf-8")

@@ -28,8 +28,8 @@ from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, rea
 from st_recordings.runs.csv_table import read_header
 from st_recordings.runs.raw import summarise_alignment
 
-from ..bands.bands_report import Scorer, collect_intervals, sum_shares
-from ..checking.gate import RUN_ERRORS, RefusedRunError, check_log, describe_problem, refuse_errors
+from ..bands.bands_report import Scorer, collect_intervals, sum_contributions
+from ..checking.gate import RUN_ERRORS, RejectedRunError, check_log, describe_problem, raise_for_errors
 from . import tables
 from .background import run_in_background
 from .drawing import FigureOutput, PageFigure
@@ -78,7 +78,7 @@ class RunReport:
     bins: list[dict[str, Any]] = field(default_factory=list)
     manoeuvres: list[dict[str, Any]] = field(default_factory=list)
     figures: list[PageFigure] = field(default_factory=list)
-    bands: dict[str, Any] = field(default_factory=dict)  # sums of `Scorer` and `sum_shares`
+    bands: dict[str, Any] = field(default_factory=dict)  # sums of `Scorer` and `sum_contributions`
     findings: tuple[Finding, ...] = ()
     seconds: dict[str, float] = field(default_factory=dict)  # wall time [s] of reading, predicting and drawing
 
@@ -90,7 +90,7 @@ def evaluate_run(source: RunSource, task: Task, progress: Progress | None = None
             # The checks already report a step that is too long as a finding.
             warnings.simplefilter("ignore", StepTooLongWarning)
             return _evaluate(source, task, progress)
-    except RefusedRunError as error:
+    except RejectedRunError as error:
         return RunReport(source.name, problem=str(error), findings=error.findings)
     except RUN_ERRORS as error:
         return RunReport(source.name, problem=describe_problem(error, source))
@@ -112,7 +112,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
                                       on_block=scorer.add, future_inputs=future_inputs)
         finally:  # a finding of the checks explains a fault better than the exception that it causes here
             findings, parts = wait_for_checks()
-            refuse_errors(source.path, findings, task.force)
+            raise_for_errors(source.path, findings, task.force)
     times.append(time.perf_counter())
     _require_scores(source, run, evaluation)
     figures = draw_run(FigureData(evaluation, models, task.vehicle, signals, task.starts,
@@ -125,7 +125,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
         "warnings": list(run.warnings), "provenance": dict(run.provenance), "inputs_ahead": list(future_inputs)}
     sums = scorer.get_sums()
     if bands:
-        sums |= sum_shares(models, task.vehicle, signals, task.settings, collect_intervals(task.model_files))
+        sums |= sum_contributions(models, task.vehicle, signals, task.settings, collect_intervals(task.model_files))
     seconds = dict(zip(("read", "predict", "draw"), np.diff(times).tolist(), strict=True))
     return RunReport(source.name, "", describe_ranking(evaluation), metadata, tables.summarise_by_model(evaluation),
                      tables.summarise_by_second(evaluation), tables.summarise_by_bin(evaluation),
