@@ -1,13 +1,15 @@
-"""Writes the results of the benchmark of bands, and their comparison with targets, to docs/measurements/bands.md."""
+"""Writes the rows of the benchmark of bands to bands_held_out.csv, and their comparison with targets to bands.md."""
 
+import csv
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from _pages import format_records, format_table, read_part, replace_part
+from _pages import format_records, replace_part
 from st_recordings.paths import project_root
 
 PAGE = project_root() / "docs" / "measurements" / "bands.md"
-ROWS_PART, TARGETS_PART = "table of held-out runs", "comparison with the targets"
+ROWS = PAGE.with_name("bands_held_out.csv")
+TARGETS_PART = "comparison with the targets"
 COVERAGE_90, COVERAGE_50 = "90 % band: coverage", "50 % band: coverage"
 WORST_CELL = "worst cell with 200 starts or more"
 TARGETS = {COVERAGE_90: (86.0, 94.0), COVERAGE_50: (45.0, 55.0), WORST_CELL: (80.0, 100.0)}
@@ -18,14 +20,16 @@ MODELS = ("kinematic", "linear", "nonlinear")
 BAND, CALIBRATED = "conformal", "scaled to nominal coverage"
 
 
-def write_rows(rows: Mapping[str, Mapping[str, str]], page: Path = PAGE) -> None:
-    """Replaces the rows with the same titles on the page; other rows stay."""
-    page_rows = {cells[0]: cells for cells in map(_split_row, read_part(page, ROWS_PART).splitlines()[2:])}
-    page_rows |= {title: [title, *row.values()] for title, row in rows.items()}
-    columns = ["held out", *next(iter(rows.values()))]
-    replace_part(page, ROWS_PART, format_table(columns, page_rows.values()))
-    replace_part(page, TARGETS_PART, format_records(summarise_groups([dict(zip(columns, cells, strict=True))
-                                                                      for cells in page_rows.values()])))
+def write_rows(rows: Mapping[str, Mapping[str, str]], page: Path = PAGE, file: Path = ROWS) -> None:
+    """Replaces the rows with the same titles in the file, and the summary on the page; other rows stay."""
+    with file.open(encoding="utf-8", newline="") as stream:
+        kept = {row["held out"]: row for row in csv.DictReader(stream)}
+    kept |= {title: {"held out": title, **row} for title, row in rows.items()}
+    with file.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.DictWriter(stream, ["held out", *next(iter(rows.values()))], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(kept.values())
+    replace_part(page, TARGETS_PART, format_records(summarise_groups(list(kept.values()))))
 
 
 def summarise_groups(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
@@ -92,8 +96,3 @@ def _format_range(values: Sequence[float | None], form: str, unit: str) -> str:
     if not known:
         return "-"
     return f"{known[0]}{unit}" if known[0] == known[-1] else f"{known[0]} to {known[-1]}{unit}"
-
-
-def _split_row(row: str) -> list[str]:
-    cells = row.replace("\\|", "\0").strip("|").split("|")
-    return [cell.strip().replace("\0", "|") for cell in cells]

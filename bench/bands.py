@@ -1,12 +1,12 @@
 """Bands on held-out runs: coverage, worst cell, and interval score compared with parametric alternatives.
 
 ST_BANDS=genesis, virtual, manoeuvres, corrected, changes or adaptive runs one part only. Each part replaces its rows in
-docs/measurements/bands.md.
+docs/measurements/bands_held_out.csv, or its table in bands.md.
 """
 
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,8 +77,20 @@ def score_changes() -> dict[str, Row]:
     """Delays of the coverage warning; the page contains all rows except those of forecasts without a warning."""
     rows = measure_changes()
     shown = [row for row in rows if row["mode"] == "hindsight" or row["median delay"] != "none"]
-    replace_part(PAGE, "changes in mid-drive", format_records(shown))
+    replace_part(PAGE, "changes in mid-drive", format_records(merge_models(shown)))
     return {", ".join(list(row.values())[:4]): row for row in rows}
+
+
+def merge_models(rows: Iterable[Row]) -> list[Row]:
+    """One row for all models with equal results."""
+    merged: dict[tuple[str, ...], Row] = {}
+    for row in rows:
+        key = tuple(value for name, value in row.items() if name != "model")
+        if key in merged:
+            merged[key]["model"] += f", {row['model']}"
+        else:
+            merged[key] = dict(row)
+    return list(merged.values())
 
 
 def score_adaptive() -> dict[str, Row]:
