@@ -163,12 +163,18 @@ def _as_dict(effect: Any) -> dict[str, Any]:
 
 
 def page_table(lines: Sequence[Mapping[str, Any]]) -> str:
-    """The table: for each limit and factor, sums over the cases, and number of cases in which a count changes."""
+    """The table: for each limit and factor that changes a case, sums over the cases and number of cases changed.
+
+    The other limits and factors follow in one sentence. The error regions are a column if their number changes.
+    """
     newest = {(line["case"], line["number"], line["factor"]): line for line in lines}
-    rows = []
+    rows, unchanged = [], list[tuple[str, float]]()
     for number, factor in dict.fromkeys((number, factor) for _, number, factor in newest):
         matching = [line for key, line in newest.items() if key[1:] == (number, factor)]
         total = {key: sum(line[key] for line in matching) for key in matching[0] if isinstance(matching[0][key], int)}
+        if number and not total["changed"]:
+            unchanged.append((number, factor))
+            continue
         rows.append({"number": f"`{number}` × {factor:g}" if number else "unchanged",
                      "hidden errors named": f"{total['named']} of {total['hidden']}",
                      "false statements": f"{total['false']} of {total['statements']}",
@@ -176,7 +182,19 @@ def page_table(lines: Sequence[Mapping[str, Any]]) -> str:
                      "points in the band": f"{total['in band']} of {total['points']}",
                      "error regions": str(total["regions"]),
                      "cases changed": f"{total['changed']} of {len(matching)}"})
-    return format_records(rows)
+    if len({row["error regions"] for row in rows}) == 1:
+        rows = [{name: cell for name, cell in row.items() if name != "error regions"} for row in rows]
+    return format_records(rows) + "\n\n" + _format_unchanged(unchanged)
+
+
+def _format_unchanged(unchanged: Sequence[tuple[str, float]]) -> str:
+    """A sentence that lists the limits and factors without effect, a limit without its factor if all factors are."""
+    by_number: dict[str, list[float]] = {}
+    for number, factor in unchanged:
+        by_number.setdefault(number, []).append(factor)
+    names = [f"`{number}`" + "".join(f" × {factor:g}" for factor in factors if len(factors) < len(FACTORS))
+             for number, factors in by_number.items()]
+    return f"Without effect on any count: {', '.join(names) or 'none'}."
 
 
 if __name__ == "__main__":
