@@ -198,6 +198,16 @@ def test_ros_free_packages_import_without_ros(package):
     assert len(modules) > 5
 
 
+@pytest.mark.ros
+def test_predictor_without_a_course_does_not_import_the_large_modules_of_scipy():
+    pytest.importorskip("rclpy", reason="needs ROS 2")
+    program = ("import sys, st_predictor.nodes.predictor; "
+               "print(*{'scipy.integrate', 'scipy.spatial', 'scipy.stats'} & set(sys.modules))")
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True,
+                         env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)})
+    assert run.stdout.split() == []
+
+
 # Compilers are optional and have their own folder; their cache of compiled code needs files and modification times.
 BACKENDS = "st_core/st_core/backends"
 

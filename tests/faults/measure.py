@@ -21,10 +21,16 @@ RESTART_TIMEOUT = 30.0  # s
 
 @dataclass(frozen=True)
 class Window:
-    """Period of a fault, and the time of recovery [ns]."""
+    """Period of a fault, and the time of recovery [ns].
+
+    Injection and removal take time on a busy machine: the fault is present at least from injected_ns to removal_ns, and
+    at most from begin_ns to end_ns.
+    """
 
     fault: Fault
     begin_ns: int
+    injected_ns: int
+    removal_ns: int
     end_ns: int
     recovered_ns: int
     restarts: dict[str, int]
@@ -48,7 +54,9 @@ def inject(rig: Rig, fault: Fault, until_reported: bool = False) -> Window:
     before = dict(rig.supervisor.restarts)
     begin = time.time_ns()  # a fault may be reported before its injection has ended
     undo = fault.inject(rig)
+    injected = time.time_ns()
     rig.run(fault.seconds, lambda: until_reported and rig.reports(fault.check, fault.words))
+    removal = time.time_ns()
     undo()
     end = time.time_ns()
     count = before.get(fault.restarts, 0) + 1
@@ -58,7 +66,7 @@ def inject(rig: Rig, fault: Fault, until_reported: bool = False) -> Window:
     rig.run(DELAY)
     recovered = time.time_ns()
     new = {name: n - before.get(name, 0) for name, n in rig.supervisor.restarts.items() if n > before.get(name, 0)}
-    return Window(fault, begin, end, recovered, new, is_healthy)
+    return Window(fault, begin, injected, removal, end, recovered, new, is_healthy)
 
 
 class Recorded:
@@ -102,7 +110,7 @@ def evaluate(window: Window, rig: Rig, recorded: Recorded) -> Row:
     due = (first_after - window.begin_ns) * 1e-9 * RATE
     lost = max(0, round(due - count_between(recorded.issued, window.begin_ns, first_after)))
     input_age = round(MAX_INPUT_AGE * 1e9)
-    inside = count_between(recorded.starts, window.begin_ns + input_age, window.end_ns - input_age)
+    inside = count_between(recorded.starts, window.injected_ns + input_age, window.removal_ns - input_age)
     if fault.predictions == STOP and inside:
         problems.append(f"{inside} predictions from stale input")
     latest = max(window.end_ns, window.begin_ns + round(MAX_PREDICTION_GAP * 1e9))

@@ -15,9 +15,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
-from scipy.ndimage import uniform_filter1d
-from scipy.spatial import cKDTree
+import scipy  # imports integrate, ndimage and spatial at their first use: a predictor without a course starts faster
 
 from .errors import ConfigurationError, StCoreError
 from .log import DriveLog, LogSignals
@@ -69,11 +67,11 @@ class Course:
     origin: tuple[float, float] | None = None
 
     @cached_property
-    def _lookup(self) -> tuple[cKDTree, np.ndarray, np.ndarray, np.ndarray]:
+    def _lookup(self) -> tuple["scipy.spatial.cKDTree", np.ndarray, np.ndarray, np.ndarray]:
         """Search tree of all points; the points (n, 5); index of the pass, and row within the pass, of each point."""
         points = np.concatenate([pass_.points for pass_ in self.passes])
         sizes = [len(pass_.points) for pass_ in self.passes]
-        return (cKDTree(points[:, :2]), points, np.repeat(np.arange(len(sizes)), sizes),
+        return (scipy.spatial.cKDTree(points[:, :2]), points, np.repeat(np.arange(len(sizes)), sizes),
                 np.concatenate([np.arange(size) for size in sizes]))
 
     def find_near(self, x: float, y: float, direction: float) -> list[NearPoint]:
@@ -178,13 +176,13 @@ def split_into_passes(log: DriveLog, digests: Sequence[str]) -> list[Pass]:
     passes = []
     for rows in (slice(first, last + 1) for first, last in edges.reshape(-1, 2).tolist()):
         x, y, speed = log.x[rows], log.y[rows], log.velocity_x[rows]
-        distance = cumulative_trapezoid(speed, time[rows], initial=0.0)
+        distance = scipy.integrate.cumulative_trapezoid(speed, time[rows], initial=0.0)
         if distance[-1] < MIN_LENGTH:
             continue
         grid = np.arange(0.0, distance[-1], SPACING)
         east, north, curvature, speed = (np.interp(grid, distance, v)
                                          for v in (x, y, log.yaw_rate[rows] / speed, speed))
-        curvature, d_x, d_y = (uniform_filter1d(v, round(SMOOTHING_LENGTH / SPACING), mode="nearest")
+        curvature, d_x, d_y = (scipy.ndimage.uniform_filter1d(v, round(SMOOTHING_LENGTH / SPACING), mode="nearest")
                                for v in (curvature, np.gradient(east), np.gradient(north)))
         direction = np.unwrap(np.arctan2(d_y, d_x))
         passes.append(Pass(log.name, tuple(digests), np.stack([east, north, direction, curvature, speed], axis=1)))
@@ -381,21 +379,22 @@ class CourseTracker:
         length = min(len(candidate.speed) for candidate in candidates)
         course_speed, curvature = (weights @ np.stack([getattr(candidate, name)[:length] for candidate in candidates])
                                    for name in ("speed", "curvature"))
+        integrate = scipy.integrate.cumulative_trapezoid
         arrival = np.concatenate([[0.0], np.cumsum(2.0 * SPACING / (course_speed[1:] + course_speed[:-1]))])
         t, acceleration = self._time, ego.velocity_x_dot
         speed_forecasts = np.stack([ego.velocity_x + acceleration * t, np.full_like(t, ego.velocity_x),
                                     ego.velocity_x + acceleration * DECAY_TIME * (1.0 - np.exp(-t / DECAY_TIME)),
                                     np.interp(t, arrival, course_speed)]).clip(0.0)
         distances = 0.5 * (speed_forecasts[:, 1:] + speed_forecasts[:, :-1]) @ np.diff(t)
-        direction = ego.direction + cumulative_trapezoid(curvature, dx=SPACING, initial=0.0)
+        direction = ego.direction + integrate(curvature, dx=SPACING, initial=0.0)
         tangents = np.stack([np.cos(direction), np.sin(direction)], axis=1)
-        positions = np.array([[ego.x, ego.y]]) + cumulative_trapezoid(tangents, dx=SPACING, axis=0, initial=0.0)
+        positions = np.array([[ego.x, ego.y]]) + integrate(tangents, dx=SPACING, axis=0, initial=0.0)
         curvature_weights, speed_weights = (errors**-2.0 / (errors**-2.0).sum()
                                           for errors in (self._curvature_errors, self._speed_errors))
         end_ns = ego.time_ns + self._horizon_ns
         self._pending.append(_PendingForecast(end_ns, self._distance, ego, distances, positions))
         speed = speed_weights @ speed_forecasts
-        distance = cumulative_trapezoid(speed, dx=float(t[1]), initial=0.0)
+        distance = integrate(speed, dx=float(t[1]), initial=0.0)
         combined_curvature = (curvature_weights[0] * ego.curvature
                               + curvature_weights[1] * np.interp(distance, SPACING * np.arange(length), curvature))
         blend_weight, angle = 1.0 - np.exp(-t / BLEND_TIME), ego.road_wheel_angle
