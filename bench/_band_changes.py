@@ -42,7 +42,7 @@ class DriveWarnings:
     """Duration of a drive [s]; by model and mode, times at which a warning began [s], and coverage of the 90 % band."""
 
     seconds: float
-    begins: dict[tuple[str, str], list[float]] = field(default_factory=dict)
+    warning_times: dict[tuple[str, str], list[float]] = field(default_factory=dict)
     coverage: dict[tuple[str, str], float] = field(default_factory=dict)
 
 
@@ -70,7 +70,7 @@ def count_warnings(log: DriveLog, vehicle: VehicleParameters, bands: Bands, doma
                 monitor.add_score(make_score(model, mode, start, SETTINGS.prediction.step, errors))
                 coverage = monitor.by_pair.get((model, mode))
                 if coverage and coverage.has_warning and not warned[model, mode]:
-                    warnings.begins[model, mode].append((start - log.start_ns) * 1e-9 + horizon)
+                    warnings.warning_times[model, mode].append((start - log.start_ns) * 1e-9 + horizon)
                 warned[model, mode] = bool(coverage and coverage.has_warning)
     warnings.coverage = {key: coverage.coverage_at(0.9) for key, coverage in monitor.by_pair.items()}
     return warnings
@@ -118,19 +118,20 @@ def _measure_style(number: int, style: str) -> list[Row]:
 
 
 def _healthy_rows(style: str, drives: Sequence[DriveWarnings]) -> list[Row]:
-    hours = sum(one.seconds for one in drives) / 3600.0
+    hours = sum(drive.seconds for drive in drives) / 3600.0
     return [_row(style, f"none, {hours:.1f} h", key,
-                 f"{sum(len(one.begins[key]) for one in drives)} false warnings",
-                 f"coverage at 90 %: {np.mean([one.coverage[key] for one in drives]):.1%}") for key in drives[0].begins]
+                 f"{sum(len(drive.warning_times[key]) for drive in drives)} false warnings",
+                 f"coverage at 90 %: {np.mean([drive.coverage[key] for drive in drives]):.1%}")
+            for key in drives[0].warning_times]
 
 
 def _changed_rows(style: str, name: str, drives: Sequence[DriveWarnings]) -> list[Row]:
     """Rows with the delay from the change, in the middle of each drive, to the first warning after it."""
     rows = []
-    for key in drives[0].begins:
-        delays = [min((t - 0.5 * one.seconds for t in one.begins[key] if t > 0.5 * one.seconds), default=np.inf)
-                  for one in drives]
-        early = sum(any(t <= 0.5 * one.seconds for t in one.begins[key]) for one in drives)
+    for key in drives[0].warning_times:
+        delays = [min((t - 0.5 * drive.seconds for t in drive.warning_times[key] if t > 0.5 * drive.seconds),
+                      default=np.inf) for drive in drives]
+        early = sum(any(t <= 0.5 * drive.seconds for t in drive.warning_times[key]) for drive in drives)
         median, detected = float(np.median(delays)), sum(delay <= 60.0 for delay in delays)
         before = f", {early} before the change" if early else ""
         rows.append(_row(style, name, key, f"{detected} of {len(drives)}{before}",

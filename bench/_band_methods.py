@@ -25,9 +25,9 @@ def parametric_band(band: Band, runs: Sequence[ErrorSamples], pair: ModelMode, b
     single points. by_condition: whether the scale depends on the conditions.
     """
     scale = band.scale if by_condition else _average_scale(band.scale, runs, pair)
-    picked = [select_evenly(len(one.conditions), 100) for one in runs]
-    z = np.concatenate([one.errors[pair][rows] / scale(one.conditions[rows])
-                        for one, rows in zip(runs, picked, strict=True)])
+    selections = [select_evenly(len(run.conditions), 100) for run in runs]
+    z = np.concatenate([run.errors[pair][rows] / scale(run.conditions[rows])
+                        for run, rows in zip(runs, selections, strict=True)])
     points = z[:, 4::5].reshape(len(z), -1)
     generator = np.random.default_rng(SEED)
     drawn = generator.multivariate_normal(np.zeros(points.shape[1]), np.cov(points.T) + 1e-9 * np.eye(points.shape[1]),
@@ -48,15 +48,15 @@ def parametric_band(band: Band, runs: Sequence[ErrorSamples], pair: ModelMode, b
 def scale_to_level(band: Band, runs: Sequence[ErrorSamples], pair: ModelMode) -> Band:
     """The band with factors for which its coverage of the equally weighted calibration runs is the nominal one."""
     grid = np.linspace(0.0, 1.0, 201)
-    parts = [np.quantile((np.abs(one.errors[pair]) / band.scale(one.conditions)).max(axis=(1, 2)), grid)
-             for one in runs]
+    parts = [np.quantile((np.abs(run.errors[pair]) / band.scale(run.conditions)).max(axis=(1, 2)), grid)
+             for run in runs]
     return replace(band, factors={level: float(np.quantile(np.concatenate(parts), level)) for level in LEVELS})
 
 
 def _average_scale(scale: Scale, runs: Sequence[ErrorSamples], pair: ModelMode) -> Scale:
     """Scale that is the same for all conditions: the root mean square error at each knot."""
     time = scale.time
-    squares = np.mean([np.square(one.errors[pair].astype(float)).mean(axis=0) for one in runs], axis=0)
+    squares = np.mean([np.square(run.errors[pair].astype(float)).mean(axis=0) for run in runs], axis=0)
     rows = [int(np.abs(time - knot).argmin()) for knot in make_knots(float(time[-1]))]
     coefficients = np.zeros((3, len(rows), compute_features(np.zeros((1, 4))).shape[1]))
     coefficients[:, :, 0] = 0.5 * np.log(squares[rows].T)

@@ -35,7 +35,7 @@ def write_rows(rows: Mapping[str, Mapping[str, str]], page: Path = PAGE, file: P
 def summarise_groups(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
     """Ranges over all models for each held-out group and mode, in bold if they miss the target."""
     groups: dict[str, dict[str, list[Mapping[str, str]]]] = {}
-    for row in (one for one in rows if one["interval score"] != "-"):
+    for row in (row for row in rows if row["interval score"] != "-"):
         title, mode, method = _split_title(row["held out"])
         name = ", ".join(word for word in title.split(", ") if word not in MODELS)
         groups.setdefault(f"{name}: {mode}", {}).setdefault(method, []).append(row)

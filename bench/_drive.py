@@ -29,7 +29,7 @@ def weaving_drive(seconds: float) -> DriveLog:
 
 
 def start_times(log: DriveLog, horizon: float = 5.0) -> np.ndarray:
-    """Start times [ns] every 100 ms, from 1 s after the begin of the log to one horizon before its end."""
+    """Start times [ns] every 100 ms, from 1 s after the start of the log to one horizon before its end."""
     return np.arange(log.start_ns + 10**9, log.end_ns - round(horizon * 1e9), 10**8)
 
 

@@ -15,11 +15,11 @@ HOPS = {
     "INS: odometry written -> received": ("odometry_written", "odometry_received"),
     "CAN: kernel -> steering written": ("frame", "steering_written"),
     "CAN: steering written -> received": ("steering_written", "steering_received"),
-    "both received -> first model begins": ("complete", "begun"),
-    "first model begins -> last prediction issued": ("begun", "issued"),
+    "both received -> first model begins": ("both_received", "first_model_started"),
+    "first model begins -> last prediction issued": ("first_model_started", "issued"),
     "last prediction issued -> written": ("issued", "written"),
     "last prediction written -> received": ("written", "received"),
-    "all: both in the kernel -> last prediction received": ("known", "received"),
+    "all: both in the kernel -> last prediction received": ("both_in_kernel", "received"),
 }
 SETTLING_TIME_NS = 1_000_000_000  # a new subscription receives its first messages late and all at once
 COMPUTE = "of which in the models"
@@ -41,7 +41,7 @@ class Stream:
 
 
 @dataclass(frozen=True)
-class Issued:
+class IssuedPrediction:
     """A prediction: when it was issued, written and received, and the processor time of its model; all [ns]."""
 
     issued: int
@@ -51,7 +51,7 @@ class Issued:
 
 
 def collect_instants(start: int, odometry: Stream, steering: Stream,
-                     predictions: Sequence[Issued]) -> dict[str, int] | None:
+                     predictions: Sequence[IssuedPrediction]) -> dict[str, int] | None:
     """Instants of a tick and processor time of its models [ns]; None if one of its samples was not received.
 
     start: time of the predicted state, the newest at which both inputs were known.
@@ -59,16 +59,18 @@ def collect_instants(start: int, odometry: Stream, steering: Stream,
     ins, angle = odometry.first_from(start), steering.first_from(start)
     if ins is None or angle is None:
         return None
-    last = max(predictions, key=lambda one: one.issued)
+    last = max(predictions, key=lambda prediction: prediction.issued)
     instants = {
         "packet": int(odometry.kernel[ins]), "odometry_written": int(odometry.written[ins]),
         "odometry_received": int(odometry.received[ins]), "frame": int(steering.kernel[angle]),
         "steering_written": int(steering.written[angle]), "steering_received": int(steering.received[angle]),
-        "begun": min(one.issued - one.compute for one in predictions), "issued": last.issued, "written": last.written,
-        "received": max(one.received for one in predictions), "compute": sum(one.compute for one in predictions),
+        "first_model_started": min(prediction.issued - prediction.compute for prediction in predictions),
+        "issued": last.issued, "written": last.written,
+        "received": max(prediction.received for prediction in predictions),
+        "compute": sum(prediction.compute for prediction in predictions),
     }
-    return instants | {"known": max(instants["packet"], instants["frame"]),
-                       "complete": max(instants["odometry_received"], instants["steering_received"])}
+    return instants | {"both_in_kernel": max(instants["packet"], instants["frame"]),
+                       "both_received": max(instants["odometry_received"], instants["steering_received"])}
 
 
 def hop_durations(ticks: Sequence[Mapping[str, int]]) -> dict[str, dict[str, float]]:

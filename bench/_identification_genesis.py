@@ -37,25 +37,25 @@ def identify_genesis() -> dict:
             for name, log in logs.items()}
     training = [logs[name] for name in TRAINING_DRIVES]
     others = [log for name, log in logs.items() if name not in TRAINING_DRIVES]
-    everything = fit_stiffness(training, car, "linear", additional=(*STEERING, "cg_to_ins_x", MISALIGNMENT))
-    steered = fit_stiffness(training, car, "linear", additional=(*STEERING, MISALIGNMENT))
+    full_fit = fit_stiffness(training, car, "linear", additional=(*STEERING, "cg_to_ins_x", MISALIGNMENT))
+    partial_fit = fit_stiffness(training, car, "linear", additional=(*STEERING, MISALIGNMENT))
     ins = identify_ins_mounting(training, car)
-    results = {"prediction": everything, "prediction, lever arm as published": steered, "slow driving": ins,
+    results = {"prediction": full_fit, "prediction, lever arm as published": partial_fit, "slow driving": ins,
                "paper, published steering": identify_stiffness(training, car),
                "paper, steering and INS as identified": identify_stiffness(
-                   [correct_mounting(log, everything[MISALIGNMENT].value) for log in training],
-                   with_estimates(car, everything, (*STEERING, "cg_to_ins_x")))}
+                   [correct_mounting(log, full_fit[MISALIGNMENT].value) for log in training],
+                   with_estimates(car, full_fit, (*STEERING, "cg_to_ins_x")))}
     result = {"identified from": ", ".join(TRAINING_DRIVES),
-              "estimates": {name: _format_estimates(one) for name, one in results.items()}}
+              "estimates": {name: _format_estimates(estimates) for name, estimates in results.items()}}
     result["by drive"] = {name: _identify_single(log, car) for name, log in logs.items()}
     result["yaw inertia"] = _describe_estimates(lambda: identify_yaw_inertia(training, car))
     result["offset on straights"] = _describe_estimates(lambda: identify_steering_offset(training, car))
     steps = {
         "published": (car, 0.0),
-        "steering ratio, offset": (with_estimates(car, steered, STEERING), 0.0),
-        "and misalignment": (with_estimates(car, steered, STEERING), steered[MISALIGNMENT].value),
-        "and stiffnesses": (with_estimates(car, steered), steered[MISALIGNMENT].value),
-        "and lever arm": (with_estimates(car, everything), everything[MISALIGNMENT].value),
+        "steering ratio, offset": (with_estimates(car, partial_fit, STEERING), 0.0),
+        "and misalignment": (with_estimates(car, partial_fit, STEERING), partial_fit[MISALIGNMENT].value),
+        "and stiffnesses": (with_estimates(car, partial_fit), partial_fit[MISALIGNMENT].value),
+        "and lever arm": (with_estimates(car, full_fit), full_fit[MISALIGNMENT].value),
     }
     for title, chosen in (("evaluated on the other drives", others), ("evaluated on the drives used", training)):
         result[title] = {name: position_errors(chosen, *step) for name, step in steps.items()}

@@ -29,20 +29,20 @@ def draw_advice(costs: Mapping[advice_report.ModelStep, advice_report.Cost],
                 output: FigureOutput) -> None:
     """Draws the lateral error and the half-width of the band over processor time, one panel for each prediction time.
     """
-    known = max((one.seconds for one in accuracies.values()), default=())
+    known = max((accuracy.seconds for accuracy in accuracies.values()), default=())
     seconds = [s for s in known if s in (1, 2, 3, 5)] or known[:1]
     steps = sorted({step for _, step in accuracies})
     with apply_style():
         figure, panels = plt.subplots(1, len(seconds), figsize=(WIDTH, 3.4), sharey=True, squeeze=False)
         for axes, second in zip(panels[0], seconds, strict=True):
-            for (model, step), one in accuracies.items():
-                k, marker = one.seconds.index(second), MARKERS[steps.index(step) % len(MARKERS)]
+            for (model, step), accuracy in accuracies.items():
+                k, marker = accuracy.seconds.index(second), MARKERS[steps.index(step) % len(MARKERS)]
                 cost = 1e6 * advice_report.get_processor_time(costs[model, step])
                 colour = MODEL_COLOUR.get(model, TEXT_COLOUR)
-                axes.plot(cost, one.rms[k], marker, color=colour, ms=5)
-                if one.half_widths is not None:
-                    axes.plot([cost, cost], [one.rms[k], one.half_widths[k]], color=colour, lw=0.7)
-                    axes.plot(cost, one.half_widths[k], marker, color=colour, ms=5, mfc="none")
+                axes.plot(cost, accuracy.rms[k], marker, color=colour, ms=5)
+                if accuracy.half_widths is not None:
+                    axes.plot([cost, cost], [accuracy.rms[k], accuracy.half_widths[k]], color=colour, lw=0.7)
+                    axes.plot(cost, accuracy.half_widths[k], marker, color=colour, ms=5, mfc="none")
             axes.axhline(tolerance, color=TEXT_COLOUR, lw=0.7, ls=(0, (4, 3)))
             axes.set(title=f"{second} s ahead", xscale="log", yscale="log", xlabel="µs per prediction")
             axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -77,7 +77,7 @@ def run() -> dict:
     folders = [NINE_DRIVES, MORE_DRIVES]
     if not all(folder.exists() for folder in folders):
         return {"Genesis": "the shared drives are missing"}
-    sources = [one for one in find_runs(folders) if not one.name.startswith(UNSUITABLE_DRIVES)]
+    sources = [source for source in find_runs(folders) if not source.name.startswith(UNSUITABLE_DRIVES)]
     task = Task(genesis(), dict.fromkeys(MODELS), EvaluationSettings())
     costs, accuracies, _ = measure_runs(sources, task)
     draw_advice(costs, accuracies, TOLERANCE, FigureOutput(project_root() / "docs" / "images", ("png",)))

@@ -63,21 +63,21 @@ def run() -> dict:
     parts = {"genesis": score_genesis, "virtual": score_virtual, "manoeuvres": score_manoeuvres,
              "corrected": score_corrected, "changes": score_changes, "adaptive": score_adaptive}
     chosen = os.environ.get("ST_BANDS")
-    found: dict[str, Row] = {}
+    all_rows: dict[str, Row] = {}
     for name, part in parts.items():
         if chosen in (None, name):
             rows = part()
             if name not in ("changes", "adaptive") and rows:
                 write_rows(rows)
-            found |= rows
-    return found
+            all_rows |= rows
+    return all_rows
 
 
 def score_changes() -> dict[str, Row]:
     """Delays of the coverage warning; the page contains all rows except those of forecasts without a warning."""
     rows = measure_changes()
-    shown = [row for row in rows if row["mode"] == "hindsight" or row["median delay"] != "none"]
-    replace_part(PAGE, "changes in mid-drive", format_records(merge_models(shown)))
+    page_rows = [row for row in rows if row["mode"] == "hindsight" or row["median delay"] != "none"]
+    replace_part(PAGE, "changes in mid-drive", format_records(merge_models(page_rows)))
     return {", ".join(list(row.values())[:4]): row for row in rows}
 
 
@@ -104,33 +104,34 @@ def score_adaptive() -> dict[str, Row]:
     drives = {name: evaluate_drive(log, world.file, "linear", SETTINGS) for name, log in logs.items()}
     sessions = {kind: [join_drives(kind, [drives[name] for name in names])] for kind, names in kinds.items()}
     sets = [("virtual, by manoeuvre", runs, kinds, sessions)]
-    real = _genesis_logs()
-    if real is not None:
-        car, logs = real
+    genesis = _genesis_logs()
+    if genesis is not None:
+        car, logs = genesis
         runs = {name: collect_samples(log, car, ("linear",)) for name, log in logs.items()}
         drives = {name: evaluate_drive(log, car, "linear", SETTINGS) for name, log in logs.items()}
-        others = {name: one for name, one in runs.items() if name not in REAR_AXLE_RUNS}
-        for title, groups, known in (("Genesis, by day", DAYS, others), ("Genesis, by site", SITES, others),
+        others = {name: run for name, run in runs.items() if name not in REAR_AXLE_RUNS}
+        for title, groups, calibration_runs in (("Genesis, by day", DAYS, others), ("Genesis, by site", SITES, others),
                                      ("Genesis, INS at the rear axle", {"rear": REAR_AXLE_RUNS}, others)):
-            sets.append((title, known, groups, {key: [drives[n] for n in names] for key, names in groups.items()}))
+            tested = {key: [drives[name] for name in names] for key, names in groups.items()}
+            sets.append((title, calibration_runs, groups, tested))
         sets.append(("Genesis, no file", {}, {"all": ()}, {"all": list(drives.values())}))
-    rows = [row for one in sets for row in _adaptive_rows(*one)]
+    rows = [row for arguments in sets for row in _adaptive_rows(*arguments)]
     replace_part(PAGE, "adaptive bands", format_records(rows))
     return {f"{row['held out']}, {row['mode']}": row for row in rows}
 
 
 def _adaptive_rows(title: str, runs: Runs, groups: Mapping[str, Sequence[str]],
-                   new: Mapping[str, Sequence[Drive]]) -> list[Row]:
+                   tested: Mapping[str, Sequence[Drive]]) -> list[Row]:
     """Rows of both modes. runs: for the calibration, without those of the tested group; empty for no calibration."""
     rows = []
     for pair in (("linear", mode) for mode in MODES):
         score = Score(TIME, pair)
         for group, names in groups.items():
-            known = [one for name, one in runs.items() if name not in names]
-            levels = [level for level in LEVELS if known and level <= compute_highest_level(len(known))]
-            band = calibrate(known, pair, TIME, levels) if levels else None
-            domain = CalibrationDomain.from_runs([one.conditions for one in known]) if levels else None
-            for drive in new[group]:
+            others = [run for name, run in runs.items() if name not in names]
+            levels = [level for level in LEVELS if others and level <= compute_highest_level(len(others))]
+            band = calibrate(others, pair, TIME, levels) if levels else None
+            domain = CalibrationDomain.from_runs([run.conditions for run in others]) if levels else None
+            for drive in tested[group]:
                 score.add(drive, band, domain)
         rows.append({"held out": title, "mode": pair[1]} | score.cells(bool(runs)))
         print(rows[-1], flush=True)
@@ -160,20 +161,20 @@ def score_days(runs: Runs) -> list[Row]:
     days = {day: join_runs([runs[name] for name in names]) for day, names in DAYS.items()}
     levels = (0.5, compute_highest_level(len(days) - 1))
     for pair in ((model, mode) for model in MODELS for mode in MODES):
-        covered = []
-        for day, new in days.items():
-            known = [one for other, one in days.items() if other != day]
-            band = calibrate(known, pair, TIME, levels)
-            domain = CalibrationDomain.from_runs([one.conditions for one in known])
-            kept = domain.contains(new.conditions)
-            if not kept.any():
+        coverages = []
+        for day, tested in days.items():
+            others = [run for other, run in days.items() if other != day]
+            band = calibrate(others, pair, TIME, levels)
+            domain = CalibrationDomain.from_runs([run.conditions for run in others])
+            inside = domain.contains(tested.conditions)
+            if not inside.any():
                 continue
-            errors = np.abs(new.errors[pair][kept].astype(float))
-            scores = (errors / band.scale(new.conditions[kept])).max(axis=(1, 2))
-            covered.append([float((scores <= band.factors[level]).mean()) for level in levels])
+            errors = np.abs(tested.errors[pair][inside].astype(float))
+            scores = (errors / band.scale(tested.conditions[inside])).max(axis=(1, 2))
+            coverages.append([float((scores <= band.factors[level]).mean()) for level in levels])
         rows.append({"model": pair[0], "mode": pair[1]} | {
-            f"{level:.0%} band: coverage (days)": f"{np.mean(rates):.0%} ({', '.join(f'{one:.0%}' for one in rates)})"
-            for level, rates in zip(levels, zip(*covered, strict=True), strict=True)})
+            f"{level:.0%} band: coverage (days)": f"{np.mean(rates):.0%} ({', '.join(f'{rate:.0%}' for rate in rates)})"
+            for level, rates in zip(levels, zip(*coverages, strict=True), strict=True)})
     return rows
 
 
@@ -190,14 +191,16 @@ def score_manoeuvres() -> dict[str, Row]:
     """Bands of the virtual car, held out by manoeuvre."""
     world = make_world()
     kinds = {kind: world.samples(kind, DRIVES_PER_MANOEUVRE, world.healthy, kind) for kind in MANOEUVRES}
-    return score_held_out("virtual, nonlinear, by manoeuvre", {k: v for one in kinds.values() for k, v in one.items()},
-                          {kind: tuple(one) for kind, one in kinds.items()}, "nonlinear")
+    all_runs = {name: run for runs in kinds.values() for name, run in runs.items()}
+    groups = {kind: tuple(runs) for kind, runs in kinds.items()}
+    return score_held_out("virtual, nonlinear, by manoeuvre", all_runs, groups, "nonlinear")
 
 
 def score_corrected() -> dict[str, Row]:
     """Bands of the car that deviates from its file, before and after `st discover` corrects it with other drives."""
     world = make_world()
-    drives = [world.drive("to mend", k, world.off) for k in range(CORRECTION_DRIVES)]
+    drives = [world.drive("to mend", k, world.off)  # the name is part of the seed
+              for k in range(CORRECTION_DRIVES)]
     car, model, intervals = correct_files(drives, world.file)
     logs = [world.drive("off", k, world.off).with_steering(car) for k in range(SEEDS)]
     after = {log.name: collect_samples(log, car, (model,)) for log in logs}
@@ -206,10 +209,10 @@ def score_corrected() -> dict[str, Row]:
     before = world.samples("off", SEEDS, world.off)
     healthy = world.samples("seed", SEEDS, world.healthy)
     name = model.name
-    found = score_held_out("virtual, corrected by st discover, by seed", after, _folds(after), name, tuple(METHODS))
-    renamed = {key: ErrorSamples(one.name, one.conditions, {("nonlinear", mode): one.errors[name, mode]
-                                                            for mode in MODES}) for key, one in after.items()}
-    return found \
+    rows = score_held_out("virtual, corrected by st discover, by seed", after, _folds(after), name, tuple(METHODS))
+    renamed = {key: ErrorSamples(run.name, run.conditions, {("nonlinear", mode): run.errors[name, mode]
+                                                            for mode in MODES}) for key, run in after.items()}
+    return rows \
         | score_transfer("virtual, bands of the healthy car on the corrected one", healthy, renamed, "nonlinear") \
         | score_transfer("virtual, bands of the uncorrected car on the corrected one", before, renamed, "nonlinear")
 
@@ -217,8 +220,8 @@ def score_corrected() -> dict[str, Row]:
 def _write_contributions(runs: Sequence[dict]) -> None:
     """Writes the error budget of the corrected car to the page."""
     contributions = summarise_contributions(pool_sums(runs))
-    (one,) = contributions.values()
-    causes = {name: values["5"]["lateral"] for name, values in one["rms_of_cause"].items()}
+    (contribution,) = contributions.values()
+    causes = {name: values["5"]["lateral"] for name, values in contribution["rms_of_cause"].items()}
     largest = sorted(causes, key=causes.get, reverse=True)[:5]
     text = "; ".join(f"{name} {causes[name]:.2f} m" for name in largest)
     replace_part(PAGE, "shares", f"{format_records(make_contribution_rows(contributions))}\n\n"
@@ -268,19 +271,19 @@ def score_held_out(title: str, runs: Runs, groups: Mapping, model: str,
     rows = {}
     for mode in MODES:
         entries: dict[str, list] = {method: [] for method in methods}
-        refused = []
+        failures = []
         for group, names in groups.items():
-            known = [one for key, one in runs.items() if key not in names]
+            others = [run for key, run in runs.items() if key not in names]
             try:
-                band = calibrate(known, (model, mode), TIME, LEVELS)
+                band = calibrate(others, (model, mode), TIME, LEVELS)
             except StCoreError as error:
-                refused.append(f"{group}: {error}")
+                failures.append(f"{group}: {error}")
                 continue
             for method in methods:
-                entries[method] += sum_scores(METHODS[method](band, known, (model, mode)), known,
+                entries[method] += sum_scores(METHODS[method](band, others, (model, mode)), others,
                                               [runs[key] for key in names], (model, mode))
         for method, sums in entries.items():
-            rows[f"{title}, {mode}, {method}"] = format_cells(sums, refused)
+            rows[f"{title}, {mode}, {method}"] = format_cells(sums, failures)
             print(title, mode, method, rows[f"{title}, {mode}, {method}"], flush=True)
     return rows
 
@@ -289,38 +292,38 @@ def score_transfer(title: str, runs: Runs, others: Runs, model: str) -> dict[str
     """Tests bands of `runs` on runs of another car or mounting, for which the coverage is not guaranteed."""
     rows = {}
     for mode in MODES:
-        known = list(runs.values())
-        band = calibrate(known, (model, mode), TIME, LEVELS)
-        rows[f"{title}, {mode}, conformal"] = format_cells(sum_scores(band, known, list(others.values()),
+        calibration_runs = list(runs.values())
+        band = calibrate(calibration_runs, (model, mode), TIME, LEVELS)
+        rows[f"{title}, {mode}, conformal"] = format_cells(sum_scores(band, calibration_runs, list(others.values()),
                                                                       (model, mode)), [])
         print(title, mode, rows[f"{title}, {mode}, conformal"], flush=True)
     return rows
 
 
-def sum_scores(band: Band, known: Sequence[ErrorSamples], new: Sequence[ErrorSamples],
+def sum_scores(band: Band, calibration_runs: Sequence[ErrorSamples], tested_runs: Sequence[ErrorSamples],
                pair: tuple[str, str]) -> list[dict]:
-    """Sums for `summarise_bands` for each new run."""
-    domain, entries = CalibrationDomain.from_runs([one.conditions for one in known]), []
-    for one in new:
-        rows = domain.contains(one.conditions)
-        sums = sum_band_scores(band, one.conditions[rows], one.errors[pair][rows].astype(float))
+    """Sums for `summarise_bands` for each tested run."""
+    domain, entries = CalibrationDomain.from_runs([run.conditions for run in calibration_runs]), []
+    for run in tested_runs:
+        rows = domain.contains(run.conditions)
+        sums = sum_band_scores(band, run.conditions[rows], run.errors[pair][rows].astype(float))
         entries.append(sums | {"without_band": int((~rows).sum())})
     return entries
 
 
-def format_cells(runs: Sequence[dict], refused: Sequence[str]) -> Row:
-    """Cells of a row. refused: groups for which no band could be calibrated, each with the reason."""
+def format_cells(runs: Sequence[dict], failures: Sequence[str]) -> Row:
+    """Cells of a row. failures: groups for which no band could be calibrated, each with the reason."""
     pooled = summarise_bands({"models": {"m": {"q": pool_sums(runs)}}})["models"]["m"]["q"] if runs else None
     if pooled is None or not pooled["starts"]:
-        return dict.fromkeys(COLUMNS, "-") | {"no band": "; ".join(refused) or "100%"}
-    every = {level: [one["coverage"][level] / one["starts"] for one in runs if one["starts"]]
-             for level in ("0.9", "0.5")}
+        return dict.fromkeys(COLUMNS, "-") | {"no band": "; ".join(failures) or "100%"}
+    coverages = {level: [run["coverage"][level] / run["starts"] for run in runs if run["starts"]]
+                 for level in ("0.9", "0.5")}
     worst, width = pooled["worst_cell"], pooled["half_width"]["0.9"]["5"]
     without = pooled["without_band"] / (pooled["without_band"] + pooled["starts"])
-    cells = [f"{np.mean(every['0.9']):.1%}", f"{min(every['0.9']):.0%}", f"{np.mean(every['0.5']):.1%}",
+    cells = [f"{np.mean(coverages['0.9']):.1%}", f"{min(coverages['0.9']):.0%}", f"{np.mean(coverages['0.5']):.1%}",
              f"{worst['coverage']:.0%} ({worst['cell']}, {worst['starts']})" if worst else "no cell of 200",
              _pair(pooled["interval_score"]["0.9"]), _pair(pooled["crps"]), _pair(width),
-             "; ".join([f"{without:.1%}", *refused])]
+             "; ".join([f"{without:.1%}", *failures])]
     return dict(zip(COLUMNS, cells, strict=True))
 
 
@@ -334,8 +337,8 @@ def _folds(runs: Runs) -> dict[int, list[str]]:
 
 def _genesis_runs() -> dict[str, ErrorSamples] | None:
     """Samples of all drives except the one with a wrong projection; None without the shared drives."""
-    real = _genesis_logs()
-    return real and {name: collect_samples(log, real[0], MODELS) for name, log in real[1].items()}
+    genesis = _genesis_logs()
+    return genesis and {name: collect_samples(log, genesis[0], MODELS) for name, log in genesis[1].items()}
 
 
 def _genesis_logs() -> tuple[VehicleParameters, dict[str, DriveLog]] | None:

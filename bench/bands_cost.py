@@ -30,9 +30,9 @@ def run() -> dict:
 
 def _row(name: str, median: float, quantile_99: float, results: list[dict]) -> dict[str, str]:
     """A row of the table; latencies and loads have one number for each live run."""
-    latencies = [one["samples_to_third_prediction_published_ms"] for one in results]
+    latencies = [result["samples_to_third_prediction_published_ms"] for result in results]
     return {"bands": name, "tick p50 | p99, ms": f"{median:.2f} | {quantile_99:.2f}",
-            "latency p50, ms": ", ".join(f"{one['p50']:.1f}" for one in latencies),
-            "latency p99, ms": ", ".join(f"{one['p99']:.1f}" for one in latencies),
-            **{f"{node}, % of a core": ", ".join(f"{one['cpu_percent'][node]:.1f}" for one in results)
+            "latency p50, ms": ", ".join(f"{latency['p50']:.1f}" for latency in latencies),
+            "latency p99, ms": ", ".join(f"{latency['p99']:.1f}" for latency in latencies),
+            **{f"{node}, % of a core": ", ".join(f"{result['cpu_percent'][node]:.1f}" for result in results)
                for node in ("predictor", "evaluator", "recorder")}}

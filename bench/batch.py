@@ -57,11 +57,11 @@ def _model(name: str, car, log, folder: Path) -> dict:
                            for a in (angle, acceleration))
     w = block.tabulate(model.inputs(angle, acceleration, p))
     start = np.ascontiguousarray(signals.states_at(times, car).T)
-    one = [InputSequence(angle[4 * i:4 * i + 201], acceleration[4 * i:4 * i + 201]) for i in (0, 1000)]
+    inputs = [InputSequence(angle[4 * i:4 * i + 201], acceleration[4 * i:4 * i + 201]) for i in (0, 1000)]
     subset = start[:, :240].copy()
 
     def floats():
-        return [predict(name, car, VehicleState(*start[:, i]), seq) for i, seq in zip((0, 1000), one, strict=True)]
+        return [predict(name, car, VehicleState(*start[:, i]), seq) for i, seq in zip((0, 1000), inputs, strict=True)]
 
     cpp = compile_limit(folder, name, p, start, w, block.offsets)
     reference = next(iter(cpp.values()))().copy()

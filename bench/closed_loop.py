@@ -114,7 +114,7 @@ def _discover(folder: Path, drives: Sequence[str], seconds: float, vehicle: Path
 class Scored:
     """Starts of a live drive at which every model was scored in hindsight.
 
-    time: (n,) since the begin of the drive [s]. lateral: horizon means of the error [m], (n,) by model.
+    time: (n,) since the start of the drive [s]. lateral: horizon means of the error [m], (n,) by model.
     """
 
     time: np.ndarray
@@ -129,14 +129,14 @@ def _drive(folder: Path, *options: object) -> Path:
 
 
 def read_scored(folder: Path) -> Scored:
-    scores = {model: one for (model, mode), one in read_results(folder).scores.items() if mode == "hindsight"}
+    scores = {model: errors for (model, mode), errors in read_results(folder).scores.items() if mode == "hindsight"}
     starts = np.array(sorted(set.intersection(*(set(s.start_ns[s.complete].tolist()) for s in scores.values()))), int)
     with (folder / "truth" / "truth.mcap").open("rb") as file:
         summary = make_reader(file).get_summary()
     if summary is None or summary.statistics is None:
-        raise RuntimeError(f"{folder}: its truth.mcap is truncated, so that the begin of the drive is unknown")
+        raise RuntimeError(f"{folder}: its truth.mcap is truncated, so that the start of the drive is unknown")
     return Scored((starts - summary.statistics.message_start_time) * 1e-9,
-                  {model: one.lateral[np.isin(one.start_ns, starts)] for model, one in scores.items()})
+                  {model: errors.lateral[np.isin(errors.start_ns, starts)] for model, errors in scores.items()})
 
 
 def compare_drives(*drives: Scored) -> list[dict]:

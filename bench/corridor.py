@@ -20,9 +20,9 @@ def run() -> dict:
     from corridor import compare
 
     variants = compare(int(os.environ.get("ST_CORRIDOR_SEEDS", "50")), MODEL)
-    rows = [{"constraint": name, "cars": str(one["seeds"]), "touch a post": str(one["violations"]),
-             "deepest, m": f"{one['deepest']:.2f}", "median depth, m": f"{one['depth_median']:.2f}",
-             "rms deviation, m": f"{one['error_rms']:.3f}", "cost": f"{one['cost']:.2f}"}
-            for name, one in variants.items()]
+    rows = [{"constraint": name, "cars": str(result["seeds"]), "touch a post": str(result["violations"]),
+             "deepest, m": f"{result['deepest']:.2f}", "median depth, m": f"{result['depth_median']:.2f}",
+             "rms deviation, m": f"{result['error_rms']:.3f}", "cost": f"{result['cost']:.2f}"}
+            for name, result in variants.items()]
     replace_part(PAGE, "corridor", format_records(rows))
     return {"corridor": {row["constraint"]: row for row in rows}}

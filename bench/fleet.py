@@ -23,10 +23,10 @@ def run() -> dict:
     with tempfile.TemporaryDirectory(prefix="st-fleet-") as name:
         folder = Path(name)
         logs = _write_logs(folder)
-        one, two = (_evaluate(logs, folder / f"out{workers}", workers) for workers in (1, 2))
-    same = one.pop("runs") == two.pop("runs")
-    return {"logs": LOGS, "minutes each": SECONDS / 60, "one worker": one, "two workers": two,
-            "speed-up": one["wall"] / two["wall"], "same table": same}
+        single, double = (_evaluate(logs, folder / f"out{workers}", workers) for workers in (1, 2))
+    same = single.pop("runs") == double.pop("runs")
+    return {"logs": LOGS, "minutes each": SECONDS / 60, "one worker": single, "two workers": double,
+            "speed-up": single["wall"] / double["wall"], "same table": same}
 
 
 def _write_logs(folder: Path) -> Path:
@@ -40,17 +40,17 @@ def _write_logs(folder: Path) -> Path:
         own.mkdir(parents=True)
         for file in (source / "run.ncom", source / "run.mf4"):
             os.link(file, own / file.name)
-    cut = folder / "logs" / "log00" / "run.ncom"
-    data = cut.read_bytes()[:500]
-    cut.unlink()
-    cut.write_bytes(data)
+    truncated = folder / "logs" / "log00" / "run.ncom"
+    data = truncated.read_bytes()[:500]
+    truncated.unlink()  # a hard link to the complete file
+    truncated.write_bytes(data)
     return folder / "logs"
 
 
 def _evaluate(logs: Path, output: Path, workers: int) -> dict:
     command = [sys.executable, "-m", "st_cli.cli", "evaluate", str(logs), "--figures", "", "--workers",
                str(workers), "--output", str(output)]
-    began, largest = time.perf_counter(), 0.0
+    start, largest = time.perf_counter(), 0.0
     pipe = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
     with subprocess.Popen(command, cwd=project_root(), **pipe) as st:
         parent = psutil.Process(st.pid)
@@ -63,7 +63,7 @@ def _evaluate(logs: Path, output: Path, workers: int) -> dict:
                     continue
             time.sleep(SAMPLE_PERIOD)
         text = st.stdout.read()
-    wall = time.perf_counter() - began
+    wall = time.perf_counter() - start
     if st.returncode != 1:
         raise RuntimeError(f"st evaluate: exit status {st.returncode}, expected 1 for one bad log: {text[-500:]}")
     content = json.loads((output / "evaluation.json").read_text())

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 import numpy as np
 import psutil
 import rclpy
-from _hops import Issued, Stream, collect_instants, hop_durations, percentiles
+from _hops import IssuedPrediction, Stream, collect_instants, hop_durations, percentiles
 from _suite import run_suite
 from _view import attach_view
 from nav_msgs.msg import Odometry
@@ -34,7 +34,7 @@ class Listener(Node):
         self.packets: list[tuple[int, bytes]] = []  # (received [ns], as sent)
         self.steering: list[int] = []  # received [ns]
         self.predictions: list[tuple[int, int, int]] = []  # (start, issued, received) [ns]
-        self.issued_predictions: dict[int, list[Issued]] = {}  # by start
+        self.issued_predictions: dict[int, list[IssuedPrediction]] = {}  # by start
         self.odometry: list[tuple[int, int, int]] = []  # (stamp, written, received) [ns]
         self.angles: list[tuple[int, int, int]] = []  # (stamp, written, received) [ns]
         qos = QoSProfile(depth=1000)
@@ -55,7 +55,7 @@ class Listener(Node):
             for message, received, sent in subscription.take():
                 start, issued = to_nanoseconds(message.header.stamp), to_nanoseconds(message.issued_at)
                 self.predictions.append((start, issued, received))
-                prediction = Issued(issued, sent, received, round(message.compute_time * 1e9))
+                prediction = IssuedPrediction(issued, sent, received, round(message.compute_time * 1e9))
                 self.issued_predictions.setdefault(start, []).append(prediction)
 
 
@@ -79,11 +79,11 @@ def run() -> dict:
         while time.monotonic() < begin + seconds:
             node.take()
             time.sleep(PERIOD)
-        took = time.monotonic() - begin
-        used = {name: 100.0 * (processor_time(pid) - before[name]) / took for name, pid in pids.items()}
+        elapsed = time.monotonic() - begin
+        loads = {name: 100.0 * (processor_time(pid) - before[name]) / elapsed for name, pid in pids.items()}
         node.destroy_node()
         rclpy.try_shutdown()
-    return _evaluate(node) | {"cpu_percent": {name: round(percent, 1) for name, percent in used.items()}}
+    return _evaluate(node) | {"cpu_percent": {name: round(percent, 1) for name, percent in loads.items()}}
 
 
 def processor_time(pid: int) -> float:

@@ -28,8 +28,8 @@ def run() -> dict:
         drives = json.loads((folder / "drives.json").read_text(encoding="utf-8"))["drives"]
         for figure in ("trade_off", "paths"):
             shutil.copyfile(folder / f"{figure}.png", project_root() / "docs" / "images" / f"mpc_{figure}.png")
-    rows = tabulate([one for one in drives if one["solver"] == "rti"])
-    times = [one["cpu_median"] for one in drives if one["solver"] == "ipopt" and one["horizon"] == 2.0]
+    rows = tabulate([drive for drive in drives if drive["solver"] == "rti"])
+    times = [drive["cpu_median"] for drive in drives if drive["solver"] == "ipopt" and drive["horizon"] == 2.0]
     replace_part(PAGE, "models in a controller", f"{format_records(rows)}\n\n"
                  f"Full solution by IPOPT, at 2 s: {min(times):.1f} to {max(times):.1f} ms.")
     return {"models": {f"{row['road']}, {row['horizon, s']} s": row for row in rows}}
@@ -38,10 +38,10 @@ def run() -> dict:
 def tabulate(drives: Sequence[Mapping]) -> list[dict[str, str]]:
     """A row for each road and horizon, with two columns for each model."""
     rows: dict[tuple[str, float], dict[str, str]] = {}
-    for one in drives:
-        row = rows.setdefault((one["road"], one["horizon"]), {
-            "road": one["road"].replace("_", " "), "horizon, s": f"{one['horizon']:g}"})
-        left = "" if one["finished"] else f"left at {one['duration']:.0f} s"
-        row[f"{one['model']}, m"] = left or f"{one['error_rms']:.3f}"
-        row[f"{one['model']}, ms"] = f"{one['cpu_median']:.2f}"
+    for drive in drives:
+        row = rows.setdefault((drive["road"], drive["horizon"]), {
+            "road": drive["road"].replace("_", " "), "horizon, s": f"{drive['horizon']:g}"})
+        left = "" if drive["finished"] else f"left at {drive['duration']:.0f} s"
+        row[f"{drive['model']}, m"] = left or f"{drive['error_rms']:.3f}"
+        row[f"{drive['model']}, ms"] = f"{drive['cpu_median']:.2f}"
     return list(rows.values())

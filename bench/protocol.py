@@ -62,8 +62,8 @@ def _rmse(evaluations: list[LogEvaluation], over: str) -> dict:
     result = {}
     for model in MODELS:
         errors = [e.errors[model, "hindsight"] for e in evaluations]
-        counts = np.array([one.n_starts for one in errors])
+        counts = np.array([error.n_starts for error in errors])
         for axis in ("longitudinal", "lateral"):
-            squares = np.square([one.statistics(axis, over)[2] for one in errors])
+            squares = np.square([error.statistics(axis, over)[2] for error in errors])
             result[f"{model} {axis}"] = round(float(np.sqrt(np.average(squares, weights=counts))), 3)
     return result

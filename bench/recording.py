@@ -22,29 +22,29 @@ DEFINITION = ("uint8[] data", "RIHS01_" + "0" * 64)
 
 def write_bag(folder: Path, seconds: float, synced: bool) -> dict:
     """Writes a bag; returns processor load, data rate, lost messages, and the durations of each call of the writer."""
-    pool = _pool()
+    content = _make_content()
     bag = BagWriter(folder, {"recording": {"recorder": "bench"}}, synced=synced)
     topics = [bag.add_topic(f"/{k}", "bench_msgs/msg/Bytes", (), *DEFINITION) for k in range(len(TOPICS))]
     written, busy, at = [0] * len(TOPICS), [], 0
-    began, processor = time.monotonic(), time.process_time()
-    while (now := time.monotonic()) < began + seconds:
+    start, processor = time.monotonic(), time.process_time()
+    while (now := time.monotonic()) < start + seconds:
         for k, (rate, size) in enumerate(TOPICS):
-            while written[k] < (now - began) * rate:
-                bag.write(topics[k], pool[at : at + size], int(now * 1e9))
-                at = at + size if at < len(pool) - 50_000 else 0
+            while written[k] < (now - start) * rate:
+                bag.write(topics[k], content[at : at + size], int(now * 1e9))
+                at = at + size if at < len(content) - 50_000 else 0
                 written[k] += 1
         bag.flush_when_due()
         busy.append(time.monotonic() - now)
         time.sleep(max(0.0, WORK_PERIOD - busy[-1]))
-    used = (time.process_time() - processor) / (time.monotonic() - began)
+    load = (time.process_time() - processor) / (time.monotonic() - start)
     syncer = bag.syncer
     bag.close()
-    result = {"cpu_percent": 100.0 * used, "bytes_per_s": bag.path.stat().st_size / seconds, "lost": bag.lost_count,
+    result = {"cpu_percent": 100.0 * load, "bytes_per_s": bag.path.stat().st_size / seconds, "lost": bag.lost_count,
               "busy_ms": np.array(busy) * 1e3}
     return result | ({"syncs": syncer.call_count, "slowest_sync_ms": syncer.longest_call * 1e3} if syncer else {})
 
 
-def _pool() -> bytes:
+def _make_content() -> bytes:
     """Random content, compressible like signals because every other byte is zero; all messages differ."""
     random = np.random.default_rng(0)
     return (random.integers(0, 256, (2**21, 2)) * (0, 1)).astype(np.uint8).tobytes()

@@ -50,8 +50,8 @@ class Samples:
     all_segments: set[str] = field(default_factory=set)  # names of all segments mapped so far
 
 
-def take_sample(rig: Rig, samples: Samples, began: float) -> None:
-    samples.minutes.append((time.monotonic() - began) / 60)
+def take_sample(rig: Rig, samples: Samples, start: float) -> None:
+    samples.minutes.append((time.monotonic() - start) / 60)
     mapped: set[str] = set()
     running_now = {}
     for child in rig.suite.children:
@@ -80,16 +80,16 @@ def choose_fault(rng: random.Random) -> Fault:
 
 
 def run_with_faults(rig: Rig, minutes: float, seed: int) -> tuple[Samples, Counter, list[tuple[float, float]]]:
-    """Runs the suite with faults; returns samples, count of each fault, and begin and end of each fault [minutes]."""
-    rng, samples, faults, when = random.Random(seed), Samples(), Counter(), []
-    began = time.monotonic()
-    end, due, next_fault = began + 60 * minutes, began, began + PAUSE[0]
+    """Runs the suite with faults; returns samples, count of each fault, and start and end of each fault [minutes]."""
+    rng, samples, faults, fault_times = random.Random(seed), Samples(), Counter(), []
+    start = time.monotonic()
+    end, due, next_fault = start + 60 * minutes, start, start + PAUSE[0]
     undo, until = None, 0.0
     while (now := time.monotonic()) < end:
         rig.run(0.5)
         if now >= due:
             due = now + SAMPLE_PERIOD
-            take_sample(rig, samples, began)
+            take_sample(rig, samples, start)
         if undo and now >= until:
             with contextlib.suppress(ProcessLookupError):
                 undo()
@@ -99,10 +99,10 @@ def run_with_faults(rig: Rig, minutes: float, seed: int) -> tuple[Samples, Count
             try:
                 undo, until = fault.inject(rig), now + fault.seconds
                 faults[fault.name] += 1
-                when.append(((now - began) / 60, (until - began) / 60))
+                fault_times.append(((now - start) / 60, (until - start) / 60))
             except (StopIteration, ProcessLookupError):  # the node is already being restarted
                 next_fault = now + PAUSE[0]
-    return samples, faults, when
+    return samples, faults, fault_times
 
 
 def read_recordings(folder: Path) -> dict[str, np.ndarray]:
@@ -122,16 +122,16 @@ def read_recordings(folder: Path) -> dict[str, np.ndarray]:
     return {"start_ns": np.array(starts), "age_ms": np.array(ages), "packet_ns": np.array(packets), "frames": frames}
 
 
-def count_unexplained_losses(sent_ns: np.ndarray, recorded_ns: np.ndarray, began_ns: int, when: list,
+def count_unexplained_losses(sent_ns: np.ndarray, recorded_ns: np.ndarray, start_ns: int, fault_times: list,
                              minutes: float) -> int:
     """Number of packets that were sent but not recorded outside of faults and RECOVERY_TIME.
 
     Up to two packets for each stretch without a fault are not counted, because they may belong to its neighbours.
     """
-    edges = began_ns + np.arange(0, int(60 * minutes) + 1) * 10**9
+    edges = start_ns + np.arange(0, int(60 * minutes) + 1) * 10**9
     missing = np.histogram(sent_ns, edges)[0] - np.histogram(recorded_ns, edges)[0]
     second, calm = np.arange(len(missing)), np.ones(len(missing), bool)
-    for begin, end in when:
+    for begin, end in fault_times:
         calm &= (second < 60 * begin - 2) | (second > 60 * end + RECOVERY_TIME)
     stretches = np.split(np.where(calm, missing, 0), np.flatnonzero(np.diff(calm)) + 1)
     return int(sum(lost for s in stretches if (lost := s.sum()) > 2))
@@ -147,7 +147,7 @@ def growth_per_hour(minutes: list[float], values: list[float]) -> float:
     return float(np.polyfit(t[life], v[life], 1)[0] * 60) if len(life) > 12 else float("nan")
 
 
-def draw(samples: Samples, series: dict, when: list[tuple[float, float]], began_ns: int) -> None:
+def draw(samples: Samples, series: dict, fault_times: list[tuple[float, float]], start_ns: int) -> None:
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -165,7 +165,7 @@ def draw(samples: Samples, series: dict, when: list[tuple[float, float]], began_
         axes[2].plot(samples.minutes, samples.orphaned_segments, label="left behind by a killed node")
         axes[2].set(ylabel="shared-memory segments", ylim=(0, None))
         axes[2].legend(loc="upper left", fontsize=8)
-        at = (series["start_ns"] - began_ns) / 60e9
+        at = (series["start_ns"] - start_ns) / 60e9
         for percent, label in ((50, "median"), (99, "99 %")):
             edges = np.arange(0, samples.minutes[-1], 1.0)
             inside = [series["age_ms"][(at >= e) & (at < e + 1)] for e in edges]
@@ -175,7 +175,7 @@ def draw(samples: Samples, series: dict, when: list[tuple[float, float]], began_
         axes[4].plot(samples.minutes, samples.load, color="#888888")
         axes[4].set(ylabel="load of the machine", xlabel="minutes", ylim=(0, None))
         for axis in axes:
-            for minute, _ in when:
+            for minute, _ in fault_times:
                 axis.axvline(minute, color="#dddddd", linewidth=0.5, zorder=0)
         axes[0].set_title("Soak at 250 NCOM packets/s and 1750 CAN frames/s; thin lines: injected faults")
         figure.savefig(FIGURE)
@@ -186,9 +186,9 @@ def run() -> dict:
     with tempfile.TemporaryDirectory(prefix="st-soak-") as name:
         folder = Path(name)
         with running(folder, 250, full_bus=True) as rig:
-            began_ns = time.time_ns()
+            start_ns = time.time_ns()
             ticks = rig.monitor.state.predictor_status
-            samples, faults, when = run_with_faults(rig, minutes, seed)
+            samples, faults, fault_times = run_with_faults(rig, minutes, seed)
             problems, restarts = rig.problems(), rig.supervisor.restarts
             rig.car.ins.change = rig.car.can.change = lambda data: ()  # stop sending, so that all sent data can arrive
             rig.run(2.0)
@@ -197,14 +197,14 @@ def run() -> dict:
         statuses = rig.statuses
         series = read_recordings(folder)
         size = sum(f.stat().st_size for f in folder.rglob("*.mcap"))
-    draw(samples, series, when, began_ns)
+    draw(samples, series, fault_times, start_ns)
     ages = series["age_ms"]
     half = len(ages) // 2
     return {
         "minutes": samples.minutes[-1], "faults": sum(faults.values()), "kinds": len(faults), "restarts": restarts,
         "statuses at the end": {k: v for k, v in statuses.items() if v}, "problems at the end": problems,
         "ncom sent": len(sent), "ncom recorded": len(series["packet_ns"]),
-        "ncom lost without a fault": count_unexplained_losses(sent, series["packet_ns"], began_ns, when,
+        "ncom lost without a fault": count_unexplained_losses(sent, series["packet_ns"], start_ns, fault_times,
                                                                samples.minutes[-1]),
         "longest silence in the recording, s": float(np.diff(np.sort(series["packet_ns"])).max(initial=0)) * 1e-9,
         "can sent": frames_sent, "can recorded": int(series["frames"]),
