@@ -1,9 +1,7 @@
 from setuptools import find_packages, setup
 
-package_name = 'canedge_bridge'
-
 setup(
-    name=package_name,
+    name='canedge_bridge',
     version='0.2.0',
     packages=find_packages(exclude=['test']),
     package_data={'': ['py.typed']},

@@ -1,9 +1,7 @@
 from setuptools import find_packages, setup
 
-package_name = 'st_core'
-
 setup(
-    name=package_name,
+    name='st_core',
     version='0.2.0',
     packages=find_packages(exclude=['test']),
     package_data={'': ['py.typed']},

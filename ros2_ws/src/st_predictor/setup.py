@@ -2,10 +2,8 @@ from glob import glob
 
 from setuptools import find_packages, setup
 
-package_name = 'st_predictor'
-
 setup(
-    name=package_name,
+    name='st_predictor',
     version='0.2.0',
     packages=find_packages(exclude=['test']),
     package_data={'': ['py.typed']},
