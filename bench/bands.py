@@ -111,7 +111,7 @@ def score_adaptive() -> dict[str, Row]:
         drives = {name: evaluate_drive(log, car, "linear", SETTINGS) for name, log in logs.items()}
         others = {name: run for name, run in runs.items() if name not in REAR_AXLE_RUNS}
         for title, groups, calibration_runs in (("Genesis, by day", DAYS, others), ("Genesis, by site", SITES, others),
-                                     ("Genesis, INS at the rear axle", {"rear": REAR_AXLE_RUNS}, others)):
+                                                ("Genesis, INS at the rear axle", {"rear": REAR_AXLE_RUNS}, others)):
             tested = {key: [drives[name] for name in names] for key, names in groups.items()}
             sets.append((title, calibration_runs, groups, tested))
         sets.append(("Genesis, no file", {}, {"all": ()}, {"all": list(drives.values())}))

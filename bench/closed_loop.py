@@ -150,7 +150,7 @@ def compare_drives(*drives: Scored) -> list[dict]:
     offsets = [np.abs(drive.time[row] - first) for drive, row in zip(drives, rows, strict=True)]
     common = np.max(offsets, axis=0) <= PERIOD / 2
     return [{"starts": int(common.sum()), "lateral": {model: float(np.sqrt(np.mean(np.square(errors[row[common]]))))
-                                                    for model, errors in drive.lateral.items()}}
+                                                      for model, errors in drive.lateral.items()}}
             for drive, row in zip(drives, rows, strict=True)]
 
 

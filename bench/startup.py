@@ -41,7 +41,7 @@ def run() -> dict:
 
         def seconds(code: str, backend: str = "") -> float:
             result = subprocess.run([sys.executable, "-c", code, car, here, backend], env=environment, check=True,
-                                  capture_output=True, text=True)
+                                    capture_output=True, text=True)
             return float(result.stdout)
 
         return {"live_floats_s": seconds(LIVE), "batch_numpy_s": seconds(BATCH, "numpy"),

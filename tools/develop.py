@@ -26,7 +26,7 @@ def test(
     # wait. Timing tests mostly wait: two run at a time, after all others, and only their files are imported.
     by_file = ["--dist", "loadfile", "--no-loadscope-reorder"]
     timing_tests = [str(file) for name in ("tests", "ros2_ws/src") for file in sorted((root / name).rglob("test_*.py"))
-             if "mark.timing" in file.read_text(encoding="utf-8")]
+                    if "mark.timing" in file.read_text(encoding="utf-8")]
     parts = [
         [*pytest, "-n", str(len(os.sched_getaffinity(0)) + 1), *by_file, "-m", markers],
         *([] if fast else [[*pytest, "-n", "2", *by_file, "-m", "timing", *timing_tests]]),

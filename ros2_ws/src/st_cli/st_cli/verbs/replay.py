@@ -52,7 +52,7 @@ def verify(
     bag: Path = typer.Argument(..., help="A recording, or the folder of a run of st.", exists=True),
     tolerance: float = typer.Option(
         0.001, callback=shared.in_range(0.0, "m"), help="Largest accepted difference, m for positions, rad for yaw."),
-    replays_first: bool = typer.Option(False, "--replay", help="Play the recording through the nodes and compare."),
+    through_nodes: bool = typer.Option(False, "--replay", help="Play the recording through the nodes and compare."),
     force: bool = typer.Option(False, "--force", help="Use the recording even if `st check` finds an error in it."),
     output: Path | None = typer.Option(None, help="Folder for the replay; default runs/verify-<time>."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
@@ -71,7 +71,7 @@ def verify(
         vehicle, read_settings = read_options.resolve()
         print_findings({bag.name: check_bag(find_bag(bag), vehicle, force, read_settings)}, shared.console)
         shared.report_default_car_for_bag("verify", bag, vehicle)
-        status = verify_command(bag, vehicle, tolerance, replays_first, output, shared.console, read_settings)
+        status = verify_command(bag, vehicle, tolerance, through_nodes, output, shared.console, read_settings)
     raise typer.Exit(status)
 
 

@@ -141,7 +141,7 @@ def mask_implausible(ins: InsLog, can: CanSignals) -> tuple[InsLog, CanSignals, 
     for key, signal in can.signals.items():
         if signal.name in PLAUSIBILITY_CHANNELS:
             is_moving = (_is_moving(signal.time_ns, speed.time_ns, speed.values) if speed
-                      else np.ones(len(signal.values), bool))
+                         else np.ones(len(signal.values), bool))
             masked_signals[key] = replace(signal, values=mask(
                 PLAUSIBILITY_CHANNELS[signal.name], f"{signal.name} ({signal.message})", signal.time_ns, signal.values,
                 is_moving))
@@ -181,7 +181,7 @@ def _align_by_checked_time_frame(frames: Signal, pairs: list[SharedSignal], late
     is_finite = np.isfinite(frames.values)
     ins_time_ns = np.round(frames.values[is_finite] * 1e6).astype(np.int64) * 1000
     alignment = align_by_time_frame(frames.time_ns[is_finite], ins_time_ns,
-                                 TIME_FRAME_RESOLUTION.get(frames.message, 0.01), *latency)
+                                    TIME_FRAME_RESOLUTION.get(frames.message, 0.01), *latency)
     if not pairs:
         return alignment
     # Search only near the offset from the INS time, because repeated laps fit at several offsets.

@@ -107,7 +107,7 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
               for name in SPEEDS if name in columns}
     first, last = np.flatnonzero(table.is_usable)[[0, -1]]
     auxiliary = AuxiliaryData({"INS": table.time_ns[first : last + 1]}, missing, compute_car_speed(speeds),
-                           geographic=origin is not None)
+                              geographic=origin is not None)
     sources = {channel: f"{source.name} [{source.unit}{'' if source.has_stated_unit else ', assumed'}]"
                for channel, source in table.sources.items()}
     provenance = {"columns": sources, **({"origin": list(origin)} if origin else {})}
@@ -156,7 +156,7 @@ def looks_like_a_drive(file: Path) -> bool:
 
 
 def _find_missing_in_header(file: Path, required: Sequence[str] = ("t", *INS_SIGNALS, ROAD_WHEEL),
-                       with_derived_motion: bool = True) -> list[str]:
+                            with_derived_motion: bool = True) -> list[str]:
     names = read_header(file)
     return find_missing_channels(find_columns(file, names, Layout()), names, required, with_derived_motion)
 

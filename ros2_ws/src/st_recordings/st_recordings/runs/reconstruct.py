@@ -207,7 +207,7 @@ def _decode_packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
     except NcomError:
         return None, None
     timed_packets = np.flatnonzero((columns.kind == file_decoder.REGULAR) & (columns.order == NEW)
-                           & (columns.utc_ns != file_decoder.UNKNOWN_TIME))
+                                   & (columns.utc_ns != file_decoder.UNKNOWN_TIME))
     rows = timed_packets[find_ascending(columns.utc_ns[timed_packets])]
     if not len(rows):
         return None, None

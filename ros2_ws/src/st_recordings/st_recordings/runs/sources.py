@@ -175,7 +175,7 @@ def _report_unknown_file(file: Path) -> RunSource:
     extensions = sorted({*CAN_EXTENSIONS, *(e for reader in READERS.values() for e in reader.extensions)})
     advice = f"give files with {', '.join(extensions)}, bag folders, or run.yaml, and export others as .csv"
     return _report_problem(file, f"recordings with the extension {file.suffix or '(none)'} are not supported",
-                          UNKNOWN_ADVICE.get(file.suffix.lower(), advice))
+                           UNKNOWN_ADVICE.get(file.suffix.lower(), advice))
 
 
 def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
