@@ -2,8 +2,10 @@ from glob import glob
 
 from setuptools import find_packages, setup
 
+package_name = 'st_predictor'
+
 setup(
-    name='st_predictor',
+    name=package_name,
     version='0.2.0',
     packages=find_packages(exclude=['test']),
     package_data={'': ['py.typed']},

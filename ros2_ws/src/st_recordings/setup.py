@@ -1,7 +1,9 @@
 from setuptools import find_packages, setup
 
+package_name = "st_recordings"
+
 setup(
-    name="st_recordings",
+    name=package_name,
     version="0.2.0",
     packages=find_packages(exclude=["test"]),
     package_data={"": ["py.typed"]},

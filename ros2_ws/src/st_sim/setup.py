@@ -1,7 +1,9 @@
 from setuptools import find_packages, setup
 
+package_name = "st_sim"
+
 setup(
-    name="st_sim",
+    name=package_name,
     version="0.2.0",
     packages=find_packages(exclude=["test"]),
     package_data={"": ["py.typed"]},
