@@ -204,3 +204,27 @@ def test_missing_lateral_velocity_is_named_with_the_reference_point_that_it_impl
     log = exact_drive(leaf, speed=Sines(6.0, ((1.5, 21.0, 0.4), (0.5, 7.0, 1.1))))
     finding = findings_by_name(replace(log, velocity_y=np.zeros(len(log.x))))["position_reference"]
     assert finding.value > 0.0 and "velocity_y is missing or 0" in finding.text
+
+
+def test_steering_of_a_car_that_may_be_unstable_has_no_lag(leaf):
+    """Its yaw rate has no delay: the vehicle file gives minus 4 s near the critical speed."""
+    oversteering = replace(leaf, cornering_stiffness_front=1.9 * leaf.cornering_stiffness_front)
+    log = exact_drive(oversteering, 120.0, **MOTORWAY)
+    assert not {"steering_lag", "time_rate"} & findings_by_name(log, oversteering).keys()
+
+
+@pytest.mark.parametrize("gain", [0.5, 0.55])
+def test_steered_rear_wheels_are_an_alternative_of_a_small_steering_gain(leaf, gain):
+    log = exact_drive(leaf, 120.0)
+    log = replace(log, road_wheel_angle=gain * log.road_wheel_angle, steering_wheel_angle=None)
+    (finding,) = [one for one in check(log, leaf).findings if one.name == "steering_scale"]
+    assert finding.severity is Severity.WARNING and finding.value == pytest.approx(gain, rel=0.1)
+    assert "or the rear wheels steer, too" in finding.text and finding.advice.kind == "text"
+
+
+@pytest.mark.parametrize("phase", [0.5, 3.5])
+def test_slope_of_the_road_in_a_slalom_is_no_lag_of_the_acceleration(leaf, phase):
+    speed = Sines(16.0, ((1.6, 40.0, 0.0), (0.01, 1.25, 0.3)))
+    log = exact_drive(leaf, 100.0, speed=speed, turning=Sines(0.0, ((0.3, 2.5, 0.0),)))
+    slope = 0.25 * np.sin(2e-9 * np.pi * (log.ins_time_ns - log.ins_time_ns[0]) / 40.0 + phase)
+    assert lag_findings(replace(log, acceleration_x=log.acceleration_x + slope)) == {}

@@ -26,7 +26,7 @@ from .plausibility import drop_implausible, find_broken_channels
 from .position_steps import check_position_steps
 from .regression import Estimate, add_systematic_uncertainty
 from .trial import try_corrections
-from .units_and_axes import check_nominal_rate, check_time_unit, correct_units, is_speed_unit, other_yaw_fits_better
+from .units_and_axes import check_nominal_rate, check_time_unit, correct_units, match_unit, other_yaw_fits_better
 
 ESTIMATES_BIASED_BY_SIDESLIP = ("steering_lag", "yaw_rate_lag", "yaw_lag")
 EXPLAINED_BY_YAW_LAG = ("yaw_rate_lag", "position_lag", "position_reference")
@@ -152,7 +152,7 @@ def _check_rear_axle(motion: Motion, vehicle: VehicleParameters, findings: list[
     be wrong instead."""
     found, estimates, panel = vehicle_relations.check_rear_axle(motion, vehicle)
     scale = position.find_velocity_scale(findings)
-    if found and scale is not None and scale.value and not is_speed_unit(scale.value):
+    if found and scale is not None and scale.value and not match_unit(scale.value):
         recorded = motion.apply_entry({"correct": {"velocity": {"scale": scale.value}}})
         others = {finding.name: finding for finding in vehicle_relations.check_rear_axle(recorded, vehicle)[0]}
         found = [replace(finding, severity=max(finding.severity, others[finding.name].severity, key=[*Severity].index))

@@ -116,7 +116,7 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
 
 def _fits_worse(pair: Pair, offset: float, best_offset: float, cutoff: float) -> bool:
     """Whether the residual with an offset is significantly larger than with the best offset (F test, 95 %)."""
-    (smallest, residual), common = _compute_residual_fractions(pair, [best_offset, offset])
+    (smallest, residual), common = _compute_residual_fractions(pair, [best_offset, offset], cutoff)
     return residual > _compute_f_limit(common, cutoff, 0.95) * smallest
 
 
@@ -137,7 +137,7 @@ def _find_best_offsets(pair: Pair, cutoff: float, max_lag: float) -> list[Fit]:
         solution = fit([pair], float(lags[start]), middle=0.0, free_drift=False)
         if all(abs(solution.offset - other.offset) > STEP for other in fits):
             fits.append(solution)
-    fractions, common = _compute_residual_fractions(pair, [solution.offset for solution in fits])
+    fractions, common = _compute_residual_fractions(pair, [solution.offset for solution in fits], cutoff)
     limit = _compute_f_limit(common, cutoff) * min(fractions)
     return sorted((solution for solution, fraction in zip(fits, fractions, strict=True) if fraction <= limit),
                   key=lambda solution: abs(solution.offset))
@@ -149,13 +149,21 @@ def _compute_f_limit(samples: float, cutoff: float, level: float = 0.975) -> flo
     return float(fisher.ppf(level, degrees_of_freedom, degrees_of_freedom))
 
 
-def _compute_residual_fractions(pair: Pair, offsets: Sequence[float]) -> tuple[list[float], int]:
+def _compute_residual_fractions(pair: Pair, offsets: Sequence[float], cutoff: float) -> tuple[list[float], int]:
     """(1 - r^2 at each offset, number of samples), from the samples common to all offsets. With different samples the
-    comparison would be biased, since a filtered derivative is least accurate at its ends."""
+    comparison would be biased, since a filtered derivative is least accurate at its ends.
+
+    Both series u are whitened, as any lag may fit slow errors such as the slope of the road: u(t) - rho u(t - delay),
+    delay = 1 / (2 cutoff), rho: correlation of the smallest residual with itself after this delay."""
     series = [_select_common_samples(pair, offset) for offset in offsets]
     common = np.flatnonzero(np.bincount(np.concatenate([rows for rows, _ in series])) == len(series))
-    values = pair.other.values[common]
-    r = [correlate(derived[np.isin(rows, common)], values) for rows, derived in series]
+    values, delay = pair.other.values[common], round(0.5 / (cutoff * STEP))
+    candidates = [derived[np.isin(rows, common)] for rows, derived in series]
+    best = max(candidates, key=lambda derived: abs(correlate(derived, values)))
+    terms = np.stack([best, np.ones(len(best))], axis=1)
+    residual = values - terms @ np.linalg.lstsq(terms, values)[0]
+    rho = max(correlate(residual[delay:], residual[:-delay]), 0.0)
+    r = [correlate(*(u[delay:] - rho * u[:-delay] for u in (derived, values))) for derived in candidates]
     return [max(1.0 - correlation**2, MIN_RESIDUAL_FRACTION) for correlation in r], len(common)
 
 

@@ -151,19 +151,14 @@ def _explain_residual(motion: Motion, rare_explanations: Mapping[tuple[str, ...]
                       for name, effect in effects.items()}
         explanations = rare_explanations if has_varying_speed(motion.velocity_x) else {}
         refined = _refine_causes(problem, causes, min_values, explanations)
-        causes = {name: estimate for name, estimate in refined.items()
-                  if is_relevant(estimate, min_values[name]) and not _is_absurd(name, estimate, effects[name])}
+        # A scale of an axis as far from 1 as only a wrong unit is, also shifts the positions as such a unit would.
+        causes = {name: estimate for name, estimate in refined.items() if is_relevant(estimate, min_values[name]) and (
+            name not in AXIS_SCALES or abs(estimate.value) * effects[name] >= LIMITS.warning_effect
+            or is_near(1.0 + estimate.value, 1.0, LIMITS.unit_ratio))}
         corrected = _correct_causes(motion, causes)
         if not causes:
             break
     return _Explanation(causes, corrected, effects)
-
-
-def _is_absurd(name: str, estimate: Estimate, effect: float) -> bool:
-    """Whether a cause is a scale of an axis as far from 1 as only a wrong unit is, but hardly shifts the positions, as
-    such a unit would. effect: of the cause [m per unit]."""
-    return (name in AXIS_SCALES and abs(estimate.value) * effect < LIMITS.warning_effect
-            and not is_near(1.0 + estimate.value, 1.0, LIMITS.unit_ratio))
 
 
 def _fits_better(explanation: _Explanation, other: _Explanation) -> bool:

@@ -42,14 +42,9 @@ MIRROR, COMPASS_TO_YAW = {"scale": -1.0}, {"scale": -1.0, "add": np.pi / 2}  # c
 MotionAndFinding = tuple[Motion, Finding | None]
 
 
-def match_unit(factor: float, table: Mapping[float, Any]) -> float | None:
+def match_unit(factor: float, table: Mapping[float, Any] = SPEED_UNITS) -> float | None:
     """The factor in a table of units that is within UNIT_TOLERANCE of the given one, or None."""
     return next((known for known in table if is_near(factor, known, UNIT_TOLERANCE)), None)
-
-
-def is_speed_unit(factor: float) -> bool:
-    """Whether a factor is that of a usual unit of speed."""
-    return match_unit(factor, SPEED_UNITS) is not None
 
 
 def _matches(ratio: float, target: float) -> bool:
@@ -317,7 +312,7 @@ def _correct_distance(motion: Motion) -> MotionAndFinding:
     ratio = compute_ratios(motion).position_to_speed
     if not np.isfinite(ratio) or _matches(ratio, 1.0):
         return motion, None
-    speed, length = match_unit(1.0 / ratio, SPEED_UNITS), match_unit(ratio, LENGTH_UNITS)
+    speed, length = match_unit(1.0 / ratio), match_unit(ratio, LENGTH_UNITS)
     if length and not speed:
         text = f"x and y are {ratio:.4g} times the integrated velocity: is their unit {LENGTH_UNITS[length]}?"
         advice = Advice.correct("position", scale=1.0 / length)
@@ -361,15 +356,10 @@ def _compute_misfit(motion: Motion, *, fit_scales: bool = False) -> float:
     derived = derived * rotation / max(abs(rotation), 1e-300)
     if not fit_scales:
         return float(np.median(np.abs(measured - derived)))
-    columns = {"x": derived.real, "y": 1j * derived.imag, "yaw": 1j * derived}
-    problem = Regression(np.arange(len(measured), dtype=float), _split(measured - derived),
-                         {name: _split(column) for name, column in columns.items()})
+    columns = {"x": derived.real + 0j, "y": 1j * derived.imag, "yaw": 1j * derived}
+    residual, *values = (vectors.view(float).reshape(-1, 2) for vectors in (measured - derived, *columns.values()))
+    problem = Regression(np.arange(len(measured), dtype=float), residual, dict(zip(columns, values, strict=True)))
     return problem.fit((*columns,))[1]
-
-
-def _split(vectors: np.ndarray) -> np.ndarray:
-    """East and north components (n, 2) of complex vectors (n,)."""
-    return np.stack((vectors.real, vectors.imag), axis=1)
 
 
 def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:

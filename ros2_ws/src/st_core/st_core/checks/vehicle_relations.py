@@ -21,7 +21,7 @@ from ..tyres import GRAVITY
 from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
 from .finding import HORIZON, LIMITS, SYSTEMATIC_UNCERTAINTY, Advice, Comparison, Finding, Severity
 from .inertial import MAX_LAG, MIN_COMMON_TIME, NO_BIAS, Agreement, CheckResult, compare_series, format_alternative_lags
-from .motion import MAX_LISTED_TIMES, MIN_MOVING_SPEED, Motion, correlate, has_varying_speed
+from .motion import MAX_LISTED_TIMES, MIN_MOVING_SPEED, Motion, correlate, has_varying_speed, is_near
 from .position import AMBIGUOUS, make_lateral_sign_finding
 from .regression import Estimate, Regression, add_systematic_uncertainty
 from .units_and_axes import DEG_PER_RAD
@@ -38,6 +38,8 @@ MAX_OPPOSITE_CORRELATION = -0.8  # correlation of steering and curvature below w
 MIN_UNRELATED_SPREAD = 0.01  # rad at the road wheels; minimum standard deviation of measured and derived steering
 STEERING_PLAY = 0.07  # rad of the steering wheel; play of usual cars, which acts like a lag of small steering angles
 NARROWER_BENDS = Advice("text", "drive narrower bends, to distinguish the two")
+CHECK_RATIO = Advice("text", "drive narrower bends, and check steering_ratio and wheelbase in the vehicle file")
+MIN_FOUR_WHEEL_GAIN = 0.5  # smallest gain of a car whose rear wheels steer, by the opposite of the front angle at most
 MIN_GAIN = 1e-6  # ratio of measured to derived angle below which the steering is constant and reported as frozen
 
 
@@ -70,8 +72,9 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
         "steering_lag", agreement.lag.shifted(response).widened(_compute_response_uncertainty(vehicle, speed)))
     # If correlation and gain differ in sign, the driver countersteers (crosswind, bank), and the lag is undetermined.
     has_lag, lateral_shift = agreement.correlation * gain.value >= 0.0, _compute_lateral_shift(speed, vehicle)
-    response_change = _compute_response_change(motion, vehicle)
-    clock = _make_clock_finding(agreement, response_change, lateral_shift) if has_lag else None
+    first, second = (compute_response_time(vehicle, max(float(np.median(half)), MIN_SPEED))
+                     for half in np.array_split(motion.velocity_x, 2))
+    clock = _make_clock_finding(agreement, abs(second - first), lateral_shift) if has_lag else None
     has_lag &= clock is None
     # Play takes its width from every turn, so small steering angles have too small a gain.
     may_be_play = 0.0 < (1.0 - gain.value) * agreement.spread < 0.5 * STEERING_PLAY / vehicle.steering_ratio
@@ -130,14 +133,18 @@ def compute_response_time(vehicle: VehicleParameters, speed: float) -> float:
 def _compute_response_uncertainty(vehicle: VehicleParameters, speed: float) -> float:
     """Uncertainty of `compute_response_time` [s] due to both axle stiffnesses, as half-width of a 95 % interval.
 
-    Returns the part beyond the systematic uncertainty of a steering lag; > 0 for fast cars that hardly understeer.
+    Returns the part beyond the systematic uncertainty of a steering lag; > 0 for fast cars that hardly understeer, inf
+    for those that may be unstable, whose yaw rate has no delay.
     """
     changes = []
     for key in ("cornering_stiffness_front", "cornering_stiffness_rear"):
-        value, quantity = getattr(vehicle, key), VEHICLE_QUANTITIES[key]
+        value = getattr(vehicle, key)
         factor = float(np.exp((vehicle.uncertainty(key) or 0.0) / value))
-        ends: list[dict[str, Any]] = [{key: quantity.clip(end)} for end in (value / factor, value * factor)]
-        low, high = (compute_response_time(replace(vehicle, **end), speed) for end in ends)
+        cars = [replace(vehicle, **dict[str, Any]({key: VEHICLE_QUANTITIES[key].clip(end)}))
+                for end in (value / factor, value * factor)]
+        if any(np.linalg.det(linear_system(speed, car)[0]) <= 0.0 for car in cars):
+            return np.inf
+        low, high = (compute_response_time(car, speed) for car in cars)
         changes.append(high - low)
     return float(np.sqrt(max(np.square(changes).sum() - SYSTEMATIC_UNCERTAINTY["steering_lag"] ** 2, 0.0)))
 
@@ -154,7 +161,7 @@ def _make_unit_finding(gain: Estimate, plausible_gains: tuple[float, float], veh
     """Finding about a steering gain that only a wrong unit or sign can explain; None for a plausible gain.
 
     plausible_gains: the expected and the largest one; 1 is plausible too, since stiffnesses may be inaccurate.
-    may_be_play: whether play of the steering explains a positive gain that is not that of a unit.
+    may_be_play: whether play explains a positive gain that is not that of a unit; steered rear wheels may, too.
     """
     (expected, largest), value, limit = plausible_gains, gain.value, LIMITS.steering_unit_ratio
     if abs(value) < MIN_GAIN or (gain.interval[1] > 1.0 / limit and gain.interval[0] < limit * largest):
@@ -172,9 +179,11 @@ def _make_unit_finding(gain: Estimate, plausible_gains: tuple[float, float], veh
     reason = " and ".join(filter(None, (reasons.get(exact, ""), opposite)))
     text = (f"road_wheel_angle is {value:.3g} times the angle from yaw rate and speed"
             + (f": {reason}?" if reason else ""))
-    if may_be_play and not reason:
+    causes = ["the steering has play"] * may_be_play + ["the rear wheels steer, too"] * (
+        gain.interval[1] >= MIN_FOUR_WHEEL_GAIN and value < 1.0)
+    if causes and not reason:
         return Finding("steering_scale", Severity.WARNING, ("road_wheel_angle",),
-                       f"{text}, or the steering has play{AMBIGUOUS}", value, "1", gain.interval, advice=NARROWER_BENDS)
+                       f"{text}, or {', or '.join(causes)}{AMBIGUOUS}", value, "1", gain.interval, advice=CHECK_RATIO)
     advice = Advice.correct("road_wheel_angle", scale=float(f"{1.0 / np.copysign(exact, value):.6g}"))
     if has_steering_wheel and exact == 1.0 / vehicle.steering_ratio:  # its offset was also subtracted
         advice = Advice.correct("road_wheel_angle", scale=vehicle.steering_ratio,
@@ -186,16 +195,9 @@ def _make_unit_finding(gain: Estimate, plausible_gains: tuple[float, float], veh
     return Finding(name, Severity.ERROR, ("road_wheel_angle",), text, value, "1", gain.interval, advice=advice)
 
 
-def _compute_response_change(motion: Motion, vehicle: VehicleParameters) -> float:
-    """Difference of the response time [s] between the median speeds of both halves of the drive."""
-    first, second = (compute_response_time(vehicle, max(float(np.median(speed)), MIN_SPEED))
-                     for speed in np.array_split(motion.velocity_x, 2))
-    return abs(second - first)
-
-
 def _make_clock_finding(agreement: Agreement, response_change: float, lateral_shift: float) -> Finding | None:
     """Finding about a steering lag that changes during the drive by LIMITS.steering_lag or more; None if it does not.
-    response_change: see `_compute_response_change`. lateral_shift: see `_compute_lateral_shift`."""
+    response_change: of the response time between both halves [s]. lateral_shift: see `_compute_lateral_shift`."""
     change = add_systematic_uncertainty("steering_lag", agreement.drift.scaled(float(np.ptp(agreement.time))))  # s
     change = change.widened(response_change)
     if not change.is_significant or abs(change.value) < LIMITS.steering_lag:
@@ -349,7 +351,7 @@ def _make_point_finding(point: Estimate, slip: Estimate, motion: Motion, vehicle
 
 
 def check_tyre_limit(motion: Motion) -> list[Finding]:
-    """Finding about a sustained lateral acceleration above the limit of road tyres."""
+    """Finding about a sustained lateral acceleration above the limit of road tyres; a note if positions confirm it."""
     windows = motion.make_windows(WINDOW)
     # In a spin, the change of velocity_y cancels the product of speed and yaw rate.
     lateral = windows.mean(motion.velocity_x * motion.yaw_rate) + windows.change(motion.velocity_y) / WINDOW
@@ -357,10 +359,16 @@ def check_tyre_limit(motion: Motion) -> list[Finding]:
     if impossible.sum() < 2:
         return []
     largest = float(np.abs(lateral).max())
-    text = (f"velocity and yaw rate give up to {largest:.0f} m/s^2 to the side, but tyres reach about 10 m/s^2: one is "
-            "wrong")
+    displacement, both = windows.change(motion.position), impossible[1:] & impossible[:-1] & windows.are_adjacent
+    turn = np.angle(displacement[1:] * np.conj(displacement[:-1]))
+    ratio = (np.abs(displacement) / WINDOW**2)[1:][both] * turn[both] / lateral[1:][both]
     times = tuple((float(t), float(t) + WINDOW) for t in windows.time[impossible][:MAX_LISTED_TIMES])
-    return [Finding("lateral_acceleration_impossible", Severity.ERROR, ("velocity_x", "yaw_rate"), text, largest,
+    severity, sources, reason = Severity.ERROR, "velocity and yaw rate", "one is wrong"
+    if both.any() and is_near(float(np.median(ratio)), 1.0, LIMITS.unit_ratio):
+        severity, sources = Severity.NOTE, "velocity, yaw rate and positions"
+        reason = "right with downforce or racing tyres, else a unit of length or time is wrong"
+    text = f"{sources} give up to {largest:.0f} m/s^2 to the side, but road tyres reach about 10 m/s^2: {reason}"
+    return [Finding("lateral_acceleration_impossible", severity, ("velocity_x", "yaw_rate"), text, largest,
                     "m/s^2", times=times, advice=Advice("text", "check speed and yaw rate at these times"))]
 
 
