@@ -1,7 +1,7 @@
 """Writes docs/measurements/discovery_scores.md: scores, both plants, effects, other methods, limits and failures."""
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -142,16 +142,31 @@ def _ablation(records: Sequence[Record]) -> str:
     by: dict[tuple[str, float], list[Record]] = defaultdict(list)
     for r in records:
         by[r["limit"][0], r["limit"][1]].append(r)
-    rows = []
-    for (name, factor), matching in sorted(by.items()):
-        measured = {r["name"]: format_result(r) for r in score.score_rows(matching)}
-        rows.append((f"{name} x {factor:g}" if name else "unchanged", *(measured[n] for n in ABLATED)))
+    rows = {f"{name} x {factor:g}" if name else "unchanged": _measure_ablated(matching)
+            for (name, factor), matching in sorted(by.items())}
     unchanged = by["", 1.0]
     cases = ", ".join(f"{n} {block}" for block, n in sorted(Counter(r["block"] for r in unchanged).items()))
     about = (f"The same cases with half and twice each limit; set {unchanged[0]['set']}, version "
              f"{unchanged[0]['version']}, {cases}. So few cases show only which changes of a limit do harm, not which "
              "value is best.")
-    return "\n\n".join((about, format_table(("limit", *ABLATED), rows)))
+    return "\n\n".join((about, format_ablation(rows)))
+
+
+def _measure_ablated(records: Sequence[Record]) -> tuple[str, ...]:
+    measured = {r["name"]: format_result(r) for r in score.score_rows(records)}
+    return tuple(measured[name] for name in ABLATED)
+
+
+def format_ablation(rows: Mapping[str, Sequence[str]]) -> str:
+    """The table of the rows and scores that change, and a sentence for each kind of the others."""
+    unchanged = rows["unchanged"]
+    varying = [i for i in range(len(ABLATED)) if any(row[i] != unchanged[i] for row in rows.values())]
+    same = [title for title, row in rows.items() if row == unchanged and title != "unchanged"]
+    table = format_table(("limit", *(ABLATED[i] for i in varying)), [
+        (title, *(row[i] for i in varying)) for title, row in rows.items() if title not in same])
+    constant = "; ".join(f"{name}, {unchanged[i]}" for i, name in enumerate(ABLATED) if i not in varying)
+    return (f"{table}\n\nAs unchanged: {', '.join(same) or 'none'}.\n\n"
+            f"Equal in all rows: {constant or 'none'}.")
 
 
 def _failure_tables(records: Sequence[Record]) -> list[str]:

@@ -1,6 +1,7 @@
 """Command line: runs the cases with `st discover`, and writes the tables."""
 
 import argparse
+import csv
 import json
 import resource
 import subprocess
@@ -63,7 +64,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     figures = score.totals(results)
     print(json.dumps(figures, indent=1))
     if chosen.page:
-        replace_part(PAGE, f"strangers_{chosen.cases}", page_table(results, figures))
+        rows = list_cases(results)
+        write_cases(rows, PAGE.with_name(f"strangers_{chosen.cases}.csv"))
+        replace_part(PAGE, f"strangers_{chosen.cases}", page_tables(figures, rows))
     return int(any("answer" not in one for one in results))
 
 
@@ -133,14 +136,27 @@ def _describe_hidden(case: Case) -> str:
     return f"{text}; {DESCRIPTIONS[CARS[case.car].description]}"
 
 
-def page_table(results: Sequence[Mapping[str, Any]], figures: Mapping[str, Any]) -> str:
-    """Tables of the score and of the cases."""
+def list_cases(results: Sequence[Mapping[str, Any]]) -> list[dict[str, str]]:
+    """A row for each answered case; statements are separated by semicolons."""
+    return [{"case": one["case"], "hidden": ", ".join(one["truth"]["hidden"]) or "-",
+             "stated": "; ".join(format_statement(line) for line in score.list_statements(one)) or "-",
+             "5 s error [m]": f"{one['answer']['errors']['position_5s']['base']:.2f}",
+             "after discovery [m]": f"{one['answer']['errors']['position_5s']['augmented']:.2f}",
+             "processor time [s]": f"{one['seconds']:.0f}"} for one in results if "answer" in one]
+
+
+def write_cases(rows: Sequence[Mapping[str, str]], file: Path) -> None:
+    with file.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.DictWriter(stream, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def page_tables(figures: Mapping[str, Any], cases: Sequence[Mapping[str, str]]) -> str:
+    """Tables of the score and of the wrong statements."""
     number = "{:.2f}".format
     rows = [{"score": key, "value": number(value) if isinstance(value, float) else str(value)}
             for key, value in figures.items() if key != "false" and value is not None]
-    each = [{"case": one["case"], "hidden": ", ".join(one["truth"]["hidden"]) or "-",
-             "stated": "<br>".join(format_statement(line) for line in score.list_statements(one)) or "-",
-             "5 s error, m": f"{one['answer']['errors']['position_5s']['base']:.2f} → "
-                             f"{one['answer']['errors']['position_5s']['augmented']:.2f}",
-             "s": f"{one['seconds']:.0f}"} for one in results if "answer" in one]
-    return "\n\n".join(map(format_records, filter(None, (rows, each))))
+    wrong = [{"case": one["case"], "hidden": one["hidden"], "wrong statement": statement}
+             for one in cases for statement in one["stated"].split("; ") if statement.endswith(("OUTSIDE", "THE CAR"))]
+    return "\n\n".join(map(format_records, filter(None, (rows, wrong))))
