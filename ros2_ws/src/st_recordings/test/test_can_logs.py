@@ -14,7 +14,7 @@ from mdf_files import LogFrame, write_layout_2
 from st_recordings.runs.can_formats import is_can_log
 from st_recordings.runs.can_logs import read_can_logs
 from st_recordings.runs.errors import RunError
-from st_recordings.runs.frames import EXTENDED, SENT, Frames
+from st_recordings.runs.frames import EXTENDED, REMOTE, SENT, Frames
 from st_recordings.runs.mf4 import parse_session, read_mf4
 from support import GOLDEN_DATA, SETS, vectors
 
@@ -237,23 +237,34 @@ def test_blf_is_read_behind_a_damaged_container(tmp_path: Path, kind: str) -> No
 
 
 DATE = "date Mon May 4 10:11:12.000 am 2026\n"
+BUSMASTER = "***BUSMASTER Ver 3.2.2***\n***HEX***\n***<Time><Tx/Rx><Channel><CAN ID><Type><DLC><DataBytes>***\n"
 ASC = "  1  2             Rx   d 3 01 02 03\n"
 
 
 @pytest.mark.parametrize(("name", "lines"), [
     ("a.log", [f" (1436509052.{k}00000)  can0  002   [3]  01 02 03\n" for k in range(3)]),
     ("a.log", [f" (2015-07-10 06:17:32.{k}00000)  can0  RX - -  002   [3]  01 02 03   '...'\n" for k in range(3)]),
+    ("a.log", [f" (\x1b[34m1436509052.{k}00000\x1b[0m)  can0  002   [3]  01 02 03\n" for k in range(3)]),
+    ("a.log", [f" (1436509052.{k}00000)  can0  002   [3]  03`02`01\n" for k in range(3)]),
+    ("a.log", [*(f" (1436509052.{k}00000)  can0  002   [3]  01 02 03\n" for k in range(3)),
+               " (1436509052.300000)  can0  20000004   [8]  00 04 00 00 00 00 00 00   ERRORFRAME\n",
+               "\tcontroller-problem{rx-error-warning}\n"]),
     ("steps.log", [f" (000.{100000 * (k > 0):06d})  can0  002   [3]  01 02 03\n" for k in range(3)]),
+    ("a.crtd", ["1436509051.900000 CXX OVMS\n", *(f"1436509052.{k}00000 1R11 002 01 02 03\n" for k in range(3))]),
+    ("busmaster.log", [BUSMASTER, *(f"11:49:12:{k}000 Rx 1 0x002 s 3 01 02 03 \n" for k in range(3))]),
+    ("busmaster.log", [BUSMASTER, *(f"0:0:0:{1000 * (k > 0):04d} Rx 1 0x002 s 3 01 02 03\n" for k in range(3))]),
     ("a.asc", [DATE, "base hex  timestamps absolute\n", *(f"   {k / 10:.6f}{ASC}" for k in range(3))]),
     ("a.asc", [DATE, "base hex  timestamps relative\n", *(f"   {0.1 * (k > 0):.6f}{ASC}" for k in range(3))]),
     ("a.asc", [DATE, "base hex  timestamps absolute\n", *(f"   0,{k}00000{ASC}" for k in range(3))]),
 ])
 def test_variants_of_candump_and_asc(tmp_path: Path, name: str, lines: list[str]) -> None:
     (tmp_path / name).write_text("".join(lines))
-    frames = read_can_logs([tmp_path / name]).frames
+    log = read_can_logs([tmp_path / name])
+    frames = log.frames.select(slice(0, 3))
     assert np.diff(frames.time_ns).tolist() == [10**8, 10**8] and frames.id.tolist() == [2, 2, 2]
-    assert frames.payload[:, :4].tolist() == [[1, 2, 3, 0]] * 3
-    assert name != "a.log" or frames.time_ns[0] == 1_436_509_052_000_000_000
+    assert frames.payload[:, :4].tolist() == [[1, 2, 3, 0]] * 3 and frames.bus.tolist()[0] in (1, 2)
+    assert not any("lines" in warning for warning in log.warnings)
+    assert not name.startswith("a.") or name == "a.asc" or frames.time_ns[0] == 1_436_509_052_000_000_000
 
 
 def test_candump_with_a_coarse_clock_from_0_is_not_read_as_time_steps(tmp_path: Path) -> None:
@@ -270,6 +281,22 @@ def test_asc_date_in_a_code_page_far_behind_the_header(tmp_path: Path) -> None:
     (tmp_path / "a.asc").write_bytes("".join(lines).encode("cp1252"))
     log = read_can_logs([tmp_path / "a.asc"])
     assert log.frames.time_ns[3000] - log.frames.time_ns[0] == 600 * 10**9 and not log.warnings
+
+
+def test_frame_types_of_a_busmaster_log(tmp_path: Path) -> None:
+    lines = ["10:00:00:0000 Tx 2 0x18FEF100 x 2 01 02", "10:00:00:1000 Rx 1 0x123 sr 8 ", "10:00:00:2000 Rx 1 0x7 s 0"]
+    (tmp_path / "a.log").write_text(BUSMASTER + "\n".join(lines) + "\n***[STOP LOGGING SESSION]***\n")
+    frames = read_can_logs([tmp_path / "a.log"]).frames
+    assert frames.id.tolist() == [0x18FEF100 | EXTENDED, 0x123, 7] and frames.bus.tolist() == [2, 1, 1]
+    assert frames.length.tolist()[::2] == [2, 0] and frames.flags.tolist() == [SENT, REMOTE, 0]
+
+
+def test_candump_in_bits_and_decimal_busmaster_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.log").write_text(" (1436509052.000000)  can0  002   [1]  00000001\n" * 3)
+    (tmp_path / "b.log").write_text(BUSMASTER + "11:49:12:1000 Rx 1 35 s 1 016\n" * 3)
+    for name in "ab":
+        with pytest.raises(RunError, match="this is not a CAN log of a known format"):
+            read_can_logs([tmp_path / f"{name}.log"])
 
 
 def test_candump_without_times_is_refused(tmp_path: Path) -> None:

@@ -132,6 +132,24 @@ def with_times(lines: list[str], names: tuple[str, str], to_text: Callable[[floa
     return "\n".join(map(";".join, rows)) + "\n"
 
 
+def busmaster(lines: list[str]) -> str:
+    """Times of a day, with a header as BUSMASTER writes it."""
+    out = ["***BUSMASTER Ver 3.2.2***", "***PROTOCOL CAN***", "***START DATE AND TIME 3:9:2025 18:0:0:5***", "***HEX***",
+           "***SYSTEM MODE***", "***<Time><Tx/Rx><Channel><CAN ID><Type><DLC><DataBytes>***"]
+    for time, bus, identifier, data in map(split_frame, lines):
+        stamp = clock(time % 86400.0).replace(".", ":")[:-2]
+        out.append(f"{stamp} Rx {bus + 1} 0x{identifier} {'x' if len(identifier) > 3 else 's'} {len(data) // 2} "
+                   f"{bytes.fromhex(data).hex(' ').upper()} ")
+    return "\r\n".join([*out, "***[STOP LOGGING SESSION]***", ""])
+
+
+def crtd(lines: list[str]) -> str:
+    """As OVMS writes it."""
+    frames = [f"{time:.6f} {bus + 1}R{29 if len(identifier) > 3 else 11} {identifier} {bytes.fromhex(data).hex(' ')}"
+              for time, bus, identifier, data in map(split_frame, lines)]
+    return "\n".join(["1756922400.000000 CXX OVMS", *frames]) + "\n"
+
+
 def decimal_numbers(lines: list[str]) -> str:
     """Identifiers and bytes are decimal, as pandas writes a table of frames."""
     frames = [(time, bus, int(identifier, 16), bytes.fromhex(data))
@@ -200,6 +218,9 @@ LOGS = [
     Log("an earlier drive first", "run.log", lambda lines: "\n".join([*earlier_drive(lines), *lines]),
         r" of 3\d\.\d s \(75 %\) that match the"),
     Log("candump as .txt", "run.txt", "\n".join, "is a candump log with the extension .txt"),
+    Log("BUSMASTER", "run.log", busmaster),
+    Log("CRTD", "run.crtd", crtd),
+    Log("CRTD as .txt", "run.txt", crtd),
     Log("comment", "run.asc", lambda lines: asc(lines, comment="// Prüfstand"), encoding="cp1252"),
     Log("24 hours and pm", "run.asc", lambda lines: asc(lines, "Wed Sep 3 18:00:00.005 pm 2025")),
     Log("German date", "run.asc", lambda lines: asc(lines, "Mi Mär 3 18:00:00.005 2025"), encoding="cp1252"),

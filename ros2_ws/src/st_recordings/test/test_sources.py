@@ -50,6 +50,38 @@ def test_single_ins_recording_is_paired_with_all_files_of_a_logger(tmp_path: Pat
     assert (run.name, run.kind, len(run.can)) == ("drive", "ncom", 2)
 
 
+@pytest.mark.parametrize("names", [
+    ("{}/ins.ncom", "{}/can.log"), ("day{}/drive{}.ncom", "day{}/LOG/2F6913DB/0000000{}/00000001.MF4"),
+    ("{}/ins/a.ncom", "{}/can/00000001.log"), ("ins/drive{}.ncom", "can/drive{}.log")])
+def test_drives_in_folders_are_paired_with_the_logs_next_to_them(tmp_path: Path, names: tuple[str, str]) -> None:
+    files = {number: touch(tmp_path, *(name.replace("{}", number) for name in names)) for number in "12"}
+    runs = find_runs([tmp_path])
+    assert sorted((run.files[0], run.can) for run in runs) == [(ins, (log,)) for ins, log in files.values()]
+    assert not any(run.problem for run in runs)
+
+
+def test_export_of_an_ncom_file_is_not_a_second_recording(tmp_path: Path) -> None:
+    touch(tmp_path, "run.ncom", "run.log")
+    touch(tmp_path, "run.csv", content=DRIVE.replace(",delta", "").replace(",0\n", "\n"))
+    (run,) = find_runs([tmp_path])
+    assert (run.kind, [log.name for log in run.can]) == ("ncom", ["run.log"])
+
+
+def test_can_log_of_a_complete_drive_is_reported_as_unused(tmp_path: Path) -> None:
+    (drive,) = touch(tmp_path, "a.csv", content=DRIVE)
+    (log,) = touch(tmp_path, "a.log", content="(1700000000.000000) can0 002#1D000007B0\n")
+    for given in ([tmp_path], [drive, log]):
+        (run,) = find_runs(given)
+        assert read(run).warnings[0] == f"{log}: not used, because a.csv is a complete drive"
+    touch(tmp_path, "b.ncom")
+    assert {run.name: len(run.can) for run in find_runs([tmp_path])} == {"a": 0, "b": 1}
+
+
+def test_compressed_can_log_is_to_be_unpacked(tmp_path: Path) -> None:
+    (run,) = find_runs(touch(tmp_path, "run.ncom", "run.log.gz")[:1])
+    assert str(run.problem).endswith("; run.log.gz: unpack it first")
+
+
 def test_listed_files_form_one_run(tmp_path: Path) -> None:
     files = touch(tmp_path, "a.ncom", "b.asc", "c.blf")
     (run,) = find_runs(files)
@@ -244,12 +276,13 @@ def test_table_of_can_frames_is_not_a_can_log(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("name", "error"), [
-    ("a.zip", "unpack it first"), ("a.tdms", "export one"),
+    ("a.zip", "unpack it first"), ("a.tdms", "export one"), ("a.csv", "the file is empty"),
     ("notes.txt", "this folder contains no recording")])
 def test_folder_without_a_run_is_refused_with_advice_on_its_recordings(tmp_path: Path, name: str, error: str) -> None:
     touch(tmp_path, "README.md", f"sub/{name}")
     (run,) = find_runs([tmp_path])
-    assert error in str(run.problem)
+    with pytest.raises(RunError, match=error):
+        read(run)
 
 
 @pytest.mark.parametrize(("text", "error"), [

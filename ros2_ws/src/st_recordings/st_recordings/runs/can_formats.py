@@ -4,7 +4,7 @@ import csv
 import mmap
 import re
 from base64 import b64decode
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -28,10 +28,21 @@ _BLF_PADDING = 3  # bytes; the most after a container, because the format aligns
 _WEEKDAY_MONTH = re.compile(r"(?i)^(date|begin\s+triggerblock)\s+\S+\s+(\S+)(.*)")
 _TABLE_EXTENSIONS = (".csv", ".txt")
 _ENGLISH_MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
-# A line of candump without -l: " (1436509052.249713)  can0  RX - -  044   [8]  2A 36"; stamped by -t a, -t z or -t A.
-_SCREEN_LINE = re.compile(
-    r"\s*\((?:(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d+)|(\d+\.\d+))\)\s+(\S+)\s+(?:(RX|TX)\s+\S+\s+\S+\s+)?"
-    r"([0-9A-F]{3}|[0-9A-F]{8})\s+\[(\d+)\]\s*((?:[0-9A-F]{2}\s*)*|remote request\s*)(?:'.*')?\s*$")
+_LINES = (
+    # Of candump without -l, stamped by -t a, -t z or -t A: " (1436509052.249713)  can0  RX - -  044   [8]  2A 36".
+    re.compile(
+        r"\s*\((?P<time>\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d+|\d+\.\d+)\)\s+(?P<bus>\S+)\s+"
+        r"(?:(?P<direction>RX|TX)\s+\S+\s+\S+\s+)?(?P<id>[0-9A-F]{3}|[0-9A-F]{8})\s+\[(?P<length>\d+)\]\s*"
+        r"(?P<data>(?:[0-9A-F]{2}(?:[\s`]+|$))*|remote request\s*)(?:'.*'|ERRORFRAME)?\s*$"),
+    # Of BUSMASTER with hexadecimal numbers: "11:49:12:9420 Rx 1 0x023 s 1 40"; the last part of the time is in 0.1 ms.
+    re.compile(r"(?P<time>\d+:\d\d?:\d\d?:\d{4}) (?P<direction>[RT]x) (?P<bus>\d+) 0x(?P<id>[0-9A-Fa-f]+) "
+               r"(?P<kind>[sx]r?) \d+(?P<data>(?: [0-9A-Fa-f]{2})*)\s*$"),
+    # CRTD, of OVMS and SavvyCAN: "1436509052.249713 1R11 044 2A 36"
+    re.compile(r"(?P<time>\d+\.\d+) (?P<bus>\d*)(?P<direction>[RT])(?P<kind>11|29) (?P<id>[0-9A-Fa-f]+)"
+               r"(?P<data>(?: [0-9A-Fa-f]{2})*)\s*$"))
+_COMMENT = re.compile(r"\t|\*\*\*|\d+\.\d+ \d*C[A-Z]{2} ")
+"""Lines without a frame: explanations of error frames (candump -e), headers of BUSMASTER, comments of CRTD."""
+_COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # of candump -c
 UNSTAMPED_LINE = re.compile(rb"^\s+\S+\s+[0-9A-F]{3,8}\s+\[\d+\]\s", re.MULTILINE)
 """A line of candump without -l and without -t."""
 _ASC_LINE = re.compile(rb"^\s*\d+[.,]\d+\s+\d+\s+[0-9A-Fa-f]+x?\s+[RT]x\s+[dr]\s", re.MULTILINE)
@@ -135,16 +146,26 @@ def _read_text(file: Path, notes: list[str], make_reader: Callable[[Lines, list[
 
 class _CandumpLines(Lines):
     def convert(self, line: str) -> str:
-        """Converts a line that candump prints to the format in which it logs (-l); other lines are not changed."""
-        match = _SCREEN_LINE.match(line)
+        """Converts the line of a frame (_LINES) to the format that candump logs (-l) and a comment to an empty line;
+        other lines are not changed."""
+        line = _COLOUR.sub("", line)
+        match = next(filter(None, (form.match(line) for form in _LINES)), None)
         if match is None:
-            return line
-        clock, stamp, channel, direction, identifier, length, data = match.groups()
-        if clock:
-            stamp = f"{datetime.fromisoformat(clock).replace(tzinfo=UTC).timestamp():.6f}"
-        data = "R" if data.startswith("remote") else "".join(data.split())
-        kind = "##0" if len(length) > 1 else "#"  # two digits for CAN FD
-        return f"({stamp}) {channel} {identifier}{kind}{data}{' T' if direction == 'TX' else ''}\n"
+            return "" if _COMMENT.match(line) else line
+        cells = {"kind": "", "length": "", **match.groupdict("")}
+        stamp, bus, data = cells["time"], cells["bus"], cells["data"].replace("`", " ").split()
+        if "-" in stamp:
+            stamp = f"{datetime.fromisoformat(stamp).replace(tzinfo=UTC).timestamp():.6f}"
+        elif ":" in stamp:
+            hours, minutes, seconds, fraction = stamp.split(":")
+            stamp = f"{3600 * int(hours) + 60 * int(minutes) + int(seconds)}.{fraction}"
+        if "`" in cells["data"]:  # candump -S prints the last byte first
+            data.reverse()
+        text = "R" if cells["data"].startswith("remote") or cells["kind"].endswith("r") else "".join(data)
+        identifier = cells["id"].zfill(EXTENDED_DIGITS if cells["kind"] in ("x", "xr", "29") else 3)
+        separator = "##0" if len(cells["length"]) > 1 else "#"  # two digits for CAN FD
+        channel = f"can{int(bus) - 1}" if bus.isdigit() else bus or "can0"
+        return f"({stamp}) {channel} {identifier}{separator}{text}{' T' if cells['direction'][:1] == 'T' else ''}\n"
 
 
 def _read_asc(lines: Lines, notes: list[str]) -> Any:
@@ -414,9 +435,13 @@ def _is_trc(head: bytes) -> bool:
 
 
 def _is_candump(head: bytes) -> bool:
-    lines = head.splitlines()[:20]
-    return any(re.match(rb"\W*\(\d+\.\d+\) \S+ [0-9A-Fa-f]+#", line) or _SCREEN_LINE.match(line.decode("latin-1"))
-               for line in lines)
+    return any(re.match(rb"\W*\(\d+\.\d+\) \S+ [0-9A-Fa-f]+#", line) or _matches_line(line, _LINES[:1])
+               for line in head.splitlines()[:20])
+
+
+def _matches_line(line: bytes, forms: Iterable[re.Pattern[str]]) -> bool:
+    text = _COLOUR.sub("", line.decode("latin-1"))
+    return any(form.match(text) for form in forms)
 
 
 def _is_asc(head: bytes) -> bool:
@@ -425,10 +450,13 @@ def _is_asc(head: bytes) -> bool:
         _ASC_DATE.match(text) or _ASC_LINE.search(text))
 
 
+_read_candump = partial(
+    _read_text, make_reader=lambda lines, notes: import_module("can.io.canutils").CanutilsLogReader(lines),
+    lines_type=_CandumpLines)
 FORMATS = (
-    Format("candump", (".log", ".candump"), _is_candump, partial(
-        _read_text, make_reader=lambda lines, notes: import_module("can.io.canutils").CanutilsLogReader(lines),
-        lines_type=_CandumpLines)),
+    Format("candump", (".log", ".candump"), _is_candump, _read_candump),
+    Format("BUSMASTER or CRTD", (".log", ".crtd", ".txt"), lambda head: any(
+        _matches_line(line, _LINES[1:]) for line in head.splitlines()), _read_candump),
     Format("Vector ASC", (".asc",), _is_asc, partial(_read_text, make_reader=_read_asc, lines_type=_AscLines)),
     Format("Vector BLF", (".blf",), lambda head: head.startswith(b"LOGG"), _read_blf),
     Format("PEAK trace", (".trc",), _is_trc, partial(_read_text, make_reader=_read_trc)),

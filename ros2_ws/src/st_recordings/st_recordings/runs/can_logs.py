@@ -27,7 +27,7 @@ MAX_TIME_JUMPS_NS = 60 * 10**9, 86400 * 10**9
 """60 s, and 1 day at the ends of a log; a time that is earlier or later than both neighbours by more is damaged."""
 FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times are relative to the start of the log
 MIN_DECREASING_FRACTION = 0.2
-"""Times of a candump that begin at 0 are time steps between frames if a larger fraction decreases, or all are equal."""
+"""Times of a log that begin at 0 are time steps between frames if a larger fraction decreases, or all are equal."""
 
 
 def read_can_logs(files: Sequence[Path], known_ids: Collection[int] = ()) -> CanLog:
@@ -158,15 +158,15 @@ def _read_with_python_can(file: Path, kind: Format, notes: Sequence[str]) -> Can
         reasons = f"no usable frames ({'; '.join(format_notes)})" if format_notes else "no frames"
         raise RunError(file, f"it contains {reasons}", "export its times in seconds, and identifiers and bytes as "
                        "hexadecimal numbers" if kind.name == "CSV" else "copy or export it again")
-    if kind.name == "candump" and _are_time_steps(frames.time_ns):
+    if kind.name != "CSV" and _are_time_steps(frames.time_ns):
         frames = replace(frames, time_ns=np.cumsum(frames.time_ns))
-        format_notes.append("its times are relative to the previous frame (candump -t d); they were summed")
+        format_notes.append("its times are relative to the previous frame; they were summed")
     log = can_frames.build_log(file, [frames], [*notes, *format_notes])
     return replace(log, is_utc=log.start_ns >= FIRST_ABSOLUTE_TIME * 10**9)
 
 
 def _are_time_steps(time_ns: np.ndarray) -> bool:
-    """Whether the times of a candump are time steps between frames: first 0, then often decreasing or all equal."""
+    """Whether the times of a log are time steps between frames: first 0, then often decreasing or all equal."""
     steps = np.diff(time_ns[1:])
     return bool(time_ns[0] == 0 and len(steps) and ((steps < 0).mean() > MIN_DECREASING_FRACTION or not steps.any()))
 

@@ -43,7 +43,8 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
             run = read_raw_run(source, vehicle, settings)
         else:
             run = reader.read(source, vehicle, settings)
-    run = replace(run, warnings=(*run.warnings, *_list_unused_options(source, settings)))
+    notes = source.notes if not source.can else ()  # those of a run with CAN logs are among its warnings
+    run = replace(run, warnings=(*notes, *run.warnings, *_list_unused_options(source, settings)))
     if settings.steering and source.can and READERS[source.kind].read is not None:
         text = f"{source.path}: its CAN logs are not used, because an option names the steering angle in this file"
         run = replace(run, warnings=(*run.warnings, text))

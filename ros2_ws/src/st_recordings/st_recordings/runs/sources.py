@@ -78,8 +78,9 @@ def _report_folder_without_runs(folder: Path) -> list[RunSource]:
     files = sorted(folder.rglob("*"))
     bags = [f for f in files if bag.accepts(f) and not any(bag.accepts(parent) for parent in f.parents)]
     unknown_files = [f for f in files if f.suffix.lower() in UNKNOWN_ADVICE.keys() - {*DOCUMENT_EXTENSIONS}]
-    binary_files = [f for f in files if f.suffix.lower() in BINARY_EXTENSIONS]  # their problems are found by reading
-    return [*(_make_single_run(f, bag) for f in bags), *(_make_single_run(f, READERS["csv"]) for f in binary_files),
+    tables = [f for f in files if f.suffix.lower() in (*BINARY_EXTENSIONS, ".csv", ".tsv")]
+    # The problems of bags and tables are found by reading.
+    return [*(_make_single_run(f, bag) for f in bags), *(_make_single_run(f, READERS["csv"]) for f in tables),
             *map(_report_unknown_file, unknown_files)] or [_report_problem(
         folder, "this folder contains no recording", "give a folder with .ncom and CAN logs, bags, CSV or VBO files")]
 
@@ -126,7 +127,8 @@ def _may_belong_to_run(path: Path, files: Sequence[Path]) -> bool:
                  and (other_reader := find_reader(other)) and other.suffix.lower() not in BINARY_EXTENSIONS]
     if path.suffix.lower() in BINARY_EXTENSIONS and any(other.has_drive(file) for file, other in same_stem):
         return False  # probably the same drive
-    if path.suffix.lower() in TEXT_EXPORTS and not reader.has_drive(path) and same_stem:
+    originals = [file for file, other in same_stem if other.needs_can or path.suffix.lower() in TEXT_EXPORTS]
+    if originals and reader.is_table and not reader.has_drive(path):
         return False  # probably an export of a recording with the same stem
     return reader.may_contain_drive(path) or (
         path.suffix.lower() == ".csv" and any(map(is_can_log, find_logs(path, files))))
@@ -148,13 +150,13 @@ def _group_files(files: Sequence[Path], named_by_user: bool) -> list[RunSource]:
     for group in _group_split_bags([f for f in readers if f.suffix.lower() in BAG_EXTENSIONS and f.is_file()]):
         runs.append(RunSource(group[0].stem.rpartition("_")[0] or group[0].stem, readers[group[0]].kind, tuple(group)))
         readers = {f: reader for f, reader in readers.items() if f not in group}
-    recordings_without_logs = []
+    complete_drives, recordings_without_logs = list[Path](), list[Path]()
     for file, reader in readers.items():
         own_logs = find_logs(file, logs)
         # A table that has a CAN log of the same stem is an INS recording, even if its columns are unknown.
         if not reader.needs_can and not (logs and reader.is_ins_only(file)) and (
                 reader.kind != "csv" or not own_logs or reader.has_drive(file)):
-            runs.append(_make_single_run(file, reader))
+            complete_drives.append(file)
             continue
         notes: tuple[str, ...] = ()
         if named_by_user and not own_logs and not logs and reader.needs_can:
@@ -165,10 +167,28 @@ def _group_files(files: Sequence[Path], named_by_user: bool) -> list[RunSource]:
             logs = [f for f in logs if f not in own_logs]
         else:
             recordings_without_logs.append(file)
-    if len(recordings_without_logs) == 1 and logs:
-        file = recordings_without_logs[0]
-        return [*runs, RunSource(file.stem, readers[file].kind, (file,), tuple(logs))]
-    return [*runs, *_report_unmatched(recordings_without_logs, readers, logs)]
+    partners = {file: _find_partners(file, recordings_without_logs, logs) for file in recordings_without_logs}
+    runs += [RunSource(f.stem, readers[f].kind, (f,), own_logs) for f, own_logs in partners.items() if own_logs]
+    logs = [log for log in logs if not any(log in own_logs for own_logs in partners.values())]
+    for file in complete_drives:
+        notes = tuple(f"{log}: not used, because {file.name} is a complete drive" for log in find_logs(file, logs))
+        runs.append(replace(_make_single_run(file, readers[file]), notes=notes))
+    logs = [log for log in logs if not any(find_logs(file, [log]) for file in complete_drives)]
+    return [*runs, *_report_unmatched([f for f, own_logs in partners.items() if not own_logs], readers, logs)]
+
+
+def _find_partners(file: Path, recordings: Sequence[Path], logs: Sequence[Path]) -> tuple[Path, ...]:
+    """CAN logs of an INS recording: those with its stem in other folders, if it is the only one with this stem, or else
+    those in the largest folder around it that contains no other INS recording."""
+    same_stem = tuple(log for log in logs if log.stem == file.stem)
+    if same_stem and sum(other.stem == file.stem for other in recordings) == 1:
+        return same_stem
+    own_logs: tuple[Path, ...] = ()
+    for folder in file.absolute().parents:
+        if any(folder in other.absolute().parents for other in recordings if other != file):
+            break
+        own_logs = tuple(log for log in logs if folder in log.absolute().parents)
+    return own_logs
 
 
 def _report_unknown_file(file: Path) -> RunSource:
@@ -192,7 +212,8 @@ def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
         if signals and not logs:
             advice = f"{signals[0]} contains signals but no CAN frames: give the log with the frames"
         elif others and not logs:
-            advice += f"; if {others[0]} is a CAN log, convert it to .asc, .blf, .log (candump), .trc or .mf4"
+            conversion = f"if {others[0]} is a CAN log, convert it to .asc, .blf, .log (candump), .trc or .mf4"
+            advice += f"; {_advise_on_unknown(Path(others[0])) or conversion}"
         yield _report_problem(file, f"no matching CAN log: {reason}", advice)
     for session in dict.fromkeys(parse_session(f)[0] for f in logs) if not recordings else ():
         file = next(f for f in logs if parse_session(f)[0] == session)
@@ -211,12 +232,17 @@ def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
         advice = "give both, or list the files of the run in a run.yaml"
         if tables:
             advice += f"; the run.yaml can also name unknown columns of {tables[0]}, as columns: {{x: NAME, ...}}"
-        advice += "".join(f"; {f.name}: {UNKNOWN_ADVICE[f.suffix.lower()]}" for f in sorted(file.parent.iterdir())
-                          if f.name.split(".")[0] == file.stem and f.suffix.lower() in UNKNOWN_ADVICE)
+        advice += "".join(f"; {text}" for f in sorted(file.parent.iterdir()) if f.name.split(".")[0] == file.stem
+                          and (text := _advise_on_unknown(f)))
         yield _report_problem(file, "no INS recording (.ncom, .csv, .vbo, bag) matches this CAN log", advice) if (
             is_can_log(file)) else _report_problem(
                 file, "this is not a CAN log of a known format", "convert a CAN log to .asc, .blf, .trc or .mf4, and "
                 "export other recordings as .csv")
+
+
+def _advise_on_unknown(file: Path) -> str:
+    advice = UNKNOWN_ADVICE.get(file.suffix.lower())
+    return f"{file.name}: {advice}" if advice else ""
 
 
 def _group_split_bags(files: Sequence[Path]) -> list[list[Path]]:
