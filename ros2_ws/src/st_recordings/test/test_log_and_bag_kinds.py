@@ -134,7 +134,7 @@ def with_times(lines: list[str], names: tuple[str, str], to_text: Callable[[floa
 
 def busmaster(lines: list[str]) -> str:
     """Times of a day, with a header as BUSMASTER writes it."""
-    out = ["***BUSMASTER Ver 3.2.2***", "***PROTOCOL CAN***", "***START DATE AND TIME 3:9:2025 18:0:0:5***", "***HEX***",
+    out = ["***BUSMASTER Ver 3.2.2***", "***START DATE AND TIME 3:9:2025 18:0:0:5***", "***HEX***",
            "***SYSTEM MODE***", "***<Time><Tx/Rx><Channel><CAN ID><Type><DLC><DataBytes>***"]
     for time, bus, identifier, data in map(split_frame, lines):
         stamp = clock(time % 86400.0).replace(".", ":")[:-2]
