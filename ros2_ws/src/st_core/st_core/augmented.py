@@ -62,7 +62,7 @@ class AugmentedModel(Model):
 
     @property
     def has_steering_dynamics(self) -> bool:
-        """Whether `steering` changes a recording."""
+        """Whether `steering` changes a recording; the road wheel angle then depends on earlier steering."""
         return any(effect.steering for effect in self.active_effects)
 
     @property

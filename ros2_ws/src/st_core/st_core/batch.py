@@ -24,7 +24,7 @@ from .log import DriveLog, LogSignals, shares_memory
 from .models import Model, get_model
 from .planned_inputs import SLIP_FREE_ANGLE
 from .prediction import step_count
-from .readings import correct_log, has_steering_dynamics, predict_wheel_angles, reading_errors
+from .readings import correct_log, predict_wheel_angles, reading_errors
 from .timeseries import NANOSECOND, half_step_grid
 from .types import STATE_NAMES
 from .vehicle import VehicleParameters
@@ -234,7 +234,7 @@ class LogBatch:
         count = self._count_substeps(model, vehicle)
         car, p = model.effective_vehicle(vehicle), model.parameters(vehicle)
         recording = self.recording(model)
-        is_separate = not isinstance(self._inputs, str) or (self._inputs == "held" and has_steering_dynamics(model))
+        is_separate = not isinstance(self._inputs, str) or (self._inputs == "held" and model.has_steering_dynamics)
         signals = recording.signals
         result = np.full((len(self.points), len(STATE_NAMES), len(self._unique_starts)), np.nan)
         for block in self._plan_blocks(count, is_separate):
@@ -310,7 +310,7 @@ class LogBatch:
             if path and not model.has_tyres:
                 angle = path[0]  # slip-free
         angle, acceleration = (np.broadcast_to(v, times.shape) for v in (angle, acceleration))
-        if has_steering_dynamics(model):
+        if model.has_steering_dynamics:
             angle = np.array([predict_wheel_angles(model, log.steering_time_ns, log.road_wheel_angle, *column,
                                                    signals.maximum_gap)
                               for column in zip(times.T, angle.T, strict=True)]).T

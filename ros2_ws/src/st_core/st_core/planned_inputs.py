@@ -14,7 +14,7 @@ import numpy as np
 from .errors import StCoreError
 from .handling import stability_factor
 from .models import Model
-from .readings import has_steering_dynamics, predict_wheel_angles
+from .readings import predict_wheel_angles
 from .timeseries import NANOSECOND, half_step_grid, interpolate
 from .types import ControlInput, InputSequence, VehicleState
 from .vehicle import VehicleParameters
@@ -185,7 +185,7 @@ def apply_steering_dynamics(model: Model, planned: InputSequence, start_ns: int,
     steering_ns [ns], steering [rad]: recorded road wheel angle up to the start. maximum_gap, step [s].
     """
     planned = select_inputs(model, planned)
-    if not has_steering_dynamics(model):
+    if not model.has_steering_dynamics:
         return planned
     grid = half_step_grid(start_ns, len(planned.road_wheel_angle) // 2, step)
     angle = predict_wheel_angles(model, steering_ns, steering, grid, planned.road_wheel_angle, maximum_gap)

@@ -64,11 +64,6 @@ def correct_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray,
     return time_ns + np.round((wheel_seconds - seconds) / NANOSECOND).astype(np.int64), angle
 
 
-def has_steering_dynamics(model: Model) -> bool:
-    """Whether the road wheel angle of the model depends on earlier steering."""
-    return isinstance(model, AugmentedModel) and model.has_steering_dynamics
-
-
 def predict_wheel_angles(model: Model, time_ns: np.ndarray, angle: np.ndarray, grid_ns: np.ndarray, planned: np.ndarray,
                          maximum_gap: float) -> np.ndarray:
     """Angle of the wheels [rad] at increasing instants grid_ns (m,) [ns] for a planned road wheel angle (m,) [rad].
@@ -76,7 +71,7 @@ def predict_wheel_angles(model: Model, time_ns: np.ndarray, angle: np.ndarray, g
     time_ns [ns], angle [rad]: recorded steering; its last MEMORY_TIME [s] before the first instant are used, because
     delay, play and lag depend on earlier steering. After the last instant the last angle is held. maximum_gap [s].
     """
-    if not has_steering_dynamics(model):
+    if not model.has_steering_dynamics:
         return planned
     before = slice(*np.searchsorted(time_ns, (grid_ns[0] - MEMORY_NS, grid_ns[0])).tolist())
     gap_ns, spacing = round(maximum_gap / NANOSECOND), int(grid_ns[1] - grid_ns[0])
@@ -171,7 +166,7 @@ class ModelView:
         self.model = model
         self.car = model.effective_vehicle(vehicle)
         self.is_augmented = isinstance(model, AugmentedModel)
-        self.has_steering_dynamics = has_steering_dynamics(model)
+        self.has_steering_dynamics = model.has_steering_dynamics
         corrects_samples = isinstance(model, AugmentedModel) and model.has_sensor_effects
         self._history = shared.make_corrected(partial(correct_sample, model)) if corrects_samples else shared
         self.lookahead_ns = required_lookahead_ns(model)
@@ -179,7 +174,7 @@ class ModelView:
     @staticmethod
     def extend_span(models: Sequence[Model], span: float) -> float:
         """Length of the history [s] for a time span [s]: MEMORY_TIME longer if a model has steering dynamics."""
-        return span + MEMORY_TIME if any(has_steering_dynamics(model) for model in models) else span
+        return span + MEMORY_TIME if any(model.has_steering_dynamics for model in models) else span
 
     def read_start(self, time_ns: int, steps: int, step: float) -> tuple[VehicleState, ControlInput | InputSequence]:
         """State at the model's CG, and inputs of a forecast with constant steering wheel angle and acceleration.

@@ -140,7 +140,7 @@ def test_edited_user_effect_recompiles_the_kernel(install, tmp_path):
 
 @pytest.mark.slow
 def test_read_only_package_uses_the_user_cache(install):
-    # Works for root too: nobody can make a folder inside a file.
+    # For root too: no user can create a folder inside a file.
     (install.package / "backends" / "__pycache__").write_text("")
     found, result, folder = install.run("kinematic")
     assert not found and folder.is_relative_to(install.home / ".cache" / "st_core")

@@ -56,7 +56,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
 
     The order is: sampling; units, signs and axes; relations valid for any vehicle (position, yaw, velocity,
     accelerations, other speeds); and, with a vehicle, comparison with it and trial of the corrections. Each check uses
-    a copy corrected for the faults found before. Never raises for the content of a recording: channels that are too
+    a copy corrected for the faults found before. No content of a recording raises an exception: channels that are too
     short or too inaccurate are not compared.
     """
     auxiliary = auxiliary or AuxiliaryData()
@@ -147,9 +147,9 @@ def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters |
 
 
 def _check_rear_axle(motion: Motion, vehicle: VehicleParameters, findings: list[Finding]) -> CheckResult:
-    """Result of `check_rear_axle`, without findings, or with less severe ones, where a scale error of the positions
-    would explain the rest. motion: with a scale of the velocity in the findings corrected, although the positions may
-    be wrong instead."""
+    """Result of `check_rear_axle`. motion: with a wrong scale of the velocity, if in the findings, corrected. The scale
+    of the positions may be wrong instead, so a finding must also exist at the recorded velocity, and has the lower of
+    both severities."""
     found, estimates, panel = vehicle_relations.check_rear_axle(motion, vehicle)
     scale = position.find_velocity_scale(findings)
     if found and scale is not None and scale.value and not match_unit(scale.value):

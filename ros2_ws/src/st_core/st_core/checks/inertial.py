@@ -453,8 +453,8 @@ def check_speeds(motion: Motion) -> list[CheckResult]:
 
 
 def check_position_clock(motion: Motion) -> list[Finding]:
-    """Finding of positions stamped by another clock: their speed agrees with the velocity, and their course with yaw,
-    only with a large lag."""
+    """Finding about positions stamped by a different clock: their speed agrees with the velocity, and their course with
+    yaw, only with a large lag."""
     speed = np.abs(np.gradient(motion.position, motion.time))
     agreement = compare_series(motion.time, motion.speed, motion.time, speed, SPEED_CUTOFF, max_lag=MAX_CLOCK_OFFSET,
                                max_fitted_lag=MAX_CLOCK_OFFSET)

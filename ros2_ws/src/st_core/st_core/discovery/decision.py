@@ -206,7 +206,7 @@ def varying_partition(e: Evidence, limits: Limits) -> str:
 
 
 def varies_relevantly(e: Evidence, limits: Limits) -> bool:
-    """Whether separate values of an effect in parts of the driving are significant and relevant enough to report."""
+    """Whether separate values of an effect in parts of the drives are significant and relevant enough to report."""
     is_significant = e.p_value < limits.false_alarm and e.gain > e.gain_between_runs
     return is_significant and e.gain > limits.relevant and is_relevant(e, limits)
 
@@ -285,4 +285,4 @@ def decide(limits: Limits, named: Sequence[Evidence], rivals: Mapping[str, Seque
                         "detectable in these drives at their typical size", detectable_share=detectable_share,
                         detection_power=limits.detection_power)
     return conclude("none", f"the position error is {noise_ratio:.1f} times the noise", noise_ratio=noise_ratio,
-                   max_noise_ratio=limits.max_noise_ratio)
+                    max_noise_ratio=limits.max_noise_ratio)

@@ -149,7 +149,7 @@ def find_error_regions(runs: Sequence[DriveLog], model: AugmentedModel, vehicle:
     bins = compute_excesses(samples, expected, sigma, settings.seed, RESAMPLES)
     residuals = {channel: compute_log_residuals(samples, channel, deviation) for channel, deviation in sigma.items()}
     segments = [segment for channel, residual in residuals.items() for segment in
-                 find_segments(samples, channel, residual, settings.block, settings.seed)]
+                find_segments(samples, channel, residual, settings.block, settings.seed)]
     cells = [cell for channel, residual in residuals.items() for cell in find_cells(samples, channel, residual)]
     adjusted_p = stats.false_discovery_control([c.p_value for c in cells], method="bh") if cells else ()
     cells = [c for c, q in zip(cells, adjusted_p, strict=True)

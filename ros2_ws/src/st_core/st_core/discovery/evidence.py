@@ -26,7 +26,7 @@ Sensors = Mapping[str, tuple[float, float, float]]  # by "effect.parameter": (va
 
 @dataclass(frozen=True)
 class Agreement:
-    """Consistency of an effect across the parts of the driving (runs, sites, ...)."""
+    """Consistency of an effect across the parts of the drives (runs, sites, ...)."""
 
     ratios: Mapping[str, tuple[float, float]]  # by part, (local divided by overall value, standard deviation)
     p_equal: float  # p-value of the hypothesis of equal values in all parts [1]
@@ -348,8 +348,8 @@ def approximate_joint_fit(problem: Problem, fit: Fit) -> JointFit:
 
 
 def null_p_value(problem: Problem, fit: Fit, effect: str) -> float:
-    """p-value of the hypothesis that an effect has its start values (null or healthy car), by Hotelling's
-    T^2 test with sandwich covariance."""
+    """p-value of the hypothesis that the values of an effect are those at the start of the search (the null values, or
+    those of the healthy car), by Hotelling's T^2 test with sandwich covariance."""
     indices = problem.space.indices(effect)
     columns = np.searchsorted(fit.indices, indices)
     variance = covariance(problem, fit)[np.ix_(columns, columns)]
@@ -363,7 +363,7 @@ def null_p_value(problem: Problem, fit: Fit, effect: str) -> float:
 
 
 def compare_parts(problem: Problem, fit: Fit, effect: str, part: np.ndarray, names: list[str]) -> Agreement:
-    """Compare the values of an effect in the parts of the driving by a random-effects model.
+    """Compare the values of an effect in the parts of the drives by a random-effects model.
 
     part: (n,) part of each window. names: names of the parts. The ratio of a part is 1 plus the Newton step of its loss
     in the direction of the fitted values; the other fitted parameters are free, with a weak prior (PART_PRIOR).

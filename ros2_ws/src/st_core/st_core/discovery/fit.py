@@ -182,7 +182,7 @@ class Problem:
 
             D = 2 n var(g_k) / H,   g_k: half the gradient of the loss in part k of n, H: half its second derivative
 
-        Scores of an incomplete model vary between parts of the driving, so D grows with unmodelled effects.
+        Scores of an incomplete model vary between parts of the drives, so D grows with unmodelled effects.
         Source: Kish, Survey Sampling (1965), ch. 8.
         """
         q = self.full_quadratic(vector)

@@ -1,4 +1,4 @@
-"""Partitions of the driving by run, site, time, place and condition, to test whether an effect is constant."""
+"""Partitions of the drives by run, site, time, place and condition, to test whether an effect is constant."""
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components

@@ -53,7 +53,7 @@ class SearchState:
 class Search:
     """A search from several starts, for the set of effects that predicts held-out driving best.
 
-    partitions: of the driving. sensors: `evidence.Sensors`. seed: of the random signs of blocks. tick: called at every
+    partitions: of the drives. sensors: `evidence.Sensors`. seed: of the random signs of blocks. tick: called at every
     refit. judge: decides whether an effect is accepted.
     """
 

@@ -49,7 +49,7 @@ class Space:
         self.low, self.high = np.array([*(p.bounds for _, p in self.free), GAIN_BOUNDS]).T
         self.deviation = np.array([*(p.deviation for _, p in self.free), np.inf]) / self.scale
         self.payloads = tuple(n for n in self.hypotheses
-                               if any(p.deviation < math.inf for p in get_effect(n).parameters))
+                              if any(p.deviation < math.inf for p in get_effect(n).parameters))
         self.effect_names = np.array([*(e for e, _ in self.free), ACCELEROMETER_GAIN])
         self._indices = {name: np.flatnonzero(self.effect_names == name).tolist() for name in {*self.effect_names}}
 

@@ -37,6 +37,11 @@ class Model:
         """Whether the wheels need a slip angle to generate lateral force; False for a kinematic model."""
         return self.axle_forces is not None
 
+    @property
+    def has_steering_dynamics(self) -> bool:
+        """Whether the road wheel angle depends on earlier steering, which only effects can cause."""
+        return False
+
     def effective_vehicle(self, vehicle: VehicleParameters) -> VehicleParameters:
         """The vehicle parameters that the model uses in place of those in the vehicle file."""
         return vehicle

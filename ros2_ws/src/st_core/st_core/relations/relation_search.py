@@ -117,44 +117,42 @@ def find_relation(discovery: Discovery, runs: Sequence[DriveLog], vehicle: Vehic
     fits = RelationFits(windows, model, discovery.acceleration_gain, names, settings, threads)
     tick()
     base_fit = fits.fit_without_relation()
-    trials = selection.screen(fits, base_fit, tick)
-    if not trials:
+    screened = selection.screen(fits, base_fit, tick)
+    if not screened:
         return RelationSearch(None, "no candidate relation changes a prediction of these drives: drive left and right "
                               "turns, accelerate and brake, at several speeds")
-    return _select(trials, fits, base_fit, [e.name for e in discovery.effects], reported, tick)
+    return _select(screened, fits, base_fit, [e.name for e in discovery.effects], reported, tick)
 
 
-def _select(trials: Sequence[ScreenedCandidate], fits: RelationFits, base_fit: RelationFit,
+def _select(screened: Sequence[ScreenedCandidate], fits: RelationFits, base_fit: RelationFit,
             effect_names: Sequence[str], reported: Collection[tuple[str, str]],
             tick: Callable[[], None]) -> RelationSearch:
     """The best significant candidate, or the reason why none is reported. effect_names: effects of the result."""
     limits, residual_count = fits.limits, fits.loss.residual_count
-    p_values = selection.compute_p_values(trials, fits.blocks)
+    p_values = selection.compute_p_values(screened, fits.blocks)
     statistics = {s.candidate.name: (s.gain / residual_count, p_values[s.candidate.name])
-                  for s in sorted(trials, key=lambda s: -s.gain)}
-    level = limits.false_alarm / len(trials)
-    detection_limits = {s.candidate.name: s.compute_detection_limit(level, fits.blocks) for s in trials}
-    significant = sorted((s for s in trials if p_values[s.candidate.name] <= limits.false_alarm),
+                  for s in sorted(screened, key=lambda s: -s.gain)}
+    level = limits.false_alarm / len(screened)
+    detection_limits = {s.candidate.name: s.compute_detection_limit(level, fits.blocks) for s in screened}
+    significant = sorted((s for s in screened if p_values[s.candidate.name] <= limits.false_alarm),
                          key=lambda s: -s.gain)
     if not significant:
         name, (gain, p_value) = next(iter(statistics.items()))
         return RelationSearch(None, f"no relation is significant. The best, {name}, lowers the held-out loss by "
                               f"{gain:.3f} per residual, p = {p_value:.2g}, corrected for the number of "
                               f"candidates; p < {limits.false_alarm:g} is required", statistics, detection_limits)
-    imitated_faults = {trial: fault for trial in significant
-                       if (fault := _find_imitated_fault(trial.candidate, reported))}
+    imitated_faults = {s: fault for s in significant if (fault := _find_imitated_fault(s.candidate, reported))}
     remaining = [s for s in significant if s not in imitated_faults]
     fitted, accepted, rejections = _fit_candidates(remaining, fits, base_fit, tick)
-    rejections |= {trial: f"{trial.candidate.name} is significant, but may be the sensor fault that st check reports: "
-                          f"{fault}. Correct it first and search again" for trial, fault in imitated_faults.items()}
+    rejections |= {s: f"{s.candidate.name} is significant, but may be the sensor fault that st check reports: "
+                      f"{fault}. Correct it first and search again" for s, fault in imitated_faults.items()}
     if not accepted:
-        first = next(trial for trial in significant if trial in rejections)
+        first = next(s for s in significant if s in rejections)
         return RelationSearch(None, rejections[first], statistics, detection_limits)
     # A candidate with a factor must be better by at least the smallest relevant gain.
     best = min(accepted, key=lambda s: float(accepted[s].held_out.sum())
                + (limits.relevant * residual_count if s.candidate.factor else 0.0))
-    relation, gain_text = _make_relation(best, fitted, base_fit, fits, p_values[best.candidate.name],
-                                         effect_names)
+    relation, gain_text = _make_relation(best, fitted, base_fit, fits, p_values[best.candidate.name], effect_names)
     return RelationSearch(relation, gain_text, statistics, detection_limits)
 
 
@@ -166,22 +164,22 @@ def _fit_candidates(significant: Sequence[ScreenedCandidate], fits: RelationFits
     rejections: dict[ScreenedCandidate, str] = {}
     before = selection.compute_position_errors(fits, base_fit)
     # The best candidate of every term is fitted first.
-    first = {trial.candidate.term: trial for trial in reversed(significant)}
-    trials = list(dict.fromkeys([*sorted(first.values(), key=lambda s: -s.gain), *significant]))
-    for trial in trials[:MAX_FITTED_CANDIDATES]:
+    first = {s.candidate.term: s for s in reversed(significant)}
+    ordered = list(dict.fromkeys([*sorted(first.values(), key=lambda s: -s.gain), *significant]))
+    for s in ordered[:MAX_FITTED_CANDIDATES]:
         tick()
-        fit = fits.fit(trial.candidate, base_fit)
-        name, after = trial.candidate.name, selection.compute_position_errors(fits, fit)
+        fit = fits.fit(s.candidate, base_fit)
+        name, after = s.candidate.name, selection.compute_position_errors(fits, fit)
         if problem := selection.describe_unusable_curve(fits, fit):
-            rejections[trial] = problem
+            rejections[s] = problem
             continue
-        fitted[trial] = fit  # may be an alternative to the accepted relation, even if it is rejected
+        fitted[s] = fit  # may be an alternative to the accepted relation, even if it is rejected
         reason = selection.describe_deterioration(fits, name, before, after) or selection.describe_small_gain(
-            fits, trial.candidate, base_fit.held_out - fit.held_out, before - after)
+            fits, s.candidate, base_fit.held_out - fit.held_out, before - after)
         if reason:
-            rejections[trial] = reason
+            rejections[s] = reason
         else:
-            accepted[trial] = fit
+            accepted[s] = fit
     return fitted, accepted, rejections
 
 
@@ -198,11 +196,10 @@ def _make_relation(best: ScreenedCandidate, fitted: FitByCandidate, base_fit: Re
     fit, c = fitted[best], best.candidate
     gains = base_fit.held_out - fit.held_out
     before, after = (selection.compute_position_errors(fits, f) for f in (base_fit, fit))
-    others = [trial for trial in fitted if trial is not best]
-    excess = np.array([fitted[trial].held_out - fit.held_out for trial in others])
+    others = [s for s in fitted if s is not best]
+    excess = np.array([fitted[s].held_out - fit.held_out for s in others])
     is_equally_good = selection.find_equally_good(excess, fits.limits.undecided_p, fits.settings.seed)
-    alternatives = {trial.candidate.name: fitted[trial]
-                    for trial, is_good in zip(others, is_equally_good, strict=True) if is_good}
+    alternatives = {s.candidate.name: fitted[s] for s, is_good in zip(others, is_equally_good, strict=True) if is_good}
     u = compute_quantities(fits.windows)[c.quantity]
     points = np.linspace(c.low, c.high, selection.POINTS)
     splines = c.compute_splines(points)

@@ -48,26 +48,26 @@ def screen(fits: RelationFits, base_fit: RelationFit, tick: Callable[[], None]) 
     base_loss = fits.predict_held_out_loss(base_fit.quadratic, base_fit.penalty, distance)
     vehicle_sensitivities = fits.loss.sensitivities(base_fit.vector, fits.vehicle_indices)
     signs = np.random.default_rng(fits.settings.seed).choice([-1.0, 1.0], (DRAWS, fits.blocks))
-    trials = []
+    screened = []
     for candidate in find_candidates(fits.windows):
         tick()
-        if trial := _screen_candidate(fits, base_fit, base_loss, vehicle_sensitivities, candidate, signs):
-            trials.append(trial)
-    return trials
+        if s := _screen_candidate(fits, base_fit, base_loss, vehicle_sensitivities, candidate, signs):
+            screened.append(s)
+    return screened
 
 
-def compute_p_values(trials: Sequence[ScreenedCandidate], blocks: int) -> dict[str, float]:
+def compute_p_values(screened: Sequence[ScreenedCandidate], blocks: int) -> dict[str, float]:
     """p-value of each candidate, corrected for the number of candidates and of tests: twice the smaller p-value of two
     tests. Sign flips: the statistic is compared with the largest of all candidates under random block signs. Likelihood
     ratio (F test): twice the held-out gain divided by the design effect (at least the median of all) and by the degrees
     of freedom, with a Bonferroni correction; it detects relations that act in few blocks."""
-    largest = np.max([s.null_statistics for s in trials], axis=0)
-    median = float(np.median([s.design_effect for s in trials]))
+    largest = np.max([s.null_statistics for s in screened], axis=0)
+    median = float(np.median([s.design_effect for s in screened]))
     p_values = {}
-    for s in trials:
+    for s in screened:
         p_score = (1 + int((largest >= s.statistic).sum())) / (1 + DRAWS)
         ratio = 2.0 * max(s.gain, 0.0) / max(median, s.design_effect) / s.degrees_of_freedom
-        p_ratio = len(trials) * float(stats.f.sf(ratio, s.degrees_of_freedom, blocks - 1))
+        p_ratio = len(screened) * float(stats.f.sf(ratio, s.degrees_of_freedom, blocks - 1))
         p_values[s.candidate.name] = min(2.0 * min(p_score, p_ratio), 1.0)
     return p_values
 

@@ -334,7 +334,7 @@ def sum_contributions(models: Sequence[Model], vehicle: VehicleParameters, signa
 
 
 def _name_seconds(values: np.ndarray) -> dict[str, dict[str, float]]:
-    return {str(k + 1): dict(zip(AXES, row.tolist(), strict=True)) for k, row in enumerate(values)}
+    return {str(k + 1): _name_axes(row) for k, row in enumerate(values)}
 
 
 def summarise_contributions(sums: Sums) -> dict[str, Any]:

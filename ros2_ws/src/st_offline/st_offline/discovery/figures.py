@@ -200,7 +200,7 @@ def _compute_aspect_ratio(log: DriveLog) -> float:
 
 @apply_style()
 def draw_agreement(data: FigureData) -> PageFigure | None:
-    """Draw the ratio of the local estimate to the overall estimate of each effect, for each part of the driving."""
+    """Draw the ratio of the local estimate to the overall estimate of each effect, for each part of the drives."""
     effects = report_text.sort_by_size([e for e in data.discovery.effects if any(e.agreement.values())])[:MAX_PANELS]
     if not effects:
         return None
@@ -229,7 +229,7 @@ def draw_agreement(data: FigureData) -> PageFigure | None:
     figure.supxlabel("ratio of the local to the overall estimate", fontsize=8)
     panels[0][0].set_yticks(range(len(labels)), [label for _, label in labels], fontsize=7)
     panels[0][0].set_ylim(len(labels) - 0.5, -0.5)
-    caption = ("Point: the effect refitted to one part of the driving, with the other effects fixed, divided by "
+    caption = ("Point: the effect refitted to one part of the drives, with the other effects fixed, divided by "
                "the overall estimate; filled if the 95 % interval (bar) excludes zero. Solid line: the overall "
                "estimate; dotted line: zero. A property of the car is the same everywhere.")
     return save_figure(figure, data.output, "agreement", "Local estimates of each effect", caption)

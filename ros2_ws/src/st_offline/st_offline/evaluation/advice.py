@@ -50,6 +50,11 @@ class Cost:
     compiled: float | None  # single prediction with numba, None if the model cannot be compiled
     batch: float  # mean over a batch of at most MAX_BATCH predictions
 
+    @property
+    def single(self) -> float:
+        """Of a single prediction, compiled if possible."""
+        return self.interpreted if self.compiled is None else self.compiled
+
 
 def measure_costs(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals,
                   settings: Mapping[float, EvaluationSettings]) -> dict[ModelStep, Cost]:
@@ -128,16 +133,11 @@ def measure_accuracy(runs: Sequence[ErrorSamples], model: str, settings: Evaluat
     return Accuracy(tuple(seconds), tuple(rms.tolist()), level, half_widths, error_quantiles)
 
 
-def get_processor_time(cost: Cost) -> float:
-    """Processor time of a single prediction [s], compiled if possible."""
-    return cost.interpreted if cost.compiled is None else cost.compiled
-
-
 def find_cheapest(costs: Mapping[ModelStep, Cost], accuracies: Mapping[ModelStep, Accuracy],
                   tolerance: float) -> dict[float, tuple[ModelStep | None, ...]]:
     """The (model, step) with the least processor time and a lateral error within the tolerance [m] in REQUIRED_FRACTION
     of the starts, by speed bin (lower edge [m/s]) and second ahead; None if no model achieves this with any step."""
-    order = sorted(accuracies, key=lambda key: get_processor_time(costs[key]))
+    order = sorted(accuracies, key=lambda key: costs[key].single)
     speeds = sorted({low for accuracy in accuracies.values() for low in accuracy.error_quantiles})
     seconds = max((len(accuracy.seconds) for accuracy in accuracies.values()), default=0)
     return {low: tuple(next((key for key in order if low in accuracies[key].error_quantiles
@@ -152,8 +152,10 @@ def print_advice(sources: Sequence[RunSource], task: Task, tolerance: float, con
     rows = make_advice_rows(costs, accuracies)
     for title, part in split_rows(rows, accuracies).items():
         console.print(make_table(part, title=title, **TABLE_STYLE))
+    title = (f"Cheapest model and step with a lateral error within {tolerance:g} m up to each second, in "
+             f"{REQUIRED_FRACTION:.0%} of the starts, with measured inputs")
     choices = make_choice_rows(find_cheapest(costs, accuracies, tolerance))
-    console.print(make_table(choices, title=make_choice_title(tolerance), **TABLE_STYLE))
+    console.print(make_table(choices, title=title, **TABLE_STYLE))
     for (model, step), reason in problems.items():
         print_line(f"[yellow]{escape(model)}, {step:g} s: {escape(reason)}[/yellow]", console)
     assert task.folder is not None  # set by the command
@@ -255,8 +257,3 @@ def split_rows(rows: Sequence[Mapping[str, str]],
     return {title: [{name: row[name] for name in ("model", "step, s")} | {
         match[1]: cell for name, cell in row.items() if (match := re.fullmatch(pattern, name))} for row in rows]
         for title, pattern in patterns.items()}
-
-
-def make_choice_title(tolerance: float) -> str:
-    return (f"Cheapest model and step with a lateral error within {tolerance:g} m up to each second, in "
-            f"{REQUIRED_FRACTION:.0%} of the starts, with measured inputs")
