@@ -8,6 +8,7 @@ import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from st_live import suite
@@ -78,6 +79,28 @@ def run_processes(tmp_path: Path) -> Iterator[Processes]:
     processes = Processes(tmp_path)
     yield processes
     processes.close()
+
+
+def refusing_node(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+                  ) -> Callable[..., str]:
+    """A fixture, once `pytest.fixture` is applied to it: refuse(make_node, "name:=value", ...) returns the only line,
+    except log messages, of a node that ends with status 2. The node runs in this process, which has imported its
+    libraries; that the status is that of a process is tested in st_ros/test/test_spin.py."""
+    from st_ros import spin
+
+    monkeypatch.setattr(spin, "catch_stop_signals", lambda: lambda: False)
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain()))
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "ros_log"))
+    monkeypatch.chdir(ROOT)
+
+    def refuse(make_node: Callable[[], Any], *parameters: str) -> str:
+        capfd.readouterr()
+        status = spin.run(make_node, ["--ros-args", *(word for text in parameters for word in ("-p", text))])
+        lines = [line for line in "".join(capfd.readouterr()).splitlines() if not line.startswith("[")]
+        assert status == 2 and len(lines) == 1, lines
+        return lines[0]
+
+    return refuse
 
 
 def wait_for(condition: Callable[[], object], seconds: float = 20.0, what: str = "") -> None:

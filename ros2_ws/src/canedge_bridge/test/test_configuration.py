@@ -1,17 +1,17 @@
-"""Invalid parameters of the node process."""
+"""Invalid parameters of the node."""
 
 import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs.msg", reason="needs the built workspace")
 
-from node_rig import launch
-from ros_processes import free_domain
+from canedge_bridge.node import CanedgeBridge
+from ros_processes import refusing_node
 
 pytestmark = pytest.mark.ros
+refuse = pytest.fixture(refusing_node)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("parameters", "message"), [
     ({"steering_rato": 17.3}, "unknown parameter steering_rato"),
     ({"steering_sign": 0}, "steering_sign: 0 is not one of 1, -1"),
@@ -21,8 +21,5 @@ pytestmark = pytest.mark.ros
     ({"interface": "sockcan"}, "interface 'sockcan' is not one of"),
     ({"checks": "['Leaf_Steering']"}, "checks: 'Leaf_Steering' is not MESSAGE=off|warn|drop"),
 ])
-def test_invalid_configuration_is_refused_in_one_line(parameters, message, node_parameters, tmp_path):
-    process = launch("canedge_bridge", node_parameters | parameters, tmp_path, free_domain())
-    output, errors = process.communicate(timeout=30)
-    assert process.returncode == 2
-    assert message in errors and len(errors.strip().splitlines()) == 1 and output == ""
+def test_invalid_configuration_is_refused_in_one_line(refuse, parameters, message, node_parameters):
+    assert message in refuse(CanedgeBridge, *(f"{n}:={value}" for n, value in (node_parameters | parameters).items()))

@@ -2,7 +2,6 @@
 
 import math
 import signal
-import subprocess
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,11 +13,12 @@ pytest.importorskip("st_msgs.msg", reason="needs the built workspace")
 
 from ins_rig import free_port
 from node_rig import launch
-from oxts_bridge.node import PARAMETERS, check_settings
-from ros_processes import free_domain
+from oxts_bridge.node import PARAMETERS, OxtsBridge, check_settings
+from ros_processes import free_domain, refusing_node
 from st_ros.parameters import ConfigurationError
 
 pytestmark = pytest.mark.ros
+refuse = pytest.fixture(refusing_node)
 
 
 def test_sigterm_ends_the_node_with_status_0(tmp_path):
@@ -29,23 +29,15 @@ def test_sigterm_ends_the_node_with_status_0(tmp_path):
     assert process.returncode == 0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("parameters", "text"), [
     ({"udp_prot": 3000}, "unknown parameter udp_prot"),
     ({"udp_port": 70000}, "udp_port: 70000 is outside 1 to 65535"),
     ({"origin_source": "given"}, "origin_latitude: is required when"),
     ({"replay_file": __file__}, "no NCOM packet in"),
 ])
-def test_invalid_configuration_is_refused_in_one_line(parameters, text, tmp_path):
-    process = launch("oxts_bridge", parameters, tmp_path, free_domain())
-    try:
-        _, errors = process.communicate(timeout=30)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        raise
-    lines = [line for line in errors.splitlines() if not line.startswith("[")]
-    assert process.returncode == 2, errors
-    assert len(lines) == 1 and text in lines[0] and "oxts_bridge" in lines[0]
+def test_invalid_configuration_is_refused_in_one_line(refuse, parameters, text):
+    line = refuse(OxtsBridge, *(f"{name}:={value}" for name, value in parameters.items()))
+    assert text in line and "oxts_bridge" in line
 
 
 @pytest.mark.parametrize(("key", "value", "text"), [

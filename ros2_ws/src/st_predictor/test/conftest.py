@@ -1,4 +1,4 @@
 import pytest
-from ros_processes import run_processes
+from ros_processes import refusing_node, run_processes
 
-processes = pytest.fixture(run_processes)
+processes, refuse = pytest.fixture(run_processes), pytest.fixture(refusing_node)

@@ -4,6 +4,7 @@ Its effects are chosen so that the circle is its steady state; the three other m
 """
 
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
@@ -17,11 +18,14 @@ pytest.importorskip("st_msgs", reason="needs the built workspace")
 
 from bags import nanoseconds, read_messages, stamps, trim_to_common_start
 from circle_feeder import pose_at
+from rclpy.node import Node
 from ros_processes import Processes, wait_for
 from scipy.optimize import fsolve
 from st_core.augmented import augment
 from st_core.model_file import ModelFile, ModelProvenance
 from st_core.vehicle import VehicleParameters
+from st_predictor.nodes.evaluator import EvaluatorNode
+from st_predictor.nodes.predictor import PredictorNode
 from support import LEAF, ROOT
 
 pytestmark = [pytest.mark.ros, pytest.mark.timing("nodes run in real time; one that waits for its turn skips ticks")]
@@ -157,21 +161,19 @@ ANOTHER_CAR = MASS + 'vehicle: {name: "Truck", hash: "abcdef"}\n'
 
 
 @pytest.mark.parametrize(("node", "text", "message"), [
-    ("predictor", None, "model.yaml: No such file"),
-    ("predictor", MASS.replace("1.1", "9.0"), "effects.mass.factor: 9.0 is outside 0.6 to 2 1"),
-    ("predictor", TOW_HOOK, "unknown effect 'tow_hook'"),
-    ("predictor", ANOTHER_CAR, "the values are valid for 'Truck' abcdef"),
-    ("evaluator", ANOTHER_CAR, "the values are valid for 'Truck' abcdef"),
+    (PredictorNode, None, "model.yaml: No such file"),
+    (PredictorNode, MASS.replace("1.1", "9.0"), "effects.mass.factor: 9.0 is outside 0.6 to 2 1"),
+    (PredictorNode, TOW_HOOK, "unknown effect 'tow_hook'"),
+    (PredictorNode, ANOTHER_CAR, "the values are valid for 'Truck' abcdef"),
+    (EvaluatorNode, ANOTHER_CAR, "the values are valid for 'Truck' abcdef"),
 ])
 def test_invalid_model_file_is_refused_in_one_line(
-        processes: Processes, node: str, text: str | None, message: str):
-    path = processes.folder / "model.yaml"
+        refuse: Callable[..., str], tmp_path: Path, node: type[Node], text: str | None, message: str):
+    path = tmp_path / "model.yaml"
     if text:
         path.write_text(text)
-    process = processes.node("st_predictor", node, f"vehicle_file:={LEAF}", f"model_file:={path}")
-    assert process.wait(30) == 2
-    lines = [line for line in processes.log(node).splitlines() if line.strip()]
-    assert len(lines) == 1 and "model_file: " in lines[0] and message in lines[0]
+    line = refuse(node, f"vehicle_file:={LEAF}", f"model_file:={path}")
+    assert "model_file: " in line and message in line
 
 
 def test_own_effects_are_loaded_from_their_folder(processes: Processes) -> None:
@@ -185,7 +187,6 @@ def test_own_effects_are_loaded_from_their_folder(processes: Processes) -> None:
     assert processes.stop(node) == 0
 
 
-def test_missing_folder_of_effects_is_refused(processes: Processes) -> None:
-    node = processes.node("st_predictor", "predictor", f"vehicle_file:={LEAF}", "effects_directory:=/nowhere")
-    assert node.wait(30) == 2
-    assert "effects_directory: /nowhere: not a folder of effects" in processes.log("predictor")
+def test_missing_folder_of_effects_is_refused(refuse: Callable[..., str]) -> None:
+    line = refuse(PredictorNode, f"vehicle_file:={LEAF}", "effects_directory:=/nowhere")
+    assert "effects_directory: /nowhere: not a folder of effects" in line
