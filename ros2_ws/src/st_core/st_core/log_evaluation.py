@@ -210,7 +210,7 @@ def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log:
             on_block(starts[rows], block)
         if progress:
             progress(rows.stop, len(starts))
-    return LogEvaluation(log.name, settings, origin, starts, skipped, reasons, conditions, results, horizon)
+    return LogEvaluation(log.name, settings, origin, starts, skipped, dict(reasons), conditions, results, horizon)
 
 
 def regular_starts(log: DriveLog, interval: float) -> np.ndarray:

@@ -58,7 +58,7 @@ def test_gaps_are_measured_in_the_corrected_time_unit(log, leaf):
 
 def test_only_findings_of_equal_severity_are_merged():
     finding = Finding("channel_frozen", Severity.WARNING, ("velocity_y",), "velocity_y is constant", 0.0)
-    other = replace(finding, severity=Severity.ERROR, channels=("yaw_rate",), text="yaw_rate is constant")
+    other = replace(finding, severity=Severity.ERROR, channels=("yaw_rate",), statement="yaw_rate is constant")
     assert merge_findings([finding, other]) == [finding, other]
     (merged,) = merge_findings([finding, replace(other, severity=Severity.WARNING)])
     assert merged.channels == ("velocity_y", "yaw_rate")

@@ -342,6 +342,8 @@ def test_scale_of_yaw_and_yaw_rate_are_alternatives_if_positions_are_too_noisy(l
         finding = findings_by_name(scaled(1.05, channel)(coarse), leaf)["yaw_rate_scale"]
         assert finding.channels == ("yaw_rate", "yaw") and finding.advice.kind == "text"
         assert finding.text.endswith("times its true value: both fit this drive")
+        assert finding.alternatives[0].findings == ("yaw_scale",)
+        assert not {"yaw_scale", "yaw_rate_scale"} & check(scaled(1.05, channel)(coarse), leaf).estimates.keys()
 
 
 @pytest.mark.slow

@@ -105,6 +105,9 @@ def test_spin_has_no_impossible_lateral_acceleration(leaf):
     spinning = replace(log, yaw=log.yaw + angle, velocity_x=15.0 * np.cos(angle), velocity_y=-15.0 * np.sin(angle),
                        yaw_rate=log.yaw_rate + np.gradient(angle, time))
     assert "lateral_acceleration_impossible" not in findings_by_name(spinning, leaf)
+    without_sideslip = replace(spinning, velocity_x=np.full(len(time), 15.0), velocity_y=np.zeros(len(time)),
+                               acceleration_y=None)
+    assert "lateral_acceleration_impossible" not in findings_by_name(without_sideslip, leaf)
 
 
 @pytest.mark.slow

@@ -57,15 +57,16 @@ def test_coverage_of_lag_scale_and_bias(lag, correlation):
         assert_coverage([getattr(estimate, quantity) for estimate in found], truth, 0.8, FEW_RUNS)
 
 
-def test_coverage_of_the_lag_behind_a_noisy_angle():
-    """The noise of the differentiated angle contains no information about the lag."""
+def test_lag_and_scale_relative_to_a_noisy_angle():
+    """The noise of the differentiated angle contains no information about the lag, and biases a regression on it."""
     time = np.arange(0.0, 60.0, 0.01)
     yaw = 0.2 * np.sin(time / 3.7) + 0.075 * np.sin(time + 0.7) + 0.01 * np.sin(2.7 * time + 2.0)
     rate = np.gradient(np.interp(time - 0.08, time, yaw), time)
     found = [compare_series(time, yaw + np.radians(0.3) * np.random.default_rng(seed).standard_normal(len(time)),
-                            time, rate, 4.0, derived_is_angle=True).lag for seed in range(FEW_RUNS)]
-    assert sum(lag.covers(0.08) for lag in found) >= 0.8 * FEW_RUNS
-    assert max(lag.half_width for lag in found) < 0.05
+                            time, rate, 4.0, derived_is_angle=True) for seed in range(FEW_RUNS)]
+    assert sum(agreement.lag.covers(0.08) for agreement in found) >= 0.8 * FEW_RUNS
+    assert max(agreement.lag.half_width for agreement in found) < 0.05
+    assert np.mean([agreement.scale.value for agreement in found]) == pytest.approx(1.0, abs=0.02)
 
 
 def test_interval_is_wider_for_more_noise_and_for_less_driving():

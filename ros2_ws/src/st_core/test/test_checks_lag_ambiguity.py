@@ -124,6 +124,8 @@ def test_lag_of_velocities_names_velocity_x_too_if_the_lateral_velocity_is_small
     log = exact_drive(leaf, 60.0, speed=Sines(6.0, ((1.5, 21.0, 0.4), (0.5, 7.0, 1.1))), turning=straight)
     (finding,) = lag_findings(delay(log, 0.08, *channels), leaf).values()
     assert finding.name in ("velocity_lag", "velocity_x_lag") and finding.text.endswith(": both fit this drive")
+    assert [*finding.advice.entry["correct"]] == ["velocity_x"]  # which lags in both cases
+    assert not {"velocity_lag", "velocity_x_lag"} & check(delay(log, 0.08, *channels), leaf).estimates.keys()
 
 
 @pytest.mark.slow
@@ -154,9 +156,11 @@ def test_lag_of_yaw_is_found_with_positions_of_a_different_point(leaf, ahead, se
 def test_lag_of_yaw_or_yaw_rate_names_both_if_a_different_point_has_the_same_effect(leaf, channel):
     log = delay(position_point_moved(1.5)(exact_drive(leaf, speed=Sines(12.0, ()))), 0.1, channel)
     found = findings_by_name(log, leaf)
-    ambiguous = {name for name, finding in found.items() if finding.text.endswith(": both fit this drive")}
-    assert not ambiguous & check(log, leaf).estimates.keys()  # which st discover takes for measurements of a sensor
-    assert found["yaw_rate_lag"].text.endswith(": both fit this drive") and "or yaw l" in found["yaw_rate_lag"].text
+    ambiguous = {name for name, finding in found.items() if finding.alternatives}
+    # Estimates are those that st discover takes for measurements of a sensor.
+    assert not (ambiguous | {"yaw_lag"}) & check(log, leaf).estimates.keys()
+    assert found["yaw_rate_lag"].alternatives[0].findings == ("yaw_lag",)
+    assert found["yaw_rate_lag"].text.endswith(" fit this drive") and "or yaw l" in found["yaw_rate_lag"].text
     named = [found[name] for name in ("yaw_rate_lag", "position_reference", "position_lag") if name in found]
     assert len(named) == 2 and all(finding.advice.kind == "text" for finding in named)
 

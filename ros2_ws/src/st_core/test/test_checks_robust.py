@@ -119,8 +119,10 @@ def test_lateral_acceleration_beyond_tyre_limits_is_an_error_unless_positions_co
     assert finding.severity is Severity.NOTE and finding.value == pytest.approx(1.5 * SPEED.mean, rel=0.4)
     assert errors(downforce, leaf) == []
     motion = Motion.from_log(exact_drive(leaf), 0, AuxiliaryData())
-    (finding,) = check_tyre_limit(replace(motion, yaw_rate=motion.yaw_rate + 1.0))
-    assert finding.severity is Severity.ERROR
+    wrong = replace(motion, yaw_rate=motion.yaw_rate + 1.0)
+    (finding,) = check_tyre_limit(wrong, sideslip_measured=True)
+    assert finding.severity is Severity.ERROR and finding.channels == ("velocity_x", "velocity_y", "yaw_rate")
+    assert check_tyre_limit(wrong, sideslip_measured=False) == []  # as in a spin
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 49, 50, 60])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from rich.console import Console
-from st_core.checks import Advice, Comparison, DriveCheck, Finding, Sampling, Severity
+from st_core.checks import Advice, Alternative, Comparison, DriveCheck, Finding, Sampling, Severity
 from st_core.clock_types import Alignment, Verdict
 from st_core.vehicle import VehicleParameters
 from st_offline.checking import check_report
@@ -106,7 +106,7 @@ def test_verdict_counts_findings_and_states_their_consequence():
     assert check_report.format_verdict(make_check([])) == "no findings in 1 comparison"
     assert "nothing could be compared" in check_report.format_verdict(DriveCheck((), {}, ()))
     assert check_report.format_headline(make_check([DEGREES])) == "1 error: yaw rate is 57.3 times too large: deg/s?"
-    asking = replace(DEGREES, text="yaw: 57.3 times too large: deg?: gon?")
+    asking = replace(DEGREES, statement="yaw: 57.3 times too large: deg?: gon?")
     two = check_report.format_headline(make_check([DEGREES, asking]))
     assert two == "2 errors: yaw rate is 57.3 times too large; yaw: 57.3 times too large"
 
@@ -185,7 +185,12 @@ def test_document_contains_only_finite_numbers():
     entry = content["runs"]["drive"]
     assert content["schema"] == 3 and entry["vehicle"] == "leaf.yaml" and "leaf.yaml" in content["vehicle"]
     assert set(entry["findings"][0]) == {"name", "severity", "channels", "value", "unit", "interval", "text", "times",
-                                         "effect", "advice", "tried"}
+                                         "effect", "advice", "tried", "alternatives"}
+    lag = Finding("velocity_lag", Severity.NOTE, ("velocity_x",), "late",
+                  alternatives=(Alternative("only one is", ("velocity_x_lag",)), Alternative("a", ())))
+    (ambiguous,) = check_report.findings_as_json([lag])
+    assert ambiguous["text"] == "late, or only one is, or a: all fit this drive"
+    assert ambiguous["alternatives"][0] == {"text": "only one is", "findings": ["velocity_x_lag"]}
     assert entry["channels"]["yaw_rate"]["missing"] == 3 and entry["comparisons"][0]["residual_rms"] > 10.0
 
 
@@ -323,13 +328,13 @@ def test_correction_is_offered_only_if_one_exists():
 
 def test_equal_findings_in_two_channels_are_not_merged():
     steering = Finding("sentinel_values", Severity.WARNING, ("road_wheel_angle",), "road_wheel_angle is -9999", -9999.0)
-    speed = replace(steering, channels=("velocity_x",), text="velocity_x is -9999")
+    speed = replace(steering, channels=("velocity_x",), statement="velocity_x is -9999")
     assert [names for _, names in group_findings({"a": [steering, speed], "b": [speed]})] == [["a"], ["a", "b"]]
 
 
 def test_lag_and_lead_are_not_merged():
     late = Finding("yaw_rate_lag", Severity.WARNING, ("yaw_rate",), "yaw_rate lags yaw", 0.08, "s", effect=0.1)
-    early = replace(late, text="yaw_rate leads yaw", value=-0.05, effect=0.2)
+    early = replace(late, statement="yaw_rate leads yaw", value=-0.05, effect=0.2)
     grouped = group_findings({"a": [late], "b": [early], "c": [late]})
     assert [(one.text, names) for one, names in grouped] == [("yaw_rate leads yaw", ["b"]),
                                                              ("yaw_rate lags yaw", ["a", "c"])]

@@ -14,6 +14,7 @@ from .finding import (
     LIMITS,
     WHEEL_SCALE_TOLERANCE,
     Advice,
+    Alternative,
     AuxiliaryData,
     Comparison,
     DriveCheck,
@@ -29,7 +30,7 @@ from .trial import try_corrections
 from .units_and_axes import check_nominal_rate, check_time_unit, correct_units, match_unit, other_yaw_fits_better
 
 ESTIMATES_BIASED_BY_SIDESLIP = ("steering_lag", "yaw_rate_lag", "yaw_lag")
-EXPLAINED_BY_YAW_LAG = ("yaw_rate_lag", "position_lag", "position_reference")
+EXPLAINED_BY_YAW_LAG = ("yaw_rate_lag", "position_lag", "position_reference", "steering_lag")
 MAX_INS_DISTANCE = 3.0  # m; largest distance of the INS ahead of the rear axle
 MAX_REAR_COMPLIANCE = 0.01  # rad s^2/m; rear cornering compliance (slip angle per a_y): road cars 0.003 to 0.008
 MIN_INS_SAMPLES = 50  # with fewer samples, only implausible samples and time stamps are reported
@@ -93,7 +94,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
     # Accelerations are last, since no prediction depends on them.
     findings = sorted(results.findings, key=lambda finding: (
         [*Severity].index(finding.severity), finding.concerns_only_acceleration, -(finding.effect or np.inf)))
-    ambiguous = {finding.name for finding in findings if position.AMBIGUOUS in finding.text}
+    ambiguous = {name for f in findings for a in f.alternatives for name in (f.name, *a.findings)}
     return DriveCheck(tuple(findings), channels, tuple(results.panels),
                       {name: (estimate.value, *estimate.interval) for name, estimate in results.estimates.items()
                        if name not in ambiguous})
@@ -118,7 +119,7 @@ def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters |
     if not {"x", "y"} & _list_channels(stuck_findings, "samples_repeated"):  # held positions always step
         motion, step_findings = check_position_steps(motion)
         results.findings += step_findings
-    speed, sideslip_measured = motion.velocity_x, CHANNELS["velocity_y"].is_measured_in(log)
+    speed, yaw_rate, sideslip_measured = motion.velocity_x, motion.yaw_rate, CHANNELS["velocity_y"].is_measured_in(log)
     removed_factors = _find_removed_factors(unit_findings)
     corrected, sensors = _check_sensors(motion, removed_factors)
     wrong_rate = None if time_unit else check_nominal_rate(sensors.findings, sensors.estimates)
@@ -132,18 +133,27 @@ def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters |
     if vehicle is not None:
         if not broken_channels & {*STEERING}:
             has_steering_wheel = log.steering_wheel_angle is not None
-            results.add(vehicle_relations.check_steering(corrected, vehicle, has_steering_wheel))
+            results.add(_check_steering(corrected, vehicle, has_steering_wheel, results.findings))
         unusable_channels = coarse_channels | _list_channels(stuck_findings, "channel_frozen")
         if sideslip_measured and not unusable_channels & {"velocity_y", "yaw_rate"}:
             results.add(_check_rear_axle(corrected, vehicle, findings))
-        results.findings += vehicle_relations.check_tyre_limit(corrected)
-    results.findings += vehicle_relations.check_standstill(replace(corrected, velocity_x=speed))
+        results.findings += vehicle_relations.check_tyre_limit(corrected, sideslip_measured)
+    results.findings += vehicle_relations.check_standstill(replace(corrected, velocity_x=speed, yaw_rate=yaw_rate))
     results.findings = _limit_to_measured_channels(results.findings, log, corrected)
     if not sideslip_measured:
         for name in ESTIMATES_BIASED_BY_SIDESLIP:
             results.estimates.pop(name, None)
     if vehicle is not None:
         results.findings = try_corrections(results.findings, log, vehicle)
+
+
+def _check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_wheel: bool,
+                    findings: list[Finding]) -> CheckResult:
+    """Result of `check_steering`. motion: corrected for the findings of the sensors. A lag of the yaw rate among these
+    may be one of yaw, which then explains a lag of the steering, too."""
+    found, estimates, panel = vehicle_relations.check_steering(motion, vehicle, has_steering_wheel)
+    lag = next((f.value for f in findings if f.name == "yaw_rate_lag" and f.alternatives), None)
+    return _add_yaw_lag_alternative(found, motion, lag), estimates, panel
 
 
 def _check_rear_axle(motion: Motion, vehicle: VehicleParameters, findings: list[Finding]) -> CheckResult:
@@ -157,6 +167,8 @@ def _check_rear_axle(motion: Motion, vehicle: VehicleParameters, findings: list[
         others = {finding.name: finding for finding in vehicle_relations.check_rear_axle(recorded, vehicle)[0]}
         found = [replace(finding, severity=max(finding.severity, others[finding.name].severity, key=[*Severity].index))
                  for finding in found if finding.name in others]
+    for alternative in [a for f in findings for a in f.alternatives if "velocity_y_scale" in a.findings][:1]:
+        found = [finding.with_alternative(alternative, position.OTHER_BENDS) for finding in found]
     return found, estimates, panel
 
 
@@ -187,13 +199,14 @@ def _limit_to_measured_channels(findings: list[Finding], log: DriveLog, motion: 
     advice = Advice("text", "record the heading of the car and velocity_y; without them the sensor's error is unknown")
     for k, f in enumerate(findings):
         if f.name == "position_reference":
-            text = f"{f.text}; velocity_y is missing or 0, which is right for a point of the rear axle only"
-            findings[k] = replace(f, text=text)
+            statement = f"{f.statement}; velocity_y is missing or 0, which is right for a point of the rear axle only"
+            findings[k] = replace(f, statement=statement)
         low, high = limits.get(f.name, (np.inf, -np.inf))
         if f.value is not None and low <= f.value <= high:
-            text = f"{f.text}; velocity_y is missing or 0, so yaw may be the course and the lag may be due to sideslip"
+            statement = (f"{f.statement}; velocity_y is missing or 0, so yaw may be the course and the lag may be due "
+                         "to sideslip")
             severity = f.severity if f.name == "steering_lag" else Severity.NOTE
-            findings[k] = replace(f, severity=severity, text=text, advice=advice)
+            findings[k] = replace(f, severity=severity, statement=statement, advice=advice)
     return findings
 
 
@@ -218,9 +231,7 @@ def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[M
         yaw_rate, tolerances, "yaw rate: sensor versus change of yaw", removed_factors.get("yaw_rate_scale", 1.0),
         removed_factors.get("yaw_scale", removed_factors.get("yaw_convention", 1.0))))
     results.findings = [_add_yaw_alternative(finding, motion) for finding in results.findings]
-    if other_lag:
-        results.findings = [position.add_alternative(finding, other_lag, "yaw")
-                            if finding.name in EXPLAINED_BY_YAW_LAG else finding for finding in results.findings]
+    results.findings = _add_yaw_lag_alternative(results.findings, motion, other_lag)
     if yaw_rate and yaw_rate.scale.value:  # a constant yaw rate has no scale
         estimates["yaw_scale"] = add_systematic_uncertainty("yaw_scale", yaw_rate.scale.inverse())
     for name in removed_factors.keys() & estimates.keys():  # from corrected to recorded units
@@ -251,9 +262,9 @@ def _add_yaw_alternative(finding: Finding, motion: Motion) -> Finding:
     if finding.name != "yaw_rate_scale" or not finding.value or other_yaw_fits_better(
             replace(motion, yaw=finding.value * motion.yaw), motion):
         return finding
-    text = f"{finding.text}, or yaw is {1.0 / finding.value:.3f} times its true value{position.AMBIGUOUS}"
-    return replace(finding, channels=("yaw_rate", "yaw"), text=text,
-                   advice=Advice("text", "record more accurate positions, to distinguish the two"))
+    alternative = Alternative(f"yaw is {1.0 / finding.value:.3f} times its true value", ("yaw_scale",))
+    return finding.with_alternative(
+        alternative, Advice("text", "record more accurate positions, to distinguish the two"), "yaw")
 
 
 def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
@@ -268,23 +279,36 @@ def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
     return aligned.shifted_earlier(-seconds, name), findings
 
 
-def _check_yaw_lag(motion: Motion, agreement: Agreement | None) -> tuple[Motion, list[Finding], str]:
-    """(corrected motion, finding, "") if yaw lags or leads the yaw rate and positions confirm that yaw is wrong;
-    (motion, [], description of this lag) if they fit both."""
+def _add_yaw_lag_alternative(findings: list[Finding], motion: Motion, lag: float | None) -> list[Finding]:
+    """The findings; those that a lag of yaw would explain for the most part name it, too. lag: of the yaw rate [s], if
+    it may be the opposite lag of yaw; else None."""
+    if lag is None:
+        return findings
+    alternative = Alternative(f"yaw {'lags' if lag < 0.0 else 'leads'} by {abs(lag):.3f} s", ("yaw_lag",))
+    sizes = {"s": abs(lag), "m": abs(lag) * float(np.median(motion.speed))}
+    return [finding.with_alternative(alternative, position.OTHER_BENDS, "yaw")
+            if finding.name in EXPLAINED_BY_YAW_LAG
+            and abs(finding.value or 0.0) * position.MAX_RESIDUAL_LAG < sizes[finding.unit] else finding
+            for finding in findings]
+
+
+def _check_yaw_lag(motion: Motion, agreement: Agreement | None) -> tuple[Motion, list[Finding], float | None]:
+    """(corrected motion, finding, None) if yaw lags or leads the yaw rate and positions confirm that yaw is wrong;
+    (motion, [], lag of the yaw rate [s]) if they fit both."""
     if (agreement is None or not agreement.has_lag or not agreement.correlates
             or abs(agreement.lag.value) < LIMITS.lag):
-        return motion, [], ""
+        return motion, [], None
     lag = add_systematic_uncertainty("yaw_lag", agreement.lag.scaled(-1.0))
     corrected = motion.shifted_earlier(lag.value, "yaw")
     is_yaw = position.positions_confirm_yaw_lag(motion, corrected, lag.value)
     verb = "lags" if lag.value > 0.0 else "leads"
     if not is_yaw:
-        return motion, [], "" if is_yaw is not None else f"yaw {verb} by {abs(lag)} s"
+        return motion, [], None if is_yaw is not None else agreement.lag.value
     effect = abs(lag.value) * float(np.std(motion.yaw_rate)) * float(np.median(motion.speed)) * HORIZON
     severity = LIMITS.severity(effect, abs(lag.value) >= LIMITS.severe_lag)
     text = f"yaw {verb} yaw rate and positions by {abs(lag)} s"
     return corrected, [Finding("yaw_lag", severity, ("yaw",), text, lag.value, "s", lag.interval, effect=effect,
-                               advice=Advice.correct("yaw", earlier=float(f"{lag.value:.4g}")))], ""
+                               advice=Advice.correct("yaw", earlier=float(f"{lag.value:.4g}")))], None
 
 
 def _find_removed_factors(unit_findings: list[Finding]) -> dict[str, float]:

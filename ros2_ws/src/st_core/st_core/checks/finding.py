@@ -48,13 +48,21 @@ class Advice:
 
 
 @dataclass(frozen=True)
+class Alternative:
+    """Another cause that explains a drive as well as that of a finding."""
+
+    text: str  # clause that follows "or"
+    findings: tuple[str, ...] = ()  # names of the findings of this cause, if there are any
+
+
+@dataclass(frozen=True)
 class Finding:
     """One fault or property of a recording."""
 
     name: str  # never renamed; listed in docs/manual/checks.md
     severity: Severity
     channels: tuple[str, ...]  # affected fields of DriveLog, or time, wheel_speed, ins_speed, ins
-    text: str  # one sentence
+    statement: str  # one sentence, without the alternatives
     value: float | None = None  # estimate [unit]
     unit: str = "1"
     interval: tuple[float, float] | None = None  # 95 % confidence interval of value [unit]
@@ -62,6 +70,20 @@ class Finding:
     effect: float | None = None  # approximate shift of the position at the end of the horizon [m]
     advice: Advice | None = None
     tried: tuple[float, float] | None = None  # prediction error [m] without and with the correction, if tried
+    alternatives: tuple[Alternative, ...] = ()  # with these, a correction is one that all causes have in common
+
+    @property
+    def text(self) -> str:
+        """One sentence, with the alternatives."""
+        others = "".join(f", or {alternative.text}" for alternative in self.alternatives)
+        count = "both" if len(self.alternatives) == 1 else "all"
+        return f"{self.statement}{others}: {count} fit this drive" if others else self.statement
+
+    def with_alternative(self, alternative: Alternative, advice: Advice, *channels: str) -> "Finding":
+        """The finding with an alternative, which may affect further channels: at most a warning, not corrected."""
+        severity = Severity.WARNING if self.severity is Severity.ERROR else self.severity
+        return replace(self, severity=severity, channels=tuple(dict.fromkeys((*self.channels, *channels))),
+                       alternatives=(*self.alternatives, alternative), advice=advice)
 
     @property
     def concerns_only_acceleration(self) -> bool:
@@ -71,7 +93,9 @@ class Finding:
 
     def as_dict(self) -> dict[str, Any]:
         """The entry of this finding in check.json."""
-        return {**asdict(self), "severity": self.severity.value}
+        fields = {**asdict(self), "severity": self.severity.value, "text": self.text}
+        del fields["statement"]
+        return fields
 
 
 def merge_findings(findings: Iterable[Finding]) -> list[Finding]:
@@ -83,8 +107,8 @@ def merge_findings(findings: Iterable[Finding]) -> list[Finding]:
             groups[key] = finding
         else:
             names = (*first.channels, *finding.channels)
-            text = first.text.replace(", ".join(first.channels), ", ".join(names), 1)
-            groups[key] = replace(first, channels=names, text=text)
+            statement = first.statement.replace(", ".join(first.channels), ", ".join(names), 1)
+            groups[key] = replace(first, channels=names, statement=statement)
     return list(groups.values())
 
 

@@ -16,7 +16,7 @@ from scipy.stats import f as fisher
 from ..clock_fit import STEP, Fit, Pair, fit, mean_correlation, resample, select_common_samples
 from ..clock_types import MAX_SPAN
 from ..leap_seconds import LEAP_SECONDS
-from ..regression import symmetric_interval
+from ..regression import symmetric_interval, white_noise
 from .finding import HORIZON, LIMITS, WHEEL_SCALE_TOLERANCE, Advice, Comparison, Finding, Severity
 from .motion import MIN_MOVING_SPEED, Motion, correlate, is_near
 from .position import MIN_LOSS_RATIO
@@ -51,6 +51,7 @@ class Agreement:
     correlation_without_lag: float = 0.0  # at zero lag
     determines_lag: bool = True  # whether lags that differ by LAG_TEST_SHIFT fit significantly worse
     drift: Estimate = NO_DRIFT  # increase of the lag per second [1], if fitted
+    halves: tuple[Estimate, ...] = ()  # lag in each half of the drive [s], if it changes but not steadily
 
     @property
     def correlates(self) -> bool:
@@ -91,27 +92,53 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
         return None
     if not abs(solution.offset) <= max_fitted_lag:
         return None
-    degrees_of_freedom = max(len(reference.time) * STEP / DECORRELATION_TIME - 1.0, 1.0)
-    _, half_width = symmetric_interval(0.0, solution.offset_deviation, degrees_of_freedom)
-    lag, drift = Estimate(-solution.offset, solution.offset_deviation, half_width), NO_DRIFT
-    if fit_drift:
-        drift_fit = fit([pair], solution.offset, middle=float(other.time.mean()))
-        _, half_width = symmetric_interval(0.0, drift_fit.drift_deviation, degrees_of_freedom)
-        drift = Estimate(-drift_fit.drift, drift_fit.drift_deviation, half_width)
+    lag = _estimate_lag(solution.offset, solution.offset_deviation, len(reference.time) * STEP)
+    drift, halves = _fit_drift(pair, solution.offset) if fit_drift else (NO_DRIFT, ())
     rows, x = _select_common_samples(pair, solution.offset)
     if len(rows) * STEP < MIN_COMMON_TIME or not float(np.std(x)) > 0.0:
         return None
     common_time, y = other.time[rows], other.values[rows]
     problem = Regression(common_time, y[:, None], {"scale": x[:, None], "bias": np.ones((len(rows), 1))})
     correlation = correlate(x, y)
-    scale, bias = _fit_line(problem, x, correlation, fit_bias)
+    noise = 0.0
+    if derived_is_angle:  # the rate of an angle has the noise of the angle, differentiated and filtered
+        unit_noise = np.random.default_rng(0).standard_normal(len(time))
+        noise = white_noise(derived) * float(np.std(resample(time, unit_noise, cutoff, derived_is_angle).values))
+    scale, bias = _fit_line(problem, x, correlation, fit_bias, noise)
     neighbours = solution.offset - LAG_TEST_SHIFT, solution.offset + LAG_TEST_SHIFT
     rows, unshifted = _select_common_samples(pair, 0.0)
     return Agreement(lag, scale, bias, correlation, float(np.std(x)), common_time, y, x,
                      tuple(-alternative.offset for alternative in alternatives),
                      _fits_worse(pair, -expected_lag, solution.offset, cutoff),
                      correlate(unshifted, other.values[rows]),
-                     all(_fits_worse(pair, offset, solution.offset, cutoff) for offset in neighbours), drift)
+                     all(_fits_worse(pair, offset, solution.offset, cutoff) for offset in neighbours), drift, halves)
+
+
+def _estimate_lag(offset: float, deviation: float, seconds: float) -> Estimate:
+    """Estimate of the lag, or its increase, from the offset, or drift, of a fit to series of this duration."""
+    degrees_of_freedom = max(seconds / DECORRELATION_TIME - 1.0, 1.0)
+    return Estimate(-offset, deviation, symmetric_interval(0.0, deviation, degrees_of_freedom)[1])
+
+
+def _fit_drift(pair: Pair, offset: float) -> tuple[Estimate, tuple[Estimate, ...]]:
+    """(increase of the lag per second, lag in each half of the drive if the increase differs significantly from that in
+    one of them, as where a clock is set). offset: initial value [s]."""
+    time, seconds = pair.other.time, len(pair.reference.time) * STEP
+    whole = fit([pair], offset, middle=float(time.mean()))
+    drift = _estimate_lag(whole.drift, whole.drift_deviation, seconds)
+    if not drift.is_significant:
+        return drift, ()
+    halves = [replace(pair, other=replace(pair.other, known=pair.other.known & half))
+              for half in (time < time.mean(), time >= time.mean())]
+    try:
+        parts = [fit([half], offset, middle=float(half.other.time[half.other.known].mean())) for half in halves
+                 if half.other.known.any()]
+    except ValueError:  # a half with hardly any common samples
+        return drift, ()
+    drifts = [_estimate_lag(part.drift, part.drift_deviation, 0.5 * seconds) for part in parts]
+    is_steady = not any(part.shifted(-drift.value).is_significant for part in drifts)
+    return drift, () if is_steady else tuple(
+        _estimate_lag(part.offset, part.offset_deviation, 0.5 * seconds) for part in parts)
 
 
 def _fits_worse(pair: Pair, offset: float, best_offset: float, cutoff: float) -> bool:
@@ -167,14 +194,20 @@ def _compute_residual_fractions(pair: Pair, offsets: Sequence[float], cutoff: fl
     return [max(1.0 - correlation**2, MIN_RESIDUAL_FRACTION) for correlation in r], len(common)
 
 
-def _fit_line(problem: Regression, derived: np.ndarray, correlation: float,
-              fit_bias: bool) -> tuple[Estimate, Estimate]:
+def _fit_line(problem: Regression, derived: np.ndarray, correlation: float, fit_bias: bool,
+              noise: float) -> tuple[Estimate, Estimate]:
     """(scale, bias). If they are confounded, as in one long bend, only one is estimated: the bias if its residual is
-    clearly smaller (BIAS_RESIDUAL_RATIO), else the scale. The other is assumed to be correct."""
+    clearly smaller (BIAS_RESIDUAL_RATIO), else the scale. The other is assumed to be correct.
+
+    noise: standard deviation of the noise of the derived series, which reduces the slope of the regression on it to a
+    fraction 1 - noise^2 / variance >= r^2 of the scale (errors in variables: Fuller 1987, 1.2).
+    """
     are_confounded = abs(float(derived.mean())) > float(derived.std()) and abs(correlation) < MIN_SCALE_CORRELATION
     if fit_bias and not are_confounded:
         both = problem.estimate(("scale", "bias"))
-        return both["scale"], both["bias"]
+        fraction = max(1.0 - noise**2 / max(float(np.var(derived)), 1e-300), correlation**2)
+        scale = both["scale"].scaled(1.0 / fraction)
+        return scale, both["bias"].shifted((both["scale"].value - scale.value) * float(derived.mean()))
     scale = problem.estimate(("scale",))["scale"]
     if not fit_bias:
         return scale, NO_BIAS

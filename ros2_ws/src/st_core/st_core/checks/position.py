@@ -15,13 +15,13 @@ Each cause of a residual contributes a term that is linear in the size of the ca
     velocity bias b       v = v_true + b, one body axis          -integral of R(yaw) b dt
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from .finding import HORIZON, LIMITS, Advice, Comparison, Finding, Severity, neutral_value
+from .finding import HORIZON, LIMITS, Advice, Alternative, Comparison, Finding, Severity, neutral_value
 from .motion import Motion, has_varying_speed, is_near
 from .regression import Estimate, Regression, add_systematic_uncertainty, is_relevant
 
@@ -33,7 +33,6 @@ MAX_RESIDUAL_LAG = 0.5  # largest position lag with the right yaw, divided by th
 MIN_LOSS_RATIO = 1.1  # ratio of the losses of two explanations above which the one with the smaller loss is preferred
 MIN_SIGN_GAIN = 0.01  # m; minimum reduction of the misfit by the opposite sign; RTK noise is 1 cm
 MAX_SIGN_MISFIT_RATIO = 1.2  # largest misfit with the opposite sign, divided by that with another cause, if both fit
-AMBIGUOUS = ": both fit this drive"  # end of the text of a finding with an alternative, which has no estimate
 MIN_LATERAL_VELOCITY = 0.02  # m/s, root mean square
 SPHERICAL_EARTH_SCALE = 0.005  # largest scale error per axis of a projection on a spherical earth
 MIN_VELOCITY_BIAS = 0.05  # m/s; INS velocities are accurate to 0.03
@@ -64,9 +63,11 @@ LATERAL_CAUSES = {"velocity_y_scale": (("position_reference", "yaw_offset"),), "
                   "yaw_offset": _LATERAL_SCALE}
 """Causes that may explain the same residual in a drive at one speed, by the cause found."""
 
-ALTERNATIVE_LAGS = {"velocity_lag": ("velocity_x_lag", "only velocity_x does"),
-                    "velocity_x_lag": ("velocity_lag", "velocity_y does, too")}
-"""(other cause, its text) that may explain the same residual where velocity_y is small, by the cause found."""
+ALTERNATIVE_LAGS = {"velocity_lag": Alternative("only velocity_x does", ("velocity_x_lag",)),
+                    "velocity_x_lag": Alternative("velocity_y does, too", ("velocity_lag",))}
+"""Lag that may explain the same residual where velocity_y is small, by the cause found."""
+OPPOSITE_LATERAL_SIGN = "velocity_y has the opposite sign (left is positive)"
+OTHER_BENDS = Advice("text", "drive bends of different speed and radius, to distinguish the two")
 
 
 class Cause(NamedTuple):
@@ -220,8 +221,8 @@ def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estima
     text = (f"x and y are {scale.value:.4g} ± {scale.half_width:.4f} times the integrated velocity, which agrees with "
             f"{confirmed_by}: is the scale of the projection wrong?")
     advice = Advice.correct("position", scale=float(f"{1.0 / scale.value:.5g}"))
-    attributed = replace(velocity_scale, name="position_scale", channels=("x", "y"), text=text, value=scale.value,
-                         interval=scale.interval, advice=advice)
+    attributed = replace(velocity_scale, name="position_scale", channels=("x", "y"), statement=text,
+                         value=scale.value, interval=scale.interval, advice=advice)
     factor = {"scale": velocity_scale.value}
     return (motion.apply_entry({"correct": {"position": factor, "velocity": factor}}),
             [attributed if finding is velocity_scale else finding for finding in findings])
@@ -243,7 +244,7 @@ def attribute_scale_to_velocity_x(motion: Motion, findings: list[Finding],
         return motion, findings
     estimates["velocity_y_scale"] = estimates["velocity_y_scale"].scaled(both.value)
     text = f"velocity_x, unlike velocity_y, is {both.value:.4g} times the rate of change of positions"
-    attributed = replace(both, name="velocity_x_scale", channels=("velocity_x",), text=text,
+    attributed = replace(both, name="velocity_x_scale", channels=("velocity_x",), statement=text,
                          advice=Advice.correct("velocity_x", **both.advice.entry["correct"]["velocity"]))
     lateral_factor = {"scale": both.value * (lateral.value or 1.0)}
     return (motion.apply_entry({"correct": {"velocity_y": lateral_factor}}),
@@ -314,8 +315,8 @@ def check_lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 def make_lateral_sign_finding() -> Finding:
     """Finding about a velocity_y with the opposite sign."""
-    return Finding("velocity_y_scale", Severity.ERROR, ("velocity_y",), "velocity_y has the opposite sign (left is "
-                   "positive)", -1.0, advice=Advice.correct("velocity_y", scale=-1.0))
+    return Finding("velocity_y_scale", Severity.ERROR, ("velocity_y",), OPPOSITE_LATERAL_SIGN, -1.0,
+                   advice=Advice.correct("velocity_y", scale=-1.0))
 
 
 def merge_lateral_sign(sign: list[Finding], findings: list[Finding],
@@ -333,7 +334,7 @@ def merge_lateral_sign(sign: list[Finding], findings: list[Finding],
         return [*sign, *findings]
     text = f"velocity_y is {scale} times its value from positions, yaw and velocity_x: it has the opposite sign"
     advice = Advice.correct("velocity_y", scale=float(f"{1.0 / scale.value:.5g}"))
-    return [replace(finding, severity=Severity.ERROR, text=text, value=scale.value, interval=scale.interval,
+    return [replace(finding, severity=Severity.ERROR, statement=text, value=scale.value, interval=scale.interval,
                     advice=advice) if finding.name == name else finding for finding in findings]
 
 
@@ -353,34 +354,35 @@ def _add_lateral_alternative(findings: list[Finding], problem: Regression,
     other_causes = min(losses, key=lambda names: MIN_LOSS_RATIO ** len(names) * losses[names])
     if losses[other_causes] > limit:
         return findings
-    alternative = "the reference point of the positions and the yaw offset are wrong"
+    text = "the reference point of the positions and the yaw offset are wrong"
     if "velocity_y_scale" in other_causes:
         values, _, _ = recorded.fit((*AXIS_SCALES, *other_causes))
         factor = 1.0 / (1.0 + values["velocity_y_scale"])
         if is_near(factor, -1.0, LIMITS.unit_ratio):  # see `add_sign_alternative`
             return findings
-        alternative = f"velocity_y is {factor:.2f} times its true value"
+        text = f"velocity_y is {factor:.2f} times its true value"
         if "position_reference" in other_causes:
-            alternative += f" and positions refer to a point {values['position_reference']:+.2f} m ahead"
-    return [add_alternative(finding, alternative) if finding.name in found_causes else finding for finding in findings]
+            text += f" and positions refer to a point {values['position_reference']:+.2f} m ahead"
+    return _add_alternative(findings, found_causes, Alternative(text, other_causes))
 
 
 def _add_lag_alternative(findings: list[Finding], problem: Regression,
                          causes: dict[str, Estimate]) -> list[Finding]:
-    """The findings; that of a lag of both velocities, or of velocity_x, names the other one if it fits as well.
-    problem: regression for the motion corrected for the causes."""
+    """The findings; that of a lag of both velocities, or of velocity_x, names the other one if it fits as well, and
+    corrects only velocity_x, which lags in both cases. problem: regression for the motion corrected for the causes."""
     found = next((name for name in ALTERNATIVE_LAGS if name in causes), None)
     if found is None:
         return findings
-    other, alternative = ALTERNATIVE_LAGS[found]
+    alternative = ALTERNATIVE_LAGS[found]
     recorded = _restore_causes(problem, causes, [found])
     alongside = tuple(name for name in causes if name != found)
     _, scale, _ = recorded.fit((*alongside, found))
-    if recorded.compute_loss((*alongside, other), scale) > MIN_LOSS_RATIO * recorded.compute_loss(
+    if recorded.compute_loss((*alongside, *alternative.findings), scale) > MIN_LOSS_RATIO * recorded.compute_loss(
             (*alongside, found), scale):
         return findings
-    return [replace(finding, text=f"{finding.text}, or {alternative}{AMBIGUOUS}") if finding.name == found
-            else finding for finding in findings]
+    advice = Advice.correct("velocity_x", earlier=float(f"{causes[found].value:.5g}"))
+    return [replace(finding, alternatives=(alternative,), advice=advice) if finding.name == found else finding
+            for finding in findings]
 
 
 def _restore_causes(problem: Regression, causes: dict[str, Estimate], names: list[str]) -> Regression:
@@ -391,12 +393,10 @@ def _restore_causes(problem: Regression, causes: dict[str, Estimate], names: lis
     return Regression(problem.time, 2.0 * problem.y - problem.compute_residual(sizes), problem.columns)
 
 
-def add_alternative(finding: Finding, alternative: str, channel: str = "velocity_y") -> Finding:
-    """The finding with an alternative that involves another channel: at most a warning, and without a correction."""
-    return replace(finding, severity=max(finding.severity, Severity.WARNING, key=[*Severity].index),
-                   channels=tuple(dict.fromkeys((*finding.channels, channel))),
-                   text=f"{finding.text}, or {alternative}{AMBIGUOUS}",
-                   advice=Advice("text", "drive bends of different speed and radius, to distinguish the two"))
+def _add_alternative(findings: list[Finding], names: Collection[str], alternative: Alternative) -> list[Finding]:
+    """The findings, those of these names with an alternative that involves velocity_y."""
+    return [finding.with_alternative(alternative, OTHER_BENDS, "velocity_y") if finding.name in names else finding
+            for finding in findings]
 
 
 def add_sign_alternative(findings: list[Finding], recorded: Motion, corrected: Motion) -> list[Finding]:
@@ -408,8 +408,7 @@ def add_sign_alternative(findings: list[Finding], recorded: Motion, corrected: M
     if not mirrored < min(MAX_SIGN_MISFIT_RATIO * compute_scaled_misfit(corrected),
                           0.5 * compute_scaled_misfit(recorded)):
         return findings
-    alternative = "velocity_y has the opposite sign (left is positive)"
-    return [add_alternative(finding, alternative) if finding.name in names else finding for finding in findings]
+    return _add_alternative(findings, names, Alternative(OPPOSITE_LATERAL_SIGN, ("velocity_y_scale",)))
 
 
 def _refine_causes(problem: Regression, causes: dict[str, Estimate], min_values: dict[str, float],

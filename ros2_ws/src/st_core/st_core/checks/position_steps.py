@@ -7,7 +7,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.stats import binomtest
 
 from ..regression import SIGMA_PER_MAD
-from .finding import HORIZON, LIMITS, Advice, Finding, Severity
+from .finding import HORIZON, LIMITS, Advice, Alternative, Finding, Severity
 from .motion import MAX_GAP, MAX_LISTED_TIMES, MIN_MOVING_SPEED, Motion, find_groups, find_time_intervals
 from .sampling import estimate_resolution
 
@@ -48,7 +48,7 @@ def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
         return replace(motion, time=np.concatenate(even)), jitter
     rounding = max(estimate_resolution(motion.time, motion.x), estimate_resolution(motion.time, motion.y))
     is_stale, findings = _check_stale(motion, errors, along, rounding)
-    findings += _check_jumps(motion, errors, is_stale, rounding)
+    findings += _check_jumps(motion, errors, along, is_stale, rounding)
     within = np.diff(motion.time) <= MAX_GAP
     if rounding == 0.0 and within.sum() >= MIN_JUDGED_STEPS:
         # With white noise of positions, |d_k| has a Rayleigh distribution with median 1.665 sigma.
@@ -105,7 +105,10 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
         Advice("text", "record each position with the time of its measurement, or leave out rows with a stale one"))]
 
 
-def _check_jumps(motion: Motion, errors: np.ndarray, is_stale: np.ndarray, rounding: float) -> list[Finding]:
+def _check_jumps(motion: Motion, errors: np.ndarray, along: np.ndarray, is_stale: np.ndarray,
+                 rounding: float) -> list[Finding]:
+    """Finding about large steps. A clock that is set by T during the drive acts like jumps -v T along the track.
+    along: see `check_position_steps`."""
     size = np.abs(errors - np.median(errors.real) - 1j * np.median(errors.imag))
     scale = SIGMA_PER_MAD * float(np.median(size))
     within = (np.diff(motion.time) <= MAX_GAP) & ~is_stale
@@ -125,8 +128,14 @@ def _check_jumps(motion: Motion, errors: np.ndarray, is_stale: np.ndarray, round
         for begin, end in find_time_intervals(np.unique(times), 2.0 * JUMP_MARGIN)]})
     if count > MAX_LISTED_JUMPS:
         advice = Advice("text", "too many jumps to leave out: record with RTK, or post-process the raw data of the INS")
-    return [Finding("position_jumps", LIMITS.severity(effect, largest >= LIMITS.warning_effect), ("x", "y"), text,
-                    float(count), "1", None, times[:MAX_LISTED_JUMPS], effect, advice)]
+    finding = Finding("position_jumps", LIMITS.severity(effect, largest >= LIMITS.warning_effect), ("x", "y"), text,
+                      float(count), "1", None, times[:MAX_LISTED_JUMPS], effect, advice)
+    across = np.sqrt(np.maximum(1.0 - (along * motion.speed[1:] / np.abs(errors)) ** 2, 0.0))[large]
+    if np.all(across < MAX_CROSS_TRACK_FRACTION):  # the correction is the same
+        seconds = -float(along[large][np.argmax(np.abs(along[large]))])
+        clock = Alternative(f"the clock was set by {'up to ' if count > 1 else ''}{seconds:+.2f} s")
+        finding = replace(finding, channels=("x", "y", "time"), alternatives=(clock,))
+    return [finding]
 
 
 def _check_jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
@@ -138,7 +147,9 @@ def _check_jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
         return []
     uneven = (spacing - median)[inside]
     power, deviation = float(np.sum(uneven**2)), float(np.std(uneven))
-    if deviation < 0.05 * median or power <= 0.0:
+    # A few large steps are gaps, or a clock that was set.
+    few_steps = float(np.sort(uneven**2)[-MIN_STALE_SAMPLES:].sum()) > 0.5 * power
+    if deviation < 0.05 * median or power <= 0.0 or few_steps:
         return []
     slope = float(np.sum(along[inside] * -uneven) / power)  # 1 if the motion is smooth, 0 if the stamps are correct
     effect = deviation * float(np.median(motion.speed[1:][inside]))

@@ -187,7 +187,7 @@ def _check_gaps(signal: str, time: np.ndarray, excluded_times: Sequence[tuple[fl
     text = (f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} of the {signal}, {missing:.2f} s in all, longest "
             f"{spacing[gaps].max():.2f} s: no prediction is scored there")
     return [Finding("time_gaps", severity, STAMPED_CHANNELS[signal], text, missing, "s", times=times,
-                    advice=Advice("text", "check the logger: lost packets, a full buffer, a restart"))]
+                    advice=Advice("text", "check the logger: lost packets, a full buffer, a restart, a clock set"))]
 
 
 def find_stuck_channels(motion: Motion, channels: Mapping[str, Sampling]) -> list[Finding]:

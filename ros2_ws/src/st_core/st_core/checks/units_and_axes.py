@@ -66,7 +66,7 @@ def correct_units(motion: Motion) -> tuple[Motion, list[Finding]]:
         correct = {channel: dict(values) for channel, values in corrections[0].items()}
         correct["yaw"]["add"] += corrections[1]["yaw"]["add"]
         text = f"{clockwise.text.partition(':')[0]}, and not from north; expected: from east, counter-clockwise"
-        by_name["yaw_convention"] = replace(clockwise, text=text, advice=Advice.for_run_yaml({"correct": correct}))
+        by_name["yaw_convention"] = replace(clockwise, statement=text, advice=Advice.for_run_yaml({"correct": correct}))
         findings = list(by_name.values())
     return motion, findings
 
@@ -114,7 +114,7 @@ def check_nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate
     scale = float(f"{1.0 / factor:.5g}")
     advice = Advice.for_run_yaml({"correct": {"velocity": {"scale": scale}, "yaw_rate": {"scale": scale}}})
     advice = replace(advice, line=f"{advice.line}  # or divide the time of the rows by {factor:.4f}")
-    return replace(scale_finding, name="time_rate", channels=("time",), text=text, value=factor,
+    return replace(scale_finding, name="time_rate", channels=("time",), statement=text, value=factor,
                    interval=velocity.interval, advice=advice)
 
 
@@ -202,18 +202,21 @@ def _correct_north_east(motion: Motion) -> MotionAndFinding:
     ratios = compute_ratios(motion)
     if motion.geographic or not (_matches(ratios.yaw_to_rate, -1.0) and _matches(ratios.yaw_to_course, 1.0)):
         return motion, None
-    turn = motion.yaw_rate * motion.velocity_x
-    votes = [_find_common_sign(motion.steering_at_ins() * motion.velocity_x, turn)]
-    if motion.acceleration_y is not None:
-        votes.append(_find_common_sign(motion.acceleration_y, turn))
     original, mirrored = _compute_misfit(motion), _compute_misfit(replace(motion, velocity_y=-motion.velocity_y))
-    votes.append(int(mirrored < CLEAR_MISFIT_RATIO * original) - int(original < CLEAR_MISFIT_RATIO * mirrored))
-    if sum(votes) <= 0:
+    vote = int(mirrored < CLEAR_MISFIT_RATIO * original) - int(original < CLEAR_MISFIT_RATIO * mirrored)
+    if _count_votes_for_yaw_rate(motion) + vote <= 0:
         return motion, None
     text = ("x, y and yaw turn in the opposite direction to yaw rate and steering: is x north, y east and yaw a "
             "compass heading? Expected: x east, y north, yaw from east, counter-clockwise")
     entry = {"columns": EXCHANGE_X_Y, "correct": {"yaw": COMPASS_TO_YAW}}
     return _correct(motion, "position_axes", ("x", "y", "yaw"), text, None, Advice.for_run_yaml(entry))
+
+
+def _count_votes_for_yaw_rate(motion: Motion) -> int:
+    """Number of sensors (steering, acceleration_y) that turn in the direction of the yaw rate, minus those opposite."""
+    turn = motion.yaw_rate * motion.velocity_x
+    sensors = [motion.steering_at_ins() * motion.velocity_x, motion.acceleration_y]
+    return sum(_find_common_sign(values, turn) for values in sensors if values is not None)
 
 
 def _find_common_sign(values: np.ndarray, turn: np.ndarray) -> int:
@@ -267,9 +270,10 @@ def _correct_position_axes(motion: Motion) -> MotionAndFinding:
     if not (_matches(ratios.yaw_to_course, -1.0) and _matches(ratios.yaw_to_rate, 1.0)):
         return motion, None
     measured, derived = _compute_displacements(motion, motion.velocity_map)
-    angle = np.angle(np.sum(measured * derived))
+    angle = np.angle(np.sum(_normalise(measured) * derived))
     quarter = int(np.round(angle / (np.pi / 2))) % 4
-    if motion.geographic and quarter % 2:  # even: a longitude positive to the west, or a latitude positive to the south
+    # An even quarter is a longitude positive to the west, or a latitude positive to the south.
+    if quarter % 2 and (motion.geographic or _count_votes_for_yaw_rate(motion) < 0):
         text = ("yaw and yaw_rate are positive clockwise: is yaw a compass heading from north, and does the "
                 "gyroscope's axis point down? Expected: left positive, yaw from east")
         advice = Advice.for_run_yaml({"correct": {"yaw": COMPASS_TO_YAW, "yaw_rate": MIRROR}})
@@ -346,13 +350,18 @@ def _compute_displacements(motion: Motion, velocity: np.ndarray) -> tuple[np.nda
     return windows.change(motion.position), windows.integral(velocity)
 
 
+def _normalise(displacements: np.ndarray) -> np.ndarray:
+    """Displacements with their direction and length 1 [m], so that a jump of the positions has no more weight."""
+    return displacements / np.maximum(np.abs(displacements), 1e-12)
+
+
 def _compute_misfit(motion: Motion, *, fit_scales: bool = False) -> float:
     """Median distance [m] between change of position and integrated velocity per second, after the best rotation.
     fit_scales: whether scales of x and y are fitted, too."""
     measured, derived = _compute_displacements(motion, motion.velocity_map)
     if not len(measured):
         return 0.0
-    rotation = np.sum(measured * np.conj(derived))
+    rotation = np.sum(_normalise(measured) * np.conj(derived))
     derived = derived * rotation / max(abs(rotation), 1e-300)
     if not fit_scales:
         return float(np.median(np.abs(measured - derived)))
@@ -394,15 +403,18 @@ def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
 def _correct_yaw_offset(motion: Motion) -> MotionAndFinding:
     """Correct a yaw measured from a wrong axis, or a reversed yaw or velocity_x, by the direction of travel."""
     measured, derived = _compute_displacements(motion, motion.velocity_map)
-    total, size = np.sum(derived * np.conj(measured)), float(np.abs(measured * derived).sum())
+    total, size = np.sum(derived * np.conj(_normalise(measured))), float(np.abs(derived).sum())
     angle = float(np.angle(total))
     if len(measured) < MIN_WINDOWS or size < MIN_DISTANCE or abs(total) < 0.5 * size or abs(angle) < MIN_YAW_OFFSET:
         return motion, None
     quarter = np.round(angle / (np.pi / 2)) * np.pi / 2
-    if abs(quarter) == np.pi and np.median(motion.velocity_x) < 0.0:  # a whole drive in reverse is less likely
-        return _correct(motion, "velocity_x_scale", ("velocity_x",),
-                        "velocity_x has the opposite sign (forward is positive)", -1.0,
-                        Advice.correct("velocity_x", scale=-1.0))
+    if abs(quarter) == np.pi:
+        advice = Advice.correct("velocity_x", scale=-1.0)
+        reversed_misfit = _compute_misfit(motion.apply_entry(advice.entry))
+        # A whole drive in reverse is less likely than a wrong sign, unless only the former agrees with velocity_y.
+        if np.median(motion.velocity_x) < 0.0 or reversed_misfit < CLEAR_MISFIT_RATIO * _compute_misfit(motion):
+            return _correct(motion, "velocity_x_scale", ("velocity_x",),
+                            "velocity_x has the opposite sign (forward is positive)", -1.0, advice)
     exact = float(quarter if abs(angle - quarter) < 0.1 else angle)
     questions: dict[float, str] = {  # by quarter turns
         1.0: ": is it measured from north?", -1.0: ": is it measured from north or south?",

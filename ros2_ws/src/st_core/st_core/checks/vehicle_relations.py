@@ -19,10 +19,10 @@ import numpy as np
 from ..handling import MAX_UNDERSTEER, linear_system, rear_slip_coefficient, stability_factor
 from ..tyres import GRAVITY
 from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
-from .finding import HORIZON, LIMITS, SYSTEMATIC_UNCERTAINTY, Advice, Comparison, Finding, Severity
+from .finding import HORIZON, LIMITS, SYSTEMATIC_UNCERTAINTY, Advice, Alternative, Comparison, Finding, Severity
 from .inertial import MAX_LAG, MIN_COMMON_TIME, NO_BIAS, Agreement, CheckResult, compare_series, format_alternative_lags
 from .motion import MAX_LISTED_TIMES, MIN_MOVING_SPEED, Motion, correlate, has_varying_speed, is_near
-from .position import AMBIGUOUS, make_lateral_sign_finding
+from .position import make_lateral_sign_finding
 from .regression import Estimate, Regression, add_systematic_uncertainty
 from .units_and_axes import DEG_PER_RAD
 
@@ -37,6 +37,7 @@ MIN_ANGLE_FOR_SIGN = 0.003  # rad; the same for the sign of the gain alone, for 
 MAX_OPPOSITE_CORRELATION = -0.8  # correlation of steering and curvature below which the steering has the opposite sign
 MIN_UNRELATED_SPREAD = 0.01  # rad at the road wheels; minimum standard deviation of measured and derived steering
 STEERING_PLAY = 0.07  # rad of the steering wheel; play of usual cars, which acts like a lag of small steering angles
+PLAY, STEERED_REAR_WHEELS = Alternative("the steering has play"), Alternative("the rear wheels steer, too")
 NARROWER_BENDS = Advice("text", "drive narrower bends, to distinguish the two")
 CHECK_RATIO = Advice("text", "drive narrower bends, and check steering_ratio and wheelbase in the vehicle file")
 MIN_FOUR_WHEEL_GAIN = 0.5  # smallest gain of a car whose rear wheels steer, by the opposite of the front angle at most
@@ -46,8 +47,7 @@ MIN_GAIN = 1e-6  # ratio of measured to derived angle below which the steering i
 def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_wheel: bool) -> CheckResult:
     """Result of comparing steering with curvature. has_steering_wheel: whether its angle was recorded."""
     moving = motion.velocity_x > MIN_SPEED
-    curvature = np.where(moving, motion.yaw_rate / np.maximum(motion.velocity_x, MIN_MOVING_SPEED), np.nan)
-    derived = np.arctan(vehicle.wheelbase * curvature)
+    derived = _derive_angle(motion, vehicle)
     speed = float(np.median(motion.velocity_x[moving])) if moving.any() else MIN_SPEED
     response = compute_response_time(vehicle, speed)
     agreement = compare_series(motion.time, derived, motion.steering_time, motion.steering, CUTOFF, fit_drift=True,
@@ -74,8 +74,10 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
     has_lag, lateral_shift = agreement.correlation * gain.value >= 0.0, _compute_lateral_shift(speed, vehicle)
     first, second = (compute_response_time(vehicle, max(float(np.median(half)), MIN_SPEED))
                      for half in np.array_split(motion.velocity_x, 2))
-    clock = _make_clock_finding(agreement, abs(second - first), lateral_shift) if has_lag else None
+    clock = _make_clock_finding(agreement, response, abs(second - first), lateral_shift) if has_lag else None
     has_lag &= clock is None
+    if clock and not _yaw_confirms_drift(motion, vehicle, agreement):
+        clock = None
     # Play takes its width from every turn, so small steering angles have too small a gain.
     may_be_play = 0.0 < (1.0 - gain.value) * agreement.spread < 0.5 * STEERING_PLAY / vehicle.steering_ratio
     findings = (_make_unit_finding(gain, plausible_gains, vehicle, has_steering_wheel, may_be_play), clock,
@@ -88,6 +90,20 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
                        "from yaw rate and speed", agreement.time, agreement.measured, agreement.derived,
                        ("steering_scale", "steering_sign", "steering_lag", "steering_offset"))
     return [finding for finding in findings if finding], estimates, panel
+
+
+def _derive_angle(motion: Motion, vehicle: VehicleParameters) -> np.ndarray:
+    """Road wheel angle of a car without slip [rad]; NaN at low speed."""
+    curvature = motion.yaw_rate / np.maximum(motion.velocity_x, MIN_MOVING_SPEED)
+    return np.where(motion.velocity_x > MIN_SPEED, np.arctan(vehicle.wheelbase * curvature), np.nan)
+
+
+def _yaw_confirms_drift(motion: Motion, vehicle: VehicleParameters, agreement: Agreement) -> bool:
+    """Whether the lag of the steering changes relative to yaw, too; otherwise, that of the yaw rate changes."""
+    derived = _derive_angle(replace(motion, yaw_rate=np.gradient(motion.yaw, motion.time)), vehicle)
+    other = compare_series(motion.time, derived, motion.steering_time, motion.steering, CUTOFF, fit_drift=True,
+                           max_fitted_lag=2.0 * MAX_LAG)
+    return other is None or not other.correlates or other.drift.value / agreement.drift.value > 0.5
 
 
 def _make_unrelated_finding(motion: Motion, derived: np.ndarray) -> Finding | None:
@@ -179,11 +195,6 @@ def _make_unit_finding(gain: Estimate, plausible_gains: tuple[float, float], veh
     reason = " and ".join(filter(None, (reasons.get(exact, ""), opposite)))
     text = (f"road_wheel_angle is {value:.3g} times the angle from yaw rate and speed"
             + (f": {reason}?" if reason else ""))
-    causes = ["the steering has play"] * may_be_play + ["the rear wheels steer, too"] * (
-        gain.interval[1] >= MIN_FOUR_WHEEL_GAIN and value < 1.0)
-    if causes and not reason:
-        return Finding("steering_scale", Severity.WARNING, ("road_wheel_angle",),
-                       f"{text}, or {', or '.join(causes)}{AMBIGUOUS}", value, "1", gain.interval, advice=CHECK_RATIO)
     advice = Advice.correct("road_wheel_angle", scale=float(f"{1.0 / np.copysign(exact, value):.6g}"))
     if has_steering_wheel and exact == 1.0 / vehicle.steering_ratio:  # its offset was also subtracted
         advice = Advice.correct("road_wheel_angle", scale=vehicle.steering_ratio,
@@ -192,22 +203,34 @@ def _make_unit_finding(gain: Estimate, plausible_gains: tuple[float, float], veh
     if exact == 1.0:
         name = "steering_sign"
         advice = replace(advice, line=f"{advice.line}  # or, for CAN logs, the opposite steering_sign in car.yaml")
-    return Finding(name, Severity.ERROR, ("road_wheel_angle",), text, value, "1", gain.interval, advice=advice)
+    finding = Finding(name, Severity.ERROR, ("road_wheel_angle",), text, value, "1", gain.interval, advice=advice)
+    causes = [PLAY] * may_be_play + [STEERED_REAR_WHEELS] * (gain.interval[1] >= MIN_FOUR_WHEEL_GAIN and value < 1.0)
+    for alternative in causes if not reason else ():
+        finding = finding.with_alternative(alternative, CHECK_RATIO)
+    return finding
 
 
-def _make_clock_finding(agreement: Agreement, response_change: float, lateral_shift: float) -> Finding | None:
+def _make_clock_finding(agreement: Agreement, response: float, response_change: float,
+                        lateral_shift: float) -> Finding | None:
     """Finding about a steering lag that changes during the drive by LIMITS.steering_lag or more; None if it does not.
-    response_change: of the response time between both halves [s]. lateral_shift: see `_compute_lateral_shift`."""
+    response: time [s]. response_change: of it between both halves. lateral_shift: see `_compute_lateral_shift`."""
     change = add_systematic_uncertainty("steering_lag", agreement.drift.scaled(float(np.ptp(agreement.time))))  # s
     change = change.widened(response_change)
     if not change.is_significant or abs(change.value) < LIMITS.steering_lag:
         return None
     rate = agreement.drift.shifted(1.0)
+    name, value, unit = "time_rate", rate, "1"
     text = (f"the clock of the steering runs {rate} times as fast as that of the motion: the lag changes by {change} s "
             "during the drive")
     effect = lateral_shift * abs(change.value) * float(np.std(agreement.derived)) * np.sqrt(2.0) / HORIZON
-    return _make_finding("time_rate", ("road_wheel_angle",), text, rate, "1", effect,
-                         Advice("text", "time-stamp the steering and the motion with one clock"))
+    advice = Advice("text", "time-stamp the steering and the motion with one clock")
+    if agreement.halves:
+        first, second = (add_systematic_uncertainty("steering_lag", lag.shifted(response)) for lag in agreement.halves)
+        name, value, unit = "steering_lag", max(first, second, key=lambda lag: abs(lag.value)), "s"
+        text = (f"the steering lags the car's motion by {first} s in the first half of the drive, but by {second} s in "
+                "the second: was a clock set, or does the latency vary?")
+        advice = replace(advice, line=f"{advice.line}, or split the recording where the lag changes")
+    return _make_finding(name, ("road_wheel_angle",), text, value, unit, effect, advice)
 
 
 def _make_lag_finding(lag: Estimate, agreement: Agreement, response: float, lateral_shift: float,
@@ -222,14 +245,13 @@ def _make_lag_finding(lag: Estimate, agreement: Agreement, response: float, late
     text = (f"the steering {'lags' if lag.value > 0.0 else 'leads'} the car's motion by {abs(lag)} s"
             f"{format_alternative_lags(agreement, response)}, beyond the car's own response")
     if agreement.drift.is_significant:
-        text += f", or its clock runs {agreement.drift.shifted(1.0)} times as fast as that of the motion"
+        text += f", and this lag changes by {agreement.drift.scaled(float(np.ptp(agreement.time)))} s during the drive"
     advice = Advice.correct("road_wheel_angle", earlier=float(f"{lag.value:.3g}"))
     advice = replace(advice, line=f"{advice.line}  # or --steering-latency")
     rate = float(np.std(np.gradient(agreement.derived, agreement.time)))  # rad/s
-    if abs(lag.value) * rate < 0.5 * STEERING_PLAY / vehicle.steering_ratio:
-        text += f", or the steering has play{AMBIGUOUS}"
-        advice = NARROWER_BENDS
-    return _make_finding("steering_lag", ("road_wheel_angle",), text, lag, "s", effect, advice)
+    finding = _make_finding("steering_lag", ("road_wheel_angle",), text, lag, "s", effect, advice)
+    is_small = abs(lag.value) * rate < 0.5 * STEERING_PLAY / vehicle.steering_ratio
+    return finding.with_alternative(PLAY, NARROWER_BENDS) if is_small else finding
 
 
 def _make_offset_finding(agreement: Agreement, vehicle: VehicleParameters, has_steering_wheel: bool,
@@ -350,8 +372,9 @@ def _make_point_finding(point: Estimate, slip: Estimate, motion: Motion, vehicle
     return _make_finding("measuring_point", ("velocity_y", "x", "y"), text, point, "m", effect, advice)
 
 
-def check_tyre_limit(motion: Motion) -> list[Finding]:
-    """Finding about a sustained lateral acceleration above the limit of road tyres; a note if positions confirm it."""
+def check_tyre_limit(motion: Motion, sideslip_measured: bool) -> list[Finding]:
+    """Finding about a sustained lateral acceleration above the limit of road tyres; a note if positions confirm
+    it, which they must without velocity_y."""
     windows = motion.make_windows(WINDOW)
     # In a spin, the change of velocity_y cancels the product of speed and yaw rate.
     lateral = windows.mean(motion.velocity_x * motion.yaw_rate) + windows.change(motion.velocity_y) / WINDOW
@@ -367,9 +390,12 @@ def check_tyre_limit(motion: Motion) -> list[Finding]:
     if both.any() and is_near(float(np.median(ratio)), 1.0, LIMITS.unit_ratio):
         severity, sources = Severity.NOTE, "velocity, yaw rate and positions"
         reason = "right with downforce or racing tyres, else a unit of length or time is wrong"
+    elif not sideslip_measured:
+        return []
     text = f"{sources} give up to {largest:.0f} m/s^2 to the side, but road tyres reach about 10 m/s^2: {reason}"
-    return [Finding("lateral_acceleration_impossible", severity, ("velocity_x", "yaw_rate"), text, largest,
-                    "m/s^2", times=times, advice=Advice("text", "check speed and yaw rate at these times"))]
+    channels = ("velocity_x", "velocity_y", "yaw_rate") if sideslip_measured else ("velocity_x", "yaw_rate")
+    return [Finding("lateral_acceleration_impossible", severity, channels, text, largest, "m/s^2", times=times,
+                    advice=Advice("text", "check speed and yaw rate at these times"))]
 
 
 def check_standstill(motion: Motion) -> list[Finding]:

@@ -1,0 +1,92 @@
+"""Faults that begin during a drive, and faults of several channels that have one cause."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from exact_drive import Sines, delay, exact_drive
+from exact_faults import findings_by_name, scaled, yaw_from_north
+from st_core.checks import Severity, check
+
+SLOW = {"speed": Sines(6.0, ((1.5, 21.0, 0.4), (0.5, 7.0, 1.1)))}
+
+
+def seconds_of(log):
+    return (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
+
+
+def late_in_second_half(log, seconds, channel):
+    """The drive with a channel that is late in its second half only."""
+    is_steering = channel.endswith("angle")
+    time = (log.steering_time_ns - log.ins_time_ns[0]) * 1e-9 if is_steering else seconds_of(log)
+    values = np.interp(time - np.where(time < 0.5 * time[-1], 0.0, seconds), time, getattr(log, channel))
+    other = {"steering_wheel_angle": None} if is_steering else {}
+    return replace(log, **{channel: values}, **other)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seconds", [0.4, -0.4])
+def test_latency_of_the_steering_that_changes_is_not_a_clock_of_another_rate(leaf, seconds):
+    log = late_in_second_half(exact_drive(leaf, 200.0, rate=20.0), seconds, "road_wheel_angle")
+    checked = check(log, leaf)
+    (finding,) = checked.findings
+    assert finding.name == "steering_lag" and finding.interval[0] < seconds < finding.interval[1]
+    assert " in the first half of the drive, but by " in finding.text and finding.advice.kind == "text"
+    assert "steering_lag" not in checked.estimates
+
+
+@pytest.mark.slow
+def test_latency_of_the_yaw_rate_that_changes_is_not_one_of_the_steering(leaf):
+    log = late_in_second_half(exact_drive(leaf, 200.0, rate=20.0), 0.3, "yaw_rate")
+    assert not {"time_rate", "steering_lag"} & findings_by_name(log, leaf).keys()
+
+
+@pytest.mark.parametrize("seconds", [0.1, -0.1])
+def test_clock_that_is_set_is_an_alternative_to_a_jump_of_the_positions(leaf, seconds):
+    log = exact_drive(leaf)
+    stamps = log.ins_time_ns + np.where(seconds_of(log) > 30.0, round(seconds * 1e9), 0)
+    rows = np.append(True, np.diff(np.maximum.accumulate(stamps)) > 0)  # the reader leaves out the others
+    found = findings_by_name(replace(log.select_ins(rows), ins_time_ns=stamps[rows]))
+    jumps = found.pop("position_jumps")
+    assert not found and jumps.text.endswith(f", or the clock was set by {seconds:+.2f} s: both fit this drive")
+    sideways = replace(log, y=log.y + np.where(seconds_of(log) > 30.0, 2.0, 0.0))
+    assert findings_by_name(sideways)["position_jumps"].alternatives == ()
+
+
+def test_change_of_the_map_zone_is_a_jump_only(leaf):
+    log = exact_drive(leaf)
+    (finding,) = check(replace(log, x=log.x + np.where(seconds_of(log) > 30.0, 3e5, 0.0)), leaf).findings
+    assert finding.name == "position_jumps"
+
+
+def test_positions_and_steering_show_that_the_ins_is_right_positive(leaf):
+    log = exact_drive(leaf)
+    wrong = replace(yaw_from_north()(log), yaw_rate=-log.yaw_rate, velocity_y=-log.velocity_y)
+    assert findings_by_name(wrong, leaf).keys() == {"yaw_convention", "velocity_y_scale"}
+
+
+def test_speed_without_a_sign_in_reverse_is_not_a_yaw_that_points_backwards(leaf):
+    log = exact_drive(leaf, speed=Sines(-6.0, ((1.5, 21.0, 0.4),)))
+    found = findings_by_name(scaled(-1.0, "velocity_x")(log), leaf)
+    assert found.keys() == {"velocity_x_scale"} and found["velocity_x_scale"].value == pytest.approx(-1.0, abs=0.01)
+    backwards = findings_by_name(replace(exact_drive(leaf), yaw=exact_drive(leaf).yaw + np.pi), leaf)
+    assert backwards.keys() == {"yaw_offset"}
+
+
+def test_small_lag_of_yaw_does_not_explain_a_distant_reference_point(leaf):
+    log = delay(exact_drive(leaf, **SLOW), 0.03, "yaw_rate")
+    found = findings_by_name(replace(log, velocity_y=np.zeros(len(log.x)), acceleration_y=None), leaf)
+    assert found["position_reference"].alternatives == ()
+
+
+def test_motion_at_standstill_has_the_recorded_yaw_rate(leaf):
+    """The gyroscope drifts; the mean bias is larger than the yaw rate that it reports at standstill."""
+    log = exact_drive(leaf, 60.0, rate=20.0)
+    count = np.arange(-300, len(log.x))
+    place = {name: getattr(log, name)[np.maximum(count, 0)] for name in ("x", "y", "yaw")}
+    motion = {name: np.where(count > 0, getattr(log, name)[np.maximum(count, 0)], 0.0)
+              for name in ("velocity_x", "velocity_y", "yaw_rate")}
+    motion["yaw_rate"] += 0.02 * np.clip(5.0 * count / len(log.x), 0.0, 1.0)
+    found = findings_by_name(replace(log, **place, **motion, ins_time_ns=log.ins_time_ns[0] + 50_000_000 * count,
+                                     acceleration_x=None, acceleration_y=None))
+    assert "standstill_motion" not in found and found["yaw_rate_bias"].severity is not Severity.ERROR
