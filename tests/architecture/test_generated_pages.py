@@ -37,7 +37,7 @@ def test_reference_covers_every_node_of_the_parameter_file() -> None:
     assert reference.NODES.keys() == yaml.safe_load((ROOT / "config" / "nodes.yaml").read_text()).keys()
 
 
-def test_bars_in_table_cells_are_escaped_and_an_invalid_message_line_is_refused(tmp_path) -> None:
+def test_bars_in_table_cells_are_escaped_and_an_invalid_message_line_is_rejected(tmp_path) -> None:
     assert reference.format_table(("a",), [("x|y",)]) == "| a |\n| --- |\n| x\\|y |\n"
     (tmp_path / "Odd.msg").write_text("float64 = x\n")
     with pytest.raises(ValueError, match=r"Odd\.msg: float64 = x"):

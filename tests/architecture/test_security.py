@@ -70,7 +70,7 @@ def test_only_listed_files_listen_on_all_networks():
 
 
 @pytest.mark.parametrize("name", ["../elsewhere", "/etc", "..", "a/b", "a\\b", ""])
-def test_a_path_as_name_in_a_run_file_is_refused(tmp_path, name):
+def test_a_path_as_name_in_a_run_file_is_rejected(tmp_path, name):
     (tmp_path / "drive.csv").write_text("t,x\n")
     (tmp_path / "run.yaml").write_text(f"name: {name!r}\ncsv: drive.csv\n")
     (run,) = find_runs([tmp_path / "run.yaml"])

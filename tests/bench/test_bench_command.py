@@ -18,7 +18,7 @@ def test_json_file_contains_the_result_and_the_computer(tmp_path, monkeypatch) -
 
 
 @pytest.mark.parametrize("name", ["checks", "discovery", "strangers"])
-def test_json_file_is_refused_for_a_benchmark_that_writes_its_own_results(name, tmp_path) -> None:
+def test_json_file_is_rejected_for_a_benchmark_that_writes_its_own_results(name, tmp_path) -> None:
     file = tmp_path / "result.json"
     result = CliRunner().invoke(app, ["bench", name, "--json", str(file)])
     assert result.exit_code == 2 and f"st bench {name}: --json is not available" in result.output

@@ -100,7 +100,7 @@ def _recover(data: bytes, folder: Path) -> str:
 
 
 def _read_with_rosbags(bag: Path) -> str:
-    """Outcome of rosbags, which refuses some contents that no recorder writes."""
+    """Outcome of rosbags, which rejects some contents that no recorder writes."""
     try:
         return f"{len(read_numbers(bag))} topics"
     except ReaderError as error:

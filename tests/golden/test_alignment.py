@@ -124,7 +124,7 @@ def test_alignment_by_steering_alone_is_doubtful(pair: Pair) -> None:
     assert abs(pair.error(result, result.at_ns)) < 2 * result.offset_deviation
 
 
-def test_right_positive_steering_aligns_with_steering_sign_and_is_refused_without(pair: Pair) -> None:
+def test_right_positive_steering_aligns_with_steering_sign_and_is_rejected_without(pair: Pair) -> None:
     steering = pair.without("ins_", "wheel", "vehicle").signals
     turned = CanSignals({k: replace(s, values=-s.values) for k, s in steering.items()}, {})
     result, _ = align_clocks(pair.ins, turned, steering_sign=-1)
@@ -160,7 +160,7 @@ def test_sentinel_values_in_a_signal_do_not_change_the_alignment(pair: Pair, use
     assert abs(pair.error(result, result.at_ns) - pair.error(clean, clean.at_ns)) < 2e-3
 
 
-def test_log_without_shared_signals_is_refused_and_accepts_a_specified_offset(pair: Pair) -> None:
+def test_log_without_shared_signals_is_rejected_and_accepts_a_specified_offset(pair: Pair) -> None:
     nothing = pair.without("ins_", "wheel", "vehicle", "steering")
     result, _ = align_clocks(pair.ins, nothing)
     assert result.verdict is Verdict.REFUSED

@@ -119,7 +119,7 @@ def test_low_coverage_of_a_car_unlike_the_calibrated_one_is_warned_about(folder:
     assert summary["linear"]["hindsight"]["bands"]["0.9"] < 0.3
 
 
-def test_bands_of_another_car_are_refused_in_one_line_before_a_node_starts(folder: Path, tmp_path: Path) -> None:
+def test_bands_of_another_car_are_rejected_in_one_line_before_a_node_starts(folder: Path, tmp_path: Path) -> None:
     other = tmp_path / "other.yaml"
     other.write_text(LEAF.read_text().replace("mass: {value: 1", "mass: {value: 2", 1))
     for arguments, reason in ((("--vehicle", other), "the bands are for"), ((), "unknown key")):

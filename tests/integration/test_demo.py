@@ -110,7 +110,7 @@ def test_path_starts_at_the_ins_point_in_the_map_frame(circle: Path) -> None:
             assert getattr(path.poses[0].pose.position, axis) == pytest.approx(expected, abs=0.01)
 
 
-def test_second_suite_in_a_domain_is_refused_and_interrupt_ends_the_first_with_complete_files(
+def test_second_suite_in_a_domain_is_rejected_and_interrupt_ends_the_first_with_complete_files(
         tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from rosbags.highlevel import AnyReader
     from st_live.suite import claim_domain
@@ -150,7 +150,7 @@ def test_recorded_drive_is_replayed_through_the_bridges(tmp_path: Path) -> None:
         assert models[model]["hindsight"]["lateral"]["rmse"] < 5.0
 
 
-def test_nonempty_output_folder_is_refused(tmp_path: Path) -> None:
+def test_nonempty_output_folder_is_rejected(tmp_path: Path) -> None:
     (tmp_path / "precious.txt").write_text("x")
     process = start_demo("--output", str(tmp_path))
     text, _ = process.communicate(timeout=60)

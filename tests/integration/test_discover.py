@@ -47,7 +47,7 @@ WITHOUT_REFERENCE = [
 
 
 def load_drives(folder: Path) -> list[Drive]:
-    # force: some hidden changes are sensor faults, which the checks refuse and discovery must name as well.
+    # force: some hidden changes are sensor faults, which the checks reject and discovery must name as well.
     drives = read_drives(find_runs([folder]), CAR, ReadSettings(), 1, lambda: None, force=True)
     assert not [d.problem for d in drives if d.problem]
     return drives

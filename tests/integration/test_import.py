@@ -255,7 +255,7 @@ def test_invalid_runs_do_not_prevent_the_import_of_others(raw: Path, tmp_path: P
 
 
 @pytest.mark.slow
-def test_ins_and_can_log_of_different_drives_are_refused(raw: Path, tmp_path: Path, leaf: VehicleParameters) -> None:
+def test_ins_and_can_log_of_different_drives_are_rejected(raw: Path, tmp_path: Path, leaf: VehicleParameters) -> None:
     other = simulate_drive(tmp_path / "other", "--scenario", "S2", can_format="log", duration=30.0)
     mixed = tmp_path / "mixed"
     mixed.mkdir()

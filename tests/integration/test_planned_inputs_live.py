@@ -95,7 +95,7 @@ def test_predictions_and_scores_with_planned_inputs_are_verified(folder: Path, r
     assert "more with inputs of a plan or course, and" in text and "live equals offline" in text
 
 
-def test_invalid_course_is_refused_in_one_line_before_a_node_starts(course_file: Path, tmp_path: Path) -> None:
+def test_invalid_course_is_rejected_in_one_line_before_a_node_starts(course_file: Path, tmp_path: Path) -> None:
     for content, reason in ((course_file.read_text()[:-400], "edited or cut off"), ("", "not a course")):
         file = tmp_path / "course.yaml"
         file.write_text(content)

@@ -42,8 +42,8 @@ def test_recording_with_wrong_steering_sign_is_replayed_only_by_force(recording,
     done = run_st("import", recording.parent / "S6", "--steering-sign", "-1", "--force", "--output", tmp_path / "bag")
     assert done.returncode == 0, done.stdout + done.stderr
     for verb in ("replay", "verify"):
-        refused = run_st(verb, tmp_path / "bag", "--output", tmp_path / verb)
-        assert refused.returncode == 2 and "steering_sign" in refused.stderr and "--force" in refused.stderr
+        result = run_st(verb, tmp_path / "bag", "--output", tmp_path / verb)
+        assert result.returncode == 2 and "steering_sign" in result.stderr and "--force" in result.stderr
         assert not (tmp_path / verb).exists()
     played = run_st("replay", tmp_path / "bag", "--fast", "--force", "--output", tmp_path / "played")
     assert played.returncode == 0 and "error: " in played.stdout, played.stdout + played.stderr
@@ -94,8 +94,8 @@ def external(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_recording_of_another_recorder_is_replayed_and_scored_as_offline(external, tmp_path):
-    refused = run_module("replay", external, "--output", tmp_path / "refused")
-    assert refused.returncode == 2 and "--steering-topic" in refused.stderr, refused.stderr
+    result = run_module("replay", external, "--output", tmp_path / "refused")
+    assert result.returncode == 2 and "--steering-topic" in result.stderr, result.stderr
     played = run_module("replay", external, "--steering-topic", "/steer", "--rate", "2", "--output",
                         tmp_path / "played")
     assert played.returncode == 0, played.stdout + played.stderr

@@ -21,5 +21,5 @@ refuse = pytest.fixture(refusing_node)
     ({"interface": "sockcan"}, "interface 'sockcan' is not one of"),
     ({"checks": "['Leaf_Steering']"}, "checks: 'Leaf_Steering' is not MESSAGE=off|warn|drop"),
 ])
-def test_invalid_configuration_is_refused_in_one_line(refuse, parameters, message, node_parameters):
+def test_invalid_configuration_is_rejected_in_one_line(refuse, parameters, message, node_parameters):
     assert message in refuse(CanedgeBridge, *(f"{n}:={value}" for n, value in (node_parameters | parameters).items()))

@@ -126,7 +126,7 @@ def test_wheel_speeds_with_a_wrong_checksum_are_dropped_by_default(decoder):
     assert decoder.decode(flip_bit(frame), 1) is None
 
 
-def test_invalid_checks_are_refused(dbc_file, signals_file):
+def test_invalid_checks_are_rejected(dbc_file, signals_file):
     for checks, text in (({"Leaf_Brake": "off"}, "check Leaf_Brake"),
                          ({"Leaf_Steering.crc": "off"}, "check Leaf_Steering.crc"),
                          ({"Leaf_Steering": "maybe"}, "'maybe' is not one of off, warn, drop")):
@@ -169,7 +169,7 @@ def test_frame_with_two_faults_is_one_bad_frame(dbc_file, signals_file):
 
 
 def test_wrong_byte_order_is_detected_while_steering(decoder):
-    """Low byte and high byte interchanged, as decoded by a DBC with the wrong byte order."""
+    """The low and high bytes are interchanged, as if the DBC stated the wrong byte order."""
     assert decoder.plausibility_faults() == []
     accepted = 0
     for count in range(200):
@@ -237,7 +237,7 @@ def test_encoded_values_saturate_at_the_range_of_the_signal(decoder):
     assert decoder.decode(frame, 0).values == {"ins_velocity_x": 327.67, "ins_velocity_y": 327.68}
 
 
-def test_values_that_cannot_be_encoded_are_refused(decoder):
+def test_values_that_cannot_be_encoded_are_rejected(decoder):
     with pytest.raises(ValueError, match="nan cannot be encoded"):
         decoder.encode("Leaf_Steering", {"steering_wheel_angle": math.nan})
     with pytest.raises(KeyError, match="no signal wheel"):

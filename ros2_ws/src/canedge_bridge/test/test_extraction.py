@@ -110,7 +110,7 @@ def test_multiplexed_signals_are_decoded_like_cantools(rows):
     message, frames = database.messages[0], [bytes([which | inner << 4]) + rest for which, inner, rest in rows]
     for data, found in zip(frames, extract_all(message, frames), strict=True):
         assert extract_one(message, data) == found
-        if data[0] & 15 == 0 or data[0] == 0x31:  # cantools refuses selectors without a signal
+        if data[0] & 15 == 0 or data[0] == 0x31:  # cantools rejects selectors without a signal
             assert found == message.decode(data, decode_choices=False)
         else:
             assert "A" not in found and "C" not in found and "Always" in found

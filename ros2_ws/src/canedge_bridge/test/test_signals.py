@@ -68,11 +68,11 @@ WHEEL = "Leaf_Steering/signals/SteeringWheelAngle"
     (set_key("Leaf_Brake", {"needed": True}), "has no message Leaf_Brake"),
     (set_key("Leaf_Steering", []), "messages.Leaf_Steering: expected a mapping with names as keys"),
 ])
-def test_invalid_table_is_refused_in_one_line(change, message, dbc_file, edit_table):
+def test_invalid_table_is_rejected_in_one_line(change, message, dbc_file, edit_table):
     path = edit_table(change)
-    with pytest.raises(TableError) as refusal:
+    with pytest.raises(TableError) as error:
         load_table(dbc_file, path)
-    text = str(refusal.value)
+    text = str(error.value)
     assert message in text and str(path) in text and "\n" not in text
 
 
@@ -95,11 +95,11 @@ ANGLE = 'SG_ SteeringWheelAngle : 0|16@1- (-0.1,0) [-3276.7|3276.8] "deg"'
      "1D 00 00 07 B0 of Leaf_Steering incorrectly: -742.4 deg"),
     ('SG_ SteeringWheelAngle : 0|16@1- (-0.2,0) [-3276.7|3276.8] "deg"', "-5.8 deg instead of -2.9"),
 ])
-def test_dbc_that_decodes_the_steering_incorrectly_is_refused(layout, message, edit_dbc, signals_file):
+def test_dbc_that_decodes_the_steering_incorrectly_is_rejected(layout, message, edit_dbc, signals_file):
     path = edit_dbc(ANGLE, layout)
-    with pytest.raises(TableError, match="decodes") as refusal:
+    with pytest.raises(TableError, match="decodes") as error:
         load_table(path, signals_file)
-    assert message in str(refusal.value) and str(path) in str(refusal.value)
+    assert message in str(error.value) and str(path) in str(error.value)
 
 
 def test_steering_sensor_of_opposite_sign_is_accepted(edit_dbc, signals_file):
@@ -108,19 +108,19 @@ def test_steering_sensor_of_opposite_sign_is_accepted(edit_dbc, signals_file):
     assert "Leaf_Steering" in load_table(path, signals_file).messages
 
 
-def test_dbc_without_the_needed_message_is_refused(edit_dbc, signals_file):
+def test_dbc_without_the_needed_message_is_rejected(edit_dbc, signals_file):
     with pytest.raises(TableError, match=r"has no message Leaf_Steering, which .* marks as needed"):
         load_table(edit_dbc("BO_ 2 Leaf_Steering:", "BO_ 2 Something_Else:"), signals_file)
     with pytest.raises(TableError, match=r"marks as needed, did you mean leaf_steering\?"):
         load_table(edit_dbc("BO_ 2 Leaf_Steering:", "BO_ 2 leaf_steering:"), signals_file)
 
 
-def test_unit_that_differs_from_the_dbc_is_refused(edit_dbc, signals_file):
+def test_unit_that_differs_from_the_dbc_is_rejected(edit_dbc, signals_file):
     with pytest.raises(TableError, match=r"SteeringWheelAngle.unit: 'deg', but .* gives 'mrad'"):
         load_table(edit_dbc(ANGLE, ANGLE.replace('"deg"', '"mrad"')), signals_file)
 
 
-def test_dbc_without_the_needed_signal_is_refused(edit_dbc, signals_file):
+def test_dbc_without_the_needed_signal_is_rejected(edit_dbc, signals_file):
     with pytest.raises(TableError, match="Leaf_Steering has no signal SteeringWheelAngle"):
         load_table(edit_dbc("SG_ SteeringWheelAngle :", "SG_ Wheel :"), signals_file)
 
@@ -138,20 +138,20 @@ def test_needed_messages_can_be_replaced(dbc_file, signals_file):
 
 
 @pytest.mark.parametrize("text", ["", "not a dbc at all", "BO_ 2 A: 8 X\n SG_ S : 0|16@1- (1", "\0\1\2\3"])
-def test_file_that_is_not_a_dbc_is_refused(text, tmp_path, signals_file):
+def test_file_that_is_not_a_dbc_is_rejected(text, tmp_path, signals_file):
     path = tmp_path / "invalid.dbc"
     path.write_text(text)
-    with pytest.raises(TableError) as refusal:
+    with pytest.raises(TableError) as error:
         load_table(path, signals_file)
-    assert str(path) in str(refusal.value) and "\n" not in str(refusal.value)
+    assert str(path) in str(error.value) and "\n" not in str(error.value)
 
 
-def test_overlapping_signals_are_refused(edit_dbc, signals_file):
+def test_overlapping_signals_are_rejected(edit_dbc, signals_file):
     with pytest.raises(TableError, match="are overlapping in message Leaf_Steering"):
         load_table(edit_dbc("SteeringWheelRateRaw : 16|8", "SteeringWheelRateRaw : 8|8"), signals_file)
 
 
-def test_missing_files_are_refused(dbc_file, signals_file, tmp_path):
+def test_missing_files_are_rejected(dbc_file, signals_file, tmp_path):
     with pytest.raises(TableError, match=r"missing\.dbc: cannot be read: No such file"):
         load_table(tmp_path / "missing.dbc", signals_file)
     with pytest.raises(TableError, match=r"missing\.yaml: cannot be read: No such file"):
@@ -159,16 +159,16 @@ def test_missing_files_are_refused(dbc_file, signals_file, tmp_path):
 
 
 @pytest.mark.parametrize("text", ["messages: [", "[]", "messages: 3", "", "message: {}"])
-def test_file_that_is_not_a_table_is_refused(text, dbc_file, tmp_path):
+def test_file_that_is_not_a_table_is_rejected(text, dbc_file, tmp_path):
     path = tmp_path / "invalid.yaml"
     path.write_text(text)
-    with pytest.raises(TableError) as refusal:
+    with pytest.raises(TableError) as error:
         load_table(dbc_file, path)
-    assert str(path) in str(refusal.value) and "\n" not in str(refusal.value)
+    assert str(path) in str(error.value) and "\n" not in str(error.value)
 
 
 def test_dbc_without_the_flag_of_29_bits_and_with_names_that_begin_with_a_digit_is_read(tmp_path):
-    """As in commaai/opendbc: vw_mqbevo.dbc, psa_aee2010_r3.dbc, _stellantis_common.dbc."""
+    """Examples in commaai/opendbc: vw_mqbevo.dbc, psa_aee2010_r3.dbc, _stellantis_common.dbc."""
     file = tmp_path / "car.dbc"
     file.write_text('VERSION ""\nBU_: X\n\nBO_ 316522407 Wheel: 8 X\n SG_ 0_COUNTER : 0|4@1+ (1,0) [0|15] "" X\n'
                     ' SG_ Angle : 8|32@1- (.25,-.5) [-.5|1] "deg" X\n\nSIG_VALTYPE_ 316522407 Angle : 1;\n')

@@ -119,7 +119,7 @@ def test_group_and_sender_use_only_the_loopback_interface(channel):
 
 @pytest.mark.parametrize("channel", ["", "can0", "10.0.0.1", "240.0.0.1", "239.74.13", "ff15::1", "239.74.13.1:0",
                                      "239.74.13.1:65536", "239.74.13.1:port"])
-def test_invalid_channel_is_refused(channel):
+def test_invalid_channel_is_rejected(channel):
     with pytest.raises(ValueError, match=r"multicast group|port is outside|empty"):
         open_bus("udp_multicast", channel)
 
@@ -129,7 +129,7 @@ def test_parse_channel_with_and_without_port():
     assert parse_channel("224.0.0.9:5") == ("224.0.0.9", 5)
 
 
-def test_unknown_interface_is_refused():
+def test_unknown_interface_is_rejected():
     with pytest.raises(ValueError, match=r"interface 'socketcann' is not one of .*socketcan"):
         check_channel("socketcann", "can0")
 

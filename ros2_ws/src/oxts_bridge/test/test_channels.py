@@ -103,7 +103,7 @@ def test_values_saturate_at_the_largest_that_can_be_encoded():
     (31, {"PsrDiffEnabled": 1}, "all or none"),
     (63, {"AngAccFiltFreq": 1e39}, "AngAccFiltFreq: 1e[+]39 does not fit"),
 ])
-def test_invalid_values_are_refused(channel, values, text):
+def test_invalid_values_are_rejected(channel, values, text):
     with pytest.raises(NcomError, match=text):
         encode_channel(channel, values)
 

@@ -35,7 +35,7 @@ def test_sigterm_ends_the_node_with_status_0(tmp_path):
     ({"origin_source": "given"}, "origin_latitude: is required when"),
     ({"replay_file": __file__}, "no NCOM packet in"),
 ])
-def test_invalid_configuration_is_refused_in_one_line(refuse, parameters, text):
+def test_invalid_configuration_is_rejected_in_one_line(refuse, parameters, text):
     line = refuse(OxtsBridge, *(f"{name}:={value}" for name, value in parameters.items()))
     assert text in line and "oxts_bridge" in line
 
@@ -50,7 +50,7 @@ def test_invalid_configuration_is_refused_in_one_line(refuse, parameters, text):
     ("odom_frame", "map", "must differ"),
     ("replay_file", "missing.ncom", "replay_file: missing.ncom is not a file"),
 ])
-def test_inconsistent_parameters_are_refused_by_name(key, value, text):
+def test_inconsistent_parameters_are_rejected_by_name(key, value, text):
     settings = SimpleNamespace(**{parameter.name: parameter.default for parameter in PARAMETERS})
     check_settings(settings, "oxts_bridge")
     setattr(settings, key, value)

@@ -55,7 +55,7 @@ def test_heading_is_written_from_0_to_360_deg(tmp_path, packet):
     (b"OggS" + bytes(500), "Ogg container"),
     (bytes(range(256)) * 4, "no NCOM packet in 1024 bytes"),
 ])
-def test_other_file_is_refused_in_one_line(tmp_path, content, text):
+def test_other_file_is_rejected_in_one_line(tmp_path, content, text):
     file = tmp_path / "drive.ncom"
     file.write_bytes(content)
     with pytest.raises(NcomError) as error:
@@ -125,7 +125,7 @@ def test_distance_excludes_time_gaps(tmp_path, drive):
 
 @pytest.mark.parametrize("outputs", [("run.ncom", None), ("run.csv", "run.ncom"), ("run.csv", "run.csv"),
                                      ("./run.ncom", None)])
-def test_output_that_overwrites_the_recording_or_the_other_output_is_refused(tmp_path, drive, outputs):
+def test_output_that_overwrites_the_recording_or_the_other_output_is_rejected(tmp_path, drive, outputs):
     recording = tmp_path / "run.ncom"
     recording.write_bytes(b"".join(drive(3)))
     before = recording.read_bytes()

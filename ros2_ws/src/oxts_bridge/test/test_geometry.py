@@ -138,6 +138,6 @@ def test_wrap_degrees(angle, wrapped):
     assert wrap_degrees(angle) == pytest.approx(wrapped)
 
 
-def test_origin_that_is_not_finite_is_refused():
+def test_origin_that_is_not_finite_is_rejected():
     with pytest.raises(ValueError, match="not finite"):
         LocalFrame(math.nan, 0.0, 0.0)

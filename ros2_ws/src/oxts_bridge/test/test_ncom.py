@@ -73,12 +73,12 @@ def test_ranges_of_the_three_checksums():
 
 
 @pytest.mark.parametrize("data", [b"", EXAMPLE[:71], EXAMPLE + b"\0", b"\0" + EXAMPLE[1:]])
-def test_bytes_that_are_not_a_packet_are_refused(data):
+def test_bytes_that_are_not_a_packet_are_rejected(data):
     with pytest.raises(ncom.NcomError, match="not an NCOM packet"):
         ncom.decode(data)
 
 
-def test_structure_b_is_refused():
+def test_structure_b_is_rejected():
     data = EXAMPLE[:21] + bytes([11]) + EXAMPLE[22:]
     with pytest.raises(ncom.NcomError, match="structure B"):
         ncom.decode(data)
@@ -88,7 +88,7 @@ def test_structure_b_is_refused():
     ("milliseconds", 65536), ("milliseconds", -1), ("channel", 256), ("batch_s", b"123"), ("navigation_status", 300),
     ("navigation_status", 11), ("altitude", 1e300),
 ])
-def test_value_that_cannot_be_encoded_is_refused(name, value):
+def test_value_that_cannot_be_encoded_is_rejected(name, value):
     packet = example()
     setattr(packet, name, value)
     with pytest.raises(ncom.NcomError):

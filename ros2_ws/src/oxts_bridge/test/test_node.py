@@ -133,7 +133,7 @@ def test_first_packet_is_published_and_missing_information_reported(rig, packet)
 
 
 def test_each_valid_packet_is_published_once(rig, drive, packet):
-    """Among reordered, repeated, corrupted, truncated and joined packets, other data and reserved statuses."""
+    """The stream also has reordered, repeated, corrupted, truncated and joined packets, and other data."""
     rig = rig()
     p = drive(12, step_ms=10)
     corrupted = p[5][:40] + bytes([p[5][40] ^ 1]) + p[5][41:]

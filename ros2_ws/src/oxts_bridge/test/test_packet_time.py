@@ -100,7 +100,7 @@ def test_step_longer_than_the_pause_of_reception_is_a_jump():
 
 
 def test_missing_58_s_are_detected_by_the_minute():
-    """By milliseconds alone the packet is 1.8 s late."""
+    """From its milliseconds alone, the packet would be 1.8 s late."""
     clock = GpsClock()
     assert feed(clock, (1200, MINUTE), (59_400, MINUTE), (59_410, None)) == [(1200, NEW), (59_400, NEW), (59_410, NEW)]
     assert clock.jumps == 1

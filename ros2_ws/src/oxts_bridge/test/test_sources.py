@@ -284,7 +284,7 @@ def test_replay_sends_packets_without_a_time(tmp_path, sink, drive):
     source.stop()
 
 
-def test_replay_of_another_file_is_refused_at_once(tmp_path, sink):
+def test_replay_of_another_file_is_rejected_at_once(tmp_path, sink):
     (tmp_path / "a.ncom").write_bytes(b"text " * 100)
     with pytest.raises(NcomError, match=r"a\.ncom: no NCOM packet"):
         ReplaySource(tmp_path / "a.ncom", sink.on_data, sink.on_change)

@@ -122,7 +122,7 @@ def test_evaluate_writes_advice_table(tmp_path):
     assert all(float(row["error 5 s, m"]) > 0.0 for row in rows)
 
 
-def test_zero_tolerance_is_refused(tmp_path):
+def test_zero_tolerance_is_rejected(tmp_path):
     write_drive(tmp_path / "long.csv", weave(16.0))
     result = st("evaluate", tmp_path / "long.csv", "--advise", "0")
     assert result.exit_code == 2 and "--advise" in result.output

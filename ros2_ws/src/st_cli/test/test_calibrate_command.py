@@ -40,16 +40,16 @@ def test_recordings_of_one_folder_count_as_one_run_with_together(folder, tmp_pat
     recordings = [base / "known" / f"weave_{k}.csv" for k in range(3)]
     arguments = (*recordings, base / "new", "--vehicle", base / "car.yaml", "--model", "linear", "--together",
                  "--output", tmp_path / "bands.yaml")
-    refused = st("calibrate", *arguments)
-    assert refused.exit_code == 2 and "4 runs support levels up to 80.0%" in refused.output
+    result = st("calibrate", *arguments)
+    assert result.exit_code == 2 and "4 runs support levels up to 80.0%" in result.output
     done = st("calibrate", *arguments, "--level", 0.8)
     assert done.exit_code == 0 and "from 4 runs" in done.output
     assert "weave_10" in (tmp_path / "bands.yaml").read_text()
 
 
-def test_level_in_percent_is_refused_before_a_run_is_read(tmp_path):
-    refused = st("calibrate", tmp_path, "--level", 90, "--output", tmp_path / "bands.yaml")
-    assert refused.exit_code == 2 and refused.output == "st calibrate: level 90: must be between 0 and 1; 90 % is 0.9\n"
+def test_level_in_percent_is_rejected_before_a_run_is_read(tmp_path):
+    result = st("calibrate", tmp_path, "--level", 90, "--output", tmp_path / "bands.yaml")
+    assert result.exit_code == 2 and result.output == "st calibrate: level 90: must be between 0 and 1; 90 % is 0.9\n"
 
 
 @pytest.mark.slow
@@ -84,7 +84,7 @@ def test_calibration_recordings_are_reported_as_no_test(folder, tmp_path):
     assert "this is not an independent test of the bands" in " ".join(result.output.split())
 
 
-def test_bands_of_another_car_or_model_are_refused_in_one_line(folder, tmp_path):
+def test_bands_of_another_car_or_model_are_rejected_in_one_line(folder, tmp_path):
     base, _ = folder
     for arguments, fragment in ((("--vehicle", LEAF, "--model", "linear"), "the bands are for"),
                                 (("--vehicle", base / "car.yaml", "--model", "kinematic"), "bands.kinematic: missing")):

@@ -51,7 +51,7 @@ def test_options_without_a_car_have_neutral_defaults():
 def test_use_of_the_default_leaf_is_reported(capsys):
     report_default_car("discover", None, LEAF)
     message = capsys.readouterr().err
-    assert "no car was named" in message and "hyundai_genesis" in message and message.count("\n") == 1
+    assert "no car was given" in message and "hyundai_genesis" in message and message.count("\n") == 1
     report_default_car("discover", None, config("car/hyundai_genesis/vehicle.yaml"))
     report_default_car("discover", LEAF, LEAF)  # named by the user
     assert not capsys.readouterr().err
@@ -62,21 +62,21 @@ def test_use_of_the_default_leaf_is_reported(capsys):
     ("steering_latency: true\n", "from 0 to 1 s"), ("mass: 1500\n", "mass: unknown"), ("- 1\n", "not a YAML mapping"),
     ("steering_sign: [\n", "not valid YAML"), ("steering_sign: true\n", "neither 1 nor -1"),
     ("steering_sign: 1\nsteering_sign: -1\n", "given twice")])
-def test_invalid_car_yaml_is_refused(car_folder, text, message):
+def test_invalid_car_yaml_is_rejected(car_folder, text, message):
     (car_folder / "car.yaml").write_text(text)
     with pytest.raises(RunError, match=message) as error:
         load_car(str(car_folder))
     assert str(car_folder / "car.yaml") in str(error.value)
 
 
-def test_unknown_car_is_refused_with_a_list_of_known_cars(tmp_path):
+def test_unknown_car_is_rejected_with_a_list_of_known_cars(tmp_path):
     with pytest.raises(RunError, match=r"does not exist.*hyundai_genesis, leaf"):
         load_car("unknown_car")
     with pytest.raises(RunError, match=r"contains no vehicle\.yaml.*hyundai_genesis, leaf"):
         load_car(str(tmp_path))
 
 
-def test_file_instead_of_a_car_folder_is_refused(car_folder):
+def test_file_instead_of_a_car_folder_is_rejected(car_folder):
     with pytest.raises(RunError, match=f"this is a file; a car is a folder; give --car {car_folder}, or --vehicle"):
         load_car(str(car_folder / "vehicle.yaml"))
     with pytest.raises(RunError, match="this is a file; a car is a folder; give --vehicle"):
@@ -90,8 +90,8 @@ def test_steering_options_are_identical_in_all_verbs(name):
     for option in ("--car", "--vehicle", "--dbc", "--signals", "--steering-sign", "--steering-latency"):
         ours, theirs = options[option], reference[option]
         assert (ours.help, ours.default) == (theirs.help, None), option
-    refused = st(name, *([] if name == "live" else [LEAF]), "--steering-sign", "2")
-    assert refused.exit_code == 2 and "2 is neither 1 nor -1" in refused.output
+    result = st(name, *([] if name == "live" else [LEAF]), "--steering-sign", "2")
+    assert result.exit_code == 2 and "2 is neither 1 nor -1" in result.output
 
 
 def test_unused_speed_signals_of_the_dbc_are_remarked(car_folder):
@@ -121,7 +121,7 @@ def test_export_reports_use_of_the_default_leaf(tmp_path, named):
     pytest.importorskip("casadi")
     result = st("export", "linear", *named, "--output", tmp_path / "out")
     assert result.exit_code == 0, result.output
-    assert ("no car was named: the Leaf's file" in result.stderr) == (not named)
+    assert ("no car was given: the Leaf's file" in result.stderr) == (not named)
     assert ("Leaf" in (tmp_path / "out" / "model.json").read_text()) == (not named)
 
 
@@ -200,7 +200,7 @@ def test_faults_of_several_files_are_reported_together(skeleton):
     assert "car.yaml" in first and "can.dbc: the file does not exist" in second
 
 
-def test_signal_table_without_steering_is_refused(skeleton):
+def test_signal_table_without_steering_is_rejected(skeleton):
     fill_in(skeleton)
     text = (skeleton / "signals.yaml").read_text()
     (skeleton / "signals.yaml").write_text(text[:text.index("  MyCar")] + text[text.index("  # The INS on CAN"):])

@@ -91,7 +91,7 @@ def test_planned_columns_add_a_mode(folder, tmp_path, kind):
     assert rmse(content, "planned", "forecast") > 0.5
 
 
-def test_invalid_course_file_is_refused(folder, tmp_path):
+def test_invalid_course_file_is_rejected(folder, tmp_path):
     base, _ = folder
     (tmp_path / "course.yaml").write_text("schema: 1\n")
     result = st("evaluate", base / "new.csv", "--vehicle", base / "car.yaml", "--course", tmp_path / "course.yaml",

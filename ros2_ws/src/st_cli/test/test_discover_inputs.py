@@ -1,4 +1,4 @@
-"""Inputs of st discover: drives, model files, and refusals in one line."""
+"""Inputs of st discover: drives, model files, and rejections in one line."""
 
 import json
 from dataclasses import replace
@@ -62,12 +62,12 @@ def test_parallel_and_serial_reading_give_equal_drives(drive, tmp_path):
     (["--figures", "gif"], "--figures: gif is not one of"),
     (["--reference", "nowhere"], "no --reference run can be used: "),
 ])
-def test_wrong_options_are_refused_in_one_line(drive, tmp_path, arguments, message):
+def test_wrong_options_are_rejected_in_one_line(drive, tmp_path, arguments, message):
     result = discover(drive, "--output", tmp_path / "o", *arguments)
     assert result.exit_code == 2 and message in result.output and "Traceback" not in result.output
 
 
-def test_missing_and_damaged_recordings_are_refused(drive, tmp_path):
+def test_missing_and_damaged_recordings_are_rejected(drive, tmp_path):
     broken = tmp_path / "broken.csv"
     broken.write_text(drive.read_text().partition("\n")[2])  # without its header
     for path, message in ((tmp_path / "none.csv", "the file or folder does not exist"), (broken, "broken.csv")):
@@ -101,7 +101,7 @@ def test_deviations_of_aligned_clocks_are_collected(drive):
     assert collect_clock_deviations([replace(poor, log=None), unknown]) == {}
 
 
-def test_drive_is_refused_as_its_own_reference(drive, tmp_path):
+def test_drive_is_rejected_as_its_own_reference(drive, tmp_path):
     copy = tmp_path / "healthy" / "copy.csv"
     copy.parent.mkdir()
     copy.write_bytes(drive.read_bytes())
@@ -109,7 +109,7 @@ def test_drive_is_refused_as_its_own_reference(drive, tmp_path):
     assert result.exit_code == 2 and "is given as a run and as --reference" in result.output
 
 
-def test_reference_of_another_car_is_refused(drive, tmp_path):
+def test_reference_of_another_car_is_rejected(drive, tmp_path):
     """Recordings of the suite contain their vehicle file, whose name identifies the car."""
     def read_with_car(car_name, file):
         read = read_drive(find_runs([write_drive(tmp_path / file, weave(9.0))])[0], load_vehicle(LEAF), ReadSettings())
@@ -149,7 +149,7 @@ def test_effect_file_that_fails_to_load_is_reported_in_one_line(drive, tmp_path)
     assert result.exit_code == 2 and "broken.py: cannot be loaded: ModuleNotFoundError" in result.output
 
 
-def test_model_file_of_another_car_is_refused(drive, tmp_path):
+def test_model_file_of_another_car_is_rejected(drive, tmp_path):
     model = tmp_path / "model.yaml"
     lag = augment("nonlinear", {"steering_lag": {"time_constant": 0.1}})
     model.write_text(ModelFile.from_model(lag, load_vehicle(GENESIS), ModelProvenance()).to_yaml())
@@ -160,7 +160,7 @@ def test_model_file_of_another_car_is_refused(drive, tmp_path):
     assert make_model_parameters(model, None, GENESIS) == {"model_file": str(model), "effects_directory": ""}
 
 
-def test_invalid_model_file_of_the_fourth_model_is_refused(tmp_path):
+def test_invalid_model_file_of_the_fourth_model_is_rejected(tmp_path):
     (tmp_path / "model.yaml").write_text("base: nonlinear\neffects: {no_such: {}}\n")
     with pytest.raises(ConfigurationError, match="no_such"):
         make_model_parameters(tmp_path / "model.yaml", None, LEAF)
@@ -176,7 +176,7 @@ def test_output_folder_is_not_overwritten(drive, tmp_path):
     assert result.exit_code == 2 and "is not empty" in result.output
 
 
-def test_too_short_run_is_refused_with_the_required_length(tmp_path, monkeypatch):
+def test_too_short_run_is_rejected_with_the_required_length(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     result = discover(write_drive(tmp_path / "short.csv", weave(3.0)), "--output", tmp_path / "o")
     assert result.exit_code == 2 and "no run is long enough: a run needs 7 s" in result.output

@@ -71,7 +71,7 @@ def test_violated_requirement_is_reported_with_exit_status_1(proposal):
     (("check", "nothing.py"), "nothing.py: does not exist"),
     (("check", __file__.replace(".py", ".csv")), "the name of an effect file ends in .py"),
     (("describe",), "'describe' is not one of")])
-def test_wrong_arguments_are_refused_in_one_line(arguments, fragment):
+def test_wrong_arguments_are_rejected_in_one_line(arguments, fragment):
     result = st("effects", *arguments)
     assert result.exit_code == 2 and fragment in result.output
 
@@ -81,8 +81,8 @@ def test_model_file_with_a_proposed_effect_is_evaluated_and_exported(proposal, t
     drive = write_drive(tmp_path / "weave.csv", weave(20.0))
     options = ("--model", "nonlinear", "--model", proposal / "proposed.yaml", "--vehicle", LEAF, "--figures", "",
                "--output")
-    refused = st("evaluate", drive, *options, tmp_path / "no")
-    assert refused.exit_code == 2 and "proposed_rear_steer" in refused.output
+    result = st("evaluate", drive, *options, tmp_path / "no")
+    assert result.exit_code == 2 and "proposed_rear_steer" in result.output
     result = st("evaluate", drive, *options, tmp_path / "out", "--effects", proposal / "effects")
     assert result.exit_code == 0, result.output
     models = json.loads((tmp_path / "out" / "evaluation.json").read_text())["runs"]["weave"]
@@ -102,9 +102,9 @@ def test_drives_are_identified_with_a_proposed_effect(proposal, tmp_path):
     result = st(*arguments, tmp_path / "out", "--effects", proposal / "effects")
     assert result.exit_code == 0, result.output
     assert "proposed_rear_steer" in (tmp_path / "out" / "identification.json").read_text()
-    refused = st("identify", "steering-offset", drive, "--model", proposal / "proposed.yaml", "--effects",
+    result = st("identify", "steering-offset", drive, "--model", proposal / "proposed.yaml", "--effects",
                  proposal / "effects", "--output", tmp_path / "no")
-    assert refused.exit_code == 2 and "steering-offset uses no model" in refused.output
+    assert result.exit_code == 2 and "steering-offset uses no model" in result.output
 
 
 def test_model_file_reads_back_as_written(proposal):

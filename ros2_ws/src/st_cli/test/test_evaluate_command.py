@@ -125,7 +125,7 @@ def test_evaluation_settings_change_the_result_and_are_printed(folder, tmp_path)
     (["--at", "soon"], "expected comma-separated"),
     (["--interval", "0"], "interval"),
 ])
-def test_wrong_options_are_refused_in_one_line(folder, tmp_path, arguments, fragment):
+def test_wrong_options_are_rejected_in_one_line(folder, tmp_path, arguments, fragment):
     base, _ = folder
     result = evaluate(base / "data" / "weave.csv", "--output", tmp_path / "o", *arguments)
     assert result.exit_code == 2 and fragment in result.output and not (tmp_path / "o").exists()

@@ -127,8 +127,8 @@ def test_bands_are_exported_as_functions_of_state_and_inputs(tmp_path):
         exported = casadi.Function.load(str(out / f"linear_band_hindsight_{name}.casadi"))
         np.testing.assert_allclose(np.array(exported(STATE, INPUTS, 0.02)),
                                    bands.half_widths("linear", "hindsight", start, level)[0, 1:], rtol=1e-9)
-    refused = export("kinematic", "--bands", file, "--output", tmp_path / "other")
-    assert refused.exit_code == 2 and "the bands have no entry for model kinematic, only for linear" in refused.output
+    result = export("kinematic", "--bands", file, "--output", tmp_path / "other")
+    assert result.exit_code == 2 and "the bands have no entry for model kinematic, only for linear" in result.output
 
 
 @pytest.mark.parametrize(("arguments", "message"), [
@@ -136,7 +136,7 @@ def test_bands_are_exported_as_functions_of_state_and_inputs(tmp_path):
     (["linear", "--free", "road_bank.angle"], "'road_bank.angle' is not a parameter"),
     (["none.yaml"], "No such file"),
 ])
-def test_wrong_arguments_are_refused_in_one_line(tmp_path, arguments, message):
+def test_wrong_arguments_are_rejected_in_one_line(tmp_path, arguments, message):
     result = export(*arguments, "--output", tmp_path / "out")
     assert result.exit_code == 2 and message in result.output and len(result.output.splitlines()) == 1
 

@@ -100,10 +100,10 @@ def test_value_that_contradicts_the_file_is_reported(chain, tmp_path):
 @pytest.mark.slow
 def test_lambda_requires_an_identified_cornering_stiffness(chain, tmp_path):
     base, _, files, _ = chain
-    refused = st("identify", "lambda", files["flat_plank"], "--vehicle", base / "tyre" / "vehicle.yaml",
+    result = st("identify", "lambda", files["flat_plank"], "--vehicle", base / "tyre" / "vehicle.yaml",
                  "--output", tmp_path / "no")
-    assert refused.exit_code == 2
-    assert "cornering_stiffness_front of the vehicle file has no uncertainty" in refused.output
+    assert result.exit_code == 2
+    assert "cornering_stiffness_front of the vehicle file has no uncertainty" in result.output
     text = (base / "tyre" / "vehicle.yaml").read_text()
     for axle, value in (("front", "70000.0"), ("rear", "106000.0")):
         text = text.replace(f"cornering_stiffness_{axle}: {{value: {value},",
@@ -120,7 +120,7 @@ def test_lambda_requires_an_identified_cornering_stiffness(chain, tmp_path):
     assert changed.tyre_front.lambda_ky == found["tyre_front.lambda_ky"]["value"]
 
 
-def test_refusal_without_files_names_the_experiment_only(tmp_path):
+def test_error_without_files_names_the_experiment_only(tmp_path):
     result = st("identify", "lambda", "--vehicle", LEAF, "--output", tmp_path / "out")
     assert result.exit_code == 2 and "st identify lambda: cornering_stiffness_front" in " ".join(result.output.split())
 
@@ -158,7 +158,7 @@ INVALID_TABLES = {
 
 
 @pytest.mark.parametrize("name", INVALID_TABLES)
-def test_invalid_tables_are_refused_in_one_line(tmp_path, name):
+def test_invalid_tables_are_rejected_in_one_line(tmp_path, name):
     experiment, text, message = INVALID_TABLES[name]
     file = tmp_path / "[bold]table.csv"
     file.write_text(text)
@@ -168,7 +168,7 @@ def test_invalid_tables_are_refused_in_one_line(tmp_path, name):
     assert not (tmp_path / "out").exists()
 
 
-def test_wrong_arguments_are_refused(tmp_path):
+def test_wrong_arguments_are_rejected(tmp_path):
     result = st("identify", "weight", tmp_path)
     assert result.exit_code == 2 and "unknown experiment 'weight'; use scales" in result.output
     result = st("identify", "scales", tmp_path / "none.csv", "--output", tmp_path / "out")

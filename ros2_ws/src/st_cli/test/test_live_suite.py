@@ -1,4 +1,4 @@
-"""Arguments that st demo and st live refuse before the start, and their terminal view."""
+"""Arguments that st demo and st live reject before the start, and their terminal view."""
 
 import math
 import os
@@ -45,7 +45,7 @@ def run(verb, *arguments: object):
     (["--drive", ROOT / "README.md"], ["README.md", "column t is missing"]),
     (["--drive", ROOT / "README.md", "--scenario", "S3"], ["--scenario: not allowed with argument --drive"]),
 ])
-def test_demo_refuses_wrong_arguments_in_one_line_and_makes_no_folder(tmp_path: Path, arguments, fragments) -> None:
+def test_demo_rejects_wrong_arguments_in_one_line_and_makes_no_folder(tmp_path: Path, arguments, fragments) -> None:
     result = run(live.demo, *arguments, "--output", tmp_path / "run")
     assert result.exit_code == 2
     assert result.stderr.startswith("st demo: ") and result.stderr.count("\n") == 1
@@ -69,7 +69,7 @@ def test_a_node_is_ready_when_it_publishes_diagnostics() -> None:
         rclpy.try_shutdown(context=context)
 
 
-def test_too_short_run_is_refused_with_the_unit() -> None:
+def test_too_short_run_is_rejected_with_the_unit() -> None:
     for verb, seconds in ((live.demo, "2"), (live.demo, "nan"), (live.live, "0.5")):
         result = run(verb, "--duration", seconds)
         assert result.exit_code == 2 and f"{seconds} s is below the minimum of" in result.stderr
@@ -103,7 +103,7 @@ def test_starts_without_a_complete_horizon_are_counted_by_mode() -> None:
     ("unit: kg,", "unit: g,", "mass: unit 'g' is not kg"),
     ("value: 1590.0", "value: 15.9", "mass: 15.9 kg does not fit a car with a wheelbase of 2.7 m"),
 ])
-def test_invalid_vehicle_file_is_refused_before_the_start(tmp_path: Path, verb, before, after, fragment) -> None:
+def test_invalid_vehicle_file_is_rejected_before_the_start(tmp_path: Path, verb, before, after, fragment) -> None:
     text = LEAF.read_text()
     assert before in text
     vehicle = tmp_path / "car.yaml"
@@ -115,7 +115,7 @@ def test_invalid_vehicle_file_is_refused_before_the_start(tmp_path: Path, verb, 
 
 
 @pytest.mark.parametrize("verb", [live.demo, live.live])
-def test_existing_or_impossible_output_is_refused(tmp_path: Path, verb) -> None:
+def test_existing_or_impossible_output_is_rejected(tmp_path: Path, verb) -> None:
     (tmp_path / "precious.txt").write_text("x")
     for output in (tmp_path, tmp_path / "precious.txt", tmp_path / "precious.txt" / "run"):
         result = run(verb, "--output", output)
@@ -125,7 +125,7 @@ def test_existing_or_impossible_output_is_refused(tmp_path: Path, verb) -> None:
 
 @pytest.fixture
 def parameters_of_runs(monkeypatch) -> list[dict]:
-    """Node parameters of every start; the start itself is refused."""
+    """Node parameters of every start; the start itself is rejected."""
     parameters_of_runs = []
 
     def refuse_start(_folder, parameters, *_arguments, **_more):
@@ -143,7 +143,7 @@ def test_steering_options_override_the_nodes_file(tmp_path: Path, monkeypatch, p
     monkeypatch.setattr(configuration, "config", lambda name: nodes if name == "nodes.yaml" else config(name))
     for number, options in enumerate(([], ["--steering-latency", "0", "--steering-sign", "1"])):
         notice, refusal = run(live.live, "--output", tmp_path / str(number), *options).stderr.splitlines()
-        assert "no car was named" in notice and refusal == "st live: not now"
+        assert "no car was given" in notice and refusal == "st live: not now"
     buses = [nodes["canedge_bridge"] for nodes in parameters_of_runs]
     assert [(bus["steering_sign"], bus["steering_latency"]) for bus in buses] == [(-1, 0.05), (1, 0.0)]
 
@@ -169,7 +169,7 @@ def test_vehicle_name_is_that_of_its_folder_or_file(tmp_path: Path) -> None:
     assert configuration.find_vehicle_name(tmp_path / "winter.yaml") == "winter"
 
 
-def test_live_refuses_a_car_without_a_dbc(tmp_path: Path) -> None:
+def test_live_rejects_a_car_without_a_dbc(tmp_path: Path) -> None:
     result = run(live.live, "--car", "hyundai_genesis", "--output", tmp_path / "run")
     assert result.exit_code == 2 and "can.dbc" in result.stderr and "--dbc" in result.stderr
     assert result.stderr.count("\n") == 1 and not (tmp_path / "run").exists()
@@ -193,7 +193,7 @@ def test_missing_command_of_shell_is_reported() -> None:
 
 
 @pytest.mark.parametrize("text", ["abc", "-1", "233", "1.5"])
-def test_invalid_ros_domain_is_refused(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+def test_invalid_ros_domain_is_rejected(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", text)
     with pytest.raises(SuiteError, match=r"ROS_DOMAIN_ID: .* from 0 to 232"):
         read_domain_id()
@@ -223,7 +223,7 @@ def test_ros_domain_is_claimed_exclusively() -> None:
     ("a: {x: 1}\n", "expected sections"),
     ("a: {ros__parameters: {x: 1\n", "not valid YAML"),
 ])
-def test_invalid_parameter_file_is_refused(tmp_path: Path, text: str, message: str) -> None:
+def test_invalid_parameter_file_is_rejected(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "nodes.yaml").write_text(text)
     with pytest.raises(SuiteError, match=message):
         merge_parameters(tmp_path / "nodes.yaml", {})

@@ -145,7 +145,7 @@ def test_live_and_offline_agree_for_every_start(bag):
         assert comparison.n_scores == {"hindsight": 43, "forecast": 43}
         assert comparison.largest_difference < 1e-9 and comparison.yaw_difference < 1e-9
     result = st_verify(bag)
-    assert "no car was named" not in result.stderr
+    assert "no car was given" not in result.stderr
     assert result.exit_code == 0 and "106 predictions and 172 scores compared" in result.output.replace("\n", " ")
 
 
@@ -225,8 +225,8 @@ def test_recording_with_an_error_is_compared_when_forced(live):
     """The nodes received km/h as well, so live equals offline; neither reports the wrong unit."""
     live.velocity_factor = 3.6
     folder = live.write()
-    refused = st_verify(folder)
-    assert refused.exit_code == 2 and "velocity_scale" in refused.output and "--force" in refused.output
+    result = st_verify(folder)
+    assert result.exit_code == 2 and "velocity_scale" in result.output and "--force" in result.output
     forced = st_verify(folder, "--force")
     assert forced.exit_code == 0 and "live equals offline" in forced.output
     assert "error: " in forced.output and "km/h" in forced.output
@@ -239,7 +239,7 @@ def test_check_uses_the_vehicle_of_the_recording(bag, tmp_path):
         assert result.exit_code == 0, result.output
         content = json.loads((tmp_path / output / "check.json").read_text())
         (run,), (source,) = content["runs"].values(), content["vehicle"]
-        assert run["vehicle"] == source and source in result.output and "no car was named" not in result.stderr
+        assert run["vehicle"] == source and source in result.output and "no car was given" not in result.stderr
         return source
 
     assert check_vehicle("a") == "the recording"
@@ -283,12 +283,12 @@ def test_recording_that_is_converted_is_not_replayed(live, tmp_path, monkeypatch
         replay_bag(tmp_path, tmp_path, None, 0.0, Console())
 
 
-def test_invalid_recording_is_refused(tmp_path):
+def test_invalid_recording_is_rejected(tmp_path):
     file = tmp_path / "x.mcap"
     file.write_bytes(b"nothing of the kind")
     for verb in ("verify", "view"):
         result = st(verb, file)
-        assert result.exit_code == 2 and "x.mcap" in result.output and "no car was named" not in result.stderr
+        assert result.exit_code == 2 and "x.mcap" in result.output and "no car was given" not in result.stderr
 
 
 @pytest.mark.slow
@@ -299,7 +299,7 @@ def test_use_of_the_default_leaf_is_reported_for_a_recording_without_a_car(live,
     for arguments in (["verify", bag], ["check", bag, "--output", tmp_path / "a"],
                       ["check", drive, "--output", tmp_path / "b"]):
         text = st(*arguments).stderr
-        assert text.count("no car was named") == 1 and "car/leaf/vehicle.yaml" in text and "--car" in text
+        assert text.count("no car was given") == 1 and "car/leaf/vehicle.yaml" in text and "--car" in text
     for arguments in (["verify", bag], ["check", drive, "--output", tmp_path / "c"]):
         named = st(*arguments, "--car", "leaf")
-        assert "no car was named" not in named.stderr and named.exit_code in (0, 1), named.output
+        assert "no car was given" not in named.stderr and named.exit_code in (0, 1), named.output

@@ -1,4 +1,4 @@
-"""Geometry of the live views, ghosts, frames and server of the page, and refused arguments."""
+"""Geometry of the live views, ghosts, frames and server of the page, and rejected arguments."""
 
 import json
 import math
@@ -48,7 +48,7 @@ def test_heading_up_view_has_left_on_the_left_and_ahead_up(yaw: float) -> None:
     assert left == pytest.approx([-10.0, 0.0], abs=1e-9)
 
 
-def test_bag_without_steering_is_drawn_and_one_without_odometry_refused(tmp_path: Path) -> None:
+def test_bag_without_steering_is_drawn_and_one_without_odometry_rejected(tmp_path: Path) -> None:
     for topic in ("/ins/odometry", "/odom"):
         with Writer(tmp_path / topic[1:4], version=9, storage_plugin=StoragePlugin.MCAP) as writer:
             connection = writer.add_connection(topic, ODOMETRY, typestore=STORE)
@@ -160,7 +160,7 @@ def test_policy_of_the_rerun_page_allows_no_external_requests() -> None:
 @pytest.mark.parametrize(("name", "text"), [
     ("view.txt", "must end in .rrd"), ("there.rrd", "exists already"), ("no/where.rrd", "cannot be written"),
 ])
-def test_invalid_rerun_file_is_refused(tmp_path: Path, name: str, text: str) -> None:
+def test_invalid_rerun_file_is_rejected(tmp_path: Path, name: str, text: str) -> None:
     pytest.importorskip("rerun", reason="not installed with a sourced ROS")
     (tmp_path / "there.rrd").write_bytes(b"")
     with pytest.raises(SuiteError, match=text):
@@ -168,7 +168,7 @@ def test_invalid_rerun_file_is_refused(tmp_path: Path, name: str, text: str) -> 
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:http", "127.0.0.1:99999"])
-def test_address_without_a_valid_port_is_refused(address: str) -> None:
+def test_address_without_a_valid_port_is_rejected(address: str) -> None:
     with pytest.raises(SuiteError, match="--view-address"):
         LiveView(True, address)
 

@@ -16,7 +16,7 @@ def test_nodes_use_their_own_vehicle_file(tmp_path):
     assert files == {str(file_of_nodes)}
 
 
-def test_invalid_vehicle_file_of_the_virtual_car_is_refused_with_its_name(tmp_path):
+def test_invalid_vehicle_file_of_the_virtual_car_is_rejected_with_its_name(tmp_path):
     invalid = tmp_path / "invalid.yaml"
     invalid.write_text("name: nothing else")
     with pytest.raises(SimulationError, match=r"invalid\.yaml"):

@@ -167,7 +167,7 @@ ANOTHER_CAR = MASS + 'vehicle: {name: "Truck", hash: "abcdef"}\n'
     (PredictorNode, ANOTHER_CAR, "the values are valid for 'Truck' abcdef"),
     (EvaluatorNode, ANOTHER_CAR, "the values are valid for 'Truck' abcdef"),
 ])
-def test_invalid_model_file_is_refused_in_one_line(
+def test_invalid_model_file_is_rejected_in_one_line(
         refuse: Callable[..., str], tmp_path: Path, node: type[Node], text: str | None, message: str):
     path = tmp_path / "model.yaml"
     if text:
@@ -187,6 +187,6 @@ def test_own_effects_are_loaded_from_their_folder(processes: Processes) -> None:
     assert processes.stop(node) == 0
 
 
-def test_missing_folder_of_effects_is_refused(refuse: Callable[..., str]) -> None:
+def test_missing_folder_of_effects_is_rejected(refuse: Callable[..., str]) -> None:
     line = refuse(PredictorNode, f"vehicle_file:={LEAF}", "effects_directory:=/nowhere")
     assert "effects_directory: /nowhere: not a folder of effects" in line

@@ -158,7 +158,7 @@ def test_verdict_expires_without_new_measurements(road: np.ndarray) -> None:
 
 def test_check_works_without_steering(road: np.ndarray) -> None:
     rows = road[:4000].copy()
-    rows[:, STEERING] = np.nan  # refused by the history
+    rows[:, STEERING] = np.nan  # rejected by the history
     assert "no fault found" in CheckedDrive().drive(rows).verdicts[-1][1].message
 
 

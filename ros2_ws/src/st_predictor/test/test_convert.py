@@ -54,7 +54,7 @@ def test_yaw_is_independent_of_roll_and_pitch() -> None:
     assert convert.read_ins_sample(message, "map").yaw == pytest.approx(yaw)
 
 
-def test_unusable_odometry_is_refused_with_a_reason() -> None:
+def test_unusable_odometry_is_rejected_with_a_reason() -> None:
     assert "'odom'" in convert.read_ins_sample(odometry(frame="odom"), "map")
     message = odometry()
     message.twist.twist.linear.y = math.nan
@@ -84,7 +84,7 @@ def test_prediction_is_unchanged_by_serialisation() -> None:
     assert (received.model, received.configuration_hash, received.header.frame_id) == ("nonlinear", "ab" * 32, "map")
 
 
-def test_unusable_predictions_are_refused_with_a_reason() -> None:
+def test_unusable_predictions_are_rejected_with_a_reason() -> None:
     start, trajectory = predict_example()
 
     def read_with(**changes) -> str:

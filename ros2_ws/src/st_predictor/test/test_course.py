@@ -135,7 +135,7 @@ def test_inputs_are_held_after_a_position_jump(node, course: Course, road: np.nd
     (None, "No such file"), ("", "not a course file"), ("schema: 1", "missing"),
     ("empty", "passes: empty; build the course from at least one recording"), ("cut", "was edited or cut off"),
 ])
-def test_invalid_course_file_is_refused_with_file_and_reason(course: Course, tmp_path: Path, text: str | None,
+def test_invalid_course_file_is_rejected_with_file_and_reason(course: Course, tmp_path: Path, text: str | None,
                                                                        reason: str) -> None:
     file = tmp_path / "course.yaml"
     if text is not None:

@@ -1,4 +1,4 @@
-"""Plans on plan/inputs: published, recorded and scored as mode plan; refused with a reason if they cannot be used."""
+"""Plans on plan/inputs: published, recorded and scored as mode plan; rejected with a reason if they cannot be used."""
 
 import subprocess
 import sys
@@ -74,7 +74,7 @@ def test_plan_of_the_true_inputs_is_as_accurate_as_hindsight(recorded_drive) -> 
     (0, "road_wheel_angle is not finite"), (1, "header.frame_id is 'map', expected 'base_link'"), (2, "issued"),
     (3, "not the whole horizon"), (4, "check sign, frame and unit"), (5, "issued"),
 ])
-def test_unusable_plan_is_refused_and_inputs_are_held(recorded_drive, fault_number: int, reason: str) -> None:
+def test_unusable_plan_is_rejected_and_inputs_are_held(recorded_drive, fault_number: int, reason: str) -> None:
     zero_ns, messages = recorded_drive
     begin = VALID_SECONDS + fault_number * FAULT_SECONDS
     span = [(nanoseconds(m.header.stamp) - zero_ns) * 1e-9 for m in messages["/predictor/linear/prediction"]]
@@ -122,7 +122,7 @@ def test_plan_of_speed_and_curvature_reduces_the_error_of_held_inputs(path_folde
     ({"time": []}, "one value per time for one pair"),
     ({"time": [0.0, float("nan")]}, "time is not finite"),
 ])
-def test_malformed_plan_is_refused(changes: dict[str, list[float]], reason: str) -> None:
+def test_malformed_plan_is_rejected(changes: dict[str, list[float]], reason: str) -> None:
     car = VehicleParameters.from_yaml(LEAF.read_text(), "leaf")
     values = {"time": [0.0, 0.1], "road_wheel_angle": [0.0, 0.1], "velocity_x_dot": [0.0, 0.0]} | changes
     message = InputPlan(**values)

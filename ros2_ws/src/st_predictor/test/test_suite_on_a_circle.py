@@ -82,7 +82,7 @@ def test_nodes_end_with_status_0_and_closed_files(run: Run) -> None:
 
 
 def test_every_tick_has_three_predictions_and_paths(run: Run) -> None:
-    """From the tick at which the recorder has discovered all six publishers, possibly after the first."""
+    """Checked from the first tick after the recorder has discovered all six publishers."""
     ticks, *others = trim_to_common_start(
         *(stamps(run.messages[f"/predictor/{m}/{kind}"]) for m in MODELS for kind in ("prediction", "path")))
     assert all(other == ticks for other in others)
@@ -169,7 +169,7 @@ def test_forecast_errors_are_path_minus_circle(run: Run) -> None:
 
 
 def test_every_prediction_is_scored_twice(run: Run) -> None:
-    """From the first start that evaluator and recorder both receive, possibly after the first ticks."""
+    """Checked from the first prediction that both evaluator and recorder receive."""
     predicted = [(m, nanoseconds(p.header.stamp)) for m in MODELS for p in run.messages[f"/predictor/{m}/prediction"]]
     for mode in ("forecast", "hindsight"):
         scored = [(e.model, nanoseconds(e.header.stamp)) for e in run.errors["/evaluator/errors"] if e.mode == mode]

@@ -86,7 +86,7 @@ def test_nodes_end_with_status_0(drive_with_faults: dict[str, Any]) -> None:
 def test_no_prediction_without_valid_inputs_and_the_reason_is_reported(
     drive_with_faults: dict[str, Any], begin: float, end: float, fragments: tuple[str, ...]
 ) -> None:
-    """Nothing is issued between the limit of 0.2 s and the return of the signal; then predictions resume."""
+    """No prediction is issued from 0.2 s after the loss of a signal until the signal returns."""
     zero_ns, messages = drive_with_faults["zero_ns"], drive_with_faults["messages"]
     issued = [(nanoseconds(m.issued_at) - zero_ns) * 1e-9 for m in messages["/predictor/linear/prediction"]]
     assert not [t for t in issued if begin + 0.35 < t < end]
@@ -157,7 +157,7 @@ def drive_in_another_frame(tmp_path_factory: pytest.TempPathFactory) -> dict[str
 
 
 @pytest.mark.slow
-def test_odometry_in_another_frame_is_refused(drive_in_another_frame: dict[str, Any]) -> None:
+def test_odometry_in_another_frame_is_rejected(drive_in_another_frame: dict[str, Any]) -> None:
     messages = drive_in_another_frame["messages"]
     assert drive_in_another_frame["statuses"] == [0, 0]
     assert "/predictor/linear/prediction" not in messages
@@ -273,7 +273,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("node", "parameters", "message"), REFUSED, ids=[f"{n}-{w[:25]}" for n, _, w in REFUSED])
-def test_wrong_parameters_are_refused_in_one_line(
+def test_wrong_parameters_are_rejected_in_one_line(
     refuse: Callable[..., str], node: str, parameters: list[str], message: str
 ) -> None:
     line = refuse(NODES[node], *parameters)
@@ -281,7 +281,7 @@ def test_wrong_parameters_are_refused_in_one_line(
     assert message in line
 
 
-def test_wrong_value_in_a_parameter_file_is_refused_with_file_key_and_limit(processes: Processes) -> None:
+def test_wrong_value_in_a_parameter_file_is_rejected_with_file_key_and_limit(processes: Processes) -> None:
     text = (ROOT / "config" / "nodes.yaml").read_text()
     file = processes.folder / "mine.yaml"
     file.write_text(text.replace("stale_after: 0.2", "stale_after: 20.0"))
@@ -290,7 +290,7 @@ def test_wrong_value_in_a_parameter_file_is_refused_with_file_key_and_limit(proc
     assert processes.log("predictor").strip() == f"{file}: predictor.stale_after: 20.0 is outside 0.001 to 10 s"
 
 
-def test_vehicle_file_with_a_wrong_unit_is_refused(processes: Processes) -> None:
+def test_vehicle_file_with_a_wrong_unit_is_rejected(processes: Processes) -> None:
     file = processes.folder / "car.yaml"
     shutil.copy(LEAF, file)
     file.write_text(file.read_text().replace("unit: kg,", "unit: lb,"))

@@ -19,21 +19,21 @@ def record(bag: BagWriter, number: int) -> None:
 
 def test_one_of_many_simultaneous_recorders_gets_the_directory(tmp_path: Path) -> None:
     for attempt in range(20):
-        directory, barrier, bags, refused = tmp_path / str(attempt), threading.Barrier(RECORDERS), [], []
+        directory, barrier, bags, errors = tmp_path / str(attempt), threading.Barrier(RECORDERS), [], []
 
-        def begin(directory: Path = directory, barrier=barrier, bags=bags, refused=refused) -> None:
+        def begin(directory: Path = directory, barrier=barrier, bags=bags, errors=errors) -> None:
             barrier.wait()
             try:
                 bags.append(BagWriter(directory))
             except FileExistsError as error:
-                refused.append(error)
+                errors.append(error)
 
         threads = [threading.Thread(target=begin) for _ in range(RECORDERS)]
         for thread in threads:
             thread.start()
         for thread in threads:
             thread.join()
-        assert (len(bags), len(refused)) == (1, RECORDERS - 1)
+        assert (len(bags), len(errors)) == (1, RECORDERS - 1)
         record(bags[0], attempt)
         assert read_numbers(directory) == {"/a": [attempt]}
 

@@ -1,5 +1,5 @@
 """Bags of both storages: vectorised and message-by-message reading agree; unknown topics are ignored; unreadable bags
-are refused with the reason."""
+are rejected with the reason."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -160,7 +160,7 @@ def test_bag_with_raw_packets_is_a_drive_if_it_has_steering(tmp_path: Path) -> N
     assert has_odometry(write_own(tmp_path / "drive", {**raw, **{k: m for k, m in DRIVE.items() if k[1] == STEERING}}))
 
 
-def test_bag_without_a_lateral_velocity_is_refused(tmp_path: Path) -> None:
+def test_bag_without_a_lateral_velocity_is_rejected(tmp_path: Path) -> None:
     messages = [odometry_message(k, velocity_y=math.nan) for k in range(N)]
     folder = write_own(tmp_path / "drive", {**DRIVE, ("/ins/odometry", ODOMETRY): messages})
     with pytest.raises(RunError, match=rf"fewer than two measurements .*{N} of {N} odometry messages \(100 %\) have no "
@@ -264,7 +264,7 @@ def test_damaged_auxiliary_topics_do_not_affect_the_drive(tmp_path: Path) -> Non
     assert auxiliary.wheel_speed is None and auxiliary.ins_speed is None and auxiliary.quality is None
 
 
-def test_missing_or_ambiguous_topics_are_refused(tmp_path: Path) -> None:
+def test_missing_or_ambiguous_topics_are_rejected(tmp_path: Path) -> None:
     odometry_only = {key: m for key, m in DRIVE.items() if key[1] != STEERING}
     with pytest.raises(RunError, match=r"it contains no message of type st_msgs/msg/Steering; recorded: /ins/odometry"):
         read_bag(write_own(tmp_path / "one", odometry_only))
@@ -313,7 +313,7 @@ def test_topic_of_two_publishers_is_read_in_the_order_of_the_file(tmp_path: Path
     check_drive(file)
 
 
-def test_unreadable_bags_are_refused_with_the_reason(tmp_path: Path) -> None:
+def test_unreadable_bags_are_rejected_with_the_reason(tmp_path: Path) -> None:
     complete = bag.list_bag_files(write_own(tmp_path / "drive", DRIVE))[0].read_bytes()
     for name, content, message in (
         ("empty.mcap", b"", "the file is empty"),
@@ -345,7 +345,7 @@ def test_layout_serialises_like_rosbags() -> None:
     (("notes.md",), "", "contains no storage file of a bag"),
     (("a.mcap", "b.db3"), "", "storage files of both kinds"),
 ])
-def test_paths_without_a_bag_are_refused_with_the_reason(tmp_path: Path, names: tuple[str, ...], path: str,
+def test_paths_without_a_bag_are_rejected_with_the_reason(tmp_path: Path, names: tuple[str, ...], path: str,
                                                          reason: str) -> None:
     for name in names:
         (tmp_path / name).write_text("x")

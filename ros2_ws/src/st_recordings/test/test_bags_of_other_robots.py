@@ -1,4 +1,4 @@
-"""Bags without odometry, as INS drivers and Autoware record them, and bags of ROS 1 are read; others are refused with
+"""Bags without odometry, as INS drivers and Autoware record them, and bags of ROS 1 are read; others are rejected with
 what to do."""
 
 from collections.abc import Callable, Mapping
@@ -215,7 +215,7 @@ def test_odometry_in_north_east_down(tmp_path: Path, drive_log: DriveLog, z_down
 
 @pytest.mark.parametrize(("yaw", "is_rotated"), [(np.pi, False), (0.0, False), (np.pi, True), (1.2, True)])
 def test_velocity_of_a_reversing_car(yaw: float, is_rotated: bool) -> None:
-    """Backward in body axes, in any direction of the compass; over ground, its direction is opposite to yaw."""
+    """In body axes the velocity points backward at any heading; over ground its direction is opposite to yaw."""
     time = np.linspace(0.0, 5.0, 50)
     over_ground = -2.0 * np.exp(1j * yaw)
     velocity = over_ground if is_rotated else -2.0
@@ -311,7 +311,7 @@ def test_steering_angle_in_degrees_in_the_name_of_its_field(tmp_path: Path, driv
 
 def test_bag_with_stamps_of_another_clock_is_read_by_the_times_of_reception(tmp_path: Path,
                                                                             drive_log: DriveLog) -> None:
-    """As of a simulation: a steering topic without stamps has the times of reception."""
+    """Stamps of a simulation, for example. A steering topic without stamps has only times of reception."""
     folder = write(tmp_path / "drive", drive_log, "/pose", "/twist", "/steer", stamp_offset_ns=-10**18)
     run = read(find_runs([folder])[0], CAR, STEER)
     assert_same(run.log, drive_log, max_lost=0)
@@ -353,7 +353,7 @@ def test_simulation_at_half_speed_is_read_by_its_clock(tmp_path: Path, drive_log
     (("/steer",), STEER, "no message of type nav_msgs/msg/Odometry; recorded: /steer .*, or another of this type"),
     (("/odom", "/vehicle/status/steering_status"), ReadSettings(), "no message of type st_msgs/msg/Steering; .*, or "
      "name the topic of the steering angle with --steering-topic")])
-def test_bag_that_lacks_a_quantity_is_refused(tmp_path: Path, drive_log: DriveLog, topics, settings: ReadSettings,
+def test_bag_that_lacks_a_quantity_is_rejected(tmp_path: Path, drive_log: DriveLog, topics, settings: ReadSettings,
                                               error: str) -> None:
     (source,) = find_runs([write(tmp_path / "drive", drive_log, *topics)])
     with pytest.raises(RunError, match=error):

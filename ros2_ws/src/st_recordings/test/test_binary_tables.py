@@ -143,7 +143,7 @@ def save_time_series_structs(file: Path, columns: Columns) -> None:
                            for name, values in columns.items() if name != "t"}})
 
 
-def test_channels_on_different_clocks_are_refused(columns: Columns, tmp_path: Path) -> None:
+def test_channels_on_different_clocks_are_rejected(columns: Columns, tmp_path: Path) -> None:
     gyro = {"t": columns["t"] + 100.0, "yaw_rate": columns["yaw_rate"]}
     savemat(tmp_path / "a.mat", {"gyro": gyro, "ins": {name: columns[name] for name in columns if name != "yaw_rate"}})
     with pytest.raises(RunError, match="its channels have numbers at different times; export them on one clock"):
@@ -371,7 +371,7 @@ def test_code_in_an_attribute_of_a_table_is_not_run(columns: Columns, tmp_path: 
     (lambda file: savemat(file, {"speed": np.ones(9)}), "a.mat",
      "no column was recognised as t, x .or longitude., y .or latitude., yaw"),
     (lambda file: file.write_bytes(b"PAR1 broken"), "a.parquet", "pyarrow cannot read the file")])
-def test_refusal_names_the_reason_and_the_remedy(tmp_path: Path, write: Callable[[Path], None], name: str,
+def test_error_names_the_reason_and_the_remedy(tmp_path: Path, write: Callable[[Path], None], name: str,
                                                  message: str):
     write(tmp_path / name)
     for path in (tmp_path / name, tmp_path):  # a folder that contains only this file reports it, too

@@ -73,7 +73,7 @@ def test_truncated_real_file_gives_the_frames_before_its_end(which: str, middle:
 
 
 @pytest.mark.parametrize(("name", "end"), [(REAL, 5000), ("can/synthetic_leaf_rt.mf4", -5000)])
-def test_file_truncated_inside_its_index_is_refused(tmp_path: Path, name: str, end: int) -> None:
+def test_file_truncated_inside_its_index_is_rejected(tmp_path: Path, name: str, end: int) -> None:
     file = tmp_path / "truncated.MF4"
     file.write_bytes((GOLDEN_DATA / name).read_bytes()[:end])
     with pytest.raises(RunError, match=r"truncated\.MF4: the file is truncated or damaged: .* copy it again from the"):
@@ -187,7 +187,7 @@ def test_text_logs_in_utf_16_are_read(tmp_path: Path, extension: str, codec: str
 
 
 @pytest.mark.parametrize("extension", [".mfc", ".mfe", ".mfm", ".MF4"])
-def test_compressed_or_encrypted_logger_file_is_refused_with_its_converter(tmp_path: Path, extension: str) -> None:
+def test_compressed_or_encrypted_logger_file_is_rejected_with_its_converter(tmp_path: Path, extension: str) -> None:
     file = tmp_path / f"00000001{extension}"
     file.write_bytes(b"Generic File" + bytes(100))
     with pytest.raises(RunError, match=r"container format of CSS Electronics, .*; convert it with their mdf2finalized"):
@@ -291,7 +291,7 @@ def test_frame_types_of_a_busmaster_log(tmp_path: Path) -> None:
     assert frames.length.tolist()[::2] == [2, 0] and frames.flags.tolist() == [SENT, REMOTE, 0]
 
 
-def test_candump_in_bits_and_decimal_busmaster_are_refused(tmp_path: Path) -> None:
+def test_candump_in_bits_and_decimal_busmaster_are_rejected(tmp_path: Path) -> None:
     (tmp_path / "a.log").write_text(" (1436509052.000000)  can0  002   [1]  00000001\n" * 3)
     (tmp_path / "b.log").write_text(BUSMASTER + "11:49:12:1000 Rx 1 35 s 1 016\n" * 3)
     for name in "ab":
@@ -299,7 +299,7 @@ def test_candump_in_bits_and_decimal_busmaster_are_refused(tmp_path: Path) -> No
             read_can_logs([tmp_path / f"{name}.log"])
 
 
-def test_candump_without_times_is_refused(tmp_path: Path) -> None:
+def test_candump_without_times_is_rejected(tmp_path: Path) -> None:
     (tmp_path / "a.log").write_text("  can0  002   [3]  01 02 03\n" * 3)
     with pytest.raises(RunError, match=r"this output of candump has no time stamps; record again with candump -l"):
         read_can_logs([tmp_path / "a.log"])
@@ -323,7 +323,7 @@ def test_log_with_the_wrong_extension_is_read_by_its_content(tmp_path: Path) -> 
     ("packets.asc", b"\xe7" + bytes(71), "this is not a CAN log of a known format"),
     ("nothing.log", b"(1.0) can0 002#not hexadecimal\n", "it contains no usable frames"),
 ])
-def test_file_that_is_not_a_can_log_is_refused(tmp_path: Path, name: str, content: bytes, message: str) -> None:
+def test_file_that_is_not_a_can_log_is_rejected(tmp_path: Path, name: str, content: bytes, message: str) -> None:
     file = tmp_path / name
     file.write_bytes(content)
     with pytest.raises(RunError, match=rf"{name}: ({message})"):
@@ -338,7 +338,7 @@ def test_truncated_last_line_is_skipped_with_a_warning(tmp_path: Path) -> None:
     assert "1 of 3 lines (33 %) cannot be read and were skipped; the first is line 3" in log.warnings[0]
 
 
-def test_mf4_without_can_frames_is_refused(tmp_path: Path) -> None:
+def test_mf4_without_can_frames_is_rejected(tmp_path: Path) -> None:
     file = write_layout_2(tmp_path / "quiet.MF4", START_NS, [])
     with pytest.raises(RunError, match=r"quiet\.MF4: the log contains no CAN frames"):
         read_can_logs([file])
@@ -348,7 +348,7 @@ def test_mf4_without_can_frames_is_refused(tmp_path: Path) -> None:
     ("4.10", "the log contains no raw CAN frames, only decoded signals: SteeringWheelAngle; .*under the key csv of"),
     ("3.30", r"this is MDF version 3.30; CAN frames are only read from version 4; convert it with asammdf"),
 ])
-def test_mdf_of_decoded_signals_or_of_version_3_is_refused(tmp_path: Path, version: str, message: str) -> None:
+def test_mdf_of_decoded_signals_or_of_version_3_is_rejected(tmp_path: Path, version: str, message: str) -> None:
     with MDF(version=version) as log:
         log.append([Signal(np.sin(np.arange(9.0)), np.arange(9.0), name="SteeringWheelAngle", unit="deg")])
         file = log.save(tmp_path / "decoded.mf4")
@@ -391,7 +391,7 @@ def test_letter_far_behind_the_header_shows_that_identifiers_are_hexadecimal(tmp
     assert {*log.frames.id.tolist()} == {0x644, 0x64A} and not log.warnings
 
 
-def test_csv_with_unreadable_times_is_refused_with_what_to_export(tmp_path: Path) -> None:
+def test_csv_with_unreadable_times_is_rejected_with_what_to_export(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("Time,ID,DLC,Data\n" + "noon:ish,7A,1,1A\n" * 9)
     with pytest.raises(RunError, match=r"no usable frames .*; export its times in seconds, and identifiers and"):
         read_can_logs([tmp_path / "a.csv"])

@@ -114,7 +114,7 @@ def test_time_frames_give_utc(table: SignalTable) -> None:
     assert [s.values[0] for s in signals] == pytest.approx([unix_time, unix_time], abs=1e-6)
 
 
-def test_log_without_steering_is_refused_with_the_messages_it_contains(frames: Frames, table: SignalTable) -> None:
+def test_log_without_steering_is_rejected_with_the_messages_it_contains(frames: Frames, table: SignalTable) -> None:
     without = decode_signals(frames.select(frames.id != 2), table)
     with pytest.raises(RunError, match=r"drive\.mf4: the steering message Leaf_Steering \(0x002\) is not in the log; "
                                        r"known messages in the log: Leaf_WheelSpeedFront, .*; name the"):
@@ -174,7 +174,7 @@ def test_halves_of_a_drive_on_two_buses_are_both_used(steering_frames: Frames, t
     assert len(signals.find_first("steering_wheel_angle").time_ns) == n
 
 
-def test_steering_that_the_dbc_decodes_incorrectly_is_refused(frames: Frames, table: SignalTable) -> None:
+def test_steering_that_the_dbc_decodes_incorrectly_is_rejected(frames: Frames, table: SignalTable) -> None:
     payload = frames.payload.copy()
     payload[frames.id == 2, :2] = payload[frames.id == 2, 1::-1]  # high byte first
     with pytest.raises(RunError, match=r"cannot be used: .*implausible .* in \d+ of \d+ frames; correct the DBC"):
@@ -198,9 +198,9 @@ def test_unreadable_lines_are_reported_with_missing_steering(frames: Frames, tab
 def test_error_in_a_signal_table_names_the_file_once(tmp_path: Path) -> None:
     broken = tmp_path / "table.yaml"
     broken.write_text("messages: [")
-    with pytest.raises(RunError) as refused:
+    with pytest.raises(RunError) as error:
         load_signal_table(DBC, broken)
-    assert str(refused.value).count(str(broken)) == 1
+    assert str(error.value).count(str(broken)) == 1
 
 
 def test_wheel_speeds_in_alternate_frames_keep_their_times() -> None:

@@ -141,7 +141,7 @@ def gnss_drive(course_is_yaw: bool) -> tuple[dict[str, str], dict[str, np.ndarra
 
 @pytest.mark.parametrize("name", ["yaw rate [rps]", "yaw_rate_rps"])
 def test_rps_is_no_unit_of_the_yaw_rate(tmp_path: Path, name: str) -> None:
-    """It means revolutions per second in most tables, rad/s in others."""
+    """rps means revolutions per second in most tables, rad/s in others."""
     drive = read_csv(write(tmp_path / "d.csv", {**PLAIN, "yaw_rate": name}))
     np.testing.assert_allclose(drive.log.yaw_rate, 1.0, atol=1e-6)  # of yaw, not of its own column
     texts = [text.partition(": ")[2] for text in drive.warnings]
@@ -165,7 +165,7 @@ def test_course_and_speed_over_ground_give_the_body_velocities(tmp_path: Path, c
 
 
 @pytest.mark.parametrize("rows", [0, 1, 2])
-def test_gnss_table_with_too_few_rows_is_refused(tmp_path: Path, rows: int) -> None:
+def test_gnss_table_with_too_few_rows_is_rejected(tmp_path: Path, rows: int) -> None:
     names, data = gnss_drive(True)
     file = write(tmp_path / "d.csv", names, data={channel: column[:rows] for channel, column in data.items()})
     with pytest.raises(RunError):
@@ -215,7 +215,7 @@ def test_steering_wheel_angle_requires_a_vehicle(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["steering_angle_rad", "Delta_Wheel_rad"])
-def test_steering_angle_of_an_unspecified_wheel_is_refused(tmp_path: Path, name: str) -> None:
+def test_steering_angle_of_an_unspecified_wheel_is_rejected(tmp_path: Path, name: str) -> None:
     file = write(tmp_path / "d.csv", {**PLAIN, "road_wheel_angle": name})
     assert has_drive_columns(file)
     with pytest.raises(RunError, match=rf"column {name} may be the angle of the steering wheel or of the road wheels; "
@@ -230,7 +230,7 @@ def test_layout_interchanges_the_axes_for_any_column_names(tmp_path: Path, x: st
     assert_values(read_csv(file, layout=Layout({"x": "y", "y": "x"})).log)
 
 
-def test_unit_of_a_missing_channel_is_refused(tmp_path: Path) -> None:
+def test_unit_of_a_missing_channel_is_rejected(tmp_path: Path) -> None:
     file = write(tmp_path / "d.csv", {c: n for c, n in PLAIN.items() if c != "yaw"} | {"compass_heading": "heading"})
     with pytest.raises(RunError, match=r"d\.csv has no column for this channel; it has columns for .*compass_heading"):
         read_csv(file, layout=Layout(units={"yaw": "deg"}))
@@ -370,7 +370,7 @@ def test_documentation_lists_every_channel_and_unit() -> None:
 
 @pytest.mark.parametrize("own_stamps", [False, True])
 def test_channels_of_lower_rates_are_interpolated(tmp_path: Path, own_stamps: bool) -> None:
-    """Blank cells between their numbers, in common rows or in rows of their own, as in a merged MF4."""
+    """Their cells are blank in most rows; they share rows with other channels, or have their own as in a merged MF4."""
     data = [{channel: f"{column[k]:.9g}" for channel, column in values().items() if channel in PLAIN} for k in range(N)]
     slow = {"x": 5, "y": 5, "yaw": 3}  # channel -> rows per sample
     rows = []

@@ -92,7 +92,7 @@ def test_semicolons_and_other_column_orders(tmp_path: Path) -> None:
     ([HEADER, *rows(3), *["1,2,3"] * 7, *rows(3)], "a row cannot be read"),
     ([HEADER, *rows(1), *["a,b,c,d,e,f,g,h,i,j"] * 3], "it contains fewer than two usable rows"),
 ])
-def test_unusable_file_is_refused(tmp_path: Path, lines: list[str], message: str) -> None:
+def test_unusable_file_is_rejected(tmp_path: Path, lines: list[str], message: str) -> None:
     with pytest.raises(RunError, match=rf"drive\.csv: {message}"):
         read_csv(write(tmp_path, lines))
 
@@ -127,7 +127,7 @@ def test_seconds_in_steps_of_tenths_are_not_days_of_a_spreadsheet(tmp_path: Path
     assert log.duration == pytest.approx(5.9, abs=0.01)
 
 
-def test_times_without_seconds_are_refused(tmp_path: Path) -> None:
+def test_times_without_seconds_are_rejected(tmp_path: Path) -> None:
     lines = [f"04.05.2026 10:{k // 60:02d}," + line.split(",", 1)[1] for k, line in enumerate(rows(180))]
     with pytest.raises(RunError, match=r"no time in column t can be read; the first is '04\.05\.2026 10:00'; export"):
         read_csv(write(tmp_path, [HEADER, *lines]))
@@ -276,13 +276,13 @@ def test_layout_names_a_column_with_or_without_its_unit(tmp_path: Path, named: s
     assert log.road_wheel_angle[0] == pytest.approx(0.002 * (np.pi / 180 if degrees else 1.0))
 
 
-def test_table_without_steering_is_refused_with_the_option_that_names_it(tmp_path: Path) -> None:
+def test_table_without_steering_is_rejected_with_the_option_that_names_it(tmp_path: Path) -> None:
     file = write(tmp_path, [HEADER.replace("delta", "EPS_Pos"), *rows(20)])
     with pytest.raises(RunError, match=r"recognised as road_wheel_angle \(or steering_wheel_angle\).*--steering-field"):
         read_csv(file)
 
 
-def test_binary_file_with_the_extension_csv_is_refused(tmp_path: Path) -> None:
+def test_binary_file_with_the_extension_csv_is_rejected(tmp_path: Path) -> None:
     file = tmp_path / "drive.csv"
     file.write_bytes(b"\xe7\xff\x80" * 100)
     with pytest.raises(RunError, match="this is not a text file"):

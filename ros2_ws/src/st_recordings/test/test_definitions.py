@@ -37,7 +37,7 @@ def test_hash_follows_from_the_definition(name: str) -> None:
     assert store.hash_rihs01(name) == read_type_hash(name)
 
 
-def test_type_that_is_not_installed_is_refused() -> None:
+def test_type_that_is_not_installed_is_rejected() -> None:
     with pytest.raises(UnknownTypeError, match="no_such_msgs/msg/Thing is not installed"):
         read_definition("no_such_msgs/msg/Thing")
     with pytest.raises(UnknownTypeError, match="nav_msgs/msg/Thing"):

@@ -1,5 +1,5 @@
 """One drive as tables of many programs, with their usual faults: read correctly, with a warning on what is not used, or
-refused in one sentence."""
+rejected in one sentence."""
 
 import re
 from collections.abc import Callable
@@ -35,7 +35,7 @@ def header(*further: str, **changed: str) -> str:
 
 
 def with_columns(log: DriveLog, further: dict[str, str], **changed: str) -> str:
-    """With further columns (name -> text of every cell) and changed names."""
+    """The table with further columns (name -> text of every cell) and changed names."""
     return csv([[*row, *further.values()] for row in rows(log)], header(*further, **changed))
 
 
@@ -94,7 +94,7 @@ def in_degrees(log: DriveLog, names: str) -> str:
 
 
 def geographic(log: DriveLog, repeats: int = 1) -> str:
-    """With latitude and longitude, each position repeated in as many rows."""
+    """The table with latitude and longitude; each position is repeated in `repeats` rows."""
     cells = rows(log, "%.9f")
     latitude, longitude = to_degrees(log)
     for k, row in enumerate(cells):
@@ -104,13 +104,13 @@ def geographic(log: DriveLog, repeats: int = 1) -> str:
 
 
 def quote_rows(text: str) -> str:
-    """With each row below the header as one quoted cell."""
+    """The table with each row below the header as one quoted cell."""
     names, *lines = text.splitlines()
     return "\n".join([names, *('"' + line.replace('"', '""') + '"' for line in lines)]) + "\n"
 
 
 def with_hemispheres(log: DriveLog) -> str:
-    """With longitudes positive to the west, and the hemisphere after each coordinate."""
+    """The table with longitudes positive to the west, and the hemisphere after each coordinate."""
     names, *cells = (line.split(",") for line in geographic(log).splitlines())
     return csv([[row[0], row[1], "N", row[2].lstrip("-"), "W", *row[3:]] for row in cells],
                ",".join((names[0], "latitude", "N/S", "longitude", "E/W", *names[3:])))
@@ -129,7 +129,7 @@ def positions_in_radians(text: str) -> str:
 
 
 def with_course_velocities(log: DriveLog, names: str) -> str:
-    """With the compass heading in degrees, and velocities to the north and east."""
+    """The table with the compass heading in degrees, and velocities to the north and east."""
     yaw = log.yaw
     north = log.velocity_x * np.sin(yaw) + log.velocity_y * np.cos(yaw)
     east = log.velocity_x * np.cos(yaw) - log.velocity_y * np.sin(yaw)
@@ -395,7 +395,7 @@ def test_parts_of_a_table_are_one_run(tmp_path: Path, drive_log: DriveLog, kind:
     (with_ambiguous_thousands, r"1,234 may be a number with a decimal mark or with a thousands separator"),
     (lambda log: csv(rows(log), header() + "\ns,m,m,Grad,m/s,m/s,deg/s,deg"), "unit row: 'Grad' of column yaw"),
 ])
-def test_ambiguous_table_is_refused(tmp_path: Path, drive_log: DriveLog, text, error: str) -> None:
+def test_ambiguous_table_is_rejected(tmp_path: Path, drive_log: DriveLog, text, error: str) -> None:
     with pytest.raises(RunError, match=error):
         read_text(tmp_path / "table.csv", text(drive_log))
 
@@ -515,7 +515,7 @@ def test_date_of_a_vbo_is_added_only_to_times_of_day(tmp_path: Path, first: floa
     assert run.log.ins_time_ns[0] * 1e-9 == pytest.approx(first)
 
 
-def test_second_drive_in_a_vbo_is_reported_or_refused(tmp_path: Path, drive_log: DriveLog) -> None:
+def test_second_drive_in_a_vbo_is_reported_or_rejected(tmp_path: Path, drive_log: DriveLog) -> None:
     file = tmp_path / "drive.vbo"
     run = read_text(file, vbo(drive_log, late_last_row=False) * 2)
     assert_warned(run.warnings, r"the clock was set back by .* rows \(50 %\) are not used")
@@ -559,7 +559,7 @@ def test_only_invalid_rows_of_a_vbo_are_left_out(tmp_path: Path, drive_log: Driv
 
 @pytest.mark.parametrize("stationary", [600, 10**6], ids=["at first", "always"])
 def test_course_of_a_stationary_car_is_not_used(tmp_path: Path, drive_log: DriveLog, stationary: int) -> None:
-    """Neither is the course of a second solution, which some receivers record as _heading."""
+    """The course of a second solution, which some receivers record as _heading, is not used either."""
     text = vbo(drive_log).replace("heading Steer", "heading Steer _heading")
     first = text.partition("[data]\n")[2].split(" ")
     rng = np.random.default_rng(1)
@@ -582,7 +582,7 @@ def test_milliseconds_of_the_day_in_a_vbo_cause_a_warning(tmp_path: Path, drive_
     assert any("units: {t: ms}" in warning for warning in read_text(tmp_path / "drive.vbo", text).warnings)
 
 
-def test_compressed_can_log_is_refused(tmp_path: Path, drive_folder: Path) -> None:
+def test_compressed_can_log_is_rejected(tmp_path: Path, drive_folder: Path) -> None:
     (tmp_path / "run.ncom").write_bytes((drive_folder / "run.ncom").read_bytes())
     (tmp_path / "run.log").write_bytes(b"\x1f\x8b\x08" + bytes(100))
     with pytest.raises(RunError, match=r"run.log: this is a compressed file \(gzip\); unpack it first"):

@@ -1,4 +1,4 @@
-"""One drive in CAN logs and bags of many programs: read correctly, with a warning on what is not used, or refused."""
+"""One drive in CAN logs and bags of many programs: read correctly, with a warning on what is not used, or rejected."""
 
 import re
 import subprocess
@@ -292,7 +292,7 @@ def test_number_base_of_a_table_of_frames(tmp_path: Path, ids: str, bytes_: str,
     (lambda h, d: f"{h}#{d}010203", r"have 8 bytes instead of 5 as in the DBC; 2\d+ frames are not used"),
     (lambda h, d: f"{h.replace(' 002', ' 00000002')}#{d}", "has 11 bits in the DBC, but 29 bits in "),
 ])
-def test_steering_frames_that_do_not_match_the_dbc_are_refused(ncom_folder: Path, frame_lines: list[str], change,
+def test_steering_frames_that_do_not_match_the_dbc_are_rejected(ncom_folder: Path, frame_lines: list[str], change,
                                                                error: str) -> None:
     (ncom_folder / "run.log").write_text(map_steering_frames(frame_lines, change))
     with pytest.raises(RunError, match=error):
@@ -333,7 +333,7 @@ def test_file_that_ends_early_causes_a_warning_with_the_unused_time_of_the_other
 
 
 def test_clock_of_a_vbo_is_aligned_with_a_can_log(tmp_path: Path, drive_folder: Path, drive_log: DriveLog) -> None:
-    """Also of a VBO with a steering column, which other commands read as a complete drive."""
+    """This includes a VBO with a steering column, which other commands read as a complete drive."""
     (tmp_path / "run.vbo").write_text(vbo(drive_log))
     aligned = read_pair([tmp_path / "run.vbo", drive_folder / "run.log"], ReadSettings())
     reference = read_pair([drive_folder / "run.ncom", drive_folder / "run.log"], ReadSettings())
@@ -341,7 +341,7 @@ def test_clock_of_a_vbo_is_aligned_with_a_can_log(tmp_path: Path, drive_folder: 
     assert aligned.alignment.offset_ns - reference.alignment.offset_ns == pytest.approx(shift, abs=10_000_000)
 
 
-def test_alignment_names_the_log_it_finds_and_refuses_a_file_it_cannot_use(tmp_path: Path, drive_folder: Path) -> None:
+def test_alignment_names_the_log_it_finds_and_rejects_a_file_it_cannot_use(tmp_path: Path, drive_folder: Path) -> None:
     (tmp_path / "signals.csv").write_text("t,x,y,yaw,vx,vy,yaw_rate,delta\n0,0,0,0,0,0,0,0\n")
     pair = read_pair([drive_folder / "run.ncom"], ReadSettings())
     assert pair.warnings[0].endswith("run.ncom: its CAN log in the same folder is used: run.log")
@@ -487,20 +487,20 @@ def test_text_export_next_to_its_recording_is_not_a_run(tmp_path: Path, drive_lo
     assert [run.files for run in find_runs([tmp_path])] == [(tmp_path / "a.csv",)]
 
 
-def test_bag_with_another_encoding_is_refused(tmp_path: Path, drive_log: DriveLog) -> None:
+def test_bag_with_another_encoding_is_rejected(tmp_path: Path, drive_log: DriveLog) -> None:
     file = write_bag(tmp_path / "json.mcap", drive_log, 0, 5, encoding="json")
     with pytest.raises(RunError, match="its messages are encoded as json, but only CDR, the encoding of ROS 2"):
         read(find_runs([file])[0], CAR)
 
 
-def test_bag_with_another_definition_of_a_known_type_is_refused(tmp_path: Path, drive_log: DriveLog) -> None:
+def test_bag_with_another_definition_of_a_known_type_is_rejected(tmp_path: Path, drive_log: DriveLog) -> None:
     file = write_bag(tmp_path / "a.mcap", drive_log, 0, 5, compression=CompressionType.NONE, enable_crcs=False)
     file.write_bytes(file.read_bytes().replace(b"Vector3 linear", b"Vector3 planar"))
     with pytest.raises(RunError, match=r"nav_msgs/msg/Odometry differs from the ROS 2 definition.*linear"):
         read(find_runs([file])[0], CAR)
 
 
-def test_bag_with_a_damaged_chunk_is_refused(tmp_path: Path, drive_log: DriveLog) -> None:
+def test_bag_with_a_damaged_chunk_is_rejected(tmp_path: Path, drive_log: DriveLog) -> None:
     file = write_bag(tmp_path / "a.mcap", drive_log, compression=CompressionType.NONE)
     content = bytearray(file.read_bytes())
     content[len(content) // 2] ^= 1

@@ -1,4 +1,4 @@
-"""The bag writer: what independent readers find, what remains after a kill or with a full disk, and what is refused."""
+"""The bag writer: what independent readers find, what remains after a kill or on a full disk, and what is rejected."""
 
 import errno
 import json

@@ -60,7 +60,7 @@ def test_signals_are_read_with_their_units_and_times(drive, tmp_path, name, opti
 
 
 def test_signals_of_several_messages_are_interpolated_at_the_times_of_one(drive, tmp_path):
-    """As decoded from INS messages on a CAN bus: each message has its own times, with jitter."""
+    """INS messages on a CAN bus each have their own times, with jitter."""
     start_ns, random = int(drive.ins_time_ns[0]), np.random.default_rng(0)
     time = (drive.ins_time_ns - start_ns) * 1e-9
     latitude, longitude = to_degrees(drive)
@@ -98,7 +98,7 @@ def test_layout_of_a_run_file_names_signals(drive, tmp_path):
     assert_same(read(source, CAR).log, drive, 2, steering=1e-4, rotated=True)
 
 
-def test_signal_that_the_file_lacks_is_refused_by_its_name(drive, tmp_path):
+def test_signal_that_the_file_lacks_is_rejected_by_its_name(drive, tmp_path):
     write_signals(tmp_path / "drive.mf4", drive)
     (tmp_path / "drive.run.yaml").write_text("csv: drive.mf4\ncolumns: {yaw: Kurs}\n")
     (source,) = find_runs([tmp_path / "drive.run.yaml"])
@@ -130,7 +130,7 @@ def test_logs_of_frames_remain_can_logs(tmp_path):
     assert not is_signal_table(log) and is_can_log(log)
 
 
-def test_damaged_file_is_refused(drive, tmp_path):
+def test_damaged_file_is_rejected(drive, tmp_path):
     file = write_signals(tmp_path / "drive.mf4", drive)
     file.write_bytes(file.read_bytes()[:3000])
     (source,) = find_runs([file])
@@ -139,7 +139,7 @@ def test_damaged_file_is_refused(drive, tmp_path):
 
 
 def test_texts_arrays_and_repeated_names(tmp_path):
-    """An enumeration and an array are refused as text, not as missing; of equal names the longer signal is used."""
+    """An enumeration and an array are rejected as text, not as missing; of equal names the longer signal is used."""
     time = np.arange(60) * 0.1
     values = dict.fromkeys(("x", "y", "yaw", "velocity_y", "yaw_rate", "road_wheel_angle"), np.zeros(60))
     vectors = np.rec.fromarrays([np.zeros((60, 2))], dtype=[("yaw", "<f8", (2,))])
@@ -164,7 +164,7 @@ def test_advice_for_many_drives_names_the_extension_of_the_file(drive, tmp_path)
 
 
 def test_latitude_and_longitude_in_messages_of_their_own(drive: DriveLog, tmp_path: Path) -> None:
-    """As decoded frames of a VBOX are, at different rates."""
+    """A VBOX sends them in separate CAN messages, at different rates."""
     time = (drive.ins_time_ns - drive.ins_time_ns[0]) * 1e-9
     latitude, longitude = to_degrees(drive)
     wheel = np.interp(drive.ins_time_ns, drive.steering_time_ns, drive.steering_wheel_angle)

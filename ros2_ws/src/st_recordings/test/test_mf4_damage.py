@@ -1,4 +1,4 @@
-"""MF4 logs with damaged block descriptions: refused in one sentence before asammdf reads them."""
+"""MF4 logs with damaged block descriptions: rejected in one sentence before asammdf reads them."""
 
 import math
 import re
@@ -67,7 +67,7 @@ def write_damaged(tmp_path: Path, field: str, layout: str, value: object) -> Pat
     ("factor", "<d", 1e200, "the times of its frames are invalid"),
     ("times", "<d", -1e12, "the times of its frames are invalid"),
 ])
-def test_damaged_description_is_refused_in_one_sentence(tmp_path, capfd, field, layout, value, error):
+def test_damaged_description_is_rejected_in_one_sentence(tmp_path, capfd, field, layout, value, error):
     file = write_damaged(tmp_path, field, layout, value)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -86,7 +86,7 @@ def test_frame_count_is_checked_only_in_a_finalised_file(tmp_path):
         read_mf4(file)
 
 
-def test_circular_links_are_refused(tmp_path):
+def test_circular_links_are_rejected(tmp_path):
     file = write_layout_2(tmp_path / "log.MF4", START_NS, FRAMES)
     data = bytearray(file.read_bytes())
     offsets = find_offsets(data)
@@ -97,7 +97,7 @@ def test_circular_links_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize("offset", [2**63, 2**64 - 1, 2**31])
-def test_payload_offset_outside_the_file_is_refused(tmp_path, offset):
+def test_payload_offset_outside_the_file_is_rejected(tmp_path, offset):
     """In layout 1 a record contains the offset of its payload; asammdf does not check it."""
     content = bytearray(REAL.read_bytes())
     records = read_link(content, read_link(content, 64, 0), 2) + 24

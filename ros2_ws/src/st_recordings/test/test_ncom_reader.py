@@ -79,7 +79,7 @@ def test_packets_without_a_fix_are_left_out(tmp_path: Path) -> None:
      r"no packet has a fix; navigation status: 2 \(initialising\) in 50"),
     (packets([0.1 * k for k in range(50)], minutes=False), "no packet has the GPS minute"),
 ])
-def test_unusable_file_is_refused(tmp_path: Path, content: bytes, message: str) -> None:
+def test_unusable_file_is_rejected(tmp_path: Path, content: bytes, message: str) -> None:
     file = tmp_path / "bad.ncom"
     file.write_bytes(content)
     with pytest.raises(RunError, match=rf"bad\.ncom: {message}"):

@@ -37,13 +37,13 @@ def test_recording_of_another_ins_is_read(tmp_path: Path, drive_folder: Path, dr
     assert named.kind == "another" and named.problem is None
 
 
-def test_import_of_another_ins_is_refused(tmp_path: Path, another_ins: Reader) -> None:
+def test_import_of_another_ins_is_rejected(tmp_path: Path, another_ins: Reader) -> None:
     source = RunSource("drive", "another", (tmp_path / "run.other",))
     with pytest.raises(RunError, match=r"import converts NCOM packets.*this run is another.*read it directly"):
         import_run(source, CAR, tmp_path / "bag", ReadSettings(), lambda drive: ())
 
 
-def test_two_readers_of_one_name_are_refused(another_ins: Reader) -> None:
+def test_two_readers_of_one_name_are_rejected(another_ins: Reader) -> None:
     with pytest.raises(ValueError, match="another: two readers"):
         register(another_ins)
 

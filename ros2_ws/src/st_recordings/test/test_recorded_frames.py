@@ -44,13 +44,13 @@ def test_no_messages_give_no_frames() -> None:
 
 
 @pytest.mark.parametrize("length", [3, 15, 20, 40, 60, 250])
-def test_truncated_message_is_refused(length: int) -> None:
+def test_truncated_message_is_rejected(length: int) -> None:
     complete = message(random_frames(10, 8, 4), "socketcan:can0")
     with pytest.raises(ValueError, match="message"):
         read_frames([complete, complete[:length]])
 
 
-def test_impossible_payload_length_is_refused() -> None:
+def test_impossible_payload_length_is_rejected() -> None:
     damaged = bytearray(message([(START, 2, bytes(8), 0)], "can0"))
     damaged[-12] = 65
     with pytest.raises(ValueError, match="beyond"):

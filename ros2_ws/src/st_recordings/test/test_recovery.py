@@ -107,7 +107,7 @@ def test_truncation_anywhere(complete: Path, tmp_path: Path, share: float) -> No
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(share=st.floats(0.0, 1.0, exclude_max=True), flip=st.integers(1, 255))
 def test_one_wrong_byte_affects_only_what_follows_it(complete: Path, tmp_path: Path, share: float, flip: int) -> None:
-    """In a chunk or in the summary, which have checksums; the few bytes between them have none."""
+    """Chunks and summary have checksums; the few bytes between them have none."""
     directory = truncate(complete, tmp_path / "bag", 10**9)
     file = directory / "bag_0.mcap"
     content = bytearray(file.read_bytes())
@@ -214,7 +214,7 @@ def test_single_file_is_recovered_without_metadata(complete: Path, tmp_path: Pat
 
 
 def test_truncated_file_without_chunks_is_recovered(tmp_path: Path) -> None:
-    """As rosbag2 with its preset fastwrite records."""
+    """rosbag2 writes such files with its preset fastwrite."""
     from mcap.writer import IndexType, Writer
 
     with (tmp_path / "fast.mcap").open("wb") as stream:
@@ -232,7 +232,7 @@ def test_truncated_file_without_chunks_is_recovered(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", b"\x89MCAP", b"PK\3\4 this is a zip file", b"\x89MCAP0\r\n\x01\x20\0\0"])
-def test_file_that_is_not_a_bag_is_refused_and_not_changed(tmp_path: Path, content: bytes) -> None:
+def test_file_that_is_not_a_bag_is_rejected_and_not_changed(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "x.mcap"
     file.write_bytes(content)
     with pytest.raises(RecoveryError, match=r"x\.mcap"):
@@ -241,7 +241,7 @@ def test_file_that_is_not_a_bag_is_refused_and_not_changed(tmp_path: Path, conte
     assert list(tmp_path.iterdir()) == [file]
 
 
-def test_missing_input_and_existing_output_are_refused(complete: Path, tmp_path: Path) -> None:
+def test_missing_input_and_existing_output_are_rejected(complete: Path, tmp_path: Path) -> None:
     with pytest.raises(RecoveryError, match="does not exist"):
         recover(tmp_path / "nothing")
     with pytest.raises(RecoveryError, match=r"no \.mcap file"):

@@ -104,7 +104,7 @@ def test_track_is_that_of_the_ins(run_folder: Path) -> None:
     np.testing.assert_allclose(track.yaw, 0.001 * np.arange(1000), atol=1e-12)
 
 
-def test_truncated_recording_is_refused(run_folder: Path) -> None:
+def test_truncated_recording_is_rejected(run_folder: Path) -> None:
     file = run_folder / "errors" / "errors_0.mcap"
     file.write_bytes(file.read_bytes()[:-400])
     with pytest.raises(RunError, match=r"errors_0\.mcap: .*st recover"):

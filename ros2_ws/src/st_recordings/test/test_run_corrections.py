@@ -113,12 +113,12 @@ def test_labels_keep_their_absolute_times(tmp_path: Path) -> None:
     ("leave_out: [[4, 3]]", r"leave_out: expected a list of \[start, end\]"),
     ("leave_out: 4", r"leave_out: expected a list of \[start, end\]"),
 ])
-def test_invalid_columns_units_or_corrections_are_refused(tmp_path: Path, text: str, message: str) -> None:
+def test_invalid_columns_units_or_corrections_are_rejected(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(RunError, match=rf"run\.yaml: {message}"):
         load(tmp_path, text)
 
 
-def test_columns_and_units_of_a_bag_are_refused(tmp_path: Path) -> None:
+def test_columns_and_units_of_a_bag_are_rejected(tmp_path: Path) -> None:
     (tmp_path / "bag").mkdir()
     for key in ("columns", "units"):
         (tmp_path / "run.yaml").write_text(f"bag: bag\n{key}: {{yaw: deg}}\n")
@@ -126,7 +126,7 @@ def test_columns_and_units_of_a_bag_are_refused(tmp_path: Path) -> None:
             read(find_runs([tmp_path / "run.yaml"])[0])
 
 
-def test_corrections_that_leave_no_samples_are_refused(tmp_path: Path) -> None:
+def test_corrections_that_leave_no_samples_are_rejected(tmp_path: Path) -> None:
     with pytest.raises(RunError, match=r"drive\.csv: .*leave no INS sample"):
         load(tmp_path, "correct: {yaw: {earlier: 60}}")
     with pytest.raises(RunError, match="fewer than two measurements of INS or steering"):

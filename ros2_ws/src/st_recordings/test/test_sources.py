@@ -30,7 +30,7 @@ def test_both_packages_mark_extended_identifiers_with_the_same_bit():
     assert frames.EXTENDED == extraction.EXTENDED
 
 
-def test_reversed_search_bounds_are_refused() -> None:
+def test_reversed_search_bounds_are_rejected() -> None:
     source = RunSource("x", "ncom", (Path("x.ncom"),))
     with pytest.raises(RunError, match="--search: the lower bound 5 is not below"):
         raw.choose_clock_settings(source, ReadSettings(search=(5.0, 1.0)))
@@ -140,7 +140,7 @@ def test_folder_with_runs_of_several_kinds_and_other_files(tmp_path: Path) -> No
     ("car.dbc", r"recordings with the extension \.dbc are not supported; give a DBC with --dbc"),
     ("folder", "this folder contains no recording"),
 ])
-def test_path_that_is_not_a_run_is_refused(tmp_path: Path, path: str, message: str) -> None:
+def test_path_that_is_not_a_run_is_rejected(tmp_path: Path, path: str, message: str) -> None:
     touch(tmp_path, "notes.txt", "folder/notes.txt", "notes.doc", "table.lvm", "capture.pcap", "unit.rd", "unit.bin",
           "logger.vbb", "car.dbc")
     (run,) = find_runs([tmp_path / path])
@@ -234,7 +234,7 @@ def test_single_drive_is_read_with_the_run_file_of_its_folder(tmp_path: Path) ->
 @pytest.mark.parametrize(("name", "text"), [
     ("run.yaml", "csv: a.csv\noffste: 1\n"), ("run.yaml", "csv: a.csv: b\n"), ("run.yaml", "csv: [a.csv, a_2.csv]\n"),
     ("all.run.yaml", "each: 'a*.csv'\noffste: 1\n")])
-def test_invalid_run_file_refuses_only_the_recordings_that_it_names(tmp_path: Path, caplog, name: str,
+def test_invalid_run_file_rejects_only_the_recordings_that_it_names(tmp_path: Path, caplog, name: str,
                                                                     text: str) -> None:
     a, b = touch(tmp_path, "a.csv", "b.csv", content=DRIVE)
     (file,) = touch(tmp_path, name, content=text)
@@ -249,7 +249,7 @@ def test_invalid_run_file_refuses_only_the_recordings_that_it_names(tmp_path: Pa
     ("drive_1.csv", b"each: 'drive_[0-9].csv'\nspeeed: 1\n"),
     ("Test drive_1.csv", b"each: 'Test drive_*.csv'\nspeeed: 1\n"),
     ("fahrt_ä.csv", "csv: fahrt_ä.csv\n".encode("latin-1"))])
-def test_invalid_run_file_with_a_pattern_refuses_the_recordings_that_match(tmp_path: Path, name: str,
+def test_invalid_run_file_with_a_pattern_rejects_the_recordings_that_match(tmp_path: Path, name: str,
                                                                            content: bytes) -> None:
     (file,) = touch(tmp_path, name, content=DRIVE)
     (tmp_path / "run.yaml").write_bytes(content)
@@ -278,7 +278,7 @@ def test_table_of_can_frames_is_not_a_can_log(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("name", "error"), [
     ("a.zip", "unpack it first"), ("a.tdms", "export one"), ("a.csv", "the file is empty"),
     ("notes.txt", "this folder contains no recording")])
-def test_folder_without_a_run_is_refused_with_advice_on_its_recordings(tmp_path: Path, name: str, error: str) -> None:
+def test_folder_without_a_run_is_rejected_with_advice_on_its_recordings(tmp_path: Path, name: str, error: str) -> None:
     touch(tmp_path, "README.md", f"sub/{name}")
     (run,) = find_runs([tmp_path])
     with pytest.raises(RunError, match=error):
@@ -292,7 +292,7 @@ def test_folder_without_a_run_is_refused_with_advice_on_its_recordings(tmp_path:
     ("each: '*.doc'\n", "a.doc is not a recording"),
     ("each: '*.ncom'\ncolumns: {x: East}\n", "no CAN log in the folder has the name a, for a.ncom"),
 ])
-def test_invalid_each_is_refused(tmp_path: Path, text: str, error: str) -> None:
+def test_invalid_each_is_rejected(tmp_path: Path, text: str, error: str) -> None:
     touch(tmp_path, "a.csv", "a.ncom", "a.doc")
     (run,) = find_runs(touch(tmp_path, "all.run.yaml", content=text))
     with pytest.raises(RunError, match=error):
@@ -353,7 +353,7 @@ def test_run_yaml_gives_files_and_settings(tmp_path: Path) -> None:
     ("csv: d.csv\nlabels: [{name: a}]", "labels: expected a list of"),
     ("csv: d.csv\nlabels: [{name: a, start: 5, end: 2}]", "labels: a ends at 2 s but starts at 5 s"),
 ])
-def test_invalid_run_yaml_is_refused(tmp_path: Path, content: str, message: str) -> None:
+def test_invalid_run_yaml_is_rejected(tmp_path: Path, content: str, message: str) -> None:
     touch(tmp_path, "x.ncom", "1.log", "d.csv")
     (run,) = find_runs(touch(tmp_path, "run.yaml", content=content))
     with pytest.raises(RunError, match=rf"run\.yaml: {message}"):

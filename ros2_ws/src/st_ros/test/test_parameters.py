@@ -24,7 +24,7 @@ def test_value_is_converted_to_the_declared_type(default, given, expected) -> No
 @pytest.mark.parametrize(("default", "given"), [
     (1.0, "fast"), (1.0, True), (1, 1.5), (1, True), ("a", 5), (["a"], "a"), (True, 1), (1.0, None),
 ])
-def test_wrong_type_is_refused(default, given) -> None:
+def test_wrong_type_is_rejected(default, given) -> None:
     with pytest.raises(ConfigurationError, match=r"^p: "):
         Parameter("p", default, "").check(given)
 
@@ -44,7 +44,7 @@ def test_nan_default_means_not_set() -> None:
         parameter.check(0.0)
 
 
-def test_value_outside_the_choices_is_refused() -> None:
+def test_value_outside_the_choices_is_rejected() -> None:
     parameter = Parameter("p", "a", "", choices=("a", "b"))
     assert parameter.check("b") == "b"
     with pytest.raises(ConfigurationError, match="one of a, b"):

@@ -136,7 +136,7 @@ def test_signal_closes_the_node_and_returns_its_exit_status(
 
 
 def test_repeated_signals_do_not_change_the_exit_status(processes: Processes) -> None:
-    """As from `ros2 launch` on Ctrl-C: the signal of the terminal, then its own, while the node terminates."""
+    """On Ctrl-C a node of `ros2 launch` gets the signal of the terminal, and a second one while it terminates."""
     node = start_script(processes, TALKER, "talker", "succeed")
     wait_for(lambda: "up" in processes.log("talker"), what="talker up")
     while node.poll() is None:
@@ -146,13 +146,13 @@ def test_repeated_signals_do_not_change_the_exit_status(processes: Processes) ->
     assert processes.log("talker").split() == ["up", "closed"]
 
 
-def test_refused_start_is_one_line_with_exit_status_2(processes: Processes) -> None:
+def test_rejected_start_is_one_line_with_exit_status_2(processes: Processes) -> None:
     node = start_script(processes, TALKER, "talker", "refuse")
     assert node.wait(30) == 2
     assert processes.log("talker") == "talker.number: 5 is too much\n"
 
 
-def test_invalid_parameter_file_is_refused_with_exit_status_2(processes: Processes) -> None:
+def test_invalid_parameter_file_is_rejected_with_exit_status_2(processes: Processes) -> None:
     file = processes.folder / "invalid.yaml"
     file.write_text("talker:\n  ros__parameters:\n    a: [1, x\n")
     node = start_script(processes, TALKER, "talker", "--ros-args", "--params-file", str(file))

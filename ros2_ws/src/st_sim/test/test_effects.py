@@ -265,7 +265,7 @@ def test_presets_and_plant_files_are_resolved(tmp_path):
         ("a: [", "not valid YAML"),
     ],
 )
-def test_invalid_plant_file_is_refused_with_its_name(tmp_path, text, message):
+def test_invalid_plant_file_is_rejected_with_its_name(tmp_path, text, message):
     file = tmp_path / "plant.yaml"
     file.write_text(text)
     with pytest.raises(SimulationError, match=r"^[^\n]*plant\.yaml[^\n]*$") as caught:
@@ -275,6 +275,6 @@ def test_invalid_plant_file_is_refused_with_its_name(tmp_path, text, message):
 
 @pytest.mark.parametrize("effect",
                          ["bank_angle", "bank_angle=", "bank_angle=x", "bank_angle=nan", "bank_angle=2", "b=1"])
-def test_invalid_effect_is_refused_with_its_option(effect):
+def test_invalid_effect_is_rejected_with_its_option(effect):
     with pytest.raises(SimulationError, match="--effect"):
         resolve_settings("ideal", [effect])

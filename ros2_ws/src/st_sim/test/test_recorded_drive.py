@@ -82,7 +82,7 @@ VALID_ROWS = "0,0,0,0,5,0,0,0,0,0\n0.02,0.1,0,0,5,0,0,0,0,0\n"
         ("\udcff\udcfe", "not a CSV file"),
     ],
 )
-def test_invalid_drive_is_refused_with_its_name(tmp_path, text, message):
+def test_invalid_drive_is_rejected_with_its_name(tmp_path, text, message):
     file = tmp_path / "drive.csv"
     file.write_bytes(text.encode("utf-8", "surrogateescape"))
     with pytest.raises(SimulationError, match=r"^[^\n]*drive\.csv[^\n]*$") as caught:

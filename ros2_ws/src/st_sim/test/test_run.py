@@ -267,7 +267,7 @@ def test_missing_tables_of_the_leaf_are_located_in_the_message(tmp_path, monkeyp
         (["--wheels", "5"], "--wheels"),
     ],
 )
-def test_wrong_argument_is_refused_in_one_line(arguments, output, capsys):
+def test_wrong_argument_is_rejected_in_one_line(arguments, output, capsys):
     if arguments and "--vehicle" not in arguments:
         arguments = ["--vehicle", str(LEAF), *arguments]
     try:
@@ -282,7 +282,7 @@ def test_wrong_argument_is_refused_in_one_line(arguments, output, capsys):
 
 @pytest.mark.slow
 def test_live_drive_keeps_the_true_motion_of_earlier_drives_in_its_folder(tmp_path):
-    """As the recorder keeps its bags."""
+    """The recorder also keeps the earlier bags."""
     for name in ("truth.mcap", "truth_2.mcap", "truth_3.mcap"):
         live = LiveRun(tmp_path, "--duration", "0.2")
         live.listen(lambda: False)

@@ -242,7 +242,7 @@ def test_stop_and_go_has_speed_changes_and_turns_to_both_sides():
         ("[", "not valid YAML"),
     ],
 )
-def test_invalid_road_is_refused_with_its_name(tmp_path, text, message):
+def test_invalid_road_is_rejected_with_its_name(tmp_path, text, message):
     file = tmp_path / "road.yaml"
     file.write_text(text)
     with pytest.raises(SimulationError, match=r"^[^\n]*road\.yaml[^\n]*$") as caught:

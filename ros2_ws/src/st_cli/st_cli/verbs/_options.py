@@ -138,7 +138,7 @@ class ReadOptions:
         for file, option in ((options.dbc, "--dbc"), (options.signals, "--signals")):
             if requires_bus and file and not file.is_file():
                 raise RunError(file, "does not exist, but is needed to describe the CAN bus",
-                               f"create it, or name another file with {option}")
+                               f"create it, or pass another file with {option}")
         return options
 
     @property
@@ -149,7 +149,7 @@ class ReadOptions:
 
     @property
     def steering(self) -> "SteeringField | None":
-        """Location and unit of the steering angle in an external bag or a table; None if no option names it."""
+        """Location and unit of the steering angle in an external bag or a table; None if no option states it."""
         from st_recordings.runs.run_types import SteeringField
 
         if self.steering_topic is None and self.steering_field is None:
@@ -237,12 +237,12 @@ def load_vehicle_or_default(vehicle: Path | None) -> "tuple[VehicleParameters, P
     return read_vehicle(file), file
 
 
-def report_default_car(verb: str, named_file: Path | None, file: Path | str) -> None:
-    """Print a line if `file` (vehicle or DBC) is the Leaf's because the user named none."""
+def report_default_car(verb: str, given_file: Path | None, file: Path | str) -> None:
+    """Print a line if `file` (vehicle or DBC) is the Leaf's because the user gave none."""
     from st_recordings.car import list_cars
 
-    if named_file is None and Path(file).resolve().parent == LEAF.resolve().parent:
-        typer.echo(f"st {verb}: no car was named: the Leaf's file {file} is used; name your car with --car "
+    if given_file is None and Path(file).resolve().parent == LEAF.resolve().parent:
+        typer.echo(f"st {verb}: no car was given: the Leaf's file {file} is used; specify your car with --car "
                    f"({', '.join(list_cars())}, or a folder)", err=True)
 
 

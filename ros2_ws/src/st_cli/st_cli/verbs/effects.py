@@ -42,10 +42,10 @@ def effects(
         if action == "list":
             _print_library()
             return
-        named_file = shared.ReadOptions(car, vehicle).fill_in_car().vehicle
-        parameters, file = shared.load_vehicle_or_default(named_file)
+        given_file = shared.ReadOptions(car, vehicle).fill_in_car().vehicle
+        parameters, file = shared.load_vehicle_or_default(given_file)
         all_met = _check_effects(files or (), parameters)
-        shared.report_default_car("effects", named_file, file)
+        shared.report_default_car("effects", given_file, file)
     raise typer.Exit(0 if all_met else 1)
 
 
@@ -120,15 +120,15 @@ def export(
     from st_recordings.car import read_model
 
     with shared.report_errors("export", OSError):
-        named_file = shared.ReadOptions(car, vehicle).fill_in_car().vehicle
-        parameters, file = shared.load_vehicle_or_default(named_file)
+        given_file = shared.ReadOptions(car, vehicle).fill_in_car().vehicle
+        parameters, file = shared.load_vehicle_or_default(given_file)
         if effects is not None:
             load_folder(str(effects.absolute()))
-        exported, model_vehicle = read_model(model, parameters, str(file), named_file is not None)
+        exported, model_vehicle = read_model(model, parameters, str(file), given_file is not None)
         parsed_bands = None if bands is None else Bands.from_yaml(bands.read_text(encoding="utf-8"), str(bands))
         folder = new_folder(output, "export")
         paths = export_model(exported, model_vehicle, folder, kind, substeps, free, parsed_bands)
     if model_vehicle is parameters:
-        shared.report_default_car("export", named_file, file)
+        shared.report_default_car("export", given_file, file)
     for path in paths:
         typer.echo(path)
