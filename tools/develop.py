@@ -12,6 +12,11 @@ import typer
 from st_live import suite
 from st_recordings.paths import project_root
 
+# Files with timing tests that take minutes each. They run first, so that neither of the two workers ends long before
+# the other; measured with --durations=0.
+LONGEST_TIMING_TESTS = (
+    "test_trouble.py", "test_faults.py", "test_demo.py", "test_bands_live.py", "test_consistency.py", "test_plan.py")
+
 
 def test(
     context: typer.Context,
@@ -22,11 +27,12 @@ def test(
     # -rfEs lists failed, broken and skipped tests with their reasons.
     pytest = [sys.executable, "-m", "pytest", "-rfEs", "-q"]
     markers = "not slow and not timing" if fast else "not timing"
-    # Files are distributed in the order of testpaths, the longest first. One worker more than cores, because some tests
-    # wait. Timing tests mostly wait: two run at a time, after all others, and only their files are imported.
+    # Files are distributed in the order of testpaths. One worker more than cores, because some tests wait. Timing tests
+    # mostly wait: two run at a time, after all others, and only their files are imported.
     by_file = ["--dist", "loadfile", "--no-loadscope-reorder"]
     timing_tests = [str(file) for name in ("tests", "ros2_ws/src") for file in sorted((root / name).rglob("test_*.py"))
                     if "mark.timing" in file.read_text(encoding="utf-8")]
+    timing_tests.sort(key=lambda file: Path(file).name not in LONGEST_TIMING_TESTS)
     parts = [
         [*pytest, "-n", str(len(os.sched_getaffinity(0)) + 1), *by_file, "-m", markers],
         *([] if fast else [[*pytest, "-n", "2", *by_file, "-m", "timing", *timing_tests]]),

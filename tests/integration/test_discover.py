@@ -31,16 +31,14 @@ pytestmark = pytest.mark.slow
 CAR = read_car("leaf")
 
 # (settings of the plant, effect of the models, parameter, change from the healthy car; None: only the name is checked).
-# Steering ratio, steering offset and heading misalignment are in WITHOUT_REFERENCE.
+# Steering offset and heading misalignment are in WITHOUT_REFERENCE, the steering ratio in the fixture `command`.
 WITH_REFERENCE = [
     ({"steering_lag": 0.14}, "steering_lag", "time_constant", 0.1),
-    ({"steering_delay": 0.08}, "steering_delay", "time", 0.08),
     ({"rear_stiffness_factor": 0.8}, "rear_stiffness", "factor", None),
     ({"yaw_rate_scale": 1.06}, "yaw_rate_scale", "factor", None),
 ]
 # The same without a reference: values relative to the vehicle file.
 WITHOUT_REFERENCE = [
-    ({"steering_ratio_factor": 0.9}, "steering_ratio", "factor", 0.9),
     ({"steering_offset": 0.012}, "steering_offset", "angle", 0.012),
     ({"ins_misalignment": 0.02}, "heading_misalignment", "angle", 0.02),
 ]
@@ -139,7 +137,7 @@ def test_hidden_change_is_found_with_its_size_without_a_reference(without_refere
 
 
 def test_corrected_vehicle_file_alone_reduces_lateral_errors(without_reference, tmp_path):
-    base, _ = without_reference({"steering_ratio_factor": 0.9})
+    base, _ = without_reference({"steering_offset": 0.012})
     ratios = {}
     for run in ("sweep", "brake_in_turn"):
         folder = base / "raw" / run

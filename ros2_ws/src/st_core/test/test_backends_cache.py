@@ -82,6 +82,13 @@ def first_run(tmp_path_factory, leaf):
     return install, install.run(*BANKED), install.compiled_files()
 
 
+@pytest.fixture(scope="module")
+def kinematic(tmp_path_factory, leaf):
+    """(install, result, folder of the kernel) of the kinematic model, compiled once."""
+    install = Install(tmp_path_factory.mktemp("kinematic"), leaf)
+    return install, *install.run("kinematic")[1:]
+
+
 @pytest.mark.slow
 def test_second_process_loads_the_kernel_from_the_cache(first_run):
     install, (found, result, folder), files = first_run
@@ -107,12 +114,11 @@ def test_every_set_of_effects_has_its_own_kernel(install):
 @pytest.mark.slow
 @pytest.mark.parametrize(("file", "old", "new"), [
     ("tyres.py", "return -cornering_stiffness * slip", "return -1.1 * cornering_stiffness * slip"),
-    *(pytest.param(*edit, marks=pytest.mark.slow) for edit in (
-        ("models/_base.py", "slip_angle(velocity_y - p.", "slip_angle(velocity_y - 1.1 * p."),
-        ("tyres.py", "GRAVITY = 9.81", "GRAVITY = 9.0"),  # a constant used by the effect in another file
-        ("effects/road_bank.py", "zero - GRAVITY * sin(", "zero - 2.0 * GRAVITY * sin("),
-        ("composition.py", "velocity_y + a_y", "velocity_y - a_y"),
-        ("backends/numba_lanes.py", "S2, S3 = -0.16666666666666666, ", "S2, S3 = -0.15, "))),
+    ("models/_base.py", "slip_angle(velocity_y - p.", "slip_angle(velocity_y - 1.1 * p."),
+    ("tyres.py", "GRAVITY = 9.81", "GRAVITY = 9.0"),  # a constant used by the effect in another file
+    ("effects/road_bank.py", "zero - GRAVITY * sin(", "zero - 2.0 * GRAVITY * sin("),
+    ("composition.py", "velocity_y + a_y", "velocity_y - a_y"),
+    ("backends/numba_lanes.py", "S2, S3 = -0.16666666666666666, ", "S2, S3 = -0.15, "),
 ], ids=["tyre force", "slip angle", "constant", "effect", "composition", "compiled sine"])
 def test_edited_equation_or_effect_recompiles_the_kernel(first_run, file, old, new):
     install, (_, before, _), _ = first_run
@@ -120,6 +126,13 @@ def test_edited_equation_or_effect_recompiles_the_kernel(first_run, file, old, n
     found, after, _ = install.run(*BANKED)
     install.edit(file, new, old)
     assert not found and after != before
+
+
+@pytest.mark.slow
+def test_undone_edits_use_the_first_kernel(first_run):
+    install, (_, before, _), _ = first_run
+    install.edit("tyres.py", "GRAVITY = 9.81", "GRAVITY = 9.0")
+    install.edit("tyres.py", "GRAVITY = 9.0", "GRAVITY = 9.81")
     assert install.run(*BANKED)[:2] == (True, before)
 
 
@@ -140,7 +153,7 @@ def test_edited_user_effect_recompiles_the_kernel(install, tmp_path):
 
 @pytest.mark.slow
 def test_read_only_package_uses_the_user_cache(install):
-    # For root too: no user can create a folder inside a file.
+    # Works for root too: nobody can make a folder inside a file.
     (install.package / "backends" / "__pycache__").write_text("")
     found, result, folder = install.run("kinematic")
     assert not found and folder.is_relative_to(install.home / ".cache" / "st_core")
@@ -159,16 +172,19 @@ def test_without_a_writable_folder_nothing_is_cached(install):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["nbc", "nbi"])
-def test_damaged_cache_file_is_recompiled(install, kind):
-    _, result, folder = install.run("kinematic")
+def test_damaged_cache_file_is_recompiled(kinematic, kind):
+    install, result, folder = kinematic
     file, = folder.glob(f"*.{kind}")
-    file.write_bytes(file.read_bytes()[:-100] if kind == "nbc" else b"")
-    assert install.run("kinematic")[1] == result
+    content = file.read_bytes()
+    file.write_bytes(content[:-100] if kind == "nbc" else b"")
+    found, again, _ = install.run("kinematic")
+    file.write_bytes(content)
+    assert not found and again == result
 
 
 @pytest.mark.slow
-def test_cache_unused_for_long_is_deleted(install):
-    _, _, folder = install.run("kinematic")
+def test_cache_unused_for_long_is_deleted(kinematic):
+    install, _, folder = kinematic
     recent = folder.parent  # numba adds a level
     unused = recent.parent / "old"
     unused.mkdir()
