@@ -20,7 +20,7 @@ COARSE_CUTOFF, FINE_CUTOFF = 0.5, 4.0  # Hz, of the low-pass while the drift is 
 STAMP_RESOLUTION = 50e-6  # s, of logger time stamps; their rounding error is part of the uncertainty
 GOOD_CORRELATION, USABLE_CORRELATION = 0.95, 0.80  # doubtful: one signal below GOOD; refused: all below USABLE
 MIN_OVERLAP = 20.0  # s, required overlap if no offset fits with an overlap of 40 % of the shorter recording
-UNUSUAL_DRIFT_PPM = 200.0  # two quartz clocks differ by less
+UNTYPICAL_DRIFT_PPM = 200.0  # two quartz clocks differ by less
 MAX_CLOCK_STEP = 0.05  # s; an alignment with a larger clock step is refused
 MAX_DISAGREEMENT = 0.005  # s, largest difference of the offset of a single signal from the common offset
 MAX_TIME_FRAME_RESIDUAL = 0.02  # s, largest deviation of the offset of a time frame from the fitted line
@@ -33,7 +33,7 @@ MIN_CORRELATION = 0.9  # smallest correlation of the highest peak of a window th
 MAX_PEAK_RATIO = 0.97  # largest ratio of the second peak to the highest one, in a window that is used
 MAX_LAG_DEVIATION = 0.05  # s, largest standard deviation of the lag of a window that is used
 MIN_CLOCK_STEP = 0.01  # s, smallest step reported
-USUAL_DRIFT = 50e-6  # s/s, standard deviation of the prior of the drift
+TYPICAL_DRIFT = 50e-6  # s/s, standard deviation of the prior of the drift
 MIN_STEP_COST_REDUCTION = 30.0  # minimum reduction of the normalised sum of squares by a step
 OUTLIER_LIMIT = 5.0  # standard deviations: scale of the robust weight of a window, and cap of its normalised residual
 
@@ -227,7 +227,7 @@ def _add_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_
 
 
 def _describe_unusual_drift(result: Alignment) -> list[str]:
-    if abs(result.drift_ppm) - 2.0 * result.drift_deviation > UNUSUAL_DRIFT_PPM:
+    if abs(result.drift_ppm) - 2.0 * result.drift_deviation > UNTYPICAL_DRIFT_PPM:
         return [f"a drift of {result.drift_ppm:.0f} ppm exceeds that of quartz clocks"]
     return []
 
@@ -389,14 +389,14 @@ def find_clock_step(lags: Sequence[WindowLag]) -> ClockStep | None:
 
 
 def _fit_with_drift_prior(design: np.ndarray, value: np.ndarray, deviation: np.ndarray) -> tuple[float, np.ndarray]:
-    """(sum of capped squares, solution) of a robust fit; the prior of the drift, column 1, is 0 +/- USUAL_DRIFT."""
+    """(sum of capped squares, solution) of a robust fit; the prior of the drift, column 1, is 0 +/- TYPICAL_DRIFT."""
     prior = np.zeros((1, design.shape[1]))
-    prior[0, 1] = 1 / USUAL_DRIFT
+    prior[0, 1] = 1 / TYPICAL_DRIFT
     weight = 1 / deviation
     for _ in range(10):
         rows = np.vstack([design * weight[:, None], prior])
         solution = np.linalg.lstsq(rows, np.append(value * weight, 0.0), rcond=None)[0]
         scaled_residual = (value - design @ solution) / deviation
         weight = 1 / deviation / np.sqrt(1 + (scaled_residual / OUTLIER_LIMIT) ** 2)
-    drift = solution[1] / USUAL_DRIFT
+    drift = solution[1] / TYPICAL_DRIFT
     return float(np.minimum(scaled_residual**2, OUTLIER_LIMIT**2).sum() + drift**2), solution

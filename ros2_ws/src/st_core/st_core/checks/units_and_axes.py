@@ -80,7 +80,7 @@ def _correct(motion: Motion, name: str, channels: tuple[str, ...], text: str, va
 def check_time_unit(motion: Motion) -> MotionAndFinding:
     """Correct a wrong unit of time, such as milliseconds read as seconds, by comparison with positions and yaw."""
     spacing = float(np.median(np.diff(motion.time)))
-    length = 50 * spacing if spacing > 0.2 or spacing <= 2e-4 else 1.0  # window length; 1 s at a usual sampling rate
+    length = 50 * spacing if spacing > 0.2 or spacing <= 2e-4 else 1.0  # window length; 1 s at ordinary sampling rates
     ratios = compute_ratios(motion, length)
     known = [ratio for ratio in (ratios.position_to_speed, ratios.yaw_to_rate) if np.isfinite(ratio)]
     if not known or not all(r > 0 and not _matches(r, 1.0) and is_near(r, known[0]) for r in known):
