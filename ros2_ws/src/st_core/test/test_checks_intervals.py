@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from st_core.checks import pool_estimates
 from st_core.checks.finding import SYSTEMATIC_UNCERTAINTY
 from st_core.checks.inertial import compare_series
 from st_core.checks.regression import Estimate, Regression, add_systematic_uncertainty
@@ -94,3 +95,12 @@ def test_significance_requires_more_than_an_interval_without_zero():
     assert Estimate(1.0, 0.1, 0.4).is_significant and Estimate(-1.0, 0.1, 0.4).is_significant
     assert not Estimate(1.0, 0.4, 0.8).is_significant
     assert not Estimate(1.0, 0.6, 1.2).is_significant
+
+
+def test_quantity_that_one_of_several_runs_determines_is_not_pooled():
+    lag, bias = (0.028, 0.023, 0.034), (0.003, 0.002, 0.004)
+    assert pool_estimates([{"yaw_rate_lag": lag}]) == {"yaw_rate_lag": lag}
+    unknown = (0.02, -np.inf, np.inf)
+    pooled = pool_estimates([{"yaw_rate_lag": lag, "yaw_rate_bias": bias}, {"yaw_rate_bias": bias},
+                             {"yaw_rate_lag": unknown, "yaw_rate_bias": bias}])
+    assert pooled.keys() == {"yaw_rate_bias"} and pooled["yaw_rate_bias"][0] == pytest.approx(0.003)

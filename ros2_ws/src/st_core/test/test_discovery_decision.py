@@ -3,6 +3,7 @@
 import ast
 from dataclasses import fields, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from st_core.discovery import OUTCOMES, Limits, decision
@@ -31,7 +32,7 @@ from st_core.discovery.decision import (
     varies_relevantly,
     varying_partition,
 )
-from st_core.discovery.discover import complete_delay, replace_interval
+from st_core.discovery.discover import _Analysis, complete_delay, replace_interval
 from st_core.discovery.evidence import Agreement, Evidence
 from st_core.discovery.result import Combination, FittedParameter, FoundEffect, unseparated_combinations
 from st_core.discovery.space import FileQuantity
@@ -359,3 +360,13 @@ def test_limits_are_used_in_few_modules():
             if isinstance(node, ast.Attribute) and node.attr in names and ast.unparse(node.value).endswith("limits"):
                 using.add(file.name)
     assert using == {"decision.py", "search.py", "power_analysis.py", "discover.py"}
+
+
+@pytest.mark.parametrize("reference", [[], ["healthy"]])
+@pytest.mark.parametrize(("interval", "rule"), [((1.02, 1.10), NAMED), ((0.98, 1.14), MINOR)])
+def test_only_an_effect_with_an_interval_that_excludes_its_null_is_named(reference, interval, rule):
+    e = Evidence("friction", 0.3, 0.001, position_reduction=0.1)
+    found = FoundEffect("friction", "physics", {"factor": FittedParameter(1.06, "1", interval, 1.0)}, (), 0.1, {})
+    analysis = SimpleNamespace(reference=reference, limits=LIMITS)
+    verdicts = _Analysis._decide_reporting(analysis, SimpleNamespace(evidence={"friction": e}), [found], None, {})
+    assert verdicts["friction"].rule == rule

@@ -25,6 +25,7 @@ from st_core.discovery.evidence import (
     sensor_p_values,
     standard_deviations,
 )
+from st_core.discovery.fit import Problem
 from st_core.discovery.partitions import (
     CONDITIONS,
     THIRDS,
@@ -334,3 +335,24 @@ def test_noise_floor_does_not_depend_on_vehicle_model_errors(leaf):
     ends = np.sqrt(2.0) * NOISE["x"]  # position difference between start and end of a window
     for column in ("position_lateral", "position_longitudinal"):
         assert ends * 0.8 < floor[column] < ends * 1.8
+
+
+def test_covariance_with_reference_drives_adds_the_shift_by_an_error_of_their_fit():
+    """An error of the start moves the value and the start; the interval contains only what differs between them."""
+    size = len(linear_problem(FEW, {}, 21).space)
+    root = np.random.default_rng(3).standard_normal((size, size))
+    problem = linear_problem(FEW, {"mass": 2.0}, 21, prior=root @ root.T + 5.0 * np.eye(size))
+    fit = fit_problem(problem, "mass", iterations=100)
+    index, scale, step = int(problem.space.indices("mass")[0]), problem.space.scale, 0.02
+
+    def distance(shift: np.ndarray) -> float:
+        shifted = Problem(problem.loss, problem.start + shift * scale, problem.block, problem.prior)
+        return float(shifted.distance(fit_problem(shifted, "mass", iterations=100).vector)[index])
+
+    slope = np.array([distance(step * row) - distance(-step * row) for row in np.eye(size)]) / (2.0 * step)
+    curvature = problem.loss.curvature(problem.errors.at(fit.vector), fit.sensitivities.values)
+    inverse = np.linalg.inv(curvature + problem.prior_curvature(fit.names, fit.indices) + 1e-9 * np.eye(size))
+    scatter = problem.blocks * np.cov(fit.quadratic.sum_groups(problem.block).gradient.T)
+    expected = (inverse @ scatter @ inverse)[index, index] + slope @ np.linalg.inv(problem.prior) @ slope / 4.0
+    assert covariance(problem, fit)[index, index] == pytest.approx(expected, rel=0.02)
+    assert abs(slope[index]) > 0.5

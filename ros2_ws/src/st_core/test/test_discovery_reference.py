@@ -1,16 +1,18 @@
 """Fit of the healthy car to its reference drives: prior precision, and gain between those drives."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from discovery_drives import linear_problem, recorded
 from st_core.discovery import DiscoverySettings
 from st_core.discovery.library_fit import (
     _gain_between_runs,
-    _predictive_prior,
     fit_healthy_car,
     theoretical_values,
 )
 from st_core.discovery.space import Space
+from st_core.errors import StCoreError
 
 FEW = ("steering_offset", "mass", "yaw_rate_bias")
 
@@ -21,7 +23,7 @@ def gain_between_runs(problem, vector=None) -> float:
     q = problem.loss.quadratic(problem.errors.at(problem.start), problem.errors.signatures)
     prior = np.eye(size) / 9.0
     return _gain_between_runs(q.after(problem.distance(vector)), problem.space, problem.errors.windows,
-                              np.full(size, 1.5), prior, prior @ problem.distance(vector))
+                              np.full((size, size), 1.5**2), prior, prior @ problem.distance(vector))
 
 
 def leave_one_out_gain(problem) -> float:
@@ -61,12 +63,6 @@ def test_gain_between_runs_does_not_depend_on_the_vector_of_the_approximation():
     assert gain_between_runs(problem, other) == pytest.approx(gain_between_runs(problem), rel=1e-6)
 
 
-def test_predictive_prior_of_parameters_that_no_drive_excites_is_the_weak_prior():
-    weak = np.diag([0.1, 0.2, 0.3])
-    predictive = _predictive_prior(np.diag([0.0, 8.0, 0.0]), np.full(3, 2.0), weak)
-    np.testing.assert_allclose(predictive, np.diag([0.1, 2.2, 0.3]))
-
-
 def test_gain_of_healthy_drives_is_larger_if_one_run_differs():
     problem = linear_problem(FEW, {}, 1, runs=4)
     equal_runs = gain_between_runs(problem)
@@ -79,6 +75,13 @@ def test_gain_of_healthy_drives_is_larger_if_one_run_differs():
 
 def test_two_runs_are_too_few_for_a_gain_between_runs():
     assert gain_between_runs(linear_problem(FEW, {}, 1, runs=2)) == 0.0
+
+
+def test_reference_drives_without_a_usable_prediction_are_an_error(leaf):
+    slow = [replace(log, velocity_x=0.01 * log.velocity_x) for log in recorded(leaf, {}, 3)]
+    settings = DiscoverySettings(effects=("yaw_rate_bias",))
+    with pytest.raises(StCoreError, match="no prediction of 5 s fits into the reference drives"):
+        fit_healthy_car(slow, leaf, Space("nonlinear", settings), settings, 1, lambda: None)
 
 
 @pytest.mark.slow

@@ -72,15 +72,15 @@ def compare_runs(runs: Sequence[DriveCheck]) -> list[RunComparison]:
 
 
 def pool_estimates(runs: Sequence[Mapping[str, Sequence[float]]]) -> dict[str, tuple[float, float, float]]:
-    """Estimate (value, ends of its 95 % interval) of each quantity, pooled over the runs by random effects, without
-    those whose interval is infinite in all runs."""
+    """Estimate (value, ends of its 95 % interval) of each quantity, pooled over the runs by random effects. Those that
+    only one of several runs determines are left out: nothing shows that it is the same in the others."""
     result = {}
     for name in dict.fromkeys(name for run in runs for name in run):
         rows = _select_finite([run[name] for run in runs if name in run])
         if len(rows) > 1:
             mean, interval, _, _ = _random_effects(rows)
             result[name] = (mean, *interval)
-        elif len(rows):
+        elif len(rows) and len(runs) == 1:
             value, low, high = rows[0].tolist()
             result[name] = value, low, high
     return result

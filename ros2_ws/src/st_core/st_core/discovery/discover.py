@@ -317,8 +317,7 @@ class _Analysis:
 
     def _decide_reporting(self, state: SearchState, effects: Sequence[result.FoundEffect], axles: Axles | None,
                           leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, result.Reason]:
-        """Verdict on each effect of the final fit. With reference drives, intervals include the uncertainty of the
-        healthy car, so verdicts do not use them."""
+        """Verdict on each effect of the final fit."""
         worse_axles: dict[str, str] = {}
         violations: dict[str, str] = {}
         reached_force_ratio, names = 1.0, [e.name for e in effects]
@@ -333,7 +332,7 @@ class _Analysis:
         # Only the total delay of the steering is identifiable, not its parts.
         delays = [n for n in names if TOTAL_DELAY in get_effect(n).combinations] if axles is not None else []
         return {e.name: decision.judge_reporting(
-            state.evidence[e.name], self.limits, excludes_null=bool(self.reference) or excludes_null(e),
+            state.evidence[e.name], self.limits, excludes_null=excludes_null(e),
             parameter_at_bound="" if self.reference else find_parameter_across_bound(e),
             peak_force_share=reached_force_ratio if get_effect(e.name).at_peak_force else 1.0,
             worse_axle=worse_axles.get(e.name, ""), violation=violations.get(e.name, ""),
@@ -517,11 +516,9 @@ def describe_varying(v: VaryingFit, space: Space, position_reduction: float) -> 
 
 def find_parameter_across_bound(effect: result.FoundEffect) -> str:
     """Name of a parameter with an interval that crosses one of its `hard_bounds`; "" if there is none."""
-    for p in get_effect(effect.name).parameters:
-        fitted = effect.parameters.get(p.name)
-        if fitted is not None and any(fitted.interval[0] < edge < fitted.interval[1] for edge in p.hard_bounds):
-            return p.name
-    return ""
+    intervals = {name: p.interval for name, p in effect.parameters.items()}
+    return next((p.name for p in get_effect(effect.name).parameters if p.name in intervals and any(
+        intervals[p.name][0] < edge < intervals[p.name][1] for edge in p.hard_bounds)), "")
 
 
 def excludes_null(effect: result.FoundEffect) -> bool:

@@ -124,12 +124,9 @@ def assign_ranges(samples: Samples) -> list[Bin]:
 
 def describe_range(quantity: str, low: float, high: float | None) -> str:
     """Description of a range, such as "speed above 12 m/s"."""
-    unit = CONDITIONS[quantity][0]
-    if high is None:
-        return f"{quantity} above {low:g} {unit}"
-    if low in (0.0, -math.inf):
-        return f"{quantity} below {high:g} {unit}"
-    return f"{quantity} {low:g} to {high:g} {unit}"
+    limits = (f"above {low:g}" if high is None else
+              f"below {high:g}" if low in (0.0, -math.inf) else f"{low:g} to {high:g}")
+    return f"{quantity} {limits} {CONDITIONS[quantity][0]}"
 
 
 def find_error_regions(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters,

@@ -294,8 +294,10 @@ def standard_deviations(problem: Problem, fit: Fit, effect: str) -> np.ndarray:
 
 
 def covariance(problem: Problem, fit: Fit) -> np.ndarray:
-    """(a, a) sandwich covariance H^-1 S H^-1 of the fitted parameters [parameter scales]; S is the scatter matrix of
-    the block scores, H half the second derivative of the loss plus the curvature of the prior."""
+    """(a, a) sandwich covariance H^-1 (S + C V C) H^-1 of the fitted values minus the start [parameter scales]; S is
+    the scatter matrix of the block scores, C half the second derivative of the loss, H = C plus the curvature of the
+    prior, V the covariance of the start, 0 without reference drives. An error v of the start moves this difference by
+    -H^-1 C v: the error that it shares with the fitted values cancels. Source: White, Econometrica 50 (1982)."""
     q = fit.quadratic.sum_groups(problem.block, problem.blocks)
     curvature = problem.loss.curvature(problem.errors.at(fit.vector), fit.sensitivities.select(fit.indices))
     if len(curvature):  # raised in every direction to at least MIN_CURVATURE times that of the reweighted least squares
@@ -305,7 +307,9 @@ def covariance(problem: Problem, fit: Fit) -> np.ndarray:
     h = inverse(curvature + problem.prior_curvature(fit.names, fit.indices))
     centred = q.gradient - q.gradient.mean(axis=0)  # at the optimum the sum equals the gradient of the prior
     scatter = centred.T @ centred * problem.blocks / max(problem.blocks - 1, 1)
-    if problem.prior is None:  # the values of the vehicle file are uncertain, and so is the gradient of the prior
+    if problem.prior is not None:
+        scatter = scatter + 0.25 * curvature @ inverse(problem.prior) @ curvature
+    else:  # the values of the vehicle file are uncertain, and so is the gradient of the prior
         scatter = scatter + np.diag(0.5 * problem.design_effect * problem.file_curvature[fit.indices])
     return h @ scatter @ h
 
@@ -371,7 +375,7 @@ def compare_parts(problem: Problem, fit: Fit, effect: str, part: np.ndarray, nam
     """
     columns = np.searchsorted(fit.indices, problem.space.indices(effect))
     others = np.setdiff1d(np.arange(len(fit.indices)), columns)
-    d = ((fit.vector - problem.space.null) / problem.space.scale)[fit.indices[columns]]
+    d = problem.distance(fit.vector)[fit.indices[columns]]
     basis = np.zeros((len(fit.indices), 1 + len(others)))
     basis[columns, 0] = d
     basis[others, 1 + np.arange(len(others))] = 1.0

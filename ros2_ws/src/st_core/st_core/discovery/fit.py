@@ -90,7 +90,7 @@ class Problem:
 
     start: (p,) initial vector of a search.
     block: (n,) number of the block of each window.
-    prior: (p, p) curvature about `start`, from reference drives, for the parameters of effects outside the fitted set;
+    prior: (p, p) curvature about `start` / design_effect, from reference drives, for effects outside the fitted set;
         None: they keep their start values, except the gain of the accelerometer, free if acceleration is measured.
     noise: (c,) error of each column due to noise alone [SI].
     gain_between_runs: see `HealthyCar` [1].
@@ -165,7 +165,7 @@ class Problem:
         parameters of the effects `names` marginalised."""
         if self.prior is None:
             return np.diag(self.file_curvature[indices])
-        return marginalise(self.prior, self.space.indices(*names))
+        return self.design_effect * marginalise(self.prior, self.space.indices(*names))
 
     @property
     def file_curvature(self) -> np.ndarray:

@@ -15,6 +15,7 @@ from scipy import stats
 
 from ..effects import get_effect
 from ..effects.steering_delay import SteeringDelay
+from ..errors import StCoreError
 from ..log import DriveLog
 from ..regression import Z95
 from ..timeseries import NANOSECOND
@@ -24,7 +25,7 @@ from .fit import JOINT_DEVIATION, Problem, marginalise
 from .loss import Errors, Loss, Quadratic
 from .settings import DiscoverySettings
 from .space import Quantities, Space, find_file_quantities, prior_deviations
-from .windows import Windows
+from .windows import MIN_SPEED, Windows
 
 MAX_FITS, FINAL_STEP = 8, 0.02  # maximum number of fits; largest step at convergence [parameter scales]
 FIXED_CURVATURE = 1e6  # prior curvature that fixes a parameter; `inverse` adds 1e-9 of the mean diagonal, below 1e-3
@@ -47,35 +48,42 @@ class HealthyCar:
 
 def fit_healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, settings: DiscoverySettings,
                     threads: int, tick: Callable[[], None]) -> HealthyCar:
-    """Fit the healthy car to its drives. The prior is the predictive distribution for a new drive of the same car: the
-    covariance from the drives times the design effect, times 2 because both reference and new drive are uncertain,
-    combined with the weak prior and the priors of the vehicle file."""
+    """Fit the healthy car to its drives; central difference quotients refine the result of one-sided ones. The prior P,
+    times the design effect of a new drive (`Problem`), is the predictive distribution for a new drive of the same car,
+    with the covariance P^-1 / 2: the covariance from the drives times the design effect, times 2 because both reference
+    and new drive are uncertain, combined with the weak prior and the priors of the vehicle file. The covariance of the
+    vector itself, without a new drive, is P^-1 / 4."""
     windows = Windows(runs, vehicle, settings)
+    if not len(windows):
+        raise StCoreError(f"no prediction of {settings.horizon:g} s fits into the reference drives: drive longer, "
+                          f"faster than {MIN_SPEED:g} m/s, without gaps")
     prior, quantities = weak_prior(space), find_file_quantities(space, vehicle)
     fits = []
     for start in (space.null, theoretical_values(space)):
         loss = Loss(Errors(windows, space, threads), start)
-        fits.append((*fit_library(loss, windows, prior, quantities, start, tick), loss))
+        vector, _ = fit_library(loss, windows, prior, quantities, start, tick)
+        loss.central = True
+        fits.append((*fit_library(loss, windows, prior, quantities, vector, tick), loss))
     vector, prior, loss = min(fits, key=lambda fit: float(np.log(fit[2].scale).sum()))
     problem = Problem(loss, space.null, windows.block, prior)
     q = problem.full_quadratic(vector)
     h = q.hessian.sum(axis=0)
-    information = np.maximum(np.diag(h), 1e-9 * np.trace(h))
+    problem.update_design_effect(vector)
+    information = np.maximum(np.diag(h), 1e-9 * max(float(np.trace(h)), 1e-30))
     design_effects = np.ones(len(h))  # at least 1; see `Problem.update_design_effect`
     for group in (windows.block, windows.run):
         gradient = q.sum_groups(group).gradient
-        count = len(gradient)
-        if count > 2:
+        if (count := len(gradient)) > 2:
             widening = (float(stats.t.ppf(0.975, count - 1)) / Z95) ** 2  # for few blocks or runs
             variance = widening * 2.0 * count * gradient.var(axis=0, ddof=1)
             design_effects = np.maximum(design_effects, variance / information)
-    factors = np.sqrt(2.0 * design_effects)
     position = problem.position_error(problem.errors.at(vector))
     by_run = [position[windows.run == k] for k in np.unique(windows.run)]
     position_error = max((float(np.nanmean(error)) for error in by_run if np.isfinite(error).any()), default=0.0)
-    gain = _gain_between_runs(q, space, windows, factors, prior, prior @ problem.distance(vector))
-    return HealthyCar(vector, _predictive_prior(h, factors, prior), loss.scale_of(vector)[-len(windows.columns):],
-                      position_error, gain)
+    divisor = 2.0 * np.sqrt(np.outer(design_effects, design_effects)) / problem.design_effect
+    gain = _gain_between_runs(q, space, windows, divisor, prior, prior @ problem.distance(vector))
+    return HealthyCar(vector, (h / divisor + prior) / problem.design_effect,
+                      loss.scale_of(vector)[-len(windows.columns):], position_error, gain)
 
 
 def weak_prior(space: Space) -> np.ndarray:
@@ -86,22 +94,17 @@ def weak_prior(space: Space) -> np.ndarray:
     return prior
 
 
-def _predictive_prior(h: np.ndarray, factors: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """(p, p) curvature h of the loss, with its standard deviations multiplied by `factors` (p,), plus `prior`."""
-    return h / np.outer(factors, factors) + prior
-
-
-def _gain_between_runs(q: Quadratic, space: Space, windows: Windows, factors: np.ndarray, prior: np.ndarray,
+def _gain_between_runs(q: Quadratic, space: Space, windows: Windows, divisor: np.ndarray, prior: np.ndarray,
                        prior_gradient: np.ndarray) -> float:
     """`HealthyCar.gain_between_runs` from the quadratic approximation of the loss; 0 with fewer than three runs.
-    prior_gradient: (p,) half the gradient of the prior at the vector of the approximation."""
+    divisor: (p, p) of the curvature of the other runs. prior_gradient: (p,) half the gradient of the prior."""
     by_run, largest = q.sum_groups(windows.run), 0.0
     if len(windows.names) < 3:
         return largest
     total_h, total_g = by_run.hessian.sum(axis=0), by_run.gradient.sum(axis=0) - prior_gradient
     for k, (h, g) in enumerate(zip(by_run.hessian, by_run.gradient, strict=True)):
         centre = inverse(total_h - h + prior) @ (total_g - g)
-        predictive = _predictive_prior(total_h - h, factors, prior)
+        predictive = (total_h - h) / divisor + prior
         shared_loss = _minimum_loss(h, g, centre, predictive)
         residual_count = max(int(windows.known[windows.run == k].sum()), 1)
         for effect in space.hypotheses:
@@ -130,10 +133,10 @@ def fit_library(loss: Loss, windows: Windows, prior: np.ndarray, quantities: Qua
     """Fit all parameters from an initial vector and update the scale of the loss, until convergence. Returns the vector
     (p,) and the curvature (p, p) of `prior` plus the priors of the vehicle file."""
     space = loss.space
-    with_priors = Problem(loss, space.null, windows.block, quantities=quantities)
     deviations = prior_deviations(quantities, space.scale)  # none for a load: the drives already include it
     for _ in range(MAX_FITS):
         tick()
+        with_priors = Problem(loss, space.null, windows.block, quantities=quantities)  # with sensitivities of its own
         with_priors.update_design_effect(vector)
         full_prior = prior + np.diag(0.5 * with_priors.design_effect / np.square(deviations))
         problem = Problem(loss, space.null, windows.block, full_prior)

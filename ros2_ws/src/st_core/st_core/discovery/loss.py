@@ -26,6 +26,7 @@ from .windows import Windows
 
 NU = 4.0  # degrees of freedom; residuals beyond two scales have decreasing influence
 DIFFERENCE_STEP = 0.1  # step of the difference quotients, as a fraction of the parameter scale
+CENTRAL_STEP = 0.03  # the same for central quotients
 MAX_SCALED_ERROR = 100.0  # scales; clip limit of the residuals, and value for a diverged prediction
 ERROR_CACHE_SIZE = 64  # number of parameter vectors
 
@@ -105,10 +106,11 @@ class Errors:
 
 class Loss:
     """Robust loss, initially with the scale of the residuals at `vector`. known: (n, m) whether a residual is measured,
-    in a window that can be predicted at `vector`; residual_count: number of True. scale: (m,) of the residuals [SI]."""
+    in a window that can be predicted at `vector`; residual_count: number of True. scale: (m,) of the residuals [SI].
+    central: use central difference quotients, which need twice as many simulations."""
 
-    def __init__(self, errors: Errors, vector: np.ndarray):
-        self.errors, self.space = errors, errors.space
+    def __init__(self, errors: Errors, vector: np.ndarray, central: bool = False):
+        self.errors, self.space, self.central = errors, errors.space, central
         self.known = errors.windows.known & np.isfinite(errors.at(vector)).any(axis=1)[:, None]
         self.residual_count = int(self.known.sum())
         smallest = [CHANNEL_OF_COLUMN[column].min_residual_scale for column in errors.windows.columns]
@@ -139,21 +141,21 @@ class Loss:
 
     def sensitivities(self, vector: np.ndarray, indices: np.ndarray) -> np.ndarray:
         """(a, n, m) sensitivities: reduction of the residuals [SI] per parameter scale of the parameters `indices`, by
-        difference quotients on the side that respects bounds and limits of a vehicle file; 0 where a prediction
-        diverges."""
-        step = DIFFERENCE_STEP * self.space.scale[indices] * self.space.sign[indices]
-        value = vector[indices] + step
-        step = np.where((value < self.space.low[indices]) | (value > self.space.high[indices]), -step, step)
-        vectors = np.tile(vector, (len(indices), 1))
-        vectors[np.arange(len(indices)), indices] += step
-        for i, index in enumerate(indices):
-            opposite = vector[index] - step[i]
-            within_bounds = self.space.low[index] <= opposite <= self.space.high[index]
-            if within_bounds and self.errors.model_at(vectors[i]) is None:
-                step[i], vectors[i, index] = -step[i], opposite
-        before, size = self.errors.at(vector), step / self.space.scale[indices]
-        sensitivities = [(before - after) / d for after, d in zip(self.errors.at_all(list(vectors)), size, strict=True)]
-        return np.nan_to_num(np.reshape(sensitivities, (len(indices), *before.shape)), posinf=0.0, neginf=0.0)
+        difference quotients on one side that respects bounds and limits of a vehicle file or, if `central`, on both; 0
+        where a prediction diverges."""
+        space, size = self.space, CENTRAL_STEP if self.central else DIFFERENCE_STEP
+        shape, before, after = (len(indices), *self.errors.at(vector).shape), [], []
+        for i in indices:
+            sides = np.tile(vector, (2, 1))
+            sides[:, i] += size * space.scale[i] * space.sign[i] * np.array([1.0, -1.0])
+            within_bounds = [v for v in sides if space.low[i] <= v[i] <= space.high[i]]
+            valid = [v for v in within_bounds if self.errors.model_at(v) is not None] or within_bounds
+            after.append(valid[0])
+            before.append(valid[1] if self.central and len(valid) > 1 else vector)
+        steps = [(a - b)[i] / space.scale[i] for a, b, i in zip(after, before, indices, strict=True)]
+        rows = zip(self.errors.at_all(before), self.errors.at_all(after), steps, strict=True)
+        sensitivities = [(b - a) / step for b, a, step in rows]
+        return np.nan_to_num(np.reshape(sensitivities, shape), posinf=0.0, neginf=0.0)
 
     def quadratic(self, rows: np.ndarray, sensitivities: np.ndarray) -> Quadratic:
         """The approximation from residuals `rows` (n, m) [SI] and `sensitivities` (p, n, m) at one vector."""

@@ -9,7 +9,7 @@ from scipy import stats
 from ..channels import CHANNEL_OF_COLUMN, UNITS
 from ..effects import EFFECT_KINDS, get_effect
 from ..regression import Z95, random_effects
-from .evidence import JointFit, compare_parts, inverse, standard_deviations
+from .evidence import JointFit, compare_parts, standard_deviations
 from .fit import DIVERGED_ERROR, Fit, Problem
 from .partitions import Partition
 from .result import PARTS, BudgetLine, Change, ChannelError, FittedParameter, Step
@@ -80,12 +80,10 @@ def estimate_parameters(problem: Problem, fit: Fit, effect: str, partitions: Map
     space, result = problem.space, {}
     indices = space.indices(effect)
     model_error = np.array([p.model_error for p in get_effect(effect).parameters if p.fit])
-    deviations = standard_deviations(problem, fit, effect)
-    if problem.prior is not None:  # the values of the reference drives are uncertain as well
-        reference_deviations = np.sqrt(0.5 * np.diag(inverse(problem.prior))[indices]) * space.scale[indices]
-        deviations = np.hypot(deviations, reference_deviations)
-    quantile = float(stats.t.ppf(0.975, max(problem.blocks - len(fit.indices), 2)))
-    half_widths = quantile * deviations
+    change = (fit.vector - problem.start)[indices]
+    fitted_count = len(fit.indices if problem.prior is None else space.indices(*fit.names))
+    quantile = float(stats.t.ppf(0.975, max(problem.blocks - fitted_count, 2)))
+    half_widths = quantile * standard_deviations(problem, fit, effect)
     if joint_fit is not None:
         joint_deviations, shift = joint_fit.select(indices)
         joint_half_widths = np.hypot(quantile * joint_deviations, shift) * space.scale[indices] * max(noise_ratio, 1.0)
@@ -96,15 +94,14 @@ def estimate_parameters(problem: Problem, fit: Fit, effect: str, partitions: Map
             values, ratio_deviations = np.array(list(ratios.values())).T
             _, error, between, _ = random_effects(values, np.square(ratio_deviations))
             ratio_half_width = Z95 * float(np.sqrt(between + error**2))
-            half_widths = np.maximum(half_widths, np.abs(fit.vector - space.null)[indices] * ratio_half_width)
+            half_widths = np.maximum(half_widths, np.abs(change) * ratio_half_width)
     shifts = np.array([v[indices] for v in (fit.vector, *(vector for names, vector in near_sets if effect in names))])
     shifts -= fit.vector[indices]
-    for i, half_width, below, above in zip(indices, half_widths, shifts.min(axis=0), shifts.max(axis=0), strict=True):
-        parameter, null, value = space.free[i][1], float(space.null[i]), float(fit.vector[i])
-        # With reference drives, the reported value is the change since the reference drives.
-        value = null + value - float(problem.start[i]) if problem.prior is not None else value
-        interval = value + float(below - half_width), value + float(above + half_width)
-        result[parameter.name] = FittedParameter(value, parameter.unit, interval, null)
+    values = space.null[indices] + change  # with reference drives, changes since these drives
+    low, high = values + shifts.min(axis=0) - half_widths, values + shifts.max(axis=0) + half_widths
+    for k, i in enumerate(indices):
+        parameter, interval = space.free[i][1], (float(low[k]), float(high[k]))
+        result[parameter.name] = FittedParameter(float(values[k]), parameter.unit, interval, float(space.null[i]))
     return result
 
 
