@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import yaml
 from rich.console import Console
-from st_core.checks import Advice, Alternative, Comparison, DriveCheck, Finding, Sampling, Severity
+from st_core.checks import Advice, Comparison, DriveCheck, Finding, Sampling, Severity
+from st_core.checks.finding import Alternative
 from st_core.clock_types import Alignment, Verdict
 from st_core.vehicle import VehicleParameters
 from st_offline.checking import check_report

@@ -6,18 +6,7 @@
 
 from .across_runs import RunComparison, compare_runs, pool_estimates
 from .check import check
-from .finding import (
-    Advice,
-    Alternative,
-    AuxiliaryData,
-    Comparison,
-    DriveCheck,
-    Finding,
-    InsQuality,
-    Sampling,
-    Series,
-    Severity,
-)
+from .finding import Advice, AuxiliaryData, Comparison, DriveCheck, Finding, InsQuality, Sampling, Series, Severity
 
-__all__ = ["Advice", "Alternative", "AuxiliaryData", "Comparison", "DriveCheck", "Finding", "InsQuality",
+__all__ = ["Advice", "AuxiliaryData", "Comparison", "DriveCheck", "Finding", "InsQuality",
            "RunComparison", "Sampling", "Series", "Severity", "check", "compare_runs", "pool_estimates"]

@@ -1,6 +1,7 @@
 """Runs all checks on a recording, ordered so that each fault yields only one finding."""
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -43,6 +44,7 @@ class _Results:
     findings: list[Finding] = field(default_factory=list)
     estimates: dict[str, Estimate] = field(default_factory=dict)
     panels: list[Comparison] = field(default_factory=list)
+    yaw_rate_lag: float | None = None  # s, if it may be the opposite lag of yaw
 
     def add(self, result: CheckResult) -> None:
         findings, estimates, panel = result
@@ -80,9 +82,8 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
     else:
         ins_is_usable = not broken_channels & {*INS_SIGNALS}  # every further check needs all of these channels
         if ins_is_usable:
-            x_is_usable, y_is_usable = "acceleration_x" not in broken_channels, "acceleration_y" not in broken_channels
-            motion = replace(motion, acceleration_x=motion.acceleration_x if x_is_usable else None,
-                             acceleration_y=motion.acceleration_y if y_is_usable else None)
+            unusable: dict[str, Any] = dict.fromkeys(broken_channels & {*inertial.ACCELERATIONS})
+            motion = replace(motion, **unusable)
         stuck_findings = sampling.find_stuck_channels(motion, channels)
         results.findings += stuck_findings
         if ins_is_usable:
@@ -133,27 +134,19 @@ def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters |
     if vehicle is not None:
         if not broken_channels & {*STEERING}:
             has_steering_wheel = log.steering_wheel_angle is not None
-            results.add(_check_steering(corrected, vehicle, has_steering_wheel, results.findings))
+            results.add(vehicle_relations.check_steering(corrected, vehicle, has_steering_wheel))
         unusable_channels = coarse_channels | _list_channels(stuck_findings, "channel_frozen")
         if sideslip_measured and not unusable_channels & {"velocity_y", "yaw_rate"}:
             results.add(_check_rear_axle(corrected, vehicle, findings))
         results.findings += vehicle_relations.check_tyre_limit(corrected, sideslip_measured)
     results.findings += vehicle_relations.check_standstill(replace(corrected, velocity_x=speed, yaw_rate=yaw_rate))
-    results.findings = _limit_to_measured_channels(results.findings, log, corrected)
+    findings = _add_yaw_lag_alternative(results.findings, corrected, sensors.yaw_rate_lag)
+    results.findings = _limit_to_measured_channels(findings, log, corrected)
     if not sideslip_measured:
         for name in ESTIMATES_BIASED_BY_SIDESLIP:
             results.estimates.pop(name, None)
     if vehicle is not None:
         results.findings = try_corrections(results.findings, log, vehicle)
-
-
-def _check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_wheel: bool,
-                    findings: list[Finding]) -> CheckResult:
-    """Result of `check_steering`. motion: corrected for the findings of the sensors. A lag of the yaw rate among these
-    may be one of yaw, which then explains a lag of the steering, too."""
-    found, estimates, panel = vehicle_relations.check_steering(motion, vehicle, has_steering_wheel)
-    lag = next((f.value for f in findings if f.name == "yaw_rate_lag" and f.alternatives), None)
-    return _add_yaw_lag_alternative(found, motion, lag), estimates, panel
 
 
 def _check_rear_axle(motion: Motion, vehicle: VehicleParameters, findings: list[Finding]) -> CheckResult:
@@ -215,7 +208,7 @@ def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[M
     results = _Results(panels=[position.make_distance_panel(motion, removed_factors)])
     motion, sign_findings = position.check_lateral_sign(motion)
     yaw_rate, tolerances = inertial.compare_yaw_rate(motion)
-    motion, lag_findings, other_lag = _check_yaw_lag(motion, yaw_rate)
+    motion, lag_findings, results.yaw_rate_lag = _check_yaw_lag(motion, yaw_rate)
     recorded = motion
     motion, position_findings, estimates = position.check_positions(motion)
     position_findings = position.merge_lateral_sign(sign_findings, position_findings, estimates)
@@ -231,7 +224,6 @@ def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[M
         yaw_rate, tolerances, "yaw rate: sensor versus change of yaw", removed_factors.get("yaw_rate_scale", 1.0),
         removed_factors.get("yaw_scale", removed_factors.get("yaw_convention", 1.0))))
     results.findings = [_add_yaw_alternative(finding, motion) for finding in results.findings]
-    results.findings = _add_yaw_lag_alternative(results.findings, motion, other_lag)
     if yaw_rate and yaw_rate.scale.value:  # a constant yaw rate has no scale
         estimates["yaw_scale"] = add_systematic_uncertainty("yaw_scale", yaw_rate.scale.inverse())
     for name in removed_factors.keys() & estimates.keys():  # from corrected to recorded units

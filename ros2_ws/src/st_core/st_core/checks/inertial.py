@@ -51,7 +51,6 @@ class Agreement:
     correlation_without_lag: float = 0.0  # at zero lag
     determines_lag: bool = True  # whether lags that differ by LAG_TEST_SHIFT fit significantly worse
     drift: Estimate = NO_DRIFT  # increase of the lag per second [1], if fitted
-    halves: tuple[Estimate, ...] = ()  # lag in each half of the drive [s], if it changes but not steadily
 
     @property
     def correlates(self) -> bool:
@@ -92,8 +91,13 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
         return None
     if not abs(solution.offset) <= max_fitted_lag:
         return None
-    lag = _estimate_lag(solution.offset, solution.offset_deviation, len(reference.time) * STEP)
-    drift, halves = _fit_drift(pair, solution.offset) if fit_drift else (NO_DRIFT, ())
+    degrees_of_freedom = max(len(reference.time) * STEP / DECORRELATION_TIME - 1.0, 1.0)
+    _, half_width = symmetric_interval(0.0, solution.offset_deviation, degrees_of_freedom)
+    lag, drift = Estimate(-solution.offset, solution.offset_deviation, half_width), NO_DRIFT
+    if fit_drift:
+        drift_fit = fit([pair], solution.offset, middle=float(other.time.mean()))
+        _, half_width = symmetric_interval(0.0, drift_fit.drift_deviation, degrees_of_freedom)
+        drift = Estimate(-drift_fit.drift, drift_fit.drift_deviation, half_width)
     rows, x = _select_common_samples(pair, solution.offset)
     if len(rows) * STEP < MIN_COMMON_TIME or not float(np.std(x)) > 0.0:
         return None
@@ -111,34 +115,7 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
                      tuple(-alternative.offset for alternative in alternatives),
                      _fits_worse(pair, -expected_lag, solution.offset, cutoff),
                      correlate(unshifted, other.values[rows]),
-                     all(_fits_worse(pair, offset, solution.offset, cutoff) for offset in neighbours), drift, halves)
-
-
-def _estimate_lag(offset: float, deviation: float, seconds: float) -> Estimate:
-    """Estimate of the lag, or its increase, from the offset, or drift, of a fit to series of this duration."""
-    degrees_of_freedom = max(seconds / DECORRELATION_TIME - 1.0, 1.0)
-    return Estimate(-offset, deviation, symmetric_interval(0.0, deviation, degrees_of_freedom)[1])
-
-
-def _fit_drift(pair: Pair, offset: float) -> tuple[Estimate, tuple[Estimate, ...]]:
-    """(increase of the lag per second, lag in each half of the drive if the increase differs significantly from that in
-    one of them, as where a clock is set). offset: initial value [s]."""
-    time, seconds = pair.other.time, len(pair.reference.time) * STEP
-    whole = fit([pair], offset, middle=float(time.mean()))
-    drift = _estimate_lag(whole.drift, whole.drift_deviation, seconds)
-    if not drift.is_significant:
-        return drift, ()
-    halves = [replace(pair, other=replace(pair.other, known=pair.other.known & half))
-              for half in (time < time.mean(), time >= time.mean())]
-    try:
-        parts = [fit([half], offset, middle=float(half.other.time[half.other.known].mean())) for half in halves
-                 if half.other.known.any()]
-    except ValueError:  # a half with hardly any common samples
-        return drift, ()
-    drifts = [_estimate_lag(part.drift, part.drift_deviation, 0.5 * seconds) for part in parts]
-    is_steady = not any(part.shifted(-drift.value).is_significant for part in drifts)
-    return drift, () if is_steady else tuple(
-        _estimate_lag(part.offset, part.offset_deviation, 0.5 * seconds) for part in parts)
+                     all(_fits_worse(pair, offset, solution.offset, cutoff) for offset in neighbours), drift)
 
 
 def _fits_worse(pair: Pair, offset: float, best_offset: float, cutoff: float) -> bool:

@@ -15,7 +15,7 @@ Each cause of a residual contributes a term that is linear in the size of the ca
     velocity bias b       v = v_true + b, one body axis          -integral of R(yaw) b dt
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -39,6 +39,7 @@ MIN_VELOCITY_BIAS = 0.05  # m/s; INS velocities are accurate to 0.03
 # Smallest reported relative error of velocity_y alone. At a point 1.5 m ahead of the rear axle, an error of 0.25 m
 # changes velocity_y by 0.17 of its value.
 MIN_LATERAL_SCALE_ERROR = 0.15
+Names = tuple[str, ...]  # of causes
 AXIS_SCALES = ("x_scale", "y_scale")
 VELOCITY_SCALES = ("velocity_scale", "velocity_y_scale")
 # Causes that are confounded at constant speed. Only one of them is fitted.
@@ -251,10 +252,11 @@ def attribute_scale_to_velocity_x(motion: Motion, findings: list[Finding],
             [attributed if finding is both else finding for finding in findings if finding is not lateral])
 
 
-def compute_scaled_misfit(motion: Motion) -> float:
-    """Median misfit of positions and velocity after one second [m], x and y scaled to fit; inf for a short drive."""
+def compute_scaled_misfit(motion: Motion, *causes: str) -> float:
+    """Median misfit of positions and velocity after one second [m], with scales of x and y and other causes fitted; inf
+    for a short drive."""
     problem = make_residual_regression(motion)
-    return problem.fit(AXIS_SCALES)[1] if len(problem.time) >= MIN_WINDOWS else np.inf
+    return problem.fit((*AXIS_SCALES, *causes))[1] if len(problem.time) >= MIN_WINDOWS else np.inf
 
 
 def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> bool | None:
@@ -342,55 +344,54 @@ def _add_lateral_alternative(findings: list[Finding], problem: Regression,
                              causes: dict[str, Estimate]) -> list[Finding]:
     """The findings; if a scale of velocity_y explains the residual as well as other causes do, the findings name both
     and have no correction. problem: regression for the motion corrected for the causes."""
-    found_causes = [name for name in LATERAL_CAUSES if name in causes]
-    if not found_causes or {*found_causes} > {"velocity_y_scale"}:
+    found = tuple(name for name in LATERAL_CAUSES if name in causes)
+    if not found or {*found} > {"velocity_y_scale"}:
         return findings
-    recorded = _restore_causes(problem, causes, found_causes)
-    explained = (*AXIS_SCALES, *found_causes)
-    _, scale, _ = recorded.fit(explained)
-    limit = MIN_LOSS_RATIO * recorded.compute_loss(explained, scale)
-    losses = {names: recorded.compute_loss((*AXIS_SCALES, *names), scale) for names in LATERAL_CAUSES[found_causes[0]]
-              if not {*found_causes} <= {*names}}
-    other_causes = min(losses, key=lambda names: MIN_LOSS_RATIO ** len(names) * losses[names])
-    if losses[other_causes] > limit:
+    candidates = [names for names in LATERAL_CAUSES[found[0]] if not {*found} <= {*names}]
+    others, values = _find_equivalent(problem, causes, found, candidates, AXIS_SCALES)
+    if not others:
         return findings
     text = "the reference point of the positions and the yaw offset are wrong"
-    if "velocity_y_scale" in other_causes:
-        values, _, _ = recorded.fit((*AXIS_SCALES, *other_causes))
+    if "velocity_y_scale" in others:
         factor = 1.0 / (1.0 + values["velocity_y_scale"])
         if is_near(factor, -1.0, LIMITS.unit_ratio):  # see `add_sign_alternative`
             return findings
         text = f"velocity_y is {factor:.2f} times its true value"
-        if "position_reference" in other_causes:
+        if "position_reference" in others:
             text += f" and positions refer to a point {values['position_reference']:+.2f} m ahead"
-    return _add_alternative(findings, found_causes, Alternative(text, other_causes))
+    return _add_alternative(findings, found, Alternative(text, others))
 
 
 def _add_lag_alternative(findings: list[Finding], problem: Regression,
                          causes: dict[str, Estimate]) -> list[Finding]:
     """The findings; that of a lag of both velocities, or of velocity_x, names the other one if it fits as well, and
     corrects only velocity_x, which lags in both cases. problem: regression for the motion corrected for the causes."""
-    found = next((name for name in ALTERNATIVE_LAGS if name in causes), None)
-    if found is None:
+    found = tuple(name for name in ALTERNATIVE_LAGS if name in causes)
+    if not found:
         return findings
-    alternative = ALTERNATIVE_LAGS[found]
-    recorded = _restore_causes(problem, causes, [found])
-    alongside = tuple(name for name in causes if name != found)
-    _, scale, _ = recorded.fit((*alongside, found))
-    if recorded.compute_loss((*alongside, *alternative.findings), scale) > MIN_LOSS_RATIO * recorded.compute_loss(
-            (*alongside, found), scale):
+    alternative = ALTERNATIVE_LAGS[found[0]]
+    alongside = tuple(name for name in causes if name not in found)
+    if not _find_equivalent(problem, causes, found, [alternative.findings], alongside)[0]:
         return findings
-    advice = Advice.correct("velocity_x", earlier=float(f"{causes[found].value:.5g}"))
-    return [replace(finding, alternatives=(alternative,), advice=advice) if finding.name == found else finding
+    advice = Advice.correct("velocity_x", earlier=float(f"{causes[found[0]].value:.5g}"))
+    return [replace(finding, alternatives=(alternative,), advice=advice) if finding.name in found else finding
             for finding in findings]
 
 
-def _restore_causes(problem: Regression, causes: dict[str, Estimate], names: list[str]) -> Regression:
-    """The regression with the effects of some of the causes found restored. problem: for the corrected motion."""
-    sizes = {name: causes[name].value for name in names}
+def _find_equivalent(problem: Regression, causes: dict[str, Estimate], found: Names, candidates: Sequence[Names],
+                     alongside: Names) -> tuple[Names, dict[str, float]]:
+    """(causes among the candidates that explain the effects of those found as well, their values); ((), {}) if there
+    are none. problem: for the corrected motion. alongside: causes that are fitted, too."""
+    sizes = {name: causes[name].value for name in found}
     if "velocity_y_scale" in sizes:  # the column has the corrected velocity_y
         sizes = {name: value / (1.0 + value) for name, value in sizes.items()}
-    return Regression(problem.time, 2.0 * problem.y - problem.compute_residual(sizes), problem.columns)
+    recorded = Regression(problem.time, 2.0 * problem.y - problem.compute_residual(sizes), problem.columns)
+    _, scale, _ = recorded.fit((*alongside, *found))
+    losses = {names: recorded.compute_loss((*alongside, *names), scale) for names in (found, *candidates)}
+    others = min(candidates, key=lambda names: MIN_LOSS_RATIO ** len(names) * losses[names])
+    if losses[others] > MIN_LOSS_RATIO * losses[found]:
+        return (), {}
+    return others, recorded.fit((*alongside, *others))[0]
 
 
 def _add_alternative(findings: list[Finding], names: Collection[str], alternative: Alternative) -> list[Finding]:

@@ -18,6 +18,7 @@ from ..regression import SIGMA_PER_MAD
 from .finding import HORIZON, LIMITS, Advice, Finding, Severity
 from .inertial import GYRO_SCALE_ERROR, accelerations_confirm_velocity
 from .motion import MIN_DISTANCE, MIN_WINDOWS, Motion, compute_ratios, correlate, is_near
+from .position import compute_scaled_misfit
 from .regression import Estimate, Regression, add_systematic_uncertainty
 
 MIN_YAW_RANGE = 0.2  # rad; minimum range of yaw in the drive
@@ -167,7 +168,7 @@ def _correct_yaw_scale(motion: Motion, ratio: float) -> MotionAndFinding:
         return motion, None
     corrected, finding = _scale_yaw(motion, ratio)
     factor = finding.value or ratio
-    misfits = [_compute_misfit(motion, fit_scales=True), _compute_misfit(corrected, fit_scales=True)]
+    misfits = [compute_scaled_misfit(each, "yaw_offset") for each in (motion, corrected)]
     if abs(factor - ratio) > abs(factor - 1.0) or not misfits[1] < CLEAR_MISFIT_RATIO * misfits[0]:
         return motion, None
     effect = abs(factor - 1.0) * float(np.std(motion.yaw)) * float(np.median(motion.speed)) * HORIZON
@@ -270,7 +271,7 @@ def _correct_position_axes(motion: Motion) -> MotionAndFinding:
     if not (_matches(ratios.yaw_to_course, -1.0) and _matches(ratios.yaw_to_rate, 1.0)):
         return motion, None
     measured, derived = _compute_displacements(motion, motion.velocity_map)
-    angle = np.angle(np.sum(_normalise(measured) * derived))
+    angle = np.angle(np.sum(_direction(measured) * derived))
     quarter = int(np.round(angle / (np.pi / 2))) % 4
     # An even quarter is a longitude positive to the west, or a latitude positive to the south.
     if quarter % 2 and (motion.geographic or _count_votes_for_yaw_rate(motion) < 0):
@@ -344,31 +345,24 @@ def _correct_distance(motion: Motion) -> MotionAndFinding:
     return _correct(motion, "velocity_scale", ("velocity_x", "velocity_y"), text, velocity_ratio, both)
 
 
+def _direction(displacements: np.ndarray) -> np.ndarray:
+    """Unit vectors, in which a jump of the positions has no more weight than other displacements."""
+    return np.exp(1j * np.angle(displacements))
+
+
 def _compute_displacements(motion: Motion, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(change of position, integrated velocity) in windows of one second, as east + i north [m]."""
     windows = motion.make_windows(1.0)
     return windows.change(motion.position), windows.integral(velocity)
 
 
-def _normalise(displacements: np.ndarray) -> np.ndarray:
-    """Displacements with their direction and length 1 [m], so that a jump of the positions has no more weight."""
-    return displacements / np.maximum(np.abs(displacements), 1e-12)
-
-
-def _compute_misfit(motion: Motion, *, fit_scales: bool = False) -> float:
-    """Median distance [m] between change of position and integrated velocity per second, after the best rotation.
-    fit_scales: whether scales of x and y are fitted, too."""
+def _compute_misfit(motion: Motion) -> float:
+    """Median distance [m] between change of position and integrated velocity per second, after the best rotation."""
     measured, derived = _compute_displacements(motion, motion.velocity_map)
     if not len(measured):
         return 0.0
-    rotation = np.sum(_normalise(measured) * np.conj(derived))
-    derived = derived * rotation / max(abs(rotation), 1e-300)
-    if not fit_scales:
-        return float(np.median(np.abs(measured - derived)))
-    columns = {"x": derived.real + 0j, "y": 1j * derived.imag, "yaw": 1j * derived}
-    residual, *values = (vectors.view(float).reshape(-1, 2) for vectors in (measured - derived, *columns.values()))
-    problem = Regression(np.arange(len(measured), dtype=float), residual, dict(zip(columns, values, strict=True)))
-    return problem.fit((*columns,))[1]
+    rotation = np.sum(_direction(measured) * np.conj(derived))
+    return float(np.median(np.abs(measured - derived * rotation / max(abs(rotation), 1e-300))))
 
 
 def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
@@ -403,7 +397,7 @@ def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
 def _correct_yaw_offset(motion: Motion) -> MotionAndFinding:
     """Correct a yaw measured from a wrong axis, or a reversed yaw or velocity_x, by the direction of travel."""
     measured, derived = _compute_displacements(motion, motion.velocity_map)
-    total, size = np.sum(derived * np.conj(_normalise(measured))), float(np.abs(derived).sum())
+    total, size = np.sum(derived * np.conj(_direction(measured))), float(np.abs(derived).sum())
     angle = float(np.angle(total))
     if len(measured) < MIN_WINDOWS or size < MIN_DISTANCE or abs(total) < 0.5 * size or abs(angle) < MIN_YAW_OFFSET:
         return motion, None

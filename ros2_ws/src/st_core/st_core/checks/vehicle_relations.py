@@ -50,8 +50,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
     derived = _derive_angle(motion, vehicle)
     speed = float(np.median(motion.velocity_x[moving])) if moving.any() else MIN_SPEED
     response = compute_response_time(vehicle, speed)
-    agreement = compare_series(motion.time, derived, motion.steering_time, motion.steering, CUTOFF, fit_drift=True,
-                               expected_lag=-response, max_fitted_lag=2.0 * MAX_LAG)
+    agreement = _compare_angles(motion, derived, response)
     gain = _estimate_steering_gain(motion, derived)
     # Understeer with the stability factor K multiplies the steering angle by 1 + K v^2. The mean of this factor,
     # weighted with the squared angle, is computed for K of the vehicle file (0 or more) and for the largest K of cars.
@@ -72,15 +71,12 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
         "steering_lag", agreement.lag.shifted(response).widened(_compute_response_uncertainty(vehicle, speed)))
     # If correlation and gain differ in sign, the driver countersteers (crosswind, bank), and the lag is undetermined.
     has_lag, lateral_shift = agreement.correlation * gain.value >= 0.0, _compute_lateral_shift(speed, vehicle)
-    first, second = (compute_response_time(vehicle, max(float(np.median(half)), MIN_SPEED))
-                     for half in np.array_split(motion.velocity_x, 2))
-    clock = _make_clock_finding(agreement, response, abs(second - first), lateral_shift) if has_lag else None
-    has_lag &= clock is None
-    if clock and not _yaw_confirms_drift(motion, vehicle, agreement):
-        clock = None
+    has_clock_error = has_lag and _has_clock_error(motion, vehicle, agreement)
+    has_lag &= not has_clock_error
     # Play takes its width from every turn, so small steering angles have too small a gain.
     may_be_play = 0.0 < (1.0 - gain.value) * agreement.spread < 0.5 * STEERING_PLAY / vehicle.steering_ratio
-    findings = (_make_unit_finding(gain, plausible_gains, vehicle, has_steering_wheel, may_be_play), clock,
+    findings = (_make_unit_finding(gain, plausible_gains, vehicle, has_steering_wheel, may_be_play),
+                _make_clock_finding(motion, vehicle, agreement, response, lateral_shift) if has_clock_error else None,
                 _make_lag_finding(lag, agreement, response, lateral_shift, vehicle) if has_lag else None,
                 _make_offset_finding(agreement, vehicle, has_steering_wheel, lateral_shift))
     estimates = {"steering_scale": gain, "steering_sign": gain,
@@ -98,12 +94,11 @@ def _derive_angle(motion: Motion, vehicle: VehicleParameters) -> np.ndarray:
     return np.where(motion.velocity_x > MIN_SPEED, np.arctan(vehicle.wheelbase * curvature), np.nan)
 
 
-def _yaw_confirms_drift(motion: Motion, vehicle: VehicleParameters, agreement: Agreement) -> bool:
-    """Whether the lag of the steering changes relative to yaw, too; otherwise, that of the yaw rate changes."""
-    derived = _derive_angle(replace(motion, yaw_rate=np.gradient(motion.yaw, motion.time)), vehicle)
-    other = compare_series(motion.time, derived, motion.steering_time, motion.steering, CUTOFF, fit_drift=True,
-                           max_fitted_lag=2.0 * MAX_LAG)
-    return other is None or not other.correlates or other.drift.value / agreement.drift.value > 0.5
+def _compare_angles(motion: Motion, derived: np.ndarray, response: float,
+                    rows: slice = slice(None)) -> Agreement | None:
+    """Agreement of the steering with the angle derived from motion in some rows. response: time [s]."""
+    return compare_series(motion.time[rows], derived[rows], motion.steering_time, motion.steering, CUTOFF,
+                          fit_drift=True, expected_lag=-response, max_fitted_lag=2.0 * MAX_LAG)
 
 
 def _make_unrelated_finding(motion: Motion, derived: np.ndarray) -> Finding | None:
@@ -210,27 +205,39 @@ def _make_unit_finding(gain: Estimate, plausible_gains: tuple[float, float], veh
     return finding
 
 
-def _make_clock_finding(agreement: Agreement, response: float, response_change: float,
-                        lateral_shift: float) -> Finding | None:
-    """Finding about a steering lag that changes during the drive by LIMITS.steering_lag or more; None if it does not.
-    response: time [s]. response_change: of it between both halves. lateral_shift: see `_compute_lateral_shift`."""
+def _has_clock_error(motion: Motion, vehicle: VehicleParameters, agreement: Agreement) -> bool:
+    """Whether the lag of the steering changes during the drive by LIMITS.steering_lag or more, apart from the response
+    time of the car."""
+    first, second = (compute_response_time(vehicle, max(float(np.median(half)), MIN_SPEED))
+                     for half in np.array_split(motion.velocity_x, 2))
     change = add_systematic_uncertainty("steering_lag", agreement.drift.scaled(float(np.ptp(agreement.time))))  # s
-    change = change.widened(response_change)
-    if not change.is_significant or abs(change.value) < LIMITS.steering_lag:
+    return change.widened(abs(second - first)).is_significant and abs(change.value) >= LIMITS.steering_lag
+
+
+def _make_clock_finding(motion: Motion, vehicle: VehicleParameters, agreement: Agreement, response: float,
+                        lateral_shift: float) -> Finding | None:
+    """Finding about a steering lag that changes during the drive; None if that of the yaw rate changes instead.
+    response: time [s]. lateral_shift: see `_compute_lateral_shift`."""
+    rate, change = agreement.drift.shifted(1.0), agreement.drift.scaled(float(np.ptp(agreement.time)))
+    from_yaw = _derive_angle(replace(motion, yaw_rate=np.gradient(motion.yaw, motion.time)), vehicle)
+    other = _compare_angles(motion, from_yaw, response)
+    if other and other.correlates and other.drift.value / agreement.drift.value < 0.5:
         return None
-    rate = agreement.drift.shifted(1.0)
-    name, value, unit = "time_rate", rate, "1"
-    text = (f"the clock of the steering runs {rate} times as fast as that of the motion: the lag changes by {change} s "
-            "during the drive")
     effect = lateral_shift * abs(change.value) * float(np.std(agreement.derived)) * np.sqrt(2.0) / HORIZON
     advice = Advice("text", "time-stamp the steering and the motion with one clock")
-    if agreement.halves:
-        first, second = (add_systematic_uncertainty("steering_lag", lag.shifted(response)) for lag in agreement.halves)
-        name, value, unit = "steering_lag", max(first, second, key=lambda lag: abs(lag.value)), "s"
+    middle, derived = len(motion.time) // 2, _derive_angle(motion, vehicle)
+    halves = [half for rows in (slice(middle), slice(middle, None))
+              if (half := _compare_angles(motion, derived, response, rows))]
+    if len(halves) == 2 and any(half.drift.shifted(-agreement.drift.value).is_significant for half in halves):
+        first, second = (add_systematic_uncertainty("steering_lag", half.lag.shifted(response)) for half in halves)
         text = (f"the steering lags the car's motion by {first} s in the first half of the drive, but by {second} s in "
                 "the second: was a clock set, or does the latency vary?")
         advice = replace(advice, line=f"{advice.line}, or split the recording where the lag changes")
-    return _make_finding(name, ("road_wheel_angle",), text, value, unit, effect, advice)
+        larger = max(first, second, key=lambda lag: abs(lag.value))
+        return _make_finding("steering_lag", ("road_wheel_angle",), text, larger, "s", effect, advice)
+    text = (f"the clock of the steering runs {rate} times as fast as that of the motion: the lag changes by {change} s "
+            "during the drive")
+    return _make_finding("time_rate", ("road_wheel_angle",), text, rate, "1", effect, advice)
 
 
 def _make_lag_finding(lag: Estimate, agreement: Agreement, response: float, lateral_shift: float,
