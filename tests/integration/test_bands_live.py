@@ -10,11 +10,13 @@ pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
 from bags import nanoseconds, read_messages
+from command_line import st
 from drives import write_drive
 from st_core.bands import Bands, activity_instants, conditions_at
 from st_core.log_evaluation import EvaluationSettings
 from st_process import run_st
 from st_recordings.runs.bag import read_bag
+from st_sim.run import main
 from support import LEAF, read_car
 from winding_road import Truth, winding_road
 
@@ -40,15 +42,24 @@ def road(path: Path, seconds: float, seed: int, offset: float = 0.0) -> Path:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Bands of ten drives, and two runs with them: the same car, and one with a steering offset."""
+    """Bands of ten drives, and two runs with them: the same car live, and one with a steering offset in a replay, which
+    is faster than real time."""
     base = tmp_path_factory.mktemp("bands")
     for seed in range(10):
         road(base / "calibration" / f"road_{seed}.csv", 40.0, seed)
-    run_st("calibrate", base / "calibration", "--vehicle", LEAF, "--output", base / "bands.yaml")
-    for name, seconds, offset in (("same", 20.0, 0.0), ("offset", 44.0, 0.5)):
-        run_st("demo", "--drive", road(base / f"{name}.csv", seconds, 20, offset), "--bands", base / "bands.yaml",
-           "--no-adaptive", "--output", base / name)
+    succeed("calibrate", base / "calibration", "--vehicle", LEAF, "--output", base / "bands.yaml")
+    bands = "--bands", base / "bands.yaml", "--no-adaptive"
+    run_st("demo", "--drive", road(base / "same.csv", 20.0, 20), "--vehicle", LEAF, *bands, "--output", base / "same")
+    assert main(["--drive", str(road(base / "offset.csv", 44.0, 20, 0.5)), "--vehicle", str(LEAF), "--to-files",
+                 str(base / "offset_files")]) == 0
+    succeed("import", base / "offset_files", "--output", base / "offset_bag")
+    run_st("replay", base / "offset_bag", "--fast", "--vehicle", LEAF, *bands, "--output", base / "offset")
     return base
+
+
+def succeed(*arguments: object) -> None:
+    result = st(*arguments)
+    assert result.exit_code == 0, result.output
 
 
 def recorded_half_widths(run: Path) -> dict[str, dict[int, dict[tuple[str, float], np.ndarray]]]:
@@ -100,6 +111,7 @@ def test_coverage_of_the_calibrated_car_is_scored_and_not_warned_about(folder: P
         for mode in ("forecast", "hindsight"):
             scores = summary[model][mode]
             assert 50 < scores["bands"]["n"] <= scores["n_starts"]
+            assert scores["lateral"]["rmse"] < 5.0
             assert scores["bands"]["0.5"] <= scores["bands"]["0.9"] and scores["bands"]["0.9"] > 0.6
     assert not [text for text in band_warnings(folder / "same") if "far below" in text]
 
@@ -124,5 +136,6 @@ def test_bands_of_another_car_are_rejected_in_one_line_before_a_node_starts(fold
     other.write_text(LEAF.read_text().replace("mass: {value: 1", "mass: {value: 2", 1))
     for arguments, reason in ((("--vehicle", other), "the bands are for"), ((), "unknown key")):
         file = LEAF if not arguments else folder / "bands.yaml"
-        text = run_st("demo", *arguments, "--bands", file, "--output", tmp_path / "run", status=2).strip()
-        assert reason in text and len(text.splitlines()) == 1, text
+        result = st("demo", *arguments, "--bands", file, "--output", tmp_path / "run")
+        text = result.output.strip()
+        assert result.exit_code == 2 and reason in text and len(text.splitlines()) == 1, text

@@ -17,6 +17,7 @@ pytest.importorskip("st_msgs", reason="needs the built workspace")
 pytest.importorskip("casadi", reason="casadi is not installed")
 
 from bags import health, nanoseconds, read_messages
+from command_line import st
 from raw_drives import write_drives
 from st_process import run_st
 from support import ROOT
@@ -31,8 +32,10 @@ pytestmark = [
 def course_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     base = tmp_path_factory.mktemp("course")
     write_drives(base / "first", {}, 0, (("S6", 36.0),))
-    run_st("import", base / "first" / "S6", "--output", base / "bag")
-    run_st("course", "build", base / "bag", "-o", base / "course.yaml")
+    for words in (("import", base / "first" / "S6", "--output", base / "bag"),
+                  ("course", "build", base / "bag", "-o", base / "course.yaml")):
+        done = st(*words)
+        assert done.exit_code == 0, done.output
     return base / "course.yaml"
 
 
@@ -99,5 +102,6 @@ def test_invalid_course_is_rejected_in_one_line_before_a_node_starts(course_file
     for content, reason in ((course_file.read_text()[:-400], "edited or cut off"), ("", "not a course")):
         file = tmp_path / "course.yaml"
         file.write_text(content)
-        text = run_st("demo", "--course", file, "--output", tmp_path / "run", status=2).strip()
-        assert str(file) in text and reason in text and len(text.splitlines()) == 1, text
+        result = st("demo", "--course", file, "--output", tmp_path / "run")
+        text = result.output.strip()
+        assert result.exit_code == 2 and str(file) in text and reason in text and len(text.splitlines()) == 1, text

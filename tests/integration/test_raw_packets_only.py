@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bags import copy_topics
+from command_line import st
 from st_process import run_st
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
@@ -73,5 +74,5 @@ def test_evaluation_is_identical(complete: Path, raw: Path, tmp_path: Path) -> N
 
 def test_reconstructed_topics_are_not_replayed(complete: Path, tmp_path: Path) -> None:
     copy_topics(complete / "bag", ("/can/frames", "/ins/odometry"), tmp_path / "frames.mcap")
-    text = run_st("replay", tmp_path / "frames.mcap", "--output", tmp_path / "run", status=2)
-    assert "cannot be played: no st_msgs/msg/Steering" in text
+    result = st("replay", tmp_path / "frames.mcap", "--output", tmp_path / "run")
+    assert result.exit_code == 2 and "cannot be played: no st_msgs/msg/Steering" in result.output

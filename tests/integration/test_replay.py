@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from command_line import st
 from support import LEAF, ROOT
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
@@ -33,17 +34,17 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     base = tmp_path_factory.mktemp("replay")
     assert main(["--scenario", "S6", "--vehicle", str(LEAF), "--duration", str(SECONDS),
                  "--to-files", str(base / "S6")]) == 0
-    done = run_st("import", base / "S6", "--output", base / "S6_bag")
-    assert done.returncode == 0, done.stdout + done.stderr
+    done = st("import", base / "S6", "--output", base / "S6_bag")
+    assert done.exit_code == 0, done.output
     return base / "S6_bag"
 
 
 def test_recording_with_wrong_steering_sign_is_replayed_only_by_force(recording, tmp_path):
-    done = run_st("import", recording.parent / "S6", "--steering-sign", "-1", "--force", "--output", tmp_path / "bag")
-    assert done.returncode == 0, done.stdout + done.stderr
+    done = st("import", recording.parent / "S6", "--steering-sign", "-1", "--force", "--output", tmp_path / "bag")
+    assert done.exit_code == 0, done.output
     for verb in ("replay", "verify"):
-        result = run_st(verb, tmp_path / "bag", "--output", tmp_path / verb)
-        assert result.returncode == 2 and "steering_sign" in result.stderr and "--force" in result.stderr
+        result = st(verb, tmp_path / "bag", "--output", tmp_path / verb)
+        assert result.exit_code == 2 and "steering_sign" in result.stderr and "--force" in result.stderr
         assert not (tmp_path / verb).exists()
     played = run_st("replay", tmp_path / "bag", "--fast", "--force", "--output", tmp_path / "played")
     assert played.returncode == 0 and "error: " in played.stdout, played.stdout + played.stderr
@@ -94,8 +95,8 @@ def external(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_recording_of_another_recorder_is_replayed_and_scored_as_offline(external, tmp_path):
-    result = run_module("replay", external, "--output", tmp_path / "refused")
-    assert result.returncode == 2 and "--steering-topic" in result.stderr, result.stderr
+    result = st("replay", external, "--output", tmp_path / "refused")
+    assert result.exit_code == 2 and "--steering-topic" in result.stderr, result.stderr
     played = run_module("replay", external, "--steering-topic", "/steer", "--rate", "2", "--output",
                         tmp_path / "played")
     assert played.returncode == 0, played.stdout + played.stderr

@@ -83,11 +83,18 @@ def test_view_of_a_recording_uses_no_processor_time_and_cleans_up_after_a_signal
     view = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
                             env=os.environ | {"TMPDIR": str(tmp_path)}, start_new_session=True)
     wait_for(lambda: descendants(view, "--serve-web") and list(tmp_path.glob("st-view-*")), 90, "the server")
-    time.sleep(5.0)
-    family = [psutil.Process(view.pid), *psutil.Process(view.pid).children(recursive=True)]
-    before = sum(sum(p.cpu_times()[:2]) for p in family)
-    time.sleep(6.0)
-    share = (sum(sum(p.cpu_times()[:2]) for p in family) - before) / 6.0
+
+    def measure_share(seconds: float) -> float:
+        """Used processor time as a fraction of a core."""
+        before = sum(sum(p.cpu_times()[:2]) for p in find_family())
+        time.sleep(seconds)
+        return (sum(sum(p.cpu_times()[:2]) for p in find_family()) - before) / seconds
+
+    def find_family() -> list[psutil.Process]:
+        return [psutil.Process(view.pid), *psutil.Process(view.pid).children(recursive=True)]
+
+    wait_for(lambda: measure_share(0.5) == 0.0, 90, "the end of the start")
+    family, share = find_family(), measure_share(6.0)
     view.send_signal(signal.SIGTERM)
     view.communicate(timeout=30)
     assert share < 0.02, f"{100 * share:.1f} % of a core without a page open"

@@ -91,7 +91,7 @@ def test_unusable_plan_is_rejected_and_inputs_are_held(recorded_drive, fault_num
 def path_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a drive with plans of speed and curvature."""
     folder = tmp_path_factory.mktemp("path")
-    drive(folder, "--path", "--good", "14")
+    drive(folder, "--path", "--good", "12")
     return folder
 
 
