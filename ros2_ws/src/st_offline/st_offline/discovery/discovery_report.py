@@ -155,9 +155,9 @@ def _make_tables(discovery: Discovery, content: Mapping[str, Any]) -> dict[str, 
               "5 s, the mean. \"After\" is with model.yaml. Sorted by the relative reduction.",
               ("channel", "before", "after", "reduced by (95 %)", "noise", "worst run", "runs with a larger error"),
               channels),
-        Table("Parts of the error", "Reduction of the mean position error after 5 s by each part when it is added to "
-              "the model last, after all other parts, or first, as the only one. Loss: reduction of the sum that the "
-              "fit minimises. The unexplained part includes the noise.",
+        Table("Parts of the error", "Reduction of the mean position error at the end of the horizon by each part when "
+              "it is added to the model last, after all other parts, or first, as the only one. Loss: reduction of the "
+              "sum that the fit minimises. The unexplained part includes the noise.",
               ("part", "added last", "added first", "loss, added last", "loss, added first"), parts),
         Table("Where the base model has the largest errors", "",
               ("channel", "driving condition", f"ratio to {expected} (95 %)"), regions),

@@ -339,7 +339,7 @@ def _list_vehicle_recommendations(discovery: Discovery, update: VehicleUpdate | 
         position = discovery.errors.get("position_5s")
         together = (f", together with model.yaml by {1.0 - position.augmented / position.base:.0%}"
                     if position and position.base > 0.0 else "")
-        alone = (f"; vehicle.yaml alone reduces the position error after 5 s by "
+        alone = ("; vehicle.yaml alone reduces the position error at the end of the horizon by "
                  f"{1.0 - update.error[1] / update.error[0]:.0%}{together}"
                  if (discovery.minor or discovery.effective) and update.error[0] > 0.0 else "")
         effects = ", ".join(map(to_words, update.folded))
