@@ -295,6 +295,22 @@ def test_prior_curvature_is_that_of_the_marginal_distribution_of_the_other_param
     np.testing.assert_allclose(curvature[np.ix_(others, others)], marginal, rtol=1e-6, atol=1e-7)
     assert not curvature[free].any() and not curvature[:, free].any()
     np.testing.assert_allclose(problem.prior_curvature((), everything), prior)
+    problem.design_effect = 3.0  # the loss counts dependent windows as independent; the prior does not
+    np.testing.assert_allclose(problem.prior_curvature((), everything), 3.0 * prior)
+
+
+def test_central_sensitivities_are_exact_where_errors_are_quadratic_in_the_parameters():
+    problem = linear_problem(FEW, {}, 15)
+    errors, indices, linear = problem.errors, problem.space.indices("mass", "yaw_inertia"), problem.errors.at
+
+    def quadratic(vector: np.ndarray) -> np.ndarray:
+        return linear(vector) + 0.5 * float(np.square(problem.distance(vector)[indices]).sum())
+
+    errors.at, errors.at_all = quadratic, lambda vectors: [quadratic(v) for v in vectors]
+    vector = problem.start + 0.3 * problem.space.scale * np.isin(np.arange(len(problem.space)), indices)
+    exact = errors.signatures[indices] - 0.3
+    np.testing.assert_allclose(Loss(errors, vector, central=True).sensitivities(vector, indices), exact, atol=1e-9)
+    assert np.abs(Loss(errors, vector).sensitivities(vector, indices) - exact).max() > 0.04
 
 
 @pytest.mark.parametrize("strength", [1.0, 1e8])
