@@ -16,8 +16,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 from st_core.log import DriveLog
 from st_core.types import body_to_map
-from st_recordings.runs import ReadSettings, RunSource, find_runs, read
-from st_recordings.runs.axes import convert_odometry, rotate_to_body_axes
+from st_recordings.runs import ReadSettings, RunSource, axes, find_runs, read
+from st_recordings.runs.axes import MIN_COURSE_SPREAD, convert_odometry, rotate_to_body_axes
 from st_recordings.runs.bag import ODOMETRY, read_bag
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.readers.bag import _is_command
@@ -224,6 +224,48 @@ def test_velocity_of_a_reversing_car(yaw: float, is_rotated: bool) -> None:
     assert bool(rotate_to_body_axes(columns)) == is_rotated
     np.testing.assert_allclose(columns["velocity_x"], -2.0)
     np.testing.assert_allclose(columns["velocity_y"], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("over_ground", [False, True])
+@pytest.mark.parametrize("turn", [0.15, 0.23])  # rad, largest change of the course
+@pytest.mark.parametrize("misalignment", [0.0, 0.05])  # rad, of the yaw
+def test_velocity_on_a_road_to_the_east(over_ground: bool, turn: float, misalignment: float) -> None:
+    """A straight road with one S-bend, on which the direction of the velocity alone shows nothing."""
+    time = np.linspace(0.0, 20.0, 2001)
+    course = turn * np.sin(2.0 * np.pi * (time - 10.0) / 5.0) * (np.abs(time - 12.5) < 2.5)
+    velocity = 12.0 * np.exp(1j * course)
+    noise = np.random.default_rng(3).normal(scale=0.001, size=(2, 2001))
+    position = np.cumsum(velocity) * 0.01
+    yaw = course + misalignment
+    recorded = velocity if over_ground else velocity * np.exp(-1j * yaw)
+    columns = {"velocity_x": recorded.real, "velocity_y": recorded.imag, "yaw": yaw, "x": position.real + noise[0],
+               "y": position.imag + noise[1]}
+    assert ("they were rotated" in rotate_to_body_axes(columns)) == over_ground
+    np.testing.assert_allclose(columns["velocity_y"], -12.0 * np.sin(misalignment), atol=1e-9)
+
+
+def test_limit_of_the_course_at_half_and_twice(monkeypatch) -> None:
+    for factor in (0.5, 2.0):
+        monkeypatch.setattr(axes, "MIN_COURSE_SPREAD", factor * MIN_COURSE_SPREAD)
+        for over_ground in (False, True):
+            test_velocity_on_a_road_to_the_east(over_ground, 0.23, 0.0)
+
+
+def test_yaw_of_the_wrong_sign_does_not_change_the_axes_of_the_velocity() -> None:
+    time = np.linspace(0.0, 20.0, 2001)
+    course = 0.2 * np.sin(time)
+    position = np.cumsum(12.0 * np.exp(1j * course)) * 0.01
+    columns = {"velocity_x": np.full(2001, 12.0), "velocity_y": np.zeros(2001), "yaw": -course, "x": position.real,
+               "y": position.imag}
+    assert rotate_to_body_axes(columns) == ""
+
+
+def test_odometry_without_velocity_is_refused(tmp_path: Path, drive_log: DriveLog) -> None:
+    folder = write(tmp_path / "drive", drive_log, "/odom", "/steer", change={"/odom": lambda message, k: replace(
+        message, twist=replace(message.twist, twist=make("geometry_msgs/msg/Twist", linear=vector(0, 0),
+                                                         angular=vector(0, 0))))})
+    with pytest.raises(RunError, match=r"velocity is 0 in all samples, although its positions extend over \d+ m; rec"):
+        read(find_runs([folder])[0], CAR, STEER)
 
 
 @pytest.mark.parametrize(("z_down", "drift", "note"), [

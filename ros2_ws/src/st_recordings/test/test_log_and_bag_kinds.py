@@ -459,7 +459,7 @@ def test_steering_field_for_an_ins_with_can_logs_is_unused_or_replaces_them(tmp_
     table = tmp_path / "run.vbo"
     table.write_text(vbo(drive_log))
     run = read(replace(source, kind="vbo", files=(table,)), CAR, settings)
-    assert_warned(run.warnings, "its CAN logs are not used, because an option names the steering angle in this file")
+    assert_warned(run.warnings, "this recording does not use its CAN logs, because an option names the steering angle")
 
 
 def test_date_and_time_in_names_of_bags_is_not_a_split_number(tmp_path: Path, drive_log: DriveLog) -> None:

@@ -82,6 +82,22 @@ def test_compressed_can_log_is_to_be_unpacked(tmp_path: Path) -> None:
     assert str(run.problem).endswith("; run.log.gz: unpack it first")
 
 
+def test_can_log_that_cannot_be_opened_is_reported(tmp_path: Path, monkeypatch) -> None:
+    files = touch(tmp_path, "a.log", "b.blf", content=FRAMES)
+    opened = Path.open
+
+    def refuse(path: Path, *arguments, **options):
+        if path in files:
+            raise PermissionError(13, "Permission denied")
+        return opened(path, *arguments, **options)
+
+    monkeypatch.setattr(Path, "open", refuse)
+    for given in ([tmp_path], files):
+        problems = [str(run.problem) for run in find_runs(given)]
+        assert [f"{file}: cannot be read: Permission denied; check its permissions, or copy it again" for file in files
+                ] == problems
+
+
 def test_listed_files_form_one_run(tmp_path: Path) -> None:
     files = touch(tmp_path, "a.ncom", "b.asc", "c.blf")
     (run,) = find_runs(files)

@@ -20,6 +20,9 @@ SIGNIFICANT_DEVIATIONS = 3.0
 MAX_AGREEING_ANGLE = 0.1
 """[rad]. Two directions agree if their median difference, due to sideslip and noise, is smaller than this. The better
 of two interpretations is accepted if the difference of the other is larger by more than this."""
+MIN_COURSE_SPREAD = 0.03
+"""[rad]. Positions show the axes of the velocity only if one of the two interpretations has a larger standard deviation
+from them; below it, both give the same lateral velocity to 3 % of the speed."""
 
 
 def find_words(frame_id: str) -> set[str]:
@@ -66,9 +69,9 @@ def rotate_to_body_axes(columns: dict[str, np.ndarray], frame_id: str = "") -> s
     """Rotates velocity_x and velocity_y into body axes if they are velocities over ground; changes `columns`.
 
     The direction of the velocity decides: it is about 0 in body axes, and about yaw over ground; both plus 180 degrees
-    for a car that moves backward by its positions. If both fit, as on a straight road to the east, frame_id decides;
-    without a map frame, body axes are assumed. Returns a warning if the velocities do not have the axes that frame_id
-    names, else "".
+    for a car that moves backward by its positions. If both fit, as on a road to the east, the positions decide if only
+    one agrees with them, or else frame_id; without a map frame, body axes are assumed. Returns a warning if the
+    velocities do not have the axes that frame_id names, else "".
     """
     velocity = columns["velocity_x"] + 1j * columns["velocity_y"]
     rows = np.flatnonzero((np.abs(velocity) > MIN_COURSE_SPEED) & np.isfinite(columns["yaw"]))
@@ -81,6 +84,10 @@ def rotate_to_body_axes(columns: dict[str, np.ndarray], frame_id: str = "") -> s
     frame_is_map = is_map = not MAP_FRAMES.isdisjoint(find_words(frame_id))
     if min(body_angle, *map_angles) < MAX_AGREEING_ANGLE < abs(body_angle - min(map_angles)):
         is_map = min(map_angles) < body_angle
+    elif min(body_angle, *map_angles) < MAX_AGREEING_ANGLE and columns.keys() >= {"x", "y"}:
+        spreads = _compare_with_positions(columns, velocity)
+        if max(spreads) > max(SIGNIFICANT_DEVIATIONS * min(spreads), MIN_COURSE_SPREAD):
+            is_map = spreads[1] < spreads[0]
     axes = "body axes"
     if is_map:
         is_north_first = map_angles[1] < map_angles[0] - MAX_AGREEING_ANGLE
@@ -89,8 +96,18 @@ def rotate_to_body_axes(columns: dict[str, np.ndarray], frame_id: str = "") -> s
         columns["velocity_x"], columns["velocity_y"] = map_to_body(velocity.real, velocity.imag, columns["yaw"])
     frame = f" (frame_id is {frame_id!r})" if frame_id else ""
     return "" if is_map == frame_is_map else (
-        f"velocity_x and velocity_y agree with yaw only as velocities {'to ' if is_map else 'in '}{axes}{frame}"
+        f"velocity_x and velocity_y agree with the motion only as velocities {'to ' if is_map else 'in '}{axes}{frame}"
         f"{'; they were rotated into body axes' if is_map else ''}")
+
+
+def _compare_with_positions(columns: Mapping[str, np.ndarray], velocity: np.ndarray) -> tuple[float, float]:
+    """Standard deviations [rad] of the angle from the velocity, in body axes and over ground, to the steps of the
+    position; a constant angle, as of a misaligned INS, does not count."""
+    products = (np.diff(columns["x"]) + 1j * np.diff(columns["y"])) * velocity[1:].conj()
+    total = max(float(np.nansum(np.abs(products))), 1e-12)
+    resultants = (abs(np.nansum(each)) / total for each in (products * np.exp(-1j * columns["yaw"][1:]), products))
+    in_body_axes, over_ground = (float(np.sqrt(max(2.0 - 2.0 * length, 0.0))) for length in resultants)
+    return in_body_axes, over_ground
 
 
 def _moves_backward(columns: Mapping[str, np.ndarray]) -> bool:

@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from st_core.checks.plausibility import drop_implausible
 from st_core.corrections import Correction, apply_corrections, describe_corrections
 from st_core.errors import StCoreError
@@ -18,6 +19,7 @@ from .readers import READERS
 from .run_types import LoadedRun, ReadSettings, RunSource
 from .vbo import YAW_RATE_REVERSED
 
+MAX_STATIONARY_EXTENT = 20.0  # m; positions of a parked car vary by less, even without corrections of the receiver
 MIN_UNUSED_TIME, MIN_UNUSED_FRACTION = 1.0, 0.01
 """[s], and fraction of the recording. Time that only INS or only steering covers is reported if it exceeds both."""
 
@@ -45,10 +47,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
             run = reader.read(source, vehicle, settings)
     notes = source.notes if not source.can else ()  # those of a run with CAN logs are among its warnings
     run = replace(run, warnings=(*notes, *run.warnings, *_list_unused_options(source, settings)))
-    if settings.steering and source.can and READERS[source.kind].read is not None:
-        text = f"{source.path}: its CAN logs are not used, because an option names the steering angle in this file"
-        run = replace(run, warnings=(*run.warnings, text))
-    _check_size(source, run.log, run.warnings)
+    _check_samples(source, run.log, run.warnings)
     start_ns = int(run.log.ins_time_ns[0])
     log, implausible = drop_implausible(run.log, start_ns)
     if vehicle is not None and log.steering_wheel_angle is not None:
@@ -76,6 +75,8 @@ def _list_unused_options(source: RunSource, settings: ReadSettings) -> list[str]
                       "describes their signals")
     if settings.offset is not None and not source.can and source.kind != "bag":
         unused.append(f"--offset {settings.offset:g}, because all its channels are on one clock")
+    if steering and source.can and reader.read is not None:
+        unused.append("its CAN logs, because an option names the steering angle in this file")
     return [f"{source.path}: this recording does not use {text}" for text in unused]
 
 
@@ -113,7 +114,7 @@ def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters
 
 def check_coverage(source: RunSource, log: DriveLog) -> list[str]:
     """Warnings about time that only INS or only steering covers. Raises RunError without overlap or enough samples."""
-    _check_size(source, log, ())
+    _check_samples(source, log, ())
     spans = {"INS": log.ins_time_ns, "steering": log.steering_time_ns}
     if min(time[-1] for time in spans.values()) <= max(time[0] for time in spans.values()):
         raise RunError(source.path, "INS and steering were not recorded at the same time",
@@ -125,12 +126,17 @@ def check_coverage(source: RunSource, log: DriveLog) -> list[str]:
             if (unused := seconds[name] - log.overlap) > max(MIN_UNUSED_TIME, MIN_UNUSED_FRACTION * seconds[name])]
 
 
-def _check_size(source: RunSource, log: DriveLog, warnings: Iterable[str]) -> None:
-    """Raises RunError, with the warnings, if fewer than two samples of INS or of steering remain."""
+def _check_samples(source: RunSource, log: DriveLog, warnings: Iterable[str]) -> None:
+    """Raises RunError if the velocity is 0 although the car moves or, with the warnings, if fewer than two samples of
+    INS or of steering remain."""
     if min(len(log.ins_time_ns), len(log.steering_time_ns)) < 2:
         problem = "it contains fewer than two measurements of INS or steering"
         reasons = (warning.removeprefix(f"{source.path}: ") for warning in warnings)
         raise RunError(source.path, "; ".join([problem, *reasons]), "remove it from the command")
+    extent = float(np.hypot(np.ptp(log.x), np.ptp(log.y)))
+    if extent > MAX_STATIONARY_EXTENT and not (log.velocity_x.any() or log.velocity_y.any()):
+        raise RunError(source.path, f"its velocity is 0 in all samples, although its positions extend over {extent:.0f}"
+                       " m", "record the velocity, or name the topic (--odometry-topic) or column that contains it")
 
 
 def hash_files(paths: Iterable[Path]) -> dict[str, str]:

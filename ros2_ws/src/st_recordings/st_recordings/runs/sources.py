@@ -78,7 +78,7 @@ def _report_folder_without_runs(folder: Path) -> list[RunSource]:
     files = sorted(folder.rglob("*"))
     bags = [f for f in files if bag.accepts(f) and not any(bag.accepts(parent) for parent in f.parents)]
     unknown_files = [f for f in files if f.suffix.lower() in UNKNOWN_ADVICE.keys() - {*DOCUMENT_EXTENSIONS}]
-    tables = [f for f in files if f.suffix.lower() in (*BINARY_EXTENSIONS, ".csv", ".tsv")]
+    tables = [f for f in files if f.suffix.lower() in (*BINARY_EXTENSIONS, *MF4_EXTENSIONS, ".csv", ".tsv")]
     # The problems of bags and tables are found by reading.
     return [*(_make_single_run(f, bag) for f in bags), *(_make_single_run(f, READERS["csv"]) for f in tables),
             *map(_report_unknown_file, unknown_files)] or [_report_problem(
