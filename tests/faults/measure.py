@@ -76,7 +76,7 @@ class Recorded:
         issued, starts, sent = set(), set(), []
         for bag in sorted(folder.glob("bag*")):
             recover(bag)
-            messages = read_messages(bag)
+            messages = read_messages(bag, ["/predictor/linear/prediction", "/ins/ncom"])
             predictions = messages.get("/predictor/linear/prediction", ())
             issued.update(nanoseconds(m.issued_at) for m in predictions)
             starts.update(nanoseconds(m.header.stamp) for m in predictions)

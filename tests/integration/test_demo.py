@@ -6,10 +6,11 @@ import signal
 import subprocess
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
-from bags import nanoseconds, read_messages
+from bags import copy_topics, nanoseconds, read_messages
 from command_line import st
 from ros_processes import wait_for
 from support import ROOT
@@ -17,11 +18,16 @@ from support import ROOT
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
+from st_live.verification import verify
+from st_recordings.runs.bag import read_bag
+
 pytestmark = [
     pytest.mark.ros, pytest.mark.slow,
     pytest.mark.timing("nodes run in real time; one that waits for its turn skips ticks"),
 ]
 MODELS = ("kinematic", "linear", "nonlinear")
+RAW = ("/ins/ncom", "/ins/origin", "/can/frames")
+RESULTS = ("/predictor/", "/evaluator/")
 
 
 def start_demo(*arguments: str) -> subprocess.Popen:
@@ -51,7 +57,10 @@ def test_demo_writes_the_documented_files(circle: Path) -> None:
 
 
 def test_bag_has_raw_data_and_results_but_no_topics_that_can_be_reconstructed(circle: Path) -> None:
-    topics = set(read_messages(circle / "bag"))
+    from rosbags.highlevel import AnyReader
+
+    with AnyReader([circle / "bag"]) as reader:
+        topics = {c.topic for c in reader.connections if c.msgcount}
     assert {"/ins/ncom", "/ins/origin", "/can/frames", "/ins/odometry", "/ins/status", "/vehicle/steering", "/tf",
             "/predictor/linear/prediction", "/evaluator/errors", "/diagnostics"} <= topics
     assert not {"/ins/imu", "/ins/velocity", "/ins/nav_sat_fix", "/ins/time_reference", "/vehicle/wheel_speeds",
@@ -111,33 +120,116 @@ def test_path_starts_at_the_ins_point_in_the_map_frame(circle: Path) -> None:
             assert getattr(path.poses[0].pose.position, axis) == pytest.approx(expected, abs=0.01)
 
 
-def test_second_suite_in_a_domain_is_rejected_and_interrupt_ends_the_first_with_complete_files(
-        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from rosbags.highlevel import AnyReader
+class Interrupted(NamedTuple):
+    """A suite that records all topics, interrupted after the first horizons; a second suite in its domain.
+
+    status, text, remaining: of the first suite; remaining: its processes that still exist. folder: with first/.
+    """
+
+    folder: Path
+    status: int
+    text: str
+    remaining: list[int]
+    second_status: int
+    second_text: str
+    domain: int
+
+
+@pytest.fixture(scope="module")
+def interrupted(tmp_path_factory: pytest.TempPathFactory) -> Interrupted:
     from st_live.suite import claim_domain
 
-    with claim_domain() as domain:
-        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
-        first = start_demo("--scenario", "S2", "--duration", "120", "--output", str(tmp_path / "first"))
+    folder = tmp_path_factory.mktemp("interrupted")
+    with claim_domain() as domain, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_DOMAIN_ID", str(domain))
+        first = start_demo("--scenario", "S6", "--duration", "120", "--record", "all", "--output",
+                           str(folder / "first"))
         try:
-            wait_for((tmp_path / "first" / "truth").exists, 60)
-            first_scores = time.monotonic() + 9.0  # after the first horizon
-            second = start_demo("--output", str(tmp_path / "second"))
-            text, _ = second.communicate(timeout=60)
-            assert second.returncode == 2
-            assert f"ROS domain {domain} already contains running nodes of the suite" in text
-            assert not (tmp_path / "second").exists()
-            time.sleep(max(0.0, first_scores - time.monotonic()))
+            wait_for((folder / "first" / "truth").exists, 60)
+            enough = time.monotonic() + 14.0  # of driving, for scores of 9 s of starts
+            second = start_demo("--output", str(folder / "second"))
+            second_text, _ = second.communicate(timeout=60)
+            time.sleep(max(0.0, enough - time.monotonic()))
             pids = descendants(first)
             assert len(pids) >= 6
         finally:
             os.kill(first.pid, signal.SIGINT)
             text, _ = first.communicate(timeout=60)
-    assert first.returncode == 0, text
-    assert not [pid for pid in pids if Path(f"/proc/{pid}").exists()]
+    remaining = [pid for pid in pids if Path(f"/proc/{pid}").exists()]
+    return Interrupted(folder, first.returncode, text, remaining, second.returncode, second_text, domain)
+
+
+def test_second_suite_in_a_domain_is_rejected(interrupted: Interrupted) -> None:
+    assert interrupted.second_status == 2
+    assert f"ROS domain {interrupted.domain} already contains running nodes of the suite" in interrupted.second_text
+    assert not (interrupted.folder / "second").exists()
+
+
+def test_interrupt_ends_the_suite_with_complete_files(interrupted: Interrupted) -> None:
+    from rosbags.highlevel import AnyReader
+
+    assert interrupted.status == 0, interrupted.text
+    assert not interrupted.remaining
     for name in ("bag", "errors"):
-        with AnyReader([tmp_path / "first" / name]) as reader:
+        with AnyReader([interrupted.folder / "first" / name]) as reader:
             assert reader.message_count > 0
+
+
+# A recording of raw packets and frames gives bit-identical results to one of all topics.
+
+
+@pytest.fixture(scope="module")
+def complete(interrupted: Interrupted) -> Path:
+    """A run with all topics recorded."""
+    return interrupted.folder / "first"
+
+
+@pytest.fixture(scope="module")
+def raw(complete: Path) -> Path:
+    folder = complete.parent / "raw"
+    folder.mkdir()
+    copy_topics(complete / "bag", RAW + RESULTS, folder / "bag.mcap")
+    (folder / "errors").symlink_to(complete / "errors")
+    return folder / "bag.mcap"
+
+
+def test_drive_and_auxiliary_signals_are_identical(complete: Path, raw: Path) -> None:
+    of_all, of_raw = read_bag(complete / "bag"), read_bag(raw)
+    assert len(of_all.log.ins_time_ns) > 1000
+    for name in ("ins_time_ns", "x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "steering_time_ns",
+                 "steering_wheel_angle", "road_wheel_angle"):
+        assert np.array_equal(getattr(of_all.log, name), getattr(of_raw.log, name)), name
+    for name in ("wheel_speed", "ins_speed"):
+        recorded, reconstructed = getattr(of_all.auxiliary, name), getattr(of_raw.auxiliary, name)
+        assert len(recorded.values) > 500
+        assert np.array_equal(recorded.time_ns, reconstructed.time_ns), name
+        assert np.array_equal(recorded.values, reconstructed.values), name
+
+
+def test_verification_has_identical_comparisons(complete: Path, raw: Path) -> None:
+    of_all, of_raw = verify(complete), verify(raw)
+    assert of_all.n_starts > 30  # not empty; about 330 on an idle machine, 72 on a very busy one
+    assert of_all.comparisons == of_raw.comparisons
+
+
+def test_evaluation_is_identical(complete: Path, raw: Path, tmp_path: Path) -> None:
+    documents = []
+    for name, bag in (("all", complete / "bag"), ("raw", raw)):
+        result = st("evaluate", bag, "--figures", "", "--output", tmp_path / name)
+        assert result.exit_code == 0, result.output
+        documents.append(json.loads((tmp_path / name / "evaluation.json").read_text()))
+    for key in ("all_runs", "bins_all_runs", "manoeuvres_all_runs"):
+        assert documents[0][key] == documents[1][key], key
+    (of_all,), (of_raw,) = (document["about"].values() for document in documents)
+    assert of_all["n_predictions"] > 50
+    for key in ("n_predictions", "skipped", "incomplete", "findings", "duration", "overlap"):
+        assert of_all[key] == of_raw[key], key
+
+
+def test_reconstructed_topics_are_not_replayed(complete: Path, tmp_path: Path) -> None:
+    copy_topics(complete / "bag", ("/can/frames", "/ins/odometry"), tmp_path / "frames.mcap")
+    result = st("replay", tmp_path / "frames.mcap", "--output", tmp_path / "run")
+    assert result.exit_code == 2 and "cannot be played: no st_msgs/msg/Steering" in result.output
 
 
 def test_nonempty_output_folder_is_rejected(tmp_path: Path) -> None:

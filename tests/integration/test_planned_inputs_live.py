@@ -27,6 +27,9 @@ pytestmark = [
     pytest.mark.timing("nodes run in real time; one that waits for its turn skips ticks"),
 ]
 
+TOPICS = (*(f"/predictor/linear/{kind}" for kind in ("prediction", "plan", "course")), "/plan/inputs",
+          "/evaluator/errors", "/diagnostics")
+
 
 @pytest.fixture(scope="module")
 def course_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -68,7 +71,7 @@ def position_errors(messages: dict[str, list], modes: tuple[str, ...]) -> dict[s
 
 @pytest.mark.parametrize("run", ["live", "replayed"])
 def test_course_inputs_reduce_the_position_error_of_constant_inputs(folder: Path, run: str) -> None:
-    messages = read_messages(folder / run / "bag")
+    messages = read_messages(folder / run / "bag", TOPICS)
     published = messages["/predictor/linear/course"]
     starts = {nanoseconds(m.header.stamp) for m in messages["/predictor/linear/prediction"]}
     assert len(published) > 150 and {nanoseconds(m.header.stamp) for m in published} <= starts
@@ -82,7 +85,7 @@ def test_course_inputs_reduce_the_position_error_of_constant_inputs(folder: Path
 
 @pytest.mark.parametrize("run", ["live", "replayed"])
 def test_planned_inputs_reduce_the_position_error_of_constant_inputs(folder: Path, run: str) -> None:
-    messages = read_messages(folder / run / "bag")
+    messages = read_messages(folder / run / "bag", TOPICS)
     assert len(messages["/plan/inputs"]) > 100, (folder / "planner.txt").read_text()
     published = messages["/predictor/linear/plan"]
     assert len(published) > 100 and all(nanoseconds(m.plan_stamp) <= nanoseconds(m.header.stamp) for m in published)

@@ -67,7 +67,8 @@ def test_hung_and_killed_passenger_page_does_not_reduce_the_prediction_rate(tmp_
             demo.communicate(timeout=60)
     assert demo.returncode == 0, text
     assert "the page server stopped during the run" in text
-    issued = np.array([nanoseconds(m.issued_at) for m in read_messages(run / "bag")["/predictor/linear/prediction"]])
+    topic = "/predictor/linear/prediction"
+    issued = np.array([nanoseconds(m.issued_at) for m in read_messages(run / "bag", [topic])[topic]])
     parts = np.split(issued, np.searchsorted(issued, [stopped_ns, killed_ns]))
     rates = [(len(part) - 1) / ((part[-1] - part[0]) * 1e-9) for part in parts]
     # The rate is unchanged to the end of the drive.
