@@ -122,7 +122,7 @@ def score_adaptive() -> dict[str, Row]:
 
 def _adaptive_rows(title: str, runs: Runs, groups: Mapping[str, Sequence[str]],
                    tested: Mapping[str, Sequence[Drive]]) -> list[Row]:
-    """Rows of both modes. runs: for the calibration, without those of the tested group; empty for no calibration."""
+    """Rows of both modes. runs: for the calibration, which leaves out the tested group; empty: no calibration."""
     rows = []
     for pair in (("linear", mode) for mode in MODES):
         score = Score(TIME, pair)
@@ -156,7 +156,7 @@ def score_genesis() -> dict[str, Row]:
 
 
 def score_days(runs: Runs) -> list[Row]:
-    """Coverage of each day by bands calibrated on the other days, with the runs of a day joined to one run."""
+    """Coverage on each day of bands calibrated on the other days, with the runs of a day joined into one run."""
     rows = []
     days = {day: join_runs([runs[name] for name in names]) for day, names in DAYS.items()}
     levels = (0.5, compute_highest_level(len(days) - 1))
@@ -197,7 +197,8 @@ def score_manoeuvres() -> dict[str, Row]:
 
 
 def score_corrected() -> dict[str, Row]:
-    """Bands of the car that deviates from its file, before and after `st discover` corrects it with other drives."""
+    """Bands of the car that deviates from its file, after `st discover` has corrected the file with other drives: held
+    out by seed, and transferred from the healthy and from the uncorrected car."""
     world = make_world()
     drives = [world.drive("to mend", k, world.off)  # the name is part of the seed
               for k in range(CORRECTION_DRIVES)]
@@ -225,7 +226,7 @@ def _write_contributions(runs: Sequence[dict]) -> None:
     largest = sorted(causes, key=causes.get, reverse=True)[:5]
     text = "; ".join(f"{name} {causes[name]:.2f} m" for name in largest)
     replace_part(PAGE, "shares", f"{format_records(make_contribution_rows(contributions))}\n\n"
-                 f"The largest causes across at 5 s, rms: {text}.")
+                 f"The largest lateral contributions at 5 s, rms: {text}.")
 
 
 @dataclass(frozen=True)
@@ -321,13 +322,13 @@ def format_cells(runs: Sequence[dict], failures: Sequence[str]) -> Row:
     worst, width = pooled["worst_cell"], pooled["half_width"]["0.9"]["5"]
     without = pooled["without_band"] / (pooled["without_band"] + pooled["starts"])
     cells = [f"{np.mean(coverages['0.9']):.1%}", f"{min(coverages['0.9']):.0%}", f"{np.mean(coverages['0.5']):.1%}",
-             f"{worst['coverage']:.0%} ({worst['cell']}, {worst['starts']})" if worst else "no cell of 200",
-             _pair(pooled["interval_score"]["0.9"]), _pair(pooled["crps"]), _pair(width),
+             f"{worst['coverage']:.0%} ({worst['cell']}, {worst['starts']})" if worst else "none",
+             _format_axes(pooled["interval_score"]["0.9"]), _format_axes(pooled["crps"]), _format_axes(width),
              "; ".join([f"{without:.1%}", *failures])]
     return dict(zip(COLUMNS, cells, strict=True))
 
 
-def _pair(axes: Mapping[str, float]) -> str:
+def _format_axes(axes: Mapping[str, float]) -> str:
     return f"{axes['longitudinal']:.2f} | {axes['lateral']:.2f}"
 
 

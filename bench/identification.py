@@ -36,7 +36,7 @@ def run() -> dict:
 
 
 def make_wrong_file(car: VehicleParameters) -> VehicleParameters:
-    """Initial vehicle of every identification, with wrong values."""
+    """Initial vehicle of an identification, with wrong values."""
     other = replace(car, steering_wheel_offset=0.0, yaw_inertia=0.8 * car.yaw_inertia, cg_to_ins_x=-0.3)
     return with_stiffness(other, 0.8 * car.cornering_stiffness_front, 1.25 * car.cornering_stiffness_rear)
 
@@ -58,7 +58,7 @@ def identify_seed(seed: int, car: VehicleParameters) -> dict[str, tuple[Identifi
         "offset": (offset, {"steering_wheel_offset": car.steering_wheel_offset,
                             "steering_wheel_offset_direct": car.steering_wheel_offset}),
         "paper": (paper, stiffness),
-        "paper, against the curve over the slips driven": (paper, curve_slopes(paper, car)),
+        "paper, against the curve over the slip range": (paper, fit_curve_slopes(paper, car)),
         "prediction": (fit_stiffness(logs["bends"], known_inertia, known), stiffness),
         "ins": (identify_ins_mounting(logs["slow"], start),
                 {"cg_to_ins_x": car.cg_to_ins_x + LEVER_ERROR, "ins_misalignment": MISALIGNMENT, "cg_to_ins_y": 0.0}),
@@ -68,7 +68,7 @@ def identify_seed(seed: int, car: VehicleParameters) -> dict[str, tuple[Identifi
                         {"yaw_inertia": car.yaw_inertia})}
 
 
-def curve_slopes(identification: Identification, car: VehicleParameters) -> dict[str, float]:
+def fit_curve_slopes(identification: Identification, car: VehicleParameters) -> dict[str, float]:
     """Slopes [N/rad] of the regression with true instead of measured tyre forces, at the same slip angles."""
     p = nonlinear_tyre.parameters(car)
     w = nonlinear_tyre.inputs(0.0, 0.0, p)
@@ -123,8 +123,8 @@ def _stiffness_errors(logs: list, start: VehicleParameters, car: VehicleParamete
 
 
 def score_realistic() -> dict:
-    """Errors for the realistic car: stiffnesses [%] relative to the small-slip stiffness of its tyres at static load,
-    and the other quantities."""
+    """Errors for the realistic car: stiffnesses [%] relative to the small-slip stiffness of its tyres at static load
+    and to the vehicle file, and the other quantities."""
     car = leaf()
     logs = record_all("realistic", 0)
     true = with_stiffness(car, REALISTIC["front_stiffness_factor"] * car.cornering_stiffness_front,
@@ -135,7 +135,8 @@ def score_realistic() -> dict:
     return {"stiffness against the tyres": _stiffness_errors(logs["bends"], car, true),
             "stiffness against the file": _stiffness_errors(logs["bends"], car, car),
             "offset error, deg": float(np.rad2deg(offset.estimates[0].value - car.steering_wheel_offset)),
-            "offset error directly, deg": float(np.rad2deg(offset.estimates[1].value - car.steering_wheel_offset)),
+            "offset error of the direct estimate, deg": float(
+                np.rad2deg(offset.estimates[1].value - car.steering_wheel_offset)),
             "yaw inertia": _row(inertia["yaw_inertia"]), "steering_delay": _row(inertia["steering_delay"]),
             "ins": {e.parameter: _row(e) for e in ins.estimates}}
 

@@ -124,7 +124,7 @@ def format_table(heading: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def _format_option_type(option: TyperOption) -> str:
-    """What an option takes, after its name: a type, the choices, or as many types as values; empty for a switch."""
+    """Text after the name of an option: the type of each value, or the choices; empty for a flag."""
     if option.is_flag:
         return ""
     annotation = option.type_descriptor.annotation

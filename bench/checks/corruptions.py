@@ -25,7 +25,6 @@ from .recording import (
 DEG, GON, G, FOOT, MPH, KMH = 57.29577951, 63.66197724, 9.80665, 3.280839895, 2.236936292, 3.6
 """Degrees and gon per rad, m/s^2 per g, feet per m, mph and km/h per m/s."""
 Edit = Callable[[Recording, float], tuple[Recording, float]]
-Shows = Callable[[Recording, float], bool]
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ class Kind:
     operation: str  # see the module
     edit: Edit
     sizes: tuple[Size, Size]
-    shows: Shows  # whether a drive can show a fault of a size
+    shows: v.Condition  # whether a drive can show a fault of a size
     channel: str | None = None  # a channel that the finding must name
     # Permitted relative error of the value, for fractions, counts, steps and gross factors.
     tolerance: float = 0.0
@@ -148,7 +147,7 @@ POSITIONS = (
          v.moves, tolerance=FINE),
     Kind("positions jump once", ("position_jumps",), "is", f.jump_once, two_sizes(0.5, 6.0, "m"), v.moves),
     Kind("reference point of positions", ("position_reference",), "plus", edit_log(f.move_positions_ahead),
-         two_sizes(0.7, 1.5, "m"), v.bends_at_several_speeds),
+         two_sizes(0.7, 1.5, "m"), v.curves_at_several_speeds),
     Kind("positions rounded", ("resolution_coarse",), "is", f.round_channels(*POSITION), two_sizes(0.25, 1.0, "m"),
          v.moves, channel="x", tolerance=FINE, also=("samples_repeated",)),
 )
@@ -156,7 +155,7 @@ YAW = (
     Kind("yaw in other units", ("yaw_scale",), "times", scale("yaw"), unit_sizes(("deg", DEG), ("gon", GON)), v.turns),
     Kind("yaw in degrees, wrapped", ("yaw_scale",), "times", f.to_wrapped_degrees, whole_and_half(DEG), v.turns),
     Kind("compass heading", ("yaw_convention",), "named", f.to_compass, whole_and_half(1.0), v.turns),
-    Kind("yaw offset", ("yaw_offset",), "plus", shift("yaw"), two_sizes(0.02, 0.06, "rad"), v.bends,
+    Kind("yaw offset", ("yaw_offset",), "plus", shift("yaw"), two_sizes(0.02, 0.06, "rad"), v.has_varying_curvature,
          either_side=True),
     Kind("yaw late", ("yaw_lag",), "plus", delay("yaw"), two_sizes(0.1, 0.3, "s"), v.turns),
     Kind("yaw rounded", ("resolution_coarse",), "is", f.round_channels("yaw"),
@@ -176,14 +175,14 @@ YAW = (
 )
 VELOCITIES = (
     Kind("velocity_x in other units", ("velocity_x_scale",), "times", scale("velocity_x"),
-         unit_sizes(("km/h", KMH), ("mph", MPH)), v.slides_and_bends),
+         unit_sizes(("km/h", KMH), ("mph", MPH)), v.curves_with_sideslip),
     Kind("velocities in other units", ("velocity_scale",), "times", scale(*VELOCITY),
-         unit_sizes(("km/h", KMH), ("mph", MPH)), v.slides_and_bends),
+         unit_sizes(("km/h", KMH), ("mph", MPH)), v.curves_with_sideslip),
     # An error of a few per cent does not show whether v_y is wrong as well.
     Kind("velocity_x scaled", ("velocity_x_scale", "velocity_scale"), "times", scale("velocity_x"),
          two_sizes(1.03, 1.10), v.moves),
     Kind("velocity_y sign", ("velocity_y_scale",), "times", scale("velocity_y"), whole_and_half(-1.0),
-         v.slides_and_bends),
+         v.curves_with_sideslip),
     Kind("velocities late", ("velocity_lag",), "plus", delay(*VELOCITY), two_sizes(0.15, 0.4, "s"),
          v.turns_and_accelerates),
     Kind("velocity at standstill", ("standstill_motion",), "is", f.creep, two_sizes(0.1, 0.3, "m/s"), v.stops,
@@ -211,17 +210,17 @@ STEERING = (
     Kind("hand wheel for road wheels", ("steering_scale",), "times", hand_wheel_as_road_wheel,
          unit_sizes(("rad", 1.0), ("deg", DEG)), v.steers, tolerance=GROSS),
     Kind("steering sign", ("steering_sign",), "is", scale(*WHEEL), whole_and_half(-1.0), v.steers, tolerance=GROSS),
-    Kind("steering late", ("steering_lag",), "plus", delay(*WHEEL), two_sizes(0.3, 0.6, "s"), v.steers_and_bends),
+    Kind("steering late", ("steering_lag",), "plus", delay(*WHEEL), two_sizes(0.3, 0.6, "s"), v.steers_in_curves),
     Kind("steering offset", ("steering_offset",), "plus", road_wheel_only(shift("road_wheel_angle")),
-         two_sizes(0.03, 0.08, "rad"), v.steers_and_bends, either_side=True),
+         two_sizes(0.03, 0.08, "rad"), v.steers_in_curves, either_side=True),
     Kind("steering frozen", ("channel_frozen",), "is", f.freeze(*WHEEL), two_sizes(10.0, 30.0, "s"),
          v.long_enough("road_wheel_angle"), channel="road_wheel_angle", tolerance=FINE, also=("samples_repeated",)),
 )
 INS = (
     Kind("measuring point moved back", ("measuring_point",), "plus", negate(edit_log(move_ins)),
-         two_sizes(0.8, 1.5, "m"), v.bends_slowly),
+         two_sizes(0.8, 1.5, "m"), v.curves_at_low_speed),
     Kind("INS askew", ("heading_misaligned",), "plus", edit_log(rotate_ins), two_sizes(0.02, 0.05, "rad"),
-         v.bends_and_straights, either_side=True),
+         v.curves_and_straights, either_side=True),
     Kind("without RTK", ("ins_mode",), "is", f.lose_rtk, two_sizes(0.2, 0.6, "of the time"), v.moves, tolerance=FINE,
          before=with_good_quality),
     Kind("poor accuracy", ("ins_accuracy",), "is", f.worsen_accuracy, two_sizes(0.5, 2.0, "m"), v.moves,

@@ -1,4 +1,4 @@
-"""The drives of the matrix: real drives of the Genesis and drives of the virtual Leaf, in two sets.
+"""The drives of the corruption matrix: real drives of the Genesis and drives of the virtual Leaf, in two sets.
 
 The sealed set, with other runs, scenarios and seeds than the development set, is used only once, at the end.
 """

@@ -10,12 +10,12 @@ from . import drives
 from .corruptions import KINDS, Kind, Size
 from .score import Drive, Record, scale_size, score_case
 
-SMALLEST, LARGEST = 0.7, 1.5
+MIN_SIZE_FACTOR, MAX_SIZE_FACTOR = 0.7, 1.5
 """Range of the sizes of the sealed set, relative to those of the development set."""
 
 
 def run_matrix(set_: str, names: Sequence[str], kinds: Sequence[str], jobs: int) -> Iterator[list[Record]]:
-    """Yields the records of each drive as soon as they are ready."""
+    """Yields the records of each drive, in the order of `names`."""
     tasks = [(set_, name, tuple(kinds)) for name in names]
     yield from map_parallel(score_drive, tasks, jobs)
 
@@ -39,4 +39,5 @@ def choose_sizes(kind: Kind, drive: str, set_: str) -> list[Size]:
     if set_ == "development":
         return list(kind.sizes)
     generator = np.random.default_rng(zlib.crc32(f"{set_} {drive} {kind.name}".encode()))
-    return [scale_size(size, kind.operation, float(generator.uniform(SMALLEST, LARGEST))) for size in kind.sizes]
+    factors = generator.uniform(MIN_SIZE_FACTOR, MAX_SIZE_FACTOR, len(kind.sizes))
+    return [scale_size(size, kind.operation, factor) for size, factor in zip(kind.sizes, factors.tolist(), strict=True)]

@@ -1,6 +1,6 @@
-"""Conditions for which a drive can show a fault: a fault that changes no sample is not a case.
+"""Conditions under which a drive can show a fault; faults that it cannot show are not tested.
 
-At the limits, a fault of the smaller size about equals the noise of a normal INS.
+At these limits, the smaller size of a fault is about the noise of a normal INS.
 """
 
 from collections.abc import Callable
@@ -10,10 +10,10 @@ import numpy as np
 from .faults import find_busiest_span, is_at_standstill
 from .recording import Recording
 
-Shows = Callable[[Recording, float], bool]
+Condition = Callable[[Recording, float], bool]
 MIN_YAW_RATE_DEVIATION, MIN_STEERING_DEVIATION = 0.05, 0.005
 """Standard deviations over the drive [rad/s, rad]. In a steady circle they are 0, which hides a delay."""
-MIN_X_DOT_DEVIATION = 0.25  # m/s^2, standard deviation of dv_x/dt
+MIN_ACCELERATION_DEVIATION = 0.25  # m/s^2, standard deviation of dv_x/dt
 MIN_CORNERING_DEVIATION = 0.4  # m/s^2, standard deviation of r v_x
 MIN_LATERAL_VELOCITY = 0.05  # m/s, root mean square of v_y
 MIN_CURVATURE_DEVIATION = 0.005
@@ -38,25 +38,28 @@ def turns(r: Recording, size: float = 0.0) -> bool:
     return moves(r) and float(np.std(r.log.yaw_rate)) > MIN_YAW_RATE_DEVIATION
 
 
-def bends(r: Recording, size: float = 0.0) -> bool:
+def has_varying_curvature(r: Recording, size: float = 0.0) -> bool:
     return turns(r) and float(np.std(_curvature(r))) > MIN_CURVATURE_DEVIATION
 
 
-def slides_and_bends(r: Recording, size: float = 0.0) -> bool:
-    return bends(r) and float(np.sqrt(np.mean(r.log.velocity_y**2))) > MIN_LATERAL_VELOCITY
+def curves_with_sideslip(r: Recording, size: float = 0.0) -> bool:
+    return has_varying_curvature(r) and float(np.sqrt(np.mean(r.log.velocity_y**2))) > MIN_LATERAL_VELOCITY
 
 
-def bends_and_straights(r: Recording, size: float = 0.0) -> bool:
-    return bends(r) and float(np.mean(np.abs(_curvature(r)) < MAX_STRAIGHT_CURVATURE)) > MIN_STRAIGHT_FRACTION
+def curves_and_straights(r: Recording, size: float = 0.0) -> bool:
+    straight = np.abs(_curvature(r)) < MAX_STRAIGHT_CURVATURE
+    return has_varying_curvature(r) and float(np.mean(straight)) > MIN_STRAIGHT_FRACTION
 
 
-def bends_at_several_speeds(r: Recording, size: float = 0.0) -> bool:
-    return bends(r) and float(np.std(r.log.velocity_x)) > MIN_SPEED_VARIATION * float(np.mean(r.log.velocity_x))
+def curves_at_several_speeds(r: Recording, size: float = 0.0) -> bool:
+    speed = r.log.velocity_x
+    return has_varying_curvature(r) and float(np.std(speed)) > MIN_SPEED_VARIATION * float(np.mean(speed))
 
 
-def bends_slowly(r: Recording, size: float = 0.0) -> bool:
+def curves_at_low_speed(r: Recording, size: float = 0.0) -> bool:
     slow = (r.log.velocity_x < MAX_SLOW_SPEED)[1:]
-    return bends(r) and float(np.sum((r.log.yaw_rate[1:] ** 2 * np.diff(r.time))[slow])) > MIN_SLOW_TURNING
+    turning = float(np.sum((r.log.yaw_rate[1:] ** 2 * np.diff(r.time))[slow]))
+    return has_varying_curvature(r) and turning > MIN_SLOW_TURNING
 
 
 def moves_in_x_and_y(r: Recording, size: float = 0.0) -> bool:
@@ -65,7 +68,7 @@ def moves_in_x_and_y(r: Recording, size: float = 0.0) -> bool:
 
 
 def accelerates(r: Recording, size: float = 0.0) -> bool:
-    return has_a_x(r) and float(np.std(_slope(r, r.log.velocity_x))) > MIN_X_DOT_DEVIATION
+    return has_a_x(r) and float(np.std(_slope(r, r.log.velocity_x))) > MIN_ACCELERATION_DEVIATION
 
 
 def turns_and_accelerates(r: Recording, size: float = 0.0) -> bool:
@@ -77,7 +80,7 @@ def corners(r: Recording, size: float = 0.0) -> bool:
 
 
 def corners_fast(r: Recording, size: float = 0.0) -> bool:
-    """Whether a lag of `size` [s] exceeds MAX_LEVER_ARM / v, which the lever arm of an accelerometer causes."""
+    """Whether a lag of `size` [s] exceeds MAX_LEVER_ARM / v, the apparent lag due to an accelerometer's lever arm."""
     return corners(r) and size > 1.1 * MAX_LEVER_ARM / float(np.median(r.log.velocity_x))
 
 
@@ -93,21 +96,21 @@ def steers(r: Recording, size: float = 0.0) -> bool:
     return turns(r) and float(np.std(r.log.road_wheel_angle)) > MIN_STEERING_DEVIATION
 
 
-def steers_and_bends(r: Recording, size: float = 0.0) -> bool:
-    return steers(r) and bends(r)
+def steers_in_curves(r: Recording, size: float = 0.0) -> bool:
+    return steers(r) and has_varying_curvature(r)
 
 
 def stops(r: Recording, size: float = 0.0) -> bool:
     return float(np.mean(is_at_standstill(r))) * r.log.duration > MIN_STANDSTILL
 
 
-def long_enough(channel: str) -> Shows:
-    """Whether the car moves for the duration of the fault, and the drive is at least twice as long."""
+def long_enough(channel: str) -> Condition:
+    """Condition: the car moves for the duration of the fault, and the drive is more than twice as long."""
     return lambda r, seconds: r.log.duration > 2 * seconds and find_busiest_span(r, channel, seconds) is not None
 
 
 def _curvature(r: Recording) -> np.ndarray:
-    """Curvature [1/m] above 2 m/s, averaged over half a second."""
+    """Curvature [1/m] at speeds above 2 m/s, averaged over half a second."""
     count = max(1, round(0.5 / float(np.median(np.diff(r.time)))))
     rate = np.convolve(r.log.yaw_rate, np.ones(count) / count, "same")
     moving = r.log.velocity_x > 2.0

@@ -4,7 +4,8 @@ The 29 equations of the package are used unchanged. In the package all wheels ha
 own: `PerAxle` replaces `p.tire` in the source by `p.tire_front` or `p.tire_rear`.
 
 Axes: the equations are written for y to the right and z down; their mirror image is valid for y to the left (yaw left
-+). Roll is therefore positive with the left side down, its "left" wheels are on the right; pitch is positive nose up.
++). Roll is therefore positive with the left side down, and "left" wheels of the package are on the right; pitch is
+positive nose up.
 Source: Althoff and Wuersching, CommonRoad: Vehicle Models, 2020. Checked by: tests/bench/test_discovery_plants.py.
 """
 
@@ -39,8 +40,8 @@ SLIP_RANGE, LOAD_RANGE = 0.2, (0.3, 1.8)
 
 
 @dataclass(frozen=True)
-class Choice:
-    """Data of a car that the package does not contain. number: of its parameter set. cg_to_ins_x [m]: the INS is on the
+class CarData:
+    """Data of a car that are not in the package. number: of its parameter set there. cg_to_ins_x [m]: the INS is on the
     centreline, at the height of the CG of the body."""
 
     number: int
@@ -50,9 +51,9 @@ class Choice:
 
 
 CARS = MappingProxyType({
-    "escort": Choice(1, "Ford Escort, multi-body", 18.5, -0.45),
-    "bmw_320i": Choice(2, "BMW 320i, multi-body", 15.5, -0.25),
-    "vanagon": Choice(3, "VW Vanagon, multi-body", 20.5, 0.30),
+    "escort": CarData(1, "Ford Escort, multi-body", 18.5, -0.45),
+    "bmw_320i": CarData(2, "BMW 320i, multi-body", 15.5, -0.25),
+    "vanagon": CarData(3, "VW Vanagon, multi-body", 20.5, 0.30),
 })
 """Front-wheel, rear-wheel and rear-wheel drive."""
 
@@ -66,7 +67,7 @@ SENSORS = ("ins_noise", "ins_time_error", "ins_misalignment", "ins_lever_error",
 SUPPORTED_SETTINGS = (*STEERING, *BODY, *SURROUNDINGS, *SENSORS)
 """Settings of this plant, with names, units and signs of st_sim.settings, and in addition yaw_rate_bias [rad/s]."""
 
-# The gradients are 1, because this plant records angles in place of accelerations.
+# The gradients are 1, because the sensors multiply them by accelerations, for which this plant records the angles.
 HEALTHY: Mapping[str, float] = MappingProxyType({
     **IDEAL, "yaw_rate_bias": 0.0, "ins_noise": 1.0, "steering_sensor_noise": 0.0005, "roll_gradient": 1.0,
     "pitch_gradient": 1.0})
@@ -83,7 +84,7 @@ def complete_settings(settings: Mapping[str, float]) -> dict[str, float]:
 
 
 class PerAxle(ExecutionLoader):
-    """Imports a module of the package with separate tyres for each axle, without writing next to the package. Raises
+    """Imports a module of the package with separate tyres for each axle, without changing the package. Raises
     ImportError for another version of the source."""
 
     def get_filename(self, fullname: str) -> str:
@@ -100,7 +101,7 @@ class PerAxle(ExecutionLoader):
         source = re.sub(r"(\btireModel\.\w+\(\w+_[lr]([fr]), .*)\bp\.tire\)",
                         replace_tyre, Path(self.get_filename(fullname)).read_text("utf-8"), flags=re.IGNORECASE)
         if calls != {"tire_front": 8, "tire_rear": 8} or re.search(r"\bp\.tire\b", source):
-            raise ImportError(f"{fullname}: {dict(calls)} calls of the tyre, 8 per axle in version 3.0.2")
+            raise ImportError(f"{fullname}: the source differs from version 3.0.2, with 8 calls of the tyre per axle")
         return source
 
 
@@ -177,7 +178,7 @@ def cornering_stiffness(load: float, tyre: TyreNumbers) -> float:
 
 
 FITTED = ("p_cy1", "p_dy1", "p_dy2", "p_ey1", "p_ey2", "p_ky1")
-STRAIGHT = {"p_ky2": 20.0, "p_ky4": 2.5}
+FIXED = {"p_ky2": 20.0, "p_ky4": 2.5}
 """Stiffness nearly proportional to the load, as in the package; p_ky2 has its largest value."""
 
 
@@ -185,21 +186,21 @@ STRAIGHT = {"p_ky2": 20.0, "p_ky4": 2.5}
 def fit_tyre(load: float, tyre: TyreNumbers) -> tuple[MagicFormula, float]:
     """Fits the Magic Formula of the suite to a tyre of the package by least squares over slip angles and loads.
 
-    load: static load of one tyre [N]. Also returns the rms residual, over `p_dy1` times the static load [1].
+    load: static load of one tyre [N]. Also returns the rms residual divided by the peak force at this load [1].
     """
     slips, loads = np.meshgrid(np.linspace(-SLIP_RANGE, SLIP_RANGE, 81), load * np.linspace(*LOAD_RANGE, 7))
     target = np.vectorize(lambda a, f: tyre_force(a, f, tyre))(slips, loads)
-    size = tyre.p_dy1 * load
+    peak_force = tyre.p_dy1 * load
     start = np.array([tyre.p_cy1, tyre.p_dy1, 0.0, tyre.p_ey1, 0.0, tyre.p_ky1 * 8.0])
     low, high = ([getattr(TYRE_QUANTITIES[name], end) for name in FITTED] for end in ("minimum", "maximum"))
 
     def formula(values: np.ndarray) -> MagicFormula:
-        return MagicFormula(nominal_load=load, p_ey3=0.0, **STRAIGHT, **dict(zip(FITTED, values, strict=True)))
+        return MagicFormula(nominal_load=load, p_ey3=0.0, **FIXED, **dict(zip(FITTED, values, strict=True)))
 
     def residuals(values: np.ndarray) -> np.ndarray:
         fitted = formula(values)
         force = magic_formula_force(slips, *magic_formula_coefficients(loads, fitted), fitted)
-        return ((force - target) / size).ravel()
+        return ((force - target) / peak_force).ravel()
 
     found = least_squares(residuals, np.clip(start, np.array(low) + 1e-9, np.array(high) - 1e-9), bounds=(low, high),
                           x_scale=np.maximum(np.abs(start), 0.1))

@@ -17,7 +17,7 @@ SOLVER_NAME = {"rti": "real-time iteration (SQP, qrqp)", "ipopt": "IPOPT to conv
 
 
 def draw_trade_off(rows: list[dict], titles: Mapping[str, str], file: Path) -> None:
-    """Draw tracking error over processor time: a line for each model and solver, a point for each horizon."""
+    """Draw tracking error versus processor time: a line for each model and solver, a point for each horizon."""
     with plt.rc_context(FIGURE_STYLE):
         figure, axes = plt.subplots(1, len(titles), figsize=(3.6 * len(titles) + 0.6, 3.9), squeeze=False, sharex=True,
                                     sharey=True)

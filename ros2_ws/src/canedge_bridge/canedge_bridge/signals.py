@@ -68,8 +68,8 @@ class SignalSpec:
     gain: float
     bias: float
     factor: float  # converts this unit to SI
-    minimum: float  # of si / factor [unit]
-    maximum: float  # of si / factor [unit]
+    minimum: float  # of the value in `unit`, after conversion
+    maximum: float  # of the value in `unit`, after conversion
     max_rate: float  # largest possible rate of change [unit/s]
     # Extractor of the sign signal, if the sensor sends magnitude and sign separately; `physical` is negated unless this
     # signal is 0 or not in the frame.
@@ -190,8 +190,8 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Sequence[
 def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
     """cantools database of a DBC file; if the file is invalid, it contains only the given messages.
 
-    In public DBC files of real cars, some messages have overlapping signals, 29-bit identifiers without the extended
-    flag, or names that begin with a digit. Raises TableError if the given messages are invalid too.
+    In public DBC files of real cars, some messages have 29-bit identifiers without the extended flag, or signals whose
+    names begin with a digit. Raises TableError if the given messages are invalid too.
     """
     try:
         content = path.read_bytes()
@@ -317,7 +317,7 @@ def _read_unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> str:
 
 
 def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
-    """Raises TableError if the signal cannot reach half of each limit of its range, as with an unsigned angle."""
+    """Raises TableError if the signal cannot reach half of its range to both sides, as with an unsigned angle."""
     low, high, expectation = spec.minimum, spec.maximum, f"{entry.origin} ({entry.path}.range) expects"
     if not math.isfinite(high) and spec.name == "steering_wheel_angle":
         low, high = -DEFAULT_STEERING_RANGE / spec.factor, DEFAULT_STEERING_RANGE / spec.factor
@@ -357,7 +357,7 @@ def _read_check(row: Entry, key: str, dbc: DbcMessage, dbc_path: Path) -> CheckS
 
 
 def _check_sample(entry: Entry, dbc: DbcMessage, signals: tuple[SignalSpec, ...], dbc_path: Path) -> None:
-    """Raises TableError if the recorded frame of a sample does not decode to its value, apart from the sign."""
+    """Raises TableError if the recorded frame of a sample does not decode to its value; signs are not compared."""
     entry.allow_only("data", "signal", "value", "unit")
     try:
         data = bytes.fromhex(entry.get("data", str))

@@ -57,7 +57,7 @@ def apply_corrections(log: DriveLog, corrections: Mapping[str, Correction], vehi
         position.ahead = d: (x, y) -> (x, y) + d (cos yaw, sin yaw)
 
     An INS channel that is shifted in time is interpolated at the times of the other channels. Samples without an
-    interpolated value (at the ends, in gaps longer than MAXIMUM_GAP) are removed; an acceleration is NaN instead. The
+    interpolated value (at the ends, in gaps longer than MAXIMUM_GAP) are removed; missing accelerations are NaN. The
     times of the steering are shifted. If its angle is scaled or offset, the steering wheel angle is corrected so that
     ratio and offset of `vehicle` give the corrected road wheel angle; without a vehicle it is removed.
 
@@ -91,7 +91,7 @@ def apply_corrections(log: DriveLog, corrections: Mapping[str, Correction], vehi
 
 
 def check_corrections(corrections: Mapping[str, Correction]) -> None:
-    """Check corrections. Raises StCoreError for an unknown channel, both steering channels, and invalid values."""
+    """Check corrections. Raises StCoreError for an unknown channel, an invalid value, or both steering channels."""
     for channel, correction in corrections.items():
         if channel not in CHANNELS:
             raise StCoreError(f"{channel}: unknown channel; known: {', '.join(CHANNELS)}")

@@ -80,7 +80,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
     if not is_moving:
         results.findings += vehicle_relations.check_standstill(motion) if is_long_enough else []
     else:
-        ins_is_usable = not broken_channels & {*INS_SIGNALS}  # every further check needs all of these channels
+        ins_is_usable = not broken_channels & {*INS_SIGNALS}  # comparisons need all of these channels
         if ins_is_usable:
             unusable: dict[str, Any] = dict.fromkeys(broken_channels & {*inertial.ACCELERATIONS})
             motion = replace(motion, **unusable)
@@ -89,10 +89,10 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
         if ins_is_usable:
             clock_findings = inertial.check_position_clock(motion)
             results.findings += clock_findings
-            if not clock_findings:  # the other checks need positions of the same time
+            if not clock_findings:  # comparisons need positions on the clock of the other channels
                 broken_channels |= find_broken_channels(stuck_findings)
                 _check_relations(motion, log, vehicle, time_unit, stuck_findings, broken_channels, results)
-    # Accelerations are last, since no prediction depends on them.
+    # In each severity, accelerations are last, since no prediction depends on them.
     findings = sorted(results.findings, key=lambda finding: (
         [*Severity].index(finding.severity), finding.concerns_only_acceleration, -(finding.effect or np.inf)))
     ambiguous = {name for f in findings for a in f.alternatives for name in (f.name, *a.findings)}
@@ -150,7 +150,7 @@ def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters |
 
 
 def _check_rear_axle(motion: Motion, vehicle: VehicleParameters, findings: list[Finding]) -> CheckResult:
-    """Result of `check_rear_axle`. motion: with a wrong scale of the velocity, if in the findings, corrected. The scale
+    """Result of `check_rear_axle`. motion: corrected for the scale of the velocity in the findings, if any. The scale
     of the positions may be wrong instead, so a finding must also exist at the recorded velocity, and has the lower of
     both severities."""
     found, estimates, panel = vehicle_relations.check_rear_axle(motion, vehicle)
@@ -161,7 +161,7 @@ def _check_rear_axle(motion: Motion, vehicle: VehicleParameters, findings: list[
         found = [replace(finding, severity=max(finding.severity, others[finding.name].severity, key=[*Severity].index))
                  for finding in found if finding.name in others]
     for alternative in [a for f in findings for a in f.alternatives if "velocity_y_scale" in a.findings][:1]:
-        found = [finding.with_alternative(alternative, position.OTHER_BENDS) for finding in found]
+        found = [finding.with_alternative(alternative, position.VARY_BENDS) for finding in found]
     return found, estimates, panel
 
 
@@ -192,7 +192,7 @@ def _limit_to_measured_channels(findings: list[Finding], log: DriveLog, motion: 
     advice = Advice("text", "record the heading of the car and velocity_y; without them the sensor's error is unknown")
     for k, f in enumerate(findings):
         if f.name == "position_reference":
-            statement = f"{f.statement}; velocity_y is missing or 0, which is right for a point of the rear axle only"
+            statement = f"{f.statement}; velocity_y is missing or 0, which is right only for a point on the rear axle"
             findings[k] = replace(f, statement=statement)
         low, high = limits.get(f.name, (np.inf, -np.inf))
         if f.value is not None and low <= f.value <= high:
@@ -239,7 +239,7 @@ def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[M
 
 
 def _confirm_velocity(motion: Motion, findings: list[Finding]) -> str:
-    """Measurements that refute the finding of a scale of the velocity, because they agree with the recorded one."""
+    """Measurement that agrees with the recorded velocity and refutes the finding of its scale; "" if there is none."""
     scale = position.find_velocity_scale(findings)
     if scale is None or not scale.value:
         return ""
@@ -250,7 +250,7 @@ def _confirm_velocity(motion: Motion, findings: list[Finding]) -> str:
 
 
 def _add_yaw_alternative(finding: Finding, motion: Motion) -> Finding:
-    """The finding; a scale of yaw_rate loses its correction if positions fit a scale error of yaw as well."""
+    """The finding; a scale of yaw_rate loses its correction if positions fit a scale error of yaw equally well."""
     if finding.name != "yaw_rate_scale" or not finding.value or other_yaw_fits_better(
             replace(motion, yaw=finding.value * motion.yaw), motion):
         return finding
@@ -272,13 +272,13 @@ def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 
 def _add_yaw_lag_alternative(findings: list[Finding], motion: Motion, lag: float | None) -> list[Finding]:
-    """The findings; those that a lag of yaw would explain for the most part name it, too. lag: of the yaw rate [s], if
-    it may be the opposite lag of yaw; else None."""
+    """The findings, with a lag of yaw as an alternative cause of those that it mostly explains. lag: of the yaw rate
+    [s], if it may be the opposite lag of yaw; else None."""
     if lag is None:
         return findings
     alternative = Alternative(f"yaw {'lags' if lag < 0.0 else 'leads'} by {abs(lag):.3f} s", ("yaw_lag",))
     sizes = {"s": abs(lag), "m": abs(lag) * float(np.median(motion.speed))}
-    return [finding.with_alternative(alternative, position.OTHER_BENDS, "yaw")
+    return [finding.with_alternative(alternative, position.VARY_BENDS, "yaw")
             if finding.name in EXPLAINED_BY_YAW_LAG
             and abs(finding.value or 0.0) * position.MAX_RESIDUAL_LAG < sizes[finding.unit] else finding
             for finding in findings]
@@ -286,7 +286,7 @@ def _add_yaw_lag_alternative(findings: list[Finding], motion: Motion, lag: float
 
 def _check_yaw_lag(motion: Motion, agreement: Agreement | None) -> tuple[Motion, list[Finding], float | None]:
     """(corrected motion, finding, None) if yaw lags or leads the yaw rate and positions confirm that yaw is wrong;
-    (motion, [], lag of the yaw rate [s]) if they fit both."""
+    (motion, [], lag of the yaw rate [s]) if they fit both; else (motion, [], None)."""
     if (agreement is None or not agreement.has_lag or not agreement.correlates
             or abs(agreement.lag.value) < LIMITS.lag):
         return motion, [], None

@@ -68,7 +68,7 @@ ALTERNATIVE_LAGS = {"velocity_lag": Alternative("only velocity_x does", ("veloci
                     "velocity_x_lag": Alternative("velocity_y does, too", ("velocity_lag",))}
 """Lag that may explain the same residual where velocity_y is small, by the cause found."""
 OPPOSITE_LATERAL_SIGN = "velocity_y has the opposite sign (left is positive)"
-OTHER_BENDS = Advice("text", "drive bends of different speed and radius, to distinguish the two")
+VARY_BENDS = Advice("text", "drive bends of different speed and radius, to distinguish the two")
 
 
 class Cause(NamedTuple):
@@ -396,7 +396,7 @@ def _find_equivalent(problem: Regression, causes: dict[str, Estimate], found: Na
 
 def _add_alternative(findings: list[Finding], names: Collection[str], alternative: Alternative) -> list[Finding]:
     """The findings, those of these names with an alternative that involves velocity_y."""
-    return [finding.with_alternative(alternative, OTHER_BENDS, "velocity_y") if finding.name in names else finding
+    return [finding.with_alternative(alternative, VARY_BENDS, "velocity_y") if finding.name in names else finding
             for finding in findings]
 
 

@@ -78,7 +78,7 @@ class FoundEffect:
     parameters: Mapping[str, FittedParameter]
     alternatives: tuple[str, ...]  # names of effects that the data do not separate from it, best first
     position_5s_increase: float  # increase of the mean position error after 5 s if it is removed [m]
-    # By partition (run, site, time, place, condition), its value in each part.
+    # By partition (run, site, time, place, condition), its local estimates.
     agreement: Mapping[str, tuple[LocalEstimate, ...]]
     # Other effects of the result that cancel it; only the combination of their values is identifiable.
     joint: tuple[str, ...] = ()

@@ -24,7 +24,7 @@ class VaryingFit:
     name: str
     varies_with: str  # name of the partition
     gain: float  # reduction of the loss per residual compared with one common value [1]
-    # Of the hypothesis that the value is the same in all parts, corrected for all effects and partitions [1].
+    # Of the hypothesis that the value is the same in all parts, Bonferroni-corrected for effects and partitions [1].
     p_value: float
     index: int  # parameter with the most information
     values: Mapping[str, tuple[float, float]]  # its (value, standard deviation) by part
@@ -62,8 +62,8 @@ def _fit_by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: st
     if information.min() <= 1e-9 * float(np.trace(h)) / len(h):
         return None
     parts = [part for part in all_parts if np.diag(part[2]).min() > MIN_INFORMATION_FRACTION * information.min()]
-    degrees_of_freedom, blocks = (len(parts) - 1) * len(indices), problem.blocks - len(parts)
-    if len(parts) < 2 or blocks < 1:
+    degrees_of_freedom, residual_degrees = (len(parts) - 1) * len(indices), problem.blocks - len(parts)
+    if len(parts) < 2 or residual_degrees < 1:
         return None
     separate_gain = sum(float(gk @ inverse(hk) @ gk) for _, gk, hk in parts)
     total = sum(gk for _, gk, _ in parts)
@@ -74,9 +74,9 @@ def _fit_by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: st
     scores = np.zeros((problem.blocks, len(indices)))
     np.add.at(scores, problem.block, separate_gradient)
     scatter = float(np.trace(inverse(curvature.sum(axis=0)) @ scores.T @ scores))
-    design_effect = max(2.0 * scatter / len(indices), 1.0) * problem.blocks / blocks
+    design_effect = max(2.0 * scatter / len(indices), 1.0) * problem.blocks / residual_degrees
     ratio = 2.0 * gain / design_effect / degrees_of_freedom
-    p_value = min(tests * float(stats.f.sf(ratio, degrees_of_freedom, blocks)), 1.0)
+    p_value = min(tests * float(stats.f.sf(ratio, degrees_of_freedom, residual_degrees)), 1.0)
     best = int(np.argmax(information))
     index = indices[best]
     value, scale = float(fit.vector[index]), space.scale[index]

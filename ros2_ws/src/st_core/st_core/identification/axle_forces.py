@@ -13,7 +13,7 @@ if the slip angle is noisy. `AxleRegression.model_error` is the resulting standa
 slip, from a second regression in the lower half of the slip range (`regression.extrapolation_uncertainty`). Source:
 paper, section on parameter identification.
 
-The force curve is the axle force in the model's equations of motion in steady cornering, with equal slip of both axles,
+The force curve is the axle force in the model's equations of motion with equal slip of both axles and v_y_dot = 0,
 without forward acceleration and steering effects. Offsets cancel in
 
     F(alpha) = (F_model(-alpha) - F_model(alpha)) / 2,   alpha >= 0
@@ -52,7 +52,7 @@ MIN_SPEED, MAX_RADIUS, MAX_ACCELERATION = 3.0, 300.0, 4.0  # m/s, m, m/s^2
 MAX_SLIP = np.deg2rad(2.0)
 MIN_AXLE_SAMPLES = 500  # minimum number of samples in a regression
 SLIP_BIN_COUNT = 12
-MAX_RANGE_RATIO = 0.8  # mean slip of the lower range / of the full range; if larger, extrapolated errors grow over 5x
+MAX_RANGE_RATIO = 0.8  # mean slip of the lower / full range; if larger, extrapolation multiplies errors by over 5
 MAX_RELATIVE_UNCERTAINTY = 0.1  # ratio of standard uncertainty to stiffness above which the stiffness is doubtful
 SLIP_QUANTILE = 0.995  # quantile of |slip angle| that counts as the largest slip angle of the drives
 
@@ -81,7 +81,7 @@ class AxleSamples:
         """(mean slip, mean force opposing it) in each bin of |slip|, (b,) each.
 
         The slip at zero force, which is due to offsets of steering and INS, is subtracted first. Bins are omitted
-        if they have fewer than 5 samples, or less than 1 % of their number with a uniform distribution.
+        if they have fewer than 5 samples, or less than 1 % of the number expected for a uniform distribution.
         """
         slip = self.slip - self.find_zero_force_slip()
         size, force = np.abs(slip), -self.force * np.sign(slip)
@@ -120,7 +120,7 @@ class AxleRegression:
         return float(np.hypot(self.standard_error, np.nan_to_num(self.model_error)))
 
     def estimate(self, runs: tuple[str, ...]) -> ParameterEstimate:
-        """Estimate of the stiffness at zero slip, with an interval by the Student quantile of interval95."""
+        """Estimate of the stiffness at zero slip; its interval uses the Student quantile of interval95."""
         half = 0.5 * (self.interval95[1] - self.interval95[0]) * self.uncertainty / max(self.standard_error, 1e-300)
         status: Status = "identified" if self.uncertainty < MAX_RELATIVE_UNCERTAINTY * self.stiffness else "doubtful"
         if self.reasons:
@@ -248,7 +248,7 @@ def _make_regression(samples: AxleSamples, slope: Slope | None, reasons: Sequenc
 
 
 def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
-    """Both stiffnesses by regression; the covariance is from the variation between runs, or between blocks of few runs.
+    """Both stiffnesses by regression; covariance from the variation between runs or, with few runs, between blocks.
 
     A stiffness whose interval is not above 0 is NaN and unidentifiable. Raises IdentificationError for unusable drives.
     """

@@ -150,7 +150,7 @@ def draw_overview(reports: Sequence[RunReport], over: str, output: FigureOutput)
             # The marker size decreases from model to model, so that equal values remain visible.
             axes.plot(sizes[selection, k], range(len(selection)), "o", ms=8 - 2 * k, mew=0, zorder=2,
                       color=MODEL_COLOUR.get(model, TEXT_COLOUR), label=model)
-        axes.set_xlim(0.0, 1.05 * axes.get_xlim()[1])  # the margin of similar values would cut their markers
+        axes.set_xlim(0.0, 1.05 * axes.get_xlim()[1])  # if values are similar, the default margin cuts their markers
         axes.set_xlabel(f"{axis} RMSE, m")
     panels[0].set_yticks(range(len(selection)), [reports[run].name for run in selection])
     panels[0].set_ylim(len(selection) - 0.5, -0.5)

@@ -1,7 +1,7 @@
 """Reads topics, messages and definitions from bags of ROS 2 (MCAP, SQLite) and ROS 1 through one interface.
 
 MCAP and SQLite are read without rosbags, because rosbags parses every definition in a bag and fails at the first
-unsupported one. Only bags of ROS 1 and bags with compressed files or messages are read by rosbags.
+unsupported one. Only bags of ROS 1 and bags whose metadata.yaml states a compression are read by rosbags.
 """
 
 import sqlite3

@@ -24,7 +24,7 @@ from .table_times import PLAUSIBLE_EPOCH, StampReader, month_number
 
 _BLF_HEAD_LENGTH = 16  # bytes: "LOBJ", header size, header version, object size, object type
 _BLF_CONTAINER = re.compile(rb"LOBJ\x10\0\x01\0.{4}\x0a\0\0\0", re.DOTALL)  # its head
-_BLF_PADDING = 3  # bytes; the most after a container, because the format aligns each to four bytes
+_BLF_PADDING = 3  # bytes; largest padding after a container, which the format aligns to four bytes
 _WEEKDAY_MONTH = re.compile(r"(?i)^(date|begin\s+triggerblock)\s+\S+\s+(\S+)(.*)")
 _TABLE_EXTENSIONS = (".csv", ".txt")
 _ENGLISH_MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
@@ -59,9 +59,9 @@ EXTENDED_DIGITS = 8  # hexadecimal digits of an extended identifier
 DECIMAL_IDS = "its identifiers were read as decimal numbers"
 AMBIGUOUS_IDS = "its identifiers may be decimal or hexadecimal numbers; they were read as hexadecimal"
 MAX_SCANNED_ROWS = 5000  # rows that show the unit of times, and whether identifiers and bytes are decimal
-MIN_STEPS = 50  # increases of the time that show its unit
+MIN_STEPS = 50  # minimum number of increases of the time to judge its unit by their size
 MAX_STEPS = {"s": 0.15, "ms": 50.0}
-"""Largest median step of times in s and in ms, from the start: 7 and 20 frames a second; else they are in us."""
+"""Largest median step of times since the start that are in s (7 frames a second) or ms (20); larger: they are in us."""
 MIN_FRAME_DURATION = 40.0  # us, of the shortest frame at 1 Mbit/s
 
 
@@ -329,7 +329,7 @@ def _find_time_unit(times: np.ndarray) -> str:
     step = np.median(steps) if len(steps) >= MIN_STEPS else 0.0
     for unit in ("s", "ms", "us", "ns") if len(times) else ():
         is_plausible = PLAUSIBLE_EPOCH[0] <= times[0] * UNITS["time"][unit][0] <= PLAUSIBLE_EPOCH[1]
-        # Late us since the start are plausible seconds, but their steps are larger.
+        # In a long log, us since the start may look like s since 1970, but their steps are larger.
         if is_plausible and (unit != "s" or step < MIN_FRAME_DURATION):
             return unit
     return next((unit for unit, limit in MAX_STEPS.items() if step < limit), "us")

@@ -50,7 +50,7 @@ class RecordLayout:
 
 
 def describe_truncation(head: bytes, size: int) -> str:
-    """What an MDF 4 file lacks that ends before its first data group, from its first 96 bytes; empty for others."""
+    """Text on an MDF 4 file that ends before its first data group; empty for others. head: first 96 bytes or more."""
     if head[:4] != b"MDF " or head[8:10] != b"4.":
         return ""
     offset = int.from_bytes(head[88:96], "little")
@@ -166,7 +166,7 @@ class _BlockChecker:
                 continue
             block = self._read_block(offset, (b"##CN",), links=8, content=72)
             if block.end != block.content + 72:
-                raise DamageError(f"the block at byte {offset} is longer than its content")
+                raise DamageError(f"the block at byte {offset} is longer than a channel block")
             self._check_channel(block, size, invalidation_size)
             has_variable_length |= self._data[block.content] == VARIABLE_LENGTH
             pending_links.append(block.links[0])
@@ -213,7 +213,7 @@ class _BlockChecker:
                 raise DamageError(f"the time conversion at byte {offset} is invalid ({start:g} + {factor:g} x)")
 
     def _measure_records(self, offset: int, kind: bytes) -> int:
-        """Unpacked size [byte] of the records behind a link to a block, packed or not, or to a list of blocks."""
+        """Unpacked size [byte] of the records at an offset: in one block, packed or not, or in a list of blocks."""
         size, list_count, pending_links = 0, 0, [offset]
         while pending_links:
             offset = pending_links.pop()
@@ -238,7 +238,7 @@ class _BlockChecker:
     def _measure_unpacked_records(self, block: _Block, kind: bytes) -> int:
         content, method, columns, unpacked_size, packed_size = struct.unpack_from("<2sBxIQQ", self._data, block.content)
         if content != kind or method > _MAX_COMPRESSION_METHOD or (method % 2 and not columns):
-            raise DamageError(f"the block at byte {block.offset} is compressed by an unknown method")
+            raise DamageError(f"the block at byte {block.offset} has invalid compression parameters")
         if block.content + 24 + packed_size > block.end or unpacked_size > _MAX_INFLATION * packed_size:
             raise DamageError(f"the block at byte {block.offset} is too short to unpack to {unpacked_size} bytes")
         return unpacked_size

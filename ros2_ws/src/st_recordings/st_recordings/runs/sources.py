@@ -205,7 +205,7 @@ def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
         if not readers[file].needs_can:
             yield _make_single_run(file, readers[file])  # its reader reports the missing data
             continue
-        reason = "there are several INS recordings and CAN logs" if logs else "no CAN log has the same name"
+        reason = "each CAN log may belong to any of several INS recordings" if logs else "no CAN log has the same name"
         advice = "give them the same name, or list the files of each run in a run.yaml"
         others = [f.name for f in sorted(file.parent.glob(f"{glob.escape(file.stem)}.*")) if f not in recordings]
         signals = [name for name in others if Path(name).suffix.lower() in MF4_EXTENSIONS]
@@ -261,7 +261,7 @@ def _group_split_bags(files: Sequence[Path]) -> list[list[Path]]:
         for previous, number in pairwise(numbers):
             part, between = parts[number], range(min(previous, number), max(previous, number))
             gap = abs(spans[number][0] - spans[previous][1]) * 1e-9  # s
-            if gap < MAX_SPLIT_GAP and all(k in parts for k in between):  # time stamps as numbers: a long range
+            if gap < MAX_SPLIT_GAP and all(k in parts for k in between):  # numbers may be times: a huge range
                 groups[-1].append(part)
             else:
                 groups.append([part])
