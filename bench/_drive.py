@@ -10,11 +10,11 @@ from st_core.log import DriveLog
 
 MODELS = ("kinematic", "linear", "nonlinear")
 START_NS = 1_700_000_000_000_000_000
-POINTS = (1.0, 2.0, 3.0, 4.0, 5.0)
+POINTS = (1.0, 2.0, 3.0, 4.0, 5.0)  # s ahead, at which predictions are stored
 
 
 def weaving_drive(seconds: float) -> DriveLog:
-    """A drive of `seconds` at 6 to 14 m/s with up to 5 m/s^2 lateral acceleration; INS at 100 Hz, steering at 50 Hz."""
+    """A drive of `seconds` at 6 to 14 m/s with up to 3 m/s^2 lateral acceleration; INS at 100 Hz, steering at 50 Hz."""
     time, steering = np.arange(0.0, seconds, 0.01), np.arange(0.003, seconds, 0.02)
 
     def angle(t):

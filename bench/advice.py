@@ -27,8 +27,7 @@ MARKERS = ("o", "s", "^", "D", "v")
 def draw_advice(costs: Mapping[advice_report.ModelStep, advice_report.Cost],
                 accuracies: Mapping[advice_report.ModelStep, advice_report.Accuracy], tolerance: float,
                 output: FigureOutput) -> None:
-    """Draws the lateral error and the half-width of the band over processor time, one panel for each prediction time.
-    """
+    """Draws the lateral error and the half-width of the band over processor time, one panel for each time ahead."""
     known = max((accuracy.seconds for accuracy in accuracies.values()), default=())
     seconds = [s for s in known if s in (1, 2, 3, 5)] or known[:1]
     steps = sorted({step for _, step in accuracies})
@@ -73,7 +72,7 @@ def describe_columns(accuracies: dict) -> str:
 
 
 def run() -> dict:
-    """Rows by model and step, and the cheapest choice for each speed; empty without the shared drives."""
+    """Rows by model and step, and the cheapest choice for each speed; a remark without the shared drives."""
     folders = [NINE_DRIVES, MORE_DRIVES]
     if not all(folder.exists() for folder in folders):
         return {"Genesis": "the shared drives are missing"}
@@ -83,7 +82,9 @@ def run() -> dict:
     draw_advice(costs, accuracies, TOLERANCE, FigureOutput(project_root() / "docs" / "images", ("png",)))
     rows = advice_report.make_advice_rows(costs, accuracies)
     choice = advice_report.make_choice_rows(find_cheapest(costs, accuracies, TOLERANCE))
-    title, caption = advice_report.make_choice_title(TOLERANCE), describe_columns(accuracies)
+    title = (f"Cheapest model and step with a lateral error within {TOLERANCE:g} m up to each second, in "
+             f"{advice_report.REQUIRED_FRACTION:.0%} of the starts, with measured inputs")
+    caption = describe_columns(accuracies)
     replace_part(PAGE, "advice", "\n".join([
         f"Genesis, {len(sources)} real drives. {caption[0].upper()}{caption[1:]}.", "", format_records(rows), "",
         f"{title}:", "", format_records(choice), "", "![Error and band against cost](../images/advice.png)"]))

@@ -29,19 +29,21 @@ PAPER = {
 
 
 def run() -> dict:
-    """Scenario -> {model axis: "mean | max | RMSE [m] (those of the paper)"}, and RMSE ratio kinematic / linear."""
+    """Scenario -> number of starts, "mean | max | RMSE [m] (those of the paper)" by model and axis, and RMSE ratio
+    kinematic / linear."""
     rows: dict = {}
     with tempfile.TemporaryDirectory(prefix="st-paper-") as folder:
         drives = read_runs(write_scenarios(Path(folder)), leaf())
     for name, paper in PAPER.items():
         evaluation = evaluate_log(MODELS, leaf(), drives[name])
         rows[name] = {"starts": evaluation.errors["linear", "hindsight"].n_starts}
-        ours = {model: [evaluation.errors[model, "hindsight"].statistics(axis) for axis in AXES] for model in MODELS}
-        for model, theirs in zip(MODELS, paper, strict=True):
+        simulated = {model: [evaluation.errors[model, "hindsight"].statistics(axis) for axis in AXES]
+                     for model in MODELS}
+        for model, published in zip(MODELS, paper, strict=True):
             for k, axis in enumerate(AXES):
-                rows[name][f"{model} {axis}"] = f"{_text(ours[model][k])} ({_text(theirs[k])})"
+                rows[name][f"{model} {axis}"] = f"{_text(simulated[model][k])} ({_text(published[k])})"
         for k, axis in enumerate(AXES):
-            ratio = ours["kinematic"][k][2] / ours["linear"][k][2]
+            ratio = simulated["kinematic"][k][2] / simulated["linear"][k][2]
             rows[name][f"kinematic / linear RMSE, {axis}"] = f"{ratio:.1f} ({paper[0][k][2] / paper[1][k][2]:.1f})"
     return rows
 

@@ -40,7 +40,7 @@ def steering_wheel_turned(angle: float) -> Fault:
 
 
 def position_point_moved(ahead: float) -> Fault:
-    """Moves the measuring point of the positions forward [m]."""
+    """Moves the reference point of the positions forward [m]."""
     return lambda log: replace(log, x=log.x + ahead * np.cos(log.yaw), y=log.y + ahead * np.sin(log.yaw))
 
 

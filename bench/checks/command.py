@@ -93,7 +93,7 @@ def _print_in_full(set_: str, name: str, kinds: Sequence[str]) -> int:
     for kind in map(KINDS.__getitem__, kinds):
         for size in kind.sizes:
             clean = drive.clean(kind, size)
-            if not kind.shows(clean, size.value):
+            if not kind.is_visible(clean, size.value):
                 print(f"== {kind.name} {size.label}: {name} cannot show this fault")
                 continue
             corrupted, truth = kind.edit(clean, size.value)

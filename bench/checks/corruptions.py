@@ -1,7 +1,7 @@
-"""Kinds of faults in a recording: each is an edit of a good recording, with the expected finding of `st check`.
+"""Kinds of faults in a recording: each edits a sound recording and names the finding that `st check` must report.
 
-An edit returns the corrupted recording and a number, which relates to the value of the finding by `operation`: "times":
-a factor; "plus": an offset; "is": the value itself; "named": the finding has no value.
+An edit returns the corrupted recording and a number, from which `operation` gives the expected value of the finding:
+"times": a factor; "plus": an offset; "is": the value itself; "named": the finding has no value.
 """
 
 from collections.abc import Callable
@@ -46,15 +46,15 @@ class Kind:
     operation: str  # see the module
     edit: Edit
     sizes: tuple[Size, Size]
-    shows: v.Condition  # whether a drive can show a fault of a size
+    is_visible: v.Condition  # whether a fault of this size is visible in a drive
     channel: str | None = None  # a channel that the finding must name
     # Permitted relative error of the value, for fractions, counts, steps and gross factors.
     tolerance: float = 0.0
-    also: tuple[str, ...] = ()  # further correct findings
-    before: Callable[[Recording], Recording] | None = None  # preparation of the drive
-    # In a real drive the fault has the sign of the deviation that the drive already has, because with the other sign
-    # the two might cancel.
-    either_side: bool = False
+    also_permitted: tuple[str, ...] = ()  # further correct findings
+    prepare: Callable[[Recording], Recording] | None = None  # applied to the drive before the edit
+    # In a real drive the fault gets the sign of the drive's own deviation, because with the other sign the two might
+    # cancel.
+    follows_sign: bool = False
 
 
 def scale(*channels: str) -> Edit:
@@ -74,7 +74,7 @@ def edit_log(change: Callable[[DriveLog, float], DriveLog]) -> Edit:
 
 
 def negate(change: Edit) -> Edit:
-    """The edit with the opposite sign: the measuring point moves back, and the true value is negative."""
+    """The edit with the opposite sign: the INS point moves back, and the true value is negative."""
     return lambda r, size: change(r, -size)
 
 
@@ -123,9 +123,9 @@ TIME = (
     Kind("gaps", ("time_gaps",), "is", f.remove_three_spans, two_sizes(1.0, 2.0, "s, three"), v.moves, tolerance=FINE),
     Kind("long gap", ("time_gaps",), "is", f.remove_one_span, two_sizes(5.0, 10.0, "s, one"), v.moves, tolerance=FINE),
     Kind("stamps twice", ("time_duplicates",), "is", f.repeat_stamps, two_sizes(0.05, 0.2, "of the rows"), v.moves,
-         tolerance=FINE, before=with_stamps),
+         tolerance=FINE, prepare=with_stamps),
     Kind("stamps out of order", ("time_order",), "is", f.swap_stamps, two_sizes(0.05, 0.2, "of the rows"), v.moves,
-         tolerance=FINE, before=with_stamps),
+         tolerance=FINE, prepare=with_stamps),
     Kind("stamps jitter", ("time_jitter",), "is", f.add_jitter, two_sizes(0.006, 0.015, "s"), v.moves, tolerance=0.15),
     Kind("rows missing", ("values_missing",), "is", f.drop_rows, two_sizes(0.05, 0.2, "of the rows"), v.moves,
          tolerance=FINE),
@@ -142,36 +142,36 @@ POSITIONS = (
     Kind("positions late", ("position_lag",), "plus", delay(*POSITION), two_sizes(0.05, 0.2, "s"),
          v.turns_and_accelerates),
     Kind("positions stale", ("position_stale",), "is", f.make_positions_stale, two_sizes(0.1, 0.3, "of the rows"),
-         v.moves, tolerance=FINE, also=("samples_repeated",)),
+         v.moves, tolerance=FINE, also_permitted=("samples_repeated",)),
     Kind("positions jump every second", ("position_jumps",), "is", f.jump_every_second, two_sizes(0.3, 1.0, "m"),
          v.moves, tolerance=FINE),
     Kind("positions jump once", ("position_jumps",), "is", f.jump_once, two_sizes(0.5, 6.0, "m"), v.moves),
     Kind("reference point of positions", ("position_reference",), "plus", edit_log(f.move_positions_ahead),
          two_sizes(0.7, 1.5, "m"), v.curves_at_several_speeds),
     Kind("positions rounded", ("resolution_coarse",), "is", f.round_channels(*POSITION), two_sizes(0.25, 1.0, "m"),
-         v.moves, channel="x", tolerance=FINE, also=("samples_repeated",)),
+         v.moves, channel="x", tolerance=FINE, also_permitted=("samples_repeated",)),
 )
 YAW = (
     Kind("yaw in other units", ("yaw_scale",), "times", scale("yaw"), unit_sizes(("deg", DEG), ("gon", GON)), v.turns),
     Kind("yaw in degrees, wrapped", ("yaw_scale",), "times", f.to_wrapped_degrees, whole_and_half(DEG), v.turns),
     Kind("compass heading", ("yaw_convention",), "named", f.to_compass, whole_and_half(1.0), v.turns),
     Kind("yaw offset", ("yaw_offset",), "plus", shift("yaw"), two_sizes(0.02, 0.06, "rad"), v.has_varying_curvature,
-         either_side=True),
+         follows_sign=True),
     Kind("yaw late", ("yaw_lag",), "plus", delay("yaw"), two_sizes(0.1, 0.3, "s"), v.turns),
     Kind("yaw rounded", ("resolution_coarse",), "is", f.round_channels("yaw"),
          (Size("1 deg", 1 / DEG), Size("2 deg", 2 / DEG)), v.turns, channel="yaw", tolerance=FINE,
-         also=("samples_repeated",)),
+         also_permitted=("samples_repeated",)),
     Kind("yaw rate in other units", ("yaw_rate_scale",), "times", scale("yaw_rate"),
          unit_sizes(("deg/s", DEG), ("mrad/s", 1e3)), v.turns),
     Kind("yaw rate sign", ("yaw_rate_scale",), "times", scale("yaw_rate"), whole_and_half(-1.0), v.turns),
     Kind("yaw rate scaled", ("yaw_rate_scale",), "times", scale("yaw_rate"), two_sizes(1.05, 1.15), v.turns),
     Kind("yaw rate bias", ("yaw_rate_bias",), "plus", shift("yaw_rate"), two_sizes(0.01, 0.03, "rad/s"), v.moves,
-         either_side=True),
+         follows_sign=True),
     Kind("yaw rate late", ("yaw_rate_lag",), "plus", delay("yaw_rate"), two_sizes(0.1, 0.3, "s"), v.turns),
     Kind("yaw rate held", ("samples_repeated",), "is", f.hold_values("yaw_rate"), two_sizes(5.0, 2.0, "Hz"), v.turns,
-         channel="yaw_rate", tolerance=FINE, also=("yaw_rate_lag", "resolution_coarse")),
+         channel="yaw_rate", tolerance=FINE, also_permitted=("yaw_rate_lag", "resolution_coarse")),
     Kind("yaw rate frozen", ("channel_frozen",), "is", f.freeze("yaw_rate"), two_sizes(10.0, 30.0, "s"),
-         v.long_enough("yaw_rate"), channel="yaw_rate", tolerance=FINE, also=("samples_repeated",)),
+         v.long_enough("yaw_rate"), channel="yaw_rate", tolerance=FINE, also_permitted=("samples_repeated",)),
 )
 VELOCITIES = (
     Kind("velocity_x in other units", ("velocity_x_scale",), "times", scale("velocity_x"),
@@ -193,14 +193,14 @@ ACCELERATIONS = (
          unit_sizes(("g", 1 / G), ("ft/s^2", FOOT)), v.corners),
     Kind("a_y sign", ("acceleration_y_scale",), "times", scale("acceleration_y"), whole_and_half(-1.0), v.corners),
     Kind("a_y bias", ("acceleration_y_bias",), "plus", shift("acceleration_y"), two_sizes(0.4, 1.0, "m/s^2"), v.has_a_y,
-         either_side=True),
+         follows_sign=True),
     Kind("a_y late", ("acceleration_y_lag",), "plus", delay("acceleration_y"), two_sizes(0.2, 0.4, "s"),
          v.corners_fast),
     Kind("a_x in other units", ("acceleration_x_scale",), "times", scale("acceleration_x"),
          unit_sizes(("g", 1 / G), ("ft/s^2", FOOT)), v.accelerates),
     Kind("a_x sign", ("acceleration_x_scale",), "times", scale("acceleration_x"), whole_and_half(-1.0), v.accelerates),
     Kind("a_x bias", ("acceleration_x_bias",), "plus", shift("acceleration_x"), two_sizes(0.3, 0.8, "m/s^2"), v.has_a_x,
-         either_side=True),
+         follows_sign=True),
     Kind("a_x late", ("acceleration_x_lag",), "plus", delay("acceleration_x"), two_sizes(0.15, 0.4, "s"),
          v.accelerates),
 )
@@ -212,24 +212,25 @@ STEERING = (
     Kind("steering sign", ("steering_sign",), "is", scale(*WHEEL), whole_and_half(-1.0), v.steers, tolerance=GROSS),
     Kind("steering late", ("steering_lag",), "plus", delay(*WHEEL), two_sizes(0.3, 0.6, "s"), v.steers_in_curves),
     Kind("steering offset", ("steering_offset",), "plus", road_wheel_only(shift("road_wheel_angle")),
-         two_sizes(0.03, 0.08, "rad"), v.steers_in_curves, either_side=True),
+         two_sizes(0.03, 0.08, "rad"), v.steers_in_curves, follows_sign=True),
     Kind("steering frozen", ("channel_frozen",), "is", f.freeze(*WHEEL), two_sizes(10.0, 30.0, "s"),
-         v.long_enough("road_wheel_angle"), channel="road_wheel_angle", tolerance=FINE, also=("samples_repeated",)),
+         v.long_enough("road_wheel_angle"), channel="road_wheel_angle", tolerance=FINE,
+         also_permitted=("samples_repeated",)),
 )
 INS = (
     Kind("measuring point moved back", ("measuring_point",), "plus", negate(edit_log(move_ins)),
          two_sizes(0.8, 1.5, "m"), v.curves_at_low_speed),
     Kind("INS askew", ("heading_misaligned",), "plus", edit_log(rotate_ins), two_sizes(0.02, 0.05, "rad"),
-         v.curves_and_straights, either_side=True),
+         v.curves_and_straights, follows_sign=True),
     Kind("without RTK", ("ins_mode",), "is", f.lose_rtk, two_sizes(0.2, 0.6, "of the time"), v.moves, tolerance=FINE,
-         before=with_good_quality),
+         prepare=with_good_quality),
     Kind("poor accuracy", ("ins_accuracy",), "is", f.worsen_accuracy, two_sizes(0.5, 2.0, "m"), v.moves,
-         tolerance=FINE, before=with_good_quality),
+         tolerance=FINE, prepare=with_good_quality),
     Kind("wheel speed scaled", ("wheel_speed_scale",), "times", scale_wheel_speed, two_sizes(1.05, 1.15), v.moves,
-         before=with_wheel_speed),
+         prepare=with_wheel_speed),
     Kind("wheel speed late", ("wheel_speed_lag",), "plus", delay_wheel_speed, two_sizes(0.3, 0.6, "s"), v.accelerates,
-         before=with_wheel_speed),
+         prepare=with_wheel_speed),
     Kind("other INS output scaled", ("ins_speed_scale",), "times", scale_ins_speed, two_sizes(1.05, 1.15), v.moves,
-         before=with_ins_speed),
+         prepare=with_ins_speed),
 )
 KINDS = {kind.name: kind for kind in (*TIME, *POSITIONS, *YAW, *VELOCITIES, *ACCELERATIONS, *STEERING, *INS)}

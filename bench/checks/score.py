@@ -44,17 +44,17 @@ class Drive:
         self._made: dict[tuple, Recording] = {}
 
     def clean(self, kind: Kind, size: Size) -> Recording:
-        key = size.part, kind.before
+        key = size.part, kind.prepare
         if key not in self._made:
             part = middle_half(self.recording) if size.part else self.recording
-            self._made[key] = kind.before(part) if kind.before else part
+            self._made[key] = kind.prepare(part) if kind.prepare else part
         return self._made[key]
 
 
 def score_case(drive: Drive, kind: Kind, size: Size) -> Record | None:
     """The record of a case; None if the drive cannot show the fault."""
     clean = drive.clean(kind, size)
-    if not kind.shows(clean, size.value):
+    if not kind.is_visible(clean, size.value):
         return None
     value = size.value * choose_side(kind, clean)
     corrupted, change = kind.edit(clean, value)
@@ -105,7 +105,7 @@ def estimate_as_recorded(kind: Kind, clean: Recording) -> float | None:
 
 
 def choose_side(kind: Kind, clean: Recording) -> int:
-    return -1 if kind.either_side and clean.real and (estimate_as_recorded(kind, clean) or 0.0) < 0 else 1
+    return -1 if kind.follows_sign and clean.real and (estimate_as_recorded(kind, clean) or 0.0) < 0 else 1
 
 
 def combine(operation: str, own: float, change: float) -> float:
@@ -125,7 +125,7 @@ def is_inside(kind: Kind, finding: Finding, truth: float | None) -> bool:
 
 def new_findings(result: DriveCheck, before: DriveCheck, kind: Kind) -> list[Finding]:
     """Findings that the corruption causes in addition to its own."""
-    known = {finding.name for finding in before.findings} | {*kind.findings, *kind.also}
+    known = {finding.name for finding in before.findings} | {*kind.findings, *kind.also_permitted}
     return [finding for finding in result.findings if finding.name not in known]
 
 

@@ -21,7 +21,7 @@ from ..discovery.sensing import round_to_resolution
 from .recording import Recording, with_good_quality
 
 START_NS = 1_756_900_800_000_000_000
-INS_MS = 10
+INS_PERIOD_MS = 10
 
 
 def drive_name(scenario: str) -> str:
@@ -29,22 +29,22 @@ def drive_name(scenario: str) -> str:
 
 
 def virtual_drive(scenario: str, seed: int, seconds: float) -> Recording:
-    """A drive of a scenario or road file, realistic plant; INS and steering at 100 Hz, wheel speeds at 50 Hz."""
+    """A scenario or road file driven with the realistic plant; INS and steering at 100 Hz, wheel speeds at 50 Hz."""
     car, vehicle = read_vehicle(LEAF_FILE), leaf()
     settings = resolve_settings("realistic", [])
     source = SimulatedCar(car, settings, load_plan(scenario), seed)
-    ins, sensor = Ins(car, settings, INS_MS / 1000, seed), SteeringSensor(car, settings, seed)
-    noiseless = Ins(car, {**settings, "ins_noise": 0.0}, INS_MS / 1000, seed)
+    ins, sensor = Ins(car, settings, INS_PERIOD_MS / 1000, seed), SteeringSensor(car, settings, seed)
+    noiseless = Ins(car, {**settings, "ins_noise": 0.0}, INS_PERIOD_MS / 1000, seed)
     readings, exact, steering, wheels = [], [], [], []
     for now in range(0, round(seconds * 1000), TICK_MS):
         source.advance(now / 1000)
-        if now % INS_MS == 0:
+        if now % INS_PERIOD_MS == 0:
             readings.append(ins.read(source.make_truth()))
             exact.append(noiseless.read(source.make_truth()))
         if now % STEERING_SCHEDULE[0] == STEERING_SCHEDULE[1]:
             steering.append((now / 1000 + settings["steering_sensor_latency"], sensor.read(source.make_truth())))
         if now % WHEEL_SCHEDULE[0] == WHEEL_SCHEDULE[1]:
-            # The rear wheels, because they do not travel further than the car in a turn.
+            # Rear wheels only: in a turn, the steered front wheels travel further than the car.
             wheels.append((now / 1000, sum(read_wheel_speeds(source.make_truth(), settings)[0][2:]) / 2))
     log = _make_log(drive_name(scenario), readings, np.array(steering), vehicle)
     times, speeds = np.array(wheels).T
@@ -53,7 +53,7 @@ def virtual_drive(scenario: str, seed: int, seconds: float) -> Recording:
 
 
 def _true_deviations(settings: Settings, readings: list[InsReading], exact: list[InsReading]) -> dict[str, float]:
-    """Values of findings for sensors without a fault: the mean of the noise over the drive is a bias.
+    """True values of findings for sensors without a fault: the mean of the noise over the drive acts as a bias.
 
     The body rolls outwards and pitches: accelerometers also measure a component of gravity, and the measured yaw rate
     is cos(roll) cos(pitch) times the true one, because its axis is fixed to the body.
@@ -61,7 +61,7 @@ def _true_deviations(settings: Settings, readings: list[InsReading], exact: list
     def mean(value: Callable[[InsReading], float]) -> float:
         return sum(value(one) - value(other) for one, other in zip(readings, exact, strict=True)) / len(readings)
     forward = sum(r.velocity_x for r in exact) / len(exact)
-    speed, course = 1 + mean(lambda r: r.velocity_x) / forward, mean(lambda r: r.velocity_y) / forward
+    speed, sideslip = 1 + mean(lambda r: r.velocity_x) / forward, mean(lambda r: r.velocity_y) / forward
     turning = np.array([(r.rates[2], math.cos(r.roll) * math.cos(r.pitch)) for r in exact]).T
     tilted = float(np.sum(turning[0] ** 2) / np.sum(turning[0] ** 2 / turning[1]))
     return {
@@ -70,7 +70,7 @@ def _true_deviations(settings: Settings, readings: list[InsReading], exact: list
         "acceleration_x_bias": mean(lambda r: r.specific_force[0]),
         "acceleration_y_bias": mean(lambda r: r.specific_force[1]),
         "yaw_rate_bias": mean(lambda r: r.rates[2]), "yaw_rate_scale": tilted,
-        "yaw_offset": mean(lambda r: r.yaw) + course, "heading_misaligned": -course,
+        "yaw_offset": mean(lambda r: r.yaw) + sideslip, "heading_misaligned": -sideslip,
         "velocity_x_scale": speed, "velocity_scale": speed,
         **dict.fromkeys(("x_scale", "y_scale", "position_scale"), 1 / speed),
     }

@@ -17,7 +17,7 @@ MIN_ACCELERATION_DEVIATION = 0.25  # m/s^2, standard deviation of dv_x/dt
 MIN_CORNERING_DEVIATION = 0.4  # m/s^2, standard deviation of r v_x
 MIN_LATERAL_VELOCITY = 0.05  # m/s, root mean square of v_y
 MIN_CURVATURE_DEVIATION = 0.005
-"""Standard deviation of the curvature [1/m]. A circle confounds errors of measuring point, heading and tyres."""
+"""Standard deviation of the curvature [1/m]. A circle confounds errors of INS point, heading and tyres."""
 MAX_STRAIGHT_CURVATURE, MIN_STRAIGHT_FRACTION = 0.005, 0.1
 """Curvature of a straight [1/m], and minimum fraction of straights in the drive."""
 MAX_SLOW_SPEED, MIN_SLOW_TURNING = 8.0, 0.3

@@ -108,7 +108,7 @@ class Extractor:
         """Physical value in the unit of the DBC."""
         number = self._field.read(data)
         if self._sign_bit:
-            number = number - ((number & self._sign_bit) << 1)  # two's complement; arrays calculate modulo 2**64
+            number = number - ((number & self._sign_bit) << 1)  # two's complement; uint64 arrays wrap modulo 2**64
         if self._float_bytes:
             number = np.asarray(number, f"u{self._float_bytes}").view(f"f{self._float_bytes}").astype(np.float64)
         elif isinstance(number, np.ndarray):

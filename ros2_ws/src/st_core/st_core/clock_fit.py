@@ -14,7 +14,7 @@ from .clock_types import Peak
 from .regression import robust_deviation
 
 RATE = 100.0  # Hz, sampling rate at which signals are filtered
-DECIMATION = 5  # filtered signals contain nothing above a few hertz, so 20 Hz suffice for the fit
+DECIMATION = 5  # filtered signals contain nothing above a few hertz, so 20 Hz is enough for the fit
 STEP = DECIMATION / RATE  # s, between the samples of a resampled signal
 MAX_GAP = 0.15  # s, longest gap that is interpolated
 FILTER_SETTLING_PERIODS = 0.5  # periods of the cut-off frequency, masked on both sides of a gap
@@ -67,7 +67,7 @@ def resample(time: np.ndarray, values: np.ndarray, cutoff: float, is_angle: bool
 
 
 def masked_correlation(reference: Series, other: Series, minimum_overlap: float) -> tuple[np.ndarray, np.ndarray]:
-    """(lags [s], time of the reference minus time of the other; normalised correlation of two masked series at each).
+    """(lags [s], reference time minus other time; normalised correlation of two masked series at each lag).
 
         r(l) = cov(f, g_l) / sqrt(var(f) var(g_l)),   over the samples known in both series at lag l
 
@@ -128,7 +128,7 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
 
     middle: instant on the other clock at which the offset applies [s]. offset, drift: initial values.
     The gain absorbs the scale of a wheel speed, the bias a gyro offset; scale_k is a robust standard deviation. The
-    uncertainty is a sandwich estimate from blocks of 5 s, since residuals are autocorrelated, and at least that for
+    uncertainty is a sandwich estimate from blocks of 5 s, since residuals are autocorrelated, but not less than for
     independent residuals and a noise-free reference. The curvature is the product of the slopes of both recordings,
     in which their independent noise averages out. A weak prior (100 ppm) limits the drift. Raises ValueError if a
     signal has less than 2 s in common, or if the signals do not vary.

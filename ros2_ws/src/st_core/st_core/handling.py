@@ -73,7 +73,7 @@ PLAUSIBLE_RANGES = (
     Range("steering_ratio", "steering ratio", "1", 9.0, 26.0, lambda car: car.steering_ratio,
           "steering systems of passenger cars 11 to 22, vans to 25"),
     *(Range(f"cornering_stiffness_{axle}", f"ratio of cornering stiffness to load of the {axle} axle", "1/rad", 4.0,
-            30.0, value, f"{_TYPICAL_SOURCE}; halved by compliance, doubled by racing tyres") for axle, value in (
+            30.0, value, f"{_TYPICAL_SOURCE}; halved for compliance, doubled for racing tyres") for axle, value in (
                 ("front", lambda car: car.cornering_stiffness_front / (2.0 * car.static_tyre_load_front)),
                 ("rear", lambda car: car.cornering_stiffness_rear / (2.0 * car.static_tyre_load_rear)))),
 )

@@ -7,8 +7,8 @@ that is linear between its samples. It uses the actual spacing dt, so uneven spa
     x = dt / tau,  e = exp(-x),  g = (1 - e) / x,   y_k = e y_{k-1} + (g - e) u_{k-1} + (1 - g) u_k
     y_dot_k = (y_k - y_{k-1}) / dt
 
-At an even 100 Hz the results agree with scipy.signal.butter(1, 5, fs=100) to a thousandth. The backward difference
-belongs to the middle of the last interval, so slow changes are delayed by tau + dt / 2: at 5 Hz and 100 Hz
+For even 100 Hz sampling the results agree with scipy.signal.butter(1, 5, fs=100) to a thousandth. The backward
+difference belongs to the middle of the last interval, so slow changes are delayed by tau + dt / 2: at 5 Hz and 100 Hz
 sampling 31.8 + 5 = 37 ms. The filter restarts at the first sample and after every gap with y = u and derivative NaN.
 Source: paper, section on the models' inputs. Checked by: test_filtering.py, test_timeseries.py.
 """
@@ -25,9 +25,9 @@ from .types import wrap_angle
 
 NANOSECOND = 1.0e-9
 REORDER_WINDOW_NS = 500_000_000  # samples that are older than the newest one by more than this are rejected as late
-SETBACK_SAMPLES = 5  # after this many consecutive late samples the clock counts as set back
+SETBACK_SAMPLES = 5  # after this many late samples in ascending order the clock counts as set back
 MAXIMUM_SAMPLES = 200_000
-MIN_RECOVERED_FRACTION = 0.01  # of the samples; what the longest ascending subsequence must recover to be used [1]
+MIN_RECOVERED_FRACTION = 0.01  # fraction of the samples that the longest ascending subsequence must recover
 
 
 class TimeSeries:
@@ -174,7 +174,7 @@ def half_step_grid(start_ns: int, steps: int, step: float) -> np.ndarray:
 
 
 class Neighbours(NamedTuple):
-    """Samples around instants."""
+    """Samples next to given instants, for interpolation."""
 
     before: np.ndarray  # index of the last sample before an instant
     after: np.ndarray  # index of the first sample at or after an instant

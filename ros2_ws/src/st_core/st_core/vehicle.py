@@ -132,7 +132,7 @@ class VehicleParameters:
 
     @property
     def speed_scale(self) -> float:
-        """Factor for speed limits of small cars, sqrt(wheelbase / 2 m), at most 1 [1]; its square is the factor for
+        """Factor for speed thresholds of small cars, sqrt(wheelbase / 2 m), at most 1 [1]; its square is the factor for
         radii. At scaled speeds, bends with the same radius in wheelbases have the same lateral acceleration."""
         return min(1.0, math.sqrt(self.wheelbase / 2.0))
 
@@ -325,7 +325,7 @@ def _read_provenance(key: str, entry: Mapping[str, Any], factor: float) -> Prove
 
 
 def _check_scale(car: VehicleParameters) -> None:
-    """Raises ConfigurationError if a value is 20 to 100 times too large or small for the size or mass of the car."""
+    """Raises ConfigurationError if a value is 20 to 120 times too large or small for the size or mass of the car."""
     for key, low, high, reference, name in (
             ("mass", 3.0, 3000.0, car.wheelbase**3, f"a wheelbase of {car.wheelbase:g} m"),
             ("yaw_inertia", 0.003, 4.0, car.mass * car.wheelbase**2,

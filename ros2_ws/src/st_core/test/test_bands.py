@@ -93,7 +93,7 @@ def test_bands_cover_held_out_runs_at_their_level():
 
 
 def test_too_few_runs_and_non_finite_errors_are_rejected():
-    with pytest.raises(StCoreError, match=r"^2 runs: each run is scored with a band of at least two others"):
+    with pytest.raises(StCoreError, match=r"^2 runs: the errors of each run are scaled by a fit to at least two"):
         calibrate([draw_run(k) for k in range(2)], PAIR, TIME, (0.5,))
     with pytest.raises(StCoreError, match="5 runs support levels up to 83"):
         calibrate([draw_run(k) for k in range(5)], PAIR, TIME)

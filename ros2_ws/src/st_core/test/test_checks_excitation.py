@@ -140,7 +140,7 @@ def test_clock_set_back_gives_a_warning_with_the_number_of_lost_rows(leaf, back,
 
 @pytest.mark.parametrize("slip", [-0.03, -0.1])
 def test_finding_on_a_steady_circle_names_the_opposite_sign_of_velocity_y_as_alternative(leaf, slip):
-    """A constant velocity_y of the wrong sign looks like a displaced measuring point or a yaw offset."""
+    """A constant velocity_y of the wrong sign looks like a displaced INS point or a yaw offset."""
     rng, radius, speed = np.random.default_rng(0), 50.0, 10.0
     time = (STAMPS - STAMPS[0]) * 1e-9
     course = speed / radius * time + slip

@@ -32,9 +32,9 @@ NODES = (  # package, executable; subscribers start first, so that they miss no 
 )
 # Except in a replay, the predictor ends while data still arrive, so that its last tick has inputs.
 STOP_ORDER = ("player", "predictor", "evaluator", "virtual_leaf", "oxts_bridge", "canedge_bridge", "recorder")
-END_MARGIN = 0.5  # s between the end of the run and the end of the source
+END_MARGIN = 0.5  # s by which the run ends before the source
 START_TIMEOUT = 180.0  # s until all nodes publish diagnostics
-DISCOVERY_TIME = 1.5  # s until nodes that run already are in the graph; they announce their presence every second
+DISCOVERY_TIME = 1.5  # s until already running nodes appear in the graph; they announce themselves every second
 UPDATE_PERIOD = 0.25  # s between checks of the nodes and updates of the terminal
 LOG_PERIOD = 10.0  # s between lines if the output is not a terminal
 
@@ -120,7 +120,7 @@ class Outcome:
     interrupted: bool
     problem: str = ""
     health: str = ""  # the result of `render_health` before the stop, as text
-    restarts: dict[str, int] = field(default_factory=dict)  # as for `Supervisor`
+    restarts: dict[str, int] = field(default_factory=dict)  # see `Supervisor.restarts`
 
     @property
     def ok(self) -> bool:
@@ -201,9 +201,9 @@ def _start_nodes(suite: Suite, monitor: Monitor, nodes: Sequence[tuple[str, str]
 
 def _watch(suite: Suite, monitor: Monitor, supervisor: Supervisor | None, console: Console, title: str,
            progress: Progress, stop_requested: Callable[[], bool]) -> str:
-    """Show the progress of the run until it is over or Ctrl-C is pressed; returns an empty string.
+    """Show the progress of the run until it is over or Ctrl-C is pressed; returns a problem that ended it, else "".
 
-    Without a supervisor, the run also ends when a process ends; the returned message then names this process.
+    Without a supervisor, the run also ends when a process ends; the problem then names this process.
     """
     last_line = time.monotonic()
     with Live(console=console, refresh_per_second=4, transient=True, auto_refresh=False) as live:

@@ -45,7 +45,7 @@ DEGREES = Finding("yaw_rate_scale", Severity.ERROR, ("yaw_rate",), "yaw rate is 
                   "1", (57.2, 57.4), (), 130.4, correct_by(correct={"yaw_rate": {"scale": 0.01745}}))
 JUMPS = Finding("position_jumps", Severity.WARNING, ("x", "y"), f"positions jump {HOSTILE}", 2, "1", None,
                 ((1.0, 1.5), (3.0, 3.25)), 0.31, correct_by(leave_out=[[1.0, 1.5], [3.0, 3.25]]))
-MOVED = Finding("measuring_point", Severity.WARNING, (), "the measuring point lies 1.50 m behind", -1.5, "m",
+MOVED = Finding("measuring_point", Severity.WARNING, (), "the INS point lies 1.50 m behind", -1.5, "m",
                 (-1.53, -1.47), (), 0.2,
                 Advice("vehicle", "cg_to_ins_x: {value: -1.9, unit: m}", {"cg_to_ins_x": -1.9}))
 COARSE = Finding("resolution_coarse", Severity.NOTE, ("yaw",), "yaw comes in steps", np.nan, "rad",

@@ -130,7 +130,7 @@ def test_written_files_and_report_describe_the_proposal(tmp_path, registry):
     file = ModelFile.from_yaml(files["proposed.yaml"].read_text())
     assert set(file.effects) == {"mass", "proposed_rear_steer"} and "PROPOSAL" in file.provenance.note
     lines = format_report(search)
-    assert "without the relation, 0.500 m with it; noise floor 0.060 m" in lines
+    assert "without the relation, 0.500 m with it; noise level 0.060 m" in lines
     assert "do not separate it from: additional side force on the body as a function of the speed (0.90)" in lines
     assert "mass is reported above, but is redundant given this relation (without it, the residual increases" in lines
     assert "1 of 1 runs" in lines

@@ -16,7 +16,7 @@ from launch_ros.substitutions import FindPackagePrefix
 ARGUMENTS = {
     "config_dir": (None, "folder with nodes.yaml and car/ (config/ of the repository)"),
     "scenario": ("S6", "manoeuvre: S1 to S7 of the paper, sweep, step, ramp_to_limit, brake_in_turn, lane_change, "
-                 "slalom, weave, circle, there_and_back"),
+                 "slalom, weave, circle, there_and_back, or a road file (.yaml)"),
     "duration": ("60", "seconds of driving"),
     "plant": ("realistic", "ideal, realistic, or a file with plant settings"),
     "seed": ("0", "seed of the simulated noise"),

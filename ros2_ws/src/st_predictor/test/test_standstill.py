@@ -48,7 +48,7 @@ def test_predictions_that_end_at_standstill_are_scored(node: PredictorNode) -> N
     predicted, texts = drive(node)
     assert predicted > 100
     assert node._bands._adaptive.remaining_warm_up == pytest.approx(WARM_UP - 0.1 * predicted, abs=1.5)
-    assert texts == ["not used: no prediction at the moment", "off (course_file is empty)"]
+    assert texts == ["not used: no predictions are being made", "off (course_file is empty)"]
     repeated, _ = drive(node)  # time jumps back, as in a replay that restarts
     assert repeated == pytest.approx(predicted, abs=3)
     assert node._bands._adaptive.remaining_warm_up == pytest.approx(WARM_UP - 0.1 * (predicted + repeated), abs=3.0)

@@ -59,7 +59,7 @@ def discover(
         "an effect file to keep or delete; default: if the unexplained residual is large. Takes a minute."),
     seed: int = typer.Option(0, help="Seed of all random draws."),
     jobs: int = typer.Option(1, help="Number of parallel processes.", min=1),
-    figures: str = typer.Option("png", help="Formats of the figure files: png, pdf; empty: none."),
+    figures: str = typer.Option("png", help="Formats of the figure files: png, pdf, svg; empty: none."),
     report: bool = typer.Option(True, help="Draw figures and write a report; otherwise only numbers, model, vehicle."),
     force: bool = typer.Option(False, "--force", help="Also use runs in which `st check` finds an error."),
     fresh: bool = typer.Option(False, "--fresh", help="Search again, even if the same inputs have a cached result."),

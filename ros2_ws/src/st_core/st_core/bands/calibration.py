@@ -30,7 +30,7 @@ from ..vehicle import VehicleParameters
 from .scale import CalibrationDomain, Scale, conditions_at, fit_scale, select_evenly
 
 MAX_STARTS_PER_RUN = 1000  # more predictions overlap more; each needs 1.2 kB per model and mode
-ModelMode = tuple[str, str]  # (model, mode); only forecast errors include those of the assumed future inputs
+ModelMode = tuple[str, str]  # (model, mode); only errors of forecasts include those of the assumed future inputs
 
 
 class NotFiniteError(StCoreError):
@@ -203,8 +203,8 @@ def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
     """
     check_levels(levels, len(runs))
     if len(runs) < MIN_CALIBRATION_RUNS:
-        raise StCoreError(f"{len(runs)} run{'' if len(runs) == 1 else 's'}: each run is scored with a band of at "
-                          f"least two others; give {MIN_CALIBRATION_RUNS} runs or more")
+        raise StCoreError(f"{len(runs)} run{'' if len(runs) == 1 else 's'}: the errors of each run are scaled by a fit "
+                          f"to at least two others; give {MIN_CALIBRATION_RUNS} runs or more")
     for run in runs:
         if not np.isfinite(run.errors[pair]).all():
             raise StCoreError(f"{run.name}: errors of {pair[0]} are not finite; correct the model or leave the run out")

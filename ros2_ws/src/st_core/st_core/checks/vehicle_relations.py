@@ -359,7 +359,7 @@ def _make_point_finding(point: Estimate, slip: Estimate, motion: Motion, vehicle
     # |R(yaw2) - R(yaw1)|, by which a wrong point shifts the displacement over the horizon.
     turn = 2.0 * np.abs(np.sin(0.5 * windows.change(motion.yaw))) if len(windows) else np.zeros(1)
     effect = abs(point.value) * float(np.sqrt(np.square(turn).mean()))
-    text = (f"the measuring point is {abs(point)} m {'ahead of' if point.value > 0 else 'behind'} "
+    text = (f"the INS point is {abs(point)} m {'ahead of' if point.value > 0 else 'behind'} "
             f"the INS position in the vehicle file (cg_to_ins_x {vehicle.cg_to_ins_x:.2f} m)")
     if point.covers(-vehicle.cg_to_ins_x - vehicle.cg_to_rear_axle):
         text += ", which may be the rear axle"
@@ -369,7 +369,7 @@ def _make_point_finding(point: Estimate, slip: Estimate, motion: Motion, vehicle
     low, high = (factor * rear_slip_coefficient(vehicle) for factor in SLIP_RANGE)
     if abs(value) > vehicle.wheelbase:
         text += f", {abs(value):.2f} m from the CG and thus outside the car"
-        advice = Advice("text", "check velocity_y; while the rear tyres slide, no measuring point can be found")
+        advice = Advice("text", "check velocity_y; while the rear tyres slide, the INS point cannot be determined")
     elif slip.interval[1] < low or slip.interval[0] > high:
         text += ", but velocity_y does not fit the rear slip of the vehicle file"
         advice = Advice("text", "measure the INS position: rear wheels that steer differently with speed, or a "

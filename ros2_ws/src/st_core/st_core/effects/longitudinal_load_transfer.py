@@ -14,7 +14,7 @@ from ._base import Effect, Parameter, register
 
 
 def compute_force_change(slip, before, after, tyre):
-    """Change of an axle force [N], of two tyres. before, after: (B, D, E) before and after the load transfer."""
+    """Change of an axle force [N], of two tyres. before, after: (B, D, E) without and with dF_z."""
     return 2.0 * (magic_formula_force(slip, after[0], after[1], after[2], tyre)
                   - magic_formula_force(slip, before[0], before[1], before[2], tyre))
 

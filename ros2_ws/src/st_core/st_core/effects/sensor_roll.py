@@ -12,7 +12,7 @@ from ._base import ANY, Effect, Parameter, register
 
 
 def displace(measured, shift, speed):
-    """Readings of a point displaced by -shift a_y to the left. speed: v_x of the car, which determines a_y [m/s]."""
+    """Readings of a point displaced outwards by shift a_y; a_y: `speed` times yaw rate. speed: v_x of the car [m/s]."""
     yaw, to_left = measured.yaw, -shift * speed * measured.yaw_rate
     return measured._replace(x=measured.x - sin(yaw) * to_left, y=measured.y + cos(yaw) * to_left,
                              velocity_x=measured.velocity_x - to_left * measured.yaw_rate,
@@ -22,7 +22,7 @@ def displace(measured, shift, speed):
 @register
 class SensorRoll(Effect):
     physics = "INS point moves by shift a_y to the outside of the bend as the body rolls, so v_y by -shift v_x r_dot"
-    excited_by = "sweeps and fast corner entries, where v_y of the INS has a step"
+    excited_by = "sweeps and fast corner entries, which cause a step in v_y of the INS"
     kind, slot = "sensors", "position"
     confounded_with = ("yaw_inertia", "tyre_relaxation")
     needs = ("velocity_y",)

@@ -42,7 +42,7 @@ class RelationFit:
     penalty: np.ndarray  # (a, a)
     quadratic: Quadratic  # approximation of the loss, by block
     held_out: np.ndarray  # (b,) loss of each block at values fitted without its fold
-    steps: dict[int, np.ndarray]  # by fold, step to these values [parameter scales]
+    steps: dict[int, np.ndarray]  # by fold, step to the values fitted without it [parameter scales]
 
     @property
     def coefficients(self) -> np.ndarray:
@@ -173,8 +173,8 @@ class RelationFits:
         """Quadratic approximation of the loss in the coefficients, by block; all other parameters are profiled out."""
         assert fit.candidate is not None
         loss = self.make_loss(fit.candidate)
-        car = loss.sensitivities(fit.vector, self.vehicle_indices)
-        q = self.sum_quadratic(loss, fit.residuals, np.concatenate([car, fit.sensitivities]))
+        vehicle_sensitivities = loss.sensitivities(fit.vector, self.vehicle_indices)
+        q = self.sum_quadratic(loss, fit.residuals, np.concatenate([vehicle_sensitivities, fit.sensitivities]))
         projection = profile_coefficients(q.hessian.sum(axis=0))
         return Quadratic(q.cost, q.gradient @ projection, projection.T @ q.hessian @ projection)
 

@@ -89,7 +89,7 @@ def draw_waterfall(data: FigureData) -> PageFigure | None:
                Patch(color=AFTER_COLOUR, label=end),
                Patch(color=AFTER_COLOUR, alpha=0.65, label="reduction"),
                *([Patch(color=BAD_COLOUR, alpha=0.65, label="increase")] if has_increase else []),
-               Line2D([], [], color=MEASURED_COLOUR, ls="--", label="noise floor")]
+               Line2D([], [], color=MEASURED_COLOUR, ls="--", label="noise level")]
     figure.legend(handles=handles, loc="outside lower left", ncols=len(handles))
     caption = ("Each row adds one effect and refits all values; its value and change belong to that step. Line: "
                "95 % interval of the change. Effects in parentheses are part of the fit, but not reported as causes.")

@@ -71,7 +71,7 @@ def _describe_size(relation: Relation, discovery: Discovery, reason: str) -> lis
     error_without, error_with = relation.position_5s
     worse = [name for name, (before, after) in relation.runs.items() if after >= before]
     exceptions = f"; not smaller in {', '.join(worse)}" if worse else ""
-    noise = f"; noise floor {discovery.errors['position_5s'].floor:.3f} m" if "position_5s" in discovery.errors else ""
+    noise = f"; noise level {discovery.errors['position_5s'].floor:.3f} m" if "position_5s" in discovery.errors else ""
     return [f"held-out mean position error after 5 s: {error_without:.3f} m without the relation, {error_with:.3f} m "
             f"with it{noise}", reason,
             f"smaller errors in {len(relation.runs) - len(worse)} of {len(relation.runs)} runs{exceptions}"]
@@ -98,11 +98,11 @@ def _describe_uncertainty(relation: Relation) -> list[str]:
              f"widest interval at {x_scale * relation.points[widest]:.3g} {x_unit}: "
              f"{y_scale * relation.value[widest]:.2g} ± {y_scale * Z95 * relation.deviation[widest]:.2g} {unit} (95 %)"]
     if relation.next_drives.sparse_ranges:
-        mirrored = ", to either side" if c.parity == ODD else ""
+        mirrored = ", on both sides" if c.parity == ODD else ""
         ranges = ", ".join(f"{x_scale * low:.2g} to {x_scale * high:.2g} {x_unit}"
                            for low, high in relation.next_drives.sparse_ranges)
-        lines.append(f"sparsely driven: {ranges}{mirrored}. There the curve is interpolated, and the interval assumes "
-                     "the same smoothness: drive for some seconds in this range, in left and right turns")
+        lines.append(f"sparsely driven: {ranges}{mirrored}. The curve is interpolated there, and its interval assumes "
+                     "that it is as smooth as elsewhere: drive in this range for some seconds, in left and right turns")
     weak = [name for name, (ratio, deviation) in relation.agreement.ratios.items() if ratio + Z95 * deviation < 0.5]
     if weak and relation.agreement.p_equal < SIGNIFICANCE_LEVEL:
         sizes = ", ".join(f"{name} {ratio:.1f} ± {Z95 * deviation:.1f}" for name, (ratio, deviation) in
@@ -128,7 +128,7 @@ def _list_alternatives(relation: Relation) -> list[str]:
 def _describe_files(relation: Relation, has_model: bool, folder: str) -> list[str]:
     """Sentences on the files and their use. has_model: whether the result without the relation also has files."""
     if relation.candidate.quantity == "run_time":
-        return ["no effect file is written: a relation with the time in a run does not apply to other drives"]
+        return ["no effect file is written: a relation that depends on time in the run does not apply to other drives"]
     lines = [f"with the relation: the original vehicle file, proposed.yaml and effects/{name_effect(relation)}.py. To "
              f"predict, run st evaluate, st demo or st export with --model {folder}/proposed.yaml --effects "
              f"{folder}/effects; to search for further effects: st discover --base {folder}/proposed.yaml "
@@ -151,7 +151,7 @@ def _make_error_table(relation: Relation, discovery: Discovery) -> Table:
              f"{after - before:+.3f} ({100.0 * (after / max(before, 1e-9) - 1.0):+.0f} %)".replace("-", "−"))
             for name, (before, after) in (*errors, ("all windows", relation.position_5s))]
     return Table("Held-out mean position error after 5 s, by run, m",
-                 "Each run is predicted with values fitted to other driving. Sorted by the change; + means a larger "
+                 "Each run is predicted with values fitted to other data. Sorted by the change; + means a larger "
                  "error.",
                  ("run", discovery.start, "without the relation", "with the relation", "change"), rows)
 
@@ -175,8 +175,8 @@ def _make_value_tables(relation: Relation, discovery: Discovery, vehicle: Vehicl
     return [Table("Values without and with the relation",
                   "Two fits to the same drives. The values without the relation are those of vehicle.yaml and "
                   "model.yaml; the values with it are for proposed.yaml only, and differ because the relation explains "
-                  "a part of the errors. A factor and the entry of the vehicle file after it are the same correction "
-                  "of the original value.",
+                  "a part of the errors. A factor and the vehicle-file entry listed after it are two forms of one "
+                  "correction.",
                   ("quantity", "without the relation", "with the relation"), rows)] if rows else []
 
 

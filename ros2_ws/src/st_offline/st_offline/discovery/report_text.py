@@ -201,12 +201,12 @@ def count_agreement(effect: result.FoundEffect) -> str:
 
 
 def describe_residual(discovery: Discovery) -> str:
-    """Residual position error, noise floor, worst run and runs with increased errors; "" without position errors."""
+    """Residual position error, noise level, worst run and runs with increased errors; "" without position errors."""
     position = discovery.errors.get("position_5s")
     if position is None:
         return ""
     after = position.augmented if discovery.model else position.base
-    text = f"residual 5 s position error {format_metres(after)}; noise floor {format_metres(position.floor)}"
+    text = f"residual 5 s position error {format_metres(after)}; noise level {format_metres(position.floor)}"
     if position.worst_run:
         text += f"; the run with the largest error is {position.worst_run} ({format_metres(position.worst)})"
     if position.worse_runs and discovery.model:

@@ -1,4 +1,4 @@
-"""Saves figures as PNG and PDF, and as SVG in the colours of the HTML page, light or dark."""
+"""Saves figures as PNG, PDF or SVG files, and makes SVG in the colours of the HTML page, light or dark."""
 
 import io
 import itertools
@@ -88,7 +88,7 @@ def save_figure(figure: Figure, output: FigureOutput, key: str, title: str, capt
                 figure.savefig(output.folder / f"{key}.{extension}",
                                metadata={"CreationDate": None} if extension == "pdf" else None)
         width, height = figure.get_size_inches()
-        # Half a tick label extends above the highest axes.
+        # The highest tick label extends half its height above the axes.
         top = heading.get_window_extent().y0 / figure.dpi + HALF_TICK_LABEL_HEIGHT
         heading.set_visible(False)
         svg = io.StringIO()

@@ -21,7 +21,7 @@ from .. import convert
 
 QUEUE_DEPTH = 10  # queued plans, of which only the newest is used
 PLAN_TIMEOUT = 10.0  # s without a new plan after which an unusable plan is discarded, because the planner has stopped
-NO_PREDICTION_TEXT = "not used: no prediction at the moment"
+NO_PREDICTION_TEXT = "not used: no predictions are being made"
 
 
 class PlanInput:
@@ -77,7 +77,7 @@ class CourseInput:
 
     def __init__(self, node: Node, course: Course | None, vehicle: VehicleParameters, horizon: float, step: float):
         self._course, self._tracker = course, None
-        self._forecast = CourseForecast(None, reason="no start yet")
+        self._forecast = CourseForecast(None, reason="no prediction yet")
         self._origin_problem = ""
         self._counts = {"used": 0, "held": 0}
         if course is None:
