@@ -121,7 +121,7 @@ def _fields(cls: type, *left_out: str) -> list[str]:
     return [f.name for f in dataclasses.fields(cls) if f.name not in left_out]
 
 
-# Defined here, so that another process finds the compiled code in the cache; without the trailer and the common tyre.
+# Without the trailer and the common tyre. Types of the module, so that other processes find the compiled code cached.
 Numbers = namedtuple("Numbers", [*_fields(package.VehicleParameters, "tire", "trailer"), "tire_front", "tire_rear"])
 TyreNumbers = namedtuple("TyreNumbers", _fields(package.TireParameters))
 SteeringNumbers = namedtuple("SteeringNumbers", _fields(package.SteeringParameters))
@@ -133,13 +133,13 @@ def _numbers(record: type, p: Any, **others: tuple) -> tuple:
     return record(**{name: others[name] if name in others else float(getattr(p, name)) for name in record._fields})
 
 
-_as_packaged = lru_cache(package.setup_vehicle_parameters)
+_load_parameters = lru_cache(package.setup_vehicle_parameters)
 
 
 def parameters_of(car: str, settings: Mapping[str, float]) -> Numbers:
     """The parameters of the equations, with `tire_front` and `tire_rear`."""
     s = complete_settings(settings)
-    p = _as_packaged(CARS[car].number)
+    p = _load_parameters(CARS[car].number)
     mass, shift = s["mass_factor"], s["cg_shift"]
     front, rear = (
         dataclasses.replace(p.tire, p_ky1=p.tire.p_ky1 * s[stiffness], p_dx1=p.tire.p_dx1 * s["friction_factor"],

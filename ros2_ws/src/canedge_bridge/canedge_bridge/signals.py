@@ -333,10 +333,9 @@ def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
         order = "low byte first" if spec.dbc.byte_order == "little_endian" else "high byte first"
         raise TableError(
             f"{dbc_path}: {spec.dbc.name} can only decode to {min(ends):g} .. {max(ends):g} {spec.unit}, but "
-            f"{expectation} {low:g} .. {high:g}: its layout "
+            f"{expectation} {low:g} .. {high:g}: correct its layout "
             f"({spec.dbc.length} bits, {order}, {'signed' if spec.dbc.is_signed else 'unsigned'}, "
-            f"factor {spec.dbc.scale:g}) decodes it incorrectly; if another signal contains the sign, name it as "
-            "sign_signal")
+            f"factor {spec.dbc.scale:g}) or, if another signal contains the sign, name that one as sign_signal")
 
 
 def _read_check(row: Entry, key: str, dbc: DbcMessage, dbc_path: Path) -> CheckSpec | None:

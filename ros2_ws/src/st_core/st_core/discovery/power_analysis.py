@@ -40,8 +40,8 @@ def predict_power(problem: Problem, fit: Fit, scores: Scores, limits: Limits) ->
 
 
 def find_confounding_effect(problem: Problem, fit: Fit, effect: str, scores: Scores, limits: Limits) -> str:
-    """Name of the effect of the fit that masks `effect` most, or "": if its values were known, the power of detecting
-    a change of `effect` by one parameter scale would be largest, and at least `limits.detection_power`."""
+    """Name of the effect of the fit that masks `effect` most, "" if there is none: with its values known, the power of
+    detecting a change of `effect` by one parameter scale is largest, and at least `limits.detection_power`."""
     q = problem.full_quadratic(fit.vector).sum_groups(problem.block, problem.blocks)
     names = [n for n in fit.names if not problem.space.overlaps(effect, (n,))]
     indices, masking_effect, largest_power = problem.space.indices(effect), "", limits.detection_power

@@ -198,7 +198,7 @@ class LargeErrorRegion:
     channel: str  # one of CHANNELS
     condition: str
     # Root mean square error divided by the expected one, with 95 % interval; for a time or place: this ratio for all
-    # driving, multiplied by that of the local errors to those in similar conditions [1].
+    # driving, multiplied by the ratio of the local errors to those in similar conditions [1].
     excess: float
     interval: Interval
 

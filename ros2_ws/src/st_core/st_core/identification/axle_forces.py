@@ -270,7 +270,7 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> 
 
 EVALUATION_SPEED = 20.0  # m/s, speed at which the curve is evaluated; not below any minimum_slip_speed
 MIN_DRAWS = 20  # minimum number of drawn models for a band
-MAX_SECANT_STEPS = 6  # for the lateral acceleration; the force error is below 0.1 % even at the bounds of roll steer
+MAX_SECANT_STEPS = 6  # to find the lateral acceleration; with the largest roll steer, the force error is below 0.1 %
 BAND_QUANTILES = (0.05, 0.95)  # of the draws
 
 
