@@ -22,7 +22,7 @@ from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
 from .finding import HORIZON, LIMITS, SYSTEMATIC_UNCERTAINTY, Advice, Alternative, Comparison, Finding, Severity
 from .inertial import MAX_LAG, MIN_COMMON_TIME, NO_BIAS, Agreement, CheckResult, compare_series, format_alternative_lags
 from .motion import MAX_LISTED_TIMES, MIN_MOVING_SPEED, Motion, correlate, has_varying_speed, is_near
-from .position import make_lateral_sign_finding
+from .position import MIN_LOSS_RATIO, make_lateral_sign_finding
 from .regression import Estimate, Regression, add_systematic_uncertainty
 from .units_and_axes import DEG_PER_RAD
 
@@ -36,7 +36,7 @@ MIN_STEERING_ANGLE = 0.01  # rad; minimum root mean square of the angles for an 
 MIN_ANGLE_FOR_SIGN = 0.003  # rad; the same for the sign of the gain alone, for which fast, wide bends suffice
 MAX_OPPOSITE_CORRELATION = -0.8  # correlation of steering and curvature below which the steering has the opposite sign
 MIN_UNRELATED_SPREAD = 0.01  # rad at the road wheels; minimum standard deviation of measured and derived steering
-STEERING_PLAY = 0.07  # rad of the steering wheel; play of ordinary cars, which acts like a lag of small steering angles
+STEERING_PLAY = 0.07  # rad of the steering wheel; play of ordinary cars, which reduces the gain of small angles
 PLAY, STEERED_REAR_WHEELS = Alternative("the steering has play"), Alternative("the rear wheels steer, too")
 NARROWER_BENDS = Advice("text", "drive narrower bends, to distinguish the two")
 CHECK_RATIO = Advice("text", "drive narrower bends, and check steering_ratio and wheelbase in the vehicle file")
@@ -77,7 +77,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
     may_be_play = 0.0 < (1.0 - gain.value) * agreement.spread < 0.5 * STEERING_PLAY / vehicle.steering_ratio
     findings = (_make_unit_finding(gain, plausible_gains, vehicle, has_steering_wheel, may_be_play),
                 _make_clock_finding(motion, vehicle, agreement, response, lateral_shift) if has_clock_error else None,
-                _make_lag_finding(lag, agreement, response, lateral_shift, vehicle) if has_lag else None,
+                _make_lag_finding(lag, agreement, response, lateral_shift) if has_lag else None,
                 _make_offset_finding(agreement, vehicle, has_steering_wheel, lateral_shift))
     estimates = {"steering_scale": gain, "steering_sign": gain,
                  "steering_offset": add_systematic_uncertainty("steering_offset", agreement.bias)}
@@ -231,17 +231,17 @@ def _make_clock_finding(motion: Motion, vehicle: VehicleParameters, agreement: A
     if len(halves) == 2 and any(half.drift.shifted(-agreement.drift.value).is_significant for half in halves):
         first, second = (add_systematic_uncertainty("steering_lag", half.lag.shifted(response)) for half in halves)
         text = (f"the steering lags the car's motion by {first} s in the first half of the drive, but by {second} s in "
-                "the second: was a clock set, or does the latency vary?")
+                "the second, as if a clock were set or the latency varied")
         advice = replace(advice, line=f"{advice.line}, or split the recording where the lag changes")
-        larger = max(first, second, key=lambda lag: abs(lag.value))
-        return _make_finding("steering_lag", ("road_wheel_angle",), text, larger, "s", effect, advice)
+        half, lag = (halves[0], first) if abs(first.value) > abs(second.value) else (halves[1], second)
+        finding = _make_finding("steering_lag", ("road_wheel_angle",), text, lag, "s", effect, advice)
+        return finding.with_alternative(PLAY, NARROWER_BENDS) if _play_explains(lag.value, half) else finding
     text = (f"the clock of the steering runs {rate} times as fast as that of the motion: the lag changes by {change} s "
             "during the drive")
     return _make_finding("time_rate", ("road_wheel_angle",), text, rate, "1", effect, advice)
 
 
-def _make_lag_finding(lag: Estimate, agreement: Agreement, response: float, lateral_shift: float,
-                      vehicle: VehicleParameters) -> Finding | None:
+def _make_lag_finding(lag: Estimate, agreement: Agreement, response: float, lateral_shift: float) -> Finding | None:
     """Finding about a lag beyond the response time [s] of the car; None if it is small. lateral_shift: see
     `_compute_lateral_shift`."""
     if not lag.is_significant or not agreement.expected_lag_rejected or abs(lag.value) < LIMITS.steering_lag:
@@ -255,10 +255,27 @@ def _make_lag_finding(lag: Estimate, agreement: Agreement, response: float, late
         text += f", and this lag changes by {agreement.drift.scaled(float(np.ptp(agreement.time)))} s during the drive"
     advice = Advice.correct("road_wheel_angle", earlier=float(f"{lag.value:.3g}"))
     advice = replace(advice, line=f"{advice.line}  # or --steering-latency")
-    rate = float(np.std(np.gradient(agreement.derived, agreement.time)))  # rad/s
     finding = _make_finding("steering_lag", ("road_wheel_angle",), text, lag, "s", effect, advice)
-    is_small = abs(lag.value) * rate < 0.5 * STEERING_PLAY / vehicle.steering_ratio
-    return finding.with_alternative(PLAY, NARROWER_BENDS) if is_small else finding
+    return finding.with_alternative(PLAY, NARROWER_BENDS) if _play_explains(lag.value, agreement) else finding
+
+
+def _play_explains(lag: float, agreement: Agreement) -> bool:
+    """Whether play explains a lag [s] as well: of the sensor, or of the road wheels (< 0)."""
+    time = agreement.time
+    leading, following = np.interp(time + lag, time, agreement.derived), agreement.measured
+    if lag < 0.0:
+        leading, following = following, leading
+    rate = np.abs(np.gradient(leading, time))
+    half_width = abs(lag) * float(np.mean(rate**2)) / max(float(np.mean(rate)), 1e-12)  # of the play [rad]
+    columns = {"offset": np.ones(len(time)), "lag": np.interp(time - abs(lag), time, leading)}
+    for name, width in (("narrow", half_width), ("wide", 2.0 * half_width)):
+        columns[name] = leading.copy()
+        for k in range(1, len(time)):
+            columns[name][k] = min(max(columns[name][k - 1], leading[k] - width), leading[k] + width)
+    problem = Regression(time, following[:, None], {name: column[:, None] for name, column in columns.items()})
+    _, scale, _ = problem.fit(("offset", "lag"))
+    with_lag, *with_play = (problem.compute_loss(("offset", cause), scale) for cause in ("lag", "narrow", "wide"))
+    return min(with_play) <= MIN_LOSS_RATIO * with_lag
 
 
 def _make_offset_finding(agreement: Agreement, vehicle: VehicleParameters, has_steering_wheel: bool,
