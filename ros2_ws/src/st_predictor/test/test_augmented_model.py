@@ -183,7 +183,7 @@ def test_own_effects_are_loaded_from_their_folder(processes: Processes) -> None:
     node = processes.node("st_predictor", "predictor", f"vehicle_file:={LEAF}",
                           f"model_file:={processes.folder / 'model.yaml'}",
                           f"effects_directory:={processes.folder / 'effects'}")
-    wait_for(lambda: "linear, nonlinear, augmented of" in processes.log("predictor"), what="predictor up")
+    wait_for(lambda: "linear, nonlinear, augmented of" in processes.log("predictor"), 60, "predictor up")
     assert processes.stop(node) == 0
 
 
