@@ -97,18 +97,12 @@ class BagInformation:
             "custom_data": dict(self.custom) or None, "ros_distro": "jazzy"}}
 
     def to_yaml(self) -> str:
-        return yaml.dump(self.to_document(), Dumper=_NoAliases, sort_keys=False)
+        # A copy without shared QoS entries, which YAML would write as anchors, unlike rosbag2
+        return yaml.safe_dump(json.loads(json.dumps(self.to_document())), sort_keys=False)
 
     def save(self, directory: Path) -> None:
         """Replaces the metadata.yaml of a directory. Raises OSError."""
         replace_file(directory / FILE_NAME, self.to_yaml())
-
-
-class _NoAliases(yaml.SafeDumper):
-    """YAML without anchors, as rosbag2 writes it, even if topics share a QoS entry."""
-
-    def ignore_aliases(self, data: Any) -> bool:
-        return True
 
 
 def read_information(directory: Path) -> dict[str, Any]:

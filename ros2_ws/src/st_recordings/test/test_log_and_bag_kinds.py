@@ -217,7 +217,7 @@ LOGS = [
         r" of 3\d\.\d s \(75 %\) that match the"),
     Log("an earlier drive first", "run.log", lambda lines: "\n".join([*earlier_drive(lines), *lines]),
         r" of 3\d\.\d s \(75 %\) that match the"),
-    Log("candump as .txt", "run.txt", "\n".join, "is a candump log with the extension .txt"),
+    Log("candump as .txt", "run.txt", "\n".join, "is a candump, BUSMASTER or CRTD log with the extension .txt"),
     Log("BUSMASTER", "run.log", busmaster),
     Log("CRTD", "run.crtd", crtd),
     Log("CRTD as .txt", "run.txt", crtd),

@@ -4,7 +4,7 @@ import csv
 import mmap
 import re
 from base64 import b64decode
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -20,7 +20,7 @@ from .binary_table import is_signal_table
 from .columns import MOTION_CHANNELS, UNITS, Layout, find_columns, find_times, normalise
 from .errors import COMPRESSED_MAGIC, CP1252_FALLBACK, find_utf16, format_count, shorten
 from .mf4 import MF4_EXTENSIONS, VENDOR_EXTENSIONS, is_mdf
-from .table_times import PLAUSIBLE_EPOCH, StampReader, month_number
+from .table_times import PLAUSIBLE_EPOCH, month_number, parse_stamp
 
 _BLF_HEAD_LENGTH = 16  # bytes: "LOBJ", header size, header version, object size, object type
 _BLF_CONTAINER = re.compile(rb"LOBJ\x10\0\x01\0.{4}\x0a\0\0\0", re.DOTALL)  # its head
@@ -267,11 +267,11 @@ def _read_csv(lines: Lines, notes: list[str]) -> Iterator[Any]:
         unit = "us" if are_whole else "s"
     elif not stated and unit != "s":
         notes.append(f"its times were read in {unit}")
-    factor, clock = UNITS["time"][stated or unit][0], StampReader()
+    factor = UNITS["time"][stated or unit][0]
 
     def read_time(text: str) -> float:
-        seconds = clock.read(text) if ":" in text else None
-        return float(text.replace(",", ".")) * factor if seconds is None else seconds
+        stamp = parse_stamp(text) if ":" in text else None
+        return stamp[0] if stamp else float(text.replace(",", ".")) * factor
 
     def parse(line: str) -> Any:
         row = _split_row(line, delimiter)
@@ -435,13 +435,8 @@ def _is_trc(head: bytes) -> bool:
 
 
 def _is_candump(head: bytes) -> bool:
-    return any(re.match(rb"\W*\(\d+\.\d+\) \S+ [0-9A-Fa-f]+#", line) or _matches_line(line, _LINES[:1])
-               for line in head.splitlines()[:20])
-
-
-def _matches_line(line: bytes, forms: Iterable[re.Pattern[str]]) -> bool:
-    text = _COLOUR.sub("", line.decode("latin-1"))
-    return any(form.match(text) for form in forms)
+    forms = (re.compile(r"\W*\(\d+\.\d+\) \S+ [0-9A-Fa-f]+#"), *_LINES)
+    return any(form.match(line) for line in _COLOUR.sub("", head.decode("latin-1")).splitlines() for form in forms)
 
 
 def _is_asc(head: bytes) -> bool:
@@ -450,13 +445,10 @@ def _is_asc(head: bytes) -> bool:
         _ASC_DATE.match(text) or _ASC_LINE.search(text))
 
 
-_read_candump = partial(
-    _read_text, make_reader=lambda lines, notes: import_module("can.io.canutils").CanutilsLogReader(lines),
-    lines_type=_CandumpLines)
 FORMATS = (
-    Format("candump", (".log", ".candump"), _is_candump, _read_candump),
-    Format("BUSMASTER or CRTD", (".log", ".crtd", ".txt"), lambda head: any(
-        _matches_line(line, _LINES[1:]) for line in head.splitlines()), _read_candump),
+    Format("candump, BUSMASTER or CRTD", (".log", ".candump", ".crtd"), _is_candump, partial(
+        _read_text, make_reader=lambda lines, notes: import_module("can.io.canutils").CanutilsLogReader(lines),
+        lines_type=_CandumpLines)),
     Format("Vector ASC", (".asc",), _is_asc, partial(_read_text, make_reader=_read_asc, lines_type=_AscLines)),
     Format("Vector BLF", (".blf",), lambda head: head.startswith(b"LOGG"), _read_blf),
     Format("PEAK trace", (".trc",), _is_trc, partial(_read_text, make_reader=_read_trc)),

@@ -45,7 +45,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
             run = read_raw_run(source, vehicle, settings)
         else:
             run = reader.read(source, vehicle, settings)
-    notes = source.notes if not source.can else ()  # those of a run with CAN logs are among its warnings
+    notes = () if source.can else source.notes  # those of a run with CAN logs are among its warnings
     run = replace(run, warnings=(*notes, *run.warnings, *_list_unused_options(source, settings)))
     _check_samples(source, run.log, run.warnings)
     start_ns = int(run.log.ins_time_ns[0])

@@ -1,5 +1,6 @@
 """Reads a run.yaml, which lists the files of a run and describes how to read, correct and label them."""
 
+import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from fnmatch import fnmatch
@@ -209,7 +210,7 @@ def _find_matching_files(path: Path, key: str, value: Any) -> list[Path]:
     matching_files: list[Path] = []
     for text in entries:
         try:
-            is_pattern = any(c in text for c in "*?[") and not _exists(path, text)
+            is_pattern = any(c in text for c in "*?[") and not os.path.exists(path.parent / text)
             matching_files += sorted(path.parent.glob(text)) if is_pattern else [_find_file(path, key, text)]
         except RunError:
             raise
@@ -237,17 +238,10 @@ def _parse_number(path: Path, key: str, value: Any) -> float:
 
 
 def _find_file(path: Path, key: str, text: Any) -> Path:
-    if isinstance(text, str) and _exists(path, text):
+    if isinstance(text, str) and os.path.exists(path.parent / text):
         return path.parent / text
     raise RunError(path, f"{key}: {str(text)[:200]!r} does not exist",
                    "paths are relative to the folder of the run.yaml")
-
-
-def _exists(path: Path, text: str) -> bool:
-    try:
-        return (path.parent / text).exists()
-    except (OSError, ValueError):  # a name that no file can have
-        return False
 
 
 def _parse_labels(path: Path, value: Any) -> tuple[Label, ...]:

@@ -212,8 +212,9 @@ def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
         if signals and not logs:
             advice = f"{signals[0]} contains signals but no CAN frames: give the log with the frames"
         elif others and not logs:
-            conversion = f"if {others[0]} is a CAN log, convert it to .asc, .blf, .log (candump), .trc or .mf4"
-            advice += f"; {_advise_on_unknown(Path(others[0])) or conversion}"
+            known_advice = UNKNOWN_ADVICE.get(Path(others[0]).suffix.lower())
+            advice += f"; {others[0]}: {known_advice}" if known_advice else (
+                f"; if {others[0]} is a CAN log, convert it to .asc, .blf, .log (candump), .trc or .mf4")
         yield _report_problem(file, f"no matching CAN log: {reason}", advice)
     for session in dict.fromkeys(parse_session(f)[0] for f in logs) if not recordings else ():
         file = next(f for f in logs if parse_session(f)[0] == session)
@@ -232,17 +233,12 @@ def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
         advice = "give both, or list the files of the run in a run.yaml"
         if tables:
             advice += f"; the run.yaml can also name unknown columns of {tables[0]}, as columns: {{x: NAME, ...}}"
-        advice += "".join(f"; {text}" for f in sorted(file.parent.iterdir()) if f.name.split(".")[0] == file.stem
-                          and (text := _advise_on_unknown(f)))
+        advice += "".join(f"; {f.name}: {UNKNOWN_ADVICE[f.suffix.lower()]}" for f in sorted(file.parent.iterdir())
+                          if f.name.split(".")[0] == file.stem and f.suffix.lower() in UNKNOWN_ADVICE)
         yield _report_problem(file, "no INS recording (.ncom, .csv, .vbo, bag) matches this CAN log", advice) if (
             is_can_log(file)) else _report_problem(
                 file, "this is not a CAN log of a known format", "convert a CAN log to .asc, .blf, .trc or .mf4, and "
                 "export other recordings as .csv")
-
-
-def _advise_on_unknown(file: Path) -> str:
-    advice = UNKNOWN_ADVICE.get(file.suffix.lower())
-    return f"{file.name}: {advice}" if advice else ""
 
 
 def _group_split_bags(files: Sequence[Path]) -> list[list[Path]]:

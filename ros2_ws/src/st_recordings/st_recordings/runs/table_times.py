@@ -56,31 +56,15 @@ def read_stamps(file: Path, body: str, delimiter: str, column: int, first: str, 
 
 def _convert_stamps(body: str, delimiter: str, column: int) -> str:
     """Converts the times of the rows to seconds; a time of day continues past midnight."""
-    rows, clock = [line.split(delimiter) for line in body.split("\n")], StampReader()
-    for row in rows:
-        if len(row) <= column or not "".join(row).strip():
-            continue
-        seconds = clock.read(row[column].strip(' \r"\''))
-        row[column] = "nan" if seconds is None else f"{seconds:.6f}"
+    rows = [line.split(delimiter) for line in body.split("\n")]
+    rows_with_time = [row for row in rows if len(row) > column and "".join(row).strip()]
+    stamps = [parse_stamp(row[column].strip(' \r"\'')) or (np.nan, 0.0) for row in rows_with_time]
+    seconds, periods = np.reshape(stamps, (-1, 2)).T
+    for period in {DAY, HOUR}.intersection(periods):
+        seconds[periods == period] += period * count_rollovers(seconds[periods == period], period / 2)
+    for row, time in zip(rows_with_time, seconds.tolist(), strict=True):
+        row[column] = f"{time:.6f}"
     return "\n".join(map(delimiter.join, rows))
-
-
-class StampReader:
-    """Converts times of consecutive rows to seconds, as `parse_stamp` does; a time of day continues past midnight."""
-
-    def __init__(self) -> None:
-        self._offset, self._previous, self._before = 0.0, 0.0, np.inf  # s; _before: last time before a rollover
-
-    def read(self, text: str) -> float | None:
-        if (time := parse_stamp(text)) is None:
-            return None
-        seconds, period = time
-        if period and self._previous - seconds > period / 2:
-            self._offset, self._before = self._offset + period, self._previous
-        elif period and seconds - self._previous > period / 2 and seconds >= self._before:
-            self._offset, self._before = self._offset - period, np.inf  # the clock returns from a wrong time of 0
-        self._previous = seconds
-        return self._offset + seconds
 
 
 def _order_dates(file: Path, body: str, warnings: list[str]) -> str:
@@ -141,7 +125,7 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
             warnings.append(f"{file}: times of column {source.name} were read as HHMMSS, a time of day")
         seconds = np.where(is_valid_hhmmss(times), seconds_of_day(times), np.nan)
         known_rows = np.isfinite(seconds)
-        seconds[known_rows] += DAY * _count_rollovers(seconds[known_rows], DAY / 2)
+        seconds[known_rows] += DAY * count_rollovers(seconds[known_rows], DAY / 2)
         return seconds, source
     if median > LATEST_TIME:
         meanings = [(0.0, UNITS["time"][unit][0], f"{unit} since 1970") for unit in ("ms", "us", "ns")]
@@ -157,11 +141,11 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
     for period, longest_step in ((HOUR, 1.0), (2**32 * 1e-6, 1.0), (2**32 * 1e-3, 1.0), (DAY, ROLLOVER_STEP),
                                  (7 * DAY, ROLLOVER_STEP)):
         if len(known_rows) and seconds[known_rows].min() >= 0.0 and seconds[known_rows].max() <= period + 1.0:
-            seconds[known_rows] += period * _count_rollovers(seconds[known_rows], period - longest_step)
+            seconds[known_rows] += period * count_rollovers(seconds[known_rows], period - longest_step)
     return seconds, source
 
 
-def _count_rollovers(seconds: np.ndarray, min_jump: float) -> np.ndarray:
+def count_rollovers(seconds: np.ndarray, min_jump: float) -> np.ndarray:
     """Number of rollovers before each time. After a backward jump to a wrong time, such as 0, the clock returns: the
     next jump ends at or after the time before it."""
     jumps = np.diff(seconds, prepend=seconds[:1])
