@@ -220,7 +220,7 @@ LOGS = [
     Log("candump as .txt", "run.txt", "\n".join, "is a candump, BUSMASTER or CRTD log with the extension .txt"),
     Log("BUSMASTER", "run.log", busmaster),
     Log("CRTD", "run.crtd", crtd),
-    Log("CRTD as .txt", "run.txt", crtd),
+    Log("CRTD as .txt", "run.txt", crtd, "is a candump, BUSMASTER or CRTD log with the extension .txt"),
     Log("comment", "run.asc", lambda lines: asc(lines, comment="// Prüfstand"), encoding="cp1252"),
     Log("24 hours and pm", "run.asc", lambda lines: asc(lines, "Wed Sep 3 18:00:00.005 pm 2025")),
     Log("German date", "run.asc", lambda lines: asc(lines, "Mi Mär 3 18:00:00.005 2025"), encoding="cp1252"),
