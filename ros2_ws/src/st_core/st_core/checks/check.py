@@ -74,8 +74,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
     is_moving = is_long_enough and is_driven(motion)
     motion, time_unit = check_time_unit(motion) if is_moving else (motion, None)
     results = _Results([*implausible, *sampling.check_timing(motion, auxiliary, implausible, start_ns)])
-    if is_long_enough:
-        results.findings += sampling.check_quality(auxiliary.quality, start_ns)
+    results.findings += sampling.check_quality(auxiliary.quality, start_ns) if is_long_enough else []
     broken_channels = find_broken_channels(implausible)
     if not is_moving:
         results.findings += vehicle_relations.check_standstill(motion) if is_long_enough else []

@@ -210,6 +210,7 @@ GYRO_SCALE_ERROR = 0.02  # smallest reported deviation from 1; the scale of a gy
 GYRO_BIAS = 0.001  # rad/s; smallest reported bias; twice the bias of a good INS
 ACCELERATION_SCALE_ERROR = 0.35  # smallest reported deviation from 1; roll and pitch of the body cause up to 0.33
 ACCELERATION_LAG = 0.12  # s; smallest reported lag; filters of accelerometers cause delays of up to 0.1 s
+MIN_ACCELERATION_DEVIATION = 0.25  # m/s^2; minimum spread for a scale; a road that slopes by 2.5 % measures as much
 ACCELEROMETER_ARM = 1.5  # m between accelerometer and INS point
 SEVERE_ACCELERATION_BIAS = 0.3  # m/s^2; a crossfall of 2.5 % causes a bias of 0.25
 MIN_SPEED_DEVIATION = 0.5  # m/s; standard deviation; at constant speed, only slip and noise would be compared
@@ -442,9 +443,10 @@ def check_accelerations(motion: Motion) -> list[CheckResult]:
         if name == "acceleration_y":
             axis, reference = "lateral", "velocity and yaw rate"
             lag = max(ACCELERATION_LAG, ACCELEROMETER_ARM / max(speed, MIN_MOVING_SPEED))
+        judges_scale = agreement is not None and agreement.spread >= MIN_ACCELERATION_DEVIATION
         tolerances = Tolerances(
-            name, reference, "m/s^2", lag, ACCELERATION_SCALE_ERROR, LIMITS.acceleration_bias,
-            severe_bias=SEVERE_ACCELERATION_BIAS, unit_questions=ACCELERATION_UNITS,
+            name, reference, "m/s^2", lag, ACCELERATION_SCALE_ERROR if judges_scale else np.inf,
+            LIMITS.acceleration_bias, severe_bias=SEVERE_ACCELERATION_BIAS, unit_questions=ACCELERATION_UNITS,
             bias_question=": is the sensor mounted at an angle, or is the road not level?")
         results.append(judge_agreement(agreement, tolerances, f"{axis} acceleration: sensor versus velocity"))
     return results

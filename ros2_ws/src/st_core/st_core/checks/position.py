@@ -153,6 +153,10 @@ def _explain_residual(motion: Motion, rare_explanations: Mapping[tuple[str, ...]
                       for name, effect in effects.items()}
         explanations = rare_explanations if has_varying_speed(motion.velocity_x) else {}
         refined = _refine_causes(problem, causes, min_values, explanations)
+        for name in ALTERNATIVE_LAGS.keys() & refined.keys():  # at a constant acceleration, a velocity bias acts alike
+            lag = problem.estimate(tuple(dict.fromkeys((*refined, "velocity_x_bias"))))[name]
+            if not is_relevant(_add_refinement(name, causes, lag), min_values[name]):
+                del refined[name]
         # An axis scale as far from 1 as that of a wrong unit counts only if it moves positions enough for a warning.
         causes = {name: estimate for name, estimate in refined.items() if is_relevant(estimate, min_values[name]) and (
             name not in AXIS_SCALES or abs(estimate.value) * effects[name] >= LIMITS.warning_effect
@@ -166,9 +170,8 @@ def _explain_residual(motion: Motion, rare_explanations: Mapping[tuple[str, ...]
 def _fits_better(explanation: _Explanation, other: _Explanation) -> bool:
     problem, other_problem = (make_residual_regression(each.corrected) for each in (explanation, other))
     _, scale, _ = other_problem.fit((*other.causes,))
-    loss = problem.compute_loss((*explanation.causes,), scale)
-    other_loss = other_problem.compute_loss((*other.causes,), scale)
-    return _is_preferred(loss, len(explanation.causes), other_loss, len(other.causes))
+    return _is_preferred(problem.compute_loss((*explanation.causes,), scale), len(explanation.causes),
+                         other_problem.compute_loss((*other.causes,), scale), len(other.causes))
 
 
 def _is_preferred(loss: float, count: int, other_loss: float, other_count: int) -> bool:
@@ -197,15 +200,13 @@ def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Es
               for name, estimate in causes.items()}
     findings = [_make_finding(name, causes[name], abs(error.value) * effects[name]) for name, error in errors.items()
                 if not error.covers(0.0)]
-    findings = _add_lateral_alternative(findings, problem, causes)
-    findings = _add_lag_alternative(findings, problem, causes)
+    findings = _add_lag_alternative(_add_lateral_alternative(findings, problem, causes), problem, causes)
     estimates = {}
     for name, column in problem.columns.items():  # each is fitted together with the causes found
         if name == "velocity_y_scale" and not column.any():
             continue
         alongside = tuple(other for other in causes if other != name and other not in CONFOUNDED.get(name, ()))
-        estimate = problem.estimate((*alongside, name))[name]
-        estimate = _add_refinement(name, causes[name].value if name in causes else 0.0, estimate)
+        estimate = _add_refinement(name, causes, problem.estimate((*alongside, name))[name])
         estimates[name] = _convert_to_reported(name, estimate)
     estimates["position_scale"] = estimates["velocity_scale"].inverse()  # assumes a correct velocity
     return corrected, findings, estimates
@@ -434,8 +435,7 @@ def _refine_causes(problem: Regression, causes: dict[str, Estimate], min_values:
                     and (rare[0] in CONFOUNDED or _has_lateral_scale_error(problem, (*causes, *alternative)))):
                 further, loss = alternative, other_loss
     estimates = problem.estimate((*causes, *further))
-    return {name: _add_refinement(name, causes[name].value, estimate) if name in causes else estimate
-            for name, estimate in estimates.items()}
+    return {name: _add_refinement(name, causes, estimate) for name, estimate in estimates.items()}
 
 
 def _has_lateral_scale_error(problem: Regression, causes: tuple[str, ...]) -> bool:
@@ -451,8 +451,9 @@ def _has_lateral_scale_error(problem: Regression, causes: tuple[str, ...]) -> bo
     return is_relevant(error, MIN_LATERAL_SCALE_ERROR) and error.value * problem.fit(causes)[0][name] < 0.0
 
 
-def _add_refinement(name: str, value: float, refinement: Estimate) -> Estimate:
-    """Estimate of a cause from its previous value and the estimate for the motion corrected by that value."""
+def _add_refinement(name: str, causes: Mapping[str, Estimate], refinement: Estimate) -> Estimate:
+    """Estimate of a cause from that for the motion corrected for the causes found before."""
+    value = causes[name].value if name in causes else 0.0
     factor = 1.0 + value if name in VELOCITY_SCALES else 1.0
     return refinement.scaled(factor).shifted(value)
 
