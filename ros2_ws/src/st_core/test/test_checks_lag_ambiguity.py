@@ -245,3 +245,17 @@ def test_scale_of_an_acceleration_as_small_as_that_of_a_slope_is_not_judged(leaf
         speed = Sines(12.0, ((deviation * np.sqrt(2.0) * 23.0 / (2.0 * np.pi), 23.0, 0.0),))
         log = scaled(1.7, "acceleration_x")(exact_drive(leaf, 100.0, speed=speed))
         assert findings_by_name(log).keys() == findings
+
+
+def test_steering_ratio_near_one_is_no_other_unit(leaf):
+    """The gain of an understeering kart is that of its ratio."""
+    kart = replace(leaf, steering_ratio=1.2)
+    log = exact_drive(leaf, 100.0)
+    log = replace(log, road_wheel_angle=-1.15 * log.road_wheel_angle, steering_wheel_angle=None)
+    assert "steering_sign" in findings_by_name(log, kart)
+
+
+def test_opposite_sign_of_the_steering_in_a_slalom_is_no_lag_of_half_a_period(leaf):
+    log = exact_drive(leaf, 60.0, **SLALOM)
+    found = findings_by_name(replace(log, road_wheel_angle=-log.road_wheel_angle, steering_wheel_angle=None), leaf)
+    assert "steering_sign" in found and "steering_lag" not in found

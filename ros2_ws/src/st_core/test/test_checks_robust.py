@@ -118,6 +118,8 @@ def test_lateral_acceleration_beyond_tyre_limits_is_an_error_unless_positions_co
     finding = findings_by_name(downforce, leaf)["lateral_acceleration_impossible"]
     assert finding.severity is Severity.NOTE and finding.value == pytest.approx(1.5 * SPEED.mean, rel=0.4)
     assert errors(downforce, leaf) == []
+    single_bends = exact_drive(leaf, turning=Sines(0.0, ((0.74, 1.5, 0.0),)), speed=Sines(20.0, ()))
+    assert errors(single_bends, leaf) == []
     motion = Motion.from_log(exact_drive(leaf), 0, AuxiliaryData())
     wrong = replace(motion, yaw_rate=motion.yaw_rate + 1.0)
     (finding,) = check_tyre_limit(wrong, sideslip_measured=True)

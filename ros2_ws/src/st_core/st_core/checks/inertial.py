@@ -203,7 +203,6 @@ def _select_common_samples(pair: Pair, offset: float) -> tuple[np.ndarray, np.nd
     return rows, CubicSpline(pair.reference.time, pair.reference.values)(time)
 
 
-STANDARD_GRAVITY = 9.80665  # m/s^2, the unit g
 GYRO_CUTOFF, ACCELERATION_CUTOFF, SPEED_CUTOFF = 4.0, 1.5, 1.5  # Hz
 GYRO_CORRELATION = 0.9  # minimum correlation of yaw rate and change of yaw; it is lower if yaw is coarse
 GYRO_SCALE_ERROR = 0.02  # smallest reported deviation from 1; the scale of a gyroscope is accurate to 1 %
@@ -217,7 +216,7 @@ MIN_SPEED_DEVIATION = 0.5  # m/s; standard deviation; at constant speed, only sl
 SPEED_LIMITS = {"wheel_speed": (WHEEL_SCALE_TOLERANCE, 0.15), "ins_speed": (0.005, 0.03)}
 """Smallest reported (deviation of the scale from 1, lag [s]); wheel speed signals are averaged over time."""
 ACCELERATIONS = ("acceleration_x", "acceleration_y")
-ACCELERATION_UNITS = {1.0 / STANDARD_GRAVITY: "is its unit g"}
+ACCELERATION_UNITS = {1.0 / 9.80665: "is its unit g"}  # g is 9.80665 m/s^2
 SPEED_UNITS = {3.6: "is its unit km/h", 2.23694: "is its unit mph", 1.0 / 3.6: "was it divided by 3.6 twice"}
 CORRECTION_KEYS = {"lag": "earlier", "scale": "scale", "bias": "add"}  # keys of run.yaml
 CheckResult = tuple[list[Finding], dict[str, Estimate], Comparison | None]
@@ -433,10 +432,9 @@ def check_accelerations(motion: Motion) -> list[CheckResult]:
     speed = float(np.median(np.abs(motion.velocity_x)))
     measured = {name: values for name in ACCELERATIONS if (values := getattr(motion, name)) is not None}
     agreements = {name: _compare_acceleration(motion, name, values) for name, values in measured.items()}
-    if not any(agreement and agreement.correlates for agreement in agreements.values()):
-        exchanged = _find_exchanged_accelerations(motion, measured)
-        if exchanged:
-            return [([exchanged], {}, None)]
+    if not any(agreement and agreement.correlates for agreement in agreements.values()) and (
+            exchanged := _find_exchanged_accelerations(motion, measured)):
+        return [([exchanged], {}, None)]
     results = []
     for name, agreement in agreements.items():
         axis, reference, lag = "forward", "velocity", ACCELERATION_LAG

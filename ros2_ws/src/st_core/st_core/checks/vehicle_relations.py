@@ -62,8 +62,9 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
         steering_finding = _make_unrelated_finding(motion, derived) or (
             gain and _make_unit_finding(gain, plausible_gains, vehicle, has_steering_wheel))
         return [steering_finding] if steering_finding else [], {}, None
-    # In one long bend, gain and offset are confounded.
+    # In one long bend, gain and offset are confounded; in a slalom, the opposite sign and a lag of half a period.
     if gain is not None and (agreement.scale.standard_error > 0.2 * abs(agreement.scale.value)
+                             or agreement.correlation_without_lag < MAX_OPPOSITE_CORRELATION
                              or abs(float(agreement.derived.mean())) > agreement.spread):
         agreement = replace(agreement, scale=gain, bias=NO_BIAS)
     gain = add_systematic_uncertainty("steering_scale", agreement.scale)
@@ -184,7 +185,8 @@ def _make_unit_finding(gain: Estimate, plausible_gains: tuple[float, float], veh
                1.0 / DEG_PER_RAD: "was it converted to rad twice",
                1.0 / vehicle.steering_ratio: "was it divided by the steering ratio twice", 1.0: ""}
     size = abs(value) / expected
-    nearest = min(reasons, key=lambda factor: abs(np.log(size / factor)))
+    distinct = [factor for factor in reasons if factor == 1.0 or not is_near(factor, 1.0, limit)]  # karts: ratio 1.2
+    nearest = min(distinct, key=lambda factor: abs(np.log(size / factor)))
     exact = nearest if 1.0 / limit < size / nearest < limit else size
     opposite = "does it have the opposite sign (left is positive)" if value < 0.0 else ""
     reason = " and ".join(filter(None, (reasons.get(exact, ""), opposite)))
@@ -406,12 +408,12 @@ def check_tyre_limit(motion: Motion, sideslip_measured: bool) -> list[Finding]:
     if impossible.sum() < 2:
         return []
     largest = float(np.abs(lateral).max())
-    displacement, both = windows.change(motion.position), impossible[1:] & impossible[:-1] & windows.are_adjacent
-    turn = np.angle(displacement[1:] * np.conj(displacement[:-1]))
-    ratio = (np.abs(displacement) / WINDOW**2)[1:][both] * turn[both] / lateral[1:][both]
+    displacement, usable = windows.change(motion.position), (impossible[1:] | impossible[:-1]) & windows.are_adjacent
+    turn, mean = np.angle(displacement[1:] * np.conj(displacement[:-1])), 0.5 * (lateral[1:] + lateral[:-1])
+    ratio = (np.abs(displacement) / WINDOW**2)[1:][usable] * turn[usable] / mean[usable]
     times = tuple((float(t), float(t) + WINDOW) for t in windows.time[impossible][:MAX_LISTED_TIMES])
     severity, sources, reason = Severity.ERROR, "velocity and yaw rate", "one is wrong"
-    if both.any() and is_near(float(np.median(ratio)), 1.0, LIMITS.unit_ratio):
+    if usable.any() and is_near(float(np.median(ratio)), 1.0, LIMITS.unit_ratio):
         severity, sources = Severity.NOTE, "velocity, yaw rate and positions"
         reason = "right with downforce or racing tyres, else a unit of length or time is wrong"
     elif not sideslip_measured:
