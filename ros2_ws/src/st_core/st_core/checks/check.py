@@ -80,9 +80,8 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
         results.findings += vehicle_relations.check_standstill(motion) if is_long_enough else []
     else:
         ins_is_usable = not broken_channels & {*INS_SIGNALS}  # comparisons need all of these channels
-        if ins_is_usable:
-            unusable: dict[str, Any] = dict.fromkeys(broken_channels & {*inertial.ACCELERATIONS})
-            motion = replace(motion, **unusable)
+        unusable: dict[str, Any] = dict.fromkeys(broken_channels & {*inertial.ACCELERATIONS})
+        motion = replace(motion, **unusable)
         stuck_findings = sampling.find_stuck_channels(motion, channels)
         results.findings += stuck_findings
         if ins_is_usable:
@@ -141,9 +140,8 @@ def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters |
     results.findings += vehicle_relations.check_standstill(replace(corrected, velocity_x=speed, yaw_rate=yaw_rate))
     findings = _add_yaw_lag_alternative(results.findings, corrected, sensors.yaw_rate_lag)
     results.findings = _limit_to_measured_channels(findings, log, corrected)
-    if not sideslip_measured:
-        for name in ESTIMATES_BIASED_BY_SIDESLIP:
-            results.estimates.pop(name, None)
+    biased = () if sideslip_measured else ESTIMATES_BIASED_BY_SIDESLIP
+    results.estimates = {name: estimate for name, estimate in results.estimates.items() if name not in biased}
     if vehicle is not None:
         results.findings = try_corrections(results.findings, log, vehicle)
 

@@ -399,8 +399,7 @@ def _make_point_finding(point: Estimate, slip: Estimate, motion: Motion, vehicle
 
 
 def check_tyre_limit(motion: Motion, sideslip_measured: bool) -> list[Finding]:
-    """Finding about a sustained lateral acceleration above the limit of road tyres; a note if positions confirm
-    it, which they must without velocity_y."""
+    """Finding of a lateral acceleration above the limit of road tyres; a note if positions confirm it."""
     windows = motion.make_windows(WINDOW)
     # In a spin, the change of velocity_y cancels the product of speed and yaw rate.
     lateral = windows.mean(motion.velocity_x * motion.yaw_rate) + windows.change(motion.velocity_y) / WINDOW
@@ -408,12 +407,12 @@ def check_tyre_limit(motion: Motion, sideslip_measured: bool) -> list[Finding]:
     if impossible.sum() < 2:
         return []
     largest = float(np.abs(lateral).max())
-    displacement, usable = windows.change(motion.position), (impossible[1:] | impossible[:-1]) & windows.are_adjacent
-    turn, mean = np.angle(displacement[1:] * np.conj(displacement[:-1])), 0.5 * (lateral[1:] + lateral[:-1])
-    ratio = (np.abs(displacement) / WINDOW**2)[1:][usable] * turn[usable] / mean[usable]
+    displacement, pairs = windows.change(motion.position), (impossible[1:] | impossible[:-1]) & windows.are_adjacent
+    turn, mean = np.angle(displacement[1:] * np.conj(displacement[:-1])), 0.5 * (lateral[1:] + lateral[:-1])[pairs]
+    ratio = float((np.abs(displacement[1:]) * turn)[pairs] @ mean) / max(WINDOW**2 * float(mean @ mean), 1e-12)
     times = tuple((float(t), float(t) + WINDOW) for t in windows.time[impossible][:MAX_LISTED_TIMES])
     severity, sources, reason = Severity.ERROR, "velocity and yaw rate", "one is wrong"
-    if usable.any() and is_near(float(np.median(ratio)), 1.0, LIMITS.unit_ratio):
+    if is_near(ratio, 1.0, LIMITS.unit_ratio):
         severity, sources = Severity.NOTE, "velocity, yaw rate and positions"
         reason = "right with downforce or racing tyres, else a unit of length or time is wrong"
     elif not sideslip_measured:
