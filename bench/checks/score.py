@@ -101,6 +101,8 @@ def estimate_as_recorded(kind: Kind, clean: Recording) -> float | None:
     result = check_as_recorded(clean)
     values = {finding.name: finding.value for finding in result.findings}
     values |= {name: estimate for name, (estimate, _, _) in result.estimates.items()}
+    if "yaw_rate_lag" in values:  # it may be the opposite lag of yaw, which then has no estimate
+        values.setdefault("yaw_lag", -values["yaw_rate_lag"])
     return next((values[name] for name in kind.findings if name in values), None)
 
 
