@@ -36,7 +36,7 @@ def draw_advice(costs: Mapping[advice_report.ModelStep, advice_report.Cost],
         for axes, second in zip(panels[0], seconds, strict=True):
             for (model, step), accuracy in accuracies.items():
                 k, marker = accuracy.seconds.index(second), MARKERS[steps.index(step) % len(MARKERS)]
-                cost = 1e6 * advice_report.get_processor_time(costs[model, step])
+                cost = 1e6 * costs[model, step].single
                 colour = MODEL_COLOUR.get(model, TEXT_COLOUR)
                 axes.plot(cost, accuracy.rms[k], marker, color=colour, ms=5)
                 if accuracy.half_widths is not None:
