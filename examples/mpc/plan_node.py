@@ -22,7 +22,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.utilities import remove_ros_args
 from st_core.course import SPACING, Course, NearPoint, Pass
-from st_core.errors import StCoreError
+from st_core.errors import ConfigurationError, StCoreError
 from st_core.models import MODELS, get_model
 from st_core.types import VehicleState, ins_to_cg
 from st_core.vehicle import VehicleParameters
@@ -33,7 +33,6 @@ from st_recordings.paths import config
 from st_ros import spin
 from st_ros.polling import PolledSubscription, from_nanoseconds
 from st_sim.scenarios import RoadPlan, load_plan
-from st_sim.settings import SimulationError
 
 STEPS = 56  # of 0.1 s: the first one, the predictor's horizon of 5 s, and the 0.5 s for which a plan may be used
 ROAD_LENGTH = 5000.0  # m, length of a scenario's road; S6 takes a quarter of an hour
@@ -44,10 +43,10 @@ MAX_GAP = 0.1  # s between the newest odometry and the newest steering
 
 
 def make_scenario_course(name: str) -> Course:
-    """The road of a scenario as a course. Raises SimulationError for a scenario without a fixed road."""
+    """The road of a scenario as a course. Raises ConfigurationError for a scenario without a fixed road."""
     plan = load_plan(name)
     if not isinstance(plan, RoadPlan):
-        raise SimulationError(f"--road {name}: its road depends on the driver; choose a fixed road, such as S6")
+        raise ConfigurationError(f"--road {name}: its road depends on the driver; choose a fixed road, such as S6")
     along = plan.start + np.arange(-50.0, ROAD_LENGTH, SPACING)
     points = [(*plan.path.pose(s), plan.path.curvature(s), plan.speed_at(s)) for s in along.tolist()]
     return Course((Pass(name, (), np.array(points)),))
@@ -162,7 +161,7 @@ def main() -> int:
         vehicle = VehicleParameters.from_yaml(options.vehicle.read_text(encoding="utf-8"), str(options.vehicle))
         course = make_scenario_course(options.road) if options.course is None else Course.from_yaml(
             options.course.read_text(encoding="utf-8"), str(options.course))
-    except (OSError, StCoreError, SimulationError) as error:
+    except (OSError, StCoreError) as error:
         print(f"plan_node.py: {error}", file=sys.stderr)
         return 2
     os.environ.update(make_loopback_environment(os.environ))  # as the nodes of st demo and st live

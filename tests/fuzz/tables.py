@@ -5,14 +5,13 @@ from pathlib import Path
 
 import can
 from canedge_bridge.decode import Decoder
-from canedge_bridge.table_reader import TableError
 from drives import weave, write_drive
-from st_core.errors import StCoreError
+from st_core.errors import ConfigurationError, StCoreError
 from st_core.model_file import ModelFile
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import RunError, RunSource, find_runs, read
 from st_sim import scenarios
-from st_sim.settings import SimulationError, read_vehicle, resolve_settings
+from st_sim.settings import read_vehicle, resolve_settings
 from support import ROOT
 
 from .harness import Target, one_line
@@ -53,7 +52,7 @@ def _dbc(data: bytes, folder: Path) -> str:
     file.write_bytes(data)
     try:
         decoder = Decoder(file, CAN / "leaf_ze0.yaml")
-    except TableError as error:
+    except ConfigurationError as error:
         return one_line(error, data)
     return _decode_frames(decoder)
 
@@ -63,7 +62,7 @@ def _signal_table(data: bytes, folder: Path) -> str:
     file.write_bytes(data)
     try:
         decoder = Decoder(CAN / "leaf_ze0.dbc", file)
-    except TableError as error:
+    except ConfigurationError as error:
         return one_line(error, data)
     return _decode_frames(decoder)
 
@@ -114,7 +113,7 @@ def _simulated(read: Callable[[Path], object]) -> Callable[[bytes, Path], str]:
         file.write_bytes(data)
         try:
             read(file)
-        except SimulationError as error:
+        except ConfigurationError as error:
             return one_line(error, data)
         return "accepted"
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import can
 from cantools.database.can import Signal as DbcSignal
 from st_core import vehicle
+from st_core.errors import ConfigurationError
 from st_core.types import Number
 
 from .checks import CounterCheck, Mode
@@ -16,7 +17,6 @@ from .extraction import raw_range, strip_padding
 from .ins_time import replace_gps_time, split_unix_time
 from .plausibility import Plausibility
 from .signals import WRAPPED_SIGNALS, MessageSpec, SignalSpec, SignalTable, load_table
-from .table_reader import TableError
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class _MessageState:
 
 
 class Decoder:
-    """Decodes the messages of one signal table. The constructor raises TableError, as `load_table`.
+    """Decodes the messages of one signal table. The constructor raises ConfigurationError, as `load_table`.
 
     For a bad frame (wrong length, wrong counter or checksum in mode drop, a value that is not finite or not plausible),
     `decode` counts the fault and returns None; it never raises. skipped: counts of frames that are not decoded, by
@@ -205,15 +205,15 @@ def _physical_to_raw(signal: DbcSignal, physical: float) -> float:
 
 
 def _override_checks(table: SignalTable, overrides: Mapping[str, str]) -> SignalTable:
-    """The table with the given modes for counters and checksums. Raises TableError for an invalid override."""
+    """The table with the given modes for counters and checksums. Raises ConfigurationError for an invalid override."""
     messages = dict(table.messages)
     for key, text in overrides.items():
         message, _, kind = key.partition(".")
         if message not in messages or kind not in ("", "counter", "checksum"):
-            raise TableError(f"check {key}: expected MESSAGE, MESSAGE.counter or MESSAGE.checksum; the messages are "
-                             f"{', '.join(messages)}")
+            raise ConfigurationError(f"check {key}: expected MESSAGE, MESSAGE.counter or MESSAGE.checksum; messages: "
+                                     f"{', '.join(messages)}")
         if text not in list(Mode):
-            raise TableError(f"check {key}: {text!r} is not one of {', '.join(Mode)}")
+            raise ConfigurationError(f"check {key}: {text!r} is not one of {', '.join(Mode)}")
         for name in [kind] if kind else ["counter", "checksum"]:
             if check := getattr(messages[message], name):
                 messages[message] = replace(messages[message], **{name: replace(check, mode=Mode(text))})

@@ -5,7 +5,6 @@ import math
 import struct
 import time
 from collections import deque
-from pathlib import Path
 from types import SimpleNamespace
 
 import can
@@ -24,7 +23,7 @@ from .decode import DecodedFrame, Decoder, SteeringCalibration
 from .health import Health
 from .receiver import BusState, Receiver
 from .signals import CANONICAL_SIGNALS
-from .table_reader import TableError
+from .table_reader import read_text
 from .transport import check_channel, make_id_filters, open_bus
 
 FRAMES_PERIOD = 0.1  # s; raw frames are not time-critical
@@ -166,16 +165,14 @@ def _make_decoder(settings: SimpleNamespace) -> Decoder:
                                  "MESSAGE.checksum=...")
             checks[key.strip()] = mode.strip()
         return Decoder(settings.dbc_file, settings.signals_file, settings.needed_messages, checks)
-    except (TableError, ValueError) as error:
+    except ValueError as error:
         raise ConfigurationError(f"canedge_bridge: {error}") from None
 
 
 def _read_vehicle(file: str) -> VehicleParameters:
     try:
-        return VehicleParameters.from_yaml(Path(file).read_text(encoding="utf-8"), file)
-    except OSError as error:
-        raise ConfigurationError(f"canedge_bridge.vehicle_file: {file}: cannot be read: {error.strerror}") from None
-    except (StCoreError, UnicodeDecodeError) as error:
+        return VehicleParameters.from_yaml(read_text(file), file)
+    except StCoreError as error:
         raise ConfigurationError(f"canedge_bridge.vehicle_file: {error}") from None
 
 

@@ -12,12 +12,13 @@ import cantools
 import numpy as np
 from cantools.database.can import Message as DbcMessage
 from cantools.database.can import Signal as DbcSignal
+from st_core.errors import ConfigurationError
 from st_core.yaml_text import suggest_key
 
 from .checks import CHECKSUM_RULES, CheckSpec, Mode
 from .extraction import EXTENDED, Data, Extractor, Field, raw_range
 from .ins_time import DATE_TIME_PARTS, GPS_SECONDS_PARTS
-from .table_reader import Entry, TableError, read_document, to_one_line
+from .table_reader import Entry, read_document, to_one_line
 
 # Canonical signal name -> SI unit, or h or min for parts of GPS time. WRAPPED_SIGNALS are wrapped to [-pi, pi).
 CANONICAL_SIGNALS = {
@@ -157,8 +158,8 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Sequence[
     """The signal table of a DBC and its YAML file, checked against each other.
 
     needed: message names that replace the table's own `needed` (for a bus that carries only some of the messages).
-    Raises TableError for an invalid file, a unit other than the DBC's, a needed message that the DBC lacks, a signal
-    that its message lacks, a layout that cannot represent the signal, or a sample that decodes to a wrong value.
+    Raises ConfigurationError for an invalid file, a unit other than the DBC's, a needed message that the DBC lacks, a
+    signal that its message lacks, a layout that cannot represent the signal, or a sample that decodes to a wrong value.
     """
     dbc_path, table_path = Path(dbc_file), Path(signals_file)
     root = Entry(str(table_path), "", read_document(table_path))
@@ -167,21 +168,23 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Sequence[
     database = load_dbc(dbc_path, rows)
     for name in needed:
         if name not in rows:
-            raise TableError(f"{table_path}: needed message {name} is not in the table; it has {', '.join(rows)}")
+            raise ConfigurationError(f"{table_path}: needed message {name} is not in the table; it has "
+                                     f"{', '.join(rows)}")
     defined = {m.name: m for m in database.messages}
     messages, absent = {}, []
     for name in rows:
         row = rows.entry(name)
         if [m.name for m in database.messages].count(name) > 1:
-            raise TableError(f"{dbc_path}: defines {name} more than once; keep one definition")
+            raise ConfigurationError(f"{dbc_path}: defines {name} more than once; keep one definition")
         is_needed = row.get("needed", bool)
         if needed:
             is_needed = name in needed
         if name in defined:
             messages[name] = _read_message(row, defined[name], dbc_path, is_needed)
         elif is_needed:
-            raise TableError(f"{dbc_path}: has no message {name}, which {'needed_messages' if needed else table_path} "
-                             f"marks as needed{suggest_key(name, defined)}")
+            raise ConfigurationError(f"{dbc_path}: has no message {name}, which "
+                                     f"{'needed_messages' if needed else table_path} marks as needed"
+                                     f"{suggest_key(name, defined)}")
         else:
             absent.append(name)
     return SignalTable(dbc_path, table_path, database, messages, tuple(absent))
@@ -191,14 +194,14 @@ def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
     """cantools database of a DBC file; if the file is invalid, it contains only the given messages.
 
     In public DBC files of real cars, some messages have 29-bit identifiers without the extended flag, or signals whose
-    names begin with a digit. Raises TableError if the given messages are invalid too.
+    names begin with a digit. Raises ConfigurationError if the given messages are invalid too.
     """
     try:
         content = path.read_bytes()
         codec = next((name for mark, name in _BYTE_ORDER_MARKS.items() if content.startswith(mark)), "cp1252")
         text = content.decode(codec, "replace")
     except OSError as error:
-        raise TableError(f"{path}: cannot be read: {error.strerror}") from None
+        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
     try:
         return cantools.database.load_string(text, "dbc", strict=False)
     except Exception as error:  # cantools does not wrap the exceptions of its parsers
@@ -209,7 +212,7 @@ def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
             return cantools.database.load_string(reduced, "dbc", strict=False)
     except Exception as error:
         reason = error
-    raise TableError(f"{path}: is not a valid DBC: {to_one_line(reason)}")
+    raise ConfigurationError(f"{path}: is not a valid DBC: {to_one_line(reason)}")
 
 
 def _reduce_dbc(text: str, names: frozenset[str]) -> str:
@@ -238,15 +241,15 @@ def _correct_dbc(text: str) -> str:
 def _read_message(row: Entry, dbc: DbcMessage, dbc_path: Path, is_needed: bool) -> MessageSpec:
     row.allow_only("needed", "period", "timeout", "counter", "checksum", "fill", "samples", "signals")
     if dbc.is_container:
-        raise TableError(f"{dbc_path}: {dbc.name} is a container of other messages, which is not supported")
+        raise ConfigurationError(f"{dbc_path}: {dbc.name} is a container of other messages, which is not supported")
     _check_layout(dbc, dbc_path)
     rows = row.entry("signals")
     signals = tuple(_read_signal(rows.entry(name), dbc, _find_signal(dbc, name, dbc_path, row), dbc_path)
                     for name in rows)
     parts = {s.name for s in signals if s.name.startswith("gps_")}
     if parts and parts not in (set(DATE_TIME_PARTS), set(GPS_SECONDS_PARTS)):
-        raise TableError(f"{rows.origin}: {rows.path}: GPS time needs all of {', '.join(GPS_SECONDS_PARTS)} "
-                         f"or all of {', '.join(DATE_TIME_PARTS)}")
+        raise ConfigurationError(f"{rows.origin}: {rows.path}: GPS time needs all of {', '.join(GPS_SECONDS_PARTS)} "
+                                 f"or all of {', '.join(DATE_TIME_PARTS)}")
     fill = row.optional("fill")
     for sample in row.entries("samples"):
         _check_sample(sample, dbc, signals, dbc_path)
@@ -259,24 +262,24 @@ def _read_message(row: Entry, dbc: DbcMessage, dbc_path: Path, is_needed: bool) 
 
 
 def _check_layout(dbc: DbcMessage, dbc_path: Path) -> None:
-    """Raises TableError for signals that overlap, lie outside their message or have an implausible factor or offset."""
+    """Raises ConfigurationError for overlapping signals, one outside its message, an implausible factor or offset."""
     try:
         dbc.refresh(strict=True)
     except Exception as error:  # any type, as in load_dbc
-        raise TableError(f"{dbc_path}: {dbc.name}: {to_one_line(error)}") from None
+        raise ConfigurationError(f"{dbc_path}: {dbc.name}: {to_one_line(error)}") from None
     for signal in dbc.signals:
         if signal.start < 0:
-            raise TableError(f"{dbc_path}: {dbc.name}.{signal.name}: start bit {signal.start}; expected 0 or more")
+            raise ConfigurationError(f"{dbc_path}: {dbc.name}.{signal.name}: start bit {signal.start} is negative")
         if not all(abs(number) <= MAX_SCALING for number in (signal.scale, signal.offset)):
-            raise TableError(f"{dbc_path}: {dbc.name}.{signal.name}: factor or offset beyond {MAX_SCALING:g}")
+            raise ConfigurationError(f"{dbc_path}: {dbc.name}.{signal.name}: factor or offset beyond {MAX_SCALING:g}")
 
 
 def _find_signal(dbc: DbcMessage, name: str, dbc_path: Path, row: Entry) -> DbcSignal:
     for signal in dbc.signals:
         if signal.name == name:
             return signal
-    raise TableError(f"{dbc_path}: {dbc.name} has no signal {name}, which {row.origin} names; "
-                     f"it has {', '.join(s.name for s in dbc.signals)}")
+    raise ConfigurationError(f"{dbc_path}: {dbc.name} has no signal {name}, which {row.origin} names; "
+                             f"it has {', '.join(s.name for s in dbc.signals)}")
 
 
 def _read_signal(entry: Entry, message: DbcMessage, dbc: DbcSignal, dbc_path: Path) -> SignalSpec:
@@ -299,8 +302,8 @@ def _read_signal(entry: Entry, message: DbcMessage, dbc: DbcSignal, dbc_path: Pa
 
 
 def _read_unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> str:
-    """Key of UNITS for a signal's unit in the table. Raises TableError if it is unknown, not a unit of the canonical
-    signal, or other than a known unit in the DBC."""
+    """Key of UNITS for a signal's unit in the table. Raises ConfigurationError if it is unknown, not a unit of the
+    canonical signal, or other than a known unit in the DBC."""
     text = entry.get("unit", str)
     unit, dbc_unit = find_unit(text), find_unit(dbc.unit)
     if unit is None:
@@ -317,7 +320,7 @@ def _read_unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> str:
 
 
 def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
-    """Raises TableError if the signal cannot reach half of its range to both sides, as with an unsigned angle."""
+    """Raises ConfigurationError if the signal cannot reach half of its range to both sides (an unsigned angle)."""
     low, high, expectation = spec.minimum, spec.maximum, f"{entry.origin} ({entry.path}.range) expects"
     if not math.isfinite(high) and spec.name == "steering_wheel_angle":
         low, high = -DEFAULT_STEERING_RANGE / spec.factor, DEFAULT_STEERING_RANGE / spec.factor
@@ -331,7 +334,7 @@ def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
     # Half of the range suffices, because some sensors do not cover the whole range; no sensor covers less than half.
     if min(ends) > low / 2 or max(ends) < high / 2:
         order = "low byte first" if spec.dbc.byte_order == "little_endian" else "high byte first"
-        raise TableError(
+        raise ConfigurationError(
             f"{dbc_path}: {spec.dbc.name} can only decode to {min(ends):g} .. {max(ends):g} {spec.unit}, but "
             f"{expectation} {low:g} .. {high:g}: correct its layout "
             f"({spec.dbc.length} bits, {order}, {'signed' if spec.dbc.is_signed else 'unsigned'}, "
@@ -356,7 +359,7 @@ def _read_check(row: Entry, key: str, dbc: DbcMessage, dbc_path: Path) -> CheckS
 
 
 def _check_sample(entry: Entry, dbc: DbcMessage, signals: tuple[SignalSpec, ...], dbc_path: Path) -> None:
-    """Raises TableError if the recorded frame of a sample does not decode to its value; signs are not compared."""
+    """Raises ConfigurationError if the frame of a sample does not decode to its value; signs are not compared."""
     entry.allow_only("data", "signal", "value", "unit")
     try:
         data = bytes.fromhex(entry.get("data", str))
@@ -371,5 +374,6 @@ def _check_sample(entry: Entry, dbc: DbcMessage, signals: tuple[SignalSpec, ...]
     value = (spec.gain * spec.extractor.extract(data) + spec.bias) / spec.factor
     # The sign is not compared: the car's steering_sign corrects the direction of the sensor.
     if not math.isclose(abs(value), abs(expected), rel_tol=1e-6, abs_tol=abs(spec.dbc.scale) / 2):
-        raise TableError(f"{dbc_path}: {spec.dbc.name} decodes {frame} incorrectly: {value:g} {spec.unit} instead of "
-                         f"{expected:g} ({entry.origin}: {entry.path}); its byte order, start bit or factor is wrong")
+        raise ConfigurationError(
+            f"{dbc_path}: {spec.dbc.name} decodes {frame} incorrectly: {value:g} {spec.unit} instead of {expected:g} "
+            f"({entry.origin}: {entry.path}); its byte order, start bit or factor is wrong")

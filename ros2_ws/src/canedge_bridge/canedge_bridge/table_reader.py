@@ -10,18 +10,21 @@ from st_core import yaml_text
 from st_core.errors import ConfigurationError
 
 
-class TableError(ValueError):
-    """A DBC or signal table that cannot be used. Its text is a single line for the user."""
+def read_text(path: Path | str) -> str:
+    """The text of a file in UTF-8. Raises ConfigurationError, one line that begins with the path."""
+    try:
+        return Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
 
 
 def read_document(path: Path) -> Any:
-    """The content of a YAML file of plain values. Raises TableError naming the file."""
+    """The document in a file; None if empty. Raises ConfigurationError, one line that begins with the path."""
+    text = read_text(path)
     try:
-        return yaml_text.load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise TableError(f"{path}: cannot be read: {error.strerror}") from None
-    except (ConfigurationError, UnicodeDecodeError) as error:
-        raise TableError(f"{path}: invalid YAML: {error}") from None
+        return yaml_text.load(text)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{path}: {error}") from None
 
 
 def to_one_line(error: object) -> str:
@@ -36,18 +39,18 @@ _TYPE_NAMES = {str: "a string", bool: "true or false", int: "a whole number"}
 class Entry:
     """One mapping of the document. origin: name of the file in errors. path: dotted key of the mapping.
 
-    The methods raise TableError for a missing key, and for a value of a wrong type or outside its limits.
+    The methods raise ConfigurationError for a missing key, and for a value of a wrong type or outside its limits.
     """
 
     def __init__(self, origin: str, path: str, value: Any):
         self.origin = origin
         self.path = path
         if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
-            raise TableError(f"{origin}: {path or 'the document'}: expected a mapping with names as keys")
+            raise ConfigurationError(f"{origin}: {path or 'the document'}: expected a mapping with names as keys")
         self._value = value
 
-    def error(self, key: str, problem: str) -> TableError:
-        return TableError(f"{self.origin}: {self._path_of(key)}: {problem}")
+    def error(self, key: str, problem: str) -> ConfigurationError:
+        return ConfigurationError(f"{self.origin}: {self._path_of(key)}: {problem}")
 
     def _path_of(self, key: str) -> str:
         return f"{self.path}.{key}" if self.path else key

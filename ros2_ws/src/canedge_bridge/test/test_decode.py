@@ -8,9 +8,9 @@ import pytest
 from canedge_bridge.decode import Decoder
 from canedge_bridge.health import Health
 from canedge_bridge.receiver import ReceiverStatus
-from canedge_bridge.table_reader import TableError
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from st_core.errors import ConfigurationError
 
 STEP = 10_000_000
 RECORDED_ANGLE = math.radians(-2.9)
@@ -130,7 +130,7 @@ def test_invalid_checks_are_rejected(dbc_file, signals_file):
     for checks, text in (({"Leaf_Brake": "off"}, "check Leaf_Brake"),
                          ({"Leaf_Steering.crc": "off"}, "check Leaf_Steering.crc"),
                          ({"Leaf_Steering": "maybe"}, "'maybe' is not one of off, warn, drop")):
-        with pytest.raises(TableError, match=text):
+        with pytest.raises(ConfigurationError, match=text):
             Decoder(dbc_file, signals_file, checks=checks)
 
 

@@ -4,7 +4,7 @@ import math
 
 import pytest
 from canedge_bridge.signals import load_dbc, load_table
-from canedge_bridge.table_reader import TableError
+from st_core.errors import ConfigurationError
 
 
 def test_leaf_table_and_dbc_agree(dbc_file, signals_file):
@@ -70,7 +70,7 @@ WHEEL = "Leaf_Steering/signals/SteeringWheelAngle"
 ])
 def test_invalid_table_is_rejected_in_one_line(change, message, dbc_file, edit_table):
     path = edit_table(change)
-    with pytest.raises(TableError) as error:
+    with pytest.raises(ConfigurationError) as error:
         load_table(dbc_file, path)
     text = str(error.value)
     assert message in text and str(path) in text and "\n" not in text
@@ -97,7 +97,7 @@ ANGLE = 'SG_ SteeringWheelAngle : 0|16@1- (-0.1,0) [-3276.7|3276.8] "deg"'
 ])
 def test_dbc_that_decodes_the_steering_incorrectly_is_rejected(layout, message, edit_dbc, signals_file):
     path = edit_dbc(ANGLE, layout)
-    with pytest.raises(TableError, match="decodes") as error:
+    with pytest.raises(ConfigurationError, match="decodes") as error:
         load_table(path, signals_file)
     assert message in str(error.value) and str(path) in str(error.value)
 
@@ -109,19 +109,19 @@ def test_steering_sensor_of_opposite_sign_is_accepted(edit_dbc, signals_file):
 
 
 def test_dbc_without_the_needed_message_is_rejected(edit_dbc, signals_file):
-    with pytest.raises(TableError, match=r"has no message Leaf_Steering, which .* marks as needed"):
+    with pytest.raises(ConfigurationError, match=r"has no message Leaf_Steering, which .* marks as needed"):
         load_table(edit_dbc("BO_ 2 Leaf_Steering:", "BO_ 2 Something_Else:"), signals_file)
-    with pytest.raises(TableError, match=r"marks as needed, did you mean leaf_steering\?"):
+    with pytest.raises(ConfigurationError, match=r"marks as needed, did you mean leaf_steering\?"):
         load_table(edit_dbc("BO_ 2 Leaf_Steering:", "BO_ 2 leaf_steering:"), signals_file)
 
 
 def test_unit_that_differs_from_the_dbc_is_rejected(edit_dbc, signals_file):
-    with pytest.raises(TableError, match=r"SteeringWheelAngle.unit: 'deg', but .* gives 'mrad'"):
+    with pytest.raises(ConfigurationError, match=r"SteeringWheelAngle.unit: 'deg', but .* gives 'mrad'"):
         load_table(edit_dbc(ANGLE, ANGLE.replace('"deg"', '"mrad"')), signals_file)
 
 
 def test_dbc_without_the_needed_signal_is_rejected(edit_dbc, signals_file):
-    with pytest.raises(TableError, match="Leaf_Steering has no signal SteeringWheelAngle"):
+    with pytest.raises(ConfigurationError, match="Leaf_Steering has no signal SteeringWheelAngle"):
         load_table(edit_dbc("SG_ SteeringWheelAngle :", "SG_ Wheel :"), signals_file)
 
 
@@ -133,7 +133,7 @@ def test_dbc_without_an_optional_message_is_accepted(edit_dbc, signals_file):
 def test_needed_messages_can_be_replaced(dbc_file, signals_file):
     table = load_table(dbc_file, signals_file, ["RT_VelocityLevel"])
     assert [m.name for m in table.needed_messages] == ["RT_VelocityLevel"]
-    with pytest.raises(TableError, match="needed message Unknown is not in the table"):
+    with pytest.raises(ConfigurationError, match="needed message Unknown is not in the table"):
         load_table(dbc_file, signals_file, ["Unknown"])
 
 
@@ -141,20 +141,20 @@ def test_needed_messages_can_be_replaced(dbc_file, signals_file):
 def test_file_that_is_not_a_dbc_is_rejected(text, tmp_path, signals_file):
     path = tmp_path / "invalid.dbc"
     path.write_text(text)
-    with pytest.raises(TableError) as error:
+    with pytest.raises(ConfigurationError) as error:
         load_table(path, signals_file)
     assert str(path) in str(error.value) and "\n" not in str(error.value)
 
 
 def test_overlapping_signals_are_rejected(edit_dbc, signals_file):
-    with pytest.raises(TableError, match="are overlapping in message Leaf_Steering"):
+    with pytest.raises(ConfigurationError, match="are overlapping in message Leaf_Steering"):
         load_table(edit_dbc("SteeringWheelRateRaw : 16|8", "SteeringWheelRateRaw : 8|8"), signals_file)
 
 
 def test_missing_files_are_rejected(dbc_file, signals_file, tmp_path):
-    with pytest.raises(TableError, match=r"missing\.dbc: cannot be read: No such file"):
+    with pytest.raises(ConfigurationError, match=r"missing\.dbc: cannot be read: No such file"):
         load_table(tmp_path / "missing.dbc", signals_file)
-    with pytest.raises(TableError, match=r"missing\.yaml: cannot be read: No such file"):
+    with pytest.raises(ConfigurationError, match=r"missing\.yaml: cannot be read: No such file"):
         load_table(dbc_file, tmp_path / "missing.yaml")
 
 
@@ -162,7 +162,7 @@ def test_missing_files_are_rejected(dbc_file, signals_file, tmp_path):
 def test_file_that_is_not_a_table_is_rejected(text, dbc_file, tmp_path):
     path = tmp_path / "invalid.yaml"
     path.write_text(text)
-    with pytest.raises(TableError) as error:
+    with pytest.raises(ConfigurationError) as error:
         load_table(dbc_file, path)
     assert str(path) in str(error.value) and "\n" not in str(error.value)
 
@@ -172,7 +172,7 @@ def test_dbc_without_the_flag_of_29_bits_and_with_names_that_begin_with_a_digit_
     file = tmp_path / "car.dbc"
     file.write_text('VERSION ""\nBU_: X\n\nBO_ 316522407 Wheel: 8 X\n SG_ 0_COUNTER : 0|4@1+ (1,0) [0|15] "" X\n'
                     ' SG_ Angle : 8|32@1- (.25,-.5) [-.5|1] "deg" X\n\nSIG_VALTYPE_ 316522407 Angle : 1;\n')
-    with pytest.raises(TableError, match="not a valid DBC"):
+    with pytest.raises(ConfigurationError, match="not a valid DBC"):
         load_dbc(file)
     (message,) = load_dbc(file, ["Wheel"]).messages
     assert (message.frame_id, message.is_extended_frame) == (316522407, True)

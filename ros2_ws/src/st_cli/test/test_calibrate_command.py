@@ -93,6 +93,12 @@ def test_bands_of_another_car_or_model_are_rejected_in_one_line(folder, tmp_path
         assert len(result.output.strip().splitlines()) == 1 and not (tmp_path / "o").exists()
 
 
+def test_bands_that_are_not_text_are_rejected_with_the_name_of_the_file(tmp_path):
+    (tmp_path / "bands.yaml").write_bytes(b"schema: \xff")
+    result = st("evaluate", tmp_path, "--bands", tmp_path / "bands.yaml")
+    assert result.exit_code == 2 and f"st evaluate: {tmp_path / 'bands.yaml'}: cannot be read" in result.output
+
+
 def test_too_few_runs_write_no_file_and_existing_file_is_kept(folder, tmp_path):
     base, _ = folder
     few = st("calibrate", base / "new", "--vehicle", base / "car.yaml", "--model", "linear", "--output",

@@ -14,7 +14,7 @@ from st_core.model_file import ModelFile
 from st_core.models import MODELS, Model
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
-from st_recordings.car import read_model, read_vehicle
+from st_recordings.car import read_model, read_text, read_vehicle
 from st_recordings.paths import config, project_root
 from st_recordings.results import RecordedConfiguration
 from st_recordings.runs.bag import is_bag
@@ -151,9 +151,7 @@ def set_bands_and_course(parameters: Parameters, bands: Path | None, course: Pat
 def _read_option(option: str, file: Path, parse: Callable[[str, str], T]) -> T:
     """The parsed content of a file given as an option. Raises SuiteError naming option and file."""
     try:
-        return parse(file.read_text(encoding="utf-8"), str(file))
-    except (OSError, UnicodeDecodeError) as error:
-        raise SuiteError(f"{option} {file}: cannot be read: {error}") from None
+        return parse(read_text(file), str(file))
     except StCoreError as error:
         raise SuiteError(f"{option} {error}") from None
 
@@ -181,7 +179,7 @@ class VirtualCar:
     """The virtual Leaf on a free UDP port and a CAN multicast group of the loopback interface.
 
     vehicle: vehicle file of bridges and nodes. options: further arguments of virtual_leaf. simulated_vehicle: vehicle
-    file of the simulated car, by default `vehicle`. Raises SimulationError for invalid options.
+    file of the simulated car, by default `vehicle`. Raises ConfigurationError for invalid options.
     """
 
     def __init__(self, vehicle: Path, options: Sequence[str], simulated_vehicle: Path | None = None):

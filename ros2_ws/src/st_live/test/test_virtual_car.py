@@ -1,8 +1,8 @@
 """Different vehicle files of the virtual Leaf and the nodes."""
 
 import pytest
+from st_core.errors import ConfigurationError
 from st_live.configuration import VirtualCar
-from st_sim.settings import SimulationError
 from support import LEAF
 
 OPTIONS = ["--duration", "6"]
@@ -19,5 +19,5 @@ def test_nodes_use_their_own_vehicle_file(tmp_path):
 def test_invalid_vehicle_file_of_the_virtual_car_is_rejected_with_its_name(tmp_path):
     invalid = tmp_path / "invalid.yaml"
     invalid.write_text("name: nothing else")
-    with pytest.raises(SimulationError, match=r"invalid\.yaml"):
+    with pytest.raises(ConfigurationError, match=r"invalid\.yaml"):
         VirtualCar(LEAF, OPTIONS, invalid)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from canedge_bridge.table_reader import read_text
 from st_core.errors import ConfigurationError
 from st_core.model_file import ModelFile
 from st_core.models import MODELS, Model, get_model
@@ -75,11 +76,8 @@ def list_cars() -> list[str]:
 
 
 def read_vehicle(file: Path) -> VehicleParameters:
-    """Reads a vehicle file. Raises RunError if it cannot be read, ConfigurationError for invalid values."""
-    try:
-        return VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
-    except (OSError, UnicodeDecodeError) as error:
-        raise RunError(file, f"cannot be read: {error}") from None
+    """Reads a vehicle file. Raises ConfigurationError if it cannot be read or is invalid."""
+    return VehicleParameters.from_yaml(read_text(file), str(file))
 
 
 def read_model(name: str, vehicle: VehicleParameters, origin: str,
@@ -101,7 +99,4 @@ def read_model(name: str, vehicle: VehicleParameters, origin: str,
 
 def read_model_file(name: str) -> ModelFile:
     """Reads a model file. Raises ConfigurationError if it cannot be read or is invalid."""
-    try:
-        return ModelFile.from_yaml(Path(name).read_text(encoding="utf-8"), name)
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"{name}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    return ModelFile.from_yaml(read_text(name), name)

@@ -7,8 +7,7 @@ from typing import Any
 
 from canedge_bridge.signals import find_unit as find_dbc_unit
 from canedge_bridge.signals import load_table
-from canedge_bridge.table_reader import TableError
-from st_core.errors import StCoreError
+from st_core.errors import ConfigurationError, StCoreError
 from st_core.handling import find_implausible_values
 from st_core.integrate import required_slip_speed
 from st_core.prediction import PredictionSettings
@@ -212,7 +211,7 @@ def _find_bus_problems(car: Car) -> list[str]:
                     f"names, as in {car.dbc.name}, of the message and the signal that carry the steering wheel angle; "
                     "if all recordings are CSV or bags, delete both files"]
         table = load_table(car.dbc, car.signals)
-    except (RunError, TableError) as error:
+    except (RunError, ConfigurationError) as error:
         return [str(error)]
     if not any(signal.name == "steering_wheel_angle" for message in table.messages.values()
                for signal in message.signals):

@@ -11,10 +11,11 @@ import can
 import numpy as np
 from can.io.canutils import CanutilsLogWriter
 from mcap.writer import Writer
+from st_core.errors import ConfigurationError
 
 from .encoders import INS_BUS, VEHICLE_BUS, Frame
 from .plant import Truth
-from .settings import Settings, SimulationError
+from .settings import Settings
 
 TRUTH_TOPIC = "/truth"
 CHUNK_SIZE = 64 * 1024  # bytes, about 1 s of true states; at most this much is lost if the process is killed
@@ -121,7 +122,7 @@ class Mf4File:
         try:
             import asammdf  # noqa: F401
         except ImportError:
-            raise SimulationError("--can-format mf4 needs the Python package asammdf; use --can-format log") from None
+            raise ConfigurationError("--can-format mf4 requires the package asammdf; use --can-format log") from None
         self._path, self._start_ns = path, start_ns
         self._frames: dict[int, list[tuple[int, int, bytes]]] = {VEHICLE_BUS: [], INS_BUS: []}
 
@@ -172,9 +173,9 @@ class Mf4File:
 
 
 def make_folder(option: str, folder: Path) -> Path:
-    """Create the folder given with an option. Raises SimulationError naming the option."""
+    """Create the folder given with an option. Raises ConfigurationError naming the option."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise SimulationError(f"{option} {folder}: cannot be created: {error.strerror}") from None
+        raise ConfigurationError(f"{option} {folder}: cannot be created: {error.strerror}") from None
     return folder

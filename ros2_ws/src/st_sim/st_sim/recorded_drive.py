@@ -11,10 +11,10 @@ from bisect import bisect_right
 from pathlib import Path
 
 import numpy as np
+from st_core.errors import ConfigurationError
 from st_core.vehicle import VehicleParameters
 
 from .plant import DRIVE, Truth
-from .settings import SimulationError
 
 COLUMNS = ("t", "x", "y", "yaw", "vx", "vy", "yaw_rate", "ax", "ay", "delta")
 
@@ -23,7 +23,7 @@ class RecordedDrive:
     """A recorded drive for a Stream. Time 0 is the first row; after the end, the last row is repeated."""
 
     def __init__(self, file: str | Path, car: VehicleParameters):
-        """Raises SimulationError naming the file and the line or column."""
+        """Raises ConfigurationError naming the file and the line or column."""
         table = _read_table(Path(file))
         self._car = car
         table[:, COLUMNS.index("yaw")] = np.unwrap(table[:, COLUMNS.index("yaw")])
@@ -55,18 +55,18 @@ def _read_table(path: Path) -> np.ndarray:
             reader = csv.DictReader(stream)
             missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
             if missing:
-                raise SimulationError(f"{path}: column {missing[0]} is missing; required: {', '.join(COLUMNS)}")
+                raise ConfigurationError(f"{path}: column {missing[0]} is missing; required: {', '.join(COLUMNS)}")
             rows = [_parse_row(row, path, reader.line_num) for row in reader]
     except OSError as error:
-        raise SimulationError(f"--drive {path}: cannot be read: {error.strerror}") from None
+        raise ConfigurationError(f"--drive {path}: cannot be read: {error.strerror}") from None
     except (UnicodeDecodeError, csv.Error) as error:
-        raise SimulationError(f"{path}: not a CSV file: {error}") from None
+        raise ConfigurationError(f"{path}: not a CSV file: {error}") from None
     if len(rows) < 2:
-        raise SimulationError(f"{path}: has {len(rows)} rows, but at least 2 are required")
+        raise ConfigurationError(f"{path}: has {len(rows)} rows, but at least 2 are required")
     table = np.array(rows)
     backward_rows = np.flatnonzero(np.diff(table[:, 0]) <= 0)
     if backward_rows.size:
-        raise SimulationError(f"{path}: line {backward_rows[0] + 3}: t does not increase")
+        raise ConfigurationError(f"{path}: line {backward_rows[0] + 3}: t does not increase")
     return table
 
 
@@ -74,7 +74,7 @@ def _parse_row(row: dict[str, str], path: Path, line: int) -> list[float]:
     try:
         values = [float(row[name]) for name in COLUMNS]
     except (TypeError, ValueError):
-        raise SimulationError(f"{path}: line {line}: not all of {', '.join(COLUMNS)} are numbers") from None
+        raise ConfigurationError(f"{path}: line {line}: not all of {', '.join(COLUMNS)} are numbers") from None
     if not all(map(math.isfinite, values)):
-        raise SimulationError(f"{path}: line {line}: a value is not finite")
+        raise ConfigurationError(f"{path}: line {line}: a value is not finite")
     return values

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from canedge_bridge.decode import Decoder
+from st_core.errors import ConfigurationError
 
 from .driver import SimulatedCar
 from .encoders import STEERING_MESSAGE, CanEncoder, NcomEncoder, Origin
@@ -21,7 +22,7 @@ from .files import LogFile, Mf4File, TruthFile, choose_truth_file, make_folder
 from .recorded_drive import RecordedDrive
 from .scenarios import SCENARIOS, load_plan
 from .sensors import Ins, SteeringSensor
-from .settings import SETTINGS, SimulationError, find_overrides, read_vehicle, resolve_settings
+from .settings import SETTINGS, find_overrides, read_vehicle, resolve_settings
 from .stream import LiveOutput, Output, Report, Source, Stream, send
 
 DEFAULT_DURATION, MAX_DURATION = 60.0, 1e6  # s
@@ -52,11 +53,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def check_arguments(arguments: Sequence[str]) -> None:
-    """Check arguments as main() does before it starts. Raises SimulationError with a one-line message."""
+    """Check arguments as main() does before it starts. Raises ConfigurationError with a one-line message."""
     try:
         _Run(_make_parser().parse_args(arguments))
     except (OSError, ValueError) as error:
-        raise SimulationError(_format_error(error)) from None
+        raise ConfigurationError(_format_error(error)) from None
 
 
 def _format_error(error: Exception) -> str:
@@ -80,7 +81,7 @@ class _Run:
 
     def __init__(self, options: argparse.Namespace):
         if not options.vehicle:
-            raise SimulationError("--vehicle is missing; the Leaf is config/vehicle/leaf.yaml")
+            raise ConfigurationError("--vehicle is missing; the Leaf is config/vehicle/leaf.yaml")
         self._options, self._car = options, read_vehicle(options.vehicle)
         self._codec = Decoder(*_find_can_tables(options))
         self.settings = _resolve_settings(options)
@@ -91,7 +92,7 @@ class _Run:
         drive_duration = self._source.duration
         self.duration = options.duration if options.duration is not None else drive_duration or DEFAULT_DURATION
         if not 0 < self.duration <= MAX_DURATION:
-            raise SimulationError(f"--duration {self.duration:g}: must be above 0 and at most {MAX_DURATION:.0f} s")
+            raise ConfigurationError(f"--duration {self.duration:g}: must be above 0 and at most {MAX_DURATION:.0f} s")
         if drive_duration is not None:
             self.duration = min(self.duration, drive_duration)
         self.metadata = {
@@ -124,20 +125,20 @@ def _find_can_tables(options: argparse.Namespace) -> tuple[Path, Path]:
         is_found = dbc.exists() and signals.exists() and (config is None or dbc.is_relative_to(config))
         if is_found and f"{STEERING_MESSAGE}:" in signals.read_text(encoding="utf-8"):
             return dbc, signals
-    raise SimulationError(f"--config {options.config or 'is missing'}: can/leaf_ze0.dbc and can/leaf_ze0.yaml, the CAN "
-                          "tables of the virtual car, were not found; give the folder config/ of the project")
+    raise ConfigurationError(f"--config {options.config or 'is missing'}: can/leaf_ze0.dbc and can/leaf_ze0.yaml, the "
+                             "CAN tables of the virtual car, were not found; give the folder config/ of the project")
 
 
 def _resolve_settings(options: argparse.Namespace) -> dict[str, float]:
     if not options.drive:
         return resolve_settings(options.plant or "realistic", options.effect)
     if options.plant:
-        raise SimulationError("--plant cannot be combined with --drive: a recorded drive has no plant")
+        raise ConfigurationError("--plant cannot be combined with --drive: a recorded drive has no plant")
     settings = resolve_settings("ideal", options.effect)
     for name in find_overrides(settings):
         if SETTINGS[name].group not in ("ins", "can"):
-            raise SimulationError(f"--effect {name} cannot be combined with --drive: only sensor effects apply to a "
-                                  "recorded drive")
+            raise ConfigurationError(f"--effect {name} cannot be combined with --drive: only sensor effects apply to a "
+                                     "recorded drive")
     return settings
 
 
@@ -145,10 +146,10 @@ def _parse_origin(text: str) -> Origin:
     try:
         latitude, longitude, height = map(float, text.split(","))
     except ValueError:
-        raise SimulationError(f"--origin {text}: must be latitude,longitude,height in degrees and metres") from None
+        raise ConfigurationError(f"--origin {text}: must be latitude,longitude,height in degrees and metres") from None
     if not (abs(latitude) < 89 and abs(longitude) <= 180 and abs(height) < 9000):
-        raise SimulationError(f"--origin {text}: latitude must be within +-89 degrees, longitude within +-180 degrees, "
-                              "height within +-9000 m")
+        raise ConfigurationError(f"--origin {text}: latitude must be within +-89 degrees, longitude within +-180 "
+                                 "degrees, height within +-9000 m")
     return Origin(latitude, longitude, height)
 
 
@@ -204,10 +205,10 @@ def _report(**values: object) -> None:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Argument parser that raises SimulationError for a bad argument."""
+    """Argument parser that raises ConfigurationError for a bad argument."""
 
     def error(self, message: str) -> NoReturn:
-        raise SimulationError(message)
+        raise ConfigurationError(message)
 
 
 def _make_parser() -> argparse.ArgumentParser:

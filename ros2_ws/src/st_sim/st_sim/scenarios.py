@@ -10,10 +10,11 @@ from functools import partial
 from pathlib import Path as FilePath
 from typing import Any
 
+from st_core.errors import ConfigurationError
 from st_core.manoeuvres import CATALOGUE, Manoeuvre, PiecewiseLinear
 
 from .path import Path, Piece, SpeedProfile, lane_shift, straight, turn
-from .settings import SimulationError, read_document
+from .settings import read_document
 
 OpenLoopSteering = Callable[[float], float]  # wheelbase of the car [m] -> road-wheel angle [rad], positive to the left
 
@@ -173,12 +174,12 @@ SCENARIOS: dict[str, tuple[Callable[[], Plan], str]] = {
 
 
 def load_plan(name: str) -> Plan:
-    """New plan of a scenario, given by its name or a YAML file (see config/manoeuvres). Raises SimulationError."""
+    """New plan of a scenario, given by its name or a YAML file (see config/manoeuvres). Raises ConfigurationError."""
     if name in SCENARIOS:
         return SCENARIOS[name][0]()
     if name.endswith((".yaml", ".yml")):
         return _read_plan(FilePath(name))
-    raise SimulationError(f"--scenario {name}: unknown; choose {', '.join(SCENARIOS)}, or a .yaml file")
+    raise ConfigurationError(f"--scenario {name}: unknown; choose {', '.join(SCENARIOS)}, or a .yaml file")
 
 
 def _read_plan(file: FilePath) -> Plan:
@@ -196,8 +197,8 @@ def _read_plan(file: FilePath) -> Plan:
     except (ArithmeticError, AttributeError, KeyError, StopIteration, TypeError, ValueError) as error:
         reason = f"key {error} is missing" if isinstance(error, KeyError) else (
             str(error) or "a row has none of the keys straight, turn and shift")
-        raise SimulationError(f"{file}: road: {reason}; rows are {{straight: m, speed: m/s}}, {{turn: deg, radius: m, "
-                              "blend: m, speed: m/s} or {shift: m, length: m, speed: m/s}") from None
+        raise ConfigurationError(f"{file}: road: {reason}; rows are {{straight: m, speed: m/s}}, {{turn: deg, "
+                                 "radius: m, blend: m, speed: m/s} or {shift: m, length: m, speed: m/s}") from None
 
 
 def _make_pieces(row: dict[str, Any]) -> list[Piece]:

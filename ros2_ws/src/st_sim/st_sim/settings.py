@@ -11,32 +11,29 @@ from types import MappingProxyType
 from typing import Any
 
 from st_core import yaml_text
-from st_core.errors import ConfigurationError, StCoreError
+from st_core.errors import ConfigurationError
 from st_core.vehicle import VehicleParameters
 
 Settings = Mapping[str, float]
 
 
-class SimulationError(StCoreError):
-    """Invalid argument or file; the one-line message names the file or option, the key and the limit."""
-
-
 def read_document(path: Path) -> Any:
-    """Content of a YAML file. Raises SimulationError naming the file."""
+    """Content of a YAML file. Raises ConfigurationError naming the file."""
     try:
         return yaml_text.load(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise SimulationError(f"{path}: cannot be read: {error.strerror}") from None
+        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
     except (ConfigurationError, UnicodeDecodeError) as error:
-        raise SimulationError(f"{path}: {error}") from None
+        raise ConfigurationError(f"{path}: {error}") from None
 
 
 def read_vehicle(path: Path) -> VehicleParameters:
-    """The car of a vehicle file. Raises SimulationError naming file and key."""
+    """The car of a vehicle file. Raises ConfigurationError naming file and key."""
+    document = read_document(path)
     try:
-        return VehicleParameters.from_document(read_document(path))
+        return VehicleParameters.from_document(document)
     except ConfigurationError as error:
-        raise SimulationError(f"{path}: {error}") from None
+        raise ConfigurationError(f"{path}: {error}") from None
 
 
 @dataclass(frozen=True)
@@ -126,7 +123,7 @@ PRESETS: Mapping[str, Settings] = MappingProxyType({"ideal": IDEAL, "realistic":
 
 
 def resolve_settings(plant: str, effects: Iterable[str] = ()) -> dict[str, float]:
-    """All settings from `--plant` and `--effect name=value ...`. Raises SimulationError.
+    """All settings from `--plant` and `--effect name=value ...`. Raises ConfigurationError.
 
     plant: a preset, or a YAML file {preset: realistic, name: value, ...} (default preset: ideal).
     """
@@ -138,7 +135,7 @@ def resolve_settings(plant: str, effects: Iterable[str] = ()) -> dict[str, float
         except ValueError:
             value = math.nan
         if not equals or math.isnan(value):
-            raise SimulationError(f"--effect {effect}: must be name=value with a number")
+            raise ConfigurationError(f"--effect {effect}: must be name=value with a number")
         settings[name] = _check_value(name, value, "--effect")
     return settings
 
@@ -150,21 +147,21 @@ def find_overrides(settings: Settings) -> dict[str, float]:
 
 def _read_file(path: Path) -> dict[str, float]:
     if not path.is_file():
-        raise SimulationError(f"--plant {path}: not a file, and not a preset ({', '.join(PRESETS)})")
+        raise ConfigurationError(f"--plant {path}: not a file, and not a preset ({', '.join(PRESETS)})")
     document = read_document(path)
     if not isinstance(document, dict):
-        raise SimulationError(f"{path}: not a mapping of settings to values")
+        raise ConfigurationError(f"{path}: not a mapping of settings to values")
     preset = document.pop("preset", "ideal")
     if not isinstance(preset, str) or preset not in PRESETS:
-        raise SimulationError(f"{path}: preset: {preset!r} is not one of {', '.join(PRESETS)}")
+        raise ConfigurationError(f"{path}: preset: {preset!r} is not one of {', '.join(PRESETS)}")
     return {**PRESETS[preset], **{name: _check_value(name, value, str(path)) for name, value in document.items()}}
 
 
 def _check_value(name: str, value: object, origin: str) -> float:
     setting = SETTINGS.get(name)
     if setting is None:
-        raise SimulationError(f"{origin}: {name}: unknown setting; choose one of {', '.join(SETTINGS)}")
+        raise ConfigurationError(f"{origin}: {name}: unknown setting; choose one of {', '.join(SETTINGS)}")
     if isinstance(value, bool) or not isinstance(value, int | float) or not setting.low <= value <= setting.high:
-        raise SimulationError(f"{origin}: {name}: {value!r} is not within {setting.low:g} to {setting.high:g} "
-                              f"{setting.unit}")
+        raise ConfigurationError(f"{origin}: {name}: {value!r} is not within {setting.low:g} to {setting.high:g} "
+                                 f"{setting.unit}")
     return float(value)

@@ -10,13 +10,14 @@ from typing import NamedTuple
 import can
 from canedge_bridge.transport import open_bus
 from oxts_bridge.ncom import INITIALISING, LOCKED, LOCKING
+from st_core.errors import ConfigurationError
 
 from .driver import SimulatedCar
 from .encoders import FRAME_TIME, NO_DATA, RAW_IMU, BackgroundTraffic, CanEncoder, Frame, NcomEncoder
 from .plant import Truth
 from .recorded_drive import RecordedDrive
 from .sensors import Ins, SteeringSensor, TransmissionLoss, read_wheel_speeds
-from .settings import Settings, SimulationError
+from .settings import Settings
 
 Source = SimulatedCar | RecordedDrive
 TICK_MS = 2  # period at which measurements are checked for being due
@@ -140,18 +141,18 @@ class Report:
 
 
 class LiveOutput:
-    """UDP socket and CAN bus for the output. Raises SimulationError naming the option if one cannot be opened."""
+    """UDP socket and CAN bus for the output. Raises ConfigurationError naming the option if one cannot be opened."""
 
     def __init__(self, ncom_host: str, ncom_port: int, can_interface: str, can_channel: str):
         self.report = Report()
         try:
             self._address = (socket.gethostbyname(ncom_host), ncom_port)
         except OSError as error:
-            raise SimulationError(f"--ncom-host {ncom_host}: {error}") from None
+            raise ConfigurationError(f"--ncom-host {ncom_host}: {error}") from None
         try:
             self._bus = open_bus(can_interface, can_channel)
         except (ValueError, OSError, can.CanError) as error:
-            raise SimulationError(f"--can-interface {can_interface} --can-channel {can_channel}: {error}") from None
+            raise ConfigurationError(f"--can-interface {can_interface} --can-channel {can_channel}: {error}") from None
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
 

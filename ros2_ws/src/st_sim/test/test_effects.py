@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from st_core.errors import ConfigurationError
 from st_sim.driver import SimulatedCar
 from st_sim.dynamics import GRAVITY, TRACK_WIDTH, make_tyre_coefficients, tyre_force
 from st_sim.plant import RACK, STEP, VX, YAW_RATE, Environment, Plant, Y, Z
@@ -14,7 +15,6 @@ from st_sim.settings import (
     PRESETS,
     REALISTIC,
     SETTINGS,
-    SimulationError,
     find_overrides,
     read_vehicle,
     resolve_settings,
@@ -268,7 +268,7 @@ def test_presets_and_plant_files_are_resolved(tmp_path):
 def test_invalid_plant_file_is_rejected_with_its_name(tmp_path, text, message):
     file = tmp_path / "plant.yaml"
     file.write_text(text)
-    with pytest.raises(SimulationError, match=r"^[^\n]*plant\.yaml[^\n]*$") as caught:
+    with pytest.raises(ConfigurationError, match=r"^[^\n]*plant\.yaml[^\n]*$") as caught:
         resolve_settings(str(file))
     assert message in str(caught.value)
 
@@ -276,5 +276,5 @@ def test_invalid_plant_file_is_rejected_with_its_name(tmp_path, text, message):
 @pytest.mark.parametrize("effect",
                          ["bank_angle", "bank_angle=", "bank_angle=x", "bank_angle=nan", "bank_angle=2", "b=1"])
 def test_invalid_effect_is_rejected_with_its_option(effect):
-    with pytest.raises(SimulationError, match="--effect"):
+    with pytest.raises(ConfigurationError, match="--effect"):
         resolve_settings("ideal", [effect])

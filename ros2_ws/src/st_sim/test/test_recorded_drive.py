@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from oxts_bridge.geometry import LocalFrame
 from oxts_bridge.stream import NcomParser
+from st_core.errors import ConfigurationError
 from st_sim import run
 from st_sim.encoders import UNDULATION
 from st_sim.recorded_drive import COLUMNS, RecordedDrive
-from st_sim.settings import SimulationError, read_vehicle
+from st_sim.settings import read_vehicle
 from support import EXAMPLES, ROOT
 
 GENESIS = ROOT / "config/vehicle/hyundai_genesis.yaml"
@@ -85,6 +86,6 @@ VALID_ROWS = "0,0,0,0,5,0,0,0,0,0\n0.02,0.1,0,0,5,0,0,0,0,0\n"
 def test_invalid_drive_is_rejected_with_its_name(tmp_path, text, message):
     file = tmp_path / "drive.csv"
     file.write_bytes(text.encode("utf-8", "surrogateescape"))
-    with pytest.raises(SimulationError, match=r"^[^\n]*drive\.csv[^\n]*$") as caught:
+    with pytest.raises(ConfigurationError, match=r"^[^\n]*drive\.csv[^\n]*$") as caught:
         RecordedDrive(file, CAR)
     assert message in str(caught.value)

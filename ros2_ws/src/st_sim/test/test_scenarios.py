@@ -5,10 +5,11 @@ from functools import cache
 
 import numpy as np
 import pytest
+from st_core.errors import ConfigurationError
 from st_sim.driver import MAX_STEERING_WHEEL_RATE, SimulatedCar
 from st_sim.path import Path, SpeedProfile, lane_shift, straight, turn
 from st_sim.scenarios import SCENARIOS, load_plan
-from st_sim.settings import SimulationError, read_vehicle, resolve_settings
+from st_sim.settings import read_vehicle, resolve_settings
 from support import LEAF, ROOT
 
 CAR = read_vehicle(LEAF)
@@ -245,10 +246,10 @@ def test_stop_and_go_has_speed_changes_and_turns_to_both_sides():
 def test_invalid_road_is_rejected_with_its_name(tmp_path, text, message):
     file = tmp_path / "road.yaml"
     file.write_text(text)
-    with pytest.raises(SimulationError, match=r"^[^\n]*road\.yaml[^\n]*$") as caught:
+    with pytest.raises(ConfigurationError, match=r"^[^\n]*road\.yaml[^\n]*$") as caught:
         load_plan(str(file))
     assert message in str(caught.value)
-    with pytest.raises(SimulationError, match="--scenario S9"):
+    with pytest.raises(ConfigurationError, match="--scenario S9"):
         load_plan("S9")
-    with pytest.raises(SimulationError, match="cannot be read"):
+    with pytest.raises(ConfigurationError, match="cannot be read"):
         load_plan(str(tmp_path / "none.yaml"))

@@ -117,7 +117,7 @@ def export(
         typer.echo("st export: CasADi is not installed: run pip install '.[mpc]' or pip install casadi", err=True)
         raise typer.Exit(2)
     from st_offline.model_export import export_model
-    from st_recordings.car import read_model
+    from st_recordings.car import read_model, read_text
 
     with shared.report_errors("export", OSError):
         given_file = shared.ReadOptions(car, vehicle).fill_in_car().vehicle
@@ -125,7 +125,7 @@ def export(
         if effects is not None:
             load_folder(str(effects.absolute()))
         exported, model_vehicle = read_model(model, parameters, str(file), given_file is not None)
-        parsed_bands = None if bands is None else Bands.from_yaml(bands.read_text(encoding="utf-8"), str(bands))
+        parsed_bands = None if bands is None else Bands.from_yaml(read_text(bands), str(bands))
         folder = new_folder(output, "export")
         paths = export_model(exported, model_vehicle, folder, kind, substeps, free, parsed_bands)
     if model_vehicle is parameters:

@@ -88,9 +88,10 @@ def evaluate(
     from st_core.course import Course
     from st_offline.evaluation.evaluation_command import run_command
     from st_offline.evaluation.work import check_bands, load_models
+    from st_recordings.car import read_text
 
     with shared.report_errors("evaluate"):
-        parsed_bands, parsed_course = (file and (str(file), kind.from_yaml(file.read_text(encoding="utf-8"), str(file)))
+        parsed_bands, parsed_course = (file and (str(file), kind.from_yaml(read_text(file), str(file)))
                                        for file, kind in ((bands, Bands), (course, Course)))
         task, vehicle = prediction_options.make_task(
             read_options, interval, over=table, force=force, starts=_parse_seconds(at),
