@@ -20,6 +20,7 @@ from st_recordings.runs import ReadSettings, RunSource, axes, find_runs, read
 from st_recordings.runs.axes import MIN_COURSE_SPREAD, convert_odometry, rotate_to_body_axes
 from st_recordings.runs.bag import ODOMETRY, read_bag
 from st_recordings.runs.errors import RunError
+from st_recordings.runs.ins_log import are_stored_out_of_order
 from st_recordings.runs.readers.bag import _is_command
 from st_recordings.runs.run_types import SteeringField
 
@@ -358,6 +359,27 @@ def test_bag_with_stamps_of_another_clock_is_read_by_the_times_of_reception(tmp_
     run = read(find_runs([folder])[0], CAR, STEER)
     assert_same(run.log, drive_log, max_lost=0)
     assert_warned(run.warnings, "stamps of /pose and /twist and /steer do not overlap in time; the times of reception")
+
+
+def test_messages_stored_out_of_order_are_sorted_by_their_stamps(tmp_path: Path, drive_log: DriveLog) -> None:
+    """Several threads that write one file store blocks of messages in any order."""
+    order = np.random.default_rng(4).permuted(np.arange(len(drive_log.x) // 20 * 20).reshape(-1, 20), axis=1).ravel()
+    messages = make_messages(drive_log, make_store(Stores.ROS2_JAZZY, DEFINITIONS))
+    bag = write(tmp_path / "bag", drive_log, "/odom", "/vehicle/status/steering_status", rows=slice(len(order)),
+                change={"/odom": lambda _, k: messages["/odom"](int(order[k]))})
+    (source,) = find_runs([bag])
+    run = read(source, CAR, ReadSettings(
+        steering=SteeringField("/vehicle/status/steering_status", "steering_tire_angle")))
+    assert_warned(run.warnings, "odometry messages are stored out of order; they were sorted by their stamps")
+    assert np.array_equal(run.log.ins_time_ns, drive_log.ins_time_ns[:len(order)])
+    assert np.allclose(run.log.x, drive_log.x[:len(order)])
+
+
+@pytest.mark.parametrize("step", [0.3, 0.305, 5.0])
+def test_clock_that_was_set_back_is_not_sorted(step: float) -> None:
+    time_ns = np.arange(3000) * 10_000_000
+    time_ns[1000:] -= round(step * 1e9)
+    assert not are_stored_out_of_order(time_ns)
 
 
 @pytest.mark.parametrize("topics", [("/odom", "/steer"), ("/pose", "/twist", "/steer")])

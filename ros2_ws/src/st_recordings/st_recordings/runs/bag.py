@@ -16,7 +16,7 @@ from .axes import convert_odometry
 from .bag_storage import EXTENSIONS, ROS1_EXTENSION, Storage, Topic, describe_missing_files, list_bag_files, open_bag
 from .cdr import CAN_FRAMES, CAN_MSGS_FRAME, NCOM, ODOMETRY, READ_ERRORS, STEERING, read_summary
 from .errors import RunError, format_count
-from .ins_log import InsLog, select_usable_rows, yaw_from_quaternion
+from .ins_log import InsLog, are_stored_out_of_order, select_usable_rows, yaw_from_quaternion
 from .reconstruct import RECONSTRUCTED_SUFFIX, Reconstruction, find_steering_topic, read_steering_columns
 from .run_types import LoadedRun, SteeringField, make_drive_log
 
@@ -293,5 +293,8 @@ def _select_usable_messages(time_ns: np.ndarray, is_usable: np.ndarray, noun: st
         reasons = [f"usable value of {', '.join(names)}"] if (names := [k for k, n in missing.items() if n]) else []
         reasons += ["stamp"] if (time == 0).any() else []
         notes.append(f"{format_count(lost, len(time), noun)} have no {' or no '.join(reasons)}; they were left out")
+    if are_stored_out_of_order(time[rows]):
+        rows = rows[np.argsort(time[rows], kind="stable")]
+        notes.append(f"{noun} are stored out of order; they were sorted by their stamps")
     selection, time_notes = select_usable_rows(time[rows], noun)
     return time[rows[selection]], rows[selection], [*notes, *time_notes]

@@ -17,6 +17,8 @@ SPEEDS = tuple(name for names in _SPEED_SETS for name in names)
 MAX_WHEEL_GAP_NS = 100_000_000  # longest gap across which the speed of a wheel is interpolated
 LATEST_TIME = 9.0e9  # s since 1970, in the year 2255; int64 nanoseconds end in the year 2262
 MAX_LOST_FRACTION = 0.01  # of the rows; if more are out of order in time, the clock may have been set back
+MAX_UNEVEN_FRACTION = 0.3
+"""Fraction of the rows out of order; if fewer steps between sorted times are short, only the order is wrong."""
 MAX_END_STEP = 10.0
 """Multiple of the 95th percentile of the steps; a longer first or last time step means a wrong first or last time."""
 
@@ -75,6 +77,15 @@ def is_mostly_known(values: np.ndarray | None) -> bool:
 def _select_finite(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     is_finite = np.isfinite(values)
     return time_ns[is_finite], values[is_finite]
+
+
+def are_stored_out_of_order(time_ns: np.ndarray) -> bool:
+    """Whether sorting makes the times (n,) even. It does not if the clock was set back: times then overlap, and the
+    steps between them are at most half as long, far below 3/4 of the median."""
+    lost_fraction = 1.0 - np.mean(find_ascending(time_ns)) if len(time_ns) else 0.0
+    steps = np.diff(np.sort(time_ns))
+    return bool(lost_fraction > MAX_LOST_FRACTION
+                and np.mean(steps < 0.75 * np.median(steps)) < MAX_UNEVEN_FRACTION * lost_fraction)
 
 
 def select_usable_rows(time_ns: np.ndarray, noun: str) -> tuple[np.ndarray, list[str]]:
