@@ -199,6 +199,19 @@ def test_sensitivities_are_correct_at_a_bound_too():
         np.testing.assert_allclose(found, problem.errors.signatures[indices], atol=1e-9)
 
 
+@pytest.mark.parametrize("central", [False, True])
+@pytest.mark.parametrize("fraction", [0.0, 0.5, 1.0])
+def test_sensitivities_are_correct_if_the_bounds_are_closer_than_the_step(fraction, central):
+    """An effect of a user may have two parameters of one unit, of which the larger determines the scale of both."""
+    problem = linear_problem(FEW, {}, 1)
+    space, (index,) = problem.space, problem.space.indices("mass")
+    space.scale[index] = 100.0 * (space.high[index] - space.low[index])
+    vector = space.null.copy()
+    vector[index] = space.low[index] + fraction * (space.high[index] - space.low[index])
+    (sensitivity,) = Loss(problem.errors, space.null, central).sensitivities(vector, np.array([index]))
+    np.testing.assert_allclose(sensitivity, problem.errors.signatures[index], atol=1e-9)
+
+
 def test_sensitivity_to_the_steering_offset_has_the_right_sign_and_size(leaf):
     """The car steers further left than measured: the errors decrease as the offset increases."""
     settings = DiscoverySettings(windows=50)

@@ -142,12 +142,12 @@ class Loss:
     def sensitivities(self, vector: np.ndarray, indices: np.ndarray) -> np.ndarray:
         """(a, n, m) sensitivities: reduction of the residuals [SI] per parameter scale of the parameters `indices`, by
         difference quotients on one side that respects bounds and limits of a vehicle file or, if `central`, on both; 0
-        where a prediction diverges."""
+        where a prediction diverges. A step is at most a third of the range, so that one side is within the bounds."""
         space, size = self.space, CENTRAL_STEP if self.central else DIFFERENCE_STEP
         shape, before, after = (len(indices), *self.errors.at(vector).shape), [], []
         for i in indices:
-            sides = np.tile(vector, (2, 1))
-            sides[:, i] += size * space.scale[i] * space.sign[i] * np.array([1.0, -1.0])
+            step = min(size * space.scale[i], (space.high[i] - space.low[i]) / 3.0) * space.sign[i]
+            sides = vector + np.outer((step, -step), np.arange(len(vector)) == i)
             within_bounds = [v for v in sides if space.low[i] <= v[i] <= space.high[i]]
             valid = [v for v in within_bounds if self.errors.model_at(v) is not None] or within_bounds
             after.append(valid[0])
