@@ -6,7 +6,8 @@ pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs.msg", reason="needs the built workspace")
 
 from canedge_bridge.node import CanedgeBridge
-from ros_processes import refusing_node
+from node_rig import launch
+from ros_processes import free_domain, refusing_node
 
 pytestmark = pytest.mark.ros
 refuse = pytest.fixture(refusing_node)
@@ -23,3 +24,11 @@ refuse = pytest.fixture(refusing_node)
 ])
 def test_invalid_configuration_is_rejected_in_one_line(refuse, parameters, message, node_parameters):
     assert message in refuse(CanedgeBridge, *(f"{n}:={value}" for n, value in (node_parameters | parameters).items()))
+
+
+@pytest.mark.slow
+def test_process_with_an_invalid_parameter_ends_with_status_2(node_parameters, tmp_path):
+    process = launch("canedge_bridge", node_parameters | {"steering_sign": 0}, tmp_path, free_domain())
+    output, errors = process.communicate(timeout=30)
+    assert process.returncode == 2
+    assert "steering_sign: 0" in errors and len(errors.strip().splitlines()) == 1 and output == ""

@@ -40,6 +40,14 @@ def test_invalid_configuration_is_rejected_in_one_line(refuse, parameters, text)
     assert text in line and "oxts_bridge" in line
 
 
+@pytest.mark.slow
+def test_process_with_an_invalid_parameter_ends_with_status_2(tmp_path):
+    process = launch("oxts_bridge", {"udp_port": 70000}, tmp_path, free_domain())
+    _, errors = process.communicate(timeout=30)
+    assert process.returncode == 2 and "udp_port: 70000" in errors
+
+
+
 @pytest.mark.parametrize(("key", "value", "text"), [
     ("bind_address", "localhost", "bind_address: 'localhost' is not an IP address"),
     ("bind_address", "", "bind_address: '' is not an IP address"),

@@ -406,3 +406,17 @@ def test_frame_with_an_impossible_time_is_skipped_and_counted(tmp_path: Path, nu
     log = read_can_logs([tmp_path / "log.log"])
     np.testing.assert_array_equal(log.frames.payload[:, 0], np.delete(np.arange(100), number))
     assert log.warnings == (f"{tmp_path / 'log.log'}: frames with an impossible time were skipped: 1",)
+
+
+@pytest.mark.parametrize("extension", [".asc", ".trc"])
+def test_frames_of_two_buses_written_slightly_out_of_order_are_no_time_steps(tmp_path: Path, extension: str) -> None:
+    times = [t for i in range(500) for t in (0.01 * i, 0.01 * i - 0.0003 if i else 0.0002)]
+    asc = "base hex  timestamps absolute\ninternal events logged\n" + "".join(
+        f"{t:11.6f} {1 + k % 2}  123             Rx   d 2 01 02\n" for k, t in enumerate(times))
+    trc = ";$FILEVERSION=1.1\n;\n" + "".join(
+        f"{k:6d}) {1e3 * t:11.1f}  Rx     0123  2  01 02\n" for k, t in enumerate(times, 1))
+    file = tmp_path / f"log{extension}"
+    file.write_text(asc if extension == ".asc" else trc)
+    log = read_can_logs([file])
+    assert np.ptp(log.frames.time_ns) * 1e-9 == pytest.approx(4.99, abs=0.01)
+    assert not any("were summed" in warning for warning in log.warnings)

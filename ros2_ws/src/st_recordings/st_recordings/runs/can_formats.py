@@ -28,6 +28,7 @@ _BLF_PADDING = 3  # bytes; largest padding after a container, which the format a
 _WEEKDAY_MONTH = re.compile(r"(?i)^(date|begin\s+triggerblock)\s+\S+\s+(\S+)(.*)")
 _TABLE_EXTENSIONS = (".csv", ".txt")
 _ENGLISH_MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
+LINES_FORMAT = "candump, BUSMASTER or CRTD"
 _LINES = (
     # Of candump without -l, stamped by -t a, -t z or -t A: " (1436509052.249713)  can0  RX - -  044   [8]  2A 36".
     re.compile(
@@ -446,7 +447,7 @@ def _is_asc(head: bytes) -> bool:
 
 
 FORMATS = (
-    Format("candump, BUSMASTER or CRTD", (".log", ".candump", ".crtd"), _is_candump, partial(
+    Format(LINES_FORMAT, (".log", ".candump", ".crtd"), _is_candump, partial(
         _read_text, make_reader=lambda lines, notes: import_module("can.io.canutils").CanutilsLogReader(lines),
         lines_type=_CandumpLines)),
     Format("Vector ASC", (".asc",), _is_asc, partial(_read_text, make_reader=_read_asc, lines_type=_AscLines)),

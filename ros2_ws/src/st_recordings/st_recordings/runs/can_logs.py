@@ -14,7 +14,16 @@ from scipy.ndimage import median_filter
 from . import frames as can_frames
 from .bag import is_bag
 from .bag_storage import open_bag
-from .can_formats import AMBIGUOUS_IDS, DECIMAL_IDS, FORMATS, STANDARD_IDS, UNSTAMPED_LINE, Format, read_head
+from .can_formats import (
+    AMBIGUOUS_IDS,
+    DECIMAL_IDS,
+    FORMATS,
+    LINES_FORMAT,
+    STANDARD_IDS,
+    UNSTAMPED_LINE,
+    Format,
+    read_head,
+)
 from .cdr import CAN_MSGS_FRAME
 from .errors import RunError, check_readable, shorten
 from .frames import ERROR, EXTENDED, FD, MAX_DATA_LENGTH, REMOTE, SENT, CanLog, Frames
@@ -28,7 +37,7 @@ MAX_TIME_JUMPS_NS = 60 * 10**9, 86400 * 10**9
 """60 s, and 1 day at the ends of a log; a time that is earlier or later than both neighbours by more is damaged."""
 FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times are relative to the start of the log
 MIN_DECREASING_FRACTION = 0.2
-"""Times of a log that begin at 0 are time steps between frames if a larger fraction decreases, or all are equal."""
+"""Times of a text log that begin at 0 are steps between frames if a larger fraction decreases, or all are equal."""
 
 
 def read_can_logs(files: Sequence[Path], known_ids: Collection[int] = ()) -> CanLog:
@@ -162,7 +171,7 @@ def _read_with_python_can(file: Path, kind: Format, notes: Sequence[str]) -> Can
     # Times of a day continue past midnight.
     rollovers = count_rollovers(frames.time_ns * 1e-9, DAY - ROLLOVER_STEP) if frames.time_ns.max() <= DAY * 1e9 else 0
     frames = replace(frames, time_ns=frames.time_ns + rollovers * round(DAY * 1e9))
-    if kind.name != "CSV" and _are_time_steps(frames.time_ns):
+    if kind.name == LINES_FORMAT and _are_time_steps(frames.time_ns):
         frames = replace(frames, time_ns=np.cumsum(frames.time_ns))
         format_notes.append("its times are relative to the previous frame; they were summed")
     log = can_frames.build_log(file, [frames], [*notes, *format_notes])
@@ -170,7 +179,7 @@ def _read_with_python_can(file: Path, kind: Format, notes: Sequence[str]) -> Can
 
 
 def _are_time_steps(time_ns: np.ndarray) -> bool:
-    """Whether the times of a log are time steps between frames: first 0, then often decreasing or all equal."""
+    """Whether the times of a text log are time steps between frames: first 0, then often decreasing or all equal."""
     steps = np.diff(time_ns[1:])
     return bool(time_ns[0] == 0 and len(steps) and ((steps < 0).mean() > MIN_DECREASING_FRACTION or not steps.any()))
 
