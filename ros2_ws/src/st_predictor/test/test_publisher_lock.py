@@ -99,6 +99,37 @@ def test_second_publisher_of_the_same_name_is_rejected_and_reported():
     assert lock.describe_conflict(now).startswith("published by 2 nodes (/oxts_bridge, /oxts_bridge)")
 
 
+@pytest.mark.parametrize("name", [OURS, OTHER])
+@pytest.mark.parametrize("ahead", [-3000, -40, 40, 3000])
+@pytest.mark.parametrize("lost", [{1300}, range(1300, 1600)])
+def test_messages_of_two_live_publishers_are_not_mixed_after_a_loss(name, ahead, lost):
+    lock, now = make_lock_in_use(count=5000)
+    lock.update([OURS, name])
+    accepted = []
+    for k in range(1, 3000):
+        sent = [(5000 + ahead + k, 0.005), *([(5000 + k, 0.0)] if k not in lost else [])]
+        accepted += [number - 5000 - k for number, delay in sent if lock.accept(number, now + 0.01 * k + delay)]
+    reached_lost_number = "none is used" in lock.describe_conflict(now + 30.0)
+    assert {*accepted} == {0} and reached_lost_number == (ahead == -40)
+    assert len(accepted) > (1000 if reached_lost_number else 2500)
+
+
+def test_other_publisher_of_the_same_name_is_not_accepted_after_it_lost_messages():
+    lock, now = make_lock_in_use()
+    lock.update([OURS, OURS])
+    assert lock.accept(1001, now) and not lock.accept(9000, now)
+    assert not any(lock.accept(9000 + k, now + 0.01 * k) for k in range(1, 500) if k != 90)
+
+
+def test_restarted_publisher_is_accepted_while_another_of_the_same_name_sends():
+    lock, now = make_lock_in_use()
+    lock.update([OURS, OURS])
+    assert not lock.accept(9000, now - 0.001) and lock.accept(1001, now)
+    lock.update([OURS, OURS, OURS])
+    assert not any(lock.accept(9000 + k, now + 0.01 * k) for k in range(1, 150))
+    assert [lock.accept(number, now + 1.5) for number in (1, 9150, 2, 9151, 3)] == [True, False, True, False, True]
+
+
 def test_other_publisher_is_not_accepted_while_the_first_is_silent():
     lock, now = make_lock_in_use()
     lock.update([OURS, OTHER])
@@ -107,8 +138,9 @@ def test_other_publisher_is_not_accepted_while_the_first_is_silent():
     assert lock.accept(1005, later)  # the first publisher after lost messages
 
 
+@pytest.mark.parametrize("name", [OURS, OTHER])
 @pytest.mark.parametrize("number", [None, 0])
-def test_without_numbers_two_publishers_are_rejected(number):
+def test_without_numbers_two_publishers_are_rejected(number, name):
     lock, now = make_lock_in_use()
-    lock.update([OURS, OTHER])
-    assert not lock.accept(number, now)
+    lock.update([OURS, name])
+    assert not lock.accept(number, now) and not lock.accept(number, now + 2.0 * SILENCE_TIMEOUT)

@@ -28,8 +28,8 @@ class PublisherLock:
 
     A message does not name its publisher, but each publisher numbers its messages consecutively: they form a chain.
     None is used while several nodes publish before the first is accepted, or if two chains have reached the same
-    number. Publishers with one node name are a restarted node and its predecessor, which stays in the graph for a while
-    after it was killed, but sends nothing.
+    number. A killed node stays in the graph for a while. Its successor has the same node name and numbers its messages
+    from 1; a chain that began before the last accepted message is of another node.
 
     names: full node names of all publishers at the last `update`. rejected_count: number of messages rejected so far.
     """
@@ -40,7 +40,7 @@ class PublisherLock:
         self._has_competitors = self._are_indistinguishable = False
         self._accepted_number: int | None = None  # sequence number of the newest accepted message
         self._accepted_at: float | None = None  # [s]
-        self._rejected_chains: dict[int, float] = {}  # time of arrival [s] by newest number of each rejected chain
+        self._rejected_chains: dict[int, tuple[float, float]] = {}  # newest number: first and last time of arrival [s]
         self._rejected_at: float | None = None  # [s]
 
     def update(self, names: Sequence[str]) -> None:
@@ -49,36 +49,41 @@ class PublisherLock:
         self._are_indistinguishable = self._are_indistinguishable and self._has_competitors
 
     def accept(self, number: int | None, now: float) -> bool:
-        """Whether to use a message. number: assigned by its publisher, None if unknown. now: time of arrival [s]."""
+        """Whether to use a message. number: by its publisher, None or 0 if unknown. now: time of arrival [s]."""
         if not self._has_competitors or self._continues_chain(number, now):
             self._accepted_number, self._accepted_at = number, now
             return True
         self.rejected_count += 1
         self._rejected_at = now
         if number is not None:
-            self._rejected_chains.pop(number - 1, None)
-            self._rejected_chains[number] = now
+            began_at, _ = self._rejected_chains.pop(number - 1, (now, now))
+            self._rejected_chains[number] = began_at, now
         return False
 
     def _continues_chain(self, number: int | None, now: float) -> bool:
-        have_one_name = len(set(self.names)) == 1 and UNRESOLVED_NODE not in self.names
-        if self._are_indistinguishable or number is None:
+        if self._are_indistinguishable or not number:
             return False
         if self._accepted_number is None or self._accepted_at is None:
-            return have_one_name
-        self._rejected_chains = {newest: time for newest, time in self._rejected_chains.items()
-                                 if now - time < SILENCE_TIMEOUT}
+            return self._have_one_name()
+        self._rejected_chains = {newest: times for newest, times in self._rejected_chains.items()
+                                 if now - times[1] < SILENCE_TIMEOUT}
         if number == self._accepted_number + 1:
             self._are_indistinguishable = self._accepted_number in self._rejected_chains
             return not self._are_indistinguishable
         if now - self._accepted_at <= SILENCE_TIMEOUT:
             return False
         # Messages were lost, or the node was restarted.
-        candidates = {newest for newest in self._rejected_chains if self._may_follow(newest)} - {number - 1}
-        return have_one_name or (self._may_follow(number) and not candidates)
+        candidates = {newest for newest, (began_at, _) in self._rejected_chains.items()
+                      if began_at > self._accepted_at and self._may_follow(newest)}
+        is_new = number - 1 in candidates or number - 1 not in self._rejected_chains
+        return is_new and self._may_follow(number) and not candidates - {number - 1}
 
     def _may_follow(self, number: int) -> bool:
-        return self._accepted_number is not None and 0 < number - self._accepted_number <= MAX_NUMBER_GAP
+        return self._accepted_number is not None and (0 < number - self._accepted_number <= MAX_NUMBER_GAP or (
+            self._have_one_name() and number <= MAX_NUMBER_GAP))
+
+    def _have_one_name(self) -> bool:
+        return len(set(self.names)) == 1 and UNRESOLVED_NODE not in self.names
 
     def describe_conflict(self, now: float) -> str:
         """Warning about competing publishers, empty without any. now: on the clock of `accept` [s]."""
