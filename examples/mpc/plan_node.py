@@ -16,6 +16,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from canedge_bridge.table_reader import read_text
 from controller import Controller, Reference, Solution
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
@@ -25,10 +26,10 @@ from st_core.course import SPACING, Course, NearPoint, Pass
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.models import MODELS, get_model
 from st_core.types import VehicleState, ins_to_cg
-from st_core.vehicle import VehicleParameters
 from st_live.suite import make_loopback_environment
 from st_msgs.msg import InputPlan, Steering
 from st_predictor import convert
+from st_recordings.car import read_vehicle
 from st_recordings.paths import config
 from st_ros import spin
 from st_ros.polling import PolledSubscription, from_nanoseconds
@@ -158,10 +159,10 @@ def main() -> int:
     parser.add_argument("--vehicle", type=Path, default=config("vehicle/leaf.yaml"))
     options = parser.parse_args(remove_ros_args(sys.argv)[1:])
     try:
-        vehicle = VehicleParameters.from_yaml(options.vehicle.read_text(encoding="utf-8"), str(options.vehicle))
+        vehicle = read_vehicle(options.vehicle)
         course = make_scenario_course(options.road) if options.course is None else Course.from_yaml(
-            options.course.read_text(encoding="utf-8"), str(options.course))
-    except (OSError, StCoreError) as error:
+            read_text(options.course), str(options.course))
+    except StCoreError as error:
         print(f"plan_node.py: {error}", file=sys.stderr)
         return 2
     os.environ.update(make_loopback_environment(os.environ))  # as the nodes of st demo and st live
