@@ -5,7 +5,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from exact_drive import exact_drive
+from exact_drive import Sines, exact_drive
 from exact_faults import findings_by_name
 from st_core.checks import AuxiliaryData, Finding, Severity, check
 from st_core.checks.finding import merge_findings
@@ -33,6 +33,15 @@ def test_constant_channel_is_reported(log, leaf, name, value):
     assert finding.severity is (Severity.WARNING if name in OPTIONAL else Severity.ERROR)
     assert finding.channels == (name,)
     assert finding.advice.kind == "text"  # leaving out the complete drive is not a correction
+
+
+@pytest.mark.parametrize("value", [0.0, 0.3])
+def test_constant_yaw_rate_with_noise_of_yaw_is_reported(leaf, value):
+    """On a straight road, yaw varies by its noise alone, and does not correlate with the yaw rate."""
+    straight = exact_drive(leaf, turning=Sines(0.0, ()))
+    yaw = straight.yaw + 0.01 * np.random.default_rng(0).standard_normal(len(straight.yaw))
+    frozen = with_constant(replace(straight, yaw=yaw), "yaw_rate", value=value)
+    assert "yaw_rate" in findings_by_name(frozen, leaf)["channel_frozen"].channels
 
 
 @pytest.mark.slow

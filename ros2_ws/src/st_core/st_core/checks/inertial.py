@@ -182,7 +182,7 @@ def _fit_line(problem: Regression, derived: np.ndarray, correlation: float, fit_
     are_confounded = abs(float(derived.mean())) > float(derived.std()) and abs(correlation) < MIN_SCALE_CORRELATION
     if fit_bias and not are_confounded:
         both = problem.estimate(("scale", "bias"))
-        fraction = max(1.0 - noise**2 / max(float(np.var(derived)), 1e-300), correlation**2)
+        fraction = max(1.0 - noise**2 / max(float(np.var(derived)), 1e-300), correlation**2) or 1.0  # r = 0: constant
         scale = both["scale"].scaled(1.0 / fraction)
         return scale, both["bias"].shifted((both["scale"].value - scale.value) * float(derived.mean()))
     scale = problem.estimate(("scale",))["scale"]
