@@ -267,6 +267,24 @@ def test_variants_of_candump_and_asc(tmp_path: Path, name: str, lines: list[str]
     assert not name.startswith("a.") or name == "a.asc" or frames.time_ns[0] == 1_436_509_052_000_000_000
 
 
+@pytest.mark.parametrize(("start", "pause"), [(3590, 0), (3590, 1500), (86390, 0), (86390, 100), (86390, 40000)])
+@pytest.mark.parametrize("busmaster", [False, True])
+def test_clock_times_continue_past_the_hour_and_midnight_also_after_a_pause(
+        tmp_path: Path, start: int, pause: int, busmaster: bool) -> None:
+    """A spreadsheet writes minutes and seconds without the hour."""
+    ms = 1000 * start + 10 * np.arange(2000) + 1000 * pause * (np.arange(2000) >= 1000)
+    h, m, s = ms // 3_600_000 % 24, ms // 60_000 % 60, ms % 60_000 / 1000
+    texts = [f"{a:02d}:{b:02d}:{c:06.3f}" for a, b, c in zip(h, m, s, strict=True)]
+    if busmaster:
+        lines = [BUSMASTER, *(f"{text.replace('.', ':')}0 Rx 1 0x123 s 2 01 02\n" for text in texts)]
+    else:
+        lines = ["Time,ID,DLC,Data\n", *(f"{text[3 * (start < 3600):]},1A3,2,0102\n" for text in texts)]
+    (tmp_path / f"a.{'log' if busmaster else 'csv'}").write_text("".join(lines))
+    log = read_can_logs([next(tmp_path.iterdir())])
+    np.testing.assert_array_equal(log.frames.time_ns, ms * 10**6)
+    assert not log.warnings
+
+
 def test_candump_with_a_coarse_clock_from_0_is_not_read_as_time_steps(tmp_path: Path) -> None:
     (tmp_path / "a.log").write_text("".join(f" (000.{k // 3:03d}000)  can0  002   [1]  01\n" for k in range(600)))
     frames = read_can_logs([tmp_path / "a.log"]).frames

@@ -20,7 +20,7 @@ from .binary_table import is_signal_table
 from .columns import MOTION_CHANNELS, UNITS, Layout, find_columns, find_times, normalise
 from .errors import COMPRESSED_MAGIC, CP1252_FALLBACK, find_utf16, format_count, shorten
 from .mf4 import MF4_EXTENSIONS, VENDOR_EXTENSIONS, is_mdf
-from .table_times import PLAUSIBLE_EPOCH, month_number, parse_stamp
+from .table_times import DAY, PLAUSIBLE_EPOCH, ROLLOVER_STEP, month_number, parse_stamp
 
 _BLF_HEAD_LENGTH = 16  # bytes: "LOBJ", header size, header version, object size, object type
 _BLF_CONTAINER = re.compile(rb"LOBJ\x10\0\x01\0.{4}\x0a\0\0\0", re.DOTALL)  # its head
@@ -466,6 +466,17 @@ def read_head(file: Path) -> bytes:
         head = stream.read(4096)
     codec = find_utf16(head)
     return head.decode(codec, "ignore").encode() if codec else head
+
+
+def find_clock(head: bytes) -> tuple[float, float]:
+    """(Period [s] after which the times of a log restart, smallest jump [s] that is a restart), by its first time of
+    day or of an hour. Numbers may be times since the start, so only a jump by about a day is a restart of them."""
+    header, *lines = head.decode("utf-8-sig", "ignore").splitlines() or [""]
+    _, delimiter, roles = _split_csv_header(header)
+    column, delimiter = (roles["time"], delimiter) if "time" in roles else (0, " ")  # BUSMASTER
+    cells = (cell for line in lines for cell in _split_row(line, delimiter)[column:column + 1])
+    _, period = next(filter(None, map(parse_stamp, cells)), (0.0, 0.0))
+    return (period, period / 2) if period else (DAY, DAY - ROLLOVER_STEP)
 
 
 def is_can_log(file: Path) -> bool:

@@ -22,6 +22,7 @@ from .can_formats import (
     STANDARD_IDS,
     UNSTAMPED_LINE,
     Format,
+    find_clock,
     read_head,
 )
 from .cdr import CAN_MSGS_FRAME
@@ -29,7 +30,7 @@ from .errors import RunError, check_readable, shorten
 from .frames import ERROR, EXTENDED, FD, MAX_DATA_LENGTH, REMOTE, SENT, CanLog, Frames
 from .ins_log import LATEST_TIME
 from .mf4 import MF4_EXTENSIONS, is_mdf, parse_session, read_mf4, reject_unreadable
-from .table_times import DAY, ROLLOVER_STEP, count_rollovers
+from .table_times import count_rollovers
 
 _BAG_FIELDS = ("header.stamp", "id", "is_rtr", "is_extended", "is_error", "dlc", "data")  # of can_msgs/Frame
 BLOCK_SIZE = 65536  # messages converted to columns at a time
@@ -168,9 +169,10 @@ def _read_with_python_can(file: Path, kind: Format, notes: Sequence[str]) -> Can
         reasons = f"no usable frames ({'; '.join(format_notes)})" if format_notes else "no frames"
         raise RunError(file, f"it contains {reasons}", "export its times in seconds, and identifiers and bytes as "
                        "hexadecimal numbers" if kind.name == "CSV" else "copy or export it again")
-    # Times of a day continue past midnight.
-    rollovers = count_rollovers(frames.time_ns * 1e-9, DAY - ROLLOVER_STEP) if frames.time_ns.max() <= DAY * 1e9 else 0
-    frames = replace(frames, time_ns=frames.time_ns + rollovers * round(DAY * 1e9))
+    period, min_jump = find_clock(read_head(file))
+    if frames.time_ns.max() <= period * 1e9:  # times of a day continue past midnight
+        rollovers = count_rollovers(frames.time_ns * 1e-9, min_jump)
+        frames = replace(frames, time_ns=frames.time_ns + rollovers * round(period * 1e9))
     if kind.name == LINES_FORMAT and _are_time_steps(frames.time_ns):
         frames = replace(frames, time_ns=np.cumsum(frames.time_ns))
         format_notes.append("its times are relative to the previous frame; they were summed")

@@ -27,7 +27,7 @@ _MONTHS = {name: number for number, names in enumerate((
     "jan jän gen ene sty", "feb fév fev lut", "mar mär mrz mrt maa", "apr avr abr kwi", "may mai mag maj mei",
     "jun juin giu cze", "jul juil lug lip", "aug aoû ago sie", "sep set wrz", "oct okt ott out paź", "nov lis",
     "dec dez déc dic des gru"), 1) for name in names.split()}
-ROLLOVER_STEP = 60.0  # s, longest gap across midnight or the end of a GPS week; 1 s for clocks with a shorter period
+ROLLOVER_STEP = 60.0  # s, longest gap of numbers across midnight or the end of a GPS week; 1 s for shorter periods
 # (day number of 1970-01-01, name of the scale)
 _DAY_COUNTS = ((719529.0, "MATLAB date numbers"), (25569.0, "spreadsheet date numbers"), (2440587.5, "Julian dates"))
 PLAUSIBLE_EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
