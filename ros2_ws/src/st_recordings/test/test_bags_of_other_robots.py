@@ -252,6 +252,20 @@ def test_limit_of_the_course_at_half_and_twice(monkeypatch) -> None:
             test_velocity_on_a_road_to_the_east(over_ground, 0.23, 0.0)
 
 
+@pytest.mark.parametrize("channel", ["yaw", "x", "velocity_y"])
+def test_unknown_values_do_not_change_the_axes_of_the_velocity(channel: str) -> None:
+    """A car that weaves on a road to the east, with one unknown value in a hundred."""
+    time = np.linspace(0.0, 60.0, 6001)
+    yaw, sideslip = 0.05 * np.sin(0.6 * time), -0.01 * np.cos(0.6 * time)
+    position, velocity = np.cumsum(15.0 * np.exp(1j * (yaw + sideslip))) * 0.01, 15.0 * np.exp(1j * sideslip)
+    columns = {"velocity_x": velocity.real.copy(), "velocity_y": velocity.imag.copy(), "yaw": yaw,
+               "x": position.real.copy(), "y": position.imag}
+    columns[channel][::100] = np.nan
+    lateral = columns["velocity_y"].copy()
+    assert rotate_to_body_axes(columns) == ""
+    np.testing.assert_array_equal(columns["velocity_y"], lateral)
+
+
 def test_yaw_of_the_wrong_sign_does_not_change_the_axes_of_the_velocity() -> None:
     time = np.linspace(0.0, 20.0, 2001)
     course = 0.2 * np.sin(time)

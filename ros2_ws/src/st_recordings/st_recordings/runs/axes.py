@@ -104,8 +104,9 @@ def _compare_with_positions(columns: Mapping[str, np.ndarray], velocity: np.ndar
     """Standard deviations [rad] of the angle from the velocity, in body axes and over ground, to the steps of the
     position; a constant angle, as of a misaligned INS, does not count."""
     products = (np.diff(columns["x"]) + 1j * np.diff(columns["y"])) * velocity[1:].conj()
-    total = max(float(np.nansum(np.abs(products))), 1e-12)
-    resultants = (abs(np.nansum(each)) / total for each in (products * np.exp(-1j * columns["yaw"][1:]), products))
+    products = np.stack((products * np.exp(-1j * columns["yaw"][1:]), products))
+    products = products[:, np.isfinite(products).all(axis=0)]
+    resultants = np.abs(products.sum(axis=1)) / max(float(np.abs(products[0]).sum()), 1e-12)
     in_body_axes, over_ground = (float(np.sqrt(max(2.0 - 2.0 * length, 0.0))) for length in resultants)
     return in_body_axes, over_ground
 
