@@ -60,6 +60,27 @@ def test_drives_in_folders_are_paired_with_the_logs_next_to_them(tmp_path: Path,
     assert not any(run.problem for run in runs)
 
 
+@pytest.mark.parametrize(("names", "pairs"), [
+    (("d1/a.ncom", "d1/b.log", "d2/b.ncom"), {}),
+    (("d1/drive.ncom", "d1/log/00000001.log", "d2/00000001.ncom", "d2/log/00000002.log"), {}),
+    (("d1/00000001.log", "d2/00000001.ncom", "d2/log/00000002.log", "d3/c.ncom", "d3/x.log"),
+     {"d3/c.ncom": "d3/x.log"}),
+    (("d1/a.ncom", "d1/00000001.log", "d2/00000001.ncom", "d2/log/00000001.log"),
+     {"d1/a.ncom": "d1/00000001.log", "d2/00000001.ncom": "d2/log/00000001.log"}),
+    (("d1/a.ncom", "d1/log/a.log", "d1/log/b.log", "d2/b.ncom"),
+     {"d1/a.ncom": "d1/log/a.log", "d2/b.ncom": "d1/log/b.log"}),
+])
+def test_recordings_are_not_paired_if_names_and_folders_disagree(
+        tmp_path: Path, names: tuple[str, ...], pairs: dict[str, str]) -> None:
+    files = touch(tmp_path, *names)
+    for given in ([tmp_path], files):
+        runs = find_runs(given)
+        assert {run.files[0]: run.can for run in runs if not run.problem} == {
+            tmp_path / ins: (tmp_path / log,) for ins, log in pairs.items()}
+        unpaired = {f for f in files if f.suffix == ".ncom"} - {tmp_path / ins for ins in pairs}
+        assert {run.files[0] for run in runs if "do not show which one belongs to it" in str(run.problem)} == unpaired
+
+
 def test_export_of_an_ncom_file_is_not_a_second_recording(tmp_path: Path) -> None:
     touch(tmp_path, "run.ncom", "run.log")
     touch(tmp_path, "run.csv", content=DRIVE.replace(",delta", "").replace(",0\n", "\n"))

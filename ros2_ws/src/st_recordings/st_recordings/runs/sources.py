@@ -1,6 +1,7 @@
 """Groups files into runs: by their names, by their folders, by the time of split bags, or by a run.yaml."""
 
 import glob
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -167,7 +168,7 @@ def _group_files(files: Sequence[Path], named_by_user: bool) -> list[RunSource]:
             logs = [f for f in logs if f not in own_logs]
         else:
             recordings_without_logs.append(file)
-    partners = {file: _find_partners(file, recordings_without_logs, logs) for file in recordings_without_logs}
+    partners = _find_partners(recordings_without_logs, logs)
     runs += [RunSource(f.stem, readers[f].kind, (f,), own_logs) for f, own_logs in partners.items() if own_logs]
     logs = [log for log in logs if not any(log in own_logs for own_logs in partners.values())]
     for file in complete_drives:
@@ -177,18 +178,24 @@ def _group_files(files: Sequence[Path], named_by_user: bool) -> list[RunSource]:
     return [*runs, *_report_unmatched([f for f, own_logs in partners.items() if not own_logs], readers, logs)]
 
 
-def _find_partners(file: Path, recordings: Sequence[Path], logs: Sequence[Path]) -> tuple[Path, ...]:
-    """CAN logs of an INS recording: those with its stem in other folders, if it is the only one with this stem, or else
-    those in the largest folder around it that contains no other INS recording."""
-    same_stem = tuple(log for log in logs if log.stem == file.stem)
-    if same_stem and sum(other.stem == file.stem for other in recordings) == 1:
-        return same_stem
-    own_logs: tuple[Path, ...] = ()
-    for folder in file.absolute().parents:
-        if any(folder in other.absolute().parents for other in recordings if other != file):
-            break
-        own_logs = tuple(log for log in logs if folder in log.absolute().parents)
-    return own_logs
+def _find_partners(recordings: Sequence[Path], logs: Sequence[Path]) -> dict[Path, tuple[Path, ...]]:
+    """CAN logs of each INS recording: those in the largest folder around it that contains no other INS recording, only
+    those with its stem if there are any; without logs there, those with its stem in other folders, if it is the only
+    recording with this stem. None if stems and folders disagree."""
+    candidates: dict[Path, tuple[Path, ...]] = {}
+    contradictory = set[Path]()
+    for file in recordings:
+        other_folders = {folder for other in recordings if other != file for folder in other.absolute().parents}
+        folders = [folder for folder in file.absolute().parents if folder not in other_folders]
+        nearby = tuple(log for log in logs if folders and folders[-1] in log.absolute().parents)
+        is_only_one = sum(other.stem == file.stem for other in recordings) == 1
+        same_stem = tuple(log for log in logs if is_only_one and log.stem == file.stem)
+        candidates[file] = tuple(log for log in same_stem if log in nearby) or (*nearby, *same_stem)
+        if nearby and {*candidates[file]} - {*nearby}:
+            contradictory.add(file)
+    counts = Counter(log for own_logs in candidates.values() for log in own_logs)
+    return {file: () if file in contradictory or any(counts[log] > 1 for log in own_logs) else own_logs
+            for file, own_logs in candidates.items()}
 
 
 def _report_unknown_file(file: Path) -> RunSource:
@@ -205,7 +212,7 @@ def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
         if not readers[file].needs_can:
             yield _make_single_run(file, readers[file])  # its reader reports the missing data
             continue
-        reason = "each CAN log may belong to any of several INS recordings" if logs else "no CAN log has the same name"
+        reason = "names and folders do not show which one belongs to it" if logs else "no CAN log has the same name"
         advice = "give them the same name, or list the files of each run in a run.yaml"
         others = [f.name for f in sorted(file.parent.glob(f"{glob.escape(file.stem)}.*")) if f not in recordings]
         signals = [name for name in others if Path(name).suffix.lower() in MF4_EXTENSIONS]
