@@ -7,6 +7,8 @@ import pytest
 from exact_drive import Sines, delay, exact_drive
 from exact_faults import findings_by_name, scaled, yaw_from_north
 from st_core.checks import Severity, check
+from st_core.log import DriveLog
+from support import read_car, shared
 
 SLOW = {"speed": Sines(6.0, ((1.5, 21.0, 0.4), (0.5, 7.0, 1.1)))}
 
@@ -31,7 +33,7 @@ def test_latency_of_the_steering_that_changes_is_not_a_clock_of_another_rate(lea
     checked = check(log, leaf)
     (finding,) = checked.findings
     assert finding.name == "steering_lag" and finding.interval[0] < seconds < finding.interval[1]
-    assert " in the first half of the drive, but by " in finding.text and finding.advice.kind == "text"
+    assert " in the first half of the drive, but " in finding.text and finding.advice.kind == "text"
     assert "steering_lag" not in checked.estimates
 
 
@@ -39,6 +41,28 @@ def test_latency_of_the_steering_that_changes_is_not_a_clock_of_another_rate(lea
 def test_latency_of_the_yaw_rate_that_changes_is_not_one_of_the_steering(leaf):
     log = late_in_second_half(exact_drive(leaf, 200.0, rate=20.0), 0.3, "yaw_rate")
     assert not {"time_rate", "steering_lag"} & findings_by_name(log, leaf).keys()
+    late = findings_by_name(delay(log, 0.4, "road_wheel_angle"), leaf)["steering_lag"]
+    assert late.interval[0] < 0.4 < late.interval[1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "rate"), [("cpg_lap_medium", 0.999), ("cpg_lap_fast", 1.003)])
+def test_steering_clock_of_another_rate_is_no_step_in_real_drives(name, rate):
+    rows = np.genfromtxt(shared(f"data/hyundai_genesis_oxts/{name}.csv"), delimiter=",", names=True)
+    time = np.round(rows["t"] * 1e9).astype(np.int64)
+    log = DriveLog(name, time, *(rows[key] for key in ("x", "y", "yaw", "vx", "vy", "yaw_rate")),
+                   np.round(rate * time).astype(np.int64), rows["delta"])
+    found = findings_by_name(log, read_car("hyundai_genesis"))
+    assert found["time_rate"].channels == ("road_wheel_angle",) and "steering_lag" not in found
+
+
+@pytest.mark.slow
+def test_noise_of_yaw_does_not_hide_a_steering_clock_of_another_rate(leaf):
+    log = exact_drive(leaf, 200.0, rate=20.0)
+    start = log.steering_time_ns[0]
+    wrong = replace(log, steering_time_ns=start + np.round(1.002 * (log.steering_time_ns - start)).astype(np.int64),
+                    yaw=log.yaw + 0.02 * np.random.default_rng(0).standard_normal(len(log.yaw)))
+    assert "time_rate" in findings_by_name(wrong, leaf)
 
 
 @pytest.mark.parametrize("seconds", [0.1, -0.1])

@@ -51,6 +51,10 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
     speed = float(np.median(motion.velocity_x[moving])) if moving.any() else MIN_SPEED
     response = compute_response_time(vehicle, speed)
     agreement = _compare_angles(motion, derived, response)
+    if agreement and _has_clock_error(motion, vehicle, agreement) and _lag_of_yaw_rate_changes(motion, agreement):
+        motion = replace(motion, yaw_rate=np.gradient(motion.yaw, motion.time))
+        derived = _derive_angle(motion, vehicle)
+        agreement = _compare_angles(motion, derived, response)
     gain = _estimate_steering_gain(motion, derived)
     # Understeer with the stability factor K multiplies the steering angle by 1 + K v^2. The mean of this factor,
     # weighted with the squared angle, is computed for K of the vehicle file (0 or more) and for the largest K of cars.
@@ -77,7 +81,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
     # Play takes its width from every turn, so small steering angles have too small a gain.
     may_be_play = 0.0 < (1.0 - gain.value) * agreement.spread < 0.5 * STEERING_PLAY / vehicle.steering_ratio
     findings = (_make_unit_finding(gain, plausible_gains, vehicle, has_steering_wheel, may_be_play),
-                _make_clock_finding(motion, vehicle, agreement, response, lateral_shift) if has_clock_error else None,
+                _make_clock_finding(motion, derived, agreement, response, lateral_shift) if has_clock_error else None,
                 _make_lag_finding(lag, agreement, response, lateral_shift) if has_lag else None,
                 _make_offset_finding(agreement, vehicle, has_steering_wheel, lateral_shift))
     estimates = {"steering_scale": gain, "steering_sign": gain,
@@ -96,7 +100,7 @@ def _derive_angle(motion: Motion, vehicle: VehicleParameters) -> np.ndarray:
 
 
 def _compare_angles(motion: Motion, derived: np.ndarray, response: float,
-                    rows: slice = slice(None)) -> Agreement | None:
+                    rows: slice | np.ndarray = slice(None)) -> Agreement | None:
     """Agreement of the steering with the angle derived from motion in some rows. response: time [s]."""
     return compare_series(motion.time[rows], derived[rows], motion.steering_time, motion.steering, CUTOFF,
                           fit_drift=True, expected_lag=-response, max_fitted_lag=2.0 * MAX_LAG)
@@ -208,32 +212,43 @@ def _make_unit_finding(gain: Estimate, plausible_gains: tuple[float, float], veh
 
 
 def _has_clock_error(motion: Motion, vehicle: VehicleParameters, agreement: Agreement) -> bool:
-    """Whether the lag of the steering changes during the drive by LIMITS.steering_lag or more, apart from the response
-    time of the car."""
+    """Whether the steering lag changes by LIMITS.steering_lag or more, beyond the response time of the car."""
     first, second = (compute_response_time(vehicle, max(float(np.median(half)), MIN_SPEED))
                      for half in np.array_split(motion.velocity_x, 2))
     change = add_systematic_uncertainty("steering_lag", agreement.drift.scaled(float(np.ptp(agreement.time))))  # s
     return change.widened(abs(second - first)).is_significant and abs(change.value) >= LIMITS.steering_lag
 
 
-def _make_clock_finding(motion: Motion, vehicle: VehicleParameters, agreement: Agreement, response: float,
-                        lateral_shift: float) -> Finding | None:
-    """Finding about a steering lag that changes during the drive; None if that of the yaw rate changes instead.
-    response: time [s]. lateral_shift: see `_compute_lateral_shift`."""
+def _lag_of_yaw_rate_changes(motion: Motion, agreement: Agreement) -> bool:
+    """Whether a change of the steering lag is one of the yaw rate, whose lag behind yaw then changes, too."""
+    other = compare_series(motion.time, motion.yaw, motion.time, motion.yaw_rate, CUTOFF, derived_is_angle=True,
+                           fit_drift=True)
+    return (other is not None and other.correlates and other.drift.is_significant
+            and other.drift.value / agreement.drift.value < -0.5)
+
+
+def _lag_is_constant(half: Agreement, drift: Estimate) -> bool:
+    """Whether the steering lag in half of a drive is constant and does not change at the rate `drift` of the drive."""
+    duration = float(np.ptp(half.time))
+    change = add_systematic_uncertainty("steering_lag", half.drift.scaled(duration))
+    difference = change.shifted(-duration * drift.value).widened(duration * drift.half_width)
+    return difference.is_significant and not change.is_significant
+
+
+def _make_clock_finding(motion: Motion, derived: np.ndarray, agreement: Agreement, response: float,
+                        lateral_shift: float) -> Finding:
+    """Finding about a steering lag that changes during the drive: at a constant rate, unless it is constant in each
+    half. response: time [s]. lateral_shift: see `_compute_lateral_shift`."""
     rate, change = agreement.drift.shifted(1.0), agreement.drift.scaled(float(np.ptp(agreement.time)))
-    from_yaw = _derive_angle(replace(motion, yaw_rate=np.gradient(motion.yaw, motion.time)), vehicle)
-    other = _compare_angles(motion, from_yaw, response)
-    if other and other.correlates and other.drift.value / agreement.drift.value < 0.5:
-        return None
     effect = lateral_shift * abs(change.value) * float(np.std(agreement.derived)) * np.sqrt(2.0) / HORIZON
     advice = Advice("text", "time-stamp the steering and the motion with one clock")
-    middle, derived = len(motion.time) // 2, _derive_angle(motion, vehicle)
-    halves = [half for rows in (slice(middle), slice(middle, None))
-              if (half := _compare_angles(motion, derived, response, rows))]
-    if len(halves) == 2 and any(half.drift.shifted(-agreement.drift.value).is_significant for half in halves):
+    halves = [half for rows in np.array_split(np.arange(len(motion.time)), 2)
+              if (half := _compare_angles(motion, derived, response, rows))
+              and _lag_is_constant(half, agreement.drift)]
+    if len(halves) == 2:
         first, second = (add_systematic_uncertainty("steering_lag", half.lag.shifted(response)) for half in halves)
-        text = (f"the steering lags the car's motion by {first} s in the first half of the drive, but by {second} s in "
-                "the second, as if a clock were set or the latency varied")
+        text = (f"the lag of the steering is {first} s in the first half of the drive, but {second} s in the second, "
+                "as if a clock were set or the latency varied")
         advice = replace(advice, line=f"{advice.line}, or split the recording where the lag changes")
         half, lag = (halves[0], first) if abs(first.value) > abs(second.value) else (halves[1], second)
         finding = _make_finding("steering_lag", ("road_wheel_angle",), text, lag, "s", effect, advice)
