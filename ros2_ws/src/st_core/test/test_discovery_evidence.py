@@ -342,6 +342,8 @@ def test_covariance_with_reference_drives_adds_the_shift_by_an_error_of_their_fi
     size = len(linear_problem(FEW, {}, 21).space)
     root = np.random.default_rng(3).standard_normal((size, size))
     problem = linear_problem(FEW, {"mass": 2.0}, 21, prior=root @ root.T + 5.0 * np.eye(size))
+    problem.start_covariance = np.diag(np.linspace(0.5, 1.0, size)) @ np.linalg.inv(problem.prior)
+    problem.start_covariance = problem.start_covariance @ np.diag(np.linspace(0.5, 1.0, size))
     fit = fit_problem(problem, "mass", iterations=100)
     index, scale, step = int(problem.space.indices("mass")[0]), problem.space.scale, 0.02
 
@@ -353,6 +355,6 @@ def test_covariance_with_reference_drives_adds_the_shift_by_an_error_of_their_fi
     curvature = problem.loss.curvature(problem.errors.at(fit.vector), fit.sensitivities.values)
     inverse = np.linalg.inv(curvature + problem.prior_curvature(fit.names, fit.indices) + 1e-9 * np.eye(size))
     scatter = problem.blocks * np.cov(fit.quadratic.sum_groups(problem.block).gradient.T)
-    expected = (inverse @ scatter @ inverse)[index, index] + slope @ np.linalg.inv(problem.prior) @ slope / 4.0
+    expected = (inverse @ scatter @ inverse)[index, index] + slope @ problem.start_covariance @ slope
     assert covariance(problem, fit)[index, index] == pytest.approx(expected, rel=0.02)
     assert abs(slope[index]) > 0.5

@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from discovery_drives import linear_problem, recorded
+from exact_drive import Sines, exact_drive
 from st_core.discovery import DiscoverySettings
 from st_core.discovery.library_fit import (
     _gain_between_runs,
     fit_healthy_car,
     theoretical_values,
 )
-from st_core.discovery.space import Space
+from st_core.discovery.space import Space, find_file_quantities, prior_deviations
 from st_core.errors import StCoreError
 
 FEW = ("steering_offset", "mass", "yaw_rate_bias")
@@ -85,6 +86,18 @@ def test_reference_drives_without_a_usable_prediction_are_an_error(leaf):
 
 
 @pytest.mark.slow
+def test_values_that_the_reference_drives_do_not_determine_are_as_uncertain_as_in_the_vehicle_file(leaf):
+    settings = DiscoverySettings(windows=50, effects=("mass", "cg_position"))
+    space = Space("nonlinear", settings)
+    runs = [replace(exact_drive(leaf, 30.0, turning=Sines(0.0, ()), seed=k), name=f"straight {k}") for k in range(3)]
+    healthy = fit_healthy_car(runs, leaf, space, settings, 1, lambda: None)
+    in_file = prior_deviations(find_file_quantities(space, leaf), space.scale)
+    for name in settings.effects:
+        (index,) = space.indices(name)
+        assert 0.95 * in_file[index] < np.sqrt(healthy.covariance[index, index]) < 1.001 * in_file[index]
+
+
+@pytest.mark.slow
 def test_second_start_of_the_fit_is_at_the_theoretical_values():
     space = Space("nonlinear", DiscoverySettings())
     changed = {(space.free[i][0], space.free[i][1].name): theoretical_values(space)[i]
@@ -102,4 +115,7 @@ def test_healthy_car_fit_recovers_the_true_values_within_its_uncertainty(leaf):
     for name, values in effects.items():
         (truth,), index = values.values(), int(space.indices(name)[0])
         assert abs(healthy.vector[index] - truth) < 4.0 * deviation[index] < 0.2 * truth
+        # The drives determine these values; a prediction for a new drive has twice the variance of the fit.
+        variance = healthy.covariance[index, index] * space.scale[index] ** 2
+        assert 2.0 * variance == pytest.approx(deviation[index] ** 2, rel=0.1)
     assert (healthy.residual_scale > 0.0).all() and healthy.gain_between_runs < 0.05

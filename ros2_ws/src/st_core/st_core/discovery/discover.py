@@ -228,19 +228,20 @@ class _Analysis:
         """(problem, noise by column). With reference drives, the problem starts from the fit to these drives, and the
         position error of this fit counts as noise of position_5s."""
         settings, space = self.settings, self.space
-        start, prior, gain_between_runs, column_noise = space.null, None, 0.0, self.windows.noise_floor()
+        start, prior, covariance, gain, column_noise = space.null, None, None, 0.0, self.windows.noise_floor()
         if self.reference:
             tick = self._ticker("fitting the reference drives")
             healthy = fit_healthy_car(self.reference, self.vehicle, space, settings, self.threads, tick)
-            start, prior, gain_between_runs = healthy.vector, healthy.prior, healthy.gain_between_runs
+            start, prior, covariance = healthy.vector, healthy.prior, healthy.covariance
+            gain = healthy.gain_between_runs
             # The residual of the healthy car counts as noise: it is not a change since the reference drives.
             column_noise = {c: max(column_noise[c], float(v))
                             for c, v in zip(self.windows.columns, healthy.residual_scale, strict=True)}
             column_noise["position_5s"] = healthy.position_error
         loss = Loss(Errors(self.windows, space, self.threads), start)
         return Problem(loss, start, self.windows.block, prior,
-                       np.array([column_noise[c] for c in self.windows.columns]), gain_between_runs,
-                       find_file_quantities(space, self.vehicle) if prior is None else None), column_noise
+                       np.array([column_noise[c] for c in self.windows.columns]), gain,
+                       find_file_quantities(space, self.vehicle) if prior is None else None, covariance), column_noise
 
     def _select_usable(self, runs: Sequence[DriveLog], role: str) -> list[DriveLog]:
         """The runs that are long enough; warns about the others."""

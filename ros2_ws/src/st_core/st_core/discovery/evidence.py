@@ -307,8 +307,8 @@ def covariance(problem: Problem, fit: Fit) -> np.ndarray:
     h = inverse(curvature + problem.prior_curvature(fit.names, fit.indices))
     centred = q.gradient - q.gradient.mean(axis=0)  # at the optimum the sum equals the gradient of the prior
     scatter = centred.T @ centred * problem.blocks / max(problem.blocks - 1, 1)
-    if problem.prior is not None:
-        scatter = scatter + 0.25 * curvature @ inverse(problem.prior) @ curvature
+    if problem.start_covariance is not None:
+        scatter = scatter + curvature @ problem.start_covariance @ curvature
     else:  # the values of the vehicle file are uncertain, and so is the gradient of the prior
         scatter = scatter + np.diag(0.5 * problem.design_effect * problem.file_curvature[fit.indices])
     return h @ scatter @ h

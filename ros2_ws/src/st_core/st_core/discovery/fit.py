@@ -93,17 +93,18 @@ class Problem:
     prior: (p, p) curvature about `start` / design_effect, from reference drives, for effects outside the fitted set;
         None: they keep their start values, except the gain of the accelerometer, free if acceleration is measured.
     noise: (c,) error of each column due to noise alone [SI].
-    gain_between_runs: see `HealthyCar` [1].
+    gain_between_runs, start_covariance: see `HealthyCar`; None: the start is exact.
 
     quantities: (p,) quantity of the vehicle file that each parameter changes. Its standard deviation s adds a Gaussian
     prior 0.5 D (x / s)^2 to the loss, x: change of the quantity. design_effect D [1]: see `update_design_effect`.
     """
 
     def __init__(self, loss: Loss, start: np.ndarray, block: np.ndarray, prior: np.ndarray | None = None,
-                 noise: np.ndarray | None = None, gain_between_runs: float = 0.0, quantities: Quantities | None = None):
-        self.loss, self.space, self.start, self.prior = loss, loss.space, start, prior
-        self.errors, self.gain_between_runs, self.design_effect = loss.errors, gain_between_runs, 1.0
-        self.residual_count = loss.residual_count
+                 noise: np.ndarray | None = None, gain_between_runs: float = 0.0, quantities: Quantities | None = None,
+                 start_covariance: np.ndarray | None = None):
+        self.loss, self.errors, self.space, self.residual_count = loss, loss.errors, loss.space, loss.residual_count
+        self.start, self.prior, self.start_covariance = start, prior, start_covariance
+        self.gain_between_runs, self.design_effect = gain_between_runs, 1.0
         self.set_quantities((None,) * len(self.space) if quantities is None else quantities)
         self.noise = np.zeros(len(self.errors.windows.columns)) if noise is None else noise
         self.block, self.blocks = block, int(block.max()) + 1

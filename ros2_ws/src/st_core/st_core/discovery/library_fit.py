@@ -38,6 +38,7 @@ class HealthyCar:
     """The fitted healthy car."""
 
     vector: np.ndarray  # (p,) values of the whole library
+    covariance: np.ndarray  # (p, p) of the vector [parameter scales]
     prior: np.ndarray  # (p, p) curvature of the prior about the vector
     residual_scale: np.ndarray  # (c,) `Loss.scale_of` the errors of each column at the end of the horizon [SI]
     position_error: float  # mean position error there, in the worst run [m]
@@ -48,11 +49,12 @@ class HealthyCar:
 
 def fit_healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, settings: DiscoverySettings,
                     threads: int, tick: Callable[[], None]) -> HealthyCar:
-    """Fit the healthy car to its drives; central difference quotients refine the result of one-sided ones. The prior P,
-    times the design effect of a new drive (`Problem`), is the predictive distribution for a new drive of the same car,
-    with the covariance P^-1 / 2: the covariance from the drives times the design effect, times 2 because both reference
-    and new drive are uncertain, combined with the weak prior and the priors of the vehicle file. The covariance of the
-    vector itself, without a new drive, is P^-1 / 4."""
+    """Fit the healthy car to its drives; central difference quotients refine the result of one-sided ones.
+
+    The covariance V of the vector combines S, from the drives, with their design effects, and F, of the weak prior and
+    the vehicle file: V^-1 = S^-1 + F^-1. The prior P, times the design effect of a new drive (`Problem`), is the
+    predictive distribution for that drive: 2 P = (2 S)^-1 + F^-1. S is doubled because both reference and new drive are
+    uncertain; F is not, because it concerns the car, whatever the drive."""
     windows = Windows(runs, vehicle, settings)
     if not len(windows):
         raise StCoreError(f"no prediction of {settings.horizon:g} s fits into the reference drives: drive longer, "
@@ -82,7 +84,8 @@ def fit_healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space:
     position_error = max((float(np.nanmean(error)) for error in by_run if np.isfinite(error).any()), default=0.0)
     divisor = 2.0 * np.sqrt(np.outer(design_effects, design_effects)) / problem.design_effect
     gain = _gain_between_runs(q, space, windows, divisor, prior, prior @ problem.distance(vector))
-    return HealthyCar(vector, (h / divisor + prior) / problem.design_effect,
+    covariance = 0.5 * problem.design_effect * inverse(2.0 * h / divisor + prior)
+    return HealthyCar(vector, covariance, (h / divisor + prior) / problem.design_effect,
                       loss.scale_of(vector)[-len(windows.columns):], position_error, gain)
 
 
@@ -121,11 +124,8 @@ def _minimum_loss(h: np.ndarray, g: np.ndarray, centre: np.ndarray, prior: np.nd
 
 def theoretical_values(space: Space) -> np.ndarray:
     """(p,) theoretical values where known, else nulls. Effects that convert the base model keep their null values."""
-    vector = space.null.copy()
-    for i, (effect, parameter) in enumerate(space.free):
-        if parameter.theory is not None and not get_effect(effect).converts:
-            vector[i] = parameter.theory
-    return vector
+    theory = [None if get_effect(effect).converts else parameter.theory for effect, parameter in space.free]
+    return np.array([n if t is None else t for n, t in zip(space.null, [*theory, None], strict=True)])
 
 
 def fit_library(loss: Loss, windows: Windows, prior: np.ndarray, quantities: Quantities, vector: np.ndarray,
@@ -140,11 +140,9 @@ def fit_library(loss: Loss, windows: Windows, prior: np.ndarray, quantities: Qua
         with_priors.update_design_effect(vector)
         full_prior = prior + np.diag(0.5 * with_priors.design_effect / np.square(deviations))
         problem = Problem(loss, space.null, windows.block, full_prior)
-        fit = problem.fit((), with_priors.all_sensitivities(vector), vector, iterations=2)
-        step = float(np.abs((fit.vector - vector) / space.scale).max())
-        vector = fit.vector
+        before, vector = vector, problem.fit((), with_priors.all_sensitivities(vector), vector, iterations=2).vector
         loss.rescale(vector)
-        if step < FINAL_STEP:
+        if np.abs((vector - before) / space.scale).max() < FINAL_STEP:
             break
     return vector, full_prior
 
