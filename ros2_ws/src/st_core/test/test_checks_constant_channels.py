@@ -44,6 +44,18 @@ def test_constant_yaw_rate_with_noise_of_yaw_is_reported(leaf, value):
     assert "yaw_rate" in findings_by_name(frozen, leaf)["channel_frozen"].channels
 
 
+@pytest.mark.parametrize(("first", "period"), [(0.0, 60.0), (24.0, 60.0), (0.0, 2.0)])
+def test_constant_positions_of_a_drive_to_the_north_have_no_direction(leaf, first, period):
+    """They are constant throughout, after `first` [s], or for a `period` [s] at a time."""
+    east = exact_drive(leaf, turning=Sines(0.0, ((0.05, 8.0, 0.3),)))
+    time = (east.ins_time_ns - east.ins_time_ns[0]) * 1e-9
+    held = np.where(time < first, time, first + np.floor((time - first) / period) * period)
+    rows = np.searchsorted(time, held - 1e-9)
+    constant = replace(east, x=-east.y[rows], y=east.x[rows], yaw=east.yaw + np.pi / 2.0)
+    names = findings_by_name(constant, leaf).keys()
+    assert names & {"channel_frozen", "samples_repeated"} and not names & {"yaw_offset", "x_scale", "y_scale"}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("names", list(combinations(CHANNELS, 2)), ids=" and ".join)
 def test_two_constant_channels_are_an_error_unless_both_are_optional(log, leaf, names):

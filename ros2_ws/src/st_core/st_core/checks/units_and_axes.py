@@ -346,8 +346,8 @@ def _correct_distance(motion: Motion) -> MotionAndFinding:
 
 
 def _direction(displacements: np.ndarray) -> np.ndarray:
-    """Unit vectors, in which a jump of the positions has no more weight than other displacements."""
-    return np.exp(1j * np.angle(displacements))
+    """Unit vectors, in which a jump of the positions has no more weight than other displacements; 0 at rest."""
+    return displacements / np.maximum(np.abs(displacements), 1e-300)
 
 
 def _compute_displacements(motion: Motion, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -397,7 +397,8 @@ def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
 def _correct_yaw_offset(motion: Motion) -> MotionAndFinding:
     """Correct a yaw measured from a wrong axis, or a reversed yaw or velocity_x, by the direction of travel."""
     measured, derived = _compute_displacements(motion, motion.velocity_map)
-    total, size = np.sum(derived * np.conj(_direction(measured))), float(np.abs(derived).sum())
+    turned = derived * np.conj(_direction(measured))
+    total, size = turned.sum(), float(np.abs(turned).sum())
     angle = float(np.angle(total))
     if len(measured) < MIN_WINDOWS or size < MIN_DISTANCE or abs(total) < 0.5 * size or abs(angle) < MIN_YAW_OFFSET:
         return motion, None
