@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from st_recordings.runs import find_runs, read
 from st_recordings.runs.columns import Layout
 from st_recordings.runs.csv import (
     MOTION_SIGNALS,
@@ -311,3 +312,16 @@ def test_lost_samples_of_a_channel_with_its_own_times_are_counted_and_not_estima
         for lost in (0, 150):
             column[rows[20 : 20 + 7 * lost : 7]] = np.nan
             assert _count_missing_samples(time_ns, column) == lost
+
+
+@pytest.mark.parametrize("n_wrong", [1, 20])
+def test_parked_car_with_wrong_positions_is_read(tmp_path: Path, n_wrong: int) -> None:
+    rows = [f"{0.01 * k:.2f},0,{300 if 1500 <= k < 1500 + n_wrong else 0},0,0,0,0,0,0,0" for k in range(3000)]
+    write(tmp_path, [HEADER, *rows])
+    assert not read(find_runs([tmp_path])[0]).log.velocity_x.any()
+
+
+def test_moving_car_without_velocity_is_refused(tmp_path: Path) -> None:
+    write(tmp_path, [HEADER, *(f"{0.01 * k:.2f},{0.05 * k:.2f},0,0,0,0,0,0,0,0" for k in range(1000))])
+    with pytest.raises(RunError, match=r"its velocity is 0 in all samples, although its positions extend over 49 m"):
+        read(find_runs([tmp_path])[0])
