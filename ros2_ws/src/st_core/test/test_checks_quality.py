@@ -123,7 +123,7 @@ def test_infinite_interval_does_not_change_a_pooled_estimate():
     known = [{"a": (1.0, 0.9, 1.1)}, {"a": (1.2, 1.1, 1.3)}]
     unknown = {"a": (5.0, -np.inf, np.inf)}
     assert pool_estimates([*known, unknown]) == pool_estimates(known)
-    assert pool_estimates([unknown, known[0]]) == pool_estimates(known[:1])
+    assert pool_estimates([unknown, known[0]]) == {}  # one of several runs is no confirmation
     assert pool_estimates([unknown, unknown]) == {}
 
 
