@@ -220,9 +220,11 @@ def test_steering_of_a_car_that_may_be_unstable_has_no_lag(leaf):
 def test_steered_rear_wheels_are_an_alternative_of_a_small_steering_gain(leaf, gain):
     log = exact_drive(leaf, 120.0)
     log = replace(log, road_wheel_angle=gain * log.road_wheel_angle, steering_wheel_angle=None)
-    (finding,) = [one for one in check(log, leaf).findings if one.name == "steering_scale"]
+    found = check(log, leaf)
+    (finding,) = [one for one in found.findings if one.name == "steering_scale"]
     assert finding.severity is Severity.WARNING and finding.value == pytest.approx(gain, rel=0.1)
     assert "or the rear wheels steer, too" in finding.text and finding.advice.kind == "text"
+    assert not {"steering_scale", "steering_sign"} & found.estimates.keys()
 
 
 @pytest.mark.parametrize("phase", [0.45, 0.5])

@@ -94,6 +94,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
     findings = sorted(results.findings, key=lambda finding: (
         [*Severity].index(finding.severity), finding.concerns_only_acceleration, -(finding.effect or np.inf)))
     ambiguous = {name for f in findings for a in f.alternatives for name in (f.name, *a.findings)}
+    ambiguous |= {"steering_sign"} if "steering_scale" in ambiguous else set()  # both name the same estimate
     return DriveCheck(tuple(findings), channels, tuple(results.panels),
                       {name: (estimate.value, *estimate.interval) for name, estimate in results.estimates.items()
                        if name not in ambiguous})
@@ -290,12 +291,11 @@ def _check_yaw_lag(motion: Motion, agreement: Agreement | None) -> tuple[Motion,
     lag = add_systematic_uncertainty("yaw_lag", agreement.lag.scaled(-1.0))
     corrected = motion.shifted_earlier(lag.value, "yaw")
     is_yaw = position.positions_confirm_yaw_lag(motion, corrected, lag.value)
-    verb = "lags" if lag.value > 0.0 else "leads"
     if not is_yaw:
         return motion, [], None if is_yaw is not None else agreement.lag.value
     effect = abs(lag.value) * float(np.std(motion.yaw_rate)) * float(np.median(motion.speed)) * HORIZON
     severity = LIMITS.severity(effect, abs(lag.value) >= LIMITS.severe_lag)
-    text = f"yaw {verb} yaw rate and positions by {abs(lag)} s"
+    text = f"yaw {'lags' if lag.value > 0.0 else 'leads'} yaw rate and positions by {abs(lag)} s"
     return corrected, [Finding("yaw_lag", severity, ("yaw",), text, lag.value, "s", lag.interval, effect=effect,
                                advice=Advice.correct("yaw", earlier=float(f"{lag.value:.4g}")))], None
 

@@ -375,8 +375,7 @@ def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
     misfit, is_north_first = min(east_misfit, north_misfit), north_misfit < east_misfit
     exchange = Advice.for_run_yaml({"columns": {"velocity_x": "velocity_y", "velocity_y": "velocity_x"}})
     exchanged = motion.apply_entry(exchange.entry)
-    distance = float(np.median(np.abs(measured)))
-    max_misfit = MAX_MAP_MISFIT * distance
+    max_misfit = MAX_MAP_MISFIT * float(np.median(np.abs(measured)))
     if np.ptp(motion.yaw) > MIN_YAW_RANGE and misfit <= max_misfit and (
             misfit < MAX_MAP_MISFIT * _compute_misfit(motion)):
         velocity = 1j * motion.velocity.conj() if is_north_first else motion.velocity
@@ -386,7 +385,7 @@ def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
         advice = Advice("text", "rotate them by yaw: velocity_x = cos(yaw) east + sin(yaw) north, "
                         "velocity_y = cos(yaw) north - sin(yaw) east")
         motion = replace(motion, velocity_x=body.real, velocity_y=body.imag)
-    elif distance > 0.0 and motion.moves_sideways and float(
+    elif max_misfit > 0.0 and motion.moves_sideways and float(
             np.median(np.abs(measured - _compute_displacements(exchanged, exchanged.velocity_map)[1]))) <= max_misfit:
         text, advice = "velocity_x and velocity_y are exchanged (x should be forward, y left)", exchange
     else:
