@@ -41,8 +41,8 @@ _LINES = (
     # CRTD, of OVMS and SavvyCAN: "1436509052.249713 1R11 044 2A 36"
     re.compile(r"(?P<time>\d+\.\d+) (?P<bus>\d*)(?P<direction>[RT])(?P<kind>11|29) (?P<id>[0-9A-Fa-f]+)"
                r"(?P<data>(?: [0-9A-Fa-f]{2})*)\s*$"))
-_COMMENT = re.compile(r"\t|\*\*\*|\d+\.\d+ \d*C[A-Z]{2} ")
-"""Lines without a frame: explanations of error frames (candump -e), headers of BUSMASTER, comments of CRTD."""
+_COMMENT = re.compile(r"\t|.*ERRORFRAME\s*$|\*\*\*|\d+\.\d+ \d*C[A-Z]{2} ")
+"""Lines without data: error frames and their explanations (candump -e), headers of BUSMASTER, comments of CRTD."""
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # of candump -c
 UNSTAMPED_LINE = re.compile(rb"^\s+\S+\s+[0-9A-F]{3,8}\s+\[\d+\]\s", re.MULTILINE)
 """A line of candump without -l and without -t."""
@@ -151,7 +151,7 @@ class _CandumpLines(Lines):
         other lines are not changed."""
         line = _COLOUR.sub("", line)
         match = next(filter(None, (form.match(line) for form in _LINES)), None)
-        if match is None:
+        if match is None or _COMMENT.match(line):
             return "" if _COMMENT.match(line) else line
         cells = {"kind": "", "length": "", **match.groupdict("")}
         stamp, bus, data = cells["time"], cells["bus"], cells["data"].replace("`", " ").split()
