@@ -19,6 +19,7 @@ import numpy as np
 from .binary_table import is_signal_table
 from .columns import MOTION_CHANNELS, UNITS, Layout, find_columns, find_times, normalise
 from .errors import COMPRESSED_MAGIC, CP1252_FALLBACK, find_utf16, format_count, shorten
+from .frames import EXTENDED_IDS, STANDARD_IDS
 from .mf4 import MF4_EXTENSIONS, VENDOR_EXTENSIONS, is_mdf
 from .table_times import DAY, PLAUSIBLE_EPOCH, ROLLOVER_STEP, month_number, parse_stamp
 
@@ -28,7 +29,7 @@ _BLF_PADDING = 3  # bytes; largest padding after a container, which the format a
 _WEEKDAY_MONTH = re.compile(r"(?i)^(date|begin\s+triggerblock)\s+\S+\s+(\S+)(.*)")
 _TABLE_EXTENSIONS = (".csv", ".txt")
 _ENGLISH_MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
-LINES_FORMAT = "candump, BUSMASTER or CRTD"
+LINE_FORMAT = "candump, BUSMASTER or CRTD"
 _LINES = (
     # Of candump without -l, stamped by -t a, -t z or -t A: " (1436509052.249713)  can0  RX - -  044   [8]  2A 36".
     re.compile(
@@ -55,7 +56,6 @@ _CSV_COLUMNS = {"time": ("timestampepoch", "timestamp", "timestamps", "time", "t
                 "id": ("arbitrationid", "id", "idhex", "iddec", "canid", "identifier"),
                 "length": ("datalength", "len", "length", "dlc"),
                 "data": ("databytes", "data", "datahex", "payload", "d0", "d1", "data0", "data1", "byte0", "byte1")}
-STANDARD_IDS, EXTENDED_IDS = 0x7FF, 0x1FFFFFFF  # largest identifiers
 EXTENDED_DIGITS = 8  # hexadecimal digits of an extended identifier
 DECIMAL_IDS = "its identifiers were read as decimal numbers"
 AMBIGUOUS_IDS = "its identifiers may be decimal or hexadecimal numbers; they were read as hexadecimal"
@@ -228,7 +228,7 @@ def _read_trc(lines: Lines, notes: list[str]) -> Any:
                 return self._parse_cols_v1_3((*columns[:5], "-", *columns[5:]))
             message = super()._parse_msg_v1_0(columns)
             if message is not None:  # version 1.0 may write every identifier with eight digits
-                message.is_extended_id = message.arbitration_id > 0x7FF
+                message.is_extended_id = message.arbitration_id > STANDARD_IDS
             return message
 
     return Reader(lines)
@@ -447,7 +447,7 @@ def _is_asc(head: bytes) -> bool:
 
 
 FORMATS = (
-    Format(LINES_FORMAT, (".log", ".candump", ".crtd"), _is_candump, partial(
+    Format(LINE_FORMAT, (".log", ".candump", ".crtd"), _is_candump, partial(
         _read_text, make_reader=lambda lines, notes: import_module("can.io.canutils").CanutilsLogReader(lines),
         lines_type=_CandumpLines)),
     Format("Vector ASC", (".asc",), _is_asc, partial(_read_text, make_reader=_read_asc, lines_type=_AscLines)),

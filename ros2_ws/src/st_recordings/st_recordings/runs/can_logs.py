@@ -14,20 +14,10 @@ from scipy.ndimage import median_filter
 from . import frames as can_frames
 from .bag import is_bag
 from .bag_storage import open_bag
-from .can_formats import (
-    AMBIGUOUS_IDS,
-    DECIMAL_IDS,
-    FORMATS,
-    LINES_FORMAT,
-    STANDARD_IDS,
-    UNSTAMPED_LINE,
-    Format,
-    find_clock,
-    read_head,
-)
+from .can_formats import AMBIGUOUS_IDS, DECIMAL_IDS, FORMATS, LINE_FORMAT, UNSTAMPED_LINE, Format, find_clock, read_head
 from .cdr import CAN_MSGS_FRAME
 from .errors import RunError, check_readable, shorten
-from .frames import ERROR, EXTENDED, FD, MAX_DATA_LENGTH, REMOTE, SENT, CanLog, Frames
+from .frames import ERROR, EXTENDED, FD, MAX_DATA_LENGTH, REMOTE, SENT, STANDARD_IDS, CanLog, Frames
 from .ins_log import LATEST_TIME
 from .mf4 import MF4_EXTENSIONS, is_mdf, parse_session, read_mf4, reject_unreadable
 from .table_times import count_rollovers
@@ -173,7 +163,7 @@ def _read_with_python_can(file: Path, kind: Format, notes: Sequence[str]) -> Can
     if frames.time_ns.max() <= period * 1e9:  # times of a day continue past midnight
         rollovers = count_rollovers(frames.time_ns * 1e-9, min_jump)
         frames = replace(frames, time_ns=frames.time_ns + rollovers * round(period * 1e9))
-    if kind.name == LINES_FORMAT and _are_time_steps(frames.time_ns):
+    if kind.name == LINE_FORMAT and _are_time_steps(frames.time_ns):
         frames = replace(frames, time_ns=np.cumsum(frames.time_ns))
         format_notes.append("its times are relative to the previous frame; they were summed")
     log = can_frames.build_log(file, [frames], [*notes, *format_notes])
