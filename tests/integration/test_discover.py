@@ -161,7 +161,7 @@ def lateral_errors(base: Path, name: str, vehicle: Path, model: Path | None = No
 
 def test_healthy_car_has_no_effects_against_its_reference(tmp_path, healthy):
     content = discover_hidden(tmp_path, {}, 200, healthy)
-    assert content["outcome"] == "not_testable" and not content["effects"], [e["name"] for e in content["effects"]]
+    assert content["outcome"] == "none" and not content["effects"], [e["name"] for e in content["effects"]]
     assert not (tmp_path / "out" / "model.yaml").exists() and not (tmp_path / "out" / "vehicle.yaml").exists()
 
 

@@ -68,7 +68,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
         return [steering_finding] if steering_finding else [], {}, None
     # In one long bend, gain and offset are confounded; in a slalom, the opposite sign and a lag of half a period.
     if gain is not None and (agreement.scale.standard_error > 0.2 * abs(agreement.scale.value)
-                             or agreement.correlation_without_lag < MAX_OPPOSITE_CORRELATION
+                             or agreement.correlation_without_lag < MAX_OPPOSITE_CORRELATION < agreement.correlation
                              or abs(float(agreement.derived.mean())) > agreement.spread):
         agreement = replace(agreement, scale=gain, bias=NO_BIAS)
     gain = add_systematic_uncertainty("steering_scale", agreement.scale)
