@@ -35,7 +35,7 @@ _LINES = (
     re.compile(
         r"\s*\((?P<time>\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d+|\d+\.\d+)\)\s+(?P<bus>\S+)\s+"
         r"(?:(?P<direction>RX|TX)\s+\S+\s+\S+\s+)?(?P<id>[0-9A-F]{3}|[0-9A-F]{8})\s+\[(?P<length>\d+)\]\s*"
-        r"(?P<data>(?:[0-9A-F]{2}(?:[\s`]+|$))*|remote request\s*)(?:'.*'|ERRORFRAME)?\s*$"),
+        r"(?P<data>(?:[0-9A-F]{2}(?:[\s`]+|$))*|remote request\s*)(?:'.*')?\s*$"),
     # Of BUSMASTER with hexadecimal numbers: "11:49:12:9420 Rx 1 0x023 s 1 40"; the last part of the time is in 0.1 ms.
     re.compile(r"(?P<time>\d+:\d\d?:\d\d?:\d{4}) (?P<direction>[RT]x) (?P<bus>\d+) 0x(?P<id>[0-9A-Fa-f]+) "
                r"(?P<kind>[sx]r?) \d+(?P<data>(?: [0-9A-Fa-f]{2})*)\s*$"),
@@ -150,9 +150,11 @@ class _CandumpLines(Lines):
         """Converts the line of a frame (_LINES) to the format that candump logs (-l) and a comment to an empty line;
         other lines are not changed."""
         line = _COLOUR.sub("", line)
+        if _COMMENT.match(line):
+            return ""
         match = next(filter(None, (form.match(line) for form in _LINES)), None)
-        if match is None or _COMMENT.match(line):
-            return "" if _COMMENT.match(line) else line
+        if match is None:
+            return line
         cells = {"kind": "", "length": "", **match.groupdict("")}
         stamp, bus, data = cells["time"], cells["bus"], cells["data"].replace("`", " ").split()
         if "-" in stamp:
