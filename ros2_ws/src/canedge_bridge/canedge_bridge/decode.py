@@ -60,9 +60,9 @@ class _MessageState:
 class Decoder:
     """Decodes the messages of one signal table. The constructor raises ConfigurationError, as `load_table`.
 
-    For a bad frame (wrong length, wrong counter or checksum in mode drop, a value that is not finite or not plausible),
-    `decode` counts the fault and returns None; it never raises. skipped: counts of frames that are not decoded, by
-    reason: "error" frame, "remote" frame, "unknown" identifier.
+    `decode` never raises: it counts faults, and rejects a frame with a wrong length, with a wrong counter or checksum
+    in mode drop, or with a value that is not finite or not plausible. skipped: counts of frames that are not decoded,
+    by reason: "error" frame, "remote" frame, "unknown" identifier.
     """
 
     def __init__(self, dbc_file: str | Path, signals_file: str | Path, needed: Sequence[str] = (),
@@ -81,7 +81,7 @@ class Decoder:
         return self._states[self.table.messages[message].key].statistics
 
     def decode(self, frame: can.Message, time_ns: int) -> DecodedFrame | None:
-        """The signals of a frame received at time_ns; None if skipped, bad, withheld or without known signals."""
+        """The signals of a frame received at time_ns; None if skipped, rejected, withheld or without known signals."""
         if frame.is_error_frame:
             self.skipped["error"] += 1
             return None

@@ -54,9 +54,9 @@ def raw_range(signal: DbcSignal) -> tuple[int, int]:
 class Field:
     """Position of an unsigned integer of up to 64 bits in a frame."""
 
-    high_bytes: tuple[int, ...]  # indices of its other bytes, most significant first
-    low_byte: int  # index of its least significant byte
-    shift: int  # number of bits below it in its least significant byte
+    high_bytes: tuple[int, ...]  # indices of the bytes above low_byte, most significant first
+    low_byte: int  # index of the least significant byte
+    shift: int  # number of bits in low_byte below the integer
     bits: int  # width
 
     @classmethod

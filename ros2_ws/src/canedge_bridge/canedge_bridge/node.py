@@ -89,7 +89,7 @@ class CanedgeBridge(Node):
             self._publish_frames()
 
     def _make_calibration(self) -> SteeringCalibration | None:
-        if self._decoder.table.find_source("steering_wheel_angle") is None:
+        if self._decoder.table.find_steering() is None:
             return None
         settings = self._settings
         ratio, offset = settings.steering_ratio, settings.steering_wheel_offset

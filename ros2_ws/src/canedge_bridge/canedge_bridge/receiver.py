@@ -34,12 +34,12 @@ class BusState(StrEnum):
     ERROR_PASSIVE = "error-passive"  # after many errors, the controller no longer sends active error flags
     BUS_OFF = "bus-off"              # the controller has disconnected from the bus
     DOWN = "down"                    # the interface exists but is switched off
-    GONE = "gone"                    # the bus cannot be opened (no such interface), or reading it failed
+    GONE = "gone"                    # the bus is not open: opening or reading it failed, or was not tried yet
 
 
 @dataclass
 class ReceiverStatus:
-    """Snapshot of the receiver: state, its reason (one line; empty without a fault) and counts since the start.
+    """Snapshot of the receiver: state, its reason (one line; empty if the state is OK) and counts since the start.
 
     delay, delay_maximum: from the receive stamp to the callback [s], median and maximum of the last 512 frames that are
     not error frames; NaN before the first.
@@ -64,9 +64,9 @@ class Receiver:
     delay of 0.1 s that doubles with each failure, up to 5 s.
     on_state(state, reason): called in the same thread at every change of state or reason.
     silence: seconds without a data or remote frame after which an open bus counts as silent.
-    network_interface: monitored, because not every socket reports that its interface is down or removed; empty for a
-    bus without a network interface.
-    on_error: called with every exception raised by a callback or by closing the bus; such errors do not end the thread.
+    network_interface: checked while no frame arrives, because not every socket reports that its interface is down or
+    removed; empty for a bus without a network interface.
+    on_error: called with every exception raised by `on_frame`, `on_state` or by closing the bus; none ends the thread.
     """
 
     def __init__(self, open_bus: Callable[[], can.BusABC], on_frame: Callable[[can.Message, int], None], *,
@@ -174,7 +174,7 @@ class Receiver:
         state = self._status.state
         is_up = link_is_up(self._network_interface)
         if is_up is None and self._network_interface:
-            raise can.CanOperationError(f"interface {self._network_interface} has vanished", errno.ENODEV)
+            raise can.CanOperationError(f"interface {self._network_interface} was removed", errno.ENODEV)
         if is_up is False:
             self._set_state(BusState.DOWN, f"interface {self._network_interface} is down")
             return

@@ -148,10 +148,10 @@ class SignalTable:
     def needed_messages(self) -> tuple[MessageSpec, ...]:
         return tuple(m for m in self.messages.values() if m.is_needed)
 
-    def find_source(self, name: str) -> tuple[MessageSpec, SignalSpec] | None:
-        """Message and signal with a canonical name, preferably of a needed message; None if there is none."""
+    def find_steering(self) -> tuple[MessageSpec, SignalSpec] | None:
+        """Message and signal of the steering wheel angle, preferably in a needed message; None if there is none."""
         rows = sorted(self.messages.values(), key=lambda m: not m.is_needed)
-        return next(((m, s) for m in rows for s in m.signals if s.name == name), None)
+        return next(((m, s) for m in rows for s in m.signals if s.name == "steering_wheel_angle"), None)
 
 
 def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Sequence[str] = ()) -> SignalTable:
@@ -194,7 +194,7 @@ def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
     """cantools database of a DBC file; if the file is invalid, it contains only the given messages.
 
     In public DBC files of real cars, some messages have 29-bit identifiers without the extended flag, or signals whose
-    names begin with a digit. Raises ConfigurationError if the given messages are invalid too.
+    names begin with a digit. Raises ConfigurationError if the file cannot be read, or the messages are invalid too.
     """
     try:
         content = path.read_bytes()
@@ -359,7 +359,8 @@ def _read_check(row: Entry, key: str, dbc: DbcMessage, dbc_path: Path) -> CheckS
 
 
 def _check_sample(entry: Entry, dbc: DbcMessage, signals: tuple[SignalSpec, ...], dbc_path: Path) -> None:
-    """Raises ConfigurationError if the frame of a sample does not decode to its value; signs are not compared."""
+    """Raises ConfigurationError if the frame of a sample does not decode to its value. The sign is not compared,
+    because the steering_sign of the car corrects it."""
     entry.allow_only("data", "signal", "value", "unit")
     try:
         data = bytes.fromhex(entry.get("data", str))
@@ -372,7 +373,6 @@ def _check_sample(entry: Entry, dbc: DbcMessage, signals: tuple[SignalSpec, ...]
     if len(data) != dbc.length:
         raise entry.error("data", f"{frame} has {len(data)} bytes, but the DBC gives {dbc.length}")
     value = (spec.gain * spec.extractor.extract(data) + spec.bias) / spec.factor
-    # The sign is not compared: the car's steering_sign corrects the direction of the sensor.
     if not math.isclose(abs(value), abs(expected), rel_tol=1e-6, abs_tol=abs(spec.dbc.scale) / 2):
         raise ConfigurationError(
             f"{dbc_path}: {spec.dbc.name} decodes {frame} incorrectly: {value:g} {spec.unit} instead of {expected:g} "

@@ -11,7 +11,7 @@ STEP = 10_000_000  # [ns]
 
 @pytest.fixture
 def plausibility(dbc_file, signals_file):
-    message, signal = load_table(dbc_file, signals_file).find_source("steering_wheel_angle")
+    message, signal = load_table(dbc_file, signals_file).find_steering()
     return Plausibility(signal, message)
 
 

@@ -225,4 +225,4 @@ def test_removed_interface_is_detected_without_a_socket_error(start_receiver, wa
     assert receiver.status().state is BusState.SILENT
     removed = start_receiver(lambda: ScriptedBus([]), network_interface="no-such-can")
     assert wait_until(lambda: removed.status().state is BusState.GONE)
-    assert "no-such-can has vanished" in removed.status().reason
+    assert "no-such-can was removed" in removed.status().reason

@@ -14,7 +14,7 @@ import yaml
 from .paths import replace_file
 
 FILE_NAME = "metadata.yaml"
-INFINITE_NS = 2**63 - 1  # ns, stands for a duration that is not set and for the start of an empty bag or file
+INFINITE_NS = 2**63 - 1  # ns; means that a duration is not set, or that a bag or file is empty and has no start
 MAX_CUSTOM_DATA_LENGTH = 200  # characters; longer texts stay in the MCAP metadata records only
 TYPE_SEPARATOR = "=" * 80  # between the types of a `ros2msg` definition
 PRIMITIVE_TYPES = {"bool", "byte", "char", "float32", "float64", "string", "wstring", "int8", "uint8", "int16",
@@ -23,7 +23,7 @@ _FIELD = re.compile(r"^\s*([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+[A-Za-z]\w
 
 
 class UnknownTypeError(LookupError):
-    """The interface package of a message type is not installed."""
+    """The definition of a message type, or its hash, is not installed."""
 
 
 Qos = dict[str, Any]
@@ -33,7 +33,7 @@ Qos = dict[str, Any]
 def make_qos(reliability: str = "reliable", durability: str = "volatile", history: str = "keep_last", depth: int = 50,
              deadline_ns: int = INFINITE_NS, lifespan_ns: int = INFINITE_NS, liveliness: str = "automatic",
              liveliness_lease_ns: int = INFINITE_NS) -> Qos:
-    """Quality of service as rosbag2 describes it. INFINITE_NS stands for a duration that is not set."""
+    """Quality of service as rosbag2 stores it. INFINITE_NS: the duration is not set."""
     return {"history": history, "depth": depth, "reliability": reliability, "durability": durability,
             "deadline": _format_duration(deadline_ns), "lifespan": _format_duration(lifespan_ns),
             "liveliness": liveliness, "liveliness_lease_duration": _format_duration(liveliness_lease_ns),
@@ -97,7 +97,7 @@ class BagInformation:
             "custom_data": dict(self.custom) or None, "ros_distro": "jazzy"}}
 
     def to_yaml(self) -> str:
-        # A copy without shared QoS entries, which YAML would write as anchors, unlike rosbag2
+        # JSON makes copies of shared QoS entries, for which YAML would write anchors, unlike rosbag2.
         return yaml.safe_dump(json.loads(json.dumps(self.to_document())), sort_keys=False)
 
     def save(self, directory: Path) -> None:
@@ -108,15 +108,14 @@ class BagInformation:
 def read_information(directory: Path) -> dict[str, Any]:
     """Content of metadata.yaml in a bag directory; empty if the file is missing, unreadable or invalid."""
     try:
-        content = yaml.safe_load((directory / FILE_NAME).read_text())["rosbag2_bagfile_information"]
+        content = yaml.safe_load((directory / FILE_NAME).read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
     except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError):
         return {}
     return content if isinstance(content, dict) else {}
 
 
 def collect_custom_data(records: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
-    """Entry `custom_data` of metadata.yaml, "record.key" -> text: short single-line texts of all records but rosbag2.
-    """
+    """Entry `custom_data` of metadata.yaml, "record.key" -> text: short one-line texts of all records but rosbag2."""
     return {f"{name}.{key}": text for name, entries in records.items() if name != "rosbag2"
             for key, text in entries.items() if len(text) <= MAX_CUSTOM_DATA_LENGTH and "\n" not in text}
 

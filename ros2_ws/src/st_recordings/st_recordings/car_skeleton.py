@@ -42,7 +42,7 @@ MEASUREMENT_HINTS = {
 }
 """Quantity that must be given for each car -> how to obtain it."""
 ASSUMED_UNCERTAINTIES = {"cg_height": 0.1}
-"""Quantity -> standard deviation [SI] of a value of the Leaf; CG heights of passenger cars are 0.45 to 0.65 m."""
+"""Quantity -> standard deviation [SI] if the value of the Leaf is used; CG heights of cars are 0.45 to 0.65 m."""
 STABILITY_SPEEDS = tuple(0.5 * k for k in range(1, 81))
 """Speeds [m/s] at which the numerical integration of the models must be stable."""
 ZERO_QUANTITIES = ("cg_to_ins_y", "steering_wheel_offset")  # quantities that the template sets to 0
@@ -213,8 +213,7 @@ def _find_bus_problems(car: Car) -> list[str]:
         table = load_table(car.dbc, car.signals)
     except (RunError, ConfigurationError) as error:
         return [str(error)]
-    if not any(signal.name == "steering_wheel_angle" for message in table.messages.values()
-               for signal in message.signals):
+    if table.find_steering() is None:
         return [f"{car.signals}: messages: no signal of {car.dbc.name} is mapped to steering_wheel_angle, which every "
                 "prediction needs"]
     return []
@@ -239,7 +238,6 @@ def _list_bus_remarks(car: Car) -> list[str]:
 
 
 def _find_unfilled_keys(document: Mapping[str, Any]) -> list[str]:
-    """The top-level keys that still contain a placeholder."""
     return [str(key) for key, value in document.items() if FILL_IN in f"{key} {value}"]
 
 

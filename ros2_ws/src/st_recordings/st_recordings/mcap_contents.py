@@ -119,7 +119,7 @@ class Contents:
         return True
 
     def _add(self, record: McapRecord, offset: int, length: int, messages: Mapping[int, MessageIndex]) -> None:
-        """Add a parsed record. messages: message indexes of a chunk, if they may be missing in the file."""
+        """Adds a parsed record. messages: message indexes of a chunk, if they may be missing in the file."""
         match record:
             case Chunk():
                 self._add_chunk(record, messages, offset, length)

@@ -71,7 +71,7 @@ def new_folder(output: Path | None, name: str, create: bool = True) -> Path:
     except OutputError:
         raise
     except OSError as error:
-        raise OutputError(f"{folder}: cannot be created: {error.strerror}") from None
+        raise OutputError(f"{folder}: cannot be created or read: {error.strerror}") from None
     return folder.absolute()
 
 
@@ -86,7 +86,7 @@ def replace_file(path: Path, text: str) -> None:
     """Replaces a file atomically: a reader sees the old or the new text. After an OSError the old one is unchanged."""
     temporary = path.with_name(f"{path.name}.new")
     try:
-        with temporary.open("w") as stream:
+        with temporary.open("w", encoding="utf-8") as stream:
             stream.write(text)
             stream.flush()
             os.fsync(stream.fileno())

@@ -35,7 +35,7 @@ class RecoveryError(ValueError):
 class FileReport(BagFile):
     """Outcome for one file; count, start_ns and end_ns refer to the messages kept."""
 
-    is_intact: bool = False  # closed and undamaged: left unchanged, or copied to the output
+    is_intact: bool = False  # closed and undamaged: unchanged, or copied to the output with a new summary
     lost_bytes: int = 0  # in truncated or damaged records
     damaged_records: int = 0
     original: Path | None = None  # new path of the damaged file, if it was repaired in place

@@ -154,7 +154,7 @@ def find_steering(signals: CanSignals, file: Path | str, table: SignalTable, not
     steering = signals.find_first("steering_wheel_angle")
     if steering is not None and len(signals.rejected_times_ns.get(steering.message, ())) <= len(steering.time_ns):
         return steering
-    source = table.find_source("steering_wheel_angle")
+    source = table.find_steering()
     if source is None:
         raise RunError(file, "the signal table has no steering_wheel_angle", "add it, or name the car with --car DIR")
     expected = f"{source[0].name} (0x{source[0].dbc.frame_id:03X})"
