@@ -16,7 +16,7 @@ setup(
     zip_safe=False,
     maintainer='The single-track authors',
     maintainer_email='single-track@example.org',
-    description='Decodes CAN frames with a DBC, and publishes the signals of a live bus as ROS 2 topics.',
+    description='CAN frames (live or logged) to ROS 2 topics through a DBC.',
     license='Apache-2.0',
     entry_points={
         'console_scripts': [
