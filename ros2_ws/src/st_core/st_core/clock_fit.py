@@ -8,7 +8,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d
-from scipy.signal import butter, sosfiltfilt
+from scipy.signal import butter, sosfiltfilt, sosfreqz
 
 from .clock_types import Peak
 from .regression import robust_deviation
@@ -64,6 +64,15 @@ def resample(time: np.ndarray, values: np.ndarray, cutoff: float, is_angle: bool
     known = maximum_filter1d((~is_bridged).astype(np.uint8), 2 * margin + 1, mode="constant") == 0
     known[:margin] = known[len(known) - margin:] = False
     return Series(float(start), sampled[::DECIMATION], known[::DECIMATION])
+
+
+def rate_noise(interval: float, cutoff: float) -> float:
+    """Standard deviation [1/s] of the rate that `resample` gives of an angle with white noise of standard deviation 1
+    in samples `interval` [s] apart: from the gain of interpolation, both passes of the filter and the difference."""
+    interval = max(interval, 1.0 / RATE)
+    frequency, response = sosfreqz(butter(4, cutoff, fs=RATE, output="sos"), 4096, fs=RATE)
+    gain = np.square(np.abs(response) * np.sinc(frequency * interval)) * np.sin(2.0 * np.pi * frequency / RATE) * RATE
+    return float(np.sqrt(2.0 * interval * np.trapezoid(gain**2, frequency)))
 
 
 def masked_correlation(reference: Series, other: Series, minimum_overlap: float) -> tuple[np.ndarray, np.ndarray]:

@@ -104,3 +104,13 @@ def test_quantity_that_one_of_several_runs_determines_is_not_pooled():
     pooled = pool_estimates([{"yaw_rate_lag": lag, "yaw_rate_bias": bias}, {"yaw_rate_bias": bias},
                              {"yaw_rate_lag": unknown, "yaw_rate_bias": bias}])
     assert pooled.keys() == {"yaw_rate_bias"} and pooled["yaw_rate_bias"][0] == pytest.approx(0.003)
+
+
+@pytest.mark.parametrize("rate", [20.0, 50.0, 100.0])
+def test_scale_of_a_noisy_yaw_rate_is_unbiased_by_the_noise_of_yaw(rate):
+    time, random = np.arange(0.0, 120.0, 1.0 / rate), np.random.default_rng(1)
+    yaw = 1.5 * np.sin(0.4 * time) + 0.5 * np.sin(0.9 * time + 1.0)
+    yaw_rate = 0.6 * np.cos(0.4 * time) + 0.45 * np.cos(0.9 * time + 1.0) + 0.6 * random.normal(size=len(time))
+    agreement = compare_series(time, yaw + 0.03 * random.normal(size=len(time)), time, yaw_rate, 4.0,
+                               derived_is_angle=True)
+    assert agreement.correlation < 0.95 and agreement.scale.value == pytest.approx(1.0, abs=0.05)

@@ -13,10 +13,11 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.stats import f as fisher
 
-from ..clock_fit import STEP, Fit, Pair, fit, mean_correlation, resample, select_common_samples
+from ..clock_fit import STEP, Fit, Pair, fit, mean_correlation, rate_noise, resample, select_common_samples
 from ..clock_types import MAX_SPAN
 from ..leap_seconds import LEAP_SECONDS
 from ..regression import symmetric_interval, white_noise
+from ..tyres import STANDARD_GRAVITY
 from .finding import HORIZON, LIMITS, WHEEL_SCALE_TOLERANCE, Advice, Comparison, Finding, Severity
 from .motion import MIN_MOVING_SPEED, Motion, correlate, is_near
 from .position import MIN_LOSS_RATIO
@@ -104,10 +105,7 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
     common_time, y = other.time[rows], other.values[rows]
     problem = Regression(common_time, y[:, None], {"scale": x[:, None], "bias": np.ones((len(rows), 1))})
     correlation = correlate(x, y)
-    noise = 0.0
-    if derived_is_angle:  # the rate of an angle has the noise of the angle, differentiated and filtered
-        unit_noise = np.random.default_rng(0).standard_normal(len(time))
-        noise = white_noise(derived) * float(np.std(resample(time, unit_noise, cutoff, derived_is_angle).values))
+    noise = white_noise(derived) * rate_noise(float(np.median(np.diff(time))), cutoff) if derived_is_angle else 0.0
     scale, bias = _fit_line(problem, x, correlation, fit_bias, noise)
     neighbours = solution.offset - LAG_TEST_SHIFT, solution.offset + LAG_TEST_SHIFT
     rows, unshifted = _select_common_samples(pair, 0.0)
@@ -216,7 +214,7 @@ MIN_SPEED_DEVIATION = 0.5  # m/s; standard deviation; at constant speed, only sl
 SPEED_LIMITS = {"wheel_speed": (WHEEL_SCALE_TOLERANCE, 0.15), "ins_speed": (0.005, 0.03)}
 """Smallest reported (deviation of the scale from 1, lag [s]); wheel speed signals are averaged over time."""
 ACCELERATIONS = ("acceleration_x", "acceleration_y")
-ACCELERATION_UNITS = {1.0 / 9.80665: "is its unit g"}  # g is 9.80665 m/s^2
+ACCELERATION_UNITS = {1.0 / STANDARD_GRAVITY: "is its unit g"}
 SPEED_UNITS = {3.6: "is its unit km/h", 2.23694: "is its unit mph", 1.0 / 3.6: "was it divided by 3.6 twice"}
 CORRECTION_KEYS = {"lag": "earlier", "scale": "scale", "bias": "add"}  # keys of run.yaml
 CheckResult = tuple[list[Finding], dict[str, Estimate], Comparison | None]

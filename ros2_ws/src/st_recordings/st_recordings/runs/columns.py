@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from st_core.tyres import STANDARD_GRAVITY
 
 from .errors import RunError
 
@@ -36,7 +37,7 @@ UNITS: Mapping[str, Mapping[str, tuple[float, tuple[str, ...]]]] = {
                      "mrad/s": (1e-3, ())},
     "ratio": {"1": (1.0, ())},
     "acceleration": {"m/s^2": (1.0, ("m/s/s", "mps2", "m s-2")),
-                     "g": (9.80665, ("g0", "gs")), "ft/s^2": (0.3048, ("ft/s2",))},
+                     "g": (STANDARD_GRAVITY, ("g0", "gs")), "ft/s^2": (0.3048, ("ft/s2",))},
 }
 
 _SPELLINGS = str.maketrans({
