@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .clock_fit import DRIFT_PRIOR_PPM, STEP, Fit, Pair, Series, find_peaks, fit, mean_correlation, resample
+from .clock_fit import DRIFT_PRIOR_PPM, MAX_GAP, STEP, Fit, Pair, Series, find_peaks, fit, mean_correlation, resample
 from .clock_types import MAX_SPAN, Alignment, SharedSignal, SignalLag, Verdict, describe_step, refused_alignment
 from .regression import SIGMA_PER_MAD
 
@@ -93,8 +93,10 @@ def _resample_signals(signals: Sequence[SharedSignal]) -> _ResampledSignals:
                     resample(other, signal.other, cutoff, signal.is_angle)) for cutoff in (COARSE_CUTOFF, FINE_CUTOFF)]
         if all(side.known.any() for pair in row for side in (pair.reference, pair.other)):
             rows.append(row)
+        else:  # the low-pass masks 1 s on both sides of a gap
+            reasons.append(f"{signal.name} has no 2 s without a gap above {MAX_GAP:g} s in one recording")
     if not rows:
-        return _ResampledSignals([], [], (*reasons, "the shared signals were measured for only a few seconds"))
+        return _ResampledSignals([], [], tuple(reasons))
     coarse, fine = map(list, zip(*rows, strict=True))
     return _ResampledSignals(coarse, fine, tuple(reasons), reference_ns, other_ns,
                              max(signal.latency_uncertainty for signal in usable))

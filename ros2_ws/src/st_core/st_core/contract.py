@@ -1,8 +1,7 @@
 """Requirements on every effect, which `st effects check` applies to library and user-defined effects.
 
 Each function in `REQUIREMENTS` compares a base model with and without the effect, and returns one line that describes
-the violation, or "". The checks cover all backends: floats, the numpy batch, the compiled lanes
-and CasADi. Checked by: test_contract.py.
+the violation, or "". Checked by: test_contract.py.
 """
 
 import importlib.util
@@ -35,7 +34,7 @@ READING = Measured(3.0, -2.0, 0.2, 12.0, 0.1, 0.25, 0.4, 2.9, 0.3)
 def check_effect(effect: type[Effect], vehicle: VehicleParameters) -> dict[str, str]:
     """Description of the violation of each requirement, "" if it is fulfilled; an exception counts as a violation."""
     docstring = effect.__doc__ or sys.modules[effect.__module__].__doc__ or ""
-    problems = {"the docstring states the equation":
+    problems = {"the effect or its file has a docstring":
                 "" if docstring.strip() else "no docstring; write one with the equation, units and signs"}
     for text, find_violation in REQUIREMENTS.items():
         try:

@@ -304,8 +304,9 @@ class CourseTracker:
         near_points = self.course.find_near(ego.x, ego.y, ego.direction)
         candidates = [prediction for point in near_points if (prediction := self._predict_from_pass(point, ego))]
         if not candidates:
-            return CourseForecast(None, reason="course: the earlier drives end within the horizon" if near_points else
-                                  "course: no earlier drive near the car in its direction")
+            return CourseForecast(None, reason=(
+                f"course: the earlier drives end within {MIN_COVERAGE:g} horizons" if near_points else
+                "course: no earlier drive near the car in its direction"))
         squares = np.array([candidate.squared_difference for candidate in candidates])
         if squares.min() > MAX_DIFFERENCE**2:
             return CourseForecast(None, reason="course: no earlier drive has a similar path and speed")

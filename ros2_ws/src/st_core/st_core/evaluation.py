@@ -59,7 +59,7 @@ _PendingPrediction = tuple[str, Mode, Trajectory]  # (model, mode, trajectory) t
 class Evaluator:
     """Scores every prediction once the measurements cover its horizon.
 
-    span [s]: duration of the stored measurements; at least two horizons. models: models from files, in addition to
+    span [s]: minimum duration of the stored measurements. models: models from files, in addition to
     MODELS. runners: compiled replacements of `predict`, by name of the model, for predictions with these settings
     (`prediction.CompiledModel`). At most MAXIMUM_PENDING predictions wait for measurements; beyond that the oldest are
     scored as incomplete.

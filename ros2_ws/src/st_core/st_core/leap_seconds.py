@@ -1,6 +1,6 @@
 """Leap seconds between GPS time and UTC.
 
-GPS time counts from 1980-01-06T00:00:00 without leap seconds: UTC = GPS - leap seconds. Both bridges use this table.
+GPS time counts from 1980-01-06T00:00:00 without leap seconds: UTC = GPS - leap seconds. Used by the bridges and checks.
 Source: IERS Bulletin C. Checked by: test_packet_time.py and test_ins_time.py of the bridges.
 """
 

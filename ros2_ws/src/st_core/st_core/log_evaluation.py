@@ -1,8 +1,8 @@
-"""Evaluates models on a recorded drive: a prediction every 100 ms is compared with the measured motion.
+"""Evaluates models on a recorded drive: predictions from many starts are compared with the measured motion.
 
 The offline counterpart of Predictor and Evaluator, without detection of position jumps: from the same start it gives
 the same trajectory and error, which `st verify` checks. Trajectories of only a few blocks of starts are in memory at a
-time; for each start only mean, mean square and largest error over the horizon and errors at whole seconds are kept.
+time; of each start only mean, mean square and largest error over the horizon and errors at whole seconds are stored.
 """
 
 import math

@@ -1,7 +1,7 @@
 """States, inputs, samples and trajectories, and the frames they are expressed in: map axes x east, y north; body axes
 x forward, y left; yaw from east counter-clockwise. SI units.
 
-Functions of angles and positions accept floats or arrays and return the same kind.
+Functions of angles and positions accept floats or arrays and return the same kind; `ins_to_cg` accepts only floats.
 """
 
 import math

@@ -325,7 +325,7 @@ def _read_provenance(key: str, entry: Mapping[str, Any], factor: float) -> Prove
 
 
 def _check_scale(car: VehicleParameters) -> None:
-    """Raises ConfigurationError if a value is 20 to 120 times too large or small for the size or mass of the car."""
+    """Raises ConfigurationError if a value is far too large or small, at least about 15-fold, for the size or mass."""
     for key, low, high, reference, name in (
             ("mass", 3.0, 3000.0, car.wheelbase**3, f"a wheelbase of {car.wheelbase:g} m"),
             ("yaw_inertia", 0.003, 4.0, car.mass * car.wheelbase**2,

@@ -188,6 +188,15 @@ def test_constant_signals_are_rejected() -> None:
     assert align([]).reasons == ("the recordings share no signal",)
 
 
+def test_signal_with_long_gaps_throughout_is_named() -> None:
+    speed, yaw_rate = recorded(Drive(10, 300), 300, 1.0, 0)
+    slow = replace(speed, reference_time_ns=speed.reference_time_ns[::20], reference=speed.reference[::20])  # 5 Hz
+    reason = "speed has no 2 s without a gap above 0.15 s in one recording"
+    assert align([slow]).reasons == (reason,)
+    result = align([slow, yaw_rate])
+    assert result.reasons == (reason,) and [s.name for s in result.signals] == ["yaw rate"]
+
+
 def test_clock_step_of_years_is_rejected() -> None:
     signals = recorded(Drive(9, 100), 100, 0, 0)
     long_ago = np.where(np.arange(len(signals[0].other)) < 50, 10**18, 0)

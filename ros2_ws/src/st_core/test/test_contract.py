@@ -88,6 +88,6 @@ class Good(Effect):
 ''')
     effect, = load_file(str(tmp_path), "good")
     assert find_violations(effect, leaf) == {
-        "the docstring states the equation": "no docstring; write one with the equation, units and signs"}
+        "the effect or its file has a docstring": "no docstring; write one with the equation, units and signs"}
     with pytest.raises(ConfigurationError, match=r"broken.py: cannot be loaded"):
         load_file(str(tmp_path), "broken")

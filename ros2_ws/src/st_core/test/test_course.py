@@ -71,7 +71,7 @@ def test_course_reduces_the_input_error(leaf, logs, maximum_share):
     (lambda: [lap(150.0, origin=5000.0)], "no earlier drive near the car"),
     (lambda: [lap(150.0, reverse=True)], "no earlier drive near the car in its direction"),
     (list, "no earlier drive near the car"),
-    (lambda: [lap(3.0)], "no earlier drive near the car|end within the horizon"),
+    (lambda: [lap(3.0)], "no earlier drive near the car|end within 1.2 horizons"),
 ], ids=["another place", "other direction", "empty", "short"])
 def test_unusable_course_keeps_inputs_constant(leaf, logs, reason):
     log, course = lap(20.0, name="new"), make_course(*logs())

@@ -85,7 +85,7 @@ def _draw_lags(ax: plt.Axes, signals: Sequence[SharedSignal], alignment: Alignme
     ax.set_title("Residual lag of each 30 s window")
     lags = residual_lags(signals, alignment)
     if not lags:
-        ax.text(0.5, 0.5, "no 30 s window has enough signal variation", transform=ax.transAxes, ha="center")
+        ax.text(0.5, 0.5, "no 30 s window determines the lag", transform=ax.transAxes, ha="center")
         ax.set(xticks=[], yticks=[])
         return
     ax.axhline(0, color="k", lw=0.6)

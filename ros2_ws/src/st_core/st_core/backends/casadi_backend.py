@@ -77,7 +77,7 @@ class SymbolicModel:
 
 
 def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1, free: Iterable[str] = ()) -> SymbolicModel:
-    """The functions of a model with the parameters of a car, named after the model.
+    """The functions of a model for one car; their names begin with that of the model.
 
     substeps: RK4 steps within h. free: parameters that remain arguments, such as "road_bank.angle"; possible only for
     effects in inputs or equations. Raises ConfigurationError for an unknown model or parameter, or substeps < 1.

@@ -26,7 +26,7 @@ KERNEL_LIFETIME = 30 * 86400.0  # s; kernels not used for this long are deleted:
 
 
 def enable_cache(kernel, identity: str) -> Path | None:
-    """Enable the cache of a kernel before compilation, and delete old kernels. Returns its folder, None without one."""
+    """Enable the cache of a kernel before compilation, and delete old kernels. Returns its folder, or None."""
     files = sorted(Path(__file__).parent.glob("*.py"))
     parts = (identity, numba.__version__, np.__version__, platform.python_version(),
              *map(str, cpu_target.target_context.codegen().magic_tuple()),
@@ -36,7 +36,7 @@ def enable_cache(kernel, identity: str) -> Path | None:
         try:
             folder = base / key
             folder.mkdir(parents=True, exist_ok=True)
-            os.utime(folder)  # records that it is used; fails in another user's folder
+            os.utime(folder)  # marks it as in use; fails in another user's folder
             # numba reads CACHE_DIR when caching is enabled, and rejects a folder that it cannot write to.
             previous, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)
             try:

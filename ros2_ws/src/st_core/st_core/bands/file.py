@@ -32,7 +32,7 @@ from .scale import KNOTS, CalibrationDomain, Scale, compute_features
 
 SCHEMA = 3
 HEADER = "# Prediction bands by model and mode. Written by `st calibrate`.\n"
-UNITS = "half-widths along, across: m; yaw: rad; factors and ratios: 1; conditions: m/s, m/s^2, m/s^2, rad/s"
+UNITS = "floor: m, m, rad; coefficients: natural logarithm of m, m, rad; factors, ratios: 1; upper_limits: m/s^2, rad/s"
 CHECKED_SETTINGS = ("horizon", "step", "minimum_speed", "maximum_gap", "filter_cutoff", "acceleration", "inputs")
 """Settings that affect the errors; the others only select starts."""
 

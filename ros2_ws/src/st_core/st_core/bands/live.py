@@ -326,11 +326,11 @@ class CoverageMonitor:
         coverage.add(score.start_ns, float(score.horizon[-1]), inside)
 
     def describe_warnings(self) -> str:
-        """One-line warning of bands with coverage significantly below the nominal level; empty if there are none."""
+        """One-line text for all bands whose `has_warning` is true; empty if there are none."""
         pairs = []
         for (model, mode), coverage in self.by_pair.items():
             if coverage.has_warning:
                 level = max(coverage.inside_counts)
                 pairs.append(f"{mode} of {model} ({coverage.coverage_at(level):.0%} so far, nominal level {level:.0%})")
-        return (f"coverage of bands is far below the nominal level: {', '.join(pairs)}; has the car, the road or the "
-                "driving changed?") if pairs else ""
+        return (f"coverage of bands is or was significantly below the nominal level: {', '.join(pairs)}; check whether "
+                "the car, the road or the driving has changed") if pairs else ""

@@ -414,7 +414,7 @@ def list_details(discovery: Discovery, update: VehicleUpdate | None) -> list[tup
     reasons = {r.subject: r.text for r in discovery.reasons if r.rule in (MINOR, FORCES, IMPLAUSIBLE)}
     decisions = [reason.text for reason in discovery.reasons if reason.subject == "outcome"]
     if discovery.power_analysis.measured:
-        decisions.append(f"false alarms: an effect was named in {discovery.power_analysis.alarms} of "
+        decisions.append(f"false alarms: an effect was reported in {discovery.power_analysis.alarms} of "
                          f"{discovery.power_analysis.simulated_drives} simulated drives without an effect")
     minor = [f"{name_with_alternatives(discovery, e)}: {reasons[e.name]}" for e in sort_by_size(discovery.minor)
              if e.name in reasons]

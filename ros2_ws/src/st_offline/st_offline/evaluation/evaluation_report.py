@@ -182,8 +182,8 @@ def make_summary(reports: Sequence[RunReport], task: Task) -> list[str]:
                        for finding, names in groups if finding.severity is not Severity.NOTE)
     steering = describe_clocks({report.name: report.metadata["alignment"] for report in reports})
     return [f"{minutes:.1f} minutes of driving, predictions over {task.settings.prediction.horizon:g} s. With "
-            "measured inputs (hindsight), the error is due to the model; with inputs held as at the start (forecast), "
-            f"it also includes the effect of the driver's later inputs: the lateral RMSE of {best} is then {errors}.",
+            "measured inputs (hindsight), the error is due to model, parameters and sensors; with inputs held as at "
+            f"the start (forecast), also to the driver's later inputs: the lateral RMSE of {best} is then {errors}.",
             f"Faults in the recordings bias these errors: {faults}." if faults else
             "The checks found no error or warning.",
             *([f"{steering}."] if steering else [])]
