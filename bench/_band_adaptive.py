@@ -37,37 +37,38 @@ def evaluate_drive(log: DriveLog, vehicle: VehicleParameters, model: str, settin
     times, errors = [], {}
     for rows, block in evaluate_blocks([get_model(model)], vehicle, signals, starts, settings):
         times.append(starts[rows])
-        for pair, values in block.errors.items():
-            errors.setdefault(pair, []).append(to_predicted_frame(values[:, 1:]).astype(np.float32))
+        for key, values in block.errors.items():
+            errors.setdefault(key, []).append(to_predicted_frame(values[:, 1:]).astype(np.float32))
     starts = np.concatenate(times)
-    return Drive(log.name, starts, conditions_at(signals, starts), {q: np.concatenate(e) for q, e in errors.items()})
+    return Drive(log.name, starts, conditions_at(signals, starts),
+                 {key: np.concatenate(parts) for key, parts in errors.items()})
 
 
 def join_drives(name: str, drives: Sequence[Drive]) -> Drive:
-    """Joins drives to one, with a pause between them."""
+    """Joins drives into one, with a pause between them."""
     begin, times = 0, []
     for drive in drives:
         times.append(drive.starts_ns - drive.starts_ns[0] + begin)
         begin = int(times[-1][-1]) + PAUSE_NS
     return Drive(name, np.concatenate(times), np.concatenate([drive.conditions for drive in drives]),
-                 {q: np.concatenate([drive.errors[q] for drive in drives]) for q in drives[0].errors})
+                 {key: np.concatenate([drive.errors[key] for drive in drives]) for key in drives[0].errors})
 
 
 class Score:
-    """Coverage and interval score of adaptive bands over several drives; each drive starts with a new band."""
+    """Coverage and interval score of adaptive bands of one model and mode; each drive starts with a new band."""
 
-    def __init__(self, time: np.ndarray, pair: ModelMode):
-        self._time, self._pair = time, pair
+    def __init__(self, time: np.ndarray, model_mode: ModelMode):
+        self._time, self._model_mode = time, model_mode
         self._parts: dict[float, list[tuple[np.ndarray, ...]]] = {level: [] for level in LEVELS}
         self._settled: dict[float, list[float]] = {level: [] for level in LEVELS}
 
     def add(self, drive: Drive, band: Band | None = None, domain: CalibrationDomain | None = None) -> None:
-        """Adapts a band over a drive. band: calibrated band at the start, None without one; domain: its domain."""
+        """Scores a band that adapts during a drive. band: calibrated band at the start, or None; domain: its domain."""
         rows = np.isfinite(drive.conditions).all(axis=1)
         if domain is not None:
             rows[rows] = domain.contains(drive.conditions[rows])
         adaptive = AdaptiveBand(self._time, band)
-        errors, initial = drive.errors[self._pair][rows].astype(float), adaptive.factors
+        errors, initial = drive.errors[self._model_mode][rows].astype(float), adaptive.factors
         factors, scales = adaptive.replay(drive.starts_ns[rows], drive.conditions[rows], errors)
         scored = np.isfinite(errors).all(axis=(1, 2))
         settled = (drive.starts_ns[rows] - drive.starts_ns[0]) * 1e-9 >= SETTLING_TIME
@@ -87,7 +88,7 @@ class Score:
         """Cells of a table for each level: coverage of fixed and adaptive bands, coverage of the worst drive after the
         settling time, and interval score relative to fixed bands.
 
-        One factor scales the fixed bands to the coverage of the adaptive bands.
+        For the score, one factor scales the fixed bands to the coverage of the adaptive bands.
         """
         cells = {}
         for level in LEVELS:

@@ -1,4 +1,4 @@
-"""Delay of the coverage warning of the evaluator after a change of the virtual car, and number of false warnings."""
+"""Delay of the evaluator's coverage warning after a change of the virtual car, and number of false warnings."""
 
 import sys
 from collections.abc import Mapping, Sequence
@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from _drawn_bands import SETTINGS, TIME
+from _random_bands import SETTINGS, TIME
 from st_core.bands import Band, CalibrationDomain, ErrorSamples, calibrate, compute_error_samples, conditions_at
 from st_core.bands.live import CoverageMonitor
 from st_core.evaluation import make_score
@@ -47,7 +47,7 @@ class DriveWarnings:
 
 
 def count_warnings(log: DriveLog, vehicle: VehicleParameters, bands: Bands, domain: CalibrationDomain) -> DriveWarnings:
-    """Warnings of the evaluator during a drive; a score becomes known one horizon after its start."""
+    """Warnings of the evaluator during a drive; each score is available one horizon after its start."""
     signals, monitor = SETTINGS.signals(log), CoverageMonitor()
     models = [get_model(model) for model in {model: None for model, _ in bands}]
     starts, _ = usable_starts(signals, vehicle, regular_starts(log, SETTINGS.interval),
@@ -77,13 +77,12 @@ def count_warnings(log: DriveLog, vehicle: VehicleParameters, bands: Bands, doma
 
 
 def calibrate_all(runs: Sequence[ErrorSamples]) -> tuple[Bands, CalibrationDomain]:
-    pairs = [(model, mode) for model in MODELS for mode in MODES]
-    return ({key: calibrate(runs, key, TIME, (0.5, 0.9)) for key in pairs},
+    return ({(model, mode): calibrate(runs, (model, mode), TIME, (0.5, 0.9)) for model in MODELS for mode in MODES},
             CalibrationDomain.from_runs([r.conditions for r in runs]))
 
 
 def measure_changes() -> list[Row]:
-    """Rows of the table for each style of driving: drives without a change, then drives with each change."""
+    """Rows for each style of driving: first drives without a change, then drives with each change."""
     return [row for number, style in enumerate(STYLES) for row in _measure_style(number, style)]
 
 
@@ -94,13 +93,13 @@ def _measure_style(number: int, style: str) -> list[Row]:
 
     healthy = cars.healthy_car(cars.LEAF, (SEED,)).settings
     file = vehicle_of(cars.LEAF, healthy)
-    kinds = [getattr(programmes, name) for name in STYLES[style]]
+    manoeuvres = [getattr(programmes, name) for name in STYLES[style]]
 
-    def drive(kind: int, index: int, count: int, after: Mapping[str, float] | None = None) -> DriveLog:
+    def drive(group: int, index: int, count: int, after: Mapping[str, float] | None = None) -> DriveLog:
         """Log of `count` manoeuvres. after: settings of the car from the middle of the drive on."""
-        parts = tuple(kinds[k % len(kinds)] for k in range(count))
+        parts = tuple(manoeuvres[k % len(manoeuvres)] for k in range(count))
         changed: dict[str, Any] = {} if after is None else {"before": healthy, "from_": 0.5}
-        order = Order(f"{kind} {index}", (SEED, number, kind, index), after or healthy, parts, **changed)
+        order = Order(f"{group} {index}", (SEED, number, group, index), after or healthy, parts, **changed)
         return record_run(cars.LEAF, file, order)
 
     models = [get_model(model) for model in MODELS]
@@ -109,9 +108,9 @@ def _measure_style(number: int, style: str) -> list[Row]:
     bands, domain = calibrate_all(runs)
     rows = _healthy_rows(style, [count_warnings(drive(1, k, HEALTHY_PARTS), file, bands, domain)
                                  for k in range(HEALTHY_DRIVES)])
-    for place, (name, change) in enumerate(CHANGES.items()):
+    for group, (name, change) in enumerate(CHANGES.items(), 2):
         changed = {key: healthy[key] + v if key == "steering_offset" else healthy[key] * v for key, v in change.items()}
-        drives = [drive(2 + place, k, CHANGED_PARTS, healthy | changed) for k in range(CHANGED_DRIVES)]
+        drives = [drive(group, k, CHANGED_PARTS, healthy | changed) for k in range(CHANGED_DRIVES)]
         rows += _changed_rows(style, name, [count_warnings(log, file, bands, domain) for log in drives])
         print(*rows[-len(bands):], sep="\n", flush=True)
     return rows

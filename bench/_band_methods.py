@@ -16,24 +16,24 @@ Method = Callable[[Band, Sequence[ErrorSamples], ModelMode], Band]
 """Computes a band from the calibrated band, which has the same scale, and from the calibration runs."""
 
 
-def parametric_band(band: Band, runs: Sequence[ErrorSamples], pair: ModelMode, by_condition: bool = True,
-                    heavy: bool = False) -> Band:
-    """Band of a normal or, if `heavy`, Student t process: quantiles of its maximum over all points and axes.
+def parametric_band(band: Band, runs: Sequence[ErrorSamples], model_mode: ModelMode,
+                    by_condition: bool = True, heavy_tails: bool = False) -> Band:
+    """Band of a normal or, if `heavy_tails`, Student t process: quantiles of its maximum over all points and axes.
 
     The quantiles are computed from random draws. The covariance is estimated from the scaled errors of all runs
     together, without calibration on held-out runs. The degrees of freedom are the maximum-likelihood estimate for
     single points. by_condition: whether the scale depends on the conditions.
     """
-    scale = band.scale if by_condition else _average_scale(band.scale, runs, pair)
+    scale = band.scale if by_condition else _average_scale(band.scale, runs, model_mode)
     selections = [select_evenly(len(run.conditions), 100) for run in runs]
-    z = np.concatenate([run.errors[pair][rows] / scale(run.conditions[rows])
+    z = np.concatenate([run.errors[model_mode][rows] / scale(run.conditions[rows])
                         for run, rows in zip(runs, selections, strict=True)])
     points = z[:, 4::5].reshape(len(z), -1)
     generator = np.random.default_rng(SEED)
     drawn = generator.multivariate_normal(np.zeros(points.shape[1]), np.cov(points.T) + 1e-9 * np.eye(points.shape[1]),
                                           4000, method="eigh")
     marginal = stats.norm(scale=points.std())
-    if heavy:
+    if heavy_tails:
         sample = generator.choice(points.ravel(), 5000)
         degrees_of_freedom = max(2.5, stats.t.fit(sample, floc=0.0)[0])
         # The tails become heavier with the same covariance.
@@ -45,34 +45,34 @@ def parametric_band(band: Band, runs: Sequence[ErrorSamples], pair: ModelMode, b
     return Band(scale, {level: float(np.quantile(highest, level)) for level in LEVELS}, ratios)
 
 
-def scale_to_level(band: Band, runs: Sequence[ErrorSamples], pair: ModelMode) -> Band:
-    """The band with factors for which its coverage of the equally weighted calibration runs is the nominal one."""
+def scale_to_level(band: Band, runs: Sequence[ErrorSamples], model_mode: ModelMode) -> Band:
+    """The band with factors for nominal coverage of the calibration runs, which have equal weights."""
     grid = np.linspace(0.0, 1.0, 201)
-    parts = [np.quantile((np.abs(run.errors[pair]) / band.scale(run.conditions)).max(axis=(1, 2)), grid)
+    parts = [np.quantile((np.abs(run.errors[model_mode]) / band.scale(run.conditions)).max(axis=(1, 2)), grid)
              for run in runs]
     return replace(band, factors={level: float(np.quantile(np.concatenate(parts), level)) for level in LEVELS})
 
 
-def _average_scale(scale: Scale, runs: Sequence[ErrorSamples], pair: ModelMode) -> Scale:
-    """Scale that is the same for all conditions: the root mean square error at each knot."""
+def _average_scale(scale: Scale, runs: Sequence[ErrorSamples], model_mode: ModelMode) -> Scale:
+    """Scale independent of the conditions: the root mean square error at each knot."""
     time = scale.time
-    squares = np.mean([np.square(run.errors[pair].astype(float)).mean(axis=0) for run in runs], axis=0)
+    squares = np.mean([np.square(run.errors[model_mode].astype(float)).mean(axis=0) for run in runs], axis=0)
     rows = [int(np.abs(time - knot).argmin()) for knot in make_knots(float(time[-1]))]
     coefficients = np.zeros((3, len(rows), compute_features(np.zeros((1, 4))).shape[1]))
     coefficients[:, :, 0] = 0.5 * np.log(squares[rows].T)
     return Scale(coefficients, scale.floor, time)
 
 
-def _unconditional_band(band: Band, runs: Sequence[ErrorSamples], pair: ModelMode) -> Band:
-    return parametric_band(band, runs, pair, by_condition=False)
+def _unconditional_band(band: Band, runs: Sequence[ErrorSamples], model_mode: ModelMode) -> Band:
+    return parametric_band(band, runs, model_mode, by_condition=False)
 
 
 METHODS: dict[str, Method] = {
-    "conformal": lambda band, runs, pair: band,
+    "conformal": lambda band, runs, model_mode: band,
     "normal by condition": parametric_band,
-    "Student t by condition": lambda band, runs, pair: parametric_band(band, runs, pair, heavy=True),
+    "Student t by condition": lambda band, runs, model_mode: parametric_band(band, runs, model_mode, heavy_tails=True),
     "normal, same everywhere": _unconditional_band,
     "by condition, scaled to nominal coverage": scale_to_level,
-    "same everywhere, scaled to nominal coverage": lambda band, runs, pair: scale_to_level(
-        _unconditional_band(band, runs, pair), runs, pair),
+    "same everywhere, scaled to nominal coverage": lambda band, runs, model_mode: scale_to_level(
+        _unconditional_band(band, runs, model_mode), runs, model_mode),
 }

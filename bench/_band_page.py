@@ -21,19 +21,19 @@ BAND, CALIBRATED = "conformal", "scaled to nominal coverage"
 
 
 def write_rows(rows: Mapping[str, Mapping[str, str]], page: Path = PAGE, file: Path = ROWS) -> None:
-    """Replaces the rows with the same titles in the file, and the summary on the page; other rows stay."""
+    """Replaces the rows with the same titles in the file, and the summary on the page."""
     with file.open(encoding="utf-8", newline="") as stream:
-        kept = {row["held out"]: row for row in csv.DictReader(stream)}
-    kept |= {title: {"held out": title, **row} for title, row in rows.items()}
+        merged = {row["held out"]: row for row in csv.DictReader(stream)}
+    merged |= {title: {"held out": title, **row} for title, row in rows.items()}
     with file.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.DictWriter(stream, ["held out", *next(iter(rows.values()))], lineterminator="\n")
         writer.writeheader()
-        writer.writerows(kept.values())
-    replace_part(page, TARGETS_PART, format_records(summarise_groups(list(kept.values()))))
+        writer.writerows(merged.values())
+    replace_part(page, TARGETS_PART, format_records(summarise_groups(list(merged.values()))))
 
 
 def summarise_groups(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
-    """Ranges over all models for each held-out group and mode, in bold if they miss the target."""
+    """Ranges over all models for each held-out group and mode, in bold if the target is missed."""
     groups: dict[str, dict[str, list[Mapping[str, str]]]] = {}
     for row in (row for row in rows if row["interval score"] != "-"):
         title, mode, method = _split_title(row["held out"])
@@ -58,7 +58,7 @@ def summarise_groups(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
 
 
 def _format_ratios(band: Sequence[Mapping[str, str]], others: Mapping[str, Sequence[Mapping[str, str]]]) -> str:
-    """Formats the range, over the models, of the larger score ratio of the axes, in bold if it misses the target."""
+    """Formats the range over the models of the larger of both axes' score ratios, in bold if the target is missed."""
     ratios = [max(score / best for score, best in zip(_interval_scores(row), _interval_scores(other), strict=True))
               for row, other in zip(band, _best_rows(others), strict=False)]
     text = _format_range(ratios, "{:.2f}", "")

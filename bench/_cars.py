@@ -1,4 +1,4 @@
-"""The two cars of the benchmarks: their vehicle files, and the real drives of the Genesis."""
+"""Vehicle files of the virtual Leaf and of the Genesis, and the real drives of the Genesis."""
 
 import os
 from pathlib import Path
@@ -10,8 +10,8 @@ from st_recordings.paths import config, project_root
 LEAF_FILE, GENESIS_FILE = config("car/leaf/vehicle.yaml"), config("car/hyundai_genesis/vehicle.yaml")
 DATA = Path(os.environ.get("ST_SHARED", project_root().parent / "shared")) / "data"
 """Folder of the real drives, which are not part of the repository."""
-NINE_DRIVES, MORE_DRIVES = DATA / "hyundai_genesis_oxts", DATA / "hyundai_genesis_more"
-"""Drives without a known fault, and drives with faults of known cause."""
+SOUND_DRIVES, OTHER_DRIVES = DATA / "hyundai_genesis_oxts", DATA / "hyundai_genesis_more"
+"""Nine drives without a known fault, and other drives, most of them with a fault of known cause."""
 
 
 def leaf() -> VehicleParameters:

@@ -1,7 +1,7 @@
-"""Splits the latency of a prediction, from the sockets of INS and CAN to a subscriber, at every available time stamp.
+"""Latency of a prediction from the sockets of INS and CAN to a subscriber, split at every available time stamp.
 
-A message counts as received when the middleware of the listener, a process on the same machine, stamps it; the
-predictor receives it at about the same time.
+The time of receipt of a message is that in the middleware of the listener, a process on the same machine; the predictor
+receives it at about the same time.
 """
 
 from collections.abc import Mapping, Sequence
@@ -35,7 +35,7 @@ class Stream:
     received: np.ndarray
 
     def first_from(self, start: int) -> int | None:
-        """Row of the first sample measured at `start` or later; None after the last and within SETTLING_TIME_NS."""
+        """Row of the first sample measured at `start` or later; None after the last sample and in the settling time."""
         row = int(np.searchsorted(self.stamp, start))
         return row if row < len(self.stamp) and start >= self.stamp[0] + SETTLING_TIME_NS else None
 

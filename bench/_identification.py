@@ -31,13 +31,13 @@ def apply_estimates(car: VehicleParameters, estimates: Iterable[ParameterEstimat
     return car.with_values(values).with_derived_scales()
 
 
-def bends(speed: float, lateral: float, hold: float = 4.0) -> Callable[[Builder], None]:
-    """Alternating bends at a lateral acceleration [m/s^2], with ramps of one second and straights between."""
+def bends(speed: float, lateral: float) -> Callable[[Builder], None]:
+    """Bends to the left and right, of 4 s at a lateral acceleration [m/s^2] with ramps of 1 s, and straights of 2 s."""
     def build(road: Builder) -> None:
         curvature = lateral / speed**2
         angle = curvature * (road.car.wheelbase + 0.004 * speed**2)
         ramp = np.linspace(0.0, 1.0, round(1.0 / DT))
-        turn = angle * np.concatenate((ramp, np.ones(round(hold / DT)), ramp[::-1]))
+        turn = angle * np.concatenate((ramp, np.ones(round(4.0 / DT)), ramp[::-1]))
         road.go_to(speed)
         for side in (1.0, -1.0):
             road.add(side * turn)
@@ -45,13 +45,11 @@ def bends(speed: float, lateral: float, hold: float = 4.0) -> Callable[[Builder]
     return build
 
 
-def straight(speed: float) -> Callable[[Builder], None]:
-    def build(road: Builder) -> None:
-        road.add(np.zeros(round(SECONDS / DT)), closed=True)
-    return build
+def drive_straight(road: Builder) -> None:
+    road.add(np.zeros(round(SECONDS / DT)), closed=True)
 
 
-def steps(speed: float, angle: float) -> Callable[[Builder], None]:
+def steps(angle: float) -> Callable[[Builder], None]:
     """Steps of the road wheel angle [rad] to the left, back, to the right, and back."""
     def build(road: Builder) -> None:
         for side in (1.0, 0.0, -1.0, 0.0):
@@ -59,7 +57,7 @@ def steps(speed: float, angle: float) -> Callable[[Builder], None]:
     return build
 
 
-def sweep(speed: float, angle: float) -> Callable[[Builder], None]:
+def sweep(angle: float) -> Callable[[Builder], None]:
     """Sine sweep of the road wheel angle [rad] from 0.3 to 2.5 Hz within 20 s."""
     def build(road: Builder) -> None:
         t = np.arange(0.0, 20.0, DT)
@@ -74,21 +72,21 @@ Run = tuple[str, float, Callable[[Builder], None]]
 Runs = Sequence[Run]
 
 
-def _bends(pairs: Iterable[tuple[float, float]]) -> Runs:
-    """Runs with bends at pairs of speed [m/s] and lateral acceleration [m/s^2]."""
-    return tuple((f"bends {v:g} m/s, {a:g} m/s^2", v, bends(v, a)) for v, a in pairs)
+def _bends(*conditions: tuple[float, float]) -> Runs:
+    """Runs with bends. conditions: speed [m/s] and lateral acceleration [m/s^2] of each run."""
+    return tuple((f"bends {v:g} m/s, {a:g} m/s^2", v, bends(v, a)) for v, a in conditions)
 
 
-BENDS = _bends(((9.0, 2.0), (10.0, 2.2), (11.0, 2.5), (12.0, 1.5), (12.0, 3.0), (13.0, 3.3), (14.0, 2.0), (14.5, 3.2),
-                (15.0, 3.5), (16.0, 2.5)))
+BENDS = _bends((9.0, 2.0), (10.0, 2.2), (11.0, 2.5), (12.0, 1.5), (12.0, 3.0), (13.0, 3.3), (14.0, 2.0), (14.5, 3.2),
+               (15.0, 3.5), (16.0, 2.5))
 """Bends with radii of 40 to 100 m."""
-TIGHT_BENDS = _bends(((6.0, 1.5), (6.5, 2.2), (7.0, 2.5), (7.5, 3.0), (8.0, 3.3), (8.5, 3.5)))
-"""Bends with radii of 20 to 24 m."""
-STRAIGHTS: Runs = tuple((f"straight {v:g} m/s", v, straight(v)) for v in (7.0, 9.0, 11.0, 13.0))
+TIGHT_BENDS = _bends((6.0, 1.5), (6.5, 2.2), (7.0, 2.5), (7.5, 3.0), (8.0, 3.3), (8.5, 3.5))
+"""Bends with radii of 19 to 24 m."""
+STRAIGHTS: Runs = tuple((f"straight {v:g} m/s", v, drive_straight) for v in (7.0, 9.0, 11.0, 13.0))
 SLOW: Runs = tuple((f"slow {v:g} m/s", v, bends(v, a)) for v, a in (
     (2.5, 0.6), (3.5, 1.2), (4.5, 1.0), (5.5, 1.8), (6.5, 1.5), (8.0, 2.0)))
-TRANSIENTS: Runs = (("steps 10 m/s", 10.0, steps(10.0, 0.05)), ("steps 14 m/s", 14.0, steps(14.0, 0.03)),
-                    ("sweep 12 m/s", 12.0, sweep(12.0, 0.03)), ("sweep 16 m/s", 16.0, sweep(16.0, 0.018)))
+TRANSIENTS: Runs = (("steps 10 m/s", 10.0, steps(0.05)), ("steps 14 m/s", 14.0, steps(0.03)),
+                    ("sweep 12 m/s", 12.0, sweep(0.03)), ("sweep 16 m/s", 16.0, sweep(0.018)))
 
 
 def record(runs: Runs, plant: str, seed: int, effects: Sequence[str] = (), seconds: float = SECONDS,
@@ -96,26 +94,26 @@ def record(runs: Runs, plant: str, seed: int, effects: Sequence[str] = (), secon
     """Logs of the runs; the seed determines steering tremor and sensor noise."""
     settings = resolve_settings(plant, ("driver_tremor=0", *sensors, *effects))
     car, vehicle = read_vehicle(LEAF_FILE), leaf()
-    return [make_log(name, _drive_run(run, number, plant, seed, seconds), car, vehicle, settings,
-                     1000 * seed + number) for number, run in enumerate(runs) for name in run[:1]]
+    return [make_log(run[0], _drive_run(run, number, plant, seed, seconds), car, vehicle, settings,
+                     1000 * seed + number) for number, run in enumerate(runs)]
 
 
 @lru_cache(maxsize=60)
-def _drive_run(run: Run, number: int, plant: str, driver: int, seconds: float) -> Recording:
+def _drive_run(run: Run, number: int, plant: str, seed: int, seconds: float) -> Recording:
     _, speed, manoeuvre = run
     car = read_vehicle(LEAF_FILE)
-    road = Builder(car, np.random.default_rng([driver, number]), speed)
+    road = Builder(car, np.random.default_rng([seed, number]), speed)
     count = 0
     while count * DT < seconds:
         manoeuvre(road)
         count = sum(row.shape[1] for row in road.rows)
     road.rows[-1] = road.rows[-1][:, :road.rows[-1].shape[1] - max(0, count - round(seconds / DT))]
-    return drive(car, resolve_settings(plant, ("driver_tremor=0",)), road.programme(), driver)
+    return drive(car, resolve_settings(plant, ("driver_tremor=0",)), road.programme(), seed)
 
 
 def record_all(plant: str, seed: int, sensors: Sequence[str] = SENSORS,
                seconds: float = SECONDS) -> Mapping[str, list[DriveLog]]:
-    """All drives of an identification, by kind."""
+    """All drives of an identification: bends, straight, slow and transient."""
     mounting = (f"ins_lever_error={LEVER_ERROR}", f"ins_misalignment={MISALIGNMENT}")
     kinds: Mapping[str, tuple[Runs, tuple[str, ...]]] = {
         "bends": (BENDS, ()), "straight": (STRAIGHTS, ()), "slow": (SLOW, mounting), "transient": (TRANSIENTS, ())}

@@ -1,4 +1,4 @@
-"""The procedure of the paper for virtual S1 to S7: identify steering offset and cornering stiffnesses, evaluate."""
+"""The procedure of the paper with virtual drives S1 to S7: steering offset, cornering stiffnesses, evaluation."""
 
 from dataclasses import replace
 

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from _cars import NINE_DRIVES
+from _cars import SOUND_DRIVES
 from _cars import genesis as genesis_vehicle
 from _identification import apply_estimates
 from _mounting import rotate_ins
@@ -30,7 +30,7 @@ PREDICTION_TIME = 5  # s
 def identify_genesis() -> dict:
     """Estimates from the TRAINING_DRIVES, and position errors with them on all drives."""
     car = genesis_vehicle()
-    logs = {source.name: read(source, car).log for source in find_runs([NINE_DRIVES])}
+    logs = {source.name: read(source, car).log for source in find_runs([SOUND_DRIVES])}
     # The recordings contain the road wheel angle; it is converted to the steering wheel angle, so that the ratio can
     # be changed.
     logs = {name: replace(log, steering_wheel_angle=car.steering_wheel_angle(log.road_wheel_angle))
@@ -69,7 +69,7 @@ def with_estimates(car: VehicleParameters, found: Identification, names=None) ->
 
 
 def correct_mounting(log: DriveLog, angle: float) -> DriveLog:
-    """The drive with the rotation of the INS by `angle` [rad] removed, without accelerations."""
+    """The drive corrected for an INS that is rotated to the left by `angle` [rad]; accelerations are left out."""
     return replace(rotate_ins(log, -angle), acceleration_x=None, acceleration_y=None)
 
 
@@ -85,9 +85,9 @@ def position_errors(logs: list[DriveLog], car: VehicleParameters, misalignment: 
             # Integration steps small enough for these stiffnesses at the lowest speed.
             batch = LogBatch(own, starts, points=(PREDICTION_TIME,), substeps="auto")
             errors = batch.errors(model, car)[:, 0, :2]
-            good = np.isfinite(errors).all(axis=1)
-            columns.append(np.column_stack((np.full(good.sum(), number), (starts[good] - log.start_ns) * 1e-9,
-                                            errors[good])))
+            finite = np.isfinite(errors).all(axis=1)
+            columns.append(np.column_stack((np.full(finite.sum(), number), (starts[finite] - log.start_ns) * 1e-9,
+                                            errors[finite])))
         run_index, time, along, across = np.concatenate(columns).T
         result[base] = {"position": _rms(np.hypot(along, across), run_index, time),
                         "lateral": _rms(across, run_index, time),

@@ -1,4 +1,4 @@
-"""Other implementations of a prediction, for comparison in batch.py: C++, scalar numba, CasADi, commonroad."""
+"""Alternative implementations of a prediction, which batch.py compares: C++, scalar numba, CasADi, commonroad."""
 
 import ctypes
 import subprocess

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from _cars import LEAF_FILE, leaf
-from _drawn_bands import random_bands
+from _random_bands import random_bands
 from st_live.configuration import VirtualCar, make_live_parameters, set_bands_and_course
 from st_live.node import Monitor
 from st_live.session import NODES
@@ -20,11 +20,11 @@ def run_suite(duration: float, ncom_rate: int = 250, can_rate: str = "full") -> 
     """Context with the running suite; all processes end and all files are deleted on exit.
 
     ST_BENCH_REALTIME=1: real-time scheduling of bridges and predictor. ST_BENCH_WITHOUT: names of nodes that are not
-    started, such as recorder,evaluator. ST_BENCH_BUSY: number of background programs that never sleep.
+    started, such as recorder,evaluator. ST_BENCH_BUSY: number of background processes in an endless loop.
     ST_BENCH_BANDS=1: bands for every prediction.
     """
-    left_out = os.environ.get("ST_BENCH_WITHOUT", "").split(",")
-    nodes = [node for node in NODES if node[1] not in left_out]
+    omitted = os.environ.get("ST_BENCH_WITHOUT", "").split(",")
+    nodes = [node for node in NODES if node[1] not in omitted]
     with claim_domain() as domain, tempfile.TemporaryDirectory(prefix="st-bench-") as name:
         rates = ["--ncom-rate", str(ncom_rate), "--can-rate", can_rate]
         car = VirtualCar(LEAF_FILE, ["--scenario", "S6", "--duration", str(duration), *rates])

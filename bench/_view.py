@@ -1,4 +1,4 @@
-"""Attaches the passenger's page to the running suite, with one client that reads it."""
+"""Opens the passenger's page of a running suite, with one client that reads it."""
 
 import os
 import signal
@@ -20,7 +20,7 @@ START_TIME = 3.0  # s from the start of the page until it receives every topic
 
 @contextmanager
 def attach_view(suite: Suite, hangs: bool) -> Iterator[None]:
-    """Context with an attached page. hangs: the process of the page is stopped (SIGSTOP) after it has subscribed."""
+    """Context with an open page. hangs: its process is stopped (SIGSTOP) after START_TIME."""
     page = LiveView(page=True)
     folder = Path(suite.folder, f"view-{time.monotonic_ns()}")
     predictor = {"vehicle_file": str(LEAF_FILE), "map_frame": "map"}

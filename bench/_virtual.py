@@ -21,7 +21,7 @@ def write_scenarios(folder: Path, seed: int = 1) -> Path:
                                    "--seed", str(seed), "--plant", "realistic", "--to-files", str(folder / name),
                                    "--can-format", "mf4"])
         if status:
-            raise RuntimeError(f"the virtual Leaf did not drive {name}")
+            raise RuntimeError(f"virtual_leaf --scenario {name}: exit status {status}")
     return folder
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 import matplotlib.pyplot as plt
-from _cars import MORE_DRIVES, NINE_DRIVES, genesis
+from _cars import OTHER_DRIVES, SOUND_DRIVES, genesis
 from _pages import format_records, replace_part
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
@@ -19,7 +19,7 @@ from st_recordings.runs import find_runs
 TOLERANCE = 0.3  # m, lateral
 MODELS = ("kinematic", "linear", "nonlinear")
 UNSUITABLE_DRIVES = ("wrong_projection", "rear_ref")
-"""Prefixes of drives with a wrong map projection, or another reference point of the car."""
+"""Prefixes of drives with a wrong map projection, and of those with the INS at the rear axle."""
 PAGE = project_root() / "docs" / "measurements" / "mpc.md"
 MARKERS = ("o", "s", "^", "D", "v")
 
@@ -27,7 +27,7 @@ MARKERS = ("o", "s", "^", "D", "v")
 def draw_advice(costs: Mapping[advice_report.ModelStep, advice_report.Cost],
                 accuracies: Mapping[advice_report.ModelStep, advice_report.Accuracy], tolerance: float,
                 output: FigureOutput) -> None:
-    """Draws the lateral error and the half-width of the band over processor time, one panel for each time ahead."""
+    """Plots lateral error and half-width of the band against processor time, one panel for each time ahead."""
     known = max((accuracy.seconds for accuracy in accuracies.values()), default=())
     seconds = [s for s in known if s in (1, 2, 3, 5)] or known[:1]
     steps = sorted({step for _, step in accuracies})
@@ -72,8 +72,8 @@ def describe_columns(accuracies: dict) -> str:
 
 
 def run() -> dict:
-    """Rows by model and step, and the cheapest choice for each speed; a remark without the shared drives."""
-    folders = [NINE_DRIVES, MORE_DRIVES]
+    """Rows by model and step, and the cheapest choice for each speed; only a message without the shared drives."""
+    folders = [SOUND_DRIVES, OTHER_DRIVES]
     if not all(folder.exists() for folder in folders):
         return {"Genesis": "the shared drives are missing"}
     sources = [source for source in find_runs(folders) if not source.name.startswith(UNSUITABLE_DRIVES)]

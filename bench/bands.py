@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from _band_adaptive import Drive, Score, evaluate_drive, join_drives
@@ -15,10 +16,10 @@ from _band_changes import measure_changes
 from _band_corrected import correct_files
 from _band_methods import LEVELS, METHODS, SEED
 from _band_page import COVERAGE_50, COVERAGE_90, PAGE, WORST_CELL, write_rows
-from _cars import MORE_DRIVES, NINE_DRIVES
+from _cars import OTHER_DRIVES, SOUND_DRIVES
 from _cars import genesis as genesis_vehicle
-from _drawn_bands import SETTINGS, TIME
 from _pages import format_records, replace_part
+from _random_bands import SETTINGS, TIME
 from st_core.bands import Band, CalibrationDomain, ErrorSamples, calibrate, compute_error_samples
 from st_core.bands.calibration import compute_highest_level, join_runs
 from st_core.errors import StCoreError
@@ -55,7 +56,6 @@ DEVIATIONS = {"friction_factor": 0.75, "steering_offset": 0.01, "mass_factor": 1
 Runs = Mapping[str, ErrorSamples]
 Row = dict[str, str]
 COLUMNS = (COVERAGE_90, "worst run", COVERAGE_50, WORST_CELL, "interval score", "CRPS", "half-width at 5 s", "no band")
-CALIBRATED = ("conformal",)
 
 
 def run() -> dict:
@@ -96,14 +96,15 @@ def merge_models(rows: Iterable[Row]) -> list[Row]:
 def score_adaptive() -> dict[str, Row]:
     """Adaptive bands of the linear model for sessions of the virtual car with one manoeuvre each, and for the Genesis:
     held out by day and by site, with the INS at the rear axle, and without calibrated bands."""
-    world = make_world()
-    kinds = {kind: tuple(f"{kind} {k}" for k in range(DRIVES_PER_SESSION)) for kind in MANOEUVRES}
-    logs = {names[k]: world.drive(kind, k, world.healthy, kind) for kind, names in kinds.items()
+    virtual = make_virtual_leaf()
+    groups = {name: tuple(f"{name} {k}" for k in range(DRIVES_PER_SESSION)) for name in MANOEUVRES}
+    logs = {names[k]: virtual.drive(manoeuvre, k, virtual.healthy, manoeuvre) for manoeuvre, names in groups.items()
             for k in range(DRIVES_PER_SESSION)}
-    runs = {name: collect_samples(log, world.file, ("linear",)) for name, log in logs.items()}
-    drives = {name: evaluate_drive(log, world.file, "linear", SETTINGS) for name, log in logs.items()}
-    sessions = {kind: [join_drives(kind, [drives[name] for name in names])] for kind, names in kinds.items()}
-    sets = [("virtual, by manoeuvre", runs, kinds, sessions)]
+    runs = {name: collect_samples(log, virtual.file, ("linear",)) for name, log in logs.items()}
+    drives = {name: evaluate_drive(log, virtual.file, "linear", SETTINGS) for name, log in logs.items()}
+    sessions = {manoeuvre: [join_drives(manoeuvre, [drives[name] for name in names])]
+                for manoeuvre, names in groups.items()}
+    sets = [("virtual, by manoeuvre", runs, groups, sessions)]
     genesis = _genesis_logs()
     if genesis is not None:
         car, logs = genesis
@@ -122,18 +123,18 @@ def score_adaptive() -> dict[str, Row]:
 
 def _adaptive_rows(title: str, runs: Runs, groups: Mapping[str, Sequence[str]],
                    tested: Mapping[str, Sequence[Drive]]) -> list[Row]:
-    """Rows of both modes. runs: for the calibration, which leaves out the tested group; empty: no calibration."""
+    """Rows of both modes. runs: calibration runs; those of the tested group are left out; empty: no calibration."""
     rows = []
-    for pair in (("linear", mode) for mode in MODES):
-        score = Score(TIME, pair)
+    for mode in MODES:
+        score = Score(TIME, ("linear", mode))
         for group, names in groups.items():
             others = [run for name, run in runs.items() if name not in names]
             levels = [level for level in LEVELS if others and level <= compute_highest_level(len(others))]
-            band = calibrate(others, pair, TIME, levels) if levels else None
+            band = calibrate(others, ("linear", mode), TIME, levels) if levels else None
             domain = CalibrationDomain.from_runs([run.conditions for run in others]) if levels else None
             for drive in tested[group]:
                 score.add(drive, band, domain)
-        rows.append({"held out": title, "mode": pair[1]} | score.cells(bool(runs)))
+        rows.append({"held out": title, "mode": mode} | score.cells(bool(runs)))
         print(rows[-1], flush=True)
     return rows
 
@@ -160,19 +161,19 @@ def score_days(runs: Runs) -> list[Row]:
     rows = []
     days = {day: join_runs([runs[name] for name in names]) for day, names in DAYS.items()}
     levels = (0.5, compute_highest_level(len(days) - 1))
-    for pair in ((model, mode) for model in MODELS for mode in MODES):
+    for model_mode in product(MODELS, MODES):
         coverages = []
         for day, tested in days.items():
             others = [run for other, run in days.items() if other != day]
-            band = calibrate(others, pair, TIME, levels)
+            band = calibrate(others, model_mode, TIME, levels)
             domain = CalibrationDomain.from_runs([run.conditions for run in others])
             inside = domain.contains(tested.conditions)
             if not inside.any():
                 continue
-            errors = np.abs(tested.errors[pair][inside].astype(float))
+            errors = np.abs(tested.errors[model_mode][inside].astype(float))
             scores = (errors / band.scale(tested.conditions[inside])).max(axis=(1, 2))
             coverages.append([float((scores <= band.factors[level]).mean()) for level in levels])
-        rows.append({"model": pair[0], "mode": pair[1]} | {
+        rows.append(dict(zip(("model", "mode"), model_mode, strict=True)) | {
             f"{level:.0%} band: coverage (days)": f"{np.mean(rates):.0%} ({', '.join(f'{rate:.0%}' for rate in rates)})"
             for level, rates in zip(levels, zip(*coverages, strict=True), strict=True)})
     return rows
@@ -180,35 +181,35 @@ def score_days(runs: Runs) -> list[Row]:
 
 def score_virtual() -> dict[str, Row]:
     """Bands of the virtual car, held out by seed, and transferred to a car that deviates from its vehicle file."""
-    world = make_world()
-    mixed, other = world.samples("seed", SEEDS, world.healthy), world.samples("off", SEEDS, world.off)
-    return score_held_out("virtual, nonlinear, by seed", mixed, _folds(mixed), "nonlinear", tuple(METHODS)) \
-        | score_held_out("virtual, parameters off, by seed", other, _folds(other), "nonlinear", tuple(METHODS)) \
-        | score_transfer("virtual, bands of the healthy car on the one that is off", mixed, other, "nonlinear")
+    virtual = make_virtual_leaf()
+    healthy = virtual.samples("seed", SEEDS, virtual.healthy)
+    deviating = virtual.samples("off", SEEDS, virtual.deviating)
+    return score_held_out("virtual, nonlinear, by seed", healthy, _folds(healthy), "nonlinear", tuple(METHODS)) \
+        | score_held_out("virtual, deviating car, by seed", deviating, _folds(deviating), "nonlinear", tuple(METHODS)) \
+        | score_transfer("virtual, bands of the healthy car on the deviating one", healthy, deviating, "nonlinear")
 
 
 def score_manoeuvres() -> dict[str, Row]:
     """Bands of the virtual car, held out by manoeuvre."""
-    world = make_world()
-    kinds = {kind: world.samples(kind, DRIVES_PER_MANOEUVRE, world.healthy, kind) for kind in MANOEUVRES}
-    all_runs = {name: run for runs in kinds.values() for name, run in runs.items()}
-    groups = {kind: tuple(runs) for kind, runs in kinds.items()}
+    virtual = make_virtual_leaf()
+    by_manoeuvre = {name: virtual.samples(name, DRIVES_PER_MANOEUVRE, virtual.healthy, name) for name in MANOEUVRES}
+    all_runs = {name: run for runs in by_manoeuvre.values() for name, run in runs.items()}
+    groups = {manoeuvre: tuple(runs) for manoeuvre, runs in by_manoeuvre.items()}
     return score_held_out("virtual, nonlinear, by manoeuvre", all_runs, groups, "nonlinear")
 
 
 def score_corrected() -> dict[str, Row]:
     """Bands of the car that deviates from its file, after `st discover` has corrected the file with other drives: held
     out by seed, and transferred from the healthy and from the uncorrected car."""
-    world = make_world()
-    drives = [world.drive("to mend", k, world.off)  # the name is part of the seed
-              for k in range(CORRECTION_DRIVES)]
-    car, model, intervals = correct_files(drives, world.file)
-    logs = [world.drive("off", k, world.off).with_steering(car) for k in range(SEEDS)]
+    virtual = make_virtual_leaf()
+    drives = [virtual.drive("to mend", k, virtual.deviating) for k in range(CORRECTION_DRIVES)]
+    car, model, intervals = correct_files(drives, virtual.file)
+    logs = [virtual.drive("off", k, virtual.deviating).with_steering(car) for k in range(SEEDS)]
     after = {log.name: collect_samples(log, car, (model,)) for log in logs}
     _write_contributions([sum_contributions([model], car, SETTINGS.signals(log), SETTINGS, {model.name: intervals})
                           for log in logs])
-    before = world.samples("off", SEEDS, world.off)
-    healthy = world.samples("seed", SEEDS, world.healthy)
+    before = virtual.samples("off", SEEDS, virtual.deviating)
+    healthy = virtual.samples("seed", SEEDS, virtual.healthy)
     name = model.name
     rows = score_held_out("virtual, corrected by st discover, by seed", after, _folds(after), name, tuple(METHODS))
     renamed = {key: ErrorSamples(run.name, run.conditions, {("nonlinear", mode): run.errors[name, mode]
@@ -230,36 +231,37 @@ def _write_contributions(runs: Sequence[dict]) -> None:
 
 
 @dataclass(frozen=True)
-class World:
+class VirtualLeaf:
     """The virtual Leaf: vehicle file, settings of the car that it describes, and settings of a car that deviates."""
 
     file: VehicleParameters
     healthy: Mapping[str, float]
-    off: Mapping[str, float]
+    deviating: Mapping[str, float]
 
-    def drive(self, name: str, number: int, settings: Mapping[str, float], kind: str | None = None) -> DriveLog:
-        """Log of a drive. kind: name of a manoeuvre in bench.discovery.programmes, driven three times; None: mixed."""
+    def drive(self, name: str, number: int, settings: Mapping[str, float], manoeuvre: str | None = None) -> DriveLog:
+        """Log of a drive. name, number: seed; manoeuvre: of bench.discovery.programmes, repeated three times, or None
+        for several random ones."""
         from bench.discovery import cars, programmes
         from bench.discovery.plants import Order, record_run
 
-        parts = None if kind is None else (getattr(programmes, kind),) * 3
+        parts = None if manoeuvre is None else (getattr(programmes, manoeuvre),) * 3
         return record_run(cars.LEAF, self.file,
                           Order(f"{name} {number}", (SEED, *name.encode(), number), settings, parts))
 
-    def samples(self, name: str, count: int, settings: Mapping[str, float], kind: str | None = None) -> Runs:
-        return {f"{name} {k}": collect_samples(self.drive(name, k, settings, kind), self.file, ("nonlinear",))
+    def samples(self, name: str, count: int, settings: Mapping[str, float], manoeuvre: str | None = None) -> Runs:
+        return {f"{name} {k}": collect_samples(self.drive(name, k, settings, manoeuvre), self.file, ("nonlinear",))
                 for k in range(count)}
 
 
-def make_world() -> World:
+def make_virtual_leaf() -> VirtualLeaf:
     sys.path.insert(0, str(project_root()))
     from bench.discovery import cars
     from bench.discovery.plants import vehicle_of
 
     car = cars.healthy_car(cars.LEAF, (SEED,)).settings
-    off = {name: car[name] * value if name.endswith("factor") else car[name] + value
-           for name, value in DEVIATIONS.items()}
-    return World(vehicle_of(cars.LEAF, car), car, car | off)
+    deviating = {name: car[name] * value if name.endswith("factor") else car[name] + value
+                 for name, value in DEVIATIONS.items()}
+    return VirtualLeaf(vehicle_of(cars.LEAF, car), car, car | deviating)
 
 
 def collect_samples(log: DriveLog, vehicle: VehicleParameters, models: Sequence[str | Model]) -> ErrorSamples:
@@ -267,7 +269,7 @@ def collect_samples(log: DriveLog, vehicle: VehicleParameters, models: Sequence[
 
 
 def score_held_out(title: str, runs: Runs, groups: Mapping, model: str,
-                   methods: Sequence[str] = CALIBRATED) -> dict[str, Row]:
+                   methods: Sequence[str] = ("conformal",)) -> dict[str, Row]:
     """Tests each group of runs with bands of all other groups; one row for each mode and method."""
     rows = {}
     for mode in MODES:
@@ -302,18 +304,18 @@ def score_transfer(title: str, runs: Runs, others: Runs, model: str) -> dict[str
 
 
 def sum_scores(band: Band, calibration_runs: Sequence[ErrorSamples], tested_runs: Sequence[ErrorSamples],
-               pair: tuple[str, str]) -> list[dict]:
-    """Sums for `summarise_bands` for each tested run."""
+               model_mode: tuple[str, str]) -> list[dict]:
+    """Sums over the starts of each tested run, which `summarise_bands` needs."""
     domain, entries = CalibrationDomain.from_runs([run.conditions for run in calibration_runs]), []
     for run in tested_runs:
         rows = domain.contains(run.conditions)
-        sums = sum_band_scores(band, run.conditions[rows], run.errors[pair][rows].astype(float))
+        sums = sum_band_scores(band, run.conditions[rows], run.errors[model_mode][rows].astype(float))
         entries.append(sums | {"without_band": int((~rows).sum())})
     return entries
 
 
 def format_cells(runs: Sequence[dict], failures: Sequence[str]) -> Row:
-    """Cells of a row. failures: groups for which no band could be calibrated, each with the reason."""
+    """Cells of a row. failures: groups without a band, each with the reason for the failed calibration."""
     pooled = summarise_bands({"models": {"m": {"q": pool_sums(runs)}}})["models"]["m"]["q"] if runs else None
     if pooled is None or not pooled["starts"]:
         return dict.fromkeys(COLUMNS, "-") | {"no band": "; ".join(failures) or "100%"}
@@ -337,13 +339,13 @@ def _folds(runs: Runs) -> dict[int, list[str]]:
 
 
 def _genesis_runs() -> dict[str, ErrorSamples] | None:
-    """Samples of all drives except the one with a wrong projection; None without the shared drives."""
+    """Error samples of all drives except the one with a wrong map projection; None without the shared drives."""
     genesis = _genesis_logs()
     return genesis and {name: collect_samples(log, genesis[0], MODELS) for name, log in genesis[1].items()}
 
 
 def _genesis_logs() -> tuple[VehicleParameters, dict[str, DriveLog]] | None:
-    folders = [NINE_DRIVES, MORE_DRIVES]
+    folders = [SOUND_DRIVES, OTHER_DRIVES]
     if not all(folder.exists() for folder in folders):
         return None
     car = genesis_vehicle()

@@ -2,7 +2,7 @@
 SIMD, CasADi, commonroad.
 
 Each prediction covers 5 s with RK4 steps of 50 ms (odeint in two of commonroad); one starts every 100 ms of a
-ten-minute drive. All except commonroad alternate on one core. The limit is the fastest of the C++ variants.
+ten-minute drive. All except commonroad run alternately on one core. The limit is the fastest of the C++ variants.
 """
 
 import tempfile
@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 from _cars import leaf
-from _drive import MODELS, POINTS, measure_alternately, pin_to_core, start_times, weaving_drive
 from _peers import STEP, STEPS, casadi_calls, commonroad_calls, compile_limit, compile_numba_scalar
+from _processor_time import MODELS, POINTS, measure_alternately, pin_to_core, start_times, weaving_drive
 from st_core.backends import numba_lanes, numpy_batch
 from st_core.batch import LogBatch, plan_blocks
 from st_core.log import LogSignals
@@ -28,7 +28,7 @@ def run() -> dict:
     """Rates, their ratios to the limit, largest difference of end states, and processor time of a whole log [s]."""
     car, log = leaf(), weaving_drive(600.0)
     with pin_to_core(), tempfile.TemporaryDirectory(prefix="st-bench-") as folder:
-        results = {name: _model(name, car, log, Path(folder)) for name in MODELS}
+        results = {name: _measure_model(name, car, log, Path(folder)) for name in MODELS}
         seconds = measure_alternately(commonroad_calls(), repetitions=2, min_time=0.0)
         results["commonroad_per_s"] = {k: 1.0 / s for k, s in seconds.items()}
 
@@ -45,7 +45,7 @@ def run() -> dict:
     return {**results, "ten_minutes_three_models_cpu_s": float(np.median(times))}
 
 
-def _model(name: str, car, log, folder: Path) -> dict:
+def _measure_model(name: str, car, log, folder: Path) -> dict:
     model = get_model(name)
     p, signals = model.parameters(car), LogSignals(log, 0.1, 5.0)
     times = start_times(log)[:COUNT]

@@ -1,7 +1,7 @@
-"""The whole loop, live: drive a car with hidden effects, run `st discover`, and drive a new road with its files.
+"""Closed loop, live: drives a car with hidden effects, runs `st discover`, and drives a new road with its files.
 
-Two cases: two effects of the library and a wrong value in the vehicle file; and a relation that is not in the library,
-which `st discover` proposes. Everything runs through bridges, nodes and files: `st demo`, `st discover`, `st demo`. The
+Two cases: two effects of the library and a wrong value in the vehicle file; and a relation outside the library, which
+`st discover` proposes. Everything runs through bridges, nodes and files: `st demo`, `st discover`, `st demo`. The
 errors before and after are those of two drives in real time, over the starts that were scored in both.
 """
 
@@ -21,12 +21,12 @@ from mcap.reader import make_reader
 from st_recordings.paths import config, project_root
 from st_recordings.results import read_results
 
-RATIO = "steering_ratio: {value: 17.3"
+RATIO_LINE = "steering_ratio: {value: 17.3"
 RATIO_ERROR = 1.08  # factor on the steering ratio in the file
 HIDDEN = {"steering_lag": 0.14, "ins_misalignment": 0.012}  # s, rad
 DRIVES = ("sweep", "slalom", "lane_change", "brake_in_turn", "there_and_back", "weave")
 DURATION, NEW_ROAD, NEW_ROAD_DURATION = 30.0, "S6", 60.0  # s
-RELATION = {"drive_offset": 0.2}  # m; a yaw moment in proportion to the force of drive and brakes
+RELATION = {"drive_offset": 0.2}  # m; the yaw moment is proportional to the force of drive and brakes
 RELATION_DRIVES = ("sweep", "lane_change", "brake_in_turn", "S6", "slalom.yaml", "stop_and_go.yaml")
 RELATION_DURATION, RELATION_NEW_ROAD, RELATION_NEW_ROAD_DURATION = 40.0, "S7", 50.0
 PERIOD = 0.1  # s between starts
@@ -91,7 +91,7 @@ def run_relation(folder: Path) -> dict:
         result |= {"given": proposed[0]["lateral"]["nonlinear"], "proposed": proposed[0]["lateral"]["augmented"]}
         _draw(IMAGES / "closed_loop_law.png", {name: (result["given"], result[key]) for name, key in (
             ("library", "library"), ("with the relation", "proposed"))},
-              ("vehicle file as given", "with the fourth path"))
+              ("nonlinear model", "augmented model"))
         shutil.copy(folder / "found" / "figures" / "relation.png", IMAGES / "closed_loop_law_curve.png")
     _write(relation=_relation_page(result))
     return result
@@ -142,8 +142,8 @@ def read_scored(folder: Path) -> Scored:
 def compare_drives(*drives: Scored) -> list[dict]:
     """Number of starts and lateral RMSE [m] by model for each repetition of a drive, over the starts common to all.
 
-    A start is common if every repetition has one within half a period of it. A busy computer may lose measurements, and
-    with them 5 s of starts; scores of different parts of the road must not be compared.
+    A start is common if every repetition has one within half a period of it. On a busy computer, measurements
+    may be lost, each with 5 s of starts; scores of different parts of the road are not comparable.
     """
     first = drives[0].time
     rows = [np.abs(drive.time - first[:, None]).argmin(axis=1) for drive in drives]
@@ -164,10 +164,10 @@ def _position_errors(found: dict) -> list[float]:
 
 def _write_wrong_file(folder: Path) -> Path:
     text = LEAF_FILE.read_text()
-    if RATIO not in text:
+    if RATIO_LINE not in text:
         raise RuntimeError(f"{LEAF_FILE} does not have the steering ratio that this benchmark expects")
     file = folder / "car.yaml"
-    file.write_text(text.replace(RATIO, f"steering_ratio: {{value: {17.3 * RATIO_ERROR:.4f}"))
+    file.write_text(text.replace(RATIO_LINE, f"steering_ratio: {{value: {17.3 * RATIO_ERROR:.4f}"))
     return file
 
 
@@ -267,14 +267,15 @@ def _relation_page(result: dict) -> str:
              f"{truth:.3f} rad/s² for each m/s² of",
              f"drive or brakes. {len(RELATION_DRIVES)} live drives of {RELATION_DURATION:g} s "
              f"({', '.join(RELATION_DRIVES)})",
-             "are recorded; `st discover --propose` gets the bags and the correct vehicle file. Then a road not used",
-             f"there ({RELATION_NEW_ROAD}: braking from 16 m/s into a roundabout, and out of it) is driven live twice.",
+             "are recorded; `st discover --propose` receives the bags and the correct vehicle file. Then a new",
+             f"road ({RELATION_NEW_ROAD}: braking from 16 m/s into a roundabout, and out of it) is driven live twice.",
              "",
-             f"Effects of the library: stated {', '.join(f'`{n}`' for n in result['stated']) or 'nothing'}, kept "
+             "Effects of the library: reported "
+             f"{', '.join(f'`{n}`' for n in result['stated']) or 'nothing'}, in the model only "
              f"{', '.join(f'`{n}`' for n in result['kept']) or 'nothing'}.", *relation_lines, ""]
     if "proposed" in result:
-        rows = (("nonlinear, vehicle file as given", "given"), ("fourth path, `model.yaml`: the library", "library"),
-                ("fourth path, `proposed.yaml`: with the relation", "proposed"))
+        rows = (("nonlinear, vehicle file as given", "given"), ("augmented, `model.yaml`: the library", "library"),
+                ("augmented, `proposed.yaml`: with the relation", "proposed"))
         lines += [f"Live, lateral error over 5 s in hindsight, RMSE over {result['starts']} starts of both drives:", "",
                   "| model | m |", "|---|---|", *(f"| {name} | {result[key]:.3f} |" for name, key in rows), "",
                   "![Errors with the library and with the proposal, live](../images/closed_loop_law.png)", "",

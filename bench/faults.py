@@ -1,7 +1,7 @@
 """Injects faults into the running suite: time to detection and recovery, losses; docs/measurements/reliability.md.
 
-It takes fourteen minutes. ST_FAULTS=long adds an INS that is silent for two minutes; ST_FAULTS=short leaves most faults
-out; ST_FAULTS=a,b selects the faults whose names contain a or b and replaces only their rows of the table.
+It takes fourteen minutes. ST_FAULTS=long adds an INS that is silent for two minutes; ST_FAULTS=short injects only a few
+faults; ST_FAULTS=a,b injects those with a or b in their names. Only the rows of injected faults are replaced.
 """
 
 import math
@@ -53,7 +53,7 @@ def measure(faults: tuple[Fault, ...], drive: Drive | None) -> list[Row]:
 
 
 def assess(row: Row) -> str:
-    """Verdict on a row: as expected, or the open problems."""
+    """Verdict on a row: as expected, or the problems that are still open."""
     if row.problems:
         return "open: " + "; ".join(row.problems)
     if row.fault in DRIVING:

@@ -19,7 +19,7 @@ SAMPLE_PERIOD = 0.5  # s
 
 
 def run() -> dict:
-    """Wall time [s], memory of the largest worker [MB], and speed-up; the reports have no figure files."""
+    """Wall time [s], memory of the largest worker [MB], and speed-up; no figures are drawn."""
     with tempfile.TemporaryDirectory(prefix="st-fleet-") as name:
         folder = Path(name)
         logs = _write_logs(folder)
@@ -34,7 +34,7 @@ def _write_logs(folder: Path) -> Path:
         status = virtual_leaf(["--scenario", drive, "--vehicle", str(LEAF_FILE), "--duration", str(SECONDS),
                                "--to-files", str(folder / "drives" / drive), "--can-format", "mf4"])
         if status:
-            raise RuntimeError(f"the virtual Leaf did not drive {drive}")
+            raise RuntimeError(f"virtual_leaf --scenario {drive}: exit status {status}")
     for k in range(LOGS):
         own, source = folder / "logs" / f"log{k:02d}", folder / "drives" / DRIVES[k % len(DRIVES)]
         own.mkdir(parents=True)

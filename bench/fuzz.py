@@ -3,7 +3,7 @@
 `ncom_bulk` is the fastest target: blocks of packets with changed bytes are parsed as a stream, and every tenth block is
 also decoded as a file, which must give the same result. `ncom_packets` processes single packets, most of them with
 correct checksums, as the node does. ST_FUZZ_SECONDS: processor time for each target (60 s). ST_FUZZ_TARGETS: names of
-targets, such as ncom_packets,dbc. ST_FUZZ_SEED: seed. ST_FUZZ_KEEP=1: findings are reduced and kept in
+targets, such as ncom_packets,dbc. ST_FUZZ_SEED: seed. ST_FUZZ_KEEP=1: findings are minimised and stored in
 tests/fuzz/corpus. As a script, the exit status is 1 if there are findings.
 """
 
@@ -30,7 +30,7 @@ BLOCK = 2000  # packets processed by one pipeline with its state; the seed of a 
 
 
 def mutate(rng: random.Random, packet: bytes) -> bytes:
-    """Changes a few bytes of a packet; in three of four cases the checksums are correct."""
+    """Changes 1 to 4 bytes. A tenth of the packets is then cut; three quarters of the rest get valid checksums."""
     data = bytearray(packet)
     for _ in range(1 + rng.getrandbits(2)):
         data[1 + int(rng.random() * 71)] = rng.getrandbits(8)
@@ -82,7 +82,7 @@ def make_bulk_block(seed: int, base: np.ndarray) -> bytes:
 
 
 def fuzz_bulk(seed: int, seconds: float) -> dict:
-    """Checks that the parser accounts for every byte, and that both decoders agree."""
+    """Checks that every byte is counted as packet, skipped or pending, and that both decoders agree."""
     base = np.frombuffer(b"".join(packets()), np.uint8).reshape(-1, PACKET_SIZE)
     started, blocks, accepted, failures = processor_seconds(), 0, 0, {}
     while processor_seconds() - started < seconds and blocks * BLOCK < MAX_BULK_PACKETS:
@@ -91,8 +91,8 @@ def fuzz_bulk(seed: int, seconds: float) -> dict:
         try:
             received = parser.feed(data, 10**18)
             counters = parser.counters
-            waiting = len(data) - PACKET_SIZE * counters.packets - counters.skipped_bytes
-            assert 0 <= waiting < PACKET_SIZE, f"{waiting} bytes are neither packet nor skipped"
+            pending = len(data) - PACKET_SIZE * counters.packets - counters.skipped_bytes
+            assert 0 <= pending < PACKET_SIZE, f"{pending} bytes are neither packet nor skipped"
             if blocks % 10 == 0:
                 columns = decode_file(data)
                 found = columns.checksum_errors, columns.skipped_bytes
@@ -121,7 +121,7 @@ def run() -> dict:
         for finding in tally.findings:
             print(finding, file=sys.stderr)
             if os.environ.get("ST_FUZZ_KEEP"):
-                print("kept as", save(TARGETS[name], minimise(TARGETS[name], finding)), file=sys.stderr)
+                print("stored as", save(TARGETS[name], minimise(TARGETS[name], finding)), file=sys.stderr)
     return results
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 from _cars import leaf
-from _drive import MODELS, POINTS, measure_alternately, pin_to_core, start_times, weaving_drive
+from _processor_time import MODELS, POINTS, measure_alternately, pin_to_core, start_times, weaving_drive
 from st_core.batch import LogBatch
 from st_recordings.paths import project_root
 

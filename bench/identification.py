@@ -26,7 +26,7 @@ from st_sim.settings import REALISTIC
 
 SEEDS = range(400, 450)  # not used in the development of the estimators
 NO_NOISE = ("ins_noise=0", "steering_sensor_noise=0")
-KNOWN_EFFECTS = {"steered_drive_force": {"share": 1.0}}  # the only effect of the plant that the model includes
+KNOWN_EFFECTS = {"steered_drive_force": {"share": 1.0}}  # added to the model, because the plant has it
 
 
 def run() -> dict:
@@ -36,7 +36,7 @@ def run() -> dict:
 
 
 def make_wrong_file(car: VehicleParameters) -> VehicleParameters:
-    """Initial vehicle of an identification, with wrong values."""
+    """The vehicle file from which an identification starts, with wrong values."""
     other = replace(car, steering_wheel_offset=0.0, yaw_inertia=0.8 * car.yaw_inertia, cg_to_ins_x=-0.3)
     return with_stiffness(other, 0.8 * car.cornering_stiffness_front, 1.25 * car.cornering_stiffness_rear)
 
@@ -82,15 +82,16 @@ def fit_curve_slopes(identification: Identification, car: VehicleParameters) -> 
 def score_seeds(numbers: Iterable[int] = SEEDS) -> dict:
     """Coverage of the 95 % intervals over the seeds, errors, and mean standard uncertainty of the estimates."""
     car = leaf()
-    pairs: dict[tuple[str, str], list] = {}
+    rows: dict[tuple[str, str], list] = {}
     for seed in numbers:
         for method, (outcome, truth) in identify_seed(seed, car).items():
             for name, value in truth.items():
-                pairs.setdefault((method, name), []).append((outcome[name], value))
-    return {f"{method}: {name}": _summary(rows) for (method, name), rows in pairs.items()}
+                rows.setdefault((method, name), []).append((outcome[name], value))
+    return {f"{method}: {name}": _summary(estimates) for (method, name), estimates in rows.items()}
 
 
 def _summary(rows: list) -> dict:
+    """Bias, spread, stated uncertainty and coverage of (estimate, true value) pairs."""
     truth = float(np.mean([t for _, t in rows]))
     errors = np.array([e.value - t for e, t in rows])
     covered = np.mean([e.interval95[0] <= t <= e.interval95[1] for e, t in rows])
@@ -104,10 +105,10 @@ def _summary(rows: list) -> dict:
 
 
 def score_noise_free() -> dict:
-    """Errors of the stiffnesses [%] that result from a single-track model of a double-track plant, without noise."""
+    """Stiffness errors [%] without noise, because the model is single-track and the plant double-track."""
     car = leaf()
     return {"radii 40 to 100 m": _stiffness_errors(record_all("ideal", 0, NO_NOISE)["bends"], car, car),
-            "radii 20 to 24 m": _stiffness_errors(record(TIGHT_BENDS, "ideal", 0, sensors=NO_NOISE), car, car)}
+            "radii 19 to 24 m": _stiffness_errors(record(TIGHT_BENDS, "ideal", 0, sensors=NO_NOISE), car, car)}
 
 
 def _stiffness_errors(logs: list, start: VehicleParameters, car: VehicleParameters) -> dict:

@@ -23,18 +23,12 @@ PERIOD = 0.05  # s between two calls of `take`; meanwhile messages wait in the m
 
 
 class Listener(Node):
-    """Records when the samples of each start reached the host, and when its last prediction was published.
-
-    Samples are received when the kernel stamps them. The steering latency of the virtual car is zero, so that the stamp
-    of an angle is the time at which its frame was received.
-    """
+    """Records when samples reached the host and were published, and when predictions were published."""
 
     def __init__(self) -> None:
         super().__init__("latency_listener")
         self.packets: list[tuple[int, bytes]] = []  # (received [ns], as sent)
-        self.steering: list[int] = []  # received [ns]
-        self.predictions: list[tuple[int, int, int]] = []  # (start, issued, received) [ns]
-        self.issued_predictions: dict[int, list[IssuedPrediction]] = {}  # by start
+        self.predictions: dict[int, list[IssuedPrediction]] = {}  # by start
         self.odometry: list[tuple[int, int, int]] = []  # (stamp, written, received) [ns]
         self.angles: list[tuple[int, int, int]] = []  # (stamp, written, received) [ns]
         qos = QoSProfile(depth=1000)
@@ -47,16 +41,13 @@ class Listener(Node):
         self.packets += [(to_nanoseconds(message.header.stamp), bytes(message.raw_packet))
                          for message, _, _ in self._packets.take()]
         self.odometry += [(read_header_stamp(data), sent, received) for data, received, sent in self._odometry.take()]
-        angles = [(to_nanoseconds(message.header.stamp), sent, received) for message, received, sent
-                  in self._steering.take()]
-        self.angles += angles
-        self.steering += [stamp for stamp, _, _ in angles]
+        self.angles += [(to_nanoseconds(message.header.stamp), sent, received)
+                        for message, received, sent in self._steering.take()]
         for subscription in self._models:
             for message, received, sent in subscription.take():
                 start, issued = to_nanoseconds(message.header.stamp), to_nanoseconds(message.issued_at)
-                self.predictions.append((start, issued, received))
                 prediction = IssuedPrediction(issued, sent, received, round(message.compute_time * 1e9))
-                self.issued_predictions.setdefault(start, []).append(prediction)
+                self.predictions.setdefault(start, []).append(prediction)
 
 
 def run() -> dict:
@@ -92,49 +83,32 @@ def processor_time(pid: int) -> float:
     return times.user + times.system
 
 
-def measure_hops(node: Listener) -> dict[str, dict[str, float]]:
-    """Durations of the hops [ms] in the ticks for which all samples and predictions were received."""
+def collect_ticks(node: Listener) -> list[dict[str, int]]:
+    """Instants of the ticks for which all samples and predictions were received; see `collect_instants`."""
     packets = decode_file(b"".join(raw for _, raw in node.packets))
     kernel = dict(zip(packets.utc_ns.tolist(), (stamp for stamp, _ in node.packets), strict=True))
-    ins = Stream(*np.array([(stamp, kernel[stamp], *later) for stamp, *later in sorted(node.odometry)
-                            if stamp in kernel]).T)
-    # The latency is zero, so that the stamp of a sample is that of the kernel.
-    steering = Stream(*np.array([(stamp, stamp, *later) for stamp, *later in sorted(node.angles)]).T)
-    ticks = [collect_instants(start, ins, steering, issued) for start, issued in node.issued_predictions.items()
-             if len(issued) == len(MODELS)]
-    return hop_durations([tick for tick in ticks if tick is not None])
+    rows = [(stamp, kernel[stamp], *later) for stamp, *later in sorted(node.odometry) if stamp in kernel]
+    ins = Stream(*np.array(rows, np.int64).reshape(-1, 4).T)
+    # The steering latency of the virtual car is zero, so that the stamp of an angle is that of the kernel.
+    rows = [(stamp, stamp, *later) for stamp, *later in sorted(node.angles)]
+    steering = Stream(*np.array(rows, np.int64).reshape(-1, 4).T)
+    ticks = [collect_instants(start, ins, steering, predictions) for start, predictions in node.predictions.items()
+             if len(predictions) == len(MODELS)]
+    return [tick for tick in ticks if tick is not None]
 
 
-def measure_latencies(node: Listener) -> tuple[list[float], list[float]]:
-    """Latencies [ms] of ticks with three predictions, from the arrival of both samples until the last prediction is
-    published, and until it is received."""
-    packets = decode_file(b"".join(raw for _, raw in node.packets))
-    kernel = np.array([stamp for stamp, _ in node.packets])
-    by_start: dict[int, list[tuple[int, int]]] = {}
-    for start, issued, received in node.predictions:
-        by_start.setdefault(start, []).append((issued, received))
-    to_published, to_received = [], []
-    for start, predictions in by_start.items():
-        # A start is the newest instant at which both inputs are known: from the first packet and the first steering
-        # angle that were measured at that instant or later.
-        packet = int(np.searchsorted(packets.utc_ns, start))
-        angle = int(np.searchsorted(node.steering, start))
-        # Row 0 is the first sample that was received, but earlier ones may have been sent.
-        if len(predictions) == len(MODELS) and 0 < packet < len(kernel) and 0 < angle < len(node.steering):
-            sampled_at = max(kernel[packet], node.steering[angle])
-            to_published.append((max(issued for issued, _ in predictions) - sampled_at) * 1e-6)
-            to_received.append((max(received for _, received in predictions) - sampled_at) * 1e-6)
-    return to_published, to_received
+def latencies_ms(ticks: list[dict[str, int]], end: str = "issued") -> list[float]:
+    """Time from the arrival of both samples of a tick to the instant `end` of its last prediction."""
+    return [(tick[end] - tick["both_in_kernel"]) * 1e-6 for tick in ticks]
 
 
 def _evaluate(node: Listener) -> dict:
-    to_published, to_received = measure_latencies(node)
-    gaps = np.diff([stamp for stamp, _ in node.packets]) * 1e-6
+    ticks = collect_ticks(node)
     return {
         "packets_received": len(node.packets),
-        "ticks_with_three_predictions": len(to_published),
-        "samples_to_third_prediction_published_ms": percentiles(to_published),
-        "samples_to_third_prediction_received_ms": percentiles(to_received),
-        "between_packets_ms": percentiles(gaps),
-        "hops_ms": measure_hops(node),
+        "ticks_with_three_predictions": len(ticks),
+        "samples_to_third_prediction_published_ms": percentiles(latencies_ms(ticks)),
+        "samples_to_third_prediction_received_ms": percentiles(latencies_ms(ticks, "received")),
+        "between_packets_ms": percentiles(np.diff([stamp for stamp, _ in node.packets]) * 1e-6),
+        "hops_ms": hop_durations(ticks),
     }

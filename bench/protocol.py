@@ -1,11 +1,11 @@
-"""Effect of each choice that the paper leaves open on the errors of the virtual Leaf and of the Genesis drives."""
+"""Effect of each evaluation setting that the paper does not specify, on virtual Leaf and Genesis drives."""
 
 import tempfile
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from _cars import NINE_DRIVES, genesis, leaf
+from _cars import SOUND_DRIVES, genesis, leaf
 from _virtual import read_runs, write_scenarios
 from st_core.log_evaluation import EvaluationSettings, LogEvaluation, evaluate_log
 from st_core.prediction import PredictionSettings
@@ -28,8 +28,8 @@ def run() -> dict:
     tables = {}
     with tempfile.TemporaryDirectory(prefix="st-protocol-") as folder:
         tables["virtual Leaf"] = _table(read_runs(write_scenarios(Path(folder)), leaf()), leaf())
-    if NINE_DRIVES.exists():
-        tables["Genesis"] = _table(read_runs(NINE_DRIVES, genesis()), genesis())
+    if SOUND_DRIVES.exists():
+        tables["Genesis"] = _table(read_runs(SOUND_DRIVES, genesis()), genesis())
     return tables
 
 

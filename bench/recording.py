@@ -1,4 +1,4 @@
-"""Cost of synchronising a recording with the disk twice a second: alternating recordings with and without it.
+"""Cost of syncing a recording to the disk twice a second, from alternate recordings with and without it.
 
 The messages have the sizes and rates of a drive with raw CAN frames. ST_BENCH_FOLDER: folder for the recordings,
 default the current one. ST_BENCH_SECONDS: duration of each of the four recordings.
@@ -21,7 +21,7 @@ DEFINITION = ("uint8[] data", "RIHS01_" + "0" * 64)
 
 
 def write_bag(folder: Path, seconds: float, synced: bool) -> dict:
-    """Writes a bag; returns processor load, data rate, lost messages, and the durations of each call of the writer."""
+    """Writes a bag; returns processor load, data rate, lost messages, and the writing time of each WORK_PERIOD [ms]."""
     content = _make_content()
     bag = BagWriter(folder, {"recording": {"recorder": "bench"}}, synced=synced)
     topics = [bag.add_topic(f"/{k}", "bench_msgs/msg/Bytes", (), *DEFINITION) for k in range(len(TOPICS))]
@@ -45,7 +45,7 @@ def write_bag(folder: Path, seconds: float, synced: bool) -> dict:
 
 
 def _make_content() -> bytes:
-    """Random content, compressible like signals because every other byte is zero; all messages differ."""
+    """Random bytes with a zero after each, so that messages differ but are compressible like signals."""
     random = np.random.default_rng(0)
     return (random.integers(0, 256, (2**21, 2)) * (0, 1)).astype(np.uint8).tobytes()
 
@@ -74,6 +74,6 @@ def _average(results: list[dict]) -> dict:
 def _file_system(folder: Path) -> str:
     """Type and device of the file system of the folder."""
     mounts = [line.split() for line in Path("/proc/mounts").read_text().splitlines()]
-    above = [m for m in mounts if folder.resolve().is_relative_to(m[1])]
-    device, _, kind, *_ = max(above, key=lambda m: len(m[1]))
+    parents = [m for m in mounts if folder.resolve().is_relative_to(m[1])]
+    device, _, kind, *_ = max(parents, key=lambda m: len(m[1]))
     return f"{kind} on {device}"

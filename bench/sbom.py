@@ -18,7 +18,7 @@ def run() -> dict:
 
 
 def find_licence(metadata: importlib.metadata.PackageMetadata) -> str:
-    """Licence of a package: SPDX expression, or else its classifiers, or else the first line of the licence text."""
+    """Licence of a package: SPDX expression, or its classifiers, or the first line of its licence field."""
     classifiers = [c.rpartition(" :: ")[2] for c in metadata.get_all("Classifier", []) if c.startswith("License ::")]
     text = (metadata.get("License") or "").strip().splitlines()
     return metadata.get("License-Expression") or ", ".join(classifiers) or (text[0][:60] if text else "")

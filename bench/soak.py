@@ -29,9 +29,9 @@ from st_recordings.runs.bag_storage import open_bag
 FIGURE = Path(__file__).resolve().parents[1] / "docs" / "images" / "soak.png"
 MAX_FAULT_DURATION = 12.0  # s; longer faults have rows in the fault table
 PAUSE = (15.0, 45.0)  # s between two faults
-FINAL_PAUSE = 20.0  # s
-RECOVERY_TIME = 12.0  # s after a fault for which it explains losses: a node restarts after up to 10 s
-SAMPLE_PERIOD = 5.0
+FINAL_PAUSE = 20.0  # s without a fault at the end
+RECOVERY_TIME = 12.0  # s after a fault; losses within it are due to the fault: a node restarts after up to 10 s
+SAMPLE_PERIOD = 5.0  # s
 SEGMENT = re.compile(r"/dev/shm/(fastrtps_[0-9a-f]+)")
 FAULT_WEIGHTS = {"kill": 1, "hang": 1, "wire": 6}
 
@@ -44,9 +44,9 @@ class Samples:
     memory: dict[str, list[float]] = field(default_factory=dict)  # MB resident
     handles: dict[str, list[float]] = field(default_factory=dict)
     segments: list[int] = field(default_factory=list)  # shared-memory segments that a node of the suite maps
-    orphaned_segments: list[int] = field(default_factory=list)  # segments that ended nodes left behind
-    sender_delays: list[float] = field(default_factory=list)  # [s] that the simulated car sends late
-    load: list[float] = field(default_factory=list)  # load of the machine
+    orphaned_segments: list[int] = field(default_factory=list)  # existing segments that no node maps any more
+    sender_delays: list[float] = field(default_factory=list)  # s, by which the simulated car sends late
+    load: list[float] = field(default_factory=list)  # load average over one minute
     all_segments: set[str] = field(default_factory=set)  # names of all segments mapped so far
 
 
@@ -124,9 +124,9 @@ def read_recordings(folder: Path) -> dict[str, np.ndarray]:
 
 def count_unexplained_losses(sent_ns: np.ndarray, recorded_ns: np.ndarray, start_ns: int, fault_times: list,
                              minutes: float) -> int:
-    """Number of packets that were sent but not recorded outside of faults and RECOVERY_TIME.
+    """Number of packets that were sent but not recorded, outside faults and the RECOVERY_TIME after them.
 
-    Up to two packets for each stretch without a fault are not counted, because they may belong to its neighbours.
+    One or two packets missing between two faults are not counted, because they may be losses of these faults.
     """
     edges = start_ns + np.arange(0, int(60 * minutes) + 1) * 10**9
     missing = np.histogram(sent_ns, edges)[0] - np.histogram(recorded_ns, edges)[0]
@@ -138,13 +138,12 @@ def count_unexplained_losses(sent_ns: np.ndarray, recorded_ns: np.ndarray, start
 
 
 def growth_per_hour(minutes: list[float], values: list[float]) -> float:
-    """Growth per hour during the longest life of a node between two kills, without its first minute."""
+    """Growth per hour in the longest time of a node without a restart, after its first minute."""
     t, v = np.array(minutes), np.array(values)
     cuts = np.flatnonzero(np.isnan(v) | (np.diff(v, prepend=v[0]) < -0.3 * np.nanmax(v)))
-    lives = np.split(np.arange(len(v)), cuts)
-    life = max(lives, key=len)
-    life = life[(t[life] > t[life][0] + 1.0) & ~np.isnan(v[life])]
-    return float(np.polyfit(t[life], v[life], 1)[0] * 60) if len(life) > 12 else float("nan")
+    rows = max(np.split(np.arange(len(v)), cuts), key=len)
+    rows = rows[(t[rows] > t[rows][0] + 1.0) & ~np.isnan(v[rows])]
+    return float(np.polyfit(t[rows], v[rows], 1)[0] * 60) if len(rows) > 12 else float("nan")
 
 
 def draw(samples: Samples, series: dict, fault_times: list[tuple[float, float]], start_ns: int) -> None:
@@ -162,7 +161,7 @@ def draw(samples: Samples, series: dict, fault_times: list[tuple[float, float]],
         axes[0].legend(ncols=5, loc="lower left", fontsize=8)
         axes[1].set(ylabel="open handles", ylim=(0, None))
         axes[2].plot(samples.minutes, samples.segments, label="mapped by a node")
-        axes[2].plot(samples.minutes, samples.orphaned_segments, label="left behind by a killed node")
+        axes[2].plot(samples.minutes, samples.orphaned_segments, label="left by a killed node")
         axes[2].set(ylabel="shared-memory segments", ylim=(0, None))
         axes[2].legend(loc="upper left", fontsize=8)
         at = (series["start_ns"] - start_ns) / 60e9
@@ -173,7 +172,7 @@ def draw(samples: Samples, series: dict, fault_times: list[tuple[float, float]],
         axes[3].set(ylabel="measured to published, ms", yscale="log")
         axes[3].legend(loc="upper left", fontsize=8)
         axes[4].plot(samples.minutes, samples.load, color="#888888")
-        axes[4].set(ylabel="load of the machine", xlabel="minutes", ylim=(0, None))
+        axes[4].set(ylabel="load average", xlabel="minutes", ylim=(0, None))
         for axis in axes:
             for minute, _ in fault_times:
                 axis.axvline(minute, color="#dddddd", linewidth=0.5, zorder=0)
@@ -187,13 +186,11 @@ def run() -> dict:
         folder = Path(name)
         with running(folder, 250, full_bus=True) as rig:
             start_ns = time.time_ns()
-            ticks = rig.monitor.state.predictor_status
             samples, faults, fault_times = run_with_faults(rig, minutes, seed)
             problems, restarts = rig.problems(), rig.supervisor.restarts
             rig.car.ins.change = rig.car.can.change = lambda data: ()  # stop sending, so that all sent data can arrive
             rig.run(2.0)
             sent, frames_sent = np.array(rig.car.ins.sent_ns), len(rig.car.can.sent_ns)
-            ticks = rig.monitor.state.predictor_status or ticks
         statuses = rig.statuses
         series = read_recordings(folder)
         size = sum(f.stat().st_size for f in folder.rglob("*.mcap"))

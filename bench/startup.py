@@ -23,7 +23,7 @@ from pathlib import Path
 import sys, time
 sys.path.insert(0, sys.argv[2])
 from _cars import leaf
-from _drive import start_times, weaving_drive
+from _processor_time import start_times, weaving_drive
 from st_core.batch import LogBatch
 log = weaving_drive(20.0)
 batch = LogBatch(log, start_times(log), backend=sys.argv[3])

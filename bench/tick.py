@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 from _cars import leaf
-from _drawn_bands import random_bands
+from _random_bands import random_bands
 from st_core.bands import CalibratedBands, conditions_now
 from st_core.prediction import PredictionSettings, Predictor, Skip
 from st_core.types import InsSample

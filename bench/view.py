@@ -1,4 +1,4 @@
-"""Ticks and latency of the predictor without a view, with a view, and with a stopped view (SIGSTOP), alternately."""
+"""Intervals and latency of predictions without a view, with a view, and with a stopped view (SIGSTOP)."""
 
 import contextlib
 import os
@@ -8,16 +8,16 @@ import numpy as np
 import rclpy
 from _suite import run_suite
 from _view import attach_view
-from latency import PERIOD, Listener, measure_latencies
+from latency import PERIOD, Listener, collect_ticks, latencies_ms
 
 PHASES = ("no view", "view", "view that hangs")
 REPETITIONS = 3
-SETTLING_TIME = 3.0  # s after a change, which are not measured
+SETTLING_TIME = 3.0  # s after the start of a phase, not measured
 MIN_TICK_FRACTION = 0.2  # fraction of the ticks of a phase that must be received
 
 
 def run() -> dict:
-    """Intervals between ticks and latency [ms] for each phase of ST_BENCH_SECONDS, without a browser."""
+    """Intervals between ticks and latency [ms] over ST_BENCH_SECONDS of each phase, alternately, without a browser."""
     seconds = float(os.environ.get("ST_BENCH_SECONDS", "60"))
     received: dict[str, list[Listener]] = {phase: [] for phase in PHASES}
     duration = REPETITIONS * len(PHASES) * (seconds / REPETITIONS + SETTLING_TIME + 25.0) + 20.0
@@ -47,9 +47,9 @@ def _listen(seconds: float) -> Listener:
 def _summarise(listeners: list[Listener], seconds: float) -> dict:
     intervals, repetitions = [], []
     for node in listeners:
-        last = sorted({start: issued for start, issued, _ in node.predictions}.values())
+        last = sorted(predictions[-1].issued for predictions in node.predictions.values())
         intervals += list(np.diff(last) * 1e-6)
-        repetitions.append(measure_latencies(node)[0])
+        repetitions.append(latencies_ms(collect_ticks(node)))
     pooled = np.concatenate(repetitions)
     if len(pooled) < MIN_TICK_FRACTION * 10.0 * seconds:
         raise RuntimeError(f"only {len(pooled)} ticks received in {seconds:.0f} s: the machine is too busy")

@@ -9,7 +9,7 @@ from pathlib import Path
 from st_recordings.paths import config
 from st_recordings.runs.csv import read_csv
 
-from .._cars import DATA, NINE_DRIVES, genesis
+from .._cars import DATA, SOUND_DRIVES, genesis
 from .recording import Recording
 from .virtual import drive_name, virtual_drive
 
@@ -51,4 +51,4 @@ def list_real_files() -> list[Path]:
 def _file(name: str) -> Path:
     # A missing drive gets a path that the reader reports as missing.
     files = [file for file in list_real_files() if file.stem == name]
-    return files[0] if files else NINE_DRIVES / f"{name}.csv"
+    return files[0] if files else SOUND_DRIVES / f"{name}.csv"

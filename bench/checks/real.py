@@ -2,7 +2,7 @@
 
 from st_core.checks import Finding, Severity, compare_runs
 
-from .._cars import NINE_DRIVES
+from .._cars import SOUND_DRIVES
 from .._pages import format_table
 from . import drives
 from .score import format_finding, run_check
@@ -27,7 +27,7 @@ def main() -> str:
         lines = [f"- `{one.name}` {one.mean:.3g} ± {0.5 * (one.interval[1] - one.interval[0]):.1g}"
                  + ("" if one.unit == "1" else f" {one.unit}") for one in common]
         print("\n".join(lines))
-        if folder == NINE_DRIVES.name:
+        if folder == SOUND_DRIVES.name:
             parts.append("Consistent across all nine:\n\n" + "\n".join(lines))
     return "\n\n".join(parts)
 

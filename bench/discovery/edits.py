@@ -14,7 +14,7 @@ from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs.csv import read_csv
 
-from .._cars import NINE_DRIVES, genesis
+from .._cars import SOUND_DRIVES, genesis
 from .._mounting import move_ins, rotate_ins
 from .cases import seed_of
 
@@ -93,7 +93,7 @@ def cases_of(set_: str, count: int) -> list[EditCase]:
     return cases
 
 
-def drives_of(case: EditCase, folder: Path = NINE_DRIVES) -> tuple[list[DriveLog], VehicleParameters]:
+def drives_of(case: EditCase, folder: Path = SOUND_DRIVES) -> tuple[list[DriveLog], VehicleParameters]:
     """(edited drives, vehicle). Raises FileNotFoundError without the recordings."""
     logs, vehicle = list(recorded_drives(folder)), genesis()
     if not case.name:

@@ -1,4 +1,4 @@
-"""A synthetic drive and the measurement of processor time, shared by the benchmarks of batch predictions."""
+"""Synthetic drive, and measurement of processor time, for the benchmarks of batch predictions."""
 
 import os
 import time

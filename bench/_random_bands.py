@@ -1,4 +1,4 @@
-"""Bands calibrated with random errors for all conditions, to measure the cost of bands."""
+"""Bands calibrated with random errors under random conditions, to measure the cost of bands."""
 
 import numpy as np
 from st_core.bands import Bands, CalibrationDomain, ErrorSamples, calibrate
@@ -14,15 +14,14 @@ LARGEST_CONDITIONS = (26.0, 8.0, 6.0, 1.0)  # speed, accelerations, steering act
 
 
 def random_bands(vehicle: VehicleParameters) -> Bands:
-    pair = "drawn", "hindsight"
-    runs = []
+    model_mode, runs = ("random", "hindsight"), []
     for number in range(RUNS):
-        draw = np.random.default_rng([21, number])
-        errors = (0.1 * draw.standard_normal((STARTS, 1, 3)) * TIME[:, None]).astype(np.float32)
-        runs.append(ErrorSamples(f"run {number}", draw.uniform(0.0, LARGEST_CONDITIONS, (STARTS, 4)),
-                                 {pair: errors}))
-    band, settings = calibrate(runs, pair, TIME), SETTINGS.as_dict()
+        generator = np.random.default_rng([21, number])
+        errors = (0.1 * generator.standard_normal((STARTS, 1, 3)) * TIME[:, None]).astype(np.float32)
+        runs.append(ErrorSamples(f"run {number}", generator.uniform(0.0, LARGEST_CONDITIONS, (STARTS, 4)),
+                                 {model_mode: errors}))
+    band, settings = calibrate(runs, model_mode, TIME), SETTINGS.as_dict()
     domain = CalibrationDomain.from_runs([run.conditions for run in runs])
-    return Bands(vehicle.name, vehicle.hash, settings, {"drawn": "0" * 64}, RUNS, domain,
+    return Bands(vehicle.name, vehicle.hash, settings, {"random": "0" * 64}, RUNS, domain,
                  {(model, mode): band for model in MODELS for mode in MODES},
                  {model: hash_configuration(vehicle, settings, "") for model in MODELS})
