@@ -90,12 +90,20 @@ def test_semicolons_and_other_column_orders(tmp_path: Path) -> None:
     (["t,x,y,yaw", "0,0,0,0"],
      "no column was recognised as velocity_x, .*; its columns are t, x, y, yaw; .*columns: {velocity_x: NAME"),
     ([HEADER], "it contains fewer than two usable rows"),
-    ([HEADER, *rows(3), *["1,2,3"] * 7, *rows(3)], "a row cannot be read"),
+    ([HEADER, *rows(3), *["1,2,3"] * 7, *rows(3)],
+     r"7 of 13 rows \(54 %\) do not have as many cells as the header; export it with a cell for every column"),
     ([HEADER, *rows(1), *["a,b,c,d,e,f,g,h,i,j"] * 3], "it contains fewer than two usable rows"),
 ])
 def test_unusable_file_is_rejected(tmp_path: Path, lines: list[str], message: str) -> None:
     with pytest.raises(RunError, match=rf"drive\.csv: {message}"):
         read_csv(write(tmp_path, lines))
+
+
+@pytest.mark.parametrize(("first", "delimiter"), [(6, ","), (0, "\t"), (6, "\t")])
+def test_delimiter_at_the_end_of_rows_is_ignored(tmp_path: Path, first: int, delimiter: str) -> None:
+    lines = [HEADER, *(row + "," * (number >= first) for number, row in enumerate(rows(20)))]
+    drive = read_csv(write(tmp_path, [line.replace(",", delimiter) for line in lines]))
+    assert len(drive.log.ins_time_ns) == 20 and not drive.warnings
 
 
 def test_times_in_days_of_a_spreadsheet(tmp_path: Path) -> None:
@@ -151,7 +159,7 @@ def test_outage_of_the_positions_is_not_interpolated(tmp_path: Path, steps: int,
     assert drive.log.x[:190] == pytest.approx(moved[:190], abs=1e-6)
     assert drive.log.x[200:600] == pytest.approx(38.0)
     assert drive.log.x[600:] == pytest.approx(moved[600:], abs=1e-6)
-    assert "repeat a position for long" in "".join(drive.warnings)
+    assert "repeat a position for a long time" in "".join(drive.warnings)
 
 
 def test_missing_rows_are_no_outage_of_the_positions(tmp_path: Path) -> None:

@@ -1,10 +1,10 @@
-"""Reads recordings of every kind: `find_runs` groups files into runs, and `read` converts a run to a DriveLog.
+"""Reads recordings of every kind: `find_runs` groups files into runs, and `read` returns the DriveLog of a run.
 
     for source in find_runs(paths):
         try:
             run = read(source, vehicle)
         except RunError as error:
-            ...            # one sentence for the user; the batch continues
+            ...            # str(error) is one sentence for the user; continue with the next run
 """
 
 from .errors import RunError

@@ -33,8 +33,8 @@ def convert_odometry(values: dict[str, np.ndarray], frame_id: str) -> list[str]:
     """Converts INS channels of odometry messages to a map with x to the east and to body axes with y to the left;
     changes `values` and returns warnings.
 
-    If a word of frame_id is ned, x is north, y east and yaw a compass heading. The sign of the yaw rate, or without one
-    that of the sideways motion, then shows whether z of the body axes also points down; if neither does, it is assumed.
+    If a word of frame_id is ned, x is north, y east and yaw a compass heading. Whether z of the body axes also points
+    down then follows from the yaw rate, or else from the sideways motion; if neither has a clear sign, it is assumed.
     """
     notes = []
     is_ned = "ned" in find_words(frame_id)

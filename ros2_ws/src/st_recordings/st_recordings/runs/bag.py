@@ -28,7 +28,7 @@ CLOSING_RECORD = "rosbag2"  # metadata record that a recorder writes when it clo
 PREFERRED_TOPICS = {ODOMETRY: "ins/odometry", STEERING: "vehicle/steering"}
 """Type -> ending of the topic name that is preferred if several topics have this type."""
 MAX_REPEATED_FRACTION = 0.75
-"""If a larger fraction of the stamps of a topic repeats the previous stamp, its stamps are meaningless."""
+"""If a larger fraction of the stamps of a topic repeats the previous one, its stamps are meaningless."""
 _ODOMETRY_FIELDS = ("header.stamp", "pose.pose.position.x", "pose.pose.position.y", "pose.pose.orientation.x",
                     "pose.pose.orientation.y", "pose.pose.orientation.z", "pose.pose.orientation.w",
                     "twist.twist.linear.x", "twist.twist.linear.y", "twist.twist.angular.z")

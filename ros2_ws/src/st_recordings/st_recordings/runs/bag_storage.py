@@ -32,7 +32,7 @@ from .errors import RunError, check_readable, format_count, shorten
 EXTENSIONS, ROS1_EXTENSION = (".mcap", ".db3"), ".bag"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 COPY_ADVICE, RECOVERY_ADVICE = "copy it again", "if the recording was interrupted, repair it with `st recover`"
-MAX_SPREAD_NS = 500_000_000  # largest difference of delays (from stamp to reception) between stamps of one clock
+MAX_SPREAD_NS = 500_000_000  # largest difference between the delays from stamp to reception of stamps of one clock
 REINDEX_ADVICE = "if the recording was interrupted, repair it with `rosbag reindex`"
 
 
@@ -133,8 +133,9 @@ class Storage(ABC):
         """(times of each topic [ns] on one clock, notes). The times are the stamps if they have one clock; the times of
         reception if the stamps do not overlap; else the stamps, shifted to the clock of the first topic.
 
-        An INS may stamp with GPS time, 18 s ahead of UTC. If a delay varies, the times of reception are not those of
-        the drive, as in topics that were computed later, and the stamps are not changed.
+        An INS may stamp with GPS time, 18 s ahead of UTC. If the delay from stamp to reception varies, as in topics
+        computed after the drive, the stamps are not changed. compares_clocks: False if overlapping stamps are on one
+        clock.
         """
         series, topics = [times for _, times in stamps], " and ".join(topic for topic, _ in stamps)
         is_common = _overlap(series)
@@ -148,10 +149,10 @@ class Storage(ABC):
         delays_vary = not is_common or any(np.ptp(np.percentile(delay, (5, 95))) > MAX_SPREAD_NS for delay in delays)
         if delays_vary or max(shifts) - min(shifts) <= MAX_SPREAD_NS:
             return series, []
-        early, late = (stamps[shifts.index(shift)][0] for shift in (min(shifts), max(shifts)))
+        ahead, behind = (stamps[shifts.index(shift)][0] for shift in (min(shifts), max(shifts)))
         return [times + shift - shifts[0] for times, shift in zip(series, shifts, strict=True)], [
-            f"compared with the times of reception, the clock of {early} is {(max(shifts) - min(shifts)) * 1e-9:.3f} s "
-            f"ahead of that of {late}; all stamps were moved to the clock of {stamps[0][0]}"]
+            f"compared with the times of reception, the clock of {ahead} is {(max(shifts) - min(shifts)) * 1e-9:.3f} s "
+            f"ahead of that of {behind}; all stamps were moved to the clock of {stamps[0][0]}"]
 
 
 def _overlap(series: Sequence[np.ndarray]) -> bool:
@@ -175,7 +176,8 @@ def open_bag(path: Path, files: Sequence[Path] = ()) -> Storage:
     if suffixes == {".db3"}:
         return SqliteStorage(path, files)
     if suffixes == {*EXTENSIONS}:
-        raise RunError(path, "this folder has storage files of both kinds (.mcap, .db3)", "use a folder for each")
+        raise RunError(path, "this folder has storage files of both kinds (.mcap, .db3)",
+                       "move one kind into another folder")
     problem = "this is not a bag" if path.is_file() else "this folder contains no storage file of a bag (.mcap, .db3)"
     raise RunError(path, problem, "give the folder that `ros2 bag record` or the recorder wrote")
 
@@ -200,7 +202,8 @@ def describe_missing_files(path: Path) -> list[str]:
 
 
 def _describe_missing_before(file: Path) -> str:
-    """A note on files missing before this one (drive_2 before drive_3); empty if the gap in time contradicts that."""
+    """A note on files missing before this one, such as drive_1 between drive_0 and drive_2; empty if none is missing,
+    or if the time between the files does not fit their number."""
     stem, _, number = file.stem.rpartition("_")
     numbers = {int(end): other for other in file.parent.iterdir() if other.suffix == file.suffix
                and other.stem.rpartition("_")[0] == stem and (end := other.stem.rpartition("_")[2]).isdecimal()}

@@ -35,7 +35,7 @@ ARROW_EXTENSIONS = (".parquet", ".feather")
 BINARY_EXTENSIONS = (".mat", *HDF5_EXTENSIONS, *ARROW_EXTENSIONS)
 NAME_FIELDS = ("label", "Name", "name")
 _RAW_FRAMES = re.compile(rb"\0CAN_(Data|Remote|Error)Frame")
-"""A channel name of raw frames directly after a block head, which ends with 0; comments may contain the name, too."""
+"""Name of the channel of raw frames. The head of its block ends with 0; comments may contain the name without it."""
 _NO_DELIMITERS = str.maketrans(',"\n', "   ")
 
 
@@ -172,7 +172,7 @@ def _find_signals(value: Any, path: tuple[str, ...] = (), unit: str = "",
     elif _is_vector(value):
         yield Signal(path, unit, value, next((time for time in times if len(time[1]) == len(value)), None))
     elif isinstance(value, np.ndarray) and value.ndim == 2 and 1 < min(value.shape) <= MAX_MATRIX_COLUMNS:
-        # Each signal is a column, or a row of a matrix with more columns.
+        # The columns are signals, or the rows if there are too many columns.
         for number, column in enumerate(value.T if value.shape[1] <= MAX_MATRIX_COLUMNS else value, 1):
             yield from _find_signals(column, (*path[:-1], f"{path[-1]}_{number}"), unit, times)
 

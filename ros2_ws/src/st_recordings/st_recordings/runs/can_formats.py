@@ -147,8 +147,7 @@ def _read_text(file: Path, notes: list[str], make_reader: Callable[[Lines, list[
 
 class _CandumpLines(Lines):
     def convert(self, line: str) -> str:
-        """Converts the line of a frame (_LINES) to the format that candump logs (-l) and a comment to an empty line;
-        other lines are not changed."""
+        """Converts a frame in a form of _LINES to a line of candump -l, and a comment to an empty line."""
         line = _COLOUR.sub("", line)
         if _COMMENT.match(line):
             return ""
@@ -367,7 +366,7 @@ def _open_blf(file: Path) -> Any:
     class Reader(blf.BLFReader):
         """Rejects objects shorter than their header, which python-can would read forever, and continues after damage.
 
-        start: byte behind the last container that was read as a whole, after its padding.
+        start: position after the last container that was read completely, and after its padding [byte].
         """
 
         start = 0
@@ -471,8 +470,8 @@ def read_head(file: Path) -> bytes:
 
 
 def find_clock(head: bytes) -> tuple[float, float]:
-    """(Period [s] after which the times of a log restart, smallest jump [s] that is a restart), by its first time of
-    day or of an hour. Numbers may be times since the start, so only a jump by about a day is a restart of them."""
+    """(period [s] after which the times of a log restart, smallest jump [s] that counts as a restart): half of the
+    period for times of day or of an hour; nearly a day for numbers, which may be times since the start."""
     header, *lines = head.decode("utf-8-sig", "ignore").splitlines() or [""]
     _, delimiter, roles = _split_csv_header(header)
     column, delimiter = (roles["time"], delimiter) if "time" in roles else (0, " ")  # BUSMASTER

@@ -25,7 +25,8 @@ from .table_times import count_rollovers
 _BAG_FIELDS = ("header.stamp", "id", "is_rtr", "is_extended", "is_error", "dlc", "data")  # of can_msgs/Frame
 BLOCK_SIZE = 65536  # messages converted to columns at a time
 MAX_TIME_JUMPS_NS = 60 * 10**9, 86400 * 10**9
-"""60 s, and 1 day at the ends of a log; a time that is earlier or later than both neighbours by more is damaged."""
+"""A time that differs from the median of itself and its neighbours by more than 60 s, or 1 day for the first and the
+last time of a log, is damaged."""
 FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times are relative to the start of the log
 MIN_DECREASING_FRACTION = 0.2
 """Times of a text log that begin at 0 are steps between frames if a larger fraction decreases, or all are equal."""
@@ -131,7 +132,7 @@ def _read_bag(path: Path) -> CanLog:
 
 
 def _read_with_python_can(file: Path, kind: Format, notes: Sequence[str]) -> CanLog:
-    """Reads a log. notes: come before those of the reader. Raises RunError if no frame is usable."""
+    """Reads a log. notes: listed before those of the reader. Raises RunError if no frame is usable."""
     parts, format_notes, n_untimed, n_too_long = list[Frames](), list[str](), 0, 0
     try:
         messages = kind.messages(file, format_notes)

@@ -80,7 +80,7 @@ def pair_shared_signals(ins: InsLog, can: CanSignals,
     for label, kind, channel in (("forward velocity", "speed", "velocity_x"), ("yaw rate", "rate", "yaw_rate"),
                                  ("yaw", "angle", "yaw")):
         if channel in ins.values:  # an INS may have no yaw
-            values = _mask_ins_standstill(ins, ins.values[channel])
+            values = mask_standstill(ins.time_ns, ins.values[channel], ins.time_ns, ins.values["velocity_x"])
             pairs += [_make_pair(f"{label} ({signal.message})", kind, ins.time_ns, values, signal, speed, latency)
                       for signal in can.find_all(f"ins_{channel}")]
     return pairs
@@ -99,7 +99,7 @@ def pair_substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1
         # The speed of a single wheel also depends on the yaw rate.
         speed = replace(speed, values=(speed.values + right.values) / 2.0)
     if speed is not None:
-        values = _mask_ins_standstill(ins, np.abs(velocity_x))
+        values = mask_standstill(ins.time_ns, np.abs(velocity_x), ins.time_ns, velocity_x)
         delay, deviation = WHEEL_SPEED_DELAY
         slip = SLIP_PER_ACCELERATION_DEVIATION * float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
         latency = delay, float(np.hypot(deviation, slip))
@@ -207,7 +207,3 @@ def _make_pair(name: str, kind: str, time_ns: np.ndarray, values: np.ndarray, si
         other = mask_standstill(signal.time_ns, other, speed.time_ns, speed.values)
     return SharedSignal(name, time_ns, values, signal.time_ns, other, *latency, MIN_VARIATION[kind],
                         is_angle=kind == "angle")
-
-
-def _mask_ins_standstill(ins: InsLog, values: np.ndarray) -> np.ndarray:
-    return mask_standstill(ins.time_ns, values, ins.time_ns, ins.values["velocity_x"])

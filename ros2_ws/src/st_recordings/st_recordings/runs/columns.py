@@ -156,7 +156,7 @@ COLUMNS: Mapping[str, Channel] = {
     "vehicle_speed": Channel("speed", "speed signal of the car; for checks", _split(
         "vehicle_speed car_speed can_speed speed_can abs_speed odometer_speed wheel_speed wheel_speeds")),
 }
-"""All known columns; docs/csv_columns.md is generated from this table (test_csv_columns.py)."""
+"""All known columns; test_csv_columns.py compares docs/csv_columns.md with this table."""
 
 AMBIGUOUS = {normalise(name) for name in _split(
     "steering_angle steering steer steer_angle steered_angle steering_position steering_pos delta_wheel")}

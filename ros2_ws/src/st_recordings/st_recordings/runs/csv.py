@@ -45,7 +45,7 @@ MAX_GAP_FRACTION = 0.1
 MAX_ROUNDING_RATIO = 1.01
 """A change of position equals one unit of the last decimal if their ratio, larger to smaller, is at most this."""
 MIN_REGULAR_FRACTION = 0.9
-"""Fraction of regular intervals between the samples of a channel, above which its blanks are due to a lower rate."""
+"""If a larger fraction of the intervals between samples of a channel is regular, its blanks are due to a lower rate."""
 
 
 def read_csv(file: Path, vehicle: VehicleParameters | None = None, layout: Layout | None = None) -> LoadedRun:
@@ -338,11 +338,11 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
 
 
 def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], warnings: list[str]) -> None:
-    """Interpolates INS channels with a lower rate or separate stamps at the rows of the channel with the highest rate.
-    Of several channels with a similar rate, the one whose rows have numbers in the most channels is taken.
+    """Interpolates INS channels with a lower rate or separate stamps at the rows of a reference channel: the one with
+    the highest rate or, of several with a similar rate, the one whose rows have numbers in the most channels.
 
-    Loggers leave the other cells of such channels blank. Missing numbers in the channel with the highest rate, and gaps
-    in the other channels, are not filled.
+    Loggers leave the other cells of such channels blank. Missing numbers in the reference channel, and gaps in the
+    other channels, are not filled.
     """
     fixes = [np.isfinite(columns[name]) for name in ("latitude", "longitude") if name in columns]
     are_separate = len(fixes) == 2 and 2 * (fixes[0] & fixes[1]).sum() < fixes[0].sum()  # in different messages
@@ -464,7 +464,7 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], wa
     n_frozen = int(is_outage.sum())
     duration = float(np.diff(seconds)[:last][~is_outage[:last]].sum())
     rate = (is_measured.sum() - 1) / max(duration, 1e-9)
-    outages = f"; {format_count(n_frozen, len(rows), 'rows')} repeat a position for long" if n_frozen else ""
+    outages = f"; {format_count(n_frozen, len(rows), 'rows')} repeat a position for a long time" if n_frozen else ""
     warnings.append(f"{table.file}: positions change in {format_count(int(is_measured.sum()), len(rows), 'rows')}, "
                     f"about {rate:.3g} Hz; the positions of the other rows were interpolated{outages}")
 

@@ -109,7 +109,7 @@ def read_table(file: Path, layout: Layout) -> Table:
     n_above = _find_header_line(text.split("\n", MAX_HEADER_LINES + 1)[:MAX_HEADER_LINES], layout)
     *preamble, header, body = (text + "\n").split("\n", n_above + 1)
     if n_above > 1 or (n_above and not _SEPARATOR.match(preamble[0])):
-        warnings.append(f"{file}: the header is in line {n_above + 1}; what is above it was skipped")
+        warnings.append(f"{file}: the header is in line {n_above + 1}; the lines above it were skipped")
     names, delimiter = _split_header(header)
     if not text.endswith("\n") and _is_last_cell_truncated(body, delimiter):
         body = body[:body.rstrip("\n").rfind("\n") + 1]
@@ -120,8 +120,8 @@ def read_table(file: Path, layout: Layout) -> Table:
 
 
 def _is_last_cell_truncated(body: str, delimiter: str) -> bool:
-    """Whether the last cell of a table whose last line does not end has fewer decimals than all others of its column,
-    which have equally many."""
+    """Whether the last cell of a table has fewer decimals than all others of its column, which have equally many. This
+    shows a truncated file if the last line has no line end."""
     lines = body.rstrip("\n").split("\n")
     cells = (line[line.rfind(delimiter) + 1:] for line in lines)
     points = ((cell, max(cell.rfind("."), cell.rfind(","))) for cell in cells)
@@ -456,33 +456,33 @@ def _split_cells(file: Path, lines: Iterable[str], delimiter: str) -> list[list[
 
 
 def _parse_numbers(file: Path, body: str, delimiter: str, width: int, warnings: list[str]) -> np.ndarray:
-    """Parses the rows into an array (n, width) with NaN for missing numbers. Rows with a different number of cells are
-    left out. Raises RunError if these are half of the rows or more, or if one of the other rows cannot be read."""
+    """Parses the rows into an array (n, width) with NaN for missing numbers. A delimiter at the end of a row is
+    ignored; rows with a different number of cells are left out. Raises RunError if these are half of the rows."""
     nonblank_lines = [line for line in body.splitlines() if line.strip(f' \t"{delimiter}')]
     # In an ASCII log of NovAtel, every row begins with #.
     lines = [line for line in nonblank_lines if not _is_comment(line, delimiter)] or nonblank_lines
     try:
         return _parse_rows(lines, delimiter, width)
-    except ValueError as parse_error:
-        error = parse_error
-    widths = [len(row) for row in _split_cells(file, lines, delimiter)]
-    complete_lines = [line for line, count in zip(lines, widths, strict=False)
-                      if count == width or (count == width + 1 and line.rstrip().endswith(delimiter))]
+    except ValueError:
+        widths = [len(row) for row in _split_cells(file, lines, delimiter)]
+    complete_lines = [line if count == width else line.rstrip(" ").removesuffix(delimiter)
+                      for line, count in zip(lines, widths, strict=False)
+                      if count == width or (count == width + 1 and line.rstrip(" ").endswith(delimiter))]
     lost = len(lines) - len(complete_lines)
     if not complete_lines:
         raise RunError(file, f"its rows have {max(widths, key=widths.count)} cells, but its header has {width}",
                        "export it with one delimiter that is not the decimal mark, and one name for each column")
-    if 2 * lost < len(lines):
-        try:
-            rows = _parse_rows(complete_lines, delimiter, width)
-            warning = "the last row is truncated and was left out" if lost == 1 and widths[-1] != width else (
-                f"{format_count(lost, len(lines), 'rows')} do not have as many cells as the header; they were left out")
-            warnings.append(f"{file}: {warning}")
-            return rows
-        except ValueError as parse_error:
-            error = parse_error
-    raise RunError(file, f"a row cannot be read ({shorten(error).partition('; use')[0]})", "correct or remove that row "
-                   "(rows are numbered from 0 after the header)") from None
+    problem = f"{format_count(lost, len(lines), 'rows')} do not have as many cells as the header"
+    if 2 * lost >= len(lines):
+        raise RunError(file, problem, "export it with a cell for every column in each row")
+    if lost:
+        is_truncated = lost == 1 and widths[-1] < width
+        warnings.append(f"{file}: the last row is truncated and was left out" if is_truncated else
+                        f"{file}: {problem}; they were left out")
+    try:
+        return _parse_rows(complete_lines, delimiter, width)
+    except ValueError as error:
+        raise RunError(file, f"a row cannot be read ({shorten(error)})", "correct or remove that row") from None
 
 
 def _parse_rows(lines: list[str], delimiter: str, width: int) -> np.ndarray:
@@ -492,7 +492,7 @@ def _parse_rows(lines: list[str], delimiter: str, width: int) -> np.ndarray:
         rows = np.loadtxt(lines, delimiter=delimiter, ndmin=2, comments=None)
     except ValueError:  # A cell is empty or text. Converting cell by cell takes three times as long.
         rows = np.loadtxt(lines, delimiter=delimiter, ndmin=2, quotechar='"', converters=_parse_number, comments=None)
-    if rows.shape[1] == width + 1 and all(line.rstrip().endswith(delimiter) for line in lines):
+    if rows.shape[1] == width + 1 and all(line.rstrip(" ").endswith(delimiter) for line in lines):
         rows = rows[:, :width]  # every row ends with a delimiter
     if rows.shape[1] != width:
         raise ValueError(f"{rows.shape[1]} columns instead of {width}")

@@ -52,7 +52,7 @@ def format_count(count: int, total: int, noun: str) -> str:
 
 
 def shorten(error: Exception) -> str:
-    """Shortens the text of an error to one line of 120 characters; an error without text is replaced by its type."""
+    """The text of an error as one line of at most 120 characters; the name of its type if it has no text."""
     return (" ".join(str(error).split()) or type(error).__name__)[:120]
 
 

@@ -125,8 +125,9 @@ def remove_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]],
 def _find_opposite_step(time_ns: np.ndarray, row: int, start: int, end: int, median_step: int) -> int | None:
     """Row of the forward step, among those from `start` to `end`, that reverses the backward step after `row`.
 
-    None if no step or several are at least half as large, or if the frames between the two steps last clearly longer
-    or shorter than the clock shows. A few frames, or frames of one time, may be followed by a gap.
+    None if no step or several are more than half as large, or if the frames between the two steps last clearly longer
+    or shorter than the clock shows. Up to MAX_EARLY_FRAMES frames may last any time, and frames with nearly equal times
+    up to twice as long as usual.
     """
     steps = np.diff(time_ns[start:end + 1])
     large_steps = start + np.flatnonzero(steps > (time_ns[row] - time_ns[row + 1]) / 2)

@@ -18,7 +18,8 @@ MAX_WHEEL_GAP_NS = 100_000_000  # longest gap across which the speed of a wheel 
 LATEST_TIME = 9.0e9  # s since 1970, in the year 2255; int64 nanoseconds end in the year 2262
 MAX_LOST_FRACTION = 0.01  # of the rows; if more are out of order in time, the clock may have been set back
 MAX_UNEVEN_FRACTION = 0.3
-"""Fraction of the rows out of order; if fewer steps between sorted times are short, only the order is wrong."""
+"""If the number of short steps between the sorted times is a smaller fraction of the number of rows out of order, only
+the order is wrong."""
 MAX_END_STEP = 10.0
 """Multiple of the 95th percentile of the steps; a longer first or last time step means a wrong first or last time."""
 
@@ -33,7 +34,7 @@ class InsLog:
     file: Path
     time_ns: np.ndarray  # measurement times, strictly increasing
     values: Mapping[str, np.ndarray]
-    stamps_ns: np.ndarray  # times of all samples, with or without a fix
+    stamps_ns: np.ndarray  # time_ns or, of NCOM packets, the times of all packets, with or without a fix
     origin: tuple[float, float, float] | None = None  # latitude, longitude [rad], altitude [m]; None if unknown
     quality: InsQuality | None = None  # as reported by the unit
     warnings: tuple[str, ...] = ()

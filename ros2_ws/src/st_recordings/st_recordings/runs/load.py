@@ -127,8 +127,8 @@ def check_coverage(source: RunSource, log: DriveLog) -> list[str]:
 
 
 def _check_samples(source: RunSource, log: DriveLog, warnings: Iterable[str]) -> None:
-    """Raises RunError if the velocity is 0 although the car moves or, with the warnings, if fewer than two samples of
-    INS or of steering remain."""
+    """Raises RunError if the velocity is 0 although the car moves, or if fewer than two samples of INS or of steering
+    remain. warnings: reasons for the latter, for the error message."""
     if min(len(log.ins_time_ns), len(log.steering_time_ns)) < 2:
         problem = "it contains fewer than two measurements of INS or steering"
         reasons = (warning.removeprefix(f"{source.path}: ") for warning in warnings)

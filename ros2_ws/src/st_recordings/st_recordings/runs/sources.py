@@ -181,7 +181,7 @@ def _group_files(files: Sequence[Path], named_by_user: bool) -> list[RunSource]:
 def _find_partners(recordings: Sequence[Path], logs: Sequence[Path]) -> dict[Path, tuple[Path, ...]]:
     """CAN logs of each INS recording: those in the largest folder around it that contains no other INS recording, only
     those with its stem if there are any; without logs there, those with its stem in other folders, if it is the only
-    recording with this stem. None if stems and folders disagree."""
+    recording with this stem. Empty if stems and folders disagree, or if two recordings would share a log."""
     candidates: dict[Path, tuple[Path, ...]] = {}
     contradictory = set[Path]()
     for file in recordings:

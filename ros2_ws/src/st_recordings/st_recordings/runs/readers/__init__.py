@@ -67,7 +67,8 @@ def register(reader: Reader) -> Reader:
 
 
 def find_reader(path: Path, key: str | None = None) -> Reader | None:
-    """The reader, of this run.yaml key if given, that accepts a file or folder; else the first of the key, or None."""
+    """The reader that accepts a file or folder; None if there is none. key: only readers with this key of a run.yaml;
+    if none of them accepts it, the first of them."""
     candidates = [reader for reader in READERS.values() if key in (None, reader.key)]
     return next((one for one in candidates if one.accepts(path)), candidates[0] if key and candidates else None)
 
