@@ -52,6 +52,7 @@ class LiveBag:
         self.without_predictions = False
         self.contains_its_car = True
         self.model_text = ""  # of the recorded model file, if there is one
+        self.has_model_of_a_file = False  # whether a model of a file also predicts
         self.velocity_factor = 1.0
         self.unreceived = range(0)  # numbers of the samples the predictor does not receive
         self._predictor, self._evaluator = Predictor(car, MODELS, SETTINGS), Evaluator(car, SETTINGS)
@@ -104,11 +105,14 @@ class LiveBag:
             names = ("x", "y", "velocity_x", "velocity_y", "yaw", "yaw_rate")
             columns = {name: path.states[:, k].copy() for k, name in enumerate(names)}
             columns[self.shifted_column][-1] += self.path_shift if self._count == 41 else 0.0
-            messages.append(serialise(
-                PREDICTION, header=header(start.time_ns, "map"), issued_at=stamp(0), model=model, step=path.step,
+            hashes = {model: configuration_hash(self.car, SETTINGS)}
+            if self.has_model_of_a_file:
+                hashes["augmented"] = configuration_hash(self.car, SETTINGS, "hash of the model file")
+            messages += [serialise(
+                PREDICTION, header=header(start.time_ns, "map"), issued_at=stamp(0), model=name, step=path.step,
                 road_wheel_angle=start.inputs.road_wheel_angle, velocity_x_dot=start.inputs.velocity_x_dot, **columns,
-                cg_to_ins_x=self.car.cg_to_ins_x, cg_to_ins_y=0.0, compute_time=0.0,
-                configuration_hash=configuration_hash(self.car, SETTINGS), bands=[]))
+                cg_to_ins_x=self.car.cg_to_ins_x, cg_to_ins_y=0.0, compute_time=0.0, configuration_hash=hashed,
+                bands=[]) for name, hashed in hashes.items()]
         return messages
 
     def _score(self, score) -> bytes:
@@ -257,6 +261,13 @@ def test_different_vehicle_gives_different_predictions(bag, tmp_path):
     assert not found.same_configuration and kinematic.path_difference < 1e-9 and linear.path_difference > 0.01
     assert linear.start_difference < 1e-9
     assert "a different vehicle" in st_verify(bag, "--vehicle", other).output
+
+
+def test_model_of_a_file_is_not_compared_and_does_not_make_the_configuration_different(live):
+    live.has_model_of_a_file = True
+    found = verify(live.write())
+    assert [c.model for c in found.comparisons] == list(MODELS) and found.same_configuration
+    assert any("augmented are not compared" in warning for warning in found.warnings)
 
 
 def test_recording_without_predictions_has_nothing_to_compare(live):

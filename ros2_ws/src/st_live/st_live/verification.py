@@ -61,7 +61,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Verification:
-    """Comparisons of all models. same_configuration: whether all recorded predictions used this car and settings."""
+    """Comparisons of all models. same_configuration: whether all compared predictions used this car and settings."""
 
     comparisons: list[Comparison]
     vehicle: str
@@ -110,7 +110,7 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
         planned = {mode: by_model[name] for mode, by_model in planned_by_mode.items() if name in by_model}
         comparisons.append(
             _compare(model, car, signals, forecasts, planned, model_scores, settings.filter_cutoff, progress))
-    is_same = all(recorded.hashes == {configuration_hash(car, settings)} for recorded in predictions.values())
+    is_same = all(predictions[c.model].hashes == {configuration_hash(car, settings)} for c in comparisons)
     return Verification(comparisons, f"{car.name}, from {source}", is_same, tuple(warnings))
 
 
