@@ -104,10 +104,10 @@ class Field:
         return (raw >> 1 if kind == "shifted" else raw) * self.scale + self.offset
 
     def encode(self, buffer: bytearray, value: Value) -> None:
-        """Write a value into the 8 bytes, but not its flag byte. None: write `invalid_raw`, or nothing without one.
+        """Write a value into the 8 bytes, but not its flag byte. None: write an invalid code, 0 if there is none.
 
         A scaled or "shifted" quantity and a text are clipped to their format; other numbers out of range raise
-        NcomError.
+        NcomError. None is not written if only the flag byte declares the field invalid.
         """
         if self.kind.startswith("text"):
             size = int(self.kind[4:])
@@ -164,7 +164,7 @@ LONG_RANGE = Validity("b6 < 150 and b7 > 0", lambda raw, data: data[6] < 150 and
 
 
 def valid_unless(*codes: int, fresh: bool = False) -> Validity:
-    """Validity of all raw numbers except the codes, the first of which is written for an invalid value."""
+    """Valid unless the raw number is a code; the first code is written as invalid. fresh: b6 must also be below 150."""
     text = "b6 < 150 and " * fresh + f"not {', '.join(map(str, codes))}"
     return Validity(text, lambda raw, data: raw not in codes and (not fresh or data[6] < 150), codes[0],
                     flag_byte=6 if fresh else None)
@@ -449,7 +449,7 @@ def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
         buffer[7] = 1
     for name, field in fields.items():
         if values.get(name) is None and field.validity.invalid_raw is None and field.validity.flag_byte in flags:
-            raise NcomError(f"channel {channel}: {name} is missing; give all or none of the fields with "
-                            f"{field.validity.text}")
+            raise NcomError(f"channel {channel}: {name} is missing; the fields that are valid if "
+                            f"{field.validity.text} must all be given, or none of them")
         field.encode(buffer, values.get(name))
     return bytes(buffer)

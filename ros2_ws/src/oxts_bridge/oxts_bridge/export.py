@@ -1,9 +1,10 @@
 """Exports an NCOM file to CSV for `st ncom`: the values of every packet, and every change of the status.
 
-The values include the vendor's derived quantities: level-frame values, speed, slip, distance, ISO axes. Level frame:
-forward, right, down, without pitch and roll. Iso: forward, left, up. NaN where an input is missing, and in packets
-without valid navigation (status other than 3, 4, 21, 22); angular accelerations (Yx, Yy, Yz) and filtered values are
-also given at status 2, but not at 21 and 22. Checked by: tests/golden/test_ncom_vectors.py.
+The values include the vendor's derived quantities: level-frame values, speed, slip, distance, ISO axes. Axes of the
+level frame: forward, right, down, without pitch and roll; of columns named Iso: forward, left, up. A cell is empty
+where an input is missing, and in packets without valid navigation (status other than 3, 4, 21, 22). Angular
+accelerations (Yx, Yy, Yz) and filtered values are also written at status 2, but not at 21 and 22.
+Checked by: tests/golden/test_ncom_vectors.py.
 """
 
 import csv

@@ -147,7 +147,7 @@ class LocalFrame:
 
 
 def compute_origin_offset(origin: tuple[float, float], latitude: float, longitude: float) -> tuple[float, float]:
-    """East and north offset [m] of a point from the origin (latitude, longitude), all in deg at altitude 0.
+    """East and north offset [m] of a point from the origin (latitude, longitude); angles in deg, altitudes 0.
 
     Raises StCoreError for an origin that is not finite.
     """

@@ -32,7 +32,7 @@ PARAMETERS = (
     Parameter("speed_factor", 1.0, "replay: playback speed; 1: real time", "1", 0.01, 1000.0),
     Parameter("loop", False, "replay: start again at the end"),
     Parameter("start_offset", 0.0, "replay: start this long after the first time in the file", "s", 0.0, 1e9),
-    Parameter("publish_clock", False, "replay: publish /clock with the file's time"),
+    Parameter("publish_clock", False, "publish /clock with the UTC of the packets, for a replay"),
     Parameter("topics", list(MESSAGE_TYPES), "topics under ins/ to publish"),
     Parameter("publish_tf", True, "publish map -> odom -> base_link -> ins_link"),
     Parameter("map_frame", "map", "frame of odometry: east, north, up from the origin"),

@@ -6,7 +6,7 @@ from .channels import FIELDS, TRIGGER_CHANNELS, Value, decode_channel, decode_ev
 from .geometry import compute_radii
 from .stream import ReceivedPacket
 
-# Fields of the channel table that StatusTracker replaces with values derived from them.
+# Fields of the channel table from which other values are computed; `st ncom` writes only the computed values.
 RAW_FIELDS = frozenset(
     {"GpsMinutes", "UpTimeCode", "WSpeedMilliseconds", "OldRefX", "OldRefY", "OldRefHeading"}
     | {name for channel in TRIGGER_CHANNELS for name in FIELDS[channel]}

@@ -52,7 +52,7 @@ class NcomParser:
         self._events: dict[int, tuple[int, int]] = {}  # by channel: count and time of the newest event
 
     def restart(self) -> None:
-        """Prepare for a new stream: discard the time, an incomplete packet and the events, but keep the counters."""
+        """Prepare for a new stream: discard time, incomplete packet and events; keep counters and UTC offset."""
         jumps, self.clock = self.clock.jumps, GpsClock()
         self.clock.jumps = jumps
         self._tail, self._in_sync = b"", True

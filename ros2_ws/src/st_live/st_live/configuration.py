@@ -24,7 +24,7 @@ from .suite import Parameters, Suite, SuiteError, find_executable, find_free_udp
 
 T = TypeVar("T")
 REPLAY_NODES = ("recorder", "evaluator", "predictor")  # in the order of their start: subscribers first
-TRUNCATION_WARNING = "{} was not closed by its recorder: its last data are missing and are not {}"
+TRUNCATION_WARNING = "{} was not closed by its recorder: its end is missing and is not {}"
 LEAF_TIMEOUT = 20.0  # s within which the virtual Leaf must start to transmit
 
 

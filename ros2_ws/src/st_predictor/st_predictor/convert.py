@@ -61,8 +61,7 @@ class PathBuilder:
             header.frame_id = map_frame
 
     def fill(self, start_ns: int, trajectory: Trajectory, vehicle: VehicleParameters) -> PathMessage:
-        """Set `message` to the trajectory at the INS point; the stamp of a pose is the time for which it is predicted.
-        """
+        """Set `message` to the path of the INS point; each pose is stamped with the time for which it is predicted."""
         x, y = cg_to_ins_position(trajectory.x, trajectory.y, trajectory.yaw, vehicle.cg_to_ins_x, vehicle.cg_to_ins_y)
         half_yaw = 0.5 * trajectory.yaw
         self.message.header.stamp = from_nanoseconds(start_ns)

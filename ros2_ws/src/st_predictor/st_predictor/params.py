@@ -55,7 +55,7 @@ EVALUATOR = (
     _VEHICLE_FILE,
     Parameter("models", MODELS, "models to score"),
     _MODEL_FILE, _EFFECTS_DIRECTORY, _MAXIMUM_GAP, _FILTER_CUTOFF, _MAP_FRAME,
-    Parameter("output_directory", "", "directory of the bag of errors, new or empty; empty: no bag"),
+    Parameter("output_directory", "", 'new or empty directory of the bag of errors; "": no bag'),
     _NUMBER_IF_EXISTS,
 )
 
@@ -66,9 +66,9 @@ TOPICS = ["ins/ncom", "ins/odometry", "ins/status", "ins/trigger", "ins/origin",
           *_COMMON_TOPICS]
 ALL_TOPICS = ["ins/*", "vehicle/*", "can/*", *_COMMON_TOPICS]
 RECORDER = (
-    Parameter("output_directory", "", "directory of the bag, new or empty; required"),
+    Parameter("output_directory", "", "new or empty directory of the bag; required"),
     _NUMBER_IF_EXISTS,
-    Parameter("topics", TOPICS, "topics to record; * and ? stand for any characters; relative to the node's namespace"),
+    Parameter("topics", TOPICS, "topics to record; * is any text, ? any character; relative to the node's namespace"),
     Parameter("configuration_files", [], "files stored as text in the bag: vehicle, node parameters"),
     Parameter("metadata_json", "", 'further metadata of the bag: {"record": {"key": "text"}}'),
 )

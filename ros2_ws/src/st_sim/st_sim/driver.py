@@ -34,21 +34,16 @@ class Driver:
     steering_wheel_angle: true [rad], positive to the left. drive_force: of all wheels [N]. distance: along road [m].
     """
 
-    def __init__(self, car: VehicleParameters, settings: Settings, plan: Plan, seed: int = 0):
-        self.car, self.plan = car, plan
-        self.steering_wheel_angle = self.drive_force = 0.0
-        self.distance = plan.start
-        self._tremor_sigma = settings["driver_tremor"]
+    def __init__(self, plant: Plant, plan: Plan, distance: float, seed: int):
+        """The driver starts at a distance along the road [m] with the steering-wheel angle of the plant."""
+        self.car, self.plan, self.distance = plant.car, plan, distance
+        self.steering_wheel_angle = self._target_angle = plant.rack_steering_wheel_angle
+        self.drive_force = 0.0
+        self._tremor_sigma = plant.settings["driver_tremor"]
         self._draw = make_normal_source(np.random.default_rng([seed, 2]))
-        self._tremor = self._offset_integral = self._speed_integral = 0.0
-        self._pedal_acceleration = self._target_angle = 0.0
+        self._tremor = self._offset_integral = self._speed_integral = self._pedal_acceleration = 0.0
         self._next_decision = -math.inf
         self._is_holding = False
-
-    def place(self, plant: Plant, distance: float) -> None:
-        """Start at a distance along the road [m] with the steering-wheel angle of the plant."""
-        self.distance = distance
-        self.steering_wheel_angle = self._target_angle = plant.rack_steering_wheel_angle
 
     def advance(self, plant: Plant, time: float, step: float) -> None:
         if time >= self._next_decision - 1e-9:
@@ -126,14 +121,13 @@ class SimulatedCar:
     def __init__(self, car: VehicleParameters, settings: Settings, plan: Plan, seed: int = 0):
         self.car = car
         self.plant = Plant(car, settings, seed)
-        self.driver = Driver(car, settings, plan, seed)
         self._step = self.plant.time_step
         distance = plan.start
         for _ in range(round(RUN_IN_TIME / self._step)):
             distance -= plan.speed_at(distance) * self._step
         road = plan.path.pose(distance)
         self.plant.place(road.x, road.y, road.yaw, plan.speed_at(distance), plan.path.curvature(distance))
-        self.driver.place(self.plant, distance)
+        self.driver = Driver(self.plant, plan, distance, seed)
         self._step_count = -round(RUN_IN_TIME / self._step)
         self._steering_wheel_rate = 0.0
         self.duration: float | None = None

@@ -16,7 +16,7 @@ GRAVITY = 9.81  # m/s^2, as in st_core
 TRACK_WIDTH = 1.54  # m, both axles, for every vehicle file; Leaf ZE0 by its manufacturer: 1.540 m front, 1.535 m rear
 AIR_DENSITY = 1.2  # kg/m^3
 SIDE_FORCE_AREA = 2.5  # m^2, side force coefficient (0.53) times the Leaf's side area (4.7 m^2)
-WIND_ARM = 0.25  # m from the CG forward to the point of attack of the wind's side force
+WIND_ARM = 0.25  # m from the CG forward to the point at which the side force of the wind acts
 FRONT_BRAKE_FRACTION = 0.65  # fraction of the brake force at the front axle
 FRONT_TRANSFER_FRACTION = 0.55  # fraction of the lateral load transfer at the front axle
 MINIMUM_LOAD = 50.0  # N, lower limit of a wheel load: a lifted wheel must not cause a division by zero
@@ -179,7 +179,7 @@ def bring_to_rest(s: Sequence[float], step: float) -> tuple[float, ...]:
     return tuple(values)
 
 
-# long: the equations share two dozen symbols, and a call per equation would slow down every time step.
+# One function: the equations share two dozen symbols, and a call per equation would slow down every time step.
 def derivative(s: Sequence[float], rack_target: float, drive_force: float, conditions: tuple,  # noqa: PLR0915
                c: Constants) -> tuple[tuple, tuple]:
     """(time derivative of the state; mean front road-wheel angle [rad], and for FL, FR, RL, RR: lateral forces,

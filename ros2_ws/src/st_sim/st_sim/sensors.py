@@ -46,7 +46,7 @@ NOISE = {
     **dict.fromkeys(("rate_x", "rate_y"), (0.006, 5e-5, 300.0)), "rate_z": (0.002, 5e-5, 300.0),
     **dict.fromkeys(("force_x", "force_y"), (0.06, 0.003, 300.0)), "force_z": (0.15, 0.003, 300.0),
 }
-ACCURACY = {"position": 0.01, "velocity": 0.008, "heading": 0.001, "level": 0.0005}  # reported by the unit [SI]
+ACCURACY = {"position": 0.01, "velocity": 0.008, "heading": 0.001, "roll_pitch": 0.0005}  # reported by the unit [SI]
 
 
 class _Noise:

@@ -1,6 +1,6 @@
-"""Settings of the virtual car, each with a null value, that of an ideal car, and the reader of its vehicle file.
+"""Settings of the virtual car, each with its null value, that of an ideal car, and the reader of the vehicle file.
 
-In the preset `ideal` all settings are null; `realistic` is a typical car. A file or `--effect name=value` changes them.
+The preset `ideal` contains the null values; `realistic` is a typical car. A file or `--effect name=value` changes them.
 """
 
 import math

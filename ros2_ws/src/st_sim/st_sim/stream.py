@@ -9,18 +9,18 @@ from typing import NamedTuple
 
 import can
 from canedge_bridge.transport import open_bus
-from oxts_bridge.ncom import INITIALISING, LOCKED, LOCKING
+from oxts_bridge.ncom import INITIALISING, LOCKED, LOCKING, RAW_IMU
 from st_core.errors import ConfigurationError
 
 from .driver import SimulatedCar
-from .encoders import FRAME_TIME, NO_DATA, RAW_IMU, BackgroundTraffic, CanEncoder, Frame, NcomEncoder
+from .encoders import FRAME_TIME, NO_DATA, BackgroundTraffic, CanEncoder, Frame, NcomEncoder
 from .plant import Truth
 from .recorded_drive import RecordedDrive
 from .sensors import Ins, SteeringSensor, TransmissionLoss, read_wheel_speeds
 from .settings import Settings
 
 Source = SimulatedCar | RecordedDrive
-TICK_MS = 2  # period at which measurements are checked for being due
+TICK_MS = 2  # time step of the stream; every schedule is a multiple of it
 # Period and phase [ms]; the phases differ, because the sensors of a car share no clock.
 TRUTH_SCHEDULE, STEERING_SCHEDULE, WHEEL_SCHEDULE, GEAR_SCHEDULE = (10, 0), (10, 2), (20, 6), (60, 8)
 INS_CAN_DELAY = 0.0015  # s from the datagram to the first CAN frame of the same epoch

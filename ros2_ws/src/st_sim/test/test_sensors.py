@@ -52,7 +52,7 @@ def test_noise_has_the_reported_accuracy_and_depends_on_the_seed():
     spread = {name: np.std([getattr(r, name) - getattr(exact, name) for r in readings])
               for name in ("x", "y", "velocity_x", "velocity_y", "yaw", "roll", "pitch")}
     for names, limit in ((("x", "y"), ACCURACY["position"]), (("velocity_x", "velocity_y"), ACCURACY["velocity"]),
-                         (("yaw",), ACCURACY["heading"]), (("roll", "pitch"), ACCURACY["level"])):
+                         (("yaw",), ACCURACY["heading"]), (("roll", "pitch"), ACCURACY["roll_pitch"])):
         for name in names:
             assert 0.3 * limit < spread[name] < 1.1 * limit, name
     repeated = Ins(CAR, settings, 0.01, 7).read(truth())

@@ -48,9 +48,9 @@ CarName = Annotated[str | None, typer.Option(
     help="The car: a name in config/car, or a folder with vehicle.yaml, can.dbc, signals.yaml and car.yaml. "
     "--vehicle, --dbc, --signals and --steering-... each replace a part of it.")]
 VehicleFile = Annotated[Path | None, typer.Option(
-    help="Vehicle file; default: from --car, else from the Leaf.", **FILE)]
+    help="Vehicle file; default: from --car, else that of the Leaf.", **FILE)]
 BagVehicle = Annotated[Path | None, typer.Option(
-    help="Vehicle file; default: from --car, else from the recording, else from the Leaf.", **FILE)]
+    help="Vehicle file; default: from --car, else from the recording, else that of the Leaf.", **FILE)]
 ModelEffects = Annotated[Path | None, typer.Option(
     help="Folder of your own effects that a model file uses.", **FOLDER)]
 
@@ -87,9 +87,9 @@ class ReadOptions:
     ins_can_latency: Annotated[tuple[float, float] | None, typer.Option(
         help="Latency of the INS's own CAN frames and its standard deviation, s; default 0.002 0.002.")] = None
     dbc: Annotated[Path | None, typer.Option(
-        help="DBC of the CAN logs; default: from --car, else from the Leaf.", **FILE)] = None
+        help="DBC of the CAN logs; default: from --car, else that of the Leaf.", **FILE)] = None
     signals: Annotated[Path | None, typer.Option(
-        help="Signal table for the DBC; default: from --car, else from the Leaf.", **FILE)] = None
+        help="Signal table for the DBC; default: from --car, else that of the Leaf.", **FILE)] = None
     steering_sign: Annotated[int | None, typer.Option(
         callback=_check_sign, help="1 if the sensor, as decoded with DBC and signal table or as recorded in a topic or "
         "table, is positive to the left, -1 if to the right. Default: from --car (CAN only), else 1; live: else from "

@@ -95,7 +95,7 @@ def print_alignment(pair: "RawRun") -> None:
             ins_time = _format_seconds(int(alignment.to_reference_ns(start_ns)))
             table.add_row("INS time", f"{ins_time} s", "at the CAN log's start")
         if alignment.method != "by hand":
-            span = "common time" if alignment.method == "shared signals" else "time span of the INS time messages"
+            span = "overlap" if alignment.method == "shared signals" else "time span of the INS time messages"
             if any(signal.name.startswith(("forward velocity", "yaw")) for signal in pair.shared_signals):
                 table.add_row("INS frames on the bus", pair.latency, "after the instant of measurement")
             table.add_row("INS minus CAN clock", f"{_format_seconds(alignment.offset_ns)} s",

@@ -129,7 +129,7 @@ def foxglove(
             suite.start("foxglove_relay", relay)
             suite.start_node("st_predictor", "markers")
             shared.console.print(f"ws://{host}:{port} relays ROS domain {domain}; layout: "
-                                 "config/foxglove/st.json; Ctrl-C ends it", highlight=False, soft_wrap=True)
+                                 "config/foxglove/st.json; press Ctrl-C to stop", highlight=False, soft_wrap=True)
             try:
                 while True:
                     suite.check()

@@ -26,7 +26,7 @@ LIFETIME = Duration(sec=1)  # markers disappear this long after the suite has en
 TEXT_HEIGHT, OUTLINE_WIDTH, ERROR_WIDTH, GHOST_WIDTH, TRACK_WIDTH = 1.2, 0.15, 0.25, 0.1, 0.6  # m
 GHOST_ALPHA = 0.4
 RIBBON_ALPHA = {0.9: 0.15, 0.5: 0.3}  # by probability
-RIBBON_STRIDE = 4  # one of this many points of a path is drawn
+RIBBON_STRIDE = 4  # every n-th point of a band is drawn
 
 
 class MarkersNode(Node):
