@@ -449,7 +449,7 @@ def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
         buffer[7] = 1
     for name, field in fields.items():
         if values.get(name) is None and field.validity.invalid_raw is None and field.validity.flag_byte in flags:
-            raise NcomError(f"channel {channel}: {name} is missing; the fields that are valid if "
-                            f"{field.validity.text} must all be given, or none of them")
+            raise NcomError(f"channel {channel}: {name} is missing; give all or none of the fields that are "
+                            f"valid if {field.validity.text}")
         field.encode(buffer, values.get(name))
     return bytes(buffer)
