@@ -11,11 +11,14 @@ import can
 import numpy as np
 from canedge_bridge.decode import Decoder
 from oxts_bridge.channels import encode_channel
-from oxts_bridge.geometry import ECCENTRICITY_SQUARED, FLATTENING, SEMI_MAJOR_AXIS, to_ecef
 from oxts_bridge.ncom import INITIALISING, LOCKED, RAW_IMU, Packet, encode
 
 from .sensors import ACCURACY, InsReading
 
+# WGS84 ellipsoid, semi-major axis in m.
+SEMI_MAJOR = 6378137.0
+FLATTENING = 1 / 298.257223563
+_ECCENTRICITY2 = FLATTENING * (2 - FLATTENING)
 UNDULATION = 45.5  # m, geoid above the ellipsoid (EGM96 near Eindhoven); units send altitude above the geoid by default
 GPS_EPOCH_UNIX_NS = 315_964_800_000_000_000
 LEAP_SECONDS_NS = 18_000_000_000  # GPS time has been 18 s ahead of UTC since 2017
@@ -41,17 +44,25 @@ class Origin:
         return from_ecef(cx - s_lon * x + c_lon * outward, cy + c_lon * x + s_lon * outward, cz + c_lat * y + s_lat * z)
 
 
+def to_ecef(latitude: float, longitude: float, height: float) -> tuple[float, float, float]:
+    """Earth-centred x, y, z [m] of geodetic latitude, longitude [rad] and ellipsoidal height [m]."""
+    normal = SEMI_MAJOR / math.sqrt(1 - _ECCENTRICITY2 * math.sin(latitude) ** 2)
+    radius = (normal + height) * math.cos(latitude)
+    z = (normal * (1 - _ECCENTRICITY2) + height) * math.sin(latitude)
+    return radius * math.cos(longitude), radius * math.sin(longitude), z
+
+
 def from_ecef(x: float, y: float, z: float) -> tuple[float, float, float]:
     """Latitude, longitude [rad], height [m] by Bowring's formula: error below 1 um near the ground (test_stream.py)."""
     radius = math.hypot(x, y)
-    semi_minor = SEMI_MAJOR_AXIS * (1 - FLATTENING)
-    second_eccentricity_squared = ECCENTRICITY_SQUARED / (1 - ECCENTRICITY_SQUARED)
-    reduced_latitude = math.atan2(z * SEMI_MAJOR_AXIS, radius * semi_minor)
-    latitude = math.atan2(z + second_eccentricity_squared * semi_minor * math.sin(reduced_latitude) ** 3,
-                          radius - ECCENTRICITY_SQUARED * SEMI_MAJOR_AXIS * math.cos(reduced_latitude) ** 3)
+    semi_minor = SEMI_MAJOR * (1 - FLATTENING)
+    second_eccentricity2 = _ECCENTRICITY2 / (1 - _ECCENTRICITY2)
+    reduced_latitude = math.atan2(z * SEMI_MAJOR, radius * semi_minor)
+    latitude = math.atan2(z + second_eccentricity2 * semi_minor * math.sin(reduced_latitude) ** 3,
+                          radius - _ECCENTRICITY2 * SEMI_MAJOR * math.cos(reduced_latitude) ** 3)
     sine = math.sin(latitude)
-    normal = SEMI_MAJOR_AXIS / math.sqrt(1 - ECCENTRICITY_SQUARED * sine**2)
-    height = radius * math.cos(latitude) + z * sine - SEMI_MAJOR_AXIS**2 / normal
+    normal = SEMI_MAJOR / math.sqrt(1 - _ECCENTRICITY2 * sine**2)
+    height = radius * math.cos(latitude) + z * sine - SEMI_MAJOR**2 / normal
     return latitude, math.atan2(y, x), height
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from canedge_bridge.decode import Decoder
 from oxts_bridge.channels import decode_channel
-from oxts_bridge.geometry import LocalFrame, to_ecef
+from oxts_bridge.geometry import LocalFrame
 from oxts_bridge.stream import NcomParser
 from st_sim.driver import SimulatedCar
 from st_sim.encoders import (
@@ -22,6 +22,7 @@ from st_sim.encoders import (
     Origin,
     from_ecef,
     make_schedule,
+    to_ecef,
 )
 from st_sim.plant import Truth
 from st_sim.scenarios import load_plan
