@@ -14,7 +14,7 @@ from mdf_files import LogFrame, write_layout_2
 from st_recordings.runs.can_formats import is_can_log
 from st_recordings.runs.can_logs import read_can_logs
 from st_recordings.runs.errors import RunError
-from st_recordings.runs.frames import EXTENDED, REMOTE, SENT, Frames
+from st_recordings.runs.frames import ERROR, EXTENDED, REMOTE, SENT, Frames
 from st_recordings.runs.mf4 import parse_session, read_mf4
 from support import GOLDEN_DATA, SETS, vectors
 
@@ -239,6 +239,8 @@ def test_blf_is_read_behind_a_damaged_container(tmp_path: Path, kind: str) -> No
 DATE = "date Mon May 4 10:11:12.000 am 2026\n"
 BUSMASTER = "***BUSMASTER Ver 3.2.2***\n***HEX***\n***<Time><Tx/Rx><Channel><CAN ID><Type><DLC><DataBytes>***\n"
 ASC = "  1  2             Rx   d 3 01 02 03\n"
+KVASER = "      Kvaser Memorator Log\n      ====================\n\nSettings:\n   Format of id field:   HEX\n"
+VEHICLE_SPY = "Line,Abs Time(Sec),Rel Time (Sec),Status,Er,Tx,Description,Network,Node,{},Value,Trigger,Signals\n"
 
 
 @pytest.mark.parametrize(("name", "lines"), [
@@ -254,6 +256,18 @@ ASC = "  1  2             Rx   d 3 01 02 03\n"
     ("steps.log", [f" (000.{100000 * (k > 0):06d})  can0  002   [3]  01 02 03\n" for k in range(3)]),
     ("a.crtd", ["1436509051.900000 CXX OVMS\n", *(f"1436509052.{k}00000 1R11 002 01 02 03\n" for k in range(3))]),
     ("busmaster.log", [BUSMASTER, *(f"11:49:12:{k}000 Rx 1 0x002 s 3 01 02 03 \n" for k in range(3))]),
+    ("a.log", [f"(1436509052.{k}00000) can0 {frame}\n" for k in range(3) for frame in (
+        "20000004#0004000000000000", "002#010203")]),
+    ("kvaser.txt", [KVASER, *(f"{k / 10:12.6f}  1  {2:10X}    Rx          3  01 02 03 {k + 1:9d}\n" for k in range(3)),
+                    "    0.300000  1  ErrorFrame    Rx               ERROR FRAME               4\n"]),
+    ("canking.log", ["Chn Identifier Flg   DLC  D0...1...2...3...4...5...6..D7       Time     Dir\n", *(
+        f" 0    00000002         3  01  02  03                      {k / 10:12.6f} R\n" for k in range(3))]),
+    ("vehicle_spy.csv", ["Vehicle Spy 3 Bus Traffic File\nStart Time,6:00:00 PM\n\n", *(
+        VEHICLE_SPY.format(names) for names in (
+            "ID,Cycle,Ch,B1-256", "Arb ID,Remote/EDL-BRS-ESI,Xtd,B1,B2,B3,B4", "PT,Trgt,Src,B1,B2,B3,B4")), *(
+        f"{k + 1},{k / 10:.9f},0.1,67371008,F,F,HS CAN $2,HS CAN,,2,F,F,01,02,03,,,\n" for k in range(3))]),
+    ("ixxat.csv", ['"Bus","No","Time (abs)","State","ID (hex)","DLC","Data (hex)","ASCII"\n', *(
+        f'"CAN","{k + 999:,}","11:49:12.{k}00000","","2","3","01 02 03","..."\n' for k in range(3))]),
     ("busmaster.log", [BUSMASTER, *(f"0:0:0:{1000 * (k > 0):04d} Rx 1 0x002 s 3 01 02 03\n" for k in range(3))]),
     ("a.asc", [DATE, "base hex  timestamps absolute\n", *(f"   {k / 10:.6f}{ASC}" for k in range(3))]),
     ("a.asc", [DATE, "base hex  timestamps relative\n", *(f"   {0.1 * (k > 0):.6f}{ASC}" for k in range(3))]),
@@ -262,9 +276,10 @@ ASC = "  1  2             Rx   d 3 01 02 03\n"
 def test_variants_of_candump_and_asc(tmp_path: Path, name: str, lines: list[str]) -> None:
     (tmp_path / name).write_text("".join(lines))
     log = read_can_logs([tmp_path / name])
-    frames = log.frames
+    frames = log.frames.select(log.frames.flags & ERROR == 0)
     assert np.diff(frames.time_ns).tolist() == [10**8, 10**8] and frames.id.tolist() == [2, 2, 2]
-    assert frames.payload[:, :4].tolist() == [[1, 2, 3, 0]] * 3 and frames.bus.tolist()[0] in (1, 2)
+    assert frames.payload[:, :4].tolist() == [[1, 2, 3, 0]] * 3
+    assert frames.bus.tolist()[0] in (1, 2) or name.endswith(".csv")
     assert not any("lines" in warning for warning in log.warnings)
     assert not name.startswith("a.") or name == "a.asc" or frames.time_ns[0] == 1_436_509_052_000_000_000
 
@@ -331,7 +346,7 @@ def test_log_with_the_wrong_extension_is_read_by_its_content(tmp_path: Path) -> 
     file.write_text(content)
     log = read_can_logs([file])
     assert len(log.frames) == 2
-    assert "is a candump, BUSMASTER or CRTD log with the extension .asc" in log.warnings[0]
+    assert "is a candump, BUSMASTER, CRTD or Kvaser log with the extension .asc" in log.warnings[0]
     mf4 = write_layout_2(tmp_path / "drive.log", START_NS, make_frames(10))
     assert len(read_can_logs([mf4]).frames) == 10
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from importlib import import_module
-from itertools import islice
+from itertools import dropwhile, islice
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ _BLF_PADDING = 3  # bytes; largest padding after a container, which the format a
 _WEEKDAY_MONTH = re.compile(r"(?i)^(date|begin\s+triggerblock)\s+\S+\s+(\S+)(.*)")
 _TABLE_EXTENSIONS = (".csv", ".txt")
 _ENGLISH_MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
-LINE_FORMAT = "candump, BUSMASTER or CRTD"
+LINE_FORMAT = "candump, BUSMASTER, CRTD or Kvaser"
 _LINES = (
     # Of candump without -l, stamped by -t a, -t z or -t A: " (1436509052.249713)  can0  RX - -  044   [8]  2A 36".
     re.compile(
@@ -41,9 +41,17 @@ _LINES = (
                r"(?P<kind>[sx]r?) \d+(?P<data>(?: [0-9A-Fa-f]{2})*)\s*$"),
     # CRTD, of OVMS and SavvyCAN: "1436509052.249713 1R11 044 2A 36"
     re.compile(r"(?P<time>\d+\.\d+) (?P<bus>\d*)(?P<direction>[RT])(?P<kind>11|29) (?P<id>[0-9A-Fa-f]+)"
-               r"(?P<data>(?: [0-9A-Fa-f]{2})*)\s*$"))
-_COMMENT = re.compile(r"\t|.*ERRORFRAME\s*$|\*\*\*|\d+\.\d+ \d*C[A-Z]{2} ")
-"""Lines without data: error frames and their explanations (candump -e), headers of BUSMASTER, comments of CRTD."""
+               r"(?P<data>(?: [0-9A-Fa-f]{2})*)\s*$"),
+    # Of Kvaser's loggers: "    0.005500  1         600    Rx             8  19 14 09 03 00 12 00 12        1"
+    re.compile(r"\s*(?P<time>\d+\.\d+) +(?P<bus>\d+) +(?P<id>[0-9A-F]{1,8})(?P<kind>x?) +(?P<direction>[RT]x)(?:Rq)?"
+               r"[ EFBPRW#]+(?P<length>\d+)  (?P<data>(?:[0-9A-F]{2} )*|RTR) +\d+\s*$"),
+    # Of CanKing with hexadecimal numbers: " 0    0000014B         1  00                                1675.570498 T"
+    re.compile(r"\s*(?P<bus>\d+) +(?P<id>[01][0-9A-F]{7}) +(?P<kind>X?R?) +(?P<length>\d+)  "
+               r"(?P<data>(?:[0-9A-F]{2} +)*) *(?P<time>\d+\.\d+) (?P<direction>[RT])\s*$"))
+_COMMENT = re.compile(r"\t|.*(ERRORFRAME|ERROR FRAME +\d+)\s*$|\*\*\*|\d+\.\d+ \d*C[A-Z]{2} |"
+                      r"\s*([A-Z][a-z]|CAN |=|[\d.]+ +Trigger)")
+"""Lines without data: error frames and their explanations (candump -e), headers of BUSMASTER and Kvaser, comments."""
+_ERROR_FRAME = re.compile(r"(\(\d+\.\d+\) \S+) 2[0-9A-Fa-f]{7}#.*")  # of candump -l: bit 29 of the identifier
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # of candump -c
 UNSTAMPED_LINE = re.compile(rb"^\s+\S+\s+[0-9A-F]{3,8}\s+\[\d+\]\s", re.MULTILINE)
 """A line of candump without -l and without -t."""
@@ -51,11 +59,16 @@ _ASC_LINE = re.compile(rb"^\s*\d+[.,]\d+\s+\d+\s+[0-9A-Fa-f]+x?\s+[RT]x\s+[dr]\s
 _TRC_LINE = re.compile(rb"^\s*\d+\)\s", re.MULTILINE)
 _ASC_DATE = re.compile(rb"(?i)date \S+ \S+ +\d+ +\d")  # not "Date Time;x;y" of a table
 _ASC_STAMP = re.compile(r"\s*(\d+)[.,](\d+)(?=\s)")
-# Columns of CAN logs in CSV, as of python-can, of mdf2csv (CSS Electronics), and of SavvyCAN (GVRET)
-_CSV_COLUMNS = {"time": ("timestampepoch", "timestamp", "timestamps", "time", "times"),
-                "id": ("arbitrationid", "id", "idhex", "iddec", "canid", "identifier"),
+# Columns of CAN logs in CSV, as of python-can, mdf2csv (CSS Electronics), SavvyCAN (GVRET), Vehicle Spy and IXXAT
+_CSV_COLUMNS = {"time": ("timestampepoch", "timestamp", "timestamps", "time", "times", "abstimesec", "timeabs"),
+                "id": ("arbitrationid", "id", "idhex", "iddec", "canid", "identifier", "arbid", "identifierhex"),
                 "length": ("datalength", "len", "length", "dlc"),
-                "data": ("databytes", "data", "datahex", "payload", "d0", "d1", "data0", "data1", "byte0", "byte1")}
+                "data": ("databytes", "data", "datahex", "payload", "d0", "d1", "data0", "data1", "byte0", "byte1",
+                         "b1")}
+_HEXADECIMAL_IDS = ("idhex", "identifierhex", "arbid")
+_EXTENDED_COLUMNS = ("extended", "ide", "xtd", "format")
+_NO_NUMBERS = re.compile(r'[^\d"]*Line,')  # a further header of Vehicle Spy, for frames of another kind
+MAX_HEADER_LINES = 30  # lines at the start of a file searched for the names of the columns
 EXTENDED_DIGITS = 8  # hexadecimal digits of an extended identifier
 DECIMAL_IDS = "its identifiers were read as decimal numbers"
 AMBIGUOUS_IDS = "its identifiers may be decimal or hexadecimal numbers; they were read as hexadecimal"
@@ -152,9 +165,10 @@ class _CandumpLines(Lines):
         if _COMMENT.match(line):
             return ""
         match = next(filter(None, (form.match(line) for form in _LINES)), None)
-        if match is None:
-            return line
-        cells = {"kind": "", "length": "", **match.groupdict("")}
+        if match is None:  # python-can recognises only error frames with the class 0x80 (bus error)
+            return _ERROR_FRAME.sub(r"\1 20000080#", line)
+        cells = {"kind": "-", "length": "", **match.groupdict("")}
+        kind = cells["kind"].lower()
         stamp, bus, data = cells["time"], cells["bus"], cells["data"].replace("`", " ").split()
         if "-" in stamp:
             stamp = f"{datetime.fromisoformat(stamp).replace(tzinfo=UTC).timestamp():.6f}"
@@ -163,9 +177,10 @@ class _CandumpLines(Lines):
             stamp = f"{3600 * int(hours) + 60 * int(minutes) + int(seconds)}.{fraction}"
         if "`" in cells["data"]:  # candump -S prints the last byte first
             data.reverse()
-        text = "R" if cells["data"].startswith("remote") or cells["kind"].endswith("r") else "".join(data)
-        identifier = cells["id"].zfill(EXTENDED_DIGITS if cells["kind"] in ("x", "xr", "29") else 3)
-        separator = "##0" if len(cells["length"]) > 1 else "#"  # two digits for CAN FD
+        text = "R" if cells["data"][:1] in ("r", "R") or kind.endswith("r") else "".join(data)
+        identifier = cells["id"] if kind == "-" else (  # candump writes eight digits of an extended identifier
+            cells["id"].lstrip("0").zfill(EXTENDED_DIGITS if kind in ("x", "xr", "29") else 3))
+        separator = "##0" if len(cells["length"]) > 1 or len(data) > 8 else "#"  # two digits for CAN FD
         channel = f"can{int(bus) - 1}" if bus.isdigit() else bus or "can0"
         return f"({stamp}) {channel} {identifier}{separator}{text}{' T' if cells['direction'][:1] == 'T' else ''}\n"
 
@@ -255,9 +270,17 @@ def _split_csv_header(line: str) -> tuple[list[str], str, dict[str, int]]:
     return names, delimiter, roles
 
 
+def _is_csv_header(line: str) -> bool:
+    """Whether a line names the columns of a CAN log. Without a length, its bytes must be known to be hexadecimal."""
+    names, _, roles = _split_csv_header(line)
+    has_length = "length" in roles or ("data" in roles and names[roles["data"]] in ("datahex", "b1"))
+    return (has_length and roles.keys() >= {"time", "id", "data"}
+            and MOTION_CHANNELS.isdisjoint(find_columns(Path(), names, Layout())))
+
+
 def _read_csv(lines: Lines, notes: list[str]) -> Iterator[Any]:
     make_message = import_module("can").Message
-    header = next(lines, "")
+    header = next(filter(_is_csv_header, lines), "")
     names, delimiter, roles = _split_csv_header(header)
     id_base, byte_base, unit, are_whole = _find_number_formats(lines.file, names, delimiter, roles)
     if id_base != 16:
@@ -279,22 +302,24 @@ def _read_csv(lines: Lines, notes: list[str]) -> Iterator[Any]:
         row = _split_row(line, delimiter)
         cells = dict(zip(names, row, strict=False))
         data = _read_csv_data(cells, row, names[roles["data"]], roles, byte_base)
-        identifier, is_extended = int(row[roles["id"]], id_base or 16), _read_extended_flag(cells)
+        identifier, is_extended = int(row[roles["id"]], id_base or 16), _is_marked(cells, *_EXTENDED_COLUMNS)
+        if identifier > STANDARD_IDS and is_extended is False:  # other columns in a J1939 row of Vehicle Spy
+            raise ValueError(f"standard identifier {identifier:x}")
         bus = cells.get("bus") or cells.get("buschannel", "")
         return make_message(
             timestamp=read_time(row[roles["time"]]), arbitration_id=identifier, data=data, is_fd=len(data) > 8,
             is_extended_id=identifier > STANDARD_IDS if is_extended is None else is_extended,
-            is_remote_frame="1" in (cells.get("remote"), cells.get("rtr")), is_error_frame=cells.get("error") == "1",
-            is_rx=cells.get("dir", "").lower() not in ("1", "tx"),
+            is_remote_frame=_is_marked(cells, "remote", "rtr"), is_error_frame=_is_marked(cells, "error", "er"),
+            is_rx=not _is_marked(cells, "dir", "tx"),
             channel=int(bus) - ("buschannel" in cells) if bus.isdigit() else None)
 
-    return map(parse, filter(str.strip, lines))
+    return map(parse, (line for line in lines if line.strip() and not _NO_NUMBERS.match(line)))
 
 
-def _read_extended_flag(cells: Mapping[str, str]) -> bool | None:
-    """Whether an identifier is marked as extended; None if the table has no such column."""
-    flag = cells.get("extended") or cells.get("ide")
-    return None if flag is None else flag.lower() in ("1", "true")
+def _is_marked(cells: Mapping[str, str], *names: str) -> bool | None:
+    """Whether the first of these columns that is not blank has a mark; None if there is none."""
+    mark = next((cells[name].lower() for name in names if cells.get(name)), None)
+    return None if mark is None else mark in ("1", "t", "true", "tx", "ext")
 
 
 def _find_number_formats(file: Path, names: Sequence[str], delimiter: str, roles: Mapping[str, int]
@@ -305,22 +330,23 @@ def _find_number_formats(file: Path, names: Sequence[str], delimiter: str, roles
     data: list[tuple[str, int]] = []
     times: list[float] = []
     with closing(Lines(file)) as lines:
-        for line in islice(lines, 1, MAX_SCANNED_ROWS):
-            row = _split_row(line, delimiter)
+        rows = (_split_row(line, delimiter) for line in lines)
+        for row in islice(dropwhile(lambda row: [*map(normalise, row)] != names, rows), 1, MAX_SCANNED_ROWS):
             if len(row) <= max(roles.values()):
                 continue
             identifier = row[roles["id"]]
-            flag = _read_extended_flag(dict(zip(names, row, strict=False)))
+            flag = _is_marked(dict(zip(names, row, strict=False)), *_EXTENDED_COLUMNS)
             is_extended = len(identifier) >= EXTENDED_DIGITS if flag is None else flag
             limit = EXTENDED_IDS if is_extended else STANDARD_IDS
             ids.append((identifier, -1 if names[roles["id"]] == "iddec" else limit))
-            length = row[roles["length"]]
+            length = row[roles["length"]] if "length" in roles else "8"
             data += [(cell, 0xFF) for cell in row[roles["data"]:][:int(length) if length.isdecimal() else 0] if cell]
             with suppress(ValueError):
                 times.append(float(row[roles["time"]].replace(",", ".")))
     data_base, is_padded = _find_base(data), any(re.fullmatch("0[0-9]+", text) for text, _ in ids)
     time_format = _find_time_unit(np.array(times)), all(time.is_integer() for time in times)
-    if not ids or names[roles["id"]] == "idhex" or is_padded or not all(text.isdecimal() for text, _ in ids if text):
+    is_hexadecimal = names[roles["id"]] in _HEXADECIMAL_IDS or not all(text.isdecimal() for text, _ in ids if text)
+    if not ids or is_hexadecimal or is_padded:
         return 16, data_base, *time_format
     return 10 if 10 in (data_base, _find_base(ids)) else 0, data_base, *time_format
 
@@ -347,15 +373,18 @@ def _find_base(cells: Sequence[tuple[str, int]]) -> int:
 def _read_csv_data(cells: Mapping[str, str], row: Sequence[str], name: str, roles: Mapping[str, int], base: int
                    ) -> bytes:
     """Data of a frame in any of the CSV formats. Raises ValueError if it does not have the stated length."""
-    length = int(row[roles["length"]])
     digits = "".join(row[roles["data"]].split())
+    if "length" in roles:
+        length = int(row[roles["length"]])
+    else:  # Vehicle Spy has eight columns of bytes
+        length = sum(map(bool, row[roles["data"]:][:8])) if name == "b1" else len(digits) // 2
     if name[-1].isdigit():
         data = bytes(int(text, base) for text in row[roles["data"]:][:length])
     elif name == "data" and not re.fullmatch(f"[0-9A-Fa-f]{{{2 * length}}}", digits):
         data = b64decode(digits)
     else:
         data = bytes.fromhex(digits)
-    if len(data) != length and "1" not in (cells.get("remote"), cells.get("rtr")):
+    if len(data) != length and not _is_marked(cells, "remote", "rtr"):
         raise ValueError(f"{len(data)} bytes instead of {length}")
     return data
 
@@ -424,9 +453,7 @@ def _read_blf(file: Path, notes: list[str]) -> Iterator[Any]:
 
 
 def _is_csv(head: bytes) -> bool:
-    first_line = re.split(rb"[\r\n]", head, maxsplit=1)[0].decode("utf-8-sig", "ignore")
-    names, _, roles = _split_csv_header(first_line)
-    return _CSV_COLUMNS.keys() == roles.keys() and MOTION_CHANNELS.isdisjoint(find_columns(Path(), names, Layout()))
+    return any(map(_is_csv_header, head.decode("utf-8-sig", "ignore").splitlines()[:MAX_HEADER_LINES]))
 
 
 def _is_trc(head: bytes) -> bool:
@@ -438,7 +465,8 @@ def _is_trc(head: bytes) -> bool:
 
 def _is_candump(head: bytes) -> bool:
     forms = (re.compile(r"\W*\(\d+\.\d+\) \S+ [0-9A-Fa-f]+#"), *_LINES)
-    return any(form.match(line) for line in _COLOUR.sub("", head.decode("latin-1")).splitlines() for form in forms)
+    lines = _COLOUR.sub("", head.decode("latin-1")).splitlines()
+    return b"field: DEC" not in head and any(form.match(line) for line in lines for form in forms)
 
 
 def _is_asc(head: bytes) -> bool:
@@ -472,8 +500,8 @@ def read_head(file: Path) -> bytes:
 def find_clock(head: bytes) -> tuple[float, float]:
     """(period [s] after which the times of a log restart, smallest jump [s] that counts as a restart): half of the
     period for times of day or of an hour; nearly a day for numbers, which may be times since the start."""
-    header, *lines = head.decode("utf-8-sig", "ignore").splitlines() or [""]
-    _, delimiter, roles = _split_csv_header(header)
+    lines = head.decode("utf-8-sig", "ignore").splitlines()
+    _, delimiter, roles = _split_csv_header(next(filter(_is_csv_header, lines), ""))
     column, delimiter = (roles["time"], delimiter) if "time" in roles else (0, " ")  # BUSMASTER
     cells = (cell for line in lines for cell in _split_row(line, delimiter)[column:column + 1])
     _, period = next(filter(None, map(parse_stamp, cells)), (0.0, 0.0))

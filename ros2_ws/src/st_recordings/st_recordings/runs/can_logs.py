@@ -159,7 +159,7 @@ def _read_with_python_can(file: Path, kind: Format, notes: Sequence[str]) -> Can
     if not len(frames):
         reasons = f"no usable frames ({'; '.join(format_notes)})" if format_notes else "no frames"
         raise RunError(file, f"it contains {reasons}", "export its times in seconds, and identifiers and bytes as "
-                       "hexadecimal numbers" if kind.name == "CSV" else "copy or export it again")
+                       "hexadecimal numbers" if kind.name != "Vector BLF" else "copy or export it again")
     period, min_jump = find_clock(read_head(file))
     if frames.time_ns.max() <= period * 1e9:  # times of a day continue past midnight
         rollovers = count_rollovers(frames.time_ns * 1e-9, min_jump)
