@@ -44,7 +44,7 @@ class MessageStatistics:
     not_finite: int = 0
     implausible: int = 0  # with an implausible value; plausible frames that are withheld do not count
     dropped: int = 0  # failed a check in mode `drop`
-    lost: int = 0  # missing by the counter
+    lost: int = 0  # missing according to the counter
     last_seen_ns: int | None = None  # time of the last good one with values
 
 

@@ -11,7 +11,7 @@ from st_recordings.runs.columns import Layout
 from st_recordings.runs.csv import (
     MOTION_SIGNALS,
     _count_missing_samples,
-    _has_steps_of_one_digit,
+    _is_rounded,
     build_ins_log,
     has_drive_columns,
     read_csv,
@@ -215,8 +215,8 @@ def test_short_last_cell_is_complete(tmp_path: Path, cells: list[str]) -> None:
 def test_rounded_positions_are_recognised(origin: float) -> None:
     rounded = np.round(np.cumsum(np.full(3000, 0.02)) + 0.3 * np.sin(np.arange(3000) / 200.0), 1) - origin
     rounded[1500] += 0.037  # a wrong row
-    assert _has_steps_of_one_digit(rounded)
-    assert not _has_steps_of_one_digit(np.cumsum(np.random.default_rng(0).normal(1.0, 0.05, 3000)))
+    assert _is_rounded(rounded)
+    assert not _is_rounded(np.cumsum(np.random.default_rng(0).normal(1.0, 0.05, 3000)))
 
 
 def test_number_cut_at_the_end_of_a_file_is_left_out(tmp_path: Path) -> None:

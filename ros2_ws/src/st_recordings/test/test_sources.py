@@ -374,7 +374,7 @@ def test_run_yaml_gives_files_and_settings(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("content", "message"), [
-    ("[", "invalid YAML"),
+    ("[", "not valid YAML, line 1: "),
     ("- a", "the file is not a YAML mapping"),
     ("ins: x.ncom\ncan: 1.log\nspeed: 3", "unknown key speed; known keys are name, ins"),
     ("can: 1.log", "exactly one of the keys ins, bag, csv and vbo"),

@@ -69,8 +69,8 @@ def rotate_to_body_axes(columns: dict[str, np.ndarray], frame_id: str = "") -> s
     """Rotates velocity_x and velocity_y into body axes if they are velocities over ground; changes `columns`.
 
     The direction of the velocity decides: it is about 0 in body axes, and about yaw over ground; both plus 180 degrees
-    for a car that moves backward by its positions. If both fit, as on a road to the east, the positions decide if only
-    one agrees with them, or else frame_id; without a map frame, body axes are assumed. Returns a warning if the
+    if the positions show that the car moves backward. If both fit, as on a road to the east, the positions decide if
+    only one agrees with them, or else frame_id; without a map frame, body axes are assumed. Returns a warning if the
     velocities do not have the axes that frame_id names, else "".
     """
     velocity = columns["velocity_x"] + 1j * columns["velocity_y"]
@@ -112,7 +112,7 @@ def _compare_with_positions(columns: Mapping[str, np.ndarray], velocity: np.ndar
 
 
 def _moves_backward(columns: Mapping[str, np.ndarray]) -> bool:
-    """Whether the car mostly moves against its heading, by its positions where it is fast; False without positions."""
+    """Whether the positions move mostly against the heading above MIN_COURSE_SPEED; False without positions."""
     if not columns.keys() >= {"x", "y"}:
         return False
     steps = np.diff(columns["x"]) + 1j * np.diff(columns["y"])

@@ -34,7 +34,6 @@ def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: S
 
     storage = open_bag(path, files)
     storage.use_definitions({topic.type_name for topic in storage.topics})
-    warnings: list[str] = []
     parts = [(topic.name, *part) for topic in storage.topics if (part := _read_columns(storage, topic))[1]]
     if not parts:
         return None
@@ -50,7 +49,7 @@ def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: S
             raise RunError(path, f"topics {' and '.join(topics)} may each contain the {channel}",
                            "name the right one with --steering-topic")
     aligned, notes = storage.align_stamps([(name, stamps) for name, stamps, _ in parts])
-    warnings += [f"{path}: {note}" for note in notes]
+    warnings = [f"{path}: {note}" for note in notes]
     frames = [pd.DataFrame(part, index=times)[stamps != 0]
               for times, (_, stamps, part) in zip(aligned, parts, strict=True)]
     merged = pd.concat([frame[~frame.index.duplicated()] for frame in frames], axis=1, sort=True)

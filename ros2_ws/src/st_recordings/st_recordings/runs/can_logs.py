@@ -97,7 +97,7 @@ def _choose_id_base(log: CanLog, known_ids: Collection[int]) -> CanLog:
     decimal_ids = np.array([int(text) for text in texts], np.uint32)
     n_hexadecimal, n_decimal = (np.isin(each, list(known_ids)).sum() for each in (ids, decimal_ids))
     if n_decimal > n_hexadecimal:
-        # Without a column for it, the hexadecimal reading has decided which identifiers are extended.
+        # If the log does not mark extended identifiers, their hexadecimal values have decided which ones are extended.
         extended = np.where((ids > STANDARD_IDS) & (decimal_ids <= STANDARD_IDS), 0, EXTENDED).astype(np.uint32)
         frames = replace(log.frames, id=decimal_ids[rows] | (log.frames.id & extended[rows]))
         return replace(log, frames=frames, warnings=(*notes, DECIMAL_IDS))

@@ -441,7 +441,7 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], wa
     usual_interval = np.median(np.diff(seconds[1:][is_new], prepend=seconds[0]))
     is_moving = np.abs(columns["velocity_x"][rows][1:]) * usual_interval > (np.median(step[is_new]) + resolution) / 20
     names = ("x", "y") if "x" in table.columns else ("latitude", "longitude")
-    is_rounded = all(_has_steps_of_one_digit(columns[name][rows] / table.sources[name].factor) for name in names)
+    is_rounded = all(_is_rounded(columns[name][rows] / table.sources[name].factor) for name in names)
     if is_rounded or (is_moving & ~is_new).sum() <= MAX_HELD_FRACTION * max(is_moving.sum(), 1):
         return
     is_measured = np.concatenate(([True], is_new))
@@ -479,7 +479,7 @@ def _find_outages(seconds: np.ndarray, is_measured: np.ndarray) -> np.ndarray:
     return is_long[np.cumsum(is_measured) - 1]
 
 
-def _has_steps_of_one_digit(values: np.ndarray) -> bool:
+def _is_rounded(values: np.ndarray) -> bool:
     """Whether a position [unit of the file] mostly changes by one unit of its last decimal, because it is rounded."""
     size = np.abs(np.diff(values))
     size = size[size > 0]

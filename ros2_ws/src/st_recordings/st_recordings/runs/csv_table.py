@@ -114,8 +114,6 @@ def read_table(file: Path, layout: Layout) -> Table:
     if not text.endswith("\n") and _is_last_cell_truncated(body, delimiter):
         body = body[:body.rstrip("\n").rfind("\n") + 1]
         warnings.append(f"{file}: the last row ends within a number and was left out")
-    if delimiter == " ":
-        body = "\n".join(" ".join(line.split()) for line in body.split("\n"))
     return parse_table(file, names, body, delimiter, layout, warnings, preamble=preamble)
 
 
@@ -161,6 +159,8 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
     sources: column of each channel; None: columns and units are found from the names, the first rows and `preamble`,
     the lines before the header.
     """
+    if delimiter == " ":
+        body = "\n".join(" ".join(line.split()) for line in body.split("\n"))
     body = body.replace("\u2212", "-")
     if "D+" in body or "D-" in body or "d+" in body or "d-" in body:  # the substitution is slow
         body = _FORTRAN_EXPONENT.sub("E", body)

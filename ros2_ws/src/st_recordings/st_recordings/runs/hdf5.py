@@ -193,7 +193,7 @@ def _list_pickled_texts(content: Any) -> list[str]:
     """The texts of a pickled object, which is not unpickled, because that could run code."""
     if not isinstance(content, bytes) or not content.endswith(b"."):
         return []
-    return [text for code, text, _ in pickletools.genops(bytes(content)) if isinstance(text, str) and (
+    return [text for code, text, _ in pickletools.genops(content) if isinstance(text, str) and (
         "UNICODE" in code.name or "STRING" in code.name)]
 
 

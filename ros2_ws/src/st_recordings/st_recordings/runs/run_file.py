@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from canedge_bridge.table_reader import read_document
 from st_core import yaml_text
 from st_core.corrections import CHANNELS, Correction, check_corrections
 from st_core.errors import ConfigurationError, StCoreError
@@ -15,7 +16,7 @@ from st_core.errors import ConfigurationError, StCoreError
 from .can_formats import EXTENSIONS as CAN_EXTENSIONS
 from .can_formats import is_can_log
 from .columns import COLUMNS, UNITS, Layout, find_unit
-from .errors import RunError, log_warnings, shorten
+from .errors import RunError, log_warnings
 from .readers import READERS, find_reader
 from .run_types import Label, RunSource
 
@@ -88,11 +89,9 @@ def _log_unused_run_file(error: RunError) -> None:
 def read_yaml_mapping(file: Path) -> dict[str, Any]:
     """Reads the mapping in a YAML file; {} for an empty file. Raises RunError if it is unreadable or not a mapping."""
     try:
-        mapping = yaml_text.load(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise RunError(file, f"cannot be read: {error.strerror}") from None
-    except (ConfigurationError, UnicodeDecodeError) as error:
-        raise RunError(file, f"invalid YAML: {shorten(error)}") from None
+        mapping = read_document(file)
+    except ConfigurationError as error:
+        raise RunError(file, str(error).removeprefix(f"{file}: ")) from None
     if not isinstance(mapping, dict | None):
         raise RunError(file, "the file is not a YAML mapping")
     return mapping or {}

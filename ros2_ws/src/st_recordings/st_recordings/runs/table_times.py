@@ -146,8 +146,8 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
 
 
 def count_rollovers(seconds: np.ndarray, min_jump: float) -> np.ndarray:
-    """Number of rollovers before each time. After a backward jump to a wrong time, such as 0, the clock returns: the
-    next jump ends at or after the time before it."""
+    """Number of rollovers before each time. A backward jump to a wrong time, such as 0, does not count: the next jump
+    then ends at or after the time before it."""
     jumps = np.diff(seconds, prepend=seconds[:1])
     rows = np.flatnonzero(np.abs(jumps) > min_jump)
     returns = np.append(seconds[rows[1:]], -np.inf) >= seconds[rows - 1]

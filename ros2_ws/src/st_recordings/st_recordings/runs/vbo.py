@@ -47,12 +47,9 @@ def read_vbo(file: Path, layout: Layout) -> Table:
         raise RunError(file, "it consists of several files with different [column names]", "split it into these files")
     sources = _find_sources(file, names, sections, layout)
     warnings: list[str] = []
-    body = re.sub(r"[ \t]+", " ", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", sections["data"]))
-    if "," in body and "." not in body:
-        body = body.replace(",", ".")
     if "t" not in sources:
         raise RunError(file, f"[column names] has no time, only {', '.join(names)[:200]}", "export the time as well")
-    table = parse_table(file, names, body, " ", layout, warnings, sources)
+    table = parse_table(file, names, sections["data"], " ", layout, warnings, sources)
     midnight = _read_midnight(text) if table.sources["t"].unit == HHMMSS else 0.0
     return _correct_signs(replace(table, time_ns=table.time_ns + round(midnight * 1e9)))
 
