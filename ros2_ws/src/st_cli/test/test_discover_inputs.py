@@ -208,7 +208,7 @@ def test_straight_driving_is_reported_as_insufficient(tmp_path):
 @pytest.mark.slow
 def test_turns_to_one_side_and_a_single_run_are_reported(tmp_path):
     _, message = discover_in_noisy_drives(tmp_path, circle(40.0))
-    assert "turns to one side only" in message and "one run only" in message
+    assert "nearly all turns are to one side" in message and "one run only" in message
     assert "suspect: 1 run, 40 s: 0 40 s" in message and "reference: none" in message
 
 

@@ -223,7 +223,7 @@ def test_steered_rear_wheels_are_an_alternative_of_a_small_steering_gain(leaf, g
     found = check(log, leaf)
     (finding,) = [one for one in found.findings if one.name == "steering_scale"]
     assert finding.severity is Severity.WARNING and finding.value == pytest.approx(gain, rel=0.1)
-    assert "or the rear wheels steer, too" in finding.text and finding.advice.kind == "text"
+    assert "or the rear wheels also steer" in finding.text and finding.advice.kind == "text"
     assert not {"steering_scale", "steering_sign"} & found.estimates.keys()
 
 

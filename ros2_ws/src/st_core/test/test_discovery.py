@@ -388,7 +388,7 @@ def test_driving_in_left_bends_only_gives_a_warning(leaf, offset_result):
     log = recorded(leaf, {}, 1, ("circle",))[0]
     half = log.slice(log.start_ns, log.start_ns + 13_000_000_000)
     found = discover([replace(half, name=f"left {k}") for k in range(2)], leaf, settings=FEW)
-    assert any("turns to one side only" in text for text in found.warnings)
+    assert any("nearly all turns are to one side" in text for text in found.warnings)
     assert not any("turns to one side" in text for text in offset_result[0].warnings)
 
 

@@ -15,6 +15,7 @@ from st_core.identification.driving_prediction import (
     identify_yaw_inertia,
 )
 from st_core.identification.ins_mounting import identify_ins_mounting
+from st_core.identification.result import IdentificationError
 from st_core.identification.steering import DIRECT_NAME, PAPER_NAME, identify_steering_offset
 
 SPEEDS = {6.0: 0.10, 9.0: 0.07, 12.0: 0.045, 15.0: 0.035}
@@ -76,6 +77,21 @@ def test_prediction_fit_separates_offset_misalignment_and_gyro_bias(leaf, start_
     assert found[MISALIGNMENT].value == pytest.approx(0.01, abs=0.0005)
     assert [found[name].value for name in STIFFNESSES] == pytest.approx(true_stiffnesses(leaf), rel=0.02)
     assert any("yaw rate bias" in warning and "+0.004" in warning for warning in found.warnings)
+
+
+def test_linear_model_with_an_effect_gives_a_secant(leaf, weaving):
+    """A model with effects has the name "augmented", but its stiffness is that of its linear tyres."""
+    found = fit_stiffness(weaving, leaf, augment("linear", {"steering_delay": {"time": 0.0}}))
+    assert "Secant over slip angles" in found["cornering_stiffness_front"].verdict
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("identify", [identify_stiffness, identify_steering_offset, identify_ins_mounting,
+                                      identify_yaw_inertia])
+def test_drives_recorded_at_5_hz_are_rejected(leaf, noise_free, identify):
+    """Every interval between samples is a gap, so that no sample is left."""
+    with pytest.raises(IdentificationError, match=r"record INS and steering at more than 10 Hz|straight driving: 0"):
+        identify([log.select_ins(np.arange(0, len(log.ins_time_ns), 20)) for log in noise_free], leaf)
 
 
 @pytest.mark.slow

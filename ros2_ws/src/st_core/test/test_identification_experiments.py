@@ -12,7 +12,7 @@ from experiment_tables import axle_lift, flat_plank, turntable, weighings
 from st_core.identification.magic_formula import fit_tyre, identify_magic_formula
 from st_core.identification.mass_and_cg import compute_pitch, identify_cg_height, identify_mass_and_cg
 from st_core.identification.result import IdentificationError
-from st_core.identification.steering import fit_line, identify_steering_ratio
+from st_core.identification.steering import Turntable, fit_line, identify_steering_ratio
 from st_core.tyres import magic_formula_coefficients, magic_formula_stiffness, tyre_force
 
 SEEDS = range(50)
@@ -194,6 +194,14 @@ def test_line_of_several_sweeps_has_the_uncertainty_of_its_docstring():
     squares = sum(np.square(x[groups == name] - x[groups == name].mean()).sum() for name in "abc")
     deviation = math.sqrt(line.residuals @ line.residuals / 26 / squares)
     assert line.degrees_of_freedom == 26 and line.uncertainty == pytest.approx(deviation, rel=1e-12)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_turntable_within_a_quarter_turn_has_no_warning():
+    """No angle exceeds 90 deg, so left and right wheels cannot be compared."""
+    steering = np.deg2rad(np.linspace(-50.0, 50.0, 21))
+    data = Turntable(steering, steering / 17.0, steering / 17.0, ("sweep",) * 21)
+    assert not identify_steering_ratio(data).warnings
 
 
 def test_swapped_wheels_are_a_warning(leaf):

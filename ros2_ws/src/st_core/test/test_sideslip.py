@@ -76,7 +76,7 @@ def test_stationary_drive_is_unchanged(course: DriveLog) -> None:
 def test_identification_that_needs_the_sideslip_is_rejected(course: DriveLog) -> None:
     log = with_steady_sideslip(course, CAR)
     for identify in (identify_stiffness, identify_ins_mounting):
-        with pytest.raises(IdentificationError, match="road: velocity_y is missing or 0 throughout"):
+        with pytest.raises(IdentificationError, match="road: velocity_y was not measured, or is 0 throughout"):
             identify([log], CAR)
 
 

@@ -254,7 +254,7 @@ def _add_yaw_alternative(finding: Finding, motion: Motion) -> Finding:
         return finding
     alternative = Alternative(f"yaw is {1.0 / finding.value:.3f} times its true value", ("yaw_scale",))
     return finding.with_alternative(
-        alternative, Advice("text", "record more accurate positions, to distinguish the two"), "yaw")
+        alternative, Advice("text", "record more accurate positions to distinguish the two"), "yaw")
 
 
 def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:

@@ -478,7 +478,7 @@ def check_position_clock(motion: Motion) -> list[Finding]:
     if not loss > MIN_LOSS_RATIO * loss_with_lag:
         return []
     is_gps_time = abs(abs(lag.value) - LEAP_SECONDS[-1]) < 1.0
-    gps = f", as GPS time, which is {LEAP_SECONDS[-1]} s ahead of UTC" if is_gps_time else ""
+    gps = f", such as GPS time, which is {LEAP_SECONDS[-1]} s ahead of UTC" if is_gps_time else ""
     text = (f"positions {'lag' if lag.value > 0.0 else 'lead'} velocity and yaw by {abs(lag)} s: are they stamped by "
             f"another clock{gps}?")
     return [Finding("position_lag", Severity.ERROR, ("x", "y"), text, lag.value, "s", lag.interval,

@@ -140,7 +140,7 @@ def find_implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
 
 
 def find_broken_channels(findings: Iterable[Finding]) -> set[str]:
-    """Channels that cannot be compared with others, because they jump or too many samples are implausible."""
+    """Channels that cannot be compared with others, because of a jump or a finding that is an error."""
     return {channel for finding in findings for channel in finding.channels
             if finding.name == "channel_jumps" or finding.severity is Severity.ERROR}
 

@@ -65,10 +65,10 @@ LATERAL_CAUSES = {"velocity_y_scale": (("position_reference", "yaw_offset"),), "
 """Causes that may explain the same residual in a drive at one speed, by the cause found."""
 
 ALTERNATIVE_LAGS = {"velocity_lag": Alternative("only velocity_x does", ("velocity_x_lag",)),
-                    "velocity_x_lag": Alternative("velocity_y does, too", ("velocity_lag",))}
+                    "velocity_x_lag": Alternative("velocity_y also does", ("velocity_lag",))}
 """Lag that may explain the same residual where velocity_y is small, by the cause found."""
 OPPOSITE_LATERAL_SIGN = "velocity_y has the opposite sign (left is positive)"
-VARY_BENDS = Advice("text", "drive bends of different speed and radius, to distinguish the two")
+VARY_BENDS = Advice("text", "drive bends at different speeds and radii to distinguish the two")
 
 
 class Cause(NamedTuple):
@@ -264,8 +264,8 @@ def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> 
     """Whether yaw, not the yaw rate, lags by `lag` [s]; None if both fit. corrected: the motion without that lag.
 
     At constant speed v, a lag T of yaw, a lag -T of the positions, and a reference point v T ahead have the same
-    effect. The yaw with which the positions have the smaller lag of their own is right, wherever their reference point
-    is. If the drive does not determine this lag, the reference point is assumed to be that of the velocities.
+    effect. The yaw for which the fitted position lag is smaller is right, whatever the reference point. If the drive
+    does not determine this lag, the reference point is assumed to be that of the velocities.
     """
     sides = make_residual_regression(motion), make_residual_regression(corrected)
     if len(sides[0].time) < MIN_WINDOWS:
@@ -382,7 +382,7 @@ def _add_lag_alternative(findings: list[Finding], problem: Regression,
 def _find_equivalent(problem: Regression, causes: dict[str, Estimate], found: Names, candidates: Sequence[Names],
                      alongside: Names) -> tuple[Names, dict[str, float]]:
     """(causes among the candidates that explain the effects of those found as well, their values); ((), {}) if there
-    are none. problem: for the corrected motion. alongside: causes that are fitted, too."""
+    are none. problem: for the corrected motion. alongside: causes that are also fitted."""
     sizes = {name: causes[name].value for name in found}
     if "velocity_y_scale" in sizes:  # the column has the corrected velocity_y
         sizes = {name: value / (1.0 + value) for name, value in sizes.items()}
@@ -510,7 +510,6 @@ def _convert_to_reported(name: str, cause: Estimate) -> Estimate:
 
 
 def _correct_causes(motion: Motion, causes: dict[str, Estimate]) -> Motion:
-    """The motion corrected for these causes."""
     values = {name: causes[name].value if name in causes else 0.0 for name in CAUSES}
     ahead, scale = values["position_reference"], 1.0 + values["velocity_scale"]
     lateral_scale = scale * (1.0 + values["velocity_y_scale"])

@@ -155,6 +155,6 @@ def _check_jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
     effect = deviation * float(np.median(motion.speed[1:][inside]))
     if slope < 0.5 or effect < LIMITS.min_reported_effect:
         return []
-    text = f"the stamps jitter by {deviation * 1e3:.1f} ms but the motion is smooth: they are times of reception"
+    text = f"the time stamps jitter by {deviation * 1e3:.1f} ms but the motion is smooth: they are times of reception"
     return [Finding("time_jitter", LIMITS.severity(effect), ("time",), text, deviation, "s", effect=effect,
                     advice=Advice("text", "use the time of measurement (GPS time)"))]

@@ -111,7 +111,7 @@ def check_nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate
             np.hypot(np.hypot(velocity.half_width, yaw_rate.half_width), MAX_SCALE_ERROR)):
         return None
     text = (f"time runs {factor:.4f} ± {velocity.half_width:.4f} times too fast compared with positions and yaw: were "
-            "the stamps made with a wrong nominal rate?")
+            "the time stamps made with a wrong nominal rate?")
     scale = float(f"{1.0 / factor:.5g}")
     advice = Advice.for_run_yaml({"correct": {"velocity": {"scale": scale}, "yaw_rate": {"scale": scale}}})
     advice = replace(advice, line=f"{advice.line}  # or divide the time of the rows by {factor:.4f}")

@@ -37,9 +37,9 @@ MIN_ANGLE_FOR_SIGN = 0.003  # rad; the same for the sign of the gain alone, for 
 MAX_OPPOSITE_CORRELATION = -0.8  # correlation of steering and curvature below which the steering has the opposite sign
 MIN_UNRELATED_SPREAD = 0.01  # rad at the road wheels; minimum standard deviation of measured and derived steering
 STEERING_PLAY = 0.07  # rad of the steering wheel; play of ordinary cars, which reduces the gain of small angles
-PLAY, STEERED_REAR_WHEELS = Alternative("the steering has play"), Alternative("the rear wheels steer, too")
-NARROWER_BENDS = Advice("text", "drive narrower bends, to distinguish the two")
-CHECK_RATIO = Advice("text", "drive narrower bends, and check steering_ratio and wheelbase in the vehicle file")
+PLAY, STEERED_REAR_WHEELS = Alternative("the steering has play"), Alternative("the rear wheels also steer")
+TIGHTER_BENDS = Advice("text", "drive tighter bends to distinguish the two")
+CHECK_RATIO = Advice("text", "drive tighter bends, and check steering_ratio and wheelbase in the vehicle file")
 MIN_FOUR_WHEEL_GAIN = 0.5  # smallest gain of a car whose rear wheels steer, by the opposite of the front angle at most
 MIN_GAIN = 1e-6  # ratio of measured to derived angle below which the steering is constant and reported as frozen
 
@@ -149,8 +149,8 @@ def compute_response_time(vehicle: VehicleParameters, speed: float) -> float:
 def _compute_response_uncertainty(vehicle: VehicleParameters, speed: float) -> float:
     """Uncertainty of `compute_response_time` [s] due to both axle stiffnesses, as half-width of a 95 % interval.
 
-    Returns the part beyond the systematic uncertainty of a steering lag; > 0 for fast cars that hardly understeer, inf
-    for those that may be unstable, whose yaw rate has no delay.
+    Returns the part beyond the systematic uncertainty of a steering lag: > 0 for fast cars that hardly understeer, inf
+    for a car that may be unstable, for which the delay is undefined.
     """
     changes = []
     for key in ("cornering_stiffness_front", "cornering_stiffness_rear"):
@@ -220,7 +220,7 @@ def _has_clock_error(motion: Motion, vehicle: VehicleParameters, agreement: Agre
 
 
 def _lag_of_yaw_rate_changes(motion: Motion, agreement: Agreement) -> bool:
-    """Whether a change of the steering lag is one of the yaw rate, whose lag behind yaw then changes, too."""
+    """Whether the steering lag changes because the lag of the yaw rate behind yaw does."""
     other = compare_series(motion.time, motion.yaw, motion.time, motion.yaw_rate, CUTOFF, derived_is_angle=True,
                            fit_drift=True)
     return (other is not None and other.correlates and other.drift.is_significant
@@ -252,7 +252,7 @@ def _make_clock_finding(motion: Motion, derived: np.ndarray, agreement: Agreemen
         advice = replace(advice, line=f"{advice.line}, or split the recording where the lag changes")
         half, lag = (halves[0], first) if abs(first.value) > abs(second.value) else (halves[1], second)
         finding = _make_finding("steering_lag", ("road_wheel_angle",), text, lag, "s", effect, advice)
-        return finding.with_alternative(PLAY, NARROWER_BENDS) if _play_explains(lag.value, half) else finding
+        return finding.with_alternative(PLAY, TIGHTER_BENDS) if _play_explains(lag.value, half) else finding
     text = (f"the clock of the steering runs {rate} times as fast as that of the motion: the lag changes by {change} s "
             "during the drive")
     return _make_finding("time_rate", ("road_wheel_angle",), text, rate, "1", effect, advice)
@@ -273,11 +273,11 @@ def _make_lag_finding(lag: Estimate, agreement: Agreement, response: float, late
     advice = Advice.correct("road_wheel_angle", earlier=float(f"{lag.value:.3g}"))
     advice = replace(advice, line=f"{advice.line}  # or --steering-latency")
     finding = _make_finding("steering_lag", ("road_wheel_angle",), text, lag, "s", effect, advice)
-    return finding.with_alternative(PLAY, NARROWER_BENDS) if _play_explains(lag.value, agreement) else finding
+    return finding.with_alternative(PLAY, TIGHTER_BENDS) if _play_explains(lag.value, agreement) else finding
 
 
 def _play_explains(lag: float, agreement: Agreement) -> bool:
-    """Whether play explains a lag [s] as well: of the sensor, or of the road wheels (< 0)."""
+    """Whether play explains the steering as well as a lag [s] of the sensor (> 0) or of the road wheels (< 0)."""
     time = agreement.time
     leading, following = np.interp(time + lag, time, agreement.derived), agreement.measured
     if lag < 0.0:
@@ -429,7 +429,7 @@ def check_tyre_limit(motion: Motion, sideslip_measured: bool) -> list[Finding]:
     severity, sources, reason = Severity.ERROR, "velocity and yaw rate", "one is wrong"
     if is_near(ratio, 1.0, LIMITS.unit_ratio):
         severity, sources = Severity.NOTE, "velocity, yaw rate and positions"
-        reason = "right with downforce or racing tyres, else a unit of length or time is wrong"
+        reason = "plausible with downforce or racing tyres, else a unit of length or time is wrong"
     elif not sideslip_measured:
         return []
     text = f"{sources} give up to {largest:.0f} m/s^2 to the side, but road tyres reach about 10 m/s^2: {reason}"

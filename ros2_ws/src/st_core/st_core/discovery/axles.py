@@ -40,7 +40,7 @@ class Axles:
     """Forces of both axles in a fitted model.
 
     joint_fit: covariance of the values; if None, there are no bands and the intervals have zero width.
-    noise_ratio: ratio of residual to noise, by which bands and intervals are widened [1].
+    noise_ratio: ratio of residual to noise, by which bands and intervals are widened if it is above 1 [1].
     near_optimal_vectors: vectors of effect sets that fit nearly as well; the bands include their curves.
     Raises StCoreError if the base model has no tyres, the drives are too short, or the values are too uncertain for a
     vehicle file.

@@ -261,7 +261,7 @@ class _Analysis:
         warning = ("the offset of the steering clock has a standard deviation of up to "
                    f"{1e3 * max(uncertain):.0f} ms, in {len(uncertain)} of {len(runs)} runs")
         if corrections:
-            warning += (f"; the search corrects the clock of each run, by {1e3 * min(corrections.values()):.0f} to "
+            warning += (f"; the search corrects the clocks of these runs by {1e3 * min(corrections.values()):.0f} to "
                         f"{1e3 * max(corrections.values()):.0f} ms. An error common to all runs")
         else:
             warning += ": its error"
@@ -293,8 +293,8 @@ class _Analysis:
         if left + right < MIN_TURNING_FRACTION:
             self.warnings.append("nearly all driving is straight: tyres, steering ratio and mass are not identifiable")
         elif min(left, right) < MIN_TURNING_FRACTION * (left + right):
-            self.warnings.append("turns to one side only: offsets of sensors and steering are not separable from "
-                                 "changes of the car")
+            self.warnings.append("nearly all turns are to one side: offsets of sensors and steering are not separable "
+                                 "from changes of the car")
 
     def _list_assumed(self) -> tuple[result.AssumedQuantity, ...]:
         """The quantities of the vehicle file that are used as priors."""

@@ -262,7 +262,7 @@ def _make_segment_region(segment: Segment, overall: BinExcess, samples: Samples)
 
 
 def _list_place_regions(cells: Sequence[Cell], overall: BinExcess) -> list[LargeErrorRegion]:
-    """Regions of the two places with the largest excess; neighbouring cells form one place."""
+    """Regions of the MAX_PLACES places with the largest excess; neighbouring cells form one place."""
     adjacency = [[max(abs(a.x - b.x), abs(a.y - b.y)) < MAX_CELL_DISTANCE for b in cells] for a in cells]
     number = connected_components(np.array(adjacency))[1] if cells else np.zeros(0, int)
     regions = []

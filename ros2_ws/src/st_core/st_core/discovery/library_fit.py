@@ -123,7 +123,7 @@ def _minimum_loss(h: np.ndarray, g: np.ndarray, centre: np.ndarray, prior: np.nd
 
 
 def theoretical_values(space: Space) -> np.ndarray:
-    """(p,) theoretical values where known, else nulls. Effects that convert the base model keep their null values."""
+    """(p,) theoretical values where known, else null values, as for effects that convert the base model."""
     theory = [None if get_effect(effect).converts else parameter.theory for effect, parameter in space.free]
     return np.array([n if t is None else t for n, t in zip(space.null, [*theory, None], strict=True)])
 

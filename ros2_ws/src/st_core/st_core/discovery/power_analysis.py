@@ -59,17 +59,16 @@ def _power(problem: Problem, fit: Fit, index: int, size: float, information: flo
     """Probability of detecting a change of a parameter by `size` times its scale."""
     threshold = float(stats.chi2.isf(limits.false_alarm / len(problem.space.hypotheses), 1))
     sensitivities = problem.all_sensitivities(fit.vector).values[index]
-    rows = problem.errors.at(fit.vector)
-    before, after = problem.position_error(rows), problem.position_error(rows + size * sensitivities)
-    reduction = float(np.nanmean(after - before)) if np.isfinite(before).any() else 0.0
-    min_gain = _required_gain(problem, rows, reduction, limits)
+    min_gain = _required_gain(problem, problem.errors.at(fit.vector), size * sensitivities, limits)
     threshold = max(threshold, 2.0 * min_gain * problem.residual_count / scores.design_effect)
     return float(stats.ncx2.sf(threshold, 1, max(2.0 * size**2 * information / scores.design_effect, 1e-9)))
 
 
-def _required_gain(problem: Problem, rows: np.ndarray, reduction: float, limits: Limits) -> float:
-    """Smallest gain per residual for reporting an effect. rows: residuals of the final fit. reduction: reduction of
-    the mean position error by adding the effect to the model [m]."""
+def _required_gain(problem: Problem, rows: np.ndarray, change: np.ndarray, limits: Limits) -> float:
+    """Smallest gain per residual for reporting an effect. rows: residuals of the final fit. change: that an effect
+    missing in the model causes."""
+    before, after = problem.position_error(rows), problem.position_error(rows + change)
+    reduction = float(np.nanmean(after - before)) if np.isfinite(before).any() else 0.0  # by adding the effect [m]
     min_gain = limits.negligible if reduction > limits.relevant_position else limits.relevant
     has_unexplained_residual = residual_over_noise(problem, rows) > limits.max_noise_ratio
     return max(min_gain, limits.unexplained_share) if has_unexplained_residual else min_gain
@@ -89,8 +88,7 @@ def measure_power(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: C
         for size in EFFECT_SIZES:
             vector = problem.take_step(fit.vector, np.array([index]), size * problem.space.sign[[index]])
             change = rows - np.nan_to_num(problem.errors.at(vector))
-            reduction = float(np.nanmean(problem.position_error(rows + change) - problem.position_error(rows)))
-            min_gain = _required_gain(problem, rows, reduction, limits)
+            min_gain = _required_gain(problem, rows, change, limits)
             detections = sum(effect in _detect_effects(problem, fit, rows, change, sensitivities, min_gain, limits, rng)
                              for _ in range(DRIVES))
             powers.append(Power(effect, parameter.name, parameter.unit, size * scale, detections / DRIVES, DRIVES))

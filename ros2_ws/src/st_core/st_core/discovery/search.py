@@ -19,7 +19,7 @@ from .settings import Limits
 CONTENDERS = 4  # maximum number of effects refitted in a step, plus members of composites; half as many in an exchange
 CONTENDER_FRACTION = 0.5  # fraction of the best gain that a contender must reach; squared before the refits
 FIXED_CURVATURE = 1e9  # prior curvature that fixes a parameter
-MAX_JOINT_FITS, JOINT_TOLERANCE = 4, 0.1  # number of joint fits; largest step at convergence [parameter scales]
+MAX_JOINT_FITS, JOINT_TOLERANCE = 4, 0.1  # maximum number of joint fits; largest step at convergence [parameter scales]
 MAX_EXCHANGES = 3
 
 NearSet = tuple[tuple[str, ...], np.ndarray]  # (names of the effects in a set, vector of its fit)
@@ -70,7 +70,7 @@ class Search:
         """The best set from three starts.
 
         These are the empty set, the set found from it plus all physical effects, and the library without composites.
-        The last two contain no payload and no `forward_only` effect.
+        The effects added to the last two include no payload and no `forward_only` effect.
         """
         p = self.problem
         p.update_design_effect(p.start)

@@ -37,7 +37,7 @@ NO_HOOK: Any = None  # value of a hook that an effect does not define
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of an effect. Raises ConfigurationError if its fields contradict each other."""
+    """A parameter of an effect. Raises ConfigurationError for an empty field, or fields that contradict each other."""
 
     name: str
     unit: str
@@ -83,7 +83,7 @@ class Parameter:
         return () if self.shape else tuple(bound for bound in self.bounds if bound not in (self.null, self.theory))
 
     def check(self, value: float, key: str) -> float:
-        """The value as a float. Raises ConfigurationError, naming key and limit, for a value outside the bounds."""
+        """The value as a float. Raises ConfigurationError, naming the key, if it is not a number within the bounds."""
         low, high = self.bounds
         if isinstance(value, bool) or not isinstance(value, Real):
             raise ConfigurationError(f"{key}: {value!r} is not a number")
@@ -106,9 +106,9 @@ class Effect:
     """One physical effect: its description, its parameters, and hooks at the places of a model where it acts.
 
     Every hook is an optional @staticmethod. `theta` has the parameters by name, and the result of `constants` as
-    `theta.constants`. Hooks in EQUATION_HOOKS are compiled and differentiated: they use only arithmetic and
-    `st_core.ops`, do not branch on a value, and return tuples. `instant`: an Instant. `prepared`: the result of
-    `prepare`, or the declared `signals` if there is no `prepare`.
+    `theta.constants`. The hooks from `inputs` on are also called with arrays and symbols, or compiled: they use only
+    arithmetic and `st_core.ops`, do not branch on a value, and return tuples. `instant`: an Instant. `prepared`: the
+    result of `prepare`, or the declared `signals` if there is no `prepare`.
 
         constants(vehicle) -> numbers of the car for the other hooks, as a NamedTuple (or one float)
         vehicle(vehicle, theta) -> changed VehicleParameters; called once for a set of values, without theta.constants

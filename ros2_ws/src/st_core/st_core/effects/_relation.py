@@ -6,8 +6,8 @@
 f is added to a term with a weight `to_`; for steering and body terms it may be multiplied by one `by_` quantity.
 parity: -1 odd, +1 even, 0 neither. All weights, the range and the parity are constants, so that all relations of a kind
 share a compiled function.
-There are three kinds: `relation` is a function of current quantities, `relation_lagged` of a lagged quantity q or of
-its rate,
+There are three kinds: `relation` is a function of current quantities, `relation_lagged` of a quantity q after a
+first-order lag, s, or of its rate s_dot,
 
     s_dot = (q - s) / tau,   s = q at the start;   u = s, or u = (q - s) / tau
 
@@ -185,18 +185,18 @@ class LaggedRelationEffect(_Relation):
 
     @staticmethod
     def slip_angles(slip_front, slip_rear, extra, instant, prepared, theta):
-        rate = (compute_lagged_quantity(instant, theta) - extra[0]) / theta.tau
+        rate = (compute_lag_input(instant, theta) - extra[0]) / theta.tau
         y = evaluate_curve(compute_argument(instant, theta) + theta.in_lagging * extra[0] + theta.in_rate * rate, theta)
         y = y * (compute_factor(instant, theta) + theta.by_rate * rate)
         return slip_front - theta.to_front_steer * y, slip_rear - theta.to_rear_steer * y
 
     @staticmethod
     def start(slips, instant, prepared, theta):
-        return (compute_lagged_quantity(instant, theta),)
+        return (compute_lag_input(instant, theta),)
 
     @staticmethod
     def rates(extra, slips, forces, instant, prepared, theta):
-        return ((compute_lagged_quantity(instant, theta) - extra[0]) / theta.tau,)
+        return ((compute_lag_input(instant, theta) - extra[0]) / theta.tau,)
 
 
 @_register
@@ -219,8 +219,8 @@ class TimedRelationEffect(_Relation):
         return change_forces(forces, slip_front, slip_rear, instant, evaluate_curve(prepared[0], theta), theta)
 
 
-def compute_lagged_quantity(instant, theta):
-    """Quantity q of a lagged relation."""
+def compute_lag_input(instant, theta):
+    """Quantity q of a lagged relation, before the lag."""
     return (theta.of_steering * instant.road_wheel_angle
             + theta.of_acceleration_y * instant.velocity_x * instant.yaw_rate)
 

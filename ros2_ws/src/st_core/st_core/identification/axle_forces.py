@@ -62,8 +62,8 @@ class Slope(NamedTuple):
 
     stiffness: float  # C [N/rad]
     spread: Spread  # of (C, intercept)
-    blocks: np.ndarray  # index of each block
-    influence: np.ndarray  # of each block on C
+    blocks: np.ndarray  # (k,) identifier of each block: its run and its number in the run
+    influence: np.ndarray  # (k,) of each block on C
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ class AxleSamples:
     slip: np.ndarray  # slip angle [rad]
     force: np.ndarray  # N
     run_index: np.ndarray  # index of the run
-    time: np.ndarray  # s
+    time: np.ndarray  # s since the first INS sample of the run
     used: np.ndarray  # whether a sample is used in the regression
 
     def bin_forces(self) -> tuple[np.ndarray, np.ndarray]:
@@ -364,7 +364,7 @@ def draw_models(model: AugmentedModel, covariance: np.ndarray, vehicle: VehicleP
                 count: int) -> list[AugmentedModel]:
     """Models with values drawn from a normal distribution about those of `model`, within the bounds of each parameter.
 
-    covariance: (p, p) of `model.vector` [SI]; rows of zeros for constants. vehicle: draws that take its
+    covariance: (p, p) of `model.vector` [SI]; zero for values that are not varied. vehicle: draws that take its
     values beyond the limits of a vehicle file are dropped. Raises StCoreError if fewer than MIN_DRAWS draws are left.
     """
     low, high = np.array([p.bounds for _, p in model.free_parameters]).T.reshape(2, -1)

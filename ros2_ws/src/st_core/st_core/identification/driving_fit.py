@@ -41,7 +41,7 @@ MAX_ITERATIONS, SCALE_TOLERANCE = 6, 0.02
 """Largest number of fits, each with the error scale of the previous one; relative change of the scale below which the
 fits have converged."""
 MAX_CONDITION = 1e12  # condition number of the Hessian above which the drives do not determine the parameters
-MIN_CURVATURE_RATIO = 0.2  # curvature of the loss / its Gauss-Newton approximation; 0.7 for Student's t distribution
+MIN_CURVATURE_RATIO = 0.2  # smallest ratio of the curvature of the loss to its Gauss-Newton approximation; usual: 0.7
 Values = Mapping[str, float]
 
 
@@ -135,7 +135,7 @@ class DrivingFit:
     noise_covariance: np.ndarray  # (p, p) due to independent residuals alone, up to a constant factor
     residuals: np.ndarray  # (n, c) predicted minus measured, a column per channel [SI]
     run_index: np.ndarray  # (n,) index of the run of each residual
-    time: np.ndarray  # (n,) time of each residual [s]
+    time: np.ndarray  # (n,) start of the prediction of each residual, as `Windows.seconds` [s]
     window_counts: Mapping[str, tuple[int, int]]  # number of windows (used, all) by run
     mean_squared_curvature: float  # of the path [1/m^2]
     mean_acceleration: float  # of |v_x r| [m/s^2]

@@ -93,7 +93,7 @@ def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: st
     slip_range_uncertainty = estimate_slip_range_uncertainty(logs, vehicle, base, settings, fit)
     result = _make_identification("stiffness", vehicle, fit, method, (*STIFFNESSES, *additional),
                                   slip_range_uncertainty)
-    kind = ("Secant" if get_model(base).name.startswith("linear") else
+    kind = ("Secant" if describe_model(base).startswith("linear") else
             "Slope at zero slip, with the tyre curve of the vehicle file,")
     estimates = []
     for estimate, slip in zip(result.estimates, find_largest_slip(logs, vehicle, settings), strict=False):

@@ -78,7 +78,7 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
               "velocity_ratio": lateral / speed + slip * speed * rate - theta[3] * rate_dot, "theta": theta,
               "residual": lateral - regressors @ theta}
     rejected = tuple((run.name, f"{len(run) - int(mask.sum())} of {len(run)} samples outside {MINIMUM_SPEED:g} to "
-                      f"{MAXIMUM_SPEED:g} m/s or above {MAXIMUM_ACCELERATION:g} m/s^2")
+                      f"{MAXIMUM_SPEED:g} m/s or above {MAXIMUM_ACCELERATION:g} m/s^2 of lateral acceleration")
                      for run, mask in pairs if not mask.all())
     return Identification("ins", tuple(estimates), used_runs, rejected, correlation, coverage,
                           tuple(w for w in warnings if w), figure)

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..channels import CHANNELS
-from ..log import DriveLog, LogSignals
-from ..timeseries import NANOSECOND, filtered_derivative
+from ..log import DriveLog
+from ..timeseries import NANOSECOND, filtered_derivative, interpolate
 from ..types import ins_to_cg_acceleration
 from ..vehicle import VehicleParameters
 from .result import Coverage, IdentificationError
@@ -40,30 +40,27 @@ class RunSamples:
 
 
 def sample_run(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0) -> RunSamples:
-    """Samples of a drive at the INS sample times at which all signals are available.
+    """Samples of a drive at the INS sample times at which all signals are available, none if there are many gaps.
 
-    Velocity, yaw rate and steering pass the same first-order zero-phase Butterworth filter with `cutoff` [Hz]
-    (`timeseries.filtered_derivative`), so both sides of each equation are attenuated equally. The lateral acceleration
-    is v_y_dot + v_x r, transformed to the CG. Raises IdentificationError if INS and steering overlap by at most 0.4 s.
+    log: from `prepare_drives`. Velocity, yaw rate and steering pass the same first-order zero-phase Butterworth filter
+    with `cutoff` [Hz] (`timeseries.filtered_derivative`), so both sides of each equation are attenuated equally. The
+    lateral acceleration is v_y_dot + v_x r, transformed to the CG.
     """
     def smooth(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return filtered_derivative(time_ns, values, cutoff, MAXIMUM_GAP, "zero_phase")
 
-    if log.overlap <= 2.0 * FILTER_SETTLING_TIME:
-        raise IdentificationError(f"{log.name}: INS and steering were measured together for {log.overlap:.2g} s; "
-                                  "record a longer drive")
+    gap_ns, settling_ns = round(MAXIMUM_GAP / NANOSECOND), round(FILTER_SETTLING_TIME / NANOSECOND)
     time_ns, d_x, d_y = log.ins_time_ns, vehicle.cg_to_ins_x, vehicle.cg_to_ins_y
     speed, _ = smooth(time_ns, log.velocity_x)
     velocity_y, velocity_y_dot = smooth(time_ns, log.velocity_y)
     yaw_rate, yaw_acceleration = smooth(time_ns, log.yaw_rate)
     _, a_y = ins_to_cg_acceleration(0.0, velocity_y_dot + speed * yaw_rate, yaw_rate, yaw_acceleration, d_x, d_y)
     angle, _ = smooth(log.steering_time_ns, log.road_wheel_angle)
-    angle = LogSignals(log, MAXIMUM_GAP, cutoff).sample(log.steering_time_ns, angle, time_ns)
-    breaks = np.flatnonzero(np.diff(time_ns) > round(MAXIMUM_GAP / NANOSECOND))
+    angle = interpolate(log.steering_time_ns, angle, time_ns, gap_ns)
+    breaks = np.flatnonzero(np.diff(time_ns) > gap_ns)
     starts, ends = time_ns[np.append(0, breaks + 1)], time_ns[np.append(breaks, len(time_ns) - 1)]
     segment = np.searchsorted(starts, time_ns, side="right") - 1
-    is_settled = np.minimum(time_ns - starts[segment], ends[segment] - time_ns) >= round(
-        FILTER_SETTLING_TIME / NANOSECOND)
+    is_settled = np.minimum(time_ns - starts[segment], ends[segment] - time_ns) >= settling_ns
     is_valid = np.isfinite(angle) & is_settled & np.isfinite(yaw_acceleration) & np.isfinite(a_y)
     columns = ((time_ns - time_ns[:1]) * NANOSECOND, speed + yaw_rate * d_y, velocity_y - yaw_rate * d_x, log.yaw,
                yaw_rate, yaw_acceleration, a_y, angle, vehicle.steering_wheel_angle(angle))
@@ -86,7 +83,7 @@ def prepare_drives(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     for log in logs:
         for name in required:
             if not CHANNELS[name].is_measured_in(log):
-                raise IdentificationError(f"{log.name}: {name} is missing or 0 throughout, but required "
+                raise IdentificationError(f"{log.name}: {name} was not measured, or is 0 throughout, but is required "
                                           "here: record it with a dual-antenna INS, or leave the drive out")
     prepared = [log if log.steering_wheel_angle is None else log.with_steering(vehicle) for log in logs]
     biases = []
@@ -114,8 +111,12 @@ def estimate_yaw_rate_bias(log: DriveLog) -> float:
 def measure_coverage(signal: str, unit: str, edges: np.ndarray, values: Sequence[np.ndarray],
                      times: Sequence[np.ndarray], min_seconds: float, min_filled_bins: int) -> Coverage:
     """Coverage of the range of a signal in all drives. values: (n,) of each drive. times: times of all samples of each
-    drive [s]. min_seconds: minimum time in a filled bin."""
-    interval = float(np.median(np.concatenate([np.diff(time) for time in times])))
+    drive [s]. min_seconds: minimum time in a filled bin. Raises IdentificationError if no drive has two samples."""
+    spacing = np.concatenate([np.diff(time) for time in times])
+    if not len(spacing):
+        raise IdentificationError(f"nearly all samples are within {FILTER_SETTLING_TIME:g} s of a gap above "
+                                  f"{MAXIMUM_GAP:g} s: record INS and steering at more than 10 Hz, without gaps")
+    interval = float(np.median(spacing))
     return Coverage(signal, unit, edges, np.histogram(np.concatenate(values), edges)[0],
                     max(1, round(min_seconds / interval)), min_filled_bins)
 

@@ -165,10 +165,9 @@ def _check_rows(data: Turntable) -> None:
 
 def _make_warnings(data: Turntable, line: Line) -> list[str]:
     sentences = []
-    left_turn, right_turn = data.steering > ANGLE_BIN_WIDTH, data.steering < -ANGLE_BIN_WIDTH
     difference = data.left - data.right - np.median(data.left - data.right)
-    inner_excess = np.concatenate([difference[left_turn], difference[right_turn]]).mean()
-    if left_turn.any() and right_turn.any() and inner_excess < -math.radians(0.3):
+    turns = [difference[side * data.steering > ANGLE_BIN_WIDTH] for side in (1.0, -1.0)]
+    if all(map(len, turns)) and (inner_excess := np.concatenate(turns).mean()) < -math.radians(0.3):
         sentences.append(f"The outer wheel turns further than the inner one by {math.degrees(-inner_excess):.1f} deg "
                          "on average: left and right columns may be exchanged. Their mean, and with it the ratio, "
                          "is not affected.")
@@ -234,7 +233,7 @@ def _find_straight_windows(run: RunSamples, vehicle: VehicleParameters, min_spee
     """(start time [s], offset [rad] at the steering wheel) of the steady straight windows of a run, (n, 2)."""
     understeer = stability_factor(vehicle)
     rows = []
-    for start in np.arange(run.time[0], run.time[-1] - WINDOW, WINDOW):
+    for start in np.arange(run.time[0], run.time[-1] - WINDOW, WINDOW) if len(run) else ():
         part = slice(*np.searchsorted(run.time, (start, start + WINDOW)))
         time, angle, speed = run.time[part], run.steering_wheel_angle[part], run.velocity_x[part]
         if len(time) < 10 or time[-1] - time[0] < 0.9 * WINDOW or speed.min() < min_speed:

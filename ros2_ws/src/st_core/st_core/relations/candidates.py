@@ -100,7 +100,7 @@ class Candidate:
     quantity: str  # one of QUANTITIES
     parity: float  # -1 for an odd curve, 0 for any curve
     low: float  # lower end of the curve: quantile TAIL_FRACTION of the quantity in the drives
-    high: float  # upper end of the curve, accordingly; -low for an odd curve
+    high: float  # quantile 1 - TAIL_FRACTION; for an odd curve, of the magnitude, and low is -high
     factor: str = ""  # one of FACTORS that multiplies the curve, or ""
 
     @property

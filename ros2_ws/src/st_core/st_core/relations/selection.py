@@ -256,7 +256,7 @@ def find_redundant_effects(fits: RelationFits, fit: RelationFit, base_fit: Relat
     for name in (n for n in names if not get_effect(n).converts):
         reduced = fits.fit_without_effect(fit, name)
         gains = reduced.held_out - fit.held_out
-        position = float(np.nanmean(compute_position_errors(fits, reduced) - errors_with_both))
+        position = average_finite(compute_position_errors(fits, reduced) - errors_with_both)
         relevant = gains.sum() >= limits.relevant * fits.loss.residual_count or position >= limits.relevant_position
         is_needed = relevant and compute_lower_bound(gains, limits.undecided_p) > 0.0
         if not is_needed and compute_lower_bound(base_fit.held_out - reduced.held_out, limits.undecided_p) > 0.0:
