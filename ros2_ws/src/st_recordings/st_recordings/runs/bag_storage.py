@@ -32,7 +32,7 @@ from .errors import RunError, check_readable, format_count, shorten
 EXTENSIONS, ROS1_EXTENSION = (".mcap", ".db3"), ".bag"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 COPY_ADVICE, RECOVERY_ADVICE = "copy it again", "if the recording was interrupted, repair it with `st recover`"
-MAX_SPREAD_NS = 500_000_000  # largest difference between the delays from stamp to reception of stamps of one clock
+MAX_DELAY_DIFFERENCE_NS = 500_000_000  # between delays from stamp to reception, if the stamps are of one clock
 REINDEX_ADVICE = "if the recording was interrupted, repair it with `rosbag reindex`"
 
 
@@ -84,7 +84,7 @@ class Storage(ABC):
                 message = self.store.deserialize_cdr(data, topic.type_name)
             except Exception as error:  # rosbags passes on exceptions of struct and numpy
                 raise RunError(self.path, f"a message of {topic.name} is damaged ({type(error).__name__})",
-                               "record it again, or repair the bag with `st recover`") from None
+                               "record it again") from None
             yield log_ns, message
 
     def columns(self, fields: Mapping[Topic, Sequence[str]]) -> dict[str, dict[str, np.ndarray]]:
@@ -146,8 +146,9 @@ class Storage(ABC):
             return log_times, [f"the stamps of {topics} do not overlap in time; the times of reception are used"]
         delays = [received - stamped for received, stamped in zip(log_times, series, strict=True)]
         shifts = [int(np.median(delay)) for delay in delays]
-        delays_vary = not is_common or any(np.ptp(np.percentile(delay, (5, 95))) > MAX_SPREAD_NS for delay in delays)
-        if delays_vary or max(shifts) - min(shifts) <= MAX_SPREAD_NS:
+        delays_vary = not is_common or any(np.ptp(np.percentile(delay, (5, 95))) > MAX_DELAY_DIFFERENCE_NS
+                                           for delay in delays)
+        if delays_vary or max(shifts) - min(shifts) <= MAX_DELAY_DIFFERENCE_NS:
             return series, []
         ahead, behind = (stamps[shifts.index(shift)][0] for shift in (min(shifts), max(shifts)))
         return [times + shift - shifts[0] for times, shift in zip(series, shifts, strict=True)], [

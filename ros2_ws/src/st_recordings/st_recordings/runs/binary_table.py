@@ -54,7 +54,7 @@ class Signal(NamedTuple):
 
 @cached_by_version(maxsize=4)
 def read_binary_table(file: Path) -> tuple[list[str], str]:
-    """(header, comma-separated rows) of a file. Raises RunError if it cannot be read or contains no signals."""
+    """(header, comma-separated rows) of a file. Raises RunError if it cannot be read, or has no vectors (not Arrow)."""
     extension = file.suffix.lower()
     if extension in ARROW_EXTENSIONS:
         frame = _read_arrow(file)

@@ -67,7 +67,7 @@ _CSV_COLUMNS = {"time": ("timestampepoch", "timestamp", "timestamps", "time", "t
                          "b1")}
 _HEXADECIMAL_IDS = ("idhex", "identifierhex", "arbid")
 _EXTENDED_COLUMNS = ("extended", "ide", "xtd", "format")
-_NO_NUMBERS = re.compile(r'[^\d"]*Line,')  # a further header of Vehicle Spy, for frames of another kind
+_FURTHER_HEADER = re.compile(r'[^\d"]*Line,')  # a further header of Vehicle Spy, for frames of another kind
 MAX_HEADER_LINES = 30  # lines at the start of a file searched for the names of the columns
 EXTENDED_DIGITS = 8  # hexadecimal digits of an extended identifier
 DECIMAL_IDS = "its identifiers were read as decimal numbers"
@@ -76,11 +76,11 @@ MAX_SCANNED_ROWS = 5000  # rows that show the unit of times, and whether identif
 MIN_STEPS = 50  # minimum number of increases of the time to judge its unit by their size
 MAX_STEPS = {"s": 0.15, "ms": 50.0}
 """Largest median step of times since the start that are in s (7 frames a second) or ms (20); larger: they are in us."""
-MIN_FRAME_DURATION = 40.0  # us, of the shortest frame at 1 Mbit/s
+MIN_FRAME_DURATION = 40.0  # us; every frame takes longer at 1 Mbit/s
 
 
 class Lines:
-    """Iterates over the lines of a text log in any encoding; python-can uses it as a file.
+    """Iterates over the lines of a text log in UTF-8, UTF-16 or Windows-1252; python-can uses it as a file.
 
     number, last: number and text of the last line read. `unread` puts a line back, to be read next. header:
     line that replaces the header when a reader restarts after an unreadable line; empty if the reader parses none.
@@ -313,7 +313,7 @@ def _read_csv(lines: Lines, notes: list[str]) -> Iterator[Any]:
             is_rx=not _is_marked(cells, "dir", "tx"),
             channel=int(bus) - ("buschannel" in cells) if bus.isdigit() else None)
 
-    return map(parse, (line for line in lines if line.strip() and not _NO_NUMBERS.match(line)))
+    return map(parse, (line for line in lines if line.strip() and not _FURTHER_HEADER.match(line)))
 
 
 def _is_marked(cells: Mapping[str, str], *names: str) -> bool | None:

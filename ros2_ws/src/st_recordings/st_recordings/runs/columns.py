@@ -158,7 +158,7 @@ COLUMNS: Mapping[str, Channel] = {
 }
 """All known columns; test_csv_columns.py compares docs/csv_columns.md with this table."""
 
-AMBIGUOUS = {normalise(name) for name in _split(
+AMBIGUOUS_STEERING = {normalise(name) for name in _split(
     "steering_angle steering steer steer_angle steered_angle steering_position steering_pos delta_wheel")}
 """Names that mean the steering wheel in some files and the road wheels in others."""
 
@@ -183,7 +183,7 @@ _FRACTION_FACTORS = {"n": 1e-9, "nano": 1e-9, "u": 1e-6, "micro": 1e-6, "m": 1e-
 
 _STEERING = "steering"  # angle of the steering wheel or of the road wheels; the name is ambiguous
 _KINDS_BY_CHANNEL = {**{channel: definition.kind for channel, definition in COLUMNS.items()}, _STEERING: "angle"}
-_CHANNELS_BY_NAME = {**dict.fromkeys(AMBIGUOUS, (_STEERING, 0)),
+_CHANNELS_BY_NAME = {**dict.fromkeys(AMBIGUOUS_STEERING, (_STEERING, 0)),
                      **{normalise(name): (channel, rank) for channel, definition in COLUMNS.items()
                         for rank, name in enumerate(definition.names)},
                      **dict.fromkeys(("theta", "phi"), ("yaw", DOUBTFUL_RANK))}

@@ -1,4 +1,4 @@
-"""Reads a CSV file with any delimiter, decimal mark, encoding or missing-value marker into channels in SI units."""
+"""Reads tables into channels in SI units; finds delimiter, decimal mark, encoding and missing values of text files."""
 
 import csv
 import io
@@ -242,10 +242,9 @@ def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layou
     def count_times(source: ColumnSource) -> int:
         return len({row[source.column] for row in rows if source.column < len(row)})
 
-    pair, whole_second = find_stamp_columns(names), np.zeros(1)
-    has_fraction = pair is not None and column_names.add_fraction(whole_second, pair[2] * np.array([
-        _parse_number(row[pair[1]]) for line in body.split("\n") if pair[1] < len(row := line.split(delimiter))
-    ])) is not whole_second
+    pair = find_stamp_columns(names)
+    has_fraction = pair is not None and np.nanmax([pair[2] * _parse_number(row[pair[1]]) for line in body.split("\n")
+                                                   if pair[1] < len(row := line.split(delimiter))], initial=0.0) < 1.0
     if "t" in sources and "t" not in {*layout.columns, *layout.units} and not has_fraction:
         finest = max(column_names.find_times(names), key=count_times, default=sources["t"])
         if 2 * count_times(sources["t"]) < count_times(finest):  # whole seconds, and fractions in another column

@@ -20,7 +20,7 @@ MAX_LOST_FRACTION = 0.01  # of the rows; if more are out of order in time, the c
 MAX_UNEVEN_FRACTION = 0.3
 """If the number of short steps between the sorted times is a smaller fraction of the number of rows out of order, only
 the order is wrong."""
-MAX_END_STEP = 10.0
+MAX_END_STEP_RATIO = 10.0
 """Multiple of the 95th percentile of the steps; a longer first or last time step means a wrong first or last time."""
 
 
@@ -119,7 +119,7 @@ def select_usable_rows(time_ns: np.ndarray, noun: str) -> tuple[np.ndarray, list
     steps = np.diff(time_ns[rows])
     if len(rows) <= 10:
         return rows, warnings
-    max_end_step = MAX_END_STEP * np.percentile(steps, 95)  # not the median, because rows may arrive in batches
+    max_end_step = MAX_END_STEP_RATIO * np.percentile(steps, 95)  # not the median, because rows may arrive in batches
     if steps[-1] > max_end_step:
         warnings.append(f"the last of {n} {noun} is {steps[-1] * 1e-9:.3f} s after the previous one; it was left out")
         rows = rows[:-1]

@@ -54,7 +54,7 @@ class Reconstruction:
 
     def reconstruct_odometry(self, fields: tuple[str, ...]) -> dict[str, np.ndarray]:
         """Columns of nav_msgs/Odometry, reconstructed from raw packets. Raises RunError for packets of different
-        lengths, or if no packet has a fix and a time.
+        lengths or publishers, or if no packet has a fix and a time.
 
         fields: names of stamp, position x, y, quaternion x, y, z, w, velocity x, y and yaw rate, in this order.
         """
@@ -62,7 +62,8 @@ class Reconstruction:
         topic = self._by_type[NCOM]
         raw = self._storage.columns({topic: ("header.stamp", "raw_packet")}).get(topic.name)
         if raw is None:
-            raise RunError(self._path, "its raw packets differ in length", "repair the bag with `st recover`")
+            raise RunError(self._path, "its raw packets differ in length, or several nodes have published them",
+                           "record the packets of one INS")
         packets = zip(raw["header.stamp"].tolist(), map(bytes, raw["raw_packet"]), strict=True)
         odometry = reconstruct_odometry(packets, self._choose_origin(bridge), not bridge.get("replay_file"),
                                         bridge.get("stamp_source") == "receive")
@@ -189,7 +190,7 @@ class Reconstruction:
             frames = read_frames(self._storage.messages(self._by_type[CAN_FRAMES].name))
         except ValueError as error:
             raise RunError(self._path, f"its raw CAN frames are damaged: {error}",
-                           "repair the bag with `st recover`") from None
+                           "also record vehicle/steering") from None
         return decode_signals(frames, table)
 
 
