@@ -1,6 +1,6 @@
 """Layout, decoding and encoding of the NCOM status channels: byte 62 is the channel number, batch S its 8 bytes.
 
-Field names are the vendor's, as in tests/golden/data/ncom. Angles are in degrees, as in the vendor's tools.
+Field names are the vendor's if it gives one, as in tests/golden/data/ncom. Angles are in degrees, as in its tools.
 Source: NCOM manual 260702 and the behaviour of the vendor's public decoder. Checked by:
 tests/golden/test_ncom_vectors.py (every channel), test_channels.py (round trips).
 """

@@ -1,11 +1,13 @@
 """Arguments that st demo and st live reject before the start, and their terminal view."""
 
+import importlib.util
 import math
 import os
 import socket
 import sys
 import time
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 import typer
@@ -18,9 +20,10 @@ import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rich.console import Console
-from st_cli.verbs import live, raw_logs
+from st_cli.verbs import live, raw_logs, replay
 from st_live import configuration, report, session
 from st_live.node import Monitor, Status, SuiteState, render_progress
+from st_live.nodes.player import Player
 from st_live.suite import Processes, SuiteError, claim_domain, merge_parameters, read_domain_id
 from st_msgs.msg import ErrorStatistics, ErrorSummary, Prediction, PredictorStatus
 from st_ros.diagnostics import Diagnostics
@@ -39,7 +42,7 @@ def run(verb, *arguments: object):
 @pytest.mark.parametrize(("arguments", "fragments"), [
     (["--scenario", "S66"], ["--scenario S66", "choose S1, S2"]),
     (["--effect", "friction=0.8"], ["friction: unknown setting", "friction_factor"]),
-    (["--effect", "friction_factor=7"], ["friction_factor: 7.0 is not within 0.05 to 2 1"]),
+    (["--effect", "friction_factor=7"], ["friction_factor: 7.0 is not within 0.05 to 2\n"]),
     (["--ncom-rate", "200"], ["--ncom-rate", "choose from 100, 250"]),
     (["--plant", "nowhere.yaml"], ["--plant nowhere.yaml: not a file, and not a preset"]),
     (["--drive", ROOT / "README.md"], ["README.md", "column t is missing"]),
@@ -67,6 +70,19 @@ def test_a_node_is_ready_when_it_publishes_diagnostics() -> None:
         assert monitor.wait_for_nodes({"predictor"}, 30.0) == set()
         node.destroy_node()
         rclpy.try_shutdown(context=context)
+
+
+def test_stop_signal_ends_the_wait_for_subscribers_without_an_error() -> None:
+    player = Player.__new__(Player)  # without a node
+    player._stop_requested = lambda: True
+    player._clock = Mock(topic_name="/clock", get_subscription_count=lambda: 0)
+    assert player._wait_for_subscribers([])
+
+
+def test_missing_viewer_is_reported_with_one_prefix(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    result = run(replay.view, tmp_path)
+    assert result.exit_code == 2 and result.stderr.startswith("st view: rerun-sdk is not installed")
 
 
 def test_too_short_run_is_rejected_with_the_unit() -> None:

@@ -21,6 +21,7 @@ from st_core.palette import MODEL_COLOUR
 from st_msgs.msg import ErrorSummary, Prediction, PredictorStatus
 from st_recordings.paths import json_ready
 from st_recordings.results import format_band_lines
+from st_ros.diagnostics import ERROR, STALE
 from st_ros.polling import PolledSubscription
 
 AGGREGATE_PERIOD = 1.0  # s between messages on /diagnostics_agg
@@ -31,7 +32,6 @@ STATUS_TIMEOUT = 5.0  # s without an update until a status counts as silent, or 
 MISSED_REPORTS = 3  # nodes report rarely in a slow replay
 N_INTERVALS = 3  # number of newest reporting intervals; the longest counts, because a change is reported at once
 LEVEL_NAMES = ("ok", "warning", "error", "stale")
-ERROR, STALE = LEVEL_NAMES.index("error"), LEVEL_NAMES.index("stale")
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Monitor:
         return [name for name in self._node.get_node_names() if name != self._node.get_name()]
 
     def wait_for_nodes(self, names: set[str], timeout: float) -> set[str]:
-        """Wait until all nodes publish diagnostics, at most `timeout` [s]; returns the missing ones.
+        """Wait until all nodes have a publisher of diagnostics, at most `timeout` [s]; returns the missing ones.
 
         The predictor is in the graph seconds earlier, because it first compiles its models.
         """

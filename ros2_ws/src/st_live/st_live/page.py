@@ -40,8 +40,6 @@ KEEP_ALIVE_PERIOD = 2.0  # s without a frame until a comment is sent, which fail
 SEND_BUFFER = 32_768  # bytes, about 0.5 s of frames: a slow client then skips frames instead of showing old ones
 
 REQUEST_TIMEOUT = 30.0  # s until Rerun's server must respond
-RERUN_MISSING = ("rerun-sdk is not installed (its numpy 2 conflicts with a sourced ROS); "
-                 "RViz, Foxglove and PlotJuggler show the same data, see docs/manual/viewing.md")
 PROXY_HEADERS = {"connection", "keep-alive", "transfer-encoding", "date", "server"}  # headers set by the proxy
 RERUN_POLICY = ("default-src 'self' data: blob:; connect-src 'self' data: blob:; "
                 "script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "
@@ -298,10 +296,11 @@ def _start_rerun(processes: Processes, recording: str, port: int) -> Child:
         time.sleep(0.1)
 
 
-def check_rerun(option: str) -> None:
-    """Raises SuiteError if rerun-sdk is not installed."""
+def check_rerun(prefix: str = "") -> None:
+    """Raises SuiteError if rerun-sdk is not installed. prefix: start of the message."""
     if importlib.util.find_spec("rerun") is None:
-        raise SuiteError(f"{option}: {RERUN_MISSING}")
+        raise SuiteError(f"{prefix}rerun-sdk is not installed (its numpy 2 conflicts with a sourced ROS); "
+                         "RViz, Foxglove and PlotJuggler show the same data, see docs/manual/viewing.md")
 
 
 def show_address(url: str, console: Console) -> None:
@@ -313,7 +312,7 @@ def show_address(url: str, console: Console) -> None:
 
 def check_new_rerun_file(option: str, file: Path) -> None:
     """Raises SuiteError for a file that is not .rrd, exists, or cannot be written, and without rerun-sdk."""
-    check_rerun(option)
+    check_rerun(f"{option}: ")
     if file.suffix != ".rrd":
         raise SuiteError(f"{option} {file}: the name of a Rerun recording must end in .rrd")
     try:

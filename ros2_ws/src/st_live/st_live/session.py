@@ -12,6 +12,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.live import Live
 from rich.text import Text
+from st_ros.diagnostics import ERROR, WARN
 
 from .node import Monitor, Status, render_counts, render_health, render_progress
 from .page import LiveView
@@ -22,7 +23,6 @@ FIRST_STATUS_TIMEOUT = 30.0  # s from the start of a node to its first /diagnost
 MIN_BACK_OFF, MAX_BACK_OFF = 0.5, 10.0  # s between a failure and the restart
 BACK_OFF_RESET_TIME = 60.0  # s without a failure after which the back-off restarts at MIN_BACK_OFF
 MAX_OWN_DELAY = 2.0  # s; after a longer delay of this process, messages of the nodes may still be unread
-WARN, ERROR = 1, 2
 NODES = (  # package, executable; subscribers start first, so that they miss no message
     ("st_predictor", "recorder"),
     ("st_predictor", "evaluator"),

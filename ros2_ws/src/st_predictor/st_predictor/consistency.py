@@ -1,4 +1,4 @@
-"""Runs `st_core.checks` on the newest measurements, and reports the result in /diagnostics."""
+"""Runs `st_core.checks` on the newest measurements, for /diagnostics of the evaluator."""
 
 import math
 import time

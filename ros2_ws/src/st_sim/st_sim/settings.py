@@ -162,6 +162,6 @@ def _check_value(name: str, value: object, origin: str) -> float:
     if setting is None:
         raise ConfigurationError(f"{origin}: {name}: unknown setting; choose one of {', '.join(SETTINGS)}")
     if isinstance(value, bool) or not isinstance(value, int | float) or not setting.low <= value <= setting.high:
-        raise ConfigurationError(f"{origin}: {name}: {value!r} is not within {setting.low:g} to {setting.high:g} "
-                                 f"{setting.unit}")
+        unit = "" if setting.unit == "1" else f" {setting.unit}"
+        raise ConfigurationError(f"{origin}: {name}: {value!r} is not within {setting.low:g} to {setting.high:g}{unit}")
     return float(value)

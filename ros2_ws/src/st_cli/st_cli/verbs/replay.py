@@ -88,7 +88,7 @@ def view(
     # SIGTERM acts like Ctrl-C, so that the server is stopped and the temporary folder removed.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     with shared.report_errors("view"), tempfile.TemporaryDirectory(prefix="st-view-") as name:
-        check_rerun("st view")
+        check_rerun()
         vehicle = shared.ReadOptions(car, vehicle).fill_in_car().vehicle
         if save:
             check_new_rerun_file("--save", save)

@@ -163,11 +163,11 @@ class Player:
         return converted
 
     def _wait_for_subscribers(self, publishers: Sequence[Publisher]) -> bool:
-        """Wait for the subscribers of every topic and of the clock; False after the timeout or a stop signal."""
+        """Wait for the subscribers of every topic and of the clock, or a stop signal; False after the timeout."""
         end = time.monotonic() + DISCOVERY_TIMEOUT
         expected = {p: SUBSCRIBER_EXCEPTIONS.get(p.topic_name, MIN_SUBSCRIBERS) for p in (*publishers, self._clock)}
-        while any(p.get_subscription_count() < count for p, count in expected.items()):
-            if time.monotonic() > end or self._stop_requested():
+        while any(p.get_subscription_count() < n for p, n in expected.items()) and not self._stop_requested():
+            if time.monotonic() > end:
                 return False
             time.sleep(0.05)
         return True

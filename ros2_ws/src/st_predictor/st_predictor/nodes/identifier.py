@@ -20,7 +20,6 @@ DRAIN_PERIOD, PUBLISH_PERIOD = 0.1, 1.0  # s
 QUEUE_DEPTH = 1000
 STATUS_CODES = {"unestimated": TrackedParameter.UNESTIMATED, "estimated": TrackedParameter.ESTIMATED,
                 "invalid": TrackedParameter.INVALID}
-DIAGNOSTIC_LEVELS = {"unestimated": diagnostics.OK, "estimated": diagnostics.OK, "invalid": diagnostics.WARN}
 MAX_DIFFERENCE = 3.0  # between estimate and vehicle file, in standard deviations; a larger difference causes a warning
 
 
@@ -119,7 +118,7 @@ class IdentifierNode(Node):
         checks = [Check("driving", diagnostics.OK, f"{driving_time.used:.0f} s of driving used", values)]
         for estimate in self._core.make_estimates():
             value, deviation, file_value = estimate.value, estimate.deviation, self._find_file_value(estimate)
-            level = DIAGNOSTIC_LEVELS[estimate.status]
+            level = diagnostics.WARN if estimate.status == "invalid" else diagnostics.OK
             if estimate.status == "estimated":
                 text = f"{value:.4g} +/- {deviation:.2g} {estimate.unit}, vehicle file {file_value:.4g}"
                 if abs(value - file_value) > MAX_DIFFERENCE * deviation:
