@@ -31,6 +31,8 @@ DEFINITIONS = {
                                                 "float32 lateral_velocity\nfloat32 heading_rate\n",
     "ackermann_msgs/msg/AckermannDrive": "float32 steering_angle\n",
     "ackermann_msgs/msg/AckermannDriveStamped": "std_msgs/Header header\nackermann_msgs/AckermannDrive drive\n",
+    "raptor_dbw_msgs/msg/SteeringReport": "std_msgs/Header header\nfloat32 steering_wheel_angle\n",
+    "pacmod3_msgs/msg/SystemRptFloat": "std_msgs/Header header\nfloat64 output\n",
     "own_msgs/msg/Wheel": "builtin_interfaces/Time stamp\nfloat64 steering_wheel_angle_deg\n"}
 Messages = dict[str, Callable[[int], Any]]
 
@@ -99,6 +101,10 @@ def make_messages(log: DriveLog, store: Typestore = STORE, stamp_offset_ns: int 
         **dict.fromkeys(("/vehicle/status/steering_status", "/second/steering_status"), lambda k: store.types[
             "autoware_vehicle_msgs/msg/SteeringReport"](
             stamp=stamped(k).stamp, steering_tire_angle=float(CAR.road_wheel_angle(wheel[k])))),
+        "/raptor/steering_report": lambda k: store.types["raptor_dbw_msgs/msg/SteeringReport"](
+            header=stamped(k), steering_wheel_angle=float(np.degrees(wheel[k]))),
+        **dict.fromkeys(("/pacmod/steer_rpt", "/pacmod/brake_rpt"), lambda k: store.types[
+            "pacmod3_msgs/msg/SystemRptFloat"](header=stamped(k), output=float(wheel[k]))),
         "/vehicle/status/velocity_status": lambda k: store.types["autoware_vehicle_msgs/msg/VelocityReport"](
             header=stamped(k, "base_link"), longitudinal_velocity=float(log.velocity_x[k]),
             lateral_velocity=float(log.velocity_y[k]), heading_rate=float(log.yaw_rate[k]))}
@@ -152,7 +158,8 @@ def test_bag_without_odometry_is_read_as_a_table(tmp_path: Path, drive_log: Driv
     (source,) = find_runs([write(tmp_path / "drive", drive_log, *topics)])
     run = read(source, CAR, settings)
     assert_same(run.log, drive_log, max_lost=0, rotated=rotated)
-    assert not run.warnings and run.log.name == "drive" and run.provenance["recorded"] == {}
+    assert all("by its type" in warning for warning in run.warnings)
+    assert run.log.name == "drive" and run.provenance["recorded"] == {}
 
 
 @pytest.mark.slow
@@ -337,6 +344,26 @@ def test_command_in_place_of_the_steering_angle_is_reported(tmp_path: Path, driv
     assert_warned(run.warnings, f"{topic} is a command by its name or type, not a measurement")
 
 
+@pytest.mark.parametrize("topics", [
+    ("/vehicle/status/steering_status", "/drive"), ("/raptor/steering_report",),
+    ("/pacmod/steer_rpt", "/pacmod/brake_rpt")])
+def test_steering_report_of_a_known_type_is_found(tmp_path: Path, drive_log: DriveLog, topics: tuple[str, ...]) -> None:
+    run = read(find_runs([write(tmp_path / "drive", drive_log, "/odom", *topics)])[0], CAR)
+    assert_same(run.log, drive_log, max_lost=0, rotated=False)
+    assert_warned(run.warnings, f"the steering angle is .* of {topics[0]}, by its type .*; name another with")
+
+
+@pytest.mark.parametrize("name", ["/imu/data", "fix, imu/data"])
+def test_topics_of_the_ins_can_be_named(tmp_path: Path, drive_log: DriveLog, name: str) -> None:
+    def turn(message: Any, k: int) -> Any:
+        return replace(message, angular_velocity=vector(0, 0, 1))
+
+    folder = write(tmp_path / "drive", drive_log, "/imu/data", "/imu/second", "/fix", "/twist", "/steer",
+                   change={"/imu/second": turn})
+    run = read(find_runs([folder])[0], CAR, replace(STEER, odometry=name))
+    assert_same(run.log, drive_log, max_lost=0, rotated=True)
+
+
 def test_fixes_with_the_status_of_no_fix_are_left_out(tmp_path: Path, drive_log: DriveLog) -> None:
     def spoil(message: Any, k: int) -> Any:
         return replace(message, latitude=51.9 + 1e-5 * k, status=replace(message.status, status=-1)) if (
@@ -427,10 +454,11 @@ def test_simulation_at_half_speed_is_read_by_its_clock(tmp_path: Path, drive_log
      "angle with --steering-topic; or record"),
     (("/pose", "/vehicle/status/velocity_status", "/vehicle/status/steering_status", "/second/steering_status"),
      ReadSettings(), "may each contain the road_wheel_angle; name the right one with --steering-topic"),
-    (("/imu/data", "/imu/second", "/fix", "/twist", "/steer"), STEER, "may each be orientation_x; record"),
+    (("/imu/data", "/imu/second", "/fix", "/twist", "/steer"), STEER, "may each be orientation_x; name "
+     "the topics of the INS with --odometry-topic, separated by commas; or record"),
     (("/steer",), STEER, "no message of type nav_msgs/msg/Odometry; recorded: /steer .*, or another of this type"),
-    (("/odom", "/vehicle/status/steering_status"), ReadSettings(), "no message of type st_msgs/msg/Steering; .*, or "
-     "name the topic of the steering angle with --steering-topic")])
+    (("/odom", "/vehicle/status/steering_status", "/second/steering_status"), ReadSettings(),
+     "no message of type st_msgs/msg/Steering; .*, or name the topic of the steering angle with --steering-topic")])
 def test_bag_that_lacks_a_quantity_is_rejected(tmp_path: Path, drive_log: DriveLog, topics, settings: ReadSettings,
                                               error: str) -> None:
     (source,) = find_runs([write(tmp_path / "drive", drive_log, *topics)])

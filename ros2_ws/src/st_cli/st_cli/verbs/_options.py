@@ -109,7 +109,8 @@ class ReadOptions:
     steering_unit: Annotated[Literal["rad", "deg"] | None, typer.Option(
         help="Unit of the steering angle; default: the unit in the name of the field or column, else rad.")] = None
     odometry_topic: Annotated[str | None, typer.Option(
-        help="Bags with several topics of type nav_msgs/Odometry: the topic of the INS.")] = None
+        help="Bags with several topics of type nav_msgs/Odometry, NavSatFix or Imu: those of the INS, separated by "
+        "commas.")] = None
 
     def resolve(self, **others: Any) -> "tuple[Path | None, ReadSettings]":
         """(vehicle file or None, settings for reading), from options and --car. others: further fields of ReadSettings.

@@ -64,9 +64,10 @@ def has_odometry(path: Path) -> bool:
     return ODOMETRY in types or (NCOM in types and bool(types & {STEERING, CAN_FRAMES}))
 
 
-def lacks_odometry(path: Path, files: Sequence[Path] = ()) -> bool:
-    """Whether a bag contains messages, but neither odometry nor INS packets. files: see `open_bag`."""
-    types = _read_types(path, files)
+def lacks_odometry(path: Path, files: Sequence[Path] = (), topics: str | None = None) -> bool:
+    """Whether a bag contains messages, of these topics if given, but neither odometry nor INS packets. files: see
+    `open_bag`."""
+    types = _read_types(path, files, topics)
     return bool(types) and not types & {ODOMETRY, NCOM}
 
 
@@ -88,10 +89,11 @@ def may_carry_steering(topic: Topic) -> bool:
         topic.type_name not in (ODOMETRY, CAN_MSGS_FRAME, "std_msgs/msg/String"))
 
 
-def _read_types(path: Path, files: Sequence[Path] = ()) -> set[str]:
-    """Types of the recorded messages; empty for a bag that cannot be read. files: see `open_bag`."""
+def _read_types(path: Path, files: Sequence[Path] = (), topics: str | None = None) -> set[str]:
+    """Types of the recorded messages, of these topics if given; empty for a bag that cannot be read. files: see
+    `open_bag`."""
     try:
-        return {*open_bag(path, files).by_type}
+        return {topic.type_name for topic in open_bag(path, files).topics if topics is None or topic.is_named(topics)}
     except RunError:
         return set()
 

@@ -1,7 +1,7 @@
 """Reads the drive in a bag without odometry as a table: numeric fields of its messages, such as NavSatFix, Imu and
 TwistStamped, are columns with names such as /imu/data/angular_velocity/z."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -28,13 +28,17 @@ NO_FIX = -1
 
 
 def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: SteeringField | None,
-                      files: Sequence[Path] = ()) -> LoadedRun | None:
-    """Reads the drive; None if no message contains a channel of a drive. Raises RunError. Arguments: see `read_bag`."""
+                      files: Sequence[Path] = (), ins_topics: str | None = None) -> LoadedRun | None:
+    """Reads the drive; None if no message contains a channel of a drive. Raises RunError. ins_topics: separated by
+    commas; a channel of one of them is not read from others. Other arguments: see `read_bag`."""
     import pandas as pd
 
     storage = open_bag(path, files)
     storage.use_definitions({topic.type_name for topic in storage.topics})
-    parts = [(topic.name, *part) for topic in storage.topics if (part := _read_columns(storage, topic))[1]]
+    named_topics = [topic for topic in storage.topics if ins_topics and topic.is_named(ins_topics)]
+    taken = {channel for topic in named_topics for channel in _find_fields(storage, topic)[1]}
+    parts = [(topic.name, *part) for topic in storage.topics if (
+        part := _read_columns(storage, topic, () if topic in named_topics else taken))[1]]
     if not parts:
         return None
     if steering is not None:
@@ -62,9 +66,11 @@ def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: S
         return build_drive(table, vehicle, frame_id=frame_id)
     except RunError as error:
         problem = f"it contains no message of type {ODOMETRY}, and if it is read as a table, {error.problem}"
-        has_steering = {*STEERING_ANGLES} & table.sources.keys()
-        raise RunError(path, problem, EXPORT_ADVICE if has_steering else "name the topic of the steering angle with "
-                       f"--steering-topic; or {EXPORT_ADVICE}") from None
+        advice = "" if {*STEERING_ANGLES} & table.sources.keys() else (
+            "name the topic of the steering angle with --steering-topic; or ")
+        if "may each" in problem:
+            advice = "name the topics of the INS with --odometry-topic, separated by commas; or "
+        raise RunError(path, problem, advice + EXPORT_ADVICE) from None
 
 
 def has_ins_channels(path: Path) -> bool:
@@ -96,12 +102,14 @@ def _find_fields(storage: Storage, topic: Topic) -> tuple[str, dict[str, tuple[s
     return stamp, fields if stamp else {}, getattr(getattr(example, "header", None), "frame_id", "")
 
 
-def _read_columns(storage: Storage, topic: Topic) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def _read_columns(storage: Storage, topic: Topic, excluded: Collection[str]
+                  ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """(stamps [ns], columns) of fields that may be channels; no columns if the type is unknown or has no stamp.
 
     An INS field that is 0 or NaN in every message is left out, because its driver does not fill it.
     """
     stamp, fields, _ = _find_fields(storage, topic)
+    fields = {channel: field for channel, field in fields.items() if channel not in excluded}
     if not fields:
         return np.empty(0), {}
     status = ["status.status"] if topic.type_name in FIX_TYPES else []

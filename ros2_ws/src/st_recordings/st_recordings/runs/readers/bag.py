@@ -2,13 +2,17 @@
 
 import json
 import re
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 from st_core.vehicle import VehicleParameters
 
 from .. import bag
-from ..bag_storage import EXTENSIONS, ROS1_EXTENSION
+from ..bag_storage import EXTENSIONS, ROS1_EXTENSION, open_bag
+from ..cdr import CAN_FRAMES, STEERING
+from ..errors import RunError
 from ..ins_log import InsLog
 from ..readers import Reader, register
 from ..run_types import Label, LoadedRun, ReadSettings, RunSource, SteeringField
@@ -16,10 +20,24 @@ from ..run_types import Label, LoadedRun, ReadSettings, RunSource, SteeringField
 _COMMAND = re.compile(r"(?i)cmd|command|target|desired|setpoint|reference")
 _COMMAND_TOPIC = re.compile(_COMMAND.pattern + r"|control|ackermann|\bdrive\.steering_angle")
 _MEASUREMENT = re.compile(r"(?i)state|status|feedback|report|measure|actual")
+# Type -> field, quantity and unit of the steering angle, positive to the left. Sources: definitions of these packages.
+_STEERING_TYPES: dict[str, tuple[str, Literal["road", "wheel"], Literal["rad", "deg"]]] = {
+    **dict.fromkeys(("autoware_vehicle_msgs/msg/SteeringReport", "autoware_auto_vehicle_msgs/msg/SteeringReport"),
+                    ("steering_tire_angle", "road", "rad")),
+    **{f"dbw_{car}_msgs/msg/SteeringReport": ("steering_wheel_angle", "wheel", "rad") for car in (
+        "mkz", "fca", "polaris")},
+    "raptor_dbw_msgs/msg/SteeringReport": ("steering_wheel_angle", "wheel", "deg"),
+    **dict.fromkeys(("pacmod_msgs/msg/SystemRptFloat", "pacmod3_msgs/msg/SystemRptFloat"), ("output", "wheel", "rad")),
+    "ackermann_msgs/msg/AckermannDriveStamped": ("drive.steering_angle", "road", "rad")}
 
 
 def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
     steering = settings.steering if settings.steering and settings.steering.topic else None
+    if steering is None and vehicle is not None and (steering := _find_steering(source)) is not None:
+        run = _read_bag(source, vehicle, settings, steering)
+        warning = (f"the steering angle is {steering.field} of {steering.topic}, by its type (--steering-is "
+                   f"{steering.quantity}, --steering-unit {steering.unit}); name another with --steering-topic")
+        return replace(run, warnings=(*run.warnings, f"{source.path}: {warning}"))
     if steering is None and bag.may_need_can_frames(source.path, source.files):
         from ..raw import read_raw_run
 
@@ -31,6 +49,18 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
     return replace(run, warnings=(*run.warnings, f"{source.path}: {warning}"))
 
 
+def _find_steering(source: RunSource) -> SteeringField | None:
+    """The steering angle of the only measured topic of a type in _STEERING_TYPES; None for a bag with st_msgs."""
+    with suppress(RunError):
+        storage = open_bag(source.path, source.files)
+        known_types = _STEERING_TYPES.keys() & {*storage.store.fielddefs, *storage.definitions()}
+        fields = [field for topic in storage.topics if topic.type_name in known_types and "steer" in (
+            f"{topic.name} {(field := SteeringField(topic.name, *_STEERING_TYPES[topic.type_name])).field} "
+            f"{topic.type_name}").lower() and not _is_command(field)]
+        return fields[0] if len(fields) == 1 and not {STEERING, CAN_FRAMES} & storage.by_type.keys() else None
+    return None
+
+
 def _is_command(steering: SteeringField) -> bool:
     """Whether topic and field have names of a command, such as /control/command, but not /controller/state."""
     topic = steering.topic.rpartition("/")[2]
@@ -40,10 +70,11 @@ def _is_command(steering: SteeringField) -> bool:
 
 def _read_bag(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings,
               steering: SteeringField | None) -> LoadedRun:
-    if settings.odometry is None and bag.lacks_odometry(source.path, source.files):
+    if bag.lacks_odometry(source.path, source.files, settings.odometry):
         from ..bag_table import read_bag_as_table
 
-        if (run := read_bag_as_table(source.path, vehicle, steering, source.files)) is not None:
+        run = read_bag_as_table(source.path, vehicle, steering, source.files, settings.odometry)
+        if run is not None:
             return replace(run, log=replace(run.log, name=source.name), labels=source.labels, provenance={
                 **run.provenance, "reader": "bag", "recorded": bag.read_metadata_records(source.path)})
     drive = bag.read_bag(source.path, source.name, steering, settings.odometry, source.files)
