@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from st_live.configuration import make_bridge_parameters, make_live_parameters
-from st_live.node import Monitor
+from st_live.nodes.monitor import Monitor
 from st_live.session import NODES, STOP_ORDER, Supervisor
 from st_live.suite import Suite, claim_domain, find_free_udp_port
 from st_recordings.paths import config

@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
-from st_live.node import render_health
+from st_live.nodes.monitor import render_health
 
 from faults.car import WindingRoad
 from faults.catalogue import CONSISTENCY, DRIVING

@@ -22,7 +22,7 @@ from rclpy.signals import SignalHandlerOptions
 from rich.console import Console
 from st_cli.verbs import live, raw_logs, replay
 from st_live import configuration, report, session
-from st_live.node import Monitor, Status, SuiteState, render_progress
+from st_live.nodes.monitor import Monitor, Status, SuiteState, render_progress
 from st_live.nodes.player import Player
 from st_live.suite import Processes, SuiteError, claim_domain, merge_parameters, read_domain_id
 from st_msgs.msg import ErrorStatistics, ErrorSummary, Prediction, PredictorStatus

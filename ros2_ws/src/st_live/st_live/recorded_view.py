@@ -22,7 +22,7 @@ from st_recordings.runs.errors import RunError
 from st_ros.polling import to_nanoseconds
 
 from .configuration import find_bag
-from .node import render_counts
+from .nodes.monitor import render_counts
 
 TIMELINE = "measured"
 PLOT_SPAN = 40.0  # s

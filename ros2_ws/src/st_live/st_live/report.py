@@ -18,7 +18,7 @@ from st_recordings.paths import replace_file
 from st_recordings.results import Results, format_band_lines, read_results, summarise
 from st_recordings.runs.errors import RunError
 
-from .node import TABLE_MODES, make_error_table
+from .nodes.monitor import TABLE_MODES, make_error_table
 from .session import Outcome
 
 MAX_LINE_GAP = 1.0  # s between scored starts; no line is drawn across a longer gap

@@ -14,7 +14,7 @@ from rich.live import Live
 from rich.text import Text
 from st_ros.diagnostics import ERROR, WARN
 
-from .node import Monitor, Status, render_counts, render_health, render_progress
+from .nodes.monitor import Monitor, Status, render_counts, render_health, render_progress
 from .page import LiveView
 from .suite import REALTIME_PERMISSION, Parameters, Suite, SuiteError, claim_domain, read_domain_id
 

@@ -22,7 +22,7 @@ from ros_messages import odometry as serialised_odometry
 from rosbags.rosbag2 import StoragePlugin, Writer
 from st_core.palette import LABEL_TIMES, MODEL_COLOUR, label_index, rgb
 from st_core.vehicle import VehicleParameters
-from st_live.node import Monitor, Status, SuiteState
+from st_live.nodes.monitor import Monitor, Status, SuiteState
 from st_live.nodes.passenger import PassengerFrames
 from st_live.page import PAGE, RERUN_POLICY, LiveView, PageServer, check_new_rerun_file
 from st_live.recorded_view import draw_recording, format_errors, make_grid_lines, to_screen

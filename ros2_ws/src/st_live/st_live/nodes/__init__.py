@@ -1,1 +1,1 @@
-"""Processes of the suite that use ROS."""
+"""ROS nodes of the running suite: monitor, player, passenger's page and relay."""

@@ -34,7 +34,7 @@ from ..page import PageServer
 TRACK_SPAN, TRACK_STEP = 20.0, 0.2  # s, duration of the measured track shown, and time between its points
 PATH_STRIDE = 2  # every PATH_STRIDE-th point of a prediction is sent
 MAX_AGE = 1.0  # s since receipt; an older prediction or steering angle is not shown
-DIAGNOSTICS_TIMEOUT = 3.0  # s without a message on /diagnostics_agg, which `st_live.node.Monitor` sends once a second
+DIAGNOSTICS_TIMEOUT = 3.0  # s without a message on /diagnostics_agg, which the `Monitor` sends once a second
 BAND_LEVEL = 0.9
 LEVEL_NAMES = ("ok", "warning", "error", "error")  # of diagnostic_msgs; stale counts as an error
 INPUTS_OF_MODE = {"forecast": "held", "course": "of the course", "plan": "planned"}  # the last mode with data is shown

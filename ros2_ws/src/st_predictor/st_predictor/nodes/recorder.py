@@ -55,8 +55,9 @@ class PublisherWatchdog:
             self._node_times.update((status.name.partition(": ")[0], now) for status in message.status)
 
     def find_silent_nodes(self, topics: Iterable[str]) -> dict[str, float]:
-        """Seconds of silence by node, for nodes that are the only publisher of one of `topics` and have been silent for
-        more than SILENCE_TIMEOUT."""
+        """Seconds of silence above SILENCE_TIMEOUT, by node, of nodes that are the only publisher of one of `topics`.
+
+        A node without a known name is represented by its topic."""
         now = time.monotonic()
         node_topics: dict[str, list[str]] = {}
         for topic in topics:

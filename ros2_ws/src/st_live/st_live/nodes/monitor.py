@@ -1,4 +1,4 @@
-"""Receives statistics, tick counts and diagnostics of a running suite, formats them, and aggregates diagnostics."""
+"""Node st_monitor: receives and formats statistics and diagnostics of a running suite, and aggregates diagnostics."""
 
 import contextlib
 import math
