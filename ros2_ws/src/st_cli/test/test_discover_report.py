@@ -145,8 +145,10 @@ def test_correction_of_recordings_is_advised_only_if_one_exists(logs):
     frozen = Finding("channel_frozen", Severity.WARNING, ("velocity_y",), "velocity_y is 0 throughout",
                     advice=Advice("text", "record velocity_y"))
     found = discovery(logs, STEPS[:1], 1.72)
-    correct, look = (dict(report_text.summarise(found, None, {"a": [one]}))["recordings"] for one in (lag, frozen))
+    correct, look, unknown = (dict(report_text.summarise(found, None, {"a": [one]}))["recordings"]
+                              for one in (lag, frozen, replace(lag, advice=None)))
     assert correct.endswith("correct them as st check proposes, and run st discover again")
+    assert unknown.endswith("correct them, and run st discover again")
     assert look == "velocity_y is 0 throughout (a). Advice: record velocity_y"
 
 
@@ -251,7 +253,7 @@ def test_small_numbers_are_not_rounded_to_zero_and_zero_has_no_sign(number, deci
 def test_findings_of_the_recordings_are_in_the_summary(logs):
     wrong = Finding("x_scale", Severity.WARNING, ("x",), "x is 0.97 times the integrated velocity", effect=1.1)
     lines = dict(report_text.summarise(discovery(logs, STEPS, 1.72), None, {"a": [wrong], "b": [wrong]}))
-    assert "velocity (a, b, shifts the position after 5 s by about 1.1 m). The recordings" in lines["recordings"]
+    assert "velocity (a, b; shifts the position after 5 s by about 1.1 m). The recordings" in lines["recordings"]
     assert "recordings" not in dict(report_text.summarise(discovery(logs, STEPS, 1.72), None, {"a": []}))
 
 

@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 
 UNDERSTEER_GRADIENT = 0.004  # rad s^2/m, understeer gradient K assumed for an unknown car
-Shape = Callable[[np.ndarray], np.ndarray]  # lateral acceleration divided by its target, -1 to 1, at times [s]
+Profile = Callable[[np.ndarray], np.ndarray]  # lateral acceleration divided by its target, -1 to 1, at times [s]
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Manoeuvre:
     name: str  # also the scenario name
     speed: float  # at the start [m/s]
     lateral_acceleration: float  # peak target lateral acceleration at the initial speed [m/s^2]
-    profile: Shape  # lateral acceleration divided by its peak, over one period
+    profile: Profile  # lateral acceleration divided by its peak, over one period
     period: float  # time after which the manoeuvre repeats [s]
     repetitions: int = 1  # periods in one drive
     pedals: tuple[tuple[float, float], ...] = ()  # (duration [s], acceleration [m/s^2]), in order; capped at `speed`
@@ -128,8 +128,8 @@ def ramp_to_limit(speed: float, lateral: float, rise: float = 25.0, fall: float 
 
     lateral [m/s^2]: more than the tyres can reach.
     """
-    shape = _both_sides((rise, 0.0, 1.0), (fall, 1.0, 0.0), (pause, 0.0, 0.0))
-    return Manoeuvre("ramp_to_limit", speed, lateral, shape, shape.duration,
+    profile = _both_sides((rise, 0.0, 1.0), (fall, 1.0, 0.0), (pause, 0.0, 0.0))
+    return Manoeuvre("ramp_to_limit", speed, lateral, profile, profile.duration,
                      description=f"steering slowly increased to the limit at {speed:g} m/s")
 
 
@@ -154,8 +154,8 @@ def lane_change(speed: float, lateral: float) -> Manoeuvre:
     change = ((quarter, 0.0, 1.0), (2 * quarter, 1.0, -1.0), (quarter, -1.0, 0.0))
     return_change = tuple((length, -first, -last) for length, first, last in change)
     parts = ((40.0, 0.0, 0.0), *change, (25.0, 0.0, 0.0), *return_change, (35.0, 0.0, 0.0))  # lengths in m
-    shape = PiecewiseLinear(tuple((length / speed, first, last) for length, first, last in parts))
-    return Manoeuvre("lane_change", speed, lateral, shape, shape.duration, repetitions=2, closed_loop=True,
+    profile = PiecewiseLinear(tuple((length / speed, first, last) for length, first, last in parts))
+    return Manoeuvre("lane_change", speed, lateral, profile, profile.duration, repetitions=2, closed_loop=True,
                      description=f"double lane changes at {speed:g} m/s")
 
 
@@ -173,8 +173,8 @@ def weave(speed: float, lateral: float, cycles: float = 6.0) -> Manoeuvre:
 
 def circle(speed: float, lateral: float, hold: float = 10.0, ramp: float = 2.0) -> Manoeuvre:
     """Circle for `hold` [s] between ramps of `ramp` [s], then straight for 1 s; then the same to the other side."""
-    shape = _both_sides((ramp, 0.0, 1.0), (hold, 1.0, 1.0), (ramp, 1.0, 0.0), (1.0, 0.0, 0.0))
-    return Manoeuvre("circle", speed, lateral, shape, shape.duration,
+    profile = _both_sides((ramp, 0.0, 1.0), (hold, 1.0, 1.0), (ramp, 1.0, 0.0), (1.0, 0.0, 0.0))
+    return Manoeuvre("circle", speed, lateral, profile, profile.duration,
                      description=f"steady circles to both sides, {speed:g} m/s and {abs(lateral):g} m/s^2, with the "
                                  "steering wheel held")
 
@@ -182,8 +182,8 @@ def circle(speed: float, lateral: float, hold: float = 10.0, ramp: float = 2.0) 
 def there_and_back(speed: float, lateral: float) -> Manoeuvre:
     """Straights of 10 s in opposite directions, so that a steady wind acts from both sides; U-turns to one side."""
     half = ((10.0, 0.0, 0.0), (1.0, 0.0, 1.0), (math.pi * speed / abs(lateral) - 1.0, 1.0, 1.0), (1.0, 1.0, 0.0))
-    shape = PiecewiseLinear(half + half)
-    return Manoeuvre("there_and_back", speed, lateral, shape, shape.duration, closed_loop=True,
+    profile = PiecewiseLinear(half + half)
+    return Manoeuvre("there_and_back", speed, lateral, profile, profile.duration, closed_loop=True,
                      description=f"straights in opposite directions at {speed:g} m/s")
 
 
@@ -192,8 +192,8 @@ def figure_eight() -> Manoeuvre:
     speed, radius, ramp, straight = 4.0, 11.5, 6.0, 34.3015  # m/s, then m
     arc = math.radians(240.0) * radius - ramp
     half = ((straight / 2, 0.0, 0.0), (ramp, 0.0, 1.0), (arc, 1.0, 1.0), (ramp, 1.0, 0.0), (straight / 2, 0.0, 0.0))
-    shape = _both_sides(*((length / speed, first, last) for length, first, last in half))  # lengths in m
-    return Manoeuvre("S1", speed, speed**2 / radius, shape, shape.duration, closed_loop=True,
+    profile = _both_sides(*((length / speed, first, last) for length, first, last in half))  # lengths in m
+    return Manoeuvre("S1", speed, speed**2 / radius, profile, profile.duration, closed_loop=True,
                      description=f"figure eight at {speed:g} m/s, R = {radius:g} m")
 
 

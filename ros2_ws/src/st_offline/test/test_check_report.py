@@ -81,7 +81,7 @@ def make_console() -> Console:
     (57.31, (57.20, 57.42), "1", "57.31 ± 0.11"), (-1.5, (-1.53, -1.47), "m", "-1.500 ± 0.030 m"),
     (0.31, (0.29, 0.35), "s", "0.310 (0.290 to 0.350) s"), (0.0035, None, "rad/s", "0.0035 rad/s"),
     (1234.5, (1230.0, 1239.0), "m/s^2", "1234.5 ± 4.5 m/s²"), (None, None, "m", ""), (6, (6.0, 6.0), "1", "6"),
-    (np.nan, None, "m", ""),
+    (np.nan, None, "m", ""), (-0.0001, (-0.0201, 0.0199), "m/s", "0.000 ± 0.020 m/s"),
 ])
 def test_estimates_are_rounded_to_the_digits_of_their_interval(value, interval, unit, text):
     assert check_report.format_estimate(value, interval, unit) == text

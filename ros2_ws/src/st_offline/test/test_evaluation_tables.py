@@ -6,10 +6,15 @@ import io
 import numpy as np
 import pytest
 from rich.console import Console
+from st_core.checks import Finding, Severity
+from st_core.clock_types import Alignment
 from st_core.log_evaluation import MODES, ModelErrors
+from st_core.vehicle import VehicleParameters
 from st_offline.evaluation import tables
-from st_offline.evaluation.evaluation_report import pool_bins
-from st_offline.evaluation.work import RunReport, to_file_name
+from st_offline.evaluation.evaluation_report import make_summary, pool_bins
+from st_offline.evaluation.work import RunReport, Task, to_file_name
+from st_recordings.runs.raw import summarise_alignment
+from support import LEAF
 
 
 def make_errors(mean: np.ndarray, seed: int = 0) -> ModelErrors:
@@ -68,6 +73,18 @@ def test_best_value_is_chosen_by_printed_magnitude_and_may_be_shared():
 @pytest.mark.parametrize(("value", "text"), [(-0.004, "0.00"), (-0.006, "-0.01"), (None, "-"), (12.346, "12.35")])
 def test_errors_are_printed_to_the_centimetre(value, text):
     assert tables.format_error(value) == text
+
+
+def test_summary_lists_only_faults_that_bias_predictions():
+    car = VehicleParameters.from_yaml(LEAF.read_text())
+    metadata = {"duration": 60.0, "alignment": summarise_alignment(Alignment())}
+    accelerometer = Finding("acceleration_y_bias", Severity.WARNING, ("acceleration_y",), "acceleration_y is too low")
+    jumps = Finding("position_jumps", Severity.WARNING, ("x", "y"), "positions jump", effect=0.3)
+    texts = [make_summary([RunReport("drive", metadata=metadata, models=PAPER_S1, findings=findings)], Task(car, {}))[1]
+             for findings in ((accelerometer,), (accelerometer, jumps))]
+    assert texts == ["The checks found nothing that biases these errors.",
+                     "Faults in the recordings bias these errors: position_jumps in drive (shifts the position after "
+                     "5 s by about 0.3 m)."]
 
 
 def test_terminal_table_has_every_run_and_escapes_names():

@@ -90,8 +90,8 @@ def format_estimate(value: float | None, interval: Sequence[float] | None = None
     low, high = value - interval[0], interval[1] - value
     decimals = count_decimals(0.5 * (low + high))
     if min(low, high) <= 0.0 or max(low, high) > 1.5 * min(low, high):
-        return f"{value:.{decimals}f} ({interval[0]:.{decimals}f} to {interval[1]:.{decimals}f}){ending}"
-    return f"{value:.{decimals}f} ± {0.5 * (low + high):.{decimals}f}{ending}"
+        return f"{value:z.{decimals}f} ({interval[0]:z.{decimals}f} to {interval[1]:z.{decimals}f}){ending}"
+    return f"{value:z.{decimals}f} ± {0.5 * (low + high):.{decimals}f}{ending}"
 
 
 def format_quantity(name: str, value: Sequence[float]) -> str:

@@ -141,10 +141,12 @@ def _describe_findings(findings: Mapping[str, Sequence[Finding]]) -> str:
     if not serious:
         return ""
     finding, names = serious[0]
-    more = f" and {len(serious) - 1} more" if len(serious) > 1 else ""
-    correction = ("The recordings contain faults: correct them as st check proposes, and run st discover again"
-                  if finding.advice is None or finding.advice.kind != "text" else f"Advice: {finding.advice.line}")
-    return f"{finding.text} ({', '.join(filter(None, (*names, describe_effect(finding))))}){more}. {correction}"
+    more = f" and {format_count(len(serious) - 1, 'more finding')}" if len(serious) > 1 else ""
+    source = " as st check proposes" if finding.advice else ""
+    correction = (f"Advice: {finding.advice.line}" if finding.advice and finding.advice.kind == "text" else
+                  f"The recordings contain faults: correct them{source}, and run st discover again")
+    details = "; ".join(filter(None, (", ".join(names), describe_effect(finding))))
+    return f"{finding.text} ({details}){more}. {correction}"
 
 
 def describe_drives(discovery: Discovery) -> list[tuple[str, str]]:

@@ -179,11 +179,12 @@ def make_summary(reports: Sequence[RunReport], task: Task) -> list[str]:
     minutes = sum(r.metadata["duration"] for r in reports) / 60.0
     groups = group_findings({r.name: r.findings for r in reports})
     faults = "; ".join(f"{finding.name} in {', '.join(names)} ({describe_effect(finding) or finding.text})"
-                       for finding, names in groups if finding.severity is not Severity.NOTE)
+                       for finding, names in groups
+                       if finding.severity is not Severity.NOTE and not finding.concerns_only_acceleration)
     steering = describe_clocks({report.name: report.metadata["alignment"] for report in reports})
     return [f"{minutes:.1f} minutes of driving, predictions over {task.settings.prediction.horizon:g} s. With "
             "measured inputs (hindsight), the error is due to model, parameters and sensors; with inputs held as at "
             f"the start (forecast), also to the driver's later inputs: the lateral RMSE of {best} is then {errors}.",
             f"Faults in the recordings bias these errors: {faults}." if faults else
-            "The checks found no error or warning.",
+            "The checks found nothing that biases these errors.",
             *([f"{steering}."] if steering else [])]
