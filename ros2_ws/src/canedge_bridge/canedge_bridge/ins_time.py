@@ -30,8 +30,7 @@ def replace_gps_time(values: Mapping[str, Any]) -> dict[str, Any]:
 def _from_gps_seconds(gps: np.ndarray, leap_seconds: np.ndarray) -> np.ndarray:
     """UTC [s since 1970] of GPS time [s since 1980-01-06]; NaN unless `gps` is positive, as 0 means unknown.
 
-    leap_seconds: magnitude of the offset sent by the unit, because its sign in real frames is not known; 0: the
-    leap-second table is used.
+    leap_seconds: magnitude of the unit's offset, because its sign in real frames is not known; 0: use the table.
     """
     as_unix = np.where(gps > 0, gps + GPS_EPOCH_UNIX, np.nan)
     return np.where(leap_seconds > 0, as_unix - leap_seconds, _to_utc(as_unix))

@@ -18,11 +18,8 @@ from .transport import link_is_up
 
 BACK_OFF_FIRST, BACK_OFF_LAST = 0.1, 5.0  # delay before the bus is reopened [s], doubled after each failure
 _RECEIVE_TIMEOUT = 0.2  # timeout of recv [s]; stop(), silence and a removed interface are detected within this time
-# All controllers report entering error-passive, but some do not report leaving it: the state ends after this time
-# without an error frame [s].
-_ERROR_PASSIVE_TIMEOUT = 5.0
-# Some adapters stamp frames with the time since power-on: a stamp further from the host's clock than this is replaced
-# by the host's time [ns].
+_ERROR_PASSIVE_TIMEOUT = 5.0  # s without an error frame; some controllers do not report leaving error-passive
+# Some adapters stamp frames with the time since power-on; the host's time replaces a stamp that differs by more.
 _MAX_STAMP_OFFSET_NS = 86_400 * 10**9
 
 
@@ -41,8 +38,7 @@ class BusState(StrEnum):
 class ReceiverStatus:
     """Snapshot of the receiver: state, its reason (one line; empty if the state is OK) and counts since the start.
 
-    delay, delay_maximum: from the receive stamp to the callback [s], median and maximum of the last 512 frames that are
-    not error frames; NaN before the first.
+    delay, delay_maximum: from stamp to callback [s], median and maximum of the last 512 data or remote frames, or NaN.
     """
 
     state: BusState = BusState.GONE

@@ -72,8 +72,7 @@ class SignalSpec:
     minimum: float  # of the value in `unit`, after conversion
     maximum: float  # of the value in `unit`, after conversion
     max_rate: float  # largest possible rate of change [unit/s]
-    # Extractor of the sign signal, if the sensor sends magnitude and sign separately; `physical` is negated unless this
-    # signal is 0 or not in the frame.
+    # If the sensor sends magnitude and sign separately: extractor of the sign; positive if it is 0 or not in the frame.
     sign: Extractor | None = None
 
     @property
@@ -302,8 +301,7 @@ def _read_signal(entry: Entry, message: DbcMessage, dbc: DbcSignal, dbc_path: Pa
 
 
 def _read_unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> str:
-    """Key of UNITS for a signal's unit in the table. Raises ConfigurationError if it is unknown, not a unit of the
-    canonical signal, or other than a known unit in the DBC."""
+    """Key of UNITS of a signal. Raises ConfigurationError if its unit is unknown or contradicts its name or the DBC."""
     text = entry.get("unit", str)
     unit, dbc_unit = find_unit(text), find_unit(dbc.unit)
     if unit is None:
@@ -359,8 +357,7 @@ def _read_check(row: Entry, key: str, dbc: DbcMessage, dbc_path: Path) -> CheckS
 
 
 def _check_sample(entry: Entry, dbc: DbcMessage, signals: tuple[SignalSpec, ...], dbc_path: Path) -> None:
-    """Raises ConfigurationError if the frame of a sample does not decode to its value. The sign is not compared,
-    because the steering_sign of the car corrects it."""
+    """Raises ConfigurationError if a sample does not decode to its value; steering_sign corrects a wrong sign."""
     entry.allow_only("data", "signal", "value", "unit")
     try:
         data = bytes.fromhex(entry.get("data", str))

@@ -250,8 +250,7 @@ def _read_frame_id(storage: Storage, topic: str) -> str:
 
 def _select_odometry(odometry: Mapping[str, np.ndarray], frame_id: str) -> tuple[
         np.ndarray, dict[str, np.ndarray], dict[str, int], list[str], list[str]]:
-    """(times [ns] of the usable messages, their INS channels, channel -> number of messages without a value, notes,
-    notes on conversions)."""
+    """(times [ns] and INS channels of the usable messages, channel -> number without a value, notes, conversions)."""
     x, y, *quaternion, velocity_x, velocity_y, yaw_rate = (odometry[field] for field in _ODOMETRY_FIELDS[1:])
     values = {"x": x, "y": y, "yaw": yaw_from_quaternion(*quaternion), "velocity_x": velocity_x,
               "velocity_y": velocity_y, "yaw_rate": yaw_rate}

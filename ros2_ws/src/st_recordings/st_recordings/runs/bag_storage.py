@@ -50,8 +50,7 @@ class Topic:
 class Storage(ABC):
     """One recording, of one or several files.
 
-    path: bag directory or file, for error messages. topics: those that contain messages. store: message types with
-    which messages are deserialised.
+    path: bag directory or file. topics: those that contain messages. store: message types for `deserialise`.
     """
 
     def __init__(self, path: Path):
@@ -119,8 +118,7 @@ class Storage(ABC):
         return {field: np.array([row[k] for row in rows]) for k, field in enumerate(fields)}
 
     def read_log_times(self, topic: str, stamps: np.ndarray) -> np.ndarray:
-        """Times of reception of the messages [ns], in simulated time if the bag contains a clock; `stamps` if there are
-        not as many messages as stamps."""
+        """Times of reception [ns], in simulated time if the bag contains a clock; `stamps` if their number differs."""
         times = np.array([log_ns for log_ns, _ in self.timed_messages(topic)], np.int64)
         if len(times) != len(stamps):
             return stamps
@@ -138,8 +136,7 @@ class Storage(ABC):
         reception if the stamps do not overlap; else the stamps, shifted to the clock of the first topic.
 
         An INS may stamp with GPS time, 18 s ahead of UTC. If the delay from stamp to reception varies, as in topics
-        computed after the drive, the stamps are not changed. compares_clocks: False if overlapping stamps are on one
-        clock.
+        computed after the drive, stamps are not changed. compares_clocks: False if overlapping stamps have one clock.
         """
         series, topics = [times for _, times in stamps], " and ".join(topic for topic, _ in stamps)
         is_common = _overlap(series)
@@ -195,8 +192,7 @@ def list_bag_files(directory: Path) -> list[Path]:
 
 
 def describe_missing_files(path: Path) -> list[str]:
-    """A note on missing files: files listed in the metadata.yaml of a bag directory or, for a single file of a numbered
-    recording, the files before it. Empty if none is missing."""
+    """A note on missing files: those listed in metadata.yaml or, for one file of a numbered recording, before it."""
     listed_paths = read_information(path).get("relative_file_paths")
     listed_names = [Path(str(file)).name for file in listed_paths] if isinstance(listed_paths, list) else []
     missing_names = [name for name in listed_names if not (path / name).is_file()]
@@ -207,8 +203,7 @@ def describe_missing_files(path: Path) -> list[str]:
 
 
 def _describe_missing_before(file: Path) -> str:
-    """A note on files missing before this one, such as drive_1 between drive_0 and drive_2; empty if none is missing,
-    or if the time between the files does not fit their number."""
+    """A note on files missing before this one (drive_1 before drive_2); empty if the gap in time contradicts that."""
     stem, _, number = file.stem.rpartition("_")
     numbers = {int(end): other for other in file.parent.iterdir() if other.suffix == file.suffix
                and other.stem.rpartition("_")[0] == stem and (end := other.stem.rpartition("_")[2]).isdecimal()}
@@ -380,8 +375,7 @@ def _decompress(data: bytes) -> bytes:
 
 
 class RosbagsStorage(Storage):
-    """A bag of ROS 1, or of ROS 2 with compressed files or messages. Messages of ROS 1 are converted to those of ROS 2,
-    whose headers have no sequence number."""
+    """A bag of ROS 2 with compressed files or messages, or of ROS 1 with messages converted to those of ROS 2."""
 
     def __init__(self, path: Path):
         is_ros1 = path.suffix.lower() == ROS1_EXTENSION
@@ -391,7 +385,7 @@ class RosbagsStorage(Storage):
         super().__init__(path)
         if is_ros1:
             recorded_types = {name: fields for name, fields in self._reader.typestore.fielddefs.items()
-                              if name not in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time")}
+                              if name not in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time")}  # differ in ROS 2
             self.store = get_typestore(Stores.EMPTY)
             self.store.register({**load_typestore().fielddefs, **recorded_types})
 

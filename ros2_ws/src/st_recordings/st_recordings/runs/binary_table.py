@@ -244,8 +244,7 @@ def read_signals(file: Path, layout: Layout, warnings: list[str]) -> tuple[list[
 
 
 def _list_signals(mdf: Any) -> list[tuple[str, int, int, int]]:
-    """(name with unit, group, index, number of signals with this name) of all signals except times; of those with the
-    same name, the one with the most samples."""
+    """(name with unit, group and index of the longest signal, number of signals) for each name except times."""
     longest_signals: dict[str, tuple[str, int, int]] = {}
     lengths: dict[str, int] = {}
     occurrences: Counter[str] = Counter()

@@ -25,8 +25,7 @@ from .table_times import count_rollovers
 _BAG_FIELDS = ("header.stamp", "id", "is_rtr", "is_extended", "is_error", "dlc", "data")  # of can_msgs/Frame
 BLOCK_SIZE = 65536  # messages converted to columns at a time
 MAX_TIME_JUMPS_NS = 60 * 10**9, 86400 * 10**9
-"""A time that differs from the median of itself and its neighbours by more than 60 s, or 1 day for the first and the
-last time of a log, is damaged."""
+"""A time is damaged if it differs by more from the median of itself and its neighbours: 60 s, or 1 day at the ends."""
 FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times are relative to the start of the log
 MIN_DECREASING_FRACTION = 0.2
 """Times of a text log that begin at 0 are steps between frames if a larger fraction decreases, or all are equal."""

@@ -59,10 +59,9 @@ class CanSignals:
 def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
     """Decodes and checks every message of the table.
 
-    Frames are checked as by the live decoder (canedge_bridge.decode): length, checksum, counter, range and rate. Of
-    several frames with the same time, only the first can be used. If several buses carry the identifier of a message
-    and its frames fail a check when taken together, only the bus with the most valid frames is used, unless the buses
-    together have more.
+    Frames are checked as by the live decoder: length, checksum, counter, range and rate. Of several frames with the
+    same time, only the first can be used. If several buses carry the identifier of a message and its frames fail a
+    check when taken together, only the bus with the most valid frames is used, unless all together have more.
     """
     signals: dict[tuple[str, str], Signal] = {}
     faults: dict[str, str] = {}
@@ -95,8 +94,7 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
 
 
 def _describe_similar_id(ids: np.ndarray, key: int) -> str:
-    """Describes frames whose identifier differs from that in the DBC (with EXTENDED) only in its number of bits, or in
-    priority and source address of J1939; empty if there are none."""
+    """Describes frames with an identifier that differs from `key` only in length, or in J1939 priority and source."""
     identifier, bits = key & ~EXTENDED, 29 if key & EXTENDED else 11
     if count := int((ids == key ^ EXTENDED).sum()):
         return (f"its identifier 0x{identifier:X} has {bits} bits in the DBC, but {40 - bits} bits in {count} frames "

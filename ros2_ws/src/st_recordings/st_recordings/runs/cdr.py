@@ -72,8 +72,7 @@ def add_definitions(store: Typestore, definitions: Mapping[str, tuple[str, str]]
     """A type store in which these types have their recorded definitions; the given store if none differs, or if the
     definitions contradict each other.
 
-    definitions: as returned by bag_storage.Storage.definitions. A definition that cannot be parsed is ignored: its type
-    remains as it is in the store, or unknown.
+    definitions: from bag_storage.Storage.definitions; a definition that cannot be parsed is ignored.
     """
     recorded_types: dict[str, Any] = {}
     for name in types:

@@ -61,8 +61,7 @@ _BASE_UNITS = {**_UNITS_BY_SPELLING["length"], **_UNITS_BY_SPELLING["angle"], **
 
 
 def find_unit(kind: str, text: str) -> str | None:
-    """Finds the unit in a text such as "in degrees per sec". None if the text is not a unit of this kind of quantity,
-    "" if it only names a clock or a time format."""
+    """The unit in a text such as "in degrees per sec"; None if not of this kind, "" for a clock or time format."""
     text = text.translate(_SPELLINGS).replace("_", " ")
     words = set(re.findall("[a-z]+", text.lower())) - {"start", "time", "in"}
     if kind == "time" and words and not normalise(_CLOCK.sub("", text)):
@@ -164,8 +163,7 @@ AMBIGUOUS_STEERING = {normalise(name) for name in _split(
 
 MAX_NAME_LENGTH = 200  # characters; of a longer name, only the end counts
 PATH_RANK = 1000
-"""Added to the rank of a name that follows a path, as in /ins/odometry/twist/twist/linear/x from PlotJuggler, or the
-name of a source, as in ego_velocity_x."""
+"""Added to the rank of a name after a path, as in /odom/twist/twist/linear/x of PlotJuggler, or a source (ego_vx)."""
 DOUBTFUL_RANK = 500
 """Rank of theta and phi, which may also denote pitch and roll; read as yaw if no other column is a heading."""
 _OTHER_QUANTITY = re.compile(

@@ -163,8 +163,7 @@ def _find_missing_in_header(file: Path, required: Sequence[str] = ("t", *INS_SIG
 
 def find_missing_channels(sources: Iterable[str], names: Iterable[str], required: Iterable[str],
                           with_derived_motion: bool = True) -> list[str]:
-    """Finds the required channels that have no column and cannot be derived. with_derived_motion: whether
-    `_complete_motion` may derive velocity_y and yaw_rate."""
+    """The required channels that cannot be read or derived. with_derived_motion: whether `_complete_motion` is used."""
     channels = set(sources)
     if channels & {HEADING, COURSE} or channels.issuperset(QUATERNION_CHANNELS):
         channels.add("yaw")
@@ -341,8 +340,7 @@ def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], warni
     """Interpolates INS channels with a lower rate or separate stamps at the rows of a reference channel: the one with
     the highest rate or, of several with a similar rate, the one whose rows have numbers in the most channels.
 
-    Loggers leave the other cells of such channels blank. Missing numbers in the reference channel, and gaps in the
-    other channels, are not filled.
+    Loggers leave the other cells blank. Missing numbers in the reference channel and gaps in the others are not filled.
     """
     fixes = [np.isfinite(columns[name]) for name in ("latitude", "longitude") if name in columns]
     are_separate = len(fixes) == 2 and 2 * (fixes[0] & fixes[1]).sum() < fixes[0].sum()  # in different messages
@@ -381,8 +379,7 @@ def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], warni
 
 
 def _replace_course_when_slow(table: Table, columns: Mapping[str, np.ndarray], warnings: list[str]) -> np.ndarray:
-    """Course over ground [rad], interpolated where the car is slower than MIN_COURSE_SPEED; constant if it is never
-    faster, unchanged if the table has no speed."""
+    """Course over ground [rad], interpolated at low speed; constant if always slow, unchanged without a speed."""
     course = columns[COURSE]
     if "velocity_x" in columns:
         speed = np.abs(columns["velocity_x"])
@@ -405,8 +402,7 @@ def _replace_course_when_slow(table: Table, columns: Mapping[str, np.ndarray], w
 
 
 def _complete_motion(table: Table, columns: dict[str, np.ndarray], warnings: list[str]) -> None:
-    """Adds missing channels: velocity_y from speed and course (velocity_x is then the forward component), or else 0,
-    and the yaw rate as the derivative of yaw."""
+    """Adds missing velocity_y (0, or from speed and course, which also correct velocity_x) and yaw rate (from yaw)."""
     if not columns.keys() >= {"velocity_x", "yaw"}:
         return
     if "velocity_y" not in columns:

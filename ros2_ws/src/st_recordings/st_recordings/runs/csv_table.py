@@ -156,8 +156,7 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
                 sources: dict[str, ColumnSource] | None = None, preamble: Sequence[str] = ()) -> Table:
     """Parses rows of text into a table. Raises RunError.
 
-    sources: column of each channel; None: columns and units are found from the names, the first rows and `preamble`,
-    the lines before the header.
+    sources: column of each channel; None: found from the names, the first rows and `preamble`, the lines above them.
     """
     if delimiter == " ":
         body = "\n".join(" ".join(line.split()) for line in body.split("\n"))
@@ -409,8 +408,7 @@ def _split_first_row(body: str, delimiter: str) -> list[str]:
 def _use_decimal_points(file: Path, body: str, delimiter: str) -> str:
     """Rewrites all numbers with decimal points and without thousands separators.
 
-    All cells of the file together determine whether comma or point is the decimal mark. Raises RunError if a cell
-    remains ambiguous: 1,234 may be 1.234 or 1234.
+    All cells together determine the decimal mark. Raises RunError if a cell is ambiguous: 1,234 may be 1.234 or 1234.
     """
     body = _THOUSANDS_SPACES.sub("", body)
     has_quotes = delimiter == "," and '"' in body

@@ -126,8 +126,7 @@ def _find_opposite_step(time_ns: np.ndarray, row: int, start: int, end: int, med
     """Row of the forward step, among those from `start` to `end`, that reverses the backward step after `row`.
 
     None if no step or several are more than half as large, or if the frames between the two steps last clearly longer
-    or shorter than the clock shows. Up to MAX_EARLY_FRAMES frames may last any time, and frames with nearly equal times
-    up to twice as long as usual.
+    or shorter than the clock shows. At most MAX_EARLY_FRAMES frames, or frames of nearly one time, may last longer.
     """
     steps = np.diff(time_ns[start:end + 1])
     large_steps = start + np.flatnonzero(steps > (time_ns[row] - time_ns[row + 1]) / 2)
@@ -143,8 +142,7 @@ def _find_opposite_step(time_ns: np.ndarray, row: int, start: int, end: int, med
 
 
 def build_log(file: Path, parts: Sequence[Frames], warnings: Sequence[str], start_ns: int | None = None) -> CanLog:
-    """Builds the log of one file and removes the steps of its clock. parts: each in the order in which it was written.
-    start_ns: by default the time of the first frame."""
+    """Log of one file without clock steps. parts: each in the order of writing. start_ns: None: time of the first."""
     corrected_parts, steps_of_parts, notes = zip(*map(remove_clock_steps, parts), strict=True)
     frames, steps = merge_by_time(corrected_parts), tuple(chain.from_iterable(steps_of_parts))
     warnings = [*warnings, *chain.from_iterable(notes)]
@@ -159,8 +157,7 @@ def build_log(file: Path, parts: Sequence[Frames], warnings: Sequence[str], star
 def read_frames(messages: Iterable[bytes]) -> Frames:
     """Reads the frames of serialised st_msgs/CanFrames messages. Raises ValueError for a damaged message.
 
-    The k-th frames of all messages are read at once, because the offset of a frame in its message follows from the
-    length of the previous frame.
+    The k-th frames of all messages are read at once: their offsets follow from the lengths of the frames before them.
     """
     parts = list(messages)
     firsts, counts = zip(*map(_locate_first_frame, parts), strict=True) if parts else ((), ())

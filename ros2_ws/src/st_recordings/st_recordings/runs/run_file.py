@@ -75,8 +75,7 @@ def _may_describe(path: Path, file: Path) -> bool:
 
 
 def find_described_files(path: Path) -> list[Path]:
-    """Files in the folder of an invalid run.yaml that it may describe (`_may_describe`). All files if it is the
-    plain run.yaml and mentions no recording."""
+    """Files in the folder that an invalid run.yaml may describe; all for a plain run.yaml that names no recording."""
     files = [f for f in path.parent.iterdir() if f.is_file()]
     named_files = [f for f in files if _may_describe(path, f)]
     return files if path.name == RUN_FILE and not any(map(find_reader, named_files)) else named_files

@@ -82,8 +82,7 @@ class ReadSettings:
     steering_latency: float = 0.0  # delay from the motion of the steering wheel to the stamp of its CAN frame [s]
     offset: float | None = None  # INS minus CAN clock [s]; None: as in the run.yaml, or else estimated
     search: tuple[float, float] | None = None  # (lower, upper) bounds of the estimated offset [s]; None: unlimited
-    # Delay from the measurement of an INS value to its CAN frame in the log, and its standard deviation [s]; None: as
-    # in the run.yaml, or else clocks.INS_ON_CAN_DELAY.
+    # (delay of INS values on CAN, standard deviation) [s]; None: as in the run.yaml, or else clocks.INS_ON_CAN_DELAY.
     ins_can_latency: tuple[float, float] | None = None
     # Whether a doubtful alignment is used, with a warning. A refused alignment is never used.
     accept_doubtful: bool = True

@@ -12,8 +12,7 @@ from .errors import RunError, format_count
 from .ins_log import LATEST_TIME, MAX_LOST_FRACTION, select_usable_rows
 
 # 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.2026 10:11:12,5, 10:11:12.5, 10:11:12:500, 11:12:13.5 PM.
-# Spreadsheets write minutes and seconds as 11:12.5. A date such as 05/04/2026 is ignored unless
-# _order_dates can convert it.
+# Spreadsheets write minutes and seconds as 11:12.5. A date 05/04/2026 is ignored if _order_dates cannot convert it.
 _STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4})|\d\d?/\d\d?/\d{4})[T ] *)?"
                     r"(?:0 days )?(?:(\d{1,2}):)?(\d\d?):(\d\d(?:[.,:]\d+)?) *(?:([AaPp])\.?[Mm]\.?)? *"
                     r"(?:Z|UTC|([+-])(\d\d):?(\d\d))?")
@@ -146,8 +145,7 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
 
 
 def count_rollovers(seconds: np.ndarray, min_jump: float) -> np.ndarray:
-    """Number of rollovers before each time. A backward jump to a wrong time, such as 0, does not count: the next jump
-    then ends at or after the time before it."""
+    """Number of rollovers before each time. A backward jump that the next jump reverses is a wrong time, such as 0."""
     jumps = np.diff(seconds, prepend=seconds[:1])
     rows = np.flatnonzero(np.abs(jumps) > min_jump)
     returns = np.append(seconds[rows[1:]], -np.inf) >= seconds[rows - 1]

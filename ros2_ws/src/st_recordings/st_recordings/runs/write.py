@@ -184,8 +184,7 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
     """Converts a run of NCOM packets and CAN frames to a bag after checks, without the corrections of its run.yaml.
 
     check: returns the findings on a drive; raises RunError for a drive that must not be written. progress: called with
-    the completed fraction, 0 to 1. Raises RunError if the run cannot be read or aligned, `check` rejects it, or the bag
-    cannot be written.
+    the completed fraction, 0 to 1. Raises RunError if a run cannot be read, aligned or written, or `check` rejects it.
     """
     if source.problem is None and source.kind != "ncom":
         raise RunError(source.path, f"st import converts NCOM packets and CAN frames, but this run is {source.kind}",

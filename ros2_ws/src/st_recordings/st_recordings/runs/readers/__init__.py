@@ -22,8 +22,7 @@ class Reader:
     kind: str
     key: str  # key of its files in a run.yaml
     extensions: tuple[str, ...]  # lower case
-    # Reads the whole drive of a run; raises RunError. None for a kind that never contains the steering angle, so that a
-    # run needs CAN logs.
+    # Reads the whole drive of a run; raises RunError. None for a kind without steering angle, which needs CAN logs.
     read: Callable[[RunSource, VehicleParameters | None, ReadSettings], LoadedRun] | None
     read_ins: Callable[[RunSource, ReadSettings], InsLog] | None = None  # reads only the INS, for a run with CAN logs
     is_folder: Callable[[Path], bool] | None = None  # whether a folder is one recording
@@ -67,8 +66,8 @@ def register(reader: Reader) -> Reader:
 
 
 def find_reader(path: Path, key: str | None = None) -> Reader | None:
-    """The reader that accepts a file or folder; None if there is none. key: only readers with this key of a run.yaml;
-    if none of them accepts it, the first of them."""
+    """The reader that accepts a path; None if there is none. key: only readers with this run.yaml key are candidates;
+    if none of them accepts the path, the first is returned."""
     candidates = [reader for reader in READERS.values() if key in (None, reader.key)]
     return next((one for one in candidates if one.accepts(path)), candidates[0] if key and candidates else None)
 
