@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from exact_drive import Sines, delay, exact_drive
-from exact_faults import findings_by_name, scaled, yaw_from_north
-from st_core.checks import Severity, check
+from exact_faults import corrected_drive, findings_by_name, scaled
+from st_core.checks import AuxiliaryData, Severity, check
 from st_core.log import DriveLog
 from support import read_car, shared
 
@@ -83,12 +83,6 @@ def test_change_of_the_map_zone_is_a_jump_only(leaf):
     assert finding.name == "position_jumps"
 
 
-def test_positions_and_steering_show_that_the_ins_is_right_positive(leaf):
-    log = exact_drive(leaf)
-    wrong = replace(yaw_from_north()(log), yaw_rate=-log.yaw_rate, velocity_y=-log.velocity_y)
-    assert findings_by_name(wrong, leaf).keys() == {"yaw_convention", "velocity_y_scale"}
-
-
 def test_speed_without_a_sign_in_reverse_is_not_a_yaw_that_points_backwards(leaf):
     log = exact_drive(leaf, speed=Sines(-6.0, ((1.5, 21.0, 0.4),)))
     found = findings_by_name(scaled(-1.0, "velocity_x")(log), leaf)
@@ -114,3 +108,44 @@ def test_motion_at_standstill_has_the_recorded_yaw_rate(leaf):
     found = findings_by_name(replace(log, **place, **motion, ins_time_ns=log.ins_time_ns[0] + 50_000_000 * count,
                                      acceleration_x=None, acceleration_y=None))
     assert "standstill_motion" not in found and found["yaw_rate_bias"].severity is not Severity.ERROR
+
+
+MIRRORED = {"yaw": (-1.0, 0.5 * np.pi), "yaw_rate": (-1.0, 0.0), "velocity_y": (-1.0, 0.0),
+            "acceleration_y": (-1.0, 0.0)}
+
+
+def with_z_down(log, *unchanged, positions=False):
+    """The drive with the axes of an INS whose z axis points down: yaw clockwise from north, right positive."""
+    signals = {name: factor * getattr(log, name) + offset for name, (factor, offset) in MIRRORED.items()
+               if name not in unchanged}
+    return replace(log, **signals, **({"x": log.y, "y": log.x} if positions else {}))
+
+
+@pytest.mark.parametrize("unchanged", [(), ("acceleration_y",), ("velocity_y",)])
+def test_ins_with_z_down_is_one_finding(leaf, unchanged):
+    log = exact_drive(leaf, 60.0)
+    (finding,) = check(with_z_down(log, *unchanged), leaf).findings
+    assert finding.name == "yaw_convention" and set(finding.channels) == MIRRORED.keys() - {*unchanged}
+    assert check(corrected_drive(with_z_down(log, *unchanged), finding.advice.entry, leaf), leaf).findings == ()
+
+
+def test_ins_and_map_with_z_down_are_one_finding(leaf):
+    log = exact_drive(leaf, 60.0)
+    both = with_z_down(log, positions=True)
+    (finding,) = check(both, leaf).findings  # no channel shows which one is mirrored
+    assert finding.name == "steering_sign" and "x north, y east, right positive" in finding.text
+    assert check(corrected_drive(both, finding.advice.entry, leaf), leaf).findings == ()
+    left = with_z_down(log, "acceleration_y", positions=True)
+    (finding,) = check(left, leaf).findings
+    assert finding.name == "position_axes" and "x north, y east" in finding.text
+    assert check(corrected_drive(left, finding.advice.entry, leaf), leaf).findings == ()
+    (finding,) = check(both, leaf, AuxiliaryData(geographic=True)).findings
+    assert finding.name == "steering_sign" and not finding.alternatives
+
+
+def test_velocity_in_a_map_with_z_down_names_the_columns(leaf):
+    log = exact_drive(leaf, 60.0)
+    ned = with_z_down(log, positions=True)
+    velocity = (ned.velocity_x + 1j * ned.velocity_y) * np.exp(1j * ned.yaw)
+    found = findings_by_name(replace(ned, velocity_x=velocity.real, velocity_y=velocity.imag), leaf)
+    assert set(found) == {"velocity_axes", "steering_sign"} and "along x and y" in found["velocity_axes"].text

@@ -304,10 +304,12 @@ def _find_removed_factors(unit_findings: list[Finding]) -> dict[str, float]:
     """Factors that `correct_units` divided out, and the yaw offset that it subtracted, by name of the finding."""
     removed_factors = {}
     for finding in unit_findings:
-        corrections = finding.advice.entry.get("correct", {}).values() if finding.advice else ()
-        fields = {key: value for correction in corrections for key, value in correction.items()}
+        corrections = finding.advice.entry.get("correct", {}) if finding.advice else {}
+        fields = {key: value for correction in corrections.values() for key, value in correction.items()}
         if finding.name == "yaw_offset":
             removed_factors[finding.name] = -fields["add"]
+        elif {"yaw", "yaw_rate"} <= corrections.keys():
+            continue  # their ratio is unchanged
         elif factor := 1.0 / fields["scale"] if "scale" in fields else finding.value:
             removed_factors[finding.name] = factor
     return removed_factors

@@ -77,7 +77,7 @@ class Finding:
         """One sentence, with the alternatives."""
         others = "".join(f", or {alternative.text}" for alternative in self.alternatives)
         count = "both" if len(self.alternatives) == 1 else "all"
-        return f"{self.statement}{others}: {count} fit this drive" if others else self.statement
+        return f"{self.statement.removesuffix('?')}{others}: {count} fit this drive" if others else self.statement
 
     def with_alternative(self, alternative: Alternative, advice: Advice, *channels: str) -> "Finding":
         """The finding with an alternative, which may affect further channels: at most a warning, not corrected."""

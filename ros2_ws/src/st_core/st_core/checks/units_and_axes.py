@@ -56,8 +56,9 @@ def _matches(ratio: float, target: float) -> bool:
 def correct_units(motion: Motion) -> tuple[Motion, list[Finding]]:
     """(motion with units, signs and axes corrected, the findings). `check_time_unit` must be applied first."""
     findings: list[Finding] = []
-    for step in (_correct_rate_in_unit_of_yaw, _correct_north_east, _correct_one_axis, _correct_yaw_or_rate,
-                 _correct_position_axes, _correct_distance, _correct_velocity_axes, _correct_yaw_offset):
+    for step in (_correct_velocity_axes, _correct_rate_in_unit_of_yaw, _correct_north_east, _correct_one_axis,
+                 _correct_yaw_or_rate, _correct_position_axes, _correct_distance, _correct_velocity_axes,
+                 _correct_yaw_offset):
         motion, finding = step(motion)
         findings += [finding] if finding else []
     by_name = {finding.name: finding for finding in findings}
@@ -199,25 +200,54 @@ def _estimate_yaw_scale(motion: Motion, ratio: float) -> Estimate:
 
 
 def _correct_north_east(motion: Motion) -> MotionAndFinding:
-    """Correct positions (north, east) with a clockwise yaw, if the other channels confirm the sign of the yaw rate."""
-    ratios = compute_ratios(motion)
-    if motion.geographic or not (_matches(ratios.yaw_to_rate, -1.0) and _matches(ratios.yaw_to_course, 1.0)):
+    """Correct positions (north, east) with a clockwise yaw, if the other channels confirm the sign of the yaw rate, or
+    contradict it and that of yaw."""
+    ratios, votes = compute_ratios(motion), _count_votes_for_yaw_rate(motion)
+    if motion.geographic or not _matches(ratios.yaw_to_course, 1.0):
         return motion, None
-    original, mirrored = _compute_misfit(motion), _compute_misfit(replace(motion, velocity_y=-motion.velocity_y))
-    vote = int(mirrored < CLEAR_MISFIT_RATIO * original) - int(original < CLEAR_MISFIT_RATIO * mirrored)
-    if _count_votes_for_yaw_rate(motion) + vote <= 0:
-        return motion, None
-    text = ("x, y and yaw turn in the opposite direction to yaw rate and steering: is x north, y east and yaw a "
-            "compass heading? Expected: x east, y north, yaw from east, counter-clockwise")
-    entry = {"columns": EXCHANGE_X_Y, "correct": {"yaw": COMPASS_TO_YAW}}
-    return _correct(motion, "position_axes", ("x", "y", "yaw"), text, None, Advice.for_run_yaml(entry))
+    text = "x, y and yaw turn in the opposite direction to yaw rate and steering"
+    correct: dict[str, Any] = {"yaw": COMPASS_TO_YAW}
+    measured, derived = _compute_displacements(motion, motion.velocity_map)
+    is_forward = np.sum(derived * np.conj(_direction(measured))).real > 0.0  # else velocity_x has the opposite sign
+    if _matches(ratios.yaw_to_rate, 1.0) and votes == -2 and is_forward:
+        text = "x, y, yaw and yaw_rate turn in the opposite direction to acceleration_y and steering"
+        correct = _add_mirrored_channels(motion, {**correct, "yaw_rate": MIRROR}, EXCHANGE_X_Y)
+    else:
+        original, mirrored = _compute_misfit(motion), _compute_misfit(replace(motion, velocity_y=-motion.velocity_y))
+        votes += int(mirrored < CLEAR_MISFIT_RATIO * original) - int(original < CLEAR_MISFIT_RATIO * mirrored)
+        if votes <= 0 or not _matches(ratios.yaw_to_rate, -1.0):
+            return motion, None
+    text += ": is x north, y east and yaw a compass heading?"
+    return _correct(motion, "position_axes", ("x", "y", *correct),
+                    f"{text} Expected: x east, y north, yaw from east, counter-clockwise", None,
+                    Advice.for_run_yaml({"columns": EXCHANGE_X_Y, "correct": correct}))
+
+
+def _add_mirrored_channels(motion: Motion, correct: Mapping[str, Any], columns: Mapping[str, str]) -> dict[str, Any]:
+    """Corrections of mirrored axes, with those of velocity_y and acceleration_y if they are positive to the right."""
+    corrected, mirrored = motion.apply_entry({"columns": columns, "correct": correct}), {**correct}
+    if _compute_misfit(replace(corrected, velocity_y=-corrected.velocity_y)) < (
+            CLEAR_MISFIT_RATIO * _compute_misfit(corrected)):
+        mirrored["velocity_y"] = MIRROR
+    if _compare_sign_of_acceleration(corrected) < 0:
+        mirrored["acceleration_y"] = MIRROR
+    return mirrored
 
 
 def _count_votes_for_yaw_rate(motion: Motion) -> int:
     """Number of sensors (steering, acceleration_y) that turn in the direction of the yaw rate, minus those opposite."""
+    return _compare_sign_of_steering(motion) + _compare_sign_of_acceleration(motion)
+
+
+def _compare_sign_of_acceleration(motion: Motion) -> int:
+    """The same as `_compare_sign_of_steering` for acceleration_y."""
     turn = motion.yaw_rate * motion.velocity_x
-    sensors = [motion.steering_at_ins() * motion.velocity_x, motion.acceleration_y]
-    return sum(_find_common_sign(values, turn) for values in sensors if values is not None)
+    return 0 if motion.acceleration_y is None else _find_common_sign(motion.acceleration_y, turn)
+
+
+def _compare_sign_of_steering(motion: Motion) -> int:
+    """1 if the steering turns in the direction of the yaw rate, -1 if in the opposite one, 0 if it is unrelated."""
+    return _find_common_sign(motion.steering_at_ins() * motion.velocity_x, motion.yaw_rate * motion.velocity_x)
 
 
 def _find_common_sign(values: np.ndarray, turn: np.ndarray) -> int:
@@ -274,11 +304,14 @@ def _correct_position_axes(motion: Motion) -> MotionAndFinding:
     angle = np.angle(np.sum(_direction(measured) * derived))
     quarter = int(np.round(angle / (np.pi / 2))) % 4
     # An even quarter is a longitude positive to the west, or a latitude positive to the south.
-    if quarter % 2 and (motion.geographic or _count_votes_for_yaw_rate(motion) < 0):
-        text = ("yaw and yaw_rate are positive clockwise: is yaw a compass heading from north, and does the "
-                "gyroscope's axis point down? Expected: left positive, yaw from east")
-        advice = Advice.for_run_yaml({"correct": {"yaw": COMPASS_TO_YAW, "yaw_rate": MIRROR}})
-        return _correct(motion, "yaw_convention", ("yaw", "yaw_rate"), text, ratios.yaw_to_course, advice)
+    if quarter % 2 and (motion.geographic or _compare_sign_of_steering(motion) < 0
+                        or _count_votes_for_yaw_rate(motion) < 0):
+        correct = _add_mirrored_channels(motion, {"yaw": COMPASS_TO_YAW, "yaw_rate": MIRROR}, {})
+        *others, last = correct
+        text = (f"{', '.join(others)} and {last} are positive clockwise or to the right: is yaw a compass heading from "
+                "north, and does the z axis of the INS point down? Expected: left positive, yaw from east")
+        return _correct(motion, "yaw_convention", (*correct,), text, ratios.yaw_to_course,
+                        Advice.for_run_yaml({"correct": correct}))
     axes: dict[int, tuple[str, dict[str, Any]]] = {
         0: ("y is mirrored (it should increase to the north)", {"correct": {"y": MIRROR}}),
         1: ("x and y are exchanged (x should be east, y north)", {"columns": EXCHANGE_X_Y}),
@@ -377,13 +410,14 @@ def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
     exchanged = motion.apply_entry(exchange.entry)
     max_misfit = MAX_MAP_MISFIT * float(np.median(np.abs(measured)))
     if np.ptp(motion.yaw) > MIN_YAW_RANGE and misfit <= max_misfit and (
-            misfit < MAX_MAP_MISFIT * _compute_misfit(motion)):
+            misfit < MAX_MAP_MISFIT * _compute_misfit(motion)) and _matches(compute_ratios(motion).yaw_to_course, 1.0):
         velocity = 1j * motion.velocity.conj() if is_north_first else motion.velocity
         body = velocity * np.exp(-1j * motion.yaw)
-        axes = "north and east" if is_north_first else "east and north"
-        text = f"velocity_x and velocity_y are in the map frame, {axes}: the body frame is expected"
-        advice = Advice("text", "rotate them by yaw: velocity_x = cos(yaw) east + sin(yaw) north, "
-                        "velocity_y = cos(yaw) north - sin(yaw) east")
+        along = ("velocity_y", "velocity_x") if is_north_first else ("velocity_x", "velocity_y")
+        text = (f"velocity_x and velocity_y are in the map frame, along {'y and x' if is_north_first else 'x and y'}: "
+                "the body frame is expected")
+        advice = Advice("text", "rotate them by yaw: forward = cos(yaw) {0} + sin(yaw) {1}, "
+                        "lateral = cos(yaw) {1} - sin(yaw) {0}".format(*along))
         motion = replace(motion, velocity_x=body.real, velocity_y=body.imag)
     elif max_misfit > 0.0 and motion.moves_sideways and float(
             np.median(np.abs(measured - _compute_displacements(exchanged, exchanged.velocity_map)[1]))) <= max_misfit:

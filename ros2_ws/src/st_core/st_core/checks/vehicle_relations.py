@@ -37,6 +37,8 @@ MIN_ANGLE_FOR_SIGN = 0.003  # rad; the same for the sign of the gain alone, for 
 MAX_OPPOSITE_CORRELATION = -0.8  # correlation of steering and curvature below which the steering has the opposite sign
 MIN_UNRELATED_SPREAD = 0.01  # rad at the road wheels; minimum standard deviation of measured and derived steering
 STEERING_PLAY = 0.07  # rad of the steering wheel; play of ordinary cars, which reduces the gain of small angles
+MIRRORED = Alternative("do x, y, yaw and all lateral channels have axes with z down (x north, y east, right positive)",
+                       ("position_axes",))
 PLAY, STEERED_REAR_WHEELS = Alternative("the steering has play"), Alternative("the rear wheels also steer")
 TIGHTER_BENDS = Advice("text", "drive tighter bends to distinguish the two")
 CHECK_RATIO = Advice("text", "drive tighter bends, and check steering_ratio and wheelbase in the vehicle file")
@@ -64,7 +66,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
     plausible_gains = 1.0 + expected * mean_square, 1.0 + largest * mean_square
     if agreement is None or not agreement.correlates:
         steering_finding = _make_unrelated_finding(motion, derived) or (
-            gain and _make_unit_finding(gain, plausible_gains, vehicle, has_steering_wheel))
+            gain and _make_unit_finding(gain, plausible_gains, vehicle, has_steering_wheel, motion.geographic))
         return [steering_finding] if steering_finding else [], {}, None
     # In one long bend, gain and offset are confounded; in a slalom, the opposite sign and a lag of half a period.
     if gain is not None and (agreement.scale.standard_error > 0.2 * abs(agreement.scale.value)
@@ -80,7 +82,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
     has_lag &= not has_clock_error
     # Play takes its width from every turn, so small steering angles have too small a gain.
     may_be_play = 0.0 < (1.0 - gain.value) * agreement.spread < 0.5 * STEERING_PLAY / vehicle.steering_ratio
-    findings = (_make_unit_finding(gain, plausible_gains, vehicle, has_steering_wheel, may_be_play),
+    findings = (_make_unit_finding(gain, plausible_gains, vehicle, has_steering_wheel, motion.geographic, may_be_play),
                 _make_clock_finding(motion, derived, agreement, response, lateral_shift) if has_clock_error else None,
                 _make_lag_finding(lag, agreement, response, lateral_shift) if has_lag else None,
                 _make_offset_finding(agreement, vehicle, has_steering_wheel, lateral_shift))
@@ -173,10 +175,12 @@ def _compute_lateral_shift(speed: float, vehicle: VehicleParameters) -> float:
 
 
 def _make_unit_finding(gain: Estimate, plausible_gains: tuple[float, float], vehicle: VehicleParameters,
-                       has_steering_wheel: bool, may_be_play: bool = False) -> Finding | None:
+                       has_steering_wheel: bool, geographic: bool, may_be_play: bool = False) -> Finding | None:
     """Finding about a steering gain that only a wrong unit or sign can explain; None for a plausible gain.
 
     plausible_gains: the expected and the largest one; 1 is plausible too, since stiffnesses may be inaccurate.
+    geographic: whether positions are certain to be east and north; otherwise all INS channels may be mirrored, for
+    which the correction of the steering is right as well.
     may_be_play: whether play explains a positive gain that is not that of a unit; steered rear wheels may, too.
     """
     (expected, largest), value, limit = plausible_gains, gain.value, LIMITS.steering_unit_ratio
@@ -204,7 +208,8 @@ def _make_unit_finding(gain: Estimate, plausible_gains: tuple[float, float], veh
     if exact == 1.0:
         name = "steering_sign"
         advice = replace(advice, line=f"{advice.line}  # or, for CAN logs, the opposite steering_sign in car.yaml")
-    finding = Finding(name, Severity.ERROR, ("road_wheel_angle",), text, value, "1", gain.interval, advice=advice)
+    finding = Finding(name, Severity.ERROR, ("road_wheel_angle",), text, value, "1", gain.interval, advice=advice,
+                      alternatives=() if geographic or exact != 1.0 else (MIRRORED,))
     causes = [PLAY] * may_be_play + [STEERED_REAR_WHEELS] * (gain.interval[1] >= MIN_FOUR_WHEEL_GAIN and value < 1.0)
     for alternative in causes if not reason else ():
         finding = finding.with_alternative(alternative, CHECK_RATIO)
