@@ -95,7 +95,7 @@ class CounterCheck:
 
 def find_counter_faults(field: Field, data: np.ndarray, time_ns: np.ndarray, wrong_checksum: np.ndarray,
                         restart_after_ns: int) -> np.ndarray:
-    """Mask (n,) of the frames with a correct checksum whose counter does not follow that of the previous frame.
+    """Mask (n,) of the frames with a correct checksum and a counter that does not follow the previous one.
 
     data: all frames of a log, from `stack_bytes`. time_ns: their times (n,). wrong_checksum: mask (n,) of the frames
     with a wrong checksum, which are assumed to have the next counter value, as in CounterCheck.skip.

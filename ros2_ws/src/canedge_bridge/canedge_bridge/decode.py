@@ -128,7 +128,7 @@ class Decoder:
         return not any(check.fault for check in state.plausibility.values())
 
     def plausibility_faults(self) -> list[str]:
-        """Faults of the signals whose implausible values currently cause their messages to be withheld."""
+        """Faults of the signals with implausible values that currently cause messages to be withheld."""
         return [check.fault for state in self._states.values() for check in state.plausibility.values()
                 if check.fault]
 

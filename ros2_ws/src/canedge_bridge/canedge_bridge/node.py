@@ -93,8 +93,11 @@ class CanedgeBridge(Node):
             return None
         settings = self._settings
         ratio, offset = settings.steering_ratio, settings.steering_wheel_offset
-        if settings.vehicle_file:
-            vehicle = _read_vehicle(settings.vehicle_file)
+        if file := settings.vehicle_file:
+            try:
+                vehicle = VehicleParameters.from_yaml(read_text(file), file)
+            except StCoreError as error:
+                raise ConfigurationError(f"canedge_bridge.vehicle_file: {error}") from None
             ratio = ratio if math.isfinite(ratio) else vehicle.steering_ratio
             offset = offset if math.isfinite(offset) else vehicle.steering_wheel_offset
         for name, value in (("steering_ratio", ratio), ("steering_wheel_offset", offset)):
@@ -167,13 +170,6 @@ def _make_decoder(settings: SimpleNamespace) -> Decoder:
         return Decoder(settings.dbc_file, settings.signals_file, settings.needed_messages, checks)
     except ValueError as error:
         raise ConfigurationError(f"canedge_bridge: {error}") from None
-
-
-def _read_vehicle(file: str) -> VehicleParameters:
-    try:
-        return VehicleParameters.from_yaml(read_text(file), file)
-    except StCoreError as error:
-        raise ConfigurationError(f"canedge_bridge.vehicle_file: {error}") from None
 
 
 def serialise_frame(frame: can.Message, time_ns: int) -> bytes:

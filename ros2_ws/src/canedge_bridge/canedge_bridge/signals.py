@@ -192,8 +192,8 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Sequence[
 def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
     """cantools database of a DBC file; if the file is invalid, it contains only the given messages.
 
-    In public DBC files of real cars, some messages have 29-bit identifiers without the extended flag, or signals whose
-    names begin with a digit. Raises ConfigurationError if the file cannot be read, or the messages are invalid too.
+    In public DBC files of real cars, some messages have 29-bit identifiers without the extended flag, or signal names
+    that begin with a digit. Raises ConfigurationError if the file cannot be read, or the messages are invalid too.
     """
     try:
         content = path.read_bytes()

@@ -99,7 +99,7 @@ def replace_file(path: Path, text: str) -> None:
 def cached_by_version(maxsize: int) -> Callable[[Callable[[Path], T]], Callable[[Path], T]]:
     """Decorator that caches a function of a file until the size or modification time of the file changes.
 
-    maxsize: number of files whose results are kept.
+    maxsize: number of results that are kept.
     """
     def find_version(file: Path) -> tuple[int, int] | None:
         try:

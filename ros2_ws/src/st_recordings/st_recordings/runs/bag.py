@@ -238,7 +238,7 @@ def _find_topic(storage: Storage, type_name: str, name: str | None = None) -> To
         names = ", ".join(sorted(t.name for t in preferred_topics))
         raise RunError(path, f"several topics are of type {type_name}: {names}",
                        "name one of them with --odometry-topic" if type_name == ODOMETRY else
-                       f"record only one of them, or one whose name ends with {PREFERRED_TOPICS[type_name]}")
+                       f"record only one of them, or one with a name that ends with {PREFERRED_TOPICS[type_name]}")
     return preferred_topics[0]
 
 

@@ -1,7 +1,7 @@
 """Reads topics, messages and definitions from bags of ROS 2 (MCAP, SQLite) and ROS 1 through one interface.
 
 MCAP and SQLite are read without rosbags, because rosbags parses every definition in a bag and fails at the first
-unsupported one. Only bags of ROS 1 and bags whose metadata.yaml states a compression are read by rosbags.
+unsupported one. Only bags of ROS 1 and bags with a compression in metadata.yaml are read by rosbags.
 """
 
 import sqlite3
@@ -114,7 +114,7 @@ class Storage(ABC):
             rows = [[get_field(message, field) for field in fields] for _, message in self.deserialise(topic)]
         except AttributeError as error:
             raise RunError(self.path, f"its definition of {topic.type_name} differs from the ROS 2 definition: "
-                           f"{shorten(error)}", "use a topic whose message type is defined as in ROS 2") from None
+                           f"{shorten(error)}", "use a topic of a type that is defined as in ROS 2") from None
         return {field: np.array([row[k] for row in rows]) for k, field in enumerate(fields)}
 
     def read_log_times(self, topic: str, stamps: np.ndarray) -> np.ndarray:

@@ -511,7 +511,7 @@ def find_clock(head: bytes) -> tuple[float, float]:
 def is_can_log(file: Path) -> bool:
     """Whether a file is a CAN log, by its extension, or by its content if other programs also use the extension.
 
-    A .log or .asc file that is empty, compressed or unreadable counts as a CAN log, whose reader reports the problem.
+    A .log or .asc file that is empty, compressed or unreadable counts as a CAN log; its reader reports the problem.
     """
     extension = file.suffix.lower()
     if extension in MF4_EXTENSIONS:

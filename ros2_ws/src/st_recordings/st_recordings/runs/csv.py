@@ -338,7 +338,7 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
 
 def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], warnings: list[str]) -> None:
     """Interpolates INS channels with a lower rate or separate stamps at the rows of a reference channel: the one with
-    the highest rate or, of several with a similar rate, the one whose rows have numbers in the most channels.
+    the highest rate or, of several with a similar rate, the one with numbers of the most channels in its rows.
 
     Loggers leave the other cells blank. Missing numbers in the reference channel and gaps in the others are not filled.
     """

@@ -27,7 +27,7 @@ class Frames:
 
     time_ns: np.ndarray  # int64, on the logger's clock
     id: np.ndarray  # uint32, with the flag EXTENDED for a 29-bit id
-    payload: np.ndarray  # uint8, (n, 8), or (n, 64) if a frame is longer; 0 after the end of the frame
+    payload: np.ndarray  # uint8, (n, 8), or (n, 64) if a frame is longer; undefined after the end of a frame
     length: np.ndarray  # uint8, bytes
     bus: np.ndarray  # uint8, 0 if unknown
     flags: np.ndarray  # uint8, SENT by the logger | REMOTE | ERROR | FD

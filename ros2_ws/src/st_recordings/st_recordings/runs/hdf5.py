@@ -20,7 +20,7 @@ UNIT_FIELDS = ("unit", "units", "Unit", "Units")
 TIME_CLASSES = {"duration", "datetime"}
 LINK, LINK_ADVICE = "link", "also copy that file"
 _MAGIC = b"\x89HDF\r\n\x1a\n"
-_OPAQUE = 3  # attribute MATLAB_object_decode of an object whose content is in an undocumented form
+_OPAQUE = 3  # attribute MATLAB_object_decode of an object with content in an undocumented form
 _MATLAB_ADVICE = {"timeseries": "{0} = struct('Time', {0}.Time, 'Data', {0}.Data)",
                   "timetable": "writetimetable({0}, '{0}.csv')", "table": "writetable({0}, '{0}.csv')",
                   "duration": "{0} = seconds({0})", "datetime": "{0} = posixtime({0})"}

@@ -148,7 +148,7 @@ class Reconstruction:
                              quality)
 
     def _read_reported_quality(self) -> InsQuality | None:
-        """INS quality from st_msgs/InsStatus messages, whose layout varies with their texts; None if unavailable."""
+        """INS quality from st_msgs/InsStatus, which has a layout that varies with its texts; None if unavailable."""
         if INS_STATUS not in self._by_type:
             return None
         try:

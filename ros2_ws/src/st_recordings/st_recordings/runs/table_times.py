@@ -15,7 +15,7 @@ from .ins_log import LATEST_TIME, MAX_LOST_FRACTION, select_usable_rows
 # Spreadsheets write minutes and seconds as 11:12.5. A date 05/04/2026 is ignored if _order_dates cannot convert it.
 _STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4})|\d\d?/\d\d?/\d{4})[T ] *)?"
                     r"(?:0 days )?(?:(\d{1,2}):)?(\d\d?):(\d\d(?:[.,:]\d+)?) *(?:([AaPp])\.?[Mm]\.?)? *"
-                    r"(?:Z|UTC|([+-])(\d\d):?(\d\d))?")
+                    r"(?:Z|UTC|GMT|([+-])(\d\d)(?::?(\d\d))?)?")
 _COMPACT_STAMP = re.compile(r"(\d{4})-?(\d\d)-?(\d\d)[T_ -](\d\d)[:-]?(\d\d)[:-]?(\d\d)(?!\d)")  # 20260504T101112.5
 _UNDERSCORED_STAMP = re.compile(r"(\d{4})_(\d\d?)_(\d\d?)_(\d\d?)_(\d\d)_(\d\d)(?:_(\d+))?")  # 2026_05_04_10_11_12_500
 _SLASHED_DATE = re.compile(r"(?<!\d)(\d\d?)/(\d\d?)/(\d{4})(?!\d)")
@@ -98,7 +98,7 @@ def parse_stamp(text: str) -> tuple[float, float] | None:
     if am_pm:
         seconds = seconds % (DAY / 2) + (DAY / 2 if am_pm in "Pp" else 0.0)
     if sign:
-        seconds -= float(f"{sign}1") * (int(hours) * 3600 + int(minutes) * 60)
+        seconds -= float(f"{sign}1") * (int(hours) * 3600 + int(minutes or 0) * 60)
     if not (year or year_2):
         return seconds, DAY if hour else HOUR
     try:
