@@ -11,11 +11,14 @@ def read_part(page: Path, name: str) -> str:
     return page.read_text(encoding="utf-8").split(BEGIN.format(name))[1].split(END.format(name))[0]
 
 
-def replace_part(page: Path, name: str, text: str) -> None:
+def replace_part(page: Path, name: str, text: str, begin: str = BEGIN, end: str = END) -> None:
     """Replaces the text of a part; a line break is added at its end. Raises ValueError if the page has no such part."""
-    before, rest = page.read_text(encoding="utf-8").split(BEGIN.format(name))
-    _, after = rest.split(END.format(name))
-    page.write_text(before + BEGIN.format(name) + text + "\n" + END.format(name) + after, encoding="utf-8")
+    opening, closing = begin.format(name), end.format(name)
+    before, opened, rest = page.read_text(encoding="utf-8").partition(opening)
+    _, closed, after = rest.partition(closing)
+    if not opened or not closed:
+        raise ValueError(f"{page}: the comments {opening.strip()} and {closing.strip()} are missing")
+    page.write_text(before + opening + text + "\n" + closing + after, encoding="utf-8")
 
 
 def format_row(cells: Iterable[object]) -> str:

@@ -1,4 +1,4 @@
-"""Results of the matrix and of healthy drives with each limit of the checks at half and at twice its value."""
+"""Scores of the matrix and false alarms in healthy drives, with each limit of the checks halved and doubled."""
 
 from dataclasses import fields
 from functools import lru_cache
@@ -8,14 +8,14 @@ from st_core.checks.finding import LIMITS
 from st_sim.scenarios import SCENARIOS
 
 from .._pages import format_table
-from . import drives
 from .corruptions import KINDS
+from .drives import load
 from .recording import Recording
 from .run import map_parallel
 from .score import Drive, check_as_recorded, run_check, score_case
 from .virtual import virtual_drive
 
-DRIVES = ("virtual_S6",)
+DRIVE = "virtual_S6"
 SEED, DURATION = 2000, 40.0
 """Seed and duration [s] of the healthy drives, one of each scenario."""
 
@@ -23,7 +23,7 @@ Setting = tuple[str, float]
 
 
 def main(jobs: int) -> str:
-    """The table of the page; prints each row as soon as it is ready."""
+    """The results as a Markdown table; prints each row as soon as it is ready."""
     settings: list[Setting] = [("unchanged", 1.0)]
     settings += [(field.name, factor) for field in fields(LIMITS) for factor in (0.5, 2.0)]
     verdicts: dict[Setting, str] = {}
@@ -44,23 +44,19 @@ def _score_setting(setting: Setting) -> str:
     try:
         if before is not None:
             object.__setattr__(LIMITS, name, factor * before)  # a frozen dataclass
-        records = [record for drive in map(Drive, _load_drives()) for kind in KINDS.values()
+        drive = Drive(load(DRIVE, "development"))
+        records = [record for kind in KINDS.values()
                    if (record := score_case(drive, kind, kind.sizes[0])) is not None]
         alarms = sum(any(one.severity is not Severity.NOTE for one in run_check(_healthy_drive(scenario)).findings)
                      for scenario in SCENARIOS)
     finally:
         if before is not None:
             object.__setattr__(LIMITS, name, before)
-    right = 100.0 * sum(r["right"] for r in records) / len(records)
+    correct = 100.0 * sum(r["right"] for r in records) / len(records)
     additional = sum(bool(r["new"]["error"] or r["new"]["warning"]) for r in records)
-    return f"{right:.1f} % right, {additional} with other findings, {alarms} alarms"
+    return f"{correct:.1f} % correct, {additional} with other findings, {alarms} false alarms"
 
 
 @lru_cache
 def _healthy_drive(scenario: str) -> Recording:
     return virtual_drive(scenario, SEED, DURATION)
-
-
-def _load_drives() -> list[Recording]:
-    available = drives.list_drives("development")
-    return [drives.load(name, "development") for name in DRIVES if name in available]

@@ -8,13 +8,14 @@ from pathlib import Path
 
 from st_recordings.paths import project_root, source_version
 
+from .._pages import replace_part
 from . import ablation, drives, healthy, real, speed, tables
 from .corruptions import KINDS
 from .run import run_matrix
 from .score import Drive, Record, check_as_recorded, format_finding, run_check
 
 RESULTS = Path(__file__).with_name("results.json")
-PAGE = Path("docs") / "manual" / "checks.md"
+PAGE = project_root() / "docs" / "manual" / "checks.md"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -23,15 +24,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "only once, at the end, and those of development as often as you like."))
     parser.add_argument("--sealed", action="store_true", help="use the sealed drives, with random sizes")
     parser.add_argument("--kind", action="append", choices=sorted(KINDS), metavar="NAME", help="may be repeated")
-    parser.add_argument("--drive", action="append", metavar="NAME", help="may be repeated; for one kind and one drive, "
-                        "every finding is printed in full")
+    parser.add_argument("--drive", action="append", metavar="NAME", help="may be repeated; with --kind and a single "
+                        "drive, every finding is printed in full")
     parser.add_argument("--list", action="store_true", help="print kinds, sizes, findings and drives")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--write", action="store_true", help="write the result into docs/manual/checks.md")
+    parser.add_argument("--write", action="store_true",
+                        help="write the result into docs/manual/checks.md, except that of --ablation")
     parser.add_argument("--healthy", type=int, metavar="SEEDS", help="check drives without a fault instead")
     parser.add_argument("--seconds", type=float, default=35.0, help="duration of a healthy drive")
     parser.add_argument("--speed", action="store_true", help="measure the time of a check instead")
-    parser.add_argument("--ablation", action="store_true", help="halve and double each limit instead")
+    parser.add_argument("--ablation", action="store_true",
+                        help="print the scores with each limit halved and doubled instead")
     parser.add_argument("--real", action="store_true", help="print the findings of every real drive instead")
     chosen = parser.parse_args(arguments)
     if chosen.list:
@@ -80,11 +83,12 @@ def _write_results(document: Record, records: Sequence[Record]) -> None:
         tables.as_markdown(results[name]) for name in ("development", "sealed") if name in results), True)
 
 
-def _write_page(mark: str, text: str, write: bool, status: int = 0) -> int:
-    """Writes a text to the page if `write`; returns `status`."""
+def _write_page(name: str, text: str, write: bool, status: int = 0) -> int:
+    """Writes a part of the page if `write`; returns `status`."""
     if write:
-        when = f"Version {source_version()}, {time.strftime('%Y-%m-%d', time.gmtime())}."
-        tables.put_into(project_root() / PAGE, mark, text if mark == "corruption matrix" else f"{text}\n\n{when}")
+        date = f"Version {source_version()}, {time.strftime('%Y-%m-%d', time.gmtime())}."
+        text = text if name == "corruption matrix" else f"{text}\n\n{date}"
+        replace_part(PAGE, name, f"\n{text}\n", "<!-- {} -->\n", "<!-- end -->\n")
     return status
 
 
@@ -94,7 +98,7 @@ def _print_in_full(set_: str, name: str, kinds: Sequence[str]) -> int:
         for size in kind.sizes:
             clean = drive.clean(kind, size)
             if not kind.is_visible(clean, size.value):
-                print(f"== {kind.name} {size.label}: {name} cannot show this fault")
+                print(f"== {kind.name} {size.label}: not visible in {name}")
                 continue
             corrupted, truth = kind.edit(clean, size.value)
             print(f"== {kind.name} {size.label}: {kind.operation} {truth:.5g}; expected {' or '.join(kind.findings)}")

@@ -1,4 +1,4 @@
-"""Kinds of faults in a recording: each edits a sound recording and names the finding that `st check` must report.
+"""Kinds of faults: each corrupts a recording, and names the finding that `st check` must report.
 
 An edit returns the corrupted recording and a number, from which `operation` gives the expected value of the finding:
 "times": a factor; "plus": an offset; "is": the value itself; "named": the finding has no value.
@@ -48,12 +48,12 @@ class Kind:
     sizes: tuple[Size, Size]
     is_visible: v.Condition  # whether a fault of this size is visible in a drive
     channel: str | None = None  # a channel that the finding must name
-    # Permitted relative error of the value, for fractions, counts, steps and gross factors.
+    # Permitted relative error of the value, for fractions, counts, steps and large factors.
     tolerance: float = 0.0
     also_permitted: tuple[str, ...] = ()  # further correct findings
     prepare: Callable[[Recording], Recording] | None = None  # applied to the drive before the edit
-    # In a real drive the fault gets the sign of the drive's own deviation, because with the other sign the two might
-    # cancel.
+    # In a real drive the fault gets the sign of the deviation that the drive already has, because with the other sign
+    # they might cancel.
     follows_sign: bool = False
 
 
@@ -83,22 +83,20 @@ def road_wheel_only(change: Edit) -> Edit:
     return lambda r, size: change(r.with_log(steering_wheel_angle=None), size)
 
 
-def hand_wheel_as_road_wheel(r: Recording, unit: float) -> tuple[Recording, float]:
+def steering_wheel_as_road_wheel(r: Recording, unit: float) -> tuple[Recording, float]:
     return scale("road_wheel_angle")(r.with_log(steering_wheel_angle=None), r.vehicle.steering_ratio * unit)
 
 
-def scale_wheel_speed(r: Recording, k: float) -> tuple[Recording, float]:
-    series = r.auxiliary.wheel_speed
-    return r.with_auxiliary(wheel_speed=replace(series, values=series.values * k)), k
+def scale_series(name: str) -> Edit:
+    """Scales an auxiliary signal."""
+    def edit(r: Recording, k: float) -> tuple[Recording, float]:
+        series = getattr(r.auxiliary, name)
+        return r.with_auxiliary(**{name: replace(series, values=series.values * k)}), k
+    return edit
 
 
 def delay_wheel_speed(r: Recording, seconds: float) -> tuple[Recording, float]:
     return r.with_auxiliary(wheel_speed=delay_series(r.auxiliary.wheel_speed, seconds)), seconds
-
-
-def scale_ins_speed(r: Recording, k: float) -> tuple[Recording, float]:
-    series = r.auxiliary.ins_speed
-    return r.with_auxiliary(ins_speed=replace(series, values=series.values * k)), k
 
 
 def two_sizes(first: float, second: float, unit: str = "") -> tuple[Size, Size]:
@@ -115,13 +113,15 @@ def whole_and_half(value: float) -> tuple[Size, Size]:
 
 POSITION, VELOCITY, WHEEL = ("x", "y"), ("velocity_x", "velocity_y"), ("road_wheel_angle", "steering_wheel_angle")
 FINE = 0.05  # tolerance of fractions, counts and durations
-GROSS = 0.25  # tolerance of values affected by errors of the vehicle file in ratio, offset and understeer
+COARSE = 0.25  # tolerance of values affected by errors of steering ratio, offset and stiffness in the vehicle file
 
 TIME = (
     Kind("stamps in other units", ("time_unit",), "is", f.change_time_unit, unit_sizes(("ms", 1e3), ("us", 1e6)),
          v.moves, tolerance=FINE),
-    Kind("gaps", ("time_gaps",), "is", f.remove_three_spans, two_sizes(1.0, 2.0, "s, three"), v.moves, tolerance=FINE),
-    Kind("long gap", ("time_gaps",), "is", f.remove_one_span, two_sizes(5.0, 10.0, "s, one"), v.moves, tolerance=FINE),
+    Kind("gaps", ("time_gaps",), "is", f.remove_spans(0.25, 0.5, 0.75), two_sizes(1.0, 2.0, "s, three"), v.moves,
+         tolerance=FINE),
+    Kind("long gap", ("time_gaps",), "is", f.remove_spans(0.45), two_sizes(5.0, 10.0, "s, one"), v.moves,
+         tolerance=FINE),
     Kind("stamps twice", ("time_duplicates",), "is", f.repeat_stamps, two_sizes(0.05, 0.2, "of the rows"), v.moves,
          tolerance=FINE, prepare=with_stamps),
     Kind("stamps out of order", ("time_order",), "is", f.swap_stamps, two_sizes(0.05, 0.2, "of the rows"), v.moves,
@@ -206,10 +206,10 @@ ACCELERATIONS = (
 )
 STEERING = (
     Kind("steering in other units", ("steering_scale",), "times", road_wheel_only(scale("road_wheel_angle")),
-         unit_sizes(("deg", DEG), ("mrad", 1e3)), v.steers, tolerance=GROSS),
-    Kind("hand wheel for road wheels", ("steering_scale",), "times", hand_wheel_as_road_wheel,
-         unit_sizes(("rad", 1.0), ("deg", DEG)), v.steers, tolerance=GROSS),
-    Kind("steering sign", ("steering_sign",), "is", scale(*WHEEL), whole_and_half(-1.0), v.steers, tolerance=GROSS),
+         unit_sizes(("deg", DEG), ("mrad", 1e3)), v.steers, tolerance=COARSE),
+    Kind("hand wheel for road wheels", ("steering_scale",), "times", steering_wheel_as_road_wheel,
+         unit_sizes(("rad", 1.0), ("deg", DEG)), v.steers, tolerance=COARSE),
+    Kind("steering sign", ("steering_sign",), "is", scale(*WHEEL), whole_and_half(-1.0), v.steers, tolerance=COARSE),
     Kind("steering late", ("steering_lag",), "plus", delay(*WHEEL), two_sizes(0.3, 0.6, "s"), v.steers_in_curves),
     Kind("steering offset", ("steering_offset",), "plus", road_wheel_only(shift("road_wheel_angle")),
          two_sizes(0.03, 0.08, "rad"), v.steers_in_curves, follows_sign=True),
@@ -226,11 +226,11 @@ INS = (
          prepare=with_good_quality),
     Kind("poor accuracy", ("ins_accuracy",), "is", f.worsen_accuracy, two_sizes(0.5, 2.0, "m"), v.moves,
          tolerance=FINE, prepare=with_good_quality),
-    Kind("wheel speed scaled", ("wheel_speed_scale",), "times", scale_wheel_speed, two_sizes(1.05, 1.15), v.moves,
-         prepare=with_wheel_speed),
+    Kind("wheel speed scaled", ("wheel_speed_scale",), "times", scale_series("wheel_speed"), two_sizes(1.05, 1.15),
+         v.moves, prepare=with_wheel_speed),
     Kind("wheel speed late", ("wheel_speed_lag",), "plus", delay_wheel_speed, two_sizes(0.3, 0.6, "s"), v.accelerates,
          prepare=with_wheel_speed),
-    Kind("other INS output scaled", ("ins_speed_scale",), "times", scale_ins_speed, two_sizes(1.05, 1.15), v.moves,
-         prepare=with_ins_speed),
+    Kind("other INS output scaled", ("ins_speed_scale",), "times", scale_series("ins_speed"), two_sizes(1.05, 1.15),
+         v.moves, prepare=with_ins_speed),
 )
 KINDS = {kind.name: kind for kind in (*TIME, *POSITIONS, *YAW, *VELOCITIES, *ACCELERATIONS, *STEERING, *INS)}

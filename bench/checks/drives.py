@@ -49,6 +49,6 @@ def list_real_files() -> list[Path]:
 
 
 def _file(name: str) -> Path:
-    # A missing drive gets a path that the reader reports as missing.
+    # For a missing drive, the path of a file that does not exist, which the reader reports.
     files = [file for file in list_real_files() if file.stem == name]
     return files[0] if files else SOUND_DRIVES / f"{name}.csv"

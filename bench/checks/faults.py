@@ -1,4 +1,4 @@
-"""Edits of recordings other than factors, offsets and delays. Edited: the recording and the true value."""
+"""Faults other than factors, offsets and delays. Each edit returns the corrupted recording and its true value."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,7 +18,7 @@ def _generator(recording: Recording) -> np.random.Generator:
 
 
 def change_time_unit(r: Recording, factor: float) -> Edited:
-    """Time stamps that advance `factor` times too fast from the first measurement on."""
+    """Time stamps that advance `factor` times too fast, from the first one on."""
     start = r.log.start_ns
 
     def speed_up(time_ns: np.ndarray) -> np.ndarray:
@@ -29,26 +29,22 @@ def change_time_unit(r: Recording, factor: float) -> Edited:
     return r.with_log(**log).with_auxiliary(**series), factor
 
 
-def remove_three_spans(r: Recording, seconds: float) -> Edited:
-    return _remove_spans(r, [(fraction * r.log.duration, seconds) for fraction in (0.25, 0.5, 0.75)])
+def remove_spans(*fractions: float) -> Callable[[Recording, float], Edited]:
+    """Gaps at fractions of the duration, of the same length each. True value: total duration of the INS gaps [s]."""
+    def edit(r: Recording, seconds: float) -> Edited:
+        starts = [fraction * r.log.duration for fraction in fractions]
 
-
-def remove_one_span(r: Recording, seconds: float) -> Edited:
-    return _remove_spans(r, [(0.45 * r.log.duration, seconds)])
-
-
-def _remove_spans(r: Recording, gaps: list[tuple[float, float]]) -> Edited:
-    """Removes the data in gaps (start, length) [s]. True value: total duration of the gaps of the INS [s]."""
-    def is_recorded(time_ns: np.ndarray) -> np.ndarray:
-        time = (time_ns - r.log.ins_time_ns[0]) * 1e-9
-        return ~np.any([(time > start) & (time < start + length) for start, length in gaps], axis=0)
-    corrupted = select_rows(r, is_recorded(r.log.ins_time_ns), is_recorded(r.log.steering_time_ns))
-    steps = np.diff(corrupted.time)
-    return corrupted, float(steps[steps > 0.25].sum())
+        def is_recorded(time_ns: np.ndarray) -> np.ndarray:
+            time = (time_ns - r.log.ins_time_ns[0]) * 1e-9
+            return ~np.any([(time > start) & (time < start + seconds) for start in starts], axis=0)
+        corrupted = select_rows(r, is_recorded(r.log.ins_time_ns), is_recorded(r.log.steering_time_ns))
+        steps = np.diff(corrupted.time)
+        return corrupted, float(steps[steps > 0.25].sum())
+    return edit
 
 
 def repeat_stamps(r: Recording, fraction: float) -> Edited:
-    """A `fraction` of the recorded rows repeats the time of the previous row; a reader leaves them out."""
+    """A `fraction` of the recorded rows repeats the time of the previous row; readers leave these rows out."""
     generator = _generator(r)
 
     def repeat(time: np.ndarray) -> np.ndarray:
@@ -59,7 +55,7 @@ def repeat_stamps(r: Recording, fraction: float) -> Edited:
 
 
 def swap_stamps(r: Recording, fraction: float) -> Edited:
-    """A `fraction` of the rows has an earlier time than the previous row; a reader leaves them out."""
+    """A `fraction` of the rows has an earlier time than the previous row; readers leave these rows out."""
     generator, stamps, rising = _generator(r), {}, {}
     for name, in_order in r.auxiliary.stamps.items():
         time = in_order.copy()
@@ -73,7 +69,7 @@ def swap_stamps(r: Recording, fraction: float) -> Edited:
 
 
 def add_jitter(r: Recording, size: float) -> Edited:
-    """Times with random delays of standard deviation `size` [s], in the same order. True value: standard deviation of
+    """Times with random errors of standard deviation `size` [s], in the same order. True value: standard deviation of
     the change of the intervals [s]."""
     time = r.log.ins_time_ns
     noise = np.round(size * 1e9 * _generator(r).standard_normal(len(time))).astype(np.int64)
@@ -86,7 +82,7 @@ def add_jitter(r: Recording, size: float) -> Edited:
 
 
 def drop_rows(r: Recording, fraction: float) -> Edited:
-    """Rows in which the yaw rate has no value, and which a reader therefore left out."""
+    """A `fraction` of the rows has no yaw rate; readers leave these rows out."""
     is_recorded = _generator(r).random(len(r.log.x)) >= fraction
     corrupted = select_rows(r, is_recorded, np.ones(len(r.log.steering_time_ns), bool))
     missing = int((~is_recorded).sum())
@@ -107,7 +103,7 @@ def to_compass(r: Recording, factor: float) -> Edited:
 
 
 def to_wrapped_degrees(r: Recording, factor: float) -> Edited:
-    """Yaw from -180 to 180 deg in the file, which a reader unwraps as if it were in rad."""
+    """Yaw from -180 to 180 deg in the file, which readers unwrap as if it were in rad."""
     wrapped = (r.log.yaw * factor + 180.0) % 360.0 - 180.0
     return r.with_log(yaw=np.unwrap(wrapped)), factor
 
@@ -125,13 +121,13 @@ def make_positions_stale(r: Recording, fraction: float) -> Edited:
 
 
 def jump_every_second(r: Recording, size: float) -> Edited:
-    """Positions that jump to the side and, a second later, back."""
+    """Positions that jump by `size` [m] and, a second later, back."""
     second = np.floor(r.time)
     return _shift_positions(r, size * (second % 2)), float(np.count_nonzero(np.diff(second % 2)))
 
 
 def jump_once(r: Recording, size: float) -> Edited:
-    """Positions with a lasting offset from the middle of the rows in which the car moves."""
+    """Positions with a constant offset from the middle of the moving rows on."""
     moving = np.flatnonzero(np.abs(r.log.velocity_x) > MIN_SPEED)
     return _shift_positions(r, size * (np.arange(len(r.log.x)) >= moving[len(moving) // 2])), 1.0
 
@@ -154,7 +150,7 @@ def hold_values(channel: str) -> Callable[[Recording, float], Edited]:
 
 
 def freeze(*channels: str) -> Callable[[Recording, float], Edited]:
-    """Freezes channels in the span in which the first one varies most. True value: how long it is constant [s]."""
+    """Freezes channels while the first one varies most. True value: duration for which that one is constant [s]."""
     def edit(r: Recording, seconds: float) -> Edited:
         start = find_busiest_span(r, channels[0], seconds)
         if start is None:

@@ -18,16 +18,16 @@ Findings = tuple[str, int, list[tuple[str, str]]]
 
 
 def main(seeds: int, seconds: float, jobs: int) -> tuple[str, int]:
-    """Checks drives of every scenario with that many seeds; returns (findings, exit status 1 if one is an error)."""
+    """Checks `seeds` drives of every scenario; returns (text of the page, exit status 1 if there is an error)."""
     tasks = [(scenario, range(FIRST_SEED + first, FIRST_SEED + min(first + BATCH, seeds)), seconds)
              for scenario in SCENARIOS for first in range(0, seeds, BATCH)]
     begin, counts, names = time.monotonic(), Counter(), Counter()
     for part in map_parallel(_check_batch, tasks, jobs):
         for scenario, seed, findings in part:
             counts["drives"] += 1
-            worst = {severity for severity, _ in findings}
-            counts["error"] += Severity.ERROR in worst
-            counts["warning"] += Severity.WARNING in worst
+            severities = {severity for severity, _ in findings}
+            counts["error"] += Severity.ERROR in severities
+            counts["warning"] += Severity.WARNING in severities
             for _, text in findings:
                 names[text.split()[1]] += 1
                 print(f"{scenario} seed {seed}: {text}", flush=True)

@@ -7,7 +7,7 @@ from .._pages import format_table
 from . import drives
 from .score import format_finding, run_check
 
-SETS = {"hyundai_genesis_oxts": "The nine drives", "hyundai_genesis_more": "Drives with faults of known cause"}
+SETS = {"hyundai_genesis_oxts": "The nine drives", "hyundai_genesis_more": "Other drives, most with known faults"}
 
 
 def main() -> str:

@@ -1,4 +1,4 @@
-"""A drive with its auxiliary data, and the edits that several corruptions use."""
+"""A drive with its auxiliary signals, and edits that several faults use."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -15,9 +15,9 @@ STEERING = ("road_wheel_angle", "steering_wheel_angle")
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A drive with the vehicle file of its user. real: a real drive, with unknown faults.
+    """A drive with its vehicle file. real: a real drive, which may have unknown faults.
 
-    baseline: for a virtual drive, finding -> its value without a fault, if that is not 1 (scales) or 0 (offsets).
+    baseline: for a virtual drive, finding -> true value without a fault, if that is not 1 (scales) or 0 (offsets).
     """
 
     log: DriveLog
@@ -73,7 +73,7 @@ def select_rows(recording: Recording, ins: np.ndarray, steering: np.ndarray) -> 
 
 
 def delay_channels(recording: Recording, seconds: float, *channels: str) -> Recording:
-    """Delays channels by `seconds`; the ends, where their values are unknown, are cut off."""
+    """Delays channels by `seconds`; the ends, where their values become unknown, are removed."""
     log, fields = recording.log, {}
     for channel in channels:
         if (values := getattr(log, channel)) is not None:

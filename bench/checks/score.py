@@ -1,8 +1,8 @@
 """Scores the findings of `check` on a corrupted drive.
 
-The sensors of a virtual drive are known, and so is the truth. A real drive has unknown deviations, so the truth is the
-estimate for the drive as recorded, combined with the edit: multiplied by factors, added to offsets. Fractions, counts
-and durations are those of the edit, also for real drives.
+The true value for a virtual drive follows from its sensors. A real drive has unknown deviations: its estimate as
+recorded is multiplied by the factor, or added to the offset, of the edit. Fractions, counts and durations are those of
+the edit, also for real drives.
 """
 
 from dataclasses import replace
@@ -23,7 +23,7 @@ def run_check(recording: Recording) -> DriveCheck:
 
 
 def try_check(recording: Recording) -> tuple[DriveCheck, str]:
-    """(result, error text): an exception in a check is scored as a wrong answer."""
+    """(result, error message): an exception in a check is scored as a wrong answer."""
     try:
         return run_check(recording), ""
     except Exception as error:
@@ -41,14 +41,14 @@ class Drive:
 
     def __init__(self, recording: Recording):
         self.recording = recording
-        self._made: dict[tuple, Recording] = {}
+        self._prepared: dict[tuple, Recording] = {}
 
     def clean(self, kind: Kind, size: Size) -> Recording:
         key = size.part, kind.prepare
-        if key not in self._made:
+        if key not in self._prepared:
             part = middle_half(self.recording) if size.part else self.recording
-            self._made[key] = kind.prepare(part) if kind.prepare else part
-        return self._made[key]
+            self._prepared[key] = kind.prepare(part) if kind.prepare else part
+        return self._prepared[key]
 
 
 def score_case(drive: Drive, kind: Kind, size: Size) -> Record | None:
@@ -56,7 +56,7 @@ def score_case(drive: Drive, kind: Kind, size: Size) -> Record | None:
     clean = drive.clean(kind, size)
     if not kind.is_visible(clean, size.value):
         return None
-    value = size.value * choose_side(kind, clean)
+    value = size.value * choose_sign(kind, clean)
     corrupted, change = kind.edit(clean, value)
     result, raised = try_check(corrupted)
     before = check_as_recorded(clean)
@@ -106,7 +106,7 @@ def estimate_as_recorded(kind: Kind, clean: Recording) -> float | None:
     return next((values[name] for name in kind.findings if name in values), None)
 
 
-def choose_side(kind: Kind, clean: Recording) -> int:
+def choose_sign(kind: Kind, clean: Recording) -> int:
     return -1 if kind.follows_sign and clean.real and (estimate_as_recorded(kind, clean) or 0.0) < 0 else 1
 
 
@@ -126,13 +126,13 @@ def is_inside(kind: Kind, finding: Finding, truth: float | None) -> bool:
 
 
 def new_findings(result: DriveCheck, before: DriveCheck, kind: Kind) -> list[Finding]:
-    """Findings that the corruption causes in addition to its own."""
+    """Findings that the fault causes in addition to the expected and permitted ones."""
     known = {finding.name for finding in before.findings} | {*kind.findings, *kind.also_permitted}
     return [finding for finding in result.findings if finding.name not in known]
 
 
 def format_finding(finding: Finding) -> str:
-    """name 1.23 (1.20 to 1.26) unit of channels"""
+    """Text such as: error yaw_rate_scale 1.05 (1.04 to 1.06) [yaw_rate]"""
     value = "" if finding.value is None else f" {finding.value:.4g}"
     if finding.interval is not None:
         value += f" ({finding.interval[0]:.4g} to {finding.interval[1]:.4g})"

@@ -11,7 +11,7 @@ REPEATS = 3
 
 
 def main() -> str:
-    """The table of the page; prints each row as soon as it is ready."""
+    """The Markdown table; prints each row as soon as it is ready."""
     longest = virtual_drive("S6", 1, 60.0 * MINUTES[-1])
     start = int(longest.log.ins_time_ns[0])
     rows = []

@@ -1,13 +1,10 @@
 """Formats the records of the matrix for the console, results.json and docs/manual/checks.md."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 from .._pages import format_table
 from ..discovery.score import wilson
 from .score import Record
-
-END = "<!-- end -->"
 
 
 def count_row(records: Sequence[Record], **first: object) -> Record:
@@ -36,7 +33,7 @@ def format_accuracy(r: Record) -> str:
 
 
 def as_markdown(document: Record) -> str:
-    """Formats the totals, and the kinds with wrong cases."""
+    """Formats the totals, and the kinds of faults with wrong cases."""
     total = [(r["which"], str(r["cases"]), format_accuracy(r)) for r in document["total"]]
     missed = [(r["kind"], str(r["cases"]), str(r["right"])) for r in document["kinds"] if r["right"] < r["cases"]]
     count = len(document["kinds"])
@@ -58,14 +55,5 @@ def as_text(document: Record) -> str:
 def describe_failure(r: Record) -> str:
     others = "; ".join((*r["new"]["error"], *r["new"]["warning"])) or "nothing"
     truth = "" if r["truth"] is None else f", true {r['truth']:.4g} (from {r['truth_from']})"
-    return f"{r['drive']}: {r['kind']} {r['size']}{truth}: reported {r['reported'] or 'not its name'}; others {others}"
-
-
-def put_into(page: Path, mark: str, text: str) -> None:
-    """Replaces the text between the comment `mark` and the next end. Raises ValueError for a page without them."""
-    begin = f"<!-- {mark} -->"
-    before, separator, rest = page.read_text().partition(begin)
-    _, end, after = rest.partition(END)
-    if not separator or not end:
-        raise ValueError(f"{page}: the comments {begin} and {END} are missing")
-    page.write_text(f"{before}{begin}\n\n{text}\n\n{END}{after}")
+    reported = r["reported"] or "no expected finding"
+    return f"{r['drive']}: {r['kind']} {r['size']}{truth}: reported {reported}; others {others}"

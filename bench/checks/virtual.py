@@ -53,10 +53,10 @@ def virtual_drive(scenario: str, seed: int, seconds: float) -> Recording:
 
 
 def _true_deviations(settings: Settings, readings: list[InsReading], exact: list[InsReading]) -> dict[str, float]:
-    """True values of findings for sensors without a fault: the mean of the noise over the drive acts as a bias.
+    """True values of findings for sensors without a fault: noise has a mean over the drive, which acts as a bias.
 
     The body rolls outwards and pitches: accelerometers also measure a component of gravity, and the measured yaw rate
-    is cos(roll) cos(pitch) times the true one, because its axis is fixed to the body.
+    is cos(roll) cos(pitch) times the true one, because the axis of the gyroscope is fixed to the body.
     """
     def mean(value: Callable[[InsReading], float]) -> float:
         return sum(value(one) - value(other) for one, other in zip(readings, exact, strict=True)) / len(readings)

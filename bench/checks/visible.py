@@ -1,6 +1,6 @@
-"""Conditions under which a drive can show a fault; faults that it cannot show are not tested.
+"""Conditions under which a fault is visible in a drive; others are not tested.
 
-At these limits, the smaller size of a fault is about the noise of a normal INS.
+At these limits, the effect of the smaller size of a fault is about the noise of a normal INS.
 """
 
 from collections.abc import Callable
@@ -12,19 +12,19 @@ from .recording import Recording
 
 Condition = Callable[[Recording, float], bool]
 MIN_YAW_RATE_DEVIATION, MIN_STEERING_DEVIATION = 0.05, 0.005
-"""Standard deviations over the drive [rad/s, rad]. In a steady circle they are 0, which hides a delay."""
+"""Standard deviations over the drive [rad/s, rad]. In a steady circle they are 0, and a delay is not visible."""
 MIN_ACCELERATION_DEVIATION = 0.25  # m/s^2, standard deviation of dv_x/dt
 MIN_CORNERING_DEVIATION = 0.4  # m/s^2, standard deviation of r v_x
 MIN_LATERAL_VELOCITY = 0.05  # m/s, root mean square of v_y
 MIN_CURVATURE_DEVIATION = 0.005
-"""Standard deviation of the curvature [1/m]. A circle confounds errors of INS point, heading and tyres."""
+"""Standard deviation of the curvature [1/m]. In a circle, errors of INS point, heading and tyres are confounded."""
 MAX_STRAIGHT_CURVATURE, MIN_STRAIGHT_FRACTION = 0.005, 0.1
 """Curvature of a straight [1/m], and minimum fraction of straights in the drive."""
 MAX_SLOW_SPEED, MIN_SLOW_TURNING = 8.0, 0.3
 """[m/s], and integral of the squared yaw rate below this speed [rad^2/s]. At higher speed, tyre slip moves the point
 about which the car turns."""
 MIN_SPEED_VARIATION = 0.1
-"""Standard deviation of the speed over its mean. At one speed, a point further ahead looks like an early sample."""
+"""Standard deviation of the speed over its mean. At one speed, a point further ahead acts like an earlier sample."""
 MIN_AXIS_FRACTION = 0.2  # minimum fraction of the distance along x, and along y
 MAX_LEVER_ARM = 1.5  # m, of an accelerometer from the INS point
 MIN_STANDSTILL = 3.0  # s

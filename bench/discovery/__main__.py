@@ -1,7 +1,0 @@
-"""Runs the benchmark: python -m bench.discovery."""
-
-import sys
-
-from . import main
-
-sys.exit(main())
