@@ -89,7 +89,7 @@ def measure_changes() -> list[Row]:
 def _measure_style(number: int, style: str) -> list[Row]:
     sys.path.insert(0, str(project_root()))
     from bench.discovery import cars, programmes
-    from bench.discovery.plants import Order, record_run, vehicle_of
+    from bench.discovery.plants import RunPlan, record_run, vehicle_of
 
     healthy = cars.healthy_car(cars.LEAF, (SEED,)).settings
     file = vehicle_of(cars.LEAF, healthy)
@@ -98,9 +98,9 @@ def _measure_style(number: int, style: str) -> list[Row]:
     def drive(group: int, index: int, count: int, after: Mapping[str, float] | None = None) -> DriveLog:
         """Log of `count` manoeuvres. after: settings of the car from the middle of the drive on."""
         parts = tuple(manoeuvres[k % len(manoeuvres)] for k in range(count))
-        changed: dict[str, Any] = {} if after is None else {"before": healthy, "from_": 0.5}
-        order = Order(f"{group} {index}", (SEED, number, group, index), after or healthy, parts, **changed)
-        return record_run(cars.LEAF, file, order)
+        changed: dict[str, Any] = {} if after is None else {"before": healthy, "change_at": 0.5}
+        plan = RunPlan(f"{group} {index}", (SEED, number, group, index), after or healthy, parts, **changed)
+        return record_run(cars.LEAF, file, plan)
 
     models = [get_model(model) for model in MODELS]
     runs = [compute_error_samples(models, file, SETTINGS.signals(log), SETTINGS)

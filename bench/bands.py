@@ -242,11 +242,11 @@ class VirtualLeaf:
         """Log of a drive. name, number: seed; manoeuvre: of bench.discovery.programmes, repeated three times, or None
         for several random ones."""
         from bench.discovery import cars, programmes
-        from bench.discovery.plants import Order, record_run
+        from bench.discovery.plants import RunPlan, record_run
 
         parts = None if manoeuvre is None else (getattr(programmes, manoeuvre),) * 3
         return record_run(cars.LEAF, self.file,
-                          Order(f"{name} {number}", (SEED, *name.encode(), number), settings, parts))
+                          RunPlan(f"{name} {number}", (SEED, *name.encode(), number), settings, parts))
 
     def samples(self, name: str, count: int, settings: Mapping[str, float], manoeuvre: str | None = None) -> Runs:
         return {f"{name} {k}": collect_samples(self.drive(name, k, settings, manoeuvre), self.file, ("nonlinear",))

@@ -1,4 +1,4 @@
-"""Blind benchmark of `st discover`: scores of its answers for hidden effects in two plants and in real drives."""
+"""Blind benchmark of `st discover`: scores for effects hidden in two plants, and for edits of real drives."""
 
 import sys
 from collections.abc import Sequence

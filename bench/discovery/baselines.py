@@ -1,4 +1,4 @@
-"""Methods for comparison: tuning of the tyres, the parameters of openpilot's paramsd, regression of residuals."""
+"""Other methods, for comparison: fit of the tyres, parameters of openpilot's paramsd, regression of residuals."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -13,15 +13,14 @@ from st_core.vehicle import VehicleParameters
 
 from .cases import Case
 from .drives import Drives, settings_of
-from .oracle import Judge, Oracle, Point, null_model
+from .oracle import HeldOutErrors, Oracle, Point, null_model
 from .regression import Regression
 
 TYRES = ("front_stiffness", "rear_stiffness", "friction")
 PARAMSD_EFFECTS = {"steering_ratio": "factor", "tyre_stiffness": "factor", "steering_offset": "angle"}
 PARAMSD_SCALES = (0.05, 0.1, 0.005)
 RATIO, STIFFNESS, OFFSET = (0.5, 2.0), (0.3, 3.0), (-0.1, 0.1)
-"""Bounds. Those of paramsd are 0.5 to 2 for the ratio, and 0.2 to 5 for the stiffness, which the library bounds more
-narrowly."""
+"""Bounds of the fit. Those of paramsd are the same for the ratio, and 0.2 to 5 for the stiffness."""
 START_INTERVAL, HORIZON, POINT_INTERVAL = 1.0, 3.0, 0.1
 """Interval of the starts, horizon, and interval of the compared yaw rates [s]."""
 
@@ -29,10 +28,11 @@ START_INTERVAL, HORIZON, POINT_INTERVAL = 1.0, 3.0, 0.1
 def compare_methods(case: Case, drives: Drives) -> dict[str, Any]:
     """Held-out position error after 5 s [m] for each method, and the residuals before and after the regression."""
     settings = settings_of(case)
-    judge = Judge(drives.held_out, drives.vehicle, settings)
+    held_out = HeldOutErrors(drives.held_out, drives.vehicle, settings)
     tyres = Oracle(drives.suspect, drives.vehicle, TYRES, {}, settings).best
     identified = Point(null_model().with_values(fit_paramsd(drives.suspect, drives.vehicle)), tyres.gain)
-    result: dict[str, Any] = {"tyres": round(judge.position(tyres), 4), "paramsd": round(judge.position(identified), 4)}
+    result: dict[str, Any] = {name: round(held_out.position(point), 4)
+                              for name, point in (("tyres", tyres), ("paramsd", identified))}
     if case.with_vy:
         regression = Regression(drives.suspect, drives.vehicle, null_model())
         before, after = regression.normalised_mean_squares(drives.held_out)

@@ -4,21 +4,22 @@ import argparse
 import tempfile
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from . import ablation, score, tables
 from .cases import COUNTS
-from .run import Record, interleave_cases, read_files, run_all
+from .run import Record, interleave_cases, read_files, run_all, try_case
 
 FOLDER = Path(tempfile.gettempdir()) / "st_bench_discovery"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="st bench discovery", description=(
-        "Compares answers of st discover with the truth, for hidden effects in two plants and edits of real drives. "
+        "Compares answers of st discover with the truth, for effects hidden in two plants and edits of real drives. "
         "Use the development set as often as you like, and the sealed set once, with a frozen version."))
     parser.add_argument("--set", default="development",
-                        help="development, sealed, or any other word for another set")
+                        help="development, sealed, or the name of another set of cases")
     parser.add_argument("--counts", type=_counts, default=COUNTS, metavar="A=10,B=10",
                         help="maximum number of cases of each block; default all")
     parser.add_argument("--until", type=float, metavar="MINUTES", help="start no case after this time")
@@ -44,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if chosen.ablation:
         ablation.run_variants(cases, out, until, _print_record)
         return 0
-    records = run_all(cases, out, until, _print_record, whole=not chosen.plain)
+    records = run_all(cases, out, until, partial(try_case, whole=not chosen.plain), _print_record)
     print(score.as_text(score.score_rows(records)))
     print(f"{len(records)} of {len(cases)} cases, in {out}")
     return 0
@@ -69,6 +70,6 @@ def _print_record(r: Record) -> None:
     varying = "".join(f" {name} varies with {partition}" for name, partition in r["varying"])
     position = r.get("position")
     errors = "" if not position else " 5 s " + ", ".join(f"{k} {v:.2f}" for k, v in position.items()) + " m;"
-    words = f"{r['plant']}, {r['words']}" if "words" in r else f"{r['kind']} {r['size']:+.3g}"
-    print(f"{r['block']} {r['index']} [{words}] -> {r['outcome']}: {names}{varying};{errors} {r.get('cpu_s', 0):.1f} "
+    hidden = f"{r['plant']}, {r['words']}" if "words" in r else f"{r['kind']} {r['size']:+.3g}"
+    print(f"{r['block']} {r['index']} [{hidden}] -> {r['outcome']}: {names}{varying};{errors} {r.get('cpu_s', 0):.1f} "
           f"of {r['case_s']:.1f} s {r.get('error', '')}", flush=True)

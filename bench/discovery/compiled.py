@@ -1,7 +1,7 @@
 """The compiled virtual car: the equations of st_sim, driven by a programme instead of a driver.
 
 The order is that of `Plant.step`: steering wheel -> delay -> play -> ratio -> lag, step of Heun's method. Standstill
-is not simulated: a car that stops is rejected. Checked by: tests/bench/test_discovery_plants.py.
+is not simulated: the drive of a car that stops is rejected. Checked by: tests/bench/test_discovery_plants.py.
 """
 
 from dataclasses import dataclass
@@ -20,8 +20,8 @@ from st_sim.settings import Settings
 from .relation_equations import Car as Body
 from .relation_equations import Relation, relation_accelerations
 
-DECIDE = 5
-"""Steps between two decisions of the driver, and between two samples: 0.01 s."""
+STEPS_PER_SAMPLE = 5
+"""Integration steps between two samples, 0.01 s apart, at which the driver also acts."""
 MAX_STEERING_WHEEL_RATE = 8.0  # rad/s
 SPEED_GAIN, MAX_BRAKING, MAX_DRIVE, JERK = 1.2, 7.0, 3.5, 10.0
 """[1/s, m/s^2, m/s^2, m/s^3] of the pedals, as for the driver of st_sim."""
@@ -30,8 +30,8 @@ RECORDED = STATES + 4
 NO_RELATION = Relation()
 
 
-class Stopped(Exception):
-    """The car came to rest, which the compiled loop cannot simulate."""
+class DriveFailed(Exception):
+    """A drive that cannot be used: the car stopped, spun or tipped over."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ class Programme:
     """Commands of the driver every 0.01 s from the start; all arrays have the same length."""
 
     steering_wheel: np.ndarray  # steering wheel angle, left + [rad]
-    yaw: np.ndarray  # heading to keep [rad], relative to that at which the control of the heading begins
-    gain: np.ndarray  # road wheel angle per heading error [1], 0 without control
+    yaw: np.ndarray  # target heading [rad], relative to the heading at which its control begins
+    gain: np.ndarray  # road wheel angle per heading error [1], 0 without control of the heading
     speed: np.ndarray  # [m/s]
     acceleration: np.ndarray  # derivative of the speed [m/s^2]
 
@@ -50,21 +50,21 @@ class Recording:
     """True motion every 0.01 s."""
 
     rows: np.ndarray  # (n, RECORDED)
-    steering_wheel: np.ndarray  # angle one step after each row [rad], when the steering sensor samples it
+    steering_wheel: np.ndarray  # angle one step after each row [rad], at which the steering sensor samples
     bank: np.ndarray  # angle of the road [rad]
     grade: np.ndarray  # angle of the road [rad]
 
 
 def drive(car: VehicleParameters, settings: Settings, programme: Programme, seed: int,
           later: tuple[Settings, int] | None = None, relation: Relation = NO_RELATION) -> Recording:
-    """Drives a programme. later: (other settings, sample from which on they are valid). relation: see
-    `relation_equations`. Raises Stopped."""
+    """Drives a programme. later: (other settings, sample at which they begin). relation: see
+    `relation_equations`. Raises DriveFailed."""
     parts = [(settings, len(programme.steering_wheel))] if later is None else [
         (settings, later[1]), (later[0], len(programme.steering_wheel) - later[1])]
     plant = Plant(car, settings, seed)
     plant.place(0.0, 0.0, float(programme.yaw[0]), float(programme.speed[0]))
-    # State, steering wheel, pedal, position within the play, two gusts, heading error, gain; the plant has drawn four
-    # numbers for the gusts.
+    # State, steering wheel, pedal, position within the play, two gusts, heading offset, gain; the plant has used
+    # four random numbers for the gusts.
     state = np.array([*plant.state, 0.0, 0.0, 0.0, plant.conditions.wind_x,
                       plant.conditions.wind_y - settings["wind_speed"], 0.0, 1.0])
     draw = make_normal_source(np.random.default_rng([seed, 1]))
@@ -74,7 +74,7 @@ def drive(car: VehicleParameters, settings: Settings, programme: Programme, seed
     kernel = compile_loop(_loop)
     first = 0
     for s, count in parts:
-        steps = count * DECIDE
+        steps = count * STEPS_PER_SAMPLE
         gusts = np.array([draw() for _ in range(2 * steps)]) if s["gust_speed"] else np.zeros(2)
         delayed = np.full(round(s["steering_delay"] / STEP), state[STATES])
         options = np.array([car.mass, car.wheelbase, car.cg_to_rear_axle, car.steering_ratio,
@@ -85,9 +85,9 @@ def drive(car: VehicleParameters, settings: Settings, programme: Programme, seed
                   for name in ("steering_wheel", "yaw", "gain", "speed", "acceleration")]
         c = make_constants(car, s, STEP)
         body = Body(c.to_front, c.to_rear, c.yaw_inertia / c.mass, car.cornering_stiffness_rear / c.mass)
-        good = kernel(state, options, c, make_road(s), relation, body, first, delayed, gusts, *arrays, out[part])
-        if not good:
-            raise Stopped
+        finished = kernel(state, options, c, make_road(s), relation, body, first, delayed, gusts, *arrays, out[part])
+        if not finished:
+            raise DriveFailed
         first += count
     return Recording(out[:, :RECORDED], out[:, RECORDED], out[:, RECORDED + 1], out[:, RECORDED + 2])
 
@@ -113,7 +113,7 @@ def control_pedals(pedal, speed, acceleration, motion, rear, wheelbase):
     bend = abs(vx * r * sin(steer)) * rear / wheelbase
     target = acceleration + SPEED_GAIN * (speed - vx) + bend - vy * r
     target = min(max(target, -MAX_BRAKING), MAX_DRIVE)
-    max_change = JERK * DECIDE * STEP
+    max_change = JERK * STEPS_PER_SAMPLE * STEP
     return pedal + min(max(target - pedal, -max_change), max_change)
 
 
@@ -142,7 +142,7 @@ def _loop(state, options, c, road, relation, body, first, delayed, gusts,  # noq
     for k in range(len(steering)):
         rates, _ = derivative(_tuple(s), s[RACK], force, (friction, bank, grade, gust_x, wind + gust_y), c)
         if relation[0]:
-            rates = _add_relation(rates, s, relation, body, (first + k) * DECIDE * STEP, pedal)
+            rates = _add_relation(rates, s, relation, body, (first + k) * STEPS_PER_SAMPLE * STEP, pedal)
         for i in range(STATES):
             out[k, i] = s[i]
         out[k, STATES], out[k, STATES + 1], out[k, STATES + 2] = rates[VX], rates[VY], rates[YAW_RATE]
@@ -154,7 +154,7 @@ def _loop(state, options, c, road, relation, body, first, delayed, gusts,  # noq
         target = steering[k] + gain[k] * (yaw[k] + heading_offset - s[YAW]) * nominal_ratio
         pedal = control_pedals(pedal, speed[k], acceleration[k], (s[VX], s[VY], s[YAW_RATE], s[RACK]), rear, wheelbase)
         force = mass * pedal
-        for step in range(DECIDE):
+        for step in range(STEPS_PER_SAMPLE):
             angle += min(max(target - angle, -MAX_STEERING_WHEEL_RATE * STEP), MAX_STEERING_WHEEL_RATE * STEP)
             if step == 0:
                 out[k, RECORDED] = angle
@@ -175,13 +175,13 @@ def _loop(state, options, c, road, relation, body, first, delayed, gusts,  # noq
                 s[RACK] = rack
             rates, _ = derivative(_tuple(s), rack, force, conditions, c)
             if relation[0]:
-                rates = _add_relation(rates, s, relation, body, (first + k) * DECIDE * STEP, pedal)
+                rates = _add_relation(rates, s, relation, body, (first + k) * STEPS_PER_SAMPLE * STEP, pedal)
             for i in range(STATES):
                 k1[i] = rates[i]
                 middle[i] = s[i] + STEP * rates[i]
             rates, _ = derivative(_tuple(middle), rack, force, conditions, c)
             if relation[0]:
-                rates = _add_relation(rates, middle, relation, body, (first + k) * DECIDE * STEP, pedal)
+                rates = _add_relation(rates, middle, relation, body, (first + k) * STEPS_PER_SAMPLE * STEP, pedal)
             for i in range(STATES):
                 s[i] += STEP / 2 * (k1[i] + rates[i])
             if s[VX] < STANDSTILL_SPEED:

@@ -1,6 +1,6 @@
 """Block F: compares the answer for edited drives with the answer for the drives as recorded.
 
-The value before the edit is that in the answer for the drives as recorded, whether stated, kept, or only fitted.
+The value before the edit is that of a stated effect, or else of a candidate, in the answer for the drives as recorded.
 """
 
 from dataclasses import dataclass
@@ -15,17 +15,17 @@ Stated = dict[tuple[str, str], tuple[float, float, float]]
 
 
 @dataclass(frozen=True)
-class Edited:
+class EditComparison:
     """Comparison for one edit."""
 
-    # Whether the interval of the stated value contains the expected one, or the effect is an alternative of the stated.
+    # Whether the interval of the stated value contains the expected one, or the effect is an alternative of another.
     moved: bool
-    others: tuple[str, ...]  # other effects with changed values
+    others: tuple[str, ...]  # other effects of which a value has changed
     expected: float  # value of the edited parameter
     stated: tuple[float, float, float] | None
 
 
-def compare_edit(plain: Record, r: Record) -> Edited:
+def compare_edit(plain: Record, r: Record) -> EditComparison:
     edit = EDITS[r["kind"]]
     before, after = stated_values(plain), stated_values(r)
     key = edit.effect, edit.parameter
@@ -37,7 +37,7 @@ def compare_edit(plain: Record, r: Record) -> Edited:
     value = after.get(key)
     moved = value[1] <= expected <= value[2] if value else edit.effect in alternatives(r)
     others = {k for k in (*before, *after) if k[0] != edit.effect and not _same(k, before, after, plain, r)}
-    return Edited(moved, tuple(sorted({effect for effect, _ in others})), expected, value)
+    return EditComparison(moved, tuple(sorted({effect for effect, _ in others})), expected, value)
 
 
 def stated_values(r: Record) -> Stated:
@@ -51,7 +51,7 @@ def alternatives(r: Record) -> set[str]:
 def _same(key: tuple[str, str], before: Stated, after: Stated, plain: Record, r: Record) -> bool:
     """Whether one of the two values is inside the interval of the other.
 
-    A value that is not stated is at null, unless its effect became an alternative of a stated one.
+    A value that is not stated is null, unless its effect has become an alternative of a stated one.
     """
     effect = key[0]
     if key in before and key in after:

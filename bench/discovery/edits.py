@@ -1,7 +1,7 @@
-"""Block F: known changes of recorded columns, or of the vehicle file, of real drives.
+"""Block F: known changes of the recorded columns, or of the vehicle file, of real drives.
 
-The stated value must differ by the change from the answer for the drives as recorded. All nine Genesis drives take part
-in every case; each change is the inverse of an effect of the library.
+The stated value must differ by the change from that for the drives as recorded. Every case has all nine Genesis drives;
+each change is one that an effect of the library describes.
 """
 
 from collections.abc import Callable
@@ -31,12 +31,12 @@ class Edit:
     parameter: str  # parameter of this effect
     size: float  # typical size
     column: Column | None  # changes a recording; None for a change of the mass in the vehicle file
-    times: bool = False  # the value is multiplied by 1 + size; otherwise size is added
+    multiplies: bool = False  # the value is multiplied by 1 + size; otherwise size is added
     inverse: bool = False  # the parameter changes with the opposite sign, or by the inverse factor
 
     def expected(self, value: float, size: float) -> float:
         """The value of the parameter after the edit, if it was `value` before."""
-        if self.times:
+        if self.multiplies:
             return value / (1.0 + size) if self.inverse else value * (1.0 + size)
         return value - size if self.inverse else value + size
 
@@ -55,17 +55,17 @@ def _scale_speed(log: DriveLog, change: float) -> DriveLog:
 
 EDITS: dict[str, Edit] = {
     "steering scaled": Edit("steering_ratio", "factor", 0.10, lambda log, k: _replace_steering(
-        log, log.road_wheel_angle * (1.0 + k)), times=True),
+        log, log.road_wheel_angle * (1.0 + k)), multiplies=True),
     "heading turned": Edit("heading_misalignment", "angle", 0.01, rotate_ins),
     "steering late": Edit("steering_delay", "time", 0.05, _delay, inverse=True),
     "yaw rate scaled": Edit("yaw_rate_scale", "factor", 0.03, lambda log, k: replace(
-        log, yaw_rate=log.yaw_rate * (1.0 + k)), times=True),
+        log, yaw_rate=log.yaw_rate * (1.0 + k)), multiplies=True),
     "point moved": Edit("sensor_lever_arm", "x", 1.0, move_ins),
-    "mass of the file": Edit("mass", "factor", 0.15, None, times=True, inverse=True),
+    "mass of the file": Edit("mass", "factor", 0.15, None, multiplies=True, inverse=True),
     "steering offset": Edit("steering_offset", "angle", 0.006, lambda log, a: _replace_steering(
         log, log.road_wheel_angle + a), inverse=True),
     "yaw rate biased": Edit("yaw_rate_bias", "bias", 0.008, lambda log, b: replace(log, yaw_rate=log.yaw_rate + b)),
-    "speed scaled": Edit("speed_scale", "factor", 0.02, _scale_speed, times=True),
+    "speed scaled": Edit("speed_scale", "factor", 0.02, _scale_speed, multiplies=True),
     "a_y biased": Edit("lateral_acceleration_bias", "bias", 0.3, lambda log, b: replace(
         log, acceleration_y=log.acceleration_y + b)),
 }

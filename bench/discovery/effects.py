@@ -1,6 +1,6 @@
 """Settings of the plants, and the effects of the library (st_core.effects) to which they correspond.
 
-The settings act in the equations of the plants. `full` is the change for a large effect (scale 1), `signs` are its
+The settings act in the equations of the plants. `size` is the change for a large effect (scale 1), `signs` are its
 directions; a direction that does not occur in real cars is left out, here and in the library.
 """
 
@@ -21,15 +21,14 @@ class InjectedChange:
 
     setting: str
     library: str | None  # name of the effect, None if no effect of the library describes the setting
-    full: float
+    size: float
     signs: tuple[int, ...] = BOTH
     factor: bool = False  # the setting is multiplied by 1 + change; otherwise the change is added
-    group: str = ""  # changes of one group are not injected together
-    # Other settings of the healthy car that the change requires to have an effect.
-    with_: Mapping[str, float] | None = None
+    # Other settings of the healthy car without which the change has no effect.
+    requires: Mapping[str, float] | None = None
 
-    def applied(self, settings: Settings, scale: float, sign: int) -> dict[str, float]:
-        change = sign * scale * self.full
+    def apply(self, settings: Settings, scale: float, sign: int) -> dict[str, float]:
+        change = sign * scale * self.size
         value = settings[self.setting] * (1.0 + change) if self.factor else settings[self.setting] + change
         if self.setting in SETTINGS:
             value = min(max(value, SETTINGS[self.setting].low), SETTINGS[self.setting].high)
@@ -37,36 +36,35 @@ class InjectedChange:
 
 
 KNOWN = (
-    InjectedChange("steering_offset", "steering_offset", 0.006, group="side"),
-    InjectedChange("steering_ratio_factor", "steering_ratio", 0.10, factor=True, group="gain"),
-    InjectedChange("steering_lag", "steering_lag", 0.08, UP, group="time"),
-    InjectedChange("steering_delay", "steering_delay", 0.05, UP, group="time"),
-    InjectedChange("steering_backlash", "steering_backlash", 0.2, UP, group="play"),
-    InjectedChange("steering_compliance", "steering_compliance", 3e-6, UP, group="gain"),
-    InjectedChange("roll_steer", "roll_steer", 0.2, group="gain"),
-    InjectedChange("front_stiffness_factor", "front_stiffness", 0.15, factor=True, group="gain"),
-    InjectedChange("rear_stiffness_factor", "rear_stiffness", 0.2, factor=True, group="rear"),
-    InjectedChange("friction_factor", "friction", 0.15, DOWN, factor=True, group="limit"),
-    InjectedChange("relaxation_length", "tyre_relaxation", 0.6, UP, group="time"),
-    InjectedChange("combined_slip", "combined_slip", 1.0, UP, group="limit", with_={"combined_slip": 0.0}),
-    InjectedChange("lateral_load_transfer", "lateral_load_transfer", 1.0, UP, group="limit"),
-    InjectedChange("longitudinal_load_transfer", "longitudinal_load_transfer", 1.0, UP, group="limit"),
-    InjectedChange("mass_factor", "mass", 0.3, UP, factor=True, group="gain"),
-    InjectedChange("yaw_inertia_factor", "yaw_inertia", 0.35, factor=True, group="time"),
-    InjectedChange("cg_shift", "cg_position", 0.2, group="rear"),
-    InjectedChange("bank_angle", "road_bank", 0.03, group="side"),
-    InjectedChange("wind_speed", "crosswind", 18.0, group="side"),
-    InjectedChange("hillside_slope", "road_slope", 0.03, group="side"),
-    InjectedChange("ins_misalignment", "heading_misalignment", 0.006, group="mounting"),
-    InjectedChange("ins_lever_error", "sensor_lever_arm", 0.2, group="mounting"),
-    InjectedChange("yaw_rate_scale", "yaw_rate_scale", 0.05, factor=True, group="rate"),
-    InjectedChange("yaw_rate_bias", "yaw_rate_bias", 0.008, group="rate"),
-    InjectedChange("velocity_scale", "speed_scale", 0.01, factor=True, group="speed"),
-    InjectedChange("lateral_acceleration_bias", "lateral_acceleration_bias", 0.25, group="accelerometer"),
+    InjectedChange("steering_offset", "steering_offset", 0.006),
+    InjectedChange("steering_ratio_factor", "steering_ratio", 0.10, factor=True),
+    InjectedChange("steering_lag", "steering_lag", 0.08, UP),
+    InjectedChange("steering_delay", "steering_delay", 0.05, UP),
+    InjectedChange("steering_backlash", "steering_backlash", 0.2, UP),
+    InjectedChange("steering_compliance", "steering_compliance", 3e-6, UP),
+    InjectedChange("roll_steer", "roll_steer", 0.2),
+    InjectedChange("front_stiffness_factor", "front_stiffness", 0.15, factor=True),
+    InjectedChange("rear_stiffness_factor", "rear_stiffness", 0.2, factor=True),
+    InjectedChange("friction_factor", "friction", 0.15, DOWN, factor=True),
+    InjectedChange("relaxation_length", "tyre_relaxation", 0.6, UP),
+    InjectedChange("combined_slip", "combined_slip", 1.0, UP, requires={"combined_slip": 0.0}),
+    InjectedChange("lateral_load_transfer", "lateral_load_transfer", 1.0, UP),
+    InjectedChange("longitudinal_load_transfer", "longitudinal_load_transfer", 1.0, UP),
+    InjectedChange("mass_factor", "mass", 0.3, UP, factor=True),
+    InjectedChange("yaw_inertia_factor", "yaw_inertia", 0.35, factor=True),
+    InjectedChange("cg_shift", "cg_position", 0.2),
+    InjectedChange("bank_angle", "road_bank", 0.03),
+    InjectedChange("wind_speed", "crosswind", 18.0),
+    InjectedChange("hillside_slope", "road_slope", 0.03),
+    InjectedChange("ins_misalignment", "heading_misalignment", 0.006),
+    InjectedChange("ins_lever_error", "sensor_lever_arm", 0.2),
+    InjectedChange("yaw_rate_scale", "yaw_rate_scale", 0.05, factor=True),
+    InjectedChange("yaw_rate_bias", "yaw_rate_bias", 0.008),
+    InjectedChange("velocity_scale", "speed_scale", 0.01, factor=True),
+    InjectedChange("lateral_acceleration_bias", "lateral_acceleration_bias", 0.25),
 )
-"""Settings that the library describes. roll_steer has the opposite sign there (understeer +), and the backlash is that
-of the steering wheel here. Only the multi-body cars have a bias of the yaw rate; only the virtual Leaf has wind and
-slope."""
+"""Settings that the library describes. Its roll_steer has the opposite sign (understeer +), and its backlash is that of
+the road wheels. Only the multi-body cars have a bias of the yaw rate."""
 BY_NAME = {hidden.library: hidden for hidden in KNOWN}
 
 PLACE_DEPENDENT = (
@@ -74,19 +72,19 @@ PLACE_DEPENDENT = (
     InjectedChange("terrain_wave", None, 0.06, UP),
     InjectedChange("hillside_slope", None, 0.05),
 )
-"""Changes that depend on the place. The slope exists at one of two sites only; the library describes one at both."""
+"""Changes that depend on the place. The slope exists at one of two sites; the library describes one at both."""
 OUTSIDE_LIBRARY = (
     InjectedChange("gust_speed", None, 10.0, UP),
     InjectedChange("rear_roll_steer", None, 0.25),
     InjectedChange("camber_thrust", None, 1.0, UP),
 )
-"""Changes that no effect of the library describes; some nearly can (rear roll steer, camber thrust). The
-Ackermann fraction is not included, because these drives do not show it."""
+"""Changes that no effect of the library describes, some of them almost (rear roll steer, camber thrust). The Ackermann
+fraction is not included, because its effect on these drives is too small."""
 
 SENSORS = ("yaw_rate_scale", "yaw_rate_bias", "speed_scale", "lateral_acceleration_bias", "sensor_lever_arm")
 PHYSICS = ("steering_lag", "steering_delay", "steering_backlash", "steering_compliance", "roll_steer",
            "tyre_relaxation", "combined_slip", "lateral_load_transfer", "crosswind", "road_bank")
-"""Up to two effects of each kind are present in block B, in addition to wrong parameters in the vehicle file."""
+"""Up to two effects of each of these groups are present in block B, in addition to errors of the vehicle file."""
 
 PLANT_DIFFERENCES: dict[str, dict[str, str]] = {
     "leaf": {
@@ -97,7 +95,7 @@ PLANT_DIFFERENCES: dict[str, dict[str, str]] = {
         "tyre_relaxation": "relaxation length of 0.4 m, in the model none",
         "lateral_load_transfer": "load moves to the outer wheels",
         "combined_slip": "friction ellipse at every wheel",
-        "steered_drive_force": "it is driven by the front wheels",
+        "steered_drive_force": "front-wheel drive",
         "longitudinal_load_transfer": "the load transfer lags by 80 ms, as the pitch does",
         "steering_map": "the mean of both wheels' angles depends on the Ackermann split",
     },
@@ -114,10 +112,10 @@ PLANT_DIFFERENCES: dict[str, dict[str, str]] = {
         "yaw_rate_scale": "the gyroscope rolls with the body, by up to 0.11 rad, and then reads 0.6 % low",
     },
 }
-"""Plant -> effect that the plant always has, but not the base model -> reason. Reporting it is correct."""
+"""Plant -> effect that the plant always has, but not the base model -> reason. Stating it is correct."""
 SCATTER = ("heading_misalignment", "lateral_acceleration_bias", "yaw_rate_scale", "speed_scale")
-"""Effects that every car has to some degree and that are not in a vehicle file. Reporting one is correct if the stated
-interval contains its true value; the same applies to residual errors of an identified file."""
+"""Effects that every car has to some degree and that are not in a vehicle file. Stating one is correct if the interval
+contains its true value; the same applies to residual errors of an identified file."""
 
 # Effects whose value is the ratio of the settings of car and file ...
 _QUOTIENTS = {"steering_ratio": "steering_ratio_factor", "front_stiffness": "front_stiffness_factor",
@@ -152,8 +150,8 @@ def true_values(car: Settings, file: Settings, vehicle: VehicleParameters) -> Va
     if "roll_steer" in car:
         values["roll_steer"] = {"gradient": -car["roll_steer"] * car["roll_gradient"]}
     if "longitudinal_load_transfer" in car:
-        more = car["longitudinal_load_transfer"] - 1.0
-        values["longitudinal_load_transfer"] = {"height": more * vehicle.cg_height}
+        excess = car["longitudinal_load_transfer"] - 1.0
+        values["longitudinal_load_transfer"] = {"height": excess * vehicle.cg_height}
     return values
 
 
@@ -167,7 +165,7 @@ def members(name: str) -> tuple[str, ...]:
 
 
 def is_similar(first: str, second: str) -> bool:
-    """Whether two effects are equal, one is a part of the other, or they are declared as confounded."""
+    """Whether two effects are the same, one is a part of the other, or they are declared as confounded."""
     if first == second or first in members(second) or second in members(first):
         return True
     return second in get_effect(first).confounded_with or first in get_effect(second).confounded_with

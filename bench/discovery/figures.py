@@ -11,16 +11,16 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
 from .effects import KNOWN
-from .judge import plant_differences
+from .evaluation import plant_differences
 from .score import relevant_effects
 
 OTHERS = ("several", "unknown", "none")
 
 
 def count_confusion(records: Sequence[dict[str, Any]]) -> tuple[list[str], list[str], np.ndarray]:
-    """(hidden effects, stated effects, counts) for the cases of block A in which the effect is relevant.
+    """(hidden effects, stated effects, counts) for the cases of block A with a relevant effect.
 
-    Of several stated effects, the hidden one counts if it is among them.
+    If several effects are stated, the hidden one counts if it is among them.
     """
     truths = [h.library for h in KNOWN]
     single = [r for r in records if r["block"] == "A" and relevant_effects(r)]
@@ -33,14 +33,14 @@ def count_confusion(records: Sequence[dict[str, Any]]) -> tuple[list[str], list[
 
 
 def _stated(r: dict[str, Any]) -> str:
-    names = [e["name"] for e in r["effects"] if is_of_interest(r, e["name"])]
+    names = [e["name"] for e in r["effects"] if counts_as_answer(r, e["name"])]
     if r["hidden"][0] in names:
         return r["hidden"][0]
     return "several" if len(names) > 1 else names[0] if names else "unknown" if r["outcome"] == "unknown" else "none"
 
 
-def is_of_interest(r: dict[str, Any], name: str) -> bool:
-    """Whether an effect counts; true differences between plant and model count only if hidden."""
+def counts_as_answer(r: dict[str, Any], name: str) -> bool:
+    """Whether a stated effect counts; true differences between plant and model count only if hidden."""
     return name in r["hidden"] or name not in plant_differences(r["plant"])
 
 
@@ -55,7 +55,7 @@ def draw_confusion(records: Sequence[dict[str, Any]], file: Path) -> None:
         axes.text(j, i, counts[i, j], ha="center", va="center", color="white" if fraction[i, j] > 0.6 else "black")
     axes.axvline(len(columns) - len(OTHERS) - 0.5, color="0.5", lw=0.8)
     axes.set_xlabel("stated effect")
-    axes.set_ylabel("hidden effect (block A, where it matters)")
+    axes.set_ylabel("hidden effect (block A, relevant)")
     figure.colorbar(image, label="fraction of the row [1]")
     figure.savefig(file, dpi=110)
     plt.close(figure)

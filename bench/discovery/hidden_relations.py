@@ -1,8 +1,7 @@
-"""Twelve relations that are not in the library, and six effects that are removed from it: how each is hidden, where it
-acts, and its shape.
+"""Twelve relations outside the library, and six effects removed from it: how each is hidden, where it acts, its shape.
 
-Relations of the car are in its equations (`relation_equations`, or a setting of the plant); those between steering
-wheel and sensor, or in a sensor, change the recording.
+Relations of the car change its equations (`relation_equations`, or a setting of the plant); those between steering
+sensor and wheels, or in another sensor, change the recording.
 """
 
 from collections.abc import Callable, Mapping
@@ -25,7 +24,7 @@ Change = Callable[[DriveLog, VehicleParameters, float], DriveLog]
 
 
 def _add_kink(log: DriveLog, vehicle: VehicleParameters, size: float) -> DriveLog:
-    """Above 0.04 rad, the wheels turn more than the recorded angle by the fraction `size`."""
+    """Above 0.04 rad, the wheels turn by the fraction `size` more than recorded."""
     true, edge = log.road_wheel_angle, 0.04
     beyond = np.maximum(np.abs(true) - edge, 0.0)
     angle = np.sign(true) * (np.minimum(np.abs(true), edge) + beyond / (1.0 + size))
@@ -46,7 +45,7 @@ def _add_g_sensitivity(log: DriveLog, vehicle: VehicleParameters, size: float) -
 
 @dataclass(frozen=True)
 class Hidden:
-    """A hidden relation."""
+    """A hidden relation, or a hidden effect that is removed from the library."""
 
     name: str
     places: tuple[str, ...]  # correct places of a proposal
@@ -56,23 +55,23 @@ class Hidden:
     relation: Relation = NO_RELATION  # change of the equations
     change: Change | None = None  # change of the recording, with its size
     size: float = 0.0
-    # Relation of the multi-body cars, in place of settings that only the virtual Leaf has.
-    elsewhere: Relation | None = None
+    # For the multi-body cars, in place of settings that only the virtual Leaf has.
+    multibody_relation: Relation | None = None
     removed: str = ""  # effect that is removed from the library, together with similar ones
 
     def relation_in(self, plant: str) -> Relation:
-        return self.relation if plant == LEAF or self.elsewhere is None else self.elsewhere
+        return self.relation if plant == LEAF or self.multibody_relation is None else self.multibody_relation
 
     def settings_in(self, plant: str) -> Mapping[str, float]:
-        return self.settings if plant == LEAF or self.elsewhere is None else {}
+        return self.settings if plant == LEAF or self.multibody_relation is None else {}
 
 
 STRAIGHT = ("linear", "straight line")
 RELATIONS = (
     Hidden("rear roll steer", REAR, ("linear",), AXLES, {"rear_roll_steer": 0.25},
-           elsewhere=Relation(relation_equations.REAR_STEER, 0.0012)),
+           multibody_relation=Relation(relation_equations.REAR_STEER, 0.0012)),
     Hidden("camber thrust", (*FRONT, *REAR, "side_force"), ("linear",), (*AXLES, "body"), {"camber_thrust": 1.0},
-           elsewhere=Relation(relation_equations.CAMBER, 0.06)),
+           multibody_relation=Relation(relation_equations.CAMBER, 0.06)),
     Hidden("steering map with a kink", ("front_steer",), ("dead zone",), ("steering", "front axle"), change=_add_kink,
            size=0.25),
     Hidden("rear axle with another curve", REAR, ("cubic", "linear and cubic", "dead zone", "square"),
@@ -92,7 +91,7 @@ RELATIONS = (
     Hidden("tyres that warm up", GRIP, ("saturating", "inverse", *STRAIGHT), AXLES,
            relation=Relation(relation_equations.WARM_UP, 0.25)),
 )
-"""Units of the sizes in this order: rad/(rad roll) and rad s^2/m; 1/rad and 1; 1; 1; s^2/m^2; m/s; 1; 1/m^2 rad;
+"""Units of the sizes, in this order (setting and relation): 1 and rad s^2/m; 1 and 1; 1; 1; s^2/m^2; m/s; 1; rad/m^2;
 rad/m; rad s/m; s^2/m; 1."""
 REMOVED = (
     Hidden("steering lag", ("front_steer",), ("linear",), ("steering",), {"steering_lag": 0.08},

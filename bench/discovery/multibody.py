@@ -4,7 +4,7 @@
 
 It has the same programmes and sensors as the virtual car. Its equations are extended by the steering chain (steering
 wheel -> delay -> play -> ratio -> lag -> offset), and by gravity on a slope and wind as in st_sim, which act on the
-masses and on the CG of the body. Cars that nearly stop or tip over are rejected.
+masses and on the CG of the body. Drives in which the car nearly stops or tips over are rejected.
 Checked by: tests/bench/test_discovery_plants.py.
 """
 
@@ -23,9 +23,9 @@ from .compiled import (
     MAX_STEERING_WHEEL_RATE,
     NO_RELATION,
     RECORDED,
+    DriveFailed,
     Programme,
     Recording,
-    Stopped,
     compile_loop,
     control_pedals,
 )
@@ -38,15 +38,15 @@ from .multibody_car import (
     rest_pitch,
     static_loads,
 )
-from .relation_equations import REAR_CURVE, Relation, relation_accelerations
 from .relation_equations import Car as Body
+from .relation_equations import Relation, relation_accelerations, reshape_rear_tyre
 from .sensing import PERIOD, STEERING_PHASE, make_log
 
 STEP = 0.001
 """Integration step [s]. Half of it changes a path of 9 s by less than 1 mm, 5 ms by 0.3 m, because the spin of a wheel
 settles within 2 ms at low speed."""
-DECIDE, SENSED = round(PERIOD / STEP), round(STEERING_PHASE / STEP) - 1
-"""Steps between two decisions of steering and pedals; the step after which the steering sensor samples."""
+STEPS_PER_SAMPLE, STEERING_SAMPLE_STEP = round(PERIOD / STEP), round(STEERING_PHASE / STEP) - 1
+"""Steps between two samples, at which the driver also acts; the step after which the steering sensor samples."""
 MIN_SPEED = 2.5  # m/s
 MAX_ROLL = 0.25  # rad; above it wheels lift, for which the package has no equations
 SETTLING_TIME = 2.0  # s of straight driving on a level road before the drive begins
@@ -79,9 +79,9 @@ def drive_multibody(car: str, settings: Mapping[str, float], programme: Programm
                     relation: Relation = NO_RELATION) -> Recording:
     """Drives a programme for `nominal_car(car)` with a car of `multibody_car.CARS`.
 
-    settings: changes of HEALTHY. later: (other settings, sample from which on they are valid). The recording has the
+    settings: changes of HEALTHY. later: (other settings, sample at which they begin). The recording has the
     columns of the virtual car, with roll [rad] as A_Y and pitch [rad] as A_X, so that `sensing.make_log` can be used.
-    Raises Stopped; ValueError for a setting that this plant does not have.
+    Raises DriveFailed; ValueError for a setting that this plant does not have.
     """
     count = len(programme.steering_wheel)
     parts = [(settings, 0, count)] if later is None else [(settings, 0, later[1]), (later[0], later[1], count)]
@@ -124,15 +124,15 @@ def _settle(car: str, settings: Mapping[str, float], programme: Programme) -> np
 def _run(car: str, s: Mapping[str, float], state: np.ndarray, programme: Programme, part: slice, draw,
          out: np.ndarray, relation: Relation = NO_RELATION) -> None:
     """Drives a part of the programme; changes `state` and `out`."""
-    p = _with_curve(parameters_of(car, s), relation)
-    slippery = _with_curve(
-        parameters_of(car, {**s, "friction_factor": s["friction_factor"] * s["friction_patch"]}), relation)
+    p, slippery = (parameters_of(car, {**s, "friction_factor": factor})
+                   for factor in (s["friction_factor"], s["friction_factor"] * s["friction_patch"]))
+    p, slippery = (one._replace(tire_rear=reshape_rear_tyre(one.tire_rear, relation)) for one in (p, slippery))
     stiffness = 2.0 * cornering_stiffness(static_loads(p)[1], p.tire_rear)
     body = Body(p.a, p.b, p.I_z / p.m, stiffness / p.m)
     arrays = [np.ascontiguousarray(getattr(programme, name)[part], float)
               for name in ("steering_wheel", "yaw", "gain", "speed", "acceleration")]
     gust = s["gust_speed"]
-    gusts = np.array([draw() for _ in range(2 * DECIDE * len(arrays[0]))]) if gust else np.zeros(2)
+    gusts = np.array([draw() for _ in range(2 * STEPS_PER_SAMPLE * len(arrays[0]))]) if gust else np.zeros(2)
     nominal = nominal_car(car).steering_ratio
     lag = s["steering_lag"]
     options = Options(
@@ -143,17 +143,7 @@ def _run(car: str, s: Mapping[str, float], state: np.ndarray, programme: Program
     delayed = np.full(round(s["steering_delay"] / STEP), state[BODY_STATES])
     if not compile_loop(_loop)(state, options, p, slippery, make_road(s), relation, body, part.start or 0, delayed,
                                gusts, *arrays, out[part]):
-        raise Stopped
-
-
-def _with_curve(p, relation: Relation):
-    """The parameters; for the relation REAR_CURVE the rear tyres have another shape, with the same stiffness and
-    friction."""
-    if relation.kind != REAR_CURVE:
-        return p
-    rear = p.tire_rear
-    return p._replace(tire_rear=rear._replace(p_cy1=rear.p_cy1 * (1.0 - relation.size),
-                                              p_ey1=rear.p_ey1 - 4.0 * relation.size))
+        raise DriveFailed
 
 
 def _add_relation(f, x, relation, body, time, ax):
@@ -192,7 +182,7 @@ def _loop(state, o, p, slippery, road, relation, body, first, delayed, gusts,  #
         friction, bank, grade = evaluate_road(road, x[0], x[P_YAW])
         tyres = p if friction == road.friction else slippery
         f = rates(x, 0.0, pedal, (bank, grade, gust_x, o.wind + gust_y), tyres, o.drag_area, o.still_air)
-        time = (first + k) * DECIDE * STEP
+        time = (first + k) * STEPS_PER_SAMPLE * STEP
         if relation[0]:
             _add_relation(f, x, relation, body, time, pedal)
         row = out[k]
@@ -208,9 +198,9 @@ def _loop(state, o, p, slippery, road, relation, body, first, delayed, gusts,  #
         target = steering[k] + gain[k] * (yaw[k] + heading_offset - x[P_YAW]) * o.nominal
         motion = (x[P_VX], x[P_VY], x[P_YAW_RATE], x[P_STEER])
         pedal = control_pedals(pedal, speed[k], acceleration[k], motion, o.to_rear, o.wheelbase)
-        for step in range(DECIDE):
+        for step in range(STEPS_PER_SAMPLE):
             angle += min(max(target - angle, -MAX_STEERING_WHEEL_RATE * STEP), MAX_STEERING_WHEEL_RATE * STEP)
-            if step == SENSED:
+            if step == STEERING_SAMPLE_STEP:
                 row[RECORDED] = angle
             friction, bank, grade = evaluate_road(road, x[0], x[P_YAW])
             tyres = p if friction == road.friction else slippery

@@ -41,13 +41,13 @@ SLIP_RANGE, LOAD_RANGE = 0.2, (0.3, 1.8)
 
 @dataclass(frozen=True)
 class CarData:
-    """Data of a car that are not in the package. number: of its parameter set there. cg_to_ins_x [m]: the INS is on the
-    centreline, at the height of the CG of the body."""
+    """Number of a parameter set of the package, and data that it does not contain. The INS is on the centreline, at the
+    height of the CG of the body."""
 
     number: int
     name: str
     steering_ratio: float
-    cg_to_ins_x: float
+    cg_to_ins_x: float  # [m]
 
 
 CARS = MappingProxyType({
@@ -55,19 +55,19 @@ CARS = MappingProxyType({
     "bmw_320i": CarData(2, "BMW 320i, multi-body", 15.5, -0.25),
     "vanagon": CarData(3, "VW Vanagon, multi-body", 20.5, 0.30),
 })
-"""Front-wheel, rear-wheel and rear-wheel drive."""
+"""The Escort has front-wheel drive, the others rear-wheel drive."""
 
 STEERING = ("steering_offset", "steering_ratio_factor", "steering_lag", "steering_delay", "steering_backlash")
 BODY = ("mass_factor", "yaw_inertia_factor", "cg_shift", "friction_factor", "front_stiffness_factor",
         "rear_stiffness_factor")
-SURROUNDINGS = ("drag_area", "bank_angle", "grade_angle", "hillside_slope", "terrain_wave", "friction_patch",
+ENVIRONMENT = ("drag_area", "bank_angle", "grade_angle", "hillside_slope", "terrain_wave", "friction_patch",
                 "wind_speed", "gust_speed")
 SENSORS = ("ins_noise", "ins_time_error", "ins_misalignment", "ins_lever_error", "yaw_rate_scale", "yaw_rate_bias",
            "velocity_scale", "lateral_acceleration_bias", "steering_sensor_noise", "steering_sensor_latency")
-SUPPORTED_SETTINGS = (*STEERING, *BODY, *SURROUNDINGS, *SENSORS)
+SUPPORTED_SETTINGS = (*STEERING, *BODY, *ENVIRONMENT, *SENSORS)
 """Settings of this plant, with names, units and signs of st_sim.settings, and in addition yaw_rate_bias [rad/s]."""
 
-# The gradients are 1, because the sensors multiply them by accelerations, for which this plant records the angles.
+# The sensors multiply the gradients by accelerations, in place of which this plant records roll and pitch.
 HEALTHY: Mapping[str, float] = MappingProxyType({
     **IDEAL, "yaw_rate_bias": 0.0, "ins_noise": 1.0, "steering_sensor_noise": 0.0005, "roll_gradient": 1.0,
     "pitch_gradient": 1.0})
@@ -121,7 +121,7 @@ def _fields(cls: type, *left_out: str) -> list[str]:
     return [f.name for f in dataclasses.fields(cls) if f.name not in left_out]
 
 
-# Without the trailer and the common tyre. Types of the module, so that other processes find the compiled code cached.
+# Without the trailer and the common tyre. At module level, so that other processes find the cached machine code.
 Numbers = namedtuple("Numbers", [*_fields(package.VehicleParameters, "tire", "trailer"), "tire_front", "tire_rear"])
 TyreNumbers = namedtuple("TyreNumbers", _fields(package.TireParameters))
 SteeringNumbers = namedtuple("SteeringNumbers", _fields(package.SteeringParameters))

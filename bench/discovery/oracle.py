@@ -2,8 +2,8 @@
 
     loss = mean over windows, points and channels of log(1 + z^2 / 4),   z = error / size
 
-size: 68 % quantile of the held-out errors of the oracle, for each channel and point of the horizon. The position error
-is the mean error after 5 s over the windows of held-out drives, as `st discover` reports it.
+size: 68 % quantile of the oracle's errors, for each channel and point of the horizon. The position error is the mean
+error after 5 s over the windows of the drives, as `st discover` reports it.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -20,9 +20,9 @@ from st_core.vehicle import VehicleParameters
 
 BASE = "nonlinear"
 TAIL = 4.0
-MAX_ERROR = 100.0  # m, position error of a prediction that diverges
+MAX_ERROR = 100.0  # m, position error of a divergent prediction
 MAX_SCALED_ERROR = 30.0
-"""Limit of the scaled errors, so that a window that diverges does not dominate the sum."""
+"""Limit of the scaled errors, so that a divergent window does not dominate the sum."""
 GAIN, GAIN_UNIT = 0.05, 0.05
 """Relative excess of the measured lateral acceleration due to body roll [1]: initial value of a fit, and scale."""
 ITERATIONS, REFITS, DAMPING = 8, 4, (1e-4, 1e-2, 0.3, 10.0)
@@ -40,14 +40,14 @@ def null_model() -> AugmentedModel:
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """A model and the gain of the accelerometer."""
+    """A model, and the relative excess of the measured lateral acceleration (GAIN)."""
 
     model: AugmentedModel
     gain: float
 
 
-class Judge:
-    """Computes errors on held-out drives. size: scale of the loss (k, c), which `sized_by` sets."""
+class HeldOutErrors:
+    """Errors of models on held-out drives. size: scale of the loss (points, channels), which `scale_by` sets."""
 
     def __init__(self, held_out: Sequence[DriveLog], vehicle: VehicleParameters, settings: DiscoverySettings):
         self._windows = Windows(held_out, vehicle, settings)
@@ -57,7 +57,7 @@ class Judge:
     def errors(self, at: Point) -> np.ndarray:
         return self._windows.errors(at.model, at.gain)
 
-    def sized_by(self, at: Point) -> None:
+    def scale_by(self, at: Point) -> None:
         self.size = error_sizes(self.errors(at))
 
     def loss(self, at: Point) -> float:
@@ -73,7 +73,7 @@ class Judge:
 
 
 def mean_distance(errors: np.ndarray) -> float:
-    """Mean length of position errors (n, 2) [m]; a prediction that diverges counts MAX_ERROR."""
+    """Mean length of position errors (n, 2) [m]; a divergent prediction counts MAX_ERROR."""
     return float(np.mean(np.minimum(np.nan_to_num(np.hypot(*errors.T), nan=MAX_ERROR), MAX_ERROR)))
 
 
@@ -104,7 +104,7 @@ class Oracle:
         self._low = np.array([p.bounds[0] for _, p in self._free] + [-0.3])
         self._high = np.array([p.bounds[1] for _, p in self._free] + [0.5])
         begin = [start.get(n, {}).get(p.name, null) for (n, p), null in zip(self._free, self._null[:-1], strict=True)]
-        self._x = self._inside(np.array([*begin, origin.gain]))
+        self._x = self._clip(np.array([*begin, origin.gain]))
         self._fit()
 
     @property
@@ -117,24 +117,24 @@ class Oracle:
         return self._at(np.append(self._null[:-1], self._x[-1]))
 
     def without(self, names: Collection[str]) -> Point:
-        """The model without the effects `names`; the others are fitted again with the derivatives at the best point,
-        which takes a few evaluations instead of a hundred."""
+        """The model without the effects `names`; the others are refitted with the derivatives at the best point, which
+        takes a few evaluations instead of a hundred."""
         removed = np.array([n in names for n, _ in self._free] + [False])
         if not removed.any():
             return self.best
         d = np.where(removed, (self._null - self._x) / self._unit, 0.0)
-        stay = np.flatnonzero(~removed)
+        free = np.flatnonzero(~removed)
         h = self._hessian
-        d[stay] = np.linalg.solve(h[np.ix_(stay, stay)], -h[np.ix_(stay, removed)] @ d[removed])
-        x = min((self._inside(self._x + d * self._unit), np.where(removed, self._null, self._x)), key=self._cost)
+        d[free] = np.linalg.solve(h[np.ix_(free, free)], -h[np.ix_(free, removed)] @ d[removed])
+        x = min((self._clip(self._x + d * self._unit), np.where(removed, self._null, self._x)), key=self._cost)
         for _ in range(REFITS):
-            z = self._z(x)
-            j = self._slopes[stay]
+            z = self._scaled_errors(x)
+            j = self._derivatives[free]
             weight = 1.0 / (1.0 + np.square(z) / TAIL)
-            moved = self._moved(x, z, (j * weight) @ j.T, (j * weight) @ z, stay)
-            if moved is None:
+            trial = self._improve(x, z, (j * weight) @ j.T, (j * weight) @ z, free)
+            if trial is None:
                 break
-            x = moved
+            x = trial
         return self._at(x)
 
     def only(self, names: Collection[str]) -> Point:
@@ -146,15 +146,15 @@ class Oracle:
             values.setdefault(name, {})[parameter.name] = float(value)
         return Point(self._model.with_values(values), float(x[-1]))
 
-    def _inside(self, x: np.ndarray) -> np.ndarray:
+    def _clip(self, x: np.ndarray) -> np.ndarray:
         return np.clip(x, self._low, self._high)
 
-    def _z(self, x: np.ndarray) -> np.ndarray:
+    def _scaled_errors(self, x: np.ndarray) -> np.ndarray:
         at = self._at(x)
         return scale_errors(self._windows.errors(at.model, at.gain), self._size)
 
     def _cost(self, x: np.ndarray) -> float:
-        return float(np.log1p(np.square(self._z(x)) / TAIL).sum())
+        return float(np.log1p(np.square(self._scaled_errors(x)) / TAIL).sum())
 
     def _fit(self) -> None:
         """Fits by Levenberg-Marquardt steps; the sizes of the errors are updated in each iteration."""
@@ -162,27 +162,27 @@ class Oracle:
         for _ in range(ITERATIONS):
             at = self._at(self._x)
             self._size = error_sizes(self._windows.errors(at.model, at.gain))
-            z = self._z(self._x)
-            j = self._slopes = self._differences(z)
+            z = self._scaled_errors(self._x)
+            j = self._derivatives = self._difference_quotients(z)
             weight = 1.0 / (1.0 + np.square(z) / TAIL)
             self._hessian = (j * weight) @ j.T
             self._hessian += 1e-6 * np.trace(self._hessian) / len(j) * np.eye(len(j))
-            moved = self._moved(self._x, z, self._hessian, (j * weight) @ z, free)
-            if moved is None:
+            trial = self._improve(self._x, z, self._hessian, (j * weight) @ z, free)
+            if trial is None:
                 return
-            self._x = moved
+            self._x = trial
 
-    def _moved(self, x: np.ndarray, z: np.ndarray, hessian: np.ndarray, gradient: np.ndarray,
+    def _improve(self, x: np.ndarray, z: np.ndarray, hessian: np.ndarray, gradient: np.ndarray,
                free: np.ndarray) -> np.ndarray | None:
-        """A step that lowers the cost by more than MIN_DECREASE, or None."""
+        """The parameters after a step that lowers the cost by more than MIN_DECREASE per error, or None."""
         before = np.log1p(np.square(z) / TAIL).sum()
         for damping in DAMPING:
             d = self._step(x, hessian + damping * np.diag(np.diag(hessian)), gradient, free)
-            moved = x.copy()
-            moved[free] += d * self._unit[free]
-            moved = self._inside(moved)
-            if before - self._cost(moved) > MIN_DECREASE * len(z):
-                return moved
+            trial = x.copy()
+            trial[free] += d * self._unit[free]
+            trial = self._clip(trial)
+            if before - self._cost(trial) > MIN_DECREASE * len(z):
+                return trial
         return None
 
     def _step(self, x: np.ndarray, hessian: np.ndarray, gradient: np.ndarray, free: np.ndarray) -> np.ndarray:
@@ -198,12 +198,12 @@ class Oracle:
             d, fixed = np.clip(d, low, high), fixed | outside
         return d
 
-    def _differences(self, z: np.ndarray) -> np.ndarray:
+    def _difference_quotients(self, z: np.ndarray) -> np.ndarray:
         """(p, n) negative derivatives of z with respect to the parameters, in typical sizes."""
         slopes = np.zeros((len(self._x), len(z)))
         for i, unit in enumerate(self._unit):
             sign = 1.0 if self._x[i] + STEP * unit <= self._high[i] else -1.0
-            moved = self._x.copy()
-            moved[i] += sign * STEP * unit
-            slopes[i] = (z - self._z(moved)) / (sign * STEP)
+            trial = self._x.copy()
+            trial[i] += sign * STEP * unit
+            slopes[i] = (z - self._scaled_errors(trial)) / (sign * STEP)
         return slopes

@@ -1,4 +1,4 @@
-"""One interface for the plants of the benchmark, virtual Leaf and multi-body cars: their drives and vehicle files."""
+"""Drives and vehicle files of both plants, the virtual Leaf and the multi-body cars, through one interface."""
 
 from dataclasses import dataclass, replace
 
@@ -9,72 +9,62 @@ from st_core.vehicle import VehicleParameters
 from st_sim.settings import Settings, read_vehicle
 
 from .._cars import LEAF_FILE, leaf
-from . import cars
-from . import programmes as m
-from .compiled import NO_RELATION, Programme, Stopped, drive
+from . import cars, programmes
+from .compiled import NO_RELATION, DriveFailed, Programme, drive
 from .multibody import log_multibody
 from .multibody_car import SUPPORTED_SETTINGS, nominal_car
 from .multibody_car import vehicle_of as multibody_vehicle
-from .relation_equations import REAR_CURVE, Relation
+from .relation_equations import Relation, reshape_rear_tyre
 from .sensing import make_log
 
 NOMINAL = read_vehicle(LEAF_FILE)
 LEAF = leaf()
-MAX_LATERAL_VELOCITY = 6.0  # m/s; at a higher one the car has spun, and the drive is not used
+MAX_LATERAL_VELOCITY = 6.0  # m/s; a higher one shows that the car has spun
 
 
 @dataclass(frozen=True)
-class Order:
-    """A run to drive."""
+class RunPlan:
+    """Specification of a run."""
 
     name: str
     seed: tuple[int, ...]
-    settings: Settings  # those of plant and sensors
-    parts: tuple[m.Part, ...] | None = None
+    settings: Settings  # of plant and sensors
+    parts: tuple[programmes.Part, ...] | None = None
     factors: tuple[float, float] = (1.0, 1.0)  # on speed and lateral acceleration
-    # Settings until the fraction `from_` of the run, None for the same settings throughout.
+    # Settings before the fraction `change_at` of the run, None for no change.
     before: Settings | None = None
-    from_: float = 0.0
-    moved: float = 0.0  # distance of the site to the east [m]
+    change_at: float = 0.0
+    east: float = 0.0  # position of the site [m]
     relation: Relation = NO_RELATION  # see `relation_equations`
 
 
-def record_run(plant: str, vehicle: VehicleParameters, order: Order) -> DriveLog:
-    """Drives a run, and repeats it with another seed if the car spins or stops. Raises Stopped after twenty
+def record_run(plant: str, vehicle: VehicleParameters, plan: RunPlan) -> DriveLog:
+    """Drives a run, and repeats it with another seed if the car spins or stops. Raises DriveFailed after twenty
     attempts."""
     for attempt in range(20):
-        tried = (*order.seed, attempt)
+        tried = (*plan.seed, attempt)
         noise = int(np.random.default_rng(tried).integers(2**31))
         car = NOMINAL if plant == cars.LEAF else nominal_car(plant)
-        programme = m.make_programme(car, tried, order.parts, *order.factors)
+        programme = programmes.make_programme(car, tried, plan.parts, *plan.factors)
         try:
-            log = _record_once(plant, vehicle, order, programme, noise)
-        except Stopped:
+            log = _record_once(plant, vehicle, plan, programme, noise)
+        except DriveFailed:
             continue
         if np.abs(log.velocity_y).max() < MAX_LATERAL_VELOCITY:
-            return replace(log, x=log.x + order.moved)
-    raise Stopped(f"{order.name}: the car spun or stopped in twenty attempts")
+            return replace(log, x=log.x + plan.east)
+    raise DriveFailed(f"{plan.name}: the car spun or stopped in twenty attempts")
 
 
-def _record_once(plant: str, vehicle: VehicleParameters, order: Order, programme: Programme, noise: int) -> DriveLog:
-    first, later = order.settings, None
-    if order.before is not None:
-        first, later = order.before, (order.settings, round(order.from_ * len(programme.steering_wheel)))
+def _record_once(plant: str, vehicle: VehicleParameters, plan: RunPlan, programme: Programme, noise: int) -> DriveLog:
+    first, later = plan.settings, None
+    if plan.before is not None:
+        first, later = plan.before, (plan.settings, round(plan.change_at * len(programme.steering_wheel)))
     if plant != cars.LEAF:
-        return log_multibody(order.name, plant, _select_known(first), programme, noise, vehicle,
-                             later and (_select_known(later[0]), later[1]), order.relation)
-    recording = drive(_with_rear_curve(order.relation), first, programme, noise, later, order.relation)
-    return make_log(order.name, recording, NOMINAL, vehicle, first, noise, later)
-
-
-def _with_rear_curve(relation: Relation) -> VehicleParameters:
-    """The virtual Leaf; for the relation REAR_CURVE its rear tyres have another shape, with the same stiffness and
-    friction."""
-    if relation.kind != REAR_CURVE:
-        return NOMINAL
-    rear = NOMINAL.tyre_rear
-    return replace(NOMINAL, tyre_rear=rear._replace(p_cy1=rear.p_cy1 * (1.0 - relation.size),
-                                                    p_ey1=rear.p_ey1 - 4.0 * relation.size))
+        return log_multibody(plan.name, plant, _select_known(first), programme, noise, vehicle,
+                             later and (_select_known(later[0]), later[1]), plan.relation)
+    car = replace(NOMINAL, tyre_rear=reshape_rear_tyre(NOMINAL.tyre_rear, plan.relation))
+    recording = drive(car, first, programme, noise, later, plan.relation)
+    return make_log(plan.name, recording, NOMINAL, vehicle, first, noise, later)
 
 
 def _select_known(settings: Settings) -> Settings:

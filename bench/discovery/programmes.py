@@ -20,8 +20,8 @@ from .compiled import Programme
 DT = 0.01
 HEADING_GAIN = 0.3
 SPEED_CHANGE = 2.5  # m/s^2, acceleration between two manoeuvres
-STRAIGHT = 0.6  # s of straight driving before each manoeuvre
-ENTRY_TIME = 0.5  # s of steering into a manoeuvre that begins in a bend
+STRAIGHT = 0.6  # s, minimum duration of straight driving before each manoeuvre
+ENTRY_TIME = 0.5  # s for steering into a manoeuvre that begins in a bend
 TREMOR, TREMOR_TIME = 0.01, 0.4  # standard deviation at the steering wheel [rad] and time constant [s] of the tremor
 
 
@@ -36,8 +36,8 @@ class Builder:
     heading: float = 0.0
 
     def add(self, angle: np.ndarray, speed: np.ndarray | float | None = None, closed: bool = False) -> None:
-        """Adds a part. angle: road wheel angle [rad]; speed [m/s], by default the current one; closed: keep the
-        heading."""
+        """Adds a part. angle: road wheel angle [rad]; speed [m/s], by default the current one; closed: the
+        driver controls the heading."""
         speeds = np.broadcast_to(self.speed if speed is None else speed, angle.shape)
         curvature = angle / (self.car.wheelbase + UNDERSTEER_GRADIENT * speeds**2)
         turned = self.heading + np.cumsum(curvature * speeds) * DT
@@ -47,7 +47,7 @@ class Builder:
         self.speed, self.heading = float(speeds[-1]), float(turned[-1])
 
     def drive(self, manoeuvre: Manoeuvre, seconds: float | None = None) -> None:
-        """Adds a manoeuvre, whose speed is the current one. seconds: its duration, by default one period."""
+        """Adds a manoeuvre that begins at the current speed. seconds: its duration, by default one period."""
         time = _time(manoeuvre.period if seconds is None else seconds)
         angle = manoeuvre.steering(time, self.car.wheelbase)
         if manoeuvre.profile(np.zeros(1))[0]:
@@ -55,7 +55,7 @@ class Builder:
         # A driver who brakes with a constant steering angle does not control the heading.
         self.add(angle, manoeuvre.speed_at(time), closed=manoeuvre.closed_loop and not manoeuvre.pedals)
 
-    def side(self) -> int:
+    def random_side(self) -> int:
         return int(self.generator.choice([-1, 1]))
 
     def go_to(self, speed: float) -> None:
@@ -86,12 +86,12 @@ def sweep(b: Builder, lateral: float) -> None:
 
 
 def steps(b: Builder, lateral: float) -> None:
-    """Steps to both sides of 1.8 s each."""
-    b.drive(standard.step(b.speed, b.side() * lateral, 1.8, 1.0))
+    """Steps of 1.8 s to both sides."""
+    b.drive(standard.step(b.speed, b.random_side() * lateral, 1.8, 1.0))
 
 
 def slalom(b: Builder, lateral: float) -> None:
-    """Three periods of a random frequency between 0.4 and 0.7 Hz."""
+    """Three periods with a random frequency of 0.4 to 0.7 Hz."""
     b.drive(standard.slalom(b.speed, lateral, b.generator.uniform(0.4, 0.7), 3))
 
 
@@ -101,27 +101,27 @@ def weave(b: Builder, lateral: float) -> None:
 
 
 def ramp_to_limit(b: Builder, lateral: float) -> None:
-    """Beyond the limit of friction on one side in 5 s, and back in 1 s."""
-    b.drive(standard.ramp_to_limit(b.speed, b.side() * lateral, 5.0, 1.0, 0.0), 6.0)
+    """A ramp beyond the limit of friction to one side within 5 s, and back within 1 s."""
+    b.drive(standard.ramp_to_limit(b.speed, b.random_side() * lateral, 5.0, 1.0, 0.0), 6.0)
 
 
 def brake_in_turn(b: Builder, lateral: float) -> None:
-    """A circle for 2 s, braking for 1.4 s, acceleration for 1.6 s."""
-    b.drive(standard.brake_in_turn(b.speed, b.side() * lateral, 2.0, 4.0, b.speed - 4.0 * 1.4, 2.5, 1.6))
+    """2 s in a circle, then braking for 1.4 s and acceleration for 1.6 s."""
+    b.drive(standard.brake_in_turn(b.speed, b.random_side() * lateral, 2.0, 4.0, b.speed - 4.0 * 1.4, 2.5, 1.6))
 
 
 def circle(b: Builder, lateral: float) -> None:
-    """A circle to one side for 4 s, entered and left within 2 s each."""
-    b.drive(standard.circle(b.speed, b.side() * lateral, 4.0, 2.0), 8.0)
+    """A circle to one side for 4 s, with an entry and an exit of 2 s each."""
+    b.drive(standard.circle(b.speed, b.random_side() * lateral, 4.0, 2.0), 8.0)
 
 
 def slow_circle(b: Builder, lateral: float) -> None:
     """A circle that is entered so slowly that the yaw rate hardly changes."""
-    b.drive(standard.circle(b.speed, b.side() * lateral, 2.0, 8.0), 18.0)
+    b.drive(standard.circle(b.speed, b.random_side() * lateral, 2.0, 8.0), 18.0)
 
 
 def ordinary(b: Builder, lateral: float, duration: float = 6.0) -> None:
-    """A winding road with random smooth curvature and a speed that varies by a tenth. lateral: root mean square."""
+    """A winding road with random smooth curvature, and a speed that varies by 10 %. lateral: root mean square."""
     time = _time(duration)
     waves = [(b.generator.uniform(0.08, 0.35), b.generator.uniform(0, 2 * np.pi)) for _ in range(4)]
     noise = sum(np.sin(2 * np.pi * f * time + phase) for f, phase in waves) / np.sqrt(2.0)
@@ -157,7 +157,7 @@ def _drive_all(b: Builder, lateral: float, manoeuvre: Manoeuvre) -> None:
 
 
 def suggested_part(name: str) -> Part:
-    """A manoeuvre of the catalogue as it is suggested. Raises StopIteration for an unknown name."""
+    """A manoeuvre of the catalogue, as `st discover` suggests it. Raises StopIteration for an unknown name."""
     one = next(m for m in CATALOGUE if m.name == name)
     return Part(partial(_drive_all, manoeuvre=one), (one.speed, one.speed), (one.lateral_acceleration,) * 2)
 

@@ -1,7 +1,7 @@
 """Sparse regression of residual accelerations (SINDy), for comparison with the discovery.
 
 Sequentially thresholded least squares (STLSQ, Brunton et al. 2016) with a library of physical terms, applied to
-measured minus modelled accelerations. The algorithm is short, so PySINDy is not required.
+measured minus modelled accelerations. The algorithm is short enough not to require PySINDy.
 """
 
 from collections.abc import Sequence
@@ -31,6 +31,16 @@ SUGGESTED_EFFECTS = {
 }
 
 
+def make_library(car: VehicleParameters, velocities: tuple[np.ndarray, np.ndarray, np.ndarray], angle: np.ndarray,
+                 angle_rate: np.ndarray, a_y: np.ndarray, a_x: np.ndarray) -> np.ndarray:
+    """Values of TERMS (n, terms). velocities: v_x, v_y, yaw rate at the CG."""
+    vx, vy, r = velocities
+    front = (vy + car.cg_to_front_axle * r) / np.maximum(vx, 3.0) - angle
+    rear = (vy - car.cg_to_rear_axle * r) / np.maximum(vx, 3.0)
+    return np.stack([np.ones_like(vx), angle, angle_rate, front, rear, front**3, rear**3, r * vx, a_y * np.abs(a_y),
+                     vx**2, a_x], axis=1)
+
+
 def fit_sparse(library: np.ndarray, target: np.ndarray, threshold: float = THRESHOLD) -> np.ndarray:
     """Coefficients of STLSQ: least squares without the terms below the threshold, repeated until none is below it.
 
@@ -51,21 +61,20 @@ def fit_sparse(library: np.ndarray, target: np.ndarray, threshold: float = THRES
 
 
 class Regression:
-    """A regression fitted to drives. coefficients: (equations, terms), in standard deviations of terms and
-    residuals."""
+    """A regression fitted to drives. coefficients: (equations, terms), per standard deviation of term and residual."""
 
     def __init__(self, drives: Sequence[DriveLog], vehicle: VehicleParameters, base: AugmentedModel):
         self._vehicle, self._base = vehicle, base
-        library, target = self._rows(drives)
-        self._mean, self._deviation = library.mean(axis=0), library.std(axis=0) + 1e-12
-        self._deviation[0], self._mean[0] = 1.0, 0.0
-        self._target_deviation = target.std(axis=0)
-        self.coefficients = np.stack([fit_sparse(self._standardise(library), target[:, i] / self._target_deviation[i])
+        library, target = self.make_rows(drives)
+        self.mean, self.deviation = library.mean(axis=0), library.std(axis=0) + 1e-12
+        self.deviation[0], self.mean[0] = 1.0, 0.0
+        self.target_deviation = target.std(axis=0)
+        self.coefficients = np.stack([fit_sparse(self._standardise(library), target[:, i] / self.target_deviation[i])
                                       for i in range(len(EQUATIONS))])
 
     @property
     def suggested_effects(self) -> tuple[str, ...]:
-        """Effects that the largest term suggests; empty without terms."""
+        """Effects that the term with the largest coefficient suggests; empty without terms."""
         if not self.coefficients.any():
             return ()
         return SUGGESTED_EFFECTS[TERMS[int(np.argmax(np.abs(self.coefficients).max(axis=0)))]]
@@ -73,15 +82,15 @@ class Regression:
     def normalised_mean_squares(self, runs: Sequence[DriveLog]) -> tuple[float, float]:
         """Mean squares of the residual accelerations of other drives before and after the regression, divided by the
         variances in the fitted drives."""
-        library, target = self._rows(runs)
-        before = target / self._target_deviation
+        library, target = self.make_rows(runs)
+        before = target / self.target_deviation
         after = before - self._standardise(library) @ self.coefficients.T
         return float(np.mean(before**2)), float(np.mean(after**2))
 
     def _standardise(self, library: np.ndarray) -> np.ndarray:
-        return (library - self._mean) / self._deviation
+        return (library - self.mean) / self.deviation
 
-    def _rows(self, runs: Sequence[DriveLog]) -> tuple[np.ndarray, np.ndarray]:
+    def make_rows(self, runs: Sequence[DriveLog]) -> tuple[np.ndarray, np.ndarray]:
         parts = [self._run_rows(run) for run in runs]
         return np.concatenate([a for a, _ in parts]), np.concatenate([b for _, b in parts])
 
@@ -104,10 +113,7 @@ class Regression:
         rates = self._base.rhs(state, w, p)
         specific_force = rates[3] + vx * rates[4] + rates[5] * car.cg_to_ins_x
         target = np.stack([vy_dot - rates[3], signals["yaw_rate_dot"] - rates[5], a_y - specific_force], axis=1)
-        front = (vy + car.cg_to_front_axle * r) / np.maximum(vx, 3.0) - angle
-        rear = (vy - car.cg_to_rear_axle * r) / np.maximum(vx, 3.0)
-        library = np.stack([np.ones_like(vx), angle, angle_rate, front, rear, front**3, rear**3, r * vx,
-                            a_y * np.abs(a_y), vx**2, signals["velocity_x_dot"]], axis=1)
+        library = make_library(car, (vx, vy, r), angle, angle_rate, a_y, signals["velocity_x_dot"])
         inside = slice(100, -100, STRIDE)
         return library[inside], target[inside]
 

@@ -1,7 +1,7 @@
-"""Methods for comparison with a proposal: regressions of the residual accelerations.
+"""Other methods, for comparison with a proposal: regressions of the residual accelerations.
 
-A sparse regression (`regression`) or a Gaussian process describes the residual accelerations of the fitted drives. It
-is added to the model in the simulation of the held-out drives.
+A sparse regression (`regression`) or a Gaussian process predicts the residual accelerations. They are added to those of
+the model in the simulation of the held-out drives.
 """
 
 import warnings
@@ -20,14 +20,14 @@ from st_core.types import cg_to_ins_position
 from st_core.vehicle import VehicleParameters
 
 from .oracle import mean_distance
-from .regression import TERMS, Regression
+from .regression import TERMS, Regression, make_library
 
 HORIZON = 5.0  # s
 SAMPLES, SEED = 250, 5
 """Number of random samples for the Gaussian process, because its cost grows with their cube."""
 FEATURES = ("angle", "slip front", "slip rear", "speed", "yaw rate", "a_x")
-Push = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""(states (6, n), road wheel angle, forward acceleration) -> additional (v_y, yaw) accelerations [m/s^2, rad/s^2]."""
+Residual = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""(states (6, n), road wheel angle, forward acceleration) -> residual accelerations of v_y and yaw [m/s^2, rad/s^2]."""
 
 
 def compare_methods(drives: Sequence[DriveLog], held_out: Sequence[DriveLog], vehicle: VehicleParameters,
@@ -37,44 +37,42 @@ def compare_methods(drives: Sequence[DriveLog], held_out: Sequence[DriveLog], ve
     regression = Regression(drives, vehicle, answer)
     process, inputs = _fit_process(regression, drives, vehicle, answer)
     return {"plain": _position_error(windows, vehicle, answer, lambda s, angle, a_x: (0.0, 0.0)),
-            "regression": _position_error(windows, vehicle, answer, _regression_push(regression, vehicle, answer)),
+            "regression": _position_error(windows, vehicle, answer, _regression_residual(regression, vehicle, answer)),
             "process": _position_error(windows, vehicle, answer, process),
             "regression_names": list(regression.suggested_effects), "process_names": inputs}
 
 
-def _features(states: np.ndarray, angle: np.ndarray, a_x: np.ndarray, car: VehicleParameters) -> np.ndarray:
-    """The features (n, features) in the order of FEATURES."""
-    _, _, vx, vy, _, r = states
-    slow = np.maximum(vx, 3.0)
-    return np.stack([angle, (vy + car.cg_to_front_axle * r) / slow - angle, (vy - car.cg_to_rear_axle * r) / slow, vx,
-                     r, a_x], axis=1)
+def _library(states: np.ndarray, angle: np.ndarray, a_x: np.ndarray, car: VehicleParameters) -> np.ndarray:
+    """The terms of the regression in a simulation, where the rate of the angle is neglected."""
+    vx, vy, r = states[2], states[3], states[5]
+    return make_library(car, (vx, vy, r), angle, 0.0 * angle, vx * r, a_x)
 
 
-def _regression_push(regression: Regression, vehicle: VehicleParameters, answer: AugmentedModel) -> Push:
+def _features(library: np.ndarray) -> np.ndarray:
+    """The features (n, features), from the terms of the regression."""
+    terms = dict(zip(TERMS, library.T, strict=True))
+    speed = np.sqrt(np.maximum(terms["vx^2"], 0.0))
+    rate = terms["r vx"] / np.maximum(speed, 3.0)
+    return np.stack([terms["angle"], terms["slip front"], terms["slip rear"], speed, rate, terms["ax"]], axis=1)
+
+
+def _regression_residual(regression: Regression, vehicle: VehicleParameters, answer: AugmentedModel) -> Residual:
     car = answer.effective_vehicle(vehicle)
-    coefficients = regression.coefficients * regression._target_deviation[:, None] / regression._deviation
-    constant = -coefficients @ regression._mean
+    coefficients = regression.coefficients * regression.target_deviation[:, None] / regression.deviation
+    constant = -coefficients @ regression.mean
 
-    def push(states, angle, a_x):
-        f = _features(states, angle, a_x, car)
-        a_y = states[2] * states[5]
-        rows = {"1": np.ones_like(angle), "angle": angle, "angle rate": 0.0 * angle, "slip front": f[:, 1],
-                "slip rear": f[:, 2], "slip front^3": f[:, 1] ** 3, "slip rear^3": f[:, 2] ** 3, "r vx": a_y,
-                "ay abs(ay)": a_y * np.abs(a_y), "vx^2": states[2] ** 2, "ax": a_x}
-        added = coefficients @ np.stack([rows[name] for name in TERMS]) + constant[:, None]
-        return added[0], added[1]
-    return push
+    def residual(states, angle, a_x):
+        predicted = coefficients @ _library(states, angle, a_x, car).T + constant[:, None]
+        return predicted[0], predicted[1]
+    return residual
 
 
 def _fit_process(regression: Regression, drives: Sequence[DriveLog], vehicle: VehicleParameters,
-                 answer: AugmentedModel) -> tuple[Push, list[str]]:
-    """Fits two Gaussian processes; also returns the input with the shortest scaled length scale of each."""
+                 answer: AugmentedModel) -> tuple[Residual, list[str]]:
+    """Fits a Gaussian process to each acceleration; also returns the input with the shortest length scale of each."""
     car = answer.effective_vehicle(vehicle)
-    library, target = regression._rows(drives)
-    rows = {name: library[:, k] for k, name in enumerate(TERMS)}
-    speed = np.sqrt(np.maximum(rows["vx^2"], 0.0))
-    rate = rows["r vx"] / np.maximum(speed, 3.0)
-    inputs = np.stack([rows["angle"], rows["slip front"], rows["slip rear"], speed, rate, rows["ax"]], axis=1)
+    library, target = regression.make_rows(drives)
+    inputs = _features(library)
     mean, size = inputs.mean(axis=0), inputs.std(axis=0) + 1e-9
     chosen = np.random.default_rng(SEED).choice(len(inputs), min(SAMPLES, len(inputs)), replace=False)
     processes, relevant_inputs = [], []
@@ -87,19 +85,18 @@ def _fit_process(regression: Regression, drives: Sequence[DriveLog], vehicle: Ve
         processes.append(process)
         relevant_inputs.append(FEATURES[int(np.argmin(process.kernel_.k1.length_scale))])
 
-    def push(states, angle, a_x):
-        f = (_features(states, angle, a_x, car) - mean) / size
-        good = np.isfinite(f).all(axis=1)
-        added = np.zeros((2, len(f)))
+    def residual(states, angle, a_x):
+        features = (_features(_library(states, angle, a_x, car)) - mean) / size
+        finite = np.isfinite(features).all(axis=1)
+        predicted = np.zeros((2, len(features)))
         for k, process in enumerate(processes):
-            added[k, good] = process.predict(f[good])
-        return added[0], added[1]
-    return push, relevant_inputs
+            predicted[k, finite] = process.predict(features[finite])
+        return predicted[0], predicted[1]
+    return residual, relevant_inputs
 
 
-def _position_error(windows: Windows, vehicle: VehicleParameters, answer: AugmentedModel, push: Push) -> float:
-    """Mean position error after HORIZON [m] of the model with additional accelerations, constant during each RK4
-    step."""
+def _position_error(windows: Windows, vehicle: VehicleParameters, answer: AugmentedModel, residual: Residual) -> float:
+    """Mean position error after HORIZON [m] of the model with residual accelerations, constant in each RK4 step."""
     signals = windows._batch.recording(answer).signals
     car, p = answer.effective_vehicle(vehicle), answer.parameters(vehicle)
     steps = round(HORIZON / STEP)
@@ -110,7 +107,7 @@ def _position_error(windows: Windows, vehicle: VehicleParameters, answer: Augmen
     state = tuple(answer.start_state(tuple(np.asarray(signals.states_at(windows.starts_ns, car)).T), rows[0], p))
     with np.errstate(all="ignore"):
         for k in range(0, 2 * steps, 2):
-            lateral, yaw_acceleration = push(np.stack(state[:6]), angle[:, k], a_x[:, k])
+            lateral, yaw_acceleration = residual(np.stack(state[:6]), angle[:, k], a_x[:, k])
             state = _integrate_step(answer, state, rows[k:k + 3], p, lateral, yaw_acceleration)
         x, y = cg_to_ins_position(state[0], state[1], state[4], car.cg_to_ins_x, car.cg_to_ins_y)
         measured_x, measured_y = windows.measured_at(times[:, -1], "x", "y")

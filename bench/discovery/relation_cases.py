@@ -1,4 +1,4 @@
-"""Cases of blocks L, M and N: a relation outside the library, an effect removed from the library, and none."""
+"""Cases of blocks L, M and N: a relation outside the library, an effect removed from the library, or neither."""
 
 from dataclasses import dataclass, replace
 
@@ -12,20 +12,20 @@ from .cars import LEAF, PLANTS, HealthyCar, has_setting, healthy_car
 from .cases import seed_of
 from .effects import is_similar
 from .hidden_relations import RELATIONS, REMOVED, Hidden
-from .plants import Order, record_run, vehicle_of
-from .resimulated import resimulate
+from .plants import RunPlan, record_run, vehicle_of
+from .resimulated import draw_seed, resimulate
 
 CASES_EACH, CASES_WITHOUT = 5, 60
 COUNTS = {"L": CASES_EACH * len(RELATIONS), "M": CASES_EACH * len(REMOVED), "N": CASES_WITHOUT}
 RUNS, HELD_OUT = 4, 2
-WRONG = {"front_stiffness_factor": 1.15, "steering_ratio_factor": 0.94, "yaw_inertia_factor": 1.2}
+FILE_FACTORS = {"front_stiffness_factor": 1.15, "steering_ratio_factor": 0.94, "yaw_inertia_factor": 1.2}
 """Factors on the vehicle file in half of block N; the library describes all of them."""
 
 
 @dataclass(frozen=True)
 class RelationCase:
-    """A case of block L, M or N. hidden: None in N. car: the healthy car. scale: factor on the size. wrong: whether the
-    vehicle file has wrong values."""
+    """A case of block L, M or N. hidden: None in N. car: the healthy car. scale: factor on the size of the relation.
+    wrong: whether the vehicle file has wrong values."""
 
     set_: str
     block: str
@@ -41,7 +41,7 @@ class RelationCase:
 
     @property
     def settings(self) -> DiscoverySettings:
-        """Settings of the discovery, without the removed effect and similar ones."""
+        """Settings of the discovery, which does not have the removed effect and similar ones."""
         effects = None
         if self.hidden and self.hidden.removed:
             effects = tuple(n for n in find_applicable_effects("nonlinear") if not is_similar(n, self.hidden.removed))
@@ -68,9 +68,9 @@ def _make_case(set_: str, block: str, index: int) -> RelationCase:
     draw = np.random.default_rng(seed_of(set_, block, index, "law"))
     pool = {"L": RELATIONS, "M": REMOVED}.get(block)
     hidden = pool[index % len(pool)] if pool else None
-    round_ = index // len(pool) if pool else index
-    # Half of the cases have the multi-body cars, in turn, if the plant has the setting.
-    plant = PLANTS[1 + round_ % (len(PLANTS) - 1)] if (round_ + index) % 2 else LEAF
+    cycle = index // len(pool) if pool else index
+    # Every other case has a multi-body car, in turn, if that has the setting.
+    plant = PLANTS[1 + cycle % (len(PLANTS) - 1)] if (cycle + index) % 2 else LEAF
     if hidden and not all(has_setting(plant, name) for name in hidden.settings_in(plant)):
         plant = LEAF
     car = healthy_car(plant, (seed_of(set_, block, index, "car"),))
@@ -82,7 +82,7 @@ def drives_of(case: RelationCase) -> RelationDrives:
     """Drives the cars of a case."""
     car, hidden = case.car, case.hidden
     own = vehicle_of(car.plant, car.settings)
-    file_values = {name: car.settings[name] * factor for name, factor in WRONG.items()} if case.wrong else {}
+    file_values = {name: car.settings[name] * factor for name, factor in FILE_FACTORS.items()} if case.wrong else {}
     vehicle = vehicle_of(car.plant, {**car.settings, **file_values})
 
     def drive(with_relation: bool, first: int, count: int) -> list[DriveLog]:
@@ -90,22 +90,22 @@ def drives_of(case: RelationCase) -> RelationDrives:
                 for i in range(count)]
 
     if hidden is None:
-        logs = [resimulate(log, own, int(np.random.default_rng([case.seed, k, 7]).integers(2**31)))
+        logs = [resimulate(log, own, draw_seed(case.seed, k, 7))
                 for k, log in enumerate((*drive(False, 0, RUNS), *drive(False, 200, HELD_OUT)))]
         logs = [log.with_steering(vehicle) for log in logs]
         return RelationDrives(logs[:RUNS], logs[RUNS:], [], [], vehicle)
     return RelationDrives(drive(True, 0, RUNS), drive(True, 200, HELD_OUT), drive(False, 0, RUNS),
-                     drive(False, 200, HELD_OUT), vehicle)
+                          drive(False, 200, HELD_OUT), vehicle)
 
 
 def _record_case_run(case: RelationCase, vehicle: VehicleParameters, with_relation: bool, number: int) -> DriveLog:
     plant, hidden, settings = case.car.plant, case.hidden, dict(case.car.settings)
-    order = Order(f"run_{number + 1}", (case.seed, number), settings)
+    plan = RunPlan(f"run_{number + 1}", (case.seed, number), settings)
     if not with_relation:
-        return record_run(plant, vehicle, order)
-    for name, more in hidden.settings_in(plant).items():
-        settings[name] += case.scale * more
+        return record_run(plant, vehicle, plan)
+    for name, change in hidden.settings_in(plant).items():
+        settings[name] += case.scale * change
     relation = hidden.relation_in(plant)
     relation = relation._replace(size=case.scale * relation.size)
-    log = record_run(plant, vehicle, replace(order, settings=settings, relation=relation))
+    log = record_run(plant, vehicle, replace(plan, settings=settings, relation=relation))
     return hidden.change(log, vehicle, case.scale * hidden.size) if hidden.change else log

@@ -1,25 +1,24 @@
-"""Command line of the blind test of proposals."""
+"""Command line of the blind benchmark of proposals."""
 
 import argparse
-import json
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
-from st_recordings.paths import source_version
-
 from . import relation_score, relation_tables
-from .compiled import Stopped
+from .compiled import DriveFailed
 from .relation_cases import COUNTS, RelationCase, cases_of
 from .relation_run import Record, run_case
-from .run import key_of, read_files, read_records
+from .run import read_files, run_all
 
 
 def main(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="st bench discovery --relations", description=(
-        "Compares proposals with the truth, for relations outside the library that are hidden in two plants. Block "
+        "Compares proposals of st discover with the truth, for relations hidden in two plants. Block "
         "L: twelve relations, M: six effects removed from the library, N: no relation."))
-    parser.add_argument("--set", default="development", help="development, sealed, sealed-2, or any other word")
+    parser.add_argument("--set", default="development",
+                        help="development, sealed, sealed-2, or the name of another set of cases")
     parser.add_argument("--until", type=float, metavar="MINUTES", help="start no case after this time")
     parser.add_argument("--skip", type=int, default=0, metavar="CASES", help="skip the first cases")
     parser.add_argument("--plain", action="store_true", help="without oracle and baselines")
@@ -32,7 +31,8 @@ def main(arguments: Sequence[str]) -> int:
         relation_tables.write(read_files(chosen.tables))
         return 0
     until = None if chosen.until is None else time.time() + 60 * chosen.until
-    records = _run(interleave_cases(chosen.set)[chosen.skip:], chosen.out, until, not chosen.plain)
+    records = run_all(interleave_cases(chosen.set)[chosen.skip:], chosen.out, until,
+                      partial(_try_case, whole=not chosen.plain), _print_record)
     for name, measured, *_ in relation_score.score_rows(records):
         print(f"{name}: {measured}")
     return 0
@@ -45,24 +45,12 @@ def interleave_cases(set_: str) -> list[RelationCase]:
     return [case for *_, case in sorted(cases, key=lambda c: c[:2])]
 
 
-def _run(cases: Sequence[RelationCase], file: Path, until: float | None, whole: bool) -> list[Record]:
-    done, records = read_records(file), []
-    for case in cases:
-        key = key_of(case)
-        if key not in done:
-            if until is not None and time.time() >= until:
-                break
-            try:
-                record = run_case(case, whole)
-            except Stopped as error:
-                print(f"{case.block} {case.index}: cannot be driven, {error}", flush=True)
-                continue
-            done[key] = {"set": key[0], "block": key[1], "index": key[2], "version": source_version(), **record}
-            with file.open("a") as out:
-                out.write(json.dumps(done[key]) + "\n")
-            _print_record(done[key])
-        records.append(done[key])
-    return records
+def _try_case(case: RelationCase, whole: bool) -> Record | None:
+    try:
+        return run_case(case, whole)
+    except DriveFailed as error:
+        print(f"{case.block} {case.index}: cannot be driven: {error}", flush=True)
+        return None
 
 
 def _print_record(r: Record) -> None:

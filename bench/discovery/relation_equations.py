@@ -1,8 +1,8 @@
-"""Hidden relations, which are not in the library, as accelerations; the loops of both plants compile the same function.
+"""Hidden relations as accelerations; both plants compile the same function into their loops.
 
     F_f / m = (l_r a_y + k^2 r_dot) / l,   F_r / m = (l_f a_y - k^2 r_dot) / l,   a_y = v_y_dot + v_x r,   k^2 = I_z / m
 
-are the axle forces; a relation reduces them by a fraction, or adds a force or a moment.
+are the axle forces; a relation changes them by a fraction, or adds a force or a moment.
 """
 
 from math import exp
@@ -29,8 +29,15 @@ class Car(NamedTuple):
     rear: float
 
 
+def reshape_rear_tyre(tyre, relation):
+    """The rear tyre; for the relation REAR_CURVE with another curve of the same initial slope and peak."""
+    if relation.kind != REAR_CURVE:
+        return tyre
+    return tyre._replace(p_cy1=tyre.p_cy1 * (1.0 - relation.size), p_ey1=tyre.p_ey1 - 4.0 * relation.size)
+
+
 def relation_accelerations(relation, car, time, vx, r, ax, vy_dot, r_dot):
-    """(lateral [m/s^2], yaw [rad/s^2]) accelerations of a relation, left +. time: since the begin of the run [s]."""
+    """(lateral [m/s^2], yaw [rad/s^2]) accelerations of a relation, left +. time: since the start of the run [s]."""
     kind, size = relation
     to_front, to_rear, square, rear = car
     a_y, wheelbase = vy_dot + vx * r, to_front + to_rear

@@ -9,15 +9,15 @@ from st_core.relations.candidates import ALL_TERMS, split_name
 
 from .cars import LEAF
 from .effects import SCATTER
+from .evaluation import plant_differences
 from .hidden_relations import BY_NAME, Hidden
-from .judge import plant_differences
 from .score import wilson
 
 Record = dict[str, Any]
 WORSE = 1.02  # ratio of the position errors with and without a relation above which the relation is worse
 CLOSABLE = 0.02, 0.1
-"""Minimum gain of the oracle for a meaningful fraction of it: [m], and relative to the error with the library."""
-DURATION = 300.0  # s of driving for which the processor time is reported
+"""Minimum unexplained error for the fraction removed: [m], and relative to the error with the library."""
+DURATION = 300.0  # s of driving to which the processor time is scaled
 
 
 def hidden_of(r: Record) -> Hidden:
@@ -30,17 +30,17 @@ def unexplained_error(r: Record) -> float:
 
 
 def is_closable(r: Record) -> bool:
-    least, fraction = CLOSABLE
-    return unexplained_error(r) > max(least, fraction * r["position"]["found"])
+    minimum, fraction = CLOSABLE
+    return unexplained_error(r) > max(minimum, fraction * r["position"]["found"])
 
 
 def is_noticed(r: Record) -> bool:
-    """Whether the answer reports an error that no effect of the library explains; only then a relation is searched."""
+    """Whether the answer reports an unexplained error, without which there is no search for a relation."""
     return r["searched"]
 
 
 def is_proposed_or_unknown(r: Record) -> bool:
-    """Whether the answer has a relation, or its outcome is unknown."""
+    """Whether the answer proposes a relation, or its outcome is *unknown*."""
     return r["law"] is not None or r["outcome"] == "unknown"
 
 
@@ -68,13 +68,13 @@ def list_places(r: Record) -> list[str]:
 
 
 def list_wrong_effects_by_library(r: Record) -> list[str]:
-    """Effects of the library that are stated alone, but are neither in the car nor in a slot of the relation."""
+    """Effects of the library stated without alternatives that are neither in the car nor in a slot of the relation."""
     true = {*plant_differences(r["plant"]), *SCATTER}
     return [n for n in r["alone"] if n not in true and get_effect(n).slot not in hidden_of(r).slots]
 
 
 def list_wrong_effects(r: Record) -> list[str]:
-    """Wrong effects stated alone that the proposal does not declare redundant."""
+    """Those of them that the proposal does not declare redundant."""
     return [n for n in list_wrong_effects_by_library(r) if n not in r.get("redundant", ())]
 
 
@@ -85,10 +85,6 @@ def is_shape_right(r: Record) -> bool:
 def seconds(r: Record) -> float:
     """Processor time for DURATION of driving [s]."""
     return sum(r["seconds"]) * DURATION / r["driven"]
-
-
-def make_row(name: str, measured: str, required: str = "", goal: str = "") -> tuple[str, str, str, str]:
-    return name, measured, required, goal
 
 
 def format_ratio(hits: Iterable[bool]) -> str:
@@ -111,41 +107,42 @@ def format_spread(values: Sequence[float]) -> str:
     return f"{np.median(values):.0%} / {np.quantile(values, 0.1):.0%} ({len(values)} cases)"
 
 
-def score_rows(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
+def score_rows(records: Sequence[Record]) -> list[tuple[str, ...]]:
     """(score, measured, required, goal)."""
     hidden = [r for r in records if r["block"] in "LM"]
     proposed, nothing = [r for r in hidden if r["law"]], [r for r in records if r["block"] == "N"]
-    matter = [r for r in hidden if "oracle" in r["position"] and is_closable(r)]
+    closable = [r for r in hidden if "oracle" in r["position"] and is_closable(r)]
     shaped = [r for r in proposed if is_place_right(r) and hidden_of(r).shapes]
     times = [seconds(r) for r in records]
     alarms = sum(r["law"] is not None for r in nothing)
-    return [
-        make_row("noticed (reported as missing)", format_ratio(map(is_noticed, hidden)), "85 %", "95 %"),
-        make_row("... by a proposal, or as the outcome *unknown*", format_ratio(map(is_proposed_or_unknown, hidden))),
-        make_row("... where the library leaves an error", format_ratio(map(is_noticed, matter))),
-        make_row("... on the virtual Leaf, where nothing else is missing",
-                 format_ratio(is_noticed(r) for r in hidden if r["plant"] == LEAF)),
-        make_row("proposals with the correct slot, alone or among alternatives",
-                 format_ratio(map(is_slot_right, proposed)), "80 %", "90 %"),
-        make_row("... the place of the proposal itself", format_ratio(map(is_place_right, proposed))),
-        make_row("... where the library leaves an error", format_ratio(is_slot_right(r) for r in matter if r["law"])),
-        make_row(f"... places named, of {len(ALL_TERMS)}: median / largest",
-                 format_counts(len(list_places(r)) for r in proposed)),
-        make_row("unexplained error removed, relative to the oracle, median / 10th percentile",
-                 format_spread([closed_fraction(r) for r in matter]), "70 / 40 %", "90 / 60 %"),
-        make_row("held-out error increased, of proposals", format_ratio(map(is_worse, proposed)), "1 %", "0"),
-        make_row("proposal without a hidden relation", f"{alarms} of {len(nothing)}", "1 of 60", "0"),
-        make_row("... reported as missing", f"{sum(map(is_noticed, nothing))} of {len(nothing)}"),
-        make_row("a wrong effect of the library stated alone",
-                 format_ratio(bool(list_wrong_effects(r)) for r in hidden), "5 %", "2 %"),
-        make_row("... before the corrections of the proposal",
-                 format_ratio(bool(list_wrong_effects_by_library(r)) for r in hidden)),
-        make_row("first formula of the correct shape, if the place is correct",
-                 format_ratio(map(is_shape_right, shaped)), "60 %", "80 %"),
-        make_row("time, 5 minutes of driving, one core, median / largest",
-                 f"{np.median(times):.0f} / {max(times):.0f} s"
-                 if times else "no cases", "90 s", "30 s"),
+    rows: list[tuple[str, ...]] = [
+        ("noticed (reported as missing)", format_ratio(map(is_noticed, hidden)), "85 %", "95 %"),
+        ("... by a proposal, or as the outcome *unknown*", format_ratio(map(is_proposed_or_unknown, hidden))),
+        ("... where the library leaves an error", format_ratio(map(is_noticed, closable))),
+        ("... on the virtual Leaf, where nothing else is missing",
+         format_ratio(is_noticed(r) for r in hidden if r["plant"] == LEAF)),
+        ("proposals with the correct slot, alone or among alternatives",
+         format_ratio(map(is_slot_right, proposed)), "80 %", "90 %"),
+        ("... the place of the proposal itself", format_ratio(map(is_place_right, proposed))),
+        ("... where the library leaves an error", format_ratio(is_slot_right(r) for r in closable if r["law"])),
+        (f"... places named, of {len(ALL_TERMS)}: median / largest",
+         format_counts(len(list_places(r)) for r in proposed)),
+        ("unexplained error removed, relative to the oracle, median / 10th percentile",
+         format_spread([closed_fraction(r) for r in closable]), "70 / 40 %", "90 / 60 %"),
+        ("proposals that increase the held-out error", format_ratio(map(is_worse, proposed)), "1 %", "0"),
+        ("proposal without a hidden relation", f"{alarms} of {len(nothing)}", "1 of 60", "0"),
+        ("... reported as missing", f"{sum(map(is_noticed, nothing))} of {len(nothing)}"),
+        ("a wrong effect of the library stated alone",
+         format_ratio(bool(list_wrong_effects(r)) for r in hidden), "5 %", "2 %"),
+        ("... before the corrections of the proposal",
+         format_ratio(bool(list_wrong_effects_by_library(r)) for r in hidden)),
+        ("first formula of the correct shape, if the place is correct",
+         format_ratio(map(is_shape_right, shaped)), "60 %", "80 %"),
+        ("time, 5 minutes of driving, one core, median / largest",
+         f"{np.median(times):.0f} / {max(times):.0f} s"
+         if times else "no cases", "90 s", "30 s"),
     ]
+    return [(*row, *[""] * (4 - len(row))) for row in rows]
 
 
 def method_rows(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:

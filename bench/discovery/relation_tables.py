@@ -1,4 +1,4 @@
-"""Writes the scores, other methods, relations and failures of blocks L, M and N to docs/measurements/proposals.md."""
+"""Writes scores, other methods, relations and wrong answers of blocks L, M and N to docs/measurements/proposals.md."""
 
 from collections import defaultdict
 from collections.abc import Sequence

@@ -13,8 +13,12 @@ from .oracle import BASE
 from .sensing import round_to_resolution, select_noise
 
 MARGIN_NS = 700_000_000  # at both ends, where the smoothed longitudinal acceleration is unknown
-STEERING_NOISE = REALISTIC["steering_sensor_noise"]  # rad, at the steering wheel
-WIDTH = 15  # samples of 10 ms for smoothing the recorded angle; drivers steer more slowly than this
+STEERING_NOISE = REALISTIC["steering_sensor_noise"]  # rad at the steering wheel
+WIDTH = 15  # samples of 10 ms over which the recorded angle is smoothed; steering is slower
+
+
+def draw_seed(*numbers: int) -> int:
+    return int(np.random.default_rng(numbers).integers(2**31))
 
 
 def resimulate(log: DriveLog, vehicle: VehicleParameters, seed: int) -> DriveLog:

@@ -1,6 +1,6 @@
-"""Runs cases: their drives, the answer of `discover`, and its comparison with the truth.
+"""Runs cases: drives, the answer of `discover`, and its comparison with the truth.
 
-Cases run in an order in which all blocks advance at the same rate; an interrupted run can be continued.
+An interrupted run can be continued.
 """
 
 import json
@@ -21,7 +21,7 @@ from .cases import PER_CAR, Case, cases_of
 from .drives import IDENTIFIED, drives_of, settings_of
 from .edits import EditCase
 from .effects import SCATTER
-from .judge import judge_answer
+from .evaluation import evaluate_answer
 from .next_drive import try_suggestion
 
 BASELINE_INTERVAL = 3  # every third case of blocks A and B is also run with the other methods
@@ -42,8 +42,8 @@ def run_case(case: AnyCase, limits: Limits | None = None, whole: bool = True) ->
     known = (*SCATTER, *IDENTIFIED) if case.kind == "identified" else SCATTER
     record = {**describe_case(case), "cpu_s": seconds,
               "truth": {n: drives.truth[n] for n in case.hidden if n in drives.truth},
-              "scatter": {n: drives.truth[n] for n in known}, "mistaken": list(drives.mistaken),
-              **describe_answer(found), **judge_answer(case, drives, found)}
+              "scatter": {n: drives.truth[n] for n in known}, "mistaken": list(drives.wrong_in_file),
+              **describe_answer(found), **evaluate_answer(case, drives, found)}
     if whole:
         record |= try_suggestion(case, drives, found, settings, record)
         if case.block in "AB" and case.index % BASELINE_INTERVAL == 0:
@@ -55,7 +55,7 @@ def describe_case(case: AnyCase) -> Record:
     """The part of a record that describes the case."""
     if isinstance(case, EditCase):
         return {"kind": case.name or "unedited", "size": case.size}
-    return {"kind": case.kind, "plant": case.car.plant, "hidden": list(case.hidden), "words": case.words,
+    return {"kind": case.kind, "plant": case.car.plant, "hidden": list(case.hidden), "words": case.description,
             "scales": list(case.scales), "with_vy": case.with_vy, "shifted": case.shifted}
 
 
@@ -96,10 +96,10 @@ def _values(effect: FoundEffect) -> dict[str, list[float]]:
 
 
 def interleave_cases(set_: str, counts: dict[str, int], part: tuple[int, int] = (0, 1)) -> Iterator[AnyCase]:
-    """Interleaves the cases of all blocks, so that all blocks are about equally complete when a run is stopped.
+    """Yields the cases of all blocks in an order in which all blocks advance at the same rate.
 
-    part: (k, n), every n-th group from the k-th on, for one of n processes. Cases with the same reference stay
-    together; the real drives as recorded come first.
+    part: (k, n), every n-th group from the k-th on, for one of n processes. Cases with the same reference drives form a
+    group; in block F, the drives as recorded are the first case.
     """
     groups = []
     for block, count in counts.items():
@@ -115,7 +115,7 @@ def interleave_cases(set_: str, counts: dict[str, int], part: tuple[int, int] = 
         yield from group
 
 
-def key_of(case: AnyCase) -> tuple[str, str, int]:
+def key_of(case: Any) -> tuple[str, str, int]:
     return case.set_, case.block, case.index
 
 
@@ -133,11 +133,11 @@ def read_files(files: Iterable[Path]) -> list[Record]:
     return list(records.values())
 
 
-def run_all(cases: Iterable[AnyCase], file: Path, until: float | None, report: Callable[[Record], None],
-            limits: Limits | None = None, whole: bool = True) -> list[Record]:
+def run_all(cases: Iterable[Any], file: Path, until: float | None, run: Callable[[Any], Record | None],
+            report: Callable[[Record], None]) -> list[Record]:
     """Records of all cases, which are appended to the file one by one; cases in the file are not run again.
 
-    until: Unix time after which no case starts.
+    until: Unix time after which no case starts. run: runs a case; None for a case without a record.
     """
     done, records = read_records(file), []
     file.parent.mkdir(parents=True, exist_ok=True)
@@ -147,7 +147,9 @@ def run_all(cases: Iterable[AnyCase], file: Path, until: float | None, report: C
             if until is not None and time.time() >= until:
                 break
             begin = time.process_time()
-            record = _try_case(case, limits, whole)
+            record = run(case)
+            if record is None:
+                continue
             done[key] = {"set": key[0], "block": key[1], "index": key[2], "version": source_version(), **record,
                          "case_s": round(time.process_time() - begin, 2)}
             with file.open("a") as out:
@@ -157,8 +159,8 @@ def run_all(cases: Iterable[AnyCase], file: Path, until: float | None, report: C
     return records
 
 
-def _try_case(case: AnyCase, limits: Limits | None, whole: bool) -> Record:
-    # An exception in the discovery is a wrong answer, and does not end the benchmark.
+def try_case(case: AnyCase, limits: Limits | None = None, whole: bool = True) -> Record:
+    """The record of a case; an exception is scored as a wrong answer and does not end the benchmark."""
     try:
         return run_case(case, limits, whole)
     except Exception as error:

@@ -2,7 +2,7 @@
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,19 +11,21 @@ from st_core.effects import EFFECTS
 from .cars import LEAF
 from .edit_score import compare_edit
 from .effects import is_similar, members
-from .judge import plant_differences
+from .evaluation import plant_differences
 
 Record = dict[str, Any]
+Row = tuple[str, str, str, Record]
+"""Name, required value, goal and result of a score."""
 MIN_LOSS_RATIO = 1.10
 """A hidden effect is relevant if the oracle's held-out loss without it, divided by that with it, is at least this."""
 CLOSABLE = 0.02, 0.1
-"""Minimum gain of the oracle, [m] and relative to the base error, for a meaningful fraction of it."""
+"""Minimum gain of the oracle of which a fraction is computed: [m], and relative to the error of the base model."""
 WORSE = 1.02
-"""Ratio of held-out position error to that of the base above which an answer is worse."""
+"""Ratio of the held-out position error to that of the base model above which an answer is worse."""
 MIN_HIDDEN_LOSS_RATIO = 1.10
-"""Block E: minimum ratio of the base's loss to its loss on drives of the healthy car for a relevant hidden effect."""
+"""Block E: minimum ratio of the base model's loss to that for the healthy car, for a relevant hidden effect."""
 STRATA = (("strong", 0.5), ("medium", 0.25), ("weak", 0.1), ("invisible", -math.inf))
-MIN_CASES = 4  # cases of an effect for a comparison of its predicted power with the results
+MIN_CASES = 4  # of an effect, for a comparison of its predicted power with the results
 
 
 def wilson(hits: int, count: int, z: float = 1.959964) -> tuple[float, float]:
@@ -44,7 +46,7 @@ def stratum(detectability: float) -> str:
 
 
 def list_statements(r: Record) -> list[list[str]]:
-    """The statements of an answer, each as its name followed by its alternatives."""
+    """The statements of an answer: for each, the name of the effect, then those of its alternatives."""
     return [_names(e) for e in r["effects"]]
 
 
@@ -59,8 +61,8 @@ def is_stated(r: Record, hidden: str) -> bool:
 
 
 def is_false(r: Record, effect: Record) -> bool:
-    """Whether no effect of a statement is hidden, similar to a hidden one, or a true difference between plant and
-    model."""
+    """Whether a statement is false: no effect of it is hidden, similar to a hidden one, or a true difference between
+    plant and model, and not all of its values are those of effects that every car has."""
     true = {*plant_differences(r["plant"]), *r.get("mistaken", ())}
     if any(name in true or any(is_similar(name, h) for h in r["hidden"]) for name in _names(effect)):
         return False
@@ -84,12 +86,12 @@ def is_exact(r: Record) -> bool:
 
 
 def relevant_effects(r: Record) -> list[str]:
-    """Hidden effects without which the oracle is worse."""
+    """Hidden effects that are relevant: without them, the oracle is worse (MIN_LOSS_RATIO)."""
     return [n for n, ratio in r.get("worth", {}).items() if ratio >= MIN_LOSS_RATIO]
 
 
-def values_inside(r: Record) -> list[tuple[str, bool]]:
-    """(effect, whether its value is inside its interval) for every hidden effect stated by its name."""
+def covered_values(r: Record) -> list[tuple[str, bool]]:
+    """(effect, whether its interval contains the true value) for each value of a correctly named effect."""
     rows = []
     for effect in r["effects"]:
         parts = members(effect["name"]) if effect["name"] in EFFECTS else ()
@@ -102,7 +104,7 @@ def values_inside(r: Record) -> list[tuple[str, bool]]:
 
 
 def closed_fraction(r: Record) -> float | None:
-    """Fraction of the oracle's reduction of the held-out 5 s position error; None if that reduction is too small."""
+    """Reduction of the held-out 5 s position error relative to that by the oracle; None if the latter is too small."""
     p = r.get("position", {})
     if "oracle" not in p or p["base"] - p["oracle"] < max(CLOSABLE[0], CLOSABLE[1] * p["base"]):
         return None
@@ -114,12 +116,12 @@ def is_worse(r: Record) -> bool:
 
 
 def is_reported(r: Record) -> bool:
-    """Block E: reported as varying, unknown or unexplained, and nothing stated except true differences."""
+    """Block E: whether the error is reported as varying, unknown or unexplained, and nothing false is stated."""
     reported = bool(r["varying"]) or r["outcome"] in ("varying", "unknown") or r.get("unexplained", False)
     return reported and not list_false({**r, "hidden": []})
 
 
-def power_pairs(records: Iterable[Record]) -> list[tuple[str, float, bool]]:
+def predicted_powers(records: Iterable[Record]) -> list[tuple[str, float, bool]]:
     """(effect, predicted power for the hidden size, whether it was found) for cases with a power analysis."""
     pairs = []
     for r in records:
@@ -142,7 +144,7 @@ def predicted_power(r: Record, name: str) -> float | None:
     return float(np.interp(math.log(max(size, 1e-12)), np.log(sizes), found))
 
 
-def budget_misses(r: Record) -> list[float]:
+def budget_errors(r: Record) -> list[float]:
     """Absolute errors of the estimated error contributions, each part added last."""
     return [abs(r["budget"].get(part, [0.0])[0] - last) for part, (last, _) in r.get("shares", {}).items()]
 
@@ -162,110 +164,102 @@ def value_of(values: Iterable[float | None], reduce: Callable[[Sequence[float]],
     return {"of": len(given), "value": float(reduce(given)) if given else None}
 
 
-class Table:
-    """Collects rows of scores."""
-
-    def __init__(self) -> None:
-        self.rows: list[Record] = []
-
-    def add(self, name: str, required: str, goal: str, result: Record) -> None:
-        self.rows.append({"name": name, "required": required, "goal": goal, **result})
-
-
 def score_rows(records: Sequence[Record]) -> list[Record]:
     """All scores as dicts with name, required, goal, and hits, of, share, low, high or value."""
+    return [{"name": name, "required": required, "goal": goal, **result}
+            for name, required, goal, result in _score_blocks(records)]
+
+
+def _score_blocks(records: Sequence[Record]) -> Iterator[Row]:
     blocks: dict[str, list[Record]] = defaultdict(list)
     for r in records:
         blocks[r["block"]].append(r)
-    table = Table()
-    _score_found_effects(table, [*blocks["A"], *blocks["B"]], "")
-    _score_healthy(table, blocks["C"], "")
-    _score_with_reference(table, blocks["D"])
+    yield from _score_found_effects([*blocks["A"], *blocks["B"]], "")
+    yield from _score_healthy(blocks["C"], "")
+    yield from _score_with_reference(blocks["D"])
     relevant = [r for r in blocks["E"] if r.get("loss_ratio", 0.0) >= MIN_HIDDEN_LOSS_RATIO]
-    table.add("E: reported as varying or unknown, not named", "80 %", "92 %", share_of_records(relevant, is_reported))
+    yield ("E: reported as varying or unknown, not named", "80 %", "92 %", share_of_records(relevant, is_reported))
     for kind in ("place", "time", "unknown"):
-        table.add(f"  {kind}", "", "", share_of_records([r for r in relevant if r["kind"] == kind], is_reported))
-    _score_edits(table, blocks["F"])
+        yield (f"  {kind}", "", "", share_of_records([r for r in relevant if r["kind"] == kind], is_reported))
+    yield from _score_edits(blocks["F"])
     away = {b: [r for r in blocks[b] if r["plant"] != LEAF] for b in "ABC"}
-    _score_found_effects(table, [*away["A"], *away["B"]], "multi-body, ")
-    _score_healthy(table, away["C"], "multi-body, ")
-    table.add("suggested drive, once driven, settles", "60 %", "85 %",
-              share_of_records([r for r in records if "settled" in r], lambda r: r["settled"]))
+    yield from _score_found_effects([*away["A"], *away["B"]], "multi-body, ")
+    yield from _score_healthy(away["C"], "multi-body, ")
+    yield ("suggested drive settles the case", "60 %", "85 %",
+           share_of_records([r for r in records if "settled" in r], lambda r: r["settled"]))
     judged = [r for r in (*blocks["A"], *blocks["B"]) if r.get("shares")]
-    table.add("error budget against truth, mean difference", "≤ 12 %", "≤ 6 %",
-              {**value_of([m for r in judged for m in budget_misses(r)]), "percent": True})
-    table.add("power analysis: predicted power against measured, mean difference", "≤ 12 %", "≤ 6 %",
-              {**_power_error([*blocks["A"], *blocks["B"]]), "percent": True})
+    yield ("error budget against truth, mean difference", "≤ 12 %", "≤ 6 %",
+           {**value_of([m for r in judged for m in budget_errors(r)]), "percent": True})
+    yield ("power analysis: predicted power against measured, mean difference", "≤ 12 %", "≤ 6 %",
+           {**_power_error([*blocks["A"], *blocks["B"]]), "percent": True})
     everything = [r["cpu_s"] for r in records if "cpu_s" in r]
-    table.add("processor time of discover per case [s], median", "≤ 20", "≤ 5", value_of(everything, np.median))
-    table.add("processor time of discover per case [s], largest", "≤ 20", "≤ 5", value_of(everything, np.max))
-    table.add("raised an error", "0", "0", share_of_records(records, lambda r: r["outcome"] == "error"))
-    return table.rows
+    yield ("processor time of discover per case [s], median", "≤ 20", "≤ 5", value_of(everything, np.median))
+    yield ("processor time of discover per case [s], largest", "≤ 20", "≤ 5", value_of(everything, np.max))
+    yield ("exceptions", "0", "0", share_of_records(records, lambda r: r["outcome"] == "error"))
 
 
-def _score_found_effects(table: Table, rows: list[Record], prefix: str) -> None:
-    """Adds the rows of blocks A and B. prefix: of their names."""
+def _score_found_effects(rows: list[Record], prefix: str) -> Iterator[Row]:
+    """Rows of blocks A and B. prefix: of their names."""
     slack = "within 6 points of " if prefix else ""
-    table.add(f"{prefix}A and B: effects that matter, stated alone or in a set", slack + "90 %", "97 %",
-              share_of([is_stated(r, n) for r in rows for n in relevant_effects(r)]))
-    table.add(f"{prefix}A and B: statements that are false", slack + "≤ 4 %", "≤ 1 %",
-              share_of([is_false(r, e) for r in rows for e in r["effects"]]))
-    table.add(f"{prefix}A and B: mean set size", "≤ 1.6", "≤ 1.25",
-              value_of([len(g) for r in rows for g in list_statements(r)]))
-    table.add(f"{prefix}A and B: values inside their 95 % interval", slack + "85 %", "92 %",
-              share_of([inside for r in rows for _, inside in values_inside(r)]))
+    yield (f"{prefix}A and B: relevant effects stated, alone or with alternatives", slack + "90 %", "97 %",
+           share_of([is_stated(r, n) for r in rows for n in relevant_effects(r)]))
+    yield (f"{prefix}A and B: false statements", slack + "≤ 4 %", "≤ 1 %",
+           share_of([is_false(r, e) for r in rows for e in r["effects"]]))
+    yield (f"{prefix}A and B: mean number of effects per statement", "≤ 1.6", "≤ 1.25",
+           value_of([len(g) for r in rows for g in list_statements(r)]))
+    yield (f"{prefix}A and B: values inside their 95 % interval", slack + "85 %", "92 %",
+           share_of([inside for r in rows for _, inside in covered_values(r)]))
     fractions = [closed_fraction(r) for r in rows]
     for name, q, required, goal in (("median", 0.5, "92 %", "98 %"), ("10th percentile", 0.1, "75 %", "90 %")):
-        table.add(f"{prefix}A and B: held-out 5 s position error reduced, relative to the oracle, {name}",
-                  slack + required, goal, {**value_of(fractions, lambda v, q=q: np.quantile(v, q)), "percent": True})
-    table.add(f"{prefix}A and B: held-out error increased", "≤ 1 %", "0",
-              share_of_records([r for r in rows if "position" in r], is_worse))
+        yield (f"{prefix}A and B: held-out 5 s position error reduced, relative to the oracle, {name}",
+               slack + required, goal, {**value_of(fractions, lambda v, q=q: np.quantile(v, q)), "percent": True})
+    yield (f"{prefix}A and B: held-out error increased", "≤ 1 %", "0",
+           share_of_records([r for r in rows if "position" in r], is_worse))
 
 
-def _score_healthy(table: Table, rows: list[Record], prefix: str) -> None:
-    exactly = [r for r in rows if r["kind"] == "base"]
+def _score_healthy(rows: list[Record], prefix: str) -> Iterator[Row]:
+    base = [r for r in rows if r["kind"] == "base"]
     identified = [r for r in rows if r["kind"] == "identified"]
-    table.add(f"{prefix}C: something stated", "≤ 3 %", "≤ 1 %",
-              share_of([*(bool(r["effects"]) for r in exactly), *(bool(list_false(r)) for r in identified)]))
-    table.add(f"  {prefix}base exactly right: something stated", "", "",
-              share_of_records(exactly, lambda r: bool(r["effects"])))
-    table.add(f"  {prefix}file identified: something stated without a true difference", "", "", share_of_records(
+    yield (f"{prefix}C: false statements", "≤ 3 %", "≤ 1 %",
+           share_of([*(bool(r["effects"]) for r in base), *(bool(list_false(r)) for r in identified)]))
+    yield (f"  {prefix}car equal to the base model: anything stated", "", "",
+           share_of_records(base, lambda r: bool(r["effects"])))
+    yield (f"  {prefix}file identified: false statements", "", "", share_of_records(
         identified, lambda r: bool(list_false(r))))
-    table.add(f"  {prefix}file identified: anything stated", "", "",
-              share_of_records(identified, lambda r: bool(r["effects"])))
-    table.add(f"  {prefix}C: held-out error increased", "≤ 1 %", "0",
-              share_of_records([r for r in rows if "position" in r], is_worse))
+    yield (f"  {prefix}file identified: anything stated", "", "",
+           share_of_records(identified, lambda r: bool(r["effects"])))
+    yield (f"  {prefix}C: held-out error increased", "≤ 1 %", "0",
+           share_of_records([r for r in rows if "position" in r], is_worse))
 
 
-def _score_with_reference(table: Table, rows: list[Record]) -> None:
+def _score_with_reference(rows: list[Record]) -> Iterator[Row]:
     single = [r for r in rows if r["kind"] == "one" and "detectability" in r]
     for level, required, goal in (("strong", "95 %", "98 %"), ("medium", "85 %", "94 %"), ("weak", "70 %", "85 %")):
-        table.add(f"D: exact name, {level}, with v_y", required, goal, share_of_records(
+        yield (f"D: exact name, {level}, with v_y", required, goal, share_of_records(
             [r for r in single if r["with_vy"] and stratum(r["detectability"]) == level], is_exact))
-    table.add("  exact name, strong and medium, without v_y", "", "", share_of_records(
+    yield ("  exact name, strong and medium, without v_y", "", "", share_of_records(
         [r for r in single if not r["with_vy"] and stratum(r["detectability"]) in ("strong", "medium")], is_exact))
     healthy = [r for r in rows if r["kind"] == "healthy"]
     for name, shifted, required, goal in (("same", False, "≤ 2 %", "≤ 1 %"), ("shifted", True, "≤ 4 %", "≤ 2 %")):
-        table.add(f"D: alarms, {name} conditions", required, goal, share_of_records(
+        yield (f"D: alarms, {name} conditions", required, goal, share_of_records(
             [r for r in healthy if r["shifted"] == shifted], lambda r: r["outcome"] not in ("none", "not_testable")))
-    table.add("  D: held-out error increased", "≤ 1 %", "0",
-              share_of_records([r for r in rows if "position" in r], is_worse))
+    yield ("  D: held-out error increased", "≤ 1 %", "0",
+           share_of_records([r for r in rows if "position" in r], is_worse))
 
 
-def _score_edits(table: Table, rows: list[Record]) -> None:
+def _score_edits(rows: list[Record]) -> Iterator[Row]:
     plain = next((r for r in rows if r["index"] < 0), None)
     compared = [] if plain is None else [compare_edit(plain, r) for r in rows if r["index"] >= 0]
-    table.add("F: the edited value moves by the edit, the others stay, within their intervals", "90 %", "96 %",
-              share_of([e.moved and not e.others for e in compared]))
-    table.add("  the edited value moves by the edit", "", "", share_of([e.moved for e in compared]))
-    table.add("  others do not move", "", "", share_of([not e.others for e in compared]))
+    yield ("F: the edited value changes by the edit, and no other changes, within their intervals", "90 %", "96 %",
+           share_of([e.moved and not e.others for e in compared]))
+    yield ("  the edited value changes by the edit", "", "", share_of([e.moved for e in compared]))
+    yield ("  no other value changes", "", "", share_of([not e.others for e in compared]))
 
 
 def _power_error(rows: Iterable[Record]) -> Record:
-    """Mean, over the effects, of the difference between mean predicted power and fraction of cases in which they were
-    found."""
+    """Mean, over the effects, of the difference between mean predicted power and fraction of cases that state them."""
     by: dict[str, list[tuple[float, bool]]] = defaultdict(list)
-    for name, predicted, found in power_pairs(rows):
+    for name, predicted, found in predicted_powers(rows):
         by[name].append((predicted, found))
     return value_of([abs(float(np.mean([p for p, _ in v])) - float(np.mean([f for _, f in v])))
                      for v in by.values() if len(v) >= MIN_CASES])

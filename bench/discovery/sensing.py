@@ -1,4 +1,4 @@
-"""Simulates INS and steering sensor for a whole drive at once, and returns a DriveLog.
+"""Simulates INS and steering sensor for a whole drive, and returns a DriveLog.
 
 The values, including noise, are those of `st_sim.sensors`, with random numbers in the same order. They are then rounded
 as on NCOM and CAN, and converted to the axes of `DriveLog`. Checked by: tests/bench/test_discovery_plants.py.
@@ -83,7 +83,7 @@ def _noise_free_readings(rows: np.ndarray, bank: np.ndarray, grade: np.ndarray, 
         u, v = c * u + sine * v, c * v - sine * u
         force_x, force_y = c * force_x + sine * force_y, c * force_y - sine * force_x
         yaw = yaw + s["ins_misalignment"]
-    # An error that only this benchmark has.
+    # Only settings of the multi-body cars contain it.
     rates[2] += s.get("yaw_rate_bias", 0.0)
     scale = s["velocity_scale"]
     force_y = force_y + s["lateral_acceleration_bias"]
@@ -96,14 +96,14 @@ def _noise(seed: int, count: int, speed: np.ndarray) -> np.ndarray:
     kinds = len(CHANNELS)
     draws = _stream(np.random.default_rng([seed, 3]), kinds * (1 + 2 * count), 4096)
     first, draws = draws[:kinds], draws[kinds:].reshape(count, kinds, 2)
-    rough = 0.1 + 0.9 * np.minimum(np.abs(speed) / FULL_VIBRATION_SPEED, 1.0)
+    vibration = 0.1 + 0.9 * np.minimum(np.abs(speed) / FULL_VIBRATION_SPEED, 1.0)
     result = np.empty((kinds, count))
     for i, (name, (white, slow, time)) in enumerate(NOISE.items()):
         memory = np.exp(-PERIOD / time)
         kick = slow * np.sqrt(1 - memory**2)
-        wander, _ = lfilter([kick], [1.0, -memory], draws[:, i, 0], zi=[memory * slow * first[i]])
-        shaken = rough if name.startswith(("rate", "force")) else 1.0
-        result[i] = wander + white * shaken * draws[:, i, 1]
+        drift, _ = lfilter([kick], [1.0, -memory], draws[:, i, 0], zi=[memory * slow * first[i]])
+        factor = vibration if name.startswith(("rate", "force")) else 1.0
+        result[i] = drift + white * factor * draws[:, i, 1]
     return result
 
 

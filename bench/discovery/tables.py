@@ -1,4 +1,4 @@
-"""Writes docs/measurements/discovery_scores.md: scores, both plants, effects, other methods, limits and failures."""
+"""Writes docs/measurements/discovery_scores.md: scores, plants, effects, other methods, limits and wrong answers."""
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
@@ -50,10 +50,10 @@ def as_markdown(records: Sequence[Record], ablated: Sequence[Record]) -> str:
         INTRODUCTION, _origin(records),
         "## Scores", format_table(("score", "measured", "required", "goal"), [
             (r["name"].strip(), format_result(r), r["required"], r["goal"]) for r in _score_all_plants(records)]),
-        "## The two plants", "In A and B the multi-body cars may miss a requirement by 6 points, except those of set "
-        "size and increased errors.", _plants(records),
-        "## By hidden effect", "Blocks A and B: hidden effects that matter, how often they are stated, and how often "
-        "the value stated is right.", _by_effect(records), f"![confusion](../images/{FIGURE.name})",
+        "## The two plants", "In A and B the multi-body cars may miss a requirement by 6 points, except those of the "
+        "number of effects and of increased errors.", _plants(records),
+        "## By hidden effect", "Relevant hidden effects of blocks A and B: how often they are stated, and how often "
+        "the stated value is correct.", _by_effect(records), f"![confusion](../images/{FIGURE.name})",
         "## Other methods", "Fraction of the oracle's reduction of the held-out 5 s position error, on the cases of A "
         "and B that were given to all of them.", _methods(records),
         "## Limits of the decision", _ablation(ablated),
@@ -106,7 +106,7 @@ def _by_effect(records: Sequence[Record]) -> str:
     rows = []
     for name in [h.library for h in KNOWN]:
         found = share_of([score.is_stated(r, name) for r in ab if name in relevant_effects(r)])
-        right = share_of([inside for r in ab for n, inside in score.values_inside(r) if n == name])
+        right = share_of([inside for r in ab for n, inside in score.covered_values(r) if n == name])
         rows.append((name, format_result(found), format_result(right)))
     return format_table(("effect", "stated", "value inside its interval"), rows)
 
@@ -137,9 +137,9 @@ def _methods(records: Sequence[Record]) -> str:
     return format_table(("method", "median", "10th percentile", "error increased"), rows) + "\n\n" + text
 
 
-ABLATED = ("A and B: effects that matter, stated alone or in a set", "A and B: statements that are false",
-           "A and B: mean set size", "A and B: values inside their 95 % interval", "C: something stated",
-           "D: alarms, same conditions", "E: reported as varying or unknown, not named")
+ABLATED = ("A and B: relevant effects stated, alone or with alternatives", "A and B: false statements",
+           "A and B: mean number of effects per statement", "A and B: values inside their 95 % interval",
+           "C: false statements", "D: alarms, same conditions", "E: reported as varying or unknown, not named")
 
 
 def _ablation(records: Sequence[Record]) -> str:
@@ -153,7 +153,7 @@ def _ablation(records: Sequence[Record]) -> str:
     unchanged = by["", 1.0]
     cases = ", ".join(f"{n} {block}" for block, n in sorted(Counter(r["block"] for r in unchanged).items()))
     about = (f"The same cases with half and twice each limit; set {unchanged[0]['set']}, version "
-             f"{unchanged[0]['version']}, {cases}. So few cases show only which changes of a limit do harm, not which "
+             f"{unchanged[0]['version']}, {cases}. So few cases only show which changes of a limit do harm, not which "
              "value is best.")
     return "\n\n".join((about, format_ablation(rows)))
 
@@ -164,7 +164,7 @@ def _measure_ablated(records: Sequence[Record]) -> tuple[str, ...]:
 
 
 def format_ablation(rows: Mapping[str, Sequence[str]]) -> str:
-    """The table of the rows and scores that change, and a sentence for each kind of the others."""
+    """A table of the rows and scores that change; the others are listed after it."""
     unchanged = rows["unchanged"]
     varying = [i for i in range(len(ABLATED)) if any(row[i] != unchanged[i] for row in rows.values())]
     same = [title for title, row in rows.items() if row == unchanged and title != "unchanged"]
@@ -190,7 +190,7 @@ def _failure_tables(records: Sequence[Record]) -> list[str]:
                                  "; ".join(wrong)))
         if rows:
             parts.append(format_table(("case", "hidden", "answer", "wrong"), rows))
-    return parts or ["Nothing."]
+    return parts or ["None."]
 
 
 def format_answer(r: Record) -> str:
@@ -210,19 +210,19 @@ def list_failures(r: Record, plain: Record | None) -> list[str]:
         e = compare_edit(plain, r)
         value = "not stated" if e.stated is None else f"{e.stated[0]:.4g} ({e.stated[1]:.4g} to {e.stated[2]:.4g})"
         return [*([] if e.moved else [f"expected {e.expected:.4g}, {value}"]),
-                *([f"also moved: {', '.join(e.others)}"] if e.others else [])]
+                *([f"also changed: {', '.join(e.others)}"] if e.others else [])]
     if block == "D":
         alarm = r["kind"] == "healthy" and r["outcome"] != "none"
         missed = r["kind"] == "one" and r.get("detectability", 0.0) > 0.1 and not score.is_exact(r)
         return ["alarm"] * alarm + [f"not the exact name (D {r.get('detectability', 0.0):.2f})"] * missed
     if block == "E":
         counts = r.get("loss_ratio", 0.0) >= score.MIN_HIDDEN_LOSS_RATIO
-        return ["not reported, or named"] if counts and not score.is_reported(r) else []
+        return ["not reported, or a false statement"] if counts and not score.is_reported(r) else []
     if block == "C" and r["kind"] == "base":
-        return ["something is stated"] if r["effects"] else []
+        return ["an effect is stated"] if r["effects"] else []
     wrong = [f"false: {' or '.join(names)}" for names in score.list_false(r)]
     wrong += [f"missed: {n} (x{r['worth'][n]:.2f})" for n in relevant_effects(r) if not score.is_stated(r, n)]
-    wrong += [f"value of {n} outside" for n, inside in score.values_inside(r) if not inside]
+    wrong += [f"value of {n} outside" for n, inside in score.covered_values(r) if not inside]
     if "position" in r and score.is_worse(r):
         wrong.append("held-out error increased")
     return wrong

@@ -16,10 +16,10 @@ from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
 
 from bench.discovery import relation_equations
 from bench.discovery.cars import healthy_car
-from bench.discovery.compiled import DECIDE, Programme, drive
+from bench.discovery.compiled import STEPS_PER_SAMPLE, Programme, drive
 from bench.discovery.multibody import BODY_STATES, drive_multibody, rates
 from bench.discovery.multibody_car import CARS, dynamics, parameters_of, vehicle_of
-from bench.discovery.plants import LEAF, NOMINAL, Order, record_run
+from bench.discovery.plants import LEAF, NOMINAL, RunPlan, record_run
 from bench.discovery.plants import vehicle_of as vehicle_of_plant
 from bench.discovery.relation_equations import Relation
 from bench.discovery.sensing import CHANNELS, make_log, make_readings
@@ -106,7 +106,7 @@ def simulate_in_python(settings, p: Programme):
         target = p.acceleration[k] + 1.2 * (p.speed[k] - s[VX]) + bend - s[VY] * s[YAW_RATE]
         target = min(max(target, -7.0), 3.5)
         pedal += min(max(target - pedal, -0.1), 0.1)
-        for i in range(DECIDE):
+        for i in range(STEPS_PER_SAMPLE):
             steering_angle += min(max(p.steering_wheel[k] - steering_angle, -8.0 * STEP), 8.0 * STEP)
             if i == 0:
                 angles.append(steering.read(replace(truth, steering_wheel_angle=steering_angle)))
@@ -133,7 +133,7 @@ def test_compiled_car_and_sensors_equal_the_virtual_car():
 def test_both_plants_respond_to_a_hidden_relation(plant):
     car = healthy_car(plant, (1, 2))
     vehicle = vehicle_of_plant(plant, car.settings)
-    order = Order("run", (5, 6), car.settings)
+    order = RunPlan("run", (5, 6), car.settings)
     reference = record_run(plant, vehicle, order)
     without, with_moment = (record_run(plant, vehicle, replace(order, relation=Relation(kind, 0.001)))
                     for kind in (relation_equations.NOTHING, relation_equations.AIR_MOMENT))
