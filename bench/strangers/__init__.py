@@ -1,4 +1,4 @@
-"""Tests `st discover` with cars whose equations differ from the project's, and scores its statements."""
+"""Tests `st discover` with cars whose equations differ from those of the project, and scores its statements."""
 
 from collections.abc import Sequence
 

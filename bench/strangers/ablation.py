@@ -1,10 +1,10 @@
-"""Changes of the answers if a limit of the discovery is halved or doubled.
+"""Answers of the discovery with each limit halved and doubled.
 
     python -m bench.strangers.ablation [--cases NAME ...] [--page]
 
-Development cases only. A case is driven and searched once; limits that act after the search reuse that search. Limits
-of the error regions are applied to the errors of the model of the vehicle file. Limits that act only on suggested
-drives are not included. The functions of the discovery are called without the estimates of `st check` for the sensors.
+Development cases only. Each case is driven and searched once; limits that act after the search reuse its result. Limits
+of the error regions are applied to the errors of the model with the given vehicle file. Limits that act only on
+suggested drives are not included. The discovery has no estimates of `st check` for the sensors.
 One JSON line for each case and variant is appended to .st/strangers/ablation.jsonl; --page writes the table of all
 these lines.
 """
@@ -65,7 +65,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the cases, and writes the page if requested; returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m bench.strangers.ablation", description=__doc__.splitlines()[0])
     parser.add_argument("--cases", nargs="*", default=DIVERSE_CASES, metavar="NAME", help="development cases to run")
-    parser.add_argument("--numbers", nargs="*", default=NUMBERS, choices=NUMBERS, metavar="NUMBER", help="to change")
+    parser.add_argument("--numbers", nargs="*", default=NUMBERS, choices=NUMBERS, metavar="NUMBER",
+                        help="limits to change")
     parser.add_argument("--page", action="store_true", help=f"write the table in {PAGE.name}")
     chosen = parser.parse_args(arguments)
     LINES.parent.mkdir(parents=True, exist_ok=True)
@@ -134,7 +135,7 @@ def _search(analysis: Any) -> tuple[Any, ...]:
 
 
 def _find_regions(analysis: Any, searched: tuple[Any, ...]) -> set[tuple[str, str]]:
-    """(channel, condition) of the regions of large errors of the model of the vehicle file."""
+    """(channel, condition) of the regions of large errors of the model with the given vehicle file."""
     noise = {channel: value for channel, value in searched[1].items() if channel != "position_5s"}
     found = error_regions.find_error_regions(
         analysis.runs, analysis.space.at(analysis.space.null), analysis.vehicle, analysis.settings, (), noise)
@@ -188,7 +189,7 @@ def page_table(lines: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _format_unchanged(unchanged: Sequence[tuple[str, float]]) -> str:
-    """A sentence that lists the limits and factors without effect, a limit without its factor if all factors are."""
+    """A sentence that lists the limits without effect, with the factor if only one of both has no effect."""
     by_number: dict[str, list[float]] = {}
     for number, factor in unchanged:
         by_number.setdefault(number, []).append(factor)

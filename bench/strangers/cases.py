@@ -1,4 +1,4 @@
-"""The cases: car, hidden errors, guesses of the owner and drives; each half is drawn from one seed."""
+"""The cases: car, hidden errors, guesses of the owner, and drives; each half is drawn from one seed."""
 
 import math
 import zlib
@@ -10,18 +10,18 @@ import numpy as np
 
 from . import multibody
 from .roads import ROADS
-from .vehicles import CARS, DEVELOPMENT, MULTI_BODY, SEALED, Stranger
+from .vehicles import CARS, DEVELOPMENT, MULTI_BODY, SEALED, Car
 
 HALVES = {"development": (DEVELOPMENT, 20261125), "sealed": (SEALED, 31415926)}
 NEW_USER = "new_user"
 """The case of a new user: front-wheel drive, brush tyres, a vehicle file that is correct except for the steering ratio,
-and six mild drives."""
-LOAD_AHEAD = 0.3  # m, distance of the load ahead of the rear axle
+and six drives with mild cornering."""
+LOAD_DISTANCE = 0.3  # m, of the load, ahead of the rear axle
 SINGLE = {"ratio": 6, "offset": 4, "load": 4, "lever": 4, "worn_front": 4, "worn_rear": 4, "compliance": 3, "delay": 3,
           "gyro_scale": 2, "gyro_bias": 1, "heading": 1}
 PAIRS = (("ratio", "offset"), ("lever", "delay"), ("heading", "offset"), ("ratio", "worn_rear"))
 HEALTHY = 20
-SIZE_RANGES = {  # smallest and largest size [SI]; the sign of those in SIGNED is random
+SIZE_RANGES = {  # smallest and largest size in SI units; the sign of those in SIGNED is random
     "ratio": (0.04, 0.09), "offset": (math.radians(1.0), math.radians(2.5)), "load": (170.0, 320.0),
     "lever": (0.25, 0.5), "worn_front": (0.74, 0.87), "worn_rear": (0.74, 0.87), "compliance": (1.5e-6, 3.0e-6),
     "delay": (0.06, 0.15), "gyro_scale": (0.015, 0.03), "gyro_bias": (math.radians(0.15), math.radians(0.4)),
@@ -35,28 +35,28 @@ class Case:
 
     name: str
     car: str
-    # Error -> size [SI]; ratio: of the file over the true one, minus 1; lever: true minus that of the file [m]; load:
-    # mass above the rear axle [kg]; worn_*: factor on the stiffness; compliance: additional [rad/N].
+    # Error -> size in SI units. ratio: in the file over true, minus 1; lever: true minus in the file; load: mass;
+    # worn_*: factor on the stiffness; compliance: in addition to that of the car.
     hidden: Mapping[str, float]
     guess: Mapping[str, float]  # values of the vehicle file that were not measured
     uncertainty: Mapping[str, float]  # standard deviations in the file
     # (road, lateral acceleration that the driver accepts [m/s^2], duration [s]).
     drives: tuple[tuple[str, float, float], ...]
     seed: int = 0
-    sensors: Mapping[str, float] = field(default_factory=dict)  # errors of the sensors
+    sensors: Mapping[str, float] = field(default_factory=dict)  # errors of sensors and their mounting
 
 
-def is_possible(car: Stranger, faults: tuple[str, ...]) -> bool:
-    """Whether a car can have these errors; one with elastic steering gets no additional compliance."""
-    elastic = car.numbers.compliance > 0 or car.numbers.column > 0
-    return "compliance" not in faults or not (elastic or car.description == MULTI_BODY)
+def is_possible(car: Car, faults: tuple[str, ...]) -> bool:
+    """Whether a car can have these errors; cars with compliance, and multi-body cars, get no additional one."""
+    compliant = car.parameters.compliance > 0 or car.parameters.column > 0
+    return "compliance" not in faults or not (compliant or car.equations == MULTI_BODY)
 
 
 @cache
 def cases(half: str) -> dict[str, Case]:
-    """The cases of a half by name, or the one of NEW_USER.
+    """Cases of a half, or that of NEW_USER, by name.
 
-    Each half has 60 cases: 20 with no error except guesses, 36 with one error, 4 with two.
+    Each half has 60 cases: 20 without an error except guesses, 36 with one error, and 4 with two.
     """
     if half == NEW_USER:
         return {NEW_USER: make_new_user()}
@@ -70,7 +70,7 @@ def cases(half: str) -> dict[str, Case]:
         fitting = [f for f in faults if is_possible(car, f)]
         new = [f for f in fitting if f"{car.name}_{'_and_'.join(f) or 'healthy'}" not in found]
         chosen = next(iter(new or fitting), None)
-        if chosen is None:  # the car can have none of the remaining errors
+        if chosen is None:  # this car can have none of the remaining errors
             car = next(one for one in cars if is_possible(one, faults[0]))
             chosen = faults[0]
         faults.remove(chosen)
@@ -82,18 +82,18 @@ def cases(half: str) -> dict[str, Case]:
 
 def make_new_user() -> Case:
     """The case NEW_USER: the steering ratio in the file is 8 % too large."""
-    n = CARS["own_car"].numbers
+    n = CARS["own_car"].parameters
     known = {"yaw_inertia": n.inertia, "cornering_stiffness_front": n.stiffness_front,
              "cornering_stiffness_rear": n.stiffness_rear, "cg_height": n.height}
     drives = tuple((name, 2.2 + 0.2 * k, 75.0) for k, name in enumerate(ROADS))
     return Case(NEW_USER, "own_car", {"ratio": 0.08}, known, {}, drives, 7, {})
 
 
-def _draw_case(name: str, car: Stranger, faults: tuple[str, ...], number: int, seed: int) -> Case:
+def _draw_case(name: str, car: Car, faults: tuple[str, ...], number: int, seed: int) -> Case:
     rng = np.random.default_rng(seed)
     hidden = {fault: float(rng.uniform(*SIZE_RANGES[fault])) * (rng.choice((-1, 1)) if fault in SIGNED else 1)
               for fault in faults}
-    n = multibody.numbers(car) if car.description == MULTI_BODY else car.numbers
+    n = multibody.parameters(car) if car.equations == MULTI_BODY else car.parameters
     softening = 1 + n.stiffness_front * (n.compliance + n.column * n.trail)
     stiffness_factors = np.exp(rng.normal(0.0, 0.16, 2))
     # For worn tyres, the file contains the stiffness of the new ones.
@@ -127,26 +127,26 @@ def _sensor_errors(hidden: Mapping[str, float]) -> dict[str, float]:
     return sensors
 
 
-def file_car(case: Case) -> Stranger:
+def file_car(case: Case) -> Car:
     """The car as its owner measured it: without the load, and with new tyres."""
     car = CARS[case.car]
-    return replace(car, numbers=multibody.numbers(car)) if car.description == MULTI_BODY else car
+    return replace(car, parameters=multibody.parameters(car)) if car.equations == MULTI_BODY else car
 
 
-def true_car(case: Case) -> Stranger:
-    """The car as it is driven."""
-    car, n = file_car(case), file_car(case).numbers
+def true_car(case: Case) -> Car:
+    """The car of the drives."""
+    car, n = file_car(case), file_car(case).parameters
     load = case.hidden.get("load", 0.0)
-    arm = n.wheelbase - LOAD_AHEAD - n.front  # of the load, behind the CG of the empty car
+    arm = n.wheelbase - LOAD_DISTANCE - n.front  # of the load, behind the CG of the empty car
     shift = load * arm / (n.mass + load)
     inertia = n.inertia + n.mass * shift**2 + load * (arm - shift) ** 2
     front, rear = case.hidden.get("worn_front", 1.0), case.hidden.get("worn_rear", 1.0)
-    if car.description == MULTI_BODY:
+    if car.equations == MULTI_BODY:
         if load:
             car = multibody.add_load(car, (n.mass + load) / n.mass, shift, inertia / n.inertia)
         for axle, factor in (("front", front), ("rear", rear)):
             car = multibody.wear_tyres(car, axle, factor) if factor != 1.0 else car
-        return replace(car, numbers=multibody.numbers(car), ins=car.ins + shift)
-    return replace(car, ins=car.ins + shift, numbers=n._replace(
+        return replace(car, parameters=multibody.parameters(car), ins=car.ins + shift)
+    return replace(car, ins=car.ins + shift, parameters=n._replace(
         mass=n.mass + load, front=n.front + shift, inertia=inertia, stiffness_front=n.stiffness_front * front,
         stiffness_rear=n.stiffness_rear * rear, compliance=n.compliance + case.hidden.get("compliance", 0.0)))

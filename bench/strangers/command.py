@@ -1,4 +1,4 @@
-"""Command line: runs the cases with `st discover`, and writes the tables."""
+"""Command line: runs `st discover` for the cases, and writes the tables."""
 
 import argparse
 import csv
@@ -16,21 +16,21 @@ from typing import Any
 from st_recordings.paths import project_root, source_version
 
 from .._pages import format_records, replace_part
-from . import judge, score
+from . import evaluation, score
 from .cases import HALVES, NEW_USER, Case, cases
 from .recordings import write_case
-from .vehicles import CARS, DESCRIPTIONS
+from .vehicles import CARS, EQUATIONS
 
 PAGE = project_root() / "docs" / "measurements" / "strangers.md"
 STORED_KEYS = ("outcome", "effects", "minor", "effective", "combinations", "varying", "signature", "errors",
                "named_errors", "axle_curves", "assumed", "files")
-"""Keys of discovery.json that are stored for the score, or to understand wrong answers."""
+"""Keys of discovery.json that are stored for the score, and to explain wrong answers."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs and scores the chosen cases; exit status 1 if `st discover` failed for one of them."""
     parser = argparse.ArgumentParser(prog="st bench strangers", description=(
-        "Runs st discover for drives of cars whose equations differ from the project's, recorded as CSV, with the "
+        "Runs st discover for CSV recordings of cars whose equations differ from those of the project, with the "
         "vehicle file of a typical owner, and scores its answers."))
     parser.add_argument("--cases", choices=[*HALVES, NEW_USER], default="development")
     parser.add_argument("--only", nargs="+", metavar="TEXT", help="names of cases, or parts of names")
@@ -38,14 +38,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--output", type=Path, help="folder of the answers, one JSON file per case; default "
                         ".st/strangers/<half>. A case that this version has answered is not run again")
     parser.add_argument("--fresh", action="store_true", help="run all chosen cases again")
-    parser.add_argument("--keep", type=Path, help="folder in which recordings and all files of the answers are kept")
+    parser.add_argument("--keep", type=Path, help="folder for the recordings and all files of the answers")
     parser.add_argument("--list", action="store_true", help="list the cases and their hidden errors")
     parser.add_argument("--score", action="store_true", help="only score the existing answers, of any version")
     parser.add_argument("--page", action="store_true", help="also write the tables in docs/measurements/strangers.md")
     chosen = parser.parse_args(arguments)
-    selected = [case for case in cases(chosen.cases).values()
-            if not chosen.only or case.name in chosen.only
-            or any(text in case.name for text in chosen.only if text not in cases(chosen.cases))][::chosen.every]
+    known = cases(chosen.cases)
+    names = [name for name in known if not chosen.only or any(
+        name == text or (text in name and text not in known) for text in chosen.only)]
+    selected = [known[name] for name in names[::chosen.every]]
     if chosen.list:
         print("\n".join(f"{case.name}: {_describe_hidden(case)}" for case in selected))
         return 0
@@ -54,9 +55,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     results = []
     for case in selected:
         file = folder / f"{case.name}.json"
-        known = json.loads(file.read_text()) if file.exists() else None
-        if known and (chosen.score or (not chosen.fresh and known["version"] == source_version())):
-            results.append(known)
+        stored = json.loads(file.read_text()) if file.exists() else None
+        if stored and (chosen.score or (not chosen.fresh and stored["version"] == source_version())):
+            results.append(stored)
         elif not chosen.score:
             results.append(run_case(case, chosen.keep))
             file.write_text(json.dumps(results[-1], indent=1) + "\n")
@@ -87,8 +88,8 @@ def run_case(case: Case, keep: Path | None = None) -> dict[str, Any]:
             return result | {"failed": done.stderr[-2000:]}
         answer = json.loads((output / "discovery.json").read_text())
         result["answer"] = {key: answer[key] for key in STORED_KEYS if key in answer}
-        result["held_out"] = judge.held_out_errors(folder, output)
-        result["forces"] = judge.implied_forces(result["truth"], folder, output, answer)
+        result["held_out"] = evaluation.held_out_errors(folder, output)
+        result["forces"] = evaluation.implied_forces(result["truth"], folder, output, answer)
     return result
 
 
@@ -116,7 +117,7 @@ def case_lines(result: Mapping[str, Any]) -> list[str]:
 
 
 def format_statement(line: Mapping[str, Any]) -> str:
-    """Text of a statement, and whether it is true of the car."""
+    """Text of a statement, and whether it is correct for the car."""
     if line.get("value") is None:
         return f"{line['effect']}: {'in the car' if line['in_car'] else 'NOT IN THE CAR'}"
     low, high = line["interval"] or (None, None)
@@ -132,8 +133,8 @@ def format_statement(line: Mapping[str, Any]) -> str:
 
 
 def _describe_hidden(case: Case) -> str:
-    text = ", ".join(f"{name} {size:.4g}" for name, size in case.hidden.items()) or "no error except guessed values"
-    return f"{text}; {DESCRIPTIONS[CARS[case.car].description]}"
+    text = ", ".join(f"{name} {size:.4g}" for name, size in case.hidden.items()) or "no error except guesses"
+    return f"{text}; {EQUATIONS[CARS[case.car].equations]}"
 
 
 def list_cases(results: Sequence[Mapping[str, Any]]) -> list[dict[str, str]]:

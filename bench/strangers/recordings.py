@@ -1,4 +1,4 @@
-"""Writes the files of a case: drives as CSV, the car folder of the owner, held-out drives, and the truth."""
+"""Writes the files of a case: drives as CSV, the owner's car folder, held-out drives, and the true answers."""
 
 import json
 import re
@@ -11,7 +11,7 @@ from st_core.prediction import PredictionSettings
 from st_recordings.car import read_vehicle
 from st_recordings.car_skeleton import STABILITY_SPEEDS, write_skeleton
 
-from . import multibody, plants
+from . import multibody, simulation
 from .cases import Case, file_car, true_car
 from .roads import road
 from .sensors import NOISE, measure
@@ -21,12 +21,12 @@ from .vehicles import MULTI_BODY
 FORMATS = {"t": "%.4f", "x": "%.4f", "y": "%.4f", "yaw": "%.5f", "velocity_x": "%.4f", "velocity_y": "%.4f",
            "yaw_rate": "%.5f", "acceleration_x": "%.4f", "acceleration_y": "%.4f", "steering_wheel_angle": "%.5f"}
 HELD_OUT = ("hills", "country")
-"""Roads of the drives that `st discover` does not get."""
+"""Roads of the drives that are not given to `st discover`."""
 TREMOR = 0.002  # rad at the road wheels
 
 
 def write_case(case: Case, folder: Path, shorten: float = 1.0) -> dict:
-    """Writes `drives/`, `held_out/`, `car/` and truth.json to a new folder; returns the truth.
+    """Writes `drives/`, `held_out/`, `car/` and truth.json to a new folder; returns the content of truth.json.
 
     shorten: factor on the duration of the drives.
     """
@@ -53,14 +53,14 @@ def _drive_case(case: Case, shorten: float) -> Iterator[tuple[str, np.ndarray]]:
     planned += [(f"held_out_{name}", name, comfort, 70.0) for name in HELD_OUT]
     for number, (name, kind, accepted, seconds) in enumerate(planned):
         rng = np.random.default_rng([case.seed, 1, number])
-        # The multi-body car cannot stand still.
-        line = road(kind, rng, accepted, stops=car.description != MULTI_BODY)
-        count = int(seconds * shorten / plants.STEP)
+        # Drives in which a multi-body car nearly stops are rejected.
+        line = road(kind, rng, accepted, stops=car.equations != MULTI_BODY)
+        count = int(seconds * shorten / simulation.STEP)
         wander = np.convolve(rng.standard_normal(count), np.full(160, 1 / 12.6), "same") * TREMOR
-        if car.description == MULTI_BODY:
+        if car.equations == MULTI_BODY:
             yield name, multibody.drive(car, line, seconds * shorten, wander, case.seed + number)
         else:
-            yield name, plants.drive(car.description, line, car.numbers, seconds * shorten, wander)
+            yield name, simulation.drive(car.equations, line, car.parameters, seconds * shorten, wander)
 
 
 def _write_car(case: Case, home: Path) -> None:
@@ -79,9 +79,9 @@ def _write_car(case: Case, home: Path) -> None:
 
 
 def _fill_in(line: str, case: Case) -> str:
-    """Fills in a row of the vehicle file: a value that the owner measured or guessed."""
+    """A row of the vehicle file, with the value that the owner measured or guessed."""
     car, key = file_car(case), line.partition(":")[0]
-    n = car.numbers
+    n = car.parameters
     known = {"mass": round(n.mass), "wheelbase": round(n.wheelbase, 3), "cg_to_front_axle": round(n.front, 3),
              "cg_to_ins_x": car.ins, "steering_ratio": round(car.ratio * (1 + case.hidden.get("ratio", 0.0)), 3),
              "drive_front": n.drive_front, **case.guess}

@@ -1,4 +1,4 @@
-"""Random roads of the drives."""
+"""Random roads for the drives."""
 
 import math
 

@@ -1,19 +1,19 @@
-"""Scores answers: statements, hidden errors, values, prediction, axle forces, vehicle file and time."""
+"""Scores of answers: statements, hidden errors, values, predictions, axle forces, vehicle files and time."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-WORSE = 1.02  # factor above which a held-out error is worse, because two short drives differ by that much
-ROUNDING = 1e-9  # relative rounding error of an implied force that no effect changes
+WORSE = 1.02  # ratio of held-out errors above which a file is worse; two short drives differ by up to that
+ROUNDING = 1e-9  # tolerance of the ratio of force errors, for rounding
 STIFFNESS_ERRORS = ("worn_front", "worn_rear", "compliance")
 MEMBERS = {"tyre_stiffness": ("front_stiffness", "rear_stiffness")}
 
 
 def list_statements(result: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """One dict for each reported effect: whether it is in the car, value, interval, true range, and whether the
-    interval overlaps it (None without a value).
+    """One dict for each stated effect: whether it is in the car, value, interval, true range, and whether the interval
+    overlaps it (None without a value).
 
     Effective corrections and minor effects are not statements.
     """
@@ -45,7 +45,7 @@ def alternatives(effect: Mapping[str, Any]) -> set[str]:
 
 
 def true_range(name: str, result: Mapping[str, Any]) -> list[float] | None:
-    """True range of the first parameter; that of the front stiffness includes the tyres alone if elasticity is
+    """True range of the first parameter; for the front stiffness including that of the tyres alone if compliance is
     reported."""
     truth = result["truth"]
     value = truth["effects"].get(name)

@@ -1,4 +1,4 @@
-"""INS and steering sensor of a car: noise, rates, resolution and hidden errors."""
+"""INS and steering sensor of a car: noise, sampling, resolution and hidden errors."""
 
 import math
 from collections.abc import Mapping
@@ -6,16 +6,16 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.signal import lfilter
 
-from .plants import AX, AY, STEP, WHEEL
-from .vehicles import Stranger
+from .simulation import STEP, VX_DOT, VY_DOT, WHEEL
+from .vehicles import Car
 
 NOISE = {"position": (0.003, 0.008), "yaw": (2e-4, 1e-3), "velocity": (0.01, 0.01), "yaw_rate": (5e-4, 5e-5),
          "acceleration": (0.05, 0.01), "steering": (5e-4, 0.0)}
-"""Standard deviations of white noise and of slow noise [m, rad, m/s, rad/s, m/s^2, rad of the steering wheel]."""
+"""Standard deviations of white and of slow noise [m, rad, m/s, rad/s, m/s^2, rad at the steering wheel]."""
 SLOW_TIME = 40.0  # s, time constant of the slow noise
 
 
-def measure(car: Stranger, rows: np.ndarray, hidden: Mapping[str, float],
+def measure(car: Car, rows: np.ndarray, hidden: Mapping[str, float],
             rng: np.random.Generator) -> dict[str, np.ndarray]:
     """Channels [SI] at the rate of the INS; the steering wheel angle is NaN in rows without a steering sample.
 
@@ -28,7 +28,7 @@ def measure(car: Stranger, rows: np.ndarray, hidden: Mapping[str, float],
     t = np.arange(n) / rate
     skew, arm = hidden.get("heading", 0.0), car.ins + hidden.get("lever", 0.0)
     vx, vy, yaw, r = q[:, 3], q[:, 4] + arm * q[:, 5], q[:, 2], q[:, 5]
-    ax, ay = q[:, AX] - r * q[:, 4] - arm * r * r, q[:, AY] + r * vx + arm * np.gradient(r, t)
+    ax, ay = q[:, VX_DOT] - r * q[:, 4] - arm * r * r, q[:, VY_DOT] + r * vx + arm * np.gradient(r, t)
 
     def noise(kind: str) -> np.ndarray:
         white, slow = NOISE[kind]

@@ -1,4 +1,4 @@
-"""The truth about a case: effects of the library that the car has, their values, and axle force curves."""
+"""True answers for a case: effects of the library that the car has, their values, and axle force curves."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -7,16 +7,16 @@ import numpy as np
 from st_core.tyres import magic_formula_coefficients, magic_formula_force, magic_formula_peak
 from st_core.vehicle import VehicleParameters
 
-from . import plants
+from . import simulation
 from .cases import Case, file_car, true_car
 from .tyres import side_force
-from .vehicles import BRISTLE, ELASTIC, FOUR_WHEELS, GRAVITY, MULTI_BODY, ROLLING, SPRUNG, Numbers
+from .vehicles import BRISTLE, ELASTIC, FOUR_WHEELS, GRAVITY, MULTI_BODY, ROLLING, SPRUNG, Parameters
 
 MIN_DEVIATION = 0.03  # minimum relative deviation from the file for the car to have an effect
 MIN_HEIGHT_DEVIATION = 0.03  # m
 OUTER_WHEEL = 0.02
-"""Largest relative excess of the steer angle of a parallel linkage due to the laden outer wheel, t delta / (2 L) times
-the load transfer: the car turns as with a smaller steering ratio."""
+"""Largest relative effect of the laden outer wheel of a parallel linkage, t delta / (2 L) times the load transfer: the
+car turns as with a smaller steering ratio."""
 PACKAGE_FRICTION = 1.049  # p_dy1 of commonroad-vehicle-models
 MAX_YAW_ACCELERATION, MAX_STEER_RATE, MIN_SPEED = 0.15, 0.12, 6.0
 """Limits of the rows for the axle force curves [rad/s^2, rad/s of the road wheels, m/s]."""
@@ -24,61 +24,61 @@ POINTS, EDGE = 12, 0.005
 """Points of a curve; fraction of the rows, those with the largest slip angles, that is left out."""
 SHAPES = ("front_tyre_curve", "rear_tyre_curve", "tyre_load_sensitivity", "front_saturation", "rear_saturation",
           "tyre_saturation", "combined_slip", "steered_drive_force")
-"""Effects that all these cars have, but in other equations than the library, so that no value can be compared."""
+"""Effects that all cars have, but with other equations than in the library, so that no value can be compared."""
 ACCEPTED = {
     "ratio": ("steering_ratio",), "offset": ("steering_offset",), "load": ("load", "mass", "cg_position"),
     "lever": ("sensor_lever_arm",), "worn_front": ("front_stiffness", "steering_compliance", "roll_steer"),
     "worn_rear": ("rear_stiffness",), "compliance": ("steering_compliance", "front_stiffness", "roll_steer"),
     "delay": ("steering_delay", "steering_lag"), "gyro_scale": ("yaw_rate_scale",), "gyro_bias": ("yaw_rate_bias",),
     "heading": ("heading_misalignment",)}
-"""Effects whose report counts for a hidden error: its own and those that act identically."""
+"""Effects that count as the answer to a hidden error: its own, and those that act identically."""
 CONFOUNDED = (("front_stiffness", "steering_compliance", "roll_steer"), ("steering_delay", "steering_lag"))
-"""Effects that act identically at the accelerations driven; `tyre_stiffness` is the sum of both axles' stiffness."""
+"""Effects that act identically at the accelerations driven."""
 
 
 def find_truth(case: Case, drives: Iterable[np.ndarray], vehicle: VehicleParameters) -> dict[str, Any]:
     """The truth as JSON values. vehicle: the owner's vehicle file.
 
-    effects: name -> range [low, high] of the first parameter, null without a value to compare. hidden: error -> size
+    effects: name -> range [low, high] of the first parameter, null if no value can be compared. hidden: error -> size
     and accepted names. axles: axle -> slip angle [rad, >= 0], force of the car [N, against the slip], and force of the
-    file at the same slip angle. tyre_stiffness_front: factor of the front tyres without elasticity, which the front
-    stiffness may also have if the elasticity is reported.
+    file at the same slip angle. tyre_stiffness_front: factor of the front tyres alone, a correct front stiffness if
+    compliance is reported as well.
     """
     car, file = true_car(case), file_car(case)
-    curves = axle_curves(car.numbers, drives, vehicle)
+    curves = axle_curves(car.parameters, drives, vehicle)
     effects = {name: value and [float(edge) for edge in value]
                for name, value in _true_effects(case, car, file, vehicle, curves).items()}
     return {
-        "car": car.name, "description": car.description, "origin": car.origin,
+        "car": car.name, "description": car.equations, "origin": car.origin,
         "hidden": {name: {"size": size, "accepted": list(ACCEPTED[name])} for name, size in case.hidden.items()},
         "effects": effects, "confounded": [list(group) for group in CONFOUNDED], "axles": curves,
-        "tyre_stiffness_front": car.numbers.stiffness_front / vehicle.cornering_stiffness_front,
-        "body": {"mass": car.numbers.mass, "inertia": car.numbers.inertia, "wheelbase": car.numbers.wheelbase,
-                 "front": car.numbers.front},
+        "tyre_stiffness_front": car.parameters.stiffness_front / vehicle.cornering_stiffness_front,
+        "body": {"mass": car.parameters.mass, "inertia": car.parameters.inertia, "wheelbase": car.parameters.wheelbase,
+                 "front": car.parameters.front},
         "uncertainty": dict(case.uncertainty), "drives": [list(one) for one in case.drives]}
 
 
 def _true_effects(case: Case, car, file, vehicle: VehicleParameters, curves: dict) -> dict[str, list[float] | None]:
-    n, hidden, found = car.numbers, case.hidden, dict.fromkeys(SHAPES)
+    n, hidden, found = car.parameters, case.hidden, dict.fromkeys(SHAPES)
     front, rear = _stiffness(curves["front"]), _stiffness(curves["rear"])
     both = [min(front[0], rear[0]), max(front[1], rear[1])]
     inertia = n.inertia / vehicle.yaw_inertia
-    friction = _friction(car.description, n, vehicle)
+    friction = _friction(car.equations, n, vehicle)
     for name, value in (("front_stiffness", front), ("rear_stiffness", rear), ("friction", friction),
                         ("yaw_inertia", [inertia, inertia]), ("mass", [n.mass / vehicle.mass] * 2)):
         if value[0] < 1 - MIN_DEVIATION or value[1] > 1 + MIN_DEVIATION:
             found[name] = value
     if "front_stiffness" in found and "rear_stiffness" in found:
         found["tyre_stiffness"] = both
-    shift = file.numbers.front - n.front
+    shift = file.parameters.front - n.front
     height_error = n.height - vehicle.cg_height
     if abs(shift) > 1e-3:
         found["cg_position"] = [shift, shift]
     if abs(height_error) > MIN_HEIGHT_DEVIATION:
         found["longitudinal_load_transfer"] = [height_error, height_error]
-    if car.description != BRISTLE:
+    if car.equations != BRISTLE:
         found["lateral_load_transfer"] = None
-    if car.description == FOUR_WHEELS:
+    if car.equations == FOUR_WHEELS:
         found["steering_map"] = None  # the mean wheel of an Ackermann linkage
     found.update(_dynamics(car))
     for name, effect, value in (
@@ -89,30 +89,30 @@ def _true_effects(case: Case, car, file, vehicle: VehicleParameters, curves: dic
         if name in hidden:
             found[effect] = [value(hidden[name])] * 2
     if "load" in hidden:
-        # The load of the library is above the rear axle; one that shifts the CG equally is a little smaller.
-        behind = vehicle.wheelbase - file.numbers.front
+        # The load of the library is above the rear axle, where a smaller one shifts the CG equally.
+        behind = vehicle.wheelbase - file.parameters.front
         found["load"] = [(n.mass - hidden["load"]) * -shift / (behind + shift), hidden["load"]]
-    if "steering_ratio" in found and car.description == FOUR_WHEELS:
+    if "steering_ratio" in found and car.equations == FOUR_WHEELS:
         found["steering_ratio"][0] *= 1 - OUTER_WHEEL * (1 - n.ackermann)
     if "steering_delay" in found and found.get("steering_lag"):
-        found["steering_delay"][1] += found["steering_lag"][1]  # the lag of the wheels acts against a late sensor
+        found["steering_delay"][1] += found["steering_lag"][1]  # the lag of the wheels compensates a late sensor
     return found
 
 
 def _dynamics(car) -> dict[str, list[float] | None]:
-    """Lags and elasticity, with a range of 20 % if the equations differ from those of the library."""
-    n, found = car.numbers, {}
-    tolerance = 0.0 if car.description == ROLLING else 0.2
+    """Lags and compliance; their range is 20 % to both sides if the equations differ from those of the library."""
+    n, found = car.parameters, {}
+    tolerance = 0.0 if car.equations == ROLLING else 0.2
     if n.relaxation > 0:
         found["tyre_relaxation"] = [n.relaxation * (1 - tolerance), n.relaxation * (1 + tolerance)]
     lag = n.steer_lag
-    if car.description in (FOUR_WHEELS, ELASTIC, SPRUNG):
-        lag = max(lag, 0.012 if car.description != SPRUNG else 0.015)
+    if car.equations in (FOUR_WHEELS, ELASTIC, SPRUNG):
+        lag = max(lag, 0.012 if car.equations != SPRUNG else 0.015)
     if lag > 0:
         found["steering_lag"] = [lag * (1 - tolerance), lag * (1 + tolerance)]
     compliance = n.compliance + n.column * n.trail
     if compliance > 0:
-        # The trail shrinks with slip.
+        # The pneumatic trail decreases with slip.
         found["steering_compliance"] = [n.compliance + 0.5 * n.column * n.trail, compliance]
         found["roll_steer"] = None
     if n.roll_steer > 0:
@@ -121,39 +121,39 @@ def _dynamics(car) -> dict[str, list[float] | None]:
 
 
 def _stiffness(curve: dict) -> list[float]:
-    """Range of the stiffness factor of an axle, including elasticity: between the fits to the smallest third of the
-    measured slip angles and to all of them."""
+    """Range of the stiffness factor of an axle, including compliance, from fits to the smallest third of the measured
+    slip angles and to all of them."""
     force, file = np.array(curve["force"]), np.array(curve["file"])
     small = slice(0, max(2, len(force) // 3))
     slope, fitted = (float(force[part] @ file[part] / (file[part] @ file[part])) for part in (small, slice(None)))
     return [min(slope, fitted), max(slope, fitted)]
 
 
-def _friction(description: int, n: Numbers, vehicle: VehicleParameters) -> list[float]:
+def _friction(equations: int, n: Parameters, vehicle: VehicleParameters) -> list[float]:
     """Range, over the axles, of the largest lateral force divided by that of the tyre in the file."""
     found = []
     for stiffness, lever, tyre in ((n.stiffness_front, n.wheelbase - n.front, vehicle.tyre_front),
                                    (n.stiffness_rear, n.front, vehicle.tyre_rear)):
         load = 0.5 * n.mass * GRAVITY * lever / n.wheelbase
-        if description in (BRISTLE, MULTI_BODY):
-            peak_force = load * n.grip * (1.0 if description == BRISTLE else PACKAGE_FRICTION)
+        if equations in (BRISTLE, MULTI_BODY):
+            peak_force = load * n.grip * (1.0 if equations == BRISTLE else PACKAGE_FRICTION)
         else:
             peak_force = max(abs(side_force(n.tyre, slip, 0.5 * stiffness, load, 0.0, n.grip, n.sliding, 1.0))
-                       for slip in np.linspace(0.01, 0.5, 100))
+                             for slip in np.linspace(0.01, 0.5, 100))
         found.append(peak_force / magic_formula_peak(load, tyre))
     return [min(found), max(found)]
 
 
-def axle_curves(n: Numbers, drives: Iterable[np.ndarray], vehicle: VehicleParameters) -> dict[str, dict]:
+def axle_curves(n: Parameters, drives: Iterable[np.ndarray], vehicle: VehicleParameters) -> dict[str, dict]:
     """By axle: slip angle, force, force of the file, and number of rows of each point.
 
     The points are medians over rows of nearly steady driving; left and right turns are combined.
     """
     columns: list[list[np.ndarray]] = [[], [], [], []]
     for rows in drives:
-        steady = (np.abs(rows[:, plants.TURN]) < MAX_YAW_ACCELERATION) & (rows[:, 3] > MIN_SPEED) & (
-            np.abs(np.gradient(rows[:, plants.WHEEL], plants.STEP)) < MAX_STEER_RATE)
-        for column, values in zip(columns, plants.axle_forces(rows[steady], n), strict=True):
+        steady = (np.abs(rows[:, simulation.YAW_RATE_DOT]) < MAX_YAW_ACCELERATION) & (rows[:, 3] > MIN_SPEED) & (
+            np.abs(np.gradient(rows[:, simulation.WHEEL], simulation.STEP)) < MAX_STEER_RATE)
+        for column, values in zip(columns, simulation.axle_forces(rows[steady], n), strict=True):
             column.append(values)
     slip_f, force_f, slip_r, force_r = (np.concatenate(one) for one in columns)
     return {"front": _curve(slip_f, force_f, n.wheelbase - n.front, vehicle, vehicle.tyre_front),

@@ -1,6 +1,6 @@
 """Tyre models of the strangers benchmark: lateral force of one tyre, compiled.
 
-Slip angle positive when the wheel slides to its left; forces positive to the left. None shares code with the project.
+Slip angle positive when the wheel slides to its left; forces positive to the left. No code is shared with the project.
 """
 
 import math
@@ -39,8 +39,8 @@ def tabulated(slip, stretch, load_ratio):
 
 @njit(cache=True)
 def tmeasy(t, slope, peak):
-    """Force [N] at lateral slip t = tan(alpha) >= 0. slope: at t = 0 [N]; peak [N]; 0.85 peak above 3 times its
-    slip."""
+    """Force [N] at lateral slip t = tan(alpha) >= 0. slope: at t = 0 [N]; peak [N]; from three times the slip of the
+    peak on, the force is constant."""
     at_peak = 2.2 * peak / slope
     if t <= at_peak:
         s = t / at_peak
@@ -53,7 +53,7 @@ def tmeasy(t, slope, peak):
 
 @njit(cache=True)
 def brush(t, stiffness, grip, sliding, load):
-    """Force [N] at t = |tan(alpha)|, parabolic pressure, friction grip in adhesion and sliding * grip beyond."""
+    """Force [N] at t = |tan(alpha)| with parabolic pressure. Friction: grip of adhesion, sliding * grip of sliding."""
     limit = grip * load
     if t >= 3 * limit / stiffness:
         return sliding * limit
@@ -63,7 +63,7 @@ def brush(t, stiffness, grip, sliding, load):
 
 @njit(cache=True)
 def side_force(kind, slip, stiffness, load, longitudinal, grip, sliding, load_ratio):
-    """Lateral force of one tyre [N]. longitudinal: drive or brake force it carries [N]; load_ratio: over static."""
+    """Lateral force of one tyre [N]. longitudinal: its drive or brake force [N]; load_ratio: over static load."""
     limit = grip * load
     if kind == DUGOFF:
         tangent = math.tan(slip)

@@ -1,37 +1,37 @@
-"""Cars of this benchmark: their parameters in SI units, and the sources of the parameters."""
+"""Cars of this benchmark: equations, parameters in SI units, and their sources."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 ROLLING, FOUR_WHEELS, ELASTIC, MULTI_BODY, BRISTLE, SPRUNG = range(6)
-DESCRIPTIONS = {
+EQUATIONS = {
     ROLLING: "axles with a rolling body: Dugoff, Burckhardt or Fiala tyres, load transfer, compliance, relaxation",
     FOUR_WHEELS: "four wheels, each with its own slip and load, Ackermann linkage: TMeasy or two-friction brush tyres",
     ELASTIC: "elastic steering and axles: the pneumatic trail of brush tyres twists the column; relaxation",
     MULTI_BODY: "multi-body car of 29 states, package commonroad-vehicle-models",
     BRISTLE: "LuGre tyres with bristle states, steering gear of second order",
-    SPRUNG: "body on four springs (heave, roll, pitch), tabulated tyres interpolated in slip and load",
+    SPRUNG: "body with roll and pitch on four springs, tabulated tyres interpolated in slip and load",
 }
 DUGOFF, BURCKHARDT, FIALA, TMEASY, BRUSH, TABLE = range(6)
 GRAVITY = 9.81
 
 
-class Numbers(NamedTuple):
+class Parameters(NamedTuple):
     """Parameters of a car and its tyres, all float."""
 
     mass: float
     inertia: float
     wheelbase: float
-    front: float
-    height: float
+    front: float  # from the CG to the front axle [m]
+    height: float  # of the CG [m]
     track: float
     stiffness_front: float  # of the axle at static load [N/rad]
     stiffness_rear: float  # of the axle at static load [N/rad]
     grip: float  # peak friction [1]
-    tyre: float
+    tyre: float  # DUGOFF to TABLE
     drive_front: float  # fraction of the drive force on the front axle
     sliding: float = 0.8  # friction of full sliding over grip [1]
-    load_loss: float = 0.25  # relative loss of stiffness per relative load increase
+    load_loss: float = 0.25  # loss of the stiffness per load, relative, for a relative increase of the load
     steer_lag: float = 0.0  # [s]
     compliance: float = 0.0  # front steer angle per lateral force of the axle, to the outside [rad/N]
     compliance_rear: float = 0.0  # the same of the rear axle [rad/N]
@@ -43,55 +43,52 @@ class Numbers(NamedTuple):
     roll_inertia: float = 500.0  # [kg m^2]
     roll_front: float = 0.55  # fraction of the lateral load transfer on the front axle
     relaxation: float = 0.0  # [m]
-    ackermann: float = 0.0  # 0 parallel, 1 full geometry
+    ackermann: float = 0.0  # 0: parallel steering, 1: full Ackermann geometry
 
 
 @dataclass(frozen=True)
-class Stranger:
+class Car:
     """A car whose equations differ from those of the project."""
 
     name: str
-    description: int
-    origin: str  # source of its parameters
-    numbers: Numbers
+    equations: int  # key of EQUATIONS
+    origin: str  # source of the parameters
+    parameters: Parameters
     ratio: float  # steering wheel angle over road wheel angle [1]
     ins: float  # position of the INS ahead of the CG [m]
     ins_rate: int = 100  # [Hz]
     steering_rate: int = 100  # [Hz]
     steering_step: float = 0.1  # resolution of the steering sensor [deg]
     package: str = ""  # name of a multi-body car
-    settings: tuple[tuple[str, float], ...] = ()  # its changed values
-
-    def changed(self, **numbers: float) -> "Stranger":
-        return replace(self, numbers=self.numbers._replace(**numbers))
+    settings: tuple[tuple[str, float], ...] = ()  # values that differ from those of the package
 
 
 TEXTBOOK = "typical textbook values"
 DEVELOPMENT = (
-    Stranger("saloon", ROLLING, TEXTBOOK, Numbers(
+    Car("saloon", ROLLING, TEXTBOOK, Parameters(
         1580.0, 2650.0, 2.71, 1.19, 0.55, 1.56, 118e3, 142e3, 0.95, DUGOFF, 1.0, compliance=2.7e-6,
         roll_stiffness=62e3, roll_damping=4200.0, roll_inertia=620.0, relaxation=0.45), 15.1, -0.35),
-    Stranger("light_ev", ROLLING, TEXTBOOK, Numbers(
+    Car("light_ev", ROLLING, TEXTBOOK, Parameters(
         1010.0, 1080.0, 2.49, 1.37, 0.46, 1.38, 62e3, 88e3, 0.9, BURCKHARDT, 0.0), 17.2, 0.22, 200, 50, 0.5),
-    Stranger("van", ROLLING, TEXTBOOK, Numbers(
+    Car("van", ROLLING, TEXTBOOK, Parameters(
         2800.0, 7900.0, 3.66, 1.72, 0.82, 1.73, 145e3, 205e3, 0.85, FIALA, 1.0, steer_lag=0.06, roll_stiffness=110e3,
         roll_damping=8000.0, roll_inertia=1500.0, relaxation=0.6), 19.0, -1.05, 50, 25, 1.5),
-    Stranger("hatchback", FOUR_WHEELS, "mass, wheelbase, ratio, weight split: opendbc, Honda Civic; inertia: openpilot;"
-             " tyres: two-friction brush, Hindiyeh and Gerdes", Numbers(
+    Car("hatchback", FOUR_WHEELS, "mass, wheelbase, ratio, weight split: opendbc, Honda Civic; inertia: openpilot;"
+             " tyres: two-friction brush, Hindiyeh and Gerdes", Parameters(
                  1462.0, 2500.0, 2.70, 1.08, 0.52, 1.54, 112e3, 128e3, 0.98, BRUSH, 1.0, sliding=0.85, ackermann=0.6),
              15.38, -0.40),
-    Stranger("suv", FOUR_WHEELS, "mass, wheelbase, ratio, weight split: opendbc, GWM Haval H6; tyres: TMeasy, form of "
-             "Rill", Numbers(
+    Car("suv", FOUR_WHEELS, "mass, wheelbase, ratio, weight split: opendbc, GWM Haval H6; tyres: TMeasy, form of "
+             "Rill", Parameters(
                  2040.0, 3300.0, 2.73, 1.20, 0.66, 1.63, 126e3, 150e3, 0.9, TMEASY, 0.5, load_loss=0.3, ackermann=0.4),
              16.0, -0.70, 100, 50, 0.5),
-    Stranger("estate", ELASTIC, "mass, lengths, inertia, stiffness: BMW 5 of IPG CarMaker as published; brush tyres",
-             Numbers(
+    Car("estate", ELASTIC, "mass, lengths, inertia, stiffness: BMW 5 of IPG CarMaker as published; brush tyres",
+             Parameters(
         1564.0, 2230.0, 2.888, 1.268, 0.56, 1.56, 150e3, 165e3, 0.93, BRUSH, 0.0, sliding=0.8, steer_lag=0.03,
         column=2.0e-5, trail=0.035, compliance_rear=4e-7, relaxation=0.35), 15.8, -0.55),
-    Stranger("city_car", ELASTIC, "mass, wheelbase, ratio, weight split: opendbc, Opel Corsa F; brush tyres", Numbers(
+    Car("city_car", ELASTIC, "mass, wheelbase, ratio, weight split: opendbc, Opel Corsa F; brush tyres", Parameters(
         1530.0, 1950.0, 2.54, 1.12, 0.54, 1.49, 105e3, 118e3, 0.9, BRUSH, 1.0, sliding=0.75, column=2.5e-5,
         trail=0.03, relaxation=0.3), 17.6, -0.15, 100, 100, 0.1),
-    *(Stranger(name, MULTI_BODY, "commonroad-vehicle-models, parameter set of the package", Numbers(
+    *(Car(name, MULTI_BODY, "commonroad-vehicle-models, parameter set of the package", Parameters(
         mass, inertia, wheelbase, front, height, 1.4, 0.0, 0.0, 1.0, 0.0, drive), ratio, ins, 100, 100, 0.1, name)
       for name, mass, inertia, wheelbase, front, height, drive, ratio, ins in (
           ("escort", 1225.9, 1538.9, 2.391, 0.884, 0.557, 1.0, 18.5, -0.45),
@@ -99,29 +96,29 @@ DEVELOPMENT = (
           ("vanagon", 1478.9, 2473.1, 2.465, 1.169, 0.670, 0.0, 20.5, 0.30))),
 )
 SEALED = (
-    Stranger("coupe", ROLLING,
+    Car("coupe", ROLLING,
              "mass, lengths, inertia, stiffness: Rajamani, Vehicle Dynamics and Control; Dugoff tyres",
-             Numbers(1573.0, 2873.0, 2.68, 1.10, 0.50, 1.55, 160e3, 160e3, 1.0, DUGOFF, 0.0, compliance=1.2e-6,
+             Parameters(1573.0, 2873.0, 2.68, 1.10, 0.50, 1.55, 160e3, 160e3, 1.0, DUGOFF, 0.0, compliance=1.2e-6,
                      roll_stiffness=80e3, roll_damping=5000.0, roll_inertia=550.0, relaxation=0.3), 14.2, -0.30),
-    Stranger("minivan", ROLLING, "mass, wheelbase, ratio: opendbc, Chrysler Pacifica; Fiala tyres", Numbers(
+    Car("minivan", ROLLING, "mass, wheelbase, ratio: opendbc, Chrysler Pacifica; Fiala tyres", Parameters(
         2242.0, 4300.0, 3.089, 1.36, 0.68, 1.73, 135e3, 165e3, 0.88, FIALA, 1.0, steer_lag=0.04, roll_stiffness=90e3,
         roll_damping=6000.0, roll_inertia=1000.0, relaxation=0.5), 16.2, -0.80, 100, 50, 0.5),
-    Stranger("crossover", FOUR_WHEELS, "mass, wheelbase, ratio, weight split: opendbc, Toyota Yaris Cross; TMeasy",
-             Numbers(
+    Car("crossover", FOUR_WHEELS, "mass, wheelbase, ratio, weight split: opendbc, Toyota Yaris Cross; TMeasy",
+             Parameters(
         1386.0, 2050.0, 2.62, 1.15, 0.60, 1.52, 92e3, 104e3, 0.92, TMEASY, 1.0, load_loss=0.2, ackermann=0.5),
              17.0, -0.35, 50, 50, 0.5),
-    Stranger("luxury_ev", FOUR_WHEELS, "mass, wheelbase, ratio, weight split: opendbc, BYD Han; brush tyres", Numbers(
+    Car("luxury_ev", FOUR_WHEELS, "mass, wheelbase, ratio, weight split: opendbc, BYD Han; brush tyres", Parameters(
         2150.0, 3950.0, 2.92, 1.285, 0.53, 1.64, 165e3, 190e3, 1.0, BRUSH, 0.4, sliding=0.9, ackermann=0.7),
              14.8, -0.60, 100, 100, 0.1),
-    Stranger("leaf_2018", ELASTIC, "mass, wheelbase, ratio, weight split: opendbc, Nissan Leaf 2018; brush tyres",
-             Numbers(
+    Car("leaf_2018", ELASTIC, "mass, wheelbase, ratio, weight split: opendbc, Nissan Leaf 2018; brush tyres",
+             Parameters(
         1594.0, 2450.0, 2.70, 1.377, 0.53, 1.54, 110e3, 160e3, 0.92, BRUSH, 1.0, sliding=0.8, steer_lag=0.02,
         column=1.8e-5, trail=0.032, compliance_rear=3e-7, relaxation=0.4), 17.68, -0.20),
-    Stranger("roadster", ELASTIC, "mass, wheelbase, ratio, weight split: opendbc, Porsche 911 (997); brush tyres",
-             Numbers(
+    Car("roadster", ELASTIC, "mass, wheelbase, ratio, weight split: opendbc, Porsche 911 (997); brush tyres",
+             Parameters(
         1455.0, 1850.0, 2.35, 1.457, 0.47, 1.50, 105e3, 190e3, 1.05, BRUSH, 0.0, sliding=0.85, column=1.2e-5,
         trail=0.028, relaxation=0.25), 13.7, 0.10, 200, 100, 0.1),
-    *(Stranger(f"{name}_other", MULTI_BODY, "commonroad-vehicle-models, other tyres and mass", Numbers(
+    *(Car(f"{name}_other", MULTI_BODY, "commonroad-vehicle-models, other tyres and mass", Parameters(
         mass, inertia, wheelbase, front, height, 1.4, 0.0, 0.0, 1.0, 0.0, drive), ratio, ins, 100, 50, 0.2, name,
                settings)
       for name, mass, inertia, wheelbase, front, height, drive, ratio, ins, settings in (
@@ -129,19 +126,19 @@ SEALED = (
            (("front_stiffness_factor", 0.85), ("rear_stiffness_factor", 1.15))),
           ("bmw_320i", 1093.3, 1791.6, 2.579, 1.156, 0.574, 0.0, 15.5, -0.25,
            (("mass_factor", 1.2), ("yaw_inertia_factor", 1.1), ("friction_factor", 0.85))))),
-    Stranger("sports_saloon", BRISTLE, TEXTBOOK + "; LuGre tyres, form of Canudas de Wit and Velenis", Numbers(
+    Car("sports_saloon", BRISTLE, TEXTBOOK + "; LuGre tyres, form of Canudas de Wit and Velenis", Parameters(
         1740.0, 3050.0, 2.81, 1.36, 0.51, 1.58, 140e3, 175e3, 1.0, 0.0, 0.0, sliding=0.78, steer_lag=0.03,
         relaxation=0.22), 14.6, -0.45),
-    Stranger("family_car", BRISTLE, TEXTBOOK + "; LuGre tyres", Numbers(
+    Car("family_car", BRISTLE, TEXTBOOK + "; LuGre tyres", Parameters(
         1380.0, 2150.0, 2.64, 1.06, 0.54, 1.52, 95e3, 108e3, 0.9, 0.0, 1.0, sliding=0.8, steer_lag=0.045,
         relaxation=0.28), 16.4, -0.25, 100, 50, 0.5),
-    Stranger("pickup", SPRUNG, TEXTBOOK + "; tabulated tyres", Numbers(
+    Car("pickup", SPRUNG, TEXTBOOK + "; tabulated tyres", Parameters(
         2260.0, 5400.0, 3.27, 1.42, 0.71, 1.68, 120e3, 145e3, 0.85, TABLE, 0.0, roll_stiffness=85e3,
         roll_damping=7000.0, roll_inertia=950.0, relaxation=0.55, roll_steer=0.03), 17.8, -0.90, 100, 50, 0.5),
-    Stranger("hot_hatch", SPRUNG, TEXTBOOK + "; tabulated tyres", Numbers(
+    Car("hot_hatch", SPRUNG, TEXTBOOK + "; tabulated tyres", Parameters(
         1430.0, 2200.0, 2.63, 1.03, 0.52, 1.55, 128e3, 132e3, 1.02, TABLE, 1.0, roll_stiffness=75e3,
         roll_damping=4500.0, roll_inertia=480.0, relaxation=0.35, roll_steer=0.02), 14.0, -0.30, 200, 100, 0.1),
 )
-OWN_CAR = replace(
-    next(car for car in DEVELOPMENT if car.name == "hatchback"), name="own_car").changed(ackermann=1.0)
-CARS = {car.name: car for car in (*DEVELOPMENT, *SEALED, OWN_CAR)}
+CARS = {car.name: car for car in (*DEVELOPMENT, *SEALED)}
+CARS["own_car"] = replace(CARS["hatchback"], name="own_car", parameters=CARS["hatchback"].parameters._replace(
+    ackermann=1.0))

@@ -5,26 +5,26 @@ import pytest
 from st_recordings.car import load_car, read_vehicle
 from st_recordings.runs import find_runs, read
 
-from bench.strangers import plants
+from bench.strangers import simulation
 from bench.strangers.cases import HALVES, cases, true_car
 from bench.strangers.recordings import write_case
 from bench.strangers.vehicles import CARS, GRAVITY, MULTI_BODY
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name, car in CARS.items() if car.description != MULTI_BODY])
+@pytest.mark.parametrize("name", [name for name, car in CARS.items() if car.equations != MULTI_BODY])
 def test_axle_force_at_small_slip_angle_has_the_cornering_stiffness(name):
     """F = C alpha in a steady circle at 0.4 m/s^2 without compliance; some curves deviate by a tenth there."""
-    n, description = CARS[name].numbers, CARS[name].description
-    q, k, mid, wheel = np.zeros(plants.STATES), np.zeros((4, plants.STATES)), np.zeros(plants.STATES), 0.006
+    n, equations = CARS[name].parameters, CARS[name].equations
+    q, k, mid, wheel = np.zeros(simulation.STATES), np.zeros((4, simulation.STATES)), np.zeros(simulation.STATES), 0.006
     q[3] = 15.0
-    push = plants.DRAG * 15.0**2 + plants.ROLLING_RESISTANCE * n.mass * GRAVITY
+    force = simulation.DRAG * 15.0**2 + simulation.ROLLING_RESISTANCE * n.mass * GRAVITY
     for _ in range(4000):
-        plants.step(description, q, wheel, push, n, 0.0025, k, mid)
-    row = np.zeros((1, plants.ROW))
-    row[0, :plants.STATES], row[0, plants.WHEEL] = q, wheel
-    row[0, plants.AX:plants.TURN + 1] = k[0, 3:6]
-    slip_f, force_f, slip_r, force_r = (float(value[0]) for value in plants.axle_forces(row, n))
+        simulation.step(equations, q, wheel, force, n, 0.0025, k, mid)
+    row = np.zeros((1, simulation.ROW))
+    row[0, :simulation.STATES], row[0, simulation.WHEEL] = q, wheel
+    row[0, simulation.VX_DOT:simulation.YAW_RATE_DOT + 1] = k[0, 3:6]
+    slip_f, force_f, slip_r, force_r = (float(value[0]) for value in simulation.axle_forces(row, n))
     assert force_f > 0 and 0.2 < q[3] * q[5] < 0.7
     compliance = n.compliance + n.column * n.trail
     assert 0.85 < -force_f / (slip_f + compliance * force_f) / n.stiffness_front < 1.05
@@ -43,7 +43,7 @@ def test_files_of_a_case_are_readable_and_its_truth_is_stated(tmp_path):
     truth = write_case(case, tmp_path, shorten=0.3)
     vehicle = read_vehicle(load_car(str(tmp_path / "car")).vehicle)
     logs = [read(source, vehicle).log for source in find_runs([tmp_path / "drives"])]
-    assert len(logs) == len(case.drives) and vehicle.mass == true_car(case).numbers.mass
+    assert len(logs) == len(case.drives) and vehicle.mass == true_car(case).parameters.mass
     low, high = truth["effects"]["steering_offset"]
     assert low == high == -case.hidden["offset"] / true_car(case).ratio
     assert len(truth["axles"]["front"]["slip"]) > 5

@@ -1,4 +1,4 @@
-"""Evaluates an answer of `st discover` by prediction errors on held-out drives and by the axle forces it implies."""
+"""Evaluates an answer of `st discover`: prediction errors on held-out drives, and the axle forces that it implies."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,14 +12,14 @@ from st_core.vehicle import VehicleParameters
 from st_recordings.car import read_vehicle
 from st_recordings.runs import find_runs, read
 
-SPEED = 20.0  # m/s, for the computation of the axle forces in steady cornering, which do not depend on it
+SPEED = 20.0  # m/s, at which axle forces in steady cornering are computed
 INDEX_5S = 4  # index of 5 s in ModelErrors.at_seconds
 INTERVAL = 0.25  # s between predictions
 
 
 def held_out_errors(folder: Path, output: Path) -> dict[str, float | None]:
-    """Mean position error after 5 s [m] on the held-out drives with the owner's vehicle file, with vehicle.yaml of the
-    answer alone, and with model.yaml; None for a file that was not written."""
+    """Mean position error after 5 s [m] on the held-out drives: with the owner's vehicle file, with vehicle.yaml alone
+    (None if not written), and with model.yaml (as with vehicle.yaml if not written)."""
     original = read_vehicle(folder / "car" / "vehicle.yaml")
     new = read_vehicle(output / "vehicle.yaml") if (output / "vehicle.yaml").exists() else None
     model = _model(output)
@@ -59,19 +59,19 @@ def implied_forces(truth: Mapping[str, Any], folder: Path, output: Path,
     new = read_vehicle(output / "vehicle.yaml") if (output / "vehicle.yaml").exists() else original
     models = {"file": (augment("nonlinear", {}), original), "answer": (augment("nonlinear", stated), original),
               "model": (file.model(), file.vehicle or new) if file else (augment("nonlinear", {}), new)}
-    forces = {name: _forces(model.select_effects([e for e in model.effects if _is_of_the_car(e)]), vehicle, truth)
+    forces = {name: _forces(model.select_effects([e for e in model.effects if _is_in_the_car(e)]), vehicle, truth)
               for name, (model, vehicle) in models.items()}
     return {axle: {"slip": grid.tolist(), "true": true.tolist(),
                    **{name: by_axle[axle].tolist() for name, by_axle in forces.items()}}
             for axle, (grid, true) in _grids(truth).items()}
 
 
-def _is_of_the_car(effect: type) -> bool:
+def _is_in_the_car(effect: type) -> bool:
     return effect.kind in ("vehicle parameters", "physics") and effect.slot != "steering"
 
 
 def _grids(truth: Mapping[str, Any]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """By axle: ten slip angles, of the same steady states for both axles, and the true forces."""
+    """By axle: ten slip angles, and the true forces; the k-th ones of both axles form a steady state."""
     grids = {}
     for axle, curve in truth["axles"].items():
         slip = np.linspace(curve["slip"][0], curve["slip"][-1], 10)

@@ -1,7 +1,7 @@
-"""Compiled equations of motion of the cars, and their simulation with a driver who follows a road.
+"""Compiled equations of motion of the cars, and their simulation with a driver on a road.
 
-The state q of every description begins with x, y [m], yaw [rad], v_x, v_y [m/s] at the CG and yaw rate [rad/s]; further
-states follow. wheel: road wheel angle that the driver requests [rad]; push: sum of the longitudinal tyre forces [N].
+The state q of all equations begins with x, y [m], yaw [rad], v_x, v_y [m/s] at the CG and yaw rate [rad/s]; further
+states follow. wheel: road wheel angle that the driver requests [rad]; force: total longitudinal tyre force [N].
 """
 
 import math
@@ -10,19 +10,19 @@ import numpy as np
 from numba import njit
 
 from .tyres import side_force
-from .vehicles import BRISTLE, ELASTIC, FOUR_WHEELS, GRAVITY, ROLLING, TABLE, Numbers
+from .vehicles import BRISTLE, ELASTIC, FOUR_WHEELS, GRAVITY, ROLLING, TABLE, Parameters
 
 STEP = 0.005  # s, between recorded rows; each is integrated in two steps
 STATES = 16
 ROW = STATES + 5
-AX, AY, TURN, WHEEL, PUSH = range(STATES, ROW)
-"""Columns after the states: derivatives of v_x, v_y and yaw rate, requested road wheel angle, push."""
+VX_DOT, VY_DOT, YAW_RATE_DOT, WHEEL, DRIVE_FORCE = range(STATES, ROW)
+"""Columns after the states: derivatives of v_x, v_y and yaw rate, requested road wheel angle, longitudinal force."""
 DRAG, ROLLING_RESISTANCE, BRAKE_FRONT = 0.38, 0.011, 0.65
 
 
 @njit(cache=True)
 def tyre_stiffness(stiffness, load_ratio, p):
-    """Cornering stiffness of one tyre at its load; a tabulated tyre has its load dependence in the table."""
+    """Cornering stiffness of one tyre at its load; for tabulated tyres, the table contains the effect of the load."""
     if p.tyre == TABLE:
         return stiffness / 2
     return stiffness / 2 * load_ratio * (1 - p.load_loss * (load_ratio - 1))
@@ -30,14 +30,14 @@ def tyre_stiffness(stiffness, load_ratio, p):
 
 @njit(cache=True)
 def axle_force(slip, stiffness, static, load, shift, longitudinal, p):
-    """Lateral force of an axle [N]. static, load: mean loads of its tyres [N]; shift: load moved from left to right."""
-    force = 0.0
+    """Lateral force of an axle [N]. static, load: mean loads of its tyres [N]; shift: load moved to the right [N]."""
+    total = 0.0
     for side in (-1.0, 1.0):
         z = max(load + side * shift, 50.0)
         ratio = z / static
-        force += side_force(p.tyre, slip, tyre_stiffness(stiffness, ratio, p), z, longitudinal / 2, p.grip, p.sliding,
+        total += side_force(p.tyre, slip, tyre_stiffness(stiffness, ratio, p), z, longitudinal / 2, p.grip, p.sliding,
                             ratio)
-    return force
+    return total
 
 
 @njit(cache=True)
@@ -53,30 +53,30 @@ def planar_rates(q, fx, fy, moment, p, out):
 
 
 @njit(cache=True)
-def split_push(push, p):
+def split_drive_force(force, p):
     """Longitudinal forces of front and rear axle [N]."""
-    front = push * (p.drive_front if push > 0 else BRAKE_FRONT)
-    return front, push - front
+    front = force * (p.drive_front if force > 0 else BRAKE_FRONT)
+    return front, force - front
 
 
 @njit(cache=True)
-def rolling(q, wheel, push, p, out):
+def rolling(q, wheel, force, p, out):
     """Further states: roll, roll rate, road-wheel angle, slip angle front and rear."""
     rear = p.wheelbase - p.front
     delta = q[8] if p.steer_lag > 0 else wheel
     speed = max(q[3], 0.8)
-    ffx, frx = split_push(push, p)
+    ffx, frx = split_drive_force(force, p)
     kinematic_f, kinematic_r = math.atan((q[4] + p.front * q[5]) / speed), math.atan((q[4] - rear * q[5]) / speed)
     static_f, static_r = p.mass * GRAVITY * rear / p.wheelbase / 2, p.mass * GRAVITY * p.front / p.wheelbase / 2
-    transfer = p.height / p.wheelbase * push / 2
+    transfer = p.height / p.wheelbase * force / 2
     shift = (p.roll_stiffness * q[6] + p.roll_damping * q[7]) / p.track
     slip_f, slip_r = q[9], q[10]
     if p.relaxation <= 0:
         slip_f, slip_r = kinematic_f - delta, kinematic_r
     fy = axle_force(slip_f, p.stiffness_front, static_f, static_f - transfer, p.roll_front * shift, ffx, p)
     ry = axle_force(slip_r, p.stiffness_rear, static_r, static_r + transfer, (1 - p.roll_front) * shift, frx, p)
-    bent = delta - p.compliance * fy
-    c, s = math.cos(bent), math.sin(bent)
+    steered = delta - p.compliance * fy
+    c, s = math.cos(steered), math.sin(steered)
     front = fy * c + ffx * s
     planar_rates(q, ffx * c - fy * s + frx, front + ry, p.front * front - rear * ry, p, out)
     ay = (front + ry) / p.mass
@@ -85,16 +85,16 @@ def rolling(q, wheel, push, p, out):
               ) / p.roll_inertia
     out[8] = (wheel - q[8]) / p.steer_lag if p.steer_lag > 0 else 0.0
     if p.relaxation > 0:
-        out[9] = max(speed, 3.0) / p.relaxation * (kinematic_f - bent - q[9])
+        out[9] = max(speed, 3.0) / p.relaxation * (kinematic_f - steered - q[9])
         out[10] = max(speed, 3.0) / p.relaxation * (kinematic_r - q[10])
 
 
 @njit(cache=True)
-def four_wheels(q, wheel, push, p, out):
-    """Further states: lateral and longitudinal acceleration the loads follow, road-wheel angle."""
+def four_wheels(q, wheel, force, p, out):
+    """Further states: lateral and longitudinal acceleration that determine the loads, road-wheel angle."""
     rear = p.wheelbase - p.front
     half = p.track / 2
-    forces = split_push(push, p)
+    forces = split_drive_force(force, p)
     total_x, total_y, moment, steered = 0.0, 0.0, 0.0, 0.0
     for axle in range(2):
         front = axle == 0
@@ -118,21 +118,21 @@ def four_wheels(q, wheel, push, p, out):
             steered += fy if front else 0.0
     planar_rates(q, total_x, total_y, moment, p, out)
     out[6] = (total_y / p.mass - q[6]) / 0.08
-    out[7] = (push / p.mass - q[7]) / 0.06
+    out[7] = (force / p.mass - q[7]) / 0.06
     out[8] = (wheel - p.compliance * steered - q[8]) / max(p.steer_lag, 0.012)
 
 
 @njit(cache=True)
-def elastic(q, wheel, push, p, out):
+def elastic(q, wheel, force, p, out):
     """Further states: road-wheel angle without elasticity, slip angle front and rear."""
     rear = p.wheelbase - p.front
     speed = max(q[3], 0.8)
-    ffx, frx = split_push(push, p)
+    ffx, frx = split_drive_force(force, p)
     static_f, static_r = p.mass * GRAVITY * rear / p.wheelbase / 2, p.mass * GRAVITY * p.front / p.wheelbase / 2
-    transfer = p.height / p.wheelbase * push / 2
-    moved = p.mass * q[3] * q[5] * p.height / p.track
-    fy = axle_force(q[7], p.stiffness_front, static_f, static_f - transfer, p.roll_front * moved, ffx, p)
-    ry = axle_force(q[8], p.stiffness_rear, static_r, static_r + transfer, (1 - p.roll_front) * moved, frx, p)
+    transfer = p.height / p.wheelbase * force / 2
+    shift = p.mass * q[3] * q[5] * p.height / p.track
+    fy = axle_force(q[7], p.stiffness_front, static_f, static_f - transfer, p.roll_front * shift, ffx, p)
+    ry = axle_force(q[8], p.stiffness_rear, static_r, static_r + transfer, (1 - p.roll_front) * shift, frx, p)
     sliding_at = 6 * p.grip * static_f / p.stiffness_front
     torque = p.trail * max(1 - abs(math.tan(q[7])) / sliding_at, 0.0) * fy
     delta = q[6] - p.column * torque - p.compliance * fy
@@ -146,12 +146,12 @@ def elastic(q, wheel, push, p, out):
 
 
 @njit(cache=True)
-def bristle(q, wheel, push, p, out):
+def bristle(q, wheel, force, p, out):
     """Further states: bristle deflection front and rear [m], road-wheel angle and its rate."""
     rear = p.wheelbase - p.front
     loads = (p.mass * GRAVITY * rear / p.wheelbase, p.mass * GRAVITY * p.front / p.wheelbase)
-    transfer = p.height / p.wheelbase * push
-    ffx, frx = split_push(push, p)
+    transfer = p.height / p.wheelbase * force
+    ffx, frx = split_drive_force(force, p)
     c, s = math.cos(q[8]), math.sin(q[8])
     forces = np.zeros(2)
     for axle in range(2):
@@ -175,14 +175,14 @@ def bristle(q, wheel, push, p, out):
 
 
 @njit(cache=True)
-def sprung(q, wheel, push, p, out):
+def sprung(q, wheel, force, p, out):
     """Further states: roll, roll rate, pitch (nose up +), pitch rate, road-wheel angle, slip angle front and rear."""
     rear = p.wheelbase - p.front
     half, speed = p.track / 2, max(q[3], 0.8)
-    ffx, frx = split_push(push, p)
+    ffx, frx = split_drive_force(force, p)
     pitch_inertia = 0.92 * p.inertia
     pitch_stiffness, pitch_damping = pitch_inertia * 10.5**2, pitch_inertia * 2 * 0.3 * 10.5
-    moved = (p.roll_stiffness * q[6] + p.roll_damping * q[7]) / p.track
+    shift = (p.roll_stiffness * q[6] + p.roll_damping * q[7]) / p.track
     ahead = (pitch_stiffness * q[8] + pitch_damping * q[9]) / p.wheelbase / 2
     turned = p.roll_steer * q[6]
     total_x, total_y, moment, axles = 0.0, 0.0, 0.0, np.zeros(2)
@@ -193,7 +193,7 @@ def sprung(q, wheel, push, p, out):
         delta = q[10] if front else turned
         c, s = math.cos(delta), math.sin(delta)
         for side in (-1.0, 1.0):
-            lateral = (p.roll_front if front else 1 - p.roll_front) * moved
+            lateral = (p.roll_front if front else 1 - p.roll_front) * shift
             z = max(static - side * lateral + (-ahead if front else ahead), 50.0)
             fy = side_force(TABLE, q[11 + axle], (p.stiffness_front if front else p.stiffness_rear) / 2, z, along / 2,
                             p.grip, p.sliding, z / static)
@@ -214,43 +214,43 @@ def sprung(q, wheel, push, p, out):
 
 
 @njit(cache=True)
-def derivative(description, q, wheel, push, p, out):
-    if description == ROLLING:
-        rolling(q, wheel, push, p, out)
-    elif description == FOUR_WHEELS:
-        four_wheels(q, wheel, push, p, out)
-    elif description == ELASTIC:
-        elastic(q, wheel, push, p, out)
-    elif description == BRISTLE:
-        bristle(q, wheel, push, p, out)
+def derivative(equations, q, wheel, force, p, out):
+    if equations == ROLLING:
+        rolling(q, wheel, force, p, out)
+    elif equations == FOUR_WHEELS:
+        four_wheels(q, wheel, force, p, out)
+    elif equations == ELASTIC:
+        elastic(q, wheel, force, p, out)
+    elif equations == BRISTLE:
+        bristle(q, wheel, force, p, out)
     else:
-        sprung(q, wheel, push, p, out)
+        sprung(q, wheel, force, p, out)
 
 
 @njit(cache=True)
-def step(description, q, wheel, push, p, h, k, mid):
-    """Advances q by one Runge-Kutta step. k (4, STATES): its first row becomes the rates at the start."""
-    derivative(description, q, wheel, push, p, k[0])
+def step(equations, q, wheel, force, p, h, k, mid):
+    """Advances q by one Runge-Kutta step. The first row of k (4, STATES) is then the rates at the start of the step."""
+    derivative(equations, q, wheel, force, p, k[0])
     for stage in range(1, 4):
         part = h if stage == 3 else h / 2
         for i in range(STATES):
             mid[i] = q[i] + part * k[stage - 1, i]
-        derivative(description, mid, wheel, push, p, k[stage])
+        derivative(equations, mid, wheel, force, p, k[stage])
     for i in range(STATES):
         q[i] += h / 6 * (k[0, i] + 2 * k[1, i] + 2 * k[2, i] + k[3, i])
 
 
 @njit(cache=True)
-def drive(description, road, p, seconds, wander):
-    """Rows (n, ROW) of a drive, one per STEP. road: x, y, yaw and speed every 0.5 m; wander: tremor of the driver, as
-    road wheel angle [rad].
+def drive(equations, road, p, seconds, wander):
+    """Rows (n, ROW) of a drive, one per STEP. road: x, y, yaw and speed every 0.5 m; wander: steering tremor of the
+    driver [rad at the road wheels].
 
-    The driver looks 0.9 s ahead; where the speed of the road is below 1.4 m/s, the car stops for 4 s.
+    The driver looks 0.9 s ahead, at least 4 m; where the speed of the road is below 1.4 m/s, the car stops for 4 s.
     """
     rows = int(seconds / STEP)
     q, k, mid, out = np.zeros(STATES), np.zeros((4, STATES)), np.zeros(STATES), np.zeros((rows, ROW))
     q[0], q[1], q[2], q[3] = road[0, 0], road[0, 1], road[0, 2], max(1.0, min(road[0, 3], 6.0))
-    wheel, push, near, hold, leaving = 0.0, 0.0, 0, 0.0, False
+    wheel, force, near, hold, leaving = 0.0, 0.0, 0, 0.0, False
     for i in range(rows):
         while near < len(road) - 60 and (road[near + 1, 0] - q[0]) ** 2 + (road[near + 1, 1] - q[1]) ** 2 < (
                 road[near, 0] - q[0]) ** 2 + (road[near, 1] - q[1]) ** 2:
@@ -270,14 +270,14 @@ def drive(description, road, p, seconds, wander):
             leaving = hold > 4.0
             target = 5.0 if leaving else 0.0
         pull = min(max(1.2 * (target - q[3]), -3.0), 2.2)
-        push += STEP / 0.3 * (p.mass * pull + DRAG * q[3] ** 2 + ROLLING_RESISTANCE * p.mass * GRAVITY - push)
+        force += STEP / 0.3 * (p.mass * pull + DRAG * q[3] ** 2 + ROLLING_RESISTANCE * p.mass * GRAVITY - force)
         for n in range(STATES):
             out[i, n] = q[n]
-        out[i, WHEEL], out[i, PUSH] = wheel, push
+        out[i, WHEEL], out[i, DRIVE_FORCE] = wheel, force
         for half in range(2):
-            step(description, q, wheel, push, p, STEP / 2, k, mid)
+            step(equations, q, wheel, force, p, STEP / 2, k, mid)
             if half == 0:
-                out[i, AX], out[i, AY], out[i, TURN] = k[0, 3], k[0, 4], k[0, 5]
+                out[i, VX_DOT], out[i, VY_DOT], out[i, YAW_RATE_DOT] = k[0, 3], k[0, 4], k[0, 5]
         if q[3] < 0.3 and target < 0.2:
             q[3] = q[4] = q[5] = 0.0
         elif q[3] < 0.0:
@@ -285,7 +285,7 @@ def drive(description, road, p, seconds, wander):
     return out
 
 
-def axle_forces(rows: np.ndarray, p: Numbers) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def axle_forces(rows: np.ndarray, p: Parameters) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """(front slip angle, front force, rear slip angle, rear force) [rad, N] of each row.
 
         F_f = (m a_y l_r + I r_dot) / L,  F_r = (m a_y l_f - I r_dot) / L,  a_y = v_y_dot + v_x r
@@ -295,8 +295,8 @@ def axle_forces(rows: np.ndarray, p: Numbers) -> tuple[np.ndarray, np.ndarray, n
     """
     rear = p.wheelbase - p.front
     vx = np.maximum(rows[:, 3], 0.8)
-    ay = rows[:, AY] + rows[:, 3] * rows[:, 5]
-    front = (p.mass * ay * rear + p.inertia * rows[:, TURN]) / p.wheelbase
-    back = (p.mass * ay * p.front - p.inertia * rows[:, TURN]) / p.wheelbase
+    ay = rows[:, VY_DOT] + rows[:, 3] * rows[:, 5]
+    front = (p.mass * ay * rear + p.inertia * rows[:, YAW_RATE_DOT]) / p.wheelbase
+    back = (p.mass * ay * p.front - p.inertia * rows[:, YAW_RATE_DOT]) / p.wheelbase
     return (np.arctan((rows[:, 4] + p.front * rows[:, 5]) / vx) - rows[:, WHEEL], front,
             np.arctan((rows[:, 4] - rear * rows[:, 5]) / vx), back)
