@@ -69,7 +69,7 @@ def test_violated_requirement_is_reported_with_exit_status_1(proposal):
 
 @pytest.mark.parametrize(("arguments", "fragment"), [
     (("check", "nothing.py"), "nothing.py: does not exist"),
-    (("check", __file__.replace(".py", ".csv")), "the name of an effect file ends in .py"),
+    (("check", __file__.replace(".py", ".csv")), "the name of an effect file must end in .py"),
     (("describe",), "'describe' is not one of")])
 def test_wrong_arguments_are_rejected_in_one_line(arguments, fragment):
     result = st("effects", *arguments)

@@ -16,10 +16,13 @@ import yaml
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 
+import rclpy
 from ros_processes import Processes, wait_for
 from st_predictor import params
-from st_ros.parameters import BUILT_IN, Parameter
-from support import ROOT
+from st_predictor.nodes.evaluator import EvaluatorNode
+from st_predictor.nodes.predictor import PredictorNode
+from st_ros.parameters import BUILT_IN, ConfigurationError, Parameter
+from support import LEAF, ROOT
 
 pytestmark = pytest.mark.ros
 LAUNCH = ROOT / "ros2_ws" / "src" / "st_predictor" / "launch"
@@ -53,6 +56,16 @@ def test_values_of_the_file_are_the_defaults() -> None:
                 assert math.isnan(parameter.default), f"{node}.{parameter.name}"
             else:
                 assert value == parameter.default, f"{node}.{parameter.name}"
+
+
+@pytest.mark.parametrize("make_node", [PredictorNode, EvaluatorNode])
+def test_unknown_model_is_reported_as_value_of_the_parameter(make_node) -> None:
+    rclpy.init(args=["--ros-args", "-p", f"vehicle_file:={LEAF}", "-p", "models:=['bicycle']"])
+    try:
+        with pytest.raises(ConfigurationError, match=r"^(predictor|evaluator)\.models: unknown model 'bicycle'"):
+            make_node()
+    finally:
+        rclpy.try_shutdown()
 
 
 def test_every_value_has_a_comment_with_its_range() -> None:

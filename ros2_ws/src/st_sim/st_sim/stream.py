@@ -148,7 +148,7 @@ class LiveOutput:
         try:
             self._address = (socket.gethostbyname(ncom_host), ncom_port)
         except OSError as error:
-            raise ConfigurationError(f"--ncom-host {ncom_host}: {error}") from None
+            raise ConfigurationError(f"--ncom-host {ncom_host}: {error.strerror}") from None
         try:
             self._bus = open_bus(can_interface, can_channel)
         except (ValueError, OSError, can.CanError) as error:

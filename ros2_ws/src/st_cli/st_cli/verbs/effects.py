@@ -74,7 +74,7 @@ def _check_effects(files: Sequence[Path], car: "VehicleParameters") -> bool:
 
     for file in files:
         if file.suffix != ".py":
-            raise ConfigurationError(f"{file}: the name of an effect file ends in .py")
+            raise ConfigurationError(f"{file}: the name of an effect file must end in .py")
         if not file.is_file():
             raise ConfigurationError(f"{file}: does not exist")
     selected = [e for f in files for e in load_file(str(f.resolve().parent), f.stem)] if files else EFFECTS.values()

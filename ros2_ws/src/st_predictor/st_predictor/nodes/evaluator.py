@@ -46,7 +46,7 @@ class EvaluatorNode(Node):
         self._model_file = params.load_model(values, self._vehicle)
         file_models = [self._model_file.model()] if self._model_file else []
         self._models = params.translate_errors(
-            values, lambda: [get_model(m).name for m in (*values.models, *file_models)])
+            values, lambda: [get_model(m).name for m in (*values.models, *file_models)], "models: ")
         settings = params.read_prediction_settings(values)
         self._core = Evaluator(self._vehicle, settings, HISTORY_SPAN, file_models)
         self._consistency = ConsistencyMonitor(self._vehicle)

@@ -117,7 +117,7 @@ class PredictorNode(Node):
         settings = params.read_prediction_settings(values)
         file = params.load_model(values, self._vehicle)
         models = [*values.models, *([file.model()] if file else [])]
-        parsed_models = params.translate_errors(values, lambda: [get_model(model) for model in models])
+        parsed_models = params.translate_errors(values, lambda: [get_model(model) for model in models], "models: ")
         runners, backend = compile_models(parsed_models if values.compiled else (), self._vehicle, settings)
         self._core = params.translate_errors(values, lambda: Predictor(self._vehicle, parsed_models, settings, runners))
         self._hashes = dict.fromkeys(self._core.models, configuration_hash(self._vehicle, settings))
