@@ -127,6 +127,9 @@ def test_bands_are_exported_as_functions_of_state_and_inputs(tmp_path):
         exported = casadi.Function.load(str(out / f"linear_band_hindsight_{name}.casadi"))
         np.testing.assert_allclose(np.array(exported(STATE, INPUTS, 0.02)),
                                    bands.half_widths("linear", "hindsight", start, level)[0, 1:], rtol=1e-9)
+    description = json.loads((out / "model.json").read_text())
+    assert sorted(description["files"]) == sorted(f.name for f in out.iterdir() if f.suffix == ".casadi")
+    assert "linear_band_" in (out / "README.md").read_text()
     result = export("kinematic", "--bands", file, "--output", tmp_path / "other")
     assert result.exit_code == 2 and "the bands have no entry for model kinematic, only for linear" in result.output
 

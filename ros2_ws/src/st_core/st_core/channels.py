@@ -80,7 +80,6 @@ def _heading_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, v_x: Any, v_
 
 
 def _finite_deviation(errors: np.ndarray) -> float:
-    """Robust standard deviation of the finite errors."""
     errors = errors[np.isfinite(errors)]
     return robust_deviation(errors) if len(errors) else 0.0
 

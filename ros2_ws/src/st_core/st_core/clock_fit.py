@@ -218,7 +218,6 @@ def _normal_equations(pairs: Sequence[Pair], splines: Sequence[Sequence[CubicSpl
 
 
 def _is_positive_definite(matrix: np.ndarray) -> bool:
-    """Whether a symmetric matrix (2, 2) is positive definite."""
     return bool(matrix[0, 0] > 0.0 and np.linalg.det(matrix) > 0.0)
 
 

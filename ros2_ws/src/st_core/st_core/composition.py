@@ -104,7 +104,6 @@ def _make_inputs(base_inputs: Callable[..., tuple], effects: tuple[type[Effect],
 
     only_inputs: no effect changes the equations, and w is that of the base model.
     """
-    # Each effect receives the signals that it declares.
     hooks = [(index, effect.inputs, effect.prepare, [signals.index(name) for name in effect.signals])
              for index, effect in enumerate(effects)]
     input_hooks = [(index, change, rows) for index, change, _, rows in hooks if change]

@@ -242,16 +242,12 @@ class CourseForecast:
 
 
 class _Candidate(NamedTuple):
-    """Prediction from one pass."""
-
     squared_difference: float  # d^2
     speed: np.ndarray  # m/s, every SPACING m ahead
     curvature: np.ndarray  # 1/m, every SPACING m ahead
 
 
 class _PendingForecast(NamedTuple):
-    """Forecast to be scored when its horizon has ended."""
-
     end_ns: int
     distance: float  # driven before the start [m]
     start: EgoMotion

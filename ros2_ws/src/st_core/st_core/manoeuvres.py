@@ -198,7 +198,6 @@ def figure_eight() -> Manoeuvre:
 
 
 def _both_sides(*parts: tuple[float, float, float]) -> PiecewiseLinear:
-    """The given parts, then the same parts to the other side."""
     return PiecewiseLinear((*parts, *((length, -first, -last) for length, first, last in parts)))
 
 

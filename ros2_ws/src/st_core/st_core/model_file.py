@@ -159,8 +159,7 @@ def _read_effect(name: str, entry: Any) -> dict[str, EffectValue]:
         path = f"effects.{name}.{key}"
         unit = parameters[key].unit
         fields = _check_mapping(path, entry[key], f"value: ..., unit: {quote(unit)}")
-        check_keys(f"{path}.", fields, ["value", "unit", "interval", "source", "effective"],
-                   required=["value", "unit"])
+        check_keys(f"{path}.", fields, ["value", "unit", "interval", "source", "effective"], required=["value", "unit"])
         if str(fields["unit"]) != unit:
             raise ConfigurationError(f"{path}: unit {str(fields['unit'])!r} is not {unit}; convert the value")
         value = parameters[key].check(fields["value"], path)

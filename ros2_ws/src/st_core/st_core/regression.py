@@ -105,8 +105,7 @@ class Spread:
     def standard_errors(self) -> np.ndarray:
         return np.sqrt(np.diag(self.covariance))
 
-    def interval(self, index: int, value: float,
-                 standard_uncertainty: float | None = None) -> tuple[float, float]:
+    def interval(self, index: int, value: float, standard_uncertainty: float | None = None) -> tuple[float, float]:
         """95 % confidence interval of a value. standard_uncertainty: by default from the covariance."""
         uncertainty = self.standard_errors[index] if standard_uncertainty is None else standard_uncertainty
         return symmetric_interval(float(value), float(uncertainty), float(self.degrees_of_freedom[index]))
@@ -162,8 +161,7 @@ class Blocks:
                       for number in effective_counts)
         return Spread(covariance, np.maximum(effective_counts - 1.0, 1.0), basis)
 
-    def fit_least_squares(self, regressors: np.ndarray,
-                          response: np.ndarray) -> tuple[np.ndarray, Spread, np.ndarray]:
+    def fit_least_squares(self, regressors: np.ndarray, response: np.ndarray) -> tuple[np.ndarray, Spread, np.ndarray]:
         """(coefficients (p,), uncertainty, influence (k, p)) of a regression of response (n,) on regressors (n, p)."""
         coefficients = np.linalg.lstsq(regressors, response, rcond=None)[0]
         residuals = response - regressors @ coefficients

@@ -42,7 +42,6 @@ def export_model(model: Model, vehicle: VehicleParameters, folder: Path, kind: F
             generator.add(function)
         generator.generate(f"{folder}/")  # the argument is a prefix of the file name
         files = [folder / f"{symbolic.name}.c", folder / f"{symbolic.name}.h"]
-    description = make_description(symbolic, model, vehicle, [f.name for f in files])
     if bands is not None:
         exported_bands = {(mode, level): band for (name, mode), band in bands.bands.items() if name == model.name
                           for level in band.factors if level in LEVELS}
@@ -53,6 +52,7 @@ def export_model(model: Model, vehicle: VehicleParameters, folder: Path, kind: F
             name = f"{model.name}_band_{mode}_{100 * level:.0f}"
             files.append(folder / f"{name}.casadi")
             make_half_width_function(band, level, vehicle, name).save(str(files[-1]))
+    description = make_description(symbolic, model, vehicle, [f.name for f in files])
     files += [folder / "model.json", folder / "README.md"]
     files[-2].write_text(json.dumps(description, indent=2) + "\n", encoding="utf-8")
     files[-1].write_text(_format_readme(description, kind), encoding="utf-8")
@@ -111,7 +111,10 @@ def _format_readme(description: dict[str, Any], kind: Format) -> str:
         "to x and B with respect to u. `start`: appends the initial values of the additional states to the six states.",
         f"Speed above which a step h is stable (the equations are stiff at low speed): {stable}.",
         f"Not in the equations: {missing}. These effects act on the steering signal before the model, or on the "
-        "sensors; apply them separately." if missing else "", usage))) + "\n"
+        "sensors; apply them separately." if missing else "",
+        f"`{name}_band_...`: half-widths (points after the start, 3) along, across [m] and in yaw [rad], from x, u and "
+        "the root mean square steering rate at the road wheels in the last second [rad/s]."
+        if any(file.startswith(f"{name}_band_") for file in description["files"]) else "", usage))) + "\n"
 
 
 def make_half_width_function(band: Band, level: float, vehicle: VehicleParameters,

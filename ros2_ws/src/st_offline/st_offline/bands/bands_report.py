@@ -284,8 +284,7 @@ def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Co
         rows, level = make_band_rows(content), _format_level(_find_top_level(content))
         # A single table would be wider than 80 characters.
         for title, columns in (
-                ("Bands: fraction of paths entirely inside",
-                 ("predictions", "no band", "50 % band", f"{level} band")),
+                ("Bands: fraction of paths entirely inside", ("predictions", "no band", "50 % band", f"{level} band")),
                 (f"Bands: conditions with the lowest coverage of the {level} band", ("worst cell",)),
                 ("Bands: scores and half-width, along | across", (
                     f"interval score {level}, along | across, m", "CRPS, along | across, m",

@@ -298,5 +298,4 @@ def print_findings(runs: Mapping[str, Sequence[Finding]], console: Console, deta
         print_line(f"{escape(', '.join(dict.fromkeys(names)))}: [{SEVERITY_STYLE[severity]}]{severity.value}: "
                    f"{escape(' | '.join(filter(None, parts)))}[/]", console)
     if notes:
-        print_line(f"[dim]{format_count(notes, 'note')} of the checks, negligible here; see {details}[/dim]",
-                   console)
+        print_line(f"[dim]{format_count(notes, 'note')} of the checks, negligible here; see {details}[/dim]", console)

@@ -171,7 +171,6 @@ def _make_tables(discovery: Discovery, content: Mapping[str, Any]) -> dict[str, 
 
 
 def _make_change_row(key: str, change: Mapping[str, Any]) -> tuple[str, str, str, str]:
-    """Row of a changed entry of the vehicle file [SI]."""
     unit, limits = get_unit_symbol(ENTRIES[key].si_unit), (ENTRIES[key].minimum, ENTRIES[key].maximum)
     at_limit = any(math.isclose(change["after"], limit, rel_tol=1e-4) for limit in limits)
     return (f"{key}, {unit}" if unit else key, f"{change['before']:.5g}",

@@ -259,8 +259,7 @@ def draw_relation(relation: Relation, output: FigureOutput) -> PageFigure:
     half_width = y_scale * Z95 * relation.deviation
     figure, (curve, distribution) = plt.subplots(2, 1, figsize=(WIDTH, 3.6), sharex=True, height_ratios=(3.0, 1.0))
     curve.axhline(0.0, color=TEXT_COLOUR, lw=0.8, ls=":")
-    curve.fill_between(u, y - half_width, y + half_width, color=AFTER_COLOUR, alpha=0.25, lw=0,
-                       label="95 % interval")
+    curve.fill_between(u, y - half_width, y + half_width, color=AFTER_COLOUR, alpha=0.25, lw=0, label="95 % interval")
     curve.plot(u, y, color=AFTER_COLOUR, label="proposed relation")
     for k, (low, high) in enumerate(relation.next_drives.sparse_ranges):
         for axes in (curve, distribution):

@@ -315,7 +315,6 @@ def describe_effective_corrections(discovery: Discovery) -> list[str]:
 
 
 def _list_vehicle_recommendations(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
-    """Recommendations on the vehicle file."""
     lines = []
     if update is not None and not update.text and not update.improves:
         before, after = update.error
