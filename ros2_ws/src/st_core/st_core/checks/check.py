@@ -148,9 +148,8 @@ def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters |
 
 
 def _check_rear_axle(motion: Motion, vehicle: VehicleParameters, findings: list[Finding]) -> CheckResult:
-    """Result of `check_rear_axle`. motion: corrected for the scale of the velocity in the findings, if any. The scale
-    of the positions may be wrong instead, so a finding must also exist at the recorded velocity, and has the lower of
-    both severities."""
+    """Result of `check_rear_axle`. motion: corrected for a scale of the velocity. The scale of the positions may be
+    wrong instead, so a finding must also exist at the recorded velocity, and has the lower of both severities."""
     found, estimates, panel = vehicle_relations.check_rear_axle(motion, vehicle)
     scale = position.find_velocity_scale(findings)
     if found and scale is not None and scale.value and not match_unit(scale.value):

@@ -210,7 +210,7 @@ class Limits:
     warning_effect: float = 0.25  # m; the best models have errors of 0.4 m over such horizons
     error_effect: float = 5.0  # m; error of a model that goes straight on in a bend of radius 250 m at 10 m/s
     unit_ratio: float = 1.33  # factor above which a ratio is due to a wrong unit, sign or axis, not to calibration
-    channel_unit_ratio: float = 2.0  # the same for accelerometers (body roll) and wheel speeds (tyre radius)
+    channel_unit_ratio: float = 2.0  # unit_ratio of accelerometers (body roll) and wheel speeds (tyre radius)
     yaw_settling_time: float = 0.2  # s; time constant with which a model's initial yaw rate error decays
     lag: float = 0.015  # s; smaller lags are due to filters inside a sensor
     severe_lag: float = 0.05  # s; larger lags would be mistaken for a steering delay

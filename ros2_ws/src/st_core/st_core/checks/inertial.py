@@ -232,8 +232,8 @@ class Tolerances:
     scale: float  # smallest reported deviation of the scale from 1
     bias: float  # smallest reported bias [unit]
     severe_lag: float = 0.0  # smallest lag that identification and discovery do not tolerate [s]
-    severe_scale: float = 0.0  # the same for the deviation of the scale from 1
-    severe_bias: float = np.inf  # the same for the bias [unit]
+    severe_scale: float = 0.0  # smallest such deviation of the scale from 1
+    severe_bias: float = np.inf  # smallest such bias [unit]
     position_effect: float = 0.0  # position shift at the end of the horizon per unit of error [m]
     min_spread: float = 0.0  # smallest standard deviation of the reference for which a lag is reported [unit]
     min_correlation: float = LIMITS.min_correlation  # at a lower correlation, only the lag is judged
@@ -344,8 +344,7 @@ def _compare_yaw_rate(motion: Motion, cutoff: float) -> Agreement | None:
 
 
 def compare_yaw_rate(motion: Motion) -> tuple[Agreement | None, Tolerances]:
-    """(agreement of yaw rate and change of yaw, tolerances). The effect of a wrong initial yaw rate decays within
-    LIMITS.yaw_settling_time."""
+    """(agreement of yaw rate and change of yaw, tolerances)."""
     agreement = _compare_yaw_rate(motion, GYRO_CUTOFF)
     position_effect = LIMITS.yaw_settling_time * float(np.median(np.abs(motion.velocity_x))) * HORIZON
     return agreement, Tolerances(
@@ -419,7 +418,7 @@ def _find_exchanged_accelerations(motion: Motion, measured: Mapping[str, np.ndar
 
 
 def _find_nearest_factor(scale: float, sizes: Iterable[float]) -> float:
-    """The factor, a size with the sign of the scale, that is nearest to the scale in ratio."""
+    """The size that is nearest to the scale in ratio, with the sign of the scale."""
     return float(np.copysign(min(sizes, key=lambda size: abs(np.log(abs(scale) / size))), scale))
 
 
@@ -461,8 +460,7 @@ def check_speeds(motion: Motion) -> list[CheckResult]:
 
 
 def check_position_clock(motion: Motion) -> list[Finding]:
-    """Finding about positions stamped by a different clock: their speed agrees with the velocity, and their course with
-    yaw, only with a large lag."""
+    """Finding about positions stamped by a different clock: speed and course agree with the others at a large lag."""
     speed = np.abs(np.gradient(motion.position, motion.time))
     agreement = compare_series(motion.time, motion.speed, motion.time, speed, SPEED_CUTOFF, max_lag=MAX_CLOCK_OFFSET,
                                max_fitted_lag=MAX_CLOCK_OFFSET)

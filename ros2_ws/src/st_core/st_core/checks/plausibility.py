@@ -110,8 +110,8 @@ def find_implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
     """(mask (n,) of the samples of one channel to leave out, the findings).
 
     name: key of CHANNEL_LIMITS. time: (n,) ascending [s], with the zero of the times in the findings. values: (n,), NaN
-    where unknown; yaw unwrapped. moving: (n,) whether the car moves. The mask is all False if more than half of the
-    finite samples would be left out.
+    where unknown; yaw unwrapped. moving: (n,) whether the car moves. If most finite samples are implausible, none is
+    left out.
     """
     left_out = np.zeros(len(values), bool)
     rows = np.flatnonzero(np.isfinite(values))

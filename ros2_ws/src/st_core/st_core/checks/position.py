@@ -101,7 +101,7 @@ CAUSES = {
     "velocity_x_lag": Cause(("velocity_x",), "velocity_x", "earlier", "s",
                             "velocity_x, unlike velocity_y, {lag}s positions and yaw by {size:.3f} ± {half:.3f} s"),
     "position_reference": Cause(("x", "y"), "position", "ahead", "m", "positions refer to a point {size:.2f} ± "
-                                "{half:.2f} m {ahead} that of the velocities"),
+                                "{half:.2f} m {ahead} the point of the velocities"),
     "velocity_x_bias": Cause(("velocity_x",), "velocity_x", "add", "m/s", "velocity_x is {size:.2f} ± {half:.2f} m/s "
                              "too {high} compared with positions, at every speed"),
     "velocity_y_bias": Cause(("velocity_y",), "velocity_y", "add", "m/s", "velocity_y is {size:.2f} ± {half:.2f} m/s "
@@ -132,17 +132,15 @@ def make_residual_regression(motion: Motion) -> Regression:
 
 
 class _Explanation(NamedTuple):
-    """Causes of the residual, the motion corrected for them, and the effect of each cause at the horizon's end [m per
-    unit]."""
+    """Causes of the residual."""
 
     causes: dict[str, Estimate]
-    corrected: Motion
-    effects: dict[str, float]
+    corrected: Motion  # motion corrected for the causes
+    effects: dict[str, float]  # shift of the position at the end of the horizon by each possible cause [m per unit]
 
 
 def _explain_residual(motion: Motion, rare_explanations: Mapping[tuple[str, ...], set[str]]) -> _Explanation:
-    """The causes found by repeated selection and correction. rare_explanations: those of RARE_EXPLANATIONS that are
-    considered."""
+    """The causes found by repeated selection and correction. rare_explanations: part of RARE_EXPLANATIONS."""
     causes: dict[str, Estimate] = {}
     corrected = motion
     for _ in range(ITERATIONS):  # the effect of a large cause is nonlinear and biases the other estimates
@@ -153,11 +151,11 @@ def _explain_residual(motion: Motion, rare_explanations: Mapping[tuple[str, ...]
                       for name, effect in effects.items()}
         explanations = rare_explanations if has_varying_speed(motion.velocity_x) else {}
         refined = _refine_causes(problem, causes, min_values, explanations)
-        for name in ALTERNATIVE_LAGS.keys() & refined.keys():  # at a constant acceleration, a velocity bias acts alike
+        for name in ALTERNATIVE_LAGS.keys() & refined.keys():  # a bias acts like it at constant acceleration
             lag = problem.estimate(tuple(dict.fromkeys((*refined, "velocity_x_bias"))))[name]
             if not is_relevant(_add_refinement(name, causes, lag), min_values[name]):
                 del refined[name]
-        # An axis scale as far from 1 as that of a wrong unit counts only if it moves positions enough for a warning.
+        # An axis scale far enough from 1 for a wrong unit counts only if it moves positions enough for a warning.
         causes = {name: estimate for name, estimate in refined.items() if is_relevant(estimate, min_values[name]) and (
             name not in AXIS_SCALES or abs(estimate.value) * effects[name] >= LIMITS.warning_effect
             or is_near(1.0 + estimate.value, 1.0, LIMITS.unit_ratio))}
@@ -175,8 +173,7 @@ def _fits_better(explanation: _Explanation, other: _Explanation) -> bool:
 
 
 def _is_preferred(loss: float, count: int, other_loss: float, other_count: int) -> bool:
-    """Whether the loss of `count` causes is clearly smaller than that of others, or, with fewer causes, not clearly
-    larger."""
+    """Whether the loss of `count` causes is clearly smaller than another, or, for fewer causes, not clearly larger."""
     ratio = MIN_LOSS_RATIO if count >= other_count else 1.0 / MIN_LOSS_RATIO
     return ratio * loss < other_loss
 
@@ -237,8 +234,8 @@ def find_velocity_scale(findings: list[Finding]) -> Finding | None:
 
 def attribute_scale_to_velocity_x(motion: Motion, findings: list[Finding],
                                   estimates: dict[str, Estimate]) -> tuple[Motion, list[Finding]]:
-    """(motion, findings) with a scale error of both velocities attributed to velocity_x, if that of velocity_y cancels
-    it: the recorded velocity_y is correct."""
+    """(motion, findings) with a scale error of both velocities attributed to velocity_x, if a further one of velocity_y
+    cancels it, so that the recorded velocity_y is correct."""
     both = find_velocity_scale(findings)
     lateral = next((finding for finding in findings if finding.name == "velocity_y_scale"), None)
     if both is None or lateral is None or not both.value or not both.advice or "correct" not in both.advice.entry or (
@@ -254,8 +251,7 @@ def attribute_scale_to_velocity_x(motion: Motion, findings: list[Finding],
 
 
 def compute_scaled_misfit(motion: Motion, *causes: str) -> float:
-    """Median misfit of positions and velocity after one second [m], with scales of x and y and other causes fitted; inf
-    for a short drive."""
+    """Median misfit of positions and velocity per second [m]; axis scales and `causes` are fitted. inf if too short."""
     problem = make_residual_regression(motion)
     return problem.fit((*AXIS_SCALES, *causes))[1] if len(problem.time) >= MIN_WINDOWS else np.inf
 
@@ -365,8 +361,8 @@ def _add_lateral_alternative(findings: list[Finding], problem: Regression,
 
 def _add_lag_alternative(findings: list[Finding], problem: Regression,
                          causes: dict[str, Estimate]) -> list[Finding]:
-    """The findings; that of a lag of both velocities, or of velocity_x, names the other one if it fits as well, and
-    corrects only velocity_x, which lags in both cases. problem: regression for the motion corrected for the causes."""
+    """The findings; if a lag of both velocities fits as well as a lag of velocity_x, they name both and correct only
+    velocity_x, which lags in both cases. problem: regression for the motion corrected for the causes."""
     found = tuple(name for name in ALTERNATIVE_LAGS if name in causes)
     if not found:
         return findings
@@ -396,7 +392,7 @@ def _find_equivalent(problem: Regression, causes: dict[str, Estimate], found: Na
 
 
 def _add_alternative(findings: list[Finding], names: Collection[str], alternative: Alternative) -> list[Finding]:
-    """The findings, those of these names with an alternative that involves velocity_y."""
+    """The findings; an alternative that involves velocity_y is added to those with these names."""
     return [finding.with_alternative(alternative, VARY_BENDS, "velocity_y") if finding.name in names else finding
             for finding in findings]
 
@@ -416,7 +412,7 @@ def add_sign_alternative(findings: list[Finding], recorded: Motion, corrected: M
 def _refine_causes(problem: Regression, causes: dict[str, Estimate], min_values: dict[str, float],
                    rare_explanations: Mapping[tuple[str, ...], set[str]]) -> dict[str, Estimate]:
     """Refined values of the causes found so far, and further causes. min_values: smallest reported value by cause.
-    rare_explanations: those of RARE_EXPLANATIONS that are considered."""
+    rare_explanations: part of RARE_EXPLANATIONS."""
     excluded = {*causes, *(other for name in causes for other in CONFOUNDED.get(name, ()))}
     candidates = [name for name in min_values if name not in excluded]
     further = _find_causes(problem, [name for name in candidates if name not in RARE_CAUSES], min_values, tuple(causes))
@@ -452,7 +448,7 @@ def _has_lateral_scale_error(problem: Regression, causes: tuple[str, ...]) -> bo
 
 
 def _add_refinement(name: str, causes: Mapping[str, Estimate], refinement: Estimate) -> Estimate:
-    """Estimate of a cause from that for the motion corrected for the causes found before."""
+    """Estimate of a cause, from its value so far and a refinement fitted to the corrected motion."""
     value = causes[name].value if name in causes else 0.0
     factor = 1.0 + value if name in VELOCITY_SCALES else 1.0
     return refinement.scaled(factor).shifted(value)
@@ -460,8 +456,7 @@ def _add_refinement(name: str, causes: Mapping[str, Estimate], refinement: Estim
 
 def _find_causes(problem: Regression, candidates: list[str], min_values: dict[str, float],
                  required: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of further causes among the candidates. min_values: smallest reported value by cause. required: causes
-    found so far."""
+    """Further causes among the candidates. min_values: smallest reported value by cause. required: causes so far."""
     causes = problem.select_causes([name for name in candidates if name != "velocity_scale"], min_values, required,
                                    () if "velocity_scale" in required else AXIS_SCALES)
     axes = [name for name in AXIS_SCALES if name in causes]

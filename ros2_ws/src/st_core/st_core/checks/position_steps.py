@@ -107,8 +107,7 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
 
 def _check_jumps(motion: Motion, errors: np.ndarray, along: np.ndarray, is_stale: np.ndarray,
                  rounding: float) -> list[Finding]:
-    """Finding about large steps. A clock that is set by T during the drive acts like jumps -v T along the track.
-    along: see `check_position_steps`."""
+    """Finding about large steps. A clock that is set by T during the drive acts like jumps -v T along the track."""
     size = np.abs(errors - np.median(errors.real) - 1j * np.median(errors.imag))
     scale = SIGMA_PER_MAD * float(np.median(size))
     within = (np.diff(motion.time) <= MAX_GAP) & ~is_stale

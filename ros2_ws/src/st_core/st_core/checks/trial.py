@@ -1,9 +1,9 @@
 """Trial of corrections: they are applied to the run, and proposed unless its predictions become worse.
 
 The prediction error is the distance between measured position and prediction by the linear single-track model, both
-from the corrected drive, HORIZON after each start; the starts are HORIZON apart. A wrong steering ratio or offset in
-the vehicle file would favour corrections that compensate it. Each trial therefore also fits errors of both, gain g [1]
-and offset o [rad]:
+from the corrected drive, HORIZON after each start; the starts are HORIZON apart or more. A wrong steering ratio or
+offset in the vehicle file would favour corrections that compensate for it, so both errors are fitted, as gain g [1] and
+offset o [rad]:
 
     e = e_0 + (de/dg) g + (de/do) o,    least squares within |g| <= MAX_GAIN, |o| <= MAX_OFFSET
 

@@ -24,8 +24,8 @@ from .regression import Estimate, Regression, add_systematic_uncertainty
 MIN_YAW_RANGE = 0.2  # rad; minimum range of yaw in the drive
 MAX_CONSISTENT_MISFIT = 0.02  # largest misfit of consistent positions, yaw and velocities, divided by the distance
 MAX_MAP_MISFIT = 0.1  # largest ratio of the misfit in map axes to the distance, and to the misfit in body axes
-UNIT_TOLERANCE = 1.06  # factor by which a ratio may differ from that of its unit
-COURSE_TOLERANCE = 1.2  # the same for a ratio to the course, whose change in one short bend is inaccurate by 10 %
+UNIT_TOLERANCE = 1.06  # factor by which a ratio may differ from the factor of its unit
+COURSE_TOLERANCE = 1.2  # UNIT_TOLERANCE of a ratio to the course, which one short bend determines to 10 %
 MIN_YAW_OFFSET = 0.35  # rad; smaller angles are sideslip, or an offset that `position` estimates
 MAX_SCALE_ERROR = 0.005  # largest relative scale error of a gyroscope or projection without a fault
 MIN_RATE_ERROR = 0.005  # smallest reported relative error of the sampling rate; a crystal is accurate to 0.0001

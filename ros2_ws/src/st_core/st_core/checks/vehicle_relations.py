@@ -33,7 +33,7 @@ MIN_REAR_AXLE_WINDOWS = 30
 SLIP_RANGE = 0.5, 1.5  # plausible rear slip, as a fraction of that of the vehicle file
 MAX_COSINE = 0.9  # cosine similarity of speed and yaw rate; 1 on a circle, which confounds misalignment and INS point
 MIN_STEERING_ANGLE = 0.01  # rad; minimum root mean square of the angles for an estimate of the steering gain
-MIN_ANGLE_FOR_SIGN = 0.003  # rad; the same for the sign of the gain alone, for which fast, wide bends suffice
+MIN_ANGLE_FOR_SIGN = 0.003  # rad; MIN_STEERING_ANGLE for the sign of the gain alone; fast, wide bends suffice
 MAX_OPPOSITE_CORRELATION = -0.8  # correlation of steering and curvature below which the steering has the opposite sign
 MIN_UNRELATED_SPREAD = 0.01  # rad at the road wheels; minimum standard deviation of measured and derived steering
 STEERING_PLAY = 0.07  # rad of the steering wheel; play of ordinary cars, which reduces the gain of small angles
@@ -181,7 +181,7 @@ def _make_unit_finding(gain: Estimate, plausible_gains: tuple[float, float], veh
     plausible_gains: the expected and the largest one; 1 is plausible too, since stiffnesses may be inaccurate.
     geographic: whether positions are certain to be east and north; otherwise all INS channels may be mirrored, for
     which the correction of the steering is right as well.
-    may_be_play: whether play explains a positive gain that is not that of a unit; steered rear wheels may, too.
+    may_be_play: whether play explains a positive gain that no unit matches; steered rear wheels may also explain it.
     """
     (expected, largest), value, limit = plausible_gains, gain.value, LIMITS.steering_unit_ratio
     if abs(value) < MIN_GAIN or (gain.interval[1] > 1.0 / limit and gain.interval[0] < limit * largest):
@@ -243,7 +243,7 @@ def _lag_is_constant(half: Agreement, drift: Estimate) -> bool:
 def _make_clock_finding(motion: Motion, derived: np.ndarray, agreement: Agreement, response: float,
                         lateral_shift: float) -> Finding:
     """Finding about a steering lag that changes during the drive: at a constant rate, unless it is constant in each
-    half. response: time [s]. lateral_shift: see `_compute_lateral_shift`."""
+    half. response: time [s]. lateral_shift: `_compute_lateral_shift`."""
     rate, change = agreement.drift.shifted(1.0), agreement.drift.scaled(float(np.ptp(agreement.time)))
     effect = lateral_shift * abs(change.value) * float(np.std(agreement.derived)) * np.sqrt(2.0) / HORIZON
     advice = Advice("text", "time-stamp the steering and the motion with one clock")
@@ -253,7 +253,7 @@ def _make_clock_finding(motion: Motion, derived: np.ndarray, agreement: Agreemen
     if len(halves) == 2:
         first, second = (add_systematic_uncertainty("steering_lag", half.lag.shifted(response)) for half in halves)
         text = (f"the lag of the steering is {first} s in the first half of the drive, but {second} s in the second, "
-                "as if a clock were set or the latency varied")
+                "as if a clock had been set or the latency varied")
         advice = replace(advice, line=f"{advice.line}, or split the recording where the lag changes")
         half, lag = (halves[0], first) if abs(first.value) > abs(second.value) else (halves[1], second)
         finding = _make_finding("steering_lag", ("road_wheel_angle",), text, lag, "s", effect, advice)
@@ -264,8 +264,7 @@ def _make_clock_finding(motion: Motion, derived: np.ndarray, agreement: Agreemen
 
 
 def _make_lag_finding(lag: Estimate, agreement: Agreement, response: float, lateral_shift: float) -> Finding | None:
-    """Finding about a lag beyond the response time [s] of the car; None if it is small. lateral_shift: see
-    `_compute_lateral_shift`."""
+    """Finding about a lag beyond the response time [s] of the car; None if it is small."""
     if not lag.is_significant or not agreement.expected_lag_rejected or abs(lag.value) < LIMITS.steering_lag:
         return None
     # The steering error, integrated over the lag [rad s], acts like a constant error of 2 / HORIZON times the integral.
@@ -369,8 +368,7 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
 def _fit_rear_axle(problem: Regression, vehicle: VehicleParameters, speed_varies: bool) -> dict[str, Estimate]:
     """Estimates of misalignment [rad], lever_arm [m ahead of the rear axle], slip [rad s^2/m] and roll [s^2].
 
-    If the speed does not vary, or if the standard error of the slip is at least 25 %, the slip is that of the vehicle
-    file +/- 50 %.
+    If the speed does not vary, or if the standard error of the slip is 25 % or more, the slip is the file's +/- 50 %.
     """
     expected = rear_slip_coefficient(vehicle)
     if speed_varies:

@@ -42,8 +42,7 @@ class Axles:
     joint_fit: covariance of the values; if None, there are no bands and the intervals have zero width.
     noise_ratio: ratio of residual to noise, by which bands and intervals are widened if it is above 1 [1].
     near_optimal_vectors: vectors of effect sets that fit nearly as well; the bands include their curves.
-    Raises StCoreError if the base model has no tyres, the drives are too short, or the values are too uncertain for a
-    vehicle file.
+    Raises StCoreError for a base model without tyres, and if the drives are too short or the values too uncertain.
     """
 
     def __init__(self, problem: Problem, fit: Fit, joint_fit: JointFit | None, runs: Sequence[DriveLog],

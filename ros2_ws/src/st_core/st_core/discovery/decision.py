@@ -64,8 +64,7 @@ def judge(e: Evidence, limits: Limits) -> Reason:
 
 
 def judge_correction(e: Evidence, limits: Limits) -> Reason:
-    """Verdict on one effect as an effective correction: it must improve predictions in all parts of the drives, but
-    need not be a property of the car."""
+    """Verdict on an effective correction, which must improve predictions in all parts of the drives."""
     return _reject_insignificant(e, limits) or _reject_varying(e, limits) or Reason(
         ACCEPTED, e.name, {"gain": e.gain, "p_value": e.p_value}, f"it reduces the errors by {e.share:.1%}")
 

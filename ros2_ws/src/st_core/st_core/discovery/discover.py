@@ -305,9 +305,8 @@ class _Analysis:
             self, state: SearchState, joint_fit: JointFit | None, noise_ratio: float,
             ) -> tuple[Axles | None, tuple[ForceCurve, ...], tuple[result.Combination, ...]]:
         """(axle forces of the final model, force curves, combinations); (None, (), ()) for a base model without tyres,
-        for driving without slip, and for values so uncertain that they exceed the limits of a vehicle file. With
-        reference drives, combinations are left out: they are compared with the vehicle file, not with the healthy
-        car."""
+        for driving without slip, and for values so uncertain that they exceed the limits of a vehicle file. There are
+        no combinations with reference drives, as they are compared with the vehicle file, not the healthy car."""
         base = self.space.at(self.problem.start)
         try:
             axles = Axles(self.problem, state.fit, joint_fit, self.runs, self.vehicle, noise_ratio,
@@ -485,8 +484,7 @@ def _local_estimates(evidence: Evidence) -> dict[str, tuple[result.LocalEstimate
 
 
 def _noise_ratios(position: result.ChannelError | None, channel_noise: Mapping[str, float]) -> tuple[float, float]:
-    """Ratios of the position error after 5 s to the error due to noise [1], of the base and of the augmented model; 1
-    if position is not a channel."""
+    """Ratios of the position error of base and augmented model to that due to noise [1]; 1 without position."""
     noise = max(channel_noise.get("position_5s", 0.0), 1e-9)
     return (1.0, 1.0) if position is None else (position.base / noise, position.augmented / noise)
 
@@ -529,7 +527,7 @@ def excludes_null(effect: result.FoundEffect) -> bool:
 
 def replace_interval(fitted: result.FittedParameter,
                      sensors: tuple[float, float, float] | None) -> result.FittedParameter:
-    """The fitted value with a symmetric interval just wide enough for that of the redundant sensors. Unchanged if it
+    """The fitted value with a symmetric interval just wide enough to contain the sensors' interval. Unchanged if it
     would include the null value, or if the fitted one excludes that value or does not overlap the sensors' interval."""
     value, (_, low, high) = fitted.value, sensors or (0.0, -np.inf, np.inf)
     half_width = max(high - value, value - low)

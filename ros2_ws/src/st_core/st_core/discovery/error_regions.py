@@ -12,8 +12,7 @@ Significance is corrected for the number of bins (Benjamini and Hochberg, 1995).
 Errors are larger in corners than on straights. Times and places are therefore compared by the residuals of a
 regression of the errors on the conditions; ice, a gust or a defect changes these residuals. The regression is
 
-    log(mean square + noise^2) = a + b . (log speed, log |lateral acceleration|, log steering rate,
-                                          |forward acceleration|)
+    log(mean square + noise^2) = a + b . (log v_x, log |lateral acceleration|, log steering rate, |v_x_dot|)
 """
 
 import itertools
@@ -180,8 +179,7 @@ def compute_window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehic
 
 
 def _find_conditions(windows: Windows) -> dict[str, np.ndarray]:
-    """Positions at the starts of the windows, and mean conditions over the first SHORT_HORIZON (root mean square for
-    the steering rate)."""
+    """Positions at the starts of the windows, and means over the first SHORT_HORIZON (steering rate: RMS)."""
     signals = LogSignals(windows.joined_log, MAX_GAP, 5.0, "zero_phase")
     duration = min(SHORT_HORIZON, float(windows.time[-1]))
     times = windows.starts_ns[:, None] + np.round(
@@ -382,8 +380,7 @@ def find_segments(samples: Samples, channel: str, residual: np.ndarray, block: f
 
 def _find_change_points(values: np.ndarray, first: int, last: int, block: int, rng: np.random.Generator,
                         max_changes: int) -> list[int]:
-    """Indices of at most `max_changes` significant change points in values[first:last]. block: number of values in a
-    block."""
+    """Indices of at most `max_changes` significant change points in values[first:last]. block: its number of values."""
     section, shortest = values[first:last], round(MIN_SEGMENT_DURATION)
     if max_changes < 1 or len(section) < max(2 * shortest, 4 * block):
         return []

@@ -47,8 +47,7 @@ class Sensitivities:
         return self.values[np.searchsorted(self.indices, indices)]
 
     def update(self, vector: np.ndarray, scale: np.ndarray, reduction: np.ndarray) -> "Sensitivities":
-        """The sensitivities at a new vector by Broyden's update (1965). reduction: (n, m) simulated reduction of
-        the residuals by the step to it."""
+        """The sensitivities at a new vector by Broyden's update (1965). reduction: (n, m) simulated, by the step."""
         step = ((vector - self.vector) / scale)[self.indices]
         square = float(step @ step)
         if square == 0.0:
@@ -249,8 +248,7 @@ class Problem:
         """Fit a set of effects by robust Gauss-Newton.
 
         sensitivities: with respect to at least the free parameters, at a nearby vector; updated at each step. vector:
-        initial vector, by default that of the sensitivities. recompute: effects for which the sensitivities are
-        recomputed at each step.
+        initial vector, by default that of the sensitivities. recompute: effects with new sensitivities at each step.
         """
         names = tuple(names)
         indices, stale = self.free_indices(names), self.space.indices(*recompute)

@@ -42,9 +42,7 @@ class HealthyCar:
     prior: np.ndarray  # (p, p) curvature of the prior about the vector
     residual_scale: np.ndarray  # (c,) `Loss.scale_of` the errors of each column at the end of the horizon [SI]
     position_error: float  # mean position error there, in the worst run [m]
-    # Largest reduction of the loss per residual of one run by an effect, with a prior from the other runs; smaller
-    # gains may be false alarms [1].
-    gain_between_runs: float
+    gain_between_runs: float  # largest gain per residual of an effect in one run, with a prior from the other runs [1]
 
 
 def fit_healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, settings: DiscoverySettings,
@@ -54,7 +52,7 @@ def fit_healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space:
     The covariance V of the vector combines S, from the drives, with their design effects, and F, of the weak prior and
     the vehicle file: V^-1 = S^-1 + F^-1. The prior P, times the design effect of a new drive (`Problem`), is the
     predictive distribution for that drive: 2 P = (2 S)^-1 + F^-1. S is doubled because both reference and new drive are
-    uncertain; F is not, because it concerns the car, whatever the drive."""
+    uncertain; F is not, because it is common to all drives of the car."""
     windows = Windows(runs, vehicle, settings)
     if not len(windows):
         raise StCoreError(f"no prediction of {settings.horizon:g} s fits into the reference drives: drive longer, "
@@ -136,7 +134,7 @@ def fit_library(loss: Loss, windows: Windows, prior: np.ndarray, quantities: Qua
     deviations = prior_deviations(quantities, space.scale)  # none for a load: the drives already include it
     for _ in range(MAX_FITS):
         tick()
-        with_priors = Problem(loss, space.null, windows.block, quantities=quantities)  # with sensitivities of its own
+        with_priors = Problem(loss, space.null, windows.block, quantities=quantities)  # has a new cache
         with_priors.update_design_effect(vector)
         full_prior = prior + np.diag(0.5 * with_priors.design_effect / np.square(deviations))
         problem = Problem(loss, space.null, windows.block, full_prior)
@@ -153,8 +151,7 @@ def estimate_clock_corrections(runs: Sequence[DriveLog], vehicle: VehicleParamet
     """Correction of the steering time stamps [s], > 0 if they are early, by run with an uncertain clock; empty for a
     single run, and for a base model without the effect `steering_delay`. deviations [s]: standard deviation of the
     steering clock by run, used as a prior; up to MAX_CLOCK_DEVIATION a clock counts as exact. The corrections are
-    fitted together with all parameters of the library. An error common to all runs is attributed to `steering_delay`,
-    which has a wider prior."""
+    fitted together with all parameters of the library; `steering_delay` absorbs an error common to all runs."""
     prior_deviation = np.array([deviations.get(run.name, 0.0) for run in runs])
     free = np.flatnonzero(prior_deviation > MAX_CLOCK_DEVIATION).tolist()
     if len(runs) < 2 or not free or not len(space.indices(SteeringDelay.name)):

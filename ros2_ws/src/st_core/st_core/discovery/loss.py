@@ -26,7 +26,7 @@ from .windows import Windows
 
 NU = 4.0  # degrees of freedom; residuals beyond two scales have decreasing influence
 DIFFERENCE_STEP = 0.1  # step of the difference quotients, as a fraction of the parameter scale
-CENTRAL_STEP = 0.03  # the same for central quotients
+CENTRAL_STEP = 0.03  # DIFFERENCE_STEP of central quotients
 MAX_SCALED_ERROR = 100.0  # scales; clip limit of the residuals, and value for a diverged prediction
 ERROR_CACHE_SIZE = 64  # number of parameter vectors
 

@@ -65,8 +65,7 @@ def _power(problem: Problem, fit: Fit, index: int, size: float, information: flo
 
 
 def _required_gain(problem: Problem, rows: np.ndarray, change: np.ndarray, limits: Limits) -> float:
-    """Smallest gain per residual for reporting an effect. rows: residuals of the final fit. change: that an effect
-    missing in the model causes."""
+    """Smallest gain per residual for reporting an effect that changes `rows`, the residuals of the final fit."""
     before, after = problem.position_error(rows), problem.position_error(rows + change)
     reduction = float(np.nanmean(after - before)) if np.isfinite(before).any() else 0.0  # by adding the effect [m]
     min_gain = limits.negligible if reduction > limits.relevant_position else limits.relevant

@@ -220,7 +220,7 @@ class UntestableEffect:
 
     name: str
     reason: str
-    manoeuvre: str = ""  # one of the catalogue that excites it, or ""
+    manoeuvre: str = ""  # of the catalogue, that excites it, or ""
 
 
 @dataclass(frozen=True)
@@ -293,8 +293,7 @@ class Discovery:
     model: AugmentedModel | None  # the model with all effects, which predicts best; None if no effect was found
     # The model with named and minor effects only, at the reported values; None if no effect was found.
     named: AugmentedModel | None = None
-    # Corrections that improve predictions without being properties of the car, despite their names; part of the model,
-    # never of a vehicle file.
+    # Effects that improve predictions without being properties of the car; in the model, never in a vehicle file.
     effective: tuple[FoundEffect, ...] = ()
     # As `errors`, before the search for effective corrections.
     named_errors: Mapping[str, ChannelError] = field(default_factory=dict)

@@ -321,8 +321,7 @@ class Search:
         return tuple(cancelling_names)
 
     def _prune(self, vector: np.ndarray, names: list[str]) -> Fit | None:
-        """Backward elimination from a joint fit of many effects with a weak prior; None if no effect remains, or if the
-        remaining set was visited before."""
+        """Backward elimination from a joint fit with a weak prior; None if it leads to an empty or visited set."""
         p = self.problem
         free = np.isin(np.arange(len(p.space)), p.free_indices(names))
         curvature = np.where(free, np.maximum(JOINT_DEVIATION**-2, p.file_curvature), FIXED_CURVATURE)

@@ -24,8 +24,7 @@ class Limits:
     # Relative error reduction required of an effect: over all channels, relative to the errors without it, to be kept;
     # in one channel, relative to the baseline error, to be reported as a cause [1].
     relevant: float = 0.025
-    # Reduction of the mean position error at the end of the horizon, overall or in one driving condition, that suffices
-    # instead of `relevant` [m].
+    # Reduction of the mean position error, overall or in one condition, that suffices instead of `relevant` [m].
     relevant_position: float = 0.02
     # Size of an effect in parameter scales that suffices instead of `relevant` if redundant sensors confirm the effect;
     # also size of the payload tested as the alternative explanation of a lower tyre stiffness [1].

@@ -78,8 +78,7 @@ class Space:
 
 
 def typical_size(effect: str, unit: str) -> float:
-    """Scale of the parameters of an effect with this unit: their largest |initial - null|. Both components of wind, for
-    example, have the same scale."""
+    """Scale of the parameters of an effect with this unit, such as two wind speeds: their largest |initial - null|."""
     return max(abs(p.initial - p.null) for p in get_effect(effect).parameters if p.fit and p.unit == unit)
 
 

@@ -28,7 +28,7 @@ class HorizonErrors:
         self._weights = np.stack([np.bincount(d, minlength=problem.blocks) for d in draws])
 
     def by_channel(self, fit: Fit) -> dict[str, np.ndarray]:
-        """(n,) squared errors by channel, but errors for position_5s; errors are clipped at DIVERGED_ERROR."""
+        """(n,) squared errors by channel, and position errors as position_5s; clipped at DIVERGED_ERROR."""
         p = self.problem
         rows = p.held_out_rows(fit)
         last = rows.reshape(len(rows), len(p.errors.windows.time), -1)[:, -1]

@@ -202,8 +202,7 @@ class Windows:
 
     @cached_property
     def driving(self) -> dict[str, np.ndarray]:
-        """Conditions of each window, (n,) by name: x, y of the start [m], mean speed [m/s], mean magnitude of the
-        lateral acceleration [m/s^2]."""
+        """(n,) x, y at the start [m], mean speed [m/s], mean |lateral acceleration| [m/s^2] of the windows, by name."""
         grid = self.starts_ns[:, None] + np.round(np.linspace(0.0, self._duration, 12) / NANOSECOND).astype(np.int64)
         x, y, rate, speed = self._batch.signals.ins_at(grid, "x", "y", "yaw_rate", "velocity_x")
         with np.errstate(all="ignore"):
@@ -243,7 +242,6 @@ class Windows:
                 yaw_acceleration=(after.yaw_rate - before.yaw_rate) / (2 * STEP)))
 
     def _specific_force_excess(self, model: AugmentedModel, states: np.ndarray) -> np.ndarray | float:
-        """`specific_force_excess` at the scored points [m/s^2]."""
         if not any(e.specific_force for e in model.active_effects):
             return 0.0
         recording = self._batch.recording(model)

@@ -48,16 +48,11 @@ class Parameter:
     meaning: str  # short text, with the sign
     odd: bool = False  # whether it changes sign if left and right are exchanged
     fit: bool = True  # False: a constant of the car, with null as its default
-    # Name of the estimate of `st_core.checks.check` that measures it with the same sign and unit, without a model of
-    # the car; "" if there is none.
-    identity: str = ""
+    identity: str = ""  # name of the estimate of `st_core.checks.check` that measures it, with its sign and unit
     theory: float | None = None  # its physical value, if it is the same for every car
-    # Key of the vehicle file that it is added to, with the same unit and sign, if neither `vehicle` nor `fold` of the
-    # effect does so.
-    quantity: str = ""
+    quantity: str = ""  # key of the vehicle file that it is added to, if no hook `vehicle` or `fold` does so
     shape: bool = False  # whether it selects a curve from a family, so that a value at a bound is valid
-    # Standard deviation between the values fitted to one car with models of different equations, from the development
-    # cars of `bench/strangers`.
+    # Standard deviation of values fitted to one car by models with different equations (cars of `bench/strangers`).
     model_error: float = 0.0
     # Prior standard deviation about null of an addition to the measured car, such as a load, in place of the
     # uncertainties of the vehicle file; inf for other parameters.
@@ -136,7 +131,7 @@ class Effect:
     kind: ClassVar[str]  # one of EFFECT_KINDS
     slot: ClassVar[str]  # one of SLOTS, where it acts
     parameters: ClassVar[tuple[Parameter, ...]]
-    # Effects that are hard to separate from it (it is enough if one of the two names the other), judged by the
+    # Effects that are hard to separate from it (one of the two must name the other), judged by the
     # sensitivities of a single-track car on circle, step, sweep and ramp_to_limit.
     confounded_with: ClassVar[tuple[str, ...]] = ()
     needs: ClassVar[tuple[str, ...]] = ()  # channels required to observe and separate it
@@ -156,8 +151,7 @@ class Effect:
     extra_units: ClassVar[tuple[str, ...]] = ()  # units of its states
     # Whether it evaluates the tyres again; at its null values it is then omitted where computing time matters.
     costly: ClassVar[bool] = False
-    # Whether the search adds it only in forward steps, since in a joint fit of the whole library it absorbs parts of
-    # other effects.
+    # Whether the search adds it only in forward steps: in a fit of the whole library it absorbs parts of other effects.
     forward_only: ClassVar[bool] = False
     order: ClassVar[int] = 50  # rank among the effects with the same hook, lowest first
     Theta: ClassVar[Callable[..., Any]]
@@ -173,11 +167,11 @@ UNLISTED_EFFECTS: dict[str, type[Effect]] = {}  # effects that only `get_effect`
 
 
 def register(effect: type[Effect], registry: dict[str, type[Effect]] = EFFECTS) -> type[Effect]:
-    """Class decorator: checks an effect and adds it to EFFECTS. Raises ConfigurationError naming effect and problem."""
+    """Class decorator: checks an effect and adds it to the registry. Raises ConfigurationError naming the problem."""
     name = effect.__dict__.get("name", effect.__module__.rpartition(".")[2])
     if not issubclass(effect, Effect) or not isinstance(name, str) or not re.fullmatch("[a-z][a-z0-9_]*", name):
         raise ConfigurationError(f"{effect.__qualname__}: must be a subclass of Effect with a name of a-z, 0-9 and _; "
-                                 "without a name, it has that of its file")
+                                 "the default name is that of its file")
     effect.name = name
     if effect.__dict__.get("kind") == "surroundings":
         effect.kind = "environment"  # in files of earlier versions

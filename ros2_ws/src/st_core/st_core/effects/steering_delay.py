@@ -1,6 +1,6 @@
 """Dead time in the steering: delta(t) = delta_measured(t - time).
 
-An error of the time stamps has the same equation: time > 0 if those of the steering are early relative to the INS.
+An error of the time stamps has the same equation: time > 0 if the steering is stamped too early relative to the INS.
 """
 
 from ._base import ANY, TOTAL_DELAY, Effect, Parameter, register

@@ -22,5 +22,4 @@ class SteeringMap(Effect):
 
     @staticmethod
     def inputs(road_wheel_angle, velocity_x_dot, signals, theta):
-        angle = road_wheel_angle
-        return angle * (1.0 + theta.curvature * angle * angle), velocity_x_dot
+        return road_wheel_angle * (1.0 + theta.curvature * road_wheel_angle * road_wheel_angle), velocity_x_dot

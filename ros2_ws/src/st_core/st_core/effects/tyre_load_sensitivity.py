@@ -2,8 +2,7 @@
 
     K(F_z) = K_0 sin(p_ky4 atan(F_z / (factor p_ky2 F_z0))),   K_0 keeps K at the static load of one tyre unchanged
 
-With factor > 1 the stiffness has its maximum at a higher load, so K is more nearly proportional to the load. Source:
-paper, appendix.
+With factor > 1 the maximum of K is at a higher load, so K is more nearly proportional to load. Source: paper, appendix.
 """
 
 from dataclasses import replace
@@ -14,8 +13,7 @@ from ._base import Effect, Parameter, register
 
 
 def _scale_peak_stiffness_load(tyre, static_load, factor):
-    """One tyre with the load of maximum stiffness multiplied by `factor`, within the limits of a vehicle file, and with
-    K at static_load [N] unchanged."""
+    """One tyre with the load of maximum stiffness times `factor`, clipped, and with K at static_load [N] unchanged."""
     changed = tyre._replace(p_ky2=TYRE_QUANTITIES["p_ky2"].clip(tyre.p_ky2 * factor))
     ratio = magic_formula_stiffness(static_load, tyre) / magic_formula_stiffness(static_load, changed)
     return changed._replace(lambda_ky=TYRE_QUANTITIES["lambda_ky"].clip(tyre.lambda_ky * ratio))

@@ -112,8 +112,7 @@ def estimate_slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehiclePa
     """Standard uncertainty of each stiffness [N/rad] as the slope at zero slip, from a second fit to windows below the
     median peak acceleration (`regression.extrapolation_uncertainty`); empty if the drives do not cover two slip ranges.
 
-    The slip range is measured by the mean |v_x r| weighted by its square, with which the secant of a brush tyre
-    decreases about linearly.
+    The slip range is the mean |v_x r| weighted by its square: the secant of a brush tyre falls about linearly with it.
     """
     low_settings = replace(settings, maximum_acceleration=float(np.median(fit.peak_accelerations)),
                            min_windows=settings.min_windows // 2)

@@ -5,8 +5,7 @@ and relaxation length of the tyres are fitted together to the last BUFFER_DURATI
 the quadrature sum of the variation between blocks of driving, converted to a normal distribution with the same 95 %
 interval, and of SYSTEMATIC_ERRORS, due to the single-track model. After sufficient excitation a value has the status
 estimated if its standard deviation is at most MAX_DEVIATIONS, and invalid if it is implausible for the car or at a
-limit of the fit, or if the residual is too large. Valid for |a_y| <= 4 m/s^2 on dry level roads. Checked by:
-test_online.py.
+limit of the fit, or if the residual is large. Valid at |a_y| <= 4 m/s^2 on dry level roads. Checked by: test_online.py.
 """
 
 import math
@@ -218,7 +217,6 @@ class OnlineIdentifier:
                                 for driven, needed, kind in rows if driven < needed) for name, rows in required.items()}
 
     def _describe_implausible_values(self) -> Mapping[str, str]:
-        """Reason why a value is implausible, by parameter."""
         fit, (offset, ratio, scale) = self.fit, self.fit.values
         if fit.residual_ratio > MAX_RESIDUAL_RATIO:
             return dict.fromkeys(NAMES, f"the residual is {100 * fit.residual_ratio:.0f} % of the yaw rate: "

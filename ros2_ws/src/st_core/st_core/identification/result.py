@@ -182,8 +182,7 @@ def get_stated_uncertainty(vehicle: VehicleParameters, key: str) -> float:
 
 
 def compare_with_file(vehicle: VehicleParameters, estimate: ParameterEstimate) -> str:
-    """A sentence if the estimate differs significantly (5 %) from a value of the vehicle file that has an uncertainty,
-    else ""."""
+    """A sentence if the estimate differs significantly (5 %) from a value with uncertainty in the file, else ""."""
     provenance = vehicle.provenance.get(estimate.parameter)
     if provenance is None or not provenance.uncertainty or estimate.status == "unidentifiable":
         return ""

@@ -43,7 +43,7 @@ class FittedShape:
     parameters: np.ndarray  # fitted to all blocks
     parameters_by_fold: Mapping[int, np.ndarray]  # fitted without each fold
     explained_fraction: float  # of the gain of the curve [1]
-    held_out: np.ndarray  # (b,) held-out loss minus the held-out loss of the curve
+    held_out: np.ndarray  # (b,) held-out loss minus the loss of the curve fitted to all blocks
 
 
 SHAPES: dict[str, tuple[str, int, ShapeFunction]] = {

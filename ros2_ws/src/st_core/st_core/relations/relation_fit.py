@@ -57,8 +57,7 @@ class RelationFit:
 
 
 def profile_coefficients(h: np.ndarray) -> np.ndarray:
-    """(a, SPLINES) change of all parameters per change of each coefficient, with the others optimised. h: (a, a)
-    curvature, the coefficients last."""
+    """(a, SPLINES) change of all parameters, optimised for each coefficient. h: (a, a) curvature, coefficients last."""
     others = -np.linalg.solve(add_ridge(h[:-SPLINES, :-SPLINES]), h[:-SPLINES, -SPLINES:])
     return np.concatenate([others, np.eye(SPLINES)])
 

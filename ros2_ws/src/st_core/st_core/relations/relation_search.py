@@ -31,9 +31,7 @@ FitByCandidate = dict[ScreenedCandidate, RelationFit]
 class Relation:
     """An empirical relation that reduces the held-out loss."""
 
-    # The model term that it modifies (steering, axle force or grip, yaw moment, side force, a sensor), and the quantity
-    # it depends on.
-    candidate: Candidate
+    candidate: Candidate  # the term of the model that it modifies, and the quantity it depends on
     coefficients: np.ndarray  # (8,) of the splines
     points: np.ndarray  # (k,) values of the quantity
     value: np.ndarray  # (k,) the curve at these points [`Candidate.unit`]
@@ -94,8 +92,8 @@ def find_relation(discovery: Discovery, runs: Sequence[DriveLog], vehicle: Vehic
     reproduce are projected out of its evidence. A relation is reported if its p-value, corrected for the number of
     candidates, is below `limits.false_alarm`; if its held-out gain is significant and reaches `limits.relevant` of the
     residual or `limits.relevant_position`; if the predicted path improves at level `limits.false_alarm` (not required
-    of a sensor relation); and if neither the mean error grows nor that of a run, significantly and by
-    `limits.relevant_position`. tick: called after each candidate.
+    of a sensor relation); and if neither the mean error grows, nor the error of one run, significantly and by
+    `limits.relevant_position`. tick: called for each candidate.
     reported: (finding, channel) of `st check`; relations that may imitate a reported sensor fault are rejected.
     Raises StCoreError for a duplicate name, and if no run has both INS and steering.
     """

@@ -26,7 +26,7 @@ class ScreenedCandidate:
 
     candidate: Candidate
     statistic: float  # score statistic, divided by its mean over random signs of the blocks
-    null_statistics: np.ndarray  # (DRAWS,) the same for each draw of the signs
+    null_statistics: np.ndarray  # (DRAWS,) this statistic for each draw of the signs
     degrees_of_freedom: float  # effective number for the curve
     design_effect: float  # factor by which dependent windows increase the variance of the residual scores, at least 1
     gain: float  # reduction of the held-out loss
