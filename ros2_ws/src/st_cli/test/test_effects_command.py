@@ -1,12 +1,15 @@
 """The command st effects, and a proposed effect file in the commands that accept a model file."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 from command_line import st
 from drives import weave, write_drive
 from effect_registry import restored
+from st_cli.verbs._options import report_errors
 from st_core.augmented import augment
 from st_core.effects import EFFECTS, find_source_file, load_folder
 from st_core.model_file import ModelFile
@@ -111,3 +114,9 @@ def test_model_file_reads_back_as_written(proposal):
     load_folder(str(proposal / "effects"))
     model = ModelFile.from_yaml((proposal / "proposed.yaml").read_text()).model()
     assert model.values["proposed_rear_steer"]["share"] == 1.0 and model.values["mass"] == {"factor": 1.1}
+
+
+def test_error_of_the_operating_system_names_the_file(capsys):
+    with pytest.raises(typer.Exit), report_errors("effects", OSError):
+        Path("/nowhere/a.py").read_text()
+    assert capsys.readouterr().err == "st effects: /nowhere/a.py: No such file or directory\n"

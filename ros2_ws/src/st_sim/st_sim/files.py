@@ -25,7 +25,8 @@ _HISTORY = "<FHcomment><TX>created</TX><tool_id>virtual_leaf</tool_id><tool_vend
 _UNITS = {
     "x": "m", "y": "m", "z": "m", "yaw": "rad", "velocity_x": "m/s", "velocity_y": "m/s", "velocity_z": "m/s",
     "yaw_rate": "rad/s", "acceleration_x": "m/s^2", "acceleration_y": "m/s^2", "yaw_acceleration": "rad/s^2",
-    "roll": "rad", "pitch": "rad", "steering_wheel_angle": "rad", "road_wheel_angle": "rad", "gear": "code",
+    "roll": "rad, positive right side down", "pitch": "rad, positive nose up",
+    "steering_wheel_angle": "rad", "road_wheel_angle": "rad", "gear": "1 P, 2 R, 3 N, 4 D",
     "wheel_speed": "m/s: FL, FR, RL, RR", "lateral_force_front": "N", "lateral_force_rear": "N",
     "longitudinal_force_front": "N", "longitudinal_force_rear": "N", "load_front": "N", "load_rear": "N",
     "slip_angle_front": "rad, mean of both wheels, positive if they slide to the left",

@@ -67,7 +67,8 @@ def report_errors(verb: str, *additional: type[Exception]) -> Iterator[None]:
         yield
     except expected as error:
         remove_empty_folders()
-        typer.echo(f"st {verb}: {error}", err=True)
+        text = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.filename else str(error)
+        typer.echo(f"st {verb}: {text}", err=True)
         raise typer.Exit(2) from None
 
 

@@ -132,7 +132,7 @@ class IdentifierNode(Node):
         if self._problem:
             checks.append(Check("vehicle file", diagnostics.WARN, f"{self._problem}; the previous values are kept"))
         else:
-            text = "changed, and the estimates were reset" if self._resets else "unchanged since the start"
+            text = "values changed, estimates reset" if self._resets else "values unchanged since the start"
             checks.append(Check("vehicle file", diagnostics.OK, text, {"resets": self._resets}))
         return checks
 
