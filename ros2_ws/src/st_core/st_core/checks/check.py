@@ -257,8 +257,7 @@ def _add_yaw_alternative(finding: Finding, motion: Motion) -> Finding:
 
 
 def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """Result of `correct_units`, with the lag between yaw and yaw rate removed, since it would change their ratio, and
-    restored afterwards, since it is checked later."""
+    """Result of `correct_units`, without the lag between yaw and yaw rate, which would change their ratio."""
     lag = inertial.estimate_yaw_rate_lag(motion)
     if not lag:
         return correct_units(motion)

@@ -110,8 +110,7 @@ def find_implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
     """(mask (n,) of the samples of one channel to leave out, the findings).
 
     name: key of CHANNEL_LIMITS. time: (n,) ascending [s], with the zero of the times in the findings. values: (n,), NaN
-    where unknown; yaw unwrapped. moving: (n,) whether the car moves. If most finite samples are implausible, none is
-    left out.
+    where unknown; yaw unwrapped. moving: (n,) whether the car moves. None is left out if most would be.
     """
     left_out = np.zeros(len(values), bool)
     rows = np.flatnonzero(np.isfinite(values))

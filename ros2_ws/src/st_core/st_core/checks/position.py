@@ -411,8 +411,7 @@ def add_sign_alternative(findings: list[Finding], recorded: Motion, corrected: M
 
 def _refine_causes(problem: Regression, causes: dict[str, Estimate], min_values: dict[str, float],
                    rare_explanations: Mapping[tuple[str, ...], set[str]]) -> dict[str, Estimate]:
-    """Refined values of the causes found so far, and further causes. min_values: smallest reported value by cause.
-    rare_explanations: part of RARE_EXPLANATIONS."""
+    """Refined values of the causes found so far, and further causes. min_values: smallest reported value by cause."""
     excluded = {*causes, *(other for name in causes for other in CONFOUNDED.get(name, ()))}
     candidates = [name for name in min_values if name not in excluded]
     further = _find_causes(problem, [name for name in candidates if name not in RARE_CAUSES], min_values, tuple(causes))

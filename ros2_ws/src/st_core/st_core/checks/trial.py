@@ -31,8 +31,7 @@ from ..vehicle import VehicleParameters
 from .finding import HORIZON, LIMITS, Advice, Finding, Severity
 from .motion import find_time_intervals
 
-# A correction is rejected if the error exceeds 1.1 e_before + 0.02 m. Position noise and valid corrections on seventeen
-# real drives (at most 7 % worse) stay below this.
+# A correction is rejected if the error exceeds 1.1 e_before + 0.02 m; valid ones raised it by up to 7 % on real drives.
 MAX_ERROR_RATIO, ERROR_NOISE = 1.1, 0.02
 GAIN_STEP, OFFSET_STEP = 0.03, 0.003  # 1, rad; steps of the difference quotients
 MAX_GAIN, MAX_OFFSET = LIMITS.steering_unit_ratio - 1.0, 0.1  # 1, rad at the road wheels; larger than plausible errors

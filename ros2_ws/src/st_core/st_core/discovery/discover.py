@@ -192,8 +192,7 @@ class _Analysis:
     def _decide_outcome(self, state: SearchState, judged: _JudgedEffects, untestable: Sequence[result.UntestableEffect],
                         noise_ratios: tuple[float, float], n_varying: int,
                         ) -> tuple[result.Outcome, tuple[result.Reason, ...]]:
-        """Outcome, and the reasons for it and for the verdict on each effect that was tried. noise_ratios: ratio of
-        position error to noise, without and with the effects [1]."""
+        """Outcome, and the reasons for it and for the verdict on each effect. noise_ratios: see `_noise_ratios`."""
         hypotheses = self.space.hypotheses
         detectable = 1.0 - sum(n.name in hypotheses for n in untestable) / len(hypotheses)
         combinations = result.unseparated_combinations(judged.combinations, judged.named)
@@ -339,8 +338,7 @@ class _Analysis:
             summands=tuple(n for n in delays if n != e.name) if e.name in delays else ()) for e in effects}
 
     def _list_corrections(self, problem: Problem, fit: Fit, state: SearchState) -> tuple[result.FoundEffect, ...]:
-        """Effective corrections: the effects of `fit` that are not in `state.fit`. Their `position_5s_increase` is not
-        held out, and the other effects are unchanged."""
+        """Effects of `fit` that are not in `state.fit`. Their `position_5s_increase` is in-sample, without a refit."""
         def mean_position_error(vector: np.ndarray) -> float:
             return float(np.nanmean(problem.position_error(problem.errors.at(vector))))
 

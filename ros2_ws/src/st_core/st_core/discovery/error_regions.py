@@ -340,8 +340,7 @@ def _compute_bin_means(squares: np.ndarray, block: np.ndarray, bins: Sequence[Bi
 
 
 def compute_log_residuals(samples: Samples, channel: str, noise: float) -> np.ndarray:
-    """(n,) residuals of the regression of the log squared errors on the conditions; NaN where unknown, and throughout
-    with too few predictions. noise [SI]."""
+    """(n,) residuals of a regression of log squared errors on the conditions; NaN where undetermined. noise [SI]."""
     squares, c = samples.squares[channel], samples.conditions  # the constants limit the logarithms of values near 0
     rows = np.stack([np.ones(len(squares)), np.log(np.maximum(c["speed"], 0.5)),
                      np.log(np.abs(c["lateral_acceleration"]) + 0.2), np.log(c["steering_rate"] + 0.005),
@@ -405,8 +404,7 @@ def _cusum(rows: np.ndarray) -> np.ndarray:
 
 
 def find_cells(samples: Samples, channel: str, residual: np.ndarray) -> list[Cell]:
-    """Cells visited in at least MIN_BLOCKS blocks, tested for larger errors than expected from the conditions.
-    residual: `compute_log_residuals` of the channel."""
+    """Cells visited in at least MIN_BLOCKS blocks. residual: `compute_log_residuals` of the channel."""
     finite = np.isfinite(residual)
     grid = np.stack([np.floor(samples.x[finite] / CELL_SIZE), np.floor(samples.y[finite] / CELL_SIZE)], axis=1)
     unique, index = np.unique(grid, axis=0, return_inverse=True)

@@ -207,8 +207,7 @@ def column_reductions(problem: Problem, reduced: np.ndarray, full: np.ndarray) -
 
 
 def efficient_score_at_fit(problem: Problem, fit: Fit, effect: str, sensitivities: Sensitivities) -> np.ndarray:
-    """(b, k) efficient scores of an effect that is not in the fit. sensitivities: with respect to the parameters of the
-    fit and of the effect, at a nearby vector."""
+    """(b, k) efficient scores of an effect that is not in the fit. sensitivities: to both, at a nearby vector."""
     indices = np.union1d(fit.indices, problem.space.indices(effect))
     rows = problem.errors.at(fit.vector)
     q = problem.loss.quadratic(rows, sensitivities.select(indices)).sum_groups(problem.block, problem.blocks)

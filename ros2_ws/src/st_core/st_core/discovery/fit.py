@@ -128,8 +128,7 @@ class Problem:
         return self.loss.scale_of(self.start)
 
     def column_rms(self, rows: np.ndarray) -> np.ndarray:
-        """(c,) RMS of the residuals of each column at all points of the horizon [SI]; residuals are clipped at
-        RMS_CLIP_LIMIT scales of the baseline residuals."""
+        """(c,) RMS of the residuals of each column at all points of the horizon, clipped (RMS_CLIP_LIMIT) [SI]."""
         limit = RMS_CLIP_LIMIT * self._baseline_scale
         square = np.square(np.clip(np.nan_to_num(rows, nan=np.inf), -limit, limit))
         mean = np.where(self.loss.known, square, 0.0).sum(axis=0) / np.maximum(self.loss.known.sum(axis=0), 1)
@@ -352,8 +351,7 @@ class Problem:
         return np.minimum(held_out, simulated_loss)
 
     def held_out_gain(self, without: Fit, fit: Fit) -> float:
-        """Reduction of the held-out loss per residual by the additional effects of `fit`, with each of the
-        `held_out_groups` held out as a whole."""
+        """Reduction of the held-out loss per residual by the additional effects of `fit`, by `held_out_groups`."""
         before, after = (self.held_out_loss(f, self.held_out_groups) for f in (without, fit))
         return float((before - after).sum()) / self.residual_count
 

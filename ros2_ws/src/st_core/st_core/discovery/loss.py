@@ -76,8 +76,7 @@ class Errors:
         self._cache: dict[bytes, np.ndarray] = {}
 
     def at(self, vector: np.ndarray) -> np.ndarray:
-        """(n, m) measured minus predicted, all points and columns of a window in one row; NaN where unknown, and for a
-        car outside the limits of a vehicle file."""
+        """(n, m) measured minus predicted, a row per window [SI]; NaN where unknown, or if `model_at` is None."""
         key = vector.tobytes()
         if key not in self._cache:
             model = self.model_at(vector)

@@ -61,8 +61,7 @@ def divide_by_place(x: np.ndarray, y: np.ndarray) -> Partition:
 
 
 def divide_by_condition(speed: np.ndarray, lateral_acceleration: np.ndarray) -> Partition:
-    """Four kinds of driving as parts: slower or faster than the median speed, each with a lateral acceleration
-    below or above the median of its half."""
+    """Four parts: speed below or above its median, each with lateral acceleration below or above its median there."""
     fast = speed > np.median(speed)
     hard = np.zeros(len(speed), bool)
     for half in (fast, ~fast):

@@ -74,8 +74,7 @@ def _required_gain(problem: Problem, rows: np.ndarray, change: np.ndarray, limit
 
 
 def measure_power(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callable[[], None]) -> PowerAnalysis:
-    """Power and false alarms of a forward step on simulated drives: DRIVES for each size of each effect,
-    and FALSE_ALARM_DRIVES without an effect."""
+    """Power and false alarms of a forward step on simulated drives."""
     rng = np.random.default_rng(seed)
     rows = np.nan_to_num(problem.errors.at(fit.vector))
     sensitivities = problem.all_sensitivities(fit.vector).values

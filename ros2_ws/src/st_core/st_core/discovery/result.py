@@ -186,9 +186,7 @@ class PowerAnalysis:
     powers: tuple[Power, ...]  # for three sizes of each effect
     alarms: int  # number of drives simulated without an effect in which one was reported
     simulated_drives: int  # number of drives simulated without an effect; 0 if not measured
-    # Whether the power is estimated by a step of the search on simulated drives (--simulate-power); otherwise it is
-    # predicted from the curvature of the loss.
-    measured: bool
+    measured: bool  # on simulated drives (--simulate-power); False: predicted from the curvature of the loss
 
 
 @dataclass(frozen=True)
@@ -275,9 +273,7 @@ class Discovery:
     minor: tuple[FoundEffect, ...]
     varying: tuple[VaryingEffect, ...]  # significant effects that vary between parts of the drives
     steps: tuple[Step, ...]  # from the base to all effects found
-    # Errors of the base and the best model, by channel and for position_5s, the position error at the end of the
-    # horizon, which is 5 s by default.
-    errors: Mapping[str, ChannelError]
+    errors: Mapping[str, ChannelError]  # of the base and the best model, by channel and for `channels.POSITION_5S`
     budget: tuple[BudgetLine, ...]
     reasons: tuple[Reason, ...]  # all decisions
     candidates: tuple[CandidateEffect, ...]

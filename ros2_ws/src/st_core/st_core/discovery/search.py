@@ -53,8 +53,7 @@ class SearchState:
 class Search:
     """A search from several starts, for the set of effects that predicts held-out driving best.
 
-    partitions: of the drives. sensors: `evidence.Sensors`. seed: of the random signs of blocks. tick: called at every
-    refit. judge: decides whether an effect is accepted.
+    partitions: of the drives. sensors: `evidence.Sensors`. seed: of the random signs. tick: called at every refit.
     """
 
     def __init__(self, problem: Problem, limits: Limits, partitions: Mapping[str, Partition], sensors: Mapping,
@@ -301,8 +300,7 @@ class Search:
         return fit
 
     def predict_rise(self, fit: Fit, *names: str, fixed: tuple[str, ...] = ()) -> float:
-        """Increase of the loss if the effects `names` are removed from a fit, from the quadratic approximation. fixed:
-        effects that keep their values; the others are refitted."""
+        """Predicted increase of the loss if the effects `names` are removed and all but `fixed` are refitted."""
         p = self.problem
         remaining_names = tuple(n for n in fit.names if n not in names)
         is_removed = np.isin(fit.indices, np.setdiff1d(p.space.indices(*names), p.space.indices(*remaining_names)))

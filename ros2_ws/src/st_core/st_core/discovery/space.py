@@ -129,8 +129,7 @@ def find_file_quantities(space: Space, vehicle: VehicleParameters) -> Quantities
 
 
 def prior_deviations(quantities: Quantities, scale: np.ndarray) -> np.ndarray:
-    """(p,) prior standard deviation of each parameter about its null value in units of `scale`; inf without a quantity,
-    and for a quantity that the base model does not contain."""
+    """(p,) prior standard deviation of each parameter [`scale`]; inf without a quantity in the base model."""
     return np.array([np.inf if q is None or q.without_effect != q.value else q.deviation / abs(q.slope) / s
                      for q, s in zip(quantities, scale, strict=True)])
 

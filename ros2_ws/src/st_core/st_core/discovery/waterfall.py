@@ -59,8 +59,7 @@ class HorizonErrors:
         return Change(float(means[0]), float(means[1]), (float(low), float(high)), UNITS[channel])
 
     def error_by_run(self, channel: str, values: np.ndarray) -> dict[str, float]:
-        """Mean error for position_5s, root mean square error for a channel, by run. values: entry of `by_channel`. Runs
-        without a finite value are left out."""
+        """Mean error for position_5s, RMS error for a channel, by run with values. values: entry of `by_channel`."""
         means = {name: float(np.nanmean(values[self.run == k])) for k, name in enumerate(self.names)
                  if np.isfinite(values[self.run == k]).any()}
         return means if channel == "position_5s" else {name: math.sqrt(mean) for name, mean in means.items()}

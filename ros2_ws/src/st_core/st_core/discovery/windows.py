@@ -217,8 +217,7 @@ class Windows:
                 for column, value in zip(c.columns, c.noise_deviations(self.joined_log, step, *signals), strict=True)}
 
     def errors(self, model: AugmentedModel, gain: float = 0.0) -> np.ndarray:
-        """(n, k, c) errors of a model, measured minus predicted [SI], by `time` and `columns`; NaN where unknown. gain
-        [1]: see `Discovery.acceleration_gain`."""
+        """(n, k, c) measured minus predicted [SI]; NaN where unknown. gain [1]: `Discovery.acceleration_gain`."""
         readings = self._predicted_readings(model, gain)
         with np.errstate(all="ignore"):  # predictions may diverge
             parts = [part for channel in self.channels for part in channel.residuals(self._measured, readings)]

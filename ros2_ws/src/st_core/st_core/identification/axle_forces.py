@@ -342,8 +342,7 @@ def make_axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, m
 
     measured_slip: (n,) slip angles of the axle [rad], either sign. draws: models from `draw_models`; the band is their
     central 90 % at each slip, extended to include the curve and those of `alternatives`, other models consistent with
-    the drives. original: model at the start of the search, for `ForceCurve.file`. Raises StCoreError for fewer than two
-    measured slip angles, or only zeros.
+    the drives. original: model before the search. Raises StCoreError for fewer than two slip angles or only zeros.
     """
     abs_slip = np.abs(np.asarray(measured_slip, float))
     abs_slip = abs_slip[np.isfinite(abs_slip)]

@@ -202,9 +202,8 @@ def _make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivi
                          known_uncertainty: Mapping[str, float] = MappingProxyType({})) -> Identification:
     """Result of an experiment from a fit.
 
-    reported: parameters that become estimates. systematic_uncertainty: by parameter, estimated from the same drives;
-    known_uncertainty: by parameter, not estimated from drives but, for example, from a sampling interval. Both are
-    added in quadrature to that from the variation between drives.
+    reported: parameters that become estimates. systematic_uncertainty, known_uncertainty: by parameter, estimated from
+    the same drives or known otherwise; both are added in quadrature to that from the variation between drives.
     """
     spread = fit.spread
     relative_error = SINGLE_TRACK_ERROR * vehicle.wheelbase**2 * fit.mean_squared_curvature

@@ -58,8 +58,7 @@ class NextDrives:
 
 
 def find_sparse_ranges(points: np.ndarray, density: np.ndarray, parity: float) -> list[Range]:
-    """Sparsely driven ranges, from the mean density of a point and its two neighbours. points, density: (k,), as in
-    `Relation`. For an odd curve, positive values only."""
+    """Sparsely driven ranges, >= 0 for an odd curve, from mean densities of three points. points, density: (k,)."""
     if parity == ODD:
         density = 0.5 * (density + density[::-1])
     smoothed = np.convolve(np.pad(density, 1, mode="edge"), np.ones(3) / 3.0, mode="valid")
