@@ -40,15 +40,15 @@ def read_run_file(path: Path) -> list[RunSource]:
 
 
 def find_described_run(file: Path) -> RunSource | None:
-    """Finds a recording's run in its run.yaml, or in one with `each` in its folder; None if absent. The error
-    of an invalid run.yaml is the `problem` of the result."""
+    """The run of a recording in its own run.yaml, unless that lists further parts, or in one with `each` in its folder;
+    None if there is none. The error of an invalid run.yaml is the `problem` of the result."""
     own_run = _read_own_run_file(file.parent, file)
     if own_run and own_run.problem:
         return RunSource(file.name, "", (file,), problem=own_run.problem)
     if own_run and own_run.files == (file,):
         return own_run
     for path in sorted(file.parent.glob(f"*{RUN_FILE}")):
-        if is_run_file(path) and path.is_file() and re.search(r"^each\s*:", _read_leniently(path), re.MULTILINE):
+        if is_run_file(path) and path.is_file() and re.search(r"(?m)^each\s*:", path.read_text("utf-8", "replace")):
             try:
                 runs = read_run_file(path)
             except RunError as error:
@@ -61,14 +61,10 @@ def find_described_run(file: Path) -> RunSource | None:
     return None
 
 
-def _read_leniently(path: Path) -> str:
-    return path.read_text("utf-8", "replace")
-
-
 def _may_describe(path: Path, file: Path) -> bool:
     """Whether an invalid run.yaml may be about a recording, judging by its own name and by names or patterns in its
     text (single words or ends of lines); True if the text is not UTF-8."""
-    text = _read_leniently(path)
+    text = path.read_text("utf-8", "replace")
     values = re.findall(r"[^\s'\",\[\]]+", text) + re.findall(r"[:-] +(\S.*)", text)
     return path.name == file.stem + RUN_SUFFIX or file.name in text or "\N{REPLACEMENT CHARACTER}" in text or any(
         fnmatch(file.name, Path(value.strip("'\" \r")).name) for value in values)
