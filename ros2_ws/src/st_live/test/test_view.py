@@ -23,7 +23,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from st_core.palette import LABEL_TIMES, MODEL_COLOUR, label_index, rgb
 from st_core.vehicle import VehicleParameters
 from st_live.nodes.monitor import Monitor, Status, SuiteState
-from st_live.nodes.passenger import PassengerFrames
+from st_live.nodes.passenger import PassengerFrames, main
 from st_live.page import PAGE, RERUN_POLICY, LiveView, PageServer, check_new_rerun_file
 from st_live.recorded_view import draw_recording, format_errors, make_grid_lines, to_screen
 from st_live.suite import SuiteError, claim_domain
@@ -203,6 +203,13 @@ def passenger() -> PassengerFrames:
     frames.take("vehicle/steering", Steering(road_wheel_angle=0.1, valid=True), 53.0)
     frames.take("ins/status", InsStatus(position_mode_text="RTK integer"), 52.5)
     return frames
+
+
+def test_vehicle_file_in_another_encoding_is_reported(tmp_path: Path, monkeypatch, capsys) -> None:
+    file = tmp_path / "vehicle.yaml"
+    file.write_bytes("name: Citroën".encode("cp1252"))
+    monkeypatch.setattr("sys.argv", ["passenger", "--vehicle", str(file)])
+    assert main() == 2 and capsys.readouterr().err.startswith(f"{file}: cannot be read: 'utf-8' codec can't decode")
 
 
 def test_frame_is_in_the_axes_of_the_car(passenger: PassengerFrames) -> None:

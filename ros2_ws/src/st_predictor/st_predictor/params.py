@@ -118,7 +118,7 @@ def read_file(values: SimpleNamespace, parameter: str, parse: Callable[[str, str
     except OSError as error:
         raise ConfigurationError(f"{values.message_prefix}{prefix}{name}: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise ConfigurationError(f"{values.message_prefix}{prefix}{name} is not a text file") from None
+        raise ConfigurationError(f"{values.message_prefix}{prefix}{name} is not text in UTF-8") from None
     return translate_errors(values, lambda: parse(text, name), prefix)
 
 

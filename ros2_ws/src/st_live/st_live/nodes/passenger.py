@@ -18,6 +18,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from st_core.errors import ConfigurationError
 from st_core.palette import MODEL_COLOUR
 from st_core.types import InsSample, cg_to_ins_position, map_to_body
 from st_core.vehicle import VehicleParameters
@@ -200,12 +201,13 @@ def main() -> int:
     parser.add_argument("--address", default="127.0.0.1", help="local address to listen on")
     parser.add_argument("--port", type=int, default=0, help="0: a free port")
     options = parser.parse_args()
-    car = read_vehicle(options.vehicle)
-    settings = {"title": options.title, "car": {"length": car.length, "width": car.width}, "models": MODEL_COLOUR}
     try:
+        car = read_vehicle(options.vehicle)
+        settings = {"title": options.title, "car": {"length": car.length, "width": car.width}, "models": MODEL_COLOUR}
         server = PageServer(options.address, options.port, settings)
-    except OSError as error:
-        print(f"{options.address}:{options.port}: {error.strerror or error}", file=sys.stderr)
+    except (ConfigurationError, OSError) as error:
+        where = f"{options.address}:{options.port}: " if isinstance(error, OSError) else ""
+        print(f"{where}{getattr(error, 'strerror', None) or error}", file=sys.stderr)
         return 2
     threading.Thread(target=server.serve_forever, name="page", daemon=True).start()
     print(f"serving on {options.address}:{server.port}", flush=True)
