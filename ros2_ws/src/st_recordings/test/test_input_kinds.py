@@ -266,6 +266,15 @@ TABLES = [
     Table("groups_with_times.csv", with_times_of_two_groups,
           "column Time occurs 2 times; each is the time of the columns after it"),
     Table("navgraph.csv", navgraph),
+    Table("times_in_ns.csv", lambda log: with_times(log, lambda s: f"{s * 1e9:.0f}"), r"apart, were read in ns; if"),
+    Table("times_in_us.csv", lambda log: with_times(log, lambda s: f"{s * 1e6:.0f}"), r"apart, were read in us; if"),
+    Table("compass_heading_as_yaw.csv", lambda log: with_course_velocities(log, header(vx="north_speed", vy="ve")),
+          "yaw agrees with the velocities to the east and north only as compass_heading in deg; it was read as such"),
+    Table("units_after_commas.txt", lambda log: csv(rows(log), "\t".join(
+        f"{name}, {unit}" for name, unit in zip(NAMES, ("s", "m", "m", "rad", "m/s", "m/s", "rad/s", "rad"),
+                                                strict=True)), "\t")),
+    Table("iso_signals.csv", lambda log: csv(rows(log), "t,x,y,IsoYawAngle,IsoVsLongitudinalVelocity,"
+                                             f"IsoVsLateralVelocity,IsoVsYawVelocity,{NAMES[7]}")),
     Table("end_of_week.csv", lambda log: with_times(log, lambda s: f"{(604790 + s) % 604800:.6f}")),
     Table("end_of_hour.csv", lambda log: with_times(log, lambda s: f"{(3590 + s) % 3600:.6f}")),
     Table("end_of_32_bits.csv", lambda log: with_times(log, lambda s: f"{(4294957296 + s * 1e6) % 2**32:.0f}").replace(
@@ -358,8 +367,6 @@ def test_parts_of_a_table_are_one_run(tmp_path: Path, drive_log: DriveLog, kind:
 
 
 @pytest.mark.parametrize(("text", "error"), [
-    (lambda log: with_course_velocities(log, header(vx="vn", vy="ve")),
-     "yaw agrees with the velocities to the east and north only as compass_heading in deg; declare it"),
     (lambda log: csv(rows(log), header(vx="u", vy="v", yaw_rate="r")), "columns u and v may each be velocity_x"),
     (lambda log: csv(rows(log)).replace(".", ","), "its rows have 16 cells, but its header has 8"),
     (lambda log: csv(rows(log), "Zt;Ost;Nord;Kurs;Vor;Quer;Rate;Lenk", ";").replace(".", ","),
@@ -380,7 +387,9 @@ def test_parts_of_a_table_are_one_run(tmp_path: Path, drive_log: DriveLog, kind:
     (lambda log: csv(rows(log), csv(rows(log)[:1]).splitlines()[1]),
      "its first line contains numbers instead of the names"),
     (lambda log: csv(rows(log), header(yaw="yaw [?]")), r"column yaw \[\?\] is not used: '\?'"),
-    (lambda log: with_times(log, lambda s: f"{s * 1e9:.0f}"), r"cannot be in s; .*units: \{t: ns\}"),
+    (lambda log: with_times(log, lambda s: f"{s * 1e9:.0f}").replace("t,", "t [s],", 1),
+     r"cannot be in s; .*units: \{t: ns\}"),
+    (lambda log: "$GPRMC,101112.00,A,5200.0,N\n" * 99, "it contains NMEA sentences instead of a table; export time"),
     (lambda log: csv(rows(log), ",".join(NAMES).replace(",x,", ",a/pos_x,b/pos_x,")[:-21]),
      "columns a/pos_x and b/pos_x may each be x; name the right one"),
     (lambda log: csv(rows(log), header(x="a/latitude", y="b/latitude")),
@@ -579,7 +588,8 @@ def test_course_of_a_stationary_car_is_not_used(tmp_path: Path, drive_log: Drive
 def test_milliseconds_of_the_day_in_a_vbo_cause_a_warning(tmp_path: Path, drive_log: DriveLog) -> None:
     text = map_vbo_rows(vbo(drive_log, late_last_row=False),
                         lambda k, row: [row[0], str(43200000 + 10 * k), *row[2:]])
-    assert any("units: {t: ms}" in warning for warning in read_text(tmp_path / "drive.vbo", text).warnings)
+    run = read_text(tmp_path / "drive.vbo", text)
+    assert any("were read in ms" in warning for warning in run.warnings) and np.ptp(run.log.ins_time_ns) < 60e9
 
 
 def test_compressed_can_log_is_rejected(tmp_path: Path, drive_folder: Path) -> None:

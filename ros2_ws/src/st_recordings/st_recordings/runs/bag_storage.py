@@ -281,7 +281,8 @@ class McapStorage(Storage):
         if encodings and "cdr" not in encodings:
             raise RunError(self._files[0][0], f"its messages are encoded as {', '.join(sorted(map(str, encodings)))}, "
                            "but only CDR, the encoding of ROS 2, can be read",
-                           "convert it to a ROS 2 bag (from ROS 1 with rosbags-convert)")
+                           "convert it with rosbags-convert" if "ros1" in encodings else
+                           "export its topics as .csv, for example with PlotJuggler")
         super().__init__(path)
 
     def definitions(self) -> dict[str, tuple[str, str]]:

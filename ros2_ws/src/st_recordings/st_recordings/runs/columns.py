@@ -91,7 +91,7 @@ COLUMNS: Mapping[str, Channel] = {
     "t": Channel("time", "time", _split(
         "t time t_rt timestamp timestamps stamp time_boot sim_time log_time relative_time elapsed elapsed_time seconds "
         "unix_time utc_time gps_time time_utc time_gps gps_tow tow gps_seconds time_of_week itow datetime epoch "
-        "epoch_time time_from_start zeit uhrzeit zeitstempel datum_zeit x_value")),
+        "epoch_time time_from_start gps_ins_time zeit uhrzeit zeitstempel datum_zeit x_value")),
     **{axis: Channel("length", f"position of the INS point, {direction} or along the map's {axis}", _split(
         f"{axis} pos_{axis} position_{axis} {axis}_pos {axis}_position p{axis} {direction} {direction}ing "
         f"{direction[0]}_pos {axis}_{direction} {axis}_enu {axis}_map local_{axis} utm_{axis} utm_{direction[0]} "
@@ -125,9 +125,10 @@ COLUMNS: Mapping[str, Channel] = {
         "lat_vel lat_velocity velocity_left vel_left lateral_speed twist_linear_y twist_twist_linear_y "
         "linear_velocity_y y_velocity linear_vel_y linear_vels_y quergeschwindigkeit")),
     **{f"velocity_{axis}": Channel("speed", meaning, _split(
-        f"velocity_{axis} vel_{axis} v_{axis} {axis}_velocity velocity_{axis[0]} vel_{axis[0]} vel_ned_{axis[0]} "
-        f"v{axis[0]}")) for axis, meaning in (("east", "read with velocity_north and yaw if velocity_y is missing"),
-                                              ("north", "read with velocity_east and yaw if velocity_y is missing"))},
+        f"velocity_{axis} vel_{axis} v_{axis} {axis}_velocity {axis}_speed velocity_{axis[0]} vel_{axis[0]} "
+        f"vel_ned_{axis[0]} v{axis[0]}")) for axis, meaning in (
+            ("east", "read with velocity_north and yaw if velocity_y is missing"),
+            ("north", "read with velocity_east and yaw if velocity_y is missing"))},
     "yaw_rate": Channel("angular rate", "positive in left turns; if missing, the derivative of yaw", _split(
         "yaw_rate yaw_rate_iso yaw_velocity yaw_vel yaw_speed yaw_dot psi_dot psi_p d_psi r avz wz omega_z omega "
         "angular_velocity_z angular_rate_z z_angular_rate angle_rate_z ang_vel_z ang_vels_z angular_z rate_z gyro_z "
@@ -171,7 +172,7 @@ _OTHER_QUANTITY = re.compile(
     r"engine|motor|wind|trailer|lead|object|obstacle|radar|fan|traffic|other)")
 """Words in a path which show that the value is not a measured quantity of this car."""
 _SOURCE = (r"(?:gps|gnss|ins|imu|ego|car|veh|vehicle|odom|odometry|can|chassis|state|est|estimated|meas|measured|act|"
-           r"actual|raw|filt|filtered|sensor)")  # words that say where a value comes from, not what it is
+           r"actual|raw|filt|filtered|sensor|iso_vs|iso)")  # words that say where a value comes from, not what it is
 _PATH = re.compile(rf"(?i)^{_SOURCE}[ _-]+|[/.]+|::")
 _CAMEL_CASE = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 _SUFFIX = re.compile(rf"(?i)[ _-]+{_SOURCE}$")

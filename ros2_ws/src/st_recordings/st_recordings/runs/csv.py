@@ -238,9 +238,9 @@ def _derive_channels(table: Table, warnings: list[str], frame_id: str = ""
     elif "yaw" not in columns and COURSE in columns:
         columns[COURSE] = _replace_course_when_slow(table, columns, warnings)
         columns["yaw"] = np.pi / 2 - columns[COURSE]
+    _correct_yaw(table, columns, warnings)
     if "velocity_y" not in columns and columns.keys() >= {"yaw", "velocity_east", "velocity_north"}:
         east, north = columns["velocity_east"], columns["velocity_north"]
-        _check_yaw(table, np.arctan2(north, east), np.hypot(east, north))
         columns["velocity_x"], columns["velocity_y"] = map_to_body(east, north, columns["yaw"])
     elif columns.keys() >= {"velocity_x", "velocity_y", "yaw"}:
         warning = rotate_to_body_axes(columns, frame_id)
@@ -268,27 +268,28 @@ def _derive_channels(table: Table, warnings: list[str], frame_id: str = ""
     return columns, origin
 
 
-def _check_yaw(table: Table, course: np.ndarray, speed: np.ndarray) -> None:
-    """Raises RunError if yaw or heading agrees with the course [rad, from east, counter-clockwise] only in a different
-    unit or direction, because the velocities in body axes would be wrong. speed: [m/s]."""
+def _correct_yaw(table: Table, columns: dict[str, np.ndarray], warnings: list[str]) -> None:
+    """Reads yaw or heading in the unit and direction in which it agrees with the course over ground, if it agrees only
+    in a different one and the table has velocities to the east and north."""
     channel = next((name for name in ("yaw", HEADING) if name in table.sources), "")
-    if not channel or table.sources[channel].unit not in ("rad", "deg"):
+    if not channel or table.sources[channel].unit not in ("rad", "deg") or not columns.keys() >= {
+            "velocity_east", "velocity_north"}:
         return
-    source = table.sources[channel]
+    east, north, source = columns["velocity_east"], columns["velocity_north"], table.sources[channel]
+    course, speed = np.arctan2(north, east), np.hypot(east, north)
     recorded_angles = table.columns[channel] / source.factor
     rows = table.is_usable & np.isfinite(recorded_angles) & (speed > MIN_COURSE_SPEED)
     if rows.sum() < MIN_COMPARED_SAMPLES:
         return
-    differences: dict[tuple[str, str], float] = {}
-    for unit in ("rad", "deg"):
-        angle = recorded_angles[rows] * UNITS["angle"][unit][0]
-        for name, yaw in (("yaw", angle), (HEADING, np.pi / 2 - angle)):
-            differences[name, unit] = float(np.median(np.abs(wrap_angle(course[rows] - yaw))))
+    angles = {unit: recorded_angles * UNITS["angle"][unit][0] for unit in ("rad", "deg")}
+    readings = {(name, unit): yaw for unit, angle in angles.items() for name, yaw in (
+        ("yaw", angle), (HEADING, np.pi / 2 - angle))}
+    differences = {key: float(np.median(np.abs(wrap_angle(course - yaw)[rows]))) for key, yaw in readings.items()}
     name, unit = min(differences, key=lambda candidate: differences[candidate])
     if differences[channel, source.unit] > MIN_DISAGREEING_ANGLE and differences[name, unit] < MAX_AGREEING_ANGLE:
-        raise RunError(table.file, f"column {source.name} agrees with the velocities to the east and north only as "
-                       f"{name} in {unit}", f"declare it in a run.yaml, as columns: {{{name}: '{source.name}'}} and "
-                       f"units: {{{name}: {unit}}}")
+        columns["yaw"] = readings[name, unit]
+        warnings.append(f"{table.file}: column {source.name} agrees with the velocities to the east and north only as "
+                        f"{name} in {unit}; it was read as such")
 
 
 def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: np.ndarray,

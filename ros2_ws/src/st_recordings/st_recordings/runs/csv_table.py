@@ -106,6 +106,9 @@ def read_table(file: Path, layout: Layout) -> Table:
         return parse_table(file, *read_binary_table(file), ",", layout, warnings)
     if not (text := read_text(file)).strip():
         raise RunError(file, "it contains nothing but blanks or zero bytes", "copy it again")
+    if text.startswith("$G"):
+        raise RunError(file, "it contains NMEA sentences instead of a table", "export time, latitude, longitude, speed "
+                       "and course as .csv")
     n_above = _find_header_line(text.split("\n", MAX_HEADER_LINES + 1)[:MAX_HEADER_LINES], layout)
     *preamble, header, body = (text + "\n").split("\n", n_above + 1)
     if n_above > 1 or (n_above and not _SEPARATOR.match(preamble[0])):
@@ -299,7 +302,9 @@ def _find_header_line(lines: list[str], layout: Layout | None = None) -> int:
 
 def _split_header(header: str) -> tuple[list[str], str]:
     """(names of the columns, delimiter)."""
-    delimiter = max(";\t|,", key=re.sub('"[^"]*"', "", header).count)  # the order decides between equal counts
+    # A comma and a blank may precede a unit. The order decides between equal counts.
+    text = re.sub('"[^"]*"', "", header)
+    delimiter = max(";\t|,", key=lambda mark: text.count(mark) - 0.5 * text.count(", ") * (mark == ","))
     if delimiter not in header and len(header.split()) > 2:
         names = header.split()
         return names[names[0] in ("#", "%", "//"):], " "  # "# t x y" of numpy.savetxt

@@ -31,6 +31,7 @@ ROLLOVER_STEP = 60.0  # s, longest gap of numbers across midnight or the end of 
 _DAY_COUNTS = ((719529.0, "MATLAB date numbers"), (25569.0, "spreadsheet date numbers"), (2440587.5, "Julian dates"))
 PLAUSIBLE_EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
 DAY, HOUR = 86400.0, 3600.0  # s
+MIN_UNUSABLE_STEP = 5.0  # s, duration of a prediction; numbers with larger steps are not times in seconds
 HHMMSS = "HHMMSS"  # unit of a time column that contains times of day as numbers HHMMSS.ss
 MAX_DAMAGED_FRACTION = 0.01  # up to this fraction of the times in a column of unit HHMMSS may be invalid
 
@@ -114,7 +115,7 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
     1970. A column declared as HHMMSS that contains other times is read as seconds, as if it had no stated unit."""
     finite = times[np.isfinite(times)]
     if source.unit == HHMMSS and not _is_mostly_hhmmss(finite):
-        warnings.append(f"{file}: its times are not HHMMSS; they were read as seconds")
+        warnings.append(f"{file}: its times are not HHMMSS; they were read as numbers")
         source = replace(source, unit="s", has_stated_unit=False)
     median, steps = np.median(np.abs(finite)) if len(finite) else 0.0, np.abs(np.diff(finite))
     steps = steps[steps > 0.0]  # a coarse clock repeats its times
@@ -134,6 +135,11 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
         if PLAUSIBLE_EPOCH[0] <= (median - origin) * factor <= PLAUSIBLE_EPOCH[1]:
             warnings.append(f"{file}: times of column {source.name} were read as {meaning}")
             return (times - origin) * factor, source
+    step = float(np.median(steps)) if len(steps) else 0.0
+    if step >= MIN_UNUSABLE_STEP and not source.has_stated_unit and (unit := _guess_time_unit(times)):
+        warnings.append(f"{file}: its times, {step:g} apart, were read in {unit}; if they are not, declare their unit "
+                        "in a run.yaml, as units: {t: s}")
+        source = replace(source, unit=unit)
     seconds = times * source.factor
     known_rows = np.flatnonzero(np.isfinite(seconds))
     # (period, longest step) of seconds of an hour, a day or a GPS week, and of micro- or milliseconds in 32 bits
@@ -207,7 +213,7 @@ def select_usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, f
     step = float(np.median(np.diff(time_ns[is_usable])) * 1e-9) if is_usable.sum() > 2 else 0.0
     if not source.has_stated_unit and (step > 1.0 or 0.0 < step < 2e-5):
         warnings.append(f"{file}: its times are {step:g} s apart; if they are not in seconds, declare their unit in a "
-                        f"run.yaml, as units: {{t: {_guess_time_unit(seconds) or ('ms' if step > 1.0 else 'h')}}}")
+                        f"run.yaml, as units: {{t: {'ms' if step > 1.0 else 'h'}}}")
     return has_time, time_ns, is_usable
 
 
