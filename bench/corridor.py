@@ -1,4 +1,4 @@
-"""Passes of 50 cars through gates, with the constraints of the controller as given and tightened by a band.
+"""Violations by 50 cars at gates, with the constraints of a controller unchanged and tightened by a band.
 
 Writes its table to docs/measurements/mpc.md. It takes fifteen minutes of processor time; ST_CORRIDOR_SEEDS changes the
 number of cars.

@@ -1,4 +1,4 @@
-"""Adds the commands `test`, `shell`, `bench` and `docs`, which exist only in a checkout, to `./st`."""
+"""Adds `test`, `shell`, `bench` and `docs` to the commands of `./st`; they exist only in a checkout."""
 
 from pathlib import Path
 

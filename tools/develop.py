@@ -12,8 +12,8 @@ import typer
 from st_live import suite
 from st_recordings.paths import project_root
 
-# Files with timing tests that take minutes each. They run first, so that neither of the two workers ends long before
-# the other; measured with --durations=0.
+# Files with timing tests of minutes. They run first, so that both workers end at about the same time. Durations:
+# --durations=0.
 LONGEST_TIMING_TESTS = (
     "test_trouble.py", "test_faults.py", "test_demo.py", "test_bands_live.py", "test_consistency.py", "test_plan.py")
 

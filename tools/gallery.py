@@ -1,4 +1,4 @@
-"""Writes docs/gallery.md and draws its pictures, with commands applied to drives of the virtual Leaf and a real car."""
+"""Writes docs/gallery.md, and draws its pictures with commands on drives of the virtual Leaf and of a real car."""
 
 import shutil
 import subprocess

@@ -1,10 +1,10 @@
-"""Loads an exported model (.casadi files) and uses it in acados, with its names and bounds.
+"""Loads an exported model (.casadi files), and uses it in acados.
 
     ./st export nonlinear --output build/nonlinear
     ./st shell -- python examples/mpc/acados_example.py build/nonlinear
 
-Without acados it only loads the functions and compares the step with the dynamics. With acados (acados_template
-installed, ACADOS_SOURCE_DIR set) it also builds an integrator and compares that with the exported step.
+It compares the exported step with an integration of the exported dynamics and, if acados is available (acados_template
+installed, ACADOS_SOURCE_DIR set), with an integrator of acados.
 """
 
 import importlib.util

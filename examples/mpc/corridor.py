@@ -3,8 +3,8 @@
     ./st shell -- python examples/mpc/corridor.py              50 seeds, with and without tightening
     ./st shell -- python examples/mpc/corridor.py --seeds 5
 
-The reference path is straight and has three gates. At 10 m/s the controller deviates from it no more than the gates
-require, so the car passes close to their posts. Each seed is another car with random mass, tyres, friction and steering
+The reference path is straight, with three gates. The controller deviates from it no more than the gates require, so the
+car passes close to their posts, at 10 m/s. Each seed is another car with random mass, tyres, friction and steering
 (DEVIATIONS). Bands of the controller's model over its horizon are calibrated on drives of other random cars through
 other gates. With tightening, the controller keeps the lateral half-width of the band at each point of its horizon as a
 distance from every post. A variant limits this distance to its value NEAR seconds ahead, because later decisions
@@ -49,7 +49,7 @@ CALIBRATION_CARS, LEVELS = 32, (0.9, 0.95)  # cars whose drives calibrate the ba
 NEAR = 0.5  # s ahead, after five decisions
 SETTINGS = EvaluationSettings(PredictionSettings(horizon=HORIZON))
 GATE_STARTS = (50.0, 115.0, 180.0)  # m along the path
-MIN_VIOLATION = 0.01  # m beyond a post; up to this distance, a pass is not a violation
+MIN_VIOLATION = 0.01  # m beyond a post; a smaller depth is not a violation
 
 
 class Margin(NamedTuple):
@@ -64,7 +64,7 @@ class Margin(NamedTuple):
 
 
 class Gate(NamedTuple):
-    """From begin to end [m along the path], the CG must pass `clearance` [m] or more left (side 1) or right (-1)."""
+    """From begin to end [m along the path], the CG must be at least `clearance` [m] left (side 1) or right (-1)."""
 
     begin: float
     end: float
@@ -110,12 +110,12 @@ def plant_settings(seed: int) -> Settings:
     return values
 
 
-def drive(controller: Controller, car: VehicleParameters, vehicle: VehicleParameters, gates: Sequence[Gate], seed: int,
+def drive(controller: Controller, vehicle: VehicleParameters, gates: Sequence[Gate], seed: int,
           tightening: Margin | None = None) -> Outcome:
     """Drive the car of a seed through the gates. tightening: None for constraints without a margin."""
     controller.reset()
     plan = RoadPlan(straight(400.0, SPEED))
-    path, plant = ReferencePath(plan), ControlledCar(car, plant_settings(seed), seed)
+    path, plant = ReferencePath(plan), ControlledCar(vehicle, plant_settings(seed), seed)
     step = controller.tuning.step
     plant.place(0.0, 0.0, 0.0, SPEED)
     rows, angles, depth, acceleration = [], [0.0] * 12, -np.inf, 0.0
@@ -166,12 +166,11 @@ def _make_log(table: np.ndarray, vehicle: VehicleParameters, seed: int) -> Drive
                     time_ns, angle, vehicle.steering_wheel_angle(angle))
 
 
-def calibrate_band(controller: Controller, car: VehicleParameters, vehicle: VehicleParameters,
-                   model: str) -> tuple[Band, CalibrationDomain]:
+def calibrate_band(controller: Controller, vehicle: VehicleParameters, model: str) -> tuple[Band, CalibrationDomain]:
     """Band and domain of hindsight predictions, since the controller also knows the future inputs."""
     runs = []
     for seed in range(CALIBRATION_CARS):
-        log = drive(controller, car, vehicle, make_gates(np.random.default_rng([22, seed])), 1000 + seed).log
+        log = drive(controller, vehicle, make_gates(np.random.default_rng([22, seed])), 1000 + seed).log
         runs.append(compute_error_samples([get_model(model)], vehicle, SETTINGS.signals(log), SETTINGS))
     time = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
     band = calibrate(runs, (model, "hindsight"), time, LEVELS)
@@ -182,13 +181,13 @@ def compare(seeds: int, model: str) -> dict[str, dict[str, float]]:
     """Summary of the drives of all seeds, by variant of the constraint."""
     vehicle, tuning = read_vehicle(config("vehicle/leaf.yaml")), Tuning()
     controller = Controller(get_model(model), vehicle, round(HORIZON / tuning.step), tuning, "rti", corridor=True)
-    (band, domain), summaries = calibrate_band(controller, vehicle, vehicle, model), {}
+    (band, domain), summaries = calibrate_band(controller, vehicle, model), {}
     narrow, wide = (make_half_width_function(band, level, vehicle) for level in LEVELS)
-    variants = {"as it is": None, "tightened": Margin(narrow, domain, HORIZON),
-                f"tightened as {NEAR:g} s ahead": Margin(narrow, domain, NEAR),
-                f"{LEVELS[1]:.0%} band, as {NEAR:g} s ahead": Margin(wide, domain, NEAR)}
+    variants = {"unchanged": None, "tightened": Margin(narrow, domain, HORIZON),
+                f"tightened, at most as {NEAR:g} s ahead": Margin(narrow, domain, NEAR),
+                f"{LEVELS[1]:.0%} band, at most as {NEAR:g} s ahead": Margin(wide, domain, NEAR)}
     for name, margin in variants.items():
-        summaries[name] = summarise([drive(controller, vehicle, vehicle, make_gates(), seed, margin)
+        summaries[name] = summarise([drive(controller, vehicle, make_gates(), seed, margin)
                                      for seed in range(seeds)])
         print(name, summaries[name], flush=True)
     return summaries

@@ -1,4 +1,4 @@
-"""Compares controllers with each model at several horizons: which model and which horizon does path following need?
+"""Compares path-following controllers with different models and horizons.
 
     ./st shell -- python examples/mpc/nmpc.py                     all models, a minute of processor time
     ./st shell -- python examples/mpc/nmpc.py --quick             one road, two horizons, a few seconds

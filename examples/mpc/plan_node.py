@@ -94,7 +94,7 @@ def _largest_deviation(solution: Solution, road: Reference) -> float:
 
 
 class Planner(Node):
-    """Publishes a plan every step of the controller, unless the car is slow, not measured, or off the course."""
+    """Publishes a plan in every step of the controller, unless the car is slow, not measured, or not on the course."""
 
     def __init__(self, controller: Controller, course: Course):
         super().__init__("planner")

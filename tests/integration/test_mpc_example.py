@@ -70,7 +70,7 @@ def test_band_increases_the_distance_to_a_gate_by_its_half_width(monkeypatch):
                 np.zeros((3, 19)))
     domain = CalibrationDomain(np.full((99, 99), 100), (100.0, 100.0))
     controller = Controller(MODELS["linear"], LEAF, 25, Tuning(), "rti", corridor=True)
-    plain, with_margin = (corridor.drive(controller, read_vehicle(FILE), LEAF, gates, 1, margin)
+    plain, with_margin = (corridor.drive(controller, LEAF, gates, 1, margin)
                           for margin in (None, corridor.Margin(make_half_width_function(band, 0.9, LEAF), domain, 0.5)))
     assert -0.2 < plain.depth < 0.3
     assert with_margin.depth == pytest.approx(plain.depth - 0.3, abs=0.1) and with_margin.error > plain.error
