@@ -112,8 +112,7 @@ def _join_signals(file: Path, signals: list[Signal]) -> Any:
     if not signals:
         raise RunError(file, "it contains no vectors", "save the samples as vectors or fields of a struct")
     own_names = Counter(signal.path[-1] for signal in signals)
-    rasters: list[tuple[str, np.ndarray]] = []
-    columns: list[dict[str, np.ndarray]] = []
+    rasters: dict[bytes, tuple[str, np.ndarray, dict[str, np.ndarray]]] = {}  # by times: (name, times, columns)
     length = Counter(len(signal.samples) for signal in signals).most_common(1)[0][0]
     untimed_columns: dict[str, np.ndarray] = {}
     for signal in signals:
@@ -123,21 +122,20 @@ def _join_signals(file: Path, signals: list[Signal]) -> Any:
             if len(signal.samples) == length:
                 untimed_columns[name] = signal.samples
             continue
-        times = signal.time[1]
-        number = next((k for k, (_, raster) in enumerate(rasters) if np.array_equal(raster, times)), len(rasters))
-        if number == len(rasters):
-            rasters.append(signal.time)
-            columns.append({})
+        time_name, times = signal.time
+        _, _, columns = rasters.setdefault(times.tobytes(), (time_name, times, {}))
         if not np.array_equal(signal.samples, times):
-            columns[number][name] = signal.samples
-    if any(columns):
-        rasters = [raster for raster, part in zip(rasters, columns, strict=True) if part]
-        columns = [part for part in columns if part]
-    if len(rasters) < 2:
-        return pd.DataFrame({rasters[0][0]: rasters[0][1], **columns[0]} if rasters else untimed_columns)
-    factors = [find_columns(Path(), [name], Layout())["t"].factor for name, _ in rasters]
-    parts = [pd.DataFrame(part, index=np.round(times * factor, 6))  # equal times in other units differ by rounding
-             for (_, times), factor, part in zip(rasters, factors, columns, strict=True)]
+            columns[name] = signal.samples
+    used_rasters = [raster for raster in rasters.values() if raster[2]] or list(rasters.values())
+    if not used_rasters:
+        return pd.DataFrame(untimed_columns)
+    if len(used_rasters) == 1:
+        ((time_name, times, columns),) = used_rasters
+        return pd.DataFrame({time_name: times, **columns})
+    parts = []
+    for time_name, times, columns in used_rasters:
+        factor = find_columns(Path(), [time_name], Layout())["t"].factor
+        parts.append(pd.DataFrame(columns, index=np.round(times * factor, 6)))  # equal times in other units differ
     merged = pd.concat([part[~part.index.duplicated()] for part in parts], axis=1, sort=True)
     return merged.rename_axis("t [s]").reset_index()
 
