@@ -76,7 +76,7 @@ class Field:
         number = 0
         for k in self.high_bytes:
             number = number << 8 | data[k]
-        # The lowest byte is added last, because 64 bits may lie in nine bytes.
+        # The lowest byte is shifted before it is added: 64 bits can span nine bytes, which do not fit into a uint64.
         return (number << 8 - self.shift | data[self.low_byte] >> self.shift) & self.mask
 
 

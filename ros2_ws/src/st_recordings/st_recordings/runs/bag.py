@@ -165,7 +165,7 @@ def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
     """Replaces meaningless stamps by the times of reception; returns a note on each replacement.
 
     A driver or simulator may leave header.stamp at a constant value such as 0, write whole seconds, or stamp two topics
-    with unrelated clocks. The times of reception are correct nevertheless. Messages that are sent several times with
+    with unrelated clocks. The times of reception are still correct. Messages that are sent several times with
     the same values and stamp have correct stamps. is_external: whether a different system stamped the steering.
     """
     notes = []

@@ -221,7 +221,7 @@ def read_signals(file: Path, layout: Layout, warnings: list[str]) -> tuple[list[
             signal = mdf.get(group=group, index=index)
             samples = signal.samples
             if samples.ndim > 1 or samples.dtype.names:
-                samples = np.full(len(samples), "array")  # asammdf lists its elements, too: NAME[0], NAME[1], ...
+                samples = np.full(len(samples), "array")  # asammdf also lists its elements: NAME[0], NAME[1], ...
             elif samples.dtype.kind == "b":
                 samples = samples.astype(np.uint8)  # with gaps, pandas would write booleans as text
             elif samples.dtype.kind == "S":  # names of an enumeration

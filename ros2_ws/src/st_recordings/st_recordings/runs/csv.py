@@ -484,7 +484,7 @@ def _is_rounded(values: np.ndarray) -> bool:
         return True
     digit = 10.0 ** np.round(np.log10(size.min()))
     is_digit = np.maximum(size / digit, digit / size) <= MAX_ROUNDING_RATIO
-    digits = (values - np.quantile(values, 0.5, method="nearest")) / digit  # a position relative to an origin, too
+    digits = (values - np.quantile(values, 0.5, method="nearest")) / digit  # the origin need not be a multiple
     is_multiple = np.abs(digits - np.round(digits)) < MAX_ROUNDING_RATIO - 1.0
     return bool(digit <= 1.0 and min(is_digit.mean(), is_multiple.mean()) > MIN_REGULAR_FRACTION)
 

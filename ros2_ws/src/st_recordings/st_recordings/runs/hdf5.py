@@ -118,7 +118,7 @@ def _read_node(node: Any, path: str, objects: dict[str, str], parents: tuple[Any
     if not hasattr(node, "dtype"):
         return _read_group(node, path, objects, parents)
     if node.dtype.names:
-        return None if kind else _read_table(node)  # complex numbers of MATLAB have two fields, too
+        return None if kind else _read_table(node)  # complex numbers of MATLAB also have two fields
     if node.dtype.metadata and "ref" in node.dtype.metadata:
         entries = [_read_node(node.file[reference], f"{path}{{{number}}}", objects, parents) if reference else None
                    for number, reference in enumerate(node[()].ravel(), 1)]
