@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from exact_drive import Sines, delay, exact_drive
-from exact_faults import corrected_drive, findings_by_name, scaled
+from exact_faults import biased, corrected_drive, findings_by_name, scaled
 from st_core.checks import AuxiliaryData, Severity, check
 from st_core.log import DriveLog
 from support import read_car, shared
@@ -33,7 +33,7 @@ def test_latency_of_the_steering_that_changes_is_not_a_clock_of_another_rate(lea
     checked = check(log, leaf)
     (finding,) = checked.findings
     assert finding.name == "steering_lag" and finding.interval[0] < seconds < finding.interval[1]
-    assert " in the first half of the drive, but " in finding.text and finding.advice.kind == "text"
+    assert finding.text.startswith("in the second half of the drive, ") and finding.advice.kind == "text"
     assert "steering_lag" not in checked.estimates
 
 
@@ -149,3 +149,36 @@ def test_velocity_in_a_map_with_z_down_names_the_columns(leaf):
     velocity = (ned.velocity_x + 1j * ned.velocity_y) * np.exp(1j * ned.yaw)
     found = findings_by_name(replace(ned, velocity_x=velocity.real, velocity_y=velocity.imag), leaf)
     assert set(found) == {"velocity_axes", "steering_sign"} and "along x and y" in found["velocity_axes"].text
+
+
+def in_second_half(log, values):
+    """The values in the second half of the drive, 0 in the first."""
+    return np.where(seconds_of(log) > 0.5 * seconds_of(log)[-1], values, 0.0)
+
+
+CHANGES = {
+    "yaw_rate_lag": lambda log: late_in_second_half(log, 0.3, "yaw_rate"),
+    "yaw_lag": lambda log: late_in_second_half(log, 0.3, "yaw"),
+    "yaw_offset": lambda log: replace(log, yaw=log.yaw + np.deg2rad(3.0) * seconds_of(log) / seconds_of(log)[-1]),
+    "yaw_rate_bias": lambda log: replace(log, yaw_rate=log.yaw_rate + in_second_half(log, 0.02)),
+    "yaw_rate_scale": lambda log: replace(log, yaw_rate=log.yaw_rate * (1.0 - in_second_half(log, 2.0))),
+    "velocity_scale": lambda log: replace(
+        log, velocity_x=log.velocity_x * (1.0 + 0.08 * seconds_of(log) / seconds_of(log)[-1])),
+    "steering_offset": lambda log: replace(log, steering_wheel_angle=None,
+                                           road_wheel_angle=log.road_wheel_angle + in_second_half(log, 0.05)),
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_fault_that_begins_or_grows_is_found_in_the_second_half(leaf, name):
+    log = CHANGES[name](exact_drive(leaf, 160.0, rate=20.0))
+    finding, *others = [one for one in check(log, leaf).findings if one.severity is not Severity.NOTE]
+    assert finding.name == name and not others and finding.advice.kind == "text"
+    assert finding.text.startswith("in the second half of the drive, ") and "; in the other half" in finding.text
+    assert finding.times == (pytest.approx((80.0, 160.0), abs=0.1),)
+
+
+def test_constant_fault_is_one_of_the_whole_drive(leaf):
+    constant = biased(0.02, "yaw_rate")(exact_drive(leaf, 160.0, rate=20.0))
+    (finding,) = check(constant, leaf).findings
+    assert finding.name == "yaw_rate_bias" and not finding.times and finding.advice.kind == "run.yaml"

@@ -8,6 +8,7 @@ import numpy as np
 from ..channels import CHANNELS
 from ..log import INS_SIGNALS, STEERING, DriveLog
 from ..sideslip import has_derived_yaw_rate
+from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
 from . import inertial, position, sampling, vehicle_relations
 from .finding import (
@@ -21,6 +22,7 @@ from .finding import (
     DriveCheck,
     Finding,
     Severity,
+    neutral_value,
 )
 from .inertial import Agreement, CheckResult
 from .motion import MIN_MOVING_SPEED, Motion, is_driven
@@ -34,6 +36,9 @@ ESTIMATES_BIASED_BY_SIDESLIP = ("steering_lag", "yaw_rate_lag", "yaw_lag")
 EXPLAINED_BY_YAW_LAG = ("yaw_rate_lag", "position_lag", "position_reference", "steering_lag")
 MAX_INS_DISTANCE = 3.0  # m; largest distance of the INS ahead of the rear axle
 MAX_REAR_COMPLIANCE = 0.01  # rad s^2/m; rear cornering compliance (slip angle per a_y): road cars 0.003 to 0.008
+MIN_HALF_DURATION = 40.0  # s; shortest half of a drive that is compared with the other: 8 blocks of the bootstrap
+MIN_CHANGE = 0.5  # smallest change between halves, as a fraction of the deviation: a constant correction leaves a half
+VARY_WITH_ROAD = ("heading_misaligned", "measuring_point")  # findings that are not compared between halves
 MIN_INS_SAMPLES = 50  # with fewer samples, only implausible samples and time stamps are reported
 
 
@@ -60,10 +65,71 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
     The order is: sampling; units, signs and axes; relations valid for any vehicle (position, yaw, velocity,
     accelerations, other speeds); and, with a vehicle, comparison with it and trial of the corrections. Each check uses
     a copy corrected for the faults found before. No content of a recording raises an exception: channels that are too
-    short or too inaccurate are not compared.
+    short or too inaccurate are not compared. Both halves of a long drive are also checked, as faults may begin or grow.
     """
     auxiliary = auxiliary or AuxiliaryData()
     start_ns = next(iter(log.ins_time_ns[:1].tolist()), 0) if auxiliary.start_ns is None else auxiliary.start_ns
+    result = _check_part(log, vehicle, auxiliary, start_ns)
+    if log.duration >= 2.0 * MIN_HALF_DURATION:
+        first, last = log.ins_time_ns[[0, -1]].tolist()
+        middle = (first + last) // 2
+        halves = [_check_part(log.slice(*span), vehicle, replace(auxiliary, implausible=()), start_ns)
+                  for span in ((log.start_ns, middle - 1), (middle, log.end_ns))]
+        result = _report_changes(result, halves, [(t - start_ns) * NANOSECOND for t in (first, middle, last)])
+    # In each severity, accelerations are last, since no prediction depends on them.
+    findings = sorted(result.findings, key=lambda finding: (
+        [*Severity].index(finding.severity), finding.concerns_only_acceleration, -(finding.effect or np.inf)))
+    ambiguous = {name for f in findings for a in f.alternatives for name in (f.name, *a.findings)}
+    ambiguous |= {"steering_sign"} if "steering_scale" in ambiguous else set()  # both name the same estimate
+    return replace(result, findings=tuple(findings), estimates={
+        name: values for name, values in result.estimates.items() if name not in ambiguous})
+
+
+def _report_changes(whole: DriveCheck, halves: list[DriveCheck], ends: list[float]) -> DriveCheck:
+    """The result for a drive. If a finding, at least a warning, changes between the halves, findings with an interval
+    are those of the halves, since the change may cause others in the whole. ends: start, middle and end [s]."""
+    ranked: list[tuple[tuple[bool, int, float], Finding]] = []
+    for k, half in enumerate(halves):
+        for finding in half.findings:
+            rank = -[*Severity].index(finding.severity), abs((finding.value or 0.0) - neutral_value(finding.name))
+            if change := _describe_change(finding, halves[1 - k], whole):
+                statement = f"in the {('first', 'second')[k]} half of the drive, {finding.statement.removesuffix('?')}"
+                advice = Advice("text", "split the recording where this changes: no correction fits the whole drive")
+                ranked.append(((True, *rank), replace(finding, statement=statement + change, advice=advice,
+                                                      times=((ends[k], ends[k + 1]),))))
+            elif not finding.times:
+                ranked.append(((False, *rank), finding))
+    in_halves = {finding.name: finding for _, finding in sorted(ranked, key=lambda pair: pair[0])}  # the last one stays
+    changed = {finding.name for (is_changed, *_), finding in ranked if is_changed}
+    if not changed:
+        return whole
+    constant = [f for f in whole.findings if f.times or (f.interval is None and f.name in in_halves.keys() - changed)]
+    remaining = [f for f in in_halves.values() if f.name not in {f.name for f in constant}]
+    dropped = changed | {f.name for f in whole.findings} - in_halves.keys()
+    return replace(whole, findings=(*constant, *remaining), estimates={
+        name: values for name, values in whole.estimates.items() if name not in dropped})
+
+
+def _describe_change(finding: Finding, other: DriveCheck, whole: DriveCheck) -> str:
+    """Clause about the value in the other half of the drive, if it is significantly different; otherwise ""."""
+    name, value, interval = finding.name, finding.value, finding.interval
+    if (finding.times or finding.severity is Severity.NOTE or name in VARY_WITH_ROAD
+            or finding.concerns_only_acceleration):
+        return ""
+    if value is None or interval is None:
+        return "" if name in {f.name for f in (*other.findings, *whole.findings)} else ", but not in the other half"
+    there = other.estimates.get(name) or next(
+        ((f.value, *f.interval) for f in other.findings if f.name == name and f.value is not None and f.interval), None)
+    if there is None or abs(there[0] - value) <= max(float(np.hypot(value - interval[0], there[0] - there[1])),
+                                                     MIN_CHANGE * abs(value - neutral_value(name))):
+        return ""
+    unit = "" if finding.unit == "1" else f" {finding.unit}"
+    return f"; in the other half, the value is {there[0]:.3g} ({there[1]:.3g} to {there[2]:.3g}){unit}"
+
+
+def _check_part(log: DriveLog, vehicle: VehicleParameters | None, auxiliary: AuxiliaryData,
+                start_ns: int) -> DriveCheck:
+    """Unsorted result for a drive or a part of it, with ambiguous estimates. start_ns: zero of the times [ns]."""
     log, implausible = drop_implausible(log, start_ns)
     # The reader has already reported samples that it left out, or kept although implausible.
     reported = {(finding.name, finding.channels) for finding in auxiliary.implausible}
@@ -90,14 +156,8 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
             if not clock_findings:  # comparisons need positions on the clock of the other channels
                 broken_channels |= find_broken_channels(stuck_findings)
                 _check_relations(motion, log, vehicle, time_unit, stuck_findings, broken_channels, results)
-    # In each severity, accelerations are last, since no prediction depends on them.
-    findings = sorted(results.findings, key=lambda finding: (
-        [*Severity].index(finding.severity), finding.concerns_only_acceleration, -(finding.effect or np.inf)))
-    ambiguous = {name for f in findings for a in f.alternatives for name in (f.name, *a.findings)}
-    ambiguous |= {"steering_sign"} if "steering_scale" in ambiguous else set()  # both name the same estimate
-    return DriveCheck(tuple(findings), channels, tuple(results.panels),
-                      {name: (estimate.value, *estimate.interval) for name, estimate in results.estimates.items()
-                       if name not in ambiguous})
+    return DriveCheck(tuple(results.findings), channels, tuple(results.panels), {
+        name: (estimate.value, *estimate.interval) for name, estimate in results.estimates.items()})
 
 
 def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters | None, time_unit: Finding | None,

@@ -53,10 +53,6 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
     speed = float(np.median(motion.velocity_x[moving])) if moving.any() else MIN_SPEED
     response = compute_response_time(vehicle, speed)
     agreement = _compare_angles(motion, derived, response)
-    if agreement and _has_clock_error(motion, vehicle, agreement) and _lag_of_yaw_rate_changes(motion, agreement):
-        motion = replace(motion, yaw_rate=np.gradient(motion.yaw, motion.time))
-        derived = _derive_angle(motion, vehicle)
-        agreement = _compare_angles(motion, derived, response)
     gain = _estimate_steering_gain(motion, derived)
     # Understeer with the stability factor K multiplies the steering angle by 1 + K v^2. The mean of this factor,
     # weighted with the squared angle, is computed for K of the vehicle file (0 or more) and for the largest K of cars.
@@ -222,14 +218,6 @@ def _has_clock_error(motion: Motion, vehicle: VehicleParameters, agreement: Agre
                      for half in np.array_split(motion.velocity_x, 2))
     change = add_systematic_uncertainty("steering_lag", agreement.drift.scaled(float(np.ptp(agreement.time))))  # s
     return change.widened(abs(second - first)).is_significant and abs(change.value) >= LIMITS.steering_lag
-
-
-def _lag_of_yaw_rate_changes(motion: Motion, agreement: Agreement) -> bool:
-    """Whether the steering lag changes because the lag of the yaw rate behind yaw does."""
-    other = compare_series(motion.time, motion.yaw, motion.time, motion.yaw_rate, CUTOFF, derived_is_angle=True,
-                           fit_drift=True)
-    return (other is not None and other.correlates and other.drift.is_significant
-            and other.drift.value / agreement.drift.value < -0.5)
 
 
 def _lag_is_constant(half: Agreement, drift: Estimate) -> bool:
