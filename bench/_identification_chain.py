@@ -18,7 +18,7 @@ from st_sim.scenarios import load_plan
 from st_sim.sensors import Ins, SteeringSensor
 from st_sim.settings import read_vehicle, resolve_settings
 
-# Duration of each scenario [s]; only S6 and S7 have straights above 5 m/s, the others are uniform.
+# Duration of each scenario [s]; only S6 and S7 have straights above 5 m/s, which the steering offset requires.
 SECONDS = {"S1": 20, "S2": 15, "S3": 15, "S4": 15, "S5": 25, "S6": 90, "S7": 90}
 START_NS, INTERVAL_MS = 1_756_900_800_000_000_000, 10
 STEERING_RESOLUTION = np.deg2rad(0.1)  # rad, of the steering wheel angle on CAN
