@@ -1,4 +1,4 @@
-"""Reads recordings of every kind: `find_runs` groups files into runs, and `read` returns the DriveLog of a run.
+"""Reads recordings of every kind: `find_runs` groups files into runs, and `read` returns the LoadedRun of one.
 
     for source in find_runs(paths):
         try:
