@@ -32,7 +32,7 @@ MEANING = {Severity.ERROR: "an evaluation would be meaningless", Severity.WARNIN
 QUANTITY_UNITS = {**{f"{channel}_bias": unit for channel, unit in CHANNEL_UNITS.items()},
                   **dict.fromkeys(("yaw_offset", "heading_misaligned", "steering_offset"), "rad"),
                   **dict.fromkeys(("position_reference", "measuring_point"), "m")}
-ADVICE_PLACE = {"run.yaml": "in its run.yaml: ", "vehicle": "in the vehicle file: ", "option": "with the option ",
+ADVICE_PLACE = {"run.yaml": "in a run.yaml: ", "vehicle": "in the vehicle file: ", "option": "with the option ",
                 "text": ""}
 SEVERITY_STYLE = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: "dim"}
 

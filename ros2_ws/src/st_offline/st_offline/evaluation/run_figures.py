@@ -189,8 +189,8 @@ def draw_error_against_horizon(data: FigureData) -> PageFigure:
         rows = np.flatnonzero(profile > NOTICEABLE_ERROR)
         parts.append(f"{model.name} " + (f"after {evaluation.horizon[rows[0]]:.1f} s" if len(rows) else "never"))
     title = f"{evaluation.name}: lateral hindsight RMSE exceeds {NOTICEABLE_ERROR:g} m: {', '.join(parts)}"
-    caption = ("RMSE over all starts at each point of the horizon. Hindsight uses the measured inputs and shows the "
-               "error of the model; the forecast holds the inputs constant at their values at the start.")
+    caption = ("RMSE over the complete starts at each point of the horizon. Hindsight uses the measured inputs; the "
+               "forecast holds the inputs constant at their values at the start.")
     return save_figure(figure, data.output, "error_against_horizon", title, caption)
 
 
