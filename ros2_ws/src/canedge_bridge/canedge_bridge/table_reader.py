@@ -92,8 +92,7 @@ class Entry:
 
     def choice(self, key: str, allowed: Iterable[Any]) -> Any:
         value = self._value_of(key)
-        # YAML reads a bare `off` as false.
-        value = "off" if value is False else value
+        value = "off" if value is False else value  # YAML reads a bare `off` as false
         options = list(allowed)
         if isinstance(value, bool) or value not in options:
             raise self.error(key, f"{value!r} is not one of {', '.join(str(o) or repr(o) for o in options)}")

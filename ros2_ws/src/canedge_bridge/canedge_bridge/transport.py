@@ -113,8 +113,7 @@ class LoopbackMulticastBus(can.BusABC):
             self._accepted_ids = frozenset((f["can_id"], bool(f["extended"])) for f in filters)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        # Reading before waiting avoids a select() for every frame of a burst.
-        datagram = self._read()
+        datagram = self._read()  # before waiting, which avoids a select() for every frame of a burst
         if datagram is None:
             ready, _, _ = select.select([self._receiver], [], [], timeout)
             datagram = self._read() if ready else None

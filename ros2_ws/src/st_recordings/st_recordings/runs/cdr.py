@@ -35,8 +35,7 @@ from .ins_log import SPEEDS
 ODOMETRY, STEERING = "nav_msgs/msg/Odometry", "st_msgs/msg/Steering"
 NCOM, WHEEL_SPEEDS, CAN_FRAMES = "st_msgs/msg/Ncom", "st_msgs/msg/WheelSpeeds", "st_msgs/msg/CanFrames"
 INS_ON_CAN, INS_STATUS = "st_msgs/msg/InsOnCan", "st_msgs/msg/InsStatus"
-# Frames as recorded by other bridges; an SQLite bag may lack the definition.
-CAN_MSGS_FRAME = "can_msgs/msg/Frame"
+CAN_MSGS_FRAME = "can_msgs/msg/Frame"  # recorded by other bridges; an SQLite bag may lack its definition
 _CAN_FRAME_DEFINITION = """std_msgs/Header header
 uint32 id
 bool is_rtr

@@ -41,10 +41,8 @@ def align_clocks(ins: InsLog, can: CanSignals, offset: float | None = None, sear
     """Aligns the clocks by the first available of: a given offset; the INS time on CAN, checked with shared signals;
     shared signals; substitute signals (then doubtful at best). Without any of these, refuses the alignment.
 
-    offset: INS minus CAN clock [s].
-    search: bounds of an offset estimated without the INS time [s].
-    latency: delay of INS values on CAN and its standard deviation [s].
-    steering_sign: +1 if the decoded angle is positive to the left.
+    offset: INS minus CAN clock [s]. search: bounds of an offset estimated without the INS time [s]. latency: delay of
+    INS values on CAN and its standard deviation [s]. steering_sign: +1 if the decoded angle is positive to the left.
     Returns (alignment, signals that it uses or that can check it).
     """
     ins, can, notes = mask_implausible(ins, can)

@@ -84,8 +84,7 @@ class ReadSettings:
     search: tuple[float, float] | None = None  # (lower, upper) bounds of the estimated offset [s]; None: unlimited
     # (delay of INS values on CAN, standard deviation) [s]; None: as in the run.yaml, or else clocks.INS_ON_CAN_DELAY.
     ins_can_latency: tuple[float, float] | None = None
-    # Whether a doubtful alignment is used, with a warning. A refused alignment is never used.
-    accept_doubtful: bool = True
+    accept_doubtful: bool = True  # whether a doubtful alignment is used, with a warning; a refused one never is
     for_alignment: bool = False  # whether neither a steering angle nor, in a table, a position is required
     steering: SteeringField | None = None  # for tables, and for bags without st_msgs/Steering
     odometry: str | None = None  # topic to read from a bag with several nav_msgs/Odometry topics

@@ -26,12 +26,10 @@ class Reader:
     read: Callable[[RunSource, VehicleParameters | None, ReadSettings], LoadedRun] | None
     read_ins: Callable[[RunSource, ReadSettings], InsLog] | None = None  # reads only the INS, for a run with CAN logs
     is_folder: Callable[[Path], bool] | None = None  # whether a folder is one recording
-    # Whether a file contains a drive, by a quick test; True if undecided.
-    has_drive: Callable[[Path], bool] = lambda path: True
+    has_drive: Callable[[Path], bool] = lambda path: True  # whether a file has a drive, by a quick test or if unclear
     # Whether a file is probably meant to contain a drive but lacks channels, so that these are reported.
     is_incomplete: Callable[[Path], bool] = lambda path: False
-    # Whether a recording contains no steering angle, so that it needs CAN logs.
-    lacks_steering: Callable[[Path], bool] = lambda path: False
+    lacks_steering: Callable[[Path], bool] = lambda path: False  # whether it has no steering angle, only the INS
     # Whether it is a table of one or several files; `read` and `read_ins` then apply the factor of yaw in run.yaml.
     is_table: bool = False
 
