@@ -208,7 +208,9 @@ def _add_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_
     cause = ("little motion" if highest_correlation >= GOOD_CORRELATION else
              f"the signals differ (correlation {highest_correlation:.2f} at best)")
     if solution.offset_deviation > USABLE_DEVIATION:
-        refusals.append(f"{cause}: the uncertainty of the offset is {solution.offset_deviation * 1e3:.0f} ms")
+        known = np.isfinite(solution.offset_deviation)
+        refusals.append(f"{cause}: the uncertainty of the offset is "
+                        f"{f'{solution.offset_deviation * 1e3:.0f} ms' if known else 'infinite'}")
     elif solution.offset_deviation > GOOD_DEVIATION:
         doubts.append(f"{cause}: the uncertainty of the offset is {solution.offset_deviation * 1e3:.1f} ms")
     for row in result.signals:

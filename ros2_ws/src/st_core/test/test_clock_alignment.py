@@ -188,6 +188,12 @@ def test_constant_signals_are_rejected() -> None:
     assert align([]).reasons == ("the recordings share no signal",)
 
 
+def test_speed_that_rises_steadily_does_not_determine_an_offset() -> None:
+    time = np.arange(0, 300, 0.01)
+    result = align([SharedSignal("speed", nanoseconds(time), 0.05 * time, nanoseconds(time), 0.05 * time)])
+    assert result.reasons == ("little motion: the uncertainty of the offset is infinite",)
+
+
 def test_signal_with_long_gaps_throughout_is_named() -> None:
     speed, yaw_rate = recorded(Drive(10, 300), 300, 1.0, 0)
     slow = replace(speed, reference_time_ns=speed.reference_time_ns[::20], reference=speed.reference[::20])  # 5 Hz

@@ -23,7 +23,7 @@ from .work import Progress, RunReport, Task, evaluate_run
 
 FILE_DESCRIPTIONS = {
     "page": "the complete report, in one file", "json": "all numbers; keys in docs/manual/evaluation.md",
-    "table": "the table above", "latex": "the table above, in the layout of the paper",
+    "table": "the first table above", "latex": "the first table above, in the layout of the paper",
     "seconds": "errors by second of the horizon", "bins": "errors by driving condition",
     "manoeuvres": "errors by part of the drive"}
 MEMORY_PER_WORKER = "1500MB"  # a worker that needs more is restarted, and its run fails
