@@ -17,6 +17,7 @@ from st_core.integrate import required_slip_speed
 from st_core.model_file import ModelFile
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters, value_of
+from st_offline.discovery.discover_command import write_results
 from st_offline.discovery.discovery_report import build_model_file
 from st_offline.discovery.drives import Drive, Request, read_drive
 from st_offline.discovery.report_text import recommend
@@ -64,6 +65,22 @@ def test_file_that_predicts_worse_is_not_written(recorded_drive):
     assert "alone it would change" in advice and "on these drives" in advice  # one drive, so none is held out
     outside = replace(written, error=(0.0, math.inf), worse_drives=("weave",))
     assert "values fitted without weave are outside the limits" in "".join(recommend(found, outside))
+
+
+@pytest.mark.parametrize(("interval", "is_written"), [((-0.2, -0.05), False), ((-0.2, 0.01), True)])
+def test_model_that_increases_the_error_significantly_is_not_written(recorded_drive, tmp_path, interval, is_written):
+    """As of a bus outside the model family; interval: 95 %, of the reduction of the held-out position error."""
+    found, _ = fold_effects(recorded_drive, ("steering_delay", {"time": 0.1}))
+    position = replace(found.errors["position_5s"], base=0.39, augmented=0.52, interval=interval)
+    found = replace(found, errors={**found.errors, "position_5s": position}, minor=found.effects)
+    request = make_request(recorded_drive)
+    update = update_vehicle(found, request)
+    files = write_results(found, request, update, tmp_path, None, {})
+    assert ("model.yaml" in files) is (tmp_path / "model.yaml").exists() is is_written
+    lines = [line for line in recommend(found, update) if "model.yaml" in line]
+    assert lines == ["model.yaml is not written: with it, the position error after 5 s would increase significantly, "
+                     "from 0.39 m to 0.52 m on held-out driving"] or is_written
+    assert any(line.startswith("predict with model.yaml") for line in lines) is is_written
 
 
 def test_file_that_improves_the_mean_but_worsens_a_drive_is_not_written(tmp_path):

@@ -1,10 +1,12 @@
 """Every rule of the decision with the evidence that triggers it, and every limit with a decision that it changes."""
 
 import ast
+import importlib
 from dataclasses import fields, replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from st_core.discovery import OUTCOMES, Limits, decision
 from st_core.discovery.decision import (
@@ -34,10 +36,11 @@ from st_core.discovery.decision import (
 )
 from st_core.discovery.discover import _Analysis, complete_delay, replace_interval
 from st_core.discovery.evidence import Agreement, Evidence
-from st_core.discovery.result import Combination, FittedParameter, FoundEffect, unseparated_combinations
+from st_core.discovery.result import Combination, FittedParameter, FoundEffect, Reason, unseparated_combinations
 from st_core.discovery.space import FileQuantity
 from st_core.errors import ConfigurationError
 
+discover_module = importlib.import_module("st_core.discovery.discover")  # not the function of this name
 LIMITS = Limits()
 GOOD = Evidence("mass", gain=0.2, p_value=1e-4, position_reduction=0.5, position_reduction_in_condition=0.5)
 AGREEING = Agreement({}, p_equal=0.5, p_absent=1e-6)
@@ -113,6 +116,8 @@ def test_total_delay_is_reported_unless_one_of_its_effects_is_named():
     assert unseparated_combinations((stiffness, gain, delay), ()) == (stiffness, delay)
     assert unseparated_combinations((gain, replace(delay, interval=(-0.15, 0.03))), ()) == (gain,)
     assert unseparated_combinations((delay,), (named,)) == ()
+    stiffness = replace(stiffness, effects=("front_stiffness", "load"))
+    assert unseparated_combinations((stiffness,), (replace(named, name="tyre_stiffness"),)) == ()  # by its member
 
 
 def test_total_delay_of_one_effect_has_the_interval_and_alternatives_of_that_effect():
@@ -370,3 +375,37 @@ def test_only_an_effect_with_an_interval_that_excludes_its_null_is_named(referen
     analysis = SimpleNamespace(reference=reference, limits=LIMITS)
     verdicts = _Analysis._decide_reporting(analysis, SimpleNamespace(evidence={"friction": e}), [found], None, {})
     assert verdicts["friction"].rule == rule
+
+
+@pytest.mark.parametrize(("name", "rule"), [
+    ("front_tyre_curve", MINOR), ("rear_tyre_curve", NAMED), ("friction", NAMED), ("mass", NAMED)])
+def test_peak_of_an_axle_that_did_not_reach_it_is_not_named(monkeypatch, name, rule):
+    """The front axle was driven to 70 % of its peak force, the rear axle to 99 %."""
+    monkeypatch.setattr(discover_module, "find_implausible_values", lambda *_: ())
+    car = SimpleNamespace(with_values=lambda _: car, effective_vehicle=lambda _: None)
+    space = SimpleNamespace(at=lambda _: car, null=None, values=lambda *_: {})
+    axles = SimpleNamespace(compute_force_ratios=lambda: {"front": 0.7, "rear": 0.99}, find_worse_axles=lambda *_: ())
+    analysis = SimpleNamespace(reference=[], limits=LIMITS, space=space, vehicle=None,
+                               problem=SimpleNamespace(start=None))
+    found = FoundEffect(name, "vehicle parameters", {"peak": FittedParameter(0.7, "1", (0.6, 0.8), 1.0)}, (), 0.1, {})
+    state = SimpleNamespace(evidence={name: GOOD}, fit=SimpleNamespace(vector=None))
+    assert _Analysis._decide_reporting(analysis, state, [found], axles, {})[name].rule == rule
+
+
+@pytest.mark.parametrize(("rule", "count"), [(FORCES, 1), (IMPLAUSIBLE, 1), (MINOR, 2)])
+def test_combination_changed_by_a_refuted_effect_is_not_stated(monkeypatch, rule, count):
+    """As of a bus whose tyre stiffness, correct in its file, was refuted as implausible, but stated over the mass."""
+    monkeypatch.setattr(discover_module.waterfall, "estimate_parameters", lambda *_: {})
+    monkeypatch.setattr(discover_module.waterfall, "leave_one_out", lambda *_: {})
+    delay = Combination("total delay of the steering", "s", 0.06, (0.05, 0.07), 0.0, ("steering_delay",))
+    stiffness = replace(delay, name="front cornering stiffness over mass", effects=("front_stiffness", "mass"))
+    problem = SimpleNamespace(prior=(), held_out_rows=lambda _: None, position_error=lambda _: np.array([np.nan]))
+    analysis = SimpleNamespace(
+        problem=problem, reference=[], sensors={}, limits=LIMITS,
+        _analyse_axles=lambda *_: (None, (), (delay, stiffness)),
+        _decide_reporting=lambda *_: {"tyre_stiffness": Reason(rule, "tyre_stiffness", {}, "")})
+    state = SimpleNamespace(order=["tyre_stiffness"], evidence={"tyre_stiffness": GOOD}, rivals={}, fit=None,
+                            near_optimal=[])
+    search = SimpleNamespace(find_cancelling_effects=lambda *_: ())
+    judged = _Analysis._judge_effects(analysis, search, state, {}, {"position_5s": 0.1})
+    assert judged.combinations == (delay, stiffness)[:count]

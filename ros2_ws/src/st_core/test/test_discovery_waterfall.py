@@ -221,13 +221,17 @@ def found_effect(name: str, *alternatives: str) -> FoundEffect:
     return FoundEffect(name, "vehicle parameters", {}, alternatives, 0.1, {})
 
 
-@pytest.mark.parametrize(("cosine", "remaining"), [(0.0, 1.0), (0.8, 0.36), (1.0, 0.0)])
-def test_separation_is_the_part_of_an_effect_orthogonal_to_the_other(cosine, remaining):
+@pytest.mark.parametrize(("cosine", "remaining", "healthy"), [(0.0, 1.0, 0.0), (0.8, 0.36, 0.0), (1.0, 0.0, 0.0),
+                                                              (0.8, 0.36, 1.5)])
+def test_separation_is_the_part_of_an_effect_orthogonal_to_the_other(cosine, remaining, healthy):
+    """healthy: value of the healthy car, from which a search with reference drives starts."""
     problem = linear_problem(FEW, {}, 7)
     one, other = (problem.space.indices(n)[0] for n in ("mass", "road_bank"))
     h = np.zeros((len(problem.space), len(problem.space)))
     h[one, one], h[other, other], h[one, other], h[other, one] = 9.0, 4.0, 6.0 * cosine, 6.0 * cosine
-    vector = problem.space.null.copy()
+    problem.start = problem.space.null.copy()
+    problem.start[one] += healthy * problem.space.scale[one]
+    vector = problem.start.copy()
     vector[one] += 2.0 * problem.space.scale[one]
     fit = replace(fit_problem(problem, "mass"), vector=vector)
     result = compute_separation(problem, fit, h, "mass", "road_bank", 8.0)

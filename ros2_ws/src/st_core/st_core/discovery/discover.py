@@ -87,7 +87,7 @@ class _JudgedEffects(NamedTuple):
     verdicts: dict[str, result.Reason]  # by effect
     leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]
     curves: tuple[ForceCurve, ...]
-    combinations: tuple[result.Combination, ...]
+    combinations: tuple[result.Combination, ...]  # those that no contradicted effect changes
 
 
 class _Analysis:
@@ -118,9 +118,8 @@ class _Analysis:
                         for p in get_effect(effect).parameters if p.identity and p.identity in sensor_estimates}
 
     def analyse(self) -> result.Discovery:
-        settings, space = self.settings, self.space
         self.problem, column_noise = self._make_problem()
-        problem = self.problem
+        settings, space, problem = self.settings, self.space, self.problem
         self._warn_of_low_excitation()
         partitions = make_partitions(self.windows)
         search = Search(problem, self.limits, partitions, self.sensors, settings.seed, self._ticker("searching"))
@@ -140,7 +139,8 @@ class _Analysis:
         effects, design_effect = judged.named, state.scores.design_effect
         curvatures = self._simulate_catalogue(state, effects)
         untestable = self._find_untestable(state, power, judged, curvatures)
-        noise_ratios = _noise_ratios(named_errors.get("position_5s"), channel_noise)
+        noise, position = max(channel_noise.get("position_5s", 0.0), 1e-9), named_errors.get("position_5s")
+        noise_ratios = (position.base / noise, position.augmented / noise) if position else (1.0, 1.0)
         outcome, reasons = self._decide_outcome(state, judged, untestable, noise_ratios, len(varying))
         separability = list_separabilities(problem, state.fit, effects, design_effect)
         regions = self._locate_errors(base, channel_noise) if settings.locate_errors else ()
@@ -186,8 +186,9 @@ class _Analysis:
         verdicts = self._decide_reporting(state, effects, axles, leave_one_out)
         named, minor, contradicted = (tuple(e for e in effects if verdicts[e.name].rule in rules) for rules in (
             (decision.NAMED,), (decision.MINOR,), (decision.FORCES, decision.IMPLAUSIBLE)))
+        refuted = {part for e in contradicted for part in (e.name, *get_effect(e.name).members)}
         return _JudgedEffects(named, minor, contradicted, verdicts, leave_one_out, curves,
-                              tuple(complete_delay(c, effects) for c in combinations))
+                              tuple(complete_delay(c, effects) for c in combinations if not refuted & {*c.effects}))
 
     def _decide_outcome(self, state: SearchState, judged: _JudgedEffects, untestable: Sequence[result.UntestableEffect],
                         noise_ratios: tuple[float, float], n_varying: int,
@@ -319,9 +320,9 @@ class _Analysis:
         """Verdict on each effect of the final fit."""
         worse_axles: dict[str, str] = {}
         violations: dict[str, str] = {}
-        reached_force_ratio, names = 1.0, [e.name for e in effects]
+        force_ratios = axles.compute_force_ratios() if axles is not None and not self.reference else {}
+        names = [e.name for e in effects]
         if axles is not None and not self.reference:
-            reached_force_ratio = max(axles.compute_force_ratios().values())
             for axle in axles.find_worse_axles(self.space.at(self.space.null), leave_one_out):
                 worse_axles |= dict.fromkeys(axles.find_effects_on_axle(axle, names), axle)
             for name in names:
@@ -333,7 +334,8 @@ class _Analysis:
         return {e.name: decision.judge_reporting(
             state.evidence[e.name], self.limits, excludes_null=excludes_null(e),
             parameter_at_bound="" if self.reference else find_parameter_across_bound(e),
-            peak_force_share=reached_force_ratio if get_effect(e.name).at_peak_force else 1.0,
+            peak_force_share=max((ratio for axle, ratio in force_ratios.items() if get_effect(e.name).at_peak_force
+                                  and get_effect(e.name).slot in (f"{axle} axle", "both axles")), default=1.0),
             worse_axle=worse_axles.get(e.name, ""), violation=violations.get(e.name, ""),
             summands=tuple(n for n in delays if n != e.name) if e.name in delays else ()) for e in effects}
 
@@ -479,12 +481,6 @@ class _Analysis:
 def _local_estimates(evidence: Evidence) -> dict[str, tuple[result.LocalEstimate, ...]]:
     return {partition: tuple(result.LocalEstimate(part, *estimate) for part, estimate in a.ratios.items())
             for partition, a in evidence.agreement.items()}
-
-
-def _noise_ratios(position: result.ChannelError | None, channel_noise: Mapping[str, float]) -> tuple[float, float]:
-    """Ratios of the position error of base and augmented model to that due to noise [1]; 1 without position."""
-    noise = max(channel_noise.get("position_5s", 0.0), 1e-9)
-    return (1.0, 1.0) if position is None else (position.base / noise, position.augmented / noise)
 
 
 def complete_delay(delay: result.Combination, effects: Sequence[result.FoundEffect]) -> result.Combination:

@@ -102,7 +102,7 @@ def compute_separation(problem: Problem, fit: Fit, h: np.ndarray, first: str, se
     indices, other_indices = problem.space.indices(first), problem.space.indices(second)
     others = (n for n in fit.names if n != first)
     free = np.setdiff1d(problem.free_indices((*others, second)), indices)
-    d = ((fit.vector - problem.space.null) / problem.space.scale)[indices]
+    d = problem.distance(fit.vector)[indices]
     curvature = h[np.ix_(indices, indices)]
     cross = h[np.ix_(indices, free)] @ inverse(h[np.ix_(free, free)])
     unexplained_square = float(d @ (curvature - cross @ h[np.ix_(free, indices)]) @ d)

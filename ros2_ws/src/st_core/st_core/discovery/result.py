@@ -8,7 +8,7 @@ import numpy as np
 from scipy import stats
 
 from ..augmented import AugmentedModel
-from ..effects import EFFECT_KINDS
+from ..effects import EFFECT_KINDS, get_effect
 from ..identification.axle_forces import ForceCurve
 from .settings import Limits
 
@@ -262,12 +262,7 @@ class Run:
 class Discovery:
     """The result of `discover`."""
 
-    # none = the residual is near the noise; named = one effect; ambiguous = one effect with alternatives, a combination
-    # (`unseparated_combinations`), or a better model without an effect certain enough to report; several = more than
-    # one effect; varying = a significant effect that varies between runs, places, times or conditions; unknown = a
-    # residual above the noise that no effect of the library explains, or only one that is at a bound or contradicts the
-    # sensors or the vehicle file; not_testable = too little excitation.
-    outcome: Outcome
+    outcome: Outcome  # see `decision.decide`
     effects: tuple[FoundEffect, ...]
     # Effects that are in the model to avoid a bias of the other values, but are not reported as causes.
     minor: tuple[FoundEffect, ...]
@@ -307,6 +302,12 @@ class Discovery:
     noise: Mapping[str, float] = field(default_factory=dict)
 
     @property
+    def increases_error(self) -> bool:
+        """Whether the model increases the held-out position error after 5 s significantly."""
+        position = self.errors.get("position_5s")
+        return self.model is not None and position is not None and position.interval[1] < 0.0
+
+    @property
     def unseparated_combinations(self) -> tuple[Combination, ...]:
         return unseparated_combinations(self.combinations, self.effects)
 
@@ -319,7 +320,7 @@ def unseparated_combinations(combinations: Sequence[Combination],
                              named: Sequence[FoundEffect]) -> tuple[Combination, ...]:
     """Combinations that differ significantly from the vehicle file and that no named effect changes: all ratios of
     stiffness to mass or, if none of these differs, the first of stability factor and yaw gain; and the total delay."""
-    names = {name for e in named for name in (e.name, *e.alternatives)}
+    names = {part for e in named for name in (e.name, *e.alternatives) for part in (name, *get_effect(name).members)}
     unexplained = [c for c in combinations if c.differs and not names.intersection(c.effects)]
     delay = [c for c in unexplained if c.is_delay]
     others = [c for c in unexplained if not c.is_delay]

@@ -34,6 +34,7 @@ class FrontTyreCurve(Effect):
     excited_by = "cornering towards the limit of the front axle; not observable below 0.3 g"
     kind, slot = "vehicle parameters", "front axle"
     confounded_with = ("friction", "front_stiffness", "lateral_load_transfer", "steering_compliance")
+    at_peak_force = True
     applies_to = frozenset(("nonlinear",))  # a linear tyre has no peak
     parameters = PARAMETERS
 

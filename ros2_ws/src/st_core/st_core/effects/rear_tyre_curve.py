@@ -12,6 +12,7 @@ class RearTyreCurve(Effect):
     excited_by = "cornering towards the limit of the rear axle with measured sideslip; not observable below 0.3 g"
     kind, slot = "vehicle parameters", "rear axle"
     confounded_with = ("friction", "rear_stiffness", "lateral_load_transfer", "cg_position")
+    at_peak_force = True
     applies_to = frozenset(("nonlinear",))  # a linear tyre has no peak
     parameters = PARAMETERS
 

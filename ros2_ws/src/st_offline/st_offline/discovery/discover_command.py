@@ -182,7 +182,7 @@ def write_results(discovery: Discovery, request: Request, update: VehicleUpdate 
     `search`."""
     files = {"discovery.json": folder / "discovery.json"}
     if update is not None:
-        model = build_model_file(discovery, request, update)
+        model = None if discovery.increases_error else build_model_file(discovery, request, update)
         for name, text in (("vehicle.yaml", update.text), ("model.yaml", model.to_yaml() if model else "")):
             if text:
                 files[name] = folder / name

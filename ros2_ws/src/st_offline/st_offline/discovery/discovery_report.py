@@ -152,7 +152,7 @@ def _make_tables(discovery: Discovery, content: Mapping[str, Any]) -> dict[str, 
         Table("Corrections of the vehicle file", "Values and intervals of the effects as entries of the file, in SI "
               "units.", ("key", "given file", "vehicle.yaml", "95 % interval"), changes),
         Table("Held-out error of each channel", "Root mean square at the end of the horizon; for the position after "
-              "5 s, the mean. \"After\" is with model.yaml. Sorted by the relative reduction.",
+              "5 s, the mean. \"After\" is with all effects. Sorted by the relative reduction.",
               ("channel", "before", "after", "reduced by (95 %)", "noise", "worst run", "runs with a larger error"),
               channels),
         Table("Parts of the error", "Reduction of the mean position error at the end of the horizon by each part when "

@@ -77,7 +77,9 @@ def format_title(discovery: Discovery) -> str:
         return "These drives have too little excitation for a result"
     effects = [name_with_alternatives(discovery, e) + (OTHER_CAUSE if _list_other_causes(discovery, e.name) else "")
                for e in sort_by_size(discovery.effects)]
-    combinations = map(format_combination, discovery.unseparated_combinations)
+    # A cause outside the library that acts like a named effect may change the combinations as well.
+    other_cause = OTHER_CAUSE * any(_list_other_causes(discovery, e.name) for e in discovery.effects)
+    combinations = [format_combination(c) + other_cause for c in discovery.unseparated_combinations]
     position = discovery.errors.get("position_5s")
     one_dominates = position is None or any(e.position_5s_increase > 0.5 * (position.base - position.augmented)
                                             for e in discovery.effects)
@@ -103,9 +105,7 @@ def _describe_errors(discovery: Discovery) -> str:
     """Clause on the position error after 5 s or, without it, on the error of one channel."""
     position = discovery.errors.get("position_5s")
     if position is None:
-        name = next((n for n in LABELS if n in discovery.errors), None)
-        if name is None:
-            return "Errors"
+        name = next(n for n in LABELS if n in discovery.errors)
         error = discovery.errors[name]
         before, after = (format_value(value, error.unit) for value in (error.base, error.augmented))
         change = 100.0 * (error.augmented / error.base - 1.0)
@@ -207,8 +207,8 @@ def describe_residual(discovery: Discovery) -> str:
     position = discovery.errors.get("position_5s")
     if position is None:
         return ""
-    after = position.augmented if discovery.model else position.base
-    text = f"residual 5 s position error {format_metres(after)}; noise level {format_metres(position.floor)}"
+    text = (f"residual 5 s position error {format_metres(position.augmented)}; noise level "
+            f"{format_metres(position.floor)}")
     if position.worst_run:
         text += f"; the run with the largest error is {position.worst_run} ({format_metres(position.worst)})"
     if position.worse_runs and discovery.model:
@@ -311,7 +311,7 @@ def describe_effective_corrections(discovery: Discovery) -> list[str]:
     names = ", ".join(f"{to_words(e.name)} {format_briefly(e.name, e.parameters)} (5 s position error without it "
                       f"{format_metres(e.position_5s_increase, '+')})" for e in discovery.effective)
     return [f"{names}: improves predictions, but is not a property of the car; model.yaml contains it, marked "
-            "effective"] if names else []
+            "effective"] if names and not discovery.increases_error else []
 
 
 def _list_vehicle_recommendations(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
@@ -324,8 +324,8 @@ def _list_vehicle_recommendations(discovery: Discovery, update: VehicleUpdate | 
         reason = (f"values fitted without {worse} are outside the limits of a vehicle file" if math.isinf(after) else
                   f"alone it would change the position error after 5 s from {format_metres(before)} to "
                   f"{format_metres(after)} on {drives}{increase}")
-        lines.append(f"vehicle.yaml is not written: {reason}; use model.yaml")
-    if update is not None and update.required_slip_speed:
+        lines.append(f"vehicle.yaml is not written: {reason}{'' if discovery.increases_error else '; use model.yaml'}")
+    if update is not None and update.required_slip_speed and not discovery.increases_error:
         lines.append(f"model.yaml needs minimum_slip_speed = {update.required_slip_speed:g} m/s for stable steps of "
                      "50 ms: set it in the vehicle file and run st discover again")
     lines += update.implausible_values if update is not None else ()
@@ -339,7 +339,7 @@ def _list_vehicle_recommendations(discovery: Discovery, update: VehicleUpdate | 
         stable = f"; {format_changes({SLIP_SPEED_KEY: slip})}, for stable steps of 50 ms" if slip else ""
         position = discovery.errors.get("position_5s")
         together = (f", together with model.yaml by {1.0 - position.augmented / position.base:.0%}"
-                    if position and position.base > 0.0 else "")
+                    if position and position.base > 0.0 and not discovery.increases_error else "")
         alone = ("; vehicle.yaml alone reduces the position error at the end of the horizon by "
                  f"{1.0 - update.error[1] / update.error[0]:.0%}{together}"
                  if (discovery.minor or discovery.effective) and update.error[0] > 0.0 else "")
@@ -364,13 +364,17 @@ def recommend(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
     lines += [f"measure {to_words(e.name)} on the car, and check causes that have the same effect but are not in the "
               f"library: {causes}"
               for e in discovery.effects if (causes := _list_other_causes(discovery, e.name))]
-    for name, changes in (update.not_folded if update is not None else {}).items():
+    is_written = not discovery.increases_error
+    if not is_written:
+        position = discovery.errors["position_5s"]
+        lines.append("model.yaml is not written: with it, the position error after 5 s would increase significantly, "
+                     f"from {format_metres(position.base)} to {format_metres(position.augmented)} on held-out driving")
+    for name, changes in (update.not_folded if update is not None and is_written else {}).items():
         lines.append(f"{to_words(name)} is in model.yaml, because no entry of the vehicle file can correct it: these "
                      "recordings contain the road-wheel angle, or play in the steering acts before the ratio; for "
                      f"recordings of the steering-wheel angle, set {format_changes(changes)}")
-    not_in_file = [e for e in discovery.effects if update is None or e.name not in update.folded]
-    sensors = [to_words(e.name) for e in not_in_file if e.kind == "sensors"]
-    if sensors:
+    not_in_file = [e for e in discovery.effects if is_written and (update is None or e.name not in update.folded)]
+    if sensors := [to_words(e.name) for e in not_in_file if e.kind == "sensors"]:
         lines.append(f"{', '.join(sensors)}: either use model.yaml, or correct the sensors or the recordings "
                      "(run.yaml) and run st discover again; doing both corrects the error twice")
     if not_in_file:
@@ -381,23 +385,20 @@ def recommend(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
     if discovery.outcome == "unknown" or discovery.signature:
         lines.append("check in which conditions the model has large errors; you can add an effect of your own "
                      "(docs/manual/effects.md)")
-    manoeuvres = list(dict.fromkeys(n.manoeuvre for n in discovery.not_testable if n.manoeuvre))
     if discovery.outcome == "not_testable":
-        proposed = f" ({', '.join(manoeuvres)})" if manoeuvres else ""
-        lines.append(f"record more driving{proposed} and add it to the runs")
+        manoeuvres = ", ".join(dict.fromkeys(n.manoeuvre for n in discovery.not_testable if n.manoeuvre))
+        lines.append(f"record more driving{f' ({manoeuvres})' if manoeuvres else ''} and add it to the runs")
     if discovery.outcome == "ambiguous" and discovery.next_manoeuvre is not None:
         lines.append("record the next drive and add it to the runs")
     if not all(c.is_delay for c in discovery.unseparated_combinations):
-        has_model = discovery.model is not None and not discovery.effects and not discovery.minor
-        prediction = "predict with model.yaml; " if has_model else ""
+        only_effective = discovery.model is not None and is_written and not (discovery.effects or discovery.minor)
+        prediction = "predict with model.yaml; " if only_effective else ""
         lines.append(f"{prediction}weigh the car and compare its tyres with those of the vehicle file")
-    if discovery.minor and discovery.effects:
-        minor = ", ".join(name_with_alternatives(discovery, e) for e in discovery.minor)
-        lines.append(f"model.yaml also contains {minor}: part of the fit, but not reported as properties of the car")
-    elif discovery.minor:
-        minor = ", ".join(to_words(e.name) for e in discovery.minor)
-        lines.append(f"predict with model.yaml, which contains {minor}: part of the fit, but not reported as "
-                     "properties of the car")
+    if discovery.minor and is_written:
+        minor = ", ".join(name_with_alternatives(discovery, e) if discovery.effects else to_words(e.name)
+                          for e in discovery.minor)
+        start = "model.yaml also contains" if discovery.effects else "predict with model.yaml, which contains"
+        lines.append(f"{start} {minor}: part of the fit, but not reported as properties of the car")
     return lines or ["nothing"]
 
 
