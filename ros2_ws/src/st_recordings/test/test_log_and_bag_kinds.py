@@ -190,6 +190,15 @@ def earlier_drive(lines: list[str]) -> list[str]:
     return [shift_stamp(line, -3600.0) for line in lines[: len(lines) // 3]]
 
 
+@pytest.mark.slow
+def test_can_logs_of_other_times_are_named(ncom_folder: Path, drive_log: DriveLog, frame_lines: list[str]) -> None:
+    (ncom_folder / "monday.log").write_text("\n".join(frame_lines))
+    (ncom_folder / "sunday.log").write_text("\n".join(earlier_drive(frame_lines)))
+    run = read(find_runs([ncom_folder])[0], CAR)
+    assert_same(run.log, drive_log, max_lost=0, steering=0.003)
+    assert [w for w in run.warnings if w.endswith("CAN logs of other times are not used: sunday.log")]
+
+
 class Log(NamedTuple):
     """text: made of the lines of run.log; warning: pattern of an expected warning, empty if none is expected."""
 

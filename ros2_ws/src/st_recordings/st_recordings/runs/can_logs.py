@@ -47,15 +47,17 @@ def read_can_logs(files: Sequence[Path], known_ids: Collection[int] = ()) -> Can
     if not logs:
         raise errors[0] if errors else RunError("CAN log", "no file given")
     used_files = tuple(log.files[0] for log in logs)
-    if len({log.is_utc for log in logs}) > 1:
-        raise RunError(used_files[0], "some logs of the run have UTC times, but the times of others are relative to "
-                       "the start", "read them with separate commands")
+    relative_logs = [log.files[0].name for log in logs if not log.is_utc]
+    if 0 < len(relative_logs) < len(logs):
+        raise RunError(used_files[0], f"logs of the run have UTC times, but those of {', '.join(relative_logs)} are "
+                       "relative to the start", "list the logs of one clock in a run.yaml")
     warnings = [f"{log.files[0]}: {note}" for log in logs for note in log.warnings]
     frames, n_repeated = can_frames.remove_duplicates(can_frames.merge_by_time([log.frames for log in logs]))
     if n_repeated:
         warnings.append(f"{used_files[0]}: frames that are in the logs more than once: {n_repeated}; each is used once")
     warnings += [str(error) for error in errors] + _describe_missing_splits(used_files)
-    return CanLog(frames, used_files, min(log.start_ns for log in logs), logs[0].is_utc, tuple(warnings),
+    spans = tuple((int(log.frames.time_ns.min()), int(log.frames.time_ns.max())) for log in logs)
+    return CanLog(frames, used_files, min(log.start_ns for log in logs), logs[0].is_utc, tuple(warnings), spans,
                   tuple(step for log in logs for step in log.steps))
 
 

@@ -88,7 +88,18 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
     latency = f"{delay:g} ms (standard deviation {deviation:g} ms), {latency_source}"
     faults = [f"{can.files[0]}: {message}: {fault}" for message, fault in signals.faults.items()]
     return RawRun(source.name, dbc, ins, can, signals, steering, alignment, shared_signals, latency,
-                  (*source.notes, *ins.warnings, *can.warnings, *faults, *warnings))
+                  (*source.notes, *ins.warnings, *can.warnings, *faults, *warnings,
+                   *_name_unused_logs(can, ins, alignment)))
+
+
+def _name_unused_logs(can: CanLog, ins: InsLog, alignment: Alignment) -> list[str]:
+    """A warning about the CAN logs that do not overlap the INS recording in time, if others do."""
+    edges_ns = [alignment.to_reference_ns(np.array(span)) for span in can.spans]
+    unused = [file.name for file, (first, last) in zip(can.files, edges_ns, strict=False)
+              if last < ins.time_ns[0] or first > ins.time_ns[-1]]
+    if not 0 < len(unused) < len(can.files) or alignment.verdict is Verdict.REFUSED:
+        return []
+    return [f"{ins.file}: CAN logs of other times are not used: {', '.join(unused)}"]
 
 
 def _split_log(can: CanLog) -> list[tuple[int, int]]:
