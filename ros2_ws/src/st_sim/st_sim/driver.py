@@ -133,10 +133,6 @@ class SimulatedCar:
         self.duration: float | None = None
         self.advance(0.0)
 
-    @property
-    def time(self) -> float:
-        return self._step_count * self._step
-
     def advance(self, time: float) -> None:
         """Simulate up to the last step at or before `time` [s]."""
         last = int(time / self._step + 1e-6)
@@ -150,4 +146,5 @@ class SimulatedCar:
 
     def make_truth(self) -> Truth:
         driver = self.driver
-        return self.plant.observe(driver.drive_force, self.time, driver.steering_wheel_angle, self._steering_wheel_rate)
+        return self.plant.observe(driver.drive_force, self._step_count * self._step, driver.steering_wheel_angle,
+                                  self._steering_wheel_rate)
