@@ -260,6 +260,13 @@ def test_wrong_scale_of_positions_does_not_raise_the_severity_of_the_heading(lea
         assert findings_by_name(fault(log), leaf)["heading_misaligned"].severity is Severity.NOTE
 
 
+def test_sideslip_that_a_banked_road_may_cause_is_not_corrected(leaf):
+    log = exact_drive(leaf, 60.0)
+    small, large = (findings_by_name(ins_rotated(angle)(log), leaf)["heading_misaligned"] for angle in (0.0055, 0.0098))
+    assert small.advice.kind == "text" and small.text.endswith(", or the road is banked: both fit this drive")
+    assert large.advice.kind == "run.yaml" and "banked" not in large.text
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.25, 3.0])
 def test_wrong_position_scale_does_not_move_the_reference_point(leaf, factor):

@@ -31,6 +31,9 @@ MIN_SPEED, MAX_LATERAL_ACCELERATION = 2.0, 4.0  # m/s, m/s^2; limits of driving 
 WINDOW, STANDSTILL_WINDOW = 0.5, 2.0  # s, lengths of the windows
 MIN_REAR_AXLE_WINDOWS = 30
 SLIP_RANGE = 0.5, 1.5  # plausible rear slip, as a fraction of that of the vehicle file
+MAX_BANK = 0.08  # rad; largest bank of a road; design guides limit the superelevation to 7 or 8 %
+BANK = Alternative("the road is banked")
+BOTH_DIRECTIONS = Advice("text", "drive the road in both directions, to distinguish the two")
 MAX_COSINE = 0.9  # cosine similarity of speed and yaw rate; 1 on a circle, which confounds misalignment and INS point
 MIN_STEERING_ANGLE = 0.01  # rad; minimum root mean square of the angles for an estimate of the steering gain
 MIN_ANGLE_FOR_SIGN = 0.003  # rad; MIN_STEERING_ANGLE for the sign of the gain alone; fast, wide bends suffice
@@ -340,9 +343,12 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
         effect = abs(heading.value) * float(np.median(forward)) * HORIZON
         text = (f"the heading points {abs(heading)} rad ({abs(heading.value) * DEG_PER_RAD:.2f} deg) to the "
                 f"{'left' if heading.value > 0.0 else 'right'} of the course when driving straight: the INS is mounted "
-                "at an angle, or the road is banked")
-        advice = Advice.correct("heading", add=float(f"{-heading.value:.4g}"))
-        findings = [_make_finding("heading_misaligned", ("yaw", "velocity_y"), text, heading, "rad", effect, advice)]
+                "at an angle")
+        finding = _make_finding("heading_misaligned", ("yaw", "velocity_y"), text, heading, "rad", effect,
+                                Advice.correct("heading", add=float(f"{-heading.value:.4g}")))
+        # On a road banked by b, the rear tyres slip as under a lateral acceleration of g b.
+        may_be_bank = abs(heading.value) < SLIP_RANGE[1] * rear_slip_coefficient(vehicle) * GRAVITY * MAX_BANK
+        findings = [finding.with_alternative(BANK, BOTH_DIRECTIONS) if may_be_bank else finding]
     point_finding = (make_lateral_sign_finding() if is_mirrored else
                      _make_point_finding(point, estimates["slip"], motion, vehicle))
     findings += [point_finding] if point_finding else []
