@@ -13,9 +13,9 @@ from st_core.checks import Advice, Comparison, DriveCheck, Finding, Sampling, Se
 from st_core.checks.finding import Alternative
 from st_core.clock_types import Alignment, Verdict
 from st_core.vehicle import VehicleParameters
-from st_offline.checking import check_report
+from st_offline.checking import check_page, check_report
 from st_offline.checking.check_command import append_corrections, check_file_name, make_run_yaml
-from st_offline.checking.check_page import make_summary, make_title, write_page
+from st_offline.checking.check_page import draw_comparison, make_summary, make_title, write_page
 from st_offline.checking.check_report import (
     CheckedRun,
     build_document,
@@ -339,3 +339,18 @@ def test_lag_and_lead_are_not_merged():
     grouped = group_findings({"a": [late], "b": [early], "c": [late]})
     assert [(one.text, names) for one, names in grouped] == [("yaw_rate leads yaw", ["b"]),
                                                              ("yaw_rate lags yaw", ["a", "c"])]
+
+
+@pytest.mark.parametrize("quantity", ["distance per second", "forward acceleration", "yaw rate"])
+def test_labels_of_both_axes_stay_apart_below_a_long_title(monkeypatch, quantity):
+    figures = []
+    monkeypatch.setattr(check_page.drawing, "save_figure", lambda figure, *others: figures.append(figure))
+    result = make_check()
+    title = f"{quantity}: sensor versus another one"
+    run = CheckedRun("run", result, None, "", 10.0, (), {}, {})
+    draw_comparison(replace(result.comparisons[0], title=title), run, "")
+    figures[0].suptitle("a title\nof\nthree lines", fontsize=10)
+    figures[0].draw_without_rendering()
+    upper, lower = (axes.yaxis.label.get_window_extent() for axes in figures[0].axes)
+    assert upper.y0 - lower.y1 > 0.15 * figures[0].dpi  # inch
+    check_page.plt.close(figures[0])

@@ -1,5 +1,6 @@
 """Writes the page of `st check`: findings, corrections, and figures of comparisons."""
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from .check_report import CheckedRun, compute_residual_rms
 
 MAX_FIGURES = 6  # on the page
 HEIGHT = 3.1  # inch
+LABEL_CHARACTERS = 12  # per line of the label of an axis, so that the labels of both axes stay apart
 MAX_LINE_GAP = 1.5  # s; a line is interrupted at longer gaps
 MIN_SHADE_WIDTH = 0.004  # fraction of the time axis; narrower shading would be invisible
 SHADES = {Severity.ERROR: drawing.BAD_COLOUR, Severity.WARNING: drawing.WARN_COLOUR, Severity.NOTE: MEASURED_COLOUR}
@@ -43,7 +45,7 @@ def draw_comparison(comparison: Comparison, run: CheckedRun, prefix: str) -> dra
     lower.axhline(0.0, color=drawing.TEXT_COLOUR, lw=0.5)
     lower.set_xlabel("time after the first INS measurement, s")
     unit = check_report.get_unit_symbol(comparison.unit) or "1"
-    upper.set_ylabel(f"{comparison.title.partition(':')[0]}\n{unit}")
+    upper.set_ylabel(f"{textwrap.fill(comparison.title.partition(':')[0], LABEL_CHARACTERS)}\n{unit}")
     lower.set_ylabel(f"difference\n{unit}")
     figure.align_ylabels()
     figure.legend(loc="outside lower left", ncols=2)
