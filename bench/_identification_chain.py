@@ -1,27 +1,23 @@
 """The procedure of the paper with virtual drives S1 to S7: steering offset, cornering stiffnesses, evaluation."""
 
+import sys
 from dataclasses import replace
 
 import numpy as np
-from _cars import LEAF_FILE, leaf
+from _cars import leaf
 from _identification import apply_estimates, with_stiffness
 from st_core.batch import LogBatch
 from st_core.identification.axle_forces import identify_stiffness
 from st_core.identification.driving_prediction import fit_stiffness
 from st_core.identification.result import Identification
 from st_core.identification.steering import identify_steering_offset
-from st_core.log import DriveLog, LogSignals
+from st_core.log import LogSignals
 from st_core.log_evaluation import regular_starts, usable_starts
 from st_core.vehicle import VehicleParameters
-from st_sim.driver import SimulatedCar
-from st_sim.scenarios import load_plan
-from st_sim.sensors import Ins, SteeringSensor
-from st_sim.settings import read_vehicle, resolve_settings
+from st_recordings.paths import project_root
 
 # Duration of each scenario [s]; only S6 and S7 have straights above 5 m/s, which the steering offset requires.
 SECONDS = {"S1": 20, "S2": 15, "S3": 15, "S4": 15, "S5": 25, "S6": 90, "S7": 90}
-START_NS, INTERVAL_MS = 1_756_900_800_000_000_000, 10
-STEERING_RESOLUTION = np.deg2rad(0.1)  # rad, of the steering wheel angle on CAN
 MODELS = ("kinematic", "linear", "nonlinear")
 
 
@@ -30,7 +26,10 @@ def run_procedure() -> dict:
     car = leaf()
     unknown = with_stiffness(replace(car, steering_wheel_offset=0.0), 0.8 * car.cornering_stiffness_front,
                              0.8 * car.cornering_stiffness_rear)
-    logs = [record_scenario(name, seconds, car) for name, seconds in SECONDS.items()]
+    sys.path.insert(0, str(project_root()))
+    from bench.checks.virtual import virtual_drive
+
+    logs = [replace(virtual_drive(name, 1, seconds).log, name=name) for name, seconds in SECONDS.items()]
     offset = identify_steering_offset(logs, unknown)
     offset_known = replace(unknown, steering_wheel_offset=offset["steering_wheel_offset"].value)
     by_regression = identify_stiffness(logs, offset_known)
@@ -42,24 +41,6 @@ def run_procedure() -> dict:
     estimates = {"offset, deg": _format_estimates(offset, np.rad2deg(1.0)), "paper": _format_estimates(by_regression),
                  "prediction": _format_estimates(by_prediction)}
     return {"found": estimates, "errors": {name: prediction_errors(logs, file) for name, file in files.items()}}
-
-
-def record_scenario(scenario: str, seconds: float, vehicle: VehicleParameters) -> DriveLog:
-    """Log of a scenario from the sensors of the realistic virtual Leaf, with the steering resolution of its CAN bus."""
-    settings, car = resolve_settings("realistic"), read_vehicle(LEAF_FILE)
-    simulated = SimulatedCar(car, settings, load_plan(scenario), seed=1)
-    ins, sensor = Ins(car, settings, INTERVAL_MS / 1000, 1), SteeringSensor(car, settings, 1)
-    rows = []
-    for k in range(round(seconds * 1000 / INTERVAL_MS)):
-        simulated.advance(k * INTERVAL_MS / 1000)
-        truth = simulated.make_truth()
-        r = ins.read(truth)
-        steering_wheel = round(sensor.read(truth) / STEERING_RESOLUTION) * STEERING_RESOLUTION
-        rows.append((r.x, r.y, r.yaw, r.velocity_x, r.velocity_y, r.rates[2], steering_wheel))
-    *columns, steering_wheel = np.array(rows).T
-    columns[2] = np.unwrap(columns[2])
-    time_ns = START_NS + np.arange(len(steering_wheel), dtype=np.int64) * INTERVAL_MS * 1_000_000
-    return DriveLog(scenario, time_ns, *columns, time_ns, vehicle.road_wheel_angle(steering_wheel), steering_wheel)
 
 
 def prediction_errors(logs: list, car: VehicleParameters) -> dict:
