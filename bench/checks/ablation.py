@@ -8,7 +8,7 @@ from st_core.checks.finding import LIMITS
 from st_sim.scenarios import SCENARIOS
 
 from .._pages import format_table
-from .corruptions import KINDS
+from .corruptions import FAULTS
 from .drives import load
 from .recording import Recording
 from .run import map_parallel
@@ -45,8 +45,8 @@ def _score_setting(setting: Setting) -> str:
         if before is not None:
             object.__setattr__(LIMITS, name, factor * before)  # a frozen dataclass
         drive = Drive(load(DRIVE, "development"))
-        records = [record for kind in KINDS.values()
-                   if (record := score_case(drive, kind, kind.sizes[0])) is not None]
+        records = [record for fault in FAULTS.values()
+                   if (record := score_case(drive, fault, fault.sizes[0])) is not None]
         alarms = sum(any(one.severity is not Severity.NOTE for one in run_check(_healthy_drive(scenario)).findings)
                      for scenario in SCENARIOS)
     finally:

@@ -10,7 +10,7 @@ from st_recordings.paths import project_root, source_version
 
 from .._pages import replace_part
 from . import ablation, drives, healthy, real, speed, tables
-from .corruptions import KINDS
+from .corruptions import FAULTS
 from .run import run_matrix
 from .score import Drive, Record, check_as_recorded, format_finding, run_check
 
@@ -23,10 +23,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "Adds known faults to real and virtual drives, and scores the findings of `st check`. Run the sealed drives "
         "only once, at the end, and those of development as often as you like."))
     parser.add_argument("--sealed", action="store_true", help="use the sealed drives, with random sizes")
-    parser.add_argument("--kind", action="append", choices=sorted(KINDS), metavar="NAME", help="may be repeated")
+    parser.add_argument("--kind", action="append", choices=sorted(FAULTS), metavar="NAME", help="may be repeated")
     parser.add_argument("--drive", action="append", metavar="NAME", help="may be repeated; with --kind and a single "
                         "drive, every finding is printed in full")
-    parser.add_argument("--list", action="store_true", help="print kinds, sizes, findings and drives")
+    parser.add_argument("--list", action="store_true", help="print faults, sizes, findings and drives")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--write", action="store_true",
                         help="write the result into docs/manual/checks.md, except that of --ablation")
@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--real", action="store_true", help="print the findings of every real drive instead")
     chosen = parser.parse_args(arguments)
     if chosen.list:
-        return _print_kinds()
+        return _list_faults()
     if chosen.healthy:
         text, status = healthy.main(chosen.healthy, chosen.seconds, chosen.jobs)
         return _write_page("healthy drives", text, chosen.write, status)
@@ -54,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run_matrix(parser: argparse.ArgumentParser, chosen: argparse.Namespace) -> int:
     set_ = "sealed" if chosen.sealed else "development"
-    available, kinds = drives.list_drives(set_), chosen.kind or list(KINDS)
+    available, kinds = drives.list_drives(set_), chosen.kind or list(FAULTS)
     if unknown := [name for name in chosen.drive or () if name not in available]:
         parser.error(f"--drive {unknown[0]}: the {set_} set has {', '.join(available)}")
     if chosen.kind and chosen.drive and len(chosen.drive) == 1:
@@ -94,14 +94,15 @@ def _write_page(name: str, text: str, write: bool, status: int = 0) -> int:
 
 def _print_in_full(set_: str, name: str, kinds: Sequence[str]) -> int:
     drive = Drive(drives.load(name, set_))
-    for kind in map(KINDS.__getitem__, kinds):
-        for size in kind.sizes:
-            clean = drive.clean(kind, size)
-            if not kind.is_visible(clean, size.value):
-                print(f"== {kind.name} {size.label}: not visible in {name}")
+    for fault in map(FAULTS.__getitem__, kinds):
+        for size in fault.sizes:
+            clean = drive.clean(fault, size)
+            if not fault.is_visible(clean, size.value):
+                print(f"== {fault.name} {size.label}: not visible in {name}")
                 continue
-            corrupted, truth = kind.edit(clean, size.value)
-            print(f"== {kind.name} {size.label}: {kind.operation} {truth:.5g}; expected {' or '.join(kind.findings)}")
+            corrupted, truth = fault.edit(clean, size.value)
+            expected = " or ".join(fault.findings)
+            print(f"== {fault.name} {size.label}: {fault.operation} {truth:.5g}; expected {expected}")
             for title, result in (("as recorded", check_as_recorded(clean)), ("corrupted", run_check(corrupted))):
                 print(f"-- {title}")
                 for finding in result.findings:
@@ -111,9 +112,9 @@ def _print_in_full(set_: str, name: str, kinds: Sequence[str]) -> int:
     return 0
 
 
-def _print_kinds() -> int:
-    for kind in KINDS.values():
-        sizes = " / ".join(size.label for size in kind.sizes)
-        print(f"{kind.name:32} {sizes:28} {kind.operation:6} {' or '.join(kind.findings)}")
-    print(f"{len(KINDS)} kinds; drives: {', '.join(drives.list_drives('development'))}")
+def _list_faults() -> int:
+    for fault in FAULTS.values():
+        sizes = " / ".join(size.label for size in fault.sizes)
+        print(f"{fault.name:32} {sizes:28} {fault.operation:6} {' or '.join(fault.findings)}")
+    print(f"{len(FAULTS)} faults; drives: {', '.join(drives.list_drives('development'))}")
     return 0

@@ -7,7 +7,7 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 
 from . import drives
-from .corruptions import KINDS, Kind, Size
+from .corruptions import FAULTS, Fault, Size
 from .score import Drive, Record, scale_size, score_case
 
 MIN_SIZE_FACTOR, MAX_SIZE_FACTOR = 0.7, 1.5
@@ -31,13 +31,14 @@ def map_parallel(function, tasks: Iterable[tuple], jobs: int) -> Iterator:
 def score_drive(task: tuple[str, str, tuple[str, ...]]) -> list[Record]:
     set_, name, kinds = task
     drive = Drive(drives.load(name, set_))
-    return [record for kind in map(KINDS.__getitem__, kinds) for size in choose_sizes(kind, name, set_)
-            if (record := score_case(drive, kind, size)) is not None]
+    return [record for fault in map(FAULTS.__getitem__, kinds) for size in choose_sizes(fault, name, set_)
+            if (record := score_case(drive, fault, size)) is not None]
 
 
-def choose_sizes(kind: Kind, drive: str, set_: str) -> list[Size]:
+def choose_sizes(fault: Fault, drive: str, set_: str) -> list[Size]:
     if set_ == "development":
-        return list(kind.sizes)
-    generator = np.random.default_rng(zlib.crc32(f"{set_} {drive} {kind.name}".encode()))
-    factors = generator.uniform(MIN_SIZE_FACTOR, MAX_SIZE_FACTOR, len(kind.sizes))
-    return [scale_size(size, kind.operation, factor) for size, factor in zip(kind.sizes, factors.tolist(), strict=True)]
+        return list(fault.sizes)
+    generator = np.random.default_rng(zlib.crc32(f"{set_} {drive} {fault.name}".encode()))
+    factors = generator.uniform(MIN_SIZE_FACTOR, MAX_SIZE_FACTOR, len(fault.sizes))
+    return [scale_size(size, fault.operation, factor)
+            for size, factor in zip(fault.sizes, factors.tolist(), strict=True)]

@@ -11,7 +11,7 @@ from typing import Any
 
 from st_core.checks import DriveCheck, Finding, Severity, check
 
-from .corruptions import Kind, Size
+from .corruptions import Fault, Size
 from .recording import Recording, middle_half
 
 COUNT_TOLERANCE = 1e-6
@@ -37,36 +37,36 @@ def check_as_recorded(recording: Recording) -> DriveCheck:
 
 
 class Drive:
-    """A recording, prepared for each kind of fault only once."""
+    """A recording, prepared for each fault only once."""
 
     def __init__(self, recording: Recording):
         self.recording = recording
         self._prepared: dict[tuple, Recording] = {}
 
-    def clean(self, kind: Kind, size: Size) -> Recording:
-        key = size.part, kind.prepare
+    def clean(self, fault: Fault, size: Size) -> Recording:
+        key = size.part, fault.prepare
         if key not in self._prepared:
             part = middle_half(self.recording) if size.part else self.recording
-            self._prepared[key] = kind.prepare(part) if kind.prepare else part
+            self._prepared[key] = fault.prepare(part) if fault.prepare else part
         return self._prepared[key]
 
 
-def score_case(drive: Drive, kind: Kind, size: Size) -> Record | None:
+def score_case(drive: Drive, fault: Fault, size: Size) -> Record | None:
     """The record of a case; None if the drive cannot show the fault."""
-    clean = drive.clean(kind, size)
-    if not kind.is_visible(clean, size.value):
+    clean = drive.clean(fault, size)
+    if not fault.is_visible(clean, size.value):
         return None
-    value = size.value * choose_sign(kind, clean)
-    corrupted, change = kind.edit(clean, value)
+    value = size.value * choose_sign(fault, clean)
+    corrupted, change = fault.edit(clean, value)
     result, raised = try_check(corrupted)
     before = check_as_recorded(clean)
-    finding = find_finding(result, kind)
-    truth, source = true_value(kind, size, clean, change)
-    inside = finding is not None and is_inside(kind, finding, truth)
+    finding = find_finding(result, fault)
+    truth, source = true_value(fault, size, clean, change)
+    inside = finding is not None and is_inside(fault, finding, truth)
     named = finding is not None
-    collateral = new_findings(result, before, kind)
+    collateral = new_findings(result, before, fault)
     return {
-        "drive": clean.name, "real": clean.real, "kind": kind.name, "size": size.label, "edit": value, "truth": truth,
+        "drive": clean.name, "real": clean.real, "kind": fault.name, "size": size.label, "edit": value, "truth": truth,
         "truth_from": source, "named": named, "inside": inside, "right": named and inside,
         "as_note": named and finding.severity is Severity.NOTE,
         "reported": raised or (None if finding is None else format_finding(finding)),
@@ -75,59 +75,59 @@ def score_case(drive: Drive, kind: Kind, size: Size) -> Record | None:
     }
 
 
-def find_finding(result: DriveCheck, kind: Kind) -> Finding | None:
+def find_finding(result: DriveCheck, fault: Fault) -> Finding | None:
     """The most severe finding with a correct name and channel."""
     for finding in result.findings:
-        if finding.name in kind.findings and (kind.channel is None or kind.channel in finding.channels):
+        if finding.name in fault.findings and (fault.channel is None or fault.channel in finding.channels):
             return finding
     return None
 
 
-def true_value(kind: Kind, size: Size, clean: Recording, change: float) -> tuple[float | None, str]:
+def true_value(fault: Fault, size: Size, clean: Recording, change: float) -> tuple[float | None, str]:
     """(true value of the finding, its source: "edit" or "drive")."""
-    if kind.operation == "named":
+    if fault.operation == "named":
         return None, "edit"
-    if kind.operation == "is":
+    if fault.operation == "is":
         return change, "edit"
     if not clean.real:
-        known = [clean.baseline[name] for name in kind.findings if name in clean.baseline]
-        return combine(kind.operation, known[0], change) if known else change, "edit"
-    own = estimate_as_recorded(kind, clean)
-    return (change, "edit") if own is None else (combine(kind.operation, own, change), "drive")
+        known = [clean.baseline[name] for name in fault.findings if name in clean.baseline]
+        return combine(fault.operation, known[0], change) if known else change, "edit"
+    own = estimate_as_recorded(fault, clean)
+    return (change, "edit") if own is None else (combine(fault.operation, own, change), "drive")
 
 
-def estimate_as_recorded(kind: Kind, clean: Recording) -> float | None:
+def estimate_as_recorded(fault: Fault, clean: Recording) -> float | None:
     """The estimate for the drive as recorded, or the value of its finding; None if there is neither."""
     result = check_as_recorded(clean)
     values = {finding.name: finding.value for finding in result.findings}
     values |= {name: estimate for name, (estimate, _, _) in result.estimates.items()}
     if "yaw_rate_lag" in values:  # it may be the opposite lag of yaw, which then has no estimate
         values.setdefault("yaw_lag", -values["yaw_rate_lag"])
-    return next((values[name] for name in kind.findings if name in values), None)
+    return next((values[name] for name in fault.findings if name in values), None)
 
 
-def choose_sign(kind: Kind, clean: Recording) -> int:
-    return -1 if kind.follows_sign and clean.real and (estimate_as_recorded(kind, clean) or 0.0) < 0 else 1
+def choose_sign(fault: Fault, clean: Recording) -> int:
+    return -1 if fault.follows_sign and clean.real and (estimate_as_recorded(fault, clean) or 0.0) < 0 else 1
 
 
 def combine(operation: str, own: float, change: float) -> float:
     return own * change if operation == "times" else own + change
 
 
-def is_inside(kind: Kind, finding: Finding, truth: float | None) -> bool:
-    """Whether the truth is in the interval of the finding, or within the tolerance of the kind."""
+def is_inside(fault: Fault, finding: Finding, truth: float | None) -> bool:
+    """Whether the truth is in the interval of the finding, or within the tolerance of the fault."""
     if truth is None:
         return True
     if finding.value is None:
         return False
     if finding.interval is not None and finding.interval[0] <= truth <= finding.interval[1]:
         return True
-    return abs(finding.value - truth) <= max(kind.tolerance * abs(truth), COUNT_TOLERANCE)
+    return abs(finding.value - truth) <= max(fault.tolerance * abs(truth), COUNT_TOLERANCE)
 
 
-def new_findings(result: DriveCheck, before: DriveCheck, kind: Kind) -> list[Finding]:
+def new_findings(result: DriveCheck, before: DriveCheck, fault: Fault) -> list[Finding]:
     """Findings that the fault causes in addition to the expected and permitted ones."""
-    known = {finding.name for finding in before.findings} | {*kind.findings, *kind.also_permitted}
+    known = {finding.name for finding in before.findings} | {*fault.findings, *fault.also_permitted}
     return [finding for finding in result.findings if finding.name not in known]
 
 

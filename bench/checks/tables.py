@@ -17,7 +17,7 @@ def count_row(records: Sequence[Record], **first: object) -> Record:
 
 
 def summarise(records: Sequence[Record]) -> Record:
-    """Counts for each kind, each drive, and in total."""
+    """Counts for each fault, each drive, and in total."""
     def by(key: str) -> list[Record]:
         values = dict.fromkeys(r[key] for r in records)
         return [count_row([r for r in records if r[key] == value], **{key: value}) for value in values]
@@ -33,7 +33,7 @@ def format_accuracy(r: Record) -> str:
 
 
 def as_markdown(document: Record) -> str:
-    """Formats the totals, and the kinds of faults with wrong cases."""
+    """Formats the totals, and the faults with wrong cases."""
     total = [(r["which"], str(r["cases"]), format_accuracy(r)) for r in document["total"]]
     missed = [(r["kind"], str(r["cases"]), str(r["right"])) for r in document["kinds"] if r["right"] < r["cases"]]
     count = len(document["kinds"])

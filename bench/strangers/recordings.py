@@ -51,10 +51,10 @@ def _drive_case(case: Case, shorten: float) -> Iterator[tuple[str, np.ndarray]]:
     comfort = float(np.mean([one[1] for one in case.drives]))
     planned = [(name, name, c, s) for name, c, s in case.drives]
     planned += [(f"held_out_{name}", name, comfort, 70.0) for name in HELD_OUT]
-    for number, (name, kind, accepted, seconds) in enumerate(planned):
+    for number, (name, road_name, accepted, seconds) in enumerate(planned):
         rng = np.random.default_rng([case.seed, 1, number])
         # Drives in which a multi-body car nearly stops are rejected.
-        line = road(kind, rng, accepted, stops=car.equations != MULTI_BODY)
+        line = road(road_name, rng, accepted, stops=car.equations != MULTI_BODY)
         count = int(seconds * shorten / simulation.STEP)
         wander = np.convolve(rng.standard_normal(count), np.full(160, 1 / 12.6), "same") * TREMOR
         if car.equations == MULTI_BODY:

@@ -4,13 +4,13 @@ import pytest
 from support import EXAMPLES
 
 from bench.checks import score
-from bench.checks.corruptions import KINDS
+from bench.checks.corruptions import FAULTS
 from bench.checks.drives import real_drive
 from bench.checks.score import Drive
 from bench.checks.virtual import virtual_drive
 
-FAULTS = ("gaps", "x scaled", "positions late", "yaw in other units", "yaw rate sign", "yaw rate late",
-          "velocities in other units", "steering sign")
+NAMES = ("gaps", "x scaled", "positions late", "yaw in other units", "yaw rate sign", "yaw rate late",
+         "velocities in other units", "steering sign")
 
 
 @pytest.fixture(scope="module", params=["real", "virtual"])
@@ -19,8 +19,8 @@ def drive(request):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", FAULTS)
+@pytest.mark.parametrize("name", NAMES)
 def test_fault_is_identified_and_its_interval_contains_the_true_size(drive, name):
-    kind = KINDS[name]
-    record = score.score_case(drive, kind, kind.sizes[1])
+    fault = FAULTS[name]
+    record = score.score_case(drive, fault, fault.sizes[1])
     assert record["right"], record
