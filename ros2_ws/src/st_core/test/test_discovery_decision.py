@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from discovery_drives import COLUMNS, Rows, fit_problem, linear_problem
 from st_core.discovery import OUTCOMES, Limits, decision
 from st_core.discovery.decision import (
     ACCEPTED,
@@ -409,3 +410,13 @@ def test_combination_changed_by_a_refuted_effect_is_not_stated(monkeypatch, rule
     search = SimpleNamespace(find_cancelling_effects=lambda *_: ())
     judged = _Analysis._judge_effects(analysis, search, state, {}, {"position_5s": 0.1})
     assert judged.combinations == (delay, stiffness)[:count]
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_correction_of_drives_without_positions_has_no_position_error():
+    """The increase was NaN, which JSON does not know."""
+    problem = linear_problem(("mass", "yaw_inertia"), {"mass": 1.0}, 3)
+    problem.loss.known = problem.loss.known & ~np.tile([c.startswith("position") for c in COLUMNS], len(Rows.time))
+    without, fit = (fit_problem(problem, *names) for names in ((), ("mass",)))
+    correction, = _Analysis._list_corrections(None, problem, fit, SimpleNamespace(fit=without))
+    assert correction.name == "mass" and correction.position_5s_increase == 0.0

@@ -341,8 +341,9 @@ class _Analysis:
 
     def _list_corrections(self, problem: Problem, fit: Fit, state: SearchState) -> tuple[result.FoundEffect, ...]:
         """Effects of `fit` that are not in `state.fit`. Their `position_5s_increase` is in-sample, without a refit."""
-        def mean_position_error(vector: np.ndarray) -> float:
-            return float(np.nanmean(problem.position_error(problem.errors.at(vector))))
+        def mean_position_error(vector: np.ndarray) -> float:  # 0 if position is not a channel
+            error = problem.position_error(problem.errors.at(vector))
+            return float(np.nansum(error)) / max(int(np.isfinite(error).sum()), 1)
 
         return tuple(result.FoundEffect(
             n, get_effect(n).kind, waterfall.estimate_parameters(problem, fit, n, {}), (),
