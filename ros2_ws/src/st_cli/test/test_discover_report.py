@@ -16,6 +16,7 @@ from st_core.checks import Advice, Finding, Severity
 from st_core.discovery import DiscoverySettings
 from st_core.discovery.error_regions import compute_window_errors
 from st_core.discovery.result import (
+    AssumedQuantity,
     CandidateEffect,
     Combination,
     FittedParameter,
@@ -281,6 +282,16 @@ def test_deviating_combination_is_reported_if_none_of_its_effects_is_named(logs)
     named = replace(found, combinations=(replace(stiffness, effects=(found.effects[0].name,)),))
     for one in (same, named):
         assert "over mass" not in report_text.format_title(one)
+
+
+def test_meaning_of_a_stiffness_names_the_known_quantities_that_it_depends_on(logs):
+    """Another mass or position of the CG, which scales show, changes the stiffness that the drives determine."""
+    known = (AssumedQuantity("mass", "kg", 1420.0, 42.6, False),
+             AssumedQuantity("cg_to_front_axle", "m", 1.07, 0.03, True))
+    found = replace(discovery(logs, [("rear_stiffness", {"factor": 1.25}, 0.5)], 1.72), assumed=known)
+    (text,) = report_text.explain_effects(found)
+    assert text.endswith("with the mass 1420 kg (standard deviation 43) and cg_to_front_axle 1.07 m (standard "
+                         "deviation 0.03) of the vehicle file")
 
 
 def test_page_and_terminal_contain_the_result_and_escape_names(logs, drive, tmp_path, capsys):

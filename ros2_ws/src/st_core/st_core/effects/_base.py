@@ -139,8 +139,8 @@ class Effect:
     # Keys of COMBINATIONS whose deviation from the vehicle file it may explain.
     combinations: ClassVar[tuple[str, ...]] = ()
     imitated_by: ClassVar[str] = ""  # causes outside the library that act like it
-    # Key of the vehicle file; only the ratio of the effect's quantity to this one is observable.
-    ratio_to: ClassVar[str] = ""
+    # Keys of the vehicle file; only ratios of the effect's quantity to these are observable.
+    ratio_to: ClassVar[tuple[str, ...]] = ()
     at_peak_force: ClassVar[bool] = False  # whether it is observable only near the peak force of an axle
     applies_to: ClassVar[frozenset[str]] = DYNAMIC  # base models that it can be added to
     converts: ClassVar[tuple[str, str] | None] = None  # (from, to) base model, if it turns one into another

@@ -26,7 +26,7 @@ class FrontStiffness(Effect):
     kind, slot = "vehicle parameters", "front axle"
     confounded_with = ("steering_compliance", "steering_ratio", "roll_steer", "mass", "friction", "tyre_stiffness")
     combinations = ("front cornering stiffness over mass", "stability factor K", "steady-state yaw gain at 20 m/s")
-    ratio_to = "mass"
+    ratio_to = ("mass", "cg_to_front_axle")
     parameter = make_stiffness_parameter(0.9)
 
     @staticmethod

@@ -11,7 +11,7 @@ class RearStiffness(Effect):
     kind, slot = "vehicle parameters", "rear axle"
     confounded_with = ("front_stiffness", "cg_position", "friction", "tyre_stiffness")
     combinations = ("rear cornering stiffness over mass", "stability factor K", "steady-state yaw gain at 20 m/s")
-    ratio_to = "mass"
+    ratio_to = ("mass", "cg_to_front_axle")
     parameter = make_stiffness_parameter(0.85)
 
     @staticmethod

@@ -10,7 +10,7 @@ class TyreStiffness(Effect):
     excited_by = "cornering with measured sideslip, steering sweeps; observable only relative to mass and yaw_inertia"
     kind, slot = "vehicle parameters", "both axles"
     confounded_with = ("mass", "front_stiffness", "rear_stiffness", "cg_position")
-    ratio_to = "mass"
+    ratio_to = ("mass", "cg_to_front_axle")
     members = ("front_stiffness", "rear_stiffness")
     parameter = make_stiffness_parameter(0.85)
 

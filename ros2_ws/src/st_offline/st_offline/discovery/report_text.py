@@ -167,11 +167,11 @@ def explain_effects(discovery: Discovery) -> list[str]:
     lines = []
     for effect in sort_by_size(discovery.effects):
         definition = get_effect(effect.name)
-        prior = next((a for a in discovery.assumed if a.key == definition.ratio_to), None)
+        priors = [f"{a.key} {a.value:.4g} {a.unit} (standard deviation {a.deviation:.2g})"
+                  for a in discovery.assumed if a.key in definition.ratio_to]
         signs = [f"{to_words(p.name)}: {p.meaning}" for p in definition.parameters if p.fit and p.meaning]
         parts = (definition.physics, *signs,
-                 f"if the {prior.key} is {prior.value:.4g} {prior.unit} (standard deviation {prior.deviation:.2g})"
-                 if prior else "",
+                 f"with the {' and '.join(priors)} of the vehicle file" if priors else "",
                  f"identifiable only together with {', '.join(map(to_words, effect.joint))}: they compensate for each "
                  "other" if effect.joint else "")
         lines.append(f"{to_words(effect.name)}: {'; '.join(filter(None, parts))}")
