@@ -33,7 +33,7 @@ MIN_REAR_AXLE_WINDOWS = 30
 SLIP_RANGE = 0.5, 1.5  # plausible rear slip, as a fraction of that of the vehicle file
 MAX_BANK = 0.08  # rad; largest bank of a road; design guides limit the superelevation to 7 or 8 %
 BANK = Alternative("the road is banked")
-BOTH_DIRECTIONS = Advice("text", "drive the road in both directions, to distinguish the two")
+BOTH_DIRECTIONS = Advice("text", "drive the road in both directions to distinguish the two")
 MAX_COSINE = 0.9  # cosine similarity of speed and yaw rate; 1 on a circle, which confounds misalignment and INS point
 MIN_STEERING_ANGLE = 0.01  # rad; minimum root mean square of the angles for an estimate of the steering gain
 MIN_ANGLE_FOR_SIGN = 0.003  # rad; MIN_STEERING_ANGLE for the sign of the gain alone; fast, wide bends suffice
@@ -178,8 +178,8 @@ def _make_unit_finding(gain: Estimate, plausible_gains: tuple[float, float], veh
     """Finding about a steering gain that only a wrong unit or sign can explain; None for a plausible gain.
 
     plausible_gains: the expected and the largest one; 1 is plausible too, since stiffnesses may be inaccurate.
-    geographic: whether positions are certain to be east and north; otherwise all INS channels may be mirrored, for
-    which the correction of the steering is right as well.
+    geographic: whether positions are certain to be east and north; otherwise all INS channels may be mirrored instead,
+    and the correction of the steering is valid in both cases.
     may_be_play: whether play explains a positive gain that no unit matches; steered rear wheels may also explain it.
     """
     (expected, largest), value, limit = plausible_gains, gain.value, LIMITS.steering_unit_ratio
