@@ -46,4 +46,4 @@ def has_numba() -> bool:
 
 @cache
 def _warn_numpy() -> None:
-    logging.getLogger(__name__).warning("numba is not installed: batches run in numpy, about five times slower")
+    logging.getLogger(__name__).warning("numba is not installed: batches run in numpy, five to twenty times slower")

@@ -57,7 +57,7 @@ def compute_conditions(velocity_x: float | np.ndarray, yaw_rate: float | np.ndar
 
 
 def compute_magnitudes(velocity_x: Any, yaw_rate: Any, velocity_x_dot: Any, activity: Any) -> tuple[Any, ...]:
-    """The four conditions as separate arrays, or as floats, which take a tenth of the time for one start."""
+    """The four conditions as separate arrays, or as floats, which take far less time for one start."""
     return abs(velocity_x), abs(velocity_x * yaw_rate), abs(velocity_x_dot), abs(activity)
 
 
@@ -152,7 +152,7 @@ def compute_features(conditions: np.ndarray) -> np.ndarray:
 
 def compute_scalar_features(condition: Sequence[Any] | np.ndarray, log: Callable[[Any], Any] = math.log,
                             maximum: Callable[[Any, Any], Any] = max) -> list[Any]:
-    """The 20 features (`compute_features`) of four conditions as a list; takes half the time for floats.
+    """The 20 features (`compute_features`) of four conditions as a list; takes a tenth of the time for floats.
 
     log, maximum: functions for conditions of other types, such as CasADi symbols or arrays.
     """
