@@ -1,8 +1,8 @@
-"""Predictions per second of processor time: numba SIMD ("lanes"), numpy, scalar Python ("floats"), scalar numba, C++
-SIMD, CasADi, commonroad.
+"""Predictions per second of processor time in numba, numpy, Python, C++, CasADi and commonroad.
 
-Each prediction covers 5 s with RK4 steps of 50 ms (odeint in two of commonroad); one starts every 100 ms of a
-ten-minute drive. All except commonroad run alternately on one core. The limit is the fastest of the C++ variants.
+In numba with SIMD ("lanes") and without, in C++ with SIMD, in Python with scalars ("floats"). Each prediction covers 5 s
+with RK4 steps of 50 ms (odeint in two of commonroad); one starts every 100 ms of a ten-minute drive. All except
+commonroad run alternately on one core. The limit is the fastest of the C++ variants.
 """
 
 import tempfile

@@ -19,10 +19,13 @@ def bench(
     context: typer.Context,
     name: str | None = typer.Argument(None, help="Name of a benchmark; without a name, all are listed."),
     json_file: Path | None = typer.Option(
-        None, "--json", help="JSON file for the result and a description of the computer; not for benchmarks with own "
-        "options."),
+        None, "--json", help="JSON file for the result and a description of the computer; not for benchmarks with "
+        "options of their own."),
 ) -> None:
-    """List the benchmarks, or run one and print its results."""
+    """List the benchmarks, or run one and print its results.
+
+    Those with options of their own describe them with: st bench NAME -- --help
+    """
     folder = project_root() / "bench"
     files = {path.stem: path for path in sorted(folder.glob("*.py")) if not path.stem.startswith("_")}
     # A package has its own options and prints its own result.
