@@ -1,7 +1,7 @@
 """Predictions per second of processor time in numba, numpy, Python, C++, CasADi and commonroad.
 
-In numba with SIMD ("lanes") and without, in C++ with SIMD, in Python with scalars ("floats"). Each prediction covers 5 s
-with RK4 steps of 50 ms (odeint in two of commonroad); one starts every 100 ms of a ten-minute drive. All except
+In numba with SIMD ("lanes") and without, in C++ with SIMD, in Python with scalars ("floats"). Each prediction covers
+5 s with RK4 steps of 50 ms (odeint in two of commonroad); one starts every 100 ms of a ten-minute drive. All except
 commonroad run alternately on one core. The limit is the fastest of the C++ variants.
 """
 

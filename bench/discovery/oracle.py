@@ -19,7 +19,7 @@ from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 
 BASE = "nonlinear"
-TAIL = 4.0
+TAIL = 4.0  # squared scaled error above which the loss grows slowly
 MAX_ERROR = 100.0  # m, position error of a divergent prediction
 MAX_SCALED_ERROR = 30.0
 """Limit of the scaled errors, so that a divergent window does not dominate the sum."""
