@@ -44,7 +44,7 @@ _LINES = (
                r"(?P<data>(?: [0-9A-Fa-f]{2})*)\s*$"),
     # Of Kvaser's loggers: "    0.005500  1         600    Rx             8  19 14 09 03 00 12 00 12        1"
     re.compile(r"\s*(?P<time>\d+\.\d+) +(?P<bus>\d+) +(?P<id>[0-9A-F]{1,8})(?P<kind>x?) +(?P<direction>[RT]x)(?:Rq)?"
-               r"[ EFBPRW#]+(?P<length>\d+)  (?P<data>(?:[0-9A-F]{2} )*|RTR) +\d+\s*$"),
+               r"[ EFBPRW#]+(?P<length>\d+) +(?P<data>(?:[0-9A-F]{2} )*|RTR) +\d+\s*$"),
     # Of CanKing with hexadecimal numbers: " 0    0000014B         1  00                                1675.570498 T"
     re.compile(r"\s*(?P<bus>\d+) +(?P<id>[01][0-9A-F]{7}) +(?P<kind>X?R?) +(?P<length>\d+)  "
                r"(?P<data>(?:[0-9A-F]{2} +)*) *(?P<time>\d+\.\d+) (?P<direction>[RT])\s*$"))
@@ -374,17 +374,14 @@ def _read_csv_data(cells: Mapping[str, str], row: Sequence[str], name: str, role
                    ) -> bytes:
     """Data of a frame in any of the CSV formats. Raises ValueError if it does not have the stated length."""
     digits = "".join(row[roles["data"]].split())
-    if "length" in roles:
-        length = int(row[roles["length"]])
-    else:  # Vehicle Spy has eight columns of bytes
-        length = sum(map(bool, row[roles["data"]:][:8])) if name == "b1" else len(digits) // 2
-    if name[-1].isdigit():
-        data = bytes(int(text, base) for text in row[roles["data"]:][:length])
-    elif name == "data" and not re.fullmatch(f"[0-9A-Fa-f]{{{2 * length}}}", digits):
+    length = int(row[roles["length"]]) if "length" in roles else None
+    if name[-1].isdigit():  # without a length, as of Vehicle Spy, there are eight columns of bytes
+        data = bytes(int(text, base) for text in row[roles["data"]:][:8 if length is None else length] if text)
+    elif name == "data" and length is not None and not re.fullmatch(f"[0-9A-Fa-f]{{{2 * length}}}", digits):
         data = b64decode(digits)
     else:
         data = bytes.fromhex(digits)
-    if len(data) != length and not _is_marked(cells, "remote", "rtr"):
+    if length not in (None, len(data)) and not _is_marked(cells, "remote", "rtr"):
         raise ValueError(f"{len(data)} bytes instead of {length}")
     return data
 

@@ -91,7 +91,7 @@ COLUMNS: Mapping[str, Channel] = {
     "t": Channel("time", "time", _split(
         "t time t_rt timestamp timestamps stamp time_boot sim_time log_time relative_time elapsed elapsed_time seconds "
         "unix_time utc_time gps_time time_utc time_gps gps_tow tow gps_seconds time_of_week itow datetime epoch "
-        "epoch_time time_from_start gps_ins_time zeit uhrzeit zeitstempel datum_zeit x_value")),
+        "epoch_time time_from_start gps_ins_time utc zeit uhrzeit zeitstempel datum_zeit x_value")),
     **{axis: Channel("length", f"position of the INS point, {direction} or along the map's {axis}", _split(
         f"{axis} pos_{axis} position_{axis} {axis}_pos {axis}_position p{axis} {direction} {direction}ing "
         f"{direction[0]}_pos {axis}_{direction} {axis}_enu {axis}_map local_{axis} utm_{axis} utm_{direction[0]} "
