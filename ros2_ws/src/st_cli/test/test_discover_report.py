@@ -294,6 +294,16 @@ def test_meaning_of_a_stiffness_names_the_known_quantities_that_it_depends_on(lo
                          "deviation 0.03) of the vehicle file")
 
 
+@pytest.mark.parametrize(("effect", "is_limited"), [("rear_tyre_curve", True), ("mass", False)])
+def test_model_with_an_undetermined_peak_is_recommended_for_the_driven_range_only(logs, effect, is_limited):
+    """A peak that the drives do not reach is extrapolated: harder driving may be predicted worse than by the file."""
+    found = discovery(logs, STEPS, 1.72)
+    lines = report_text.recommend(replace(found, minor=(replace(found.effects[0], name=effect),)), None)
+    (line,) = [line for line in lines if line.startswith("model.yaml also contains")]
+    assert line.endswith("; use it only up to the slip angles of these drives, which do not determine the peak force"
+                         ) is is_limited
+
+
 def test_page_and_terminal_contain_the_result_and_escape_names(logs, drive, tmp_path, capsys):
     found = discovery(logs, STEPS, 1.72, varying=(make_varying_effect(logs),))
     request = make_request(drive)

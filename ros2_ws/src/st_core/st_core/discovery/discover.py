@@ -434,9 +434,8 @@ class _Analysis:
             untestable.append(result.UntestableEffect(
                 name, f"a change of {size} would be detected with probability {largest.probability:.2f}; "
                 f"{confounder}it is visible in {get_effect(name).excited_by}", manoeuvre))
-        for name in self.space.without_signal:
-            signals = ", ".join(get_effect(name).signals)
-            untestable.append(result.UntestableEffect(name, f"it needs the signal {signals}, which is not recorded"))
+        untestable += [result.UntestableEffect(n, f"it needs the signal {', '.join(get_effect(n).signals)}, which is "
+                                               "not recorded") for n in self.space.without_signal]
         return (*untestable, *(result.UntestableEffect(name, reason) for name, reason in NEVER_TESTABLE.items()))
 
     @staticmethod

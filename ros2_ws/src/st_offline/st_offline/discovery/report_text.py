@@ -34,6 +34,7 @@ MAX_SEPARATION = 10.0  # standard deviations; larger separations are outside the
 MAX_RATIO = 1000.0  # of an error to the expected error; with larger errors, predictions have diverged
 LIMITS = Limits()
 OTHER_CAUSE = " or a cause outside the library with the same effect"
+DRIVEN_RANGE = "; use it only up to the slip angles of these drives, which do not determine the peak force"
 EFFECT_HEAD = ("effect", "value (95 % interval)", "5 s position error without it", "largest reduction",
                "significant in")
 EFFECT_NOTE = ("Errors are those of the complete model on held-out drives; \"without it\" means that this effect is "
@@ -207,8 +208,8 @@ def describe_residual(discovery: Discovery) -> str:
     position = discovery.errors.get("position_5s")
     if position is None:
         return ""
-    text = (f"residual 5 s position error {format_metres(position.augmented)}; noise level "
-            f"{format_metres(position.floor)}")
+    after, noise = format_metres(position.augmented), format_metres(position.floor)
+    text = f"residual 5 s position error {after}; noise level {noise}"
     if position.worst_run:
         text += f"; the run with the largest error is {position.worst_run} ({format_metres(position.worst)})"
     if position.worse_runs and discovery.model:
@@ -364,8 +365,8 @@ def recommend(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
     lines += [f"measure {to_words(e.name)} on the car, and check causes that have the same effect but are not in the "
               f"library: {causes}"
               for e in discovery.effects if (causes := _list_other_causes(discovery, e.name))]
-    is_written = not discovery.increases_error
-    if not is_written:
+    is_written = discovery.model is not None and not discovery.increases_error
+    if discovery.increases_error:
         position = discovery.errors["position_5s"]
         lines.append("model.yaml is not written: with it, the position error after 5 s would increase significantly, "
                      f"from {format_metres(position.base)} to {format_metres(position.augmented)} on held-out driving")
@@ -388,17 +389,17 @@ def recommend(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
     if discovery.outcome == "not_testable":
         manoeuvres = ", ".join(dict.fromkeys(n.manoeuvre for n in discovery.not_testable if n.manoeuvre))
         lines.append(f"record more driving{f' ({manoeuvres})' if manoeuvres else ''} and add it to the runs")
-    if discovery.outcome == "ambiguous" and discovery.next_manoeuvre is not None:
+    if discovery.outcome == "ambiguous" and discovery.next_manoeuvre:
         lines.append("record the next drive and add it to the runs")
     if not all(c.is_delay for c in discovery.unseparated_combinations):
-        only_effective = discovery.model is not None and is_written and not (discovery.effects or discovery.minor)
-        prediction = "predict with model.yaml; " if only_effective else ""
+        prediction = "predict with model.yaml; " if is_written and not (discovery.effects or discovery.minor) else ""
         lines.append(f"{prediction}weigh the car and compare its tyres with those of the vehicle file")
     if discovery.minor and is_written:
         minor = ", ".join(name_with_alternatives(discovery, e) if discovery.effects else to_words(e.name)
                           for e in discovery.minor)
         start = "model.yaml also contains" if discovery.effects else "predict with model.yaml, which contains"
-        lines.append(f"{start} {minor}: part of the fit, but not reported as properties of the car")
+        limit = DRIVEN_RANGE * any(get_effect(e.name).at_peak_force for e in (*discovery.minor, *discovery.effective))
+        lines.append(f"{start} {minor}: part of the fit, but not reported as properties of the car{limit}")
     return lines or ["nothing"]
 
 
