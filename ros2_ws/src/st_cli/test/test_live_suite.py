@@ -41,6 +41,7 @@ def run(verb, *arguments: object):
 
 @pytest.mark.parametrize(("arguments", "fragments"), [
     (["--scenario", "S66"], ["--scenario S66", "choose S1, S2"]),
+    (["--model", ROOT / "README.md"], ["README.md: not valid YAML"]),
     (["--effect", "friction=0.8"], ["friction: unknown setting", "friction_factor"]),
     (["--effect", "friction_factor=7"], ["friction_factor: 7.0 is not within 0.05 to 2\n"]),
     (["--ncom-rate", "200"], ["--ncom-rate", "choose from 100, 250"]),

@@ -14,7 +14,7 @@ from st_core.model_file import ModelFile
 from st_core.models import MODELS, Model
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
-from st_recordings.car import read_model, read_text, read_vehicle
+from st_recordings.car import read_model_file, read_text, read_vehicle
 from st_recordings.paths import config, project_root
 from st_recordings.results import RecordedConfiguration
 from st_recordings.runs.bag import is_bag
@@ -123,7 +123,9 @@ def load_model(model: Path | None, effects: Path | None, car: VehicleParameters,
         return MODELS["nonlinear"]
     if effects is not None:
         load_folder(str(effects.absolute()))
-    return read_model(str(model), car, origin)[0]
+    file = read_model_file(str(model))
+    file.check_vehicle(car, origin, f"{model}: ")
+    return file.model()
 
 
 def set_bands_and_course(parameters: Parameters, bands: Path | None, course: Path | None,
