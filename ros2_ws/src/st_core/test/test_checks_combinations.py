@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from exact_drive import Sines, delay, exact_drive
 from exact_faults import biased, corrected_drive, findings_by_name, scaled
-from st_core.checks import AuxiliaryData, Severity, check
+from st_core.checks import AuxiliaryData, DriveCheck, Finding, Severity, check
+from st_core.checks.check import _report_changes
 from st_core.log import DriveLog
 from support import read_car, shared
 
@@ -182,3 +183,20 @@ def test_constant_fault_is_one_of_the_whole_drive(leaf):
     constant = biased(0.02, "yaw_rate")(exact_drive(leaf, 160.0, rate=20.0))
     (finding,) = check(constant, leaf).findings
     assert finding.name == "yaw_rate_bias" and not finding.times and finding.advice.kind == "run.yaml"
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("feet", 3.28084), ("kilometres", 0.001), ("millimetres", 1000.0)])
+def test_unit_of_length_of_positions_and_velocities_is_named(leaf, unit, factor):
+    log = exact_drive(leaf, 60.0)
+    wrong = scaled(factor, "x", "y", "velocity_x", "velocity_y")(log)
+    (finding,) = check(wrong, leaf).findings
+    assert (finding.name, finding.severity) == ("position_scale", Severity.ERROR) and unit in finding.text
+    assert finding.value == pytest.approx(factor, rel=0.002)
+    assert check(corrected_drive(wrong, finding.advice.entry, leaf), leaf).findings == ()
+
+
+@pytest.mark.parametrize(("name", "is_reported"), [("steering_unrelated", False), ("position_noise", True)])
+def test_steering_that_is_unrelated_in_a_half_with_little_steering_is_no_change(name, is_reported):
+    finding = Finding(name, Severity.WARNING, ("road_wheel_angle",), "differs", 0.3)
+    whole, half = DriveCheck((), {}, ()), DriveCheck((finding,), {}, ())
+    assert bool(_report_changes(whole, [half, whole], [0.0, 60.0, 120.0]).findings) is is_reported

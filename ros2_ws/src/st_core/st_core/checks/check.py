@@ -30,7 +30,15 @@ from .plausibility import drop_implausible, find_broken_channels
 from .position_steps import check_position_steps
 from .regression import Estimate, add_systematic_uncertainty
 from .trial import try_corrections
-from .units_and_axes import check_nominal_rate, check_time_unit, correct_units, match_unit, other_yaw_fits_better
+from .units_and_axes import (
+    LENGTH_CHANNELS,
+    check_nominal_rate,
+    check_time_unit,
+    correct_length_unit,
+    correct_units,
+    match_unit,
+    other_yaw_fits_better,
+)
 
 ESTIMATES_BIASED_BY_SIDESLIP = ("steering_lag", "yaw_rate_lag", "yaw_lag")
 EXPLAINED_BY_YAW_LAG = ("yaw_rate_lag", "position_lag", "position_reference", "steering_lag")
@@ -38,7 +46,7 @@ MAX_INS_DISTANCE = 3.0  # m; largest distance of the INS ahead of the rear axle
 MAX_REAR_COMPLIANCE = 0.01  # rad s^2/m; rear cornering compliance (slip angle per a_y): road cars 0.003 to 0.008
 MIN_HALF_DURATION = 40.0  # s; shortest half of a drive that is compared with the other: 8 blocks of the bootstrap
 MIN_CHANGE = 0.5  # smallest change between halves, as a fraction of the deviation: a constant correction leaves a half
-VARY_WITH_ROAD = ("heading_misaligned", "measuring_point")  # findings that are not compared between halves
+VARY_WITH_DRIVING = ("heading_misaligned", "measuring_point", "steering_unrelated")  # not compared between halves
 MIN_INS_SAMPLES = 50  # with fewer samples, only implausible samples and time stamps are reported
 
 
@@ -113,8 +121,8 @@ def _report_changes(whole: DriveCheck, halves: list[DriveCheck], ends: list[floa
 def _describe_change(finding: Finding, other: DriveCheck, whole: DriveCheck) -> str:
     """Clause about the value in the other half of the drive, if it is significantly different; otherwise ""."""
     name, value, interval = finding.name, finding.value, finding.interval
-    if (finding.times or finding.severity is Severity.NOTE or name in VARY_WITH_ROAD
-            or finding.concerns_only_acceleration):
+    if (finding.times or finding.severity is Severity.NOTE or name in VARY_WITH_DRIVING
+            or finding.concerns_only_acceleration or finding.channels == LENGTH_CHANNELS):
         return ""
     if value is None or interval is None:
         return "" if name in {f.name for f in (*other.findings, *whole.findings)} else ", but not in the other half"
@@ -137,7 +145,7 @@ def _check_part(log: DriveLog, vehicle: VehicleParameters | None, auxiliary: Aux
     motion = Motion.from_log(log, start_ns, auxiliary)
     channels = sampling.describe_channels(motion, auxiliary)
     is_long_enough = len(log.ins_time_ns) >= MIN_INS_SAMPLES
-    is_moving = is_long_enough and is_driven(motion)
+    is_moving = is_long_enough and (is_driven(motion) or correct_length_unit(motion)[1] is not None)
     motion, time_unit = check_time_unit(motion) if is_moving else (motion, None)
     results = _Results([*implausible, *sampling.check_timing(motion, auxiliary, implausible, start_ns)])
     results.findings += sampling.check_quality(auxiliary.quality, start_ns) if is_long_enough else []

@@ -383,11 +383,16 @@ def accelerations_confirm_velocity(motion: Motion, factor: float) -> bool:
     """Whether accelerations agree with the velocity as it is, but not with the velocity divided by a factor."""
     if motion.moves_sideways:
         return False
-    agreements = [_compare_acceleration(motion, name, values) for name in ACCELERATIONS
-                  if (values := getattr(motion, name)) is not None]
-    scales = np.array([agreement.scale.value for agreement in agreements if agreement and agreement.correlates])
+    scales = np.array(compute_acceleration_scales(motion))
     return bool((np.abs(scales - 1.0) < ACCELERATION_SCALE_ERROR).all()
                 and (np.abs(factor * scales - 1.0) >= ACCELERATION_SCALE_ERROR).any())
+
+
+def compute_acceleration_scales(motion: Motion) -> list[float]:
+    """Ratios of the measured accelerations to the derivative of velocity, of those that correlate with it."""
+    agreements = [_compare_acceleration(motion, name, values) for name in ACCELERATIONS
+                  if (values := getattr(motion, name)) is not None]
+    return [agreement.scale.value for agreement in agreements if agreement and agreement.correlates]
 
 
 def _find_exchanged_accelerations(motion: Motion, measured: Mapping[str, np.ndarray]) -> Finding | None:

@@ -16,7 +16,12 @@ from scipy.integrate import cumulative_trapezoid
 
 from ..regression import SIGMA_PER_MAD
 from .finding import HORIZON, LIMITS, Advice, Finding, Severity
-from .inertial import GYRO_SCALE_ERROR, accelerations_confirm_velocity
+from .inertial import (
+    ACCELERATION_SCALE_ERROR,
+    GYRO_SCALE_ERROR,
+    accelerations_confirm_velocity,
+    compute_acceleration_scales,
+)
 from .motion import MIN_DISTANCE, MIN_WINDOWS, Motion, compute_ratios, correlate, is_near
 from .position import compute_scaled_misfit
 from .regression import Estimate, Regression, add_systematic_uncertainty
@@ -35,6 +40,7 @@ DEG_PER_RAD, GON_PER_RAD = 180.0 / np.pi, 200.0 / np.pi
 ANGLE_UNITS = {DEG_PER_RAD: "degrees", GON_PER_RAD: "gon", 1000.0: "mrad"}  # names by number of units per SI unit
 SPEED_UNITS = {3.6: "km/h", 2.23694: "mph", 1.94384: "knots"}
 LENGTH_UNITS = {1000.0: "millimetres", 100.0: "centimetres", 3.28084: "feet", 0.001: "kilometres"}
+LENGTH_CHANNELS = ("x", "y", "velocity_x", "velocity_y")
 MAX_DEGREE_RATIO = 1e-4  # ratio to the distance below which positions are angles: a degree of latitude is 111 km
 TIME_UNITS = {1e3: ("milliseconds", "ms"), 1e6: ("microseconds", "us"), 1e9: ("nanoseconds", "ns")}
 MIN_WRAP_STEP = 0.01  # rad; smallest step that counts as a wrap; 360 deg unwrapped as rad leaves 1.86 deg
@@ -56,9 +62,9 @@ def _matches(ratio: float, target: float) -> bool:
 def correct_units(motion: Motion) -> tuple[Motion, list[Finding]]:
     """(motion with units, signs and axes corrected, the findings). `check_time_unit` must be applied first."""
     findings: list[Finding] = []
-    for step in (_correct_velocity_axes, _correct_rate_in_unit_of_yaw, _correct_north_east, _correct_one_axis,
-                 _correct_yaw_or_rate, _correct_position_axes, _correct_distance, _correct_velocity_axes,
-                 _correct_yaw_offset):
+    for step in (correct_length_unit, _correct_velocity_axes, _correct_rate_in_unit_of_yaw, _correct_north_east,
+                 _correct_one_axis, _correct_yaw_or_rate, _correct_position_axes, _correct_distance,
+                 _correct_velocity_axes, _correct_yaw_offset):
         motion, finding = step(motion)
         findings += [finding] if finding else []
     by_name = {finding.name: finding for finding in findings}
@@ -343,6 +349,22 @@ def _correct_one_axis(motion: Motion) -> MotionAndFinding:
     both = motion.apply_entry({"correct": {"position": {"scale": 1.0 / common}}})
     limit = min(MAX_CONSISTENT_MISFIT * float(np.median(np.abs(derived))), CLEAR_MISFIT_RATIO * _compute_misfit(both))
     return (corrected, finding) if _compute_misfit(corrected) < limit else (motion, None)
+
+
+def correct_length_unit(motion: Motion) -> MotionAndFinding:
+    """Correct positions and velocities in the same wrong unit of length, by comparison with the accelerations."""
+    ratio = compute_ratios(motion).position_to_speed  # NaN for kilometres
+    scales = np.array(compute_acceleration_scales(motion) if not np.isfinite(ratio) or _matches(ratio, 1.0) else [])
+    if not len(scales) or not (scales > 0.0).all():
+        return motion, None
+    scale = float(np.exp(np.log(scales).mean()))
+    unit = next((unit for unit in LENGTH_UNITS if is_near(scale, 1.0 / unit, 1.0 + ACCELERATION_SCALE_ERROR)), None)
+    if unit is None or not all(is_near(each, 1.0 / unit, LIMITS.channel_unit_ratio) for each in scales.tolist()):
+        return motion, None
+    text = (f"x, y and both velocities agree, but accelerations are {scale:.3g} times the change of velocity: is the "
+            f"unit of length {LENGTH_UNITS[unit]}?")
+    advice = Advice.for_run_yaml({"correct": {name: {"scale": 1.0 / unit} for name in ("position", "velocity")}})
+    return _correct(motion, "position_scale", LENGTH_CHANNELS, text, unit, advice)
 
 
 def _correct_distance(motion: Motion) -> MotionAndFinding:

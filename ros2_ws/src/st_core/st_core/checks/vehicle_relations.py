@@ -400,7 +400,8 @@ def _make_point_finding(point: Estimate, slip: Estimate, motion: Motion, vehicle
     low, high = (factor * rear_slip_coefficient(vehicle) for factor in SLIP_RANGE)
     if abs(value) > vehicle.wheelbase:
         text += f", {abs(value):.2f} m from the CG and thus outside the car"
-        advice = Advice("text", "check velocity_y; while the rear tyres slide, the INS point cannot be determined")
+        advice = Advice("text", "check velocity_y and the unit of length; while the rear tyres slide, the INS point "
+                        "cannot be determined")
     elif slip.interval[1] < low or slip.interval[0] > high:
         text += ", but velocity_y does not fit the rear slip of the vehicle file"
         advice = Advice("text", "measure the INS position: rear wheels that steer differently with speed, or a "
