@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from _pages import format_records, replace_part
+from st_core.models import MODELS
 from st_recordings.paths import project_root
 
 PAGE = project_root() / "docs" / "measurements" / "bands.md"
@@ -16,7 +17,6 @@ TARGETS = {COVERAGE_90: (86.0, 94.0), COVERAGE_50: (45.0, 55.0), WORST_CELL: (80
 """Column -> lower and upper bound of the coverage [%]."""
 MAX_SCORE_RATIO = 1.15
 """Target for the interval score divided by that of the best alternative."""
-MODELS = ("kinematic", "linear", "nonlinear")
 BAND, CALIBRATED = "conformal", "scaled to nominal coverage"
 
 

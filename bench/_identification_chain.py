@@ -13,12 +13,12 @@ from st_core.identification.result import Identification
 from st_core.identification.steering import identify_steering_offset
 from st_core.log import LogSignals
 from st_core.log_evaluation import regular_starts, usable_starts
+from st_core.models import MODELS
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import project_root
 
 # Duration of each scenario [s]; only S6 and S7 have straights above 5 m/s, which the steering offset requires.
 SECONDS = {"S1": 20, "S2": 15, "S3": 15, "S4": 15, "S5": 25, "S6": 90, "S7": 90}
-MODELS = ("kinematic", "linear", "nonlinear")
 
 
 def run_procedure() -> dict:

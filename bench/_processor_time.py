@@ -8,7 +8,6 @@ from contextlib import contextmanager
 import numpy as np
 from st_core.log import DriveLog
 
-MODELS = ("kinematic", "linear", "nonlinear")
 START_NS = 1_700_000_000_000_000_000
 POINTS = (1.0, 2.0, 3.0, 4.0, 5.0)  # s ahead, at which predictions are stored
 

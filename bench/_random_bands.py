@@ -4,9 +4,9 @@ import numpy as np
 from st_core.bands import Bands, CalibrationDomain, ErrorSamples, calibrate
 from st_core.bands.file import hash_configuration
 from st_core.log_evaluation import MODES, EvaluationSettings
+from st_core.models import MODELS
 from st_core.vehicle import VehicleParameters
 
-MODELS = ("kinematic", "linear", "nonlinear")
 SETTINGS = EvaluationSettings()
 TIME = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
 RUNS, STARTS = 12, 4000

@@ -8,6 +8,7 @@ from _pages import format_records, replace_part
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 from st_core.log_evaluation import EvaluationSettings
+from st_core.models import MODELS
 from st_core.palette import MODEL_COLOUR
 from st_offline.evaluation import advice as advice_report
 from st_offline.evaluation.advice import find_cheapest, measure_runs
@@ -17,7 +18,6 @@ from st_recordings.paths import project_root
 from st_recordings.runs import find_runs
 
 TOLERANCE = 0.3  # m, lateral
-MODELS = ("kinematic", "linear", "nonlinear")
 UNSUITABLE_DRIVES = ("wrong_projection", "rear_ref")
 """Prefixes of drives with a wrong map projection, and of those with the INS at the rear axle."""
 PAGE = project_root() / "docs" / "measurements" / "mpc.md"

@@ -24,7 +24,7 @@ from st_core.bands import Band, CalibrationDomain, ErrorSamples, calibrate, comp
 from st_core.bands.calibration import compute_highest_level, join_runs
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
-from st_core.models import Model, get_model
+from st_core.models import MODELS, Model, get_model
 from st_core.vehicle import VehicleParameters
 from st_offline.bands.bands_report import (
     make_contribution_rows,
@@ -37,7 +37,7 @@ from st_offline.bands.bands_report import (
 from st_recordings.paths import project_root
 from st_recordings.runs import find_runs, read
 
-MODELS, MODES = ("kinematic", "linear", "nonlinear"), ("hindsight", "forecast")
+MODES = ("hindsight", "forecast")
 # Days of recording, from the web page of the data; for low_speed_f to _h only the campaign is known.
 DAYS = {
     "2018-08-20": ("cpg_lap_slow", "cpg_lap_fast"), "2018-08-22": ("cpg_lap_medium", "cpg_lap_fast_controlled"),

@@ -19,11 +19,11 @@ from nav_msgs.msg import Odometry
 from oxts_bridge.file_decoder import decode_file
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from st_core.models import MODELS
 from st_live.nodes.player import read_header_stamp
 from st_msgs.msg import Ncom, Prediction, Steering
 from st_ros.polling import PolledSubscription, to_nanoseconds
 
-MODELS = ("kinematic", "linear", "nonlinear")
 PERIOD = 0.05  # s between two calls of `take`; meanwhile messages wait in the middleware with their time of arrival
 # Name of each hop -> its first and last instant.
 HOPS = {

@@ -6,8 +6,8 @@ from pathlib import Path
 from _cars import leaf
 from _virtual import read_runs, write_scenarios
 from st_core.log_evaluation import evaluate_log
+from st_core.models import MODELS
 
-MODELS = ("kinematic", "linear", "nonlinear")
 AXES = ("longitudinal", "lateral")
 # Table 2 of the paper: for each model (mean, max, RMSE) [m] of the longitudinal and of the lateral error.
 PAPER = {
@@ -35,7 +35,7 @@ def run() -> dict:
     with tempfile.TemporaryDirectory(prefix="st-paper-") as folder:
         drives = read_runs(write_scenarios(Path(folder)), leaf())
     for name, paper in PAPER.items():
-        evaluation = evaluate_log(MODELS, leaf(), drives[name])
+        evaluation = evaluate_log(tuple(MODELS), leaf(), drives[name])
         rows[name] = {"starts": evaluation.errors["linear", "hindsight"].n_starts}
         simulated = {model: [evaluation.errors[model, "hindsight"].statistics(axis) for axis in AXES]
                      for model in MODELS}

@@ -8,10 +8,10 @@ import numpy as np
 from _cars import SOUND_DRIVES, genesis, leaf
 from _virtual import read_runs, write_scenarios
 from st_core.log_evaluation import EvaluationSettings, LogEvaluation, evaluate_log
+from st_core.models import MODELS
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
 
-MODELS = ("kinematic", "linear", "nonlinear")
 REFERENCE = EvaluationSettings()
 CHOICES = {
     "as in the car": REFERENCE,
@@ -37,7 +37,7 @@ def _table(drives: dict, vehicle: VehicleParameters) -> dict:
     rows = {}
     reference: list[LogEvaluation] = []
     for name, settings in CHOICES.items():
-        evaluations = [evaluate_log(MODELS, vehicle, log, settings) for log in drives.values()]
+        evaluations = [evaluate_log(tuple(MODELS), vehicle, log, settings) for log in drives.values()]
         reference = reference or evaluations
         rows[name] = _rmse(evaluations, "means") | {"largest change": _largest_change(evaluations, reference, "means")}
         if settings is REFERENCE:

@@ -6,12 +6,12 @@ import numpy as np
 from _cars import leaf
 from _random_bands import random_bands
 from st_core.bands import CalibratedBands, conditions_now
+from st_core.models import MODELS
 from st_core.prediction import PredictionSettings, Predictor, Skip
 from st_core.types import InsSample
 from st_predictor.nodes._bands import BandMessages
 
 TICKS = 500
-MODELS = ("kinematic", "linear", "nonlinear")
 LAST_NS = 1_990_000_000
 
 
@@ -20,8 +20,8 @@ def run() -> dict:
 
     With bands, a tick includes the half-widths for both input modes and confidence levels, and their message fields.
     """
-    vehicle = leaf()
-    predictor, bands = Predictor(vehicle, MODELS, PredictionSettings()), CalibratedBands(random_bands(vehicle), MODELS)
+    vehicle, models = leaf(), tuple(MODELS)
+    predictor, bands = Predictor(vehicle, models, PredictionSettings()), CalibratedBands(random_bands(vehicle), models)
     messages = BandMessages(bands.half_widths)
     for k in range(200):
         time_ns = k * 10_000_000
@@ -37,7 +37,7 @@ def run() -> dict:
             if not bands.update(conditions_now(predictor.history, start.time_ns)):
                 raise RuntimeError("no band at these conditions")
             messages.fill()
-        for model in MODELS:
+        for model in models:
             predictor.run(start, model)
         times[with_bands].append((time.thread_time() - begin) * 1e3)
     p50, p99 = np.percentile(times[False], (50, 99))

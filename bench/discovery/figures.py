@@ -33,15 +33,12 @@ def count_confusion(records: Sequence[dict[str, Any]]) -> tuple[list[str], list[
 
 
 def _stated(r: dict[str, Any]) -> str:
-    names = [e["name"] for e in r["effects"] if counts_as_answer(r, e["name"])]
+    # True differences between plant and model count only if they are hidden.
+    names = [e["name"] for e in r["effects"] if e["name"] in r["hidden"]
+             or e["name"] not in plant_differences(r["plant"])]
     if r["hidden"][0] in names:
         return r["hidden"][0]
     return "several" if len(names) > 1 else names[0] if names else "unknown" if r["outcome"] == "unknown" else "none"
-
-
-def counts_as_answer(r: dict[str, Any], name: str) -> bool:
-    """Whether a stated effect counts; true differences between plant and model count only if hidden."""
-    return name in r["hidden"] or name not in plant_differences(r["plant"])
 
 
 def draw_confusion(records: Sequence[dict[str, Any]], file: Path) -> None:

@@ -89,8 +89,8 @@ def force_errors(result: Mapping[str, Any]) -> dict[str, float]:
 def count_in_band(result: Mapping[str, Any]) -> tuple[int, int]:
     """(points of the true axle curves inside the 90 % band of the answer, number of points)."""
     inside = count = 0
-    for axle, curve in axle_bands(result["answer"]).items():
-        true = result["truth"]["axles"].get(axle)
+    for curve in result["answer"].get("axle_curves") or ():
+        true = result["truth"]["axles"].get(curve["axle"])
         if not true or not curve.get("slip"):
             continue
         slip = np.abs(np.array(curve["slip"], float))
@@ -101,11 +101,6 @@ def count_in_band(result: Mapping[str, Any]) -> tuple[int, int]:
                 low, high = (np.interp(point, slip[order], edge) for edge in edges)
                 inside, count = inside + int(low <= force <= high), count + 1
     return inside, count
-
-
-def axle_bands(answer: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-    """By axle: force curve of the answer (slip, low, high); empty for an answer without curves."""
-    return {curve["axle"]: curve for curve in answer.get("axle_curves") or ()}
 
 
 def totals(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
