@@ -33,6 +33,7 @@ CHANGES = {
                                        "rear_stiffness_factor": 0.6},
 }
 
+DETECTED, DELAY = "warnings within a minute", "median delay, or coverage without a change"
 Bands = Mapping[tuple[str, str], Band]
 Row = dict[str, str]
 
@@ -139,5 +140,4 @@ def _changed_rows(style: str, name: str, drives: Sequence[DriveWarnings]) -> lis
 
 
 def _row(style: str, change: str, key: tuple[str, str], detected: str, delay: str) -> Row:
-    return {"style": style, "change": change, "model": key[0], "mode": key[1], "within a minute": detected,
-            "median delay": delay}
+    return {"style": style, "change": change, "model": key[0], "mode": key[1], DETECTED: detected, DELAY: delay}

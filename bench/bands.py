@@ -12,7 +12,7 @@ from itertools import product
 
 import numpy as np
 from _band_adaptive import Drive, Score, evaluate_drive, join_drives
-from _band_changes import measure_changes
+from _band_changes import DELAY, measure_changes
 from _band_corrected import correct_files
 from _band_methods import LEVELS, METHODS, SEED
 from _band_page import COVERAGE_50, COVERAGE_90, PAGE, WORST_CELL, write_rows
@@ -76,7 +76,7 @@ def run() -> dict:
 def score_changes() -> dict[str, Row]:
     """Delays of the coverage warning; the page contains all rows except those of forecasts without a warning."""
     rows = measure_changes()
-    page_rows = [row for row in rows if row["mode"] == "hindsight" or row["median delay"] != "none"]
+    page_rows = [row for row in rows if row["mode"] == "hindsight" or row[DELAY] != "none"]
     replace_part(PAGE, "changes in mid-drive", format_records(merge_models(page_rows)))
     return {", ".join(list(row.values())[:4]): row for row in rows}
 
