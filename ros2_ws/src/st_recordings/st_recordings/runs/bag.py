@@ -93,7 +93,7 @@ def _read_types(path: Path, files: Sequence[Path] = (), topics: str | None = Non
     """Types of the recorded messages, of these topics if given; empty for a bag that cannot be read. files: see
     `open_bag`."""
     try:
-        return {topic.type_name for topic in open_bag(path, files).topics if topics is None or topic.is_named(topics)}
+        return {topic.type_name for topic in open_bag(path, files).topics if topics is None or topic.is_in(topics)}
     except RunError:
         return set()
 
@@ -107,7 +107,7 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     Raises RunError for a file that is not a bag, was not closed, or lacks odometry or steering.
     """
     storage, records = open_bag(path, files), read_metadata_records(path)
-    storage.use_definitions({ODOMETRY} | {t.type_name for t in storage.topics if steering and steering.matches(t.name)})
+    storage.use_definitions({ODOMETRY, *(t.type_name for t in storage.topics if steering and t.is_in(steering.topic))})
     reconstruction = Reconstruction(storage, records)
     types = storage.by_type.keys()
     required_fields: dict[Topic, tuple[str, ...]] = {}

@@ -42,7 +42,7 @@ class Topic:
     type_name: str
     count: int
 
-    def is_named(self, names: str) -> bool:
+    def is_in(self, names: str) -> bool:
         """Whether a list with commas contains its name, with or without a leading slash."""
         return self.name.lstrip("/") in (name.strip().lstrip("/") for name in names.split(","))
 

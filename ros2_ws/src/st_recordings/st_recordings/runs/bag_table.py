@@ -35,7 +35,7 @@ def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: S
 
     storage = open_bag(path, files)
     storage.use_definitions({topic.type_name for topic in storage.topics})
-    named_topics = [topic for topic in storage.topics if ins_topics and topic.is_named(ins_topics)]
+    named_topics = [topic for topic in storage.topics if ins_topics and topic.is_in(ins_topics)]
     taken = {channel for topic in named_topics for channel in _find_fields(storage, topic)[1]}
     parts = [(topic.name, *part) for topic in storage.topics if (
         part := _read_columns(storage, topic, () if topic in named_topics else taken))[1]]

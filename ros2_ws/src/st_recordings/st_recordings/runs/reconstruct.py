@@ -219,7 +219,7 @@ def _decode_packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
 
 def find_steering_topic(storage: Storage, steering: SteeringField) -> Topic:
     """Finds the topic of --steering-topic. Raises RunError if it has no messages or an unknown type."""
-    topic = next((t for t in storage.topics if steering.matches(t.name)), None)
+    topic = next((t for t in storage.topics if t.is_in(steering.topic)), None)
     if topic is None:
         names = ", ".join(sorted(t.name for t in storage.topics))[:300] or "no messages"
         raise RunError(storage.path, f"--steering-topic: topic {steering.topic} has no messages in this bag",

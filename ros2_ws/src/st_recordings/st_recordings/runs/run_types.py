@@ -29,10 +29,6 @@ class SteeringField:
         """Factor that converts the recorded number to rad, positive to the left."""
         return self.sign * UNITS["angle"][self.unit or find_stated_unit(self.field, "angle") or "rad"][0]
 
-    def matches(self, topic: str) -> bool:
-        """Whether `topic` is the name of its topic, with or without a leading slash."""
-        return topic.lstrip("/") == self.topic.lstrip("/")
-
 
 @dataclass(frozen=True)
 class Label:

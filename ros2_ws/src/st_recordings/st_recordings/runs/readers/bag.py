@@ -20,6 +20,7 @@ from ..run_types import Label, LoadedRun, ReadSettings, RunSource, SteeringField
 _COMMAND = re.compile(r"(?i)cmd|command|target|desired|setpoint|reference")
 _COMMAND_TOPIC = re.compile(_COMMAND.pattern + r"|control|ackermann|\bdrive\.steering_angle")
 _MEASUREMENT = re.compile(r"(?i)state|status|feedback|report|measure|actual")
+_STEERING_NAME = re.compile("(?i)steer|ackermann")  # SystemRptFloat may also be an accelerator or a brake
 # Type -> field, quantity and unit of the steering angle, positive to the left. Sources: definitions of these packages.
 _STEERING_TYPES: dict[str, tuple[str, Literal["road", "wheel"], Literal["rad", "deg"]]] = {
     **dict.fromkeys(("autoware_vehicle_msgs/msg/SteeringReport", "autoware_auto_vehicle_msgs/msg/SteeringReport"),
@@ -32,21 +33,19 @@ _STEERING_TYPES: dict[str, tuple[str, Literal["road", "wheel"], Literal["rad", "
 
 
 def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
-    steering = settings.steering if settings.steering and settings.steering.topic else None
+    steering, warning = settings.steering if settings.steering and settings.steering.topic else None, ""
     if steering is None and vehicle is not None and (steering := _find_steering(source)) is not None:
-        run = _read_bag(source, vehicle, settings, steering)
         warning = (f"the steering angle is {steering.field} of {steering.topic}, by its type (--steering-is "
                    f"{steering.quantity}, --steering-unit {steering.unit}); name another with --steering-topic")
-        return replace(run, warnings=(*run.warnings, f"{source.path}: {warning}"))
-    if steering is None and bag.may_need_can_frames(source.path, source.files):
+    elif steering is None and bag.may_need_can_frames(source.path, source.files):
         from ..raw import read_raw_run
 
         return read_raw_run(source, vehicle, settings)
+    elif steering is not None and _is_command(steering):
+        warning = (f"{steering.topic} is a command by its name or type, not a measurement; the car follows it with a "
+                   "delay")
     run = _read_bag(source, vehicle, settings, steering)
-    if steering is None or not _is_command(steering):
-        return run
-    warning = f"{steering.topic} is a command by its name or type, not a measurement; the car follows it with a delay"
-    return replace(run, warnings=(*run.warnings, f"{source.path}: {warning}"))
+    return replace(run, warnings=(*run.warnings, f"{source.path}: {warning}")) if warning else run
 
 
 def _find_steering(source: RunSource) -> SteeringField | None:
@@ -54,10 +53,10 @@ def _find_steering(source: RunSource) -> SteeringField | None:
     with suppress(RunError):
         storage = open_bag(source.path, source.files)
         known_types = _STEERING_TYPES.keys() & {*storage.store.fielddefs, *storage.definitions()}
-        fields = [field for topic in storage.topics if topic.type_name in known_types and "steer" in (
-            f"{topic.name} {(field := SteeringField(topic.name, *_STEERING_TYPES[topic.type_name])).field} "
-            f"{topic.type_name}").lower() and not _is_command(field)]
-        return fields[0] if len(fields) == 1 and not {STEERING, CAN_FRAMES} & storage.by_type.keys() else None
+        fields = [SteeringField(topic.name, *_STEERING_TYPES[topic.type_name]) for topic in storage.topics
+                  if topic.type_name in known_types and _STEERING_NAME.search(f"{topic.name} {topic.type_name}")]
+        measured = [field for field in fields if not _is_command(field)]
+        return measured[0] if len(measured) == 1 and not {STEERING, CAN_FRAMES} & storage.by_type.keys() else None
     return None
 
 
