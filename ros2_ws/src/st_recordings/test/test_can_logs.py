@@ -284,6 +284,28 @@ def test_variants_of_candump_and_asc(tmp_path: Path, name: str, lines: list[str]
     assert not name.startswith("a.") or name == "a.asc" or frames.time_ns[0] == 1_436_509_052_000_000_000
 
 
+@pytest.mark.parametrize(("header", "row", "data"), [
+    ("Time,ID,DLC,B0,B1,B2,B3", "0.1,1A2,3,A1,B2,C3,00", "a1b2c3"),
+    ("Time,ID,Format,DLC,Data", "0.1,18FEF100,Extended,2,0A02", "0a02"),
+    (VEHICLE_SPY.format("Arb ID,Remote,Xtd," + ",".join(f"B{k}" for k in range(1, 10))).strip(),
+     "1,0.1,0.1,6,F,F,,HS CAN,,1A2,F,F,0A,02,03,04,05,06,07,08,09,3C,,", "0a0203040506070809")])
+def test_bytes_of_csv_logs(tmp_path: Path, header: str, row: str, data: str) -> None:
+    (tmp_path / "log.csv").write_text(f"{header}\n{row}\n")
+    frames = read_can_logs([tmp_path / "log.csv"]).frames
+    assert bytes(frames.payload[0, :frames.length[0]]).hex() == data
+    assert frames.id[0] in (0x1A2, 0x18FEF100 | EXTENDED)
+
+
+def test_networks_of_vehicle_spy(tmp_path: Path) -> None:
+    names = "Arb ID,Remote,Xtd,B1,B2,B3"
+    rows = [f"1,0.1,0.1,6,F,F,,{network},,1A2,F,F,{data},,\n" for network, data in (
+        ("HS CAN", "0A,02,03"), ("MS CAN", "0A,02,03"), ("HS CAN", "0A,,03"))]
+    (tmp_path / "log.csv").write_text(VEHICLE_SPY.format(names) + "".join(rows))
+    log = read_can_logs([tmp_path / "log.csv"])
+    assert log.frames.bus.tolist() == [1, 2]
+    assert any("1 of 4 lines" in warning for warning in log.warnings)
+
+
 @pytest.mark.parametrize(("start", "pause"), [(3590, 0), (3590, 1500), (86390, 0), (86390, 100), (86390, 40000)])
 @pytest.mark.parametrize("busmaster", [False, True])
 def test_clock_times_continue_past_the_hour_and_midnight_also_after_a_pause(

@@ -64,7 +64,7 @@ _CSV_COLUMNS = {"time": ("timestampepoch", "timestamp", "timestamps", "time", "t
                 "id": ("arbitrationid", "id", "idhex", "iddec", "canid", "identifier", "arbid", "identifierhex"),
                 "length": ("datalength", "len", "length", "dlc"),
                 "data": ("databytes", "data", "datahex", "payload", "d0", "d1", "data0", "data1", "byte0", "byte1",
-                         "b1")}
+                         "b0", "b1")}
 _HEXADECIMAL_IDS = ("idhex", "identifierhex", "arbid")
 _EXTENDED_COLUMNS = ("extended", "ide", "xtd", "format")
 _FURTHER_HEADER = re.compile(r'[^\d"]*Line,')  # a further header of Vehicle Spy, for frames of another kind
@@ -273,7 +273,7 @@ def _split_csv_header(line: str) -> tuple[list[str], str, dict[str, int]]:
 def _is_csv_header(line: str) -> bool:
     """Whether a line names the columns of a CAN log. Without a length, its bytes must be known to be hexadecimal."""
     names, _, roles = _split_csv_header(line)
-    has_length = "length" in roles or ("data" in roles and names[roles["data"]] in ("datahex", "b1"))
+    has_length = "length" in roles or ("data" in roles and names[roles["data"]] in ("datahex", "b0", "b1"))
     return (has_length and roles.keys() >= {"time", "id", "data"}
             and MOTION_CHANNELS.isdisjoint(find_columns(Path(), names, Layout())))
 
@@ -293,6 +293,8 @@ def _read_csv(lines: Lines, notes: list[str]) -> Iterator[Any]:
     elif not stated and unit != "s":
         notes.append(f"its times were read in {unit}")
     factor = UNITS["time"][stated or unit][0]
+    n_columns = _count_byte_columns(names)
+    networks: dict[str, int] = {}  # names of buses, in the order of their first frames
 
     def read_time(text: str) -> float:
         stamp = parse_stamp(text) if ":" in text else None
@@ -301,25 +303,29 @@ def _read_csv(lines: Lines, notes: list[str]) -> Iterator[Any]:
     def parse(line: str) -> Any:
         row = _split_row(line, delimiter)
         cells = dict(zip(names, row, strict=False))
-        data = _read_csv_data(cells, row, names[roles["data"]], roles, byte_base)
+        data = _read_csv_data(cells, row, names[roles["data"]], roles, byte_base, n_columns)
         identifier, is_extended = int(row[roles["id"]], id_base or 16), _is_marked(cells, *_EXTENDED_COLUMNS)
-        if identifier > STANDARD_IDS and is_extended is False:  # other columns in a J1939 row of Vehicle Spy
+        if identifier > STANDARD_IDS and (is_extended is False or ("xtd" in cells and not is_extended)):
+            # Rows of J1939 frames of Vehicle Spy have other columns.
             raise ValueError(f"standard identifier {identifier:x}")
-        bus = cells.get("bus") or cells.get("buschannel", "")
+        bus = cells.get("bus") or cells.get("buschannel") or cells.get("network", "")
         return make_message(
             timestamp=read_time(row[roles["time"]]), arbitration_id=identifier, data=data, is_fd=len(data) > 8,
             is_extended_id=identifier > STANDARD_IDS if is_extended is None else is_extended,
             is_remote_frame=_is_marked(cells, "remote", "rtr"), is_error_frame=_is_marked(cells, "error", "er"),
             is_rx=not _is_marked(cells, "dir", "tx"),
-            channel=int(bus) - ("buschannel" in cells) if bus.isdigit() else None)
+            channel=int(bus) - ("buschannel" in cells) if bus.isdigit() else (
+                networks.setdefault(bus, len(networks)) if bus else None))
 
     return map(parse, (line for line in lines if line.strip() and not _FURTHER_HEADER.match(line)))
 
 
 def _is_marked(cells: Mapping[str, str], *names: str) -> bool | None:
-    """Whether the first of these columns that is not blank has a mark; None if there is none."""
-    mark = next((cells[name].lower() for name in names if cells.get(name)), None)
-    return None if mark is None else mark in ("1", "t", "true", "tx", "ext")
+    """Whether the first of these columns that is not blank has a mark; None if there is none, or another text."""
+    mark = next((cells[name].lower() for name in names if cells.get(name)), "")
+    if mark in ("1", "t", "true", "yes", "tx") or mark.startswith("ext"):
+        return True
+    return False if mark in ("0", "f", "false", "no") or mark.startswith("std") else None
 
 
 def _find_number_formats(file: Path, names: Sequence[str], delimiter: str, roles: Mapping[str, int]
@@ -339,7 +345,7 @@ def _find_number_formats(file: Path, names: Sequence[str], delimiter: str, roles
             is_extended = len(identifier) >= EXTENDED_DIGITS if flag is None else flag
             limit = EXTENDED_IDS if is_extended else STANDARD_IDS
             ids.append((identifier, -1 if names[roles["id"]] == "iddec" else limit))
-            length = row[roles["length"]] if "length" in roles else "8"
+            length = row[roles["length"]] if "length" in roles else str(_count_byte_columns(names))
             data += [(cell, 0xFF) for cell in row[roles["data"]:][:int(length) if length.isdecimal() else 0] if cell]
             with suppress(ValueError):
                 times.append(float(row[roles["time"]].replace(",", ".")))
@@ -370,13 +376,19 @@ def _find_base(cells: Sequence[tuple[str, int]]) -> int:
     return 10 if is_decimal else 16
 
 
-def _read_csv_data(cells: Mapping[str, str], row: Sequence[str], name: str, roles: Mapping[str, int], base: int
-                   ) -> bytes:
+def _count_byte_columns(names: Sequence[str]) -> int:
+    """Number of columns B0, B1, ...; without a length, as of Vehicle Spy, other columns may follow them."""
+    return sum(re.fullmatch(r"b\d+", name) is not None for name in names)
+
+
+def _read_csv_data(cells: Mapping[str, str], row: Sequence[str], name: str, roles: Mapping[str, int], base: int,
+                   n_columns: int) -> bytes:
     """Data of a frame in any of the CSV formats. Raises ValueError if it does not have the stated length."""
     digits = "".join(row[roles["data"]].split())
     length = int(row[roles["length"]]) if "length" in roles else None
-    if name[-1].isdigit():  # without a length, as of Vehicle Spy, there are eight columns of bytes
-        data = bytes(int(text, base) for text in row[roles["data"]:][:8 if length is None else length] if text)
+    if name[-1].isdigit():  # blank cells may follow the bytes, but not separate them
+        texts = row[roles["data"]:][:n_columns if length is None else length]
+        data = bytes(int(text, base) for text in texts[:sum(map(bool, texts))])
     elif name == "data" and length is not None and not re.fullmatch(f"[0-9A-Fa-f]{{{2 * length}}}", digits):
         data = b64decode(digits)
     else:
