@@ -95,7 +95,8 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
 
 def _report_changes(whole: DriveCheck, halves: list[DriveCheck], ends: list[float]) -> DriveCheck:
     """The result for a drive. If a finding, at least a warning, changes between the halves, findings with an interval
-    are those of the halves, since the change may cause others in the whole. ends: start, middle and end [s]."""
+    are those of the halves, since the change may cause others in the whole, and there are no estimates. ends: start,
+    middle and end [s]."""
     ranked: list[tuple[tuple[bool, int, float], Finding]] = []
     for k, half in enumerate(halves):
         for finding in half.findings:
@@ -113,9 +114,7 @@ def _report_changes(whole: DriveCheck, halves: list[DriveCheck], ends: list[floa
         return whole
     constant = [f for f in whole.findings if f.times or (f.interval is None and f.name in in_halves.keys() - changed)]
     remaining = [f for f in in_halves.values() if f.name not in {f.name for f in constant}]
-    dropped = changed | {f.name for f in whole.findings} - in_halves.keys()
-    return replace(whole, findings=(*constant, *remaining), estimates={
-        name: values for name, values in whole.estimates.items() if name not in dropped})
+    return replace(whole, findings=(*constant, *remaining), estimates={})
 
 
 def _describe_change(finding: Finding, other: DriveCheck, whole: DriveCheck) -> str:

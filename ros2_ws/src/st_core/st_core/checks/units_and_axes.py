@@ -208,7 +208,7 @@ def _estimate_yaw_scale(motion: Motion, ratio: float) -> Estimate:
 def _correct_north_east(motion: Motion) -> MotionAndFinding:
     """Correct positions (north, east) with a clockwise yaw, if the other channels confirm the sign of the yaw rate, or
     contradict it and that of yaw."""
-    ratios, votes = compute_ratios(motion), _count_votes_for_yaw_rate(motion)
+    ratios, votes = compute_ratios(motion), sum(_compare_signs(motion))
     if motion.geographic or not _matches(ratios.yaw_to_course, 1.0):
         return motion, None
     text = "x, y and yaw turn in the opposite direction to yaw rate and steering"
@@ -235,25 +235,16 @@ def _add_mirrored_channels(motion: Motion, correct: Mapping[str, Any], columns: 
     if _compute_misfit(replace(corrected, velocity_y=-corrected.velocity_y)) < (
             CLEAR_MISFIT_RATIO * _compute_misfit(corrected)):
         mirrored["velocity_y"] = MIRROR
-    if _compare_sign_of_acceleration(corrected) < 0:
+    if _compare_signs(corrected)[1] < 0:
         mirrored["acceleration_y"] = MIRROR
     return mirrored
 
 
-def _count_votes_for_yaw_rate(motion: Motion) -> int:
-    """Number of sensors (steering, acceleration_y) that turn in the direction of the yaw rate, minus those opposite."""
-    return _compare_sign_of_steering(motion) + _compare_sign_of_acceleration(motion)
-
-
-def _compare_sign_of_acceleration(motion: Motion) -> int:
-    """The same as `_compare_sign_of_steering` for acceleration_y."""
-    turn = motion.yaw_rate * motion.velocity_x
-    return 0 if motion.acceleration_y is None else _find_common_sign(motion.acceleration_y, turn)
-
-
-def _compare_sign_of_steering(motion: Motion) -> int:
-    """1 if the steering turns in the direction of the yaw rate, -1 if in the opposite one, 0 if it is unrelated."""
-    return _find_common_sign(motion.steering_at_ins() * motion.velocity_x, motion.yaw_rate * motion.velocity_x)
+def _compare_signs(motion: Motion) -> tuple[int, int]:
+    """For steering and acceleration_y: 1 if they turn in the direction of the yaw rate, -1 in the opposite, else 0."""
+    turn, steering, lateral = motion.yaw_rate * motion.velocity_x, motion.steering_at_ins(), motion.acceleration_y
+    return (_find_common_sign(steering * motion.velocity_x, turn),
+            0 if lateral is None else _find_common_sign(lateral, turn))
 
 
 def _find_common_sign(values: np.ndarray, turn: np.ndarray) -> int:
@@ -310,8 +301,8 @@ def _correct_position_axes(motion: Motion) -> MotionAndFinding:
     angle = np.angle(np.sum(_direction(measured) * derived))
     quarter = int(np.round(angle / (np.pi / 2))) % 4
     # An even quarter is a longitude positive to the west, or a latitude positive to the south.
-    if quarter % 2 and (motion.geographic or _compare_sign_of_steering(motion) < 0
-                        or _count_votes_for_yaw_rate(motion) < 0):
+    signs = _compare_signs(motion)
+    if quarter % 2 and (motion.geographic or signs[0] < 0 or sum(signs) < 0):
         correct = _add_mirrored_channels(motion, {"yaw": COMPASS_TO_YAW, "yaw_rate": MIRROR}, {})
         *others, last = correct
         text = (f"{', '.join(others)} and {last} are positive clockwise or to the right: is yaw a compass heading from "

@@ -77,12 +77,14 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
         "steering_lag", agreement.lag.shifted(response).widened(_compute_response_uncertainty(vehicle, speed)))
     # If correlation and gain differ in sign, the driver countersteers (crosswind, bank), and the lag is undetermined.
     has_lag, lateral_shift = agreement.correlation * gain.value >= 0.0, _compute_lateral_shift(speed, vehicle)
-    has_clock_error = has_lag and _has_clock_error(motion, vehicle, agreement)
+    has_clock_error = has_lag and _has_clock_error(motion, vehicle, agreement) and not all(
+        (half := _compare_angles(motion, derived, response, rows)) and _lag_is_constant(half, agreement.drift)
+        for rows in np.array_split(np.arange(len(motion.time)), 2))
     has_lag &= not has_clock_error
     # Play takes its width from every turn, so small steering angles have too small a gain.
     may_be_play = 0.0 < (1.0 - gain.value) * agreement.spread < 0.5 * STEERING_PLAY / vehicle.steering_ratio
     findings = (_make_unit_finding(gain, plausible_gains, vehicle, has_steering_wheel, motion.geographic, may_be_play),
-                _make_clock_finding(motion, derived, agreement, response, lateral_shift) if has_clock_error else None,
+                _make_clock_finding(agreement, lateral_shift) if has_clock_error else None,
                 _make_lag_finding(lag, agreement, response, lateral_shift) if has_lag else None,
                 _make_offset_finding(agreement, vehicle, has_steering_wheel, lateral_shift))
     estimates = {"steering_scale": gain, "steering_sign": gain,
@@ -231,27 +233,14 @@ def _lag_is_constant(half: Agreement, drift: Estimate) -> bool:
     return difference.is_significant and not change.is_significant
 
 
-def _make_clock_finding(motion: Motion, derived: np.ndarray, agreement: Agreement, response: float,
-                        lateral_shift: float) -> Finding:
-    """Finding about a steering lag that changes during the drive: at a constant rate, unless it is constant in each
-    half. response: time [s]. lateral_shift: `_compute_lateral_shift`."""
+def _make_clock_finding(agreement: Agreement, lateral_shift: float) -> Finding:
+    """Finding about a steering lag that changes at a constant rate. lateral_shift: `_compute_lateral_shift`."""
     rate, change = agreement.drift.shifted(1.0), agreement.drift.scaled(float(np.ptp(agreement.time)))
     effect = lateral_shift * abs(change.value) * float(np.std(agreement.derived)) * np.sqrt(2.0) / HORIZON
-    advice = Advice("text", "time-stamp the steering and the motion with one clock")
-    halves = [half for rows in np.array_split(np.arange(len(motion.time)), 2)
-              if (half := _compare_angles(motion, derived, response, rows))
-              and _lag_is_constant(half, agreement.drift)]
-    if len(halves) == 2:
-        first, second = (add_systematic_uncertainty("steering_lag", half.lag.shifted(response)) for half in halves)
-        text = (f"the lag of the steering is {first} s in the first half of the drive, but {second} s in the second, "
-                "as if a clock had been set or the latency varied")
-        advice = replace(advice, line=f"{advice.line}, or split the recording where the lag changes")
-        half, lag = (halves[0], first) if abs(first.value) > abs(second.value) else (halves[1], second)
-        finding = _make_finding("steering_lag", ("road_wheel_angle",), text, lag, "s", effect, advice)
-        return finding.with_alternative(PLAY, TIGHTER_BENDS) if _play_explains(lag.value, half) else finding
     text = (f"the clock of the steering runs {rate} times as fast as that of the motion: the lag changes by {change} s "
             "during the drive")
-    return _make_finding("time_rate", ("road_wheel_angle",), text, rate, "1", effect, advice)
+    return _make_finding("time_rate", ("road_wheel_angle",), text, rate, "1", effect,
+                         Advice("text", "time-stamp the steering and the motion with one clock"))
 
 
 def _make_lag_finding(lag: Estimate, agreement: Agreement, response: float, lateral_shift: float) -> Finding | None:
