@@ -129,7 +129,7 @@ class Publishers:
         """Publish sensor_msgs/NavSatFix; altitude above the ellipsoid, NaN while the geoid undulation is unknown."""
         if not self._outputs["nav_sat_fix"].has_subscribers():
             return
-        # Height above the ellipsoid = altitude + undulation. The manual subtracts; recordings show that this is wrong.
+        # Height above the ellipsoid = altitude + undulation; the manual subtracts it, which recordings contradict.
         undulation = 0.0 if self._settings.altitude_is_ellipsoidal else status.get_number("Undulation")
         message, variances = self._fix, compute_variances(accuracy.position)
         _set_time(message.header.stamp, stamp_ns)
@@ -144,7 +144,7 @@ class Publishers:
     def publish_imu(self, stamp_ns: int, received: ReceivedPacket, motion: Motion | None, accuracy: Accuracy) -> None:
         """Publish sensor_msgs/Imu, unless a rate or acceleration is invalid. motion: see `extract_motion`.
 
-        An unknown orientation covariance is zero; -1 in its first element: the orientation is unknown (no `motion`).
+        The orientation covariance is 0 if unknown; its first element is -1 if there is no orientation (no `motion`).
         """
         packet, covariance = received.packet, self._imu.orientation_covariance
         is_valid = isfinite(sum(packet.acceleration) + sum(packet.angular_rate))

@@ -1,4 +1,4 @@
-"""Models with effects, created by `augment(base, {effect: {parameter: value}})`, which every backend accepts."""
+"""Models with effects, created by `augment(base, {effect: {parameter: value}})` and accepted by every backend."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -149,7 +149,7 @@ class AugmentedModel(Model):
 def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedModel:
     """The base model with additional effects.
 
-    effects: values by effect and parameter (null for a parameter that is not fitted and not given), or names of effects
+    effects: values by effect and parameter (null for a parameter neither fitted nor given), or names of effects
     at their initial values. Raises ConfigurationError, naming effect, parameter and limit, for an unknown or repeated
     effect, one that does not apply to the base model, an unknown parameter, and a missing or out-of-bounds value.
     """
@@ -179,7 +179,7 @@ def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedMode
 
 
 def _compose(base: Model, effects: tuple[type[Effect], ...], values: Values) -> AugmentedModel:
-    """The model of a base model and effects. values: already checked; those of other effects are ignored."""
+    """Combine a base model and effects. values: already checked; those of other effects are ignored."""
     values = MappingProxyType({e.name: values[e.name] for e in effects})
     composed = compose(base, effects)
 

@@ -21,7 +21,7 @@ class Channel:
     errors(measured, predicted): measured minus predicted, by column; None: the difference of the only signal.
     noise(log, step, x, y, yaw, v_x, v_y, r): standard deviation, by column, of the errors at the end of windows due to
     noise alone, from redundant measurements. x to r have the shape (windows, instants), with instants `step` [s] apart.
-    None: the noise is white and is estimated from third differences, to which the motion of a car does not contribute.
+    None: the noise is white and is estimated from third differences, to which a car's motion hardly contributes.
     """
 
     name: str
@@ -65,7 +65,7 @@ class Channel:
 
 
 def _position_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, v_x: Any, v_y: Any, r: Any) -> tuple[float, ...]:
-    """Standard deviations (left, ahead) [m] of displacement minus dead reckoning, with white noise of yaw and speed."""
+    """Standard deviations (left, ahead) [m] of displacement minus dead reckoning, including noise of yaw and speed."""
     east, north = (_integrate(values, step) for values in body_to_map(v_x, v_y, yaw))
     ahead, left = map_to_body(x[:, -1] - x[:, 0] - east, y[:, -1] - y[:, 0] - north, yaw[:, -1])
     horizon = step * (x.shape[1] - 1)

@@ -186,7 +186,7 @@ def test_bands_of_a_different_car_model_or_configuration_are_rejected(bands, lea
                                                                  "steering_ratio: {value: 16.3"))
     for arguments, message in (((other, {"linear": ""}, SETTINGS), "vehicle: the bands are for"),
                                ((leaf, {"nonlinear": ""}, SETTINGS), "nonlinear: missing"),
-                               ((leaf, {"linear": "f" * 64}, SETTINGS), "another version of this model file"),
+                               ((leaf, {"linear": "f" * 64}, SETTINGS), "a different model of this name"),
                                ((leaf, {"linear": ""}, EvaluationSettings(acceleration="zero_phase")), "acceleration")):
         with pytest.raises(ConfigurationError, match=message):
             bands.check(*arguments)

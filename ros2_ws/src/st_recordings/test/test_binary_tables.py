@@ -336,7 +336,7 @@ def write_truncated_version_7_3(file: Path) -> None:
 def test_missing_h5py_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     save_version_7_3(tmp_path / "a.mat", {"t": np.arange(9.0)})
     monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(RunError, match=r"require the package h5py; install it, save it with save\(\.\.\., '-v7'\), or"):
+    with pytest.raises(RunError, match=r"the package h5py; install h5py, save the file with save\(\.\.\., '-v7'\), or"):
         load(tmp_path / "a.mat")
 
 

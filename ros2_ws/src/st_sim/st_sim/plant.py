@@ -41,7 +41,7 @@ class Truth:
 
     Map axes x east, y north, z up; body axes x forward, y left. roll > 0: right side down, pitch > 0: nose up, each
     the sum of body and road. velocity_z > 0: up. steering_wheel_angle > 0: left, without sensor offset.
-    acceleration_x, _y: kinematic, not the specific force. Tuples are FL, FR, RL, RR: wheel_speed and, only of a
+    acceleration_x, _y: kinematic, not the specific force. Tuples are FL, FR, RL, RR: wheel_speed and, only for a
     simulated car, lateral_force, longitudinal_force, load [N] and slip_angle [rad], in wheel axes.
     """
 
@@ -144,7 +144,7 @@ class Environment:
 
 
 def make_normal_source(generator: np.random.Generator, block: int = 4096) -> Callable[[], float]:
-    """A function that returns one standard normal number per call; drawing in blocks makes it ten times faster.
+    """A function that returns one standard normal number per call; drawing in blocks makes it several times faster.
 
     Each source of randomness in st_sim has its own generator, seeded with [seed, number of the source].
     """

@@ -37,14 +37,14 @@ def check(
 
 def car(
     action: Literal["new", "check"] = typer.Argument(..., help="new, or check.", show_default=False),
-    folder: str = typer.Argument(..., help="Folder of the car (check: or a name in config/car).", show_default=False),
+    folder: str = typer.Argument(..., help="Folder of a car, or for check a name in config/car.", show_default=False),
 ) -> None:
     """Write the folder of a new car for you to fill in, or check the folder of a car.
 
     new: vehicle.yaml, signals.yaml, can.dbc, rt.dbc (of an OxTS RT on the same bus, to append to can.dbc) and car.yaml.
     check: one line for each mistake and each missing entry; if there are none, values unusual for a road car, doubtful
     CAN signals, and the uncertainty used for each quantity. Exit status: 0 written, or no mistake; 1 mistakes were
-    found; 2 the folder to check does not exist, or the folder to write is not empty.
+    found; 2 no car was found to check, or the folder to write is not empty.
     """
     from st_recordings.car_skeleton import find_problems, list_remarks, write_skeleton
 

@@ -11,8 +11,8 @@
     hash: "..."
 
 Floors are in m, m, rad; coefficients give the natural logarithm of a scale in m, m, rad; factors and ratios are
-dimensionless. hindsight: predictions with the inputs as measured; forecast: with those at the start held. An
-edited file is rejected, because its hash no longer matches.
+dimensionless. hindsight: predictions with the inputs as measured; forecast: with those at the start held constant.
+An edited file is rejected, because its hash no longer matches.
 """
 
 import json
@@ -92,7 +92,7 @@ class Bands:
                 raise ConfigurationError(f"bands.{model}: missing; the file has {', '.join(self.models)}; calibrate "
                                          "with that model")
             if hash_configuration(vehicle, self.settings, digest) != self.hashes[model]:
-                raise ConfigurationError(f"bands.{model}: calibrated with another version of this model file; "
+                raise ConfigurationError(f"bands.{model}: calibrated with a different model of this name; "
                                          "calibrate with this one")
 
     def to_yaml(self) -> str:

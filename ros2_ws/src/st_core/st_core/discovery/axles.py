@@ -115,8 +115,8 @@ class Axles:
 
     def find_worse_axles(self, base: AugmentedModel,
                          leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> tuple[str, ...]:
-        """Axles with measured forces that agree less with the model than with the vehicle file; none if sideslip is not
-        measured or excitation is low. leave_one_out: see `Discovery`."""
+        """Axles with measured forces that agree less well with the model than with the vehicle file; none if sideslip
+        is not measured or excitation is low. leave_one_out: see `Discovery`."""
         space, worse_axles = self.problem.space, []
         base = base.with_values({name: space.values(name, self.fit.vector) for name in space.payloads})
         for regression in self.regressions if self.has_sideslip else ():

@@ -1,7 +1,7 @@
 """Search for effects that vary between parts of the drives, such as runs, sites or periods of time.
 
 An effect that begins in the middle of a drive has no single value that reduces the errors everywhere, so the search
-does not find it. Here each part of a partition has its own value, from the quadratic approximation at the final fit.
+may miss it. Here each part of a partition has its own value, from the quadratic approximation at the final fit.
 """
 
 from collections.abc import Mapping

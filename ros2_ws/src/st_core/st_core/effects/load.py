@@ -1,4 +1,4 @@
-"""Passengers and luggage, modelled as a mass over the rear axle that is added to the measured car.
+"""Passengers and luggage, modelled as a mass over the rear axle, in addition to the car of the vehicle file.
 
     m' = m + load,  b = load l_r / m',  l_f' = l_f + b,  l_r' = l_r - b,  I_z' = I_z + m b^2 + load (l_r - b)^2
 

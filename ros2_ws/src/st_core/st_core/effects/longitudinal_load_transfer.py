@@ -21,7 +21,7 @@ def compute_force_change(slip, before, after, tyre):
 
 @register
 class LongitudinalLoadTransfer(Effect):
-    physics = "load transfer m height a_x / l from front to rear axle; the Magic Formula gives the change of force"
+    physics = "load transfer m height v_x_dot / l from front to rear axle; the Magic Formula gives the change of force"
     excited_by = "braking and accelerating in turns"
     kind, slot = "physics", "both axles"
     confounded_with = ("combined_slip", "steered_drive_force")

@@ -9,7 +9,7 @@ from ._base import ANY, Effect, Parameter, register
 
 
 def extrapolate(measured, time):
-    """The readings with the position moved by their velocity for `time` [s]."""
+    """The readings with the position extrapolated by `time` [s] at their velocity."""
     cosine, sine = cos(measured.yaw), sin(measured.yaw)
     east = measured.velocity_x * cosine - measured.velocity_y * sine
     north = measured.velocity_x * sine + measured.velocity_y * cosine

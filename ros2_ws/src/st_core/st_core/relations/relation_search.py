@@ -92,8 +92,8 @@ def find_relation(discovery: Discovery, runs: Sequence[DriveLog], vehicle: Vehic
     reproduce are projected out of its evidence. A relation is reported if its p-value, corrected for the number of
     candidates, is below `limits.false_alarm`; if its held-out gain is significant and reaches `limits.relevant` of the
     residual or `limits.relevant_position`; if the predicted path improves at level `limits.false_alarm` (not required
-    of a sensor relation); and if neither the mean error grows, nor the error of one run, significantly and by
-    `limits.relevant_position`. tick: called for each candidate.
+    of a sensor relation); if the mean position error does not grow; and if the error of no run grows significantly and
+    by at least `limits.relevant_position`. tick: called for each candidate.
     reported: (finding, channel) of `st check`; relations that may imitate a reported sensor fault are rejected.
     Raises StCoreError for a duplicate name, and if no run has both INS and steering.
     """
@@ -107,7 +107,7 @@ def find_relation(discovery: Discovery, runs: Sequence[DriveLog], vehicle: Vehic
     windows = RunWindows(runs, vehicle, settings)
     blocks = int(windows.block.max()) + 1 if len(windows) else 0
     if len(set(windows.run)) == 1:
-        return RelationSearch(None, "only one run: a relation needs a second drive for validation; give two or more")
+        return RelationSearch(None, "only one usable run: a relation needs a second one for validation; add drives")
     if len(windows) < 3 or blocks < MIN_BLOCKS:
         return RelationSearch(None, f"only {blocks} blocks of {settings.block:g} s; a curve needs {MIN_BLOCKS}: drive "
                               "longer, or give more runs")
@@ -136,8 +136,8 @@ def _select(screened: Sequence[ScreenedCandidate], fits: RelationFits, base_fit:
                          key=lambda s: -s.gain)
     if not significant:
         name, (gain, p_value) = next(iter(statistics.items()))
-        return RelationSearch(None, f"no relation is significant. The best, {name}, lowers the held-out loss by "
-                              f"{gain:.3f} per residual, p = {p_value:.2g}, corrected for the number of "
+        return RelationSearch(None, f"no relation is significant. The best, {name}, changes the held-out loss by "
+                              f"{-gain:+.3f} per residual, p = {p_value:.2g}, corrected for the number of "
                               f"candidates; p < {limits.false_alarm:g} is required", statistics, detection_limits)
     imitated_faults = {s: fault for s in significant if (fault := _find_imitated_fault(s.candidate, reported))}
     remaining = [s for s in significant if s not in imitated_faults]

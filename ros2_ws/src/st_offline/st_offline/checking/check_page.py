@@ -78,7 +78,7 @@ def make_summary(runs: Sequence[CheckedRun]) -> list[str]:
     worst = min(findings, key=check_report.rank_severity, default=None)
     clocks = check_report.describe_clocks({run.name: run.alignment for run in runs})
     if worst is None or worst.severity is Severity.NOTE:
-        return ["Nothing has to be corrected: every command can use these runs.", *([f"{clocks}."] if clocks else [])]
+        return ["No finding requires a correction of these runs.", *([f"{clocks}."] if clocks else [])]
     sizes = [finding.effect for finding in findings
              if finding.severity is not Severity.NOTE and finding.effect is not None]
     size = f", by up to {max(sizes):.2g} m after 5 s" if sizes and worst.severity is Severity.WARNING else ""

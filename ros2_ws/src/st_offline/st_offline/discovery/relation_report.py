@@ -53,8 +53,8 @@ def report_relation(search: RelationSearch, discovery: Discovery, vehicle: Vehic
     worse = f"ERRORS LARGER by 25 % or more in {runs}"
     causes = relation.formulas[0].causes if relation.formulas else ""
     title = quantities.describe_relation(relation)
-    proposal = [f"{f'{worse}. ' if runs else ''}{title}. A proposal is not established: try it, then "
-                "keep or delete it",
+    proposal = [f"{f'{worse}. ' if runs else ''}{title}. This is not an established effect: try "
+                "it, then keep or delete it",
                 *([f"textbook causes: {causes}. These drives do not determine which one applies"] if causes else [])]
     headline = (f"PROPOSAL, not established: {title}; {error_without:.2f} m → {error_with:.2f} m (held-out)"
                 f"{f'; {worse}' if runs else ''}")
@@ -102,7 +102,7 @@ def _describe_uncertainty(relation: Relation) -> list[str]:
         ranges = ", ".join(f"{x_scale * low:.2g} to {x_scale * high:.2g} {x_unit}"
                            for low, high in relation.next_drives.sparse_ranges)
         lines.append(f"sparsely driven: {ranges}{mirrored}. The curve is interpolated there, and its interval assumes "
-                     "that it is as smooth as elsewhere: drive in this range for some seconds, in left and right turns")
+                     "that it is as smooth as elsewhere: drive several seconds in this range, in left and right turns")
     weak = [name for name, (ratio, deviation) in relation.agreement.ratios.items() if ratio + Z95 * deviation < 0.5]
     if weak and relation.agreement.p_equal < SIGNIFICANCE_LEVEL:
         sizes = ", ".join(f"{name} {ratio:.1f} ± {Z95 * deviation:.1f}" for name, (ratio, deviation) in
@@ -120,8 +120,8 @@ def _list_alternatives(relation: Relation) -> list[str]:
         lines.append(f"these drives do not separate it from: {names}. In brackets: cosine similarity of the two "
                      "effects on the predictions (1: identical, 0: unrelated)")
     for name, increase in relation.redundant.items():
-        lines.append(f"{quantities.to_words(name)} is reported above, but is redundant given this relation (without "
-                     f"it, the residual increases by {increase:.1%}): it may have been fitted in place of the relation")
+        lines.append(f"{quantities.to_words(name)} is reported above, but is redundant given this relation (residual "
+                     f"without the effect: {increase:+.1%}): it may have been fitted in place of the relation")
     return lines
 
 
@@ -135,7 +135,7 @@ def _describe_files(relation: Relation, has_model: bool, folder: str) -> list[st
              f"--effects {folder}/effects; to test the file: st effects check "
              f"{folder}/effects/{name_effect(relation)}.py"]
     if has_model:
-        lines += ["without the relation: vehicle.yaml and model.yaml, whichever was written",
+        lines += ["without the relation: vehicle.yaml and model.yaml, if they were written",
                   "do not combine proposed.yaml with vehicle.yaml (the commands reject this): proposed.yaml already "
                   "contains the corrections of the vehicle file, which would be applied twice"]
     return lines
@@ -291,7 +291,7 @@ def _list_hooks(c: Candidate) -> tuple[str, ...]:
 
 def write_files(search: RelationSearch, vehicle: VehicleParameters, runs: Sequence[str], created: str,
                 digests: dict[str, str], folder: Path) -> dict[str, Path]:
-    """Write the effect file and the model file that uses it; returns the paths by kind, empty without a relation.
+    """Write the effect file and the model file that uses it; returns their paths by kind, empty if none is written.
 
     A relation that depends on the time in the run is not written, because other drives cannot use it. User-defined
     effects of the model are copied, because a command accepts only one folder of effects.

@@ -13,14 +13,14 @@ from .errors import RunError, shorten
 
 HDF5_EXTENSIONS = (".h5", ".hdf5", ".hdf")
 MAX_MATRIX_COLUMNS = 32
-"""A matrix with more columns and rows is an image or a map; columns or rows of smaller ones become NAME_1, ..."""
+"""A matrix with more rows and more columns is an image or a map; smaller ones are split into NAME_1, NAME_2, ..."""
 SAMPLE_FIELDS = ("data", "value", "values")
 """Fields of a struct, in lower case, that contain the samples of the signal after which the struct is named."""
 UNIT_FIELDS = ("unit", "units", "Unit", "Units")
 TIME_CLASSES = {"duration", "datetime"}
 LINK, LINK_ADVICE = "link", "also copy that file"
 _MAGIC = b"\x89HDF\r\n\x1a\n"
-_OPAQUE = 3  # attribute MATLAB_object_decode of an object with content in an undocumented form
+_OPAQUE = 3  # value of MATLAB_object_decode for an object with content in an undocumented form
 _MATLAB_ADVICE = {"timeseries": "{0} = struct('Time', {0}.Time, 'Data', {0}.Data)",
                   "timetable": "writetimetable({0}, '{0}.csv')", "table": "writetable({0}, '{0}.csv')",
                   "duration": "{0} = seconds({0})", "datetime": "{0} = posixtime({0})"}
@@ -35,13 +35,13 @@ def is_hdf5(file: Path) -> bool:
 
 
 def read_hdf5(file: Path) -> tuple[dict[str, Any], dict[str, str]]:
-    """(structs, names of objects that only MATLAB can read -> their classes, or of broken links). Raises RunError."""
+    """(structs; by name, the class of each object that only MATLAB can read, and each broken link). Raises RunError."""
     try:
         import h5py
     except ImportError:
-        old_format_advice = "save it with save(..., '-v7'), " if file.suffix.lower() == ".mat" else ""
+        old_format_advice = "save the file with save(..., '-v7'), " if file.suffix.lower() == ".mat" else ""
         raise RunError(file, "HDF5 files, such as those of MATLAB 7.3, require the package h5py",
-                       f"install it, {old_format_advice}or export a CSV file") from None
+                       f"install h5py, {old_format_advice}or export a CSV file") from None
     objects: dict[str, str] = {}
     try:
         with h5py.File(file, "r", locking=False) as content:
@@ -92,7 +92,7 @@ def _read_group(group: Any, path: str, objects: dict[str, str], parents: tuple[A
 
 
 def _check_samples(dataset: Any) -> None:
-    """Raises RunError for samples in a missing file, which HDF5 reads as zeros, or in an unknown compression."""
+    """Raises RunError for samples in a missing file, which HDF5 reads as zeros, or with an unknown compression."""
     from h5py import h5z
 
     file, name, settings = Path(dataset.file.filename), dataset.name, dataset.id.get_create_plist()
@@ -107,7 +107,7 @@ def _check_samples(dataset: Any) -> None:
 
 
 def _read_node(node: Any, path: str, objects: dict[str, str], parents: tuple[Any, ...]) -> Any:
-    """The value of a group or dataset; None if it is neither numbers nor text. parents: see `_read_group`."""
+    """The value of a group or dataset; None if it is neither a signal nor text. parents: see `_read_group`."""
     kind = _to_text(node.attrs.get("MATLAB_class"))
     if node.attrs.get("MATLAB_object_decode") == _OPAQUE:
         if kind != "string":
@@ -118,7 +118,7 @@ def _read_node(node: Any, path: str, objects: dict[str, str], parents: tuple[Any
     if not hasattr(node, "dtype"):
         return _read_group(node, path, objects, parents)
     if node.dtype.names:
-        return None if kind else _read_table(node)  # complex numbers of MATLAB also have two fields
+        return None if kind else _read_table(node)  # not a table: MATLAB stores complex numbers as two fields
     if node.dtype.metadata and "ref" in node.dtype.metadata:
         entries = [_read_node(node.file[reference], f"{path}{{{number}}}", objects, parents) if reference else None
                    for number, reference in enumerate(node[()].ravel(), 1)]
@@ -184,13 +184,13 @@ def _name_index(name: str, kind: Any) -> str:
 
 
 def _find_unit(kind: Any) -> str:
-    """Unit suffix of a time type, such as " [ns]" for datetime64[ns] or, of older pandas, datetime64; else empty."""
+    """Unit suffix of a time type, such as " [ns]" for datetime64[ns] or, from older pandas, datetime64; else empty."""
     match = _TIME_KIND.fullmatch(_to_text(kind))
     return f" [{match[1] or 'ns'}]" if match else ""
 
 
 def _list_pickled_texts(content: Any) -> list[str]:
-    """The texts of a pickled object, which is not unpickled, because that could run code."""
+    """The strings in a pickled object, which is not unpickled, because that could run code."""
     if not isinstance(content, bytes) or not content.endswith(b"."):
         return []
     return [text for code, text, _ in pickletools.genops(content) if isinstance(text, str) and (
