@@ -24,7 +24,7 @@ _LARGEST_DATAGRAM = 65_535  # bytes
 _RECEIVE_BUFFER = 1 << 20  # bytes
 _WAKE_PERIOD = 0.2  # s; longest time until the thread notices stop()
 RETRY_PERIOD = 1.0  # s between attempts to open the port
-SENDER_TIMEOUT = 2.0  # s; after this silence of the sender in use, another one is accepted
+SENDER_TIMEOUT = 2.0  # s; if the sender in use is silent for longer, another one is accepted
 _MAX_COUNTED_SENDERS = 16
 # A longer step of the recorded time [ns] comes from joined files or a clock change; the replay does not wait for it.
 LONGEST_PAUSE_NS = 60_000_000_000

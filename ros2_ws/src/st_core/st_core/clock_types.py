@@ -71,7 +71,7 @@ class Alignment:
     signals: tuple[SignalLag, ...] = ()
     peak: Peak | None = None  # of the coarse search; None if it was not run
     second_peak: Peak | None = None
-    overlap: float = 0.0  # common time [s]
+    overlap: float = 0.0  # duration of the overlap [s]
 
     def to_reference_ns(self, other_ns: np.ndarray | int) -> np.ndarray:
         """Time on the reference clock [ns] of a time on the other clock [ns]."""

@@ -126,7 +126,7 @@ class Evaluator:
         return scores
 
     def flush(self) -> list[Score]:
-        """Scores of all pending predictions, at the end of the data; horizons beyond the end are incomplete."""
+        """Scores of all pending predictions, at the end of the data; those that end later are incomplete."""
         return self.poll(-EARLIEST)
 
     def _abandon(self, keys: Sequence[tuple[int, int, float]], reason: str) -> None:
@@ -181,7 +181,7 @@ class Evaluator:
         if not len(unknown_indices):
             return ""
         time_ns = int(times[unknown_indices[0]])
-        reason = ("acceleration unknown after a gap" if series.row_at(time_ns) is not None
+        reason = ("acceleration unknown at the first sample or after a gap" if series.row_at(time_ns) is not None
                   else series.describe_unknown(time_ns))
         return f"{name}: {reason} at {(time_ns - start_ns) * NANOSECOND:.3f} s of the horizon"
 

@@ -102,7 +102,7 @@ def growth_factor(model: str | Model, vehicle: VehicleParameters, speed: float, 
 
 
 def lowest_stable_speed(model: str | Model, vehicle: VehicleParameters, step: float) -> float:
-    """The speed [m/s] above which a step [s] is stable; 0 if stable from 0.05 m/s on, inf if not at SEARCH_START_SPEED.
+    """The speed [m/s] above which a step [s] is stable; 0 if stable down to 0.05 m/s, inf if not at SEARCH_START_SPEED.
 
     With a low minimum_slip_speed, RK4 at 50 ms needs 2.66 m/s for the Leaf and 3.98 m/s for the Genesis.
     """
@@ -141,7 +141,7 @@ def required_slip_speed(models: Sequence[str | Model], vehicle: VehicleParameter
     example of tyre relaxation, are stiff at high speed.
     """
     speeds, models = sorted(speeds), [get_model(model) for model in models]
-    speeds = speeds[-1:] + speeds  # a step is mostly unstable at the highest or at low speeds
+    speeds = speeds[-1:] + speeds  # an unstable step is usually unstable at the highest speed or at low speeds
     candidates = np.arange(math.ceil(10.0 * vehicle.minimum_slip_speed), 10.0 * SLIP_SPEED_LIMIT + 1.0) / 10.0
     return next((v for v in candidates.tolist()
                  if are_stable(models, replace(vehicle, minimum_slip_speed=v), speeds, step)), None)

@@ -29,7 +29,7 @@ LEAF_TIMEOUT = 20.0  # s within which the virtual Leaf must start to transmit
 
 
 def resolve_vehicle_file(file: Path | None) -> Path:
-    """Absolute path of a vehicle file, by default the Leaf's. Raises RunError and StCoreError for an invalid file."""
+    """Absolute path of a vehicle file, by default the Leaf's. Raises StCoreError for an unreadable or invalid file."""
     path = (file or config("vehicle/leaf.yaml")).absolute()
     read_vehicle(path)
     return path
@@ -102,8 +102,8 @@ def make_replay_parameters(folder: Path, vehicle: Path, recorded: RecordedConfig
 def make_model_parameters(model: Path | None, effects: Path | None, vehicle: Path) -> dict[str, str]:
     """Parameters that add a model file to the models of predictor and evaluator; empty without a file.
 
-    effects: folder of user-defined effects of the model file. Raises StCoreError and RunError for a file that is not a
-    model or belongs to a car other than `vehicle`, and for effects without a model file.
+    effects: folder of user-defined effects of the model file. Raises StCoreError for a file that is not a model or
+    belongs to a car other than `vehicle`, and for effects without a model file.
     """
     load_model(model, effects, read_vehicle(vehicle), str(vehicle))
     if model is None:
@@ -132,8 +132,8 @@ def set_bands_and_course(parameters: Parameters, bands: Path | None, course: Pat
                          adaptive: bool | None = None) -> dict[str, dict[str, Any]]:
     """Copy of the parameters in which the predictor uses the given bands file and course; None: unchanged.
 
-    adaptive: whether bands adapt to the errors of the run; None: unchanged. Raises SuiteError or RunError
-    for an unreadable or invalid file, and for bands of a different car, model or configuration.
+    adaptive: whether bands adapt to the errors of the run; None: unchanged. Raises StCoreError for an
+    unreadable or invalid file, and for bands of a different car, model or configuration.
     """
     updated = {node: {**values} for node, values in parameters.items()}
     predictor, recorder = updated["predictor"], updated["recorder"]
@@ -173,7 +173,7 @@ def _check_bands(bands: Path, predictor: Mapping[str, Any]) -> None:
 
 
 def find_bag(path: Path) -> Path:
-    """The folder `bag` in the folder of a run, with measurements and predictions; any other path is unchanged."""
+    """The folder `bag` in the folder of a run, with measurements and predictions; otherwise the path itself."""
     return path / "bag" if path.is_dir() and not is_bag(path) and is_bag(path / "bag") else path
 
 

@@ -141,5 +141,5 @@ def from_nanoseconds(nanoseconds: int) -> Time:
     """ROS stamp of nanoseconds since 1970. Raises OverflowError outside 1901 to 2038, the range of the message."""
     sec, nanosec = divmod(nanoseconds, 1_000_000_000)
     if not -(2**31) <= sec < 2**31:
-        raise OverflowError(f"stamp {nanoseconds} ns does not fit a ROS time")
+        raise OverflowError(f"stamp {nanoseconds} ns is outside the range of a ROS time, 1901 to 2038")
     return Time(sec=sec, nanosec=nanosec)

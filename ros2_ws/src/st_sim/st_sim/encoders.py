@@ -78,7 +78,7 @@ class NcomEncoder:
         self._status = StatusChannels(origin, rate)
 
     def encode_packet(self, reading: InsReading, status: int = LOCKED) -> bytes:
-        """The 72-byte packet of one epoch. Before INITIALISING, time and position are 0, missing data invalid."""
+        """The 72-byte packet of one epoch. Before INITIALISING, time and position are 0, other missing data invalid."""
         total_ms = round((self._start_gps_ns + round(reading.stamp * 1e9)) / 1_000_000)
         minutes, milliseconds = divmod(total_ms, 60_000)
         channel, batch_s = self._status.encode_next(minutes if status >= INITIALISING else None, reading)

@@ -96,7 +96,7 @@ def _run(name: str, summary: dict[str, Any], vehicle: Path, bridges: Mapping[str
 
     name: start of the name of the default output folder. summary: entries of summary.json. bridges: parameters of the
     bridges. reports_car: whether to report that the Leaf's file is used. arguments: further arguments of `session.run`.
-    Raises StCoreError and RunError.
+    Raises StCoreError, RunError and OutputError.
     """
     from st_live import configuration, report, session
     from st_recordings.paths import new_folder

@@ -150,8 +150,8 @@ def import_(
 ) -> None:
     """Write INS recording and CAN logs as one rosbag2 MCAP, aligned to one time base, with raw packets and frames.
 
-    `ros2 bag play` sends it to the live nodes, and every st command reads it. Exit status: 0 all runs written, 1 some
-    not, 2 none.
+    `ros2 bag play` sends it to the live nodes; `st check`, `evaluate`, `discover` and others read it. Exit status: 0
+    all runs written, 1 some not, 2 none.
     """
     from st_recordings.paths import OutputError, new_folder
     from st_recordings.runs.errors import RunError
@@ -163,7 +163,7 @@ def import_(
     runs = [run for run in find_runs(paths) if run.kind == "ncom" or run.problem is not None]
     if not runs:
         typer.echo(f"st import: {', '.join(map(str, paths))}: no .ncom with CAN logs found, and only these are "
-                   "imported; every other command reads CSV, VBO and bags with their CAN logs directly", err=True)
+                   "imported; st check, evaluate and discover read CSV, VBO and bags with their CAN logs", err=True)
         raise typer.Exit(2)
     written = 0
     for run in runs:

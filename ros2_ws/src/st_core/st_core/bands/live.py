@@ -316,7 +316,7 @@ class CoverageMonitor:
             del self._waiting[next(iter(self._waiting))]
 
     def add_score(self, score: Score) -> None:
-        """Count the score of a prediction unless it is incomplete."""
+        """Count the score of a prediction with a band unless it is incomplete."""
         by_level = self._waiting.pop((score.model, score.mode, score.start_ns), None)
         if by_level is None or not score.complete:
             return

@@ -45,7 +45,7 @@ EXPLAINED_BY_YAW_LAG = ("yaw_rate_lag", "position_lag", "position_reference", "s
 MAX_INS_DISTANCE = 3.0  # m; largest distance of the INS ahead of the rear axle
 MAX_REAR_COMPLIANCE = 0.01  # rad s^2/m; rear cornering compliance (slip angle per a_y): road cars 0.003 to 0.008
 MIN_HALF_DURATION = 40.0  # s; shortest half of a drive that is compared with the other: 8 blocks of the bootstrap
-MIN_CHANGE = 0.5  # smallest change between halves, as a fraction of the deviation: a constant correction leaves a half
+MIN_CHANGE = 0.5  # fraction of the deviation; if the halves differ by less, one correction removes at least half of it
 VARY_WITH_DRIVING = ("heading_misaligned", "measuring_point", "steering_unrelated")  # not compared between halves
 MIN_INS_SAMPLES = 50  # with fewer samples, only implausible samples and time stamps are reported
 
@@ -84,7 +84,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
         halves = [_check_part(log.slice(*span), vehicle, replace(auxiliary, implausible=()), start_ns)
                   for span in ((log.start_ns, middle - 1), (middle, log.end_ns))]
         result = _report_changes(result, halves, [(t - start_ns) * NANOSECOND for t in (first, middle, last)])
-    # In each severity, accelerations are last, since no prediction depends on them.
+    # Within each severity, accelerations are last, since no prediction depends on them.
     findings = sorted(result.findings, key=lambda finding: (
         [*Severity].index(finding.severity), finding.concerns_only_acceleration, -(finding.effect or np.inf)))
     ambiguous = {name for f in findings for a in f.alternatives for name in (f.name, *a.findings)}
@@ -94,9 +94,9 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
 
 
 def _report_changes(whole: DriveCheck, halves: list[DriveCheck], ends: list[float]) -> DriveCheck:
-    """The result for a drive. If a finding, at least a warning, changes between the halves, findings with an interval
-    are those of the halves, since the change may cause others in the whole, and there are no estimates. ends: start,
-    middle and end [s]."""
+    """The result for a drive. If an error or warning changes between the halves, findings with an interval are taken
+    from the halves, because the change may cause false ones in the whole drive, and there are no estimates.
+    ends: start, middle and end [s]."""
     ranked: list[tuple[tuple[bool, int, float], Finding]] = []
     for k, half in enumerate(halves):
         for finding in half.findings:
@@ -216,7 +216,7 @@ def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters |
 
 def _check_rear_axle(motion: Motion, vehicle: VehicleParameters, findings: list[Finding]) -> CheckResult:
     """Result of `check_rear_axle`. motion: corrected for a scale of the velocity. The scale of the positions may be
-    wrong instead, so a finding must also exist at the recorded velocity, and has the lower of both severities."""
+    wrong instead, so a finding must also exist at the recorded velocity, and has the lower of the two severities."""
     found, estimates, panel = vehicle_relations.check_rear_axle(motion, vehicle)
     scale = position.find_velocity_scale(findings)
     if found and scale is not None and scale.value and not match_unit(scale.value):

@@ -47,7 +47,7 @@ class Sensitivities:
         return self.values[np.searchsorted(self.indices, indices)]
 
     def update(self, vector: np.ndarray, scale: np.ndarray, reduction: np.ndarray) -> "Sensitivities":
-        """The sensitivities at a new vector by Broyden's update (1965). reduction: (n, m) simulated, by the step."""
+        """The sensitivities at a new vector by Broyden's update (1965). reduction: (n, m) of residuals, simulated."""
         step = ((vector - self.vector) / scale)[self.indices]
         square = float(step @ step)
         if square == 0.0:
@@ -89,10 +89,10 @@ class Problem:
 
     start: (p,) initial vector of a search.
     block: (n,) number of the block of each window.
-    prior: (p, p) curvature about `start` / design_effect, from reference drives, for effects outside the fitted set;
-        None: they keep their start values, except the gain of the accelerometer, free if acceleration is measured.
+    prior: (p, p) curvature about `start`, divided by design_effect, from reference drives, for effects outside the
+        fitted set; None: they keep their start values, except the accelerometer gain, free if acceleration is measured.
     noise: (c,) error of each column due to noise alone [SI].
-    gain_between_runs, start_covariance: see `HealthyCar`; None: the start is exact.
+    gain_between_runs, start_covariance: those of the `HealthyCar`; without a covariance, the start is exact.
 
     quantities: (p,) quantity of the vehicle file that each parameter changes. Its standard deviation s adds a Gaussian
     prior 0.5 D (x / s)^2 to the loss, x: change of the quantity. design_effect D [1]: see `update_design_effect`.

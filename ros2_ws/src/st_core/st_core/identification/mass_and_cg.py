@@ -10,9 +10,9 @@ the interval has the degrees of freedom of Welch and Satterthwaite. Source: pape
 Checked by: test_identification_experiments.py.
 
 The height of the CG follows from the rear load versus pitch with the front axle lifted. The car rests on free-rolling
-wheels with locked suspension, so each ground force is vertical and passes through the centre of its wheel. Moments
-about the front wheel centres, with pitch theta (nose up), wheelbase l, and, for the level car, the height r of the line
-between the wheel centres at the CG:
+wheels with locked suspension, so each ground force is vertical and passes through the centre of its wheel. The moments
+about the front wheel centres give, with pitch theta (nose up), wheelbase l, and the height r, at the CG of the level
+car, of the line between the wheel centres:
 
     m_r(theta) = m_r(0) + m (h - r) / l tan(theta)
     one pitch:   h = r + l (m_r(theta) - m_r(0)) / (m tan(theta))          (ISO 10392)
@@ -70,8 +70,8 @@ def identify_mass_and_cg(weighings: Weighings, vehicle: VehicleParameters) -> Id
     masses, distances = all_masses[is_used], all_distances[is_used]
     n, mass, l_f = len(used_readings), float(masses.mean()), float(distances.mean())
     if np.ptp(masses) > MAX_MASS_RANGE * mass:
-        raise IdentificationError(f"the weighings with equal loading differ by {np.ptp(masses):.1f} kg of "
-                                  f"{mass:.1f} kg, too much for the same car: weigh again, or note the loading")
+        raise IdentificationError(f"the weighings with equal loading differ by {np.ptp(masses):.1f} kg, with "
+                                  f"a mean of {mass:.1f} kg, too much for one car: weigh again, or note the loading")
     variation = np.cov(masses, distances) / n if n > 1 else np.zeros((2, 2))
     # d l_f / d reading: -l_f / m at the front, (l - l_f) / m at the rear.
     gradient = np.stack([np.ones(4), np.array([-l_f, -l_f, wheelbase - l_f, wheelbase - l_f]) / mass])
@@ -152,7 +152,7 @@ class LiftRows:
     pitch: np.ndarray  # rad relative to the level car, nose up
     rear_load: np.ndarray  # kg, both wheels
     lifts: tuple[str, ...]  # name of the lift of each row
-    front_radius: np.ndarray  # m, height of the wheel centres; NaN where not measured; required for the level rows
+    front_radius: np.ndarray  # m, height of the wheel centres; NaN where not measured; required in a level row
     rear_radius: np.ndarray  # m, as front_radius
 
     @property
@@ -287,7 +287,7 @@ def _check_lifts(data: LiftRows, mass: float, rear_fraction: float) -> list[str]
                              "way down: enter such rows as a separate lift.")
     measured, expected = float(data.rear_load[data.is_level].mean()), mass * rear_fraction
     if abs(measured - expected) > MAX_LOAD_DIFFERENCE * mass:
-        sentences.append(f"With the car level, the rear wheels carry {measured:.1f} kg, but mass and CG position of "
-                         f"the vehicle file give {expected:.1f} kg: the car was loaded differently. The height applies "
-                         f"to the car as lifted, and only if its mass was {mass:.1f} kg.")
+        sentences.append(f"With the car level, the rear wheels carry {measured:.1f} kg, but a mass of {mass:.1f} kg "
+                         f"and the CG position of the vehicle file give {expected:.1f} kg: the car was loaded "
+                         "differently. The height applies to the car as lifted, and only if it had this mass.")
     return sentences

@@ -58,7 +58,7 @@ class NextDrives:
 
 
 def find_sparse_ranges(points: np.ndarray, density: np.ndarray, parity: float) -> list[Range]:
-    """Sparsely driven ranges, >= 0 for an odd curve, from mean densities of three points. points, density: (k,)."""
+    """Sparsely driven ranges, >= 0 for an odd curve, from densities averaged over 3 points. points, density: (k,)."""
     if parity == ODD:
         density = 0.5 * (density + density[::-1])
     smoothed = np.convolve(np.pad(density, 1, mode="edge"), np.ones(3) / 3.0, mode="valid")

@@ -80,7 +80,7 @@ class PredictionBands:
         return {} if self._reason else self._messages.fill()
 
     def observe_scores(self) -> None:
-        """Adapt to the errors of predictions whose horizon has passed; call it at every tick, also at standstill."""
+        """Adapt to the errors of predictions whose horizon has passed; call it at every tick, even at standstill."""
         if self._adaptive:
             for score in self._scorer.poll():
                 self._adaptive.observe(score)
@@ -93,7 +93,7 @@ class PredictionBands:
 
     def make_check(self) -> Check:
         if self._reason:
-            return Check("bands", diagnostics.WARN, f"no band: {self._reason}")
+            return Check("bands", diagnostics.WARN, f"no calibrated band: {self._reason}")
         if self._calibrated:
             levels = " and ".join(f"{100 * level:g} %" for level in self._calibrated.levels)
             return Check("bands", diagnostics.OK, f"{levels}, {self._calibration_note}")

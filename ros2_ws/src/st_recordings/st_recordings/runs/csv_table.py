@@ -63,7 +63,7 @@ def read_text(file: Path, size: int = -1) -> str:
     size: number of bytes to read; -1: all (RunError for a binary file).
     """
     text = _decode(file, size).replace("\r\n", "\n").replace("\r", "\n")
-    text = re.sub(r"(?<!\0)\0+(?=\n|$)", "", text) if "\0" in text else text  # some loggers end each line with a zero
+    text = re.sub(r"(?<!\0)\0+(?=\n|$)", "", text) if "\0" in text else text  # some loggers end each line with a NUL
     text = _LINE_END_IN_CELL.sub(lambda cell: cell[0].replace("\n", " "), text)
     return _QUOTED_ROW.sub(lambda row: row[1].replace('""', '"') if set(row[1]) & set(",;\t") else row[0], text)
 
@@ -121,8 +121,8 @@ def read_table(file: Path, layout: Layout) -> Table:
 
 
 def _is_last_cell_truncated(body: str, delimiter: str) -> bool:
-    """Whether the last cell of a table has fewer decimals than all others of its column, which have equally many. This
-    shows a truncated file if the last line has no line end."""
+    """Whether the last cell of a table has fewer decimals than all others of its column, which have the same number.
+    The file is then truncated, if its last line has no line end."""
     lines = body.rstrip("\n").split("\n")
     cells = (line[line.rfind(delimiter) + 1:] for line in lines)
     points = ((cell, max(cell.rfind("."), cell.rfind(","))) for cell in cells)
@@ -302,7 +302,7 @@ def _find_header_line(lines: list[str], layout: Layout | None = None) -> int:
 
 def _split_header(header: str) -> tuple[list[str], str]:
     """(names of the columns, delimiter)."""
-    # A comma and a blank may precede a unit. The order decides between equal counts.
+    # ", " may precede a unit, as in "speed, m/s", so it counts half. Of marks with equal counts, the first is used.
     text = re.sub('"[^"]*"', "", header)
     delimiter = max(";\t|,", key=lambda mark: text.count(mark) - 0.5 * text.count(", ") * (mark == ","))
     if delimiter not in header and len(header.split()) > 2:
@@ -350,7 +350,7 @@ def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], preamble: Sequ
         kind = COLUMNS[channel].kind
         raise RunError(
             file, f"unit row: {units[channel][:40]!r} of column {sources[channel].name} is not a unit of {kind}",
-            f"known units are {', '.join(UNITS[kind])}; or set it in a run.yaml, as units: {{{channel}: ...}}")
+            f"use one of {', '.join(UNITS[kind])}, or set the unit in a run.yaml, as units: {{{channel}: ...}}")
     return _apply_stated_units(sources, units or {}, layout), "\n".join(lines[first:])
 
 
@@ -459,7 +459,7 @@ def _split_cells(file: Path, lines: Iterable[str], delimiter: str) -> list[list[
 
 def _parse_numbers(file: Path, body: str, delimiter: str, width: int, warnings: list[str]) -> np.ndarray:
     """Parses the rows into an array (n, width) with NaN for missing numbers. A delimiter at the end of a row is
-    ignored; rows with a different number of cells are left out. Raises RunError if these are half of the rows."""
+    ignored; rows with a different number of cells are left out. Raises RunError if at least half of the rows are."""
     nonblank_lines = [line for line in body.splitlines() if line.strip(f' \t"{delimiter}')]
     # In an ASCII log of NovAtel, every row begins with #.
     lines = [line for line in nonblank_lines if not _is_comment(line, delimiter)] or nonblank_lines
