@@ -195,6 +195,13 @@ def test_unit_of_length_of_positions_and_velocities_is_named(leaf, unit, factor)
     assert check(corrected_drive(wrong, finding.advice.entry, leaf), leaf).findings == ()
 
 
+@pytest.mark.parametrize("factor", [1000.0, 0.001])
+def test_unit_of_the_accelerations_is_no_unit_of_length(leaf, factor):
+    accelerations = ("acceleration_x", "acceleration_y")
+    found = findings_by_name(scaled(factor, *accelerations)(exact_drive(leaf)), leaf)
+    assert found.keys() == {f"{name}_scale" for name in accelerations}
+
+
 @pytest.mark.parametrize(("name", "is_reported"), [("steering_unrelated", False), ("position_noise", True)])
 def test_steering_that_is_unrelated_in_a_half_with_little_steering_is_no_change(name, is_reported):
     finding = Finding(name, Severity.WARNING, ("road_wheel_angle",), "differs", 0.3)

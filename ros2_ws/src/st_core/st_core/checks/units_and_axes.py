@@ -22,7 +22,7 @@ from .inertial import (
     accelerations_confirm_velocity,
     compute_acceleration_scales,
 )
-from .motion import MIN_DISTANCE, MIN_WINDOWS, Motion, compute_ratios, correlate, is_near
+from .motion import MIN_DISTANCE, MIN_WINDOWS, Motion, compute_ratios, correlate, is_driven, is_near
 from .position import compute_scaled_misfit
 from .regression import Estimate, Regression, add_systematic_uncertainty
 
@@ -344,18 +344,20 @@ def _correct_one_axis(motion: Motion) -> MotionAndFinding:
 
 def correct_length_unit(motion: Motion) -> MotionAndFinding:
     """Correct positions and velocities in the same wrong unit of length, by comparison with the accelerations."""
-    ratio = compute_ratios(motion).position_to_speed  # NaN for kilometres
+    ratio = compute_ratios(motion).position_to_speed  # NaN for kilometres, finite for other units of the accelerations
     scales = np.array(compute_acceleration_scales(motion) if not np.isfinite(ratio) or _matches(ratio, 1.0) else [])
     if not len(scales) or not (scales > 0.0).all():
         return motion, None
     scale = float(np.exp(np.log(scales).mean()))
-    unit = next((unit for unit in LENGTH_UNITS if is_near(scale, 1.0 / unit, 1.0 + ACCELERATION_SCALE_ERROR)), None)
+    unit = next((unit for unit in LENGTH_UNITS if is_near(scale, 1.0 / unit, 1.0 + ACCELERATION_SCALE_ERROR)
+                 and (unit < 1.0) != np.isfinite(ratio)), None)
     if unit is None or not all(is_near(each, 1.0 / unit, LIMITS.channel_unit_ratio) for each in scales.tolist()):
         return motion, None
-    text = (f"x, y and both velocities agree, but accelerations are {scale:.3g} times the change of velocity: is the "
+    text = (f"x, y and both velocities agree, but accelerations are {scale:.4g} times the change of velocity: is the "
             f"unit of length {LENGTH_UNITS[unit]}?")
     advice = Advice.for_run_yaml({"correct": {name: {"scale": 1.0 / unit} for name in ("position", "velocity")}})
-    return _correct(motion, "position_scale", LENGTH_CHANNELS, text, unit, advice)
+    corrected, finding = _correct(motion, "position_scale", LENGTH_CHANNELS, text, unit, advice)
+    return (corrected, finding) if is_driven(corrected) else (motion, None)  # else the accelerations have another unit
 
 
 def _correct_distance(motion: Motion) -> MotionAndFinding:
