@@ -8,6 +8,7 @@ from exact_drive import Sines, delay, exact_drive
 from exact_faults import biased, corrected_drive, findings_by_name, scaled
 from st_core.checks import AuxiliaryData, DriveCheck, Finding, Severity, check
 from st_core.checks.check import _report_changes
+from st_core.checks.finding import neutral_value
 from st_core.log import DriveLog
 from support import read_car, shared
 
@@ -207,3 +208,13 @@ def test_steering_that_is_unrelated_in_a_half_with_little_steering_is_no_change(
     finding = Finding(name, Severity.WARNING, ("road_wheel_angle",), "differs", 0.3)
     whole, half = DriveCheck((), {}, ()), DriveCheck((finding,), {}, ())
     assert bool(_report_changes(whole, [half, whole], [0.0, 60.0, 120.0]).findings) is is_reported
+
+
+@pytest.mark.parametrize(("other", "is_reported"), [("velocity_scale", False), ("yaw_rate_bias", True)])
+def test_bias_of_velocity_that_is_a_scale_in_a_half_at_constant_speed_is_no_change(other, is_reported):
+    bias, found = (Finding(name, Severity.WARNING, (), "differs", value, "1", (value - 0.02, value + 0.02))
+                   for name, value in (("velocity_x_bias", 0.4), (other, 1.07)))
+    halves = [DriveCheck((one,), {}, (), {name: (neutral_value(name), -0.02, 0.02)})
+              for one, name in ((bias, other), (found, "velocity_x_bias"))]
+    checked = _report_changes(DriveCheck((bias,), {}, ()), halves, [0.0, 60.0, 120.0])
+    assert any("in the other half" in finding.text for finding in checked.findings) is is_reported

@@ -121,7 +121,8 @@ def _describe_change(finding: Finding, other: DriveCheck, whole: DriveCheck) -> 
     """Clause about the value in the other half of the drive, if it is significantly different; otherwise ""."""
     name, value, interval = finding.name, finding.value, finding.interval
     if (finding.times or finding.severity is Severity.NOTE or name in VARY_WITH_DRIVING
-            or finding.concerns_only_acceleration or finding.channels == LENGTH_CHANNELS):
+            or finding.concerns_only_acceleration or finding.channels == LENGTH_CHANNELS
+            or any(f.name in position.CONFOUNDED.get(name, ()) for f in other.findings)):  # the same effect
         return ""
     if value is None or interval is None:
         return "" if name in {f.name for f in (*other.findings, *whole.findings)} else ", but not in the other half"

@@ -193,7 +193,7 @@ class _Analysis:
     def _decide_outcome(self, state: SearchState, judged: _JudgedEffects, untestable: Sequence[result.UntestableEffect],
                         noise_ratios: tuple[float, float], n_varying: int,
                         ) -> tuple[result.Outcome, tuple[result.Reason, ...]]:
-        """Outcome, and the reasons for it and for the verdict on each effect. noise_ratios: see `_noise_ratios`."""
+        """Outcome, and the reasons for it and for each effect. noise_ratios: position error before, after / noise."""
         hypotheses = self.space.hypotheses
         detectable = 1.0 - sum(n.name in hypotheses for n in untestable) / len(hypotheses)
         combinations = result.unseparated_combinations(judged.combinations, judged.named)

@@ -83,7 +83,7 @@ class Parameter:
         if isinstance(value, bool) or not isinstance(value, Real):
             raise ConfigurationError(f"{key}: {value!r} is not a number")
         if not low <= value <= high:  # NaN is outside too
-            raise ConfigurationError(f"{key}: {value!r} is outside {low:g} to {high:g} {self.unit}")
+            raise ConfigurationError(f"{key}: {value!r} is outside {low:g} to {high:g} {self.unit}".removesuffix(" 1"))
         return float(value)
 
 
