@@ -62,6 +62,30 @@ def test_every_name_denotes_one_channel() -> None:
     assert len(names) == len(set(names)) and not columns.AMBIGUOUS_STEERING & set(names)
 
 
+@pytest.mark.parametrize("blank", ["", "nan"])
+@pytest.mark.parametrize(("channel", "other", "note"), [
+    ("velocity_y", "", "velocity_y has no column with numbers; it is set to 0"),
+    ("yaw_rate", "", "yaw_rate has no column with numbers; the derivative of yaw is used"),
+    ("yaw", "compass_heading", ""), ("road_wheel_angle", "steering_wheel_angle", "")])
+def test_column_with_only_blanks_is_read_as_absent(tmp_path: Path, channel: str, other: str, note: str,
+                                                   blank: str) -> None:
+    names = {**PLAIN, **({other: other} if other else {})}
+    file = write(tmp_path / "a.csv", names)
+    replace_cells(file, {(row, list(names).index(channel)): blank for row in range(N)})
+    run = read_csv(file, CAR)
+    absent = read_csv(write(tmp_path / "b.csv", {c: name for c, name in names.items() if c != channel}), CAR)
+    assert [text.partition(": ")[2] for text in run.warnings] == [text.partition(": ")[2] for text in absent.warnings]
+    assert not note or note in " ".join(run.warnings)
+    for name in (*INS_SIGNALS, "road_wheel_angle"):
+        np.testing.assert_array_equal(getattr(run.log, name), getattr(absent.log, name))
+
+
+def test_blank_column_that_is_required_is_named(tmp_path: Path) -> None:
+    file = replace_cells(write(tmp_path / "a.csv", PLAIN), {(row, 3): "" for row in range(N)})
+    with pytest.raises(RunError, match="yaw has no number in 60 of 60 rows"):
+        read_csv(file, CAR)
+
+
 DERIVED = {"latitude", "longitude", "course", "velocity_east", "velocity_north",
            *(f"orientation_{axis}" for axis in "xyzw")}
 
@@ -147,7 +171,7 @@ def test_rps_is_no_unit_of_the_yaw_rate(tmp_path: Path, name: str) -> None:
     texts = [text.partition(": ")[2] for text in drive.warnings]
     ignored = ["column yaw rate [rps] is not used: 'rps' is not a unit of angular rate (known units are rad/s, deg/s, "
                "mrad/s)"] if "[" in name else []
-    assert texts == [*ignored, "no column was recognised as yaw_rate; the derivative of yaw is used"]
+    assert texts == [*ignored, "yaw_rate has no column with numbers; the derivative of yaw is used"]
 
 
 @pytest.mark.parametrize("course_is_yaw", [True, False])
@@ -160,8 +184,8 @@ def test_course_and_speed_over_ground_give_the_body_velocities(tmp_path: Path, c
     np.testing.assert_allclose(drive.log.velocity_y, expected, atol=1e-9)
     np.testing.assert_allclose(drive.log.yaw_rate, 1.0, atol=1e-6)  # of yaw, not of its own column
     texts = [text.partition(": ")[2] for text in drive.warnings]
-    lacking = ["no column was recognised as velocity_y; it is set to 0 (unknown sideslip)"] if course_is_yaw else []
-    assert texts == [*lacking, "no column was recognised as yaw_rate; the derivative of yaw is used"]
+    lacking = ["velocity_y has no column with numbers; it is set to 0 (unknown sideslip)"] * course_is_yaw
+    assert texts == [*lacking, "yaw_rate has no column with numbers; the derivative of yaw is used"]
 
 
 @pytest.mark.parametrize("rows", [0, 1, 2])

@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 from oxts_bridge.geometry import LocalFrame
@@ -57,10 +58,14 @@ def add_steering_column(layout: Layout, steering: SteeringField | None) -> Layou
     """Adds the steering column that an option names to the layout; an option that names a topic changes nothing."""
     if steering is None or steering.topic:
         return layout
-    channel = ROAD_WHEEL if steering.quantity == "road" else STEERING_WHEEL
+    channel = _get_channel(steering)
     units = {channel: steering.unit} if steering.unit else {}
     return replace(layout, columns={**layout.columns, channel: steering.field}, units={**layout.units, **units},
                    source=layout.source or "--steering-field")
+
+
+def _get_channel(steering: SteeringField) -> str:
+    return ROAD_WHEEL if steering.quantity == "road" else STEERING_WHEEL
 
 
 def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: float = 1.0,
@@ -73,6 +78,8 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
     frame_id: frame of the velocities, if they are from a ROS message.
     """
     file = table.file
+    named_channel = [_get_channel(steering)] if steering is not None and not steering.topic else []
+    table = _leave_out_blank_columns(table, (*INS_SIGNALS, ROAD_WHEEL), named_channel)
     _require_columns(table, (*INS_SIGNALS, ROAD_WHEEL))
     warnings = list(table.warnings)
     columns, origin = _derive_channels(table, warnings, frame_id)
@@ -81,22 +88,7 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
     has_ins = table.is_usable & all_finite(columns, INS_SIGNALS)
     has_steering = table.is_usable & all_finite(columns, steering_channels)
     if min(has_ins.sum(), has_steering.sum()) < 2:
-        _reject_without_fix(table)
-        reason, advice = "", "remove it from the command"
-        if has_ins.sum() < 2 and all(np.isfinite(each[table.is_usable]).sum() > 1 for each in table.columns.values()):
-            reason, advice = ": its channels have numbers at different times", "export them on one clock"
-        elif missing:
-            channel = max(missing, key=lambda name: missing[name])
-            total = len(table.time_ns) + table.rows_without_time
-            reason = f": {channel} has no number in {format_count(missing[channel], total, 'rows')}"
-            if column := next((name for name in (channel, COMPUTED_FROM.get(channel, "")) if name in table.texts), ""):
-                reason = (f": column {table.sources[column].name} has no numbers, but text such as "
-                          f"{table.texts[column]!r}")
-                advice = "export it as plain numbers"
-        elif len(table.is_usable) > 1:
-            rows = format_count(int(table.is_usable.sum()), len(table.is_usable), "rows")
-            reason, advice = f": only {rows} have a time later than all previous rows", "export the time of each row"
-        raise RunError(file, f"it contains fewer than two usable rows{reason}", advice)
+        _reject_unusable(table, int(has_ins.sum()), missing)
     values = {name: columns[name][has_ins] for name in INS_SIGNALS}
     values["yaw"] = np.unwrap(yaw_scale * values["yaw"])
     values |= {name: columns[name][has_ins] for name in OPTIONAL_INS_SIGNALS if is_mostly_known(columns.get(name))}
@@ -120,6 +112,7 @@ def build_ins_log(table: Table, required: Sequence[str], yaw_scale: float = 1.0)
     required: channels that must have a number in every sample, in addition to yaw if the table has it. Other channels
     may contain NaN. yaw_scale: as for `build_drive`.
     """
+    table = _leave_out_blank_columns(table, required)
     _require_columns(table, required, ", `can: [CAN LOGS]`")
     warnings = list(table.warnings)
     columns, origin = _derive_channels(table, warnings)
@@ -178,6 +171,16 @@ def find_missing_channels(sources: Iterable[str], names: Iterable[str], required
     return [name for name in required if name not in channels]
 
 
+def _leave_out_blank_columns(table: Table, required: Sequence[str], kept: Sequence[str] = ()) -> Table:
+    """The table without columns that have only blanks, if the required channels can be derived from the others."""
+    blank = {channel for channel, values in table.columns.items() if not np.isfinite(values).any()}
+    blank -= {*OPTIONAL_INS_SIGNALS, *table.texts, *kept}
+    if find_missing_channels(table.sources.keys() - blank, table.names, required):
+        return table
+    return replace(table, sources={name: source for name, source in table.sources.items() if name not in blank},
+                   columns={name: values for name, values in table.columns.items() if name not in blank})
+
+
 def _require_columns(table: Table, required: Sequence[str], can: str = "") -> None:
     """Raises RunError for missing or ambiguous columns. can: line of a run.yaml for CAN logs, as part of the advice."""
     missing = find_missing_channels(table.sources, table.names, ("t", *required))
@@ -211,6 +214,27 @@ def _require_columns(table: Table, required: Sequence[str], can: str = "") -> No
         raise RunError(table.file, f"column {column} may be the angle of the steering wheel or of the road wheels",
                        f"declare it: --steering-field '{column}' --steering-is wheel (or road); or in a run.yaml, as "
                        f"columns: {{{STEERING_WHEEL}: {column}}} or {{{ROAD_WHEEL}: {column}}}")
+
+
+def _reject_unusable(table: Table, n_ins: int, missing: Mapping[str, int]) -> NoReturn:
+    """Raises RunError with the reason why fewer than two rows are usable. n_ins: rows with every INS channel. missing:
+    see `_count_missing`."""
+    _reject_without_fix(table)
+    reason, advice = "", "remove it from the command"
+    if n_ins < 2 and all(np.isfinite(each[table.is_usable]).sum() > 1 for each in table.columns.values()):
+        reason, advice = ": its channels have numbers at different times", "export them on one clock"
+    elif missing:
+        channel = max(missing, key=lambda name: missing[name])
+        total = len(table.time_ns) + table.rows_without_time
+        reason = f": {channel} has no number in {format_count(missing[channel], total, 'rows')}"
+        if column := next((name for name in (channel, COMPUTED_FROM.get(channel, "")) if name in table.texts), ""):
+            reason = (f": column {table.sources[column].name} has no numbers, but text such as "
+                      f"{table.texts[column]!r}")
+            advice = "export it as plain numbers"
+    elif len(table.is_usable) > 1:
+        rows = format_count(int(table.is_usable.sum()), len(table.is_usable), "rows")
+        reason, advice = f": only {rows} have a time later than all previous rows", "export the time of each row"
+    raise RunError(table.file, f"it contains fewer than two usable rows{reason}", advice)
 
 
 def _reject_without_fix(table: Table) -> None:
@@ -412,10 +436,10 @@ def _complete_motion(table: Table, columns: dict[str, np.ndarray], warnings: lis
         speed = columns["velocity_x"]
         columns["velocity_x"], columns["velocity_y"] = speed * np.cos(sideslip), speed * np.sin(sideslip)
         if not np.nan_to_num(sideslip).any():
-            warnings.append(f"{table.file}: no column was recognised as velocity_y; it is set to 0 (unknown sideslip)")
+            warnings.append(f"{table.file}: velocity_y has no column with numbers; it is set to 0 (unknown sideslip)")
     if "yaw_rate" not in columns:
         columns["yaw_rate"] = differentiate_yaw(table, columns["yaw"])
-        warnings.append(f"{table.file}: no column was recognised as yaw_rate; the derivative of yaw is used")
+        warnings.append(f"{table.file}: yaw_rate has no column with numbers; the derivative of yaw is used")
 
 
 def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], warnings: list[str]) -> None:

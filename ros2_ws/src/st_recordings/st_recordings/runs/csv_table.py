@@ -189,8 +189,9 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
                    for channel, source in sources.items() if channel != "t"}
     columns = {channel: np.where(np.isfinite(values), values, np.nan) for channel, values in columns.items()}
     first = _split_first_row(body, delimiter)
-    texts = {channel: first[source.column][:40] for channel, source in sources.items() if channel in columns
-             and source.column < len(first) and first[source.column] and not np.isfinite(columns[channel]).any()}
+    texts = {channel: first[source.column][:40] for channel, source in sources.items()
+             if channel in columns and not np.isfinite(columns[channel]).any()
+             and source.column < len(first) and first[source.column].lower() not in MISSING_MARKS}
     if time is None:
         return Table(file, tuple(names), sources, columns, np.empty(0, np.int64), 0, np.empty(0, bool), tuple(warnings))
     seconds, time = convert_to_seconds(file, _add_fraction(rows, names, time.column), time, warnings)
