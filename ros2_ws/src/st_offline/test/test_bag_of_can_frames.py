@@ -1,13 +1,17 @@
 """Bags of other software: odometry and can_msgs/Frame, from which the signal table and DBC give the steering."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from raw_drives import LEAF, write_drives
 from ros_messages import STORE, header, odometry, serialise
 from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 from st_core.clock_types import Verdict
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
@@ -21,6 +25,7 @@ from st_recordings.runs.frames import EXTENDED, Frames
 from st_recordings.runs.raw import read_pair
 
 CAR = VehicleParameters.from_yaml(LEAF.read_text())
+REPORT = "autoware_vehicle_msgs/msg/SteeringReport"
 BUSES = ("/can0/from_can_bus", "/can10/from_can_bus")
 
 
@@ -40,15 +45,20 @@ def serialise_frame(frames: Frames, k: int, stamp_ns: int, bus: str) -> bytes:
 
 
 def write_bag(folder: Path, log: DriveLog, frames: Frames, storage: StoragePlugin = StoragePlugin.MCAP,
-              stamped: bool = True) -> Path:
-    """Frames of odd identifiers are on the second bus."""
+              stamped: bool = True, report: Callable[[Any], bytes] | None = None, store: Typestore = STORE) -> Path:
+    """Frames of odd identifiers are on the second bus. report: makes a steering report with a stamp."""
     with Writer(folder, version=9, storage_plugin=storage) as writer:
         odom = writer.add_connection("/odom", ODOMETRY, typestore=STORE)
         buses = [writer.add_connection(bus, CAN_MSGS_FRAME, typestore=STORE) for bus in BUSES]
+        if report is not None:
+            reports = writer.add_connection("/steering_status", REPORT, typestore=store)
         for k, time_ns in enumerate(log.ins_time_ns.tolist()):
             pose = odometry(time_ns, log.x[k], log.y[k], log.yaw[k], log.velocity_x[k], log.velocity_y[k],
                             log.yaw_rate[k])
             writer.write(odom, time_ns, pose)
+            if report is not None:
+                stamp = header(time_ns, "").stamp
+                writer.write(reports, time_ns, report(stamp))
         for k, time_ns in enumerate(frames.time_ns.tolist()):
             bus = int(frames.id[k]) % 2
             writer.write(buses[bus], time_ns, serialise_frame(frames, k, time_ns if stamped else 0, BUSES[bus]))
@@ -73,6 +83,20 @@ def test_steering_is_decoded_from_the_frames(raw, tmp_path, storage, stamped):
     np.testing.assert_array_equal(run.log.ins_time_ns, log.ins_time_ns)
     assert run.alignment.verdict is Verdict.NOT_NEEDED
     assert any("have no stamp; the times of reception are used" in text for text in run.warnings) == (not stamped)
+
+
+@pytest.mark.parametrize("has_steering", [True, False])
+def test_frames_are_preferred_to_a_steering_report(raw, tmp_path, has_steering: bool) -> None:
+    log, frames = raw
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg("builtin_interfaces/Time stamp\nfloat32 steering_tire_angle\n", REPORT))
+    if not has_steering:
+        frames = replace(frames, id=frames.id + np.uint32(1))
+    folder = write_bag(tmp_path / "drive", log, frames,
+                       report=lambda stamp: store.serialize_cdr(store.types[REPORT](stamp, 0.25), REPORT), store=store)
+    run = read(find_runs([folder])[0], CAR)
+    assert (float(run.log.road_wheel_angle.min()) == 0.25) != has_steering
+    assert any("by its type" in warning for warning in run.warnings) != has_steering
 
 
 def test_bag_with_frames_is_a_drive_of_a_discovery(raw, tmp_path):

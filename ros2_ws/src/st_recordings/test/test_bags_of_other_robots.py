@@ -350,7 +350,7 @@ def test_command_in_place_of_the_steering_angle_is_reported(tmp_path: Path, driv
 def test_steering_report_of_a_known_type_is_found(tmp_path: Path, drive_log: DriveLog, topics: tuple[str, ...]) -> None:
     run = read(find_runs([write(tmp_path / "drive", drive_log, "/odom", *topics)])[0], CAR)
     assert_same(run.log, drive_log, max_lost=0, rotated=False)
-    assert_warned(run.warnings, f"the steering angle is .* of {topics[0]}, by its type .*; name another with")
+    assert_warned(run.warnings, f"is .* of {topics[0]}, positive to the left, by its type .*; name another with")
 
 
 @pytest.mark.parametrize("name", ["/imu/data", "fix, imu/data"])
@@ -362,6 +362,17 @@ def test_topics_of_the_ins_can_be_named(tmp_path: Path, drive_log: DriveLog, nam
                    change={"/imu/second": turn})
     run = read(find_runs([folder])[0], CAR, replace(STEER, odometry=name))
     assert_same(run.log, drive_log, max_lost=0, rotated=True)
+
+
+@pytest.mark.parametrize(("name", "error"), [
+    ("/fix,/typo", "--odometry-topic: /typo has no messages with channels of an INS; topics: /fix, /imu/data, /steer"),
+    ("/steer", "--odometry-topic: /steer has no messages with channels"),
+    ("/imu/data,/fix", "--odometry-topic: /imu/data,/fix contains no message of type nav_msgs/msg/Odometry, and ")])
+def test_named_topics_of_the_ins_must_have_its_channels(tmp_path: Path, drive_log: DriveLog, name: str, error: str
+                                                        ) -> None:
+    folder = write(tmp_path / "drive", drive_log, "/imu/data", "/fix", "/odom", "/steer", rows=slice(300))
+    with pytest.raises(RunError, match=error):
+        read(find_runs([folder])[0], CAR, replace(STEER, odometry=name))
 
 
 def test_fixes_with_the_status_of_no_fix_are_left_out(tmp_path: Path, drive_log: DriveLog) -> None:

@@ -35,10 +35,7 @@ def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: S
 
     storage = open_bag(path, files)
     storage.use_definitions({topic.type_name for topic in storage.topics})
-    named_topics = [topic for topic in storage.topics if ins_topics and topic.is_in(ins_topics)]
-    taken = {channel for topic in named_topics for channel in _find_fields(storage, topic)[1]}
-    parts = [(topic.name, *part) for topic in storage.topics if (
-        part := _read_columns(storage, topic, () if topic in named_topics else taken))[1]]
+    parts = _read_topics(storage, ins_topics)
     if not parts:
         return None
     if steering is not None:
@@ -65,12 +62,27 @@ def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: S
     try:
         return build_drive(table, vehicle, frame_id=frame_id)
     except RunError as error:
-        problem = f"it contains no message of type {ODOMETRY}, and if it is read as a table, {error.problem}"
+        subject = f"--odometry-topic: {ins_topics}" if ins_topics else "it"
+        problem = f"{subject} contains no message of type {ODOMETRY}, and if it is read as a table, {error.problem}"
         advice = "" if {*STEERING_ANGLES} & table.sources.keys() else (
             "name the topic of the steering angle with --steering-topic; or ")
         if "may each" in problem:
             advice = "name the topics of the INS with --odometry-topic, separated by commas; or "
         raise RunError(path, problem, advice + EXPORT_ADVICE) from None
+
+
+def _read_topics(storage: Storage, ins_topics: str | None) -> list[tuple[str, np.ndarray, dict[str, np.ndarray]]]:
+    """(topic, stamps [ns], columns) of the topics with channels. Raises RunError for a named topic without them."""
+    # If an INS is named, there may be odometry of another source.
+    topics, taken = [topic for topic in storage.topics if topic.type_name != ODOMETRY], set[str]()
+    for name in ins_topics.split(",") if ins_topics else ():
+        channels = {channel for topic in topics if topic.is_in(name) for channel in _find_fields(storage, topic)[1]}
+        if channels <= {*STEERING_ANGLES}:
+            raise RunError(storage.path, f"--odometry-topic: {name} has no messages with channels of an INS",
+                           f"topics: {', '.join(sorted(topic.name for topic in topics))}")
+        taken |= channels
+    return [(topic.name, *part) for topic in topics if (
+        part := _read_columns(storage, topic, () if ins_topics and topic.is_in(ins_topics) else taken))[1]]
 
 
 def has_ins_channels(path: Path) -> bool:

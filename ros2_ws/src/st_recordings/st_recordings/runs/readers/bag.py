@@ -34,13 +34,20 @@ _STEERING_TYPES: dict[str, tuple[str, Literal["road", "wheel"], Literal["rad", "
 
 def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
     steering, warning = settings.steering if settings.steering and settings.steering.topic else None, ""
-    if steering is None and vehicle is not None and (steering := _find_steering(source)) is not None:
-        warning = (f"the steering angle is {steering.field} of {steering.topic}, by its type (--steering-is "
-                   f"{steering.quantity}, --steering-unit {steering.unit}); name another with --steering-topic")
-    elif steering is None and bag.may_need_can_frames(source.path, source.files):
+    found = _find_steering(source) if steering is None and vehicle is not None else None
+    if steering is None and bag.may_need_can_frames(source.path, source.files):
         from ..raw import read_raw_run
 
-        return read_raw_run(source, vehicle, settings)
+        try:
+            return read_raw_run(source, vehicle, settings)
+        except RunError:
+            if found is None:
+                raise
+    if found is not None:
+        steering = found
+        warning = (f"the steering angle is {steering.field} of {steering.topic}, positive to the left, by its type "
+                   f"(--steering-is {steering.quantity}, --steering-unit {steering.unit}); name another with "
+                   "--steering-topic")
     elif steering is not None and _is_command(steering):
         warning = (f"{steering.topic} is a command by its name or type, not a measurement; the car follows it with a "
                    "delay")
