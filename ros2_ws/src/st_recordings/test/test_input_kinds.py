@@ -273,6 +273,8 @@ TABLES = [
     Table("units_after_commas.txt", lambda log: csv(rows(log), "\t".join(
         f"{name}, {unit}" for name, unit in zip(NAMES, ("s", "m", "m", "rad", "m/s", "m/s", "rad/s", "rad"),
                                                 strict=True)), "\t")),
+    Table("magnitudes.csv", lambda log: csv([[*row, "0", "0", "0"] for row in rows(log)], ", ".join(
+        [*NAMES, "|slip|", "|a|", "|b|"]))),
     Table("iso_signals.csv", lambda log: csv(rows(log), "t,x,y,IsoYawAngle,IsoVsLongitudinalVelocity,"
                                              f"IsoVsLateralVelocity,IsoVsYawVelocity,{NAMES[7]}")),
     Table("end_of_week.csv", lambda log: with_times(log, lambda s: f"{(604790 + s) % 604800:.6f}")),

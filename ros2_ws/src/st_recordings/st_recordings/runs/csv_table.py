@@ -303,9 +303,9 @@ def _find_header_line(lines: list[str], layout: Layout | None = None) -> int:
 
 def _split_header(header: str) -> tuple[list[str], str]:
     """(names of the columns, delimiter)."""
-    # ", " may precede a unit, as in "speed, m/s", so it counts half. Of marks with equal counts, the first is used.
+    # If all names end with a unit, as "speed, m/s", there is one comma more. Of equal counts, the first mark is used.
     text = re.sub('"[^"]*"', "", header)
-    delimiter = max(";\t|,", key=lambda mark: text.count(mark) - 0.5 * text.count(", ") * (mark == ","))
+    delimiter = max(";\t|,", key=lambda mark: text.count(mark) - (mark == "," and ", " in text))
     if delimiter not in header and len(header.split()) > 2:
         names = header.split()
         return names[names[0] in ("#", "%", "//"):], " "  # "# t x y" of numpy.savetxt
