@@ -21,7 +21,7 @@ from st_recordings.runs.axes import MIN_COURSE_SPREAD, convert_odometry, rotate_
 from st_recordings.runs.bag import ODOMETRY, read_bag
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.ins_log import are_stored_out_of_order
-from st_recordings.runs.readers.bag import _is_command
+from st_recordings.runs.readers.bag import _is_command, add_steering
 from st_recordings.runs.run_types import SteeringField
 
 STEER = ReadSettings(steering=SteeringField("/steer", "data", "wheel"))
@@ -351,6 +351,16 @@ def test_steering_report_of_a_known_type_is_found(tmp_path: Path, drive_log: Dri
     run = read(find_runs([write(tmp_path / "drive", drive_log, "/odom", *topics)])[0], CAR)
     assert_same(run.log, drive_log, max_lost=0, rotated=False)
     assert_warned(run.warnings, f"is .* of {topics[0]}, positive to the left, by its type .*; name another with")
+
+
+def test_steering_report_of_a_known_type_is_found_for_a_replay(tmp_path: Path, drive_log: DriveLog, caplog) -> None:
+    folder = write(tmp_path / "drive", drive_log, "/odom", "/raptor/steering_report")
+    settings = add_steering(folder, ReadSettings())
+    assert settings.steering == SteeringField("/raptor/steering_report", "steering_wheel_angle", "wheel", "deg")
+    assert "steering_wheel_angle of /raptor/steering_report, positive to the left, by its type" in caplog.text
+    read_bag(folder, steering=settings.steering)  # as the replay does
+    named = ReadSettings(steering=SteeringField("/steer"))
+    assert add_steering(folder, named) == named
 
 
 @pytest.mark.parametrize("name", ["/imu/data", "fix, imu/data"])

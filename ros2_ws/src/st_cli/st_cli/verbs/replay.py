@@ -29,10 +29,12 @@ def replay(
     from st_offline.checking.check_report import findings_as_json, print_findings
     from st_offline.checking.gate import check_bag
     from st_recordings.paths import new_folder
+    from st_recordings.runs.readers.bag import add_steering
 
     with shared.report_errors("replay"):
         vehicle, read_settings = read_options.resolve()
         bag = find_bag(bag)
+        read_settings = add_steering(bag, read_settings)
         view = run_options.make_view()
         findings = check_bag(bag, vehicle, force, read_settings)
         print_findings({bag.name: findings}, shared.console)
@@ -66,9 +68,11 @@ def verify(
     from st_live.verification import verify_command
     from st_offline.checking.check_report import print_findings
     from st_offline.checking.gate import check_bag
+    from st_recordings.runs.readers.bag import add_steering
 
     with shared.report_errors("verify"):
         vehicle, read_settings = read_options.resolve()
+        read_settings = add_steering(find_bag(bag), read_settings)
         print_findings({bag.name: check_bag(find_bag(bag), vehicle, force, read_settings)}, shared.console)
         shared.report_default_car_for_bag("verify", bag, vehicle)
         status = verify_command(bag, vehicle, tolerance, through_nodes, output, shared.console, read_settings)

@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from st_core.vehicle import VehicleParameters
 from .. import bag
 from ..bag_storage import EXTENSIONS, ROS1_EXTENSION, open_bag
 from ..cdr import CAN_FRAMES, STEERING
-from ..errors import RunError
+from ..errors import RunError, log_warnings
 from ..ins_log import InsLog
 from ..readers import Reader, register
 from ..run_types import Label, LoadedRun, ReadSettings, RunSource, SteeringField
@@ -34,7 +35,8 @@ _STEERING_TYPES: dict[str, tuple[str, Literal["road", "wheel"], Literal["rad", "
 
 def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
     steering, warning = settings.steering if settings.steering and settings.steering.topic else None, ""
-    found = _find_steering(source) if steering is None and vehicle is not None else None
+    found, found_by = (_find_steering(source.path, source.files) if steering is None and vehicle is not None
+                       else (None, ""))
     if steering is None and bag.may_need_can_frames(source.path, source.files):
         from ..raw import read_raw_run
 
@@ -44,10 +46,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
             if found is None:
                 raise
     if found is not None:
-        steering = found
-        warning = (f"the steering angle is {steering.field} of {steering.topic}, positive to the left, by its type "
-                   f"(--steering-is {steering.quantity}, --steering-unit {steering.unit}); name another with "
-                   "--steering-topic")
+        steering, warning = found, found_by
     elif steering is not None and _is_command(steering):
         warning = (f"{steering.topic} is a command by its name or type, not a measurement; the car follows it with a "
                    "delay")
@@ -55,16 +54,32 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
     return replace(run, warnings=(*run.warnings, f"{source.path}: {warning}")) if warning else run
 
 
-def _find_steering(source: RunSource) -> SteeringField | None:
-    """The steering angle of the only measured topic of a type in _STEERING_TYPES; None for a bag with st_msgs."""
+def add_steering(path: Path, settings: ReadSettings) -> ReadSettings:
+    """The settings of a replay, with the steering angle found by its type if they name none, and the bag has no CAN
+    frames, which `read` prefers; logs a warning about it."""
+    if settings.steering is not None or bag.may_need_can_frames(path):
+        return settings
+    steering, warning = _find_steering(path)
+    log_warnings([f"{path}: {warning}"] if warning else [])
+    return replace(settings, steering=steering)
+
+
+def _find_steering(path: Path, files: Sequence[Path] = ()) -> tuple[SteeringField | None, str]:
+    """(the steering angle of the only measured topic of a type in _STEERING_TYPES, warning about its use); (None, "")
+    for a bag with st_msgs. files: see `open_bag`."""
     with suppress(RunError):
-        storage = open_bag(source.path, source.files)
+        storage = open_bag(path, files)
         known_types = _STEERING_TYPES.keys() & {*storage.store.fielddefs, *storage.definitions()}
         fields = [SteeringField(topic.name, *_STEERING_TYPES[topic.type_name]) for topic in storage.topics
                   if topic.type_name in known_types and _STEERING_NAME.search(f"{topic.name} {topic.type_name}")]
         measured = [field for field in fields if not _is_command(field)]
-        return measured[0] if len(measured) == 1 and not {STEERING, CAN_FRAMES} & storage.by_type.keys() else None
-    return None
+        if len(measured) == 1 and not {STEERING, CAN_FRAMES} & storage.by_type.keys():
+            steering = measured[0]
+            return steering, (
+                f"the steering angle is {steering.field} of {steering.topic}, positive to the left, by its type "
+                f"(--steering-is {steering.quantity}, --steering-unit {steering.unit}); name another with "
+                "--steering-topic")
+    return None, ""
 
 
 def _is_command(steering: SteeringField) -> bool:
