@@ -287,6 +287,11 @@ def test_variants_of_candump_and_asc(tmp_path: Path, name: str, lines: list[str]
 @pytest.mark.parametrize(("header", "row", "data"), [
     ("Time,ID,DLC,B0,B1,B2,B3", "0.1,1A2,3,A1,B2,C3,00", "a1b2c3"),
     ("Time,ID,Format,DLC,Data", "0.1,18FEF100,Extended,2,0A02", "0a02"),
+    ("Time,ID,DLC,Data", f"0.1,1A2,15,{'0A' * 64}", "0a" * 64),  # lengths of CAN FD as a code
+    ("Time,ID,DLC,Data", f"0.1,1A2,12,{'0A' * 24}", "0a" * 24),
+    ("Time,ID,DLC,Data", f"0.1,1A2,12,{'0A' * 12}", "0a" * 12),
+    ("Time,ID,DLC,D0,D1", f"0.1,1A2,9{',0A' * 12}", "0a" * 12),
+    ("Time,ID,DLC,D0,D1", f"0.1,1A2,12{',0A' * 12}", "0a" * 12),
     (VEHICLE_SPY.format("Arb ID,Remote,Xtd," + ",".join(f"B{k}" for k in range(1, 10))).strip(),
      "1,0.1,0.1,6,F,F,,HS CAN,,1A2,F,F,0A,02,03,04,05,06,07,08,09,3C,,", "0a0203040506070809")])
 def test_bytes_of_csv_logs(tmp_path: Path, header: str, row: str, data: str) -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from importlib import import_module
-from itertools import dropwhile, islice
+from itertools import dropwhile, islice, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from .binary_table import is_signal_table
 from .columns import MOTION_CHANNELS, UNITS, Layout, find_columns, find_times, normalise
 from .errors import COMPRESSED_MAGIC, CP1252_FALLBACK, find_utf16, format_count, shorten
 from .frames import EXTENDED_IDS, STANDARD_IDS
-from .mf4 import MF4_EXTENSIONS, VENDOR_EXTENSIONS, is_mdf
+from .mf4 import FD_LENGTHS, MF4_EXTENSIONS, VENDOR_EXTENSIONS, is_mdf
 from .table_times import DAY, PLAUSIBLE_EPOCH, ROLLOVER_STEP, month_number, parse_stamp
 
 _BLF_HEAD_LENGTH = 16  # bytes: "LOBJ", header size, header version, object size, object type
@@ -386,6 +386,9 @@ def _read_csv_data(cells: Mapping[str, str], row: Sequence[str], name: str, role
     """Data of a frame in any of the CSV formats. Raises ValueError if it does not have the stated length."""
     digits = "".join(row[roles["data"]].split())
     length = int(row[roles["length"]]) if "length" in roles else None
+    if length is not None and 8 < length < len(FD_LENGTHS):  # may be a code, if there are as many bytes as it denotes
+        n_bytes = len(list(takewhile(bool, row[roles["data"]:]))) if name[-1].isdigit() else len(digits) // 2
+        length = n_bytes if n_bytes == FD_LENGTHS[length] else length
     if name[-1].isdigit():  # blank cells may follow the bytes, but not separate them
         texts = row[roles["data"]:][:n_columns if length is None else length]
         data = bytes(int(text, base) for text in texts[:sum(map(bool, texts))])
