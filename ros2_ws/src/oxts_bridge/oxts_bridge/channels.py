@@ -73,8 +73,7 @@ class Field:
     def _bit_layout(self) -> tuple[int, int, int, int]:
         """(shift, mask, flip, sign) of the raw number: ((word >> shift & mask ^ flip) ^ sign) - sign.
 
-        word: the 8 bytes as one little-endian integer. flip: mask for inverted bits, else 0. sign: weight of the sign
-        bit, 0 for unsigned numbers.
+        word: the 8 bytes as one little-endian integer. flip: mask of inverted bits. sign: weight of the sign bit, or 0.
         """
         kind = _INTEGER_FORMATS.get(self.kind, self.kind)
         prefix, _, bits = kind.partition("bits")

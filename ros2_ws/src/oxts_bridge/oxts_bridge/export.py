@@ -52,8 +52,7 @@ def write_csv(ncom_path: str | Path, csv_path: str | Path, status_path: str | Pa
     """Write the packets of an .ncom file, and optionally its status changes, as CSV; returns the number of packets.
 
     csv_path: columns of `_make_table`, one row per accepted packet; empty: invalid. Units: m, m/s, m/s^2, deg,
-    deg/s, deg/s^2; times in GPS seconds. status_path: pkt,channel,field,valid,value, one row per change of value or
-    validity.
+    deg/s, deg/s^2; times in GPS seconds. status_path: pkt,channel,field,valid,value, one row per change of these.
     Raises NcomError for a file without packets and if two of the three files are the same; OSError for a file that
     cannot be read or written.
     """

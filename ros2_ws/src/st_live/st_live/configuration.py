@@ -60,8 +60,7 @@ def make_live_parameters(folder: Path, vehicle: Path, bridges: Parameters, model
                          record_all: bool = False) -> Parameters:
     """Parameters of config/nodes.yaml, updated for a live run in `folder`.
 
-    model: result of `make_model_parameters`. record_all: whether to also record topics that can be derived from
-    other recorded ones.
+    model: result of `make_model_parameters`. record_all: whether to record topics that can be derived from others.
     """
     from st_predictor.params import ALL_TOPICS  # needs ROS, which `load_model` does not
 

@@ -139,10 +139,7 @@ def _draw_errors(axes: Axes, results: Results, mode: str, quantity: str) -> None
 
 
 def describe_incomplete(models: dict[str, Any]) -> str:
-    """Number of predictions of one model without a complete score, by mode; a range if the models differ; "" if none.
-
-    models: as in summary.json.
-    """
+    """Number of predictions of a model without a complete score, by mode; "" if none. models: as in summary.json."""
     counts = {mode: sorted({modes[mode]["n_incomplete"] for modes in models.values() if mode in modes})
               for mode in TABLE_MODES}
     return ", ".join(f"{mode} {' to '.join(map(str, dict.fromkeys((numbers[0], numbers[-1]))))}"

@@ -120,8 +120,7 @@ def read_planned_inputs(message: InputPlan, base_frame: str, vehicle: VehiclePar
 
 
 def read_trajectory(message: Prediction | PlannedPrediction) -> tuple[int, Trajectory] | str:
-    """(start_ns, trajectory) of a prediction message, or the reason why it cannot be used. Only the start state must be
-    finite."""
+    """(start_ns, trajectory) of a prediction message, or why it cannot be used. Only the start state must be finite."""
     columns = [message.x, message.y, message.velocity_x, message.velocity_y, message.yaw, message.yaw_rate]
     if len({len(c) for c in columns}) != 1 or len(message.x) < 2:
         return "its arrays differ in length or have fewer than two points"

@@ -129,10 +129,7 @@ def read_prediction_settings(values: SimpleNamespace) -> PredictionSettings:
 
 
 def translate_errors(values: SimpleNamespace, make: Callable[[], T], prefix: str = "") -> T:
-    """Result of `make`. A ConfigurationError of st_core becomes one of st_ros, which ends a node with exit status 2.
-
-    prefix: start of the message.
-    """
+    """Result of `make`; a ConfigurationError of st_core becomes one of st_ros, with `prefix`, for exit status 2."""
     try:
         return make()
     except core_errors.ConfigurationError as error:

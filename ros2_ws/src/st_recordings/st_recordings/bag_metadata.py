@@ -132,10 +132,7 @@ def _find_interface_file(type_name: str, suffix: str) -> Path:
 
 @cache
 def read_definition(type_name: str) -> str:
-    """Reads the .msg text of a type ("pkg/msg/Type") and of all types that it uses, in the `ros2msg` layout.
-
-    Raises UnknownTypeError.
-    """
+    """The `ros2msg` text of a type ("pkg/msg/Type") and of all types that it uses. Raises UnknownTypeError."""
     texts: dict[str, str] = {}
     pending = [type_name]
     while pending:

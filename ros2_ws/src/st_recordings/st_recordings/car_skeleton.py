@@ -152,8 +152,7 @@ def list_remarks(folder: str) -> list[str]:
 
 
 def list_uncertainties(vehicle: VehicleParameters) -> list[str]:
-    """One line for each quantity with a stated or default uncertainty; a last line names the others that may be fitted.
-    """
+    """One line for each quantity with a stated or default uncertainty; the last one names others that may be fitted."""
     quantities = {**VEHICLE_QUANTITIES,
                   **{f"{tyre}.{key}": quantity for tyre in TYRES for key, quantity in TYRE_QUANTITIES.items()}}
     lines, keys_without = [], []

@@ -64,8 +64,7 @@ class PredictionBands:
                       modes: Sequence[Mode]) -> Mapping[str, list[Band]]:
         """Bands by model for predictions of these modes that start at `time_ns`; empty without bands.
 
-        Without adaptation, they are those of the bands file, which has no planned modes. The next call overwrites
-        them.
+        Without adaptation: those of the bands file, which has no planned modes. The next call overwrites them.
         """
         if self._adaptive:
             condition = conditions_now(history, time_ns) if self._calibration_note else ()  # only a bands file needs it
@@ -133,8 +132,7 @@ class BandMessages:
 
 
 def read_bands(message: Prediction) -> HalfWidths:
-    """(mode, level) -> half-widths (n, 3): along, across [m], yaw [rad]. Bands that differ from the path in the number
-    of points are omitted."""
+    """(mode, level) -> half-widths (n, 3): along, across [m], yaw [rad]; without bands of another number of points."""
     points = len(message.x)
     columns = {(band.mode, band.level): [getattr(band, axis) for axis in AXES] for band in message.bands}
     return {key: np.array(widths, float).T for key, widths in columns.items()

@@ -65,8 +65,7 @@ def has_odometry(path: Path) -> bool:
 
 
 def lacks_odometry(path: Path, files: Sequence[Path] = (), topics: str | None = None) -> bool:
-    """Whether a bag contains messages, of these topics if given, but neither odometry nor INS packets. files: see
-    `open_bag`."""
+    """Whether a bag contains messages (of these topics), but no odometry or INS packets. files: see `open_bag`."""
     types = _read_types(path, files, topics)
     return bool(types) and not types & {ODOMETRY, NCOM}
 
@@ -90,8 +89,7 @@ def may_carry_steering(topic: Topic) -> bool:
 
 
 def _read_types(path: Path, files: Sequence[Path] = (), topics: str | None = None) -> set[str]:
-    """Types of the recorded messages, of these topics if given; empty for a bag that cannot be read. files: see
-    `open_bag`."""
+    """Types of the recorded messages (of these topics); empty for an unreadable bag. files: see `open_bag`."""
     try:
         return {topic.type_name for topic in open_bag(path, files).topics if topics is None or topic.is_in(topics)}
     except RunError:
@@ -224,7 +222,7 @@ def _find_topic(storage: Storage, type_name: str, name: str | None = None) -> To
         named_topic = next((t for t in storage.topics if t.name.lstrip("/") == name.lstrip("/")), None)
         if named_topic in candidates:
             return named_topic
-        problem = f"is of type {named_topic.type_name}" if named_topic else "has no messages in the recording"
+        problem = f"is of type {named_topic.type_name}" if named_topic else "is not a topic with messages"
         raise RunError(path, f"--odometry-topic: {name} {problem}",
                        f"topics of type {type_name}: {', '.join(sorted(t.name for t in candidates)) or 'none'}")
     if not candidates:

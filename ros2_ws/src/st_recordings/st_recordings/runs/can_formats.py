@@ -306,8 +306,7 @@ def _read_csv(lines: Lines, notes: list[str]) -> Iterator[Any]:
         data = _read_csv_data(cells, row, names[roles["data"]], roles, byte_base, n_columns)
         identifier, is_extended = int(row[roles["id"]], id_base or 16), _is_marked(cells, *_EXTENDED_COLUMNS)
         if identifier > STANDARD_IDS and (is_extended is False or ("xtd" in cells and not is_extended)):
-            # Rows of J1939 frames of Vehicle Spy have other columns.
-            raise ValueError(f"standard identifier {identifier:x}")
+            raise ValueError(f"standard identifier {identifier:x}")  # or a J1939 row, with other columns
         bus = cells.get("bus") or cells.get("buschannel") or cells.get("network", "")
         return make_message(
             timestamp=read_time(row[roles["time"]]), arbitration_id=identifier, data=data, is_fd=len(data) > 8,
@@ -323,9 +322,8 @@ def _read_csv(lines: Lines, notes: list[str]) -> Iterator[Any]:
 def _is_marked(cells: Mapping[str, str], *names: str) -> bool | None:
     """Whether the first of these columns that is not blank has a mark; None if there is none, or another text."""
     mark = next((cells[name].lower() for name in names if cells.get(name)), "")
-    if mark in ("1", "t", "true", "yes", "tx") or mark.startswith("ext"):
-        return True
-    return False if mark in ("0", "f", "false", "no") or mark.startswith("std") else None
+    is_marked = mark in ("1", "t", "true", "yes", "tx") or mark.startswith("ext")
+    return is_marked if is_marked or mark in ("0", "f", "false", "no") or mark.startswith("std") else None
 
 
 def _find_number_formats(file: Path, names: Sequence[str], delimiter: str, roles: Mapping[str, int]

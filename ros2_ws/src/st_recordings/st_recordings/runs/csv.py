@@ -217,8 +217,7 @@ def _require_columns(table: Table, required: Sequence[str], can: str = "") -> No
 
 
 def _reject_unusable(table: Table, n_ins: int, missing: Mapping[str, int]) -> NoReturn:
-    """Raises RunError with the reason why fewer than two rows are usable. n_ins: rows with every INS channel. missing:
-    see `_count_missing`."""
+    """Raises RunError: why fewer than two rows are usable. n_ins: rows with all INS channels. See `_count_missing`."""
     _reject_without_fix(table)
     reason, advice = "", "remove it from the command"
     if n_ins < 2 and all(np.isfinite(each[table.is_usable]).sum() > 1 for each in table.columns.values()):
@@ -564,10 +563,7 @@ def _count_missing(table: Table, columns: Mapping[str, np.ndarray], steering: tu
 
 
 def _count_missing_samples(time_ns: np.ndarray, column: np.ndarray) -> int:
-    """Number of rows without a number, except the blanks of a channel with a lower rate or separate stamps.
-
-    time_ns: (n,), of the rows.
-    """
+    """Number of rows (time_ns) without a number, except the blanks of a channel with a lower rate or other stamps."""
     known_rows = np.flatnonzero(np.isfinite(column))
     row_steps = np.diff(known_rows)
     row_step = int(np.median(row_steps)) if len(known_rows) >= 3 else 1

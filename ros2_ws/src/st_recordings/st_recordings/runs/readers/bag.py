@@ -3,7 +3,7 @@
 import json
 import re
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -40,11 +40,8 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
     if steering is None and bag.may_need_can_frames(source.path, source.files):
         from ..raw import read_raw_run
 
-        try:
+        with suppress(RunError) if found else nullcontext():
             return read_raw_run(source, vehicle, settings)
-        except RunError:
-            if found is None:
-                raise
     if found is not None:
         steering, warning = found, found_by
     elif steering is not None and _is_command(steering):
