@@ -1,5 +1,6 @@
 """A proposed relation as an effect file and in the report of st discover."""
 
+import math
 import subprocess
 import sys
 from dataclasses import replace
@@ -83,6 +84,14 @@ def test_effect_file_has_the_effect_of_the_fitted_curve(tmp_path, registry, plac
     plain, by_file, by_curve = changes
     assert np.abs(by_curve - plain).max() > 1e-6
     assert by_file - plain == pytest.approx(by_curve - plain, rel=1e-4, abs=1e-5 * np.abs(by_curve - plain).max())
+
+
+def test_relation_of_drives_without_positions_has_no_position_error():
+    relation = replace(make_relation("sensor_yaw_rate", "acceleration_y", ODD), position_5s=(math.nan, math.nan), runs={})
+    search = RelationSearch(relation, "it reduces the residual", {})
+    report = report_relation(search, DISCOVERY, CAR, "out")
+    figure = draw_relation(relation, FigureOutput(None, ()))
+    assert "nan" not in str(report) + figure.title + make_effect_code(relation, ["lap"], "2026-01-01T00:00:00")
 
 
 @pytest.mark.slow

@@ -40,7 +40,7 @@ class Relation:
     gain: float  # reduction of the held-out loss per residual [1]
     p_value: float  # of the hypothesis of no gain, corrected for multiple testing [1]
     position_5s: tuple[float, float]  # held-out position error at the end of the horizon (without, with it) [m]
-    runs: Mapping[str, tuple[float, float]]  # position_5s by run
+    runs: Mapping[str, tuple[float, float]]  # position_5s by run; without positions, there are none, and errors are 0
     model: AugmentedModel  # the model without the relation, at the values fitted with it
     # Equally good relations, with the cosine similarity of their effects [1].
     alternatives: Mapping[str, float] = field(default_factory=dict)
@@ -54,6 +54,10 @@ class Relation:
     def find_worse_runs(self) -> dict[str, tuple[float, float]]:
         """Held-out position errors (without, with it) [m] of runs in which they grow by MIN_REPORTED_RATIO or more."""
         return {name: errors for name, errors in self.runs.items() if errors[1] >= MIN_REPORTED_RATIO * errors[0]}
+
+    def describe_errors(self, form: str) -> str:
+        """The text `form` with both errors of `position_5s`; "" without positions."""
+        return form.format(*self.position_5s) if self.runs else ""
 
 
 @dataclass(frozen=True)
@@ -212,7 +216,7 @@ def _make_relation(best: ScreenedCandidate, fitted: FitByCandidate, base_fit: Re
     relation = Relation(
         c, fit.coefficients, points, fit.coefficients @ splines, deviation, density,
         float(gains.sum()) / fits.loss.residual_count, p_value,
-        (float(np.nanmean(before)), float(np.nanmean(after))), runs, without_relation,
+        (selection.average_finite(before), selection.average_finite(after)), runs, without_relation,
         {name: selection.compute_cosine(fits, fit, other) for name, other in alternatives.items()},
         simulate_formulas(fits, fit, base_fit), selection.compare_runs(fits, fit),
         selection.find_redundant_effects(fits, fit, base_fit, effect_names),

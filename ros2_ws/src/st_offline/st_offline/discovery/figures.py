@@ -273,9 +273,8 @@ def draw_relation(relation: Relation, output: FigureOutput) -> PageFigure:
     distribution.set(yscale="log", ylim=(0.02, 100.0), yticks=(0.1, 1.0, 10.0, 100.0))
     distribution.yaxis.set_major_formatter("{x:g}")
     distribution.set(ylabel="fraction of the\ndriving, %", xlabel=f"{quantities.QUANTITY_NAMES[c.quantity]}, {x_unit}")
-    before, after = relation.position_5s
-    title = (f"PROPOSAL: {quantities.describe_relation(relation)}; held-out position error after 5 s: "
-             f"{before:.3f} m without it, {after:.3f} m with it")
+    errors = "; held-out position error after 5 s: {:.3f} m without it, {:.3f} m with it"
+    title = f"PROPOSAL: {quantities.describe_relation(relation)}{relation.describe_errors(errors)}"
     units = f"y in {c.unit}, u in {QUANTITIES[c.quantity]}".replace("^2", "²")
     formula = f"As a formula: {relation.formulas[0].text}, {units}. " if relation.formulas else ""
     caption = (f"{formula}The dotted line at zero is the model without the relation. The curve is fitted by "

@@ -47,7 +47,6 @@ def report_relation(search: RelationSearch, discovery: Discovery, vehicle: Vehic
         for name in sorted(search.statistics, key=len, reverse=True):  # a name may be the start of a longer one
             reason = reason.replace(name, quantities.spell_out(name))
         return RelationReport([("proposal", [f"none: {reason}"]), *not_excluded])
-    error_without, error_with = relation.position_5s
     runs = ", ".join(f"{name} ({before:.2f} → {after:.2f} m)"
                      for name, (before, after) in relation.find_worse_runs().items())
     worse = f"ERRORS LARGER by 25 % or more in {runs}"
@@ -56,25 +55,26 @@ def report_relation(search: RelationSearch, discovery: Discovery, vehicle: Vehic
     proposal = [f"{f'{worse}. ' if runs else ''}{title}. This is not an established effect: try "
                 "it, then keep or delete it",
                 *([f"textbook causes: {causes}. These drives do not determine which one applies"] if causes else [])]
-    headline = (f"PROPOSAL, not established: {title}; {error_without:.2f} m → {error_with:.2f} m (held-out)"
-                f"{f'; {worse}' if runs else ''}")
+    errors = relation.describe_errors("; {:.2f} m → {:.2f} m (held-out)")
+    headline = f"PROPOSAL, not established: {title}{errors}{f'; {worse}' if runs else ''}"
     groups: Groups = [("proposal", proposal), ("effect size", _describe_size(relation, discovery, search.reason)),
                       ("formula", _describe_formulas(relation, vehicle)),
                       ("uncertainty of the curve", _describe_uncertainty(relation)),
                       ("alternatives", _list_alternatives(relation)), ("next drive", describe_next_drives(relation)),
                       *not_excluded, ("files", _describe_files(relation, discovery.model is not None, folder))]
-    tables = [_make_error_table(relation, discovery), *_make_value_tables(relation, discovery, vehicle)]
+    tables = [_make_error_table(relation, discovery)] if relation.runs else []
+    tables += _make_value_tables(relation, discovery, vehicle)
     return RelationReport([(heading, lines) for heading, lines in groups if lines], tables, headline)
 
 
 def _describe_size(relation: Relation, discovery: Discovery, reason: str) -> list[str]:
-    error_without, error_with = relation.position_5s
     worse = [name for name, (before, after) in relation.runs.items() if after >= before]
     exceptions = f"; not smaller in {', '.join(worse)}" if worse else ""
     noise = f"; noise level {discovery.errors['position_5s'].floor:.3f} m" if "position_5s" in discovery.errors else ""
-    return [f"held-out mean position error after 5 s: {error_without:.3f} m without the relation, {error_with:.3f} m "
-            f"with it{noise}", reason,
-            f"smaller errors in {len(relation.runs) - len(worse)} of {len(relation.runs)} runs{exceptions}"]
+    errors = "held-out mean position error after 5 s: {:.3f} m without the relation, {:.3f} m with it"
+    return [relation.describe_errors(errors) + noise, reason,
+            f"smaller errors in {len(relation.runs) - len(worse)} of {len(relation.runs)} runs{exceptions}"
+            ] if relation.runs else [reason]
 
 
 def _describe_formulas(relation: Relation, vehicle: VehicleParameters) -> list[str]:
@@ -221,7 +221,7 @@ EFFECT_FILE = '''"""PROPOSAL, not an established effect: {title}.
 
 Fitted by st discover to {count} drives, {created}: {runs}.
 For {quantity} from {range}; constant beyond. {meaning}
-Held-out position error after 5 s: {before:.2f} -> {after:.2f} m; p = {p_value:.2g}, corrected for multiple testing.
+{errors}p = {p_value:.2g}, corrected for multiple testing.
 {formulas}
 Keep it, rename it, or delete it.
 """
@@ -268,7 +268,8 @@ def make_effect_code(relation: Relation, runs: Sequence[str], created: str) -> s
         title=_describe_with_causes(relation), count=len(runs), runs=", ".join(runs), created=created,
         quantity=quantities.QUANTITY_NAMES[c.quantity],
         range=f"{c.low:.3g} to {c.high:.3g} {QUANTITIES[c.quantity]}".removesuffix(" 1"),
-        meaning=f"y [{c.unit}]: {meaning}.", before=relation.position_5s[0], after=relation.position_5s[1],
+        meaning=f"y [{c.unit}]: {meaning}.",
+        errors=relation.describe_errors("Held-out position error after 5 s: {:.2f} -> {:.2f} m; "),
         p_value=relation.p_value, formulas=formulas, base=kind.__name__, odd=c.is_one_sided,
         cls="".join(word.title() for word in name_effect(relation).split("_")),
         physics=f"y = curve of the {quantities.QUANTITY_NAMES[c.quantity]}: {meaning}",
