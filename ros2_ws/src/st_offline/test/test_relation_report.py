@@ -87,7 +87,8 @@ def test_effect_file_has_the_effect_of_the_fitted_curve(tmp_path, registry, plac
 
 
 def test_relation_of_drives_without_positions_has_no_position_error():
-    relation = replace(make_relation("sensor_yaw_rate", "acceleration_y", ODD), position_5s=(math.nan, math.nan), runs={})
+    relation = make_relation("sensor_yaw_rate", "acceleration_y", ODD)
+    relation = replace(relation, position_5s=(math.nan, math.nan), runs={})
     search = RelationSearch(relation, "it reduces the residual", {})
     report = report_relation(search, DISCOVERY, CAR, "out")
     figure = draw_relation(relation, FigureOutput(None, ()))

@@ -52,7 +52,8 @@ MIN_GAIN = 1e-6  # ratio of measured to derived angle below which the steering i
 def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_wheel: bool) -> CheckResult:
     """Result of comparing steering with curvature. has_steering_wheel: whether its angle was recorded."""
     moving = motion.velocity_x > MIN_SPEED
-    derived = _derive_angle(motion, vehicle)
+    curvature = motion.yaw_rate / np.maximum(motion.velocity_x, MIN_MOVING_SPEED)
+    derived = np.where(motion.velocity_x > MIN_SPEED, np.arctan(vehicle.wheelbase * curvature), np.nan)  # without slip
     speed = float(np.median(motion.velocity_x[moving])) if moving.any() else MIN_SPEED
     response = compute_response_time(vehicle, speed)
     agreement = _compare_angles(motion, derived, response)
@@ -94,12 +95,6 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
                        "from yaw rate and speed", agreement.time, agreement.measured, agreement.derived,
                        ("steering_scale", "steering_sign", "steering_lag", "steering_offset"))
     return [finding for finding in findings if finding], estimates, panel
-
-
-def _derive_angle(motion: Motion, vehicle: VehicleParameters) -> np.ndarray:
-    """Road wheel angle of a car without slip [rad]; NaN at low speed."""
-    curvature = motion.yaw_rate / np.maximum(motion.velocity_x, MIN_MOVING_SPEED)
-    return np.where(motion.velocity_x > MIN_SPEED, np.arctan(vehicle.wheelbase * curvature), np.nan)
 
 
 def _compare_angles(motion: Motion, derived: np.ndarray, response: float,

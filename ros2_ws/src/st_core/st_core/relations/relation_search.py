@@ -21,7 +21,6 @@ from .selection import ScreenedCandidate
 MAX_FITTED_CANDIDATES = 10  # largest number of candidates fitted by simulation
 MIN_BLOCKS = 10  # minimum number of blocks for a curve with eight coefficients
 MAX_DETECTION_LIMIT = 3.0  # typical magnitudes; a model term with only higher detection limits counts as not examined
-MIN_REPORTED_RATIO = 1.25  # smallest reported ratio of the held-out errors of a run with and without the relation
 STEERING_TIMING = ("steering_rate", "lagging_steering")
 """Quantities with which a relation of the front steering can imitate a delayed or advanced steering signal."""
 FitByCandidate = dict[ScreenedCandidate, RelationFit]
@@ -50,10 +49,6 @@ class Relation:
     # Effects of the result that the relation replaces, with the residual reduction [1] that each still adds.
     redundant: Mapping[str, float] = field(default_factory=dict)
     next_drives: NextDrives = field(default_factory=NextDrives)  # sparsely driven ranges, and manoeuvres to drive next
-
-    def find_worse_runs(self) -> dict[str, tuple[float, float]]:
-        """Held-out position errors (without, with it) [m] of runs in which they grow by MIN_REPORTED_RATIO or more."""
-        return {name: errors for name, errors in self.runs.items() if errors[1] >= MIN_REPORTED_RATIO * errors[0]}
 
     def describe_errors(self, form: str) -> str:
         """The text `form` with both errors of `position_5s`; "" without positions."""

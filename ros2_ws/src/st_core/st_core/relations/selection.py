@@ -157,9 +157,9 @@ def describe_gain(fits: RelationFits, gains: np.ndarray, position_gain: np.ndarr
     """Text on the held-out gain. gains: (b,) reduction of the loss. position_gain: (n,) of the position error [m]."""
     gain, low = (-np.expm1(-total / fits.loss.residual_count)
                  for total in (gains.sum(), compute_lower_bound(gains, fits.limits.undecided_p)))
-    position = (f", and {describe_position_reduction(average_finite(position_gain))}"
-                if np.isfinite(position_gain).any() else "")
-    return f"reduces the held-out residual of all channels by {gain:.1%} (95 % confidence: at least {low:.1%}){position}"
+    text = f"reduces the held-out residual of all channels by {gain:.1%} (95 % confidence: at least {low:.1%})"
+    has_positions = np.isfinite(position_gain).any()
+    return f"{text}, and {describe_position_reduction(average_finite(position_gain))}" if has_positions else text
 
 
 def describe_small_gain(fits: RelationFits, candidate: Candidate, gains: np.ndarray, position_gain: np.ndarray) -> str:

@@ -20,6 +20,7 @@ from ..pages import Table
 from . import quantities, report_text
 from .vehicle_update import find_changed_entries
 
+MIN_REPORTED_RATIO = 1.25  # smallest reported ratio of the held-out errors of a run with and without the relation
 SIGNIFICANCE_LEVEL = 0.01  # of the test that the relation has the same size in all runs
 REPEAT_ELSEWHERE = ("repeat the drive twice, once from a different starting point and once in the opposite direction, "
                     "and add these runs: only then can the effects of place, heading and time in the run be separated")
@@ -47,8 +48,8 @@ def report_relation(search: RelationSearch, discovery: Discovery, vehicle: Vehic
         for name in sorted(search.statistics, key=len, reverse=True):  # a name may be the start of a longer one
             reason = reason.replace(name, quantities.spell_out(name))
         return RelationReport([("proposal", [f"none: {reason}"]), *not_excluded])
-    runs = ", ".join(f"{name} ({before:.2f} → {after:.2f} m)"
-                     for name, (before, after) in relation.find_worse_runs().items())
+    runs = ", ".join(f"{name} ({before:.2f} → {after:.2f} m)" for name, (before, after) in relation.runs.items()
+                     if after >= MIN_REPORTED_RATIO * before)
     worse = f"ERRORS LARGER by 25 % or more in {runs}"
     causes = relation.formulas[0].causes if relation.formulas else ""
     title = quantities.describe_relation(relation)
