@@ -37,7 +37,7 @@ class Validity:
     # Raw number written for an invalid value; None if only flag_byte declares it invalid.
     invalid_raw: int | None = None
     # Index of the byte that declares the field valid (value flag_valid) or invalid (0xFF), together with all fields
-    # that share this byte; None if the raw number alone decides.
+    # that share this byte; None: there is no such byte.
     flag_byte: int | None = None
     flag_valid: int = 0
 
@@ -432,7 +432,7 @@ def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
 
     A missing field, None or NaN is encoded as invalid, or as 0 if the format has no such code. The multiplier of
     the long-range lever arm (channel 57) is 1, so its components are limited to 32.767 m. Raises NcomError for an
-    unknown channel or field, a number out of range, or a missing field whose flag byte declares others valid.
+    unknown channel or field, an unscaled number out of range, or a missing field whose flag byte declares others valid.
     """
     fields = FIELDS.get(channel)
     if fields is None:

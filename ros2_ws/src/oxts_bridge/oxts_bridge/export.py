@@ -1,8 +1,8 @@
 """Exports an NCOM file to CSV for `st ncom`: the values of every packet, and every change of the status.
 
 The values include the vendor's derived quantities: level-frame values, speed, slip, distance, ISO axes. Axes of the
-level frame: forward, right, down, without pitch and roll; of columns named Iso: forward, left, up. A cell is empty
-where an input is missing, and in packets without valid navigation (status other than 3, 4, 21, 22). Angular
+level frame: forward, right, down, without pitch and roll; of columns named Iso: forward, left, up. A derived value
+is empty where an input is missing, and in packets without valid navigation (status other than 3, 4, 21, 22). Angular
 accelerations (Yx, Yy, Yz) and filtered values are also written at status 2, but not at 21 and 22.
 Checked by: tests/golden/test_ncom_vectors.py.
 """
@@ -51,8 +51,8 @@ SettingHistory: TypeAlias = Sequence[tuple[int, tuple[Any, ...]]]
 def write_csv(ncom_path: str | Path, csv_path: str | Path, status_path: str | Path | None = None) -> int:
     """Write the packets of an .ncom file, and optionally its status changes, as CSV; returns the number of packets.
 
-    csv_path: columns of `_make_table`, one row per accepted packet; empty: invalid. Units: m, m/s, m/s^2, deg,
-    deg/s, deg/s^2; times in GPS seconds. status_path: pkt,channel,field,valid,value, one row per change of these.
+    csv_path: columns of `_make_table`, one row per accepted packet; empty: invalid. Units: m, 1/m, m/s, m/s^2, deg,
+    deg/s, deg/s^2; times in GPS seconds. status_path: pkt,channel,field,valid,value, one row per change of a field.
     Raises NcomError for a file without packets and if two of the three files are the same; OSError for a file that
     cannot be read or written.
     """

@@ -12,7 +12,7 @@ from .sources import SourceStatus
 from .status import StatusTracker
 from .stream import NcomParser, StreamStatistics
 
-# Largest median difference between stamps and the host's clock without a warning [s]. The host stamps CAN frames, so
+# Largest median difference of packet times from the host's clock without a warning [s]. The host stamps CAN frames, so
 # this is also the time error of the steering. The delay of the unit and the network is much smaller.
 MAX_CLOCK_OFFSET = 0.05
 # A larger difference [s] is not due to a delay, but to a wrong GPS week or to packets of a recording.
@@ -24,7 +24,7 @@ _NEVER = float("-inf")
 class Health:
     """Builds diagnostic checks from the counts of the parser, the status and the source.
 
-    is_live: packets come from a unit, so their stamps can be compared with the host's clock. is_ellipsoidal: the unit
+    is_live: packets come from a unit, so their times can be compared with the host's clock. is_ellipsoidal: the unit
     sends ellipsoidal altitude. silence_after: time without packets after which an error is reported [s].
 
     The node updates the public attributes. navigation_status: newest defined status of a packet that is not a trigger.
@@ -169,9 +169,9 @@ class Health:
         values |= {"stamp minus host, median [s]": median, "stamp minus host, 1st percentile [s]": percentile_1}
         if abs(newest) > MAX_DELAY:
             difference = f"{newest / _DAY:+.1f} days" if abs(newest) > _DAY else f"{newest:+.0f} s"
-            text = f"stamps differ from the host's clock by {difference}: wrong date, or packets of a recording"
+            text = f"packet times differ from the host's clock by {difference}: wrong date, or packets of a recording"
             return Check("time", ERROR, text, values)
         if abs(median) > MAX_CLOCK_OFFSET:
-            return Check("time", WARN, f"stamps differ from the host's clock by {median:+.3f} s: check both clocks",
-                         values)
-        return Check("time", OK, f"stamps differ from the host's clock by {median * 1e3:+.1f} ms", values)
+            text = f"packet times differ from the host's clock by {median:+.3f} s: check both clocks"
+            return Check("time", WARN, text, values)
+        return Check("time", OK, f"packet times differ from the host's clock by {median * 1e3:+.1f} ms", values)

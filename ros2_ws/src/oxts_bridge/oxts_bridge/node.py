@@ -46,9 +46,9 @@ PARAMETERS = (
     Parameter("origin_altitude", math.nan, "altitude of the origin, for origin_source given; above geoid or ellipsoid "
               "as sent by the unit", "m", -1e4, 1e5),
     Parameter("altitude_is_ellipsoidal", False, "whether the unit is configured to send ellipsoidal altitude"),
-    Parameter("stamp_source", NCOM, "header stamps: UTC measured by the unit, or host receive time",
+    Parameter("stamp_source", NCOM, "stamps of motion, IMU and position: UTC of the unit, or host receive time",
               choices=(NCOM, RECEIVE)),
-    Parameter("status_period", 1.0, "longest time between ins/status, which is also published at every change of mode",
+    Parameter("status_period", 1.0, "longest time between messages on ins/status; also sent at every change of mode",
               "s", 0.05, 60.0),
     Parameter("silence_after", 1.0, "time without a packet after which an error is reported", "s", 0.05, 60.0),
     Parameter("angular_velocity_stddev", 0.0, "for covariances, as the unit sends none; 0: unknown", "rad/s", 0.0,

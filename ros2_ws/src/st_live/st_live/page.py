@@ -154,7 +154,7 @@ class _PageHandler(_Handler):
 
 class LiveView:
     """Serves the passenger's page during a run, if `page` is set or an address (HOST or HOST:PORT) is given, and writes
-    the Rerun file `save` (.rrd) afterwards. Raises SuiteError for an address or a file that cannot be used."""
+    the Rerun file `save` (.rrd) afterwards. Raises SuiteError for an invalid port or a file that cannot be used."""
 
     def __init__(self, page: bool, address: str | None = None, save: Path | None = None):
         host, _, port = (address or LOOPBACK).partition(":")
@@ -180,8 +180,8 @@ class LiveView:
             predictor["map_frame"], "--title", title, "--address", self._host, "--port", str(self._port)])
         line = self._server.wait_for("serving on ", READY_TIMEOUT)
         if not line:
-            output = self._server.read_last_lines() or "the page did not start"
-            raise SuiteError(f"--view: {output} (log: {self._server.log})")
+            output = self._server.read_last_lines() or "did not start"
+            raise SuiteError(f"passenger's page: {output} (log: {self._server.log})")
         self.url = f"http://{_find_reachable_address(self._host)}:{line.strip().rpartition(':')[2]}/"
         show_address(self.url, console)
 

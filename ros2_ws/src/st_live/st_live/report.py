@@ -67,8 +67,8 @@ def _print_problems(folder: Path, outcome: Outcome, console: Console) -> None:
         console.out(outcome.problem, style="red", highlight=False)
     for name, count in outcome.restarts.items():
         frequency = "once" if count == 1 else f"{count} times"
-        console.out(f"{name} was restarted {frequency}; recordings of a restarted node continue in bag_2 or errors_2, "
-                    "and `st recover` repairs truncated ones", style="yellow", highlight=False)
+        console.out(f"{name} was restarted {frequency}; recordings of a restarted node continue in bag_2, errors_2 and "
+                    "so on, and `st recover` repairs truncated ones", style="yellow", highlight=False)
     failed = {name: status for name, status in outcome.statuses.items() if status}
     if failed:
         names = ", ".join(f"{name} (status {status})" for name, status in failed.items())

@@ -88,7 +88,7 @@ class Supervisor:
                 times = "once:" if node.restarts == 1 else f"{node.restarts} times, most recently:"
                 is_running = node.restart_at is None and node.has_responded
                 text = f"failed {times} {node.failure}"
-                level, text = (WARN, text) if is_running else (ERROR, f"not running; {text}")
+                level, text = (WARN, text) if is_running else (ERROR, f"not ready; {text}")
                 self._monitor.add_statuses([Status(f"suite: {node.name}", level, text, now)])
 
     def _check_node(self, node: _SupervisedNode, now: float) -> None:
@@ -135,7 +135,7 @@ def run(folder: Path, parameters: Parameters, title: str, console: Console, view
     source: function that starts the source of the data, if it is not the real car, and returns its `Progress`.
     default_domain: ROS domain unless ROS_DOMAIN_ID is set; None: a free one, isolated from other runs. supervised:
     restart nodes that end or hang, instead of ending the run. realtime: real-time scheduling for bridges and predictor.
-    Raises SuiteError if a node does not start or is already running.
+    Raises SuiteError if a node or the page does not start, or if a node is already running.
     """
     requested_domain = read_domain_id()
     if requested_domain is None:

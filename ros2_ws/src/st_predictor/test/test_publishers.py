@@ -72,14 +72,14 @@ def test_intruder_is_reported_and_unused_and_restarted_publisher_is_accepted(pro
         processes.node("st_predictor", "predictor", f"vehicle_file:={LEAF}")
         first = start_feeder(processes)
         listener.wait_for_predictions()
-        assert listener.text == "at most one publisher per input"
+        assert listener.text == "no competing publishers"
 
         intruder = processes.start([sys.executable, str(ROOT / "tests" / "intruder.py")], "intruder")
         listener.wait_until(lambda: "/intruder" in listener.text, "the intruder is reported")
         listener.wait_for_predictions()
         intruder.terminate()
         intruder.wait(20)
-        listener.wait_until(lambda: listener.text == "at most one publisher per input", "a single publisher again")
+        listener.wait_until(lambda: listener.text == "no competing publishers", "a single publisher again")
         listener.wait_for_predictions()
 
         # A killed node remains in the graph for some time, together with its replacement.

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 BACKGROUND_NICE = 5
-"""Nice value of recorder, evaluator and viewers; they get a third of the CPU time of a competing process at nice 0."""
+"""Nice value of recorder, evaluator and browser views; a third of the CPU time of a competing process at nice 0."""
 _POLICIES = {os.SCHED_OTHER: "normal", os.SCHED_BATCH: "batch", os.SCHED_IDLE: "idle", os.SCHED_FIFO: "FIFO",
              os.SCHED_RR: "round robin"}
 _REALTIME = (os.SCHED_FIFO, os.SCHED_RR)

@@ -1,4 +1,4 @@
-"""Starts, spins and stops a node, with exit status 0 after SIGINT or SIGTERM and 2 for a wrong configuration."""
+"""Starts, spins and stops a node; the exit status is that of the node, 0 by default, or 2 for a wrong configuration."""
 
 import atexit
 import gc
@@ -76,7 +76,7 @@ def flush(node: Node) -> None:
 
 
 def catch_stop_signals() -> Callable[[], bool]:
-    """Catch SIGINT and SIGTERM, which then do not interrupt the closing of a node; returns whether one has arrived."""
+    """Prevent SIGINT and SIGTERM from interrupting the closing of a node; the result checks whether one has arrived."""
     received: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, _: received.append(number))

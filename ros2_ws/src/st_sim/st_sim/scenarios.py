@@ -57,7 +57,7 @@ class RoadPlan:
 
 @dataclass(frozen=True)
 class Phase:
-    """Phase of a plan; it ends after `duration` [s] or at `end_speed` [m/s] (-1: at no speed). steering: see Demand."""
+    """Phase of a plan; it ends after `duration` [s] or at `end_speed` [m/s] (-1: none). steering: see Demand."""
 
     steering: str
     acceleration: float = 0.0

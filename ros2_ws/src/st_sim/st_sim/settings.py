@@ -1,4 +1,4 @@
-"""Settings of the virtual car, each with its null value, that of an ideal car, and the reader of the vehicle file.
+"""Settings of the virtual car with their null values, which describe an ideal car, and the reader of vehicle files.
 
 The preset `ideal` contains the null values; `realistic` is a typical car. A file or `--effect name=value` changes them.
 """
@@ -93,7 +93,7 @@ _TABLE = (
     ("ins_misalignment", "ins", 0.0, -0.1, 0.1, "rad", "heading error of the unit, positive to the left"),
     ("ins_lever_error", "ins", 0.0, -1.0, 1.0, "m", "distance of the unit ahead of its position in the file"),
     ("yaw_rate_scale", "ins", 1.0, 0.8, 1.2, "1", "factor on the measured angular rates"),
-    ("velocity_scale", "ins", 1.0, 0.8, 1.2, "1", "factor on the measured velocity"),
+    ("velocity_scale", "ins", 1.0, 0.8, 1.2, "1", "factor on the measured horizontal velocity"),
     ("lateral_acceleration_bias", "ins", 0.0, -2.0, 2.0, "m/s^2", "error added to the measured lateral acceleration"),
     ("ins_packet_loss", "ins", 0.0, 0.0, 0.9, "1", "fraction of datagrams lost"),
     ("ins_outage_every", "ins", 0.0, 0.0, 3600.0, "s", "period of outages of 1 s; 0: none"),

@@ -187,7 +187,7 @@ class RunOptions:
         help="After the run, save its view to this file (.rrd), for `st view`.")] = None
 
     def make_view(self) -> "LiveView":
-        """The view of the run. Raises SuiteError for an address or a file that cannot be used."""
+        """The view of the run. Raises SuiteError for an invalid port or a file that cannot be used."""
         from st_live.page import LiveView
 
         return LiveView(self.view, self.view_address, self.view_save)

@@ -186,7 +186,7 @@ def render_errors(state: SuiteState) -> RenderableType:
 
 
 def make_error_table(models: Mapping[str, Mapping[str, Any]], title: str | None = None, digits: int = 3) -> Table:
-    """Table of mean, largest magnitude and RMS of the horizon means of the errors [m]; the best of each mode is bold.
+    """Table of mean, largest magnitude and RMS of the horizon means of the errors [m]; the smallest of a mode are bold.
 
     models: as in summary.json. digits: number of decimal places.
     """

@@ -49,7 +49,7 @@ class PublisherLock:
         self._are_indistinguishable = self._are_indistinguishable and self._has_competitors
 
     def accept(self, number: int | None, now: float) -> bool:
-        """Whether to use a message. number: by its publisher, None or 0 if unknown. now: time of arrival [s]."""
+        """Whether to use a message. number: as sent by its publisher, None or 0 if unknown. now: arrival time [s]."""
         if not self._has_competitors or self._continues_chain(number, now):
             self._accepted_number, self._accepted_at = number, now
             return True
@@ -138,7 +138,7 @@ class _Input:
 
 
 class Inputs:
-    """Passes every usable sample to `add_ins` and `add_steering`, which return False for an unusable sample.
+    """Passes samples to `add_ins` and `add_steering`, which return False for a sample that they reject.
 
     on_change: called when the warning about competing publishers changes, to publish it at once.
     """
@@ -183,7 +183,7 @@ class Inputs:
         counts = {f"{entry.signal} messages of other publishers": entry.lock.rejected_count for entry in self._inputs}
         text = "; ".join(f"{topic} is {warning}" for topic, warning in warnings.items() if warning)
         level = diagnostics.ERROR if text else diagnostics.OK
-        return [Check("publishers", level, text or "at most one publisher per input", counts),
+        return [Check("publishers", level, text or "no competing publishers", counts),
                 *(entry.make_check() for entry in self._inputs)]
 
 

@@ -102,7 +102,7 @@ class PredictorNode(Node):
         self._state_age = math.nan  # last published median [s]
         self._state_ages: list[float] = []  # age of each start state since the last status [s]
         self._period = 1.0 / values.rate
-        # Simulated time advances only while the executor runs: no sample can arrive during a wait.
+        # No wait in simulated time, which advances only while the executor runs; times of arrival are host times.
         self._max_wait = 0.0 if self._uses_sim_time else min(values.sample_wait, MAX_WAIT_FRACTION * self._period)
         create_steady_timer(self, DRAIN_PERIOD, self._inputs.drain)
         self._timer = self.create_timer(self._period, self._tick)
