@@ -16,7 +16,7 @@ setup(
     zip_safe=False,
     maintainer="The single-track authors",
     maintainer_email="single-track@example.org",
-    description="The st command: it only hands over.",
+    description="The st command: options and messages only.",
     license="Apache-2.0",
     entry_points={
         "console_scripts": [

@@ -36,7 +36,7 @@ def print_line(text: str, console: Console) -> None:
 
 
 def report_problem(name: str, problem: str, console: Console) -> None:
-    """Print a line that begins with the name, which a problem with a path may already do."""
+    """Print a line with a name and its problem; a name at the start of the problem is not repeated."""
     print_line(f"[red]{escape(name)}[/red]: {escape(problem.removeprefix(f'{name}: '))}", console)
 
 

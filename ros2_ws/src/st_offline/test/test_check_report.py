@@ -255,7 +255,7 @@ def test_more_severe_of_two_contradicting_corrections_is_applied(tmp_path):
     other = Finding("yaw_rate_bias", Severity.WARNING, (), "too high", advice=scaled)
     text = make_run_yaml(make_source(tmp_path), [DEGREES, other], tmp_path / "run.yaml", ReadSettings())
     assert yaml.safe_load(text)["correct"] == {"yaw_rate": {"scale": 0.01745}}
-    assert "#   not applied, an earlier finding has a different value: correct:" in text
+    assert "#   not applied, an earlier finding proposes a different value: correct:" in text
 
 
 def test_column_corrections_are_proposed_for_csv_and_vbo_only(tmp_path):
@@ -265,7 +265,7 @@ def test_column_corrections_are_proposed_for_csv_and_vbo_only(tmp_path):
         source = replace(make_source(tmp_path), kind=kind)
         text = make_run_yaml(source, [exchanged], tmp_path / "run.yaml", ReadSettings())
         assert ("columns" in yaml.safe_load(text)) is applied
-        assert ("#   not applied, only a csv or vbo has columns and units: " in text) is not applied
+        assert ("#   not applied, only csv and vbo files have columns and units: " in text) is not applied
 
 
 def test_time_range_excluded_by_several_findings_is_listed_once(tmp_path):

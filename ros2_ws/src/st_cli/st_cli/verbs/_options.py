@@ -46,9 +46,10 @@ Runs = Annotated[list[Path], typer.Argument(
     help="Recordings: bags, .ncom with CAN logs, CSV, run.yaml, or folders of them.", show_default=False)]
 CarName = Annotated[str | None, typer.Option(
     help="The car: a name in config/car, or a folder with vehicle.yaml, can.dbc, signals.yaml and car.yaml. "
-    "--vehicle, --dbc, --signals and --steering-... each replace a part of it.")]
+    "--vehicle, --dbc, --signals, --steering-sign and --steering-latency each replace a part of it.")]
 VehicleFile = Annotated[Path | None, typer.Option(
-    help="Vehicle file; default: from --car, else that of the Leaf.", **FILE)]
+    help="Vehicle file; default: from --car, else from a model file (evaluate, calibrate, export) or bag (check), else "
+    "that of the Leaf.", **FILE)]
 BagVehicle = Annotated[Path | None, typer.Option(
     help="Vehicle file; default: from --car, else from the recording, else that of the Leaf.", **FILE)]
 ModelEffects = Annotated[Path | None, typer.Option(
@@ -84,13 +85,14 @@ class ReadOptions:
     car: CarName = None
     vehicle: VehicleFile = None
     offset: Annotated[float | None, typer.Option(
-        help="INS minus CAN clock, s; default: estimated from the signals.")] = None
+        help="INS minus CAN clock, s; default: from run.yaml, else estimated from the signals.")] = None
     ins_can_latency: Annotated[tuple[float, float] | None, typer.Option(
-        help="Latency of the INS's own CAN frames and its standard deviation, s; default 0.002 0.002.")] = None
+        help="Latency of the INS's own CAN frames and its standard deviation, s; default: from run.yaml, else 0.002 "
+        "0.002.")] = None
     dbc: Annotated[Path | None, typer.Option(
-        help="DBC of the CAN logs; default: from --car, else that of the Leaf.", **FILE)] = None
+        help="DBC of the CAN logs; default: from --car, else from run.yaml, else that of the Leaf.", **FILE)] = None
     signals: Annotated[Path | None, typer.Option(
-        help="Signal table for the DBC; default: from --car, else that of the Leaf.", **FILE)] = None
+        help="Signal table of the DBC; default: from --car, else from run.yaml, else that of the Leaf.", **FILE)] = None
     steering_sign: Annotated[int | None, typer.Option(
         callback=_check_sign, help="1 if the sensor, as decoded with DBC and signal table or as recorded in a topic or "
         "table, is positive to the left, -1 if to the right. Default: from --car (CAN only), else 1; live: else from "
@@ -232,7 +234,7 @@ LEAF = config("car/leaf/vehicle.yaml")
 
 
 def load_vehicle_or_default(vehicle: Path | None) -> "tuple[VehicleParameters, Path]":
-    """(vehicle parameters, their file), by default those of the Leaf. Raises RunError or StCoreError."""
+    """(vehicle parameters, their file), by default those of the Leaf. Raises ConfigurationError."""
     from st_recordings.car import read_vehicle
 
     file = vehicle or LEAF

@@ -22,7 +22,7 @@ def replay(
     output: Path | None = typer.Option(None, help="Folder for the run; default runs/replay-<time>."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
-    """Play a recording through predictor, evaluator and recorder on its own clock; record their predictions."""
+    """Play a recording through predictor, evaluator and recorder, on the clock of the recording."""
     from st_live.configuration import find_bag
     from st_live.replaying import replay_bag
     from st_live.report import report_results

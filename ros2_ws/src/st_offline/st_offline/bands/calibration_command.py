@@ -101,7 +101,7 @@ def make_bands(samples: Sequence[ErrorSamples], task: Task, models: Sequence[Mod
 
 
 def _check_recorded_car(source: RunSource, run: LoadedRun, vehicle: VehicleParameters) -> None:
-    """Raise RunError if the recorded car has a different name. Updates may have changed its parameters."""
+    """Raise RunError if the recorded car has a different name (its values may differ), StCoreError if it is invalid."""
     text = parse_configuration(run.provenance.get("recorded", {})).vehicle
     if text is None:
         return

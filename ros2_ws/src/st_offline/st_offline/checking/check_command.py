@@ -49,7 +49,7 @@ class CheckJob:
 
 def run_command(job: CheckJob, console: Console, report_vehicle: Callable[[str], None] | None = None) -> int:
     """Run the command; returns the exit status: 1 if a run has an error or could not be read, else 0. report_vehicle:
-    called with each vehicle file in use, if the user named none. Raises ConfigurationError, OutputError."""
+    called with each `vehicle_source`, if the user named no file. Raises ConfigurationError, OutputError."""
     sources = find_runs(job.paths)
     if job.correction_file is not None:
         check_file_name(job.correction_file)
@@ -140,9 +140,9 @@ def make_run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, re
         elif finding.severity is Severity.NOTE:
             comment = f"not applied, negligible: {advice.line}"
         elif not READERS[source.kind].is_table and CSV_KEYS & advice.entry.keys():
-            comment = f"not applied, only a {' or '.join(TABLE_KEYS)} has columns and units: {advice.line}"
+            comment = f"not applied, only {' and '.join(TABLE_KEYS)} files have columns and units: {advice.line}"
         elif (merged := _merge(corrections, as_yaml_values(advice.entry))) is None:
-            comment = f"not applied, an earlier finding has a different value: {advice.line}"
+            comment = f"not applied, an earlier finding proposes a different value: {advice.line}"
         else:
             corrections = merged
             continue

@@ -53,10 +53,10 @@ def raise_for_errors(source: Path | str, findings: Sequence[Finding], force: boo
 
 
 def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettings | None = None) -> list[Finding]:
-    """Check a bag before its replay, with its recorded models and step; returns the findings.
+    """Check a bag before its replay, with its recorded built-in models and step; returns the findings.
 
     vehicle: file to use instead of the recorded vehicle (the default vehicle if none is recorded). Raises
-    RejectedRunError, and RunError for a bag that cannot be read or has no steering topic.
+    RejectedRunError unless forced, RunError for a bag that cannot be read or replayed, StCoreError for an invalid car.
     """
     if bag.suffix.lower() == ROS1_EXTENSION:
         raise RunError(bag, "the nodes cannot receive ROS 1 messages",
@@ -68,7 +68,7 @@ def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettin
                        f"use st check, evaluate or discover, which decode them{other}")
     if not (settings and settings.odometry) and lacks_odometry(bag):
         raise RunError(bag, f"it contains no message of type {ODOMETRY}, which the nodes need",
-                       "use st check, evaluate or discover, which read the drive in other messages if they contain one")
+                       "use st check, evaluate or discover, which can read a drive from other messages")
     run = read(RunSource(bag.stem, "bag", (bag,)), settings=settings)
     car, recorded, _ = find_configuration(run.provenance["recorded"], vehicle)
     # The bag is read before its vehicle is known: a steering-wheel angle is read with a ratio of 1 and converted here.

@@ -95,7 +95,7 @@ def _load_base_and_effects(request: Request) -> tuple[Model, dict[str, str]]:
 
 def _read_runs(request: Request, progress: Progress) -> tuple[list[Drive], list[Drive]]:
     """(suspect, reference) drives, with distinct names. Raises ConfigurationError if no suspect drive can be used, or
-    none of the reference drives that were given."""
+    none of the reference drives that were given, and as `_check_reference` does."""
     sources = find_runs(request.runs)
     reference_sources = find_runs(request.reference) if request.reference else []
     if not sources:

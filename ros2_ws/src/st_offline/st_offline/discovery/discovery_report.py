@@ -33,7 +33,7 @@ FILE_MEANINGS = {
     "vehicle.yaml": "the corrected vehicle file, for --vehicle of every command",
     "effects": "the proposed relation as an effect; give its folder as --effects to st evaluate, st demo, st live",
     "proposed.yaml": "a model with the relation, for --model with --effects and the original vehicle file",
-    "model.yaml": "effects to add to the vehicle file, for --model of st demo, st live, st evaluate"}
+    "model.yaml": "effects that are not in the vehicle file, for --model of st demo, st live, st evaluate"}
 MAX_ADVICE = 3  # sentences on the terminal; the page contains all
 
 
@@ -190,9 +190,10 @@ def _make_wide_tables(discovery: Discovery) -> list[Table]:
     separations = ", ".join(f"{name} {report_text.format_separation(strength)}"
                             for name, strength in sorted(options.items(), key=lambda o: -o[1]))
     return [
-        Table("Effects that are not separable", "Separation: the part of the alternative that the effect cannot "
-              "reproduce." + (f" After each possible next drive, for the pair that it separates least: {separations}."
-                              if separations else ""), report_text.PAIR_HEAD, report_text.list_pair_rows(discovery)),
+        Table("Effects that are not separable", "Separation: the part of the effect that the alternative and the "
+              "other effects cannot reproduce." + (
+                  f" After each possible next drive, for the pair that it separates least: {separations}."
+                  if separations else ""), report_text.PAIR_HEAD, report_text.list_pair_rows(discovery)),
         Table("Other effects that were tried", "Improvement: reduction of the errors over all channels by this effect, "
               "in addition to the result. An alternative is fitted in place of the reported effect.",
               ("effect", "fitted", "improvement, %", "verdict", "reason"), candidates,

@@ -60,7 +60,7 @@ class Request:
     jobs: int = 1  # number of processes
     formats: tuple[str, ...] = ()  # formats of the figure files
     report: bool = True  # whether to write a page
-    use_cache: bool = True  # whether to use a cached result
+    use_cache: bool = True  # whether to read and write cached results
     force: bool = False  # whether to use runs with errors
     # Whether to search for a relation beyond the library; if None, this depends on the size of the residual.
     propose: bool | None = None

@@ -64,7 +64,7 @@ class VehicleUpdate:
 
     @property
     def improves(self) -> bool:
-        """Whether the mean error is unknown or at most that of the original file, and no drive significantly worse."""
+        """Whether the mean error is unknown or not above that of the original, and no drive is significantly worse."""
         return not (self.error[1] > self.error[0] or self.worse_drives)
 
 

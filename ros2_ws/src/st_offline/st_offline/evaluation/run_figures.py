@@ -195,7 +195,7 @@ def draw_error_against_horizon(data: FigureData) -> PageFigure:
 
 
 def describe_ranking(evaluation: LogEvaluation) -> str:
-    """Lateral hindsight RMSE of the models, smallest first, with the ratio of the largest to the smallest."""
+    """Lateral hindsight RMSE of the models, smallest first, with the ratio of largest to smallest if above 1.15."""
     values = sorted((evaluation.errors[m, "hindsight"].statistics("lateral")[2], m) for m in evaluation.models)
     values = [(v, m) for v, m in values if math.isfinite(v)]
     if not values:
@@ -243,7 +243,7 @@ def draw_slip_and_forces(data: FigureData) -> PageFigure | None:
     add_legend(figure, models, [measured_line])
     title = (f"{evaluation.name}: largest slip angle in the {horizon[-1]:g} s from {evaluation.time[row]:.1f} s: "
              f"{', '.join(f'{source} {np.degrees(angle):.1f}°' for source, angle in largest_slips.items())}")
-    start_text = "requested start" if len(data.starts) == 1 else "start with the largest lateral acceleration"
+    start_text = "requested start" if len(data.starts) == 1 else "start with the largest mean lateral acceleration"
     caption = f"Slip angles and forces that the models predict with the measured inputs, from the {start_text}."
     return save_figure(figure, data.output, "slip_and_forces", title, caption)
 

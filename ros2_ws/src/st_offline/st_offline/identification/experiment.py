@@ -89,7 +89,7 @@ def read_columns(file: Path, required: Mapping[str, Sequence[str]], optional: Ma
     try:
         lines = [line for line in file.read_text(encoding="utf-8-sig").splitlines() if line.strip() and line[0] != "#"]
     except UnicodeDecodeError:
-        raise RunError(file, "this is not a text file", "give a CSV table") from None
+        raise RunError(file, "this is not a text in UTF-8", "save the table as CSV in UTF-8") from None
     delimiter = ";" if lines and ";" in lines[0] else ","
     header, *rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=delimiter)] or [[]]
     permitted_units = {**required, **(optional or {})}

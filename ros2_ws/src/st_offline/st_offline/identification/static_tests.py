@@ -68,8 +68,7 @@ def draw_scales(outcome: Identification, output: FigureOutput) -> PageFigure:
     panels[0].set_ylim(len(rows) - 0.5, -0.5)
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower left", ncols=4)
-    caption = ("One point per weighing. The interval includes the scatter of the weighings and the uncertainty of the "
-               "scales.")
+    caption = "One point per weighing. The interval includes their scatter and the uncertainty of the scales."
     title = f"{outcome['mass'].verdict} {outcome['cg_to_front_axle'].verdict}"
     return save_figure(figure, output, "scales", title, caption)
 
@@ -190,8 +189,7 @@ def draw_height(outcome: Identification, output: FigureOutput) -> PageFigure:
 
 CG_HEIGHT = Experiment("cg-height", "CG height from the axle-lift test (ISO 10392)",
                        "CSV: pitch_deg, rear_left_kg, rear_right_kg, front_radius_m, rear_radius_m; one row per "
-                       "pitch angle",
-                       identify_height, draw_height)
+                       "pitch angle", identify_height, draw_height)
 
 
 def identify_lambda(job: IdentificationJob) -> tuple[Identification, ...]:
