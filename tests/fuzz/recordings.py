@@ -192,7 +192,7 @@ def _can_log(suffix: str) -> Callable[[bytes, Path], str]:
 def _csv(data: bytes, folder: Path) -> str:
     file = folder / "drive.csv"
     file.write_bytes(data)
-    csv.has_drive_columns(file)
+    csv.find_missing_in_header(file)
     try:
         warnings = csv.read_csv(file).warnings
     except RunError as error:

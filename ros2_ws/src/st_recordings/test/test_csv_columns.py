@@ -9,7 +9,7 @@ from drive_kinds import CAR
 from st_core.log import INS_SIGNALS, DriveLog
 from st_recordings.runs import LoadedRun, RunError, columns, find_runs, read
 from st_recordings.runs.columns import COLUMNS, UNITS, Layout, find_columns, normalise
-from st_recordings.runs.csv import has_drive_columns, read_csv
+from st_recordings.runs.csv import find_missing_in_header, read_csv
 from support import ROOT
 
 N = 60
@@ -148,7 +148,7 @@ def assert_channel(drive: LoadedRun, channel: str) -> None:
 def test_units_stated_in_usual_headers(tmp_path: Path, names: dict, units: dict) -> None:
     drive = read_csv(write(tmp_path / "d.csv", {**PLAIN, **names}, units))
     assert_values(drive.log)
-    assert has_drive_columns(tmp_path / "d.csv")
+    assert not find_missing_in_header(tmp_path / "d.csv")
     for channel, unit in units.items():
         assert drive.provenance["columns"][channel].endswith(f"[{unit}]")
     assert drive.provenance["columns"]["velocity_y"] == "vy [m/s, assumed]"
@@ -178,7 +178,7 @@ def test_rps_is_no_unit_of_the_yaw_rate(tmp_path: Path, name: str) -> None:
 def test_course_and_speed_over_ground_give_the_body_velocities(tmp_path: Path, course_is_yaw: bool) -> None:
     names, data = gnss_drive(course_is_yaw)
     drive = read_csv(write(tmp_path / "d.csv", names, data=data))
-    assert has_drive_columns(tmp_path / "d.csv")
+    assert not find_missing_in_header(tmp_path / "d.csv")
     assert_values(drive.log, excluding=("velocity_y", "yaw_rate"))
     expected = np.zeros(N) if course_is_yaw else values()["velocity_y"]
     np.testing.assert_allclose(drive.log.velocity_y, expected, atol=1e-9)
@@ -229,7 +229,7 @@ def test_text_in_an_unused_column_has_no_effect(tmp_path: Path) -> None:
 def test_steering_wheel_angle_requires_a_vehicle(tmp_path: Path) -> None:
     names = {c: n for c, n in PLAIN.items() if c != "road_wheel_angle"} | {"steering_wheel_angle": "swa_deg"}
     file = write(tmp_path / "d.csv", names, {"steering_wheel_angle": "deg"})
-    assert has_drive_columns(file)
+    assert not find_missing_in_header(file)
     (run,) = find_runs([tmp_path])
     loaded = read(run, CAR)
     assert_values(loaded.log)
@@ -241,7 +241,7 @@ def test_steering_wheel_angle_requires_a_vehicle(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["steering_angle_rad", "Delta_Wheel_rad"])
 def test_steering_angle_of_an_unspecified_wheel_is_rejected(tmp_path: Path, name: str) -> None:
     file = write(tmp_path / "d.csv", {**PLAIN, "road_wheel_angle": name})
-    assert has_drive_columns(file)
+    assert not find_missing_in_header(file)
     with pytest.raises(RunError, match=rf"column {name} may be the angle of the steering wheel or of the road wheels; "
                        rf".* in a run\.yaml, as columns: \{{steering_wheel_angle: {name}\}} or"):
         read_csv(file, CAR)

@@ -13,7 +13,7 @@ from st_recordings.runs.csv import (
     _count_missing_samples,
     _is_rounded,
     build_ins_log,
-    has_drive_columns,
+    find_missing_in_header,
     read_csv,
 )
 from st_recordings.runs.csv_table import read_table
@@ -59,7 +59,7 @@ def test_table_without_positions_gives_an_ins_log_for_alignment() -> None:
     assert not ins.is_utc
     yaw_rate = np.gradient(np.unwrap(ins.values["yaw"]), ins.time_ns * 1e-9)
     assert ins.values["yaw_rate"].max() == pytest.approx(yaw_rate.max(), rel=0.01)
-    assert not has_drive_columns(file)
+    assert find_missing_in_header(file)
 
 
 def test_unusable_rows_are_left_out_and_counted(tmp_path: Path) -> None:

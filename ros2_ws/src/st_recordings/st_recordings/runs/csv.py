@@ -132,24 +132,15 @@ def build_ins_log(table: Table, required: Sequence[str], yaw_scale: float = 1.0)
     return InsLog(table.file, time_ns, values, time_ns, origin, None, tuple(warnings), table.is_utc)
 
 
-def has_drive_columns(file: Path) -> bool:
-    """Whether the header names all channels of a drive, or channels from which they can be derived."""
-    return not _find_missing_in_header(file)
-
-
-def lacks_steering(file: Path) -> bool:
-    """Whether time and every INS channel have a column or can be derived, but there is no steering angle."""
-    return _find_missing_in_header(file) == [ROAD_WHEEL]
-
-
 def looks_like_a_drive(file: Path) -> bool:
     """Whether the header names a position and lacks at most one INS channel."""
-    missing = _find_missing_in_header(file, INS_SIGNALS, with_derived_motion=False)
+    missing = find_missing_in_header(file, INS_SIGNALS, with_derived_motion=False)
     return len(missing) <= 1 and not {"x", "y"} & set(missing)
 
 
-def _find_missing_in_header(file: Path, required: Sequence[str] = ("t", *INS_SIGNALS, ROAD_WHEEL),
+def find_missing_in_header(file: Path, required: Sequence[str] = ("t", *INS_SIGNALS, ROAD_WHEEL),
                             with_derived_motion: bool = True) -> list[str]:
+    """The required channels that have no column in the header and cannot be derived."""
     names = read_header(file)
     return find_missing_channels(find_columns(file, names, Layout()), names, required, with_derived_motion)
 

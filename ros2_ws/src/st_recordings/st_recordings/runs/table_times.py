@@ -123,7 +123,8 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
     if source.unit == HHMMSS or (not source.has_stated_unit and _is_hhmmss(finite)):
         if source.unit != HHMMSS:
             warnings.append(f"{file}: times of column {source.name} were read as HHMMSS, a time of day")
-        seconds = np.where(is_valid_hhmmss(times), seconds_of_day(times), np.nan)
+        seconds = times // 10000 * HOUR + times // 100 % 100 * 60 + times % 100
+        seconds[~is_valid_hhmmss(times)] = np.nan
         known_rows = np.isfinite(seconds)
         seconds[known_rows] += DAY * count_rollovers(seconds[known_rows], DAY / 2)
         return seconds, source
@@ -156,11 +157,6 @@ def count_rollovers(seconds: np.ndarray, min_jump: float) -> np.ndarray:
     rows = np.flatnonzero(np.abs(jumps) > min_jump)
     returns = np.append(seconds[rows[1:]], -np.inf) >= seconds[rows - 1]
     return np.cumsum(np.isin(np.arange(len(seconds)), rows[(jumps[rows] < 0) & ~returns]))
-
-
-def seconds_of_day(hhmmss: np.ndarray) -> np.ndarray:
-    """Times of day [s] of numbers HHMMSS.ss."""
-    return hhmmss // 10000 * HOUR + hhmmss // 100 % 100 * 60 + hhmmss % 100
 
 
 def is_valid_hhmmss(hhmmss: np.ndarray) -> np.ndarray:

@@ -35,15 +35,14 @@ _STEERING_TYPES: dict[str, tuple[str, Literal["road", "wheel"], Literal["rad", "
 
 def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
     steering, warning = settings.steering if settings.steering and settings.steering.topic else None, ""
-    found, found_by = (_find_steering(source.path, source.files) if steering is None and vehicle is not None
-                       else (None, ""))
+    found = _find_steering(source.path, source.files) if steering is None and vehicle is not None else None
     if steering is None and bag.may_need_can_frames(source.path, source.files):
         from ..raw import read_raw_run
 
         with suppress(RunError) if found else nullcontext():
             return read_raw_run(source, vehicle, settings)
     if found is not None:
-        steering, warning = found, found_by
+        steering, warning = found, _describe(found)
     elif steering is not None and _is_command(steering):
         warning = (f"{steering.topic} is a command by its name or type, not a measurement; the car follows it with a "
                    "delay")
@@ -54,29 +53,27 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
 def add_steering(path: Path, settings: ReadSettings) -> ReadSettings:
     """The settings of a replay, with the steering angle found by its type if they name none, and the bag has no CAN
     frames, which `read` prefers; logs a warning about it."""
-    if settings.steering is not None or bag.may_need_can_frames(path):
+    if settings.steering is not None or bag.may_need_can_frames(path) or (steering := _find_steering(path)) is None:
         return settings
-    steering, warning = _find_steering(path)
-    log_warnings([f"{path}: {warning}"] if warning else [])
+    log_warnings([f"{path}: {_describe(steering)}"])
     return replace(settings, steering=steering)
 
 
-def _find_steering(path: Path, files: Sequence[Path] = ()) -> tuple[SteeringField | None, str]:
-    """(the steering angle of the only measured topic of a type in _STEERING_TYPES, warning about its use); (None, "")
-    for a bag with st_msgs. files: see `open_bag`."""
+def _describe(steering: SteeringField) -> str:
+    return (f"the steering angle is {steering.field} of {steering.topic}, positive to the left, by its type "
+            f"(--steering-is {steering.quantity}, --steering-unit {steering.unit}); name another with --steering-topic")
+
+
+def _find_steering(path: Path, files: Sequence[Path] = ()) -> SteeringField | None:
+    """The steering angle of the only measured topic of a type in _STEERING_TYPES; None for a bag with st_msgs."""
     with suppress(RunError):
         storage = open_bag(path, files)
         known_types = _STEERING_TYPES.keys() & {*storage.store.fielddefs, *storage.definitions()}
         fields = [SteeringField(topic.name, *_STEERING_TYPES[topic.type_name]) for topic in storage.topics
                   if topic.type_name in known_types and _STEERING_NAME.search(f"{topic.name} {topic.type_name}")]
         measured = [field for field in fields if not _is_command(field)]
-        if len(measured) == 1 and not {STEERING, CAN_FRAMES} & storage.by_type.keys():
-            steering = measured[0]
-            return steering, (
-                f"the steering angle is {steering.field} of {steering.topic}, positive to the left, by its type "
-                f"(--steering-is {steering.quantity}, --steering-unit {steering.unit}); name another with "
-                "--steering-topic")
-    return None, ""
+        return measured[0] if len(measured) == 1 and not {STEERING, CAN_FRAMES} & storage.by_type.keys() else None
+    return None
 
 
 def _is_command(steering: SteeringField) -> bool:

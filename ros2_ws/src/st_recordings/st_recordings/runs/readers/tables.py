@@ -44,5 +44,6 @@ def register_table(kind: str, extensions: tuple[str, ...], read_file: Callable[[
 
 
 register_table("csv", (".csv", ".tsv", ".txt", ".dat", *MF4_EXTENSIONS, *BINARY_EXTENSIONS), read_table,
-               has_drive=csv.has_drive_columns, is_incomplete=csv.looks_like_a_drive, lacks_steering=csv.lacks_steering)
+               has_drive=lambda file: not csv.find_missing_in_header(file), is_incomplete=csv.looks_like_a_drive,
+               lacks_steering=lambda file: csv.find_missing_in_header(file) == [csv.ROAD_WHEEL])
 register_table("vbo", (".vbo",), read_vbo, lacks_steering=lacks_steering)
