@@ -463,7 +463,7 @@ def test_unknown_or_inapplicable_effect_is_rejected(effects, message):
 
 def test_effect_whose_channel_is_not_selected_is_rejected():
     settings = replace(SETTINGS, effects=("lateral_acceleration_bias",), channels=("yaw_rate",))
-    with pytest.raises(ConfigurationError, match="none of the requested ones applies"):
+    with pytest.raises(ConfigurationError, match="none is usable with this base model"):
         Space("nonlinear", settings)
 
 

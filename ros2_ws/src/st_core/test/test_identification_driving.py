@@ -82,7 +82,7 @@ def test_prediction_fit_separates_offset_misalignment_and_gyro_bias(leaf, start_
 def test_linear_model_with_an_effect_gives_a_secant(leaf, weaving):
     """A model with effects has the name "augmented", but its stiffness is that of its linear tyres."""
     found = fit_stiffness(weaving, leaf, augment("linear", {"steering_delay": {"time": 0.0}}))
-    assert "Secant over slip angles" in found["cornering_stiffness_front"].verdict
+    assert "Secant from slip angles" in found["cornering_stiffness_front"].verdict
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")

@@ -28,7 +28,7 @@ class Rival:
     deficit: float  # gain of the replaced effect minus gain of the rival, per residual [1]
     evidence: Evidence  # of the rival in place of the replaced effect
     values: Mapping[str, float] = field(default_factory=dict)  # of the rival in place of the replaced effect
-    # Whether both are in the model and the rival explains a part of the replaced effect, which `evidence` describes.
+    # Whether the rival is in the model together with the effect; `evidence` is then that of the effect.
     shared: bool = False
     added: float = 0.0  # gain of the rival in addition to the replaced effect, divided by the gain of that effect [1]
 
@@ -40,8 +40,9 @@ def judge(e: Evidence, limits: Limits) -> Reason:
             return rejection
     elif not is_relevant(e, limits):
         return Reason(IRRELEVANT, e.name, _relevance_values(e, limits), "redundant sensors confirm it, but it "
-                      f"reduces the baseline error of every channel by at most {find_most_affected(e, limits)[1]:.1%}, "
-                      f"and {describe_position_reduction(max_position_reduction(e))}")
+                      f"reduces baseline errors above {limits.max_noise_ratio:g} times the noise by at most "
+                      f"{find_most_affected(e, limits)[1]:.1%}, and "
+                      f"{describe_position_reduction(max_position_reduction(e))}")
     if e.sensors_p_value is not None and e.sensors_p_value < limits.undecided_p:
         return Reason(SENSORS, e.name, {"sensors_p_value": e.sensors_p_value, "undecided_p": limits.undecided_p},
                       f"its value contradicts the redundant sensors (p = {e.sensors_p_value:.2g})")
@@ -60,17 +61,17 @@ def judge(e: Evidence, limits: Limits) -> Reason:
     return _reject_varying(e, limits) or Reason(
         ACCEPTED, e.name, {"gain": e.gain, "p_value": e.p_value, "position": e.position_reduction},
         f"it reduces the errors by {e.share:.1%} and {describe_position_reduction(e.position_reduction)} "
-        f"(p = {e.p_value:.2g}), and does not vary significantly between parts of the drives")
+        f"(p = {e.p_value:.2g}), and is consistent between parts of the drives")
 
 
 def judge_correction(e: Evidence, limits: Limits) -> Reason:
-    """Verdict on an effective correction, which must improve predictions in all parts of the drives."""
+    """Verdict on an effective correction, which must be consistent between parts of the drives."""
     return _reject_insignificant(e, limits) or _reject_varying(e, limits) or Reason(
         ACCEPTED, e.name, {"gain": e.gain, "p_value": e.p_value}, f"it reduces the errors by {e.share:.1%}")
 
 
 def _reject_varying(e: Evidence, limits: Limits) -> Reason | None:
-    """Reason to reject an effect that varies between parts of the drives; None if it may be the same everywhere."""
+    """Reason to reject an effect that varies between parts of the drives and may be absent in a new one, or None."""
     partition = varying_partition(e, limits)
     if not partition:
         return None
@@ -253,13 +254,13 @@ def decide(limits: Limits, named: Sequence[Evidence], rivals: Mapping[str, Seque
         return outcome, Reason(outcome, "outcome", figures, text)
 
     if len(named) > 1:
-        return conclude("several", f"{len(named)} effects are significant and relevant, and do not vary "
-                        "significantly", effects=len(named))
+        return conclude("several", f"{len(named)} effects are significant, relevant and consistent between "
+                        "parts of the drives", effects=len(named))
     if named:
         count = 1 + sum(is_alternative(r, limits) for r in rivals.get(named[0].name, ()))
         if count > 1:
             return conclude("ambiguous", f"{count} effects explain the errors equally well", names=count)
-        return conclude("named", "one effect is significant and relevant, and does not vary significantly")
+        return conclude("named", "one effect is significant, relevant and consistent between parts of the drives")
     if combinations:
         return conclude("ambiguous", f"{' and '.join(combinations)}: different from the vehicle file, but the "
                         "effects behind this difference cannot be separated", combinations=len(combinations))
@@ -276,8 +277,7 @@ def decide(limits: Limits, named: Sequence[Evidence], rivals: Mapping[str, Seque
     if n_effects and base_noise_ratio > limits.max_noise_ratio:
         return conclude("ambiguous", f"the model reduces the position error from {base_noise_ratio:.1f} to "
                         f"{noise_ratio:.1f} times the noise, but none of its effects is certain enough to be "
-                        "reported as a cause",
-                        effects=n_effects, base_noise_ratio=base_noise_ratio,
+                        "reported as a cause", effects=n_effects, base_noise_ratio=base_noise_ratio,
                         max_noise_ratio=limits.max_noise_ratio)
     if detectable_share < limits.detection_power:
         return conclude("not_testable", f"only {detectable_share:.0%} of the library's effects would be "

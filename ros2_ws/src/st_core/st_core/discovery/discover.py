@@ -54,8 +54,8 @@ def discover(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | M
     sensor_estimates: (value, lower, upper 95 % limit) from redundant sensors, by name of the estimate in `checks`.
     parallel: number of threads.
     clocks: standard deviation of the error of the steering clock [s], by run; clocks of other runs count as exact.
-    Raises StCoreError if the runs contain no usable prediction, ConfigurationError for settings that are not valid for
-    the base model. Checked by: test_discovery*.py, bench/discovery.
+    Raises StCoreError for duplicate names and too few usable predictions, ConfigurationError for settings that are not
+    valid for the base model. Checked by: test_discovery*.py, bench/discovery.
     """
     return _Analysis(runs, vehicle, base, reference, settings or DiscoverySettings(), progress, sensor_estimates or {},
                      parallel, clocks or {}).analyse()

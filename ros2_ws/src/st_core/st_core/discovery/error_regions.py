@@ -65,7 +65,7 @@ class Samples:
 
     names: tuple[str, ...]
     run: np.ndarray  # index into names
-    time: np.ndarray  # since the first measurement of the run [s]
+    time: np.ndarray  # since the first INS sample of the run [s]
     x: np.ndarray  # position at the start [m]
     y: np.ndarray  # position at the start [m]
     block: np.ndarray  # number of the block of time; a block counts as one observation
@@ -93,8 +93,8 @@ class Segment:
 
     channel: str
     run: int
-    start: float  # since the first measurement of the run [s]
-    end: float  # since the first measurement of the run [s]
+    start: float  # since the first INS sample of the run [s]
+    end: float  # since the first INS sample of the run [s]
     ratio: float  # ratio of the errors to those in the rest of the run under similar conditions (geometric mean) [1]
 
 
@@ -379,7 +379,7 @@ def find_segments(samples: Samples, channel: str, residual: np.ndarray, block: f
 
 def _find_change_points(values: np.ndarray, first: int, last: int, block: int, rng: np.random.Generator,
                         max_changes: int) -> list[int]:
-    """Indices of at most `max_changes` significant change points in values[first:last]. block: its number of values."""
+    """Indices of at most `max_changes` significant change points in values[first:last]. block: values per block."""
     section, shortest = values[first:last], round(MIN_SEGMENT_DURATION)
     if max_changes < 1 or len(section) < max(2 * shortest, 4 * block):
         return []

@@ -60,7 +60,7 @@ def simulate_drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: Vehicle
 
 
 def simulate_manoeuvres(windows: Windows, base: Model) -> Iterator[tuple[Manoeuvre, Windows]]:
-    """Yields each manoeuvre up to MAX_SPEED_RATIO times the recorded speed that the base model can drive, and its
+    """Yields each manoeuvre that the base model can drive, up to MAX_SPEED_RATIO times the recorded speed, and its
     windows up to MAX_LATERAL_ACCELERATION. That model, without effects, is accurate enough to compare excitation."""
     model = augment(base, {})
     fastest = MAX_SPEED_RATIO * float(np.nanquantile(windows.speeds, 0.95))
@@ -141,7 +141,7 @@ def choose_manoeuvre(problem: Problem, fit: Fit, separabilities: Sequence[Separa
     manoeuvre = next(m for m in CATALOGUE if m.name == name)
     return NextManoeuvre(name, pair, strength, {n: s for n, (s, _) in weakest.items()}, REPETITIONS, manoeuvre.duration,
                          manoeuvre.speed, "it separates even the least separable pair, "
-                         f"{pair[0]} and {pair[1]}, by more than any other manoeuvre of the catalogue does")
+                         f"{pair[0]} and {pair[1]}, by more than any other manoeuvre simulated at these speeds")
 
 
 def find_most_informative(problem: Problem, effect: str, curvatures: Curvatures) -> str:

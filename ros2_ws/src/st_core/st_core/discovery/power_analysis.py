@@ -1,8 +1,8 @@
 """Power and false-alarm rate of the tests on these drives, predicted from the curvature of the loss or measured.
 
 To measure them, residuals of drives are simulated: those of the final fit, with the sign of each block drawn at random,
-plus the change caused by a known effect. The effect counts as detected if one forward step of the search selects it, on
-the quadratic approximation of the loss; the whole search is not repeated.
+plus the change caused by a known effect. The effect counts as detected if one forward step of the search selects it or
+an effect inseparable from it, on the quadratic approximation of the loss; the whole search is not repeated.
 """
 
 from collections.abc import Callable

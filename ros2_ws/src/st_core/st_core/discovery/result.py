@@ -63,8 +63,8 @@ class LocalEstimate:
     """Estimate of an effect in one run, site, time, place or condition."""
 
     subset: str
-    # Change from the null relative to the overall change, possibly negative or above 1; in a `VaryingEffect`, relative
-    # to the largest local change [1].
+    # Change from the null relative to the overall change, possibly negative or above 1; in a `VaryingEffect` without a
+    # common fit, relative to the largest local change [1].
     ratio: float
     deviation: float  # standard deviation of the ratio
 
@@ -280,7 +280,7 @@ class Discovery:
     signature: tuple[str, ...]  # description of the residual
     runs: tuple[Run, ...]
     start: Literal["vehicle file", "reference"]  # origin of the values at the start of the search
-    base: AugmentedModel  # the model at the start of the search
+    base: AugmentedModel  # the fit without the effects found, first model of `steps`
     model: AugmentedModel | None  # the model with all effects, which predicts best; None if no effect was found
     # The model with named and minor effects only, at the reported values; None if no effect was found.
     named: AugmentedModel | None = None
@@ -312,7 +312,7 @@ class Discovery:
         return unseparated_combinations(self.combinations, self.effects)
 
     def document(self) -> dict[str, Any]:
-        """The body of discovery.json: only dicts, lists, strings and numbers."""
+        """The body of discovery.json: only dicts, lists, strings, numbers, booleans and None."""
         return {f.name: plain_data(getattr(self, f.name)) for f in fields(self) if f.name not in MODEL_FIELDS}
 
 

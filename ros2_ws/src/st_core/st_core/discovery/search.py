@@ -33,7 +33,7 @@ class SearchState:
     order: list[str]  # names in order of selection; after the search, by decreasing gain
     evidence: dict[str, Evidence] = field(default_factory=dict)  # for each effect of the set
     fits_without: dict[str, Fit] = field(default_factory=dict)  # fit without each effect of the set
-    # (evidence, verdict, fit) of each effect that was tried in addition and rejected.
+    # (evidence, verdict, fit) of each effect that was rejected in the last forward step, or dropped from the set.
     rejected: dict[str, tuple[Evidence, Reason, Fit]] = field(default_factory=dict)
     rivals: dict[str, list[Rival]] = field(default_factory=dict)  # effects tried in place of each effect of the set
     cached_scores: Scores | None = None  # scores of the effects outside the set
@@ -204,7 +204,7 @@ class Search:
         return min(candidates, key=lambda c: float(c.fit.held_out.sum()) + penalty * len(c.fit.names))
 
     def _step_forward(self, state: SearchState) -> Fit | None:
-        """The fit with the best further effect that passes the test or that redundant sensors confirm, or None."""
+        """Fit with one more effect that passes the test: the best contender, or one that sensors confirm; else None."""
         p, limits = self.problem, self.limits
         self.tick()
         state.cached_scores = state.cached_scores or self._scores(state.fit)

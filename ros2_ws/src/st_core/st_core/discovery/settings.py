@@ -62,7 +62,7 @@ class DiscoverySettings:
     channels: tuple[str, ...] = tuple(CHANNELS)
     seed: int = 0  # of all random numbers
     horizon: float = 5.0  # of a prediction [s]
-    windows: int = 400  # approximate number of predictions
+    windows: int = 400  # approximate largest number of predictions
     interval: float = 1.0  # shortest time between their starts [s]; closer ones add little with a horizon of 5 s
     block: float = 10.0  # duration of a block of driving [s]; blocks count as independent
     effects: tuple[str, ...] | None = None  # names to choose from; None for all that apply

@@ -72,7 +72,7 @@ class Space:
         return {self.free[i][1].name: float(vector[i]) for i in self.indices(name)}
 
     def overlaps(self, name: str, names: Sequence[str]) -> bool:
-        """Whether an effect is one of `names`, a member of one, or has one as a member."""
+        """Whether an effect or one of its members is one of `names` or a member of one."""
         parts = {name, *get_effect(name).members}
         return any(parts & {other, *get_effect(other).members} for other in names)
 
@@ -94,7 +94,7 @@ def _choose_effects(usable: Sequence[str], settings: DiscoverySettings, availabl
     hypotheses = tuple(n for n in usable if (requested is None or n in requested)
                        and set(get_effect(n).needs) <= set(settings.channels))
     if not hypotheses:
-        raise ConfigurationError("effects: none of the requested ones applies to this base model with these channels")
+        raise ConfigurationError("effects: none is usable with this base model, these channels and recorded signals")
     return hypotheses
 
 
@@ -105,7 +105,7 @@ class FileQuantity:
     key: str
     unit: str
     value: float  # in the file [SI]
-    deviation: float  # standard deviation in the file [SI]
+    deviation: float  # its standard deviation, from the file or a default [SI]
     slope: float  # change of the quantity per unit of the parameter
     stated: bool  # whether the file states the deviation; otherwise it is the default for the quantity
     # Value in a model without the effect; 0 if the equations of the base model do not contain the quantity [SI].

@@ -113,7 +113,7 @@ def _remember(cache: OrderedDict, key: tuple, value: Any, size: int = RECORDING_
 
 
 class Windows:
-    """The n windows of the runs.
+    """The n windows of the runs. Raises StCoreError for a duplicate name, and if no run has both INS and steering.
 
     starts_ns: (n,) starts on the common clock [ns].
     run, block: (n,) numbers of the run and of the block.

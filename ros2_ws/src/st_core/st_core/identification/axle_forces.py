@@ -156,7 +156,7 @@ def fit_axle_regressions(logs: Sequence[DriveLog], vehicle: VehicleParameters) -
     """Regressions of the (front, rear) axle on drives with measured sideslip.
 
     vehicle: its mass, inertia, lengths, lever arm and steering are used and must be correct; its stiffnesses are not
-    used. Raises IdentificationError without drives, for a repeated name, or for a drive that is too short.
+    used. Raises IdentificationError without drives, and for a repeated name, or drives too short or full of gaps.
     """
     drives, _ = prepare_drives(logs, vehicle)
     return _fit_regressions([sample_run(log, vehicle) for log in drives], vehicle)[0]
@@ -268,7 +268,7 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> 
                           (*notes, *describe_correlations([e.parameter for e in estimates], correlation)), figure)
 
 
-EVALUATION_SPEED = 20.0  # m/s, speed at which the curve is evaluated; not below any minimum_slip_speed
+EVALUATION_SPEED = 20.0  # m/s, speed at which the curve is evaluated; upper limit of minimum_slip_speed
 MIN_DRAWS = 20  # minimum number of drawn models for a band
 MAX_SECANT_STEPS = 6  # to find the lateral acceleration; with the largest roll steer, the force error is below 0.1 %
 BAND_QUANTILES = (0.05, 0.95)  # of the draws

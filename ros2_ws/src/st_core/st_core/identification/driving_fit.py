@@ -85,7 +85,7 @@ QUANTITIES: Mapping[str, FitQuantity] = {
 class DrivingFitSettings:
     """Settings of a fit. A window is used if its whole horizon is within the limits of speed and acceleration."""
 
-    horizon: float = 1.5  # s, of the predictions; 1 or more
+    horizon: float = 1.5  # s, of the predictions; 1 to 10
     interval: float = 0.5  # s, between the starts of the predictions
     minimum_speed: float = 5.0  # m/s
     maximum_acceleration: float = 4.0  # m/s^2, largest |v_x r|
@@ -152,7 +152,7 @@ def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Seq
     """Fit of the quantities `names`, distinct keys of QUANTITIES; all others remain fixed.
 
     logs: from `run_samples.prepare_drives`. base: linear, nonlinear, or either with known effects. Raises
-    IdentificationError for an unknown name, too few windows, and values that the drives do not determine.
+    IdentificationError for an unknown name, unusable drives, too few windows, and values that they do not determine.
     """
     for name in names:
         if name not in QUANTITIES:

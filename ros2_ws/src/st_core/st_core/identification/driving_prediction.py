@@ -75,7 +75,7 @@ simulated without noise, the rear stiffness is too small by 4.6 m^2 / R^2, 1.1 %
 
 def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear", *,
                   additional: Sequence[str] = (), nuisance: Sequence[str] = NUISANCE_PARAMETERS) -> Identification:
-    """Both stiffnesses, with an uncertainty from the variation between runs.
+    """Both stiffnesses, with an uncertainty from the variation between runs or, with few runs, between blocks.
 
     base: linear, nonlinear, or one of these with known effects (`augment`), such as the drive force on steered wheels.
     additional: further parameters to fit and report, from `driving_fit.QUANTITIES` (steering_ratio needs low and high
@@ -101,7 +101,7 @@ def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: st
         model_error = (f"the value changes with the slip range; a model error of {100.0 * relative_error:.1f} % is "
                        "included" if slip_range_uncertainty else
                        "its change with the slip range is unknown: drive at small and large lateral accelerations")
-        verdict = f"{estimate.verdict} {kind} over slip angles up to {np.rad2deg(slip):.1f} deg; {model_error}."
+        verdict = f"{estimate.verdict} {kind} from slip angles up to {np.rad2deg(slip):.1f} deg; {model_error}."
         estimates.append(replace(estimate, verdict=verdict))
     return replace(result, estimates=(*estimates, *result.estimates[len(STIFFNESSES):]), coverage=coverage,
                    warnings=(*notes, *result.warnings))
@@ -143,7 +143,7 @@ def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                       base: str | Model = "nonlinear") -> Identification:
     """Steering ratio and offset with their uncertainty, and the stiffnesses fitted with them.
 
-    Raises IdentificationError for too little excitation, such as a single speed.
+    Raises IdentificationError for unusable drives and too little excitation, such as a single speed.
     """
     result = fit_stiffness(logs, vehicle, base, additional=(RATIO, OFFSET),
                            nuisance=(*NUISANCE_PARAMETERS, DELAY, RELAXATION))
@@ -159,7 +159,7 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                          base: str | Model = "nonlinear") -> Identification:
     """Yaw inertia with its uncertainty; stiffnesses and steering delay are reported too.
 
-    Raises IdentificationError without transients: 0.5 s of r_dot in every bin of YAW_ACCELERATION_EDGES is needed.
+    Raises IdentificationError for unusable drives, and without 0.5 s in each bin of YAW_ACCELERATION_EDGES.
     """
     settings = TRANSIENT_SETTINGS.for_car(vehicle)
     logs, notes = prepare_drives(logs, vehicle)

@@ -43,7 +43,7 @@ from .result import (
 
 MIN_SLIP, MAX_SLIP = math.radians(3.0), math.radians(40.0)  # limits of the largest |slip angle| of a table
 LEVEL_GAP = 0.04  # relative; loads closer than this are one level, since the load varies during a sweep
-MIN_POINTS = 7  # minimum number of points at the nominal load, to which five parameters are fitted
+MIN_POINTS = 7  # minimum number of rows, and of slip angles at the nominal load, where five parameters are fitted
 SLIP_BINS = np.radians([0.0, 0.75, 1.5, 3.0, 5.0, 8.0, 12.0, 20.0])  # rad; edges for the coverage of |slip angle|
 MIN_FILLED_BINS = 3
 
@@ -72,7 +72,7 @@ def find_load_levels(data: FlatPlank) -> tuple[np.ndarray, np.ndarray]:
 
 
 def check_table(data: FlatPlank, levels: np.ndarray, level: np.ndarray, nominal_load: float) -> tuple[FlatPlank, bool]:
-    """(the table, with slip angles of the sign that the force opposes, whether their sign was changed for this).
+    """(the table with slip angle and force of opposite signs, whether the sign of the slip angle was changed).
 
     levels, level: from `find_load_levels`. nominal_load [N]. Raises IdentificationError for an unusable table.
     """
@@ -184,7 +184,7 @@ def fit_tyre(data: FlatPlank, start: MagicFormula) -> TyreFit:
 
 
 def identify_magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
-    """Estimates of the parameters fitted by `fit_tyre`, named as in the vehicle file, such as "tyre_front.p_ky1"."""
+    """Estimates from `fit_tyre`, with its exceptions; named as in the vehicle file, such as "tyre_front.p_ky1"."""
     tyre_fit = fit_tyre(data, start)
     fit, tyre = tyre_fit.fit, tyre_fit.tyre
     levels, level = tyre_fit.levels, tyre_fit.level
@@ -211,7 +211,7 @@ def identify_magic_formula(data: FlatPlank, start: MagicFormula) -> Identificati
             verdict.append(f"The data determine only one end of the interval; the other is the limit {end:g}.")
         if open_ends == 2:
             verdict.append(f"The data do not determine {key} within {low:g} to {high:g}; the value is written because, "
-                           "with the other parameters, it reproduces the stiffness at the tested loads.")
+                           "with the other parameters, it reproduces the forces at the tested loads.")
             uncertainty = (high - low) / math.sqrt(12.0)  # of a uniform distribution in the range
         estimates.append(ParameterEstimate(key, value, "1", uncertainty, (low, high), method, (data.name,),
                                            " ".join(verdict), status))
@@ -276,7 +276,7 @@ def _with_values(tyre: MagicFormula, names: Sequence[str], values: Any) -> Magic
 
 
 def _get_bounds(names: Sequence[str]) -> tuple[list[float], list[float]]:
-    """Lower and upper bounds from FIT_BOUNDS, or else from the vehicle file."""
+    """Lower and upper bounds from FIT_BOUNDS, or else the limits of a vehicle file."""
     limits = [FIT_BOUNDS.get(name) or (TYRE_QUANTITIES[name].minimum, TYRE_QUANTITIES[name].maximum) for name in names]
     return [low for low, _ in limits], [high for _, high in limits]
 

@@ -31,7 +31,7 @@ NAMES = ("steering_wheel_offset", "steering_ratio", "stiffness_scale")
 UNITS = ("rad", "1", "1")
 FITTED_PARAMETERS = ("steering_wheel_offset", "steering_ratio", *STIFFNESSES, MISALIGNMENT, DELAY, RELAXATION)
 FIT_SETTINGS = DrivingFitSettings(interval=1.0, min_windows=20)
-BUFFER_DURATION, SPACING_NS = 400.0, 19_000_000  # s of driving stored; ns between stored samples: 20 ms minus jitter
+BUFFER_DURATION, SPACING_NS = 400.0, 19_000_000  # s stored at 50 Hz; smallest ns between samples: 20 ms - jitter
 FIT_INTERVAL = 15.0  # s of usable driving
 MIN_SPEED = 2.0  # m/s; slower samples are not stored
 MAX_GAP = 0.1  # s; longer intervals between samples do not count as driving time

@@ -30,7 +30,7 @@ class ParameterEstimate:
     parameter: str
     value: float
     unit: str
-    standard_uncertainty: float  # one standard deviation; may be infinite if unidentifiable
+    standard_uncertainty: float  # one standard deviation; may be infinite or NaN if unidentifiable
     interval95: tuple[float, float]  # lower and upper end of the 95 % interval, which may be asymmetric
     method: str  # short text
     runs: tuple[str, ...]  # names of the drives or tables
@@ -103,7 +103,7 @@ class Identification:
     def to_document(self) -> dict[str, dict[str, Any]]:
         """Body of identification.json: {parameter: {value, unit, standard_uncertainty, interval95, method, runs, ...}}.
 
-        A number that is not finite becomes None, because JSON has no infinity.
+        A number that is not finite becomes None, because JSON has neither infinity nor NaN.
         """
         return {e.parameter: {
             "value": _finite_or_none(e.value), "unit": e.unit,

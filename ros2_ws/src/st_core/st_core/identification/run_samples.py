@@ -96,7 +96,7 @@ def prepare_drives(logs: Sequence[DriveLog], vehicle: VehicleParameters,
         prepared[k] = replace(log, yaw_rate=log.yaw_rate - bias)
         if abs(bias) > MIN_REPORTED_BIAS:
             biases.append(f"{log.name} {bias:+.4f}")
-    warning = f"Removed yaw rate bias, from the change of yaw [rad/s]: {', '.join(biases)}."
+    warning = f"Removed yaw rate bias [rad/s], estimated from the change of yaw: {', '.join(biases)}."
     return prepared, (warning,) if biases else ()
 
 

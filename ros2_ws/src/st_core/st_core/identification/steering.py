@@ -190,7 +190,7 @@ CUTOFF = 1.0  # Hz; of the zero-phase low-pass on the measured yaw rate
 def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
     """Offset at the steering wheel [rad], positive to the left, by both methods: parameters PAPER_NAME, DIRECT_NAME.
 
-    vehicle: its offset is the start value of the fit. Raises IdentificationError for too little straight driving.
+    vehicle: its offset is the start value of the fit. Raises IdentificationError for lack of usable straights.
     """
     logs, notes = prepare_drives(logs, vehicle)
     runs = [sample_run(log, vehicle) for log in logs]

@@ -122,7 +122,7 @@ class Candidate:
 
     @property
     def is_one_sided(self) -> bool:
-        """Whether the relation acts to the same side in left and right turns: its sign changes in a mirrored drive."""
+        """Whether the relation acts to the same side in left and right turns, so that the car is not symmetric."""
         return self.parity == NO_PARITY and not self.factor and not self.term.endswith("_grip")
 
     @property
