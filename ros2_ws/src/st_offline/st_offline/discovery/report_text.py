@@ -34,7 +34,7 @@ MAX_SEPARATION = 10.0  # standard deviations; larger separations are outside the
 MAX_RATIO = 1000.0  # of an error to the expected error; with larger errors, predictions have diverged
 LIMITS = Limits()
 OTHER_CAUSE = " or a cause outside the library with the same effect"
-DRIVEN_RANGE = "; use it only up to the slip angles of these drives, which do not determine the peak force"
+DRIVEN_RANGE = "; use it only up to the slip angles of these drives: the peak force of its tyres is not established"
 EFFECT_HEAD = ("effect", "value (95 % interval)", "5 s position error without it", "largest reduction",
                "significant in")
 EFFECT_NOTE = ("Errors are those of the complete model on held-out drives; \"without it\" means that this effect is "
