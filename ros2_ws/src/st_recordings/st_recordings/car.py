@@ -21,7 +21,7 @@ STEERING_DEFAULTS = {"steering_sign": 1, "steering_latency": 0.0}
 class Car:
     """The folder of a car, and the sign and delay of its steering angle sensor.
 
-    steering_sign: +1 if the decoded sensor is positive to the left, else -1. steering_latency: delay from the motion of
+    steering_sign: +1 if the decoded angle is positive to the left, else -1. steering_latency: delay from the motion of
     the steering wheel to the stamp of its CAN frame [s]. The files dbc and signals are optional.
     """
 

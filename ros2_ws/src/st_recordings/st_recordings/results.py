@@ -200,7 +200,7 @@ def read_scores(bags: Sequence[Path], progress: Progress | None = None) -> dict[
 
 def read_messages(bags: Sequence[Path], type_name: str, progress: Progress | None = None,
                   topic_end: str = "") -> Iterator[Any]:
-    """Yields the messages of a type in topics with names that end with `topic_end`.
+    """Yields the messages of a type in topics with names that end with `topic_end`. Raises RunError.
 
     progress: called with the number of messages read from a bag, and the total number to be read from it.
     """
@@ -215,7 +215,7 @@ def read_messages(bags: Sequence[Path], type_name: str, progress: Progress | Non
 
 
 def read_results(folder: Path) -> Results:
-    """Reads bag/ and errors/ of a run folder. Errors at each point of a horizon are kept only for drawn predictions."""
+    """Reads bag/ and errors/ of a run folder; errors over a horizon only for drawn predictions. Raises RunError."""
     bag, errors = open_bag(folder / "bag"), open_bag(folder / "errors")
     scores, configuration_hash = _read_scores(folder / "errors")
     summary = _read_last_message(errors, SUMMARY_TOPIC, "st_msgs/msg/ErrorSummary")

@@ -196,7 +196,7 @@ def test_can_logs_of_other_times_are_named(ncom_folder: Path, drive_log: DriveLo
     (ncom_folder / "sunday.log").write_text("\n".join(earlier_drive(frame_lines)))
     run = read(find_runs([ncom_folder])[0], CAR)
     assert_same(run.log, drive_log, max_lost=0, steering=0.003)
-    assert [w for w in run.warnings if w.endswith("CAN logs of other times are not used: sunday.log")]
+    assert [w for w in run.warnings if w.endswith("CAN logs that do not overlap it in time are not used: sunday.log")]
 
 
 class Log(NamedTuple):

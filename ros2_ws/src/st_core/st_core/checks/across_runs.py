@@ -51,7 +51,7 @@ class RunComparison:
 
 
 def compare_runs(runs: Sequence[DriveCheck]) -> list[RunComparison]:
-    """Comparisons of the quantities that have a finding and estimates of at least MIN_COMPARED_RUNS runs, most often
+    """Comparisons of the quantities that have a finding and estimates from at least MIN_COMPARED_RUNS runs, most often
     reported first; quantities consistent with the neutral value in all runs are left out."""
     units = {finding.name: finding.unit for run in runs for finding in run.findings if finding.interval is not None}
     comparisons = []

@@ -49,7 +49,7 @@ class Advice:
 
 @dataclass(frozen=True)
 class Alternative:
-    """Another cause that explains a drive as well as that of a finding."""
+    """Another cause that fits the drive as well as the cause of a finding does."""
 
     text: str  # clause that follows "or"
     findings: tuple[str, ...] = ()  # names of the findings of this cause, if there are any

@@ -69,7 +69,7 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
                    fit_drift: bool = False, expected_lag: float = 0.0,
                    max_lag: float = MAX_LAG, max_fitted_lag: float = MAX_LAG) -> Agreement | None:
     """Agreement of two estimates of a quantity. None if `derived` is constant, if they overlap by less than
-    MIN_COMMON_TIME, if one of them spans more than MAX_SPAN, or if |lag| exceeds max_fitted_lag.
+    MIN_COMMON_TIME, if one of them spans more than MAX_SPAN, if the fit fails, or if |lag| exceeds max_fitted_lag.
 
     time, measured_time: ascending [s]; values NaN where unknown.
     cutoff: of the low-pass filter [Hz].
@@ -207,7 +207,7 @@ GYRO_SCALE_ERROR = 0.02  # smallest reported deviation from 1; the scale of a gy
 GYRO_BIAS = 0.001  # rad/s; smallest reported bias; twice the bias of a good INS
 ACCELERATION_SCALE_ERROR = 0.35  # smallest reported deviation from 1; roll and pitch of the body cause up to 0.33
 ACCELERATION_LAG = 0.12  # s; smallest reported lag; filters of accelerometers cause delays of up to 0.1 s
-MIN_ACCELERATION_DEVIATION = 0.25  # m/s^2; minimum spread for a scale; a road that slopes by 2.5 % measures as much
+MIN_ACCELERATION_DEVIATION = 0.25  # m/s^2; minimum spread for a scale; a slope of 2.5 % has this effect
 ACCELEROMETER_ARM = 1.5  # m between accelerometer and INS point
 SEVERE_ACCELERATION_BIAS = 0.3  # m/s^2; a crossfall of 2.5 % causes a bias of 0.25
 MIN_SPEED_DEVIATION = 0.5  # m/s; standard deviation; at constant speed, only slip and noise would be compared
@@ -389,7 +389,7 @@ def accelerations_confirm_velocity(motion: Motion, factor: float) -> bool:
 
 
 def compute_acceleration_scales(motion: Motion) -> list[float]:
-    """Ratios of the measured accelerations to the derivative of velocity, of those that correlate with it."""
+    """Ratio of each measured acceleration that correlates with the derivative of velocity to that derivative."""
     agreements = [_compare_acceleration(motion, name, values) for name in ACCELERATIONS
                   if (values := getattr(motion, name)) is not None]
     return [agreement.scale.value for agreement in agreements if agreement and agreement.correlates]
@@ -465,7 +465,7 @@ def check_speeds(motion: Motion) -> list[CheckResult]:
 
 
 def check_position_clock(motion: Motion) -> list[Finding]:
-    """Finding about positions stamped by a different clock: speed and course agree with the others at a large lag."""
+    """Finding about positions stamped by a different clock: they agree with velocity and yaw at a large lag only."""
     speed = np.abs(np.gradient(motion.position, motion.time))
     agreement = compare_series(motion.time, motion.speed, motion.time, speed, SPEED_CUTOFF, max_lag=MAX_CLOCK_OFFSET,
                                max_fitted_lag=MAX_CLOCK_OFFSET)

@@ -12,7 +12,7 @@ from ..log import INS_SIGNALS, DriveLog
 from ..timeseries import NANOSECOND
 from .finding import AuxiliaryData
 
-MAX_GAP = 0.25  # s; nothing is integrated across a longer interval between samples
+MAX_GAP = 0.25  # s; longest interval between samples within a window, unless stated otherwise
 MAX_LISTED_TIMES = 20  # largest number of time intervals listed in most findings
 MIN_MOVING_SPEED = 1.0  # m/s; slower driving is not used
 MIN_DRIVEN_WINDOWS = 5

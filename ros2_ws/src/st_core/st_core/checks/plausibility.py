@@ -110,7 +110,7 @@ def find_implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
     """(mask (n,) of the samples of one channel to leave out, the findings).
 
     name: key of CHANNEL_LIMITS. time: (n,) ascending [s], with the zero of the times in the findings. values: (n,), NaN
-    where unknown; yaw unwrapped. moving: (n,) whether the car moves. None is left out if most would be.
+    where unknown; yaw unwrapped. moving: (n,) whether the car moves. No sample is left out if most would be.
     """
     left_out = np.zeros(len(values), bool)
     rows = np.flatnonzero(np.isfinite(values))
@@ -267,9 +267,9 @@ def _make_finding(kind: str, channel: _ChannelSamples, samples: np.ndarray, is_u
     when = f"at {intervals[0][0]:.2f} s" if len(samples) == 1 else f"between {times[0]:.2f} and {times[-1]:.2f} s"
     count = f"{len(samples)} of {len(channel.values)} samples"
     text = {
-        "sample_spikes": f"{channel.name} is {value_text} {when}, " + (
-            f"in sample {channel.rows[samples[0]] + 1}" if len(samples) == 1 else f"the largest of {count}")
-            + ", inconsistent with the neighbouring samples",
+        "sample_spikes": f"{channel.name} " + (
+            f"is {value_text} {when}, in sample {channel.rows[samples[0]] + 1}" if len(samples) == 1 else
+            f"reaches {value_text} {when} ({count})") + ", inconsistent with the neighbouring samples",
         "sentinel_values": f"{channel.name} is {value_text} {when} ({count}): "
                            + ("0 while the car moves" if value == 0.0 else "a code for a missing measurement"),
         "out_of_range": f"{channel.name} reaches {value_text} {when} ({count}), beyond the range of road cars",

@@ -154,7 +154,7 @@ def _check_stamps(signal: str, stamps: np.ndarray, start_ns: int) -> list[Findin
             advice = "check the logger: its clock was set back, or it restarted; split the recording there into runs"
         else:
             text = (f"{count} of {len(stamps)} {signal} time stamps "
-                    f"{'jump back' if name == 'time_order' else 'are duplicates'}; those rows were left out")
+                    f"{'are out of order' if name == 'time_order' else 'are duplicates'}; those rows were left out")
             advice = "check how the rows were time-stamped and merged"
         severity = Severity.WARNING if was_reset or fraction > LIMITS.max_note_fraction else Severity.NOTE
         findings.append(Finding(name, severity, STAMPED_CHANNELS[signal], text, fraction, times=times,

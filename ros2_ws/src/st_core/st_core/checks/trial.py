@@ -97,7 +97,7 @@ def _is_worse(before: float, after: float) -> bool:
 
 
 def _compute_prediction_error(run: Run | None) -> float | None:
-    """RMS prediction error [m], defined in the module docstring; None if nothing can be predicted."""
+    """RMS prediction error [m], defined in the module docstring; None with fewer than MIN_STARTS predictions."""
     if run is None:
         return None
     log, vehicle = run

@@ -118,7 +118,7 @@ def check_nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate
             np.hypot(np.hypot(velocity.half_width, yaw_rate.half_width), MAX_SCALE_ERROR)):
         return None
     text = (f"time runs {factor:.4f} ± {velocity.half_width:.4f} times too fast compared with positions and yaw: were "
-            "the time stamps made with a wrong nominal rate?")
+            "the time stamps computed from a wrong nominal rate?")
     scale = float(f"{1.0 / factor:.5g}")
     advice = Advice.for_run_yaml({"correct": {"velocity": {"scale": scale}, "yaw_rate": {"scale": scale}}})
     advice = replace(advice, line=f"{advice.line}  # or divide the time of the rows by {factor:.4f}")
@@ -344,7 +344,7 @@ def _correct_one_axis(motion: Motion) -> MotionAndFinding:
 
 def correct_length_unit(motion: Motion) -> MotionAndFinding:
     """Correct positions and velocities in the same wrong unit of length, by comparison with the accelerations."""
-    ratio = compute_ratios(motion).position_to_speed  # NaN for kilometres, finite for other units of the accelerations
+    ratio = compute_ratios(motion).position_to_speed  # NaN for kilometres, in which all motion seems too small
     scales = np.array(compute_acceleration_scales(motion) if not np.isfinite(ratio) or _matches(ratio, 1.0) else [])
     if not len(scales) or not (scales > 0.0).all():
         return motion, None
@@ -353,8 +353,8 @@ def correct_length_unit(motion: Motion) -> MotionAndFinding:
                  and (unit < 1.0) != np.isfinite(ratio)), None)
     if unit is None or not all(is_near(each, 1.0 / unit, LIMITS.channel_unit_ratio) for each in scales.tolist()):
         return motion, None
-    text = (f"x, y and both velocities agree, but accelerations are {scale:.4g} times the change of velocity: is the "
-            f"unit of length {LENGTH_UNITS[unit]}?")
+    text = (f"x, y and both velocities agree, but accelerations are {scale:.4g} times the derivative of velocity: is "
+            f"the unit of length {LENGTH_UNITS[unit]}?")
     advice = Advice.for_run_yaml({"correct": {name: {"scale": 1.0 / unit} for name in ("position", "velocity")}})
     corrected, finding = _correct(motion, "position_scale", LENGTH_CHANNELS, text, unit, advice)
     return (corrected, finding) if is_driven(corrected) else (motion, None)  # else the accelerations have another unit
@@ -460,7 +460,7 @@ def _correct_yaw_offset(motion: Motion) -> MotionAndFinding:
                             "velocity_x has the opposite sign (forward is positive)", -1.0, advice)
     exact = float(quarter if abs(angle - quarter) < 0.1 else angle)
     questions: dict[float, str] = {  # by quarter turns
-        1.0: ": is it measured from north?", -1.0: ": is it measured from north or south?",
+        1.0: ": is it measured from south?", -1.0: ": is it measured from north?",
         2.0: ": does it point backwards?", -2.0: ": does it point backwards?"}
     question = questions.get(round(exact / (np.pi / 2), 3), "")
     text = f"yaw differs by {angle:+.2f} rad ({angle * DEG_PER_RAD:+.0f} deg) from the direction of travel{question}"

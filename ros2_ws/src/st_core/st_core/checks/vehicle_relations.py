@@ -213,7 +213,7 @@ def _make_unit_finding(gain: Estimate, plausible_gains: tuple[float, float], veh
 
 
 def _has_clock_error(motion: Motion, vehicle: VehicleParameters, agreement: Agreement) -> bool:
-    """Whether the steering lag changes by LIMITS.steering_lag or more, beyond the response time of the car."""
+    """Whether the steering lag changes by LIMITS.steering_lag or more, unexplained by the response time."""
     first, second = (compute_response_time(vehicle, max(float(np.median(half)), MIN_SPEED))
                      for half in np.array_split(motion.velocity_x, 2))
     change = add_systematic_uncertainty("steering_lag", agreement.drift.scaled(float(np.ptp(agreement.time))))  # s
@@ -396,7 +396,7 @@ def _make_point_finding(point: Estimate, slip: Estimate, motion: Motion, vehicle
 
 
 def check_tyre_limit(motion: Motion, sideslip_measured: bool) -> list[Finding]:
-    """Finding of a lateral acceleration above the limit of road tyres; a note if positions confirm it."""
+    """Finding about a lateral acceleration above the limit of road tyres; a note if positions confirm it."""
     windows = motion.make_windows(WINDOW)
     # In a spin, the change of velocity_y cancels the product of speed and yaw rate.
     lateral = windows.mean(motion.velocity_x * motion.yaw_rate) + windows.change(motion.velocity_y) / WINDOW
@@ -414,7 +414,7 @@ def check_tyre_limit(motion: Motion, sideslip_measured: bool) -> list[Finding]:
         reason = "plausible with downforce or racing tyres, else a unit of length or time is wrong"
     elif not sideslip_measured:
         return []
-    text = f"{sources} give up to {largest:.0f} m/s^2 to the side, but road tyres reach about 10 m/s^2: {reason}"
+    text = f"{sources} give up to {largest:.0f} m/s^2 laterally, but road tyres reach about 10 m/s^2: {reason}"
     channels = ("velocity_x", "velocity_y", "yaw_rate") if sideslip_measured else ("velocity_x", "yaw_rate")
     return [Finding("lateral_acceleration_impossible", severity, channels, text, largest, "m/s^2", times=times,
                     advice=Advice("text", "check speed and yaw rate at these times"))]

@@ -190,14 +190,14 @@ def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
 
 
 def read_metadata_records(path: Path) -> dict[str, dict[str, str]]:
-    """Reads the metadata records that the recorder or `st import` wrote to an MCAP recording; empty for SQLite."""
+    """Metadata records that the suite wrote to an MCAP recording; empty for SQLite. Raises RunError if damaged."""
     records = _read_all_metadata_records(path)
     records.pop(CLOSING_RECORD, None)
     return records
 
 
 def was_interrupted(path: Path) -> bool:
-    """Whether the recorder of the suite stopped before it closed the recording, for example because of a full disk."""
+    """Whether the suite's recorder stopped before it closed the recording, as with a full disk. Raises RunError."""
     records = _read_all_metadata_records(path)
     return bool(SUITE_RECORDS & records.keys()) and CLOSING_RECORD not in records
 

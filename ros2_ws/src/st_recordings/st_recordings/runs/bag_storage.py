@@ -109,7 +109,7 @@ class Storage(ABC):
         return self.columns({topic: fields}).get(topic.name) or self.read_one_by_one(topic, fields)
 
     def read_one_by_one(self, topic: Topic, fields: Sequence[str]) -> dict[str, np.ndarray]:
-        """The columns of `read_fields`, read by deserialising every message."""
+        """The columns of `read_fields`, read by deserialising every message. Raises RunError."""
         try:
             rows = [[get_field(message, field) for field in fields] for _, message in self.deserialise(topic)]
         except AttributeError as error:
@@ -118,7 +118,7 @@ class Storage(ABC):
         return {field: np.array([row[k] for row in rows]) for k, field in enumerate(fields)}
 
     def read_log_times(self, topic: str, stamps: np.ndarray) -> np.ndarray:
-        """Times of reception [ns], in simulated time if the bag contains a clock; `stamps` if their number differs."""
+        """Log times [ns], simulated if the bag has a clock; `stamps` if their number differs. Raises RunError."""
         times = np.array([log_ns for log_ns, _ in self.timed_messages(topic)], np.int64)
         if len(times) != len(stamps):
             return stamps

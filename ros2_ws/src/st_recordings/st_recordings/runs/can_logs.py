@@ -1,4 +1,4 @@
-"""Reads CAN logs of every format (MF4 of a CANedge2, candump, Vector, PEAK, bag) and merges the logs of a run."""
+"""Reads CAN logs (MF4 of a CANedge2, candump, Vector, PEAK, CSV, bag, ...) and merges the logs of a run."""
 
 import itertools
 import re
@@ -49,8 +49,8 @@ def read_can_logs(files: Sequence[Path], known_ids: Collection[int] = ()) -> Can
     used_files = tuple(log.files[0] for log in logs)
     relative_logs = [log.files[0].name for log in logs if not log.is_utc]
     if 0 < len(relative_logs) < len(logs):
-        raise RunError(used_files[0], f"logs of the run have UTC times, but those of {', '.join(relative_logs)} are "
-                       "relative to the start", "list the logs of one clock in a run.yaml")
+        raise RunError(used_files[0], f"some logs of the run have UTC times, but those of {', '.join(relative_logs)} "
+                       "are relative to the start", "list the logs of one clock in a run.yaml")
     warnings = [f"{log.files[0]}: {note}" for log in logs for note in log.warnings]
     frames, n_repeated = can_frames.remove_duplicates(can_frames.merge_by_time([log.frames for log in logs]))
     if n_repeated:

@@ -1,4 +1,4 @@
-"""Finds the column and the unit of each channel by the column names that are usual in tables."""
+"""Finds the column and the unit of each channel by the usual names of columns in tables."""
 
 import math
 import re

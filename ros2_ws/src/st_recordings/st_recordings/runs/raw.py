@@ -99,7 +99,7 @@ def _name_unused_logs(can: CanLog, ins: InsLog, alignment: Alignment) -> list[st
               if last < ins.time_ns[0] or first > ins.time_ns[-1]]
     if not 0 < len(unused) < len(can.files) or alignment.verdict is Verdict.REFUSED:
         return []
-    return [f"{ins.file}: CAN logs of other times are not used: {', '.join(unused)}"]
+    return [f"{ins.file}: CAN logs that do not overlap it in time are not used: {', '.join(unused)}"]
 
 
 def _split_log(can: CanLog) -> list[tuple[int, int]]:

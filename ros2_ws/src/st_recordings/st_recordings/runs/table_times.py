@@ -182,7 +182,7 @@ def _is_hhmmss(times: np.ndarray) -> bool:
 
 def select_usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, first_time: str | None,
                          warnings: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(whether each row has a time, the times [ns], whether each is usable). Raises RunError without usable times."""
+    """(whether each row has a time, the times [ns], whether each is usable). Raises RunError for invalid times."""
     has_time = np.abs(seconds) <= LATEST_TIME
     if first_time is not None and len(seconds) and not np.isfinite(seconds).any():
         raise RunError(file, f"no time in column {source.name} can be read; the first is {first_time!r}",
