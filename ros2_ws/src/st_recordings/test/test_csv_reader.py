@@ -106,6 +106,13 @@ def test_delimiter_at_the_end_of_rows_is_ignored(tmp_path: Path, first: int, del
     assert len(drive.log.ins_time_ns) == 20 and not drive.warnings
 
 
+@pytest.mark.filterwarnings("error")
+def test_blank_fractions_of_seconds_cause_no_message_of_numpy(tmp_path: Path) -> None:
+    lines = [f"{1_700_000_000 + k},,{row.partition(',')[2]}" for k, row in enumerate(rows(50))]
+    table = read_table(write(tmp_path, [HEADER.replace("t,", "secs,nsecs,", 1), *lines]), Layout())
+    assert np.ptp(table.time_ns) == 49 * 10**9
+
+
 def test_times_in_days_of_a_spreadsheet(tmp_path: Path) -> None:
     days = [f"{46146.43 + 0.02 * k / 86400:.9f},{line.partition(',')[2]}" for k, line in enumerate(rows(100))]
     file = write(tmp_path, ["DateTime," + HEADER.partition(",")[2], *days])

@@ -246,8 +246,8 @@ def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layou
         return len({row[source.column] for row in rows if source.column < len(row)})
 
     pair = find_stamp_columns(names)
-    has_fraction = pair is not None and np.nanmax([pair[2] * _parse_number(row[pair[1]]) for line in body.split("\n")
-                                                   if pair[1] < len(row := line.split(delimiter))], initial=0.0) < 1.0
+    has_fraction = pair is not None and not any(pair[2] * _parse_number(row[pair[1]]) >= 1.0 for row in (
+        line.split(delimiter) for line in body.split("\n")) if pair[1] < len(row))
     if "t" in sources and "t" not in {*layout.columns, *layout.units} and not has_fraction:
         finest = max(column_names.find_times(names), key=count_times, default=sources["t"])
         if 2 * count_times(sources["t"]) < count_times(finest):  # whole seconds, and fractions in another column
