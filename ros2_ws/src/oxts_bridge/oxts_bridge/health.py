@@ -136,7 +136,7 @@ class Health:
         status = self._status
         degraded, missing = [], []
         if self._parser.clock.minute is None:
-            degraded.append("absolute time (channel 0): topics with stamps of the unit are not published")
+            degraded.append("absolute time (channel 0): topics stamped by the unit are not published")
         elif self._parser.minute_from_host:
             degraded.append("absolute time (channel 0): minute taken from the host's clock")
         if status.get("Undulation") is None and not self._is_ellipsoidal:

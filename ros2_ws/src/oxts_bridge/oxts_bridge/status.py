@@ -25,7 +25,7 @@ _COUNTER_MODULI = {
 class StatusTracker:
     """Newest value of every field of every channel.
 
-    values: by field name, in the units of the channel table; None: invalid, absent: never sent. raw: newest 8 bytes.
+    values: by field name, in the units of the channel table; None: invalid, absent: never sent. raw: bytes by channel.
     """
 
     def __init__(self) -> None:

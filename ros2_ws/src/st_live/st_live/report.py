@@ -28,8 +28,8 @@ INPUTS_OF_MODE = {"hindsight": "measured inputs", "forecast": "inputs held"}
 def report_results(folder: Path, outcome: Outcome, extra: dict[str, Any], console: Console) -> int:
     """Write and print the results of a run; returns the exit status.
 
-    extra: further entries of summary.json, including `title`. Status 0: every process ended normally, and a prediction
-    was scored or the user stopped the run; 130: the user stopped it before all nodes were up; 1: all other cases.
+    extra: further entries of summary.json, including `title`. Status 0: no process failed or was restarted, and
+    a prediction was scored or the user stopped the run; 130: it was stopped before all nodes were up; 1: other cases.
     """
     if outcome.interrupted and not outcome.statuses:
         console.print("the run was stopped before all nodes were up")
@@ -57,7 +57,7 @@ def report_results(folder: Path, outcome: Outcome, extra: dict[str, Any], consol
         console.print(f"  {escape(str(folder / name))}  [dim]{content}[/dim]", highlight=False, soft_wrap=True)
     has_scores = any(modes["hindsight"]["n_starts"] for modes in summary["models"].values())
     if not has_scores:
-        console.print("[yellow]no prediction was scored: the run is shorter than a horizon, or an input is missing")
+        console.print("[yellow]no prediction was scored; possible causes: run too short, car at rest, input missing")
         console.print(escape(outcome.health.rstrip()), highlight=False, soft_wrap=not console.is_terminal)
     return 0 if outcome.ok and (has_scores or outcome.interrupted) else 1
 
@@ -139,7 +139,7 @@ def _draw_errors(axes: Axes, results: Results, mode: str, quantity: str) -> None
 
 
 def describe_incomplete(models: dict[str, Any]) -> str:
-    """Number of predictions of a model without a complete score, by mode; "" if none. models: as in summary.json."""
+    """Predictions per model without a complete score, by mode; a range if models differ. models: see summary.json."""
     counts = {mode: sorted({modes[mode]["n_incomplete"] for modes in models.values() if mode in modes})
               for mode in TABLE_MODES}
     return ", ".join(f"{mode} {' to '.join(map(str, dict.fromkeys((numbers[0], numbers[-1]))))}"

@@ -125,7 +125,7 @@ def _make_pending_verdict(driving_time: float) -> Verdict:
 
 
 def _make_verdict(findings: Sequence[Finding], previous_faults: Set[str], duration: float) -> Verdict:
-    """Verdict on findings, worst first. previous_faults: names of those of the last check. duration: of data [s]."""
+    """Verdict on findings, worst first. previous_faults: fault names of the last check. duration: of the data [s]."""
     values = {}
     for finding in findings:
         interval = finding.interval
