@@ -235,7 +235,7 @@ def _make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--can-channel", default="239.74.163.2", help="channel of that interface")
     parser.add_argument("--can-rate", choices=("realistic", "full"), default="realistic",
                         help="frames of the car: realistic (default): steering, wheel speeds and gear, 217 per second; "
-                             "full: also the other frames of a Leaf, in total 1750 per second")
+                             "full: also the other frames of a Leaf, about 1750 per second in all")
     parser.add_argument("--output", type=Path, metavar="DIR",
                         help="folder for truth.mcap, or truth_2.mcap and so on if it exists")
     parser.add_argument("--to-files", type=Path, metavar="DIR",

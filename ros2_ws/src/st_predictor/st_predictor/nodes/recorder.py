@@ -31,7 +31,7 @@ RESUME_PERIOD = 5.0  # s between attempts to resume in a new bag, for example af
 RESUME_SPACE = 200_000_000  # bytes of free disk space required for a new bag
 RESUME_WARNING_DURATION = 10.0  # s; duration of the warning about a resumed recording
 DIAGNOSTICS = "/diagnostics"
-SILENCE_TIMEOUT = 10.0  # s until a silent node is reported; all but markers publish /diagnostics once a second
+SILENCE_TIMEOUT = 10.0  # s until a silent node is reported; the recorded nodes publish /diagnostics every second
 QUEUE_DEPTH = 1000  # queued messages per topic: 4 s at 250 Hz, for a slow disk
 
 
