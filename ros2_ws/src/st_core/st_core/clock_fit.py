@@ -67,8 +67,8 @@ def resample(time: np.ndarray, values: np.ndarray, cutoff: float, is_angle: bool
 
 
 def rate_noise(interval: float, cutoff: float) -> float:
-    """Standard deviation [1/s] of the rate that `resample` gives of an angle with white noise of standard deviation 1
-    in samples `interval` [s] apart: from the gain of interpolation, both passes of the filter and the difference."""
+    """Standard deviation [1/s] of the rate from `resample` for an angle with white noise of standard deviation 1 in
+    samples `interval` [s] apart: from the gain of interpolation, both passes of the filter and the difference."""
     interval = max(interval, 1.0 / RATE)
     frequency, response = sosfreqz(butter(4, cutoff, fs=RATE, output="sos"), 4096, fs=RATE)
     gain = np.square(np.abs(response) * np.sinc(frequency * interval)) * np.sin(2.0 * np.pi * frequency / RATE) * RATE

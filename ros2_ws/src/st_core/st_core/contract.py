@@ -1,7 +1,7 @@
 """Requirements on every effect, which `st effects check` applies to library and user-defined effects.
 
-Each function in `REQUIREMENTS` compares a base model with and without the effect, and returns one line that describes
-the violation, or "". Checked by: test_contract.py.
+Each function in `REQUIREMENTS` examines a base model with the effect, and returns one line that describes the
+violation, or "". Checked by: test_contract.py.
 """
 
 import importlib.util
@@ -95,7 +95,7 @@ def _check_backends(effect: type[Effect], vehicle: VehicleParameters, base: Mode
         reference = floats if path.shape == floats.shape else floats[:, -1]
         difference = np.abs(path - reference) / np.maximum(1.0, np.abs(reference))
         if not (difference < ROUNDING).all():
-            return f"{name} and floats differ by {float(np.nanmax(difference)):.2g} in the {base.name} model"
+            return f"{name} and floats differ by {float(difference.max()):.2g} in the {base.name} model"
     return ""
 
 
@@ -171,7 +171,7 @@ def _make_start(speed: float, side: float = 1.0) -> tuple[float, ...]:
 
 def _predict_floats(model: Model, vehicle: VehicleParameters, speed: float = 12.0, side: float = 1.0,
                     acceleration: float = 0.8) -> np.ndarray:
-    """States (STEPS + 1, 6) computed on floats."""
+    """States (STEPS + 1, 6) computed with floats."""
     inputs = InputSequence(*_make_driver_inputs(side, acceleration), signals=_make_signals(model, side))
     return predict(model, vehicle, VehicleState(*_make_start(speed, side)), inputs, STEP * STEPS, STEP).states
 

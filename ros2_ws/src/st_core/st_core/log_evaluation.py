@@ -225,7 +225,7 @@ def regular_starts(log: DriveLog, interval: float) -> np.ndarray:
 
 def usable_starts(signals: LogSignals, vehicle: VehicleParameters, requested: np.ndarray,
                   minimum_speed: float) -> tuple[np.ndarray, dict[str, int]]:
-    """(requested starts [ns] with known inputs and |v_x| >= minimum_speed [m/s] at the CG, other starts by reason)."""
+    """(starts [ns] with known inputs and |v_x| >= minimum_speed [m/s] at the CG, count of others by reason)."""
     speed, yaw_rate, acceleration = signals.ins_at(requested, "velocity_x", "yaw_rate", "velocity_x_dot")
     angle = signals.road_wheel_angle_at(requested)
     no_ins, no_steering = np.isnan(speed) | np.isnan(acceleration), np.isnan(angle)
@@ -321,7 +321,7 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
 
 
 def _merge_instants(starts_ns: np.ndarray, after_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(instants [ns], index): instants[index[k, i]] is start i plus after_ns[k]; overlapping starts share instants."""
+    """(instants [ns], index): instants[index[k, i]] is start i plus after_ns[k]; overlapping horizons share them."""
     half, span = int(after_ns[1]), int(starts_ns[-1] - starts_ns[0] + after_ns[-1])
     from_first = starts_ns - starts_ns[0]
     grid = np.array_equal(after_ns, half * np.arange(len(after_ns))) and not np.any(from_first % half)

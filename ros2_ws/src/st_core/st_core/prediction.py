@@ -72,9 +72,9 @@ def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState,
     """Trajectory of one model from one state, by RK4 with a fixed step; the first of its steps + 1 states is the start.
 
     inputs: constant over the horizon (ControlInput), or on the half-step grid (InputSequence of 2 * steps + 1 values).
-    horizon, step [s]: the horizon must be a whole number of steps. substeps: number >= 1 of integration steps per step,
-    with inputs interpolated linearly; see `integrate.required_substeps`. NaN in the state or an input makes all
-    states that depend on it NaN. Raises StCoreError for inputs of the wrong length and for a missing signal.
+    horizon, step [s]. substeps: number >= 1 of integration steps per step, with inputs interpolated linearly; see
+    `integrate.required_substeps`. NaN in the state or an input makes dependent states NaN. Raises StCoreError for
+    inputs of the wrong length, a missing signal, an unknown model, and a horizon that is not a whole number of steps.
     """
     model = get_model(model)
     p, steps = model.parameters(vehicle), step_count(horizon, step)
@@ -230,7 +230,7 @@ class Predictor:
         return problem or plan.sequence(start.time_ns, settings.steps, settings.step)
 
     def run(self, start: Start, model: str, future_inputs: InputSequence | None = None) -> Trajectory:
-        """The trajectory of one model from a start, at the CG of the model (`car`).
+        """The trajectory of a configured model (else ConfigurationError) from a start, at the CG of the model (`car`).
 
         future_inputs: on the half-step grid of the horizon, from a plan (`plan_inputs`) or a course; None: constant.
         """
@@ -264,7 +264,7 @@ class CompiledModel:
     """
 
     def __init__(self, model: Model, vehicle: VehicleParameters, settings: PredictionSettings):
-        """Raises ConfigurationError if numba cannot compile the model."""
+        """Raises ConfigurationError if numba is not installed or cannot compile the model."""
         self._lanes: ModuleType = get_backend("lanes")
         self._model, self._parameters = model, model.parameters(vehicle)
         self._step = settings.step
@@ -283,7 +283,7 @@ class CompiledModel:
         """
         model, p, lanes = self._model, self._parameters, self._lanes.LANES
         angle, acceleration = inputs.road_wheel_angle, inputs.velocity_x_dot
-        # Only the first column is used; the others need only be finite.
+        # Only the first column is used; the values in the others do not matter.
         if isinstance(inputs, ControlInput):
             first = model.inputs(float(angle), float(acceleration), p)
             table, offsets = np.repeat(np.array(first, float)[:, None], lanes, axis=1), self._constant_rows
@@ -322,8 +322,8 @@ def compile_model(model: Model, vehicle: VehicleParameters, settings: Prediction
                 difference = np.abs(compiled - expected) / np.maximum(1.0, np.abs(expected))
             # Both must be finite at the same points (a spin with a long step diverges), and agree there.
             if not np.array_equal(finite, np.isfinite(compiled)) or (difference[finite] > TOLERANCE).any():
-                worst = float(np.nanmax(np.where(finite, difference, 0.0)))
-                raise ConfigurationError(f"the compiled {model.name} differs from the interpreted model by {worst:.1e}")
+                worst = float(difference[finite & np.isfinite(compiled)].max(initial=0.0))
+                raise ConfigurationError(f"the compiled {model.name} differs from floats by {worst:.1e} where finite")
     return result
 
 

@@ -246,7 +246,7 @@ class VehicleParameters:
 
     @cached_property
     def hash(self) -> str:
-        """sha256 (hex) of all values in SI, without name, sources, provenance and optional quantities at defaults."""
+        """sha256 (hex) of all values in SI, without name, sources, provenance and OPTIONAL_QUANTITIES at defaults."""
         values = {key: getattr(self, key) for key in VEHICLE_QUANTITIES
                   if getattr(self, key) != getattr(VehicleParameters, key, None)}
         values |= {f"{tyre}.{key}": getattr(getattr(self, tyre), key) for tyre in TYRES for key in TYRE_QUANTITIES}

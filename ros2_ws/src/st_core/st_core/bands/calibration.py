@@ -145,7 +145,7 @@ def check_levels(levels: Sequence[float], runs: int) -> None:
         if level > compute_highest_level(runs) + ROUNDING_TOLERANCE:
             verb = "run supports" if runs == 1 else "runs support"
             raise StCoreError(f"{runs} {verb} levels up to {compute_highest_level(runs):.1%}, n/(n + 1), not "
-                              f"{level:.0%}: give {count_required_runs(level)} runs or more, or a lower --level")
+                              f"{100 * level:.6g}%: give {count_required_runs(level)} runs or more, or a lower --level")
 
 
 def compute_conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[float]) -> np.ndarray:
@@ -198,8 +198,8 @@ def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
 
     A run is scored with a scale fitted to other runs (cross-fitting), because scores of runs used in the fit would be
     too small. Windows with conditions z outside the domain of the other runs are ignored. time: (points,) [s ahead].
-    Raises a one-line StCoreError for too few runs with common conditions, an invalid level (`check_levels`), and errors
-    that are not finite.
+    Raises a one-line StCoreError for too few runs with common conditions, an invalid level (`check_levels`), errors
+    that are not finite, and a scale that cannot be fitted.
     """
     check_levels(levels, len(runs))
     if len(runs) < MIN_CALIBRATION_RUNS:
