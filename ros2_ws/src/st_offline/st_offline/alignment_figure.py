@@ -82,7 +82,7 @@ def _draw_correlation(ax: plt.Axes, signals: Sequence[SharedSignal], alignment: 
 
 
 def _draw_lags(ax: plt.Axes, signals: Sequence[SharedSignal], alignment: Alignment) -> None:
-    ax.set_title("Residual lag of each 30 s window")
+    ax.set_title("Residual lags of 30 s windows")
     lags = residual_lags(signals, alignment)
     if not lags:
         ax.text(0.5, 0.5, "no 30 s window determines the lag", transform=ax.transAxes, ha="center")

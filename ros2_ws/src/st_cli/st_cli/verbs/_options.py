@@ -170,7 +170,7 @@ class RunOptions:
         help="Model file (model.yaml of `st discover`), run alongside kinematic, linear and nonlinear.", **FILE)] = None
     effects: ModelEffects = None
     bands: Annotated[Path | None, typer.Option(
-        help="Bands around every prediction (bands.yaml of `st calibrate`).", **FILE)] = None
+        help="Bands around the predictions (bands.yaml of `st calibrate`).", **FILE)] = None
     adaptive: Annotated[bool | None, typer.Option(
         "--adaptive/--no-adaptive", help="Adapt the bands to the errors of the run; without --bands they appear "
         "after two minutes of driving. Default: as in config/nodes.yaml (yes).")] = None
