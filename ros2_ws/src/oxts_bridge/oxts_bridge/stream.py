@@ -17,7 +17,7 @@ _CLOCK_SAMPLES = 1000  # number of stored clock offsets: four seconds at 250 Hz
 class ReceivedPacket:
     """One accepted packet."""
 
-    packet: Packet  # values, NaN where the navigation status declares them invalid
+    packet: Packet  # values, NaN if invalid or, for a position, impossible
     raw: bytes  # the 72 bytes
     offset: int  # index of the first byte in the stream
     kind: str  # regular, status, trigger or empty (no valid part)
