@@ -35,7 +35,7 @@ def test_latency_of_the_steering_that_changes_is_not_a_clock_of_another_rate(lea
     checked = check(log, leaf)
     (finding,) = checked.findings
     assert finding.name == "steering_lag" and finding.interval[0] < seconds < finding.interval[1]
-    assert finding.text.startswith("in the second half of the drive, ") and finding.advice.kind == "text"
+    assert finding.text.startswith("in the last 100 s of the drive, ") and finding.advice.kind == "text"
     assert "steering_lag" not in checked.estimates
 
 
@@ -176,8 +176,15 @@ def test_fault_that_begins_or_grows_is_found_in_the_second_half(leaf, name):
     log = CHANGES[name](exact_drive(leaf, 160.0, rate=20.0))
     finding, *others = [one for one in check(log, leaf).findings if one.severity is not Severity.NOTE]
     assert finding.name == name and not others and finding.advice.kind == "text"
-    assert finding.text.startswith("in the second half of the drive, ") and "; in the other half" in finding.text
+    assert finding.text.startswith("in the last 80 s of the drive, ") and "; in the first 80 s" in finding.text
     assert finding.times == (pytest.approx((80.0, 160.0), abs=0.1),)
+
+
+def test_parts_of_a_long_drive_are_limited(leaf):
+    log = CHANGES["yaw_rate_bias"](exact_drive(leaf, 900.0, rate=10.0))
+    (finding,) = check(log, leaf).findings
+    assert finding.times == (pytest.approx((600.0, 900.0), abs=0.2),)
+    assert finding.text.startswith("in the last 300 s of the drive, ")
 
 
 def test_constant_fault_is_one_of_the_whole_drive(leaf):
@@ -207,7 +214,7 @@ def test_unit_of_the_accelerations_is_no_unit_of_length(leaf, factor):
 def test_steering_that_is_unrelated_in_a_half_with_little_steering_is_no_change(name, is_reported):
     finding = Finding(name, Severity.WARNING, ("road_wheel_angle",), "differs", 0.3)
     whole, half = DriveCheck((), {}, ()), DriveCheck((finding,), {}, ())
-    assert bool(_report_changes(whole, [half, whole], [0.0, 60.0, 120.0]).findings) is is_reported
+    assert bool(_report_changes(whole, [half, whole], [(0.0, 60.0), (60.0, 120.0)]).findings) is is_reported
 
 
 @pytest.mark.parametrize(("other", "is_reported"), [("velocity_scale", False), ("yaw_rate_bias", True)])
@@ -216,5 +223,5 @@ def test_bias_of_velocity_that_is_a_scale_in_a_half_at_constant_speed_is_no_chan
                    for name, value in (("velocity_x_bias", 0.4), (other, 1.07)))
     halves = [DriveCheck((one,), {}, (), {name: (neutral_value(name), -0.02, 0.02)})
               for one, name in ((bias, other), (found, "velocity_x_bias"))]
-    checked = _report_changes(DriveCheck((bias,), {}, ()), halves, [0.0, 60.0, 120.0])
-    assert any("in the other half" in finding.text for finding in checked.findings) is is_reported
+    checked = _report_changes(DriveCheck((bias,), {}, ()), halves, [(0.0, 60.0), (60.0, 120.0)])
+    assert any(finding.times for finding in checked.findings) is is_reported

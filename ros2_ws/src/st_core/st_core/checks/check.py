@@ -44,9 +44,10 @@ ESTIMATES_BIASED_BY_SIDESLIP = ("steering_lag", "yaw_rate_lag", "yaw_lag")
 EXPLAINED_BY_YAW_LAG = ("yaw_rate_lag", "position_lag", "position_reference", "steering_lag")
 MAX_INS_DISTANCE = 3.0  # m; largest distance of the INS ahead of the rear axle
 MAX_REAR_COMPLIANCE = 0.01  # rad s^2/m; rear cornering compliance (slip angle per a_y): road cars 0.003 to 0.008
-MIN_HALF_DURATION = 40.0  # s; shortest half of a drive that is compared with the other: 8 blocks of the bootstrap
-MIN_CHANGE = 0.5  # fraction of the deviation; if the halves differ by less, one correction removes at least half of it
-VARY_WITH_DRIVING = ("heading_misaligned", "measuring_point", "steering_unrelated")  # not compared between halves
+MIN_PART_DURATION = 40.0  # s; shortest first and last part of a drive that are compared: 8 blocks of the bootstrap
+MAX_PART_DURATION = 300.0  # s; longest: the check of an hour takes 17 % longer than without parts
+MIN_CHANGE = 0.5  # fraction of the deviation; if the parts differ by less, one correction removes at least half of it
+VARY_WITH_DRIVING = ("heading_misaligned", "measuring_point", "steering_unrelated")  # not compared between parts
 MIN_INS_SAMPLES = 50  # with fewer samples, only implausible samples and time stamps are reported
 
 
@@ -73,17 +74,18 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
     The order is: sampling; units, signs and axes; relations valid for any vehicle (position, yaw, velocity,
     accelerations, other speeds); and, with a vehicle, comparison with it and trial of the corrections. Each check uses
     a copy corrected for the faults found before. No content of a recording raises an exception: channels that are too
-    short or too inaccurate are not compared. Both halves of a long drive are also checked, as faults may begin or grow.
+    short or too inaccurate are not compared. The first and last part are also checked, as faults may begin or grow.
     """
     auxiliary = auxiliary or AuxiliaryData()
     start_ns = next(iter(log.ins_time_ns[:1].tolist()), 0) if auxiliary.start_ns is None else auxiliary.start_ns
     result = _check_part(log, vehicle, auxiliary, start_ns)
-    if log.duration >= 2.0 * MIN_HALF_DURATION:
+    if log.duration >= 2.0 * MIN_PART_DURATION:
         first, last = log.ins_time_ns[[0, -1]].tolist()
-        middle = (first + last) // 2
-        halves = [_check_part(log.slice(*span), vehicle, replace(auxiliary, implausible=()), start_ns)
-                  for span in ((log.start_ns, middle - 1), (middle, log.end_ns))]
-        result = _report_changes(result, halves, [(t - start_ns) * NANOSECOND for t in (first, middle, last)])
+        duration = min((last - first) // 2, round(MAX_PART_DURATION / NANOSECOND))
+        parts = [_check_part(log.slice(*span), vehicle, replace(auxiliary, implausible=()), start_ns)
+                 for span in ((log.start_ns, first + duration - 1), (last - duration, log.end_ns))]
+        result = _report_changes(result, parts, [((start - start_ns) * NANOSECOND, (end - start_ns) * NANOSECOND)
+                                                 for start, end in ((first, first + duration), (last - duration, last))])
     # Within each severity, accelerations are last, since no prediction depends on them.
     findings = sorted(result.findings, key=lambda finding: (
         [*Severity].index(finding.severity), finding.concerns_only_acceleration, -(finding.effect or np.inf)))
@@ -93,46 +95,46 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
         name: values for name, values in result.estimates.items() if name not in ambiguous})
 
 
-def _report_changes(whole: DriveCheck, halves: list[DriveCheck], ends: list[float]) -> DriveCheck:
-    """The result for a drive. If an error or warning changes between the halves, findings with an interval are taken
-    from the halves, because the change may cause false ones in the whole drive, and there are no estimates.
-    ends: start, middle and end [s]."""
+def _report_changes(whole: DriveCheck, parts: list[DriveCheck], times: list[tuple[float, float]]) -> DriveCheck:
+    """The result for a drive. If an error or warning changes between its first and last part, findings with an interval
+    are taken from the parts, because the change may cause false ones in the whole drive, and there are no estimates.
+    times: start and end of each part [s]."""
     ranked: list[tuple[tuple[bool, int, float], Finding]] = []
-    for k, half in enumerate(halves):
-        for finding in half.findings:
+    places = [f"in the {name} {end - start:.0f} s" for name, (start, end) in zip(("first", "last"), times, strict=True)]
+    for k, part in enumerate(parts):
+        for finding in part.findings:
             rank = -[*Severity].index(finding.severity), abs((finding.value or 0.0) - neutral_value(finding.name))
-            if change := _describe_change(finding, halves[1 - k], whole):
-                statement = f"in the {('first', 'second')[k]} half of the drive, {finding.statement.removesuffix('?')}"
+            if change := _describe_change(finding, parts[1 - k], places[1 - k], whole):
+                statement = f"{places[k]} of the drive, {finding.statement.removesuffix('?')}{change}"
                 advice = Advice("text", "split the recording where this changes: no correction fits the whole drive")
-                ranked.append(((True, *rank), replace(finding, statement=statement + change, advice=advice,
-                                                      times=((ends[k], ends[k + 1]),))))
+                ranked.append(((True, *rank), replace(finding, statement=statement, advice=advice, times=(times[k],))))
             elif not finding.times:
                 ranked.append(((False, *rank), finding))
-    in_halves = {finding.name: finding for _, finding in sorted(ranked, key=lambda pair: pair[0])}  # the last one stays
+    in_parts = {finding.name: finding for _, finding in sorted(ranked, key=lambda pair: pair[0])}  # the last one stays
     changed = {finding.name for (is_changed, *_), finding in ranked if is_changed}
     if not changed:
         return whole
-    constant = [f for f in whole.findings if f.times or (f.interval is None and f.name in in_halves.keys() - changed)]
-    remaining = [f for f in in_halves.values() if f.name not in {f.name for f in constant}]
+    constant = [f for f in whole.findings if f.times or (f.interval is None and f.name in in_parts.keys() - changed)]
+    remaining = [f for f in in_parts.values() if f.name not in {f.name for f in constant}]
     return replace(whole, findings=(*constant, *remaining), estimates={})
 
 
-def _describe_change(finding: Finding, other: DriveCheck, whole: DriveCheck) -> str:
-    """Clause about the value in the other half of the drive, if it is significantly different; otherwise ""."""
+def _describe_change(finding: Finding, other: DriveCheck, place: str, whole: DriveCheck) -> str:
+    """Clause about the value in the other part of the drive, at `place`, if it differs significantly; otherwise ""."""
     name, value, interval = finding.name, finding.value, finding.interval
     if (finding.times or finding.severity is Severity.NOTE or name in VARY_WITH_DRIVING
             or finding.concerns_only_acceleration or finding.channels == LENGTH_CHANNELS
             or any(f.name in position.CONFOUNDED.get(name, ()) for f in other.findings)):  # the same effect
         return ""
     if value is None or interval is None:
-        return "" if name in {f.name for f in (*other.findings, *whole.findings)} else ", but not in the other half"
+        return "" if name in {f.name for f in (*other.findings, *whole.findings)} else f", but not {place}"
     there = other.estimates.get(name) or next(
         ((f.value, *f.interval) for f in other.findings if f.name == name and f.value is not None and f.interval), None)
     if there is None or abs(there[0] - value) <= max(float(np.hypot(value - interval[0], there[0] - there[1])),
                                                      MIN_CHANGE * abs(value - neutral_value(name))):
         return ""
     unit = "" if finding.unit == "1" else f" {finding.unit}"
-    return f"; in the other half, the value is {there[0]:.3g} ({there[1]:.3g} to {there[2]:.3g}){unit}"
+    return f"; {place}, the value is {there[0]:.3g} ({there[1]:.3g} to {there[2]:.3g}){unit}"
 
 
 def _check_part(log: DriveLog, vehicle: VehicleParameters | None, auxiliary: AuxiliaryData,
