@@ -19,7 +19,7 @@ setup(
     zip_safe=False,
     maintainer='The single-track authors',
     maintainer_email='single-track@example.org',
-    description='Predictor, evaluator and recorder nodes and the launch files of the suite.',
+    description='Predictor, evaluator, recorder, markers and identifier nodes, and the launch files of the suite.',
     license='Apache-2.0',
     entry_points={
         'console_scripts': [
