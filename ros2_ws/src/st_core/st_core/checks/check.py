@@ -82,10 +82,11 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
     if log.duration >= 2.0 * MIN_PART_DURATION:
         first, last = log.ins_time_ns[[0, -1]].tolist()
         duration = min((last - first) // 2, round(MAX_PART_DURATION / NANOSECOND))
+        middle, late = first + duration, last - duration
         parts = [_check_part(log.slice(*span), vehicle, replace(auxiliary, implausible=()), start_ns)
-                 for span in ((log.start_ns, first + duration - 1), (last - duration, log.end_ns))]
-        result = _report_changes(result, parts, [((start - start_ns) * NANOSECOND, (end - start_ns) * NANOSECOND)
-                                                 for start, end in ((first, first + duration), (last - duration, last))])
+                 for span in ((log.start_ns, middle - 1), (late, log.end_ns))]
+        result = _report_changes(result, parts, [tuple((t - start_ns) * NANOSECOND for t in span)
+                                                 for span in ((first, middle), (late, last))])
     # Within each severity, accelerations are last, since no prediction depends on them.
     findings = sorted(result.findings, key=lambda finding: (
         [*Severity].index(finding.severity), finding.concerns_only_acceleration, -(finding.effect or np.inf)))
