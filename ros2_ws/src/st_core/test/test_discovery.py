@@ -426,7 +426,7 @@ def test_short_run_is_left_out_with_a_warning(leaf):
     runs = recorded(leaf, {}, 1)
     short = replace(runs[0].slice(runs[0].start_ns, runs[0].start_ns + 4_000_000_000), name="stub")
     found = discover([short, *runs[1:]], leaf, settings=FEW)
-    assert any("run stub: shorter than" in text for text in found.warnings)
+    assert any("run stub: not used, INS and steering overlap" in text for text in found.warnings)
     assert [r.name for r in found.runs] == ["slalom 2", "circle 3"]
 
 

@@ -244,7 +244,7 @@ def decide(limits: Limits, named: Sequence[Evidence], rivals: Mapping[str, Seque
     """The outcome and its reason.
 
     noise_ratio: ratio of the residual to the noise [1].
-    detectable_share: fraction of the library detectable in these drives at a size of one parameter scale [1].
+    detectable_share: fraction of the library reported, or detectable at sizes up to one parameter scale [1].
     n_varying: number of effects that vary between parts of the drives.
     combinations: parameter combinations that differ from the vehicle file and that no named effect changes.
     n_effects: number of effects in the model.

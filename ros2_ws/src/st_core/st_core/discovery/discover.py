@@ -245,9 +245,9 @@ class _Analysis:
 
     def _select_usable(self, runs: Sequence[DriveLog], role: str) -> list[DriveLog]:
         """The runs that are long enough; warns about the others."""
-        short = [run.name for run in runs if run.overlap < self._required_duration]
-        if short:
-            self.warnings.append(f"{role} {', '.join(short)}: shorter than {self._required_duration:.0f} s, not used")
+        if short := [run.name for run in runs if run.overlap < self._required_duration]:
+            self.warnings.append(f"{role} {', '.join(short)}: not used, INS and steering overlap for less than "
+                                 f"{self._required_duration:.1f} s")
         return [run for run in runs if run.overlap >= self._required_duration]
 
     def _correct_clocks(self, runs: list[DriveLog], deviations: Mapping[str, float]) -> list[DriveLog]:
@@ -297,7 +297,7 @@ class _Analysis:
                                  "from changes of the car")
 
     def _list_assumed(self) -> tuple[result.AssumedQuantity, ...]:
-        """The quantities of the vehicle file that are used as priors."""
+        """The quantities of the vehicle file that serve as priors or for comparison."""
         return tuple({q.key: result.AssumedQuantity(q.key, q.unit, q.value, q.deviation, q.stated)
                       for q in self.problem.quantities if q is not None}.values())
 

@@ -156,7 +156,7 @@ def find_error_regions(runs: Sequence[DriveLog], model: AugmentedModel, vehicle:
 
 def compute_window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters,
                           settings: DiscoverySettings, acceleration_gain: float = 0.0) -> Samples:
-    """Errors and conditions of all windows of the runs: squared errors at the end of the horizon for channels with
+    """Errors and conditions of windows with known values: squared errors at the end of the horizon for channels with
     accumulating errors, mean squared errors over the first SHORT_HORIZON for the others."""
     windows = Windows(runs, vehicle, settings)
     short = windows.time <= max(SHORT_HORIZON, float(windows.time[0]))

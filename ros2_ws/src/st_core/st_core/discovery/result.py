@@ -89,7 +89,7 @@ class FoundEffect:
 
 @dataclass(frozen=True)
 class AssumedQuantity:
-    """A quantity of the vehicle file used as a prior: value and standard deviation [unit]."""
+    """A quantity of the vehicle file used as a prior or for comparison: value and standard deviation [unit]."""
 
     key: str
     unit: str
@@ -150,7 +150,7 @@ class CandidateEffect:
     kind: str
     parameters: Mapping[str, float]
     gain: float  # relative reduction of the RMS error [1]
-    verdict: str  # the rule of `decision` that applied
+    verdict: str  # the rule of `decision` that applied; "included" if the effect overlaps one of the model
     reason: str  # as text
 
 
