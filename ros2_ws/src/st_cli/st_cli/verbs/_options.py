@@ -101,8 +101,8 @@ class ReadOptions:
         callback=in_range(0.0, "s", 1.0), help="Delay from steering wheel motion to the stamp of its frame, s. "
         "Default: from --car, else 0; live: else from config/nodes.yaml.")] = None
     steering_topic: Annotated[str | None, typer.Option(
-        help="Bags of other recorders: topic with the steering angle, of any type defined in the bag. Default: the "
-        "topic of type st_msgs/Steering.")] = None
+        help="Bags of other recorders: topic with the steering angle, of any type defined in the bag. Default: that "
+        "of type st_msgs/Steering, else the only steering report of a known type.")] = None
     steering_field: Annotated[str | None, typer.Option(
         help="Message field with the steering angle: data (default), drive.steering_angle, ... Without "
         "--steering-topic: column of a CSV or VBO file.")] = None
@@ -112,8 +112,8 @@ class ReadOptions:
     steering_unit: Annotated[Literal["rad", "deg"] | None, typer.Option(
         help="Unit of the steering angle; default: the unit in the name of the field or column, else rad.")] = None
     odometry_topic: Annotated[str | None, typer.Option(
-        help="Bags with several topics of type nav_msgs/Odometry, NavSatFix or Imu: those of the INS, separated by "
-        "commas.")] = None
+        help="Bags with several INS: the topic of type nav_msgs/Odometry, or those of types such as NavSatFix and Imu, "
+        "separated by commas.")] = None
 
     def resolve(self, **others: Any) -> "tuple[Path | None, ReadSettings]":
         """(vehicle file or None, settings for reading), from options and --car. others: further fields of ReadSettings.
