@@ -239,7 +239,7 @@ def _make_clock_finding(agreement: Agreement, lateral_shift: float) -> Finding:
 
 
 def _make_lag_finding(lag: Estimate, agreement: Agreement, response: float, lateral_shift: float) -> Finding | None:
-    """Finding about a lag beyond the response time [s] of the car; None if it is small."""
+    """Finding about a lag beyond the response time [s] of the car; None if small or insignificant."""
     if not lag.is_significant or not agreement.expected_lag_rejected or abs(lag.value) < LIMITS.steering_lag:
         return None
     # The steering error, integrated over the lag [rad s], acts like a constant error of 2 / HORIZON times the integral.
@@ -363,7 +363,7 @@ def _fit_rear_axle(problem: Regression, vehicle: VehicleParameters, speed_varies
 
 
 def _make_point_finding(point: Estimate, slip: Estimate, motion: Motion, vehicle: VehicleParameters) -> Finding | None:
-    """Finding about a displaced INS point; None if it is small. slip: of the rear axle, see `_fit_rear_axle`.
+    """Finding about a displaced INS point; None if small or uncertain. slip: of the rear axle, see `_fit_rear_axle`.
 
     Rear wheels steered by k times the front angle act like a point k wheelbases further ahead. A k that depends on the
     speed changes the slip too, so there is no correction if the slip does not agree with the vehicle file.

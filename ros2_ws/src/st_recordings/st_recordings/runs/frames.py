@@ -48,7 +48,7 @@ class CanLog:
     start_ns: int  # start of the first session from its header, or else time of the first frame
     is_utc: bool = True  # whether times are UTC by the logger's clock; otherwise since the start of the log
     warnings: tuple[str, ...] = ()
-    spans: tuple[tuple[int, int], ...] = ()  # first and last time [ns] of each file, if the log was read from several
+    spans: tuple[tuple[int, int], ...] = ()  # first and last time [ns] of each file, from `read_can_logs`
     steps: tuple[tuple[int, float], ...] = ()  # clock steps as returned by `remove_clock_steps`
 
 

@@ -65,7 +65,7 @@ def _describe(steering: SteeringField) -> str:
 
 
 def _find_steering(path: Path, files: Sequence[Path] = ()) -> SteeringField | None:
-    """The steering angle of the only measured topic of a type in _STEERING_TYPES; None for a bag with st_msgs."""
+    """The steering angle of the only measured topic of a type in _STEERING_TYPES; None if the suite recorded it too."""
     with suppress(RunError):
         storage = open_bag(path, files)
         known_types = _STEERING_TYPES.keys() & {*storage.store.fielddefs, *storage.definitions()}
@@ -77,7 +77,7 @@ def _find_steering(path: Path, files: Sequence[Path] = ()) -> SteeringField | No
 
 
 def _is_command(steering: SteeringField) -> bool:
-    """Whether topic and field have names of a command, such as /control/command, but not /controller/state."""
+    """Whether topic or field has the name of a command, such as /control/command, but not /controller/state."""
     topic = steering.topic.rpartition("/")[2]
     return bool(_COMMAND.search(steering.field) or (
         _COMMAND_TOPIC.search(f"{steering.topic} {steering.field}") and not _MEASUREMENT.search(topic)))
