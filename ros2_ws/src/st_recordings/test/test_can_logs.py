@@ -158,7 +158,7 @@ def test_only_the_times_between_two_opposite_clock_steps_are_corrected(tmp_path:
                             for k in range(400)))
     log = read_can_logs([file])
     assert np.allclose(log.frames.time_ns * 1e-9, 2000 + 0.001 * np.arange(400), atol=0.002) and not log.steps
-    assert f"clock was wrong by {error:+.3f} s for 0.099 s; the times then were" in log.warnings[0]
+    assert f"clock was wrong by {error:+.3f} s for 0.099 s; these times were" in log.warnings[0]
 
 
 @pytest.mark.parametrize("count", [1, 150])

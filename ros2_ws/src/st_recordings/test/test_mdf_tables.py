@@ -152,7 +152,7 @@ def test_texts_arrays_and_repeated_names(tmp_path):
             file = mdf.save(tmp_path / f"{name}.mf4")
         warnings: list[str] = []
         read_signals(file, Layout(), warnings)
-        assert warnings == [f"{file}: 2 signals have the name of x; the one with the most samples is used"]
+        assert warnings == [f"{file}: 2 signals share the name x; the one with the most samples is used"]
         with pytest.raises(RunError, match=f"column {name} has no numbers, but text such as '{text}'"):
             read(find_runs([file])[0], CAR)
 

@@ -93,7 +93,7 @@ CAUSES = {
     "velocity_y_scale": Cause(("velocity_y",), "velocity_y", "scale", "1", "velocity_y is {value:.3f} ± {half:.3f} "
                               "times its value from positions, yaw and velocity_x"),
     "yaw_offset": Cause(("yaw",), "yaw", "add", "rad", "yaw points {size:.4f} ± {half:.4f} rad ({degrees:.2f} deg) too "
-                        "far {side}, according to positions and velocities: or is the map rotated?"),
+                        "far {side} according to positions and velocities, or is the map rotated?"),
     "position_lag": Cause(("x", "y"), "position", "earlier", "s",
                           "positions {lag} velocity and yaw by {size:.3f} ± {half:.3f} s"),
     "velocity_lag": Cause(("velocity_x", "velocity_y"), "velocity", "earlier", "s",

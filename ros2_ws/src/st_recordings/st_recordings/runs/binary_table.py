@@ -231,7 +231,7 @@ def read_signals(file: Path, layout: Layout, warnings: list[str]) -> tuple[list[
             column = pd.Series(samples[is_valid], time_us[is_valid] / 1e6, name=name)
             columns.append(column[~column.index.duplicated()])
             if occurrences > 1:
-                warnings.append(f"{file}: {occurrences} signals have the name of {name}; the one with the most samples "
+                warnings.append(f"{file}: {occurrences} signals share the name {name}; the one with the most samples "
                                 "is used")
     if not columns:
         return ["t [s]"], ""

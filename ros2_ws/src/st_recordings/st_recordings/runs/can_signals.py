@@ -187,7 +187,7 @@ def load_signal_table(dbc: Path, table: Path) -> SignalTable:
     for file, option in ((table, "--signals"), (dbc, "--dbc")):
         if not file.is_file():
             raise RunError(file, "the file does not exist, and a CAN log cannot be decoded without it",
-                           f"give the file with {option}, or a car that has one with --car")
+                           f"name it with {option}, or name a car that has one with --car")
     try:
         return load_table(dbc, table)
     except ValueError as error:

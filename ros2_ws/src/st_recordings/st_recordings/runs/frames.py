@@ -115,7 +115,7 @@ def remove_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]],
             correction[last + 1] -= median_step - steps[first]
             duration = (time_ns[last] - time_ns[first + 1]) * 1e-9
             notes.append(f"the logger's clock was wrong by {(steps[first] - median_step) * 1e-9:+.3f} s for "
-                         f"{duration:.3f} s; the times then were corrected (frames: {last - first})")
+                         f"{duration:.3f} s; these times were corrected (frames: {last - first})")
         correction[first + 1] += median_step - steps[first]
         start = (last or row) + 1
     time_ns = time_ns + np.cumsum(correction)
