@@ -39,7 +39,7 @@ class Series:
 
 
 def resample(time: np.ndarray, values: np.ndarray, cutoff: float, is_angle: bool = False) -> Series:
-    """Every fifth point of a signal interpolated to 100 Hz and filtered by a zero-phase Butterworth low-pass (order 4).
+    """Every fifth point of a signal interpolated to 100 Hz and, if > 0.5 s, filtered (zero-phase Butterworth, order 4).
 
     time: [s], strictly increasing. values: NaN where unusable. cutoff: cut-off frequency of the low-pass [Hz], equal
     for both recordings. is_angle: values are an angle [rad], wrapped or not; the result is its rate [rad/s], because

@@ -29,7 +29,7 @@ SPACING = 1.0  # m between points along the path: 8 points in a right-angle turn
 SMOOTHING_LENGTH = 3.0  # m, moving average of curvature and direction: about one wheelbase
 MAX_DISTANCE = 4.0  # m, largest distance of a pass from the car: one lane and its neighbour
 MAX_DIRECTION_DIFFERENCE = 0.5  # rad, between course angles of car and pass; above it, the pass is oncoming or crosses
-PAUSE_SPEED = 0.5  # m/s; a course contains no slower driving, and no forecast starts in it: curvature is undefined at 0
+PAUSE_SPEED = 0.5  # m/s; a course excludes slower driving, and is not used for it: curvature is undefined at standstill
 MAX_GAP = 0.1  # s, maximum time between samples of a pass
 MIN_LENGTH = 20.0  # m, minimum length of a pass; above 4 m/s, a shorter pass ends within the horizon of 5 s
 MAX_ORIGIN_DISTANCE = 5000.0  # m between map origins; beyond it the axes differ by 1 mrad at latitude 50 deg
@@ -292,7 +292,7 @@ class CourseTracker:
         self._curvature_errors, self._speed_errors = np.array(INITIAL_CURVATURE_ERRORS), np.array(INITIAL_SPEED_ERRORS)
 
     def update(self, ego: EgoMotion) -> CourseForecast:
-        """The forecast from this start; without inputs if slow or unmeasured, or without a similar, long pass."""
+        """The forecast from this start; without inputs, but with the reason, where the course cannot be used."""
         if not all(map(math.isfinite, ego)) or ego.velocity_x < PAUSE_SPEED:
             return CourseForecast(None, reason="course: the motion of the car is unknown, or the car is too slow")
         elapsed = self._advance(ego)

@@ -35,7 +35,7 @@ def compute_steady_velocity_y(log: DriveLog, vehicle: VehicleParameters) -> np.n
 
 
 def with_steady_sideslip(log: DriveLog, vehicle: VehicleParameters) -> DriveLog:
-    """The drive with steady-state sideslip; unchanged if short, slow, with velocity_y, a heading or little sideslip."""
+    """The drive with steady sideslip; unchanged if velocity_y or heading is measured, or sideslip or speed is small."""
     is_fast = log.velocity_x > MIN_SPEED
     if log.velocity_y.any() or len(log.ins_time_ns) < 3 or not is_fast.any():
         return log

@@ -97,6 +97,8 @@ def test_too_few_runs_and_non_finite_errors_are_rejected():
         calibrate([draw_run(k) for k in range(2)], PAIR, TIME, (0.5,))
     with pytest.raises(StCoreError, match="5 runs support levels up to 83"):
         calibrate([draw_run(k) for k in range(5)], PAIR, TIME)
+    with pytest.raises(StCoreError, match=r"not 99\.5%: give 199 runs"):  # not rounded to 100 %
+        calibrate([draw_run(k) for k in range(5)], PAIR, TIME, (0.995,))
     runs = [draw_run(k) for k in range(9)]
     runs[3].errors[PAIR][7, 50, 1] = np.inf
     with pytest.raises(StCoreError, match=r"^run 3: errors of linear are not finite; correct"):
