@@ -77,17 +77,16 @@ def test_missing_and_damaged_recordings_are_rejected(drive, tmp_path):
 
 def test_rows_without_a_number_are_excluded_and_reported(drive, tmp_path):
     first, *rows = drive.read_text().splitlines()
-    column = first.split(",").index("yaw_rate")
 
-    def with_nan(some: slice) -> None:
+    def with_nan(column: str, some: slice) -> None:
         cells = [row.split(",") for row in rows]
         for row in cells[some]:
-            row[column] = "nan"
+            row[first.split(",").index(column)] = "nan"
         drive.write_text("\n".join([first, *(",".join(row) for row in cells)]) + "\n")
-    with_nan(slice(100, 150))
+    with_nan("yaw_rate", slice(100, 150))
     read = read_drive(find_runs([drive])[0], load_vehicle(LEAF), ReadSettings())
     assert "yaw_rate (column yaw_rate): 50 of 400 rows (12 %) have no number" in read.metadata["warnings"][0]
-    with_nan(slice(None))
+    with_nan("vx", slice(None))
     result = discover(drive, "--output", tmp_path / "o")
     assert result.exit_code == 2 and "fewer than two usable rows" in result.output
 

@@ -29,7 +29,10 @@ def test_fit_recovers_parameters_within_their_spread_over_runs(fit, leaf):
     assert fit.values == pytest.approx(true, rel=0.03)
     assert (np.abs(fit.values - true) < 4.0 * fit.spread.standard_errors).all()
     assert not fit.at_bound and fit.spread.basis[0] == "9 runs" and (fit.spread.degrees_of_freedom == 8.0).all()
-    assert fit.residuals.shape == (len(fit.run_index), 2)
+    deviations = {channel: np.std(values) for channel, values in fit.residuals.items()}
+    assert deviations.keys() == {"velocity_y", "yaw_rate"}
+    assert deviations["velocity_y"] == pytest.approx(0.02, rel=0.3) and deviations["yaw_rate"] < 0.01  # of the noise
+    assert all(values.shape == fit.run_index.shape for values in fit.residuals.values())
     assert fit.prediction_count == sum(used for used, _ in fit.window_counts.values())
 
 

@@ -133,7 +133,7 @@ class DrivingFit:
     spread: Spread  # from the variation between blocks of driving
     at_bound: tuple[str, ...]  # names of values at a bound
     noise_covariance: np.ndarray  # (p, p) due to independent residuals alone, up to a constant factor
-    residuals: np.ndarray  # (n, c) predicted minus measured, a column per channel [SI]
+    residuals: Mapping[str, np.ndarray]  # (n,) predicted minus measured, by channel [SI]
     run_index: np.ndarray  # (n,) index of the run of each residual
     time: np.ndarray  # (n,) start of the prediction of each residual, as `Windows.seconds` [s]
     window_counts: Mapping[str, tuple[int, int]]  # number of windows (used, all) by run
@@ -216,8 +216,8 @@ def _make_fit(problem: Problem, windows: _LimitedWindows, vector: np.ndarray, ef
     margin = 1e-3 * (space.high - space.low)  # a value closer to a bound counts as being at it
     effects_at_bound = {space.free[i][0] for i in indices
                         if not space.low[i] + margin[i] < vector[i] < space.high[i] - margin[i]}
-    points, columns = len(windows.time), len(windows.columns)
-    residuals = -rows.reshape(len(rows), points, columns)[used].reshape(-1, columns)
+    points = len(windows.time)
+    residuals = dict(zip(windows.columns, -rows[used].reshape(-1, len(windows.columns)).T, strict=True))
     return DrivingFit(
         tuple(names), values, blocks.make_spread(influence @ change.T),
         tuple(name for name in names if QUANTITIES[name].effect in effects_at_bound),

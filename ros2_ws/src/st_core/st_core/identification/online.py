@@ -39,7 +39,7 @@ DEVIATIONS_WITHOUT_FIT = (math.radians(30.0), 0.2, 0.5)  # standard deviations, 
 MAX_DEVIATIONS = (math.radians(0.5), 0.015, 0.06)  # largest with status `estimated`, units as SYSTEMATIC_ERRORS
 MAX_OFFSET = math.radians(45.0)  # of the steering wheel
 PLAUSIBLE_RANGES = ((0.6, 1.6), (0.3, 3.0))  # ratio of the steering ratio to the vehicle file's; stiffness scale
-MAX_RESIDUAL_RATIO = 0.2  # largest `OnlineFit.residual_ratio`; simulated Leaf 0.02 to 0.04, 0.1 with a noisy INS
+MAX_RESIDUAL_RATIO = 0.2  # largest `OnlineFit.residual_ratio`: 96 % of the mean square of the yaw rate is explained
 MIN_YAW_RATE = 0.02  # rad/s; smallest divisor of the residual, for driving with few bends
 SPEED_BINS = (5.0, 7.0, 10.0, 14.0, 20.0)  # m/s; lower edges
 MIN_BEND_ANGLE = 0.02  # rad; minimum |L r / v| in a bend, L: wheelbase
@@ -102,7 +102,7 @@ def fit_recent(log: DriveLog, vehicle: VehicleParameters) -> OnlineFit:
     systematic = np.array([SYSTEMATIC_ERRORS[0], SYSTEMATIC_ERRORS[1] * values[1], SYSTEMATIC_ERRORS[2] * values[2]])
     deviations = np.sqrt(np.diag(covariance) + systematic**2)
     rate = max(float(np.sqrt(np.mean(np.square(log.yaw_rate)))), MIN_YAW_RATE)
-    residual = float(np.sqrt(np.mean(np.square(fit.residuals[:, 0]))))
+    residual = float(np.sqrt(np.mean(np.square(fit.residuals["yaw_rate"]))))
     return OnlineFit(tuple(values.tolist()), tuple(deviations.tolist()), residual / rate, fit.at_bound)
 
 

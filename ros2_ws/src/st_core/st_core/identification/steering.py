@@ -223,7 +223,7 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
     names = tuple(run.name for run in runs)
     used = tuple(name for name in names if name in predicted_runs or name in averaged_runs)
     rejected = tuple((name, "no straight driving") for name in names if name not in used)
-    figure = {"time": times, "run": run_index, "offset": values, "residual_yaw_rate": fit.residuals[:, 0]}
+    figure = {"time": times, "run": run_index, "offset": values, "residual_yaw_rate": fit.residuals["yaw_rate"]}
     return Identification("steering-offset", (paper, direct), used, rejected, None, (),
                           (*notes, *([conflict] if conflict else [])), figure)
 

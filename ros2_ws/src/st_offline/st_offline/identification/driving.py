@@ -116,18 +116,18 @@ def draw_prediction(outcome: Identification, output: FigureOutput) -> PageFigure
     """Draw the residuals of a fit by prediction, and the joint 95 % region of its first parameter and the parameter
     most correlated with it."""
     data, first = outcome.figure, outcome.estimates[0]
-    channels = (("rate", "yaw rate, deg/s", DEG), ("across", "lateral velocity, mm/s", 1e3)
-                )[:data["residuals"].shape[1]]  # the lateral velocity may not have been measured
+    axis_labels = (("yaw_rate", "yaw rate, deg/s", DEG), ("velocity_y", "lateral velocity, mm/s", 1e3))
+    channels = [channel for channel in axis_labels if channel[0] in data["residuals"]]  # those that were measured
     figure, panels = plt.subplot_mosaic([[key, "region"] for key, *_ in channels], figsize=(WIDTH, 4.2),
                                         width_ratios=(1.5, 1))
     time = _concatenate_times(data["residual_run"], data["residual_time"])
     subset = _thin_rows(len(time))
     run_starts = time[np.unique(data["residual_run"], return_index=True)[1]]
-    for column, (key, label, factor) in enumerate(channels):
+    for key, label, factor in channels:
         axes = panels[key]
         for run_start in run_starts[1:]:
             axes.axvline(run_start - 1.0, color=TEXT_COLOUR, lw=0.6, ls=":")
-        axes.plot(time[subset], data["residuals"][subset, column] * factor, ".", ms=1.5, color=MEASURED_COLOUR)
+        axes.plot(time[subset], data["residuals"][key][subset] * factor, ".", ms=1.5, color=MEASURED_COLOUR)
         axes.axhline(0.0, color=TEXT_COLOUR, lw=0.8)
         axes.set_ylabel(label)
     for key, *_ in channels[:-1]:
