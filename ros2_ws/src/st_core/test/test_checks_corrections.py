@@ -384,7 +384,7 @@ def test_reference_point_is_not_corrected_if_rear_wheels_steer_with_speed(leaf):
     (scaled(DEG_PER_RAD, "yaw"), scaled(DEG_PER_RAD, "yaw_rate")),
     (yaw_from_north(DEG_PER_RAD), scaled(DEG_PER_RAD, "yaw_rate")),
     (scaled(1.01 * 3.28084, *POSITION), biased(0.05, "yaw")),
-    (biased(0.02, "yaw"), delayed(0.1, *POSITION)), (steering_scaled(-1.0), scaled(-1.0, "acceleration_y")),
+    (biased(0.02, "yaw"), delayed(0.1, *POSITION)),
 ])
 def test_two_faults_give_two_findings_whose_corrections_combine(log, leaf, first, second):
     wrong = second(first(log))
@@ -395,6 +395,13 @@ def test_two_faults_give_two_findings_whose_corrections_combine(log, leaf, first
         for channel, fields in finding.advice.entry["correct"].items():
             entry.setdefault(channel, {}).update(fields)
     assert findings_by_name(corrected_drive(wrong, {"correct": entry}, leaf), leaf) == {}
+
+
+def test_steering_and_acceleration_to_the_right_are_an_alternative_to_axes_of_a_north_east_map(log, leaf):
+    wrong = scaled(-1.0, "acceleration_y")(steering_scaled(-1.0)(log))
+    (finding,) = check(wrong, leaf).findings
+    assert finding.name == "position_axes" and "yaw a compass heading, or steering and acceleration_y" in finding.text
+    assert check(corrected_drive(wrong, finding.advice.entry, leaf), leaf).findings == ()
 
 
 @pytest.mark.slow

@@ -37,7 +37,7 @@ def test_effects_with_a_sensor_estimate():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("multiple", [-1.0, 2.5])
+@pytest.mark.parametrize("multiple", [-2.5, 2.5])  # a bank may cause a smaller misalignment
 @pytest.mark.parametrize(("effect", "parameter"), SENSOR_ESTIMATES)
 def test_check_estimates_the_value_of_the_effect(leaf, drive, effect, parameter, multiple):
     p = next(p for p in EFFECTS[effect].parameters if p.name == parameter)

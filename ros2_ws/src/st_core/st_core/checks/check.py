@@ -45,9 +45,10 @@ EXPLAINED_BY_YAW_LAG = ("yaw_rate_lag", "position_lag", "position_reference", "s
 MAX_INS_DISTANCE = 3.0  # m; largest distance of the INS ahead of the rear axle
 MAX_REAR_COMPLIANCE = 0.01  # rad s^2/m; rear cornering compliance (slip angle per a_y): road cars 0.003 to 0.008
 MIN_PART_DURATION = 40.0  # s; shortest first and last part of a drive that are compared: 8 blocks of the bootstrap
-MAX_PART_DURATION = 300.0  # s; longest: the check of an hour takes 17 % longer than without parts
+MAX_PART_DURATION = 300.0  # s; longest; it limits the computing time
 MIN_CHANGE = 0.5  # fraction of the deviation; if the parts differ by less, one correction removes at least half of it
-VARY_WITH_DRIVING = ("heading_misaligned", "measuring_point", "steering_unrelated")  # not compared between parts
+NOT_COMPARED = (  # between parts: the first two are constant, the others vary with the driving
+    "measuring_point", "position_reference", "heading_misaligned", "steering_unrelated")
 MIN_INS_SAMPLES = 50  # with fewer samples, only implausible samples and time stamps are reported
 
 
@@ -98,8 +99,8 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
 
 def _report_changes(whole: DriveCheck, parts: list[DriveCheck], times: list[tuple[float, float]]) -> DriveCheck:
     """The result for a drive. If an error or warning changes between its first and last part, findings with an interval
-    are taken from the parts, because the change may cause false ones in the whole drive, and there are no estimates.
-    times: start and end of each part [s]."""
+    are taken from the parts, because the change may cause false ones in the whole drive. Estimates are those of the
+    whole drive that agree with both parts. times: start and end of each part [s]."""
     ranked: list[tuple[tuple[bool, int, float], Finding]] = []
     places = [f"in the {name} {end - start:.0f} s" for name, (start, end) in zip(("first", "last"), times, strict=True)]
     for k, part in enumerate(parts):
@@ -117,13 +118,20 @@ def _report_changes(whole: DriveCheck, parts: list[DriveCheck], times: list[tupl
         return whole
     constant = [f for f in whole.findings if f.times or (f.interval is None and f.name in in_parts.keys() - changed)]
     remaining = [f for f in in_parts.values() if f.name not in {f.name for f in constant}]
-    return replace(whole, findings=(*constant, *remaining), estimates={})
+    return replace(whole, findings=(*constant, *remaining), estimates={
+        name: values for name, values in whole.estimates.items() if name not in changed
+        and all(name in part.estimates and _agree(values, part.estimates[name]) for part in parts)})
+
+
+def _agree(first: tuple[float, float, float], second: tuple[float, float, float]) -> bool:
+    """Whether two estimates (value, low, high) are not significantly different."""
+    return abs(first[0] - second[0]) <= float(np.hypot(first[0] - first[1], second[0] - second[1]))
 
 
 def _describe_change(finding: Finding, other: DriveCheck, place: str, whole: DriveCheck) -> str:
     """Clause about the value in the other part of the drive, at `place`, if it differs significantly; otherwise ""."""
     name, value, interval = finding.name, finding.value, finding.interval
-    if (finding.times or finding.severity is Severity.NOTE or name in VARY_WITH_DRIVING
+    if (finding.times or finding.severity is Severity.NOTE or name in NOT_COMPARED
             or finding.concerns_only_acceleration or finding.channels == LENGTH_CHANNELS
             or any(f.name in position.CONFOUNDED.get(name, ()) for f in other.findings)):  # the same effect
         return ""
@@ -131,8 +139,8 @@ def _describe_change(finding: Finding, other: DriveCheck, place: str, whole: Dri
         return "" if name in {f.name for f in (*other.findings, *whole.findings)} else f", but not {place}"
     there = other.estimates.get(name) or next(
         ((f.value, *f.interval) for f in other.findings if f.name == name and f.value is not None and f.interval), None)
-    if there is None or abs(there[0] - value) <= max(float(np.hypot(value - interval[0], there[0] - there[1])),
-                                                     MIN_CHANGE * abs(value - neutral_value(name))):
+    if (there is None or _agree((value, *interval), there)
+            or abs(there[0] - value) <= MIN_CHANGE * abs(value - neutral_value(name))):
         return ""
     unit = "" if finding.unit == "1" else f" {finding.unit}"
     return f"; {place}, the value is {there[0]:.3g} ({there[1]:.3g} to {there[2]:.3g}){unit}"

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from ..regression import SIGMA_PER_MAD
-from .finding import HORIZON, LIMITS, Advice, Finding, Severity
+from .finding import HORIZON, LIMITS, Advice, Alternative, Finding, Severity
 from .inertial import (
     ACCELERATION_SCALE_ERROR,
     GYRO_SCALE_ERROR,
@@ -211,22 +211,26 @@ def _correct_north_east(motion: Motion) -> MotionAndFinding:
     ratios, votes = compute_ratios(motion), sum(_compare_signs(motion))
     if motion.geographic or not _matches(ratios.yaw_to_course, 1.0):
         return motion, None
-    text = "x, y and yaw turn in the opposite direction to yaw rate and steering"
+    text = ("x, y and yaw turn in the opposite direction to yaw rate and steering: is x north, y east and yaw a "
+            "compass heading? Expected: x east, y north, yaw from east, counter-clockwise")
     correct: dict[str, Any] = {"yaw": COMPASS_TO_YAW}
+    alternatives: tuple[Alternative, ...] = ()
     measured, derived = _compute_displacements(motion, motion.velocity_map)
     is_forward = np.sum(derived * np.conj(_direction(measured))).real > 0.0  # else velocity_x has the opposite sign
     if _matches(ratios.yaw_to_rate, 1.0) and votes == -2 and is_forward:
-        text = "x, y, yaw and yaw_rate turn in the opposite direction to acceleration_y and steering"
+        text = ("x, y, yaw and yaw_rate turn in the opposite direction to acceleration_y and steering: x is north, "
+                "y east and yaw a compass heading")
         correct = _add_mirrored_channels(motion, {**correct, "yaw_rate": MIRROR}, EXCHANGE_X_Y)
+        alternatives = (Alternative("steering and acceleration_y are positive to the right",
+                                    ("steering_sign", "acceleration_y_scale")),)  # the mirror image of the same drive
     else:
         original, mirrored = _compute_misfit(motion), _compute_misfit(replace(motion, velocity_y=-motion.velocity_y))
         votes += int(mirrored < CLEAR_MISFIT_RATIO * original) - int(original < CLEAR_MISFIT_RATIO * mirrored)
         if votes <= 0 or not _matches(ratios.yaw_to_rate, -1.0):
             return motion, None
-    text += ": is x north, y east and yaw a compass heading?"
-    return _correct(motion, "position_axes", ("x", "y", *correct),
-                    f"{text} Expected: x east, y north, yaw from east, counter-clockwise", None,
-                    Advice.for_run_yaml({"columns": EXCHANGE_X_Y, "correct": correct}))
+    corrected, finding = _correct(motion, "position_axes", ("x", "y", *correct), text, None,
+                                  Advice.for_run_yaml({"columns": EXCHANGE_X_Y, "correct": correct}))
+    return corrected, replace(finding, alternatives=alternatives)
 
 
 def _add_mirrored_channels(motion: Motion, correct: Mapping[str, Any], columns: Mapping[str, str]) -> dict[str, Any]:
