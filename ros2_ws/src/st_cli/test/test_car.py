@@ -154,7 +154,7 @@ def test_check_of_a_new_skeleton_lists_exactly_the_values_to_fill_in(skeleton):
     for key in ("name", *MEASUREMENT_HINTS):
         assert sum(f"vehicle.yaml: {key}:" in line for line in messages) == 1
     assert any("signals.yaml: messages: FILL_IN_message" in line for line in messages)
-    assert any(line.endswith("drive_front: not filled in, value and source; 0 to 1") for line in messages)
+    assert any(line.endswith("drive_front: not filled in (value and source; 0 to 1)") for line in messages)
 
 
 def test_completed_skeleton_passes_the_check_and_loads(skeleton):

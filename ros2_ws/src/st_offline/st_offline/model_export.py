@@ -28,8 +28,8 @@ def export_model(model: Model, vehicle: VehicleParameters, folder: Path, kind: F
     """Write the functions of a model, model.json and README.md into an existing folder; returns the files.
 
     free: parameters that remain arguments of the functions. bands: each mode and level in LEVELS becomes a CasADi
-    function of the half-widths. Raises ConfigurationError for an unknown parameter in `free`, and for bands without
-    this model.
+    function that returns half-widths. Raises ConfigurationError for an unknown parameter in `free`, and for bands
+    without this model.
     """
     symbolic = build(model, vehicle, substeps, free)
     if kind == "casadi":

@@ -179,7 +179,7 @@ def _find_vehicle_problems(file: Path) -> list[str]:
             entries = {key: "value, source and uncertainty" if key in DEFAULT_UNCERTAINTIES else "value and source"
                        for key in VEHICLE_QUANTITIES}
             return [f"{file}: {key}: not filled in"
-                    + (f", {entries[key]}; {VEHICLE_QUANTITIES[key].limits}" if key in entries else "")
+                    + (f" ({entries[key]}; {VEHICLE_QUANTITIES[key].limits})" if key in entries else "")
                     for key in unfilled_keys]
         vehicle = read_vehicle(file)
     except (RunError, StCoreError) as error:

@@ -320,7 +320,7 @@ def test_steering_frames_without_a_usable_value_are_not_a_time_gap(ncom_folder: 
     findings = {finding.name: finding for finding in check(run.log, CAR, run.auxiliary).findings}
     assert re.search(r"100 of \d+ frames between .* were received but not used: .*SteeringWheelAngle implausible "
                      r"\(up to -?3276.7 deg\) in 100", findings["values_missing"].text)
-    assert "1 gap of the steering" in findings["time_gaps"].text
+    assert "1 gap in the steering data" in findings["time_gaps"].text
     assert findings["time_gaps"].value == pytest.approx(1.0, abs=0.1)
 
 

@@ -73,7 +73,7 @@ class _ChannelSamples:
 
 
 def drop_implausible(log: DriveLog, start_ns: int) -> tuple[DriveLog, list[Finding]]:
-    """(the drive without implausible samples, one finding for each kind and channel).
+    """(the drive without implausible samples, findings for each kind and channel, equal ones merged).
 
     An INS row with an implausible sample of INS_SIGNALS is left out, an optional signal becomes NaN, and a steering
     sample is left out of the steering only. If more than half of its samples are implausible, a channel is unchanged
@@ -277,7 +277,7 @@ def _make_finding(kind: str, channel: _ChannelSamples, samples: np.ndarray, is_u
                          f"{when} ({count}): its signal has too few bits for the values of this drive",
         "channel_jumps": f"{channel.name} jumps {len(samples)} time{'s' if len(samples) > 1 else ''} by up to "
                          f"{float(channel.step[samples - 1].max()):.4g} {unit} from one sample to the next "
-                         f"{when}, and does not return: it is left out of all comparisons",
+                         f"{when}, without returning at once: it is left out of all comparisons",
     }[kind]
     severity = Severity.NOTE if kind == "sample_spikes" and fraction <= LIMITS.max_note_fraction else Severity.WARNING
     if is_unusable or (kind == "channel_wraps" and fraction > MAX_WRAPPED_FRACTION):

@@ -184,10 +184,10 @@ def _check_gaps(signal: str, time: np.ndarray, excluded_times: Sequence[tuple[fl
     times = tuple((float(time[k]), float(time[k + 1])) for k in gaps)
     fraction = missing / max(float(time[-1] - time[0]), 1e-9)
     severity = Severity.WARNING if fraction > MAX_GAP_FRACTION else Severity.NOTE
-    text = (f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} of the {signal}, {missing:.2f} s in total, longest "
+    text = (f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} in the {signal} data, {missing:.2f} s in total, longest "
             f"{spacing[gaps].max():.2f} s: no prediction is scored there")
     return [Finding("time_gaps", severity, STAMPED_CHANNELS[signal], text, missing, "s", times=times,
-                    advice=Advice("text", "check the logger: lost packets, a full buffer, a restart, or a set clock"))]
+                    advice=Advice("text", "check the logger: lost packets, a full buffer, a restart, or a clock step"))]
 
 
 def find_stuck_channels(motion: Motion, channels: Mapping[str, Sampling]) -> list[Finding]:

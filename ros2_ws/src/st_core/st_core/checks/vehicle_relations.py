@@ -45,7 +45,7 @@ MIRRORED = Alternative("do x, y, yaw and all lateral channels have axes with z d
 PLAY, STEERED_REAR_WHEELS = Alternative("the steering has play"), Alternative("the rear wheels also steer")
 TIGHTER_BENDS = Advice("text", "drive tighter bends to distinguish the two")
 CHECK_RATIO = Advice("text", "drive tighter bends, and check steering_ratio and wheelbase in the vehicle file")
-MIN_FOUR_WHEEL_GAIN = 0.5  # smallest gain of a car whose rear wheels steer, by the opposite of the front angle at most
+MIN_FOUR_WHEEL_GAIN = 0.5  # smallest gain with rear-wheel steering: rear angle opposite and equal to the front angle
 MIN_GAIN = 1e-6  # ratio of measured to derived angle below which the steering is constant and reported as frozen
 
 
@@ -82,7 +82,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
         (half := _compare_angles(motion, derived, response, rows)) and _lag_is_constant(half, agreement.drift)
         for rows in np.array_split(np.arange(len(motion.time)), 2))
     has_lag &= not has_clock_error
-    # Play takes its width from every turn, so small steering angles have too small a gain.
+    # Play reduces every turn of the steering by its width, so the gain is too small at small angles.
     may_be_play = 0.0 < (1.0 - gain.value) * agreement.spread < 0.5 * STEERING_PLAY / vehicle.steering_ratio
     findings = (_make_unit_finding(gain, plausible_gains, vehicle, has_steering_wheel, motion.geographic, may_be_play),
                 _make_clock_finding(agreement, lateral_shift) if has_clock_error else None,
@@ -99,7 +99,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
 
 def _compare_angles(motion: Motion, derived: np.ndarray, response: float,
                     rows: slice | np.ndarray = slice(None)) -> Agreement | None:
-    """Agreement of the steering with the angle derived from motion in some rows. response: time [s]."""
+    """Agreement of the steering with the angle derived from motion, in the given rows. response: response time [s]."""
     return compare_series(motion.time[rows], derived[rows], motion.steering_time, motion.steering, CUTOFF,
                           fit_drift=True, expected_lag=-response, max_fitted_lag=2.0 * MAX_LAG)
 
@@ -172,7 +172,7 @@ def _compute_lateral_shift(speed: float, vehicle: VehicleParameters) -> float:
 
 def _make_unit_finding(gain: Estimate, plausible_gains: tuple[float, float], vehicle: VehicleParameters,
                        has_steering_wheel: bool, geographic: bool, may_be_play: bool = False) -> Finding | None:
-    """Finding about a steering gain that only a wrong unit or sign can explain; None for a plausible gain.
+    """Finding about an implausible steering gain, with the wrong unit or sign that explains it; None if plausible.
 
     plausible_gains: the expected and the largest one; 1 is plausible too, since stiffnesses may be inaccurate.
     geographic: whether positions are certain to be east and north; otherwise all INS channels may be mirrored instead,

@@ -1,7 +1,7 @@
 """Reads topics, messages and definitions from bags of ROS 2 (MCAP, SQLite) and ROS 1 through one interface.
 
 MCAP and SQLite are read without rosbags, because rosbags parses every definition in a bag and fails at the first
-unsupported one. Only bags of ROS 1 and bags with a compression in metadata.yaml are read by rosbags.
+unsupported one. Only ROS 1 bags and bags that are compressed according to metadata.yaml are read by rosbags.
 """
 
 import sqlite3
@@ -32,7 +32,7 @@ from .errors import RunError, check_readable, format_count, shorten
 EXTENSIONS, ROS1_EXTENSION = (".mcap", ".db3"), ".bag"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 COPY_ADVICE, RECOVERY_ADVICE = "copy it again", "if the recording was interrupted, repair it with `st recover`"
-MAX_DELAY_DIFFERENCE_NS = 500_000_000  # between delays from stamp to reception, if the stamps are of one clock
+MAX_DELAY_DIFFERENCE_NS = 500_000_000  # largest difference between delays from stamp to reception on a common clock
 REINDEX_ADVICE = "if the recording was interrupted, repair it with `rosbag reindex`"
 
 
@@ -43,7 +43,7 @@ class Topic:
     count: int
 
     def is_in(self, names: str) -> bool:
-        """Whether a list with commas contains its name, with or without a leading slash."""
+        """Whether a comma-separated list contains its name, with or without a leading slash."""
         return self.name.lstrip("/") in (name.strip().lstrip("/") for name in names.split(","))
 
 
@@ -118,7 +118,7 @@ class Storage(ABC):
         return {field: np.array([row[k] for row in rows]) for k, field in enumerate(fields)}
 
     def read_log_times(self, topic: str, stamps: np.ndarray) -> np.ndarray:
-        """Log times [ns], simulated if the bag has a clock; `stamps` if their number differs. Raises RunError."""
+        """Log times [ns], in simulation time if the bag has a clock; `stamps` if the counts differ. Raises RunError."""
         times = np.array([log_ns for log_ns, _ in self.timed_messages(topic)], np.int64)
         if len(times) != len(stamps):
             return stamps
@@ -132,11 +132,11 @@ class Storage(ABC):
 
     def align_stamps(self, stamps: Sequence[tuple[str, np.ndarray]], compares_clocks: bool = True
                      ) -> tuple[list[np.ndarray], list[str]]:
-        """(times of each topic [ns] on one clock, notes). The times are the stamps if they have one clock; the times of
+        """(times of each topic [ns] on one clock, notes). The times are the stamps if they share a clock; the times of
         reception if the stamps do not overlap; else the stamps, shifted to the clock of the first topic.
 
         An INS may stamp with GPS time, 18 s ahead of UTC. If the delay from stamp to reception varies, as in topics
-        computed after the drive, stamps are not changed. compares_clocks: False if overlapping stamps have one clock.
+        computed after the drive, stamps are not changed. compares_clocks: False if overlapping stamps share a clock.
         """
         series, topics = [times for _, times in stamps], " and ".join(topic for topic, _ in stamps)
         is_common = _overlap(series)
@@ -380,7 +380,7 @@ class RosbagsStorage(Storage):
 
     def __init__(self, path: Path):
         is_ros1 = path.suffix.lower() == ROS1_EXTENSION
-        with _report_damage(path, REINDEX_ADVICE if is_ros1 else COPY_ADVICE, Exception):  # any, from rosbags
+        with _report_damage(path, REINDEX_ADVICE if is_ros1 else COPY_ADVICE, Exception):  # rosbags raises any type
             self._reader = AnyReader([path], default_typestore=load_typestore())
             self._reader.open()
         super().__init__(path)
@@ -395,7 +395,7 @@ class RosbagsStorage(Storage):
 
     def timed_messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
         connections = [c for c in self._reader.connections if c.topic == topic]
-        with _report_damage(self.path, COPY_ADVICE, Exception):  # any, from rosbags
+        with _report_damage(self.path, COPY_ADVICE, Exception):  # rosbags raises any type
             for connection, log_ns, data in self._reader.messages(connections=connections):
                 yield log_ns, bytes(data if self._reader.is2 else self.store.ros1_to_cdr(data, connection.msgtype))
 
@@ -407,7 +407,7 @@ class RosbagsStorage(Storage):
 
 
 class _FieldCollector:
-    """Collects fields of the messages of one topic. is_uniform: whether all messages have the layout of the first."""
+    """Collects fields of the messages of one topic. is_uniform: whether these can be read together as columns."""
 
     def __init__(self, type_name: str, fields: Sequence[str], store: Typestore):
         self._type_name, self._fields, self._store = type_name, fields, store
@@ -423,7 +423,7 @@ class _FieldCollector:
             try:
                 example = self._store.deserialize_cdr(first_message, self._type_name)
                 self._layout = CdrLayout(self._store, self._type_name, example)
-            except Exception:  # any, from rosbags; reading the messages one by one reports the error
+            except Exception:  # rosbags raises any type; reading the messages one by one reports it
                 self.is_uniform = False
                 return
         layout = self._layout
