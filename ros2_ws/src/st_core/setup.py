@@ -17,6 +17,6 @@ setup(
     maintainer='The single-track authors',
     maintainer_email='single-track@example.org',
     description='Single-track vehicle models, prediction and evaluation. '
-                'Pure Python: no ROS, no clock, no files in the equations.',
+                'Pure Python: the equations use no ROS, clock or files.',
     license='Apache-2.0',
 )

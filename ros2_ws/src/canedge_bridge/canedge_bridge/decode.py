@@ -58,7 +58,7 @@ class _MessageState:
 
 
 class Decoder:
-    """Decodes the messages of one signal table. The constructor raises ConfigurationError, as `load_table`.
+    """Decodes the messages of one signal table. The constructor raises ConfigurationError, like `load_table`.
 
     `decode` never raises: it counts faults, and rejects a frame with a wrong length, with a wrong counter or checksum
     in mode drop, or with a value that is not finite or not plausible. skipped: counts of frames that are not decoded,

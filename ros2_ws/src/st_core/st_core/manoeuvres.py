@@ -68,7 +68,7 @@ class Manoeuvre:
     profile: Profile  # lateral acceleration divided by its peak, over one period
     period: float  # time after which the manoeuvre repeats [s]
     repetitions: int = 1  # periods in one drive
-    pedals: tuple[tuple[float, float], ...] = ()  # (duration [s], acceleration [m/s^2]), in order; at most `speed`
+    pedals: tuple[tuple[float, float], ...] = ()  # (duration [s], acceleration [m/s^2]) in order; top speed: `speed`
     closed_loop: bool = False
     description: str = field(default="", compare=False)  # one line
 

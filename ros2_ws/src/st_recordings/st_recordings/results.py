@@ -215,7 +215,7 @@ def read_messages(bags: Sequence[Path], type_name: str, progress: Progress | Non
 
 
 def read_results(folder: Path) -> Results:
-    """Reads bag/ and errors/ of a run folder; errors over a horizon only for drawn predictions. Raises RunError."""
+    """Reads bag/ and errors/ of a run folder; errors over time only for drawn predictions. Raises RunError."""
     bag, errors = open_bag(folder / "bag"), open_bag(folder / "errors")
     scores, configuration_hash = _read_scores(folder / "errors")
     summary = _read_last_message(errors, SUMMARY_TOPIC, "st_msgs/msg/ErrorSummary")

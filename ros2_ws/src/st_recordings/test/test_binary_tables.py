@@ -1,4 +1,4 @@
-"""Tables in files of MATLAB, HDF5 and Apache Arrow are read as the CSV file with the same columns."""
+"""Tables in files of MATLAB, HDF5, Parquet and Feather are read as the CSV file with the same columns."""
 
 import pickle
 import sys

@@ -18,7 +18,7 @@ _POLICIES = {os.SCHED_OTHER: "normal", os.SCHED_BATCH: "batch", os.SCHED_IDLE: "
              os.SCHED_RR: "round robin"}
 _REALTIME = (os.SCHED_FIFO, os.SCHED_RR)
 _AUTOGROUP_FILE = Path("/proc/self/autogroup")
-_MAX_ATTEMPTS, _PAUSE = 5, 0.11  # count, s; the kernel accepts one change of an autogroup per user and 0.1 s
+_MAX_ATTEMPTS, _PAUSE = 5, 0.11  # count, s; the kernel accepts one change of any autogroup every 0.1 s
 
 
 def read_scheduling() -> dict[str, Any]:

@@ -48,9 +48,9 @@ Run = tuple[DriveLog, VehicleParameters]
 def try_corrections(findings: list[Finding], log: DriveLog, vehicle: VehicleParameters) -> list[Finding]:
     """The findings with the prediction error [m] before and after their correction; harmful corrections are removed.
 
-    The corrections of all errors are applied together, since one wrong unit may mask another. If they do not fail and
-    are not harmful, the correction of each warning is then tried separately. A warning with a harmful correction
-    becomes a note. Corrections that affect no prediction, and `leave_out`, are not tried.
+    The corrections of all errors are applied together, since one wrong unit may mask another. If none is missing or
+    fails, and they are not harmful, the correction of each warning is then tried separately. A warning with a harmful
+    correction becomes a note. Corrections that affect no prediction, and `leave_out`, are not tried.
     """
     tried_findings = [finding for finding in findings if _is_tried(finding)]
     if not tried_findings:

@@ -73,7 +73,7 @@ def correct_units(motion: Motion) -> tuple[Motion, list[Finding]]:
         corrections = [finding.advice.entry["correct"] for finding in (clockwise, offset) if finding.advice]
         correct = {channel: dict(values) for channel, values in corrections[0].items()}
         correct["yaw"]["add"] += corrections[1]["yaw"]["add"]
-        text = f"{clockwise.text.partition(':')[0]}, and not from north; expected: from east, counter-clockwise"
+        text = f"{clockwise.text.partition(':')[0]}, but yaw 0 is not north; expected: yaw from east, counter-clockwise"
         by_name["yaw_convention"] = replace(clockwise, statement=text, advice=Advice.for_run_yaml({"correct": correct}))
         findings = list(by_name.values())
     return motion, findings
@@ -103,7 +103,7 @@ def check_time_unit(motion: Motion) -> MotionAndFinding:
         factor, (name, symbol) = unit, TIME_UNITS[unit]
         question = f": is its unit {name}?"
         advice = Advice.for_run_yaml({"units": {"t": symbol}})
-    text = f"time runs {factor:g} times too fast compared with positions and yaw{question}"
+    text = f"time runs {factor:g} times too fast compared with positions{question}"
     return _correct(motion.with_time_divided(factor), "time_unit", ("time",), text, factor, advice)
 
 
@@ -211,8 +211,8 @@ def _correct_north_east(motion: Motion) -> MotionAndFinding:
     ratios, votes = compute_ratios(motion), sum(_compare_signs(motion))
     if motion.geographic or not _matches(ratios.yaw_to_course, 1.0):
         return motion, None
-    text = ("x, y and yaw turn in the opposite direction to yaw rate and steering: is x north, y east and yaw a "
-            "compass heading? Expected: x east, y north, yaw from east, counter-clockwise")
+    text = ("x, y and yaw turn in the opposite direction to yaw_rate, which other channels confirm: is x north, y east "
+            "and yaw a compass heading? Expected: x east, y north, yaw from east, counter-clockwise")
     correct: dict[str, Any] = {"yaw": COMPASS_TO_YAW}
     alternatives: tuple[Alternative, ...] = ()
     measured, derived = _compute_displacements(motion, motion.velocity_map)
@@ -458,7 +458,7 @@ def _correct_yaw_offset(motion: Motion) -> MotionAndFinding:
     if abs(quarter) == np.pi:
         advice = Advice.correct("velocity_x", scale=-1.0)
         reversed_misfit = _compute_misfit(motion.apply_entry(advice.entry))
-        # A whole drive in reverse is less likely than a wrong sign, unless only the former agrees with velocity_y.
+        # If velocity_x > 0, the whole drive would be in reverse: assumed only if velocity_y agrees clearly better.
         if np.median(motion.velocity_x) < 0.0 or reversed_misfit < CLEAR_MISFIT_RATIO * _compute_misfit(motion):
             return _correct(motion, "velocity_x_scale", ("velocity_x",),
                             "velocity_x has the opposite sign (forward is positive)", -1.0, advice)

@@ -295,8 +295,8 @@ def standard_deviations(problem: Problem, fit: Fit, effect: str) -> np.ndarray:
 def covariance(problem: Problem, fit: Fit) -> np.ndarray:
     """(a, a) sandwich covariance H^-1 (S + C V C) H^-1 of the fitted values minus the start [parameter scales]; S is
     the scatter matrix of the block scores, C half the second derivative of the loss, H = C plus the curvature of the
-    prior, V the covariance of the start, 0 without reference drives. An error v of the start moves this difference by
-    -H^-1 C v: the error that it shares with the fitted values cancels. Source: White, Econometrica 50 (1982)."""
+    prior, V the covariance of the start; without V, the variance of the prior gradient replaces C V C. An error v of
+    the start changes the difference by -H^-1 C v: their shared error cancels. Source: White, Econometrica 50 (1982)."""
     q = fit.quadratic.sum_groups(problem.block, problem.blocks)
     curvature = problem.loss.curvature(problem.errors.at(fit.vector), fit.sensitivities.select(fit.indices))
     if len(curvature):  # raised in every direction to at least MIN_CURVATURE times that of the reweighted least squares

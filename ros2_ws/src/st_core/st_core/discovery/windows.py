@@ -191,7 +191,7 @@ class Windows:
 
     @cached_property
     def _has_inputs(self) -> np.ndarray:
-        """(n, k) whether steering and INS have no gap before a point, since inputs are missing after a gap. Margins are
+        """(n, k) whether steering and INS have no gap before a point; after a gap, predictions are unknown. Margins are
         the same as at the ends of a run: MARGIN_NS before the start of a window, half of it after a point."""
         last = np.full(len(self), np.iinfo(np.int64).max)
         for time_ns in (self.joined_log.steering_time_ns, self.joined_log.ins_time_ns):

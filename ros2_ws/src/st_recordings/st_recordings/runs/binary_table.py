@@ -1,5 +1,5 @@
 """Reads tables from MDF files of measured signals (version 3 or 4, as ETAS INCA, Vector CANape and asammdf write them),
-and from files of MATLAB (.mat), HDF5 (.h5, .hdf5, .hdf) and Apache Arrow (.parquet, .feather).
+and from files of MATLAB (.mat), HDF5 (.h5, .hdf5, .hdf), Apache Parquet (.parquet) and Feather (.feather).
 
 They become text like that of a CSV file, so that names, units, times and rates are handled in the same way.
 """
@@ -35,7 +35,7 @@ ARROW_EXTENSIONS = (".parquet", ".feather")
 BINARY_EXTENSIONS = (".mat", *HDF5_EXTENSIONS, *ARROW_EXTENSIONS)
 NAME_FIELDS = ("label", "Name", "name")
 _RAW_FRAMES = re.compile(rb"\0CAN_(Data|Remote|Error)Frame")
-"""Name of the channel of raw frames. The head of its block ends with 0; comments may contain the name without it."""
+"""Name of the channel of raw frames. The header of its block ends with 0; in comments, no 0 precedes the name."""
 _NO_DELIMITERS = str.maketrans(',"\n', "   ")
 
 
@@ -54,7 +54,7 @@ class Signal(NamedTuple):
 
 @cached_by_version(maxsize=4)
 def read_binary_table(file: Path) -> tuple[list[str], str]:
-    """(header, comma-separated rows) of a file. Raises RunError if it cannot be read, or has no vectors (not Arrow)."""
+    """(header, comma-separated rows) of a file. Raises RunError if unreadable, or MATLAB or HDF5 without vectors."""
     extension = file.suffix.lower()
     if extension in ARROW_EXTENSIONS:
         frame = _read_arrow(file)
@@ -69,7 +69,7 @@ def _read_arrow(file: Path) -> Any:
     try:
         frame = (pd.read_parquet if file.suffix.lower() == ".parquet" else pd.read_feather)(file)
     except ImportError:
-        raise RunError(file, "Apache Arrow files require the package pyarrow", "install it, or export a CSV file"
+        raise RunError(file, "Parquet and Feather files require the package pyarrow", "install it, or export a CSV file"
                        ) from None
     except Exception as error:  # any, from pyarrow
         raise RunError(file, f"pyarrow cannot read the file ({shorten(error)})", "copy or export it again") from None
@@ -135,7 +135,7 @@ def _join_signals(file: Path, signals: list[Signal]) -> Any:
     parts = []
     for time_name, times, columns in used_rasters:
         factor = find_columns(Path(), [time_name], Layout())["t"].factor
-        parts.append(pd.DataFrame(columns, index=np.round(times * factor, 6)))  # equal times in other units differ
+        parts.append(pd.DataFrame(columns, index=np.round(times * factor, 6)))  # rounding errors depend on the unit
     merged = pd.concat([part[~part.index.duplicated()] for part in parts], axis=1, sort=True)
     return merged.rename_axis("t [s]").reset_index()
 

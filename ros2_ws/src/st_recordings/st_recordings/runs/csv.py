@@ -208,7 +208,7 @@ def _require_columns(table: Table, required: Sequence[str], can: str = "") -> No
 
 
 def _reject_unusable(table: Table, n_ins: int, missing: Mapping[str, int]) -> NoReturn:
-    """Raises RunError: why fewer than two rows are usable. n_ins: rows with all INS channels. See `_count_missing`."""
+    """Raises RunError with the reason. n_ins: number of rows with all INS channels. missing: from `_count_missing`."""
     _reject_without_fix(table)
     reason, advice = "", "remove it from the command"
     if n_ins < 2 and all(np.isfinite(each[table.is_usable]).sum() > 1 for each in table.columns.values()):
@@ -283,8 +283,8 @@ def _derive_channels(table: Table, warnings: list[str], frame_id: str = ""
 
 
 def _correct_yaw(table: Table, columns: dict[str, np.ndarray], warnings: list[str]) -> None:
-    """Reads yaw or heading in the unit and direction in which it agrees with the course over ground, if it agrees only
-    in a different one and the table has velocities to the east and north."""
+    """Reinterprets yaw or heading in another unit or direction if only then it agrees with the course over ground; this
+    requires velocities to the east and north."""
     channel = next((name for name in ("yaw", HEADING) if name in table.sources), "")
     if not channel or table.sources[channel].unit not in ("rad", "deg") or not columns.keys() >= {
             "velocity_east", "velocity_north"}:
@@ -462,7 +462,7 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], wa
     has_gap = steps > MIN_GAP_RATIO * usual_step
     if (is_measured & has_gap).sum() <= MAX_GAP_FRACTION * is_measured.sum() and (is_measured & ~has_gap).sum() > 2:
         is_measured &= ~has_gap
-    # Missing rows are no outage of the positions.
+    # Missing rows do not count as an outage of the positions.
     is_outage = _find_outages(np.cumsum(np.where(has_gap, usual_step, steps)), is_measured)
     second_last, last = np.flatnonzero(is_measured)[-2:]
     for name in ("x", "y"):
