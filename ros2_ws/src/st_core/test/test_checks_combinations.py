@@ -139,7 +139,7 @@ def test_ins_and_map_with_z_down_are_one_finding(leaf):
     assert check(corrected_drive(both, finding.advice.entry, leaf), leaf).findings == ()
     left = with_z_down(log, "acceleration_y", positions=True)
     (finding,) = check(left, leaf).findings
-    assert finding.name == "position_axes" and "x north, y east" in finding.text
+    assert finding.name == "position_axes" and "x is north, y east" in finding.text
     assert check(corrected_drive(left, finding.advice.entry, leaf), leaf).findings == ()
     (finding,) = check(both, leaf, AuxiliaryData(geographic=True)).findings
     assert finding.name == "steering_sign" and not finding.alternatives

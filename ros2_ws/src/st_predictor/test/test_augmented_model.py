@@ -162,7 +162,7 @@ ANOTHER_CAR = MASS + 'vehicle: {name: "Truck", hash: "abcdef"}\n'
 
 @pytest.mark.parametrize(("node", "text", "message"), [
     (PredictorNode, None, "model.yaml: No such file"),
-    (PredictorNode, MASS.replace("1.1", "9.0"), "effects.mass.factor: 9.0 is outside 0.6 to 2 1"),
+    (PredictorNode, MASS.replace("1.1", "9.0"), "effects.mass.factor: 9.0 is outside 0.6 to 2"),
     (PredictorNode, TOW_HOOK, "unknown effect 'tow_hook'"),
     (PredictorNode, ANOTHER_CAR, "the values are valid for 'Truck' abcdef"),
     (EvaluatorNode, ANOTHER_CAR, "the values are valid for 'Truck' abcdef"),
