@@ -11,11 +11,22 @@ from ros_messages import definition, header, odometry, serialise, stamp
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 from st_core.log import DriveLog
+from st_recordings.runs import LoadedRun, ReadSettings, find_runs, read
 from st_recordings.runs.bag import ODOMETRY, STEERING
+from st_recordings.runs.run_types import SteeringField
 from support import read_car
 
 CAR = read_car("leaf")
 NAMES = ("t", "x", "y", "yaw", "vx", "vy", "yaw_rate", "steering_wheel_angle")
+VBO_SETTINGS = ReadSettings(steering=SteeringField("", "Steer", "wheel", "deg"))
+NOON = 43200.0  # time of day [s]
+
+
+def read_text(file: Path, text: str, settings: ReadSettings | None = None) -> LoadedRun:
+    """Writes a table or VBO file and reads it."""
+    file.write_text(text)
+    (source,) = find_runs([file])
+    return read(source, CAR, VBO_SETTINGS if file.suffix == ".vbo" else settings)
 
 
 def columns(log: DriveLog) -> list[np.ndarray]:

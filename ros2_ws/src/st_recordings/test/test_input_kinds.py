@@ -9,23 +9,26 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from drive_kinds import CAR, NAMES, assert_same, assert_warned, clock, columns, csv, rows, to_degrees, vbo
+from drive_kinds import (
+    CAR,
+    NAMES,
+    NOON,
+    VBO_SETTINGS,
+    assert_same,
+    assert_warned,
+    clock,
+    csv,
+    read_text,
+    rows,
+    to_degrees,
+    vbo,
+)
 from st_core.checks import check
 from st_core.log import DriveLog
 from st_recordings.car import load_car, read_vehicle
-from st_recordings.runs import LoadedRun, ReadSettings, RunError, find_runs, read
+from st_recordings.runs import ReadSettings, RunError, find_runs, read
 from st_recordings.runs.run_types import SteeringField
 from support import EXAMPLES
-
-VBO_SETTINGS = ReadSettings(steering=SteeringField("", "Steer", "wheel", "deg"))
-NOON = 43200.0  # time of day [s]
-
-
-def read_text(file: Path, text: str, settings: ReadSettings | None = None) -> LoadedRun:
-    """Writes a table or VBO file and reads it."""
-    file.write_text(text)
-    (source,) = find_runs([file])
-    return read(source, CAR, VBO_SETTINGS if file.suffix == ".vbo" else settings)
 
 
 # The drive as text of a CSV.
@@ -452,37 +455,6 @@ def test_rows_with_a_time_far_too_late_are_left_out_alone(tmp_path: Path, drive_
     assert f"3 of {len(cells)} rows" in finding.text
 
 
-@pytest.mark.parametrize(("radius", "straight", "sign", "note"), [
-    (40.0, 0, -1, "its sign was changed"), (40.0, 0, 1, ""), (40.0, 500, -1, "its sign was changed"), (1e6, 0, -1, "")])
-def test_sign_of_a_vbo_yaw_rate_in_a_steady_turn(tmp_path: Path, radius: float, straight: int, sign: int,
-                                                 note: str) -> None:
-    """A constant yaw rate cannot be correlated with the heading, only its size compared; on a straight (radius [m] of
-    1e6) not even that. One turn after a long straight (of so many rows) is enough."""
-    rate = np.where(np.arange(600) < straight, 0.0, 10.0 / radius)
-    turned = np.degrees(np.cumsum(rate)) * 0.05
-    lines = "\n".join(f"{120000 + 0.05 * k:.2f} {3120 + 0.0003 * k:.6f} -90.0 36.0 {(90 - turned[k]) % 360:.4f} "
-                      f"{sign * np.degrees(rate[k]):.5f} 0.1" for k in range(600))
-    run = read_text(tmp_path / "turn.vbo",
-                    f'[column names]\ntime lat long velocity heading YawRate "Steer"\n[data]\n{lines}\n')
-    expected = rate if note or sign > 0 else -rate
-    np.testing.assert_allclose(run.log.yaw_rate, expected, rtol=1e-3, atol=1e-6)
-    assert any("yaw rate" in w for w in run.warnings) == bool(note)
-
-
-@pytest.mark.parametrize("scale", [-1.0, -0.5, 0.5])
-def test_negative_scale_of_a_vbo_yaw_rate_and_the_change_of_its_sign_are_one(tmp_path: Path, scale: float) -> None:
-    lines = "\n".join(f"{120000 + 0.05 * k:.2f} {3120 + 0.0003 * k:.6f} -90.0 36.0 {(90 - 0.5 * k) % 360:.4f} -10.0 0.1"
-                      for k in range(600))
-    (tmp_path / "turn.vbo").write_text(
-        f'[column names]\ntime lat long velocity heading YawRate "Steer"\n[data]\n{lines}\n')
-    run_file = tmp_path / "turn.run.yaml"
-    run_file.write_text(f"vbo: turn.vbo\ncorrect: {{yaw_rate: {{scale: {scale}}}}}\n")
-    run = read(find_runs([run_file])[0], CAR, VBO_SETTINGS)
-    np.testing.assert_allclose(run.log.yaw_rate, abs(scale) * np.radians(10.0))
-    assert any("the scale in its run.yaml is applied without its sign" in w for w in run.warnings) == (scale < 0)
-    assert run.auxiliary.corrections == (() if scale == -1.0 else ("yaw_rate x 0.5",))
-
-
 @pytest.mark.parametrize(("settings", "message"), [
     (ReadSettings(steering=SteeringField("/steer")), "--steering-topic /steer, because it is not a bag"),
     (ReadSettings(odometry="/odom"), "--odometry-topic /odom, because it is not a bag"),
@@ -491,47 +463,6 @@ def test_option_for_a_recording_of_another_kind_gives_a_warning(tmp_path: Path, 
                                                                 settings: ReadSettings, message: str) -> None:
     run = read_text(tmp_path / "drive.csv", csv(rows(drive_log)), settings)
     assert f"{tmp_path / 'drive.csv'}: this recording does not use {message}" in run.warnings
-
-
-def test_bias_of_a_vbo_yaw_rate_does_not_change_its_sign(tmp_path: Path) -> None:
-    """A bend to the right, so wide that a gyroscope with a bias to the left is positive in it."""
-    rate = np.where((np.arange(600) >= 300) & (np.arange(600) < 400), -0.013, -0.004)
-    turned = np.degrees(np.cumsum(rate)) * 0.05
-    lines = "\n".join(f"{120000 + 0.05 * k:.2f} {3120 + 0.0003 * k:.6f} -90.0 36.0 {(90 - turned[k]) % 360:.4f} "
-                      f"{np.degrees(rate[k] + 0.02):.5f} 0.1" for k in range(600))
-    run = read_text(tmp_path / "bend.vbo",
-                    f'[column names]\ntime lat long velocity heading YawRate "Steer"\n[data]\n{lines}\n')
-    np.testing.assert_allclose(run.log.yaw_rate, rate + 0.02, atol=1e-5)
-
-
-@pytest.mark.parametrize(("start", "seconds_of_day"), [(NOON, False), (86390.0, False), (45296.0, True)],
-                         ids=["noon", "over midnight", "seconds of the day"])
-def test_vbo_gives_the_drive(tmp_path: Path, drive_log: DriveLog, start: float, seconds_of_day: bool) -> None:
-    run = read_text(tmp_path / "drive.vbo", vbo(drive_log, start, seconds_of_day=seconds_of_day))
-    log = run.log
-    assert len(log.x) == len(drive_log.x) - 1 and log.duration == pytest.approx(drive_log.duration, abs=0.02)
-    distance, true_distance = (np.hypot(np.diff(each.x), np.diff(each.y)).sum() for each in (log, drive_log))
-    assert distance == pytest.approx(true_distance, rel=2e-3)
-    assert np.median(np.abs(log.yaw_rate[:-1] - drive_log.yaw_rate[: len(log.x) - 1])) < 0.05
-    np.testing.assert_allclose(log.steering_wheel_angle, columns(drive_log)[7][:-1], atol=1e-4)
-    usual = "course over ground|derivative of the heading|the last of"
-    assert_warned(run.warnings, f"{usual}|its times are not HHMMSS" if seconds_of_day else usual)
-
-
-@pytest.mark.parametrize("first", [95.0, 1777889472.0], ids=["seconds from the start", "seconds since 1970"])
-def test_date_of_a_vbo_is_added_only_to_times_of_day(tmp_path: Path, first: float) -> None:
-    lines = "\n".join(f"{first + 0.1 * k:.2f} {3120 + 0.001 * k:.6f} -90.0 36.0 0.0 0.1" for k in range(100))
-    run = read_text(tmp_path / "drive.vbo", "File created on 04/05/2026 at 10:11:12\n[column names]\n"
-                    f'time lat long velocity heading "Steer"\n[data]\n{lines}\n')
-    assert run.log.ins_time_ns[0] * 1e-9 == pytest.approx(first)
-
-
-def test_second_drive_in_a_vbo_is_reported_or_rejected(tmp_path: Path, drive_log: DriveLog) -> None:
-    file = tmp_path / "drive.vbo"
-    run = read_text(file, vbo(drive_log, late_last_row=False) * 2)
-    assert_warned(run.warnings, r"the clock was set back by .* rows \(50 %\) are not used")
-    with pytest.raises(RunError, match="several files with different"):
-        read_text(file, vbo(drive_log) + vbo(drive_log).replace("heading Steer", "Steer heading"))
 
 
 def test_noisy_course_over_ground_causes_no_finding(tmp_path: Path) -> None:
@@ -546,52 +477,6 @@ def test_noisy_course_over_ground_causes_no_finding(tmp_path: Path) -> None:
     run = read(find_runs([file])[0], car)
     findings = {finding.name: finding.severity for finding in check(run.log, car, run.auxiliary).findings}
     assert not [name for name in findings if name.startswith(("yaw_rate", "steering"))], findings
-
-
-def map_vbo_rows(text: str, change: Callable[[int, list[str]], list[str]]) -> str:
-    """change(number, cells) -> cells of each data row."""
-    head, mark, data = text.partition("[data]\n")
-    return head + mark + "".join(" ".join(change(k, line.split(" "))) + "\n"
-                                 for k, line in enumerate(data.splitlines()))
-
-
-@pytest.mark.parametrize(("change", "warning", "lost"), [
-    (lambda k, row: [*row[:2], "+0.0", "+0.0", *row[4:]] if k < 50 else row,
-     r"50 of \d+ rows .* latitude and longitude 0", 50),
-    (lambda k, row: [row[0], "000000.00", *row[2:]] if k < 50 else row, r"the first of \d+ rows is 432\d\d", 50),
-    (lambda k, row: [row[0], "127777.00", *row[2:]] if k == 50 else row, r"time \(column time\): 1 of \d+ rows", 1),
-], ids=["no fix", "time 0", "damaged time"])
-def test_only_invalid_rows_of_a_vbo_are_left_out(tmp_path: Path, drive_log: DriveLog, change, warning: str,
-                                                 lost: int) -> None:
-    run = read_text(tmp_path / "drive.vbo", map_vbo_rows(vbo(drive_log), change))
-    assert len(run.log.x) >= len(drive_log.x) - 1 - lost - 2 and any(re.search(warning, w) for w in run.warnings)
-    assert np.hypot(np.diff(run.log.x), np.diff(run.log.y)).sum() > 0.95 * 12.0 * run.log.duration
-
-
-@pytest.mark.parametrize("stationary", [600, 10**6], ids=["at first", "always"])
-def test_course_of_a_stationary_car_is_not_used(tmp_path: Path, drive_log: DriveLog, stationary: int) -> None:
-    """The course of a second solution, which some receivers record as _heading, is not used either."""
-    text = vbo(drive_log).replace("heading Steer", "heading Steer _heading")
-    first = text.partition("[data]\n")[2].split(" ")
-    rng = np.random.default_rng(1)
-
-    def stop(k: int, row: list[str]) -> list[str]:
-        if k < stationary:
-            row[2:4], row[4] = first[2:4], f"{rng.uniform(0, 0.1):07.3f}"
-            row[5] = f"{rng.uniform(0, 360):06.2f}"
-        return [*row, f"{rng.uniform(0, 360):06.2f}"]
-
-    run = read_text(tmp_path / "drive.vbo", map_vbo_rows(text, stop))
-    assert any("slower than 1 m/s; the course is noise there" in w for w in run.warnings)
-    assert np.abs(run.log.yaw_rate[:550]).max() < 1e-9 and np.ptp(run.log.yaw[:550]) < 1e-9
-    assert not [f for f in check(run.log, CAR, run.auxiliary).findings if "yaw" in f.channels]
-
-
-def test_milliseconds_of_the_day_in_a_vbo_cause_a_warning(tmp_path: Path, drive_log: DriveLog) -> None:
-    text = map_vbo_rows(vbo(drive_log, late_last_row=False),
-                        lambda k, row: [row[0], str(43200000 + 10 * k), *row[2:]])
-    run = read_text(tmp_path / "drive.vbo", text)
-    assert any("were read in ms" in warning for warning in run.warnings) and np.ptp(run.log.ins_time_ns) < 60e9
 
 
 def test_compressed_can_log_is_rejected(tmp_path: Path, drive_folder: Path) -> None:
