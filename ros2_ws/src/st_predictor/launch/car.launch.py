@@ -134,7 +134,7 @@ def generate_launch_description():
         declare("output", "folder of the recordings; bags in it are kept, and new ones are named NAME_2",
                 f"runs/{datetime.now(UTC):%Y%m%d-%H%M%S}"),
         declare("bridges", "false: another source publishes odometry and steering", "true"),
-        declare("markers", "true: car, errors and names as markers for RViz and Foxglove", "true"),
+        declare("markers", "true: car, paths, bands, errors and names as markers for RViz and Foxglove", "true"),
         declare("identify", "true: identify steering and stiffness online (published, never applied)", "false"),
         declare("respawn", "true: restart a node that ends; false: also stop if a bag exists in output", "true"),
         declare("use_sim_time", "true: follow /clock", "false"),

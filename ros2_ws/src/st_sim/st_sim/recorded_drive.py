@@ -56,17 +56,17 @@ def _read_table(path: Path) -> np.ndarray:
             missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
             if missing:
                 raise ConfigurationError(f"{path}: column {missing[0]} is missing; required: {', '.join(COLUMNS)}")
-            rows = [_parse_row(row, path, reader.line_num) for row in reader]
+            rows = [(reader.line_num, _parse_row(row, path, reader.line_num)) for row in reader]
     except OSError as error:
         raise ConfigurationError(f"--drive {path}: cannot be read: {error.strerror}") from None
     except (UnicodeDecodeError, csv.Error) as error:
         raise ConfigurationError(f"{path}: not a CSV file: {error}") from None
     if len(rows) < 2:
         raise ConfigurationError(f"{path}: has {len(rows)} rows, but at least 2 are required")
-    table = np.array(rows)
+    table = np.array([values for _, values in rows])
     backward_rows = np.flatnonzero(np.diff(table[:, 0]) <= 0)
     if backward_rows.size:
-        raise ConfigurationError(f"{path}: line {backward_rows[0] + 3}: t does not increase")
+        raise ConfigurationError(f"{path}: line {rows[backward_rows[0] + 1][0]}: t does not increase")
     return table
 
 
