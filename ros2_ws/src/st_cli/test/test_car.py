@@ -4,13 +4,14 @@ import re
 import shutil
 
 import pytest
+import yaml
 from canedge_bridge.signals import load_table
 from command_line import st
 from st_cli.cli import app
 from st_cli.verbs._options import LEAF, ReadOptions, report_default_car
 from st_core.vehicle import VehicleParameters
 from st_recordings.car import list_cars, load_car
-from st_recordings.car_skeleton import MEASUREMENT_HINTS, find_problems, list_remarks, write_skeleton
+from st_recordings.car_skeleton import find_problems, list_remarks, write_skeleton
 from st_recordings.paths import config
 from st_recordings.runs.errors import RunError
 from typer.main import get_command
@@ -149,12 +150,30 @@ def fill_in(car_folder):
 def test_check_of_a_new_skeleton_lists_exactly_the_values_to_fill_in(skeleton):
     result = st("car", "check", skeleton)
     messages = result.stderr.splitlines()
-    assert result.exit_code == 1 and len(messages) == len(MEASUREMENT_HINTS) + 2
+    required = re.findall(r"(?m)^(\w+): .*FILL_IN", (skeleton / "vehicle.yaml").read_text())
+    assert result.exit_code == 1 and len(messages) == len(required) + 1
     assert all("filled in" in line and str(skeleton) in line for line in messages)
-    for key in ("name", *MEASUREMENT_HINTS):
+    assert {"name", "mass", "steering_ratio", "drive_front", "cornering_stiffness_rear"} < {*required}
+    for key in required:
         assert sum(f"vehicle.yaml: {key}:" in line for line in messages) == 1
     assert any("signals.yaml: messages: FILL_IN_message" in line for line in messages)
     assert any(line.endswith("drive_front: not filled in (value and source; 0 to 1)") for line in messages)
+
+
+def test_skeleton_has_the_ins_messages_and_the_other_quantities_of_the_leaf(skeleton):
+    leaf = config("car/leaf")
+    ins_rows = [(folder / "signals.yaml").read_text().partition("  # The INS on CAN")[2] for folder in (leaf, skeleton)]
+    assert ins_rows[0] == ins_rows[1] != ""
+    messages = [[part.strip() for part in re.split(r"\n(?=\S)", (folder / name).read_text())
+                 if re.match(r"\n*BO_ \d+ RT_", part)] for folder, name in ((leaf, "can.dbc"), (skeleton, "rt.dbc"))]
+    assert messages[0] == messages[1] != []
+    vehicles = [yaml.safe_load((folder / "vehicle.yaml").read_text()) for folder in (leaf, skeleton)]
+    assert [[*vehicle] for vehicle in vehicles] == [[*vehicles[0]]] * 2
+    for key in ("cg_height", "minimum_slip_speed", "length", "track_width", "side_area"):
+        assert vehicles[1][key]["value"] == vehicles[0][key]["value"]
+    for tyre in ("tyre_front", "tyre_rear"):
+        values = [{key: (entry["value"], entry["unit"]) for key, entry in v[tyre].items()} for v in vehicles]
+        assert values[0] == values[1]
 
 
 def test_completed_skeleton_passes_the_check_and_loads(skeleton):
