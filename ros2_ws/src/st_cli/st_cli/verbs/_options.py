@@ -204,7 +204,8 @@ def expand_options(group: type, *names: str, **annotations: Any) -> Callable[[Ca
     """Decorator that replaces a command's parameter of type `group`, a dataclass, with one option per field.
 
     names: fields to use, default all. annotations: by field, if they differ from those in `group`. The decorated
-    command also groups similar warnings.
+    command also groups similar warnings, reports errors in its inputs (`report_errors`), and ends with the status that
+    the function returns.
     """
     used_fields = [f for f in fields(group) if not names or f.name in names]
 
@@ -217,8 +218,8 @@ def expand_options(group: type, *names: str, **annotations: Any) -> Callable[[Ca
             from st_recordings.runs.errors import group_similar_warnings
 
             options = {f.name: arguments.pop(f.name) for f in used_fields}
-            with group_similar_warnings():
-                return verb(**arguments, **{own[position].name: group(**options)})
+            with report_errors(verb.__name__.rstrip("_")), group_similar_warnings():
+                raise typer.Exit(verb(**arguments, **{own[position].name: group(**options)}) or 0)
 
         options = [inspect.Parameter(f.name, inspect.Parameter.KEYWORD_ONLY, default=f.default,
                                      annotation=annotations.get(f.name, f.type)) for f in used_fields]

@@ -18,7 +18,7 @@ def check(
         None, "--propose-correction", "--propose-cure", dir_okay=False,
         help="Write a run.yaml with corrections for the findings; single run only."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
-) -> None:
+) -> int:
     """Find errors in recordings: units, signs, clocks, axes, projections, reference points, sensors.
 
     Nothing is corrected; each finding states how to correct it. Exit status: 0 no error found, 1 an error was found or
@@ -26,13 +26,10 @@ def check(
     """
     from st_offline.checking.check_command import CheckJob, run_command
 
-    with shared.report_errors("check"):
-        vehicle, read_settings = read_options.resolve()
-        parameters, file = shared.load_vehicle_or_default(vehicle)
-        job = CheckJob(
-            runs, parameters, str(file), vehicle is not None, read_settings, output, json, propose_correction)
-        status = run_command(job, shared.console, lambda used: shared.report_default_car("check", None, used))
-    raise typer.Exit(status)
+    vehicle, read_settings = read_options.resolve()
+    parameters, file = shared.load_vehicle_or_default(vehicle)
+    job = CheckJob(runs, parameters, str(file), vehicle is not None, read_settings, output, json, propose_correction)
+    return run_command(job, shared.console, lambda used: shared.report_default_car("check", None, used))
 
 
 def car(

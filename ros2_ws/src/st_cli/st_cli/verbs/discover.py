@@ -64,7 +64,7 @@ def discover(
     force: bool = typer.Option(False, "--force", help="Also use runs in which `st check` finds an error."),
     fresh: bool = typer.Option(False, "--fresh", help="Search again, even if the same inputs have a cached result."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
-) -> None:
+) -> int:
     """Find errors in vehicle file, sensors and model; write corrected files and the reduction of the prediction error.
 
     Exit status: 0 the result uses all runs, 1 some could not be used, 2 the search could not be started.
@@ -73,17 +73,15 @@ def discover(
     from st_offline.discovery.discover_command import run_command
     from st_offline.discovery.drives import Request
 
-    with shared.report_errors("discover"):
-        vehicle, read_settings = read_options.resolve()
-        parameters, file = shared.load_vehicle_or_default(vehicle)
-        request = Request(
-            base, parameters, str(file), file.read_text(encoding="utf-8"),
-            DiscoverySettings(channels=shared.split_names(channels), seed=seed, simulate_power=simulate_power), runs,
-            reference, read_settings, effects, output, jobs, shared.split_names(figures), report, not fresh, force,
-            propose)
-        status = run_command(request, shared.console)
+    vehicle, read_settings = read_options.resolve()
+    parameters, file = shared.load_vehicle_or_default(vehicle)
+    settings = DiscoverySettings(channels=shared.split_names(channels), seed=seed, simulate_power=simulate_power)
+    request = Request(base, parameters, str(file), file.read_text(encoding="utf-8"), settings, runs, reference,
+                      read_settings, effects, output, jobs, shared.split_names(figures), report, not fresh, force,
+                      propose)
+    status = run_command(request, shared.console)
     shared.report_default_car("discover", vehicle, file)
-    raise typer.Exit(status)
+    return status
 
 
 @shared.expand_options(shared.ReadOptions)
@@ -97,13 +95,14 @@ def identify(
     output: Path | None = typer.Option(None, help="Folder for the results; default runs/identify-<experiment>-<time>."),
     force: bool = typer.Option(False, "--force", help="Also use drives in which `st check` finds an error."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
-) -> None:
+) -> int:
     """Identify parameters; write values, uncertainties, verdicts, figure, report, and a vehicle file with provenance.
 
     The given vehicle file is not changed; the new one is vehicle.yaml in the output folder. Exit status: 0 at least one
     parameter is identified or doubtful, 1 none, 2 the data cannot be used.
     """
     from rich.table import Table
+    from st_core.errors import ConfigurationError
     from st_live.configuration import load_model
     from st_offline.identification.experiment import IdentificationJob
     from st_offline.identification.identify_command import EXPERIMENTS, run_command
@@ -114,10 +113,9 @@ def identify(
         for row in EXPERIMENTS.values():
             table.add_row(row.name, row.description, row.required_files)
         shared.console.print(table)
-        return
+        return 0
     if experiment not in EXPERIMENTS:
-        typer.echo(f"st identify: unknown experiment {experiment!r}; use {', '.join(EXPERIMENTS)}", err=True)
-        raise typer.Exit(2)
+        raise ConfigurationError(f"unknown experiment {experiment!r}; use {', '.join(EXPERIMENTS)}")
     with shared.report_errors(f"identify {experiment}"):
         vehicle, read_settings = read_options.resolve()
         parameters, file = shared.load_vehicle_or_default(vehicle)
@@ -127,4 +125,4 @@ def identify(
                                 read_settings, force, base)
         status = run_command(job, shared.console)
     shared.report_default_car("identify", vehicle, file)
-    raise typer.Exit(status)
+    return status

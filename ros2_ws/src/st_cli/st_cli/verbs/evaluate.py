@@ -78,7 +78,7 @@ def evaluate(
     workers: int = typer.Option(1, help="Number of runs evaluated in parallel (Dask).", min=1),
     scheduler: str | None = typer.Option(None, help="Address of a Dask scheduler to use instead of --workers."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
-) -> None:
+) -> int:
     """Predict every --interval s of each run with each model, score the predictions, and write tables and figures.
 
     Unusable runs are reported and skipped. Exit status: 0 all runs evaluated, 1 some not, 2 none.
@@ -89,16 +89,15 @@ def evaluate(
     from st_offline.evaluation.work import check_bands, load_models
     from st_recordings.car import read_text
 
-    with shared.report_errors("evaluate"):
-        parsed_bands, parsed_course = (file and (str(file), kind.from_yaml(read_text(file), str(file)))
-                                       for file, kind in ((bands, Bands), (course, Course)))
-        task, vehicle = prediction_options.make_task(
-            read_options, interval, over=table, force=force, starts=_parse_seconds(at),
-            formats=shared.split_names(figures), bands=parsed_bands, adaptive=adaptive, course=parsed_course)
-        check_bands(task, load_models(task))
-        status = run_command(runs, task, output, workers, scheduler, shared.console, advise)
+    parsed_bands, parsed_course = (file and (str(file), kind.from_yaml(read_text(file), str(file)))
+                                   for file, kind in ((bands, Bands), (course, Course)))
+    task, vehicle = prediction_options.make_task(
+        read_options, interval, over=table, force=force, starts=_parse_seconds(at),
+        formats=shared.split_names(figures), bands=parsed_bands, adaptive=adaptive, course=parsed_course)
+    check_bands(task, load_models(task))
+    status = run_command(runs, task, output, workers, scheduler, shared.console, advise)
     shared.report_default_car("evaluate", vehicle, task.vehicle_file)
-    raise typer.Exit(status)
+    return status
 
 
 @shared.expand_options(shared.ReadOptions)
@@ -116,7 +115,7 @@ def calibrate(
         False, "--together", help="Recordings of one argument (one day or site) are dependent and count as one run."),
     force: bool = typer.Option(False, "--force", help="Also use runs in which `st check` finds an error."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
-) -> None:
+) -> int:
     """Calibrate bands around the predicted path that contain the measured path of a new drive with a given probability.
 
     Each model gets bands for measured inputs (hindsight) and held inputs (forecast). Test them on other drives with
@@ -124,11 +123,10 @@ def calibrate(
     """
     from st_offline.bands.calibration_command import run_command
 
-    with shared.report_errors("calibrate"):
-        task, vehicle = prediction_options.make_task(read_options, force=force)
-        status = run_command(runs, task, output, sorted(set(level)), together, shared.console)
+    task, vehicle = prediction_options.make_task(read_options, force=force)
+    status = run_command(runs, task, output, sorted(set(level)), together, shared.console)
     shared.report_default_car("calibrate", vehicle, task.vehicle_file)
-    raise typer.Exit(status)
+    return status
 
 
 @shared.expand_options(shared.ReadOptions)
@@ -139,18 +137,16 @@ def course(
         show_default=False),
     output: Path = typer.Option(Path("course.yaml"), "--output", "-o", help="File for the course; it must not exist."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
-) -> None:
+) -> int:
     """Build a course: speed and curvature along recorded paths, which may contain laps, both directions and branches.
 
     Use it with `st evaluate --course`. Exit status: 0 all runs used, 1 some not, 2 no course could be built.
     """
     from st_offline.course_command import build_course
 
-    with shared.report_errors("course"):
-        vehicle, read_settings = read_options.resolve()
-        parameters, _ = shared.load_vehicle_or_default(vehicle)
-        status = build_course(runs, parameters, read_settings, output, shared.console)
-    raise typer.Exit(status)
+    vehicle, read_settings = read_options.resolve()
+    parameters, _ = shared.load_vehicle_or_default(vehicle)
+    return build_course(runs, parameters, read_settings, output, shared.console)
 
 
 def _parse_seconds(text: str) -> tuple[float, ...]:

@@ -32,7 +32,7 @@ def demo(
     seed: int = typer.Option(0, help="Seed of the simulated noise."),
     run_options: shared.RunOptions = shared.RunOptions(),
     output: Path | None = typer.Option(None, help="Folder for the run; default runs/demo-<scenario>-<time>."),
-) -> None:
+) -> int:
     """Run the live suite on the virtual Leaf or on a recorded drive; show how well each model predicts."""
     from st_live import configuration, session
 
@@ -45,15 +45,13 @@ def demo(
     # The car continues to drive while the predictor stops, so that even the last prediction has inputs.
     options += ["--duration", str(duration + EXTRA_DRIVING)] if duration else []
     options += [part for setting in effect for part in ("--effect", setting)]
-    with shared.report_errors("demo"):
-        car = configuration.VirtualCar(configuration.resolve_vehicle_file(vehicle), options,
-                                       plant_vehicle and plant_vehicle.absolute())
-        description, source = (title, "recorded drive") if drive else (f"scenario {title}", "virtual Leaf")
-        vehicle_name = configuration.find_vehicle_name(car.vehicle)
-        summary = {"title": description, "source": source, "vehicle": vehicle_name, "seed": seed}
-        status = _run(f"demo-{title}", summary, car.vehicle, car.make_bridge_parameters(), run_options, output,
-                      source=lambda suite: session.make_timer(duration, car.start(suite) - session.END_MARGIN))
-    raise typer.Exit(status)
+    car = configuration.VirtualCar(configuration.resolve_vehicle_file(vehicle), options,
+                                   plant_vehicle and plant_vehicle.absolute())
+    description, source = (title, "recorded drive") if drive else (f"scenario {title}", "virtual Leaf")
+    vehicle_name = configuration.find_vehicle_name(car.vehicle)
+    summary = {"title": description, "source": source, "vehicle": vehicle_name, "seed": seed}
+    return _run(f"demo-{title}", summary, car.vehicle, car.make_bridge_parameters(), run_options, output,
+                source=lambda suite: session.make_timer(duration, car.start(suite) - session.END_MARGIN))
 
 
 @shared.expand_options(shared.ReadOptions, "car", "vehicle", "dbc", "signals", "steering_sign", "steering_latency")
@@ -72,22 +70,19 @@ def live(
         False, "--realtime", help="Real-time scheduling for bridges and predictor; permission: docs/manual/live.md."),
     run_options: shared.RunOptions = shared.RunOptions(),
     output: Path | None = typer.Option(None, help="Folder for the run; default runs/live-<time>."),
-) -> None:
+) -> int:
     """Listen to the RT3000 and the car's CAN bus; predict, score and record until Ctrl-C."""
     from st_live import configuration, session
 
     ins = {"udp_port": ncom_port, "bind_address": ncom_address, "sender_filter": ncom_sender}
     can = {"interface": can_interface, "channel": can_channel}
-    with shared.report_errors("live"):
-        car = car_options.fill_in_car(requires_bus=True)
-        vehicle = configuration.resolve_vehicle_file(car.vehicle)
-        bridges = configuration.make_bridge_parameters(vehicle, ins, can | car.sensor_settings, car.dbc, car.signals)
-        summary = {"title": "live", "source": f"{can_interface}:{can_channel}, NCOM port {ncom_port}",
-                   "vehicle": configuration.find_vehicle_name(vehicle)}
-        status = _run("live", summary, vehicle, bridges, run_options, output, car.vehicle is None,
-                      source=lambda _: session.make_timer(duration), default_domain=0, supervised=True,
-                      realtime=realtime)
-    raise typer.Exit(status)
+    car = car_options.fill_in_car(requires_bus=True)
+    vehicle = configuration.resolve_vehicle_file(car.vehicle)
+    bridges = configuration.make_bridge_parameters(vehicle, ins, can | car.sensor_settings, car.dbc, car.signals)
+    summary = {"title": "live", "source": f"{can_interface}:{can_channel}, NCOM port {ncom_port}",
+               "vehicle": configuration.find_vehicle_name(vehicle)}
+    return _run("live", summary, vehicle, bridges, run_options, output, car.vehicle is None,
+                source=lambda _: session.make_timer(duration), default_domain=0, supervised=True, realtime=realtime)
 
 
 def _run(name: str, summary: dict[str, Any], vehicle: Path, bridges: Mapping[str, Mapping[str, Any]],

@@ -31,7 +31,7 @@ def align(
         None, help="Bounds of the offset in seconds, if it is known approximately."),
     output: Path | None = typer.Option(None, help="Folder for the results; default runs/align-<name>-<time>."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
-) -> None:
+) -> int:
     """Find offset and drift between the clocks of INS and CAN log, report their uncertainty, and draw the signals.
 
     Exit status 0: good or doubtful (see the reasons). 1: no alignment. 2: files that cannot be read.
@@ -41,11 +41,10 @@ def align(
     from st_recordings.paths import new_folder
     from st_recordings.runs.raw import read_pair, summarise_alignment
 
-    with shared.report_errors("align"):
-        _, settings = read_options.resolve(search=search)
-        with console.status("reading and aligning"):
-            pair = read_pair(files, settings)
-        folder = new_folder(output, f"align-{pair.name}")
+    _, settings = read_options.resolve(search=search)
+    with console.status("reading and aligning"):
+        pair = read_pair(files, settings)
+    folder = new_folder(output, f"align-{pair.name}")
     for warning in pair.warnings:
         print_line(f"[yellow]{escape(warning)}[/yellow]", console)
     if read_options.car is None:
@@ -60,7 +59,7 @@ def align(
         draw_alignment(pair.shared_signals, alignment, title, folder / "alignment.png")
         results[folder / "alignment.png"] = "the signals of both recordings, aligned"
     list_files(results, console)
-    raise typer.Exit(1 if alignment.verdict == "refused" else 0)
+    return 1 if alignment.verdict == "refused" else 0
 
 
 def describe_alignment(alignment: "Alignment", start_ns: int, is_utc: bool) -> str:
@@ -147,24 +146,24 @@ def import_(
     force: bool = typer.Option(False, "--force", help="Also write runs in which `st check` finds an error."),
     strict: bool = typer.Option(False, "--strict", help="Do not write runs with a doubtful alignment."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
-) -> None:
+) -> int:
     """Write INS recording and CAN logs as one rosbag2 MCAP, aligned to one time base, with raw packets and frames.
 
     `ros2 bag play` sends it to the live nodes; `st check`, `evaluate`, `discover` and others read it. Exit status: 0
     all runs written, 1 some not, 2 none.
     """
+    from st_core.errors import ConfigurationError
     from st_recordings.paths import OutputError, new_folder
     from st_recordings.runs.errors import RunError
     from st_recordings.runs.sources import find_runs
 
-    with shared.report_errors("import"):
-        vehicle, settings = read_options.resolve(search=search, accept_doubtful=not strict)
-        parameters, file = shared.load_vehicle_or_default(vehicle)
+    vehicle, settings = read_options.resolve(search=search, accept_doubtful=not strict)
+    parameters, file = shared.load_vehicle_or_default(vehicle)
     runs = [run for run in find_runs(paths) if run.kind == "ncom" or run.problem is not None]
     if not runs:
-        typer.echo(f"st import: {', '.join(map(str, paths))}: no .ncom with CAN logs found, and only these are "
-                   "imported; st check, evaluate and discover read CSV, VBO and bags with their CAN logs", err=True)
-        raise typer.Exit(2)
+        raise ConfigurationError(
+            f"{', '.join(map(str, paths))}: no .ncom with CAN logs found, and only these are imported; st check, "
+            "evaluate and discover read CSV, VBO and bags with their CAN logs")
     written = 0
     for run in runs:
         try:
@@ -176,27 +175,24 @@ def import_(
             typer.echo(f"st import: {error}", err=True)
     if written:
         shared.report_default_car("import", vehicle, file)
-    if written < len(runs):
-        raise typer.Exit(1 if written else 2)
+    return 0 if written == len(runs) else 1 if written else 2
 
 
 def _import_run(source: "RunSource", car: "VehicleParameters", folder: Path, settings: "ReadSettings",
                 force: bool) -> None:
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
     from st_offline.alignment_figure import draw_alignment
     from st_offline.checking.check_report import print_findings
     from st_offline.checking.gate import check_for_use
-    from st_offline.terminal import list_files, print_line
+    from st_offline.terminal import list_files, make_progress_bars, print_line
     from st_recordings.runs.write import import_run
 
     started = time.perf_counter()
-    with Progress(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=console,
-                  transient=True) as progress:
+    with make_progress_bars(console) as progress:
         task = progress.add_task(f"{source.name}: reading and aligning", total=None)
         imported = import_run(source, car, folder, settings,
                               lambda run: check_for_use(source.path, run, car, force),
-                              lambda fraction: progress.update(task, description=f"{source.name}: writing", total=1.0,
-                                                               completed=fraction))
+                              lambda fraction: progress.update(task, description=f"{source.name}: writing, %",
+                                                               total=100, completed=round(100 * fraction)))
     duration = time.perf_counter() - started
     for warning in imported.warnings:
         print_line(f"[yellow]{escape(warning)}[/yellow]", console)

@@ -21,7 +21,7 @@ def replay(
     run_options: shared.RunOptions = shared.RunOptions(),
     output: Path | None = typer.Option(None, help="Folder for the run; default runs/replay-<time>."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
-) -> None:
+) -> int:
     """Play a recording through predictor, evaluator and recorder, on the clock of the recording."""
     from st_live.configuration import find_bag
     from st_live.replaying import replay_bag
@@ -31,22 +31,21 @@ def replay(
     from st_recordings.paths import new_folder
     from st_recordings.runs.readers.bag import add_steering
 
-    with shared.report_errors("replay"):
-        vehicle, read_settings = read_options.resolve()
-        bag = find_bag(bag)
-        read_settings = add_steering(bag, read_settings)
-        view = run_options.make_view()
-        findings = check_bag(bag, vehicle, force, read_settings)
-        print_findings({bag.name: findings}, shared.console)
-        shared.report_default_car_for_bag("replay", bag, vehicle)
-        folder = new_folder(output, f"replay-{bag.stem}")
-        outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, shared.console, view, run_options.bands,
-                                   run_options.course, run_options.adaptive, read_settings)
+    vehicle, read_settings = read_options.resolve()
+    bag = find_bag(bag)
+    read_settings = add_steering(bag, read_settings)
+    view = run_options.make_view()
+    findings = check_bag(bag, vehicle, force, read_settings)
+    print_findings({bag.name: findings}, shared.console)
+    shared.report_default_car_for_bag("replay", bag, vehicle)
+    folder = new_folder(output, f"replay-{bag.stem}")
+    outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, shared.console, view, run_options.bands,
+                               run_options.course, run_options.adaptive, read_settings)
     summary = {"title": f"replay of {bag.name}", "source": str(bag), "vehicle": name,
                "findings": findings_as_json(findings)}
     status = report_results(folder, outcome, summary, shared.console)
     view.finish(folder, shared.console)
-    raise typer.Exit(status)
+    return status
 
 
 @shared.expand_options(shared.ReadOptions, *shared.BAG_INPUTS, vehicle=shared.BagVehicle)
@@ -58,7 +57,7 @@ def verify(
     force: bool = typer.Option(False, "--force", help="Use the recording even if `st check` finds an error in it."),
     output: Path | None = typer.Option(None, help="Folder for the replay; default runs/verify-<time>."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
-) -> None:
+) -> int:
     """Compare predictions and scores of the nodes with those computed offline from the same measurements.
 
     A recording without predictions is first played through the nodes. Exit status: 0 all within the tolerance, 1 some
@@ -70,13 +69,11 @@ def verify(
     from st_offline.checking.gate import check_bag
     from st_recordings.runs.readers.bag import add_steering
 
-    with shared.report_errors("verify"):
-        vehicle, read_settings = read_options.resolve()
-        read_settings = add_steering(find_bag(bag), read_settings)
-        print_findings({bag.name: check_bag(find_bag(bag), vehicle, force, read_settings)}, shared.console)
-        shared.report_default_car_for_bag("verify", bag, vehicle)
-        status = verify_command(bag, vehicle, tolerance, through_nodes, output, shared.console, read_settings)
-    raise typer.Exit(status)
+    vehicle, read_settings = read_options.resolve()
+    read_settings = add_steering(find_bag(bag), read_settings)
+    print_findings({bag.name: check_bag(find_bag(bag), vehicle, force, read_settings)}, shared.console)
+    shared.report_default_car_for_bag("verify", bag, vehicle)
+    return verify_command(bag, vehicle, tolerance, through_nodes, output, shared.console, read_settings)
 
 
 def view(
