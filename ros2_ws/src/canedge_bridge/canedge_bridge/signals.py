@@ -19,17 +19,19 @@ from .checks import CHECKSUM_RULES, CheckSpec, Mode
 from .extraction import EXTENDED, Data, Extractor, Field, raw_range
 from .ins_time import DATE_TIME_PARTS, GPS_SECONDS_PARTS
 from .table_reader import Entry, read_document, to_one_line
+from .units import UNITS, find_unit, list_kinds
 
-# Canonical signal name -> SI unit, or h or min for parts of GPS time. WRAPPED_SIGNALS are wrapped to [-pi, pi).
+# Canonical signal name -> kind of quantity, a key of UNITS. WRAPPED_SIGNALS are wrapped to [-pi, pi).
 CANONICAL_SIGNALS = {
-    "steering_wheel_angle": "rad",
-    "wheel_speed_front_left": "m/s", "wheel_speed_front_right": "m/s",
-    "wheel_speed_rear_left": "m/s", "wheel_speed_rear_right": "m/s", "vehicle_speed": "m/s",
-    "ins_velocity_x": "m/s", "ins_velocity_y": "m/s", "ins_yaw": "rad", "ins_yaw_rate": "rad/s", "ins_unix_time": "s",
-    "gps_year_of_century": "", "gps_century": "", "gps_month": "", "gps_day": "",
-    "gps_hour": "h", "gps_minute": "min", "gps_second": "s", "gps_second_fraction": "s",
-    "gps_time": "s", "gps_utc_offset": "s",
+    "steering_wheel_angle": "angle",
+    "wheel_speed_front_left": "speed", "wheel_speed_front_right": "speed",
+    "wheel_speed_rear_left": "speed", "wheel_speed_rear_right": "speed", "vehicle_speed": "speed",
+    "ins_velocity_x": "speed", "ins_velocity_y": "speed", "ins_yaw": "angle", "ins_yaw_rate": "angular rate",
+    "ins_unix_time": "time", "gps_year_of_century": "ratio", "gps_century": "ratio", "gps_month": "ratio",
+    "gps_day": "ratio", "gps_hour": "time", "gps_minute": "time", "gps_second": "time", "gps_second_fraction": "time",
+    "gps_time": "time", "gps_utc_offset": "time",
 }
+UNCONVERTED_UNITS = {"gps_hour": "h", "gps_minute": "min"}  # signal -> its only unit, which is not converted to SI
 WRAPPED_SIGNALS = frozenset({"ins_yaw"})
 MAX_SCALING = 1e12  # largest plausible factor or offset of a DBC signal
 # Range of the steering wheel angle to either side [rad] if the table gives none; the signal must reach half this range.
@@ -40,23 +42,6 @@ _BYTE_ORDER_MARKS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16", b"\xef\xbb\xb
 _MESSAGE = re.compile(r"^BO_ +(?P<id>\d+) +(?P<name>\w+) *:.*\n(?:[ \t]+SG_.*\n|[ \t]*\n(?=[ \t]+SG_))*", re.MULTILINE)
 _SIGNAL_ATTRIBUTE = re.compile(r"^(?:SIG_VALTYPE_|SG_MUL_VAL_) +(?P<id>\d+) .*;", re.MULTILINE)
 MAX_STANDARD_ID, MAX_EXTENDED_ID = 0x7FF, 0x1FFFFFFF
-UNITS: Mapping[str, tuple[str, float, tuple[str, ...]]] = {
-    "": ("", 1.0, ("-", "none", "unitless", "1")), "deg": ("rad", math.pi / 180, ("degree", "degrees", "degs", "°")),
-    "rad": ("rad", 1.0, ("rads", "radian", "radians")), "mrad": ("rad", 1e-3, ("milliradian",)),
-    "deg/s": ("rad/s", math.pi / 180, ("deg/sec", "degree/s", "degrees/s", "degrees/sec", "°/s", "dps")),
-    "mrad/s": ("rad/s", 1e-3, ()), "rad/s": ("rad/s", 1.0, ("rad/sec", "radians/s")),
-    "km/h": ("m/s", 1 / 3.6, ("kph", "kmh", "kmph", "km/hr", "kilometers/hour")),
-    "m/s": ("m/s", 1.0, ("mps", "m/sec")), "mph": ("m/s", 0.44704, ("mi/h", "mile/h")),
-    "s": ("s", 1.0, ("sec", "seconds")), "ms": ("s", 1e-3, ("msec",)), "min": ("min", 1.0, ("minutes",)),
-    "h": ("h", 1.0, ("hours",)),
-}
-"""Unit -> (unit in CANONICAL_SIGNALS, factor to it, other spellings in DBC files, case ignored)."""
-_UNIT_BY_SPELLING = {text: unit for unit, (_, _, spellings) in UNITS.items() for text in (unit, *spellings)}
-
-
-def find_unit(text: str | None) -> str | None:
-    """Key of UNITS for a unit as spelled in a DBC or a table; None if unknown."""
-    return _UNIT_BY_SPELLING.get((text or "").strip().lower().replace(" ", ""))
 
 
 @dataclass(frozen=True)
@@ -65,7 +50,7 @@ class SignalSpec:
 
     extractor: Extractor
     name: str
-    unit: str  # key of UNITS
+    unit: str  # of its kind of quantity, see UNITS
     gain: float
     bias: float
     factor: float  # converts this unit to SI
@@ -284,8 +269,7 @@ def _find_signal(dbc: DbcMessage, name: str, dbc_path: Path, row: Entry) -> DbcS
 def _read_signal(entry: Entry, message: DbcMessage, dbc: DbcSignal, dbc_path: Path) -> SignalSpec:
     entry.allow_only("name", "unit", "sign", "sign_signal", "scale", "offset", "range", "max_rate")
     name = entry.choice("name", CANONICAL_SIGNALS)
-    unit = _read_unit(entry, name, dbc, dbc_path)
-    _, factor, _ = UNITS[unit]
+    unit, factor = _read_unit(entry, name, dbc, dbc_path)
     direction = entry.choice("sign", (1, -1))
     scale = entry.number("scale", 0.01, 100.0, default=1.0)
     offset = entry.number("offset", -1e6, 1e6, default=0.0)
@@ -300,21 +284,18 @@ def _read_signal(entry: Entry, message: DbcMessage, dbc: DbcSignal, dbc_path: Pa
     return spec
 
 
-def _read_unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> str:
-    """Key of UNITS of a signal. Raises ConfigurationError if its unit is unknown or contradicts its name or the DBC."""
-    text = entry.get("unit", str)
-    unit, dbc_unit = find_unit(text), find_unit(dbc.unit)
-    if unit is None:
-        raise entry.error("unit", f"{text!r} is not one of {', '.join(o or repr(o) for o in UNITS)}")
-    si_unit = CANONICAL_SIGNALS[name]
-    possible = [key for key, (si, *_) in UNITS.items() if si == si_unit]
+def _read_unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> tuple[str, float]:
+    """(unit of a signal, factor to SI). Raises ConfigurationError if the unit contradicts the name or the DBC."""
+    text, kind = entry.get("unit", str), CANONICAL_SIGNALS[name]
+    possible = [UNCONVERTED_UNITS[name]] if name in UNCONVERTED_UNITS else list(UNITS[kind])
+    unit, dbc_kinds = find_unit(kind, text), list_kinds(dbc.unit or "")
     if unit not in possible:
-        missing = f", and {dbc_path} gives no unit" if not dbc.unit and not unit else ""
-        raise entry.error("unit", f"{text!r} cannot be converted to {si_unit!r} ({name}){missing}; "
+        missing = f", and {dbc_path} gives no unit" if not dbc.unit and not text else ""
+        raise entry.error("unit", f"{text!r} is not a unit of {kind} ({name}){missing}; "
                           f"write {' or '.join(map(repr, possible))}, the unit of the sensor")
-    if dbc_unit and dbc_unit != unit:
+    if dbc_kinds and "ratio" not in dbc_kinds and find_unit(kind, dbc.unit or "") != unit:
         raise entry.error("unit", f"{text!r}, but {dbc_path} gives {dbc.unit!r}")
-    return unit
+    return unit, 1.0 if name in UNCONVERTED_UNITS else UNITS[kind][unit][0]
 
 
 def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:

@@ -54,7 +54,7 @@ WHEEL = "Leaf_Steering/signals/SteeringWheelAngle"
      "SteeringWheelAngle.name: 'wheel_angle' is not one of steering_wheel_angle"),
     (set_key(WHEEL + "/unit", None), "SteeringWheelAngle.unit: missing"),
     (set_key(WHEEL + "/unit", "rad"), "SteeringWheelAngle.unit: 'rad', but"),
-    (set_key(WHEEL + "/name", "vehicle_speed"), "unit: 'deg' cannot be converted to 'm/s'"),
+    (set_key(WHEEL + "/name", "vehicle_speed"), "unit: 'deg' is not a unit of speed"),
     (set_key(WHEEL + "/sign", 2), "SteeringWheelAngle.sign: 2 is not one of 1, -1"),
     (set_key(WHEEL + "/scale", 1000), "SteeringWheelAngle.scale: 1000 is outside 0.01 to 100"),
     (set_key(WHEEL + "/range", [900, -900]), "SteeringWheelAngle.range: 900 is not below -900"),

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from canedge_bridge.signals import find_unit as find_dbc_unit
 from canedge_bridge.signals import load_table
+from canedge_bridge.units import find_unit, list_kinds
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.handling import find_implausible_values
 from st_core.integrate import required_slip_speed
@@ -22,7 +22,6 @@ from st_core.vehicle import (
 
 from .car import Car, load_car, read_vehicle
 from .paths import config
-from .runs.columns import find_unit
 from .runs.errors import RunError
 from .runs.ins_log import SPEEDS
 from .runs.run_file import read_yaml_mapping
@@ -151,7 +150,7 @@ def _list_bus_remarks(car: Car) -> list[str]:
     table = load_table(car.dbc, car.signals)
     signals = [signal for message in table.messages.values() for signal in message.signals]
     remarks = [f"{car.signals}: {signal.dbc.name}: {car.dbc.name} gives the unknown unit {signal.dbc.unit!r}; the unit "
-               f"{signal.unit!r} of the table is used" for signal in signals if find_dbc_unit(signal.dbc.unit) is None]
+               f"{signal.unit!r} of the table is used" for signal in signals if not list_kinds(signal.dbc.unit or "")]
     if any(signal.name in SPEEDS for signal in signals):
         return remarks
     names = [f"{message.name}.{signal.name}" for message in table.database.messages for signal in message.signals

@@ -5,10 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from canedge_bridge.units import UNITS, normalise
 from drive_kinds import CAR
 from st_core.log import INS_SIGNALS, DriveLog
 from st_recordings.runs import LoadedRun, RunError, columns, find_runs, read
-from st_recordings.runs.columns import COLUMNS, UNITS, Layout, find_columns, normalise
+from st_recordings.runs.columns import COLUMNS, Layout, find_columns
 from st_recordings.runs.csv import find_missing_in_header, read_csv
 from support import ROOT
 

@@ -15,9 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from canedge_bridge.units import UNITS, normalise
 
 from .binary_table import is_signal_table
-from .columns import MOTION_CHANNELS, UNITS, Layout, find_columns, find_times, normalise
+from .columns import MOTION_CHANNELS, Layout, find_columns, find_times
 from .errors import COMPRESSED_MAGIC, CP1252_FALLBACK, find_utf16, format_count, shorten
 from .frames import EXTENDED_IDS, STANDARD_IDS
 from .mf4 import FD_LENGTHS, MF4_EXTENSIONS, VENDOR_EXTENSIONS, is_mdf

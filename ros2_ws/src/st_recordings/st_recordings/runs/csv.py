@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
+from canedge_bridge.units import UNITS
 from oxts_bridge.geometry import LocalFrame
 from st_core.checks import AuxiliaryData
 from st_core.checks.sampling import MIN_FREEZE_TIME
@@ -15,7 +16,7 @@ from st_core.types import map_to_body, wrap_angle
 from st_core.vehicle import VehicleParameters
 
 from .axes import MAX_AGREEING_ANGLE, MIN_COMPARED_SAMPLES, MIN_COURSE_SPEED, rotate_to_body_axes
-from .columns import UNITS, Layout, describe_unknown_units, find_ambiguous, find_ambiguous_steering, find_columns
+from .columns import Layout, describe_unknown_units, find_ambiguous, find_ambiguous_steering, find_columns
 from .csv_table import Table, all_finite, differentiate_yaw, read_header, read_table
 from .errors import RunError, format_count
 from .ins_log import SPEEDS, InsLog, compute_car_speed, is_mostly_known, yaw_from_quaternion

@@ -9,11 +9,12 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from canedge_bridge.units import UNITS, find_unit, normalise
 from st_core.sideslip import derive_yaw_rate
 
 from . import columns as column_names
 from .binary_table import BINARY_EXTENSIONS, is_signal_table, read_binary_table, read_names, read_signals
-from .columns import COLUMNS, UNITS, ColumnSource, Layout, find_columns, find_stamp_columns, find_unit, normalise
+from .columns import COLUMNS, ColumnSource, Layout, find_columns, find_stamp_columns
 from .errors import CP1252_FALLBACK, RunError, check_readable, find_utf16, format_count, shorten
 from .table_times import convert_to_seconds, parse_stamp, read_stamps, select_usable_times
 

@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 from canedge_bridge.table_reader import read_document
+from canedge_bridge.units import UNITS, find_unit
 from st_core import yaml_text
 from st_core.corrections import CHANNELS, Correction, check_corrections
 from st_core.errors import ConfigurationError, StCoreError
 
 from .can_formats import EXTENSIONS as CAN_EXTENSIONS
 from .can_formats import is_can_log
-from .columns import COLUMNS, UNITS, Layout, find_unit
+from .columns import COLUMNS, Layout
 from .errors import RunError, log_warnings
 from .readers import READERS, find_reader
 from .run_types import Label, RunSource

@@ -5,12 +5,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from canedge_bridge.units import UNITS
 from st_core.checks import AuxiliaryData
 from st_core.clock_types import Alignment
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 
-from .columns import UNITS, find_stated_unit
+from .columns import find_stated_unit
 from .errors import RunError
 
 

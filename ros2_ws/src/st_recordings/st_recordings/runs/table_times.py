@@ -6,8 +6,9 @@ from datetime import date
 from pathlib import Path
 
 import numpy as np
+from canedge_bridge.units import UNITS
 
-from .columns import UNITS, ColumnSource
+from .columns import ColumnSource
 from .errors import RunError, format_count
 from .ins_log import LATEST_TIME, MAX_LOST_FRACTION, select_usable_rows
 

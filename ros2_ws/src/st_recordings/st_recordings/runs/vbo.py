@@ -9,8 +9,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+from canedge_bridge.units import find_unit, normalise
 
-from .columns import COLUMNS, ColumnSource, Layout, apply_units, find_columns, find_unit, normalise
+from .columns import COLUMNS, ColumnSource, Layout, apply_units, find_columns
 from .csv import find_missing_channels
 from .csv_table import Table, differentiate_yaw, parse_table, read_text
 from .errors import RunError, check_readable
