@@ -13,7 +13,7 @@ Other starts have separate instants in the same layout.
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, islice
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 
@@ -72,11 +72,15 @@ def plan_blocks(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, shar
 
     lanes: columns that the kernel computes at once. share: False if the values at an instant depend on the start.
     """
-    pieces = _find_pieces(starts_ns, instants_ns) if share else []
-    if pieces and sum(piece.width for piece in pieces) <= 2 * len(starts_ns) + lanes:
-        yield from _plan_shared(pieces, instants_ns, lanes)
-        return
     count = len(instants_ns)
+    if share and (grid := _find_columns(starts_ns, instants_ns)):
+        spacing, column = grid
+        parts = np.split(np.arange(len(column)), np.flatnonzero(np.diff(column // SHARED_BLOCK)) + 1)
+        tail = (count - 1) // spacing
+        if column[-1] + 1 + tail * len(parts) <= 2 * len(starts_ns) + lanes:
+            yield from (_make_shared_block(number, rows, column, spacing, starts_ns, instants_ns, lanes)
+                        for number, rows in enumerate(parts))
+            return
     size = _round_up(max(min(SEPARATE_BLOCK // count, SHARED_BLOCK), 1), lanes)
     for number, first in enumerate(range(0, len(starts_ns), size)):
         starts = starts_ns[first:first + size]
@@ -86,65 +90,34 @@ def plan_blocks(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, shar
                         instants_ns[:, None] + padded, np.arange(count) * width, width)
 
 
-class _Piece(NamedTuple):
-    """Consecutive starts with overlapping horizons that fit into one block."""
+def _find_columns(starts_ns: np.ndarray, instants_ns: np.ndarray) -> tuple[int, np.ndarray] | None:
+    """(half steps between columns, column of each start) on a common grid; None without one.
 
-    rows: slice
-    spacing: int  # half steps between columns
-    column: np.ndarray  # of each start, within the piece
-    origin_ns: int  # time of its first column
-    width: int  # columns, including those into which the last horizon extends
-
-
-def _find_pieces(starts_ns: np.ndarray, instants_ns: np.ndarray) -> list[_Piece]:
-    """Pieces that cover all starts; empty without a common grid."""
+    Of a gap longer than a horizon, the grid contains only the columns into which the horizon before it extends.
+    """
     if len(instants_ns) < 2 or not len(starts_ns):
-        return []
-    half, count = int(instants_ns[1]), len(instants_ns)
-    if not np.array_equal(instants_ns, half * np.arange(count)):
-        return []
-    between = np.diff(starts_ns)
-    pieces = []
-    for run in np.split(np.arange(len(starts_ns)), np.flatnonzero(between >= half * count) + 1):
-        steps = between[run[0]:run[-1]]
-        if np.any(steps % half):
-            return []
-        spacing = int(np.gcd.reduce(steps // half)) if len(steps) else count
-        column = (starts_ns[run] - starts_ns[run[0]]) // (half * spacing)
-        for first in (SHARED_BLOCK * np.unique(column // SHARED_BLOCK)).tolist():
-            begin, end = np.searchsorted(column, (first, first + SHARED_BLOCK)).tolist()
-            within = column[begin:end] - first
-            pieces.append(_Piece(slice(int(run[0]) + begin, int(run[0]) + end), spacing, within,
-                                 int(starts_ns[run[0]]) + first * half * spacing,
-                                 int(within[-1]) + 1 + (count - 1) // spacing))
-    return pieces
+        return None
+    half, count, between = int(instants_ns[1]), len(instants_ns), np.diff(starts_ns)
+    is_gap = between >= half * count
+    if not np.array_equal(instants_ns, half * np.arange(count)) or np.any(between[~is_gap] % half):
+        return None
+    spacing = int(np.gcd.reduce(between[~is_gap] // half)) or count
+    steps = np.where(is_gap, (count - 1) // spacing + 1, between // (half * spacing))
+    return spacing, np.concatenate(([0], np.cumsum(steps)))
 
 
-def _plan_shared(pieces: Sequence[_Piece], instants_ns: np.ndarray, lanes: int) -> Iterator[GridBlock]:
-    """Blocks of consecutive pieces; between pieces, the columns into which the last horizon extends are unused."""
-    group: list[_Piece] = []
-    number = 0
-    for piece in pieces:
-        if group and (group[0].spacing != piece.spacing or sum(p.width for p in (*group, piece)) > SHARED_BLOCK):
-            yield _join_pieces(number, group, instants_ns, lanes)
-            group, number = [], number + 1
-        group.append(piece)
-    yield _join_pieces(number, group, instants_ns, lanes)
-
-
-def _join_pieces(number: int, pieces: list[_Piece], instants_ns: np.ndarray, lanes: int) -> GridBlock:
-    half, spacing = int(instants_ns[1]), pieces[0].spacing
-    width = [piece.width for piece in pieces]
-    first = np.concatenate(([0], np.cumsum(width)))
-    count = int(first[-1]) - (len(instants_ns) - 1) // spacing
-    columns = _round_up(count, lanes)
-    width[-1] += columns - count
-    times = [piece.origin_ns + half * np.arange(w * spacing) for piece, w in zip(pieces, width, strict=True)]
-    starts = np.concatenate([t[::spacing] for t in times])[:count]
-    start_columns = np.concatenate([piece.column + f for piece, f in zip(pieces, first, strict=False)])
-    k = np.arange(len(instants_ns))
-    return GridBlock(number, slice(pieces[0].rows.start, pieces[-1].rows.stop), start_columns, starts,
-                     np.concatenate(times), (k % spacing) * sum(width) + k // spacing, columns, spacing)
+def _make_shared_block(number: int, rows: np.ndarray, column: np.ndarray, spacing: int, starts_ns: np.ndarray,
+                       instants_ns: np.ndarray, lanes: int) -> GridBlock:
+    """Block of consecutive starts (`rows`) on a common grid (`_find_columns`)."""
+    half, first, k = int(instants_ns[1]), int(column[rows[0]]), np.arange(len(instants_ns))
+    width = int(column[rows[-1]]) - first + 1
+    columns = _round_up(width, lanes)
+    all_columns = first + np.arange(columns + k[-1] // spacing)
+    last_start = rows[np.searchsorted(column[rows], all_columns, side="right") - 1]
+    times = starts_ns[last_start] + half * spacing * (all_columns - column[last_start])
+    return GridBlock(number, slice(int(rows[0]), int(rows[-1]) + 1), column[rows] - first, times[:width],
+                     (times[:, None] + half * np.arange(spacing)).ravel(),
+                     (k % spacing) * len(times) + k // spacing, columns, spacing)
 
 
 def _round_up(count: int, lanes: int) -> int:
