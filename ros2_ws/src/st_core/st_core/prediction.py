@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from .backends import get_backend, has_numba
+from .backends import get_backend
 from .errors import ConfigurationError, StCoreError
 from .integrate import rk4, warn_if_step_too_long
 from .measurement_history import FrozenSteeringDetector, MeasurementHistory
@@ -264,7 +264,7 @@ class CompiledModel:
     """
 
     def __init__(self, model: Model, vehicle: VehicleParameters, settings: PredictionSettings):
-        """Raises ConfigurationError if numba is not installed or cannot compile the model."""
+        """Raises ConfigurationError if numba cannot compile the model."""
         self._lanes: ModuleType = get_backend("lanes")
         self._model, self._parameters = model, model.parameters(vehicle)
         self._step = settings.step
@@ -302,10 +302,8 @@ class CompiledModel:
 def compile_model(model: Model, vehicle: VehicleParameters, settings: PredictionSettings) -> CompiledModel:
     """The compiled form of a model, from the compiler or its cache, verified against the interpreted model.
 
-    Raises ConfigurationError if numba is not installed or cannot compile the model, or if the results differ.
+    Raises ConfigurationError if numba cannot compile the model, or if the results differ.
     """
-    if not has_numba():
-        raise ConfigurationError("numba is not installed")
     try:
         result = CompiledModel(model, vehicle, settings)
     except ConfigurationError:
