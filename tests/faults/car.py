@@ -9,10 +9,11 @@ import time
 from collections.abc import Iterator
 from typing import Protocol
 
+import can
 from canedge_bridge.decode import Decoder
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import config
-from st_sim.encoders import BackgroundTraffic, CanEncoder, Frame, NcomEncoder, Origin
+from st_sim.encoders import BackgroundTraffic, CanEncoder, NcomEncoder, Origin
 from st_sim.sensors import InsReading
 from winding_road import RATE, Truth, winding_road
 
@@ -134,5 +135,5 @@ class _Frames:
             yield from self._others[(now + 1) % 100]
 
 
-def _packed(frames: list[Frame]) -> list[bytes]:
-    return [pack(frame.message) for frame in frames]
+def _packed(frames: list[can.Message]) -> list[bytes]:
+    return [pack(frame) for frame in frames]

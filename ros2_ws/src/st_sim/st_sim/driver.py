@@ -59,7 +59,7 @@ class Driver:
         self._update_distance(s[X], s[Y], speed)
         demand = self.plan.make_demand(time, self.distance, speed)
         if callable(demand.steering):
-            self._target_angle = demand.steering(self.car.wheelbase) * self.car.steering_ratio
+            self._target_angle = float(demand.steering(self.car.wheelbase)) * self.car.steering_ratio
         elif demand.steering == "path":
             is_fast_enough = speed > MIN_STEERING_SPEED
             if self._is_holding and is_fast_enough:

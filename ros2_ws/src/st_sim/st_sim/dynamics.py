@@ -5,7 +5,7 @@ Axes, signs and equations: see `plant`. Checked by: test_plant.py, test_tyres.py
 
 from collections.abc import Sequence
 from math import atan, cos, hypot, sin, sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from st_core.tyres import MagicFormula
 from st_core.vehicle import VehicleParameters
@@ -74,14 +74,10 @@ def make_constants(car: VehicleParameters, settings: Settings, step: float) -> C
     mass = car.mass * s["mass_factor"]
     to_front = car.cg_to_front_axle - s["cg_shift"]
     to_rear = car.wheelbase - to_front
-    return Constants(
+    values: dict[str, Any] = {name: s[name] for name in Constants._fields if name in s} | dict(
         mass=mass, yaw_inertia=car.yaw_inertia * s["yaw_inertia_factor"], to_front=to_front, to_rear=to_rear,
         steering_lag=max(s["steering_lag"], step) if s["steering_lag"] else 0.0,  # a lag below a step is unstable
-        steering_offset=s["steering_offset"], steering_compliance=s["steering_compliance"], roll_steer=s["roll_steer"],
-        rear_roll_steer=s["rear_roll_steer"], roll_gradient=s["roll_gradient"], camber_thrust=s["camber_thrust"],
-        ackermann=s["ackermann"] * TRACK_WIDTH / (2 * car.wheelbase),
-        max_relaxation_rate=1.0 / step, relaxation_length=s["relaxation_length"], combined_slip=s["combined_slip"],
-        rolling_resistance=s["rolling_resistance"], drag_area=s["drag_area"], drive_offset=s["drive_offset"],
+        ackermann=s["ackermann"] * TRACK_WIDTH / (2 * car.wheelbase), max_relaxation_rate=1.0 / step,
         transfer_x=s["longitudinal_load_transfer"] * mass * car.cg_height / car.wheelbase / 2,
         transfer_y=s["lateral_load_transfer"] * mass * car.cg_height / TRACK_WIDTH,
         static_front=mass * GRAVITY * to_rear / car.wheelbase / 2,
@@ -89,6 +85,7 @@ def make_constants(car: VehicleParameters, settings: Settings, step: float) -> C
         still_air=not (s["wind_speed"] or s["gust_speed"]),
         front=make_tyre_coefficients(car.tyre_front, s["front_stiffness_factor"]),
         rear=make_tyre_coefficients(car.tyre_rear, s["rear_stiffness_factor"]))
+    return Constants(**values)
 
 
 def make_tyre_coefficients(tyre: MagicFormula, stiffness_factor: float) -> TyreCoefficients:

@@ -4,8 +4,8 @@ Positions are WGS84, axes NED and FRD; the status channels of NCOM correspond to
 """
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import can
 import numpy as np
@@ -219,44 +219,39 @@ _BACKGROUND = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Frame:
-    """One frame. bus: VEHICLE_BUS or INS_BUS."""
-
-    message: can.Message
-    bus: int
-
-
 class CanEncoder:
-    """Encoder of frames according to a DBC. start_ns: UTC of the start of the drive [ns since 1970]."""
+    """Encoder of frames according to a DBC. start_ns: UTC of the start of the drive [ns since 1970].
+
+    The attribute `channel` of a frame is VEHICLE_BUS or INS_BUS.
+    """
 
     def __init__(self, codec: Decoder, origin: Origin, start_ns: int):
         self._codec = codec
         self._origin, self._start_ns = origin, start_ns
-        self._counters: dict[str, int] = {}
+        self._counters: Counter[str] = Counter()
 
-    def encode_steering(self, angle: float, rate: float) -> list[Frame]:
+    def encode_steering(self, angle: float, rate: float) -> list[can.Message]:
         """The frame with the measured steering-wheel angle [rad, positive to the left] and its rate [rad/s].
 
         The rate is sent unsigned, as by the car. Its scale on the car is unknown; 4 deg/s per bit is assumed.
         """
         raw = min(round(abs(math.degrees(rate)) / 4), 255)
-        return [self._encode_car(STEERING_MESSAGE, {"steering_wheel_angle": angle, "SteeringWheelRateRaw": raw})]
+        return [self._encode(STEERING_MESSAGE, {"steering_wheel_angle": angle, "SteeringWheelRateRaw": raw})]
 
-    def encode_wheel_speeds(self, wheel_speeds: Sequence[float], vehicle_speed: float) -> list[Frame]:
+    def encode_wheel_speeds(self, wheel_speeds: Sequence[float], vehicle_speed: float) -> list[can.Message]:
         """The frames with the wheel speeds FL, FR, RL, RR and the vehicle speed [m/s]."""
         front_left, front_right, rear_left, rear_right = wheel_speeds
         return [
-            self._encode_car("Leaf_WheelSpeedFront", {
+            self._encode("Leaf_WheelSpeedFront", {
                 "wheel_speed_front_left": front_left, "wheel_speed_front_right": front_right,
                 "vehicle_speed": vehicle_speed}),
-            self._encode_car("Leaf_WheelSpeedRear", {
+            self._encode("Leaf_WheelSpeedRear", {
                 "wheel_speed_rear_left": rear_left, "wheel_speed_rear_right": rear_right})]
 
-    def encode_gear(self, code: int) -> list[Frame]:
-        return [self._encode_car("Leaf_Gear", {"GearCode": code})]
+    def encode_gear(self, code: int) -> list[can.Message]:
+        return [self._encode("Leaf_Gear", {"GearCode": code})]
 
-    def encode_ins(self, reading: InsReading) -> list[Frame]:
+    def encode_ins(self, reading: InsReading) -> list[can.Message]:
         """The frames that an RT3000 sends once per epoch: 0x600, 0x601, 0x604, 0x607, 0x608, 0x630, 0x633, 0x634."""
         degrees = math.degrees
         unix_time = (self._start_ns + round(reading.stamp * 1e9)) / 1e9
@@ -264,27 +259,25 @@ class CanEncoder:
         velocity = {"ins_velocity_x": reading.velocity_x, "ins_velocity_y": reading.velocity_y}
         pitch, roll = degrees(reading.pitch), degrees(reading.roll)
         roll_rate, pitch_rate, yaw_rate = reading.rates
-        return [
-            self._encode_ins("RT_DateTime", {"ins_unix_time": unix_time}),
-            self._encode_ins("RT_LatitudeLongitude", {"PosLat": degrees(latitude), "PosLon": degrees(longitude)}),
-            self._encode_ins("RT_VelocityLevel", velocity),
-            self._encode_ins("RT_HeadingPitchRoll", {"ins_yaw": reading.yaw, "AnglePitch": pitch, "AngleRoll": roll}),
-            self._encode_ins("RT_RateVehicle", {"AngRateX": degrees(roll_rate), "AngRateY": -degrees(pitch_rate),
-                                                "ins_yaw_rate": yaw_rate}),
-            self._encode_ins("RT_MilliTime", {"ins_unix_time": unix_time}),
+        frames = {
+            "RT_DateTime": {"ins_unix_time": unix_time},
+            "RT_LatitudeLongitude": {"PosLat": degrees(latitude), "PosLon": degrees(longitude)},
+            "RT_VelocityLevel": velocity,
+            "RT_HeadingPitchRoll": {"ins_yaw": reading.yaw, "AnglePitch": pitch, "AngleRoll": roll},
+            "RT_RateVehicle": {
+                "AngRateX": degrees(roll_rate), "AngRateY": -degrees(pitch_rate), "ins_yaw_rate": yaw_rate},
+            "RT_MilliTime": {"ins_unix_time": unix_time},
             # In ISO 8855 axes y points to the left, so pitch is positive nose down.
-            self._encode_ins("RT_IsoOrientation", {"ins_yaw": reading.yaw, "IsoPitchAngle": -pitch,
-                                                   "IsoRollAngle": roll}),
-            self._encode_ins("RT_IsoVsVelocity", {**velocity, "IsoVsVerticalVelocity": reading.velocity_z}),
-        ]
+            "RT_IsoOrientation": {"ins_yaw": reading.yaw, "IsoPitchAngle": -pitch, "IsoRollAngle": roll},
+            "RT_IsoVsVelocity": {**velocity, "IsoVsVerticalVelocity": reading.velocity_z},
+        }
+        return [self._encode(name, values) for name, values in frames.items()]
 
-    def _encode_car(self, message: str, values: dict[str, float]) -> Frame:
-        counter = self._counters.get(message, 0)
-        self._counters[message] = counter + 1
-        return Frame(self._codec.encode(message, values, counter), VEHICLE_BUS)
-
-    def _encode_ins(self, message: str, values: dict[str, float]) -> Frame:
-        return Frame(self._codec.encode(message, values), INS_BUS)
+    def _encode(self, name: str, values: dict[str, float]) -> can.Message:
+        frame = self._codec.encode(name, values, self._counters[name])
+        frame.channel = INS_BUS if name.startswith("RT_") else VEHICLE_BUS
+        self._counters[name] += 1
+        return frame
 
 
 class BackgroundTraffic:
@@ -297,9 +290,10 @@ class BackgroundTraffic:
         generator = np.random.default_rng([seed, 6])
         self._frames = []
         for index, (identifier, period) in enumerate(_BACKGROUND.items()):
-            message = can.Message(arbitration_id=identifier, is_extended_id=False, data=generator.bytes(8))
-            self._frames.append((period, index % period, Frame(message, VEHICLE_BUS)))
+            frame = can.Message(
+                arbitration_id=identifier, is_extended_id=False, data=generator.bytes(8), channel=VEHICLE_BUS)
+            self._frames.append((period, index % period, frame))
 
-    def select_frames(self, millisecond: int) -> list[Frame]:
+    def select_frames(self, millisecond: int) -> list[can.Message]:
         """The frames sent in the given millisecond of the drive."""
         return [frame for period, phase, frame in self._frames if millisecond % period == phase]

@@ -3,6 +3,7 @@
 import itertools
 import json
 from collections.abc import Mapping
+from copy import copy
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from can.io.canutils import CanutilsLogWriter
 from mcap.writer import Writer
 from st_core.errors import ConfigurationError
 
-from .encoders import INS_BUS, VEHICLE_BUS, Frame
+from .encoders import INS_BUS, VEHICLE_BUS
 from .plant import Truth
 from .settings import Settings
 
@@ -100,12 +101,10 @@ class LogFile:
     def __init__(self, path: Path):
         self._writer = CanutilsLogWriter(path)
 
-    def write(self, time_ns: int, frame: Frame) -> None:
-        message = frame.message
-        # Copied because the same message object of a background frame is sent repeatedly.
-        self._writer.on_message_received(can.Message(
-            timestamp=time_ns / 1e9, arbitration_id=message.arbitration_id, is_extended_id=False, data=message.data,
-            channel=frame.bus - 1))
+    def write(self, time_ns: int, frame: can.Message) -> None:
+        logged_frame = copy(frame)  # the same object of a background frame is sent repeatedly
+        logged_frame.timestamp, logged_frame.channel = time_ns / 1e9, frame.channel - 1
+        self._writer.on_message_received(logged_frame)
 
     def close(self) -> None:
         self._writer.stop()
@@ -127,9 +126,8 @@ class Mf4File:
         self._path, self._start_ns = path, start_ns
         self._frames: dict[int, list[tuple[int, int, bytes]]] = {VEHICLE_BUS: [], INS_BUS: []}
 
-    def write(self, time_ns: int, frame: Frame) -> None:
-        message = frame.message
-        self._frames[frame.bus].append((time_ns - self._start_ns, message.arbitration_id, bytes(message.data)))
+    def write(self, time_ns: int, frame: can.Message) -> None:
+        self._frames[frame.channel].append((time_ns - self._start_ns, frame.arbitration_id, bytes(frame.data)))
 
     def close(self) -> None:
         from asammdf import MDF

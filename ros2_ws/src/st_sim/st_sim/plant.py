@@ -125,18 +125,14 @@ class Environment:
     """Road and air along a drive; gusts are an Ornstein-Uhlenbeck process."""
 
     def __init__(self, settings: Settings, step: float, seed: int):
-        self._road = road = make_road(settings)
+        self._road = make_road(settings)
         self._wind, self._gust_speed = settings["wind_speed"], settings["gust_speed"]
         self._gust_decay = exp(-step / GUST_TIME)
         self._gust = [0.0, 0.0]
         self._draw = make_normal_source(np.random.default_rng([seed, 1]))
-        self._constant = Conditions(road.friction, road.bank, road.grade, 0.0, 0.0)
-        self._is_constant = not (self._wind or self._gust_speed or road.hillside or road.wave) and road.patch == 1.0
 
     def advance(self, x: float, yaw: float) -> Conditions:
         """Advance the gusts by one step and return the conditions for a car at x [m, map] with a yaw angle [rad]."""
-        if self._is_constant:
-            return self._constant
         if self._gust_speed:
             noise = self._gust_speed * sqrt(1 - self._gust_decay**2)
             self._gust = [self._gust_decay * g + noise * self._draw() for g in self._gust]

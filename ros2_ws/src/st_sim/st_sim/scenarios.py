@@ -7,14 +7,15 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import accumulate
 from pathlib import Path as FilePath
 from typing import Any
 
+from canedge_bridge.table_reader import read_document
 from st_core.errors import ConfigurationError
 from st_core.manoeuvres import CATALOGUE, Manoeuvre, PiecewiseLinear
 
 from .path import Path, Piece, SpeedProfile, lane_shift, straight, turn
-from .settings import read_document
 
 OpenLoopSteering = Callable[[float], float]  # wheelbase of the car [m] -> road-wheel angle [rad], positive to the left
 
@@ -102,10 +103,8 @@ class OpenLoopPlan:
         return self._manoeuvre.speed
 
     def make_demand(self, time: float, distance: float, speed: float) -> Demand:
-        def steer(wheelbase: float) -> float:
-            return float(self._manoeuvre.steering(time, wheelbase))
-
-        return Demand(self._manoeuvre.speed, 0.0, steer if time >= 0 else "path")
+        steering = partial(self._manoeuvre.steering, time) if time >= 0 else "path"
+        return Demand(self._manoeuvre.speed, 0.0, steering)
 
 
 Plan = RoadPlan | PhasePlan | OpenLoopPlan
@@ -124,14 +123,10 @@ def make_plan(manoeuvre: Manoeuvre) -> Plan:
 
 def _make_phases(manoeuvre: Manoeuvre) -> list[Phase]:
     """Phases of the pedals. While braking, the steering wheel is held; braking ends at a speed instead of a time."""
-    phases, end = [], 0.0
-    for seconds, acceleration in manoeuvre.pedals:
-        end += seconds
-        if acceleration < 0:
-            phases.append(Phase("hold", acceleration, end_speed=float(manoeuvre.speed_at(end))))
-        else:
-            phases.append(Phase("path", acceleration, duration=seconds))
-    return phases
+    ends = accumulate(seconds for seconds, _ in manoeuvre.pedals)
+    return [Phase("hold", acceleration, end_speed=float(manoeuvre.speed_at(end))) if acceleration < 0
+            else Phase("path", acceleration, duration=seconds)
+            for (seconds, acceleration), end in zip(manoeuvre.pedals, ends, strict=True)]
 
 
 def _make_circle(lateral_acceleration: float) -> Plan:

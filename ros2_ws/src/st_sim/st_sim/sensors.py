@@ -1,7 +1,7 @@
 """Sensors of the virtual car with noise, bias, lever arm and loss; the NCOM and CAN encoders round the values."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,8 +32,8 @@ class InsReading:
     yaw: float
     roll: float  # positive right side down
     pitch: float  # positive nose up
-    rates: tuple[float, float, float]  # about x, y, z
-    specific_force: tuple[float, float, float]  # along x, y, z; at rest on level ground +9.81 along z
+    rates: Sequence[float]  # about x, y, z
+    specific_force: Sequence[float]  # along x, y, z; at rest on level ground +9.81 along z
 
 
 # Standard deviations of white and slow noise [SI], and correlation time of the slow noise [s]. About half the specified
@@ -97,24 +97,21 @@ class Ins:
             cosine, sine = math.cos(angle), math.sin(angle)
             (vx, vy), (fx, fy, fz) = (r.velocity_x, r.velocity_y), r.specific_force
             r.velocity_x, r.velocity_y = cosine * vx + sine * vy, cosine * vy - sine * vx
-            r.specific_force = (cosine * fx + sine * fy, cosine * fy - sine * fx, fz)
+            r.specific_force = cosine * fx + sine * fy, cosine * fy - sine * fx, fz
             r.yaw += angle
         r.velocity_x *= s["velocity_scale"]
         r.velocity_y *= s["velocity_scale"]
-        wx, wy, wz = (rate * s["yaw_rate_scale"] for rate in r.rates)
-        r.rates = (wx, wy, wz)
+        r.rates = [rate * s["yaw_rate_scale"] for rate in r.rates]
         fx, fy, fz = r.specific_force
-        r.specific_force = (fx, fy + s["lateral_acceleration_bias"], fz)
+        r.specific_force = fx, fy + s["lateral_acceleration_bias"], fz
 
     def _add_noise(self, r: InsReading, vibration: float) -> None:
         noise = self._noise
         for name in ("x", "y", "z", "velocity_x", "velocity_y", "velocity_z", "yaw", "roll", "pitch"):
             setattr(r, name, getattr(r, name) + noise[name]())
-        wx, wy, wz = r.rates
-        r.rates = (wx + noise["rate_x"](vibration), wy + noise["rate_y"](vibration), wz + noise["rate_z"](vibration))
-        fx, fy, fz = r.specific_force
-        r.specific_force = (fx + noise["force_x"](vibration), fy + noise["force_y"](vibration),
-                            fz + noise["force_z"](vibration))
+        r.rates = [rate + noise[f"rate_{axis}"](vibration) for rate, axis in zip(r.rates, "xyz", strict=True)]
+        r.specific_force = [force + noise[f"force_{axis}"](vibration)
+                            for force, axis in zip(r.specific_force, "xyz", strict=True)]
 
 
 def _compute_body_rates(truth: Truth) -> tuple[float, float, float]:

@@ -8,32 +8,17 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
-from st_core import yaml_text
+from canedge_bridge.table_reader import read_document, read_text
 from st_core.errors import ConfigurationError
 from st_core.vehicle import VehicleParameters
 
 Settings = Mapping[str, float]
 
 
-def read_document(path: Path) -> Any:
-    """Content of a YAML file. Raises ConfigurationError naming the file."""
-    try:
-        return yaml_text.load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
-    except (ConfigurationError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"{path}: {error}") from None
-
-
 def read_vehicle(path: Path) -> VehicleParameters:
     """The car of a vehicle file. Raises ConfigurationError naming file and key."""
-    document = read_document(path)
-    try:
-        return VehicleParameters.from_document(document)
-    except ConfigurationError as error:
-        raise ConfigurationError(f"{path}: {error}") from None
+    return VehicleParameters.from_yaml(read_text(path), str(path))
 
 
 @dataclass(frozen=True)

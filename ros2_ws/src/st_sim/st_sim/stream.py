@@ -13,7 +13,7 @@ from oxts_bridge.ncom import INITIALISING, LOCKED, LOCKING, RAW_IMU
 from st_core.errors import ConfigurationError
 
 from .driver import SimulatedCar
-from .encoders import FRAME_TIME, NO_DATA, BackgroundTraffic, CanEncoder, Frame, NcomEncoder
+from .encoders import FRAME_TIME, NO_DATA, BackgroundTraffic, CanEncoder, NcomEncoder
 from .plant import Truth
 from .recorded_drive import RecordedDrive
 from .sensors import Ins, SteeringSensor, TransmissionLoss, read_wheel_speeds
@@ -36,7 +36,7 @@ class Output(NamedTuple):
 
     due: float
     order: int
-    payload: bytes | Frame | Truth
+    payload: bytes | can.Message | Truth
 
 
 def find_start_up_status(time: float) -> tuple[int, float] | None:
@@ -119,12 +119,12 @@ class Stream:
         if status >= INITIALISING:
             self._queue_frames(self._can.encode_ins(reading), due + INS_CAN_DELAY)
 
-    def _queue_frames(self, frames: list[Frame], due: float) -> None:
+    def _queue_frames(self, frames: list[can.Message], due: float) -> None:
         for i, frame in enumerate(frames):
             if not self._can_loss.is_lost(due):
                 self._push(due + i * FRAME_TIME, frame)
 
-    def _push(self, due: float, payload: bytes | Frame | Truth) -> None:
+    def _push(self, due: float, payload: bytes | can.Message | Truth) -> None:
         self._output_count += 1
         heapq.heappush(self._queue, Output(due, self._output_count, payload))
 
@@ -163,9 +163,9 @@ class LiveOutput:
         except OSError:
             pass  # no receiver or a full buffer, which a real INS does not detect either
 
-    def send_frame(self, frame: Frame, due: float) -> None:
+    def send_frame(self, frame: can.Message, due: float) -> None:
         try:
-            self._bus.send(frame.message)
+            self._bus.send(frame)
             self.report.can_frames += 1
         except (can.CanError, OSError):
             self.report.can_errors += 1
@@ -175,9 +175,9 @@ class LiveOutput:
         self._socket.close()
 
 
-def send(outputs: Iterable[Output], send_ncom: Callable[[bytes], object], send_frame: Callable[[Frame, float], object],
-         record_truth: Callable[[Truth], None] | None, stop_requested: Callable[[], bool], report: Report,
-         start_time: float | None = None) -> float:
+def send(outputs: Iterable[Output], send_ncom: Callable[[bytes], object],
+         send_frame: Callable[[can.Message, float], object], record_truth: Callable[[Truth], None] | None,
+         stop_requested: Callable[[], bool], report: Report, start_time: float | None = None) -> float:
     """Send outputs at their deadlines, late ones at once, until there are no more or stop_requested() returns True.
 
     start_time: monotonic time of the start of the drive [s]; None: send as fast as possible. Returns the due time

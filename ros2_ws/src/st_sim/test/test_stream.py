@@ -3,6 +3,7 @@
 import math
 from functools import cache
 
+import can
 import numpy as np
 import pytest
 from canedge_bridge.decode import Decoder
@@ -17,7 +18,6 @@ from st_sim.encoders import (
     UNDULATION,
     VEHICLE_BUS,
     CanEncoder,
-    Frame,
     NcomEncoder,
     Origin,
     from_ecef,
@@ -166,18 +166,18 @@ def test_can_equals_the_truth_within_its_resolution():
     decoder = codec()
     expected = {round(t.time * 500): t for t in truths(12, "S6", 500)}
     seen = {}
-    for o in select(Frame, outputs(12)):
-        decoded = decoder.decode(o.payload.message, START_NS + round(o.due * 1e9))
+    for o in select(can.Message, outputs(12)):
+        decoded = decoder.decode(o.payload, START_NS + round(o.due * 1e9))
         if decoded is None:
             # 0x421 and 0x601: in the DBC, but not used by the suite.
-            assert o.payload.message.arbitration_id in (0x421, 0x601)
+            assert o.payload.arbitration_id in (0x421, 0x601)
             continue
         assert decoded.valid
         seen.setdefault(decoded.message, []).append(o.due)
         t = expected[int(o.due * 500 + 1e-6)]
         v = decoded.values
         if decoded.message == "Leaf_Steering":
-            assert o.payload.bus == VEHICLE_BUS
+            assert o.payload.channel == VEHICLE_BUS
             degrees = math.degrees(t.steering_wheel_angle) - 2.7
             assert math.degrees(v["steering_wheel_angle"]) == pytest.approx(degrees, abs=0.0501)
             back = (v["steering_wheel_angle"] - CAR.steering_wheel_offset) / CAR.steering_ratio
@@ -188,7 +188,7 @@ def test_can_equals_the_truth_within_its_resolution():
         elif decoded.message == "RT_IsoVsVelocity":
             # Measured at the epoch, sent 1.5 ms and eight frames later.
             t = expected[int(o.due * 100) * 5]
-            assert o.payload.bus == INS_BUS
+            assert o.payload.channel == INS_BUS
             x = t.motion_at(-0.398, 0.0)
             assert (v["ins_velocity_x"], v["ins_velocity_y"]) == pytest.approx((x[2], x[3]), abs=0.0051)
         elif decoded.message == "RT_HeadingPitchRoll":
@@ -206,7 +206,7 @@ def test_can_equals_the_truth_within_its_resolution():
 
 
 def test_bus_traffic_has_the_rates_of_the_car_and_the_ins():
-    ids = [o.payload.message.arbitration_id for o in select(Frame, outputs(2, background=True))]
+    ids = [o.payload.arbitration_id for o in select(can.Message, outputs(2, background=True))]
     car = [i for i in ids if not 0x600 <= i <= 0x608 and not 0x630 <= i <= 0x634]
     # 0x60D is traffic of the car, although it is in the identifier range of the INS.
     assert len(car) / 2 == pytest.approx(CAR_CAN_RATE, rel=0.02)
@@ -221,7 +221,7 @@ def test_outputs_are_sorted_and_delayed():
     received, _ = parse(emitted)
     delays = [o.due - (r.utc_ns - START_NS) / 1e9 for o, r in zip(select(bytes, emitted), received, strict=True)]
     assert delays == pytest.approx([0.02] * len(delays))
-    first = next(o for o in select(Frame, emitted) if o.payload.message.arbitration_id == 2)
+    first = next(o for o in select(can.Message, emitted) if o.payload.arbitration_id == 2)
     assert first.due == pytest.approx(0.002 + 0.03)
 
 
@@ -232,8 +232,8 @@ def test_losses_leave_countable_gaps():
     assert not [t for t in times if 5.0 <= t < 6.0] and times[-1] > 7.9
     assert len(times) == pytest.approx(0.9 * 700, rel=0.05)
     decoder = codec()
-    for o in select(Frame, emitted):
-        decoder.decode(o.payload.message, START_NS + round(o.due * 1e9))
+    for o in select(can.Message, emitted):
+        decoder.decode(o.payload, START_NS + round(o.due * 1e9))
     statistics = decoder.statistics("Leaf_Steering")
     assert statistics.lost == pytest.approx(80, abs=25) and statistics.wrong_checksum == 0
 
