@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from copy import copy
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import can
 import numpy as np
@@ -102,8 +102,8 @@ class LogFile:
         self._writer = CanutilsLogWriter(path)
 
     def write(self, time_ns: int, frame: can.Message) -> None:
-        logged_frame = copy(frame)  # the same object of a background frame is sent repeatedly
-        logged_frame.timestamp, logged_frame.channel = time_ns / 1e9, frame.channel - 1
+        logged_frame, bus = copy(frame), cast(int, frame.channel)  # a background frame is sent repeatedly
+        logged_frame.timestamp, logged_frame.channel = time_ns / 1e9, bus - 1
         self._writer.on_message_received(logged_frame)
 
     def close(self) -> None:
@@ -127,7 +127,8 @@ class Mf4File:
         self._frames: dict[int, list[tuple[int, int, bytes]]] = {VEHICLE_BUS: [], INS_BUS: []}
 
     def write(self, time_ns: int, frame: can.Message) -> None:
-        self._frames[frame.channel].append((time_ns - self._start_ns, frame.arbitration_id, bytes(frame.data)))
+        self._frames[cast(int, frame.channel)].append(
+            (time_ns - self._start_ns, frame.arbitration_id, bytes(frame.data)))
 
     def close(self) -> None:
         from asammdf import MDF

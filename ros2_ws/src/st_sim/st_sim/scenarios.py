@@ -17,7 +17,7 @@ from st_core.manoeuvres import CATALOGUE, Manoeuvre, PiecewiseLinear
 
 from .path import Path, Piece, SpeedProfile, lane_shift, straight, turn
 
-OpenLoopSteering = Callable[[float], float]  # wheelbase of the car [m] -> road-wheel angle [rad], positive to the left
+OpenLoopSteering = Callable[[float], Any]  # wheelbase of the car [m] -> road-wheel angle [rad], positive to the left
 
 LONGEST_ROAD = 20_000.0  # m, longest lap of a road from a file
 MAX_SPEED = 100.0  # m/s
