@@ -170,9 +170,10 @@ def test_virtual_car_shares_no_equations_with_the_models():
         "st_core.tyres.MagicFormula")) == []
 
 
-def test_virtual_car_uses_only_codecs_and_transport_of_the_bridges():
+def test_virtual_car_uses_only_codecs_transport_and_yaml_reader_of_the_bridges():
     assert forbidden_imports_of_virtual_car(("oxts_bridge", "canedge_bridge"), (
-        "oxts_bridge.ncom", "oxts_bridge.channels", "canedge_bridge.decode", "canedge_bridge.transport")) == []
+        "oxts_bridge.ncom", "oxts_bridge.channels", "canedge_bridge.decode", "canedge_bridge.table_reader",
+        "canedge_bridge.transport")) == []
 
 
 def test_only_nodes_converters_and_launch_files_import_ros():
