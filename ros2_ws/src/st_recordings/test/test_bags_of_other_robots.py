@@ -90,6 +90,11 @@ def make_messages(log: DriveLog, store: Typestore = STORE, stamp_offset_ns: int 
         "/twist_in_map": lambda k: make("geometry_msgs/msg/TwistStamped", header=stamped(k, "map"), twist=twist(k)),
         **{f"/{frame}_velocity": twist_over_ground(frame) for frame in ("map", "gps", "base_link")},
         "/pose": lambda k: make("geometry_msgs/msg/PoseStamped", header=stamped(k), pose=pose(k)),
+        "/ekf/pose_with_covariance": lambda k: make(
+            "geometry_msgs/msg/PoseWithCovarianceStamped", header=stamped(k), pose=odometry(k, twist(k)).pose),
+        "/twist_with_covariance": lambda k: make(
+            "geometry_msgs/msg/TwistWithCovarianceStamped", header=stamped(k, "base_link"),
+            twist=odometry(k, twist(k)).twist),
         "/odom": lambda k: odometry(k, twist(k)),
         "/odom_over_ground": lambda k: odometry(k, twist(k, yaw=log.yaw[k])),
         "/wheel": lambda k: store.types["own_msgs/msg/Wheel"](
@@ -151,8 +156,9 @@ def write_ros1(file: Path, log: DriveLog, *topics: str) -> Path:
 @pytest.mark.slow
 @pytest.mark.parametrize(("topics", "settings", "rotated"), [
     (("/imu/data", "/fix", "/twist", "/steer"), STEER, True), (("/pose", "/twist", "/steer"), STEER, False),
+    (("/ekf/pose_with_covariance", "/twist_with_covariance", "/steer"), STEER, False),
     (("/pose", "/vehicle/status/velocity_status", "/vehicle/status/steering_status"), ReadSettings(), False)],
-    ids=["INS driver", "pose and twist", "Autoware"])
+    ids=["INS driver", "pose and twist", "with covariance", "Autoware"])
 def test_bag_without_odometry_is_read_as_a_table(tmp_path: Path, drive_log: DriveLog, topics, settings: ReadSettings,
                                                  rotated: bool) -> None:
     (source,) = find_runs([write(tmp_path / "drive", drive_log, *topics)])

@@ -292,6 +292,7 @@ def test_variants_of_candump_and_asc(tmp_path: Path, name: str, lines: list[str]
     ("Time,ID,DLC,Data", f"0.1,1A2,12,{'0A' * 12}", "0a" * 12),
     ("Time,ID,DLC,D0,D1", f"0.1,1A2,9{',0A' * 12}", "0a" * 12),
     ("Time,ID,DLC,D0,D1", f"0.1,1A2,12{',0A' * 12}", "0a" * 12),
+    ("time,addr,bus,data", "0.1,418,0,0a1b", "0a1b"), ("time,addr,bus,data", "0.1,0x1a2,0,0x0A1B", "0a1b"),  # Cabana
     (VEHICLE_SPY.format("Arb ID,Remote,Xtd," + ",".join(f"B{k}" for k in range(1, 10))).strip(),
      "1,0.1,0.1,6,F,F,,HS CAN,,1A2,F,F,0A,02,03,04,05,06,07,08,09,3C,,", "0a0203040506070809")])
 def test_bytes_of_csv_logs(tmp_path: Path, header: str, row: str, data: str) -> None:

@@ -280,6 +280,12 @@ TABLES = [
         [*NAMES, "|slip|", "|a|", "|b|"]))),
     Table("iso_signals.csv", lambda log: csv(rows(log), "t,x,y,IsoYawAngle,IsoVsLongitudinalVelocity,"
                                              f"IsoVsLateralVelocity,IsoVsYawVelocity,{NAMES[7]}")),
+    Table("xsens.csv", lambda log: csv(
+        [["10", f"{11 + int(s // 60)}", f"{int(s % 60)}", f"{s % 1 * 1e9:.0f}", *row[1:]] for row in rows(log)
+         for s in [40 + float(row[0]) - log.ins_time_ns[0] * 1e-9]],
+        ",".join(("UTC_Hour", "UTC_Minute", "UTC_Second", "UTC_Nano", *NAMES[1:])))),
+    Table("latex.csv", lambda log: csv(rows(log), r"$t$ [s],$x$ [m],$y$ [m],$\psi$ [rad],$v_x$ [m/s],$v_y$ [m/s],"
+                                       r"$\omega_z$ [rad/s],$\delta_H$ [rad]")),
     Table("end_of_week.csv", lambda log: with_times(log, lambda s: f"{(604790 + s) % 604800:.6f}")),
     Table("end_of_hour.csv", lambda log: with_times(log, lambda s: f"{(3590 + s) % 3600:.6f}")),
     Table("end_of_32_bits.csv", lambda log: with_times(log, lambda s: f"{(4294957296 + s * 1e6) % 2**32:.0f}").replace(
@@ -385,6 +391,8 @@ def test_parts_of_a_table_are_one_run(tmp_path: Path, drive_log: DriveLog, kind:
     (lambda log: with_times(log, lambda s: "04 Mxy 2026 " + clock(s)), r"the first is '04 Mxy 2026 .*export seconds"),
     (lambda log: geographic(log).replace(",5", ",520"),
      r"latitude \(column latitude\) is about 520\d[.\d]* deg, which is impossible; export"),
+    (lambda log: re.sub(r",5\d\.(\d*)", r",3125.\1", geographic(log)),
+     r"deg, which is .*: \{latitude: min\}; or interchange"),
     (lambda log: re.sub(r"(?m)^(\d[^,]*),[^,]*,[^,]*", r"\1,0.0,0", geographic(log)),
      "latitude and longitude are 0 or empty in all rows, so the receiver had no fix; export x and y"),
     (lambda log: re.sub(r"(,-\d\.\d*)", r"\1W", geographic(log)),

@@ -60,13 +60,13 @@ _ASC_LINE = re.compile(rb"^\s*\d+[.,]\d+\s+\d+\s+[0-9A-Fa-f]+x?\s+[RT]x\s+[dr]\s
 _TRC_LINE = re.compile(rb"^\s*\d+\)\s", re.MULTILINE)
 _ASC_DATE = re.compile(rb"(?i)date \S+ \S+ +\d+ +\d")  # not "Date Time;x;y" of a table
 _ASC_STAMP = re.compile(r"\s*(\d+)[.,](\d+)(?=\s)")
-# Columns of CAN logs in CSV, as of python-can, mdf2csv (CSS Electronics), SavvyCAN (GVRET), Vehicle Spy and IXXAT
-_CSV_COLUMNS = {"time": ("timestampepoch", "timestamp", "timestamps", "time", "times", "abstimesec", "timeabs"),
-                "id": ("arbitrationid", "id", "idhex", "iddec", "canid", "identifier", "arbid", "identifierhex"),
-                "length": ("datalength", "len", "length", "dlc"),
-                "data": ("databytes", "data", "datahex", "payload", "d0", "d1", "data0", "data1", "byte0", "byte1",
-                         "b0", "b1")}
-_HEXADECIMAL_IDS = ("idhex", "identifierhex", "arbid")
+# Columns of CAN logs in CSV, as of python-can, mdf2csv (CSS Electronics), SavvyCAN (GVRET), Vehicle Spy, IXXAT, Cabana
+_CSV_COLUMNS = {
+    "time": ("timestampepoch", "timestamp", "timestamps", "time", "times", "abstimesec", "timeabs"),
+    "id": ("arbitrationid", "id", "idhex", "iddec", "canid", "identifier", "arbid", "identifierhex", "addr"),
+    "length": ("datalength", "len", "length", "dlc"),
+    "data": ("databytes", "data", "datahex", "payload", "d0", "d1", "data0", "data1", "byte0", "byte1", "b0", "b1")}
+_HEXADECIMAL_IDS, _DECIMAL_IDS = ("idhex", "identifierhex", "arbid"), ("iddec", "addr")  # without a letter or 0x
 _EXTENDED_COLUMNS = ("extended", "ide", "xtd", "format")
 _FURTHER_HEADER = re.compile(r'[^\d"]*Line,')  # a further header of Vehicle Spy, for frames of another kind
 MAX_HEADER_LINES = 30  # lines at the start of a file searched for the names of the columns
@@ -274,7 +274,7 @@ def _split_csv_header(line: str) -> tuple[list[str], str, dict[str, int]]:
 def _is_csv_header(line: str) -> bool:
     """Whether a line names the columns of a CAN log. Without a length, its bytes must be known to be hexadecimal."""
     names, _, roles = _split_csv_header(line)
-    has_length = "length" in roles or ("data" in roles and names[roles["data"]] in ("datahex", "b0", "b1"))
+    has_length = "length" in roles or not {"addr", "datahex", "b0", "b1"}.isdisjoint(names)
     return (has_length and roles.keys() >= {"time", "id", "data"}
             and MOTION_CHANNELS.isdisjoint(find_columns(Path(), names, Layout())))
 
@@ -343,7 +343,7 @@ def _find_number_formats(file: Path, names: Sequence[str], delimiter: str, roles
             flag = _is_marked(dict(zip(names, row, strict=False)), *_EXTENDED_COLUMNS)
             is_extended = len(identifier) >= EXTENDED_DIGITS if flag is None else flag
             limit = EXTENDED_IDS if is_extended else STANDARD_IDS
-            ids.append((identifier, -1 if names[roles["id"]] == "iddec" else limit))
+            ids.append((identifier, -1 if names[roles["id"]] in _DECIMAL_IDS else limit))
             length = row[roles["length"]] if "length" in roles else str(_count_byte_columns(names))
             data += [(cell, 0xFF) for cell in row[roles["data"]:][:int(length) if length.isdecimal() else 0] if cell]
             with suppress(ValueError):
@@ -383,7 +383,7 @@ def _count_byte_columns(names: Sequence[str]) -> int:
 def _read_csv_data(cells: Mapping[str, str], row: Sequence[str], name: str, roles: Mapping[str, int], base: int,
                    n_columns: int) -> bytes:
     """Data of a frame in any of the CSV formats. Raises ValueError if it does not have the stated length."""
-    digits = "".join(row[roles["data"]].split())
+    digits = "".join(row[roles["data"]].split()).removeprefix("0x")
     length = int(row[roles["length"]]) if "length" in roles else None
     if length is not None and 8 < length < len(FD_LENGTHS):  # may be a code, if there are as many bytes as it denotes
         n_bytes = len(list(takewhile(bool, row[roles["data"]:]))) if name[-1].isdigit() else len(digits) // 2

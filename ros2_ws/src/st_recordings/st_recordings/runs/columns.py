@@ -107,8 +107,8 @@ PATH_RANK = 1000
 DOUBTFUL_RANK = 500
 """Rank of theta and phi, which may also denote pitch and roll; read as yaw if no other column is a heading."""
 _OTHER_QUANTITY = re.compile(
-    r"(?i)(^|[^a-z])(ref|target|desired|set|cmd|command|request|control|goal|limit|plan|pred|std|cov|var|err|max|min|"
-    r"engine|motor|wind|trailer|lead|object|obstacle|radar|fan|traffic|other)")
+    r"(?i)(^|[^a-z])(ref|target|desired|set|cmd|command|request|control|goal|limit|plan|pred|std|(?<!with.)cov|var|err|"
+    r"max|min|engine|motor|wind|trailer|lead|object|obstacle|radar|fan|traffic|other)")
 """Words in a path which show that the value is not a measured quantity of this car."""
 _SOURCE = (r"(?:gps|gnss|ins|imu|ego|car|veh|vehicle|odom|odometry|can|chassis|state|est|estimated|meas|measured|act|"
            r"actual|raw|filt|filtered|sensor|iso_vs|iso)")  # words that say where a value comes from, not what it is
@@ -116,7 +116,7 @@ _PATH = re.compile(rf"(?i)^{_SOURCE}[ _-]+|[/.]+|::")
 _CAMEL_CASE = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 _SUFFIX = re.compile(rf"(?i)[ _-]+{_SOURCE}$")
 
-_FRACTION = re.compile(r"(.*?)(n|nano|u|micro|m|milli)(s|secs?|seconds?)")  # normalised name of fractions of a second
+_FRACTION = re.compile(r"(.*?)(n|nano|u|micro|m|milli)(s|secs?|seconds?|(?<=nano))")  # name of fractions of a second
 _FRACTION_FACTORS = {"n": 1e-9, "nano": 1e-9, "u": 1e-6, "micro": 1e-6, "m": 1e-3, "milli": 1e-3}
 
 _STEERING = "steering"  # angle of the steering wheel or of the road wheels; the name is ambiguous
@@ -177,8 +177,8 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
         unit = find_stated_unit(names[column], kind) or find_stated_unit(column_name, kind)
         sources[channel] = _make_source(column, names[column], channel, unit)
     pair = find_stamp_columns(names)
-    if pair and ("t" not in sources or (sources["t"].column == pair[1] and "t" not in {
-            *layout.columns, *layout.units})):
+    if pair and ("t" not in sources or ("t" not in {*layout.columns, *layout.units} and (
+            sources["t"].column == pair[1] or sources["t"].factor > 1.0))):  # the column of the fractions, or of hours
         sources["t"] = _make_source(pair[0], names[pair[0]], "t", "s")
     if "compass_heading" in layout.columns and "yaw" not in layout.columns:
         sources.pop("yaw", None)
@@ -273,7 +273,7 @@ def _identify_channel(name: str, paths: Collection[str] = ()) -> _Meaning | None
     """Identifies the channel of a column; None for other columns. A single letter after a path denotes a channel only
     if the path is one of `paths`: state.x is a position if there is a state.yaw, acceleration.x is not."""
     # "%time" and "field.x" from `rostopic echo -p`, "vx\\CCP:1" from ETAS, "Speed (m/s) *gps" from RaceChrono
-    name = re.sub(r"\\.*$| \*\w+$", "", name.lstrip("%# ").removeprefix("field."))[-MAX_NAME_LENGTH:]
+    name = re.sub(r"(?<=\w)\\.*$| \*\w+$", "", name.lstrip("%# ").removeprefix("field."))[-MAX_NAME_LENGTH:]
     name = _CAMEL_CASE.sub("_", name)
     for start in _find_starts(name):
         for base, unit in _split_name_and_unit(name[start:]):
@@ -304,7 +304,7 @@ def describe_unknown_units(names: Sequence[str], sources: Mapping[str, ColumnSou
     for name in names:
         base, unit = _split_name_and_unit(name)[0]
         channel, _ = _CHANNELS_BY_NAME.get(normalise(base), ("", 0))
-        if unit and channel and channel not in sources and not _identify_channel(name):
+        if unit and channel and channel not in sources and find_unit(_KINDS_BY_CHANNEL[channel], unit) is None:
             kind = _KINDS_BY_CHANNEL[channel]
             messages[channel] = (f"column {name} is not used: {unit!r} is not a unit of {kind} (known units are "
                                  f"{', '.join(UNITS[kind])})")

@@ -79,7 +79,7 @@ def _decode(file: Path, size: int) -> str:
     except UnicodeDecodeError:
         n_text = len(content[:4096])
         if size < 0 and (b"\0" in content[:4096] or sum(byte > 0x7F for byte in content[:4096]) > 0.3 * n_text):
-            raise RunError(file, "this is not a text file", "correct its extension") from None
+            raise RunError(file, "this is not a text file", "correct its extension, or export it as .csv") from None
         return content.decode("utf-8-sig", CP1252_FALLBACK)
 
 

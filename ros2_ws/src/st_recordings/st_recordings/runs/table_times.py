@@ -144,9 +144,9 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
         source = replace(source, unit=unit)
     seconds = times * source.factor
     known_rows = np.flatnonzero(np.isfinite(seconds))
-    # (period, longest step) of seconds of an hour, a day or a GPS week, and of micro- or milliseconds in 32 bits
-    for period, longest_step in ((HOUR, 1.0), (2**32 * 1e-6, 1.0), (2**32 * 1e-3, 1.0), (DAY, ROLLOVER_STEP),
-                                 (7 * DAY, ROLLOVER_STEP)):
+    # (period, longest step) of seconds of a minute, hour, day or GPS week, and of micro- or milliseconds in 32 bits
+    for period, longest_step in ((60.0, 1.0), (HOUR, 1.0), (2**32 * 1e-6, 1.0), (2**32 * 1e-3, 1.0),
+                                 (DAY, ROLLOVER_STEP), (7 * DAY, ROLLOVER_STEP)):
         if len(known_rows) and seconds[known_rows].min() >= 0.0 and seconds[known_rows].max() <= period + 1.0:
             seconds[known_rows] += period * count_rollovers(seconds[known_rows], period - longest_step)
     return seconds, source
