@@ -22,7 +22,7 @@ from st_core.types import wrap_angle
 from st_core.vehicle import VehicleParameters
 from st_recordings import results
 from st_recordings.paths import new_folder
-from st_recordings.results import PlannedPredictions, Predictions, Progress, Scores
+from st_recordings.results import Predictions, Progress, Scores
 from st_recordings.runs import ReadSettings
 from st_recordings.runs.bag import is_bag, read_bag, was_interrupted
 
@@ -95,7 +95,7 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
     names = PredictionSettings.__dataclass_fields__.keys() & parameters.keys()
     settings = PredictionSettings(**{name: float(parameters[name]) for name in names})
     scores = results.read_scores([score_bag], progress)
-    planned_by_mode = {mode: results.read_planned_predictions(bag, mode, progress) for mode in PLANNED_MODES}
+    planned_by_mode = {mode: results.read_predictions(bag, progress, mode) for mode in PLANNED_MODES}
     signals = LogSignals(drive.log, settings.maximum_gap, settings.filter_cutoff)
     truncations = [TRUNCATION_WARNING.format(file, "compared") for file in dict.fromkeys((bag, score_bag))
                    if was_interrupted(file)]
@@ -130,7 +130,7 @@ def find_settled_starts(starts_ns: np.ndarray, ins_time_ns: np.ndarray, cutoff: 
 
 
 def _compare(model: Model, car: VehicleParameters, signals: LogSignals, forecasts: Predictions,
-             planned: Mapping[Mode, PlannedPredictions], scores: Mapping[Mode, Scores], cutoff: float,
+             planned: Mapping[Mode, Predictions], scores: Mapping[Mode, Scores], cutoff: float,
              progress: Progress | None) -> Comparison:
     horizon = forecasts.step * (forecasts.states.shape[1] - 1)
     settings = EvaluationSettings(PredictionSettings(horizon=horizon, step=forecasts.step, minimum_speed=0.0))

@@ -2,8 +2,8 @@
 
 import importlib.metadata
 import platform
-from collections import defaultdict, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter, defaultdict, deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from itertools import chain
 from pathlib import Path
@@ -23,6 +23,7 @@ from .runs.ins_log import yaw_from_quaternion
 PREDICTION_TYPE, ERROR_TYPE = "st_msgs/msg/Prediction", "st_msgs/msg/PredictionError"
 PLANNED_TYPE = "st_msgs/msg/PlannedPrediction"
 STATE_FIELDS = ("x", "y", "velocity_x", "velocity_y", "yaw", "yaw_rate")
+INPUT_FIELDS = ("road_wheel_angle", "velocity_x_dot")  # [rad], [m/s^2]
 # Phrases in the evaluator's reason for an incomplete score (st_core: MeasurementHistory, TimeSeries.describe_unknown).
 JUMP_REASON = "position jumps"
 END_REASON = ": ends "  # a signal has no later sample
@@ -42,21 +43,14 @@ class Predictions:
     states: np.ndarray  # (n, points, 6) at the CG [SI], in the order of STATE_FIELDS
     step: float  # [s]
     hashes: frozenset[str]  # of the predictor's configurations
-
-
-@dataclass(frozen=True, eq=False)
-class PlannedPredictions(Predictions):
-    """Predictions with the inputs of a plan or course, (n, 2 * points - 1) at half steps."""
-
-    road_wheel_angle: np.ndarray  # [rad]
-    velocity_x_dot: np.ndarray  # [m/s^2]
+    inputs: tuple[np.ndarray, ...] = ()  # INPUT_FIELDS of a plan or course, (n, 2 * points - 1) at half steps
 
     def inputs_at(self, starts_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Inputs (m, 2 * points - 1) of the predictions at start times (m,) [ns]; NaN without a prediction."""
         index = np.searchsorted(self.starts_ns, starts_ns).clip(max=len(self.starts_ns) - 1)
         has_prediction = (self.starts_ns[index] == starts_ns)[:, None]
-        return (np.where(has_prediction, self.road_wheel_angle[index], np.nan),
-                np.where(has_prediction, self.velocity_x_dot[index], np.nan))
+        road_wheel_angle, velocity_x_dot = (np.where(has_prediction, each[index], np.nan) for each in self.inputs)
+        return road_wheel_angle, velocity_x_dot
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,38 +142,28 @@ def find_configuration(records: Mapping[str, Mapping[str, str]],
     return read_vehicle(file), recorded, str(file)
 
 
-def read_predictions(bag: Path, progress: Progress | None = None) -> dict[str, Predictions]:
-    """Reads forecasts by model. Raises RunError if the predictions of a model have different horizons or steps."""
-    return {model: Predictions(*parts) for model, parts in _read_by_model(bag, PREDICTION_TYPE, (), progress).items()}
+def read_predictions(bag: Path, progress: Progress | None = None, mode: str = "") -> dict[str, Predictions]:
+    """Reads forecasts, or predictions of mode plan or course, by model. Raises RunError if the predictions of a model
+    have different horizons or steps."""
+    inputs = INPUT_FIELDS if mode else ()
+    columns = _collect_columns(
+        read_messages([bag], PLANNED_TYPE if mode else PREDICTION_TYPE, progress, f"/{mode}" if mode else ""),
+        lambda message: (message.model, len(message.x), float(message.step)),
+        lambda message: (np.stack([getattr(message, name) for name in STATE_FIELDS], axis=-1),
+                         message.configuration_hash, *(getattr(message, name) for name in inputs)))
+    models = Counter(model for model, _, _ in columns)
+    if repeated := [model for model, count in models.items() if count > 1]:
+        raise RunError(bag, f"predictions of {repeated[0]} have different horizons or steps")
+    return {model: Predictions(starts_ns, states, step, frozenset(hashes.tolist()), tuple(inputs))
+            for (model, _, step), (starts_ns, states, hashes, *inputs) in columns.items()}
 
 
-def read_planned_predictions(bag: Path, mode: str, progress: Progress | None = None) -> dict[str, PlannedPredictions]:
-    """Reads predictions of mode plan or course by model, as `read_predictions` does."""
-    inputs = ("road_wheel_angle", "velocity_x_dot")
-    return {model: PlannedPredictions(*parts)
-            for model, parts in _read_by_model(bag, PLANNED_TYPE, inputs, progress, f"/{mode}").items()}
-
-
-def _read_by_model(bag: Path, type_name: str, input_fields: Sequence[str], progress: Progress | None,
-                   topic_end: str = "") -> dict[str, list[Any]]:
-    """Model -> [starts_ns, states, step, hashes, *arrays of the input fields]."""
-    rows = defaultdict[str, dict[int, list[np.ndarray]]](dict)
-    steps, hashes = defaultdict[str, set[float]](set), defaultdict[str, set[str]](set)
-    for message in read_messages([bag], type_name, progress, topic_end):
-        states = np.stack([getattr(message, name) for name in STATE_FIELDS], axis=-1)
-        rows[message.model][get_field(message, "header.stamp")] = [
-            states, *(getattr(message, name) for name in input_fields)]
-        steps[message.model].add(float(message.step))
-        hashes[message.model].add(message.configuration_hash)
-    for model, entries in rows.items():
-        if len(steps[model]) > 1 or len({len(arrays[0]) for arrays in entries.values()}) > 1:
-            raise RunError(bag, f"predictions of {model} have different horizons or steps")
-    return {model: [starts_ns, states, steps[model].pop(), frozenset(hashes[model]), *inputs]
-            for model, (starts_ns, states, *inputs) in _stack_by_start(rows).items()}
-
-
-def _stack_by_start(rows: Mapping[Key, Mapping[int, Sequence[Any]]]) -> dict[Key, list[np.ndarray]]:
-    """Key -> [start times (n,) ascending, *columns (n, ...)]. rows: key -> start time [ns] -> values of the columns."""
+def _collect_columns(messages: Iterable[Any], get_key: Callable[[Any], Key],
+                     get_values: Callable[[Any], Sequence[Any]]) -> dict[Key, list[np.ndarray]]:
+    """Key -> [start times (n,) [ns] ascending, *columns (n, ...)]; of several with one start, the last counts."""
+    rows = defaultdict[Key, dict[int, Sequence[Any]]](dict)
+    for message in messages:
+        rows[get_key(message)][get_field(message, "header.stamp")] = get_values(message)
     columns = {}
     for key, entries in rows.items():
         starts_ns = sorted(entries)
@@ -189,13 +173,11 @@ def _stack_by_start(rows: Mapping[Key, Mapping[int, Sequence[Any]]]) -> dict[Key
 
 def read_scores(bags: Sequence[Path], progress: Progress | None = None) -> dict[tuple[str, str], Scores]:
     """Reads the scores in all bags, by model and mode; of several scores for one start, the last is used."""
-    rows = defaultdict[tuple[str, str], dict[int, tuple[np.ndarray, bool, bool, bool]]](dict)
-    for message in read_messages(bags, ERROR_TYPE, progress):
-        errors = np.stack([message.longitudinal, message.lateral, message.yaw], axis=-1)
-        reason = message.incomplete_reason
-        rows[message.model, message.mode][get_field(message, "header.stamp")] = (
-            errors, bool(message.complete), END_REASON in reason, JUMP_REASON in reason)
-    return {key: Scores(*columns) for key, columns in _stack_by_start(rows).items()}
+    columns = _collect_columns(
+        read_messages(bags, ERROR_TYPE, progress), lambda message: (message.model, message.mode),
+        lambda message: (np.stack([message.longitudinal, message.lateral, message.yaw], axis=-1), message.complete,
+                         END_REASON in message.incomplete_reason, JUMP_REASON in message.incomplete_reason))
+    return {key: Scores(*parts) for key, parts in columns.items()}
 
 
 def read_messages(bags: Sequence[Path], type_name: str, progress: Progress | None = None,
@@ -249,14 +231,13 @@ def _read_ticks(bag: Storage) -> dict[str, Any]:
 
 
 def _read_scores(errors: Path) -> tuple[dict[tuple[str, str], MeanErrors], str]:
-    """(scores by model and mode, configuration hash of the last score or "" without scores)."""
-    rows = defaultdict[tuple[str, str], dict[int, tuple[Any, ...]]](dict)
-    configuration_hash = ""
-    for message in read_messages([errors], ERROR_TYPE):
-        configuration_hash = message.configuration_hash
-        rows[message.model, message.mode][get_field(message, "header.stamp")] = (
-            message.complete, message.longitudinal_mean, message.lateral_mean, message.yaw_mean)
-    return {key: MeanErrors(*columns) for key, columns in _stack_by_start(rows).items()}, configuration_hash
+    """(scores by model and mode, configuration hash of a last score or "" without scores)."""
+    columns = _collect_columns(
+        read_messages([errors], ERROR_TYPE), lambda message: (message.model, message.mode),
+        lambda message: (message.complete, message.longitudinal_mean, message.lateral_mean, message.yaw_mean,
+                         message.configuration_hash))
+    hashes = [str(parts[-1][-1]) for parts in columns.values()]
+    return {key: MeanErrors(*parts[:-1]) for key, parts in columns.items()}, hashes[-1] if hashes else ""
 
 
 def _read_segments(errors: Path, scores: dict[tuple[str, str], MeanErrors]) -> dict[tuple[str, int], Segment]:

@@ -11,7 +11,6 @@ from mcap.reader import make_reader
 from st_core.log import DriveLog
 from st_core.sideslip import derive_yaw_rate
 
-from ..bag_metadata import read_information
 from .axes import convert_odometry
 from .bag_storage import EXTENSIONS, ROS1_EXTENSION, Storage, Topic, describe_missing_files, list_bag_files, open_bag
 from .cdr import CAN_FRAMES, CAN_MSGS_FRAME, NCOM, ODOMETRY, READ_ERRORS, STEERING, read_summary
@@ -50,17 +49,11 @@ def is_bag(path: Path) -> bool:
 
 
 def has_odometry(path: Path) -> bool:
-    """Whether a bag contains odometry, or INS packets and steering to reconstruct a drive; True if this is unclear."""
-    if path.is_dir() and (path / "metadata.yaml").is_file():
-        try:
-            types = {t["topic_metadata"]["type"] for t in read_information(path)["topics_with_message_count"]}
-        except (KeyError, TypeError):
-            return True
-    else:
-        summary = read_summary(path) if path.is_file() and path.suffix.lower() == ".mcap" else None
-        if summary is None:
-            return True
-        types = {schema.name for schema in summary.schemas.values()}
+    """Whether a bag contains odometry, or INS packets and steering to reconstruct a drive; True if it is unreadable."""
+    try:
+        types = open_bag(path).by_type.keys()
+    except RunError:
+        return True
     return ODOMETRY in types or (NCOM in types and bool(types & {STEERING, CAN_FRAMES}))
 
 
