@@ -20,8 +20,8 @@ from st_core.discovery.library_fit import fit_healthy_car
 from st_core.log import DriveLog
 from st_core.model_file import ModelFile
 from st_core.vehicle import VehicleParameters
-from st_offline.discovery.discover_command import pool_sensor_estimates, write_results
-from st_offline.discovery.drives import Drive, Request, read_drives
+from st_offline.discovery.discover_command import write_results
+from st_offline.discovery.drives import Drive, Request, pool_sensor_estimates, read_drives
 from st_offline.discovery.vehicle_update import update_vehicle
 from st_recordings.runs import ReadSettings, find_runs
 from support import LEAF, read_car

@@ -2,8 +2,7 @@
 
 import pytest
 from st_core.discovery import DiscoverySettings, discover
-from st_offline.discovery.discover_command import pool_sensor_estimates
-from st_offline.discovery.drives import Request, read_drives
+from st_offline.discovery.drives import Request, pool_sensor_estimates, read_drives
 from st_offline.discovery.vehicle_update import update_vehicle
 from st_recordings.car import read_vehicle
 from st_recordings.runs import ReadSettings, find_runs

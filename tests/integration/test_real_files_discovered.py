@@ -15,8 +15,7 @@ from discovery_drives import recorded
 from st_cli.cli import app
 from st_core.discovery import DiscoverySettings, discover
 from st_core.log import DriveLog
-from st_offline.discovery.discover_command import pool_sensor_estimates
-from st_offline.discovery.drives import read_drives
+from st_offline.discovery.drives import pool_sensor_estimates, read_drives
 from st_recordings.runs import ReadSettings, find_runs
 from support import LEAF, read_car, shared
 from typer.testing import CliRunner

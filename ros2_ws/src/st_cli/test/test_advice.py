@@ -13,8 +13,8 @@ from st_core.bands import ErrorSamples
 from st_core.log_evaluation import EvaluationSettings
 from st_core.prediction import PredictionSettings
 from st_offline.evaluation.advice import (
+    COST_KINDS,
     TABLE_STYLE,
-    Cost,
     find_cheapest,
     make_advice_rows,
     make_choice_rows,
@@ -67,9 +67,9 @@ def test_band_level_is_limited_by_number_of_runs(count, level):
 
 def test_cheapest_configuration_within_tolerance_is_chosen_or_none():
     good, bad = (measure_accuracy(make_error_samples(2, size), "linear", SETTINGS) for size in (0.1, 1.0))
-    costs = {("slow", 0.05): Cost(9e-4, 9e-5, 1e-5), ("quick", 0.1): Cost(1e-4, 1e-5, 1e-6),
-             ("floats", 0.1): Cost(2e-3, None, 1e-6)}
-    assert costs["floats", 0.1].single == 2e-3
+    costs = {("slow", 0.05): {"interpreted": 9e-4, "compiled": 9e-5, "batch": 1e-5},
+             ("quick", 0.1): {"interpreted": 1e-4, "compiled": 1e-5, "batch": 1e-6},
+             ("floats", 0.1): {"interpreted": 2e-3, "batch": 1e-6}}  # the most expensive, because it is not compiled
     accuracies = {("slow", 0.05): good, ("quick", 0.1): bad, ("floats", 0.1): good}
     chosen = find_cheapest(costs, accuracies, 0.5)
     assert chosen[6.0] == (("quick", 0.1), *[("slow", 0.05)] * 4)
@@ -80,7 +80,8 @@ def test_cheapest_configuration_within_tolerance_is_chosen_or_none():
 
 
 def test_costs_are_relative_to_the_lowest_and_missing_values_are_dashes():
-    costs = {("a", 0.05): Cost(3e-4, None, 2e-5), ("b", 0.05): Cost(1e-4, 1e-5, 1e-5)}
+    costs = {("a", 0.05): {"interpreted": 3e-4, "batch": 2e-5},
+             ("b", 0.05): {"interpreted": 1e-4, "compiled": 1e-5, "batch": 1e-5}}
     accuracy = measure_accuracy(make_error_samples(1, 0.1), "linear", SETTINGS)
     first, second = make_advice_rows(costs, {("b", 0.05): accuracy})
     assert (first["interpreted, µs (x)"], first["compiled, µs (x)"], first["error 5 s, m"]) == ("300 (3.0)", "-", "-")
@@ -89,7 +90,8 @@ def test_costs_are_relative_to_the_lowest_and_missing_values_are_dashes():
 
 def test_tables_of_advice_fit_into_80_columns():
     console = Console(width=80, record=True, file=io.StringIO())
-    costs = {("nonlinear", 0.025): Cost(1.23e-2, 1.23e-2, 1.23e-2), ("kinematic", 0.05): Cost(1e-4, 1e-4, 1e-4)}
+    costs = {("nonlinear", 0.025): dict.fromkeys(COST_KINDS, 1.23e-2),
+             ("kinematic", 0.05): dict.fromkeys(COST_KINDS, 1e-4)}
     accuracies = {("nonlinear", 0.025): measure_accuracy(make_error_samples(4, 0.1), "linear", SETTINGS)}
     for title, rows in split_rows(make_advice_rows(costs, accuracies), accuracies).items():
         console.print(make_table(rows, title=title, **TABLE_STYLE))

@@ -14,8 +14,8 @@ from st_core.model_file import ModelFile, ModelProvenance
 from st_core.vehicle import VehicleParameters
 from st_live.configuration import make_model_parameters
 from st_live.suite import SuiteError
-from st_offline.discovery.discover_command import _check_reference, pool_sensor_estimates
-from st_offline.discovery.drives import collect_clock_deviations, read_drive, read_drives
+from st_offline.discovery.discover_command import _check_reference
+from st_offline.discovery.drives import collect_clock_deviations, pool_sensor_estimates, read_drive, read_drives
 from st_recordings.runs import ReadSettings, find_runs
 from support import LEAF, ROOT
 

@@ -35,6 +35,7 @@ from st_offline.discovery.relation_report import RelationReport
 from st_offline.discovery.vehicle_update import VehicleUpdate, update_vehicle
 from st_offline.evaluation.drawing import FigureOutput
 from st_offline.pages import Table
+from st_recordings.paths import json_text
 from st_recordings.runs import ReadSettings, find_runs
 from support import LEAF
 
@@ -310,7 +311,7 @@ def test_page_and_terminal_contain_the_result_and_escape_names(logs, drive, tmp_
     corrected = update_vehicle(found, request)
     content = build_document(found, request, corrected, {})
     assert content["schema"] == 4 and content["files"]["vehicle.yaml"]["not_folded"]["steering_ratio"]
-    json.dumps(content, allow_nan=False)
+    assert json.loads(json_text(content))["outcome"] == found.outcome
     page = tmp_path / "report.html"
     write_page(page, found, corrected, [], content, [draw_waterfall(make_figure_data(found, logs))])
     text = page.read_text()

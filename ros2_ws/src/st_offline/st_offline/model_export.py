@@ -1,7 +1,7 @@
 """Exports a model and its bands for a controller, as CasADi functions or C code, and describes its variables."""
 
-import json
 from collections.abc import Iterable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,7 +17,7 @@ from st_core.errors import ConfigurationError
 from st_core.integrate import lowest_stable_speed
 from st_core.models import Model
 from st_core.vehicle import VehicleParameters
-from st_recordings.paths import json_ready
+from st_recordings.paths import json_text
 
 Format = Literal["casadi", "c"]
 STEPS = (0.01, 0.02, 0.05, 0.1)  # s; the description states the lowest stable speed for each
@@ -54,7 +54,7 @@ def export_model(model: Model, vehicle: VehicleParameters, folder: Path, kind: F
             make_half_width_function(band, level, vehicle, name).save(str(files[-1]))
     description = make_description(symbolic, model, vehicle, [f.name for f in files])
     files += [folder / "model.json", folder / "README.md"]
-    files[-2].write_text(json.dumps(description, indent=2) + "\n", encoding="utf-8")
+    files[-2].write_text(json_text(description), encoding="utf-8")
     files[-1].write_text(_format_readme(description, kind), encoding="utf-8")
     return files
 
@@ -73,7 +73,7 @@ def make_description(symbolic: SymbolicModel, model: Model, vehicle: VehiclePara
         "frame": "x forward, y left, z up; centre of gravity; map x east, y north; yaw counter-clockwise from east",
         "states": [_describe_variable(v) for v in symbolic.states],
         "inputs": [_describe_variable(v) for v in symbolic.inputs],
-        "parameters": [{**_describe_variable(v), "value": json_ready(v.value)} for v in symbolic.parameters],
+        "parameters": list(map(asdict, symbolic.parameters)),
         "substeps": symbolic.substeps,
         "stable_above_m_s": {f"{step:g}": round(lowest_stable_speed(model, vehicle, step / symbolic.substeps), 3)
                              for step in STEPS},
@@ -84,8 +84,7 @@ def make_description(symbolic: SymbolicModel, model: Model, vehicle: VehiclePara
 
 
 def _describe_variable(variable: Variable) -> dict[str, Any]:
-    return {"name": variable.name, "unit": variable.unit, "lower": json_ready(variable.lower),
-            "upper": json_ready(variable.upper)}
+    return {"name": variable.name, "unit": variable.unit, "lower": variable.lower, "upper": variable.upper}
 
 
 def _format_readme(description: dict[str, Any], kind: Format) -> str:

@@ -27,7 +27,7 @@ from st_offline.checking.check_report import (
     print_runs,
 )
 from st_offline.checking.gate import RejectedRunError
-from st_recordings.paths import OutputError
+from st_recordings.paths import OutputError, json_text
 from st_recordings.runs import ReadSettings, RunSource
 from st_recordings.runs.columns import Layout
 from st_recordings.runs.raw import summarise_alignment
@@ -182,7 +182,7 @@ def test_clock_offset_of_the_steering_is_printed(method, text):
 
 
 def test_document_contains_only_finite_numbers():
-    content = json.loads(json.dumps(build_document([make_run()], {}), allow_nan=False))
+    content = json.loads(json_text(build_document([make_run()], {})))
     entry = content["runs"]["drive"]
     assert content["schema"] == 3 and entry["vehicle"] == "leaf.yaml" and "leaf.yaml" in content["vehicle"]
     assert set(entry["findings"][0]) == {"name", "severity", "channels", "value", "unit", "interval", "text", "times",

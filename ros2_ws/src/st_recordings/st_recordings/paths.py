@@ -8,6 +8,7 @@ import shutil
 import subprocess
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import fields, is_dataclass
 from datetime import UTC, datetime
 from functools import lru_cache, wraps
 from importlib import metadata
@@ -122,7 +123,12 @@ def natural_sort_key(path: Path) -> tuple[list[tuple[bool, int, str]], str]:
 
 
 def json_ready(value: Any) -> Any:
-    """Converts a value to the Python types of JSON; NaN and infinity become None."""
+    """Converts a value to the Python types of JSON: dataclasses and mappings to dicts, tuples and NumPy arrays to
+    lists; NaN and infinity become None."""
+    if is_dataclass(value):
+        value = {field.name: getattr(value, field.name) for field in fields(value)}
+    elif hasattr(value, "tolist"):  # NumPy arrays and numbers
+        value = value.tolist()
     if isinstance(value, Mapping):
         return {str(k): json_ready(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -134,4 +140,4 @@ def json_ready(value: Any) -> Any:
 
 
 def json_text(content: Mapping[str, Any]) -> str:
-    return json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+    return json.dumps(json_ready(content), indent=1, allow_nan=False, ensure_ascii=False) + "\n"

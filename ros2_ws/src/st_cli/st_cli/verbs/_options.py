@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from st_core.vehicle import VehicleParameters
     from st_live.page import LiveView
     from st_recordings.runs import ReadSettings
-    from st_recordings.runs.run_types import SteeringField
 
 console = Console()
 FILE: dict[str, Any] = {"exists": True, "dir_okay": False}
@@ -121,10 +120,14 @@ class ReadOptions:
         Raises RunError for a car that cannot be read.
         """
         from st_recordings.runs import ReadSettings
+        from st_recordings.runs.run_types import SteeringField
 
-        options = self.fill_in_car()
+        options, steering = self.fill_in_car(), None
+        if self.steering_topic is not None or self.steering_field is not None:
+            steering = SteeringField(self.steering_topic or "", self.steering_field or "data", self.steering_is,
+                                     self.steering_unit, self.steering_sign or 1)
         return options.vehicle, ReadSettings(dbc=options.dbc, signals=options.signals, offset=self.offset,
-                                             ins_can_latency=self.ins_can_latency, steering=self.steering,
+                                             ins_can_latency=self.ins_can_latency, steering=steering,
                                              odometry=self.odometry_topic, **options.sensor_settings, **others)
 
     def fill_in_car(self, requires_bus: bool = False) -> "ReadOptions":
@@ -150,16 +153,6 @@ class ReadOptions:
         """Sign and latency of the steering sensor, if known."""
         values = {"steering_sign": self.steering_sign, "steering_latency": self.steering_latency}
         return {name: value for name, value in values.items() if value is not None}
-
-    @property
-    def steering(self) -> "SteeringField | None":
-        """Location and unit of the steering angle in an external bag or a table; None if no option states it."""
-        from st_recordings.runs.run_types import SteeringField
-
-        if self.steering_topic is None and self.steering_field is None:
-            return None
-        return SteeringField(self.steering_topic or "", self.steering_field or "data", self.steering_is,
-                             self.steering_unit, self.steering_sign or 1)
 
 
 @dataclass(frozen=True)

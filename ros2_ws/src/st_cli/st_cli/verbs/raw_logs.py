@@ -1,6 +1,5 @@
 """The commands `st align`, `st import`, `st ncom` and `st recover` for raw logs and bags."""
 
-import json
 import math
 import time
 from pathlib import Path
@@ -13,7 +12,6 @@ from . import _options as shared
 from ._options import console
 
 if TYPE_CHECKING:
-    from rich.table import Table
     from st_core.clock_types import Alignment
     from st_core.vehicle import VehicleParameters
     from st_recordings.runs import ReadSettings
@@ -38,7 +36,7 @@ def align(
     """
     from st_offline.alignment_figure import draw_alignment
     from st_offline.terminal import list_files, print_line
-    from st_recordings.paths import new_folder
+    from st_recordings.paths import json_text, new_folder
     from st_recordings.runs.raw import read_pair, summarise_alignment
 
     _, settings = read_options.resolve(search=search)
@@ -52,7 +50,7 @@ def align(
     alignment = pair.alignment
     print_alignment(pair)
     content = {**summarise_alignment(alignment), "ins_can_latency": pair.latency}
-    (folder / "alignment.json").write_text(json.dumps(content, indent=2, allow_nan=False) + "\n")
+    (folder / "alignment.json").write_text(json_text(content), encoding="utf-8")
     results = {folder / "alignment.json": "offset and drift, with uncertainty"}
     if pair.shared_signals and alignment.method != "none":
         title = f"{pair.name}: {describe_alignment(alignment, pair.can.start_ns, pair.ins.is_utc)}"
@@ -109,22 +107,16 @@ def print_alignment(pair: "RawRun") -> None:
         console.print(table)
     for reason in alignment.reasons:
         print_line(f"  [{style}]·[/{style}] {escape(reason)}", console)
-    if alignment.signals:
-        console.print(_make_signal_table(alignment))
-
-
-def _make_signal_table(alignment: "Alignment") -> "Table":
-    from rich.table import Table
-
-    table = Table(box=None, padding=(0, 2))
-    table.add_column("signal", overflow="fold")
+    signals = Table(box=None, padding=(0, 2))
+    signals.add_column("signal", overflow="fold")
     for name in ("difference from the offset,\nms (standard deviation)", "correlation",
                  "residual /\nstandard deviation"):
-        table.add_column(name, justify="right", no_wrap=True)
+        signals.add_column(name, justify="right", no_wrap=True)
     for row in alignment.signals:
         difference = f"{round(row.difference * 1e3, 2) + 0.0:+.2f} ({_format_deviation(row.deviation * 1e3)})"
-        table.add_row(row.name, difference, f"{row.correlation:.5f}", f"{row.residual:.4f}")
-    return table
+        signals.add_row(row.name, difference, f"{row.correlation:.5f}", f"{row.residual:.4f}")
+    if alignment.signals:
+        console.print(signals)
 
 
 def _format_deviation(deviation: float, unit: str = "", decimals: int = 2) -> str:

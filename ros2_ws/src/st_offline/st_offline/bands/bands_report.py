@@ -201,11 +201,8 @@ def _divide(value: Any, count: int) -> Any:
     return value / count if count else None
 
 
-MODE_TITLES = {"hindsight": "hindsight (measured inputs)", "forecast": "forecast (inputs held)"}
 NO_BANDS = ("[dim]no bands were given: calibrate them on other runs of this car with `st calibrate RUN… --vehicle FILE "
             "--output bands.yaml`, and test them on these runs with `--bands bands.yaml`[/dim]")
-RESIDUAL = "residual"
-REPORTED_SECONDS = ("1", "3", "5")  # prediction times in the table
 
 
 @apply_style()
@@ -220,13 +217,13 @@ def draw_bands(content: Mapping[str, Any], output: FigureOutput) -> list[PageFig
                   for model, modes in models.items() for mode, scores in modes.items() if scores["starts"]]
     _, worst = max(deviations)
     figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 4.2), sharey=True)
-    for axes, (mode, title) in zip(panels, MODE_TITLES.items(), strict=True):
+    for axes, mode, inputs in zip(panels, ("hindsight", "forecast"), ("measured inputs", "inputs held"), strict=True):
         axes.plot([0, 100], [0, 100], color=MEASURED_COLOUR, lw=0.8)
         for model, modes in models.items():
             points = {float(level): c for level, c in modes[mode]["reliability"].items() if c is not None}
             axes.plot([100 * level for level in points], [100 * coverage for coverage in points.values()], marker="o",
                       ms=3, **get_line_style(model))
-        axes.set(title=title, xlabel="nominal coverage, %", xlim=(0, 100), ylim=(0, 100))
+        axes.set(title=f"{mode} ({inputs})", xlabel="nominal coverage, %", xlim=(0, 100), ylim=(0, 100))
     panels[0].set_ylabel("paths entirely inside, %")
     handles = [Line2D([], [], **get_line_style(model), label=model) for model in models]
     figure.legend(handles=handles, loc="outside lower left", ncols=6)
@@ -282,14 +279,11 @@ def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Co
     if tested:
         content = summarise_bands(pooled)
         rows, level = make_band_rows(content), _format_level(_find_top_level(content))
-        # A single table would be wider than 80 characters.
-        for title, columns in (
-                ("Bands: fraction of paths entirely inside", ("predictions", "no band", "50 % band", f"{level} band")),
-                (f"Bands: conditions with the lowest coverage of the {level} band", ("worst cell",)),
-                ("Bands: scores and half-width, along | across", (
-                    f"interval score {level}, along | across, m", "CRPS, along | across, m",
-                    f"half-width {level}, along | across, m"))):
-            reported = [{column: row[column] for column in ("model", "inputs", *columns)} for row in rows]
+        # A single table would be wider than 80 characters; each of these begins with the columns model and inputs.
+        for title, columns in (("Bands: fraction of paths entirely inside", slice(2, 6)),
+                               (f"Bands: conditions with the lowest coverage of the {level} band", slice(6, 7)),
+                               ("Bands: scores and half-width, along | across", slice(7, None))):
+            reported = [dict((*list(row.items())[:2], *list(row.items())[columns])) for row in rows]
             console.print(make_table(reported, title=title, width=min(console.width, 120)), highlight=False)
         if known := content["known_recordings"]:
             print_line(f"[yellow]the calibration used {len(known)} of these files, so this is not an independent test "
@@ -347,7 +341,7 @@ def summarise_contributions(sums: Sums) -> dict[str, Any]:
             continue
         fractions = {kind: sum((squares for name, squares in causes.items() if name.startswith(f"{kind}: ")),
                                np.zeros_like(total)) / total for kind in (PARAMETERS, SENSORS)}
-        fractions[RESIDUAL] = 1.0 - sum(fractions.values())
+        fractions["residual"] = 1.0 - sum(fractions.values())
         summary[model] = {
             "starts": count, "rms": _name_seconds(np.sqrt(total / count)),
             "rms_of_cause": {name: _name_seconds(np.sqrt(squares / count)) for name, squares in causes.items()},
@@ -357,10 +351,10 @@ def summarise_contributions(sums: Sums) -> dict[str, Any]:
 
 
 def make_contribution_rows(content: Mapping[str, Any]) -> list[dict[str, str]]:
-    """Table row of each model and reported second in the result of `summarise_contributions`, by column title."""
+    """Table row of each model at 1, 3 and 5 s in the result of `summarise_contributions`, by column title."""
     rows = []
     for model, summary in content.items():
-        for second in (s for s in REPORTED_SECONDS if s in summary["rms"]):
+        for second in (s for s in ("1", "3", "5") if s in summary["rms"]):
             rms = summary["rms"][second]
             row = {"model": model, "second": second,
                    "rms along | across, m": f"{rms['longitudinal']:.2f} | {rms['lateral']:.2f}"}

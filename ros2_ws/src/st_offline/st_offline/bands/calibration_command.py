@@ -5,14 +5,7 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
-from st_core.bands import Band, Bands, CalibrationDomain, ErrorSamples, calibrate
-from st_core.bands.calibration import (
-    check_level_range,
-    check_levels,
-    compute_error_samples,
-    compute_highest_level,
-    join_runs,
-)
+from st_core.bands import Band, Bands, CalibrationDomain, ErrorSamples, calibration
 from st_core.bands.file import hash_configuration, make_times
 from st_core.log_evaluation import MODES
 from st_core.models import Model
@@ -36,22 +29,32 @@ def run_command(runs: Sequence[Path], task: Task, output: Path, levels: Sequence
     """
     if output.exists():
         raise OutputError(f"{output} exists: choose another --output (existing files are not overwritten)")
-    check_level_range(levels)
+    calibration.check_level_range(levels)
     models = load_models(task)
     recordings: dict[str, str] = {}
     problems: list[str] = []
     groups = [collect_errors(find_runs(paths), task, models, recordings, problems, console)
               for paths in ([[path] for path in runs] if together else [runs])]
-    samples = [join_runs(group) for group in groups if group] if together else groups[0]
-    bands = make_bands(samples, task, models, recordings, levels, console)
+    samples = [calibration.join_runs(group) for group in groups if group] if together else groups[0]
+    calibration.check_levels(levels, len(samples))
+    settings, bands = task.settings.as_dict(), dict[tuple[str, str], Band]()
+    time = make_times(task.settings.prediction.horizon, task.settings.prediction.step)
+    for model in models:
+        for mode in MODES:
+            console.print(f"[dim]calibrating {escape(model.name)}, {mode}[/dim]", highlight=False)
+            bands[model.name, mode] = calibration.calibrate(samples, (model.name, mode), time, levels)
+    hashes = {name: hash_configuration(task.vehicle, settings, digest)
+              for name, digest in collect_model_hashes(task, models).items()}
+    content = Bands(task.vehicle.name, task.vehicle.hash, settings, recordings, len(samples),
+                    CalibrationDomain.from_runs([run.conditions for run in samples]), bands, hashes)
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
-        output.write_text(bands.to_yaml(), encoding="utf-8")
+        output.write_text(content.to_yaml(), encoding="utf-8")
     except OSError as error:
         raise OutputError(f"{output}: cannot be written: {error.strerror}") from None
-    starts = sum(len(run.conditions) for run in samples)
-    print_line(f"{escape(str(output))}: bands of {', '.join(bands.models)} from {len(samples)} runs, {starts} "
-               f"starts; {len(samples)} runs support levels up to {compute_highest_level(len(samples)):.1%}", console)
+    starts, highest = sum(len(run.conditions) for run in samples), calibration.compute_highest_level(len(samples))
+    print_line(f"{escape(str(output))}: bands of {', '.join(content.models)} from {len(samples)} runs, {starts} "
+               f"starts; {len(samples)} runs support levels up to {highest:.1%}", console)
     return 1 if problems else 0
 
 
@@ -72,7 +75,7 @@ def collect_errors(sources: Sequence[RunSource], task: Task, models: Sequence[Mo
                 _check_recorded_car(source, run, task.vehicle)
                 check_for_use(source.path, run, task.vehicle, task.force, models, task.settings.prediction.step)
                 signals = task.settings.signals(run.log)
-                samples.append(compute_error_samples(models, task.vehicle, signals, task.settings))
+                samples.append(calibration.compute_error_samples(models, task.vehicle, signals, task.settings))
         except RUN_ERRORS as error:
             problems.append(describe_problem(error, source))
             report_problem(source.name, problems[-1], console)
@@ -81,23 +84,6 @@ def collect_errors(sources: Sequence[RunSource], task: Task, models: Sequence[Mo
             name = Path(file).name
             recordings[file if name in recordings else name] = digest
     return samples
-
-
-def make_bands(samples: Sequence[ErrorSamples], task: Task, models: Sequence[Model], recordings: dict[str, str],
-               levels: Sequence[float], console: Console) -> Bands:
-    """Calibrate the bands of all models. Raises StCoreError as `calibrate` does."""
-    check_levels(levels, len(samples))
-    settings = task.settings.as_dict()
-    time = make_times(task.settings.prediction.horizon, task.settings.prediction.step)
-    bands: dict[tuple[str, str], Band] = {}
-    for model in models:
-        for mode in MODES:
-            console.print(f"[dim]calibrating {escape(model.name)}, {mode}[/dim]", highlight=False)
-            bands[model.name, mode] = calibrate(samples, (model.name, mode), time, levels)
-    hashes = {name: hash_configuration(task.vehicle, settings, digest)
-              for name, digest in collect_model_hashes(task, models).items()}
-    return Bands(task.vehicle.name, task.vehicle.hash, settings, recordings, len(samples),
-                 CalibrationDomain.from_runs([run.conditions for run in samples]), bands, hashes)
 
 
 def _check_recorded_car(source: RunSource, run: LoadedRun, vehicle: VehicleParameters) -> None:

@@ -76,7 +76,13 @@ def run_command(job: CheckJob, console: Console, report_vehicle: Callable[[str],
     if report_vehicle and not job.vehicle_is_given:
         for file in sorted({run.vehicle_source for run in checked_runs}):
             report_vehicle(file)
-    files = write_results(checked_runs, unreadable, folder, job.json, console)
+    content = build_document(checked_runs, unreadable)
+    page, numbers = folder / "report.html", job.json or folder / "check.json"
+    with console.status("drawing, writing the page"):
+        write_page(page, checked_runs, unreadable, content)
+        numbers.parent.mkdir(parents=True, exist_ok=True)
+        numbers.write_text(json_text(content), encoding="utf-8")
+    files = {page: "one page, with the findings and figures", numbers: "all numbers; keys in docs/manual/checks.md"}
     if target := job.correction_file:
         target.parent.mkdir(parents=True, exist_ok=True)
         text = make_run_yaml(sources[0], checked_runs[0].result.findings, target, job.read_settings)
@@ -97,22 +103,6 @@ def check_run(source: RunSource, job: CheckJob) -> CheckedRun:
                       summarise_alignment(run.alignment), source.arguments)
 
 
-def write_results(checked_runs: Sequence[CheckedRun], unreadable: Mapping[str, str], folder: Path, json: Path | None,
-                  console: Console) -> dict[Path, str]:
-    """Write page and JSON file; returns their descriptions by path."""
-    content = build_document(checked_runs, unreadable)
-    page, numbers = folder / "report.html", json or folder / "check.json"
-    with console.status("drawing, writing the page"):
-        write_page(page, checked_runs, unreadable, content)
-        numbers.parent.mkdir(parents=True, exist_ok=True)
-        numbers.write_text(json_text(content), encoding="utf-8")
-    return {page: "one page, with the findings and figures", numbers: "all numbers; keys in docs/manual/checks.md"}
-
-
-CSV_KEYS = {"columns", "units"}  # apply only to tables
-HEADER = "# Proposed by st check. Every command that reads it lists the corrections.\n"
-
-
 def check_file_name(file: Path) -> None:
     """Raise OutputError for a file name that no command reads, and for an existing file."""
     if file.name != RUN_FILE and not file.name.endswith(RUN_SUFFIX):
@@ -129,7 +119,7 @@ def make_run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, re
     earlier finding, or concerns the columns of a run without a table. Paths are relative to `file`.
     """
     corrections: dict[str, Any] = {}
-    lines = [HEADER]
+    lines = ["# Proposed by st check. Every command that reads it lists the corrections.\n"]
     for finding in findings:
         lines.append(f"# {finding.severity.value}: {finding.name}: {escape_unprintable(finding.text)}\n")
         advice = finding.advice
@@ -139,7 +129,7 @@ def make_run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, re
             comment = check_report.describe_correction(advice)
         elif finding.severity is Severity.NOTE:
             comment = f"not applied, negligible: {advice.line}"
-        elif not READERS[source.kind].is_table and CSV_KEYS & advice.entry.keys():
+        elif not READERS[source.kind].is_table and {"columns", "units"} & advice.entry.keys():
             comment = f"not applied, only {' and '.join(TABLE_KEYS)} files have columns and units: {advice.line}"
         elif (merged := _merge(corrections, as_yaml_values(advice.entry))) is None:
             comment = f"not applied, an earlier finding proposes a different value: {advice.line}"

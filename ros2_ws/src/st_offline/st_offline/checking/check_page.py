@@ -98,15 +98,8 @@ def make_summary(runs: Sequence[CheckedRun]) -> list[str]:
 
 
 def write_page(file: Path, runs: Sequence[CheckedRun], unreadable: Mapping[str, str], content: dict[str, Any]) -> None:
-    """Write the page. content: the content of check.json."""
-    text = load_template("checking/check.html.jinja").render(
-        title=make_title(runs), summary=make_summary(runs), runs=runs, content=content, figures=_draw_figures(runs),
-        problems=unreadable, groups=check_report.group_findings({run.name: run.result.findings for run in runs}))
-    file.write_text(text, encoding="utf-8")
-
-
-def _draw_figures(runs: Sequence[CheckedRun]) -> list[drawing.PageFigure]:
-    """Draw at most MAX_FIGURES comparisons, those with the most severe findings first."""
+    """Write the page, with the figures of at most MAX_FIGURES comparisons, those with the most severe findings first.
+    content: the content of check.json."""
     def rank(pair: tuple[Comparison, CheckedRun]) -> tuple[int, float]:
         comparison, run = pair
         findings = [finding for finding in run.result.findings if finding.name in comparison.findings]
@@ -114,5 +107,9 @@ def _draw_figures(runs: Sequence[CheckedRun]) -> list[drawing.PageFigure]:
         return worst, -max((finding.effect or 0.0 for finding in findings), default=0.0)
 
     pairs = sorted(((comparison, run) for run in runs for comparison in run.result.comparisons), key=rank)
-    return [draw_comparison(comparison, run, f"{run.name}: " if len(runs) > 1 else "")
-            for comparison, run in pairs[:MAX_FIGURES]]
+    figures = [draw_comparison(comparison, run, f"{run.name}: " if len(runs) > 1 else "")
+               for comparison, run in pairs[:MAX_FIGURES]]
+    text = load_template("checking/check.html.jinja").render(
+        title=make_title(runs), summary=make_summary(runs), runs=runs, content=content, figures=figures,
+        problems=unreadable, groups=check_report.group_findings({run.name: run.result.findings for run in runs}))
+    file.write_text(text, encoding="utf-8")

@@ -210,16 +210,14 @@ def build_document(runs: Sequence[CheckedRun], unreadable: Mapping[str, str]) ->
                     for source, car in {run.vehicle_source: run.vehicle for run in runs}.items()},
         "runs": {run.name: {
             "verdict": format_verdict(run.result), "vehicle": run.vehicle_source, "duration": run.duration,
-            **json_ready(run.result.as_dict()),
-            "comparisons": [json_ready({
-                "name": comparison.name, "title": comparison.title, "unit": comparison.unit,
-                "samples": len(comparison.time), "residual_rms": compute_residual_rms(comparison),
-                "findings": list(comparison.findings)})
-                            for comparison in run.result.comparisons],
-            "warnings": list(run.warnings), "files": dict(run.files), "alignment": json_ready(dict(run.alignment)),
+            **run.result.as_dict(),
+            "comparisons": [{"name": c.name, "title": c.title, "unit": c.unit, "samples": len(c.time),
+                             "residual_rms": compute_residual_rms(c), "findings": c.findings}
+                            for c in run.result.comparisons],
+            "warnings": run.warnings, "files": run.files, "alignment": run.alignment,
         } for run in runs},
-        "combined_estimates": [json_ready(entry.as_dict()) for entry in compare_runs([run.result for run in runs])],
-        "failed": dict(unreadable),
+        "combined_estimates": [entry.as_dict() for entry in compare_runs([run.result for run in runs])],
+        "failed": unreadable,
     }
 
 

@@ -8,36 +8,25 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import Progress
 from st_core.augmented import AugmentedModel
-from st_core.checks import Severity, pool_estimates
-from st_core.discovery import Discovery, discover
+from st_core.checks import Severity
+from st_core.discovery import Discovery
 from st_core.discovery.error_regions import Samples, compute_window_errors
 from st_core.discovery.library_fit import apply_clock_corrections
 from st_core.effects import load_folder
 from st_core.errors import ConfigurationError
-from st_core.log import DriveLog
 from st_core.models import Model
 from st_core.relations import RelationSearch, find_relation, needs_search
 from st_recordings.car import read_model
-from st_recordings.paths import json_ready, json_text, new_folder
+from st_recordings.paths import json_text, new_folder
 from st_recordings.runs import find_runs
 from st_recordings.runs.errors import join_problems
 
 from ..evaluation.drawing import FigureOutput, PageFigure, check_formats
 from ..terminal import make_progress_bars
 from .discovery_report import build_document, build_model_file, print_result, write_page
-from .drives import (
-    Drive,
-    Request,
-    collect_clock_deviations,
-    find_cache_folder,
-    make_result_key,
-    read_drives,
-    read_result,
-    write_result,
-)
+from .drives import Drive, Request, find_result, get_logs, read_drives
 from .figures import FigureData, draw_agreement, draw_axle_curves, draw_maps, draw_relation, draw_waterfall
 from .relation_report import RelationReport, build_relation_document, report_relation, write_files
 from .vehicle_update import VehicleUpdate, update_vehicle
@@ -54,7 +43,7 @@ def run_command(request: Request, console: Console) -> int:
         drives, reference = _read_runs(request, progress)
         request = replace(request, drives=drives, reference_drives=reference, effect_hashes=effect_hashes)
         times.append(time.perf_counter())
-        discovery, from_cache = _find_result(request, base, progress)
+        discovery, from_cache = find_result(request, base, progress)
         request = replace(request, drives=[
             replace(d, log=apply_clock_corrections([d.log], discovery.clock_errors)[0]) if d.log else d
             for d in drives])
@@ -64,7 +53,7 @@ def run_command(request: Request, console: Console) -> int:
             bar = progress.add_task("searching for a relation beyond the library", total=None)
             reported = {(f.name, channel) for d in drives if d.log is not None for f in d.findings
                         if f.severity is not Severity.NOTE for channel in f.channels}
-            search = find_relation(discovery, _get_logs(request.drives), request.vehicle, request.settings,
+            search = find_relation(discovery, get_logs(request.drives), request.vehicle, request.settings,
                                    request.jobs, lambda: progress.advance(bar), reported)
             times.append(time.perf_counter())
     seconds = dict(zip(("read", "discover", "propose"), np.diff(times).tolist(), strict=False))
@@ -104,9 +93,9 @@ def _read_runs(request: Request, progress: Progress) -> tuple[list[Drive], list[
     drives = read_drives([*sources, *reference_sources], request.vehicle, request.read_settings, request.jobs,
                          lambda: progress.advance(bar), request.force)
     suspect, reference = drives[:len(sources)], drives[len(sources):]
-    if not _get_logs(suspect):
+    if not get_logs(suspect):
         raise ConfigurationError("no run can be used: " + join_problems(d.problem for d in suspect))
-    if reference_sources and not _get_logs(reference):
+    if reference_sources and not get_logs(reference):
         raise ConfigurationError("no --reference run can be used: " + join_problems(d.problem for d in reference))
     _check_reference(suspect, reference)
     names, reference_drives = {d.name for d in suspect}, []
@@ -129,40 +118,9 @@ def _check_reference(suspect: Sequence[Drive], reference: Sequence[Drive]) -> No
                                      f"with {car!r}: a reference is a drive of the same car without the fault")
 
 
-def _get_logs(drives: Sequence[Drive]) -> list[DriveLog]:
-    return [d.log for d in drives if d.log is not None]
-
-
-def _find_result(request: Request, base: Model, progress: Progress) -> tuple[Discovery, bool]:
-    """(result, whether it was read from the cache)."""
-    bar = progress.add_task("", total=None)
-
-    def report_progress(stage: str, done: int, total: int) -> None:
-        progress.update(bar, description=escape(stage), completed=done, total=total)
-
-    logs, reference = _get_logs(request.drives), _get_logs(request.reference_drives)
-    sensors, clocks = pool_sensor_estimates(request.drives), collect_clock_deviations(request.all_drives)
-    key = make_result_key(
-        logs, reference, request.vehicle, base, request.settings, request.effect_hashes, sensors, clocks)
-    folder = find_cache_folder() if request.use_cache else None
-    file = folder / f"{key}.json" if folder else None
-    if file and (cached := read_result(file)) is not None:
-        return cached, True
-    discovery = discover(logs, request.vehicle, base, reference, request.settings, report_progress, sensors,
-                         request.jobs, clocks)
-    if file:
-        write_result(file, discovery)
-    return discovery, False
-
-
-def pool_sensor_estimates(drives: Sequence[Drive]) -> dict[str, tuple[float, float, float]]:
-    """Sensor errors estimated by the checks and pooled over the drives, (value, ends of its 95 % interval) by name."""
-    return pool_estimates([d.metadata["estimates"] for d in drives if d.log is not None])
-
-
 def draw_figures(discovery: Discovery, request: Request, output: FigureOutput) -> list[PageFigure]:
     """Draw the figures of a discovery for which there are data."""
-    runs = _get_logs(request.drives)
+    runs = get_logs(request.drives)
     # discovery.errors contains only the channels that all runs have.
     settings = replace(request.settings, channels=tuple(c for c in discovery.errors if c in request.settings.channels))
 
@@ -189,7 +147,7 @@ def write_results(discovery: Discovery, request: Request, update: VehicleUpdate 
                 files[name].write_text(text, encoding="utf-8")
     content = build_document(discovery, request, update, seconds)
     if search:
-        content |= {"relation": json_ready(build_relation_document(search))}
+        content["relation"] = build_relation_document(search)
         created, runs = content["provenance"]["created"], list(content["provenance"]["runs"])
         files |= write_files(search, request.vehicle, runs, created, request.file_hashes, folder)
     files["discovery.json"].write_text(json_text(content), encoding="utf-8")

@@ -13,7 +13,6 @@ from st_core.discovery import Discovery
 from st_core.discovery.axles import SMALL_SLIP
 from st_core.discovery.decision import MINOR
 from st_core.model_file import Interval, ModelFile, ModelProvenance
-from st_recordings.paths import json_ready
 from st_recordings.results import collect_versions
 
 from ..checking.check_report import findings_as_json, get_unit_symbol
@@ -26,7 +25,6 @@ from .relation_report import RelationReport
 from .vehicle_update import ENTRIES, VehicleUpdate
 
 SCHEMA = 4
-FIRST_VERDICTS = ("alternative", "varies")  # effects with these verdicts come first in the table of other effects
 MAX_ROWS = 8  # of regions, other effects and undetectable effects; discovery.json contains all
 FILE_MEANINGS = {
     "report.html": "one page, with all figures", "discovery.json": "all numbers; keys in docs/manual/discovery.md",
@@ -34,7 +32,6 @@ FILE_MEANINGS = {
     "effects": "the proposed relation as an effect; give its folder as --effects to st evaluate, st demo, st live",
     "proposed.yaml": "a model with the relation, for --model with --effects and the original vehicle file",
     "model.yaml": "effects that are not in the vehicle file, for --model of st demo, st live, st evaluate"}
-MAX_ADVICE = 3  # sentences on the terminal; the page contains all
 
 
 def build_document(discovery: Discovery, request: Request, update: VehicleUpdate | None,
@@ -42,19 +39,12 @@ def build_document(discovery: Discovery, request: Request, update: VehicleUpdate
     """The content of discovery.json. seconds: duration of each stage."""
     changes = {} if update is None else {key: {"before": before, "after": after, "interval": (low, high)}
                                          for key, (before, after, low, high) in update.changes.items()}
-    files = {"vehicle.yaml": {"folded": update.folded if update else (),
-                              "not_folded": update.not_folded if update else {}, "changes": changes,
-                              "error": update.error if update else (),
-                              "implausible_values": update.implausible_values if update else ()}}
-    return {"schema": SCHEMA, **json_ready(discovery.document()), "files": json_ready(files),
-            "provenance": json_ready(collect_provenance(discovery, request, seconds))}
-
-
-def collect_provenance(discovery: Discovery, request: Request, seconds: Mapping[str, float]) -> dict[str, Any]:
-    """Inputs, settings and versions needed to repeat the discovery."""
+    file = {"folded": update.folded if update else (), "not_folded": update.not_folded if update else {},
+            "changes": changes, "error": update.error if update else (),
+            "implausible_values": update.implausible_values if update else ()}
     runs, reference = ({d.name: {**d.metadata, "findings": findings_as_json(d.findings)} for d in drives if d.log}
                        for drives in (request.drives, request.reference_drives))
-    return {
+    provenance = {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "vehicle": {"name": request.vehicle.name, "file": request.vehicle_file, "hash": request.vehicle.hash},
         "base": {"model": request.base, "values": {
@@ -65,10 +55,11 @@ def collect_provenance(discovery: Discovery, request: Request, seconds: Mapping[
         "reference": reference,
         "refused": {d.name: findings_as_json(d.findings) for d in request.all_drives if d.problem and d.findings},
         "not_used": {d.name: d.problem for d in request.all_drives if d.problem},
-        "user_defined_effects": dict(request.effect_hashes),
+        "user_defined_effects": request.effect_hashes,
         "versions": collect_versions(),
-        "seconds": dict(seconds),
+        "seconds": seconds,
     }
+    return {"schema": SCHEMA, **discovery.document(), "files": {"vehicle.yaml": file}, "provenance": provenance}
 
 
 def build_model_file(discovery: Discovery, request: Request, update: VehicleUpdate) -> ModelFile | None:
@@ -148,7 +139,7 @@ def _make_tables(discovery: Discovery, content: Mapping[str, Any]) -> dict[str, 
                     for c in sorted(discovery.combinations, key=lambda c: -abs(c.value - c.file)
                                     / max(c.interval[1] - c.interval[0], 1e-12))]
     expected = "the noise" if discovery.start == "vehicle file" else "the error of the reference drives"
-    narrow = [
+    narrow = (
         Table("Corrections of the vehicle file", "Values and intervals of the effects as entries of the file, in SI "
               "units.", ("key", "given file", "vehicle.yaml", "95 % interval"), changes),
         Table("Held-out error of each channel", "Root mean square at the end of the horizon; for the position after "
@@ -165,7 +156,7 @@ def _make_tables(discovery: Discovery, content: Mapping[str, Any]) -> dict[str, 
               "differs, because it also depends on the uncertainties of the vehicle file. Cornering stiffness: secant "
               f"at a slip angle of {math.degrees(SMALL_SLIP):.1f}°. Stability factor K: road-wheel angle = wheelbase / "
               "radius (1 + K v²). Yaw gain: yaw rate per steering-wheel angle.",
-              ("combination", "value", "95 % interval", "vehicle file"), combinations)]
+              ("combination", "value", "95 % interval", "vehicle file"), combinations))
     return {"narrow": [table for table in narrow if table.rows],
             "wide": [table for table in _make_wide_tables(discovery) if table.rows]}
 
@@ -183,7 +174,7 @@ def _make_wide_tables(discovery: Discovery) -> list[Table]:
     tested = [c for c in discovery.candidates if c.name not in {e.name for e in (*discovery.effects, *discovery.minor)}]
     candidates = [
         (plain(c.name), quantities.format_fitted(c.name, c.parameters), f"{100 * c.gain:.1f}", c.verdict, c.reason)
-        for c in sorted(tested, key=lambda c: (c.verdict not in FIRST_VERDICTS, -c.gain))[:MAX_ROWS]]
+        for c in sorted(tested, key=lambda c: (c.verdict not in ("alternative", "varies"), -c.gain))[:MAX_ROWS]]
     undetectable = [(plain(n.name), n.reason, n.manoeuvre) for n in sorted(
         discovery.not_testable, key=lambda n: report_text.rank_by_kind(n.name))[:MAX_ROWS]]
     options = discovery.next_manoeuvre.options if discovery.next_manoeuvre else {}
@@ -221,7 +212,7 @@ def print_result(discovery: Discovery, update: VehicleUpdate | None, recordings:
         console.print(make_table(rows, padding=(0, 1)))
         console.print(f"[dim]{report_text.EFFECT_NOTE}.[/dim]", highlight=False)
     findings = {drive.name: drive.findings for drive in recordings}
-    advice = report_text.recommend(discovery, update)[1:MAX_ADVICE]
+    advice = report_text.recommend(discovery, update)[1:3]  # the page contains all
     for heading, text in (*report_text.summarise(discovery, update, findings), *(("to do", text) for text in advice),
                           *(("warning", text) for text in discovery.warnings)):
         print_entry(heading, text)

@@ -13,15 +13,17 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 import st_core
+from rich.markup import escape
+from rich.progress import Progress
 from st_core.augmented import AugmentedModel, augment
-from st_core.checks import Finding
-from st_core.discovery import Discovery, DiscoverySettings
+from st_core.checks import Finding, pool_estimates
+from st_core.discovery import Discovery, DiscoverySettings, discover
 from st_core.discovery.result import MODEL_FIELDS
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 from st_core.models import Model
 from st_core.vehicle import VehicleParameters
-from st_recordings.paths import json_ready
+from st_recordings.paths import json_ready, replace_file
 from st_recordings.results import parse_configuration
 from st_recordings.runs import ReadSettings, RunSource, read
 
@@ -122,6 +124,15 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
         return Drive(source.name, None, {}, describe_problem(error, source))
 
 
+def get_logs(drives: Sequence[Drive]) -> list[DriveLog]:
+    return [d.log for d in drives if d.log is not None]
+
+
+def pool_sensor_estimates(drives: Sequence[Drive]) -> dict[str, tuple[float, float, float]]:
+    """Sensor errors estimated by the checks and pooled over the drives, (value, ends of its 95 % interval) by name."""
+    return pool_estimates([d.metadata["estimates"] for d in drives if d.log is not None])
+
+
 def collect_clock_deviations(drives: Sequence[Drive]) -> dict[str, float]:
     """Standard deviation of the offset of the steering clock [s], by name of each run with an estimated offset."""
     return {d.name: s for d in drives if d.log is not None and (s := d.metadata.get("clock_deviation_s"))}
@@ -133,6 +144,28 @@ def find_cache_folder() -> Path | None:
         return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "single_track" / "discovery"
     except RuntimeError:
         return None
+
+
+def find_result(request: Request, base: Model, progress: Progress) -> tuple[Discovery, bool]:
+    """(result of the search, whether it was read from the cache)."""
+    bar = progress.add_task("", total=None)
+
+    def report_progress(stage: str, done: int, total: int) -> None:
+        progress.update(bar, description=escape(stage), completed=done, total=total)
+
+    logs, reference = get_logs(request.drives), get_logs(request.reference_drives)
+    sensors, clocks = pool_sensor_estimates(request.drives), collect_clock_deviations(request.all_drives)
+    key = make_result_key(
+        logs, reference, request.vehicle, base, request.settings, request.effect_hashes, sensors, clocks)
+    folder = find_cache_folder() if request.use_cache else None
+    file = folder / f"{key}.json" if folder else None
+    if file and (cached := read_result(file)) is not None:
+        return cached, True
+    discovery = discover(logs, request.vehicle, base, reference, request.settings, report_progress, sensors,
+                         request.jobs, clocks)
+    if file:
+        write_result(file, discovery)
+    return discovery, False
 
 
 def make_result_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle: VehicleParameters, base: Model,
@@ -153,14 +186,12 @@ def make_result_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], veh
 
 
 def write_result(file: Path, discovery: Discovery) -> None:
-    """Write a result to the cache, atomically; errors such as a full disk are ignored."""
+    """Write a result to the cache; errors such as a full disk are ignored."""
     content = discovery.document() | {name: (model := getattr(discovery, name)) and [
         _get_base_name(model), model.values] for name in MODEL_FIELDS}
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        temporary = file.with_name(f".{file.stem}.{os.getpid()}{file.suffix}")
-        temporary.write_text(json.dumps(content, default=dict), encoding="utf-8")  # values are mappings
-        temporary.replace(file)
+        replace_file(file, json.dumps(content, default=dict))  # values are mappings
     except OSError:
         return
 

@@ -332,31 +332,21 @@ def build_relation_document(search: RelationSearch) -> dict:
              for name, (gain, p_value) in search.statistics.items()]
     if relation is None:
         return {"proposal": None, "reason": search.reason, "tried": tried}
-    c = relation.candidate
+    c, drives = relation.candidate, relation.next_drives
+    separating, precise = drives.find_most_separating(), drives.find_most_precise(relation.deviation)
+    next_drives = {
+        "sparse_ranges": drives.sparse_ranges,
+        "most_separating": separating and {"manoeuvre": separating[0].manoeuvre.name, "rival": separating[1]},
+        "most_precise": precise and precise.manoeuvre.name,
+        "current_separation": drives.current_separation, "options": [
+            {"manoeuvre": o.manoeuvre.name, "speed": o.manoeuvre.speed,
+             "lateral_acceleration": o.manoeuvre.lateral_acceleration, "duration": o.manoeuvre.duration,
+             "repetitions": REPETITIONS, "largest_deviation": o.deviation.max(), "separation": o.separation,
+             "seconds_in_sparse_ranges": o.seconds} for o in drives.options]}
     return {"reason": search.reason, "tried": tried, "proposal": {
         "term": c.term, "quantity": c.quantity, "factor": c.factor, "unit": c.unit,
         "quantity_unit": QUANTITIES[c.quantity], "range": [c.low, c.high],
-        "curve": {"points": relation.points.tolist(),
-                  **{key: getattr(relation, key).tolist() for key in ("value", "deviation", "density")}},
-        "gain": relation.gain, "p_value": relation.p_value, "position_5s": list(relation.position_5s),
-        "runs": {name: list(pair) for name, pair in relation.runs.items()}, "rivals": dict(relation.alternatives),
-        "redundant": dict(relation.redundant), "next_drives": _build_drives_document(relation),
-        "size_ratios": {name: list(pair) for name, pair in relation.agreement.ratios.items()},
-        "p_equal": relation.agreement.p_equal,
-        "formulas": [{"shape": f.shape, "text": f.text, "retained_fraction": f.retained_fraction, "causes": f.causes}
-                     for f in relation.formulas]}}
-
-
-def _build_drives_document(relation: Relation) -> dict:
-    drives, separating = relation.next_drives, relation.next_drives.find_most_separating()
-    precise = drives.find_most_precise(relation.deviation)
-    return {"sparse_ranges": [list(between) for between in drives.sparse_ranges],
-            "most_separating": {"manoeuvre": separating[0].manoeuvre.name, "rival": separating[1]} if separating
-            else None,
-            "most_precise": precise.manoeuvre.name if precise else None,
-            "current_separation": dict(drives.current_separation), "options": [
-                {"manoeuvre": o.manoeuvre.name, "speed": o.manoeuvre.speed,
-                 "lateral_acceleration": o.manoeuvre.lateral_acceleration, "duration": o.manoeuvre.duration,
-                 "repetitions": REPETITIONS, "largest_deviation": float(o.deviation.max()),
-                 "separation": dict(o.separation), "seconds_in_sparse_ranges": list(o.seconds)}
-                for o in drives.options]}
+        "curve": {key: getattr(relation, key) for key in ("points", "value", "deviation", "density")},
+        "gain": relation.gain, "p_value": relation.p_value, "position_5s": relation.position_5s, "runs": relation.runs,
+        "rivals": relation.alternatives, "redundant": relation.redundant, "next_drives": next_drives,
+        "size_ratios": relation.agreement.ratios, "p_equal": relation.agreement.p_equal, "formulas": relation.formulas}}

@@ -15,16 +15,8 @@ from st_core.regression import Z95
 
 from ..checking.check_report import describe_effect, format_estimate, get_unit_symbol, group_findings
 from ..terminal import format_count
-from .quantities import (
-    format_briefly,
-    format_deviation,
-    format_fitted,
-    format_metres,
-    format_parameters,
-    format_value,
-    label_channel,
-    to_words,
-)
+from . import quantities
+from .quantities import format_briefly, format_fitted, format_metres, label_channel, to_words
 from .vehicle_update import ENTRIES, SLIP_SPEED_KEY, VehicleUpdate
 
 MAX_PARTS = 6  # local estimates of a varying effect listed in a sentence
@@ -66,8 +58,8 @@ def sort_by_size(effects: Sequence[result.FoundEffect]) -> list[result.FoundEffe
 
 def list_effect_rows(discovery: Discovery) -> list[tuple[str, str, str, str, str]]:
     """Table row of each reported effect, with the columns of EFFECT_HEAD."""
-    return [(name_with_alternatives(discovery, e, to_words(e.name)), "; ".join(format_parameters(e.name, e.parameters)),
-             format_metres(e.position_5s_increase, "+"),
+    return [(name_with_alternatives(discovery, e, to_words(e.name)),
+             "; ".join(quantities.format_parameters(e.name, e.parameters)), format_metres(e.position_5s_increase, "+"),
              f"{label_channel(e.channel)} error by {100 * e.share:.0f} %" if e.channel and e.share >= 0.005 else "-",
              count_agreement(e)) for e in sort_by_size(discovery.effects)]
 
@@ -85,21 +77,21 @@ def format_title(discovery: Discovery) -> str:
     one_dominates = position is None or any(e.position_5s_increase > 0.5 * (position.base - position.augmented)
                                             for e in discovery.effects)
     named = "; ".join((*effects, *combinations) if one_dominates else (*combinations, *effects))
-    if discovery.outcome == "unknown":
-        addition = f"; in addition {named}" if named else ""
-        return f"{_describe_errors(discovery)}: a significant error that no effect of the library explains{addition}"
     unexplained = [f"a residual remains that no effect of the library explains: {text}"
                    for text in discovery.signature[:1]]
-    if named:
-        return f"{_describe_errors(discovery)}: {'; '.join((named, *unexplained))}"
-    if discovery.outcome == "varying":
+    clauses = ["no significant model error"]
+    if discovery.outcome == "unknown":
+        addition = [f"in addition {named}"] if named else []
+        clauses = ["a significant error that no effect of the library explains", *addition]
+    elif named:
+        clauses = [named, *unexplained]
+    elif discovery.outcome == "varying":
         varying = [f"an effect that resembles {to_words(v.resembles)} ({format_metres(v.position_5s_reduction)}) but "
                    f"varies between {PARTITION_NAMES[v.varies_with]}" for v in discovery.varying]
-        clauses = (*unexplained, *varying, "no effect is reported as a cause")
-        return f"{_describe_errors(discovery)}: {'; '.join(clauses)}"
-    if discovery.outcome == "ambiguous":
-        return f"{_describe_errors(discovery)}: no effect is certain enough to be reported as a cause"
-    return f"{_describe_errors(discovery)}: no significant model error"
+        clauses = [*unexplained, *varying, "no effect is reported as a cause"]
+    elif discovery.outcome == "ambiguous":
+        clauses = ["no effect is certain enough to be reported as a cause"]
+    return f"{_describe_errors(discovery)}: {'; '.join(clauses)}"
 
 
 def _describe_errors(discovery: Discovery) -> str:
@@ -108,7 +100,7 @@ def _describe_errors(discovery: Discovery) -> str:
     if position is None:
         name = next(n for n in LABELS if n in discovery.errors)
         error = discovery.errors[name]
-        before, after = (format_value(value, error.unit) for value in (error.base, error.augmented))
+        before, after = (quantities.format_value(value, error.unit) for value in (error.base, error.augmented))
         change = 100.0 * (error.augmented / error.base - 1.0)
         return f"{label_channel(name)} error {before} to {after} ({change:+.0f} %)"
     named = discovery.named_errors["position_5s"].augmented if discovery.effective else position.augmented
@@ -254,7 +246,7 @@ def list_pair_rows(discovery: Discovery) -> list[tuple[str, ...]]:
 
 def describe_undetectable(discovery: Discovery) -> str:
     """Effects that are not detectable in these drives, with the largest size examined, vehicle parameters first."""
-    largest = {p.effect: f" of {format_deviation(p.size, p.unit)}"
+    largest = {p.effect: f" of {quantities.format_deviation(p.size, p.unit)}"
                for p in sorted(discovery.power_analysis.powers, key=lambda p: abs(p.size))}
     # The combination of these effects is detectable.
     combined = {name for c in discovery.unseparated_combinations for name in c.effects}
@@ -276,7 +268,7 @@ def describe_detectable(discovery: Discovery) -> str:
         if power.probability >= LIMITS.detection_power:
             smallest.setdefault(power.effect, power)
     ranked = sorted(smallest.values(), key=lambda p: rank_by_kind(p.effect))
-    sizes = [f"{to_words(p.effect)} of {format_deviation(p.size, p.unit)}" for p in ranked]
+    sizes = [f"{to_words(p.effect)} of {quantities.format_deviation(p.size, p.unit)}" for p in ranked]
     return f"detectable, one at a time: {', '.join(sizes)}" if sizes else ""
 
 

@@ -38,28 +38,16 @@ BAND_LEVELS = (0.9, 0.5)
 REQUIRED_FRACTION = 0.9  # fraction of the starts that must be within the tolerance
 MIN_STARTS = 100  # in a speed bin; 10 s of driving at 10 starts per second
 ModelStep = tuple[str, float]  # (name of the model, step [s])
+Cost = dict[str, float]  # processor time per prediction [s], for those of COST_KINDS that are possible
+COST_KINDS = ("interpreted", "compiled", "batch")  # single without numba; single with numba; mean of a batch
 STEP_MULTIPLES = (1, 2, 4)  # of the integration step of the task
 TABLE_STYLE: Mapping[str, Any] = {"title_justify": "left", "title_style": "bold", "padding": (0, 1)}
-
-
-@dataclass(frozen=True)
-class Cost:
-    """Processor time per prediction [s]."""
-
-    interpreted: float  # single prediction without numba
-    compiled: float | None  # single prediction with numba, None if the model cannot be compiled
-    batch: float  # mean over a batch of at most MAX_BATCH predictions
-
-    @property
-    def single(self) -> float:
-        """Of a single prediction, compiled if possible."""
-        return self.interpreted if self.compiled is None else self.compiled
 
 
 def measure_costs(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals,
                   settings: Mapping[float, EvaluationSettings]) -> dict[ModelStep, Cost]:
     """Cost of each model and step [s], measured with the inputs of one drive. settings: by step."""
-    calls: dict[tuple[str, float, str], tuple[Callable[[], object], int]] = {}  # (function, number of predictions)
+    calls: dict[tuple[ModelStep, str], tuple[Callable[[], object], int]] = {}  # (function, number of predictions)
     for step, variant in settings.items():
         starts, _ = usable_starts(signals, vehicle, regular_starts(signals.log, variant.interval),
                                   variant.prediction.minimum_speed)
@@ -71,25 +59,26 @@ def measure_costs(models: Sequence[Model], vehicle: VehicleParameters, signals: 
         held_inputs = ControlInput(float(signals.road_wheel_angle_at(middle)[0]), float(acceleration[0]))
         compiled, _ = compile_models(models, vehicle, variant.prediction)
         for model in models:
-            calls[model.name, step, "interpreted"] = partial(
+            key = model.name, step
+            calls[key, "interpreted"] = partial(
                 predict, model, vehicle, state, held_inputs, variant.prediction.horizon, step), 1
             if model.name in compiled:
-                calls[model.name, step, "compiled"] = partial(compiled[model.name], state, held_inputs), 1
-            calls[model.name, step, "batch"] = partial(batch.predict, model, vehicle), len(starts)
+                calls[key, "compiled"] = partial(compiled[model.name], state, held_inputs), 1
+            calls[key, "batch"] = partial(batch.predict, model, vehicle), len(starts)
     for call, _ in calls.values():
         call()  # warm-up
-    durations: dict[tuple[str, float, str], list[float]] = {key: [] for key in calls}
-    for _ in range(REPETITIONS):  # rounds over all calls, so that a busy period does not affect only one of them
-        for key, (call, predictions) in calls.items():
+    durations = np.zeros((REPETITIONS, len(calls)))
+    for row in durations:  # each with all calls, so that a busy period does not affect only one of them
+        for column, (call, predictions) in enumerate(calls.values()):
             count, begin = 0, time.process_time()
             while not count or time.process_time() - begin < MIN_MEASUREMENT_TIME:
                 call()
                 count += 1
-            durations[key].append((time.process_time() - begin) / (count * predictions))
-    medians = {key: float(np.median(values)) for key, values in durations.items()}
-    return {(model.name, step): Cost(
-        medians[model.name, step, "interpreted"], medians.get((model.name, step, "compiled")),
-        medians[model.name, step, "batch"]) for model in models for step in settings}
+            row[column] = (time.process_time() - begin) / (count * predictions)
+    costs: dict[ModelStep, Cost] = {}
+    for (key, kind), median in zip(calls, np.median(durations, axis=0).tolist(), strict=True):
+        costs.setdefault(key, {})[kind] = median
+    return costs
 
 
 @dataclass(frozen=True)
@@ -137,7 +126,7 @@ def find_cheapest(costs: Mapping[ModelStep, Cost], accuracies: Mapping[ModelStep
                   tolerance: float) -> dict[float, tuple[ModelStep | None, ...]]:
     """The (model, step) with the least processor time and a lateral error within the tolerance [m] in REQUIRED_FRACTION
     of the starts, by speed bin (lower edge [m/s]) and second ahead; None if no model achieves this with any step."""
-    order = sorted(accuracies, key=lambda key: costs[key].single)
+    order = sorted(accuracies, key=lambda key: costs[key].get("compiled", costs[key]["interpreted"]))
     speeds = sorted({low for accuracy in accuracies.values() for low in accuracy.error_quantiles})
     seconds = max((len(accuracy.seconds) for accuracy in accuracies.values()), default=0)
     return {low: tuple(next((key for key in order if low in accuracies[key].error_quantiles
@@ -219,16 +208,15 @@ def vary_step(settings: EvaluationSettings) -> dict[float, EvaluationSettings]:
 
 def make_advice_rows(costs: Mapping[ModelStep, Cost], accuracies: Mapping[ModelStep, Accuracy]) -> list[dict[str, str]]:
     """One row for each model and step. Each cost is followed by its ratio to the lowest cost of the column."""
-    times_by_kind = {kind: [time for cost in costs.values() if (time := getattr(cost, kind)) is not None]
-                     for kind in ("interpreted", "compiled", "batch")}
-    lowest = {kind: min(times) for kind, times in times_by_kind.items() if times}
+    lowest = {kind: min(cost[kind] for cost in costs.values() if kind in cost) for kind in COST_KINDS
+              if any(kind in cost for cost in costs.values())}
     seconds = max((accuracy.seconds for accuracy in accuracies.values()), default=())
     rows = []
     for (model, step), cost in costs.items():
         row = {"model": model, "step, s": f"{step:g}"}
-        row |= {f"{kind}, µs (x)": "-" if (time := getattr(cost, kind)) is None else
-                f"{np.format_float_positional(1e6 * time, 3, fractional=False, trim='-')} ({time / lowest[kind]:.1f})"
-                for kind in lowest}
+        row |= {f"{kind}, µs (x)": "-" if (time := cost.get(kind)) is None else
+                f"{np.format_float_positional(1e6 * time, 3, fractional=False, trim='-')} ({time / best:.1f})"
+                for kind, best in lowest.items()}
         accuracy = accuracies.get((model, step))
         for name, values in (("error", accuracy and accuracy.rms), ("band", accuracy and accuracy.half_widths)):
             row |= {f"{name} {second} s, m": "-" if not values else f"{values[k]:.2f}"

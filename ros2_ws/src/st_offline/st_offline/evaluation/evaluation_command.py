@@ -2,7 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from ..terminal import format_count, list_files, make_progress_bars, print_line,
 from .drawing import check_formats
 from .evaluation_report import describe_settings, make_headline, make_summary, write_results
 from .tables import make_terminal_table
-from .work import Progress, RunReport, Task, evaluate_run
+from .work import RunReport, Task, evaluate_run
 
 FILE_DESCRIPTIONS = {
     "page": "the complete report, in one file", "json": "all numbers; keys in docs/manual/evaluation.md",
@@ -77,34 +77,28 @@ def _raise_if_all_failed(problems: Sequence[RunError | str | None]) -> None:
 def evaluate_all(sources: Sequence[RunSource], task: Task, workers: int, scheduler: str | None,
                  console: Console) -> list[RunReport]:
     """Evaluate all runs with a progress display; returns the reports in the order of the sources."""
-    reports: dict[str, RunReport] = {}
     with make_progress_bars(console) as progress:
-        runs = progress.add_task("runs", total=len(sources))
-        starts = progress.add_task("", visible=False)
+        runs, starts = progress.add_task("runs"), progress.add_task("", visible=False)
 
-        def show_run(source: RunSource) -> Progress:
+        def evaluate(source: RunSource) -> RunReport:
             progress.update(starts, description=escape(f"{source.name}: reading"), total=None, completed=0,
                             visible=True)
-            return lambda done, total: progress.update(starts, description=escape(source.name), total=total,
-                                                       completed=done)
+            return evaluate_run(source, task, lambda done, total: progress.update(
+                starts, description=escape(source.name), total=total, completed=done))
 
-        for report in evaluate_runs(sources, task, workers, scheduler, show_run):
-            reports[report.name] = report
-            progress.advance(runs)
-    return [reports[source.name] for source in sources]
+        reports = (_evaluate_in_workers(sources, task, workers, scheduler) if workers > 1 or scheduler else
+                   map(evaluate, sources))
+        by_name = {report.name: report for report in progress.track(reports, len(sources), task_id=runs)}
+    return [by_name[source.name] for source in sources]
 
 
-def evaluate_runs(sources: Sequence[RunSource], task: Task, workers: int, scheduler: str | None,
-                  progress: Callable[[RunSource], Progress]) -> Iterator[RunReport]:
-    """Yield the report of each run: without Dask in the order of the sources, else in the order of completion.
+def _evaluate_in_workers(sources: Sequence[RunSource], task: Task, workers: int,
+                         scheduler: str | None) -> Iterator[RunReport]:
+    """Yield the report of each run in the order of completion.
 
     scheduler: address of a Dask scheduler; its workers read the files under the same paths. Raises ConfigurationError
     if the workers are not available.
     """
-    if workers <= 1 and not scheduler:
-        for source in sources:
-            yield evaluate_run(source, task, progress(source))
-        return
     try:
         from distributed import Client, LocalCluster, as_completed
     except ImportError:

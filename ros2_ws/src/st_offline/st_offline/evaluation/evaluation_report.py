@@ -47,6 +47,14 @@ def make_document(reports: Sequence[RunReport], task: Task) -> dict[str, Any]:
     """The content of evaluation.json."""
     evaluated_runs = [r for r in reports if not r.problem]
     parts = [part for r in evaluated_runs for part in r.manoeuvres if _count_starts(part)]
+    sums, bands = bands_report.pool_sums([r.bands for r in evaluated_runs]), {}
+    if task.bands:
+        bands = {"bands": {r.name: bands_report.summarise_bands(r.bands) for r in evaluated_runs},
+                 "bands_all_runs": {"file": task.bands[0], **bands_report.summarise_bands(sums),
+                                    "shares": bands_report.summarise_contributions(sums)}}
+    if task.adaptive:
+        bands |= {"adaptive_bands": {r.name: bands_report.summarise_adaptive(r.bands) for r in evaluated_runs},
+                  "adaptive_bands_all_runs": bands_report.summarise_adaptive(sums)}
     return {
         "schema": SCHEMA,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -61,20 +69,10 @@ def make_document(reports: Sequence[RunReport], task: Task) -> dict[str, Any]:
         "manoeuvres": {r.name: r.manoeuvres for r in evaluated_runs},
         "manoeuvres_all_runs": sorted(pool_entries(parts, "name"), key=lambda entry: -_count_starts(entry)),
         "about": {r.name: {**r.metadata, "findings": findings_as_json(r.findings)} for r in evaluated_runs},
-        **_summarise_bands(evaluated_runs, task),
+        **bands,
         "failed": {r.name: r.problem for r in reports if r.problem},
         "refused": {r.name: findings_as_json(r.findings) for r in reports if r.problem and r.findings},
     }
-
-
-def _summarise_bands(evaluated_runs: Sequence[RunReport], task: Task) -> dict[str, Any]:
-    sums = bands_report.pool_sums([r.bands for r in evaluated_runs])
-    summary = {"bands": {r.name: bands_report.summarise_bands(r.bands) for r in evaluated_runs},
-               "bands_all_runs": {"file": task.bands[0], **bands_report.summarise_bands(sums),
-                                  "shares": bands_report.summarise_contributions(sums)}
-               } if task.bands else {}
-    return summary | ({"adaptive_bands": {r.name: bands_report.summarise_adaptive(r.bands) for r in evaluated_runs},
-                       "adaptive_bands_all_runs": bands_report.summarise_adaptive(sums)} if task.adaptive else {})
 
 
 def pool_bins(reports: Sequence[RunReport]) -> list[dict[str, Any]]:
@@ -107,15 +105,6 @@ def write_results(reports: Sequence[RunReport], task: Task, title: str) -> dict[
     files["latex"].write_text(tables.make_latex_table(evaluated_runs, task.over, note))
     output = FigureOutput(folder, task.formats)
     overview = draw_overview(evaluated_runs, task.over, output)
-    band_figures = bands_report.draw_bands(content.get("bands_all_runs", {}), output)
-    write_page(files["page"], title, reports, content, task, overview, band_figures)
-    return files
-
-
-def write_page(file: Path, title: str, reports: Sequence[RunReport], content: dict[str, Any],
-               task: Task, overview: PageFigure, bands: Sequence[PageFigure]) -> None:
-    """Write the page. content: see `make_document`. bands: figures of the tested bands."""
-    evaluated_runs = [r for r in reports if not r.problem]
     top_figures = [overview] if len(evaluated_runs) > 1 else [f for r in evaluated_runs for f in r.figures[1:2]]
     # The page shows the figures of the first run; the figures of other runs are only written to files.
     run_figures = [f for f in evaluated_runs[0].figures if f not in top_figures]
@@ -123,14 +112,15 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
     pooled_bands = content.get("bands_all_runs", {})
     text = load_template("evaluation/page.html.jinja").render(
         title=title, summary=make_summary(evaluated_runs, task), reports=evaluated_runs, content=content,
-        problems={r.name: r.problem for r in reports if r.problem}, settings=describe_settings(task),
-        findings={r.name: r.findings for r in reports}, top_figures=top_figures, band_figures=bands,
+        problems=content["failed"], settings=settings, findings={r.name: r.findings for r in reports},
+        top_figures=top_figures, band_figures=bands_report.draw_bands(pooled_bands, output),
         band_rows=bands_report.make_band_rows(pooled_bands),
         adaptive_rows=bands_report.make_adaptive_rows(content.get("adaptive_bands_all_runs", {})),
         contribution_rows=bands_report.make_contribution_rows(pooled_bands.get("shares", {})),
         over=task.over, tables=tables, modes=modes, run_figures=run_figures, formats=task.formats,
         slug=to_file_name)
-    file.write_text(text, encoding="utf-8")
+    files["page"].write_text(text, encoding="utf-8")
+    return files
 
 
 @apply_style()

@@ -115,8 +115,13 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
             raise_for_errors(source.path, findings, task.force)
     times.append(time.perf_counter())
     _require_scores(source, run, evaluation)
-    figures = draw_run(FigureData(evaluation, models, task.vehicle, signals, task.starts,
-                                  _make_figure_output(task, source.name, evaluation)))
+    folder, name = None, to_file_name(source.name)
+    if task.folder:
+        folder = task.folder / "runs" / name
+        folder.mkdir(parents=True, exist_ok=True)
+        write_starts(folder / "starts.csv", evaluation)
+    output = FigureOutput(folder, task.formats, f"{name}-")
+    figures = draw_run(FigureData(evaluation, models, task.vehicle, signals, task.starts, output))
     times.append(time.perf_counter())
     metadata = {
         "duration": run.log.duration, "overlap": run.log.overlap, "n_predictions": len(evaluation.starts_ns),
@@ -130,15 +135,6 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     return RunReport(source.name, "", describe_ranking(evaluation), metadata, tables.summarise_by_model(evaluation),
                      tables.summarise_by_second(evaluation), tables.summarise_by_bin(evaluation),
                      tables.summarise_by_manoeuvre(evaluation, parts), figures, sums, findings, seconds)
-
-
-def _make_figure_output(task: Task, name: str, evaluation: LogEvaluation) -> FigureOutput:
-    """Create the folder of a run and write starts.csv; returns the destination of its figures."""
-    folder = task.folder / "runs" / to_file_name(name) if task.folder else None
-    if folder:
-        folder.mkdir(parents=True, exist_ok=True)
-        write_starts(folder / "starts.csv", evaluation)
-    return FigureOutput(folder, task.formats, f"{to_file_name(name)}-")
 
 
 def _require_scores(source: RunSource, run: LoadedRun, evaluation: LogEvaluation) -> None:

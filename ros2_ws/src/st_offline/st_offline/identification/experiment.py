@@ -92,9 +92,20 @@ def read_columns(file: Path, required: Mapping[str, Sequence[str]], optional: Ma
         raise RunError(file, "this is not a text in UTF-8", "save the table as CSV in UTF-8") from None
     delimiter = ";" if lines and ";" in lines[0] else ","
     header, *rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=delimiter)] or [[]]
-    permitted_units = {**required, **(optional or {})}
-    columns = _find_columns(file, header, permitted_units, texts)
-    missing_columns = [name for name in required if name not in columns]
+    units = {**required, **(optional or {})}
+    names = {f"{name}_{unit}": name for name in units for unit in units[name]} | {name: name for name in texts}
+    titles: dict[str, str] = {}  # by name of the column
+    for title in header:
+        prefix, _, unit = title.rpartition("_")
+        name = names.get(f"{prefix}_{unit.lower()}") or names.get(title)
+        if name in titles:
+            raise RunError(file, f"column {name} occurs twice", "remove one")
+        if name is not None:
+            titles[name] = title
+        elif without_unit := next((name for name in (title, prefix) if name in units), ""):
+            permitted = " or ".join(f"{without_unit}_{unit}" for unit in units[without_unit])
+            raise RunError(file, f"column {title} has no permitted unit", f"name it {permitted}")
+    missing_columns = [name for name in required if name not in titles]
     if missing_columns:
         names = ", ".join(" or ".join(f"{name}_{unit}" for unit in required[name]) for name in missing_columns)
         raise RunError(file, f"has no column {names}; its columns are {', '.join(header)[:200]}",
@@ -105,36 +116,14 @@ def read_columns(file: Path, required: Mapping[str, Sequence[str]], optional: Ma
         if len(row) != len(header):
             raise RunError(file, f"row {row_number} has {len(row)} cells, the header {len(header)}", "correct that row")
     cells = {title: column for title, *column in zip(header, *rows, strict=True)}
-    numbers = {name: np.array([_parse_number(file, title, row_number, cell)
-                               for row_number, cell in enumerate(cells[title], 1)]) * SI_FACTORS[unit]
-               for name, (title, unit) in columns.items() if name in permitted_units}
+    numbers = {name: SI_FACTORS[title.rpartition("_")[2].lower()] * np.array(
+        [_parse_number(file, title, row_number, cell) for row_number, cell in enumerate(cells[title], 1)])
+        for name, title in titles.items() if name in units}
     for name in required:
         if not np.isfinite(numbers[name]).all():
             raise RunError(file, f"row {int(np.isfinite(numbers[name]).argmin()) + 1} has no {name}",
                            "fill that cell, or remove the row")
-    return MeasurementTable(file, numbers, {name: tuple(cells[name]) for name in texts if name in columns})
-
-
-def _find_columns(file: Path, header: Sequence[str], permitted_units: Mapping[str, Sequence[str]],
-                  texts: Sequence[str]) -> dict[str, tuple[str, str]]:
-    """(title, unit in lower case) of each column by its name; the unit of a text is ""."""
-    columns: dict[str, tuple[str, str]] = {}
-    for title in header:
-        name, _, unit = title.rpartition("_")
-        if name in permitted_units and unit.lower() in permitted_units[name]:
-            key, unit = name, unit.lower()
-        elif title in texts:
-            key, unit = title, ""
-        elif title in permitted_units or name in permitted_units:
-            name = title if title in permitted_units else name
-            units = " or ".join(f"{name}_{unit}" for unit in permitted_units[name])
-            raise RunError(file, f"column {title} has no permitted unit", f"name it {units}")
-        else:
-            continue
-        if key in columns:
-            raise RunError(file, f"column {key} occurs twice", "remove one")
-        columns[key] = title, unit
-    return columns
+    return MeasurementTable(file, numbers, {name: tuple(cells[name]) for name in texts if name in titles})
 
 
 def _parse_number(file: Path, title: str, row: int, cell: str) -> float:

@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from st_core.checks import Finding
@@ -30,7 +31,6 @@ from .static_tests import CG_HEIGHT, LAMBDA, SCALES, STEERING_RATIO, TYRE
 EXPERIMENTS: dict[str, Experiment] = {
     experiment.name: experiment for experiment in (SCALES, CG_HEIGHT, STEERING_RATIO, TYRE, *DRIVE_EXPERIMENTS, LAMBDA)}
 """All experiments of `st identify`, in the recommended order."""
-FORMATS = ("png", "pdf")
 STATUS_STYLE = {"identified": "green", "doubtful": "yellow", "unidentifiable": "red"}
 
 
@@ -55,7 +55,7 @@ def run_command(job: IdentificationJob, console: Console) -> int:
     outcomes = (replace(outcomes[0], warnings=warnings), *outcomes[1:])
     lambda_warnings = result.describe_stale_lambda(job.vehicle, outcomes)
     with console.status("writing"):
-        paths = write_results(job, outcomes, updated_vehicle, make_provenance(job, now))
+        paths = write_results(job, outcomes, updated_vehicle, now)
     print_results(outcomes, job.vehicle, lambda_warnings, console)
     list_files({paths["identification.json"]: "values, uncertainties, verdicts",
                 paths["vehicle.yaml"]: "vehicle file with the identified values",
@@ -87,21 +87,17 @@ def collect_findings_by_drive(outcomes: Sequence[result.Identification]) -> dict
     return {name: findings for outcome in outcomes for name, findings in outcome.findings.items()}
 
 
-def make_provenance(job: IdentificationJob, now: datetime) -> dict[str, Any]:
-    """Origin of the identified values: time, experiment, vehicle, files, versions."""
+def write_results(job: IdentificationJob, outcomes: Sequence[result.Identification], updated_vehicle: VehicleParameters,
+                  now: datetime) -> dict[str, Path]:
+    """Write figures, values, vehicle file and report; returns the paths by file name, without the figures."""
     data = list(job.files)
     if job.experiment.uses_recordings:  # the recordings instead of their folders
         data = [file for source in find_runs(job.files) for file in (*source.files, *source.can)
                 if os.access(file, os.R_OK)]
-    return {"created": now.isoformat(timespec="seconds"), "experiment": job.experiment.name,
-            "vehicle": {"name": job.vehicle.name, "file": job.vehicle_file, "hash": job.vehicle.hash},
-            "files": hash_files(data), "versions": collect_versions()}
-
-
-def write_results(job: IdentificationJob, outcomes: Sequence[result.Identification], updated_vehicle: VehicleParameters,
-                  provenance: dict[str, Any]) -> dict[str, Path]:
-    """Write figures, values, vehicle file and report; returns the paths by file name, without the figures."""
-    output = FigureOutput(new_folder(job.folder, ""), FORMATS)
+    provenance = {"created": now.isoformat(timespec="seconds"), "experiment": job.experiment.name,
+                  "vehicle": {"name": job.vehicle.name, "file": job.vehicle_file, "hash": job.vehicle.hash},
+                  "files": hash_files(data), "versions": collect_versions()}
+    output = FigureOutput(new_folder(job.folder, ""), ("png", "pdf"))
     figures = [draw(outcome, output) if (draw := EXPERIMENTS[outcome.experiment].draw) else None
                for outcome in outcomes]
     texts = {
@@ -128,19 +124,15 @@ def update_vehicle_text(file: Path, vehicle: VehicleParameters, outcomes: Sequen
 
 def make_experiment_details(outcome: result.Identification) -> dict[str, Any]:
     """Entry of one experiment in details.json."""
-    matrix = outcome.correlation
     return {
-        "experiment": outcome.experiment, "used": list(outcome.used_data),
+        "experiment": outcome.experiment, "used": outcome.used_data,
         "rejected": [{"data": name, "reason": reason} for name, reason in outcome.rejected_data],
         "parameters": [e.parameter for e in outcome.estimates],
         "status": {e.parameter: e.status for e in outcome.estimates},
-        "correlation": None if matrix is None else [[round(float(x), 6) for x in row] for row in matrix],
-        "warnings": list(outcome.warnings),
+        "correlation": None if outcome.correlation is None else np.round(outcome.correlation, 6),
+        "warnings": outcome.warnings,
         "findings": {name: findings_as_json(findings) for name, findings in outcome.findings.items()},
-        "coverage": [{"signal": c.signal, "unit": c.unit, "edges": [float(x) for x in c.edges],
-                      "counts": [int(x) for x in c.counts], "min_samples": c.min_samples,
-                      "min_filled_bins": c.min_filled_bins}
-                     for c in outcome.coverage],
+        "coverage": outcome.coverage,
     }
 
 
