@@ -21,7 +21,7 @@ from st_offline.discovery.discover_command import write_results
 from st_offline.discovery.discovery_report import build_model_file
 from st_offline.discovery.drives import Drive, Request, read_drive
 from st_offline.discovery.report_text import recommend
-from st_offline.discovery.vehicle_update import ENTRIES, edit_entries, fold_named_effects, update_vehicle
+from st_offline.discovery.vehicle_update import ENTRIES, edit_vehicle_text, fold_named_effects, update_vehicle
 from st_recordings.car_skeleton import STABILITY_SPEEDS
 from st_recordings.runs import ReadSettings, find_runs
 from support import LEAF
@@ -179,10 +179,11 @@ def test_blocks_and_comments_of_the_user_are_kept(recorded_drive):
 
 
 def test_key_missing_in_the_file_is_added():
-    text = edit_entries(TEXT, {
-        "tyre_front.lambda_muy": lambda unit, factor: f'{{value: 0.8, unit: "{unit}", source: "x"}}'})
+    assert "lambda_muy" not in TEXT
+    text = edit_vehicle_text(TEXT, ["tyre_front.lambda_muy"], CAR.with_values({"tyre_front.lambda_muy": 0.8}))
     found = VehicleParameters.from_yaml(text)
     assert found.tyre_front.lambda_muy == 0.8 and replace(found, tyre_front=CAR.tyre_front) == CAR
+    assert set(TEXT.splitlines()) < set(text.splitlines())
 
 
 @pytest.mark.slow

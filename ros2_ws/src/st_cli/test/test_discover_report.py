@@ -30,7 +30,7 @@ from st_core.vehicle import VehicleParameters
 from st_offline.discovery import drives, quantities, report_text
 from st_offline.discovery.discovery_report import build_document, print_result, write_page
 from st_offline.discovery.drives import Request, read_drive, read_result, write_result
-from st_offline.discovery.figures import FigureData, draw_agreement, draw_axle_curves, draw_maps, draw_waterfall
+from st_offline.discovery.figures import draw_agreement, draw_axle_curves, draw_maps, draw_waterfall
 from st_offline.discovery.relation_report import RelationReport
 from st_offline.discovery.vehicle_update import VehicleUpdate, update_vehicle
 from st_offline.evaluation.drawing import FigureOutput
@@ -211,10 +211,6 @@ def test_angles_are_in_degrees_with_digits_according_to_the_interval(logs):
     assert quantities.format_deviation(math.radians(-1.0), "rad") == "1°"
 
 
-def make_figure_data(found, logs, folder=None):
-    return FigureData(found, logs, None, None, FigureOutput(folder, ("png",) if folder else ()))
-
-
 def test_figures_are_drawn_only_if_they_have_content(logs, tmp_path):
     full = discovery(logs, STEPS, 1.72, varying=(make_varying_effect(logs),))
     nothing = replace(full.power_analysis, powers=())
@@ -224,9 +220,9 @@ def test_figures_are_drawn_only_if_they_have_content(logs, tmp_path):
                        (0.1,) * 10)
     full = replace(full, axle_curves=(curve,))
     for make in (draw_waterfall, draw_agreement, draw_axle_curves):
-        drawn = make(make_figure_data(full, logs, tmp_path))
+        drawn = make(full, FigureOutput(tmp_path, ("png",)))
         assert drawn.svg.startswith("<svg") and (tmp_path / f"{drawn.key}.png").stat().st_size > 5000
-        assert make(make_figure_data(empty, logs)) is None
+        assert make(empty, FigureOutput(None, ())) is None
 
 
 def test_maps_are_drawn_from_window_errors(tmp_path):
@@ -234,8 +230,7 @@ def test_maps_are_drawn_from_window_errors(tmp_path):
     long = [read_drive(source, CAR, ReadSettings(), force=True).log for source in find_runs(files)]
     found, settings = discovery(long, STEPS[:1], 1.72), DiscoverySettings(channels=("yaw_rate", "position"))
     before, after = (compute_window_errors(long, model, CAR, settings) for model in (found.base, found.model))
-    one = FigureData(found, long, before, after, FigureOutput(tmp_path, ("png",)))
-    drawn = draw_maps(one)
+    drawn = draw_maps(found, long, before, after, FigureOutput(tmp_path, ("png",)))
     assert drawn.key == "map" and "complete model" in drawn.svg
 
 
@@ -313,7 +308,7 @@ def test_page_and_terminal_contain_the_result_and_escape_names(logs, drive, tmp_
     assert content["schema"] == 4 and content["files"]["vehicle.yaml"]["not_folded"]["steering_ratio"]
     assert json.loads(json_text(content))["outcome"] == found.outcome
     page = tmp_path / "report.html"
-    write_page(page, found, corrected, [], content, [draw_waterfall(make_figure_data(found, logs))])
+    write_page(page, found, corrected, [], content, [draw_waterfall(found, FigureOutput(None, ()))])
     text = page.read_text()
     assert report_text.format_title(found) in text and "&lt;b&gt;weave" in text and "<b>weave 20" not in text
     assert "2.5% is required" in text and not re.findall(r'(?:src|href)="(?!#|data:)[^"]+"', text)
@@ -332,7 +327,7 @@ def test_page_and_terminal_contain_the_proposal(logs, drive, tmp_path, capsys):
     reported = RelationReport([("proposal", ["a relation, <b>bold"])], [table], "PROPOSAL: a relation")
     page = tmp_path / "report.html"
     content = build_document(found, make_request(drive), None, {})
-    write_page(page, found, None, [], content, [draw_waterfall(make_figure_data(found, logs))], reported)
+    write_page(page, found, None, [], content, [draw_waterfall(found, FigureOutput(None, ()))], reported)
     text = html.unescape(page.read_text())
     print_result(found, None, [], {"report.html": page}, False, Console(width=60), reported)
     message = capsys.readouterr().out

@@ -152,8 +152,8 @@ INVALID_TABLES = {
     "too few": ("steering-ratio", "steering_wheel_deg,left_wheel_deg,right_wheel_deg\n0,0,0\n90,5,5\n", "2 rows, at "
                                                                                                         "least 5"),
     "which tyre": ("tyre", "load_n,slip_angle_deg,lateral_force_n\n3300,1,500\n", "has no column tyre"),
-    "spare tyre": ("tyre", "tyre,load_n,slip_angle_deg,lateral_force_n\nspare,3300,1,500\n", "tyre is 'spare' in a "
-                                                                                             "row"),
+    "spare tyre": ("tyre", "tyre,load_n,slip_angle_deg,lateral_force_n\nspare,3300,1,500\n", "tyre is 'spare' in "
+                                                                                             "row 1"),
 }
 
 

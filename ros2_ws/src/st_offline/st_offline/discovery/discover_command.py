@@ -27,7 +27,7 @@ from ..evaluation.drawing import FigureOutput, PageFigure, check_formats
 from ..terminal import make_progress_bars
 from .discovery_report import build_document, build_model_file, print_result, write_page
 from .drives import Drive, Request, find_result, get_logs, read_drives
-from .figures import FigureData, draw_agreement, draw_axle_curves, draw_maps, draw_relation, draw_waterfall
+from .figures import draw_agreement, draw_axle_curves, draw_maps, draw_relation, draw_waterfall
 from .relation_report import RelationReport, build_relation_document, report_relation, write_files
 from .vehicle_update import VehicleUpdate, update_vehicle
 
@@ -128,9 +128,10 @@ def draw_figures(discovery: Discovery, request: Request, output: FigureOutput) -
         return compute_window_errors(runs, model, request.vehicle, settings, discovery.acceleration_gain)
 
     after = compute_errors(discovery.model) if discovery.model else None
-    data = FigureData(discovery, runs, compute_errors(discovery.base), after, output)
-    functions = (draw_waterfall, draw_axle_curves, draw_maps, draw_agreement)
-    return [figure for function in functions if (figure := function(data))]
+    figures = (draw_waterfall(discovery, output), draw_axle_curves(discovery, output),
+               draw_maps(discovery, runs, compute_errors(discovery.base), after, output),
+               draw_agreement(discovery, output))
+    return [figure for figure in figures if figure]
 
 
 def write_results(discovery: Discovery, request: Request, update: VehicleUpdate | None, folder: Path,

@@ -2,7 +2,6 @@
 
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -30,41 +29,19 @@ MAX_ROWS = 14  # a partition with more parts, or by place, is drawn in one row
 AXIS_LIMIT = 3.0  # largest magnitude on the axis of local ratios; longer intervals are cut off there
 
 
-@dataclass(frozen=True)
-class FigureData:
-    """Data of the figures."""
-
-    discovery: Discovery
-    runs: Sequence[DriveLog]  # suspect drives
-    before: Samples  # errors of the base model
-    after: Samples | None  # errors of the complete model
-    output: FigureOutput
-
-    @property
-    def colour(self) -> str:
-        """Colour of the base model."""
-        return MODEL_COLOUR.get(self.discovery.base.base.name, TEXT_COLOUR)
-
-    @property
-    def channel(self) -> str:
-        """Channel of the region with the highest lower 95 % limit of the ratio of error to expected error; the first
-        channel if there are no regions."""
-        channels = list(self.before.squares)
-        regions = [region for region in self.discovery.large_error_regions if region.channel in channels]
-        return max(regions, key=lambda region: region.interval[0]).channel if regions else channels[0]
-
-
 @apply_style()
-def draw_waterfall(data: FigureData) -> PageFigure | None:
+def draw_waterfall(discovery: Discovery, output: FigureOutput) -> PageFigure | None:
     """Draw the held-out position error after 5 s at each step of the search; None without steps or position errors."""
-    steps, position = data.discovery.steps, data.discovery.errors.get("position_5s")
+    steps, position = discovery.steps, discovery.errors.get("position_5s")
     if not steps or position is None or not np.isfinite(position.base):
         return None
+    base = discovery.base.base.name
+    base_colour = MODEL_COLOUR.get(base, TEXT_COLOUR)
     figure, axes = plt.subplots(figsize=(WIDTH, 1.1 + 0.3 * (len(steps) + 2)))
     axes.set_axisbelow(True)
     first, last = steps[0].position_5s.base, steps[-1].position_5s.augmented
-    rows = [f"{data.discovery.base.base.name} model, {data.discovery.start}"]
-    axes.barh(0, first, color=data.colour, height=0.62)
+    rows = [f"{base} model, {discovery.start}"]
+    axes.barh(0, first, color=base_colour, height=0.62)
     _annotate(axes, first, 0, quantities.format_metres(first))
     for row, step in enumerate(steps, 1):
         before, after = step.position_5s.base, step.position_5s.augmented
@@ -73,10 +50,10 @@ def draw_waterfall(data: FigureData) -> PageFigure | None:
         axes.barh(row, before - after, left=after, color=colour, height=0.62, alpha=0.65)
         ends = [before - end for end in step.position_5s.interval]
         axes.plot(ends, [row, row], color=TEXT_COLOUR, lw=1.0)
-        label, text = _format_step(data.discovery, step)
+        label, text = _format_step(discovery, step)
         _annotate(axes, max(before, after, *ends), row, text)
         rows.append(label)
-    end = "model with identified effects only" if data.discovery.effective else "complete model"
+    end = "model with identified effects only" if discovery.effective else "complete model"
     axes.plot([last, last], [len(steps) + 0.31, len(steps) + 0.69], color=TEXT_COLOUR, lw=0.6, alpha=0.5)
     axes.barh(len(steps) + 1, last, color=AFTER_COLOUR, height=0.62)
     _annotate(axes, last, len(steps) + 1, quantities.format_metres(last))
@@ -85,15 +62,14 @@ def draw_waterfall(data: FigureData) -> PageFigure | None:
     axes.set(ylim=(len(steps) + 1.6, -0.6), xlim=(0.0, 1.16 * max(first, *(s.position_5s.base for s in steps))),
              xlabel="mean position error after 5 s on held-out driving, m")
     has_increase = any(s.position_5s.augmented - s.position_5s.base > MIN_CHANGE for s in steps)
-    handles = [Patch(color=data.colour, label=f"{data.discovery.base.base.name} model"),
-               Patch(color=AFTER_COLOUR, label=end),
+    handles = [Patch(color=base_colour, label=f"{base} model"), Patch(color=AFTER_COLOUR, label=end),
                Patch(color=AFTER_COLOUR, alpha=0.65, label="reduction"),
                *([Patch(color=BAD_COLOUR, alpha=0.65, label="increase")] if has_increase else []),
                Line2D([], [], color=MEASURED_COLOUR, ls="--", label="noise level")]
     figure.legend(handles=handles, loc="outside lower left", ncols=len(handles))
     caption = ("Each row adds one effect and refits all values; its value and change belong to that step. Line: "
                "95 % interval of the change. Effects in parentheses are part of the fit, but not reported as causes.")
-    return save_figure(figure, data.output, "waterfall", "Error of each step of the search", caption)
+    return save_figure(figure, output, "waterfall", "Error of each step of the search", caption)
 
 
 def _format_step(discovery: Discovery, step: Step) -> tuple[str, str]:
@@ -114,11 +90,12 @@ def _annotate(axes: plt.Axes, x: float, row: int, text: str) -> None:
 
 
 @apply_style()
-def draw_axle_curves(data: FigureData) -> PageFigure | None:
+def draw_axle_curves(discovery: Discovery, output: FigureOutput) -> PageFigure | None:
     """Draw the force of each axle versus slip angle with its 90 % interval, and the distribution of slip angles."""
-    curves = data.discovery.axle_curves
-    if not curves or not data.discovery.model:
+    curves = discovery.axle_curves
+    if not curves or not discovery.model:
         return None
+    base_colour = MODEL_COLOUR.get(discovery.base.base.name, TEXT_COLOUR)
     figure, panels = plt.subplots(2, len(curves), figsize=(HALF_WIDTH, 3.3), sharex="col", squeeze=False,
                                   height_ratios=(3.0, 1.0))
     for (axes, below), curve in zip(panels.T, curves, strict=True):
@@ -126,35 +103,46 @@ def draw_axle_curves(data: FigureData) -> PageFigure | None:
         force, low, high, at_start = (1e-3 * np.array(v) for v in (curve.force, curve.low, curve.high, curve.file))
         axes.fill_between(slip, low, high, color=AFTER_COLOUR, alpha=0.25, lw=0)
         axes.plot(slip, force, color=AFTER_COLOUR)
-        axes.plot(slip, at_start, color=data.colour, ls="--")
+        axes.plot(slip, at_start, color=base_colour, ls="--")
         ratio, lowest, highest = (v[-1] / curve.file[-1] for v in (curve.force, curve.low, curve.high))
         axes.set_title(f"{curve.axle} axle\n{ratio:.2f} (90 %: {lowest:.2f} to {highest:.2f}) times the "
-                       f"{data.discovery.start} at {slip[-1]:.1f}°", fontsize=7)
+                       f"{discovery.start} at {slip[-1]:.1f}°", fontsize=7)
         below.stairs(100.0 * np.array(curve.density), slip, color=MEASURED_COLOUR, fill=True)
         below.set_xlabel("slip angle, °")
     panels[0][0].set_ylabel("lateral force, kN")
     panels[1][0].set_ylabel("samples, %")
-    handles = [Line2D([], [], color=data.colour, ls="--", label=data.discovery.start),
+    handles = [Line2D([], [], color=base_colour, ls="--", label=discovery.start),
                Line2D([], [], color=AFTER_COLOUR, label="complete model"),
                Patch(color=AFTER_COLOUR, alpha=0.25, label="90 % interval")]
     figure.legend(handles=handles, loc="outside lower left", ncols=3)
     title = "Axle force versus slip angle, in the range of the drives"
-    return save_figure(figure, data.output, "axle_curves", title,
+    return save_figure(figure, output, "axle_curves", title,
                        "The band includes the uncertainty of the other vehicle parameters.")
 
 
 @apply_style()
-def draw_maps(data: FigureData) -> PageFigure | None:
+def draw_maps(discovery: Discovery, runs: Sequence[DriveLog], before: Samples, after: Samples | None,
+              output: FigureOutput) -> PageFigure | None:
     """Draw the track of the run with the largest errors and the starts of its predictions, coloured by the error of the
-    base model and of the complete model."""
-    run = _find_worst_run(data)
-    if run is None:
+    base model and of the complete model; None without errors.
+
+    The channel is that with the highest lower 95 % limit of the ratio of error to expected error, or the first one.
+    before, after: errors of the base and of the complete model in `runs`, the suspect drives.
+    """
+    regions = [region for region in discovery.large_error_regions if region.channel in before.squares]
+    channel = max(regions, key=lambda r: r.interval[0]).channel if regions else next(iter(before.squares))
+    squares = before.squares[channel]
+    if not len(squares):
         return None
-    models = [("base model", data.before)] + ([("complete model", data.after)] if data.after else [])
-    factor, unit = quantities.get_display_unit(UNITS[data.channel])
-    largest = factor * max(float(np.nanmax(np.sqrt(samples.squares[data.channel][samples.run == run]), initial=1e-12))
+    indices = np.unique(before.run)
+    wide = [_compute_aspect_ratio(runs[k]) > MIN_ASPECT for k in indices]
+    # Narrow tracks are left out if there are others.
+    run = max(indices[wide] if any(wide) else indices, key=lambda k: float(squares[before.run == k].mean()))
+    models = [("base model", before)] + ([("complete model", after)] if after else [])
+    factor, unit = quantities.get_display_unit(UNITS[channel])
+    largest = factor * max(float(np.nanmax(np.sqrt(samples.squares[channel][samples.run == run]), initial=1e-12))
                            for _, samples in models)
-    log = data.runs[run]
+    log = runs[run]
     is_wide = _compute_aspect_ratio(log) > MIN_ASPECT
     shape = np.ptp(log.y) / max(np.ptp(log.x), 1e-9) if is_wide else 0.5
     size = (HALF_WIDTH, float(np.clip(0.4 * HALF_WIDTH * shape, 1.2, 3.5)) + 0.9)
@@ -163,7 +151,7 @@ def draw_maps(data: FigureData) -> PageFigure | None:
     for axes, (name, samples) in zip(panels[0], models, strict=True):
         rows = np.flatnonzero(samples.run == run)
         rows = rows[:: max(1, len(rows) // 500)]
-        error = factor * np.sqrt(samples.squares[data.channel][rows])
+        error = factor * np.sqrt(samples.squares[channel][rows])
         axes.plot(log.x[::stride], log.y[::stride], color=MEASURED_COLOUR, lw=0.6, alpha=0.6, zorder=1)
         points = axes.scatter(samples.x[rows], samples.y[rows], c=error, s=14, cmap="cividis", zorder=2, linewidths=0,
                               rasterized=True, vmin=0.0, vmax=largest)
@@ -173,23 +161,10 @@ def draw_maps(data: FigureData) -> PageFigure | None:
         axes.set_xlabel("east, m")
     panels[0][0].set_ylabel("north, m")
     bar = figure.colorbar(points, ax=list(panels[0]))
-    bar.set_label(f"{quantities.label_channel(data.channel)} error, {unit}")
-    title = f"{log.name}: {quantities.label_channel(data.channel)} error on the map"
+    bar.set_label(f"{quantities.label_channel(channel)} error, {unit}")
+    title = f"{log.name}: {quantities.label_channel(channel)} error on the map"
     caption = "Each point is the start of a prediction, coloured by its error. All panels have the same colour scale."
-    return save_figure(figure, data.output, "map", title, caption)
-
-
-def _find_worst_run(data: FigureData) -> int | None:
-    """Index of the run with the largest RMS error of the base model in `data.channel`; None without errors. Narrow
-    tracks (MIN_ASPECT) are left out if there are others."""
-    samples = data.before
-    squares = samples.squares.get(data.channel)
-    if squares is None or not len(squares):
-        return None
-    runs = np.unique(samples.run)
-    wide = [_compute_aspect_ratio(data.runs[r]) > MIN_ASPECT for r in runs]
-    runs = runs[wide] if any(wide) else runs
-    return int(max(runs, key=lambda r: float(squares[samples.run == r].mean())))
+    return save_figure(figure, output, "map", title, caption)
 
 
 def _compute_aspect_ratio(log: DriveLog) -> float:
@@ -199,9 +174,9 @@ def _compute_aspect_ratio(log: DriveLog) -> float:
 
 
 @apply_style()
-def draw_agreement(data: FigureData) -> PageFigure | None:
+def draw_agreement(discovery: Discovery, output: FigureOutput) -> PageFigure | None:
     """Draw the ratio of the local estimate to the overall estimate of each effect, for each part of the drives."""
-    effects = report_text.sort_by_size([e for e in data.discovery.effects if any(e.agreement.values())])[:MAX_PANELS]
+    effects = report_text.sort_by_size([e for e in discovery.effects if any(e.agreement.values())])[:MAX_PANELS]
     if not effects:
         return None
     parts: dict[str, dict[str, None]] = {}  # names of the parts of each partition; the dict keeps their order
@@ -232,7 +207,7 @@ def draw_agreement(data: FigureData) -> PageFigure | None:
     caption = ("Point: the effect refitted to one part of the drives, with the other effects fixed, divided by "
                "the overall estimate; filled if the 95 % interval (bar) excludes zero. Solid line: the overall "
                "estimate; dotted line: zero. A property of the car is the same everywhere.")
-    return save_figure(figure, data.output, "agreement", "Local estimates of each effect", caption)
+    return save_figure(figure, output, "agreement", "Local estimates of each effect", caption)
 
 
 def _draw_ratios(axes: plt.Axes, ratios: Sequence[tuple[int, LocalEstimate]]) -> None:

@@ -1,10 +1,9 @@
 """Folds the reported effects of a discovery into the user's vehicle file: they become corrections of its entries."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -261,7 +260,7 @@ def edit_vehicle_text(text: str, keys: Iterable[str], car: VehicleParameters, di
     keys, tolerance = list(keys), 1e-12 if digits is None else 10.0 ** (1 - digits)  # twice the largest rounding error
     for _ in range(2):
         try:
-            edited = edit_entries(text, {key: partial(_format_entry, car, key, digits) for key in keys})
+            edited = _edit_entries(text, keys, car, digits)
             read = VehicleParameters.from_yaml(edited)
         except (ConfigurationError, yaml.YAMLError):
             break
@@ -285,30 +284,29 @@ def _format_entry(car: VehicleParameters, key: str, digits: int | None, unit: st
             f"{provenance.format_entries()}}}")
 
 
-def edit_entries(text: str, entries: Mapping[str, Callable[[str, float], str]]) -> str:
+def _edit_entries(text: str, keys: Iterable[str], car: VehicleParameters, digits: int | None) -> str:
     """A vehicle file with these entries replaced or inserted; keys such as "mass" or "tyre_front.p_dy1"."""
     root = yaml.compose(text, Loader=yaml.SafeLoader)
-    edits = [_locate_edit(root, key, write_entry) for key, write_entry in entries.items()]
+    edits = []  # (start, end, replacement) in the text
+    for key in keys:
+        tyre, _, name = key.rpartition(".")
+        section, units = _find_entry(root, tyre) if tyre else root, ENTRIES[key].units
+        assert isinstance(section, yaml.MappingNode)  # already parsed as a vehicle file
+        node = _find_entry(section, name)
+        if node is None:
+            first, unit = section.value[0][0].start_mark, next(iter(units))
+            gap = ", " if section.flow_style else "\n" + " " * first.column
+            edits.append((first.index, first.index,
+                          f"{name}: {_format_entry(car, key, digits, unit, units[unit])}{gap}"))
+        else:
+            # A YAML block ends at the next key; the edit ends at its last value, to preserve the comments in between.
+            last = node if node.flow_style else node.value[-1][1]
+            unit = next(value.value for name, value in node.value if name.value == "unit")
+            edits.append((node.start_mark.index, last.end_mark.index,
+                          _format_entry(car, key, digits, unit, units[unit])))
     for start, end, new in sorted(edits, reverse=True):
         text = text[:start] + new + text[end:]
     return text
-
-
-def _locate_edit(root: yaml.Node, key: str, write_entry: Callable[[str, float], str]) -> tuple[int, int, str]:
-    """(start, end, replacement) of one entry in the text of the file."""
-    tyre, _, name = key.rpartition(".")
-    section, units = _find_entry(root, tyre) if tyre else root, ENTRIES[key].units
-    assert isinstance(section, yaml.MappingNode)  # already parsed as a vehicle file
-    node = _find_entry(section, name)
-    if node is None:
-        first = section.value[0][0].start_mark
-        unit = next(iter(units))
-        gap = ", " if section.flow_style else "\n" + " " * first.column
-        return first.index, first.index, f"{name}: {write_entry(unit, units[unit])}{gap}"
-    # A YAML block ends at the next key; the edit ends at its last value, to preserve the comments in between.
-    last = node if node.flow_style else node.value[-1][1]
-    unit = next(value.value for name, value in node.value if name.value == "unit")
-    return node.start_mark.index, last.end_mark.index, write_entry(unit, units[unit])
 
 
 def _find_entry(section: yaml.Node, key: str) -> yaml.MappingNode | None:

@@ -2,7 +2,7 @@
 
 import csv
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -71,30 +71,56 @@ def format_rounded(value: float, uncertainty: float) -> str:
 
 @dataclass(frozen=True)
 class MeasurementTable:
-    """Columns of a table by name. numbers: SI values (n,), NaN for an empty cell. texts: cells as written."""
+    """Rows of one or more CSV files, as columns by name.
 
-    file: Path
+    numbers: SI values (n,), NaN for an empty cell or a missing column. texts: cells as written, "" likewise. rows: file
+    and number of each row.
+    """
+
     numbers: Mapping[str, np.ndarray]
-    texts: Mapping[str, tuple[str, ...]]
-
-    def __len__(self) -> int:
-        return len(next(iter(self.numbers.values())))
+    texts: Mapping[str, list[str]]
+    rows: Sequence[tuple[Path, int]]
 
 
-def read_columns(file: Path, required: Mapping[str, Sequence[str]], optional: Mapping[str, Sequence[str]] | None = None,
-                 texts: Sequence[str] = ()) -> MeasurementTable:
-    """Read a CSV table: all `required` columns, with a number in every row, and those of `optional` and `texts` that
-    exist. required, optional: permitted units by name. Raises RunError naming the file and the column or row."""
-    check_readable(file)
-    try:
-        lines = [line for line in file.read_text(encoding="utf-8-sig").splitlines() if line.strip() and line[0] != "#"]
-    except UnicodeDecodeError:
-        raise RunError(file, "this is not a text in UTF-8", "save the table as CSV in UTF-8") from None
-    delimiter = ";" if lines and ";" in lines[0] else ","
-    header, *rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=delimiter)] or [[]]
+def read_tables(files: Sequence[Path], required: Mapping[str, Sequence[str]],
+                optional: Mapping[str, Sequence[str]] | None = None, texts: Sequence[str] = ()) -> MeasurementTable:
+    """Read CSV tables: columns with a number in every row (`required`), or only in some. required, optional: permitted
+    units by name. Raises RunError naming the file and the column or row."""
     units = {**required, **(optional or {})}
+    numbers: dict[str, list[float]] = {name: [] for name in units}
+    words: dict[str, list[str]] = {name: [] for name in texts}
+    rows = []
+    for file in files:
+        check_readable(file)
+        try:
+            content = file.read_text(encoding="utf-8-sig")
+        except UnicodeDecodeError:
+            raise RunError(file, "this is not a text in UTF-8", "save the table as CSV in UTF-8") from None
+        lines = [line for line in content.splitlines() if line.strip() and line[0] != "#"]
+        delimiter = ";" if lines and ";" in lines[0] else ","
+        header, *body = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=delimiter)] or [[]]
+        titles = _find_titles(file, header, units, required, texts)
+        if not body:
+            raise RunError(file, "has a header but no rows", "add a row for each measurement")
+        for number, row in enumerate(body, 1):
+            if len(row) != len(header):
+                raise RunError(file, f"row {number} has {len(row)} cells, the header {len(header)}", "correct that row")
+            cells = {name: row[header.index(title)] for name, title in titles.items()}
+            for name, values in numbers.items():
+                values.append(_parse_number(file, titles[name], number, cells[name]) if cells.get(name) else math.nan)
+                if name in required and math.isnan(values[-1]):
+                    raise RunError(file, f"row {number} has no {name}", "fill that cell, or remove the row")
+            for name, column in words.items():
+                column.append(cells.get(name, ""))
+            rows.append((file, number))
+    return MeasurementTable({name: np.array(values) for name, values in numbers.items()}, words, rows)
+
+
+def _find_titles(file: Path, header: Sequence[str], units: Mapping[str, Sequence[str]], required: Collection[str],
+                 texts: Sequence[str]) -> dict[str, str]:
+    """Title of each column that is used, by its name."""
     names = {f"{name}_{unit}": name for name in units for unit in units[name]} | {name: name for name in texts}
-    titles: dict[str, str] = {}  # by name of the column
+    titles: dict[str, str] = {}
     for title in header:
         prefix, _, unit = title.rpartition("_")
         name = names.get(f"{prefix}_{unit.lower()}") or names.get(title)
@@ -102,33 +128,17 @@ def read_columns(file: Path, required: Mapping[str, Sequence[str]], optional: Ma
             raise RunError(file, f"column {name} occurs twice", "remove one")
         if name is not None:
             titles[name] = title
-        elif without_unit := next((name for name in (title, prefix) if name in units), ""):
-            permitted = " or ".join(f"{without_unit}_{unit}" for unit in units[without_unit])
+        elif known := next((name for name in (title, prefix) if name in units), ""):
+            permitted = " or ".join(f"{known}_{unit}" for unit in units[known])
             raise RunError(file, f"column {title} has no permitted unit", f"name it {permitted}")
-    missing_columns = [name for name in required if name not in titles]
-    if missing_columns:
-        names = ", ".join(" or ".join(f"{name}_{unit}" for unit in required[name]) for name in missing_columns)
-        raise RunError(file, f"has no column {names}; its columns are {', '.join(header)[:200]}",
+    if missing := [name for name in required if name not in titles]:
+        columns = ", ".join(" or ".join(f"{name}_{unit}" for unit in units[name]) for name in missing)
+        raise RunError(file, f"has no column {columns}; its columns are {', '.join(header)[:200]}",
                        "name each column with its unit, as in docs/manual/identification.md")
-    if not rows:
-        raise RunError(file, "has a header but no rows", "add a row for each measurement")
-    for row_number, row in enumerate(rows, 1):
-        if len(row) != len(header):
-            raise RunError(file, f"row {row_number} has {len(row)} cells, the header {len(header)}", "correct that row")
-    cells = {title: column for title, *column in zip(header, *rows, strict=True)}
-    numbers = {name: SI_FACTORS[title.rpartition("_")[2].lower()] * np.array(
-        [_parse_number(file, title, row_number, cell) for row_number, cell in enumerate(cells[title], 1)])
-        for name, title in titles.items() if name in units}
-    for name in required:
-        if not np.isfinite(numbers[name]).all():
-            raise RunError(file, f"row {int(np.isfinite(numbers[name]).argmin()) + 1} has no {name}",
-                           "fill that cell, or remove the row")
-    return MeasurementTable(file, numbers, {name: tuple(cells[name]) for name in texts if name in titles})
+    return titles
 
 
 def _parse_number(file: Path, title: str, row: int, cell: str) -> float:
-    if not cell:
-        return math.nan
     try:
         value = float(cell)
     except ValueError:
@@ -136,4 +146,4 @@ def _parse_number(file: Path, title: str, row: int, cell: str) -> float:
                        "write a number with a decimal point and without a unit") from None
     if not math.isfinite(value):
         raise RunError(file, f"row {row}: {title} is {cell}", "give a finite number")
-    return value
+    return value * SI_FACTORS[title.rpartition("_")[2].lower()]

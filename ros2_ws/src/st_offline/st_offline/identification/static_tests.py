@@ -16,13 +16,10 @@ from st_core.vehicle import TYRES
 from st_recordings.runs.errors import RunError
 
 from ..evaluation.drawing import TEXT_COLOUR, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
-from .experiment import Experiment, IdentificationJob, MeasurementTable, read_columns
+from .experiment import Experiment, IdentificationJob, MeasurementTable, read_tables
 
-TEXT_COLUMNS = ("weighing", "driver", "payload")  # optional
-ANGLE_COLUMNS = {"steering_wheel": ("deg", "rad"), "left_wheel": ("deg", "rad"), "right_wheel": ("deg", "rad")}
-LOAD_COLUMNS = {"rear_left": ("kg",), "rear_right": ("kg",)}
-RADIUS_COLUMNS = {"front_radius": ("m", "mm"), "rear_radius": ("m", "mm")}
-OPTIONAL_COLUMNS = {"pitch": ("deg", "rad"), "lift": ("m", "mm"), "car_mass": ("kg",)}
+LIFT_COLUMNS = {"front_radius": ("m", "mm"), "rear_radius": ("m", "mm"), "pitch": ("deg", "rad"), "lift": ("m", "mm"),
+                "car_mass": ("kg",)}  # optional
 TYRE_COLUMNS = {"load": ("n", "kn"), "slip_angle": ("deg", "rad"), "lateral_force": ("n", "kn")}
 # The first three colours are those of the paper, darkened for a white background.
 LOAD_COLOURS = ("#3baa32", "#1792b5", "#d1048b", "#8c6d1f", "#5a5a5a", "#7e2f8e")
@@ -30,20 +27,17 @@ LOAD_COLOURS = ("#3baa32", "#1792b5", "#d1048b", "#8c6d1f", "#5a5a5a", "#7e2f8e"
 
 def identify_scales(job: IdentificationJob) -> tuple[Identification, ...]:
     """Identify mass and CG position; each row of the files is one weighing."""
-    readings, names, loads, uncertainties = [], [], [], set()
-    for file in job.files:
-        table = read_columns(file, dict.fromkeys(mass_and_cg.WHEELS, ("kg",)), {"scale_uncertainty": ("kg",)},
-                             TEXT_COLUMNS)
-        readings.append(np.stack([table.numbers[wheel] for wheel in mass_and_cg.WHEELS], axis=1))
-        labels = table.texts.get("weighing") or [str(row) for row in range(1, len(table) + 1)]
-        names += [f"{file.name}:{label}" for label in labels]
-        notes = [table.texts.get(key, ("",) * len(table)) for key in ("driver", "payload")]
-        loads += [", ".join(note for note in row if note) for row in zip(*notes, strict=True)]
-        uncertainties |= set(table.numbers.get("scale_uncertainty", np.array([mass_and_cg.SCALE_UNCERTAINTY])).tolist())
+    table = read_tables(job.files, dict.fromkeys(mass_and_cg.WHEELS, ("kg",)), {"scale_uncertainty": ("kg",)},
+                        ("weighing", "driver", "payload"))
+    texts = table.texts
+    names = (f"{file.name}:{label or row}" for (file, row), label in zip(table.rows, texts["weighing"], strict=True))
+    loads = (", ".join(filter(None, notes)) for notes in zip(texts["driver"], texts["payload"], strict=True))
+    uncertainties = set(np.nan_to_num(table.numbers["scale_uncertainty"], nan=mass_and_cg.SCALE_UNCERTAINTY).tolist())
     if len(uncertainties) > 1:
         raise RunError(job.files[0], f"scale_uncertainty_kg has several values: {sorted(uncertainties)}",
                        "use one set of scales")
-    weighings = mass_and_cg.Weighings(np.concatenate(readings), tuple(names), tuple(loads), uncertainties.pop())
+    readings = np.stack([table.numbers[wheel] for wheel in mass_and_cg.WHEELS], axis=1)
+    weighings = mass_and_cg.Weighings(readings, tuple(names), tuple(loads), uncertainties.pop())
     return (mass_and_cg.identify_mass_and_cg(weighings, job.vehicle),)
 
 
@@ -80,13 +74,15 @@ SCALES = Experiment("scales", "mass and CG position from four wheel scales",
 
 def identify_ratio(job: IdentificationJob) -> tuple[Identification, ...]:
     """Identify the steering ratio; each file has one or more sweeps, named in the column `series`."""
-    columns, names = [], []
-    for file in job.files:
-        table = read_columns(file, ANGLE_COLUMNS, texts=("series",))
-        names += [f"{file.name}:{name}" for name in table.texts.get("series") or ("1",) * len(table)]
-        columns.append([table.numbers[name] for name in ANGLE_COLUMNS])
-    steering_wheel, left, right = (np.concatenate(parts) for parts in zip(*columns, strict=True))
-    return (identify_steering_ratio(Turntable(steering_wheel, left, right, tuple(names))),)
+    table = read_tables(job.files, dict.fromkeys(("steering_wheel", "left_wheel", "right_wheel"), ("deg", "rad")),
+                        texts=("series",))
+    steering, left, right = table.numbers.values()
+    return (identify_steering_ratio(Turntable(steering, left, right, _name_series(table))),)
+
+
+def _name_series(table: MeasurementTable) -> tuple[str, ...]:
+    """File and series of each row."""
+    return tuple(f"{file.name}:{name or 1}" for (file, _), name in zip(table.rows, table.texts["series"], strict=True))
 
 
 @apply_style()
@@ -129,35 +125,24 @@ STEERING_RATIO = Experiment("steering-ratio", "steering ratio from turntables",
 
 def identify_height(job: IdentificationJob) -> tuple[Identification, ...]:
     """Identify the CG height; each file has one or more lifts, named in the column `series`."""
-    vehicle = job.vehicle
-    parts, names, masses = [], [], set()
-    for file in job.files:
-        table = read_columns(file, LOAD_COLUMNS, {**RADIUS_COLUMNS, **OPTIONAL_COLUMNS}, ("series",))
-        series = table.texts.get("series") or ("1",) * len(table)
-        names += [f"{file.name}:{name}" for name in series]
-        masses |= {mass for mass in table.numbers.get("car_mass", np.zeros(0)).tolist() if np.isfinite(mass)}
-        empty = np.full(len(table), np.nan)
-        columns = table.numbers
-        parts.append((_read_pitch(table, vehicle.wheelbase), columns["rear_left"] + columns["rear_right"],
-                      *(columns.get(name, empty) for name in RADIUS_COLUMNS)))
+    table = read_tables(job.files, {"rear_left": ("kg",), "rear_right": ("kg",)}, LIFT_COLUMNS, ("series",))
+    columns, pitch = table.numbers, table.numbers["pitch"].copy()
+    for file in dict.fromkeys(job.files):
+        rows = np.array([row_file == file for row_file, _ in table.rows])
+        lift, front, rear = (columns[name][rows] for name in ("lift", "front_radius", "rear_radius"))
+        if np.isnan(pitch[rows]).all():
+            if np.isnan([lift, front, rear]).all(axis=1).any():
+                raise RunError(file, "has neither a column pitch_deg, nor lift_m with front_radius_m and "
+                               "rear_radius_m", "measure pitch or lift in every row")
+            pitch[rows] = compute_pitch(lift, front, rear, job.vehicle.wheelbase)
+        elif np.isnan(pitch[rows]).any():
+            raise RunError(file, "a row has no pitch", "fill that cell, or remove the row")
+    masses = set(columns["car_mass"][np.isfinite(columns["car_mass"])].tolist())
     if len(masses) > 1:
         raise RunError(job.files[0], f"car_mass_kg has several values: {sorted(masses)}", "give weighings of one car")
-    pitch, load, front, rear = (np.concatenate(column) for column in zip(*parts, strict=True))
-    rows = LiftRows(pitch, load, tuple(names), front, rear)
-    return (identify_cg_height(rows, vehicle, masses.pop() if masses else None),)
-
-
-def _read_pitch(table: MeasurementTable, wheelbase: float) -> np.ndarray:
-    """Pitch of each row [rad]: the column `pitch`, else computed from lift and wheel radii. Raises RunError."""
-    columns = table.numbers
-    if "pitch" in columns:
-        if not np.isfinite(columns["pitch"]).all():
-            raise RunError(table.file, "a row has no pitch", "fill that cell, or remove the row")
-        return columns["pitch"]
-    if "lift" not in columns or not set(RADIUS_COLUMNS) <= set(columns):
-        raise RunError(table.file, "has neither a column pitch_deg, nor lift_m with front_radius_m and rear_radius_m",
-                       "measure pitch or lift in every row")
-    return compute_pitch(columns["lift"], columns["front_radius"], columns["rear_radius"], wheelbase)
+    lifts = LiftRows(pitch, columns["rear_left"] + columns["rear_right"], _name_series(table), columns["front_radius"],
+                     columns["rear_radius"])
+    return (identify_cg_height(lifts, job.vehicle, masses.pop() if masses else None),)
 
 
 @apply_style()
@@ -205,16 +190,14 @@ def identify_lambda(job: IdentificationJob) -> tuple[Identification, ...]:
 
 def read_tyre_tables(files: Sequence[Path]) -> list[FlatPlank]:
     """One table for each tyre, from the rows of all files; the column `tyre` contains front or rear."""
-    parts = []
-    for file in files:
-        table = read_columns(file, TYRE_COLUMNS, texts=("tyre",))
-        if "tyre" not in table.texts:
-            raise RunError(file, "has no column tyre", "add it, with front or rear in each row")
-        tyre = np.array([f"tyre_{word.lower().removeprefix('tyre_')}" for word in table.texts["tyre"]])
-        if unknown := set(tyre.tolist()).difference(TYRES):
-            raise RunError(file, f"tyre is {min(unknown).removeprefix('tyre_')[:40]!r} in a row", "write front or rear")
-        parts.append((tyre, *(table.numbers[name] for name in TYRE_COLUMNS), np.full(len(tyre), file.name)))
-    tyres, load, slip, force, names = (np.concatenate(column) for column in zip(*parts, strict=True))
+    table = read_tables(files, TYRE_COLUMNS, texts=("tyre",))
+    for (file, row), word in zip(table.rows, table.texts["tyre"], strict=True):
+        if not word:
+            raise RunError(file, f"has no column tyre, or no tyre in row {row}", "write front or rear in each row")
+        if f"tyre_{word.lower().removeprefix('tyre_')}" not in TYRES:
+            raise RunError(file, f"tyre is {word[:40]!r} in row {row}", "write front or rear")
+    tyres = np.array([f"tyre_{word.lower().removeprefix('tyre_')}" for word in table.texts["tyre"]])
+    names, (load, slip, force) = np.array([file.name for file, _ in table.rows]), table.numbers.values()
     return [FlatPlank(tyre, load[rows], slip[rows], force[rows], ", ".join(dict.fromkeys(names[rows].tolist())))
             for tyre in TYRES if (rows := tyres == tyre).any()]
 
