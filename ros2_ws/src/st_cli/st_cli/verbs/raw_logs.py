@@ -12,6 +12,7 @@ from . import _options as shared
 from ._options import console
 
 if TYPE_CHECKING:
+    from rich.table import Table
     from st_core.clock_types import Alignment
     from st_core.vehicle import VehicleParameters
     from st_recordings.runs import ReadSettings
@@ -107,16 +108,21 @@ def print_alignment(pair: "RawRun") -> None:
         console.print(table)
     for reason in alignment.reasons:
         print_line(f"  [{style}]·[/{style}] {escape(reason)}", console)
-    signals = Table(box=None, padding=(0, 2))
-    signals.add_column("signal", overflow="fold")
+    if alignment.signals:
+        console.print(_make_signal_table(alignment))
+
+
+def _make_signal_table(alignment: "Alignment") -> "Table":
+    from rich.table import Table
+
+    table = Table("signal", box=None, padding=(0, 2))
     for name in ("difference from the offset,\nms (standard deviation)", "correlation",
                  "residual /\nstandard deviation"):
-        signals.add_column(name, justify="right", no_wrap=True)
+        table.add_column(name, justify="right", no_wrap=True)
     for row in alignment.signals:
-        difference = f"{round(row.difference * 1e3, 2) + 0.0:+.2f} ({_format_deviation(row.deviation * 1e3)})"
-        signals.add_row(row.name, difference, f"{row.correlation:.5f}", f"{row.residual:.4f}")
-    if alignment.signals:
-        console.print(signals)
+        difference = f"{row.difference * 1e3:+z.2f} ({_format_deviation(row.deviation * 1e3)})"
+        table.add_row(row.name, difference, f"{row.correlation:.5f}", f"{row.residual:.4f}")
+    return table
 
 
 def _format_deviation(deviation: float, unit: str = "", decimals: int = 2) -> str:

@@ -125,9 +125,7 @@ def list_statistics(models: Models, model: str, axis: str, over: str) -> list[tu
 
 def format_error(value: float | None) -> str:
     """Text of an error [m] with DECIMALS decimals and no unit; "-" for None, and never a negative zero."""
-    if value is None:
-        return "-"
-    return f"{value:.{DECIMALS}f}".replace(f"-{0:.{DECIMALS}f}", f"{0:.{DECIMALS}f}")
+    return "-" if value is None else f"{value:z.{DECIMALS}f}"
 
 
 def list_rmse(models: Models, over: str) -> tuple[list[str], list[list[str]]]:
