@@ -10,9 +10,8 @@ half steps between starts. At every instant, neighbouring starts are thus adjace
 Other starts have separate instants in the same layout.
 """
 
-from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import chain, islice
 from typing import Any, Literal
 
 import numpy as np
@@ -29,8 +28,8 @@ from .timeseries import NANOSECOND, half_step_grid
 from .types import STATE_NAMES
 from .vehicle import VehicleParameters
 
-SHARED_BLOCK = 8192  # columns per block; on a shared grid with 4 half steps between starts, 33 000 instants
-SEPARATE_BLOCK = 2**17  # instants per block with separate instants
+SHARED_BLOCK = 8192  # largest number of columns per block; with 4 half steps between starts, 33 000 instants
+SEPARATE_BLOCK = 2**17  # largest number of instants per block
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,23 +40,19 @@ class GridBlock:
     rows: slice  # starts in the block
     start_columns: np.ndarray  # (starts,), column of each start
     starts_ns: np.ndarray  # (count,), start time of each column
-    times_ns: np.ndarray  # instants to sample, (m,) if shared, else (instants, columns)
+    times_ns: np.ndarray  # instants to sample (m,)
     offsets: np.ndarray  # instant k of column i is element `offsets[k] + i` of a row of the table
     columns: int  # count, rounded up to a multiple of the lanes
-    spacing: int = 0  # half steps between shared columns; 0 for separate instants
+    spacing: int  # instants per column of the table
+    is_shared: bool  # whether the starts share instants
 
     @property
     def count(self) -> int:
         return len(self.starts_ns)
 
-    @property
-    def is_shared(self) -> bool:
-        """Whether the starts share instants."""
-        return self.spacing > 0
-
     def arrange(self, values: np.ndarray) -> np.ndarray:
         """Values at times_ns, (m,), in the order to which `offsets` refers."""
-        return (values.reshape(-1, self.spacing).T if self.is_shared else values).ravel()
+        return values.reshape(-1, self.spacing).T.ravel()
 
     def tabulate(self, fields: tuple) -> np.ndarray:
         """Table (fields, m) of quantities, each of them an arranged array or a number."""
@@ -72,52 +67,30 @@ def plan_blocks(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, shar
 
     lanes: columns that the kernel computes at once. share: False if the values at an instant depend on the start.
     """
-    count = len(instants_ns)
-    if share and (grid := _find_columns(starts_ns, instants_ns)):
-        spacing, column = grid
-        parts = np.split(np.arange(len(column)), np.flatnonzero(np.diff(column // SHARED_BLOCK)) + 1)
-        tail = (count - 1) // spacing
-        if column[-1] + 1 + tail * len(parts) <= 2 * len(starts_ns) + lanes:
-            yield from (_make_shared_block(number, rows, column, spacing, starts_ns, instants_ns, lanes)
-                        for number, rows in enumerate(parts))
-            return
-    size = _round_up(max(min(SEPARATE_BLOCK // count, SHARED_BLOCK), 1), lanes)
-    for number, first in enumerate(range(0, len(starts_ns), size)):
-        starts = starts_ns[first:first + size]
-        width = _round_up(len(starts), lanes)
-        padded = np.pad(starts, (0, width - len(starts)), mode="edge")
-        yield GridBlock(number, slice(first, first + len(starts)), np.arange(len(starts)), starts,
-                        instants_ns[:, None] + padded, np.arange(count) * width, width)
-
-
-def _find_columns(starts_ns: np.ndarray, instants_ns: np.ndarray) -> tuple[int, np.ndarray] | None:
-    """(half steps between columns, column of each start) on a common grid; None without one.
-
-    Of a gap longer than a horizon, the grid contains only the columns into which the horizon before it extends.
-    """
-    if len(instants_ns) < 2 or not len(starts_ns):
-        return None
-    half, count, between = int(instants_ns[1]), len(instants_ns), np.diff(starts_ns)
-    is_gap = between >= half * count
-    if not np.array_equal(instants_ns, half * np.arange(count)) or np.any(between[~is_gap] % half):
-        return None
-    spacing = int(np.gcd.reduce(between[~is_gap] // half)) or count
-    steps = np.where(is_gap, (count - 1) // spacing + 1, between // (half * spacing))
-    return spacing, np.concatenate(([0], np.cumsum(steps)))
-
-
-def _make_shared_block(number: int, rows: np.ndarray, column: np.ndarray, spacing: int, starts_ns: np.ndarray,
-                       instants_ns: np.ndarray, lanes: int) -> GridBlock:
-    """Block of consecutive starts (`rows`) on a common grid (`_find_columns`)."""
-    half, first, k = int(instants_ns[1]), int(column[rows[0]]), np.arange(len(instants_ns))
-    width = int(column[rows[-1]]) - first + 1
-    columns = _round_up(width, lanes)
-    all_columns = first + np.arange(columns + k[-1] // spacing)
-    last_start = rows[np.searchsorted(column[rows], all_columns, side="right") - 1]
-    times = starts_ns[last_start] + half * spacing * (all_columns - column[last_start])
-    return GridBlock(number, slice(int(rows[0]), int(rows[-1]) + 1), column[rows] - first, times[:width],
-                     (times[:, None] + half * np.arange(spacing)).ravel(),
-                     (k % spacing) * len(times) + k // spacing, columns, spacing)
+    if not len(starts_ns):
+        return
+    count, between = len(instants_ns), np.diff(starts_ns)
+    half = int(instants_ns[1]) if count > 1 else 1
+    is_apart = between >= half * count
+    spacing = int(np.gcd.reduce(between[~is_apart] // half)) or count
+    tail = (count - 1) // spacing  # columns into which the horizon of a start extends
+    column = np.concatenate(([0], np.cumsum(np.where(is_apart, tail + 1, between // (half * spacing)))))
+    is_on_grid = np.array_equal(instants_ns, half * np.arange(count)) and not np.any(between[~is_apart] % half)
+    width = column[-1] + 1 + tail * (column[-1] // SHARED_BLOCK + 1)
+    is_shared = bool(share and is_on_grid and width <= 2 * len(starts_ns) + lanes)
+    if not is_shared:
+        spacing, tail, column = count, 0, np.arange(len(starts_ns))
+    size = _round_up(max(min(SEPARATE_BLOCK // spacing, SHARED_BLOCK), 1), lanes)
+    k = np.arange(count)
+    for number, rows in enumerate(np.split(np.arange(len(column)), np.flatnonzero(np.diff(column // size)) + 1)):
+        first, last = int(column[rows[0]]), int(column[rows[-1]])
+        columns = _round_up(last + 1 - first, lanes)
+        table_columns = np.minimum(np.arange(first, first + columns + tail), last + tail)
+        start = rows[np.searchsorted(column[rows], table_columns, side="right") - 1]
+        times = starts_ns[start] + half * spacing * (table_columns - column[start])
+        yield GridBlock(number, slice(int(rows[0]), int(rows[-1]) + 1), column[rows] - first, times[:last + 1 - first],
+                        (times[:, None] + instants_ns[:spacing]).ravel(),
+                        (k % spacing) * len(times) + k // spacing, columns, spacing, is_shared)
 
 
 def _round_up(count: int, lanes: int) -> int:
@@ -183,7 +156,7 @@ class LogBatch:
             speeds = np.abs(self.signals.log.velocity_x[slice(*np.searchsorted(ins_time, ends))])
         self._speeds = (float(speeds.min()), float(speeds.max())) if len(speeds) else ()
         self._uncorrected = Recording(self.signals)
-        self._block_cache: dict[tuple[int, bool], list[GridBlock]] = {}
+        self._blocks: dict[tuple[int, bool], list[GridBlock]] = {}
 
     def _find_point_numbers(self, points: Sequence[float]) -> np.ndarray:
         requested = np.asarray(points, float).ravel()
@@ -232,18 +205,14 @@ class LogBatch:
         integrate.warn_if_step_too_long(model, vehicle, self._speeds, self.step / self._substeps)
         return self._substeps
 
-    def _plan_blocks(self, count: int, is_separate: bool) -> Iterable[GridBlock]:
-        """Blocks of all starts; cached if there is only one."""
-        if (count, is_separate) not in self._block_cache:
+    def _plan_blocks(self, count: int, is_separate: bool) -> list[GridBlock]:
+        key = count, is_separate
+        if key not in self._blocks:
             # Held inputs are required only at the start, unless earlier steering still affects the wheels.
             only_start = self._inputs == "held" and not is_separate
             instants = np.zeros(1, np.int64) if only_start else half_step_grid(0, self.steps * count, self.step / count)
-            blocks = plan_blocks(self._unique_starts, instants, self._backend.LANES, share=not is_separate)
-            first_two = list(islice(blocks, 2))
-            if len(first_two) > 1:
-                return chain(first_two, blocks)
-            self._block_cache[count, is_separate] = first_two
-        return self._block_cache[count, is_separate]
+            self._blocks[key] = list(plan_blocks(self._unique_starts, instants, self._backend.LANES, not is_separate))
+        return self._blocks[key]
 
     def recording(self, model: Model) -> Recording:
         """The drive with the sensor and steering corrections of the model applied."""
@@ -273,7 +242,7 @@ class LogBatch:
 
     def _sample_separately(self, block: GridBlock, signals: LogSignals, model: Model) -> list[np.ndarray]:
         """Like `_sample`, for planned inputs, and for held inputs of a model with steering dynamics."""
-        times, log = block.times_ns, self.signals.log
+        times, log = block.times_ns.reshape(-1, block.spacing).T, self.signals.log
         if isinstance(self._inputs, str):
             angle = self.signals.road_wheel_angle_at(times[0])
             acceleration, = signals.ins_at(times[0], "velocity_x_dot")
@@ -289,7 +258,7 @@ class LogBatch:
                               for column in zip(times.T, angle.T, strict=True)]).T
         extra = [np.broadcast_to(signals.sample(*self.extra_signals[name], times[0]), times.shape)
                  for name in model.signals]
-        return [block.arrange(v) for v in (angle, acceleration, *extra)]
+        return [v.ravel() for v in (angle, acceleration, *extra)]
 
     def _table(self, block: GridBlock, values: list[np.ndarray], model: Model, p: Any) -> np.ndarray:
         """Quantities w that depend only on inputs (`Model.inputs`), at all instants of a block."""

@@ -149,11 +149,6 @@ class Course:
             raise ConfigurationError("passes: empty; build the course from at least one recording")
         points = np.array(rows.split(), float).reshape(-1, len(COLUMNS))
         ends = np.cumsum([int(entry["rows"]) for entry in entries])
-        if ends[-1] != len(points):
-            raise ConfigurationError(f"points: {len(points)} rows, but the passes declare {ends[-1]}; run st course "
-                                     "build again")
-        if not np.isfinite(points).all():
-            raise ConfigurationError("points: a value is not finite; run st course build again")
         passes = tuple(Pass(str(entry["recording"]), tuple(entry["digests"]), part)
                        for entry, part in zip(entries, np.split(points, ends[:-1]), strict=True))
         origin = document["origin"]
@@ -241,14 +236,10 @@ class CourseForecast:
     reason: str = ""  # why the course is not used, or ""
 
 
-class _Candidate(NamedTuple):
-    squared_difference: float  # d^2
-    speed: np.ndarray  # m/s, every SPACING m ahead
-    curvature: np.ndarray  # 1/m, every SPACING m ahead
+_Candidate = tuple[float, np.ndarray]  # d^2; (speed [m/s], curvature [1/m]) every SPACING m ahead, (2, n)
 
 
 class _PendingForecast(NamedTuple):
-    end_ns: int
     distance: float  # driven before the start [m]
     start: EgoMotion
     distances: np.ndarray  # driven over the horizon, by each speed forecast [m]
@@ -303,7 +294,7 @@ class CourseTracker:
             return CourseForecast(None, reason=(
                 f"course: the earlier drives end within {MIN_COVERAGE:g} horizons" if near_points else
                 "course: no earlier drive near the car in its direction"))
-        squares = np.array([candidate.squared_difference for candidate in candidates])
+        squares = np.array([square for square, _ in candidates])
         if squares.min() > MAX_DIFFERENCE**2:
             return CourseForecast(None, reason="course: no earlier drive has a similar path and speed")
         weights = np.exp(-0.5 * squares)
@@ -330,8 +321,8 @@ class CourseTracker:
     def _score(self, ego: EgoMotion, elapsed: float) -> None:
         """Update the mean squared errors with the errors of the forecasts that have ended."""
         new_weight = min(elapsed / FORGETTING_TIME, 1.0)
-        while self._pending and self._pending[0].end_ns <= ego.time_ns:
-            _, distance, start, distances, path = self._pending.popleft()
+        while self._pending and self._pending[0].start.time_ns + self._horizon_ns <= ego.time_ns:
+            distance, start, distances, path = self._pending.popleft()
             progress = self._distance - distance
             row = min(max(progress / SPACING, 0.0), len(path) - 1.001)
             before, after = path[int(row)], path[int(row) + 1]
@@ -369,13 +360,12 @@ class CourseTracker:
         (l_1, l_2), s = RETURN_LENGTHS, SPACING * np.arange(len(curvature))
         b = (direction_error + lateral_offset / l_1) / (1.0 / l_1 - 1.0 / l_2)
         curvature = curvature + (lateral_offset - b) / l_1**2 * np.exp(-s / l_1) + b / l_2**2 * np.exp(-s / l_2)
-        return _Candidate(square, speed, curvature)
+        return square, np.stack([speed, curvature])
 
     def _combine(self, candidates: list[_Candidate], weights: np.ndarray, ego: EgoMotion) -> CourseForecast:
         """The forecast from the weighted candidates, combined with the other forecasts according to their errors."""
-        length = min(len(candidate.speed) for candidate in candidates)
-        course_speed, curvature = (weights @ np.stack([getattr(candidate, name)[:length] for candidate in candidates])
-                                   for name in ("speed", "curvature"))
+        length = min(profile.shape[1] for _, profile in candidates)
+        course_speed, curvature = np.tensordot(weights, [profile[:, :length] for _, profile in candidates], axes=1)
         integrate = scipy.integrate.cumulative_trapezoid
         arrival = np.concatenate([[0.0], np.cumsum(2.0 * SPACING / (course_speed[1:] + course_speed[:-1]))])
         t, acceleration = self._time, ego.velocity_x_dot
@@ -388,8 +378,7 @@ class CourseTracker:
         positions = np.array([[ego.x, ego.y]]) + integrate(tangents, dx=SPACING, axis=0, initial=0.0)
         curvature_weights, speed_weights = (errors**-2.0 / (errors**-2.0).sum()
                                           for errors in (self._curvature_errors, self._speed_errors))
-        end_ns = ego.time_ns + self._horizon_ns
-        self._pending.append(_PendingForecast(end_ns, self._distance, ego, distances, positions))
+        self._pending.append(_PendingForecast(self._distance, ego, distances, positions))
         speed = speed_weights @ speed_forecasts
         distance = integrate(speed, dx=float(t[1]), initial=0.0)
         combined_curvature = (curvature_weights[0] * ego.curvature

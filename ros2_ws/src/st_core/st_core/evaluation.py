@@ -61,7 +61,7 @@ class Evaluator:
 
     span [s]: minimum duration of the stored measurements. models: models from files, in addition to
     MODELS. runners: compiled replacements of `predict`, by name of the model, for predictions with these settings
-    (`prediction.CompiledModel`). At most MAXIMUM_PENDING predictions wait for measurements; beyond that the oldest are
+    (`prediction.compile_model`). At most MAXIMUM_PENDING predictions wait for measurements; beyond that the oldest are
     scored as incomplete.
     """
 

@@ -88,18 +88,16 @@ def lowest_stable_speed(model: str | Model, vehicle: VehicleParameters, step: fl
 
     With a low minimum_slip_speed, RK4 at 50 ms needs 2.66 m/s for the Leaf and 3.98 m/s for the Genesis.
     """
+    from scipy.optimize import brentq  # imported here: nodes do not need scipy
+
+    def compute_excess(speed: float) -> float:
+        return growth_factor(model, vehicle, speed, step) - 1.0
+
     speeds = np.geomspace(SEARCH_START_SPEED, 0.05, 200)
-    unstable = [growth_factor(model, vehicle, v, step) > 1.0 for v in speeds]
-    if not any(unstable):
-        return 0.0
-    first = unstable.index(True)
-    if first == 0:
-        return np.inf
-    low, high = speeds[first], speeds[first - 1]
-    while high - low > 1.0e-6:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if growth_factor(model, vehicle, middle, step) > 1.0 else (low, middle)
-    return float(high)
+    unstable = next((k for k, v in enumerate(speeds) if compute_excess(v) > 0.0), None)
+    if not unstable:
+        return 0.0 if unstable is None else np.inf
+    return float(brentq(compute_excess, speeds[unstable], speeds[unstable - 1], xtol=1e-6))
 
 
 def are_stable(models: Sequence[str | Model], vehicle: VehicleParameters, speeds: Iterable[float], step: float) -> bool:

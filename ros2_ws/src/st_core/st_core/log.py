@@ -10,6 +10,7 @@ import numpy as np
 
 from .errors import StCoreError
 from .timeseries import NANOSECOND, Neighbours, filtered_derivative, find_neighbours
+from .types import STATE_NAMES, InsSample, ins_to_cg
 from .vehicle import VehicleParameters
 
 INS_SIGNALS = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate")
@@ -177,10 +178,9 @@ class LogSignals:
 
     def states_at(self, times_ns: np.ndarray, vehicle: VehicleParameters) -> np.ndarray:
         """States at the CG, (n, 6), columns as types.STATE_NAMES; see `types.ins_to_cg`."""
-        x, y, yaw, velocity_x, velocity_y, yaw_rate = self.ins_at(times_ns, *INS_SIGNALS)
-        cosine, sine, d_x, d_y = np.cos(yaw), np.sin(yaw), vehicle.cg_to_ins_x, vehicle.cg_to_ins_y
-        return np.stack([x - cosine * d_x + sine * d_y, y - sine * d_x - cosine * d_y,
-                         velocity_x + yaw_rate * d_y, velocity_y - yaw_rate * d_x, yaw, yaw_rate], axis=-1)
+        sample = InsSample._make((0, *self.ins_at(times_ns, *INS_SIGNALS)))
+        state = ins_to_cg(sample, vehicle.cg_to_ins_x, vehicle.cg_to_ins_y)
+        return np.stack([getattr(state, name) for name in STATE_NAMES], axis=-1)
 
     def _at(self, times: np.ndarray, columns: list[np.ndarray], instants: np.ndarray) -> list[np.ndarray]:
         instants = np.asarray(instants, np.int64)

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from types import ModuleType
 from typing import Literal
 
 import numpy as np
@@ -130,7 +129,7 @@ class Predictor:
     """Stores the newest measurements and predicts trajectories from them.
 
     models: names, or models from model files. runners: compiled replacements of `predict`, by name of the model, with
-    the same results (see `CompiledModel`). Raises ConfigurationError without a model, for an unknown model, and for a
+    the same results (see `compile_model`). Raises ConfigurationError without a model, for an unknown model, and for a
     model that requires a signal not measured live.
     """
 
@@ -255,86 +254,65 @@ _SAMPLES = ((1.0, 0.0, 0.05, 0.1, 0.3), (8.0, 0.1, -0.25, -0.08, 0.0), (15.0, -0
             (30.0, 0.0, -0.02, -0.005, 0.5))
 
 
-class CompiledModel:
-    """Compiled `predict` for one model, car and horizon: the same results, six times faster.
+def compile_model(model: Model, vehicle: VehicleParameters, settings: PredictionSettings) -> Runner:
+    """Compiled `predict` for one model, car and horizon: the same results, six times faster; from the compiler or its
+    cache, and verified against the interpreted model.
 
     Three models over 5 s take 0.2 ms instead of 1.3 ms; with an additional model of three effects 0.6 ms instead of
-    4.1 ms. The compiled code advances several predictions (lanes) in parallel; only the first is used here. Created
-    and verified by `compile_model`, at every start of a node. Checked by: test_compiled.py.
+    4.1 ms. Inputs are constant, or 2 * steps + 1 values on the half-step grid without further signals; NaN inputs give
+    NaN states. Raises ConfigurationError if numba cannot compile the model or if the results differ, and errors of
+    numba. Checked by: test_compiled.py.
     """
+    backend, p, points = get_backend("lanes"), model.parameters(vehicle), np.arange(settings.steps + 1)
+    constant_rows, sequence_rows = np.zeros(2 * settings.steps + 1, np.int64), np.arange(2 * settings.steps + 1)
+    w = model.inputs(0.0, 0.0, p)
+    if not backend.can_compile(model, p, len(w), len(model.start_state((0.0,) * len(STATE_NAMES), w, p))):
+        raise ConfigurationError("numba cannot compile the model")
 
-    def __init__(self, model: Model, vehicle: VehicleParameters, settings: PredictionSettings):
-        """Raises ConfigurationError if numba cannot compile the model."""
-        self._lanes: ModuleType = get_backend("lanes")
-        self._model, self._parameters = model, model.parameters(vehicle)
-        self._step = settings.step
-        self._points = np.arange(settings.steps + 1)
-        self._constant_rows = np.zeros(2 * settings.steps + 1, np.int64)
-        self._sequence_rows = np.arange(2 * settings.steps + 1)
-        w = model.inputs(0.0, 0.0, self._parameters)
-        start = model.start_state((0.0,) * len(STATE_NAMES), w, self._parameters)
-        if not self._lanes.can_compile(model, self._parameters, len(w), len(start)):
-            raise ConfigurationError("numba cannot compile the model")
-
-    def __call__(self, state: VehicleState, inputs: ControlInput | InputSequence) -> Trajectory:
-        """The trajectory from a state, as `predict` with substeps = 1.
-
-        inputs: constant, or 2 * steps + 1 values on the half-step grid; no further signals. NaN inputs give NaN states.
-        """
-        model, p, lanes = self._model, self._parameters, self._lanes.LANES
+    def run(state: VehicleState, inputs: ControlInput | InputSequence) -> Trajectory:
+        # The compiled code advances several predictions (lanes) in parallel; only the first is used here, and the
+        # values in the others do not matter.
         angle, acceleration = inputs.road_wheel_angle, inputs.velocity_x_dot
-        # Only the first column is used; the values in the others do not matter.
         if isinstance(inputs, ControlInput):
             first = model.inputs(float(angle), float(acceleration), p)
-            table, offsets = np.repeat(np.array(first, float)[:, None], lanes, axis=1), self._constant_rows
+            table, offsets = np.repeat(np.array(first, float)[:, None], backend.LANES, axis=1), constant_rows
         else:
             angle, acceleration = np.asarray(angle, float), np.asarray(acceleration, float)
             with np.errstate(all="ignore"):
                 fields = [np.broadcast_to(f, angle.shape) for f in model.inputs(angle, acceleration, p)]
-            table, offsets = np.pad(np.array(fields), ((0, 0), (0, lanes - 1)), mode="edge"), self._sequence_rows
+            table, offsets = np.pad(np.array(fields), ((0, 0), (0, backend.LANES - 1)), mode="edge"), sequence_rows
             first = tuple(table[:, 0].tolist())
         start = np.array(model.start_state(state.as_tuple(), first, p), float)
-        columns = np.repeat(start[:, None], lanes, axis=1)
-        states = self._lanes.advance(model, p, columns, table, offsets, self._step, self._points)
-        return Trajectory(self._step, np.ascontiguousarray(states[:, :, 0]))
+        columns = np.repeat(start[:, None], backend.LANES, axis=1)
+        states = backend.advance(model, p, columns, table, offsets, settings.step, points)
+        return Trajectory(settings.step, np.ascontiguousarray(states[:, :, 0]))
 
-
-def compile_model(model: Model, vehicle: VehicleParameters, settings: PredictionSettings) -> CompiledModel:
-    """The compiled form of a model, from the compiler or its cache, verified against the interpreted model.
-
-    Raises ConfigurationError if numba cannot compile the model, or if the results differ.
-    """
-    try:
-        result = CompiledModel(model, vehicle, settings)
-    except ConfigurationError:
-        raise
-    except Exception as error:  # numba raises many types of errors; the interpreted model is the fallback
-        raise ConfigurationError(f"{type(error).__name__}: {error}") from None
     ramp = np.linspace(1.0, 0.5, 2 * settings.steps + 1)
     for v_x, v_y, yaw_rate, angle, acceleration in _SAMPLES:
         state = VehicleState(3.0, -2.0, v_x, v_y, 0.7, yaw_rate)
         for inputs in (ControlInput(angle, acceleration), InputSequence(angle * ramp, acceleration * ramp)):
             expected = predict(model, vehicle, state, inputs, settings.horizon, settings.step).states
-            compiled, finite = result(state, inputs).states, np.isfinite(expected)
+            compiled, finite = run(state, inputs).states, np.isfinite(expected)
             with np.errstate(all="ignore"):
                 difference = np.abs(compiled - expected) / np.maximum(1.0, np.abs(expected))
             # Both must be finite at the same points (a spin with a long step diverges), and agree there.
             if not np.array_equal(finite, np.isfinite(compiled)) or (difference[finite] > TOLERANCE).any():
                 worst = float(difference[finite & np.isfinite(compiled)].max(initial=0.0))
                 raise ConfigurationError(f"the compiled {model.name} differs from floats by {worst:.1e} where finite")
-    return result
+    return run
 
 
 def compile_models(models: Sequence[Model], vehicle: VehicleParameters,
-                   settings: PredictionSettings) -> tuple[dict[str, CompiledModel], str]:
+                   settings: PredictionSettings) -> tuple[dict[str, Runner], str]:
     """(compiled models by name, line for the log: their names, and why the others are not compiled)."""
-    compiled: dict[str, CompiledModel] = {}
+    compiled: dict[str, Runner] = {}
     reasons: dict[str, str] = {}
     for model in models:
         try:
             compiled[model.name] = compile_model(model, vehicle, settings)
-        except ConfigurationError as error:
-            reasons[model.name] = " ".join(str(error).split())
+        except Exception as error:  # numba raises many types of errors; the interpreted model is the fallback
+            kind = "" if isinstance(error, ConfigurationError) else f"{type(error).__name__}: "
+            reasons[model.name] = " ".join(f"{kind}{error}".split())
     parts = [f"compiled and checked: {', '.join(compiled)}"] if compiled else []
     if reasons:
         parts.append(f"not compiled: {', '.join(reasons)} ({'; '.join(dict.fromkeys(reasons.values())):.200})")

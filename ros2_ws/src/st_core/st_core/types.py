@@ -1,7 +1,7 @@
 """States, inputs, samples and trajectories, and the frames they are expressed in: map axes x east, y north; body axes
 x forward, y left; yaw from east counter-clockwise. SI units.
 
-Functions of angles and positions accept floats or arrays and return the same kind; `ins_to_cg` accepts only floats.
+Functions of angles, positions and samples accept floats or arrays and return the same kind.
 """
 
 import math
@@ -12,6 +12,7 @@ from typing import Annotated, Any, NamedTuple, TypeAlias, get_origin, get_type_h
 import numpy as np
 
 from .errors import StCoreError
+from .ops import cos, sin
 
 STATE_NAMES = ("x", "y", "velocity_x", "velocity_y", "yaw", "yaw_rate")
 STATE_UNITS = ("m", "m", "m/s", "m/s", "rad", "rad/s")
@@ -164,7 +165,7 @@ def ins_to_cg(sample: InsSample, cg_to_ins_x: float, cg_to_ins_y: float = 0.0) -
     Source: Aertssen et al., AVEC 2026, equation of the sensor offset, in which d has the opposite sign. Checked by:
     test_frames.py.
     """
-    cosine, sine = math.cos(sample.yaw), math.sin(sample.yaw)
+    cosine, sine = cos(sample.yaw), sin(sample.yaw)
     return VehicleState(
         sample.x - cosine * cg_to_ins_x + sine * cg_to_ins_y, sample.y - sine * cg_to_ins_x - cosine * cg_to_ins_y,
         sample.velocity_x + sample.yaw_rate * cg_to_ins_y, sample.velocity_y - sample.yaw_rate * cg_to_ins_x,

@@ -93,7 +93,7 @@ def test_effect_without_a_name_and_a_tuple_has_the_name_of_its_file_and_one_para
     ({"applies_to": frozenset(("bicycle",))}, "applies_to must name one or more of kinematic, linear, nonlinear"),
     ({"extra_states": ("z",)}, "extra_states and rates must be declared together"),
     ({"prepared": ("z",)}, "prepare and prepared, the names of its results"),
-    ({"observe": staticmethod(lambda measured, theta: measured)}, "observe and correct, its inverse, must be"),
+    ({"correct": staticmethod(lambda measured, theta: measured)}, "correct is the inverse of observe, which"),
     ({"inputs": None}, "it has no hook"),
 ])
 def test_incomplete_effect_is_rejected(attributes, message):

@@ -121,7 +121,8 @@ class Effect:
             geometric slip angles [rad] and axle forces [N], (front, rear) each
         specific_force(instant, prepared, theta) -> (a_x, a_y) [m/s^2] that an accelerometer at the CG reads in
             addition to the acceleration of the car
-        observe(measured, theta) -> the readings that result from the true ones; correct(measured, theta): the inverse
+        observe(measured, theta) -> the readings that result from the true ones; correct(measured, theta): the inverse,
+            default `observe` with -value for parameters whose null is 0, and 1 / value for the others
     """
 
     name: ClassVar[str]  # unique; default: the name of its file
@@ -187,8 +188,18 @@ def register(effect: type[Effect], registry: dict[str, type[Effect]] = EFFECTS) 
     effect.Theta = theta
     if effect.fold is None and effect.vehicle:
         effect.fold = staticmethod(effect.vehicle)
+    if effect.correct is None and effect.observe:
+        effect.correct = staticmethod(_make_correction(effect))
     registry[name] = effect
     return effect
+
+
+def _make_correction(effect: type[Effect]) -> Callable:
+    def correct(measured, theta):
+        values = {p.name: getattr(theta, p.name) for p in effect.parameters if p.fit}
+        opposite = {p.name: 1.0 / values[p.name] if p.null else -values[p.name] for p in effect.parameters if p.fit}
+        return effect.observe(measured, theta._replace(**opposite))
+    return correct
 
 
 def _check_attributes(effect: type[Effect]) -> Iterator[str]:
@@ -239,8 +250,8 @@ def _check_names(effect: type[Effect]) -> Iterator[str]:
         yield "extra_units and extra_states differ in length"
     if bool(effect.prepared) != (effect.prepare is not None):
         yield "prepare and prepared, the names of its results, must be declared together"
-    if (effect.observe is None) != (effect.correct is None):
-        yield "observe and correct, its inverse, must be declared together"
+    if effect.correct and not effect.observe:
+        yield "correct is the inverse of observe, which is missing"
 
 
 def find_source_file(effect: type[Effect]) -> str:

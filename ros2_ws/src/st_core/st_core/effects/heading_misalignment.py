@@ -4,16 +4,6 @@ from ..ops import cos, sin
 from ._base import ANY, Effect, Parameter, register
 
 
-def rotate(measured, angle):
-    """Readings in axes rotated by `angle` [rad] to the left."""
-    cosine, sine = cos(angle), sin(angle)
-    return measured._replace(
-        yaw=measured.yaw + angle, velocity_x=cosine * measured.velocity_x + sine * measured.velocity_y,
-        velocity_y=cosine * measured.velocity_y - sine * measured.velocity_x,
-        acceleration_x=cosine * measured.acceleration_x + sine * measured.acceleration_y,
-        acceleration_y=cosine * measured.acceleration_y - sine * measured.acceleration_x)
-
-
 @register
 class HeadingMisalignment(Effect):
     physics = "measured yaw = yaw + angle, velocity and acceleration in the rotated axes; position unchanged"
@@ -29,8 +19,9 @@ class HeadingMisalignment(Effect):
 
     @staticmethod
     def observe(measured, theta):
-        return rotate(measured, theta.angle)
-
-    @staticmethod
-    def correct(measured, theta):
-        return rotate(measured, -theta.angle)
+        cosine, sine = cos(theta.angle), sin(theta.angle)
+        return measured._replace(
+            yaw=measured.yaw + theta.angle, velocity_x=cosine * measured.velocity_x + sine * measured.velocity_y,
+            velocity_y=cosine * measured.velocity_y - sine * measured.velocity_x,
+            acceleration_x=cosine * measured.acceleration_x + sine * measured.acceleration_y,
+            acceleration_y=cosine * measured.acceleration_y - sine * measured.acceleration_x)

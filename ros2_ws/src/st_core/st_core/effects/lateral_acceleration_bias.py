@@ -21,7 +21,3 @@ class LateralAccelerationBias(Effect):
     @staticmethod
     def observe(measured, theta):
         return measured._replace(acceleration_y=measured.acceleration_y + theta.bias)
-
-    @staticmethod
-    def correct(measured, theta):
-        return measured._replace(acceleration_y=measured.acceleration_y - theta.bias)

@@ -8,14 +8,6 @@ from ..ops import cos, sin
 from ._base import ANY, Effect, Parameter, register
 
 
-def extrapolate(measured, time):
-    """The readings with the position extrapolated by `time` [s] at their velocity."""
-    cosine, sine = cos(measured.yaw), sin(measured.yaw)
-    east = measured.velocity_x * cosine - measured.velocity_y * sine
-    north = measured.velocity_x * sine + measured.velocity_y * cosine
-    return measured._replace(x=measured.x + time * east, y=measured.y + time * north)
-
-
 @register
 class PositionLag(Effect):
     physics = "measured (x, y) = (x, y) - time * ground velocity; yaw and velocity are unaffected"
@@ -30,8 +22,7 @@ class PositionLag(Effect):
 
     @staticmethod
     def observe(measured, theta):
-        return extrapolate(measured, -theta.time)
-
-    @staticmethod
-    def correct(measured, theta):
-        return extrapolate(measured, theta.time)
+        cosine, sine = cos(measured.yaw), sin(measured.yaw)
+        east = measured.velocity_x * cosine - measured.velocity_y * sine
+        north = measured.velocity_x * sine + measured.velocity_y * cosine
+        return measured._replace(x=measured.x - theta.time * east, y=measured.y - theta.time * north)

@@ -20,8 +20,3 @@ class SpeedScale(Effect):
     def observe(measured, theta):
         return measured._replace(velocity_x=measured.velocity_x * theta.factor,
                                  velocity_y=measured.velocity_y * theta.factor)
-
-    @staticmethod
-    def correct(measured, theta):
-        return measured._replace(velocity_x=measured.velocity_x / theta.factor,
-                                 velocity_y=measured.velocity_y / theta.factor)

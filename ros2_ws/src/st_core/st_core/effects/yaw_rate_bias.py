@@ -18,7 +18,3 @@ class YawRateBias(Effect):
     @staticmethod
     def observe(measured, theta):
         return measured._replace(yaw_rate=measured.yaw_rate + theta.bias)
-
-    @staticmethod
-    def correct(measured, theta):
-        return measured._replace(yaw_rate=measured.yaw_rate - theta.bias)

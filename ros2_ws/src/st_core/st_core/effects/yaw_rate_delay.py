@@ -21,7 +21,3 @@ class YawRateDelay(Effect):
     @staticmethod
     def observe(measured, theta):
         return measured._replace(yaw_rate=measured.yaw_rate - theta.time * measured.yaw_acceleration)
-
-    @staticmethod
-    def correct(measured, theta):
-        return measured._replace(yaw_rate=measured.yaw_rate + theta.time * measured.yaw_acceleration)

@@ -18,8 +18,3 @@ class YawRateScale(Effect):
     def observe(measured, theta):
         return measured._replace(yaw_rate=measured.yaw_rate * theta.factor,
                                  yaw_acceleration=measured.yaw_acceleration * theta.factor)
-
-    @staticmethod
-    def correct(measured, theta):
-        return measured._replace(yaw_rate=measured.yaw_rate / theta.factor,
-                                 yaw_acceleration=measured.yaw_acceleration / theta.factor)
