@@ -19,6 +19,15 @@ from ..discovery.loss import Errors, Loss
 from ..discovery.settings import DiscoverySettings
 from ..discovery.space import Space
 from ..discovery.windows import STEP, Windows
+from ..effects.front_stiffness import FrontStiffness
+from ..effects.heading_misalignment import HeadingMisalignment
+from ..effects.rear_stiffness import RearStiffness
+from ..effects.sensor_lever_arm import SensorLeverArm
+from ..effects.steering_delay import SteeringDelay
+from ..effects.steering_offset import SteeringOffset
+from ..effects.steering_ratio import SteeringRatio
+from ..effects.tyre_relaxation import TyreRelaxation
+from ..effects.yaw_inertia import YawInertia
 from ..errors import StCoreError
 from ..log import DriveLog
 from ..models import Model, get_model
@@ -27,7 +36,7 @@ from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
 from .result import IdentificationError
 
-MISALIGNMENT, DELAY, RELAXATION = "ins_misalignment", "steering_delay", "tyre_relaxation"
+MISALIGNMENT, DELAY, RELAXATION = "ins_misalignment", SteeringDelay.name, TyreRelaxation.name
 MAX_ITERATIONS, SCALE_TOLERANCE = 6, 0.02
 """Largest number of fits, each with the error scale of the previous one; relative change of the scale below which the
 fits have converged."""
@@ -52,19 +61,19 @@ def _make_scaled_quantity(effect: str, key: str, unit: str) -> FitQuantity:
 
 
 QUANTITIES: Mapping[str, FitQuantity] = {
-    "cornering_stiffness_front": _make_scaled_quantity("front_stiffness", "cornering_stiffness_front", "N/rad"),
-    "cornering_stiffness_rear": _make_scaled_quantity("rear_stiffness", "cornering_stiffness_rear", "N/rad"),
-    "yaw_inertia": _make_scaled_quantity("yaw_inertia", "yaw_inertia", "kg m^2"),
-    "steering_ratio": _make_scaled_quantity("steering_ratio", "steering_ratio", "1"),
+    "cornering_stiffness_front": _make_scaled_quantity(FrontStiffness.name, "cornering_stiffness_front", "N/rad"),
+    "cornering_stiffness_rear": _make_scaled_quantity(RearStiffness.name, "cornering_stiffness_rear", "N/rad"),
+    "yaw_inertia": _make_scaled_quantity(YawInertia.name, "yaw_inertia", "kg m^2"),
+    "steering_ratio": _make_scaled_quantity(SteeringRatio.name, "steering_ratio", "1"),
     # delta = (delta_h - o_file) / (factor i_file) + angle, so o = o_file - angle factor i_file.
-    "steering_wheel_offset": FitQuantity("steering_offset", "rad", max_uncertainty=0.02, value=lambda car, values: (
-        car.steering_wheel_offset - values["steering_offset.angle"] * car.steering_ratio
-        * values.get("steering_ratio.factor", 1.0))),
-    "cg_to_ins_x": FitQuantity("sensor_lever_arm", "m", max_uncertainty=0.1, value=lambda car, values: (
-        car.cg_to_ins_x + values["sensor_lever_arm.x"])),
+    "steering_wheel_offset": FitQuantity(SteeringOffset.name, "rad", max_uncertainty=0.02, value=lambda car, values: (
+        car.steering_wheel_offset - values[f"{SteeringOffset.name}.angle"] * car.steering_ratio
+        * values.get(f"{SteeringRatio.name}.factor", 1.0))),
+    "cg_to_ins_x": FitQuantity(SensorLeverArm.name, "m", max_uncertainty=0.1, value=lambda car, values: (
+        car.cg_to_ins_x + values[f"{SensorLeverArm.name}.x"])),
     # Angle by which the reported heading points too far to the left.
-    MISALIGNMENT: FitQuantity("heading_misalignment", "rad",
-                              lambda car, values: values["heading_misalignment.angle"], max_uncertainty=0.005),
+    MISALIGNMENT: FitQuantity(HeadingMisalignment.name, "rad",
+                              lambda car, values: values[f"{HeadingMisalignment.name}.angle"], max_uncertainty=0.005),
     # Delay from the measured angle to the wheels.
     DELAY: FitQuantity(DELAY, "s", lambda car, values: values[f"{DELAY}.time"], max_uncertainty=0.02),
     # Distance rolled until the force reaches 63 % of its final value after a step of the slip angle.
