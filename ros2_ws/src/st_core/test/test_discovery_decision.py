@@ -371,11 +371,30 @@ def test_limits_are_used_in_few_modules():
 @pytest.mark.parametrize("reference", [[], ["healthy"]])
 @pytest.mark.parametrize(("interval", "rule"), [((1.02, 1.10), NAMED), ((0.98, 1.14), MINOR)])
 def test_only_an_effect_with_an_interval_that_excludes_its_null_is_named(reference, interval, rule):
-    e = Evidence("friction", 0.3, 0.001, position_reduction=0.1)
-    found = FoundEffect("friction", "physics", {"factor": FittedParameter(1.06, "1", interval, 1.0)}, (), 0.1, {})
+    assert decide_without_axle_forces("mass", reference, interval).rule == rule
+
+
+def decide_without_axle_forces(name: str, reference: list[str], interval: tuple[float, float]) -> Reason:
+    e = Evidence(name, 0.3, 0.001, position_reduction=0.1)
+    found = FoundEffect(name, "vehicle parameters", {"factor": FittedParameter(1.06, "1", interval, 1.0)}, (), 0.1, {})
     analysis = SimpleNamespace(reference=reference, limits=LIMITS)
-    verdicts = _Analysis._decide_reporting(analysis, SimpleNamespace(evidence={"friction": e}), [found], None, {})
-    assert verdicts["friction"].rule == rule
+    return _Analysis._decide_reporting(analysis, SimpleNamespace(evidence={name: e}), [found], None, {})[name]
+
+
+@pytest.mark.parametrize("name", ["friction", "rear_tyre_curve"])
+def test_peak_is_not_named_if_the_axle_forces_are_unknown(name):
+    """Without a reference; with one, the value is a change of a peak that the healthy car had as well."""
+    verdict = decide_without_axle_forces(name, [], (1.02, 1.10))
+    assert verdict.rule == MINOR and verdict.text.startswith("the axle forces, and so their peaks, are unknown")
+    assert decide_without_axle_forces(name, ["healthy"], (1.02, 1.10)).rule == NAMED
+
+
+@pytest.mark.parametrize(("answer", "outcome"), [
+    ({}, "none"), ({"n_effects": 2}, "ambiguous"), ({"detectable_share": 0.7}, "not_testable"),
+    ({"rejected": [AT_BOUND]}, "unknown")])
+def test_outcome_without_positions_does_not_state_a_position_error(answer, outcome):
+    decided, why = decide(LIMITS, **(NOTHING | answer | dict(noise_ratio=np.nan, base_noise_ratio=np.nan)))
+    assert decided == outcome and "position error" not in why.text and "nan" not in why.text
 
 
 @pytest.mark.parametrize(("name", "rule"), [

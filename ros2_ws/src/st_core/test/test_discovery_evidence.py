@@ -187,6 +187,7 @@ def test_column_reductions_are_those_of_the_columns_that_the_effect_changes():
 @pytest.mark.parametrize(("reduction", "text"), [
     (0.032, "reduces the position error at the end of the horizon by 3.2 cm"),
     (-0.0002, "reduces the position error at the end of the horizon by less than 0.1 cm"),
+    (0.0, "reduces no measured position error"),
     (-0.032, "increases the position error at the end of the horizon by 3.2 cm")])
 def test_text_of_a_position_reduction(reduction, text):
     assert describe_position_reduction(reduction) == text

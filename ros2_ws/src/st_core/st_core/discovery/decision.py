@@ -153,7 +153,7 @@ def judge_reporting(e: Evidence, limits: Limits, excludes_null: bool = True, par
     excludes_null: whether an interval excludes the null.
     parameter_at_bound: parameter with an interval that crosses its bound, or "".
     peak_force_share: largest force in the drives divided by the peak force of an axle that the effect acts on; 1 if it
-        does not act on the peak [1].
+        does not act on the peak, NaN if the forces are unknown [1].
     worse_axle: axle on which the effect acts and where measured forces agree better with the vehicle file, or "".
     summands: other effects of the model, of which only the sum with this effect is identifiable.
     violation: range that the car would violate with this effect (`handling.find_implausible_values`), or "".
@@ -174,8 +174,9 @@ def judge_reporting(e: Evidence, limits: Limits, excludes_null: bool = True, par
         return demote(f"only its sum with {' and '.join(summands).replace('_', ' ')} is identifiable")
     if parameter_at_bound:
         return demote(f"the interval of its {parameter_at_bound.replace('_', ' ')} extends beyond the physical range")
-    if peak_force_share < limits.min_peak_force:
-        return demote(f"the drives reach only {peak_force_share:.1%} of the peak force",
+    if not peak_force_share >= limits.min_peak_force:
+        reached = f"the drives reach only {peak_force_share:.1%} of the peak force"
+        return demote(reached if peak_force_share >= 0.0 else "the axle forces, and so their peaks, are unknown",
                       peak_force_share=peak_force_share, min_peak_force=limits.min_peak_force)
     if e.position_reduction < -limits.relevant_position and not confirmed_by_sensors:
         return demote(f"without it the held-out position error is {-100 * e.position_reduction:.1f} cm smaller",
@@ -243,7 +244,7 @@ def decide(limits: Limits, named: Sequence[Evidence], rivals: Mapping[str, Seque
            base_noise_ratio: float = 1.0) -> tuple[Outcome, Reason]:
     """The outcome and its reason.
 
-    noise_ratio: ratio of the residual to the noise [1].
+    noise_ratio: ratio of the residual position error to the noise, NaN without positions [1].
     detectable_share: fraction of the library reported, or detectable at sizes up to one parameter scale [1].
     n_varying: number of effects that vary between parts of the drives.
     combinations: parameter combinations that differ from the vehicle file and that no named effect changes.
@@ -274,14 +275,16 @@ def decide(limits: Limits, named: Sequence[Evidence], rivals: Mapping[str, Seque
         return conclude("unknown", f"the position error is {noise_ratio:.1f} times the noise, and no further effect "
                         "of the library reduces it significantly", noise_ratio=noise_ratio,
                         max_noise_ratio=limits.max_noise_ratio)
-    if n_effects and base_noise_ratio > limits.max_noise_ratio:
-        return conclude("ambiguous", f"the model reduces the position error from {base_noise_ratio:.1f} to "
-                        f"{noise_ratio:.1f} times the noise, but none of its effects is certain enough to be "
-                        "reported as a cause", effects=n_effects, base_noise_ratio=base_noise_ratio,
+    if n_effects and not base_noise_ratio <= limits.max_noise_ratio:
+        reduced = (f"position error from {base_noise_ratio:.1f} to {noise_ratio:.1f} times the noise"
+                   if base_noise_ratio >= 0.0 else "errors")
+        return conclude("ambiguous", f"the model reduces the {reduced}, but none of its effects is certain enough to "
+                        "be reported as a cause", effects=n_effects, base_noise_ratio=base_noise_ratio,
                         max_noise_ratio=limits.max_noise_ratio)
     if detectable_share < limits.detection_power:
         return conclude("not_testable", f"only {detectable_share:.0%} of the library's effects would be "
                         "detectable in these drives at their typical size", detectable_share=detectable_share,
                         detection_power=limits.detection_power)
-    return conclude("none", f"the position error is {noise_ratio:.1f} times the noise", noise_ratio=noise_ratio,
-                    max_noise_ratio=limits.max_noise_ratio)
+    return conclude("none", f"the position error is {noise_ratio:.1f} times the noise" if noise_ratio >= 0.0 else
+                    "no effect reduces the errors significantly; there are no positions to compare with the noise",
+                    noise_ratio=noise_ratio, max_noise_ratio=limits.max_noise_ratio)

@@ -19,7 +19,7 @@ from ..vehicle import VehicleParameters
 from . import decision, result, waterfall
 from .axles import Axles
 from .error_regions import MIN_TURNING_ACCELERATION, find_error_regions
-from .evidence import Evidence, JointFit, approximate_joint_fit, library_p_value, relative_reduction
+from .evidence import Evidence, JointFit, approximate_joint_fit, error_reductions, library_p_value, relative_reduction
 from .fit import Fit, Problem
 from .library_fit import MAX_CLOCK_DEVIATION, apply_clock_corrections, estimate_clock_corrections, fit_healthy_car
 from .loss import Errors, Loss
@@ -140,7 +140,7 @@ class _Analysis:
         curvatures = self._simulate_catalogue(state, effects)
         untestable = self._find_untestable(state, power, judged, curvatures)
         noise, position = max(channel_noise.get("position_5s", 0.0), 1e-9), named_errors.get("position_5s")
-        noise_ratios = (position.base / noise, position.augmented / noise) if position else (1.0, 1.0)
+        noise_ratios = (position.base / noise, position.augmented / noise) if position else (np.nan, np.nan)
         outcome, reasons = self._decide_outcome(state, judged, untestable, noise_ratios, len(varying))
         separability = list_separabilities(problem, state.fit, effects, design_effect)
         regions = self._locate_errors(base, channel_noise) if settings.locate_errors else ()
@@ -193,7 +193,7 @@ class _Analysis:
     def _decide_outcome(self, state: SearchState, judged: _JudgedEffects, untestable: Sequence[result.UntestableEffect],
                         noise_ratios: tuple[float, float], n_varying: int,
                         ) -> tuple[result.Outcome, tuple[result.Reason, ...]]:
-        """Outcome, and the reasons for it and for each effect. noise_ratios: position error before, after / noise."""
+        """Outcome, and the reasons for it and for each effect. noise_ratios: position error / noise, before, after."""
         hypotheses = self.space.hypotheses
         detectable = 1.0 - sum(n.name in hypotheses for n in untestable) / len(hypotheses)
         combinations = result.unseparated_combinations(judged.combinations, judged.named)
@@ -320,7 +320,7 @@ class _Analysis:
         """Verdict on each effect of the final fit."""
         worse_axles: dict[str, str] = {}
         violations: dict[str, str] = {}
-        force_ratios = axles.compute_force_ratios() if axles is not None and not self.reference else {}
+        force_ratios = dict.fromkeys(("front", "rear"), np.nan) if axles is None else axles.compute_force_ratios()
         names = [e.name for e in effects]
         if axles is not None and not self.reference:
             for axle in axles.find_worse_axles(self.space.at(self.space.null), leave_one_out):
@@ -335,19 +335,17 @@ class _Analysis:
             state.evidence[e.name], self.limits, excludes_null=excludes_null(e),
             parameter_at_bound="" if self.reference else find_parameter_across_bound(e),
             peak_force_share=max((ratio for axle, ratio in force_ratios.items() if get_effect(e.name).at_peak_force
+                                  and not self.reference
                                   and get_effect(e.name).slot in (f"{axle} axle", "both axles")), default=1.0),
             worse_axle=worse_axles.get(e.name, ""), violation=violations.get(e.name, ""),
             summands=tuple(n for n in delays if n != e.name) if e.name in delays else ()) for e in effects}
 
     def _list_corrections(self, problem: Problem, fit: Fit, state: SearchState) -> tuple[result.FoundEffect, ...]:
         """Effects of `fit` that are not in `state.fit`. Their `position_5s_increase` is in-sample, without a refit."""
-        def mean_position_error(vector: np.ndarray) -> float:  # 0 if position is not a channel
-            error = problem.position_error(problem.errors.at(vector))
-            return float(np.nansum(error)) / max(int(np.isfinite(error).sum()), 1)
-
+        position = problem.position_error(problem.errors.at(fit.vector))
         return tuple(result.FoundEffect(
-            n, get_effect(n).kind, waterfall.estimate_parameters(problem, fit, n, {}), (),
-            mean_position_error(problem.vector_without(fit, n)) - mean_position_error(fit.vector), {})
+            n, get_effect(n).kind, waterfall.estimate_parameters(problem, fit, n, {}), (), error_reductions(
+                problem.position_error(problem.errors.at(problem.vector_without(fit, n))) - position, None)[0], {})
             for n in fit.names if n not in state.fit.names)
 
     def _find_varying(self, state: SearchState,
@@ -450,8 +448,8 @@ class _Analysis:
         return noise
 
     def _describe_residual(self, noise_ratio: float, regions: Sequence[result.LargeErrorRegion]) -> tuple[str, ...]:
-        """Sentences on the residual; empty if the residual is near the noise."""
-        if noise_ratio <= self.limits.max_noise_ratio:
+        """Sentences on the residual; empty if it is near the noise, and without positions."""
+        if not noise_ratio > self.limits.max_noise_ratio:
             return ()
         return (f"the position error is {noise_ratio:.1f} times the noise",
                 *(f"large {CHANNELS[r.channel].label} error: {r.condition}" for r in regions[:5]))

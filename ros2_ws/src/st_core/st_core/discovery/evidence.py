@@ -62,7 +62,9 @@ class Evidence:
 
 
 def describe_position_reduction(reduction: float) -> str:
-    """Clause such as "reduces the position error at the end of the horizon by 3.2 cm". reduction: [m]."""
+    """Clause such as "reduces the position error at the end of the horizon by 3.2 cm". reduction: [m], 0 if unknown."""
+    if reduction == 0.0:
+        return "reduces no measured position error"
     verb = "increases" if reduction <= -5e-4 else "reduces"
     size = "less than 0.1" if abs(reduction) < 5e-4 else f"{100.0 * abs(reduction):.1f}"
     return f"{verb} the position error at the end of the horizon by {size} cm"

@@ -129,11 +129,9 @@ def choose_manoeuvre(problem: Problem, fit: Fit, separabilities: Sequence[Separa
     pairs = [(s.first, s.second) for s in separabilities if s.strength < MIN_SEPARATION]
     if not pairs:
         return None
-    h, weakest = problem.full_quadratic(fit.vector).hessian.sum(axis=0), {}
-    for name, curvature in curvatures.items():
-        strengths = {pair: compute_separation(problem, fit, h + curvature, *pair, design_effect)[1] for pair in pairs}
-        pair = min(strengths, key=strengths.__getitem__)
-        weakest[name] = strengths[pair], pair
+    h = problem.full_quadratic(fit.vector).hessian.sum(axis=0)
+    weakest = {name: min((compute_separation(problem, fit, h + curvature, *pair, design_effect)[1], pair)
+                         for pair in pairs) for name, curvature in curvatures.items()}
     name = max(weakest, key=lambda n: weakest[n][0], default="")
     if not name or weakest[name][0] < MIN_SEPARATION:
         return None

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..effects import find_confounded_effects, get_effect
+from ..regression import add_ridge
 from .decision import ACCEPTED, GAIN_INSIGNIFICANT, NULL, Rival, is_alternative, judge
 from .evidence import Evidence, Scores, collect_evidence, library_p_value, p_no_worse, screen, sensors_null_p_value
 from .fit import JOINT_DEVIATION, Fit, Problem, Sensitivities
@@ -448,7 +449,5 @@ def _constrained_step(problem: Problem, q: Quadratic, vector: np.ndarray, indice
     h = q.hessian.sum(axis=0) + np.diag(problem.file_curvature[indices])
     g = q.gradient.sum(axis=0) - problem.prior_gradient(vector)[indices]
     if free.any():
-        a = h[np.ix_(free, free)]
-        a = a + 1e-6 * (np.trace(a) / len(a) + 1e-9) * np.eye(len(a))
-        d[free] = np.linalg.solve(a, g[free] - h[np.ix_(free, ~free)] @ d[~free])
+        d[free] = np.linalg.solve(add_ridge(h[np.ix_(free, free)]), g[free] - h[np.ix_(free, ~free)] @ d[~free])
     return float(d @ h @ d - 2.0 * g @ d), d
