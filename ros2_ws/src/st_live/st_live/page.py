@@ -9,6 +9,7 @@ import http.client
 import importlib.metadata
 import importlib.util
 import json
+import re
 import shutil
 import socket
 import sys
@@ -250,15 +251,12 @@ def show_recording(folder: Path, file: Path, console: Console) -> None:
     folder: for settings and logs. Raises SuiteError if the start fails; call `check_rerun` first.
     """
     lower_priority(BACKGROUND_NICE)
-    with socket.socket() as probe:
-        probe.bind((LOOPBACK, 0))
-        rerun_port = probe.getsockname()[1]
-    handler = type("Handler", (_RerunHandler,), {"rerun_port": rerun_port, "recording": file})
-    page, processes = ThreadingHTTPServer((LOOPBACK, 0), handler), Processes(folder)
-    threading.Thread(target=page.serve_forever, name="page", daemon=True).start()
+    page, processes = ThreadingHTTPServer((LOOPBACK, 0), _RerunHandler), Processes(folder)
     recording = f"http://{LOOPBACK}:{page.server_port}{RECORDING_PATH}"
     try:
-        rerun = _start_rerun(processes, recording, rerun_port)
+        rerun, _RerunHandler.rerun_port = _start_rerun(processes, recording)
+        _RerunHandler.recording = file
+        threading.Thread(target=page.serve_forever, name="page", daemon=True).start()
         show_address(f"http://{LOOPBACK}:{page.server_port}/?url={quote(recording, safe='')}", console)
         console.print("Press Ctrl-C to stop the viewer.")
         rerun.process.wait()
@@ -266,11 +264,10 @@ def show_recording(folder: Path, file: Path, console: Console) -> None:
         console.print()
     finally:
         processes.stop(timeout=STOP_TIMEOUT)
-        page.shutdown()
 
 
-def _start_rerun(processes: Processes, recording: str, port: int) -> Child:
-    """Start Rerun with the address of a recording and wait until its page is available at a port."""
+def _start_rerun(processes: Processes, recording: str) -> tuple[Child, int]:
+    """Start Rerun with the address of a recording; returns its process and the port of its page."""
     # Rerun stores its own files in this folder and sends no usage data.
     settings = processes.folder / "settings" / "rerun"
     settings.mkdir(parents=True, exist_ok=True)
@@ -283,17 +280,12 @@ def _start_rerun(processes: Processes, recording: str, port: int) -> Child:
     # Rerun starts no server for recordings, which would use 3 % of a core while idle.
     executable = importlib.metadata.distribution("rerun-sdk").locate_file("rerun_cli/rerun")
     rerun = processes.start("rerun", [
-        str(executable), recording, "--serve-web", "--bind", LOOPBACK,
-        "--web-viewer-port", str(port), "--hide-welcome-screen"])
-    end = time.monotonic() + READY_TIMEOUT
-    while True:
-        with socket.socket() as probe:
-            if probe.connect_ex((LOOPBACK, port)) == 0:
-                return rerun
-        if rerun.process.poll() is not None or time.monotonic() > end:
-            output = rerun.read_last_lines() or "no output"
-            raise SuiteError(f"the Rerun viewer did not start: {output} (log: {rerun.log})")
-        time.sleep(0.1)
+        str(executable), recording, "--serve-web", "--bind", LOOPBACK, "--web-viewer-port", "0",
+        "--hide-welcome-screen"])
+    if address := re.search(rf"http://{LOOPBACK}:(\d+)", rerun.wait_for(f"http://{LOOPBACK}:", READY_TIMEOUT)):
+        return rerun, int(address[1])
+    output = rerun.read_last_lines() or "no output"
+    raise SuiteError(f"the Rerun viewer did not start: {output} (log: {rerun.log})")
 
 
 def check_rerun(prefix: str = "") -> None:

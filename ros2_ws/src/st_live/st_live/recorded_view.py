@@ -2,19 +2,21 @@
 
 import math
 from collections.abc import Sequence
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from rich.console import Console
 from rosbags.highlevel import AnyReader
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, get_model_colour, rgb
 from st_core.types import InsSample, map_to_body
 from st_core.vehicle import VehicleParameters
 from st_predictor import convert
 from st_predictor.map_drawing import History, Pose, Ribbon, make_car_outline
-from st_recordings.results import find_configuration, format_band_lines
+from st_recordings.results import find_configuration
 from st_recordings.runs.bag import read_metadata_records
 from st_recordings.runs.bag_storage import open_bag
 from st_recordings.runs.cdr import load_typestore
@@ -22,7 +24,7 @@ from st_recordings.runs.errors import RunError
 from st_ros.polling import to_nanoseconds
 
 from .configuration import find_bag
-from .nodes.monitor import render_counts
+from .nodes.monitor import Status, SuiteState, render_results
 
 TIMELINE = "measured"
 PLOT_SPAN = 40.0  # s
@@ -48,7 +50,7 @@ MODEL_WIDTHS = tuple(rr.Radius.ui_points(points) for points in (3.2, 2.0, 1.0, 0
 FRAME_PERIOD_NS = 100_000_000
 FLUSH_PERIOD = 5.0  # s between writes; few large chunks load quickly
 TEXT_PERIOD_NS = 1_000_000_000
-LEVEL_NAMES = ("ok", "warning", "**error**", "stale")
+TEXT_WIDTH = 72  # characters, of the table of errors
 TOPICS = {  # kind of message by topic
     "predictor/status": "status", "ins/odometry": "odometry", "vehicle/steering": "steering",
     **{f"predictor/{model}/prediction": "prediction" for model in MODEL_COLOUR},
@@ -110,9 +112,7 @@ class Scene:
         self._history = History()
         self._sample: InsSample | None = None
         self._angle: float | None = None  # road-wheel angle, positive to the left [rad]
-        self._statistics: list[Any] = []
-        self._ticks = render_counts(None).plain
-        self._health: dict[str, tuple[int, str, str]] = {}
+        self._state = SuiteState()
         self._text_due_ns = 0
         self._labelled_models: list[str] = []
         self._plotted_models: set[str] = set()  # models with error plots
@@ -142,13 +142,11 @@ class Scene:
         elif kind == "error" and message.complete and message.mode == "forecast":
             self._draw_error(message)
         elif kind == "summary":
-            self._statistics = message.statistics
+            self._state.summary = message
         elif kind == "status":
-            self._ticks = render_counts(message).plain
+            self._state.predictor_status = message
         elif kind == "diagnostics":
-            for check in message.status:
-                level = check.level if isinstance(check.level, int) else int.from_bytes(check.level, "little")
-                self._health[check.name] = (level, check.name, check.message)
+            self._state.health |= {s.name: Status(s.name, s.level, s.message, math.inf) for s in message.status}
 
     def _draw_error(self, message: Any) -> None:
         """Add the horizon means [m] of one forecast to the plots, at the end of its horizon."""
@@ -179,8 +177,7 @@ class Scene:
         self._draw_view("ahead", pose, pose, now_ns)
         if not 0 <= self._text_due_ns - now_ns <= TEXT_PERIOD_NS:  # the difference is larger if the clock was set back
             self._text_due_ns = now_ns + TEXT_PERIOD_NS
-            text = format_errors(self._statistics, self._ticks, list(self._health.values()))
-            log("text", rr.TextDocument(text, media_type="text/markdown"))
+            log("text", rr.TextDocument(format_results(self._state), media_type="text/markdown"))
         return True
 
     def _draw_view(self, root: str, view: Pose, pose: Pose, now_ns: int) -> None:
@@ -276,22 +273,9 @@ def draw_recording(path: Path, file: Path, vehicle: Path | None = None) -> int:
     return n_frames
 
 
-def format_errors(statistics: Sequence[Any], ticks: str, health: Sequence[tuple[int, str, str]]) -> str:
-    """Markdown text of the errors so far, and of all checks that are not OK.
-
-    statistics: entries of st_msgs/ErrorSummary. health: (level, name, message) of every check.
-    """
-    lines = ["| model | mode | starts | RMSE long., m | lat., m |", "|---|---|--:|--:|--:|"]
-    for mode in ("forecast", "hindsight"):
-        for row in (s for s in statistics if s.mode == mode and s.n_starts):
-            errors = (row.longitudinal_rmse, row.lateral_rmse)
-            numbers = " | ".join("-" if math.isnan(e) else f"{e:.2f}" for e in errors)
-            lines.append(f"| {row.model} | {mode} | {row.n_starts} | {numbers} |")
-    if len(lines) == 2:
-        lines = ["Waiting for the end of the first prediction."]
-    lines += ["", *(f"- {line}" for line in format_band_lines(statistics)), "", ticks, ""]
-    problems = [entry for entry in health if entry[0] > 0]
-    lines += [f"- {LEVEL_NAMES[min(level, 3)]}: {name}: {text}" for level, name, text in sorted(problems, reverse=True)]
-    if health and not problems:
-        lines.append("All nodes OK.")
-    return "\n".join(lines)
+def format_results(state: SuiteState) -> str:
+    """Markdown text of the errors so far, and of all checks that are not OK, as the terminal shows them."""
+    console = Console(file=StringIO(), width=TEXT_WIDTH)
+    with console.capture() as text:
+        console.print(render_results(state))
+    return f"```\n{text.get()}```"

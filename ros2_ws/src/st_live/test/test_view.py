@@ -25,9 +25,19 @@ from st_core.vehicle import VehicleParameters
 from st_live.nodes.monitor import Monitor, Status, SuiteState
 from st_live.nodes.passenger import PassengerFrames, main
 from st_live.page import PAGE, RERUN_POLICY, LiveView, PageServer, check_new_rerun_file
-from st_live.recorded_view import draw_recording, format_errors, make_grid_lines, to_screen
+from st_live.recorded_view import draw_recording, format_results, make_grid_lines, to_screen
 from st_live.suite import SuiteError, claim_domain
-from st_msgs.msg import Band, ErrorStatistics, InsStatus, PlannedPrediction, Prediction, PredictionError, Steering
+from st_msgs.msg import (
+    Band,
+    ErrorStatistics,
+    ErrorSummary,
+    InsStatus,
+    PlannedPrediction,
+    Prediction,
+    PredictionError,
+    PredictorStatus,
+    Steering,
+)
 from st_predictor.map_drawing import GHOST_AGES, GHOST_TOLERANCE, History, Pose, make_car_outline, make_ribbon
 from st_predictor.map_drawing import Path as PredictedPath
 from st_recordings.runs.cdr import ODOMETRY
@@ -145,10 +155,19 @@ def test_labels_of_coinciding_predictions_do_not_overlap() -> None:
 def test_error_table_has_a_row_per_model_and_mode_and_lists_faults() -> None:
     rows = [ErrorStatistics(model=m, mode=k, n_starts=7, longitudinal_rmse=1.234, lateral_rmse=float("nan"))
             for m in ("kinematic", "linear") for k in ("forecast", "hindsight")]
-    text = format_errors(rows, "Ticks 9", [(0, "a", "fine"), (1, "b", "late"), (2, "c", "silent")])
-    assert [text.count(f"| {mode} | 7 | 1.23 | - |") for mode in ("forecast", "hindsight")] == [2, 2]
-    assert text.index("**error**: c: silent") < text.index("warning: b: late") and "fine" not in text
-    assert "Waiting" in format_errors([], "", []) and "All nodes OK." in format_errors([], "", [(0, "a", "fine")])
+    health = {name: Status(name, level, text, math.inf)
+              for level, name, text in ((0, "a", "fine"), (1, "b", "late"), (2, "c", "silent"))}
+    lines = format_results(SuiteState(ErrorSummary(statistics=rows), PredictorStatus(due=9), health)).splitlines()
+    assert max(map(len, lines)) <= 72 and lines[0] == lines[-1] == "```"
+    table = [line.split() for line in lines if " | 1.23" in line]
+    assert [row[:3] for row in table] == [
+        [mode, model, "7"] for mode in ("hindsight", "forecast") for model in ("kinematic", "linear")]
+    assert all(row[3:8] == ["0.00", "|", "0.00", "|", "1.23"] and row[-1] == "-" for row in table)
+    text = "\n".join(lines)
+    assert "due 9" in text and "fine" not in text
+    assert text.index("error: c: silent") < text.index("warning: b: late")
+    assert "waiting" in format_results(SuiteState())
+    assert "all nodes OK" in format_results(SuiteState(health={"a": health["a"]}))
 
 
 def test_policy_of_the_rerun_page_allows_no_external_requests() -> None:

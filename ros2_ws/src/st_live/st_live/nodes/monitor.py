@@ -5,7 +5,8 @@ import math
 import threading
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import rclpy
@@ -59,7 +60,7 @@ class SuiteState:
 
 
 class Monitor:
-    """ROS node with a thread that receives messages. `state` is replaced, never modified, so readers need no lock."""
+    """ROS node with a thread that receives messages. Values in `state` are replaced, so readers need no lock."""
 
     def __init__(self, domain_id: int | None = None):
         self.state = SuiteState()
@@ -68,9 +69,9 @@ class Monitor:
         rclpy.init(context=self._context, domain_id=domain_id,
                    signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
         self._node = Node("st_monitor", context=self._context)
-        self._node.create_subscription(ErrorSummary, "evaluator/summary", lambda m: self._update(summary=m), 10)
-        self._node.create_subscription(PredictorStatus, "predictor/status",
-                                       lambda m: self._update(predictor_status=m), 10)
+        for name, kind, topic in (("summary", ErrorSummary, "evaluator/summary"),
+                                  ("predictor_status", PredictorStatus, "predictor/status")):
+            self._node.create_subscription(kind, topic, partial(setattr, self.state, name), 10)
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
         newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
         self._predictions = [PolledSubscription(self._node, Prediction, f"predictor/{model}/prediction", newest)
@@ -103,7 +104,7 @@ class Monitor:
     def add_statuses(self, statuses: Iterable[Status]) -> None:
         """Store statuses of this process or of a node; each replaces the earlier one with the same name."""
         with self._lock:
-            self.state = replace(self.state, health={**self.state.health, **{s.name: s for s in statuses}})
+            self.state.health = {**self.state.health, **{s.name: s for s in statuses}}
 
     def _publish_aggregate(self) -> None:
         """Publish the worst level of the suite, stale if no status has arrived, followed by every status."""
@@ -134,14 +135,10 @@ class Monitor:
         with contextlib.suppress(ExternalShutdownException):
             self._executor.spin()
 
-    def _update(self, **changes: Any) -> None:
-        with self._lock:  # other threads call `add_statuses`
-            self.state = replace(self.state, **changes)
-
     def _read_predictions(self) -> None:
         for subscription in self._predictions:
             for message, _, _ in subscription.take():
-                self._update(prediction=message)
+                self.state.prediction = message
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now, health = time.monotonic(), self.state.health
@@ -159,9 +156,13 @@ def render_progress(state: SuiteState, elapsed: float, duration: float | None, t
         progress.add_row(title, bar, f"{elapsed:4.0f} / {duration:.0f} s")
     else:
         progress.add_row(title, f"{elapsed:4.0f} s", "(Ctrl-C to stop)")
+    return Group(progress, render_motion(state), render_results(state))
+
+
+def render_results(state: SuiteState) -> RenderableType:
+    """Errors so far, observed coverage of the bands, numbers of predictions, and health."""
     coverage = [Text(text) for text in format_band_lines(state.summary.statistics if state.summary else [])]
-    return Group(progress, render_motion(state), render_errors(state), *coverage, render_counts(state.predictor_status),
-                 render_health(state))
+    return Group(render_errors(state), *coverage, render_counts(state.predictor_status), render_health(state))
 
 
 def render_motion(state: SuiteState) -> Text:
