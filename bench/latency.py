@@ -20,7 +20,6 @@ from oxts_bridge.file_decoder import decode_file
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from st_core.models import MODELS
-from st_live.nodes.player import read_header_stamp
 from st_msgs.msg import Ncom, Prediction, Steering
 from st_ros.polling import PolledSubscription, to_nanoseconds
 
@@ -114,14 +113,15 @@ class Listener(Node):
         self.angles: list[tuple[int, int, int]] = []  # (stamp, written, received) [ns]
         qos = QoSProfile(depth=1000)
         self._packets = PolledSubscription(self, Ncom, "ins/ncom", qos)
-        self._odometry = PolledSubscription(self, Odometry, "ins/odometry", qos, raw=True)
+        self._odometry = PolledSubscription(self, Odometry, "ins/odometry", qos)
         self._steering = PolledSubscription(self, Steering, "vehicle/steering", qos)
         self._models = [PolledSubscription(self, Prediction, f"predictor/{m}/prediction", qos) for m in MODELS]
 
     def take(self) -> None:
         self.packets += [(to_nanoseconds(message.header.stamp), bytes(message.raw_packet))
                          for message, _, _ in self._packets.take()]
-        self.odometry += [(read_header_stamp(data), sent, received) for data, received, sent in self._odometry.take()]
+        self.odometry += [(to_nanoseconds(message.header.stamp), sent, received)
+                          for message, received, sent in self._odometry.take()]
         self.angles += [(to_nanoseconds(message.header.stamp), sent, received)
                         for message, received, sent in self._steering.take()]
         for subscription in self._models:

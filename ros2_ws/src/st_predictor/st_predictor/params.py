@@ -1,7 +1,6 @@
 """Parameters of the nodes predictor, evaluator, recorder, markers and identifier, and the files they name."""
 
 from collections.abc import Callable
-from pathlib import Path
 from types import SimpleNamespace
 from typing import TypeVar
 
@@ -11,6 +10,7 @@ from st_core.model_file import ModelFile
 from st_core.models import MODELS as MODELS_BY_NAME
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
+from st_recordings.car import read_text
 from st_ros.parameters import ConfigurationError, Parameter
 
 T = TypeVar("T")
@@ -110,16 +110,8 @@ def read_file(values: SimpleNamespace, parameter: str, parse: Callable[[str, str
 
     parse: function of the text and the name of the file.
     """
-    name, prefix = getattr(values, parameter), f"{parameter}: "
-    if not name:
-        return None
-    try:
-        text = Path(name).read_text()
-    except OSError as error:
-        raise ConfigurationError(f"{values.message_prefix}{prefix}{name}: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise ConfigurationError(f"{values.message_prefix}{prefix}{name} is not text in UTF-8") from None
-    return translate_errors(values, lambda: parse(text, name), prefix)
+    name = getattr(values, parameter)
+    return translate_errors(values, lambda: parse(read_text(name), name), f"{parameter}: ") if name else None
 
 
 def read_prediction_settings(values: SimpleNamespace) -> PredictionSettings:

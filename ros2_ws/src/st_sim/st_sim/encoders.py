@@ -204,7 +204,6 @@ class StatusChannels:
                 "GPSPosReject": 0, "GPSVelReject": 0, "GPSAttReject": 0}
 
 
-STEERING_MESSAGE = "Leaf_Steering"
 VEHICLE_BUS, INS_BUS = 1, 2  # CANedge channels of the car and of the INS; on a live bus they share one channel
 
 FRAME_TIME = 0.00025  # s, duration of a frame at 500 kbit/s; frames of one encoder call are sent at this interval
@@ -236,7 +235,7 @@ class CanEncoder:
         The rate is sent unsigned, as by the car. Its scale on the car is unknown; 4 deg/s per bit is assumed.
         """
         raw = min(round(abs(math.degrees(rate)) / 4), 255)
-        return [self._encode(STEERING_MESSAGE, {"steering_wheel_angle": angle, "SteeringWheelRateRaw": raw})]
+        return [self._encode("Leaf_Steering", {"steering_wheel_angle": angle, "SteeringWheelRateRaw": raw})]
 
     def encode_wheel_speeds(self, wheel_speeds: Sequence[float], vehicle_speed: float) -> list[can.Message]:
         """The frames with the wheel speeds FL, FR, RL, RR and the vehicle speed [m/s]."""

@@ -17,7 +17,7 @@ from canedge_bridge.decode import Decoder
 from st_core.errors import ConfigurationError
 
 from .driver import SimulatedCar
-from .encoders import STEERING_MESSAGE, CanEncoder, NcomEncoder, Origin
+from .encoders import CanEncoder, NcomEncoder, Origin
 from .files import LogFile, Mf4File, TruthFile, choose_truth_file, make_folder
 from .recorded_drive import RecordedDrive
 from .scenarios import SCENARIOS, load_plan
@@ -112,18 +112,14 @@ class _Run:
 def _find_can_tables(options: argparse.Namespace) -> tuple[Path, Path]:
     """Find the DBC and signal table of the Leaf, whose messages the virtual car sends with every vehicle file.
 
-    They are searched for in the folder of the vehicle file (with --config, only if that folder is in --config), then in
-    --config; without --config, in the folder above that of the vehicle file, and in config/ of the checkout and of the
-    current folder and its parents.
+    They are searched for in --config; without it, in the folder above that of the vehicle file, and in config/ of the
+    checkout and of the current folder and its parents.
     """
-    vehicle, config = options.vehicle, options.config and options.config.resolve()
     roots = [Path(os.environ.get("ST_ENVIRONMENT") or Path.cwd()), Path.cwd(), *Path.cwd().parents]
-    configs = [config] if config else [vehicle.absolute().parent.parent, *(root / "config" for root in roots)]
-    candidates = [(vehicle.resolve().parent / "can.dbc", vehicle.resolve().parent / "signals.yaml"),
-                  *((folder / "can" / "leaf_ze0.dbc", folder / "can" / "leaf_ze0.yaml") for folder in configs)]
-    for dbc, signals in candidates:
-        is_found = dbc.exists() and signals.exists() and (config is None or dbc.is_relative_to(config))
-        if is_found and f"{STEERING_MESSAGE}:" in signals.read_text(encoding="utf-8"):
+    defaults = [options.vehicle.absolute().parent.parent, *(root / "config" for root in roots)]
+    for folder in [options.config] if options.config else defaults:
+        dbc, signals = folder / "can" / "leaf_ze0.dbc", folder / "can" / "leaf_ze0.yaml"
+        if dbc.exists() and signals.exists():
             return dbc, signals
     raise ConfigurationError(f"--config {options.config or 'is missing'}: can/leaf_ze0.dbc and can/leaf_ze0.yaml, the "
                              "CAN tables of the virtual car, were not found; give the folder config/ of the project")

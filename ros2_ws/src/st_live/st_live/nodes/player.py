@@ -7,10 +7,10 @@ have caught up, judging by the stamps in their messages.
 
 import json
 import math
-import struct
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ from st_msgs.msg import Prediction, PredictionError, PredictorStatus, Steering
 from st_recordings.runs.cdr import load_typestore
 from st_recordings.runs.reconstruct import extract_steering_angle, get_stamp
 from st_recordings.runs.run_types import SteeringField
-from st_ros import spin
+from st_ros import polling, spin
 from st_ros.polling import LATCHED, PolledSubscription, find_message_class, from_nanoseconds, wait_for_any
 
 INPUT_TOPICS = ("/ins/odometry", "/vehicle/steering")  # as published; the names in the recording may differ
@@ -45,13 +45,13 @@ SCORE_DELAY = 1.0  # s; the clock may lead the newest scored start by the horizo
 class Follower:
     """Follows the progress of another node by the time stamps in its messages.
 
-    sources: message type, and function that reads a time stamp [ns], by topic. lead: permitted lead of the clock [s].
+    sources: message type, and field with a time stamp, by topic. lead: permitted lead of the clock [s].
     """
 
-    def __init__(self, node: Node, sources: Mapping[str, tuple[type, Callable[[bytes], int]]], lead: float):
+    def __init__(self, node: Node, sources: Mapping[str, tuple[type, str]], lead: float):
         self._node, self._lead_ns, qos = node, round(lead * 1e9), QoSProfile(depth=QUEUE_DEPTH)
-        self._sources = [(PolledSubscription(node, message_type, topic, qos, raw=True), read_stamp)
-                         for topic, (message_type, read_stamp) in sources.items()]
+        self._sources = [(PolledSubscription(node, message_type, topic, qos), attrgetter(field))
+                         for topic, (message_type, field) in sources.items()]
         self._newest_ns = 0
         self._has_progressed = True
 
@@ -62,25 +62,13 @@ class Follower:
         subscriptions = [subscription for subscription, _ in self._sources]
         while True:
             for subscription, read_stamp in self._sources:
-                for data, _, _ in subscription.take(QUEUE_DEPTH):
-                    self._newest_ns = max(self._newest_ns, read_stamp(data))
+                for message, _, _ in subscription.take(QUEUE_DEPTH):
+                    self._newest_ns = max(self._newest_ns, polling.to_nanoseconds(read_stamp(message)))
             caught_up = self._newest_ns >= clock_ns - self._lead_ns
             if caught_up or time.monotonic() > end:
                 self._has_progressed = caught_up or self._newest_ns > previous_ns  # progress restores the long timeout
                 return
             wait_for_any(self._node, subscriptions, max(end - time.monotonic(), 0.0))
-
-
-def read_header_stamp(data: bytes, offset: int = 4) -> int:
-    """Time [ns] at `offset` of a serialised message; by default header.stamp, after 4 bytes of CDR encapsulation."""
-    seconds, nanoseconds = struct.unpack_from("<iI", data, offset)
-    return seconds * 1_000_000_000 + nanoseconds
-
-
-def read_issued_at(data: bytes) -> int:
-    """issued_at [ns] of a serialised st_msgs/Prediction: the field after frame_id, which is padded to 4 bytes."""
-    (length,) = struct.unpack_from("<I", data, 12)
-    return read_header_stamp(data, 16 + math.ceil(length / 4) * 4)
 
 
 class Player:
@@ -101,10 +89,10 @@ class Player:
         self._clock = self._node.create_publisher(Clock, "/clock", QoSProfile(depth=QUEUE_DEPTH))
         self._followers = [] if self._rate > 0 else [
             # With a lead of one tick, exactly one tick is due, and that tick publishes a prediction or a status.
-            Follower(self._node, {f"predictor/{settings['models'][-1]}/prediction": (Prediction, read_issued_at),
-                                  "predictor/status": (PredictorStatus, read_header_stamp)},
+            Follower(self._node, {f"predictor/{settings['models'][-1]}/prediction": (Prediction, "issued_at"),
+                                  "predictor/status": (PredictorStatus, "header.stamp")},
                      1.0 / settings["tick_rate"]),
-            Follower(self._node, {"evaluator/errors": (PredictionError, read_header_stamp)},
+            Follower(self._node, {"evaluator/errors": (PredictionError, "header.stamp")},
                      settings["horizon"] + SCORE_DELAY),
         ]
         self._reported_at = 0.0

@@ -7,6 +7,7 @@ import shutil
 import time
 from collections.abc import Iterable, Sequence
 from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,6 +17,7 @@ from rclpy.qos import DurabilityPolicy
 from rclpy.serialization import deserialize_message
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from st_recordings.bag_metadata import Qos, UnknownTypeError
+from st_recordings.car import read_text
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
 from st_ros.parameters import ConfigurationError
@@ -193,11 +195,7 @@ def make_metadata(values: SimpleNamespace) -> dict[str, dict[str, str]]:
     records: dict[str, dict[str, str]] = {"recording": {"recorder": "st_predictor", "started_ns": str(time.time_ns())}}
     texts: dict[str, str] = {}
     for name, key in name_files(values.configuration_files).items():
-        try:
-            texts[key] = Path(name).read_text()
-        except (OSError, UnicodeDecodeError) as error:
-            reason = error.strerror if isinstance(error, OSError) else "not a text file"
-            raise ConfigurationError(f"{values.message_prefix}configuration_files: {name}: {reason}") from None
+        texts[key] = params.translate_errors(values, partial(read_text, name), "configuration_files: ")
     if texts:
         joined_text = "".join(f"{name}\n{text}" for name, text in sorted(texts.items()))
         records["configuration"] = {**texts, "hash": hashlib.sha256(joined_text.encode()).hexdigest()}
@@ -219,9 +217,9 @@ def name_files(files: Sequence[str]) -> dict[str, str]:
     paths = {name: Path(name).absolute() for name in files if name}
     keys = {}
     for name, path in paths.items():
-        others = [other for other in paths.values() if other != path]
-        length = next(n for n in range(1, len(path.parts) + 1)
-                      if all(other.parts[-n:] != path.parts[-n:] for other in others))
+        length, others = 1, set(paths.values()) - {path}
+        while any(other.parts[-length:] == path.parts[-length:] for other in others):
+            length += 1
         keys[name] = Path(*path.parts[-length:]).as_posix()
     return keys
 
