@@ -24,17 +24,16 @@ def attach_view(suite: Suite, hangs: bool) -> Iterator[None]:
     page = LiveView(page=True)
     folder = Path(suite.folder, f"view-{time.monotonic_ns()}")
     predictor = {"vehicle_file": str(LEAF_FILE), "map_frame": "map"}
-    page.open(folder, int(os.environ["ROS_DOMAIN_ID"]), predictor, "bench", Console(quiet=True))
-    (process,) = (p for p in psutil.Process().children(recursive=True) if "st_live.nodes.passenger" in p.cmdline())
-    threading.Thread(target=_read, args=(page.url,), daemon=True).start()
-    try:
-        time.sleep(START_TIME)
-        if hangs:
-            process.send_signal(signal.SIGSTOP)
-        yield
-    finally:
-        process.send_signal(signal.SIGCONT)
-        page.close()
+    with page.open(folder, int(os.environ["ROS_DOMAIN_ID"]), predictor, "bench", Console(quiet=True)) as url:
+        (process,) = (p for p in psutil.Process().children(recursive=True) if "st_live.nodes.passenger" in p.cmdline())
+        threading.Thread(target=_read, args=(url,), daemon=True).start()
+        try:
+            time.sleep(START_TIME)
+            if hangs:
+                process.send_signal(signal.SIGSTOP)
+            yield
+        finally:
+            process.send_signal(signal.SIGCONT)
 
 
 def _read(url: str) -> None:

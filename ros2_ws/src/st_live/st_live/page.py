@@ -4,7 +4,6 @@ Rerun's page requests four external addresses (a font, usage data, a release che
 a Content-Security-Policy that makes the browser block them.
 """
 
-import atexit
 import http.client
 import importlib.metadata
 import importlib.util
@@ -16,7 +15,8 @@ import sys
 import threading
 import time
 import webbrowser
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any, ClassVar
@@ -165,44 +165,40 @@ class LiveView:
             check_new_rerun_file("--view-save", save)
         self._page, self._host, self._port = page or address is not None, host or LOOPBACK, int(port or 0)
         self._save = save and save.absolute()
-        self._processes: Processes | None = None
-        self._server: Child | None = None
-        self.url = ""
 
+    @contextmanager
     def open(self, folder: Path, domain: int | None, predictor: Mapping[str, Any], title: str,
-             console: Console) -> None:
-        """Start the page and print its address. predictor: parameters of that node. Raises SuiteError on failure."""
+             console: Console) -> Iterator[str]:
+        """Context in which the page is served; prints and yields its address, "" without a page.
+
+        predictor: parameters of that node. Raises SuiteError if the page does not start.
+        """
         if not self._page:
+            yield ""
             return
-        self._processes = Processes(folder, domain)
-        atexit.register(self.close)  # also if the run ends with an error
-        self._server = self._processes.start("passenger", [
-            sys.executable, "-m", "st_live.nodes.passenger", "--vehicle", predictor["vehicle_file"], "--map-frame",
-            predictor["map_frame"], "--title", title, "--address", self._host, "--port", str(self._port)])
-        line = self._server.wait_for("serving on ", READY_TIMEOUT)
-        if not line:
-            output = self._server.read_last_lines() or "did not start"
-            raise SuiteError(f"passenger's page: {output} (log: {self._server.log})")
-        self.url = f"http://{_find_reachable_address(self._host)}:{line.strip().rpartition(':')[2]}/"
-        show_address(self.url, console)
+        with Processes(folder, domain) as processes:
+            server = processes.start("passenger", [
+                sys.executable, "-m", "st_live.nodes.passenger", "--vehicle", predictor["vehicle_file"], "--map-frame",
+                predictor["map_frame"], "--title", title, "--address", self._host, "--port", str(self._port)])
+            line = server.wait_for("serving on ", READY_TIMEOUT)
+            if not line:
+                raise SuiteError(f"passenger's page: {server.read_last_lines() or 'did not start'} (log: {server.log})")
+            url = f"http://{_find_reachable_address(self._host)}:{line.strip().rpartition(':')[2]}/"
+            show_address(url, console)
+            yield url
+            if server.process.poll() is not None:
+                text = f"the page server stopped during the run: {server.read_last_lines()}"
+                console.out(text, style="yellow", highlight=False)
+            processes.stop(timeout=STOP_TIMEOUT)
 
     def finish(self, folder: Path, console: Console) -> None:
-        """Stop the page server, and write the Rerun file of --view-save from the recording of the run."""
-        if self._server and self._server.process.poll() is not None:
-            text = f"the page server stopped during the run: {self._server.read_last_lines()}"
-            console.out(text, style="yellow", highlight=False)
-        self.close()
+        """Write the Rerun file of --view-save from the recording of the run."""
         if self._save:
             from .recorded_view import draw_recording
 
             draw_recording(folder, self._save)
             console.print(f"  {escape(str(self._save))}  [dim]the run, for `st view`[/dim]", highlight=False,
                           soft_wrap=True)
-
-    def close(self) -> None:
-        if self._processes is not None:
-            self._processes.stop(timeout=STOP_TIMEOUT)
-            self._processes = None
 
 
 def _find_reachable_address(host: str) -> str:

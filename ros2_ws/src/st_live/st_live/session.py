@@ -154,10 +154,9 @@ def run(folder: Path, parameters: Parameters, title: str, console: Console, view
                 names = ", ".join(sorted(suite.realtime_denied))
                 console.out(f"real-time scheduling is not permitted for {names}; to permit it: {REALTIME_PERMISSION}",
                             style="yellow", highlight=False)
-            view.open(folder, domain, parameters["predictor"], title, console)
-            progress = source(suite)
             supervisor = Supervisor(suite, monitor, nodes) if supervised else None
-            problem = _watch(suite, monitor, supervisor, console, title, progress, stop_requested)
+            with view.open(folder, domain, parameters["predictor"], title, console):
+                problem = _watch(suite, monitor, supervisor, console, title, source(suite), stop_requested)
             health_text = render_health(monitor.state).plain
             statuses = {}
             for name in STOP_ORDER:

@@ -73,15 +73,21 @@ class NcomEncoder:
     """
 
     def __init__(self, origin: Origin, start_ns: int, rate: int):
-        self._origin = origin
+        self._origin, self._rate = origin, rate
         self._start_gps_ns = start_ns - GPS_EPOCH_UNIX_NS + LEAP_SECONDS_NS
-        self._status = StatusChannels(origin, rate)
+        self._packet_count = 0
+        self._schedule = make_schedule()
+        map_origin = {  # heading 90 deg: x of the local frame is east
+            66: {"RefLat": origin.latitude_deg, "RefLon": origin.longitude_deg},
+            67: {"RefAlt": origin.height - UNDULATION, "RefHeading": 90.0}}
+        self._constant_batches = {channel: encode_channel(channel, values)
+                                  for channel, values in {**_CONSTANT_CHANNELS, **map_origin}.items()}
 
     def encode_packet(self, reading: InsReading, status: int = LOCKED) -> bytes:
         """The 72-byte packet of one epoch. Before INITIALISING, time and position are 0, other missing data invalid."""
         total_ms = round((self._start_gps_ns + round(reading.stamp * 1e9)) / 1_000_000)
         minutes, milliseconds = divmod(total_ms, 60_000)
-        channel, batch_s = self._status.encode_next(minutes if status >= INITIALISING else None, reading)
+        channel, batch_s = self._encode_status(minutes if status >= INITIALISING else None)
         roll_rate, pitch_rate, yaw_rate = reading.rates
         force_x, force_y, force_z = reading.specific_force
         packet = Packet(
@@ -100,9 +106,18 @@ class NcomEncoder:
             packet.pitch, packet.roll = reading.pitch, reading.roll
         return encode(packet)
 
+    def _encode_status(self, gps_minutes: int | None) -> tuple[int, bytes]:
+        """Status channel and its 8 bytes for the next packet. gps_minutes: GPS time in minutes, None while unknown."""
+        channel = self._schedule[self._packet_count % CYCLE_LENGTH]
+        self._packet_count += 1
+        if channel in self._constant_batches:
+            return channel, self._constant_batches[channel]
+        values = _make_changing_values(self._packet_count / self._rate, gps_minutes)
+        return channel, encode_channel(channel, values[channel])
+
 
 CYCLE_LENGTH = 200  # packets after which the sequence of channels repeats
-MINUTES, INNOVATIONS, RECEIVER, IMU_COUNTERS, TIMES = 0, 1, 2, 18, 23  # channels with changing values
+MINUTES = 0  # channel with the GPS time in minutes
 UP_TIME_AT_START = 1800.0  # s
 _RTK, _SATELLITES = 6, 14  # code of the position mode, number of satellites
 
@@ -139,69 +154,40 @@ _CONSTANT_CHANNELS: Mapping[int, Mapping[str, float | str]] = {
     59: {"ImuTemperature": 38.5},
     76: {"NtripStatus": 6},
 }
-# Channels sent every 10th, 25th, 50th and 200th packet; all others are sent every 100th packet.
-_EVERY_10, _EVERY_25, _EVERY_50 = (0, 1), (32, 45), (3, 4, 5, 20, 24, 43, 65, 66, 67)
-_EVERY_200 = (46, 47, 49, 50, 51, 52, 53, 54, 58, 60, 61, 62, 63, 64, 72, 73, 74, 75, 76, 78)
-_CHANGING_CHANNELS = (MINUTES, INNOVATIONS, RECEIVER, IMU_COUNTERS, TIMES)
+_CHANGING_CHANNELS = (MINUTES, 1, 2, 18, 23)
+# Channels by period [packets]; all others are sent every 100th packet.
+_PERIODS: Mapping[int, Sequence[int]] = {
+    10: (0, 1), 25: (32, 45), 50: (3, 4, 5, 20, 24, 43, 65, 66, 67), 100: (),
+    200: (46, 47, 49, 50, 51, 52, 53, 54, 58, 60, 61, 62, 63, 64, 72, 73, 74, 75, 76, 78)}
 
 
 def make_schedule() -> list[int]:
     """Status channel of each packet of a cycle; packets without a periodic channel have channel 0 (MINUTES)."""
+    others = {*_CONSTANT_CHANNELS, *_CHANGING_CHANNELS}.difference(*_PERIODS.values())
     slots: list[int | None] = [None] * CYCLE_LENGTH
-
-    def assign(channels: tuple[int, ...], period: int) -> None:
+    for period, channels in {**_PERIODS, 100: sorted(others)}.items():
         for channel in channels:
-            free_phases = (phase for phase in range(period) if set(slots[phase::period]) == {None})
-            for slot in range(next(free_phases), CYCLE_LENGTH, period):
-                slots[slot] = channel
-
-    assign(_EVERY_10, 10)
-    assign(_EVERY_25, 25)
-    assign(_EVERY_50, 50)
-    listed_channels = {*_EVERY_10, *_EVERY_25, *_EVERY_50, *_EVERY_200}
-    assign(tuple(sorted({*_CONSTANT_CHANNELS, *_CHANGING_CHANNELS} - listed_channels)), 100)
-    assign(_EVERY_200, 200)
+            phase = next(phase for phase in range(period) if set(slots[phase::period]) == {None})
+            slots[phase::period] = [channel] * (CYCLE_LENGTH // period)
     return [MINUTES if channel is None else channel for channel in slots]
 
 
-class StatusChannels:
-    """Contents of the status channel of each packet. rate: packets per second."""
-
-    def __init__(self, origin: Origin, rate: int):
-        self._rate, self._count = rate, 0
-        self._slots = make_schedule()
-        map_origin = {  # heading 90 deg: x of the local frame is east
-            66: {"RefLat": origin.latitude_deg, "RefLon": origin.longitude_deg},
-            67: {"RefAlt": origin.height - UNDULATION, "RefHeading": 90.0}}
-        self._batches = {channel: encode_channel(channel, values)
-                         for channel, values in {**_CONSTANT_CHANNELS, **map_origin}.items()}
-
-    def encode_next(self, gps_minutes: int | None, reading: InsReading) -> tuple[int, bytes]:
-        """Channel number and its 8 bytes for the next packet. gps_minutes: GPS time in minutes, None while unknown."""
-        channel = self._slots[self._count % CYCLE_LENGTH]
-        self._count += 1
-        if channel in self._batches:
-            return channel, self._batches[channel]
-        return channel, encode_channel(channel, self._make_values(channel, gps_minutes, reading))
-
-    def _make_values(self, channel: int, gps_minutes: int | None, reading: InsReading) -> dict[str, float | None]:
-        seconds = self._count / self._rate
-        if channel == MINUTES:
-            return {"GpsMinutes": gps_minutes, "GpsNumObs": _SATELLITES, "GpsPosMode": _RTK, "GpsVelMode": _RTK,
-                    "GpsAttMode": _RTK}
-        if channel == INNOVATIONS:
-            # Small, slow values, as from a converged filter.
-            names = ("InnPosX", "InnPosY", "InnPosZ", "InnVelX", "InnVelY", "InnVelZ", "InnPitch", "InnHeading")
-            return {name: round(0.4 * math.sin(0.7 * seconds + i), 1) for i, name in enumerate(names)}
-        if channel == RECEIVER:
-            return {"GpsPrimary.Chars": int(900 * seconds) & 0xFFFF, "GpsPrimary.Pkts": int(12 * seconds) & 0xFFFF,
-                    "GpsPrimary.CharsSkipped": 0, "GpsPrimary.OldPkts": 0}
-        if channel == IMU_COUNTERS:
-            return {"ImuChars": int(4200 * seconds) & 0xFFFFFFFF, "ImuPkts": int(100 * seconds) & 0xFFFF,
-                    "ImuCharsSkipped": 0}
-        up_time = UP_TIME_AT_START + seconds  # sent in seconds up to 3 h, then in minutes with an offset
-        return {"BnsLag": 4, "UpTimeCode": int(up_time) if up_time <= 10800 else int(up_time / 60) + 10620,
-                "GPSPosReject": 0, "GPSVelReject": 0, "GPSAttReject": 0}
+def _make_changing_values(seconds: float, gps_minutes: int | None) -> dict[int, dict[str, float | None]]:
+    """Values of _CHANGING_CHANNELS. seconds: since the start. gps_minutes: None while unknown."""
+    names = ("InnPosX", "InnPosY", "InnPosZ", "InnVelX", "InnVelY", "InnVelZ", "InnPitch", "InnHeading")
+    up_time = UP_TIME_AT_START + seconds  # sent in seconds up to 3 h, then in minutes with an offset
+    return {
+        MINUTES: {"GpsMinutes": gps_minutes, "GpsNumObs": _SATELLITES, "GpsPosMode": _RTK, "GpsVelMode": _RTK,
+                  "GpsAttMode": _RTK},
+        # Small, slow innovations, as from a converged filter.
+        1: {name: round(0.4 * math.sin(0.7 * seconds + i), 1) for i, name in enumerate(names)},
+        2: {"GpsPrimary.Chars": int(900 * seconds) & 0xFFFF, "GpsPrimary.Pkts": int(12 * seconds) & 0xFFFF,
+            "GpsPrimary.CharsSkipped": 0, "GpsPrimary.OldPkts": 0},
+        18: {"ImuChars": int(4200 * seconds) & 0xFFFFFFFF, "ImuPkts": int(100 * seconds) & 0xFFFF,
+             "ImuCharsSkipped": 0},
+        23: {"BnsLag": 4, "UpTimeCode": int(up_time) if up_time <= 10800 else int(up_time / 60) + 10620,
+             "GPSPosReject": 0, "GPSVelReject": 0, "GPSAttReject": 0},
+    }
 
 
 VEHICLE_BUS, INS_BUS = 1, 2  # CANedge channels of the car and of the INS; on a live bus they share one channel

@@ -82,6 +82,10 @@ class _Run:
     def __init__(self, options: argparse.Namespace):
         if not options.vehicle:
             raise ConfigurationError("--vehicle is missing; the Leaf is config/vehicle/leaf.yaml")
+        integers = {"--seed": (options.seed, 0, 2**31 - 1), "--ncom-port": (options.ncom_port, 1, 65535)}
+        for option, (value, low, high) in integers.items():
+            if not low <= value <= high:
+                raise ConfigurationError(f"{option} {value}: not within {low} to {high}")
         self._options, self._car = options, read_vehicle(options.vehicle)
         self._codec = Decoder(*_find_can_tables(options))
         self.settings = _resolve_settings(options)
@@ -217,14 +221,14 @@ def _make_parser() -> argparse.ArgumentParser:
         "--config", type=Path, metavar="DIR", help="folder with can/leaf_ze0.dbc and can/leaf_ze0.yaml; default: that "
         "of the vehicle file, of the checkout or of the current folder")
     parser.add_argument("--duration", type=float, metavar="S", help="default: 60 s, or the whole recorded drive")
-    parser.add_argument("--seed", type=_make_integer_parser(0, 2**31 - 1), default=0, help="seed of all random numbers")
+    parser.add_argument("--seed", type=int, default=0, help="seed of all random numbers")
     parser.add_argument("--plant", help="ideal, realistic (default) or FILE.yaml with {preset: ..., name: value}")
     parser.add_argument("--effect", nargs="+", action="extend", default=[], metavar="NAME=VALUE",
                         help="override settings; see --list")
     parser.add_argument("--origin", default=DEFAULT_ORIGIN, metavar="LAT,LON,HEIGHT", help="map origin [deg, deg, m]")
     parser.add_argument("--startup", action="store_true", help="begin with the start-up of the INS, before it locks")
     parser.add_argument("--ncom-host", default="127.0.0.1", help="host to which the NCOM packets are sent")
-    parser.add_argument("--ncom-port", type=_make_integer_parser(1, 65535), default=3000, help="UDP port of that host")
+    parser.add_argument("--ncom-port", type=int, default=3000, help="UDP port of that host")
     parser.add_argument("--ncom-rate", type=int, choices=(100, 250), default=100,
                         help="NCOM packets, and epochs of the INS on CAN, per second; default 100")
     parser.add_argument("--can-interface", default="udp_multicast", help="python-can interface")
@@ -239,18 +243,6 @@ def _make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--can-format", choices=("mf4", "log"), default="log", help="format of the CAN log")
     parser.add_argument("--list", action="store_true", help="print scenarios and settings")
     return parser
-
-
-def _make_integer_parser(low: int, high: int) -> Callable[[str], int]:
-    """A function that parses the text of an option as an integer within a range."""
-
-    def convert(text: str) -> int:
-        if not low <= int(text) <= high:
-            raise argparse.ArgumentTypeError(f"{int(text)} is not within {low} to {high}")
-        return int(text)
-
-    convert.__name__ = "int"  # the name in argparse's message about a text that is not a number
-    return convert
 
 
 if __name__ == "__main__":
