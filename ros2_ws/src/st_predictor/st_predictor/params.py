@@ -1,6 +1,7 @@
 """Parameters of the nodes predictor, evaluator, recorder, markers and identifier, and the files they name."""
 
 from collections.abc import Callable
+from pathlib import Path
 from types import SimpleNamespace
 from typing import TypeVar
 
@@ -10,7 +11,6 @@ from st_core.model_file import ModelFile
 from st_core.models import MODELS as MODELS_BY_NAME
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
-from st_recordings.car import read_text
 from st_ros.parameters import ConfigurationError, Parameter
 
 T = TypeVar("T")
@@ -111,7 +111,19 @@ def read_file(values: SimpleNamespace, parameter: str, parse: Callable[[str, str
     parse: function of the text and the name of the file.
     """
     name = getattr(values, parameter)
-    return translate_errors(values, lambda: parse(read_text(name), name), f"{parameter}: ") if name else None
+    if not name:
+        return None
+    text = read_text(values, parameter, name)
+    return translate_errors(values, lambda: parse(text, name), f"{parameter}: ")
+
+
+def read_text(values: SimpleNamespace, parameter: str, name: str) -> str:
+    """Text of a file that a parameter names. Raises ConfigurationError naming both."""
+    try:
+        return Path(name).read_text()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not text in UTF-8"
+        raise ConfigurationError(f"{values.message_prefix}{parameter}: {name}: {reason}") from None
 
 
 def read_prediction_settings(values: SimpleNamespace) -> PredictionSettings:

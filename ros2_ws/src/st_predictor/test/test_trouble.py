@@ -256,7 +256,7 @@ def test_killed_recorder_loses_at_most_a_second(processes: Processes) -> None:
 
 
 REFUSED = [
-    ("predictor", ["vehicle_file:=nowhere.yaml"], "vehicle_file: nowhere.yaml: cannot be read: No such file"),
+    ("predictor", ["vehicle_file:=nowhere.yaml"], "vehicle_file: nowhere.yaml: No such file"),
     ("predictor", [], "vehicle_file: not set"),
     ("predictor", ["horizont:=5.0"], "unknown parameter horizont; known:"),
     ("predictor", ["rate:=1000.0"], "rate: 1000.0 is outside 0.1 to 100 Hz"),

@@ -7,7 +7,6 @@ import shutil
 import time
 from collections.abc import Iterable, Sequence
 from fnmatch import fnmatchcase
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,7 +16,6 @@ from rclpy.qos import DurabilityPolicy
 from rclpy.serialization import deserialize_message
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from st_recordings.bag_metadata import Qos, UnknownTypeError
-from st_recordings.car import read_text
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
 from st_ros.parameters import ConfigurationError
@@ -195,7 +193,7 @@ def make_metadata(values: SimpleNamespace) -> dict[str, dict[str, str]]:
     records: dict[str, dict[str, str]] = {"recording": {"recorder": "st_predictor", "started_ns": str(time.time_ns())}}
     texts: dict[str, str] = {}
     for name, key in name_files(values.configuration_files).items():
-        texts[key] = params.translate_errors(values, partial(read_text, name), "configuration_files: ")
+        texts[key] = params.read_text(values, "configuration_files", name)
     if texts:
         joined_text = "".join(f"{name}\n{text}" for name, text in sorted(texts.items()))
         records["configuration"] = {**texts, "hash": hashlib.sha256(joined_text.encode()).hexdigest()}
