@@ -161,9 +161,9 @@ class LogBatch:
     def _find_point_numbers(self, points: Sequence[float]) -> np.ndarray:
         requested = np.asarray(points, float).ravel()
         numbers = np.round(requested / self.step).astype(np.int64)
-        off_grid = np.abs(numbers * self.step - requested) > 1.0e-9
-        if np.any(off_grid) or np.any(np.diff(numbers) <= 0) or not len(numbers) or numbers[0] < 0 \
-                or numbers[-1] > self.steps:
+        is_on_grid = np.abs(numbers * self.step - requested) <= 1.0e-9
+        is_later = np.diff(numbers, prepend=-1) > 0
+        if not (len(numbers) and is_on_grid.all() and is_later.all() and numbers[-1] <= self.steps):
             raise ConfigurationError(f"points: {list(points)} are not increasing multiples of {self.step:g} s within "
                                      f"the horizon of {self.steps * self.step:g} s")
         return numbers

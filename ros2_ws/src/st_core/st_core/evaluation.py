@@ -181,8 +181,7 @@ class Evaluator:
         if not len(unknown_indices):
             return ""
         time_ns = int(times[unknown_indices[0]])
-        reason = ("acceleration unknown at the first sample or after a gap" if series.row_at(time_ns) is not None
-                  else series.describe_unknown(time_ns))
+        reason = series.describe_unknown(time_ns) or "acceleration unknown at the first sample or after a gap"
         return f"{name}: {reason} at {(time_ns - start_ns) * NANOSECOND:.3f} s of the horizon"
 
 
@@ -191,25 +190,20 @@ class Statistic:
     """Running mean, largest magnitude and root mean square of added values; NaN before the first value."""
 
     count: int = 0
+    max: float = math.nan  # largest magnitude
     _sum: float = 0.0
     _squares: float = 0.0
-    _largest: float = 0.0
 
     def add(self, values: float | np.ndarray) -> None:
         values = np.atleast_1d(values)
         self.count += values.size
         self._sum += float(values.sum())
         self._squares += float(np.square(values).sum())
-        self._largest = max(self._largest, float(np.abs(values).max(initial=0.0)))
+        self.max = float(np.fmax.reduce(np.abs(values), initial=self.max))
 
     @property
     def mean(self) -> float:
         return self._sum / self.count if self.count else math.nan
-
-    @property
-    def max(self) -> float:
-        """Largest magnitude."""
-        return self._largest if self.count else math.nan
 
     @property
     def rmse(self) -> float:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .types import Number
 from .tyres import GRAVITY
 from .vehicle import VehicleParameters
 
@@ -13,6 +14,16 @@ def stability_factor(car: VehicleParameters) -> float:
     """K = m (l_r C_r - l_f C_f) / (l^2 C_f C_r) [s^2/m^2]; > 0: understeer. Source: Guiggiani, ch. 6."""
     front, rear = car.cornering_stiffness_front, car.cornering_stiffness_rear
     return car.mass * (car.cg_to_rear_axle * rear - car.cg_to_front_axle * front) / (car.wheelbase**2 * front * rear)
+
+
+def steady_state_steering(speed: Number, curvature: Number, car: VehicleParameters) -> Number:
+    """Road wheel angle [rad] of the linear single-track car in a steady turn of curvature k [1/m] at speed v [m/s].
+
+        delta = L (1 + K v^2) k,   L: wheelbase, K: `stability_factor`
+
+    Source: Guiggiani, The Science of Vehicle Dynamics, ch. 6.
+    """
+    return car.wheelbase * (1.0 + stability_factor(car) * speed * speed) * curvature
 
 
 def rear_slip_coefficient(car: VehicleParameters) -> float:

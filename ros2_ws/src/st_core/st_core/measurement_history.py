@@ -7,7 +7,7 @@ integrated velocity does not explain,
 
 Frozen steering angle: the sensor repeats one value while the yaw motion changes. The steady-state steering angle
 
-    delta' = l (1 + K v^2) r / v,   l: wheelbase, K: `handling.stability_factor`, r: yaw rate, v: forward speed
+    delta' = l (1 + K v^2) r / v,   r: yaw rate, v: forward speed, see `handling.steady_state_steering`
 
 is, after a low-pass, nearly constant at any speed if the steering angle is constant. The bounds are wide because bank,
 wind, braking and tyres at their limit also change delta'. Checked by: test_measurement_history.py,
@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 from statistics import median_high
 from typing import NamedTuple
 
-from .handling import stability_factor
+from .handling import steady_state_steering
 from .timeseries import NANOSECOND, TimeSeries, low_pass_step
 from .types import ControlInput, InsSample
 from .vehicle import VehicleParameters
@@ -180,7 +180,7 @@ class FrozenSteeringDetector:
     """Detects a frozen steering angle from measurements in order of arrival; criterion: see the module docstring."""
 
     def __init__(self, vehicle: VehicleParameters):
-        self._wheelbase, self._stability_factor = vehicle.wheelbase, stability_factor(vehicle)
+        self._vehicle = vehicle
         self._angle, self._since_ns, self._newest_ns = math.nan, 0, 0
         self._filtered_angle, self._ins_ns = math.nan, 0  # delta' after the low-pass, time of the last INS sample used
         self._low, self._high = math.inf, -math.inf
@@ -200,7 +200,7 @@ class FrozenSteeringDetector:
         if not speed > FROZEN_MIN_SPEED or not math.isfinite(sample.yaw_rate):
             self._filtered_angle = math.nan
             return
-        angle = self._wheelbase * (1.0 + self._stability_factor * speed * speed) * sample.yaw_rate / speed
+        angle = steady_state_steering(speed, sample.yaw_rate / speed, self._vehicle)
         spacing = (sample.time_ns - self._ins_ns) * NANOSECOND
         self._ins_ns = sample.time_ns
         if not 0.0 < spacing < FROZEN_TIME_CONSTANT or math.isnan(self._filtered_angle):

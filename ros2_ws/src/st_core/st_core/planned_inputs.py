@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .errors import StCoreError
-from .handling import stability_factor
+from .handling import steady_state_steering
 from .models import Model
 from .readings import predict_wheel_angles
 from .timeseries import NANOSECOND, half_step_grid, interpolate
@@ -77,16 +77,6 @@ class PlannedInputs:
 
     def _interpolate(self, values: np.ndarray, grid_ns: np.ndarray) -> np.ndarray:
         return np.interp(grid_ns - grid_ns[0], self.time_ns - grid_ns[0], values, left=np.nan, right=np.nan)
-
-
-def steady_state_steering(speed: np.ndarray, curvature: np.ndarray, vehicle: VehicleParameters) -> np.ndarray:
-    """Road wheel angle [rad] of the linear single-track car in a steady turn of curvature k [1/m] at speed v [m/s].
-
-        delta = L (1 + K v^2) k,   L: wheelbase, K: `handling.stability_factor`
-
-    Source: Guiggiani, The Science of Vehicle Dynamics, ch. 6.
-    """
-    return vehicle.wheelbase * (1.0 + stability_factor(vehicle) * speed * speed) * curvature
 
 
 def path_inputs(speed: np.ndarray, curvature: np.ndarray, seconds: np.ndarray,

@@ -205,8 +205,8 @@ class Predictor:
             time_ns = None if time_ns is None else self.history.steering.newest_known_time(time_ns)
         if time_ns is None or (now_ns - time_ns) * NANOSECOND > limit:
             age_text = "" if time_ns is None else f", last known {(now_ns - time_ns) * NANOSECOND:.2f} s ago"
-            reasons = [f"{name}: {series.describe_unknown(newest)} at the newest common instant{age_text}"
-                       for name, series in self._series.items() if series.newest_known_time(newest) != newest]
+            reasons = [f"{name}: {reason} at the newest common instant{age_text}"
+                       for name, series in self._series.items() if (reason := series.describe_unknown(newest))]
             return Skip("stale", reasons[0] if reasons else "INS and steering: no common instant")
         jump = self.history.last_jump
         if jump and time_ns < jump.time_ns:

@@ -145,27 +145,26 @@ class TimeSeries:
 
     def newest_known_time(self, time_ns: int) -> int | None:
         """The newest instant at or before `time_ns` at which the signal is known [ns]; None if there is none."""
-        times = self.times
-        after = int(np.searchsorted(times, time_ns))
-        if after < len(times) and (times[after] == time_ns or (
-                after > 0 and times[after] not in self.breaks
-                and times[after] - times[after - 1] <= self.maximum_gap_ns)):
+        if not self.describe_unknown(time_ns):
             return int(time_ns)
-        return int(times[after - 1]) if after > 0 else None
+        earlier = self.times[:np.searchsorted(self.times, time_ns)]
+        return int(earlier[-1]) if len(earlier) else None
 
     def describe_unknown(self, time_ns: int) -> str:
-        """Reason why the signal is unknown at an instant, such as "gap of 0.200 s"."""
+        """Reason why the signal is unknown at an instant, such as "gap of 0.200 s"; "" if it is known."""
         times = self.times
         if not len(times):
             return "no samples"
         after = int(np.searchsorted(times, time_ns))
         if after == len(times):
             return f"ends {(time_ns - int(times[-1])) * NANOSECOND:.3f} s earlier"
-        if after == 0 and times[0] != time_ns:
+        if times[after] == time_ns:
+            return ""
+        if after == 0:
             return f"begins {(int(times[0]) - time_ns) * NANOSECOND:.3f} s later"
-        if reason := self.breaks.get(int(times[after])):
-            return reason
-        return f"gap of {int(times[after] - times[after - 1]) * NANOSECOND:.3f} s"
+        spacing_ns = int(times[after] - times[after - 1])
+        gap = f"gap of {spacing_ns * NANOSECOND:.3f} s" if spacing_ns > self.maximum_gap_ns else ""
+        return self.breaks.get(int(times[after])) or gap
 
 
 def half_step_grid(start_ns: int, steps: int, step: float) -> np.ndarray:

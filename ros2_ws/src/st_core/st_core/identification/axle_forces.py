@@ -35,16 +35,9 @@ from ..log import DriveLog
 from ..models import Model, get_model, slip_angles
 from ..regression import Spread, extrapolation_uncertainty, make_blocks
 from ..vehicle import VehicleParameters
+from . import run_samples
 from .result import Coverage, Identification, IdentificationError, ParameterEstimate, Status, describe_correlations
-from .run_samples import (
-    ACCELERATION_EDGES,
-    SPEED_EDGES,
-    RunSamples,
-    measure_coverage,
-    prepare_drives,
-    require_coverage,
-    sample_run,
-)
+from .run_samples import RunSamples, prepare_drives, sample_run
 
 AXLES = ("front", "rear")
 METHOD = "regression of axle force on slip angle (paper)"
@@ -176,9 +169,9 @@ def _fit_regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> 
         rejected += [(run.name, f"{int(mask.sum())} of {len(run)} samples {reason}")
                      for reason, mask in reasons.items() if mask.any()]
     coverage = (
-        measure_coverage("cornering speed", "m/s", SPEED_EDGES,
+        run_samples.measure_coverage("cornering speed", "m/s", run_samples.SPEED_EDGES,
                          [run.velocity_x[m] for run, m in zip(runs, masks, strict=True)], times, 2.0, 1),
-        measure_coverage("lateral acceleration", "m/s^2", ACCELERATION_EDGES,
+        run_samples.measure_coverage("lateral acceleration", "m/s^2", run_samples.ACCELERATION_EDGES,
                          [run.lateral_acceleration[m] for run, m in zip(runs, masks, strict=True)], times, 1.0, 3))
     insufficient = "; ".join(c.describe() for c in coverage if not c.sufficient)
     samples = []
@@ -255,7 +248,7 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> 
     logs, notes = prepare_drives(logs, vehicle, "velocity_y")
     runs = [sample_run(log, vehicle) for log in logs]
     regressions, coverage, correlation, rejected = _fit_regressions(runs, vehicle)
-    require_coverage(
+    run_samples.require_coverage(
         coverage, "Drive left and right turns at several speeds, with 0.5 to 4 m/s^2 of lateral acceleration.")
     for regression in regressions:
         if int(regression.samples.used.sum()) < MIN_AXLE_SAMPLES:

@@ -29,17 +29,12 @@ from types import MappingProxyType
 
 import numpy as np
 
+from .. import regression
 from ..augmented import AugmentedModel
 from ..effects import get_effect
 from ..handling import find_implausible_values
 from ..log import DriveLog
 from ..models import Model, get_model
-from ..regression import (
-    correlation_matrix,
-    effective_degrees_of_freedom,
-    extrapolation_uncertainty,
-    symmetric_interval,
-)
 from ..timeseries import NANOSECOND
 from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
 from .axle_forces import MAX_RANGE_RATIO, MAX_RELATIVE_UNCERTAINTY, SLIP_QUANTILE, compute_slip_angles
@@ -123,7 +118,7 @@ def estimate_slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehiclePa
     if low.mean_acceleration > MAX_RANGE_RATIO * fit.mean_acceleration:
         return {}
     indices = {name: fit.names.index(name) for name in STIFFNESSES}
-    return {name: extrapolation_uncertainty(*(
+    return {name: regression.extrapolation_uncertainty(*(
         (float(result.values[k]), float(result.spread.covariance[k, k]), result.mean_acceleration)
         for result in (fit, low)))
             for name, k in indices.items()}
@@ -215,15 +210,15 @@ def _make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivi
     # Systematic errors are assumed to be uncorrelated: only the variances increase.
     covariance = spread.covariance + np.diag(np.square(added_uncertainty))
     indices = [fit.names.index(name) for name in reported]
-    uncertainty = np.sqrt(np.diag(covariance))
+    values, uncertainty = fit.values.tolist(), np.sqrt(np.diag(covariance)).tolist()
     # Student's t applies to variances estimated from these few drives, not to known ones, such as that of the model.
     estimated_variance = np.diag(spread.covariance) + np.square([systematic_uncertainty.get(n, 0.0) for n in fit.names])
-    degrees_of_freedom = list(map(effective_degrees_of_freedom, estimated_variance.tolist(),
+    degrees_of_freedom = list(map(regression.effective_degrees_of_freedom, estimated_variance.tolist(),
                                   np.diag(covariance).tolist(), spread.degrees_of_freedom.tolist()))
     runs = tuple(name for name, (used, _) in fit.window_counts.items() if used)
     estimates = tuple(
-        ParameterEstimate(fit.names[i], float(fit.values[i]), QUANTITIES[fit.names[i]].unit, float(uncertainty[i]),
-                          symmetric_interval(float(fit.values[i]), float(uncertainty[i]), degrees_of_freedom[i]),
+        ParameterEstimate(fit.names[i], values[i], QUANTITIES[fit.names[i]].unit, uncertainty[i],
+                          regression.symmetric_interval(values[i], uncertainty[i], degrees_of_freedom[i]),
                           method, runs, *_judge_estimate(fit, i, uncertainty[i]))
         for i in indices)
     rejected = [(name, f"{total - used} of {total} predictions (speed below the minimum, lateral acceleration above "
@@ -233,11 +228,11 @@ def _make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivi
     if RATIO not in fit.names:
         others.append(f"{RATIO} {vehicle.steering_ratio:.4g} of the vehicle file is assumed exact: an error would "
                       "change the front stiffness; st identify steering estimates it from drives at several speeds.")
-    warnings = (*describe_correlations(fit.names, correlation_matrix(covariance)), *others)
+    warnings = (*describe_correlations(fit.names, regression.correlation_matrix(covariance)), *others)
     figure = {"residuals": fit.residuals, "residual_run": fit.run_index, "residual_time": fit.time, "names": fit.names,
               "covariance": covariance}
     return Identification(experiment, estimates, runs, tuple(rejected),
-                          correlation_matrix(covariance[np.ix_(indices, indices)]), (), warnings, figure)
+                          regression.correlation_matrix(covariance[np.ix_(indices, indices)]), (), warnings, figure)
 
 
 def _judge_estimate(fit: DrivingFit, index: int, uncertainty: float) -> tuple[str, Status]:

@@ -29,7 +29,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import f as fisher
 
-from ..handling import stability_factor
+from ..handling import steady_state_steering
 from ..log import DriveLog
 from ..regression import Spread, make_blocks, symmetric_interval
 from ..timeseries import filtered_derivative
@@ -231,7 +231,6 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
 def _find_straight_windows(run: RunSamples, vehicle: VehicleParameters, min_speed: float,
                            min_radius: float) -> np.ndarray:
     """(start time [s], offset [rad] at the steering wheel) of the steady straight windows of a run, (n, 2)."""
-    understeer = stability_factor(vehicle)
     rows = []
     for start in np.arange(run.time[0], run.time[-1] - WINDOW, WINDOW) if len(run) else ():
         part = slice(*np.searchsorted(run.time, (start, start + WINDOW)))
@@ -242,7 +241,7 @@ def _find_straight_windows(run: RunSamples, vehicle: VehicleParameters, min_spee
         curvature = float(run.yaw[part][-1] - run.yaw[part][0]) / (mean_speed * float(time[-1] - time[0]))
         if abs(curvature) * min_radius > 1.0 or angle.std() > MAX_ANGLE_DEVIATION:
             continue
-        road_wheel_angle = vehicle.wheelbase * curvature * (1.0 + understeer * mean_speed**2)
+        road_wheel_angle = steady_state_steering(mean_speed, curvature, vehicle)
         rows.append((start, float(angle.mean()) - vehicle.steering_ratio * road_wheel_angle))
     return np.array(rows).reshape(-1, 2)
 
