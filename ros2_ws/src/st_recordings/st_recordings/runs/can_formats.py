@@ -29,9 +29,11 @@ _BLF_CONTAINER = re.compile(rb"LOBJ\x10\0\x01\0.{4}\x0a\0\0\0", re.DOTALL)  # it
 _BLF_PADDING = 3  # bytes; largest padding after a container, which the format aligns to four bytes
 _WEEKDAY_MONTH = re.compile(r"(?i)^(date|begin\s+triggerblock)\s+\S+\s+(\S+)(.*)")
 _TABLE_EXTENSIONS = (".csv", ".txt")
-_ENGLISH_MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 LINE_FORMAT = "candump, BUSMASTER, CRTD or Kvaser"
 _LINES = (
+    # Of candump -l: "(1436509052.249713) can0 044#2A36", with CAN FD "044##12A36", direction "044#2A36 T"
+    re.compile(r"\s*\((?P<time>\S+)\)\s+(?P<bus>\S+)\s+(?P<id>[0-9A-Fa-f]+)#(?P<fd>#[0-9A-Fa-f])?"
+               r"(?P<data>[0-9A-Fa-f]*|[Rr]\d*)(?:\s+(?P<direction>[RTrt]))?\s*$"),
     # Of candump without -l, stamped by -t a, -t z or -t A: " (1436509052.249713)  can0  RX - -  044   [8]  2A 36".
     re.compile(
         r"\s*\((?P<time>\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d+|\d+\.\d+)\)\s+(?P<bus>\S+)\s+"
@@ -47,19 +49,20 @@ _LINES = (
     re.compile(r"\s*(?P<time>\d+\.\d+) +(?P<bus>\d+) +(?P<id>[0-9A-F]{1,8})(?P<kind>x?) +(?P<direction>[RT]x)(?:Rq)?"
                r"[ EFBPRW#]+(?P<length>\d+) +(?P<data>(?:[0-9A-F]{2} )*|RTR) +\d+\s*$"),
     # Of CanKing with hexadecimal numbers: " 0    0000014B         1  00                                1675.570498 T"
-    re.compile(r"\s*(?P<bus>\d+) +(?P<id>[01][0-9A-F]{7}) +(?P<kind>X?R?) +(?P<length>\d+)  "
+    re.compile(r"\s*(?P<index>\d+) +(?P<id>[01][0-9A-F]{7}) +(?P<kind>X?R?) +(?P<length>\d+)  "
                r"(?P<data>(?:[0-9A-F]{2} +)*) *(?P<time>\d+\.\d+) (?P<direction>[RT])\s*$"))
 _COMMENT = re.compile(r"\t|.*(ERRORFRAME|ERROR FRAME +\d+)\s*$|\*\*\*|\d+\.\d+ \d*C[A-Z]{2} |"
                       r"\s*([A-Z][a-z]|CAN |=|[\d.]+ +Trigger)")
 """Lines without data: error frames and their explanations (candump -e), headers of BUSMASTER and Kvaser, comments."""
-_ERROR_FRAME = re.compile(r"(\(\d+\.\d+\) \S+) 2[0-9A-Fa-f]{7}#.*")  # of candump -l: bit 29 of the identifier
+_ERROR_FLAG = 1 << 29  # of the identifier of an error frame
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # of candump -c
 UNSTAMPED_LINE = re.compile(rb"^\s+\S+\s+[0-9A-F]{3,8}\s+\[\d+\]\s", re.MULTILINE)
 """A line of candump without -l and without -t."""
 _ASC_LINE = re.compile(rb"^\s*\d+[.,]\d+\s+\d+\s+[0-9A-Fa-f]+x?\s+[RT]x\s+[dr]\s", re.MULTILINE)
 _TRC_LINE = re.compile(rb"^\s*\d+\)\s", re.MULTILINE)
 _ASC_DATE = re.compile(rb"(?i)date \S+ \S+ +\d+ +\d")  # not "Date Time;x;y" of a table
-_ASC_STAMP = re.compile(r"\s*(\d+)[.,](\d+)(?=\s)")
+_ASC_STAMP = re.compile(r"\s*(\d+)[.,](\d+)\s+")
+_ASC_FRAME = re.compile(r"(?i)(?:(\d+)\s+(?=\w+\s+[TR]x|ErrorFrame)|CANFD\s+)(.*)", re.ASCII)
 # Columns of CAN logs in CSV, as of python-can, mdf2csv (CSS Electronics), SavvyCAN (GVRET), Vehicle Spy, IXXAT, Cabana
 _CSV_COLUMNS = {
     "time": ("timestampepoch", "timestamp", "timestamps", "time", "times", "abstimesec", "timeabs"),
@@ -81,42 +84,24 @@ MIN_FRAME_DURATION = 40.0  # us; every frame takes longer at 1 Mbit/s
 
 
 class Lines:
-    """Iterates over the lines of a text log in UTF-8, UTF-16 or Windows-1252; python-can uses it as a file.
-
-    number, last: number and text of the last line read. `unread` puts a line back, to be read next. header:
-    line that replaces the header when a reader restarts after an unreadable line; empty if the reader parses none.
-    """
-
-    header = ""
+    """Iterates over the lines of a text log in UTF-8, UTF-16 or Windows-1252. number: of the last line read."""
 
     def __init__(self, file: Path):
-        self.file = file
-        self._unread: list[str] = []
+        self.file, self.number = file, 0
         with file.open("rb") as stream:
             head = stream.read(1 << 16)
         # Comments and dates may contain Windows-1252 characters, even after the first 64 KiB.
         is_utf8 = head.startswith(head.decode("utf-8", "ignore").encode())
         codec = find_utf16(head) or ("utf-8-sig" if is_utf8 else "cp1252")
         self._stream = file.open(encoding=codec, errors=CP1252_FALLBACK)
-        self.number, self.last = 0, ""
 
     def __iter__(self) -> "Lines":
         return self
 
     def __next__(self) -> str:
-        if self._unread:
-            self.last = self._unread.pop()
-        else:
-            self.last = self.convert(next(self._stream))
-            self.number += 1
-        return self.last
-
-    def convert(self, line: str) -> str:
-        """Converts a line to the form that python-can can parse."""
+        line = next(self._stream)
+        self.number += 1
         return line
-
-    def unread(self, line: str) -> None:
-        self._unread.append(line)
 
     def close(self) -> None:
         self._stream.close()
@@ -132,114 +117,113 @@ class Format:
     messages: Callable[[Path, list[str]], Iterator[Any]]
 
 
-def _read_text(file: Path, notes: list[str], make_reader: Callable[[Lines, list[str]], Any],
-               lines_type: type[Lines] = Lines) -> Iterator[Any]:
-    """Yields the messages of a text format and skips lines that python-can cannot read.
+def _read_text(file: Path, notes: list[str], make_parser: Callable[[Lines, list[str]], Callable[[str], Any]]
+               ) -> Iterator[Any]:
+    """Yields the messages of a text format and skips lines that cannot be parsed.
 
-    make_reader: creates the python-can reader from the lines and the notes.
+    make_parser: from the lines, of which it may read the header, and the notes, creates a function of a line that
+    returns its message, or None for a line without data.
     """
     unreadable_lines: list[int] = []
-    with closing(lines_type(file)) as lines:
-        reader = make_reader(lines, notes)
-        messages = iter(reader)
-        while True:
+    with closing(Lines(file)) as lines:
+        parse = make_parser(lines, notes)
+        for line in lines:
             try:
-                yield next(messages)
-            except StopIteration:
-                break
+                message = parse(line)
             except Exception:  # any, from int() or indexing in python-can
-                if unreadable_lines and unreadable_lines[-1] == lines.number:
-                    break  # no progress: the file ends within its header
                 unreadable_lines.append(lines.number)
-                if lines.header:
-                    lines.unread(lines.header)
-                messages = iter(reader)
+                continue
+            if message is not None:
+                yield message
         if unreadable_lines:
             notes.insert(0, f"{format_count(len(unreadable_lines), lines.number, 'lines')} cannot be read and were "
                          f"skipped; the first is line {unreadable_lines[0]}")
 
 
-class _CandumpLines(Lines):
-    def convert(self, line: str) -> str:
-        """Converts a frame in a form of _LINES to a line of candump -l, and a comment to an empty line."""
+def _make_line_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
+    make_message = import_module("can").Message
+
+    def parse(line: str) -> Any:
         line = _COLOUR.sub("", line)
-        if _COMMENT.match(line):
-            return ""
+        if not line.strip() or _COMMENT.match(line):
+            return None
         match = next(filter(None, (form.match(line) for form in _LINES)), None)
-        if match is None:  # python-can recognises only error frames with the class 0x80 (bus error)
-            return _ERROR_FRAME.sub(r"\1 20000080#", line)
-        cells = {"kind": "-", "length": "", **match.groupdict("")}
-        kind = cells["kind"].lower()
-        stamp, bus, data = cells["time"], cells["bus"], cells["data"].replace("`", " ").split()
-        if "-" in stamp:
-            stamp = f"{datetime.fromisoformat(stamp).replace(tzinfo=UTC).timestamp():.6f}"
-        elif ":" in stamp:
-            hours, minutes, seconds, fraction = stamp.split(":")
-            stamp = f"{3600 * int(hours) + 60 * int(minutes) + int(seconds)}.{fraction}"
-        if "`" in cells["data"]:  # candump -S prints the last byte first
-            data.reverse()
-        text = "R" if cells["data"][:1] in ("r", "R") or kind.endswith("r") else "".join(data)
-        identifier = cells["id"] if kind == "-" else (  # candump writes eight digits of an extended identifier
-            cells["id"].lstrip("0").zfill(EXTENDED_DIGITS if kind in ("x", "xr", "29") else 3))
-        separator = "##0" if len(cells["length"]) > 1 or len(data) > 8 else "#"  # two digits for CAN FD
-        channel = f"can{int(bus) - 1}" if bus.isdigit() else bus or "can0"
-        return f"({stamp}) {channel} {identifier}{separator}{text}{' T' if cells['direction'][:1] == 'T' else ''}\n"
-
-
-def _read_asc(lines: Lines, notes: list[str]) -> Any:
-    base: Any = import_module("can.io.asc").ASCReader
-
-    class Reader(base):
-        def _extract_header(self) -> None:
-            super()._extract_header()
-            if _ASC_STAMP.match(lines.last):  # the end of the header is not marked, so the first frame was consumed
-                lines.unread(lines.last)
-
-        def _datetime_to_timestamp(self, text: str) -> float:
-            try:
-                return super()._datetime_to_timestamp(text)
-            except ValueError:
-                note = f"its date {text[:40]!r} cannot be read, so its times are relative to the start"
-                if note not in notes:
-                    notes.append(note)
-                return 0.0
-
-    return Reader(lines, relative_timestamp=False)
-
-
-class _AscLines(Lines):
-    header = "\n"
-    _are_relative, _seconds = False, 0.0  # whether times are relative to the previous line; last time since the start
-
-    def convert(self, line: str) -> str:
-        """Converts times to seconds since the start, months to English; removes a.m. and p.m. from 24-hour times."""
-        if stamp := _ASC_STAMP.match(line):
-            seconds = float(".".join(stamp.groups()))
-            self._seconds = seconds + (self._seconds if self._are_relative else 0.0)
-            return f"{self._seconds:.6f}{line[stamp.end():]}"
-        if line.lower().startswith("base "):
-            self._are_relative = "timestamps relative" in line.lower()
-        match = _WEEKDAY_MONTH.match(line)
         if match is None:
-            return line
+            raise ValueError("not a frame")
+        cells = {"kind": "-", "length": "", "fd": "", "bus": "", "index": "", **match.groupdict("")}
+        time, kind, bus, data = cells["time"], cells["kind"].lower(), cells["bus"], cells["data"].replace("`", " ")
+        if " " in time:
+            seconds = datetime.fromisoformat(time).replace(tzinfo=UTC).timestamp()
+        elif ":" in time:
+            hours, minutes, whole_seconds, fraction = time.split(":")
+            seconds = 3600 * int(hours) + 60 * int(minutes) + float(f"{whole_seconds}.{fraction}")
+        else:
+            seconds = float(time)
+        identifier = int(cells["id"], 16)
+        if identifier & _ERROR_FLAG:
+            return make_message(timestamp=seconds, is_error_frame=True)
+        is_remote = data[:1] in ("r", "R") or kind.endswith("r")
+        octets = b"" if is_remote else bytes.fromhex(data)
+        # candump writes eight digits of an extended identifier; others mark it.
+        digits = cells["id"] if kind == "-" else cells["id"].lstrip("0")
+        channel: int | str = int(cells["index"]) if cells["index"] else (
+            int(bus) - (kind != "-") if bus.isdigit() else bus or "can0")
+        return make_message(
+            timestamp=seconds, arbitration_id=identifier, is_extended_id=len(digits) > 3 or kind in ("x", "xr", "29"),
+            is_remote_frame=is_remote, is_rx=cells["direction"][:1] not in ("T", "t"), channel=channel,
+            is_fd=bool(cells["fd"]) or len(cells["length"]) > 1 or len(octets) > 8,  # two digits for CAN FD
+            data=octets[::-1] if "`" in cells["data"] else octets)  # candump -S prints the last byte first
+
+    return parse
+
+
+class _AscParser:
+    """Parses the lines of a Vector ASC log; python-can parses the frames."""
+
+    def __init__(self, lines: Lines, notes: list[str]):
+        self._reader: Any = import_module("can.io.asc").ASCReader(lines)
+        self._notes, self._are_relative = notes, False  # whether times are relative to the previous line
+        self._start = self._seconds = 0.0  # time of the start; last time since the start
+
+    def __call__(self, line: str) -> Any:
+        if (stamp := _ASC_STAMP.match(line)) is None:
+            self._parse_header(line)
+            return None
+        seconds = float(".".join(stamp.groups()))
+        self._seconds = seconds + (self._seconds if self._are_relative else 0.0)
+        if (frame := _ASC_FRAME.match(line, stamp.end())) is None:
+            return None
+        values: dict[str, Any] = {"timestamp": round(self._seconds, 6) + self._start}
+        channel, text = frame.groups()
+        if channel is None:
+            return self._reader._process_fd_can_frame(text, {**values, "is_fd": True})
+        return self._reader._process_classic_can_frame(text, {**values, "channel": int(channel) - 1})
+
+    def _parse_header(self, line: str) -> None:
+        if base := re.match(r"(?i)base\s+(hex|dec)", line):
+            self._reader._converted_base = 16 if base[1].lower() == "hex" else 10
+            self._are_relative = "timestamps relative" in line.lower()
+        if (match := _WEEKDAY_MONTH.match(line)) is None:
+            return
         key, month, day_and_time = match.groups()
         if key.lower().startswith("begin"):
             self._seconds = 0.0
-        number = month_number(month)
         hour = re.search(r"\s(\d{1,2}):", day_and_time)
-        if hour and not 1 <= int(hour.group(1)) <= 12:
+        if hour and not 1 <= int(hour.group(1)) <= 12:  # a 24-hour time, in spite of a.m. or p.m.
             day_and_time = re.sub(r"(?i)\s[ap]\.?m\.?(?=\s)", "", day_and_time)
-        return f"{key} Mon {_ENGLISH_MONTHS[number - 1] if number else month}{day_and_time}\n"
+        try:
+            self._start = self._reader._datetime_to_timestamp(f"{month_number(month) or month}{day_and_time}".strip())
+        except ValueError:
+            self._start = 0.0
+            note = f"its date {f'{month}{day_and_time}'[:40]!r} cannot be read, so its times are relative to the start"
+            self._notes += [note] if note not in self._notes else []
 
 
-def _read_trc(lines: Lines, notes: list[str]) -> Any:
+def _make_trc_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
     base: Any = import_module("can.io.trc").TRCReader
+    header: list[str] = []
 
     class Reader(base):
-        def _parse_line(self, line: str) -> Any:
-            line = re.sub(r"^(\s*\d+\)?\s+\d+),(?=\d)", r"\1.", line)  # decimal comma of the time
-            return self._parse_cols(tuple(line.split(maxsplit=self._num_columns))) if line else None
-
         def _parse_msg_v1_0(self, columns: tuple[str, ...]) -> Any:
             if not columns[3].isdigit():  # version 1.2, which is 1.3 without the reserved column
                 return self._parse_cols_v1_3((*columns[:5], "-", *columns[5:]))
@@ -248,7 +232,21 @@ def _read_trc(lines: Lines, notes: list[str]) -> Any:
                 message.is_extended_id = message.arbitration_id > STANDARD_IDS
             return message
 
-    return Reader(lines)
+    reader = Reader(lines)
+    reader.file = header
+
+    def parse(line: str) -> Any:
+        line = line.strip()
+        if not line or line.startswith(";"):
+            header.extend([line] if line else [])
+            return None
+        if header:
+            reader._extract_header()
+            header.clear()
+        line = re.sub(r"^(\d+\)?\s+\d+),(?=\d)", r"\1.", line)  # decimal comma of the time
+        return reader._parse_cols(tuple(line.split(maxsplit=reader._num_columns)))
+
+    return parse
 
 
 def _split_row(line: str, delimiter: str) -> list[str]:
@@ -279,7 +277,7 @@ def _is_csv_header(line: str) -> bool:
             and MOTION_CHANNELS.isdisjoint(find_columns(Path(), names, Layout())))
 
 
-def _read_csv(lines: Lines, notes: list[str]) -> Iterator[Any]:
+def _make_csv_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
     make_message = import_module("can").Message
     header = next(filter(_is_csv_header, lines), "")
     names, delimiter, roles = _split_csv_header(header)
@@ -302,6 +300,8 @@ def _read_csv(lines: Lines, notes: list[str]) -> Iterator[Any]:
         return stamp[0] if stamp else float(text.replace(",", ".")) * factor
 
     def parse(line: str) -> Any:
+        if not line.strip() or _FURTHER_HEADER.match(line):
+            return None
         row = _split_row(line, delimiter)
         cells = dict(zip(names, row, strict=False))
         data = _read_csv_data(cells, row, names[roles["data"]], roles, byte_base, n_columns)
@@ -317,7 +317,7 @@ def _read_csv(lines: Lines, notes: list[str]) -> Iterator[Any]:
             channel=int(bus) - ("buschannel" in cells) if bus.isdigit() else (
                 networks.setdefault(bus, len(networks)) if bus else None))
 
-    return map(parse, (line for line in lines if line.strip() and not _FURTHER_HEADER.match(line)))
+    return parse
 
 
 def _is_marked(cells: Mapping[str, str], *names: str) -> bool | None:
@@ -475,7 +475,7 @@ def _is_trc(head: bytes) -> bool:
 
 
 def _is_candump(head: bytes) -> bool:
-    forms = (re.compile(r"\W*\(\d+\.\d+\) \S+ [0-9A-Fa-f]+#"), *_LINES)
+    forms = (re.compile(r"\W*\(\d+\.\d+\) \S+ [0-9A-Fa-f]+#"), *_LINES[1:])
     lines = _COLOUR.sub("", head.decode("latin-1")).splitlines()
     return b"field: DEC" not in head and any(form.match(line) for line in lines for form in forms)
 
@@ -488,12 +488,11 @@ def _is_asc(head: bytes) -> bool:
 
 FORMATS = (
     Format(LINE_FORMAT, (".log", ".candump", ".crtd"), _is_candump, partial(
-        _read_text, make_reader=lambda lines, notes: import_module("can.io.canutils").CanutilsLogReader(lines),
-        lines_type=_CandumpLines)),
-    Format("Vector ASC", (".asc",), _is_asc, partial(_read_text, make_reader=_read_asc, lines_type=_AscLines)),
+        _read_text, make_parser=_make_line_parser)),
+    Format("Vector ASC", (".asc",), _is_asc, partial(_read_text, make_parser=_AscParser)),
     Format("Vector BLF", (".blf",), lambda head: head.startswith(b"LOGG"), _read_blf),
-    Format("PEAK trace", (".trc",), _is_trc, partial(_read_text, make_reader=_read_trc)),
-    Format("CSV", _TABLE_EXTENSIONS, _is_csv, partial(_read_text, make_reader=_read_csv)),
+    Format("PEAK trace", (".trc",), _is_trc, partial(_read_text, make_parser=_make_trc_parser)),
+    Format("CSV", _TABLE_EXTENSIONS, _is_csv, partial(_read_text, make_parser=_make_csv_parser)),
 )
 SHARED_EXTENSIONS = (".log", ".asc", "", *_TABLE_EXTENSIONS)  # that CAN logs share with files of other programs
 EXTENSIONS = frozenset({e for f in FORMATS for e in f.extensions}.difference(_TABLE_EXTENSIONS)
