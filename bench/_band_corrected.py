@@ -10,7 +10,7 @@ from st_core.model_file import ModelFile
 from st_core.models import Model, get_model
 from st_core.vehicle import VehicleParameters
 from st_offline.bands.bands_report import collect_intervals
-from st_offline.discovery.discovery_report import build_model_file
+from st_offline.discovery.discover_command import build_model_file
 from st_offline.discovery.drives import Drive, Request
 from st_offline.discovery.vehicle_update import update_vehicle
 

@@ -11,7 +11,7 @@ from st_core.log_evaluation import EvaluationSettings
 from st_core.models import MODELS
 from st_core.palette import MODEL_COLOUR
 from st_offline.evaluation import advice as advice_report
-from st_offline.evaluation.advice import find_cheapest, measure_runs
+from st_offline.evaluation.advice import measure_runs
 from st_offline.evaluation.drawing import TEXT_COLOUR, WIDTH, FigureOutput, apply_style, save_figure
 from st_offline.evaluation.work import Task
 from st_recordings.paths import project_root
@@ -36,7 +36,7 @@ def draw_advice(costs: Mapping[advice_report.ModelStep, advice_report.Cost],
         for axes, second in zip(panels[0], seconds, strict=True):
             for (model, step), accuracy in accuracies.items():
                 k, marker = accuracy.seconds.index(second), MARKERS[steps.index(step) % len(MARKERS)]
-                cost = 1e6 * costs[model, step].single
+                cost = 1e6 * costs[model, step].get("compiled", costs[model, step]["interpreted"])
                 colour = MODEL_COLOUR.get(model, TEXT_COLOUR)
                 axes.plot(cost, accuracy.rms[k], marker, color=colour, ms=5)
                 if accuracy.half_widths is not None:
@@ -81,7 +81,7 @@ def run() -> dict:
     costs, accuracies, _ = measure_runs(sources, task)
     draw_advice(costs, accuracies, TOLERANCE, FigureOutput(project_root() / "docs" / "images", ("png",)))
     rows = advice_report.make_advice_rows(costs, accuracies)
-    choice = advice_report.make_choice_rows(find_cheapest(costs, accuracies, TOLERANCE))
+    choice = advice_report.make_choice_rows(costs, accuracies, TOLERANCE)
     title = (f"Cheapest model and step with a lateral error within {TOLERANCE:g} m up to each second, in "
              f"{advice_report.REQUIRED_FRACTION:.0%} of the starts, with measured inputs")
     caption = describe_columns(accuracies)

@@ -17,8 +17,7 @@ from st_core.integrate import required_slip_speed
 from st_core.model_file import ModelFile
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters, value_of
-from st_offline.discovery.discover_command import write_results
-from st_offline.discovery.discovery_report import build_model_file
+from st_offline.discovery.discover_command import build_model_file, write_results
 from st_offline.discovery.drives import Drive, Request, read_drive
 from st_offline.discovery.report_text import recommend
 from st_offline.discovery.vehicle_update import ENTRIES, edit_vehicle_text, fold_named_effects, update_vehicle

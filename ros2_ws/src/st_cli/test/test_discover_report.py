@@ -28,7 +28,7 @@ from st_core.discovery.result import (
 from st_core.identification.axle_forces import ForceCurve
 from st_core.vehicle import VehicleParameters
 from st_offline.discovery import drives, quantities, report_text
-from st_offline.discovery.discovery_report import build_document, print_result, write_page
+from st_offline.discovery.discover_command import build_document, print_result, write_page
 from st_offline.discovery.drives import Request, read_drive, read_result, write_result
 from st_offline.discovery.figures import draw_agreement, draw_axle_curves, draw_maps, draw_waterfall
 from st_offline.discovery.relation_report import RelationReport

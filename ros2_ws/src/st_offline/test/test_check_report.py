@@ -13,9 +13,16 @@ from st_core.checks import Advice, Comparison, DriveCheck, Finding, Sampling, Se
 from st_core.checks.finding import Alternative
 from st_core.clock_types import Alignment, Verdict
 from st_core.vehicle import VehicleParameters
-from st_offline.checking import check_page, check_report
-from st_offline.checking.check_command import append_corrections, check_file_name, make_run_yaml
-from st_offline.checking.check_page import draw_comparison, make_summary, make_title, write_page
+from st_offline.checking import check_command, check_report
+from st_offline.checking.check_command import (
+    append_corrections,
+    check_file_name,
+    draw_comparison,
+    make_run_yaml,
+    make_summary,
+    make_title,
+    write_page,
+)
 from st_offline.checking.check_report import (
     CheckedRun,
     build_document,
@@ -344,7 +351,7 @@ def test_lag_and_lead_are_not_merged():
 @pytest.mark.parametrize("quantity", ["distance per second", "forward acceleration", "yaw rate"])
 def test_labels_of_both_axes_stay_apart_below_a_long_title(monkeypatch, quantity):
     figures = []
-    monkeypatch.setattr(check_page.drawing, "save_figure", lambda figure, *others: figures.append(figure))
+    monkeypatch.setattr(check_command.drawing, "save_figure", lambda figure, *others: figures.append(figure))
     result = make_check()
     title = f"{quantity}: sensor versus another one"
     run = CheckedRun("run", result, None, "", 10.0, (), {}, {})
@@ -353,4 +360,4 @@ def test_labels_of_both_axes_stay_apart_below_a_long_title(monkeypatch, quantity
     figures[0].draw_without_rendering()
     upper, lower = (axes.yaxis.label.get_window_extent() for axes in figures[0].axes)
     assert upper.y0 - lower.y1 > 0.15 * figures[0].dpi  # inch
-    check_page.plt.close(figures[0])
+    check_command.plt.close(figures[0])

@@ -11,7 +11,7 @@ from st_core.clock_types import Alignment
 from st_core.log_evaluation import MODES, ModelErrors
 from st_core.vehicle import VehicleParameters
 from st_offline.evaluation import tables
-from st_offline.evaluation.evaluation_report import make_summary, pool_bins
+from st_offline.evaluation.evaluation_command import make_summary, pool_bins
 from st_offline.evaluation.work import RunReport, Task, to_file_name
 from st_recordings.runs.raw import summarise_alignment
 from support import LEAF

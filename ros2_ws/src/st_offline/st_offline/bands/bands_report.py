@@ -120,8 +120,8 @@ def sum_band_scores(band: Band, conditions: np.ndarray, errors: np.ndarray) -> S
         score = scoringrules.interval_score(errors, -c * scale, c * scale, 1.0 - level, backend="numpy")
         sums["interval_score"][key] = _name_axes(score.mean(axis=1).sum(axis=0))
         sums["half_width"][key] = {f"{time[k]:g}": _name_axes(c * scale[:, k].sum(axis=0)) for k in at_seconds}
-    inside = {f"{level:g}": np.stack([(by_point[:, second == s] <= band.factors[level]).all(axis=1)
-                                      for s in np.unique(second)], axis=1) for level in levels}
+    largest_in_second = np.stack([by_point[:, second == s].max(axis=1) for s in np.unique(second)], axis=1)
+    inside = {f"{level:g}": largest_in_second <= band.factors[level] for level in levels}
     sums["seconds"] = {key: {str(s): int(count) for s, count in zip(np.unique(second), rows.sum(axis=0), strict=True)}
                        for key, rows in inside.items()}
     cells = {name: find_bins(conditions, name) for name in EDGES}

@@ -4,7 +4,8 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from itertools import repeat
 from pathlib import Path
@@ -27,7 +28,7 @@ from st_recordings.paths import json_ready, replace_file
 from st_recordings.results import parse_configuration
 from st_recordings.runs import ReadSettings, RunSource, read
 
-from ..checking.gate import RUN_ERRORS, RejectedRunError, check_log, describe_problem, raise_for_errors
+from ..checking.gate import RUN_ERRORS, check_log, describe_problem, raise_for_errors
 
 RESULT_FORMAT = 3  # version of the format of cached results; other versions are not used
 
@@ -84,20 +85,16 @@ class Request:
 def read_drives(sources: Sequence[RunSource], vehicle: VehicleParameters, settings: ReadSettings, jobs: int,
                 tick: Callable[[], None], force: bool = False) -> list[Drive]:
     """Read all runs, in the order of the sources. jobs: number of processes. tick: called as runs are completed."""
-    if jobs <= 1 or len(sources) < 2:
-        drives = []
-        for source in sources:
-            drives.append(read_drive(source, vehicle, settings, force))
-            tick()
-        return drives
-    with ProcessPoolExecutor(min(jobs, len(sources))) as pool:
+    drives = []
+    with ProcessPoolExecutor(jobs) if jobs > 1 and len(sources) > 1 else nullcontext() as pool:
         # A source with a problem is not sent to another process, because its error cannot be pickled.
         futures = {number: pool.submit(read_drive, source, vehicle, settings, force)
-                   for number, source in enumerate(sources) if source.problem is None}
-        for _ in as_completed(futures.values()):
+                   for number, source in enumerate(sources) if pool and source.problem is None}
+        for number, source in enumerate(sources):
+            drives.append(futures[number].result() if number in futures else
+                          read_drive(source, vehicle, settings, force))
             tick()
-        return [futures[number].result() if number in futures else read_drive(source, vehicle, settings)
-                for number, source in enumerate(sources)]
+    return drives
 
 
 def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, force: bool = False) -> Drive:
@@ -118,10 +115,8 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
                     "warnings": list(run.warnings), "estimates": json_ready(result.estimates), "vehicle": car}
         raise_for_errors(source.path, result.findings, force)
         return Drive(source.name, run.log, metadata, findings=result.findings)
-    except RejectedRunError as error:
-        return Drive(source.name, None, {}, str(error), error.findings)
     except RUN_ERRORS as error:
-        return Drive(source.name, None, {}, describe_problem(error, source))
+        return Drive(source.name, None, {}, describe_problem(error, source), getattr(error, "findings", ()))
 
 
 def get_logs(drives: Sequence[Drive]) -> list[DriveLog]:

@@ -116,7 +116,11 @@ def summarise(discovery: Discovery, update: VehicleUpdate | None,
               findings: Mapping[str, Sequence[Finding]]) -> list[tuple[str, str]]:
     """(heading, text) pairs: combinations; residual and effects that are not separable or detectable; recordings;
     recommendations. findings: those of the checks, by recording."""
-    unresolved = [describe_residual(discovery), describe_inseparable(discovery), describe_undetectable(discovery)]
+    inseparable = [" or ".join(map(to_words, (e.name, *e.alternatives))) for e in discovery.effects if e.alternatives]
+    inseparable += [f"{to_words(e.name)} with {', '.join(map(to_words, e.joint))} (they compensate for each other)"
+                    for e in discovery.effects if e.joint]
+    unresolved = (describe_residual(discovery), f"not separable: {'; '.join(inseparable)}" if inseparable else "",
+                  describe_undetectable(discovery))
     combinations = [f"{format_combination(c)}: {', '.join(map(to_words, c.effects[:-1]))} or "
                     f"{to_words(c.effects[-1])}, which these drives do not separate"
                     for c in discovery.unseparated_combinations]
@@ -223,14 +227,6 @@ def format_combination(combination: result.Combination) -> str:
     return f"{combination.name} {ratio:.2f} ({low:.2f} to {high:.2f}) times the vehicle file value"
 
 
-def describe_inseparable(discovery: Discovery) -> str:
-    """Effects that explain the drives equally well or compensate for each other."""
-    names = [" or ".join(map(to_words, (e.name, *e.alternatives))) for e in discovery.effects if e.alternatives]
-    pairs = [f"{to_words(e.name)} with {', '.join(map(to_words, e.joint))} (they compensate for each other)"
-             for e in discovery.effects if e.joint]
-    return f"not separable: {'; '.join((*names, *pairs))}" if names or pairs else ""
-
-
 def list_pair_rows(discovery: Discovery) -> list[tuple[str, ...]]:
     """Table row of each inseparable pair of effects, with the columns of PAIR_HEAD; smallest separation first."""
     rows = []
@@ -288,15 +284,6 @@ def describe_next_drive(discovery: Discovery) -> str:
     return (f"next drive: {drive.name}, {drive.repetitions} times {drive.duration:.0f} s at {drive.speed:.1f} m/s, to "
             f"separate {first} and {second} by {format_separation(drive.strength)} σ of the noise (these drives: "
             f"{format_separation(now)} σ; required: {MIN_SEPARATION:g} σ)")
-
-
-def list_priors(discovery: Discovery) -> list[str]:
-    """Quantities of the vehicle file used as priors, except tyre parameters, with their standard deviations."""
-    priors = [f"{a.key} {format_estimate(a.value, (a.value - a.deviation, a.value + a.deviation), a.unit)}"
-              f"{'' if a.stated else ' (default uncertainty)'}"
-              for a in discovery.assumed if not a.key.startswith("tyre_")]
-    change = "to change an uncertainty, set `uncertainty` in the entry of the vehicle file"
-    return [f"{', '.join(priors)}; {change}"] if priors else []
 
 
 def describe_effective_corrections(discovery: Discovery) -> list[str]:
@@ -413,11 +400,15 @@ def list_details(discovery: Discovery, update: VehicleUpdate | None) -> list[tup
                          f"{discovery.power_analysis.simulated_drives} simulated drives without an effect")
     minor = [f"{name_with_alternatives(discovery, e)}: {reasons[e.name]}" for e in sort_by_size(discovery.minor)
              if e.name in reasons]
+    priors = ", ".join(f"{a.key} {format_estimate(a.value, (a.value - a.deviation, a.value + a.deviation), a.unit)}"
+                       f"{'' if a.stated else ' (default uncertainty)'}"
+                       for a in discovery.assumed if not a.key.startswith("tyre_"))
+    change = "; to change an uncertainty, set `uncertainty` in the entry of the vehicle file"
     sections = [*((role, [text]) for role, text in describe_drives(discovery)), ("meaning", explain_effects(discovery)),
                 ("decision rule", decisions), ("minor effects", minor),
                 ("to do", recommend(discovery, update)[1:]),
                 ("effective corrections", describe_effective_corrections(discovery)),
-                ("priors from the vehicle file", list_priors(discovery)),
+                ("priors from the vehicle file", [priors + change] if priors else []),
                 ("varying effects", list(map(describe_varying, discovery.varying))),
                 ("detectability", [describe_detectable(discovery)])]
     return [(heading, texts) for heading, section in sections if (texts := [text for text in section if text])]

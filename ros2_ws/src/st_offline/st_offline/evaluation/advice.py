@@ -122,16 +122,21 @@ def measure_accuracy(runs: Sequence[ErrorSamples], model: str, settings: Evaluat
     return Accuracy(tuple(seconds), tuple(rms.tolist()), level, half_widths, error_quantiles)
 
 
-def find_cheapest(costs: Mapping[ModelStep, Cost], accuracies: Mapping[ModelStep, Accuracy],
-                  tolerance: float) -> dict[float, tuple[ModelStep | None, ...]]:
-    """The (model, step) with the least processor time and a lateral error within the tolerance [m] in REQUIRED_FRACTION
-    of the starts, by speed bin (lower edge [m/s]) and second ahead; None if no model achieves this with any step."""
+def make_choice_rows(costs: Mapping[ModelStep, Cost], accuracies: Mapping[ModelStep, Accuracy],
+                     tolerance: float) -> list[dict[str, str]]:
+    """Table row of each speed bin, with the model and step of the least processor time and a lateral error within the
+    tolerance [m] in REQUIRED_FRACTION of the starts, by second ahead; "none" if no model and step achieves this."""
     order = sorted(accuracies, key=lambda key: costs[key].get("compiled", costs[key]["interpreted"]))
-    speeds = sorted({low for accuracy in accuracies.values() for low in accuracy.error_quantiles})
-    seconds = max((len(accuracy.seconds) for accuracy in accuracies.values()), default=0)
-    return {low: tuple(next((key for key in order if low in accuracies[key].error_quantiles
-                             and accuracies[key].error_quantiles[low][k] <= tolerance), None) for k in range(seconds))
-            for low in speeds}
+    seconds = max((accuracy.seconds for accuracy in accuracies.values()), default=())
+    rows = []
+    for low in sorted({low for accuracy in accuracies.values() for low in accuracy.error_quantiles}):
+        row = {"speed": label_bin(SPEED_EDGES, "m/s", SPEED_EDGES.index(low))}
+        errors = {key: accuracies[key].error_quantiles[low] for key in order if low in accuracies[key].error_quantiles}
+        for k, second in enumerate(seconds):
+            row[f"{second} s"] = next((f"{model}, {step:g} s" for (model, step), values in errors.items()
+                                       if values[k] <= tolerance), "none")
+        rows.append(row)
+    return rows
 
 
 def print_advice(sources: Sequence[RunSource], task: Task, tolerance: float, console: Console) -> None:
@@ -143,8 +148,7 @@ def print_advice(sources: Sequence[RunSource], task: Task, tolerance: float, con
         console.print(make_table(part, title=title, **TABLE_STYLE))
     title = (f"Cheapest model and step with a lateral error within {tolerance:g} m up to each second, in "
              f"{REQUIRED_FRACTION:.0%} of the starts, with measured inputs")
-    choices = make_choice_rows(find_cheapest(costs, accuracies, tolerance))
-    console.print(make_table(choices, title=title, **TABLE_STYLE))
+    console.print(make_table(make_choice_rows(costs, accuracies, tolerance), title=title, **TABLE_STYLE))
     for (model, step), reason in problems.items():
         print_line(f"[yellow]{escape(model)}, {step:g} s: {escape(reason)}[/yellow]", console)
     assert task.folder is not None  # set by the command
@@ -161,9 +165,8 @@ def measure_runs(sources: Sequence[RunSource],
     samples: dict[ModelStep, list[ErrorSamples]] = {}
     problems: dict[ModelStep, str] = {}
     longest: LogSignals | None = None
-    with warnings.catch_warnings():
-        # A step that is too long for a model leads to large or non-finite errors, which are reported.
-        warnings.simplefilter("ignore", StepTooLongWarning)
+    # A step that is too long for a model leads to large or non-finite errors, which are reported.
+    with warnings.catch_warnings(action="ignore", category=StepTooLongWarning):
         for source in sources:
             try:
                 log = read(source, task.vehicle, task.read_settings).log
@@ -223,13 +226,6 @@ def make_advice_rows(costs: Mapping[ModelStep, Cost], accuracies: Mapping[ModelS
                     for k, second in enumerate(seconds)}
         rows.append(row)
     return rows
-
-
-def make_choice_rows(choices: Mapping[float, tuple[ModelStep | None, ...]]) -> list[dict[str, str]]:
-    """One row for each speed bin, one column for each second ahead."""
-    return [{"speed": label_bin(SPEED_EDGES, "m/s", SPEED_EDGES.index(low))}
-            | {f"{k + 1} s": "none" if key is None else f"{key[0]}, {key[1]:g} s"
-                                           for k, key in enumerate(keys)} for low, keys in choices.items()]
 
 
 def split_rows(rows: Sequence[Mapping[str, str]],

@@ -29,7 +29,7 @@ from st_recordings.runs.csv_table import read_header
 from st_recordings.runs.raw import summarise_alignment
 
 from ..bands.bands_report import Scorer, collect_intervals, sum_contributions
-from ..checking.gate import RUN_ERRORS, RejectedRunError, check_log, describe_problem, raise_for_errors
+from ..checking.gate import RUN_ERRORS, check_log, describe_problem, raise_for_errors
 from . import tables
 from .background import run_in_background
 from .drawing import FigureOutput, PageFigure
@@ -86,14 +86,11 @@ class RunReport:
 def evaluate_run(source: RunSource, task: Task, progress: Progress | None = None) -> RunReport:
     """Read, evaluate and draw one run. An error in the run becomes the `problem` of the report."""
     try:
-        with warnings.catch_warnings():
-            # The checks already report a step that is too long as a finding.
-            warnings.simplefilter("ignore", StepTooLongWarning)
+        # The checks already report a step that is too long as a finding.
+        with warnings.catch_warnings(action="ignore", category=StepTooLongWarning):
             return _evaluate(source, task, progress)
-    except RejectedRunError as error:
-        return RunReport(source.name, problem=str(error), findings=error.findings)
     except RUN_ERRORS as error:
-        return RunReport(source.name, problem=describe_problem(error, source))
+        return RunReport(source.name, describe_problem(error, source), findings=getattr(error, "findings", ()))
 
 
 def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunReport:

@@ -100,26 +100,19 @@ def write_results(job: IdentificationJob, outcomes: Sequence[result.Identificati
     output = FigureOutput(new_folder(job.folder, ""), ("png", "pdf"))
     figures = [draw(outcome, output) if (draw := EXPERIMENTS[outcome.experiment].draw) else None
                for outcome in outcomes]
+    keys = [e.parameter for outcome in outcomes for e in outcome.estimates
+            if find_quantity(e.parameter) is not None and e.status != "unidentifiable"]
+    vehicle_text = Path(job.vehicle_file).read_text(encoding="utf-8")
     texts = {
         "identification.json": json_text({name: entry for outcome in outcomes
                                           for name, entry in outcome.to_document().items()}),
         "details.json": json_text(provenance | {"experiments": list(map(make_experiment_details, outcomes))}),
-        "vehicle.yaml": update_vehicle_text(Path(job.vehicle_file), updated_vehicle, outcomes),
+        "vehicle.yaml": edit_vehicle_text(vehicle_text, keys, updated_vehicle),
         "report.html": render_page(outcomes, figures, job.vehicle, provenance),
     }
     for name, text in texts.items():
         (job.folder / name).write_text(text, encoding="utf-8")
     return {name: job.folder / name for name in texts}
-
-
-def update_vehicle_text(file: Path, vehicle: VehicleParameters, outcomes: Sequence[result.Identification]) -> str:
-    """Text of the vehicle file with the identified values; if the file cannot be read, text of a new one."""
-    keys = [e.parameter for outcome in outcomes for e in outcome.estimates
-            if find_quantity(e.parameter) is not None and e.status != "unidentifiable"]
-    try:
-        return edit_vehicle_text(file.read_text(encoding="utf-8"), keys, vehicle)
-    except OSError:
-        return vehicle.to_yaml()
 
 
 def make_experiment_details(outcome: result.Identification) -> dict[str, Any]:
