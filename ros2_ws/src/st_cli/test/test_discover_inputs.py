@@ -49,7 +49,7 @@ def test_parallel_and_serial_reading_give_equal_drives(drive, tmp_path):
     sources, ticks = find_runs([drive, other, tmp_path / "none.csv"]), []
     alone, parallel = (read_drives(sources, load_vehicle(LEAF), ReadSettings(), jobs, lambda: ticks.append(1))
                        for jobs in (1, 2))
-    assert [d.problem != "" for d in parallel] == [d.problem != "" for d in alone] and len(ticks) == 5
+    assert [d.problem != "" for d in parallel] == [d.problem != "" for d in alone] and len(ticks) == 6
     for a, b in zip(alone, parallel, strict=True):
         assert (a.log is None and b.log is None) or are_equal(a.log, b.log)
 
