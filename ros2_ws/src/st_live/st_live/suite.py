@@ -89,8 +89,13 @@ class Processes:
         with log.open("ab") as stream:
             process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT,
                                        env=self.environment, start_new_session=True)
-        if self._realtime and not _set_realtime(process.pid, name):
-            self.realtime_denied.add(name)
+        if self._realtime and name in REALTIME_PRIORITIES:
+            try:
+                os.sched_setscheduler(process.pid, os.SCHED_RR, os.sched_param(REALTIME_PRIORITIES[name]))
+            except PermissionError:
+                self.realtime_denied.add(name)
+            except ProcessLookupError:
+                pass  # it has already ended; `check` reports that
         child = Child(name, process, log, may_end)
         self.children.append(child)
         return child
@@ -150,18 +155,6 @@ class Suite(Processes):
     def start_node(self, package: str, executable: str) -> Child:
         return self.start(
             executable, [find_executable(package, executable), "--ros-args", "--params-file", str(self.parameter_file)])
-
-
-def _set_realtime(pid: int, name: str) -> bool:
-    """Give a process of REALTIME_PRIORITIES real-time scheduling; False if that is not permitted."""
-    if name in REALTIME_PRIORITIES:
-        try:
-            os.sched_setscheduler(pid, os.SCHED_RR, os.sched_param(REALTIME_PRIORITIES[name]))
-        except PermissionError:
-            return False
-        except ProcessLookupError:
-            pass  # it has already ended; `check` reports that
-    return True
 
 
 def find_executable(package: str, executable: str) -> str:

@@ -122,12 +122,8 @@ UP_TIME_AT_START = 1800.0  # s
 _RTK, _SATELLITES = 6, 14  # code of the position mode, number of satellites
 
 
-def _make_receiver_values(name: str) -> dict[str, float]:
-    values = {"AntStatus": 0, "AntPower": 0, "CpuUsed": 34, "CoreNoise": 12, "SerBaud": 14, "NumSats": _SATELLITES,
-              "PosMode": _RTK, "CoreTemp": 41, "SupplyVolt": 12.1}
-    return {f"{name}.{key}": value for key, value in values.items()}
-
-
+_RECEIVER = {"AntStatus": 0, "AntPower": 0, "CpuUsed": 34, "CoreNoise": 12, "SerBaud": 14, "NumSats": _SATELLITES,
+             "PosMode": _RTK, "CoreTemp": 41, "SupplyVolt": 12.1}
 # Channels with constant values; those that the suite does not use are sent with all fields invalid.
 _CONSTANT_CHANNELS: Mapping[int, Mapping[str, float | str]] = {
     **{channel: {} for channel in (*range(6, 12), *range(13, 16), 17, 21, 22, 24, 26, *range(28, 30), *range(31, 37),
@@ -149,8 +145,8 @@ _CONSTANT_CHANNELS: Mapping[int, Mapping[str, float | str]] = {
     40: {"NcomVersion": 22, "OutputLatency": 0.0, "SerialNumber24": 4711},
     48: {"Undulation": UNDULATION, "HDOP": 0.7, "PDOP": 1.3, "OutputDatum": 0, "DatumEllipsoid": 0,
          "DatumEarthFrame": 0},
-    55: _make_receiver_values("GpsPrimary"),
-    56: _make_receiver_values("GpsSecondary"),
+    55: {f"GpsPrimary.{name}": value for name, value in _RECEIVER.items()},
+    56: {f"GpsSecondary.{name}": value for name, value in _RECEIVER.items()},
     59: {"ImuTemperature": 38.5},
     76: {"NtripStatus": 6},
 }

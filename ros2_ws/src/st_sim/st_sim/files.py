@@ -95,25 +95,19 @@ class TruthFile:
             self.fault = f"{self._name}: {error.strerror}"
 
 
-class LogFile:
+class LogFile(CanutilsLogWriter):
     """CAN log in the text format of candump; can0 is the car, can1 the INS."""
-
-    def __init__(self, path: Path):
-        self._writer = CanutilsLogWriter(path)
 
     def write(self, time_ns: int, frame: can.Message) -> None:
         logged_frame, bus = copy(frame), cast(int, frame.channel)  # a background frame is sent repeatedly
         logged_frame.timestamp, logged_frame.channel = time_ns / 1e9, bus - 1
-        self._writer.on_message_received(logged_frame)
-
-    def close(self) -> None:
-        self._writer.stop()
+        self.on_message_received(logged_frame)
 
 
 class Mf4File:
     """MDF 4.11 file in the finalised format of a CANedge: one bus-logging group per channel, times on a grid of 50 us.
 
-    CAN1 is the car, CAN2 the INS. Frames are kept in memory until close(). Methods import asammdf, which is optional.
+    CAN1 is the car, CAN2 the INS. Frames are kept in memory until stop(). Methods import asammdf, which is optional.
     """
 
     GRID_NS = 50_000
@@ -130,7 +124,7 @@ class Mf4File:
         self._frames[cast(int, frame.channel)].append(
             (time_ns - self._start_ns, frame.arbitration_id, bytes(frame.data)))
 
-    def close(self) -> None:
+    def stop(self) -> None:
         from asammdf import MDF
         from asammdf.blocks.v4_blocks import FileHistory
 

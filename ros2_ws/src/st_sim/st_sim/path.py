@@ -128,8 +128,6 @@ class Path:
 
     def _find_lap_start(self, lap: int) -> Pose:
         if lap not in self._lap_starts:
-            if len(self._lap_starts) > 8:  # a drive needs only the current and the next lap
-                self._lap_starts.clear()
             one_lap = self._poses[-1] if lap > 0 else self._poses[-1].inverse()
             pose = self._anchor
             for _ in range(abs(lap)):

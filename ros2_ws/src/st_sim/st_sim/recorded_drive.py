@@ -56,25 +56,22 @@ def _read_table(path: Path) -> np.ndarray:
             missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
             if missing:
                 raise ConfigurationError(f"{path}: column {missing[0]} is missing; required: {', '.join(COLUMNS)}")
-            rows = [(reader.line_num, _parse_row(row, path, reader.line_num)) for row in reader]
+            rows: list[list[float]] = []
+            for row in reader:
+                line = f"{path}: line {reader.line_num}"
+                try:
+                    values = [float(row[name]) for name in COLUMNS]
+                except (TypeError, ValueError):
+                    values = [math.nan]
+                if not all(map(math.isfinite, values)):
+                    raise ConfigurationError(f"{line}: not all of {', '.join(COLUMNS)} are finite numbers")
+                if rows and values[0] <= rows[-1][0]:
+                    raise ConfigurationError(f"{line}: t does not increase")
+                rows.append(values)
     except OSError as error:
         raise ConfigurationError(f"--drive {path}: cannot be read: {error.strerror}") from None
     except (UnicodeDecodeError, csv.Error) as error:
         raise ConfigurationError(f"{path}: not a CSV file: {error}") from None
     if len(rows) < 2:
         raise ConfigurationError(f"{path}: has {len(rows)} rows, but at least 2 are required")
-    table = np.array([values for _, values in rows])
-    backward_rows = np.flatnonzero(np.diff(table[:, 0]) <= 0)
-    if backward_rows.size:
-        raise ConfigurationError(f"{path}: line {rows[backward_rows[0] + 1][0]}: t does not increase")
-    return table
-
-
-def _parse_row(row: dict[str, str], path: Path, line: int) -> list[float]:
-    try:
-        values = [float(row[name]) for name in COLUMNS]
-    except (TypeError, ValueError):
-        raise ConfigurationError(f"{path}: line {line}: not all of {', '.join(COLUMNS)} are numbers") from None
-    if not all(map(math.isfinite, values)):
-        raise ConfigurationError(f"{path}: line {line}: a value is not finite")
-    return values
+    return np.array(rows)

@@ -188,7 +188,7 @@ def _write_files(options: argparse.Namespace, stop_requested: Callable[[], bool]
     with contextlib.ExitStack() as files:
         ncom = files.enter_context((folder / "run.ncom").open("wb"))
         frames = LogFile(folder / "run.log") if options.can_format == "log" else Mf4File(folder / "run.mf4", start_ns)
-        files.callback(frames.close)
+        files.callback(frames.stop)
         truth = TruthFile(folder / "truth.mcap", start_ns, run.settings, run.metadata)
         files.callback(truth.close)
         last_due = send(

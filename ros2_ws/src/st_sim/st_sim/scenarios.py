@@ -134,36 +134,26 @@ def _make_circle(lateral_acceleration: float) -> Plan:
     return RoadPlan([Piece(2 * math.pi * radius, 1 / radius, 1 / radius, math.sqrt(lateral_acceleration * radius))])
 
 
-def _make_u_turns() -> Plan:
-    """U-turns right, left, left: a lap changes the heading by 180 deg, so the road closes after two laps."""
-    left = turn(8, 180, 4, 5)
-    return RoadPlan([*straight(24, 6), *turn(8, -180, 4, 5), *straight(26, 6), *left, *straight(26, 6), *left,
-                     *straight(2, 6)])
-
-
-def _make_roundabout() -> Plan:
-    """16 m/s in a slight right bend (1.1 m/s^2), braking, 450 deg to the left at 5 m/s, acceleration to 16 m/s."""
-    return RoadPlan(
-        [*straight(30, 16), *turn(230, -24, 16, 20), *straight(85, 16), *turn(12, 450, 5, 7), *straight(110, 16)],
-        acceleration=1.6, braking=2.0)
-
-
-def _make_circle_to_rest() -> Plan:
-    """R = 10 m to the right at 1.5 m/s^2, braking at 1.5 m/s^2 to standstill, 4 s at rest, acceleration; repeated."""
-    return PhasePlan(10.0, -1, math.sqrt(1.5 * 10.0), [
-        Phase("path", duration=18.0), Phase("path", acceleration=-1.5, end_speed=0.0), Phase("path", duration=4.0),
-        Phase("path", acceleration=1.2, duration=5.0)])
-
-
+_CIRCLE_TO_REST = (
+    Phase("path", duration=18.0), Phase("path", acceleration=-1.5, end_speed=0.0), Phase("path", duration=4.0),
+    Phase("path", acceleration=1.2, duration=5.0))
+_LEFT_U_TURN = turn(8, 180, 4, 5)
+# A lap changes the heading by 180 deg, so the road closes after two laps.
+_U_TURNS = (*straight(24, 6), *turn(8, -180, 4, 5), *straight(26, 6), *_LEFT_U_TURN, *straight(26, 6), *_LEFT_U_TURN,
+            *straight(2, 6))
+_ROUNDABOUT = (
+    *straight(30, 16), *turn(230, -24, 16, 20), *straight(85, 16), *turn(12, 450, 5, 7), *straight(110, 16))
 CATALOGUE_SCENARIOS = {m.name: (partial(make_plan, m), m.description) for m in CATALOGUE}
 SCENARIOS: dict[str, tuple[Callable[[], Plan], str]] = {
     "S1": CATALOGUE_SCENARIOS["S1"],
-    "S2": (lambda: _make_circle(1.5), "left circle, R = 11.5 m, 1.5 m/s^2"),
-    "S3": (lambda: _make_circle(3.77), "left circle, R = 11.5 m, 3.8 m/s^2"),
-    "S4": (lambda: _make_circle(6.37), "left circle, R = 11.5 m, 6.4 m/s^2"),
-    "S5": (_make_circle_to_rest, "right circle, R = 10 m, 1.5 m/s^2, brake to standstill, accelerate, repeat"),
-    "S6": (_make_u_turns, "U-turns right, left, left with straights, 4 to 6 m/s"),
-    "S7": (_make_roundabout, "16 m/s, slightly right, brake to 5 m/s, 450 deg roundabout, back to 16 m/s"),
+    "S2": (partial(_make_circle, 1.5), "left circle, R = 11.5 m, 1.5 m/s^2"),
+    "S3": (partial(_make_circle, 3.77), "left circle, R = 11.5 m, 3.8 m/s^2"),
+    "S4": (partial(_make_circle, 6.37), "left circle, R = 11.5 m, 6.4 m/s^2"),
+    "S5": (partial(PhasePlan, 10.0, -1, math.sqrt(1.5 * 10.0), _CIRCLE_TO_REST),
+           "right circle, R = 10 m, 1.5 m/s^2, brake to standstill, accelerate, repeat"),
+    "S6": (partial(RoadPlan, _U_TURNS), "U-turns right, left, left with straights, 4 to 6 m/s"),
+    "S7": (partial(RoadPlan, _ROUNDABOUT, acceleration=1.6, braking=2.0),
+           "16 m/s, slightly right, brake to 5 m/s, 450 deg roundabout, back to 16 m/s"),
     **CATALOGUE_SCENARIOS,
 }
 

@@ -80,10 +80,14 @@ class Ins:
     def read(self, truth: Truth) -> InsReading:
         x, y, vx, vy = truth.motion_at(*self._lever_arm)
         ax, ay = truth.acceleration_at(*self._lever_arm)
+        cp, sp, cr, sr = math.cos(truth.pitch), math.sin(truth.pitch), math.cos(truth.roll), math.sin(truth.roll)
+        pitched_up = cp * GRAVITY - sp * ax
         reading = InsReading(
             stamp=truth.time + self._settings["ins_time_error"], x=x, y=y, z=truth.z, velocity_x=vx, velocity_y=vy,
             velocity_z=truth.velocity_z, yaw=truth.yaw, roll=truth.roll, pitch=truth.pitch,
-            rates=_compute_body_rates(truth), specific_force=_compute_specific_force(ax, ay, truth.roll, truth.pitch))
+            # Axes of the tilted body; the pitch angle is constant, the acceleration (ax, ay, 0) horizontal.
+            rates=(truth.roll_rate + truth.yaw_rate * sp, truth.yaw_rate * sr * cp, truth.yaw_rate * cr * cp),
+            specific_force=(cp * ax + sp * GRAVITY, cr * ay + sr * pitched_up, cr * pitched_up - sr * ay))
         self._add_errors(reading)
         if self._noise:
             speed_ratio = min(abs(truth.velocity_x) / FULL_VIBRATION_SPEED, 1.0)
@@ -112,20 +116,6 @@ class Ins:
         r.rates = [rate + noise[f"rate_{axis}"](vibration) for rate, axis in zip(r.rates, "xyz", strict=True)]
         r.specific_force = [force + noise[f"force_{axis}"](vibration)
                             for force, axis in zip(r.specific_force, "xyz", strict=True)]
-
-
-def _compute_body_rates(truth: Truth) -> tuple[float, float, float]:
-    """Angular rates [rad/s] of the tilted body about its x, y, z (FLU) for a constant pitch angle."""
-    return (truth.roll_rate + truth.yaw_rate * math.sin(truth.pitch),
-            truth.yaw_rate * math.sin(truth.roll) * math.cos(truth.pitch),
-            truth.yaw_rate * math.cos(truth.roll) * math.cos(truth.pitch))
-
-
-def _compute_specific_force(ax: float, ay: float, roll: float, pitch: float) -> tuple[float, float, float]:
-    """Specific force [m/s^2] in tilted body axes (FLU) for a horizontal acceleration (a_x, a_y, 0) and gravity."""
-    cp, sp, cr, sr = math.cos(pitch), math.sin(pitch), math.cos(roll), math.sin(roll)
-    pitched_up = cp * GRAVITY - sp * ax
-    return cp * ax + sp * GRAVITY, cr * ay + sr * pitched_up, cr * pitched_up - sr * ay
 
 
 class SteeringSensor:

@@ -76,7 +76,7 @@ VALID_ROWS = "0,0,0,0,5,0,0,0,0,0\n0.02,0.1,0,0,5,0,0,0,0,0\n"
         ("t,x,y\n0,0,0\n", "column yaw is missing"),
         (f"{HEADER}\n{VALID_ROWS}0.04,a,0,0,5,0,0,0,0,0\n", "line 4"),
         (f"{HEADER}\n{VALID_ROWS}0.04,0,0\n", "line 4"),
-        (f"{HEADER}\n{VALID_ROWS}0.04,nan,0,0,5,0,0,0,0,0\n", "line 4: a value is not finite"),
+        (f"{HEADER}\n{VALID_ROWS}0.04,nan,0,0,5,0,0,0,0,0\n", "line 4: not all of t, x, y"),
         (f"{HEADER}\n{VALID_ROWS}0.01,0,0,0,5,0,0,0,0,0\n", "line 4: t does not increase"),
         (f"{HEADER}\n{VALID_ROWS}\n\n0.01,0,0,0,5,0,0,0,0,0\n", "line 6: t does not increase"),
         (f"{HEADER}\n0,0,0,0,5,0,0,0,0,0\n", "has 1 rows"),

@@ -114,15 +114,13 @@ class BandMessages:
         self._messages: dict[str, list[Band]] = {}
         self._copies: list[tuple[memoryview, memoryview]] = []
         for model, model_widths in half_widths.items():
-            self._messages[model] = [self._make_message(*key, widths) for key, widths in model_widths.items()]
-
-    def _make_message(self, mode: str, level: float, widths: np.ndarray) -> Band:
-        zeros = array("f", bytes(4 * len(widths)))
-        message = Band(mode=mode, level=level, **dict.fromkeys(AXES, zeros))
-        # The message contains copies of the arrays. With views of source and target, `fill` only has to copy memory.
-        self._copies += [(memoryview(getattr(message, axis)), memoryview(column))
-                         for axis, column in zip(AXES, widths.T, strict=True)]
-        return message
+            self._messages[model] = []
+            for (mode, level), widths in model_widths.items():
+                message = Band(mode=mode, level=level, **dict.fromkeys(AXES, array("f", bytes(4 * len(widths)))))
+                self._messages[model].append(message)
+                # The message contains copies of the arrays. With views of both, `fill` only has to copy memory.
+                self._copies += [(memoryview(getattr(message, axis)), memoryview(column))
+                                 for axis, column in zip(AXES, widths.T, strict=True)]
 
     def fill(self) -> Mapping[str, list[Band]]:
         """Messages by model, with the current half-widths; valid until the next call."""

@@ -188,13 +188,12 @@ class PredictorNode(Node):
         predictions["forecast"] = self._publish_predictions(start, "forecast", bands=self._bands.make_messages(
             self._core.history, start.time_ns, ("forecast", "hindsight", *predictions)))
         # Paths are published last: only viewers read them, and filling one takes longer than running all models.
-        for model, trajectory in predictions["forecast"].items():
-            if np.isfinite(trajectory.states).all():
-                path = self._path_builder.fill(start.time_ns, trajectory, self._core.car(model))
-                self._path_publishers[model].publish(path)
-                self._diverged_models.discard(model)
-            else:
-                self._diverged_models.add(model)  # viewers cannot draw such a path; the evaluator scores it incomplete
+        # Viewers cannot draw a path that is not finite; the evaluator scores it incomplete.
+        finite = {model: t for model, t in predictions["forecast"].items() if np.isfinite(t.states).all()}
+        self._diverged_models = predictions["forecast"].keys() - finite.keys()
+        for model, trajectory in finite.items():
+            path = self._path_builder.fill(start.time_ns, trajectory, self._core.car(model))
+            self._path_publishers[model].publish(path)
         self._bands.add_predictions(start, predictions)
         if previous_state != (bool(self._plan.problem), self._course.is_used):
             self._diagnostics.publish()
