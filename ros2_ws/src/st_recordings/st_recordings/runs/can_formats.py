@@ -3,6 +3,7 @@
 import csv
 import mmap
 import re
+import zlib
 from base64 import b64decode
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
@@ -10,7 +11,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from importlib import import_module
-from itertools import dropwhile, islice, takewhile
+from itertools import dropwhile, islice, pairwise, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from .mf4 import FD_LENGTHS, MF4_EXTENSIONS, VENDOR_EXTENSIONS, is_mdf
 from .table_times import DAY, PLAUSIBLE_EPOCH, ROLLOVER_STEP, month_number, parse_stamp
 
 _BLF_HEAD_LENGTH = 16  # bytes: "LOBJ", header size, header version, object size, object type
-_BLF_CONTAINER = re.compile(rb"LOBJ\x10\0\x01\0.{4}\x0a\0\0\0", re.DOTALL)  # its head
+_BLF_CONTAINER = re.compile(rb"LOBJ.{8}\x0a\0\0\0", re.DOTALL)  # its head
 _BLF_PADDING = 3  # bytes; largest padding after a container, which the format aligns to four bytes
 _WEEKDAY_MONTH = re.compile(r"(?i)^(date|begin\s+triggerblock)\s+\S+\s+(\S+)(.*)")
 _TABLE_EXTENSIONS = (".csv", ".txt")
@@ -400,61 +401,48 @@ def _read_csv_data(cells: Mapping[str, str], row: Sequence[str], name: str, role
     return data
 
 
-def _open_blf(file: Path) -> Any:
-    from can.io import blf
-
-    class Reader(blf.BLFReader):
-        """Rejects objects shorter than their header, which python-can would read forever, and continues after damage.
-
-        start: position after the last container that was read completely, and after its padding [byte].
-        """
-
-        start = 0
-
-        def find_next_container(self) -> int:
-            with mmap.mmap(self.file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-                match = _BLF_CONTAINER.search(content, self.start + _BLF_PADDING + 1)
-                return match.start() if match else len(content)
-
-        def _parse_container(self, data: bytes) -> Iterator[Any]:
-            if self.find_next_container() < (end := self.file.tell()):
-                raise blf.BLFParseError("a container has a wrong length")
-            # After damage, a container may begin with the end of a lost object.
-            yield from super()._parse_container(data if self._tail else data[max(data.find(b"LOBJ"), 0):])
-            self.start = end
-
-        def _parse_data(self, data: bytes) -> Iterator[Any]:
-            offset = data.find(b"LOBJ", 0, 8)
-            while 0 <= offset <= len(data) - _BLF_HEAD_LENGTH:
-                length = int.from_bytes(data[offset + 8:offset + 12], "little")
-                if length < _BLF_HEAD_LENGTH:
-                    raise blf.BLFParseError(f"an object has a length of {length} bytes")
-                offset = data.find(b"LOBJ", offset + length, offset + length + 8)
-            return super()._parse_data(data)
-
-        def skip_damage(self) -> int:
-            """Goes to the next container; returns the number of bytes from the damaged one to it."""
-            start, self.start = self.start, self.find_next_container()
-            self.file.seek(self.start)
-            self._tail = b""
-            return self.start - start
-
-    reader = Reader(str(file))
-    reader.start = reader.file.tell()
-    return reader
+def _unpack_blf_container(container: bytes, tail: bytes) -> bytes:
+    """The objects in a container, of which the first begins with `tail`, from the previous one. Raises ValueError or
+    zlib.error for damage, such as an object shorter than its header, which python-can would read forever."""
+    method, content = int.from_bytes(container[16:18], "little"), container[32:]
+    if method not in (0, 2):
+        raise ValueError(f"unknown compression {method}")
+    data = zlib.decompressobj().decompress(content) if method else content
+    # After damage, a container may begin with the end of a lost object.
+    data = tail + data if tail else data[max(data.find(b"LOBJ"), 0):]
+    offset = data.find(b"LOBJ", 0, 8)
+    while 0 <= offset <= len(data) - _BLF_HEAD_LENGTH:
+        length = int.from_bytes(data[offset + 8:offset + 12], "little")
+        if length < _BLF_HEAD_LENGTH:
+            raise ValueError(f"an object has a length of {length} bytes")
+        offset = data.find(b"LOBJ", offset + length, offset + length + 8)
+    return data
 
 
 def _read_blf(file: Path, notes: list[str]) -> Iterator[Any]:
+    """Yields the messages of a log; continues with the next container after a damaged one."""
     size, count, lost, damage = file.stat().st_size, 0, 0, ""
-    with _open_blf(file) as reader:
-        while not reader.file.closed:
+    with import_module("can.io.blf").BLFReader(str(file)) as reader, mmap.mmap(
+            reader.file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        first = reader.file.tell()
+        starts = [match.start() for match in _BLF_CONTAINER.finditer(content, first)]
+        for start, following in pairwise(dict.fromkeys([first, *starts, size])):
+            end = start + int.from_bytes(content[start + 8:start + 12], "little")
+            unread = start
             try:
-                for message in reader:
+                if start not in starts or end > following < size:
+                    raise ValueError(f"the container at byte {start} has a wrong head or length")
+                data, reader._tail = _unpack_blf_container(content[start:end], reader._tail), b""
+                for message in reader._parse_container(data):
                     count += 1
                     yield message
-            except Exception as error:
+                unread = end
+                if following - end > _BLF_PADDING:
+                    raise ValueError(f"no container is at byte {end}")
+            except Exception as error:  # any, from python-can
                 damage = damage or f"is damaged after frame {count} ({shorten(error)})"
-                lost += reader.skip_damage()
+                lost += following - unread
+                reader._tail = b""
     if damage:
         notes.append(f"{damage}; frames in {format_count(lost, size, 'bytes')} may be missing")
     if not reader.file_size:
