@@ -12,7 +12,7 @@ from st_core.models import MODELS
 from st_core.palette import MODEL_COLOUR
 from st_offline.evaluation import advice as advice_report
 from st_offline.evaluation.advice import measure_runs
-from st_offline.evaluation.drawing import TEXT_COLOUR, WIDTH, FigureOutput, apply_style, save_figure
+from st_offline.evaluation.drawing import TEXT_COLOUR, WIDTH, FigureOutput, save_figure
 from st_offline.evaluation.work import Task
 from st_recordings.paths import project_root
 from st_recordings.runs import find_runs
@@ -31,35 +31,34 @@ def draw_advice(costs: Mapping[advice_report.ModelStep, advice_report.Cost],
     known = max((accuracy.seconds for accuracy in accuracies.values()), default=())
     seconds = [s for s in known if s in (1, 2, 3, 5)] or known[:1]
     steps = sorted({step for _, step in accuracies})
-    with apply_style():
-        figure, panels = plt.subplots(1, len(seconds), figsize=(WIDTH, 3.4), sharey=True, squeeze=False)
-        for axes, second in zip(panels[0], seconds, strict=True):
-            for (model, step), accuracy in accuracies.items():
-                k, marker = accuracy.seconds.index(second), MARKERS[steps.index(step) % len(MARKERS)]
-                cost = 1e6 * costs[model, step].get("compiled", costs[model, step]["interpreted"])
-                colour = MODEL_COLOUR.get(model, TEXT_COLOUR)
-                axes.plot(cost, accuracy.rms[k], marker, color=colour, ms=5)
-                if accuracy.half_widths is not None:
-                    axes.plot([cost, cost], [accuracy.rms[k], accuracy.half_widths[k]], color=colour, lw=0.7)
-                    axes.plot(cost, accuracy.half_widths[k], marker, color=colour, ms=5, mfc="none")
-            axes.axhline(tolerance, color=TEXT_COLOUR, lw=0.7, ls=(0, (4, 3)))
-            axes.set(title=f"{second} s ahead", xscale="log", yscale="log", xlabel="µs per prediction")
-            axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axes.xaxis.set_major_formatter("{x:g}")
-            axes.yaxis.set_major_formatter("{x:g}")
-            axes.xaxis.set_minor_formatter(NullFormatter())
-        panels[0, 0].set_ylabel("lateral error, m")
-        models = list(dict.fromkeys(model for model, _ in accuracies))
-        handles = [Line2D([], [], ls="", marker="o", color=MODEL_COLOUR.get(m, TEXT_COLOUR), label=m) for m in models]
-        handles += [Line2D([], [], ls="", marker=MARKERS[k % len(MARKERS)], color=TEXT_COLOUR, label=f"step {step:g} s")
-                    for k, step in enumerate(steps)]
-        handles += [Line2D([], [], ls="", marker="D", color=TEXT_COLOUR, ms=5, label="error, rms"),
-                    Line2D([], [], ls="", marker="D", color=TEXT_COLOUR, ms=5, mfc="none",
-                           label="half-width of the band"),
-                    Line2D([], [], color=TEXT_COLOUR, lw=0.7, ls=(0, (4, 3)), label=f"{tolerance:g} m")]
-        figure.legend(handles=handles, loc="outside lower left", ncols=6)
-        save_figure(figure, output, "advice", "Cost and accuracy of each model and step",
-                           f"Filled: rms error; hollow: half-width of the band; dashed: {tolerance:g} m.")
+    figure, panels = plt.subplots(1, len(seconds), figsize=(WIDTH, 3.4), sharey=True, squeeze=False)
+    for axes, second in zip(panels[0], seconds, strict=True):
+        for (model, step), accuracy in accuracies.items():
+            k, marker = accuracy.seconds.index(second), MARKERS[steps.index(step) % len(MARKERS)]
+            cost = 1e6 * costs[model, step].get("compiled", costs[model, step]["interpreted"])
+            colour = MODEL_COLOUR.get(model, TEXT_COLOUR)
+            axes.plot(cost, accuracy.rms[k], marker, color=colour, ms=5)
+            if accuracy.half_widths is not None:
+                axes.plot([cost, cost], [accuracy.rms[k], accuracy.half_widths[k]], color=colour, lw=0.7)
+                axes.plot(cost, accuracy.half_widths[k], marker, color=colour, ms=5, mfc="none")
+        axes.axhline(tolerance, color=TEXT_COLOUR, lw=0.7, ls=(0, (4, 3)))
+        axes.set(title=f"{second} s ahead", xscale="log", yscale="log", xlabel="µs per prediction")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter(NullFormatter())
+    panels[0, 0].set_ylabel("lateral error, m")
+    models = list(dict.fromkeys(model for model, _ in accuracies))
+    handles = [Line2D([], [], ls="", marker="o", color=MODEL_COLOUR.get(m, TEXT_COLOUR), label=m) for m in models]
+    handles += [Line2D([], [], ls="", marker=MARKERS[k % len(MARKERS)], color=TEXT_COLOUR, label=f"step {step:g} s")
+                for k, step in enumerate(steps)]
+    handles += [Line2D([], [], ls="", marker="D", color=TEXT_COLOUR, ms=5, label="error, rms"),
+                Line2D([], [], ls="", marker="D", color=TEXT_COLOUR, ms=5, mfc="none",
+                       label="half-width of the band"),
+                Line2D([], [], color=TEXT_COLOUR, lw=0.7, ls=(0, (4, 3)), label=f"{tolerance:g} m")]
+    figure.legend(handles=handles, loc="outside lower left", ncols=6)
+    save_figure(figure, output, "advice", "Cost and accuracy of each model and step",
+                       f"Filled: rms error; hollow: half-width of the band; dashed: {tolerance:g} m.")
 
 
 def describe_columns(accuracies: dict) -> str:

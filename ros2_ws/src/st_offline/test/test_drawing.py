@@ -12,7 +12,6 @@ from st_offline.alignment_figure import draw_alignment
 from st_offline.evaluation.drawing import (
     MAX_POINTS,
     FigureOutput,
-    apply_style,
     cut_at_gaps,
     reduce_points,
     save_figure,
@@ -26,12 +25,11 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def drawn(folder):
-    with apply_style():
-        figure, axes = plt.subplots()
-        axes.plot([0, 1], [0.123456789, 1], color=MODEL_COLOUR["nonlinear"])
-        axes.plot([0, 1], [1, 0], ".", rasterized=True)
-        axes.set_xlabel("time, s")
-        return save_figure(figure, FigureOutput(folder, ("png", "pdf"), "S6-"), "test", "x < y & z", "how to read it")
+    figure, axes = plt.subplots()
+    axes.plot([0, 1], [0.123456789, 1], color=MODEL_COLOUR["nonlinear"])
+    axes.plot([0, 1], [1, 0], ".", rasterized=True)
+    axes.set_xlabel("time, s")
+    return save_figure(figure, FigureOutput(folder, ("png", "pdf"), "S6-"), "test", "x < y & z", "how to read it")
 
 
 def test_figure_is_saved_in_every_format(drawn, folder):
@@ -45,6 +43,20 @@ def test_svg_uses_the_colours_and_fonts_of_the_page(drawn):
     assert "var(--nonlinear)" in drawn.svg and MODEL_COLOUR["nonlinear"] not in drawn.svg
     assert "font-family" not in drawn.svg and "var(--text)" in drawn.svg
     assert "time, s" in drawn.svg and "x &lt; y" not in drawn.svg  # the page shows the title outside the figure
+
+
+@pytest.mark.parametrize("has_own", [False, True])
+def test_legend_lists_each_label_once_unless_an_axis_has_its_own(has_own):
+    figure, panels = plt.subplots(1, 2)
+    for axes in panels:
+        axes.plot([0, 1], [0, 1], label="linear")
+        axes.plot([0, 1], [1, 0])
+    panels[1].plot([0, 1], [1, 1], label="measured")
+    if has_own:
+        panels[0].legend()
+    save_figure(figure, FigureOutput(None, ()), "test", "title", "caption")
+    texts = [[text.get_text() for text in legend.get_texts()] for legend in figure.legends]
+    assert texts == ([] if has_own else [["linear", "measured"]])
 
 
 def test_svg_ids_have_the_prefix_and_references_resolve(drawn):

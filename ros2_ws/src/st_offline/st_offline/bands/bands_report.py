@@ -6,7 +6,6 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.lines import Line2D
 from rich.console import Console
 from st_core.bands import AdaptiveBand, Band, Bands, conditions_at
 from st_core.bands.calibration import LEVELS, RELIABILITY_LEVELS, to_predicted_frame
@@ -21,7 +20,7 @@ from st_core.palette import MEASURED_COLOUR
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
 
-from ..evaluation.drawing import WIDTH, FigureOutput, PageFigure, apply_style, save_figure
+from ..evaluation.drawing import WIDTH, FigureOutput, PageFigure, save_figure
 from ..evaluation.run_figures import get_line_style
 from ..terminal import make_table, print_line
 
@@ -205,7 +204,6 @@ NO_BANDS = ("[dim]no bands were given: calibrate them on other runs of this car 
             "--output bands.yaml`, and test them on these runs with `--bands bands.yaml`[/dim]")
 
 
-@apply_style()
 def draw_bands(content: Mapping[str, Any], output: FigureOutput) -> list[PageFigure]:
     """Draw a reliability diagram from the result of `summarise_bands`; no figure if no start had a band."""
     models = {model: modes for model, modes in content.get("models", {}).items()
@@ -225,8 +223,6 @@ def draw_bands(content: Mapping[str, Any], output: FigureOutput) -> list[PageFig
                       ms=3, **get_line_style(model))
         axes.set(title=f"{mode} ({inputs})", xlabel="nominal coverage, %", xlim=(0, 100), ylim=(0, 100))
     panels[0].set_ylabel("paths entirely inside, %")
-    handles = [Line2D([], [], **get_line_style(model), label=model) for model in models]
-    figure.legend(handles=handles, loc="outside lower left", ncols=6)
     return [save_figure(figure, output, "bands_reliability",
                         f"Reliability of the bands; largest deviation from {_format_level(top)}: {worst}",
                         "Grey line: coverage equal to the nominal coverage. Below it, the band is too narrow.")]

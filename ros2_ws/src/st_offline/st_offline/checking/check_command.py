@@ -246,7 +246,6 @@ def _make_relative(path: Path, file: Path) -> str:
     return Path(os.path.relpath(path.absolute(), file.absolute().parent)).as_posix()
 
 
-@drawing.apply_style()
 def draw_comparison(comparison: Comparison, run: CheckedRun, prefix: str) -> drawing.PageFigure:
     """Draw one comparison, with the time intervals of its findings shaded. prefix: start of the title."""
     findings = sorted((finding for finding in run.result.findings if finding.name in comparison.findings),
@@ -269,7 +268,6 @@ def draw_comparison(comparison: Comparison, run: CheckedRun, prefix: str) -> dra
     upper.set_ylabel(f"{textwrap.fill(comparison.title.partition(':')[0], LABEL_CHARACTERS)}\n{unit}")
     lower.set_ylabel(f"difference\n{unit}")
     figure.align_ylabels()
-    figure.legend(loc="outside lower left", ncols=2)
     output = drawing.FigureOutput(None, (), f"{to_file_name(run.name)}-")
     shaded = ", shaded where a finding applies" if any(finding.times for finding in findings) else ""
     caption = f"Grey: {comparison.measured_label}; blue: {comparison.derived_label}; below, grey minus blue{shaded}."

@@ -192,8 +192,7 @@ def build_document(discovery: Discovery, request: Request, update: VehicleUpdate
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "vehicle": {"name": request.vehicle.name, "file": request.vehicle_file, "hash": request.vehicle.hash},
         "base": {"model": request.base, "values": {
-            e.name: dict(discovery.base.values[e.name]) for e in discovery.base.effects
-            if any(p.fit and discovery.base.values[e.name][p.name] != p.null for p in e.parameters)}},
+            e.name: discovery.base.values[e.name] for e in discovery.base.active_effects}},
         "settings": asdict(request.settings),
         "runs": runs,
         "reference": reference,
@@ -229,10 +228,8 @@ def build_model_file(discovery: Discovery, request: Request, update: VehicleUpda
                    else "part of the base model")
     minor = {r.subject: r.text for r in discovery.reasons if r.rule == MINOR}
     effects = {}
-    for effect in update.model.effects:
+    for effect in update.model.active_effects:
         name, values = effect.name, update.model.values[effect.name]
-        if all(values[p.name] == p.null for p in effect.parameters if p.fit):
-            continue
         is_effective = name in update.folded or discovery.named is None or (
             not all(p.interval[0] <= values[key] <= p.interval[1] for key, p in named[name].items())
             if name in named else name not in minor and values != discovery.named.values.get(name))
@@ -245,9 +242,7 @@ def build_model_file(discovery: Discovery, request: Request, update: VehicleUpda
         effects[name] = {parameter: estimate if parameter not in fitted else replace(
             estimate, source=source, effective=is_effective, interval=None if is_effective else estimate.interval)
             for parameter, estimate in complete.effects[name].items()}
-    if not effects:
-        return None
-    return replace(complete, effects=effects)
+    return replace(complete, effects=effects) if effects else None
 
 
 def write_page(file: Path, discovery: Discovery, update: VehicleUpdate | None, recordings: Sequence[Drive],

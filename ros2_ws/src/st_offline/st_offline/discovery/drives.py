@@ -5,7 +5,7 @@ import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from itertools import repeat
 from pathlib import Path
@@ -29,8 +29,6 @@ from st_recordings.results import parse_configuration
 from st_recordings.runs import ReadSettings, RunSource, read
 
 from ..checking.gate import RUN_ERRORS, check_log, describe_problem, raise_for_errors
-
-RESULT_FORMAT = 3  # version of the format of cached results; other versions are not used
 
 
 @dataclass(frozen=True)
@@ -133,14 +131,6 @@ def collect_clock_deviations(drives: Sequence[Drive]) -> dict[str, float]:
     return {d.name: s for d in drives if d.log is not None and (s := d.metadata.get("clock_deviation_s"))}
 
 
-def find_cache_folder() -> Path | None:
-    """Folder of cached results; None without a home directory."""
-    try:
-        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "single_track" / "discovery"
-    except RuntimeError:
-        return None
-
-
 def find_result(request: Request, base: Model, progress: Progress) -> tuple[Discovery, bool]:
     """(result of the search, whether it was read from the cache)."""
     bar = progress.add_task("", total=None)
@@ -152,13 +142,14 @@ def find_result(request: Request, base: Model, progress: Progress) -> tuple[Disc
     sensors, clocks = pool_sensor_estimates(request.drives), collect_clock_deviations(request.all_drives)
     key = make_result_key(
         logs, reference, request.vehicle, base, request.settings, request.effect_hashes, sensors, clocks)
-    folder = find_cache_folder() if request.use_cache else None
-    file = folder / f"{key}.json" if folder else None
-    if file and (cached := read_result(file)) is not None:
+    cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    file = Path(cache, "single_track", "discovery", f"{key}.json")
+    use_cache = request.use_cache and file.is_absolute()  # relative without a home directory
+    if use_cache and (cached := read_result(file)) is not None:
         return cached, True
     discovery = discover(logs, request.vehicle, base, reference, request.settings, report_progress, sensors,
                          request.jobs, clocks)
-    if file:
+    if use_cache:
         write_result(file, discovery)
     return discovery, False
 
@@ -166,14 +157,14 @@ def find_result(request: Request, base: Model, progress: Progress) -> tuple[Disc
 def make_result_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle: VehicleParameters, base: Model,
                     settings: DiscoverySettings, effects: Mapping[str, str], sensors: Mapping[str, Sequence[float]],
                     clocks: Mapping[str, float]) -> str:
-    """Cache key of a result: a hash of all its inputs and of the code of st_core.
+    """Cache key of a result: a hash of all its inputs and of the code of st_core and of this module.
 
     effects: sha256 by file. sensors: from `pool_sensor_estimates`. clocks: from `collect_clock_deviations`.
     """
     values = base.values if isinstance(base, AugmentedModel) else {}
     files = sorted(file for folder in st_core.__path__ for file in Path(folder).rglob("*.py"))
-    code = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
-    content = [RESULT_FORMAT, code, [_compute_digest(log) for log in runs], [_compute_digest(log) for log in reference],
+    code = hashlib.sha256(b"".join(file.read_bytes() for file in (*files, Path(__file__)))).hexdigest()
+    content = [code, [_compute_digest(log) for log in runs], [_compute_digest(log) for log in reference],
                vehicle.hash, sorted((name, entry.uncertainty) for name, entry in vehicle.provenance.items()),
                _get_base_name(base), values, asdict(settings),
                sorted(effects.items()), sorted((name, list(value)) for name, value in sensors.items()), clocks]
@@ -184,11 +175,9 @@ def write_result(file: Path, discovery: Discovery) -> None:
     """Write a result to the cache; errors such as a full disk are ignored."""
     content = discovery.document() | {name: (model := getattr(discovery, name)) and [
         _get_base_name(model), model.values] for name in MODEL_FIELDS}
-    try:
+    with suppress(OSError):
         file.parent.mkdir(parents=True, exist_ok=True)
         replace_file(file, json.dumps(content, default=dict))  # values are mappings
-    except OSError:
-        return
 
 
 def read_result(file: Path) -> Discovery | None:

@@ -5,8 +5,6 @@ from collections.abc import Sequence
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from st_core.channels import UNITS
 from st_core.discovery import Discovery
 from st_core.discovery.error_regions import Samples
@@ -17,7 +15,7 @@ from st_core.regression import Z95
 from st_core.relations import Relation
 from st_core.relations.candidates import QUANTITIES
 
-from ..evaluation.drawing import BAD_COLOUR, TEXT_COLOUR, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
+from ..evaluation.drawing import BAD_COLOUR, TEXT_COLOUR, WIDTH, FigureOutput, PageFigure, save_figure
 from . import quantities, report_text
 
 AFTER_COLOUR = MODEL_COLOUR["augmented"]
@@ -29,7 +27,6 @@ MAX_ROWS = 14  # a partition with more parts, or by place, is drawn in one row
 AXIS_LIMIT = 3.0  # largest magnitude on the axis of local ratios; longer intervals are cut off there
 
 
-@apply_style()
 def draw_waterfall(discovery: Discovery, output: FigureOutput) -> PageFigure | None:
     """Draw the held-out position error after 5 s at each step of the search; None without steps or position errors."""
     steps, position = discovery.steps, discovery.errors.get("position_5s")
@@ -41,13 +38,13 @@ def draw_waterfall(discovery: Discovery, output: FigureOutput) -> PageFigure | N
     axes.set_axisbelow(True)
     first, last = steps[0].position_5s.base, steps[-1].position_5s.augmented
     rows = [f"{base} model, {discovery.start}"]
-    axes.barh(0, first, color=base_colour, height=0.62)
+    axes.barh(0, first, color=base_colour, height=0.62, label=f"{base} model")
     _annotate(axes, first, 0, quantities.format_metres(first))
     for row, step in enumerate(steps, 1):
         before, after = step.position_5s.base, step.position_5s.augmented
         axes.plot([before, before], [row - 0.7, row + 0.31], color=TEXT_COLOUR, lw=0.6, alpha=0.5)
-        colour = AFTER_COLOUR if after <= before else BAD_COLOUR
-        axes.barh(row, before - after, left=after, color=colour, height=0.62, alpha=0.65)
+        colour, change = (AFTER_COLOUR, "reduction") if after <= before else (BAD_COLOUR, "increase")
+        axes.barh(row, before - after, left=after, color=colour, height=0.62, alpha=0.65, label=change)
         ends = [before - end for end in step.position_5s.interval]
         axes.plot(ends, [row, row], color=TEXT_COLOUR, lw=1.0)
         label, text = _format_step(discovery, step)
@@ -55,18 +52,12 @@ def draw_waterfall(discovery: Discovery, output: FigureOutput) -> PageFigure | N
         rows.append(label)
     end = "model with identified effects only" if discovery.effective else "complete model"
     axes.plot([last, last], [len(steps) + 0.31, len(steps) + 0.69], color=TEXT_COLOUR, lw=0.6, alpha=0.5)
-    axes.barh(len(steps) + 1, last, color=AFTER_COLOUR, height=0.62)
+    axes.barh(len(steps) + 1, last, color=AFTER_COLOUR, height=0.62, label=end)
     _annotate(axes, last, len(steps) + 1, quantities.format_metres(last))
-    axes.axvline(position.floor, color=MEASURED_COLOUR, lw=1.4, ls="--")
+    axes.axvline(position.floor, color=MEASURED_COLOUR, lw=1.4, ls="--", label="noise level")
     axes.set_yticks(range(len(steps) + 2), [*rows, end])
     axes.set(ylim=(len(steps) + 1.6, -0.6), xlim=(0.0, 1.16 * max(first, *(s.position_5s.base for s in steps))),
              xlabel="mean position error after 5 s on held-out driving, m")
-    has_increase = any(s.position_5s.augmented - s.position_5s.base > MIN_CHANGE for s in steps)
-    handles = [Patch(color=base_colour, label=f"{base} model"), Patch(color=AFTER_COLOUR, label=end),
-               Patch(color=AFTER_COLOUR, alpha=0.65, label="reduction"),
-               *([Patch(color=BAD_COLOUR, alpha=0.65, label="increase")] if has_increase else []),
-               Line2D([], [], color=MEASURED_COLOUR, ls="--", label="noise level")]
-    figure.legend(handles=handles, loc="outside lower left", ncols=len(handles))
     caption = ("Each row adds one effect and refits all values; its value and change belong to that step. Line: "
                "95 % interval of the change. Effects in parentheses are part of the fit, but not reported as causes.")
     return save_figure(figure, output, "waterfall", "Error of each step of the search", caption)
@@ -89,7 +80,6 @@ def _annotate(axes: plt.Axes, x: float, row: int, text: str) -> None:
     axes.annotate(text, (x, row), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8)
 
 
-@apply_style()
 def draw_axle_curves(discovery: Discovery, output: FigureOutput) -> PageFigure | None:
     """Draw the force of each axle versus slip angle with its 90 % interval, and the distribution of slip angles."""
     curves = discovery.axle_curves
@@ -101,9 +91,9 @@ def draw_axle_curves(discovery: Discovery, output: FigureOutput) -> PageFigure |
     for (axes, below), curve in zip(panels.T, curves, strict=True):
         slip = np.rad2deg(curve.slip)
         force, low, high, at_start = (1e-3 * np.array(v) for v in (curve.force, curve.low, curve.high, curve.file))
-        axes.fill_between(slip, low, high, color=AFTER_COLOUR, alpha=0.25, lw=0)
-        axes.plot(slip, force, color=AFTER_COLOUR)
-        axes.plot(slip, at_start, color=base_colour, ls="--")
+        axes.fill_between(slip, low, high, color=AFTER_COLOUR, alpha=0.25, lw=0, label="90 % interval")
+        axes.plot(slip, force, color=AFTER_COLOUR, label="complete model")
+        axes.plot(slip, at_start, color=base_colour, ls="--", label=discovery.start)
         ratio, lowest, highest = (v[-1] / curve.file[-1] for v in (curve.force, curve.low, curve.high))
         axes.set_title(f"{curve.axle} axle\n{ratio:.2f} (90 %: {lowest:.2f} to {highest:.2f}) times the "
                        f"{discovery.start} at {slip[-1]:.1f}°", fontsize=7)
@@ -111,16 +101,11 @@ def draw_axle_curves(discovery: Discovery, output: FigureOutput) -> PageFigure |
         below.set_xlabel("slip angle, °")
     panels[0][0].set_ylabel("lateral force, kN")
     panels[1][0].set_ylabel("samples, %")
-    handles = [Line2D([], [], color=base_colour, ls="--", label=discovery.start),
-               Line2D([], [], color=AFTER_COLOUR, label="complete model"),
-               Patch(color=AFTER_COLOUR, alpha=0.25, label="90 % interval")]
-    figure.legend(handles=handles, loc="outside lower left", ncols=3)
     title = "Axle force versus slip angle, in the range of the drives"
     return save_figure(figure, output, "axle_curves", title,
                        "The band includes the uncertainty of the other vehicle parameters.")
 
 
-@apply_style()
 def draw_maps(discovery: Discovery, runs: Sequence[DriveLog], before: Samples, after: Samples | None,
               output: FigureOutput) -> PageFigure | None:
     """Draw the track of the run with the largest errors and the starts of its predictions, coloured by the error of the
@@ -173,7 +158,6 @@ def _compute_aspect_ratio(log: DriveLog) -> float:
     return float(min(width, height) / max(width, height, 1e-9))
 
 
-@apply_style()
 def draw_agreement(discovery: Discovery, output: FigureOutput) -> PageFigure | None:
     """Draw the ratio of the local estimate to the overall estimate of each effect, for each part of the drives."""
     effects = report_text.sort_by_size([e for e in discovery.effects if any(e.agreement.values())])[:MAX_PANELS]
@@ -225,7 +209,6 @@ def _draw_ratios(axes: plt.Axes, ratios: Sequence[tuple[int, LocalEstimate]]) ->
     axes.set_xlim(max(min([-0.2, *ends]), -AXIS_LIMIT) - 0.05, min(max([1.2, *ends]), AXIS_LIMIT) + 0.05)
 
 
-@apply_style()
 def draw_relation(relation: Relation, output: FigureOutput) -> PageFigure:
     """Draw the curve of a relation with its 95 % interval, and the distribution of the driving below it."""
     c = relation.candidate

@@ -311,12 +311,10 @@ def write_files(search: RelationSearch, vehicle: VehicleParameters, runs: Sequen
                 shutil.copyfile(module, effects / module.name)
     note = f"PROPOSAL of st discover: {_describe_with_causes(relation)}"
     provenance = ModelProvenance(created[:10], data=digests, note=note)
-    fitted = ModelFile.from_model(relation.model, vehicle, provenance, source="fitted together with the relation")
-    active = {name: parts for name, parts in fitted.effects.items()
-              if any(parts[p.name].value != p.null for e in relation.model.effects if e.name == name
-                     for p in e.parameters if p.fit)}
+    fitted = ModelFile.from_model(relation.model.select_effects(relation.model.active_effects), vehicle, provenance,
+                                  source="fitted together with the relation")
     scale = {"share": EffectValue(1.0, None, "st discover --propose")}
-    model = replace(fitted, effects={**active, name_effect(relation): scale})
+    model = replace(fitted, effects={**fitted.effects, name_effect(relation): scale})
     load_file(str(effects.absolute()), name_effect(relation))
     try:
         (folder / "proposed.yaml").write_text(model.to_yaml(), encoding="utf-8")

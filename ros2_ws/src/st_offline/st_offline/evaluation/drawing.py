@@ -1,11 +1,11 @@
-"""Saves figures as PNG, PDF or SVG files, and makes SVG in the colours of the HTML page, light or dark."""
+"""Sets the style of all figures of this process, saves them as PNG, PDF or SVG files, and makes SVG in the colours
+of the HTML page, light or dark."""
 
 import io
 import itertools
 import re
 import textwrap
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,12 +26,12 @@ _CSS_VARIABLES = {
     MEASURED_COLOUR: "var(--measured)",
     **{colour: f"var(--{model})" for model, colour in MODEL_COLOUR.items()},
 }
-RC_SETTINGS = {
+plt.rcParams.update({
     **FIGURE_STYLE, "grid.color": GRID_COLOUR, "svg.fonttype": "none", "svg.hashsalt": "st",
     "font.family": "sans-serif",
     **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), TEXT_COLOUR),
     "pdf.fonttype": 42,
-}
+})
 FORMATS = ("png", "pdf", "svg")
 WIDTH = 9.0  # inch; the page scales figures to its own width
 TITLE_CHARACTERS = 104  # per line of a title, at WIDTH
@@ -66,15 +66,15 @@ def check_formats(formats: Sequence[str]) -> None:
         raise ConfigurationError(f"--figures: {unknown_formats[0]} is not one of {', '.join(FORMATS)}")
 
 
-@contextmanager
-def apply_style() -> Iterator[None]:
-    """Apply the Matplotlib settings of all figures; a context manager, or a decorator of functions that draw."""
-    with plt.rc_context(RC_SETTINGS):
-        yield
-
-
 def save_figure(figure: Figure, output: FigureOutput, key: str, title: str, caption: str) -> PageFigure:
-    """Save a figure as files with its title, and as an SVG without the title for the page; close the figure."""
+    """Save a figure as files with its title, and as an SVG without the title for the page; close the figure.
+
+    A legend below the figure lists each label of its axes once, unless an axis has its own legend.
+    """
+    entries = {label: handle for axes in figure.axes
+               for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    if entries and not any(axes.get_legend() for axes in figure.axes):
+        figure.legend(entries.values(), entries.keys(), loc="outside lower left", ncols=min(len(entries), 6))
     lines = textwrap.wrap(title, round(TITLE_CHARACTERS * figure.get_figwidth() / WIDTH))
     heading = figure.suptitle("\n".join(lines), x=0.01, ha="left", fontweight="bold", fontsize=10)
     # The layout is computed once, because it takes longer than the drawing. Then the layout engine is removed, which in

@@ -35,7 +35,7 @@ from ..checking.check_report import (
 from ..pages import load_template
 from ..terminal import format_count, list_files, make_progress_bars, print_line, report_problem
 from . import tables
-from .drawing import TEXT_COLOUR, WIDTH, FigureOutput, PageFigure, apply_style, check_formats, save_figure
+from .drawing import TEXT_COLOUR, WIDTH, FigureOutput, PageFigure, check_formats, save_figure
 from .tables import REPORTED_AXES, format_error, get_axis_statistics, make_terminal_table, pool_entries, pool_models
 from .work import RunReport, Task, evaluate_run, to_file_name
 
@@ -239,7 +239,6 @@ def write_results(reports: Sequence[RunReport], task: Task, title: str) -> dict[
     return files
 
 
-@apply_style()
 def draw_overview(reports: Sequence[RunReport], over: str, output: FigureOutput) -> PageFigure:
     """Draw the hindsight RMSE of each model for the MAX_RUNS runs with the largest lateral RMSE."""
     models = list(reports[0].models)
@@ -260,7 +259,6 @@ def draw_overview(reports: Sequence[RunReport], over: str, output: FigureOutput)
         axes.set_xlabel(f"{axis} RMSE, m")
     panels[0].set_yticks(range(len(selection)), [reports[run].name for run in selection])
     panels[0].set_ylim(len(selection) - 0.5, -0.5)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower left", ncols=6)
     caption = "Hindsight: measured inputs over the horizon."
     if len(selection) < len(reports):
         caption += f" Only the {MAX_RUNS} of {len(reports)} runs with the largest lateral RMSE are shown."

@@ -7,7 +7,6 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.lines import Line2D
 from st_core.evaluation import Mode
 from st_core.log import LogSignals
 from st_core.log_evaluation import LogEvaluation, evaluate_blocks
@@ -17,7 +16,7 @@ from st_core.readings import predict_readings
 from st_core.vehicle import VehicleParameters
 
 from .background import run_in_background
-from .drawing import TEXT_COLOUR, WIDTH, FigureOutput, PageFigure, apply_style, cut_at_gaps, reduce_points, save_figure
+from .drawing import TEXT_COLOUR, WIDTH, FigureOutput, PageFigure, cut_at_gaps, reduce_points, save_figure
 
 POSITIVE_SIDE = {"longitudinal": "ahead", "lateral": "left"}
 AXIS_LABEL = {axis: f"{axis} error, m\n(positive: predicted {side})" for axis, side in POSITIVE_SIDE.items()}
@@ -37,8 +36,8 @@ class FigureData:
 
 
 def get_line_style(model: str) -> dict[str, Any]:
-    """Matplotlib arguments for the line of a model."""
-    return {"color": MODEL_COLOUR.get(model, TEXT_COLOUR), "ls": MODEL_LINE.get(model, "solid")}
+    """Matplotlib arguments for the line of a model, including its label."""
+    return {"color": MODEL_COLOUR.get(model, TEXT_COLOUR), "ls": MODEL_LINE.get(model, "solid"), "label": model}
 
 
 def find_complete_starts(evaluation: LogEvaluation) -> np.ndarray:
@@ -59,16 +58,10 @@ def choose_starts(evaluation: LogEvaluation, times: Sequence[float]) -> np.ndarr
     return np.unique(rows)
 
 
-def add_legend(figure: plt.Figure, models: Sequence[Model], extra: Sequence[Line2D]) -> None:
-    """Add a legend of the models and extra lines below the figure."""
-    handles = [Line2D([], [], **get_line_style(m.name), label=m.name) for m in models]
-    figure.legend(handles=[*handles, *extra], loc="outside lower left", ncols=6)
-
-
 def draw_run(data: FigureData) -> list[PageFigure]:
     """Draw all figures for which this run has data, half of them on a second core."""
     first, second = (draw_segments, draw_horizon_means), (draw_slip_and_forces, draw_error_against_horizon)
-    with apply_style(), run_in_background(lambda: [draw(data) for draw in second]) as wait_for_second:
+    with run_in_background(lambda: [draw(data) for draw in second]) as wait_for_second:
         figures = [draw(data) for draw in first] + wait_for_second()
     return [figure for figure in figures if figure is not None]
 
@@ -102,8 +95,6 @@ def draw_segments(data: FigureData) -> PageFigure | None:
             path.plot(predicted.x, predicted.y, **get_line_style(model.name))
             for axes, error in zip(profiles, errors[:2], strict=True):
                 axes.plot(evaluation.horizon, error, **get_line_style(model.name))
-    measured_line = Line2D([], [], color=MEASURED_COLOUR, lw=5, alpha=0.45, label="measured over the horizon")
-    add_legend(figure, data.models, [measured_line])
     end_errors = {m.name: float(np.linalg.norm(block.errors[m.name, "hindsight"][:, -1, :2], axis=1).max())
                   for m in data.models}
     largest = ", ".join(f"{model} {value:.2f} m" for model, value in end_errors.items())
@@ -128,7 +119,8 @@ def _draw_measured_path(axes: plt.Axes, data: FigureData, start_ns: int, length:
     stride = max(1, len(log.x[context]) // 200)
     axes.plot(log.x[context][::stride], log.y[context][::stride], color=MEASURED_COLOUR, lw=1.2)
     stride = max(1, len(x) // 100)
-    axes.plot(x[::stride], y[::stride], color=MEASURED_COLOUR, lw=5, alpha=0.45, solid_capstyle="butt")
+    axes.plot(x[::stride], y[::stride], color=MEASURED_COLOUR, lw=5, alpha=0.45, solid_capstyle="butt",
+              label="measured over the horizon")
     axes.plot(x[:1], y[:1], "o", ms=4, color=TEXT_COLOUR, zorder=5)
     axes.set_aspect("equal", adjustable="box")
     axes.set(xlim=(middle[0] - half_size, middle[0] + half_size), ylim=(middle[1] - half_size, middle[1] + half_size))
@@ -148,13 +140,11 @@ def draw_horizon_means(data: FigureData) -> PageFigure:
             axes.plot(*_reduce_over_time(evaluation, line), **get_line_style(model.name), lw=width)
         axes.set_ylabel(AXIS_LABEL[axis])
     speed, lateral = evaluation.conditions["speed"], evaluation.conditions["lateral_acceleration"]
-    context.plot(*_reduce_over_time(evaluation, speed), color=TEXT_COLOUR, lw=1.0)
-    context.plot(*_reduce_over_time(evaluation, lateral), color=MEASURED_COLOUR, lw=1.0)
+    context.plot(*_reduce_over_time(evaluation, speed), color=TEXT_COLOUR, lw=1.0, label="speed, m/s")
+    context.plot(*_reduce_over_time(evaluation, lateral), color=MEASURED_COLOUR, lw=1.0,
+                 label="lateral acceleration, m/s² (positive to the left)")
     context.set_ylabel("mean over the\nhorizon, m/s, m/s²")
     context.set_xlabel("start of the prediction $t_0$, s after the first INS measurement")
-    extra = [Line2D([], [], color=TEXT_COLOUR, lw=1.0, label="speed, m/s"),
-             Line2D([], [], color=MEASURED_COLOUR, lw=1.0, label="lateral acceleration, m/s² (positive to the left)")]
-    add_legend(figure, data.models, extra)
     title = f"{evaluation.name}: {describe_ranking(evaluation)}"
     caption = "Error averaged over each horizon (hindsight: measured inputs), versus its start time."
     return save_figure(figure, data.output, "horizon_means", title, caption)
@@ -174,7 +164,7 @@ def draw_error_against_horizon(data: FigureData) -> PageFigure:
     for k, (axes, axis) in enumerate(zip(panels, POSITIVE_SIDE, strict=True)):
         for model in data.models:
             for mode, width, alpha in lines:
-                line = get_line_style(model.name) | ({"ls": ":"} if mode == "forecast" else {})
+                line = get_line_style(model.name) | ({"ls": ":", "label": None} if mode == "forecast" else {})
                 profile = evaluation.errors[model.name, mode].profile_rmse[:, k]
                 axes.plot(evaluation.horizon, profile, **line, lw=width, alpha=alpha)
         # Logarithmic, because forecast errors are many times larger than hindsight errors.
@@ -182,7 +172,7 @@ def draw_error_against_horizon(data: FigureData) -> PageFigure:
         axes.set_ylim(bottom=0.01)
         axes.set(xlim=(0, evaluation.horizon[-1]), xlabel="horizon, s", ylabel=f"{axis} RMSE, m")
         axes.yaxis.set_major_formatter("{x:g}")
-    add_legend(figure, data.models, [Line2D([], [], color=TEXT_COLOUR, lw=0.9, ls=":", label="forecast: inputs held")])
+    panels[-1].plot([], [], color=TEXT_COLOUR, lw=0.9, ls=":", label="forecast: inputs held")
     parts = []
     for model in data.models:
         profile = evaluation.errors[model.name, "hindsight"].profile_rmse[:, 1]
@@ -223,7 +213,7 @@ def draw_slip_and_forces(data: FigureData) -> PageFigure | None:
                                                  acceleration)
     largest_slips = {"measured": np.nanmax(np.abs(measured_slips))}
     for axes, slip in zip(grid[0], measured_slips, strict=True):
-        axes.plot(horizon, np.degrees(slip), color=MEASURED_COLOUR, lw=1.0)
+        axes.plot(horizon, np.degrees(slip), color=MEASURED_COLOUR, lw=1.0, label="from the measured motion")
     for model in models:
         states = block.trajectories[model.name, "hindsight"][0]
         slips, forces = _compute_slip_and_forces(model, vehicle, states, angle, acceleration)
@@ -239,8 +229,6 @@ def draw_slip_and_forces(data: FigureData) -> PageFigure | None:
     grid[1, 0].set_xlim(0, horizon[-1])
     grid[0, 0].set_ylabel("slip angle, °\n(positive: slides to the left)")
     grid[1, 0].set_ylabel("lateral force of the axle, kN\n(positive to the left)")
-    measured_line = Line2D([], [], color=MEASURED_COLOUR, lw=1.0, label="from the measured motion")
-    add_legend(figure, models, [measured_line])
     title = (f"{evaluation.name}: largest slip angle in the {horizon[-1]:g} s from {evaluation.time[row]:.1f} s: "
              f"{', '.join(f'{source} {np.degrees(angle):.1f}°' for source, angle in largest_slips.items())}")
     start_text = "requested start" if len(data.starts) == 1 else "start with the largest mean lateral acceleration"

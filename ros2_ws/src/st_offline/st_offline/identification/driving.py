@@ -22,7 +22,7 @@ from st_recordings.runs import find_runs
 from st_recordings.runs.errors import join_problems
 
 from ..discovery.drives import read_drives
-from ..evaluation.drawing import TEXT_COLOUR, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
+from ..evaluation.drawing import TEXT_COLOUR, WIDTH, FigureOutput, PageFigure, save_figure
 from .experiment import Experiment, IdentificationJob, format_rounded
 
 MAX_POINTS = 4000  # in a scatter plot; more points would only overlap
@@ -34,7 +34,6 @@ STIFFNESS_ADVICE = "Steering ratio or lever arm may be wrong: run `st identify s
 RECORDINGS_HELP = "recordings of drives (several are better): folders, .ncom with CAN logs, bags, CSV"
 
 
-@apply_style()
 def draw_offset(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw the steering offset in each straight window, its two estimates, and the residuals of the yaw rate."""
     data = outcome.figure
@@ -46,7 +45,6 @@ def draw_offset(outcome: Identification, output: FigureOutput) -> PageFigure:
         left.axhspan(*(np.array(estimate.interval95) * DEG), color=colour, alpha=0.25, lw=0)
         left.axhline(estimate.value * DEG, color=colour, label=label)
     left.set(xlabel="driving time, s (straights of all runs)", ylabel="sensor reading when driving straight, deg")
-    left.legend(loc="best")
     right.hist(data["residual_yaw_rate"] * DEG, 40, color=MEASURED_COLOUR)
     right.set(xlabel="simulated minus measured yaw rate, deg/s", ylabel="predictions")
     first, second = (e.value * DEG for e in outcome.estimates[:2])
@@ -55,7 +53,6 @@ def draw_offset(outcome: Identification, output: FigureOutput) -> PageFigure:
                        "Bands: 95 % intervals. Right: residuals of the yaw rate.")
 
 
-@apply_style()
 def draw_mounting(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw v_y / v_x, corrected for slip, versus curvature (slope: INS distance ahead of rear axle), and residuals."""
     data = outcome.figure
@@ -63,13 +60,13 @@ def draw_mounting(outcome: Identification, output: FigureOutput) -> PageFigure:
     subset = _thin_rows(len(data["curvature"]))
     for index, name in enumerate(data["names"]):
         rows = subset[data["run"][subset] == index]
-        left.plot(data["curvature"][rows], data["velocity_ratio"][rows], ".", ms=2.5, label=name)
+        left.plot(data["curvature"][rows], data["velocity_ratio"][rows], ".", ms=2.5,
+                  label=name if len(data["names"]) <= 8 else None)
     ends = np.array([data["curvature"].min(), data["curvature"].max()])
     left.plot(ends, data["theta"][0] + data["theta"][1] * ends, color=TEXT_COLOUR, lw=1, label="fit")
     left.set(xlabel="yaw rate / forward velocity, 1/m (positive to the left)",
              ylabel="lateral / forward velocity, slip removed")
-    if len(data["names"]) <= 8:
-        left.legend(markerscale=3, fontsize=7)
+    left.legend(markerscale=3, fontsize=7)
     right.plot(data["speed"][subset], data["residual"][subset] * 1e3, ".", color=MEASURED_COLOUR, ms=2.5)
     right.axhline(0.0, color=TEXT_COLOUR, lw=0.8)
     right.set(xlabel="forward velocity, m/s", ylabel="residual, mm/s")
@@ -81,7 +78,6 @@ def draw_mounting(outcome: Identification, output: FigureOutput) -> PageFigure:
     return save_figure(figure, output, "ins", title, caption)
 
 
-@apply_style()
 def draw_stiffness(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw axle force versus slip angle as in the paper; for a fit by prediction, also the joint 95 % region."""
     paper = outcome.figure.get("paper")
@@ -111,7 +107,6 @@ def draw_stiffness(outcome: Identification, output: FigureOutput) -> PageFigure:
     return save_figure(figure, output, "stiffness", f"Cornering stiffness {values} by prediction", caption)
 
 
-@apply_style()
 def draw_prediction(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw the residuals of a fit by prediction, and the joint 95 % region of its first parameter and the parameter
     most correlated with it."""

@@ -15,7 +15,7 @@ from st_core.regression import Z95
 from st_core.vehicle import TYRES
 from st_recordings.runs.errors import RunError
 
-from ..evaluation.drawing import TEXT_COLOUR, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
+from ..evaluation.drawing import TEXT_COLOUR, WIDTH, FigureOutput, PageFigure, save_figure
 from .experiment import Experiment, IdentificationJob, MeasurementTable, read_tables
 
 LIFT_COLUMNS = {"front_radius": ("m", "mm"), "rear_radius": ("m", "mm"), "pitch": ("deg", "rad"), "lift": ("m", "mm"),
@@ -41,7 +41,6 @@ def identify_scales(job: IdentificationJob) -> tuple[Identification, ...]:
     return (mass_and_cg.identify_mass_and_cg(weighings, job.vehicle),)
 
 
-@apply_style()
 def draw_scales(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw mass and CG position of each weighing, with the estimates and their 95 % intervals."""
     data = outcome.figure
@@ -60,8 +59,6 @@ def draw_scales(outcome: Identification, output: FigureOutput) -> PageFigure:
         axes.grid(axis="y", visible=False)
     panels[0].set_yticks(rows, data["names"])
     panels[0].set_ylim(len(rows) - 0.5, -0.5)
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower left", ncols=4)
     caption = "One point per weighing. The interval includes their scatter and the uncertainty of the scales."
     title = f"{outcome['mass'].verdict} {outcome['cg_to_front_axle'].verdict}"
     return save_figure(figure, output, "scales", title, caption)
@@ -85,7 +82,6 @@ def _name_series(table: MeasurementTable) -> tuple[str, ...]:
     return tuple(f"{file.name}:{name or 1}" for (file, _), name in zip(table.rows, table.texts["series"], strict=True))
 
 
-@apply_style()
 def draw_ratio(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw road-wheel angles versus steering-wheel angle, with the fitted line and its residuals."""
     data, estimate = outcome.figure, outcome.estimates[0]
@@ -111,7 +107,6 @@ def draw_ratio(outcome: Identification, output: FigureOutput) -> PageFigure:
         right.plot(np.degrees(grid), np.degrees(curve), color=MODEL_COLOUR["nonlinear"], label="cubic")
     right.axhline(0.0, color=MODEL_COLOUR["augmented"])
     right.set(xlabel="steering wheel angle, deg (positive to the left)", ylabel="mean wheel angle minus line, deg")
-    figure.legend(loc="outside lower left", ncols=4, fontsize=8)
     low, high = estimate.interval95
     title = f"Steering ratio {estimate.value:.2f}, 95 % interval {low:.2f} to {high:.2f}"
     return save_figure(figure, output, "steering-ratio", title,
@@ -145,7 +140,6 @@ def identify_height(job: IdentificationJob) -> tuple[Identification, ...]:
     return (identify_cg_height(lifts, job.vehicle, masses.pop() if masses else None),)
 
 
-@apply_style()
 def draw_height(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw rear load versus pitch with the fitted curve, and the CG height computed from each row alone."""
     data, estimate = outcome.figure, outcome.estimates[0]
@@ -202,7 +196,6 @@ def read_tyre_tables(files: Sequence[Path]) -> list[FlatPlank]:
             for tyre in TYRES if (rows := tyres == tyre).any()]
 
 
-@apply_style()
 def draw_tyre(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw lateral force and its residuals versus slip angle, and cornering stiffness versus load."""
     data = outcome.figure
