@@ -78,6 +78,7 @@ class Evaluator:
         self._lookahead_ns = max(view.lookahead_ns for view in self._views.values())
         self._pending: dict[tuple[int, int, float], list[_PendingPrediction]] = {}
         self._incomplete_scores: list[Score] = []
+        self._generation = self.history.generation
 
     @property
     def pending_count(self) -> int:
@@ -86,11 +87,7 @@ class Evaluator:
 
     def add_ins(self, sample: InsSample) -> bool:
         """Add an INS sample; False if it was rejected. If time jumps back, pending predictions become incomplete."""
-        generation = self.history.generation
-        accepted = self.history.add_ins(sample)
-        if self.history.generation != generation:
-            self._abandon(list(self._pending), "the time of the measurements jumped back")
-        return accepted
+        return self.history.add_ins(sample)
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
         """Add a road wheel angle [rad], positive to the left; False if it was rejected."""
@@ -104,6 +101,7 @@ class Evaluator:
 
     def add_prediction(self, model: str, start_ns: int, trajectory: Trajectory, mode: Mode = "forecast") -> None:
         """Add a prediction (at the CG) to be scored. A forecast is also scored in the mode hindsight."""
+        self._abandon_after_restart()
         key = (start_ns, len(trajectory.states) - 1, trajectory.step)
         self._pending.setdefault(key, []).append((model, mode, trajectory))
         if self.pending_count > self.MAXIMUM_PENDING:
@@ -115,6 +113,7 @@ class Evaluator:
 
         newest_ns: current time on the clock of the samples; None: time of the newest INS sample.
         """
+        self._abandon_after_restart()
         scores, self._incomplete_scores = self._incomplete_scores, []
         ins, steering = (EARLIEST if s.newest is None else s.newest for s in (self.history.ins, self.history.steering))
         timeout_ns = (ins if newest_ns is None else newest_ns) - round(self.SIGNAL_TIMEOUT / NANOSECOND)
@@ -128,6 +127,11 @@ class Evaluator:
     def flush(self) -> list[Score]:
         """Scores of all pending predictions, at the end of the data; those that end later are incomplete."""
         return self.poll(-EARLIEST)
+
+    def _abandon_after_restart(self) -> None:
+        if self.history.generation != self._generation:
+            self._generation = self.history.generation
+            self._abandon(list(self._pending), "the time of the measurements jumped back")
 
     def _abandon(self, keys: Sequence[tuple[int, int, float]], reason: str) -> None:
         for key in keys:

@@ -129,14 +129,16 @@ class Predictor:
     """Stores the newest measurements and predicts trajectories from them.
 
     models: names, or models from model files. runners: compiled replacements of `predict`, by name of the model, with
-    the same results (see `compile_model`). Raises ConfigurationError without a model, for an unknown model, and for a
-    model that requires a signal not measured live.
+    the same results (see `compile_model`). history: that of an `Evaluator` with these settings, to store measurements
+    only once; None: an own one. Raises ConfigurationError without a model, for an unknown model, and for a model that
+    requires a signal not measured live.
     """
 
     SPAN = 2.0  # s, minimum length of the history, for late samples and the settling of the filter
 
     def __init__(self, vehicle: VehicleParameters, models: Sequence[str | Model],
-                 settings: PredictionSettings | None = None, runners: Mapping[str, Runner] | None = None):
+                 settings: PredictionSettings | None = None, runners: Mapping[str, Runner] | None = None,
+                 history: MeasurementHistory | None = None):
         self.vehicle = vehicle
         self.settings = settings or PredictionSettings()
         self._runners = dict(runners or {})
@@ -149,7 +151,7 @@ class Predictor:
             warn_if_step_too_long(model, vehicle, [self.settings.minimum_speed], self.settings.step)
         span = max(self.SPAN, 2.0 * self.settings.stale_after + 2.0 * self.settings.maximum_gap)
         span = ModelView.extend_span(resolved, span)
-        self.history = MeasurementHistory(span, self.settings.maximum_gap, self.settings.filter_cutoff)
+        self.history = history or MeasurementHistory(span, self.settings.maximum_gap, self.settings.filter_cutoff)
         self._views = {model.name: ModelView(model, vehicle, self.history) for model in resolved}
         self.frozen_steering = FrozenSteeringDetector(vehicle)
 

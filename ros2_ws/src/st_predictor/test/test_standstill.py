@@ -34,8 +34,8 @@ def drive(node: PredictorNode) -> tuple[int, list[str]]:
     for k in range(2700):
         speed = min(10.0, max(0.0, 10.0 - 0.05 * (k - 1000)))
         time_ns, x = BEGIN_NS + k * 10_000_000, x + 0.01 * speed
-        node._add_ins(InsSample(time_ns, x, 0.0, 0.0, speed, 0.0, 0.0))
-        node._add_steering(time_ns, 0.0)
+        node._core.add_ins(InsSample(time_ns, x, 0.0, 0.0, speed, 0.0, 0.0))
+        node._core.add_steering(time_ns, 0.0)
         if k % 10 == 0:
             node.get_clock().set_ros_time_override(Time(nanoseconds=time_ns, clock_type=node.get_clock().clock_type))
             node._tick()

@@ -11,9 +11,8 @@ from st_core.bands.live import HalfWidths
 from st_core.evaluation import Evaluator, Mode
 from st_core.log_evaluation import MODES, PLANNED_MODES, EvaluationSettings
 from st_core.measurement_history import MeasurementHistory
-from st_core.models import Model
-from st_core.prediction import PredictionSettings, Runner, Start
-from st_core.types import InsSample, Trajectory
+from st_core.prediction import PredictionSettings, Start
+from st_core.types import Trajectory
 from st_core.vehicle import VehicleParameters
 from st_msgs.msg import Band, ErrorStatistics, Prediction
 from st_ros import diagnostics
@@ -27,12 +26,13 @@ AXES = ("along", "across", "yaw")
 class PredictionBands:
     """Bands around the predicted paths: from a bands file, adapted to the errors of this run, both, or none.
 
-    file_hashes: hash of the model file by model, "" for a built-in model. models, runners: as for `Evaluator`.
-    Raises ConfigurationError for bands of a different car, model or configuration.
+    file_hashes: hash of the model file by model, "" for a built-in model. scorer: scores the predictions to which the
+    bands are adapted, with measurements added by the caller; None: not adaptive. Raises ConfigurationError for bands of
+    a different car, model or configuration.
     """
 
     def __init__(self, values: SimpleNamespace, vehicle: VehicleParameters, file_hashes: Mapping[str, str],
-                 settings: PredictionSettings, models: Sequence[Model], runners: Mapping[str, Runner]):
+                 settings: PredictionSettings, scorer: Evaluator | None):
         self._reason, self._calibration_note = "", ""  # why bands are missing; origin of the bands file
         self._calibrated: CalibratedBands | None = None
         self._adaptive: AdaptiveBands | None = None
@@ -42,23 +42,14 @@ class PredictionBands:
             evaluation = EvaluationSettings(settings)
             params.translate_errors(values, lambda: file.check(vehicle, file_hashes, evaluation), prefix)
             self._calibration_note = f"calibrated on {file.runs} runs"
-        if values.adaptive_bands:
+        if scorer:
             time = settings.step * np.arange(1, settings.steps + 1)
             self._adaptive = AdaptiveBands(time, list(file_hashes), (*MODES, *PLANNED_MODES), file)
             self._messages = BandMessages(self._adaptive.half_widths)
-            self._scorer = Evaluator(vehicle, settings, 0.0, models, runners)
+            self._scorer = scorer
         elif file is not None:
             self._calibrated = CalibratedBands(file, file_hashes)
             self._messages = BandMessages(self._calibrated.half_widths)
-
-    def add_ins(self, sample: InsSample) -> None:
-        """Add a measurement, which is needed to score earlier predictions."""
-        if self._adaptive:
-            self._scorer.add_ins(sample)
-
-    def add_steering(self, time_ns: int, road_wheel_angle: float) -> None:
-        if self._adaptive:
-            self._scorer.add_steering(time_ns, road_wheel_angle)
 
     def make_messages(self, history: MeasurementHistory, time_ns: int,
                       modes: Sequence[Mode]) -> Mapping[str, list[Band]]:

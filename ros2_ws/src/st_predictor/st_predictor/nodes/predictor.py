@@ -11,11 +11,11 @@ from nav_msgs.msg import Path as PathMessage
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from st_core.course import Course
-from st_core.evaluation import Mode
+from st_core.evaluation import Evaluator, Mode
 from st_core.models import get_model
 from st_core.prediction import Predictor, Skip, Start, compile_models, configuration_hash
 from st_core.timeseries import NANOSECOND
-from st_core.types import InputSequence, InsSample, Trajectory
+from st_core.types import InputSequence, Trajectory
 from st_msgs.msg import Band, PredictorStatus
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
@@ -85,7 +85,8 @@ class PredictorNode(Node):
         backend = self._make_core(values)
         self._map_frame = values.map_frame
         self._diagnostics = Diagnostics(self, self._vehicle.name, self._make_checks)
-        self._inputs = Inputs(self, values.map_frame, self._add_ins, self._add_steering, self._diagnostics.publish)
+        self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering,
+                              self._diagnostics.publish)
         self._plan = PlanInput(self, values.plan_frame, self._vehicle)
         settings = self._core.settings
         course = params.read_file(values, "course_file", Course.from_yaml)
@@ -119,13 +120,15 @@ class PredictorNode(Node):
         models = [*values.models, *([file.model()] if file else [])]
         parsed_models = params.translate_errors(values, lambda: [get_model(model) for model in models], "models: ")
         runners, backend = compile_models(parsed_models if values.compiled else (), self._vehicle, settings)
-        self._core = params.translate_errors(values, lambda: Predictor(self._vehicle, parsed_models, settings, runners))
+        scorer = Evaluator(self._vehicle, settings, 0.0, parsed_models, runners) if values.adaptive_bands else None
+        self._core = params.translate_errors(values, lambda: Predictor(
+            self._vehicle, parsed_models, settings, runners, scorer.history if scorer else None))
         self._hashes = dict.fromkeys(self._core.models, configuration_hash(self._vehicle, settings))
         file_hashes = dict.fromkeys(self._core.models, "")
         if file:
             file_hashes[parsed_models[-1].name] = file.hash
             self._hashes[parsed_models[-1].name] = configuration_hash(self._vehicle, settings, file.hash)
-        self._bands = PredictionBands(values, self._vehicle, file_hashes, settings, parsed_models, runners)
+        self._bands = PredictionBands(values, self._vehicle, file_hashes, settings, scorer)
         return backend or "interpreted"
 
     def _make_publishers(self) -> None:
@@ -136,14 +139,6 @@ class PredictorNode(Node):
         self._path_publishers = {model: self.create_publisher(PathMessage, f"predictor/{model}/path", qos)
                                  for model in self._core.models}
         self._status_publisher = self.create_publisher(PredictorStatus, "predictor/status", LATCHED)
-
-    def _add_ins(self, sample: InsSample) -> bool:
-        self._bands.add_ins(sample)
-        return self._core.add_ins(sample)
-
-    def _add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
-        self._bands.add_steering(time_ns, road_wheel_angle)
-        return self._core.add_steering(time_ns, road_wheel_angle)
 
     def _tick(self) -> None:
         period_ns = round(self._period / NANOSECOND)
