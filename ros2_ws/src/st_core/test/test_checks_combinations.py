@@ -161,7 +161,7 @@ def in_second_half(log, values):
 CHANGES = {
     "yaw_rate_lag": lambda log: late_in_second_half(log, 0.3, "yaw_rate"),
     "yaw_lag": lambda log: late_in_second_half(log, 0.3, "yaw"),
-    "yaw_offset": lambda log: replace(log, yaw=log.yaw + np.deg2rad(3.0) * seconds_of(log) / seconds_of(log)[-1]),
+    "yaw_offset": lambda log: replace(log, yaw=log.yaw + in_second_half(log, 0.03)),
     "yaw_rate_bias": lambda log: replace(log, yaw_rate=log.yaw_rate + in_second_half(log, 0.02)),
     "yaw_rate_scale": lambda log: replace(log, yaw_rate=log.yaw_rate * (1.0 - in_second_half(log, 2.0))),
     "velocity_scale": lambda log: replace(

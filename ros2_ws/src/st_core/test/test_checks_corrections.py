@@ -426,6 +426,16 @@ def test_map_shear_is_estimated(leaf, shear):
     assert low <= shear <= high
 
 
+@pytest.mark.parametrize("rate", [4e-4, -4e-4])
+def test_yaw_drift_is_no_error_of_the_velocities(leaf, rate):
+    winding = exact_drive(leaf, 150.0, turning=Sines(0.05, ((0.16, 23.0, 0.0), (0.07, 6.1, 0.7))))
+    time = 1e-9 * (winding.ins_time_ns - winding.ins_time_ns[0])
+    found = findings_by_name(replace(winding, yaw=winding.yaw + rate * time), leaf)
+    low, high = found["yaw_drift"].interval
+    assert low <= rate <= high
+    assert found.keys() <= {"yaw_drift", "yaw_rate_bias"}
+
+
 def test_findings_that_affect_predictions_come_first(log, leaf):
     found = check(biased(0.6, "acceleration_y")(scaled(0.97, "x")(log)), leaf).findings
     assert [finding.name for finding in found if finding.severity == "warning"] == ["x_scale", "acceleration_y_bias"]

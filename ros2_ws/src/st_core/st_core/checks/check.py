@@ -49,6 +49,7 @@ MAX_PART_DURATION = 300.0  # s; longest; it limits the computing time
 MIN_CHANGE = 0.5  # fraction of the deviation; if the parts differ by less, one correction removes at least half of it
 NOT_COMPARED = (  # between parts: the first two are constant, the others vary with the driving
     "measuring_point", "position_reference", "heading_misaligned", "steering_unrelated")
+UNKNOWN = 0.0, -np.inf, np.inf  # estimate: value and interval
 MIN_INS_SAMPLES = 50  # with fewer samples, only implausible samples and time stamps are reported
 
 
@@ -114,7 +115,9 @@ def _report_changes(whole: DriveCheck, parts: list[DriveCheck], times: list[tupl
                 ranked.append(((False, *rank), finding))
     in_parts = {finding.name: finding for _, finding in sorted(ranked, key=lambda pair: pair[0])}  # the last one stays
     changed = {finding.name for (is_changed, *_), finding in ranked if is_changed}
-    if not changed:
+    drifts = [each.estimates.get("yaw_drift", UNKNOWN) for each in (whole, *parts)]
+    is_drift = any(f.name == "yaw_drift" for f in whole.findings) and all(_agree(drifts[0], d) for d in drifts[1:])
+    if is_drift or not changed:  # parts may show a drift under other names
         return whole
     constant = [f for f in whole.findings if f.times or (f.interval is None and f.name in in_parts.keys() - changed)]
     remaining = [f for f in in_parts.values() if f.name not in {f.name for f in constant}]

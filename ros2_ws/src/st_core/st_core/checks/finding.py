@@ -239,7 +239,7 @@ SYSTEMATIC_UNCERTAINTY = {
     "steering_scale": 0.05, "steering_sign": 0.05, "yaw_rate_bias": 0.0002, "acceleration_x_bias": 0.01,
     "acceleration_y_bias": 0.01, "yaw_offset": 0.001, "heading_misaligned": 0.001, "steering_offset": 0.001,
     "position_reference": 0.02, "measuring_point": 0.05,
-    "map_shear": 0.001, "velocity_x_bias": 0.02, "velocity_y_bias": 0.02,
+    "yaw_drift": 2e-5, "map_shear": 0.001, "velocity_x_bias": 0.02, "velocity_y_bias": 0.02,
 }
 """Systematic uncertainty of an estimate, half-width of a 95 % interval, in the finding's unit (scales: fraction of the
 value), by the finding's name or its last part. It covers filters, interpolation, roll and the car's response to

@@ -9,6 +9,7 @@ Each cause of a residual contributes a term that is linear in the size of the ca
     lateral scale 1/s     v_y = v_y_true / s                     s - 1 times the integral of R(yaw) (0, v_y) dt
     map shear h           x = x_true + h y_true                  h times the displacement north, in x
     yaw offset a          yaw = yaw_true + a                     -a times the displacement, rotated by +90 deg
+    yaw drift w           yaw = yaw_true + w (t - start)         as a yaw offset of w (t - start)
     position lag T        p(t) = p_true(t - T)                   -T (V2 - V1),  V = R(yaw) v
     velocity lag T        v(t) = v_true(t - T), body axes        +T integral of R(yaw) dv/dt dt, both axes or only x
     reference a           p is of a point a distance a ahead     (R(yaw2) - R(yaw1)) (a, 0)
@@ -72,7 +73,8 @@ VARY_BENDS = Advice("text", "drive bends at different speeds and radii to distin
 
 
 class Cause(NamedTuple):
-    """A cause of a residual. channels, unit, text: of its finding. corrected_channel, key: of its correction."""
+    """A cause of a residual. channels, unit, text: of its finding. corrected_channel, key: of its correction; without a
+    channel, key is the advice."""
 
     channels: tuple[str, ...]
     corrected_channel: str
@@ -86,14 +88,17 @@ CAUSES = {
                      "by the cosine of a different latitude?"),
     "y_scale": Cause(("y",), "y", "scale", "1", "y is {value:.4f} ± {half:.4f} times the integrated velocity: "
                      "projected with a different earth radius?"),
-    "map_shear": Cause(("x",), "", "", "1", "x {change} by {size:.4f} ± {half:.4f} m per metre north: projected far "
-                       "from its origin?"),
+    "map_shear": Cause(("x",), "", "project latitude and longitude with an origin near the drive", "1", "x {change} by "
+                       "{size:.4f} ± {half:.4f} m per metre north: projected far from its origin?"),
     "velocity_scale": Cause(("velocity_x", "velocity_y"), "velocity", "scale", "1",
                             "velocity is {value:.4f} ± {half:.4f} times the rate of change of positions"),
     "velocity_y_scale": Cause(("velocity_y",), "velocity_y", "scale", "1", "velocity_y is {value:.3f} ± {half:.3f} "
                               "times its value from positions, yaw and velocity_x"),
     "yaw_offset": Cause(("yaw",), "yaw", "add", "rad", "yaw points {size:.4f} ± {half:.4f} rad ({degrees:.2f} deg) too "
                         "far {side} according to positions and velocities, or is the map rotated?"),
+    "yaw_drift": Cause(("yaw",), "", "use an INS with two antennas, or drive bends while it aligns: no constant "
+                       "correction exists", "rad/s", "yaw drifts to the {side} by {size:.2g} ± {half:.1g} rad/s "
+                       "({per_minute:.2f} deg per minute) compared with positions and velocities"),
     "position_lag": Cause(("x", "y"), "position", "earlier", "s",
                           "positions {lag} velocity and yaw by {size:.3f} ± {half:.3f} s"),
     "velocity_lag": Cause(("velocity_x", "velocity_y"), "velocity", "earlier", "s",
@@ -121,6 +126,7 @@ def make_residual_regression(motion: Motion) -> Regression:
         "x_scale": displacement.real, "y_scale": 1j * displacement.imag, "map_shear": displacement.imag,
         "velocity_scale": displacement, "velocity_y_scale": windows.integral(1j * motion.velocity_y * heading),
         "yaw_offset": -1j * displacement, "position_lag": -velocity_change,
+        "yaw_drift": -1j * displacement * (windows.time + 0.5 * WINDOW - motion.time[0]),
         "velocity_lag": velocity_change - windows.integral(1j * motion.yaw_rate * velocity),
         "velocity_x_lag": windows.change(forward) - windows.integral(1j * motion.yaw_rate * forward),
         "position_reference": windows.change(heading),
@@ -479,19 +485,19 @@ def _find_causes(problem: Regression, candidates: list[str], min_values: dict[st
 def _make_finding(name: str, estimate: Estimate, effect: float) -> Finding:
     """Finding of a cause. effect: shift of the position at the end of the horizon [m]."""
     cause, reported = CAUSES[name], _convert_to_reported(name, estimate)
-    positive = reported.value > 0.0
+    positive, degrees = reported.value > 0.0, np.rad2deg(abs(reported.value))
     spherical = name in AXIS_SCALES and abs(estimate.value) < SPHERICAL_EARTH_SCALE
     text = (SPHERE_TEXT if spherical else cause.text).format(
-        axis=name[0], value=reported.value, size=abs(reported.value), half=reported.half_width,
-        degrees=np.rad2deg(abs(reported.value)), side="left" if positive else "right",
+        axis=name[0], value=reported.value, size=abs(reported.value), half=reported.half_width, degrees=degrees,
+        per_minute=60.0 * degrees, side="left" if positive else "right",
         lag="lag" if positive else "lead", ahead="ahead of" if positive else "behind",
         change="increases" if positive else "decreases", high="high" if positive else "low")
     severity = LIMITS.severity(effect, cause.unit == "s" and abs(estimate.value) >= LIMITS.severe_lag)
     if name == "velocity_y_scale" and not is_near(reported.value, 1.0, LIMITS.unit_ratio):
         severity = Severity.ERROR
     correction = {"scale": 1.0 / (reported.value or np.inf), "earlier": reported.value}.get(cause.key, -reported.value)
-    advice = (Advice.correct(cause.corrected_channel, **{cause.key: float(f"{correction:.5g}")}) if cause.key else
-              Advice("text", "project latitude and longitude with an origin near the drive"))
+    advice = (Advice.correct(cause.corrected_channel, **{cause.key: float(f"{correction:.5g}")})
+              if cause.corrected_channel else Advice("text", cause.key))
     return Finding(name, severity, cause.channels, text, reported.value, cause.unit, reported.interval, (), effect,
                    advice)
 
@@ -510,7 +516,7 @@ def _correct_causes(motion: Motion, causes: dict[str, Estimate]) -> Motion:
     y = motion.y / (1.0 + values["y_scale"])
     x = motion.x / (1.0 + values["x_scale"]) - values["map_shear"] * y
     motion = replace(motion, x=x - ahead * np.cos(motion.yaw), y=y - ahead * np.sin(motion.yaw),
-                     yaw=motion.yaw - values["yaw_offset"],
+                     yaw=motion.yaw - values["yaw_offset"] - values["yaw_drift"] * (motion.time - motion.time[0]),
                      velocity_x=motion.velocity_x * scale - values["velocity_x_bias"],
                      velocity_y=motion.velocity_y * lateral_scale - values["velocity_y_bias"])
     for cause in {"position_lag", "velocity_lag", "velocity_x_lag"} & causes.keys():
