@@ -121,7 +121,7 @@ class LogBatch:
     (n, 2 * steps + 1) on the half-step grid.
     points [s]: times in the horizon, multiples of step; None: 0, step, ... horizon. substeps: integration steps per
     step; auto = the smallest number <= 64 stable at the lowest and highest speed. Warns once if a given one is not.
-    backend: lanes (compiled) or numpy. signals: (time [ns], values), by name, of the signals that a
+    backend: lanes or numpy; None: the fastest available. signals: (time [ns], values), by name, of the signals that a
     model needs in addition to its inputs; their values at the start are held, unless inputs = measured.
     Raises ConfigurationError for a horizon or points that are not whole numbers of steps, a missing signal, invalid
     inputs or substeps, and an unknown backend. Checked by: test_batch.py, against Evaluator and `predict`.
@@ -129,7 +129,7 @@ class LogBatch:
 
     def __init__(self, log: DriveLog | LogSignals, starts_ns: np.ndarray, horizon: float = 5.0, step: float = 0.05, *,
                  inputs: Inputs = "measured", points: Sequence[float] | None = None,
-                 substeps: int | Literal["auto"] = 1, backend: str = "lanes", signals: Signals | None = None):
+                 substeps: int | Literal["auto"] = 1, backend: str | None = None, signals: Signals | None = None):
         if isinstance(inputs, str) and inputs not in ("measured", "held"):
             raise ConfigurationError(f"inputs: {inputs!r} is neither measured nor held")
         if substeps != "auto" and (not isinstance(substeps, int) or not 1 <= substeps <= integrate.MAX_SUBSTEPS):
@@ -270,8 +270,7 @@ class LogBatch:
             w = self._table(block, values, model, p)
             start = model.start_state(tuple(states), tuple(w[:, block.offsets[0]:block.offsets[0] + block.count]), p)
         columns = np.full((len(start), block.columns), np.nan)
-        for column, value in zip(columns, start, strict=True):
-            column[:block.count] = value
+        columns[:, :block.count] = np.broadcast_arrays(*start)
         offsets = block.offsets if len(block.offsets) > 1 else np.zeros(2 * self.steps * substeps + 1, np.int64)
         out = self._backend.advance(model, p, columns, w, offsets, self.step / substeps, self.points * substeps)
         return out[:, :, :block.count] if len(block.start_columns) == block.count else out[:, :, block.start_columns]

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from .augmented import AugmentedModel, augment, set_effects_to_null
-from .backends import get_backend
+from .backends import get_backend, has_numba
 from .effects import Effect, Measured
 from .errors import StCoreError
 from .integrate import growth_factor, lateral_modes, rk4_step
@@ -87,7 +87,8 @@ def _check_finite(effect: type[Effect], vehicle: VehicleParameters, base: Model,
 
 def _check_backends(effect: type[Effect], vehicle: VehicleParameters, base: Model, model: AugmentedModel) -> str:
     floats = np.stack([_predict_floats(model, vehicle, speed) for speed in SPEEDS])
-    paths = {name: _predict_backend(model, vehicle, name) for name in ("numpy", "lanes")}
+    backends = ("numpy", "lanes") if has_numba() else ("numpy",)
+    paths = {name: _predict_backend(model, vehicle, name) for name in backends}
     if importlib.util.find_spec("casadi"):
         paths["CasADi"] = _predict_casadi(model, vehicle)
     for name, path in paths.items():

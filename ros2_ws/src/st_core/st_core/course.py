@@ -363,7 +363,6 @@ class CourseTracker:
         return square, np.stack([speed, curvature])
 
     def _combine(self, candidates: list[_Candidate], weights: np.ndarray, ego: EgoMotion) -> CourseForecast:
-        """The forecast from the weighted candidates, combined with the other forecasts according to their errors."""
         length = min(profile.shape[1] for _, profile in candidates)
         course_speed, curvature = np.tensordot(weights, [profile[:, :length] for _, profile in candidates], axes=1)
         integrate = scipy.integrate.cumulative_trapezoid

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from .backends import get_backend
+from .backends import get_backend, has_numba
 from .errors import ConfigurationError, StCoreError
 from .integrate import rk4, warn_if_step_too_long
 from .measurement_history import FrozenSteeringDetector, MeasurementHistory
@@ -262,9 +262,11 @@ def compile_model(model: Model, vehicle: VehicleParameters, settings: Prediction
 
     Three models over 5 s take 0.2 ms instead of 1.3 ms; with an additional model of three effects 0.6 ms instead of
     4.1 ms. Inputs are constant, or 2 * steps + 1 values on the half-step grid without further signals; NaN inputs give
-    NaN states. Raises ConfigurationError if numba cannot compile the model or if the results differ, and errors of
-    numba. Checked by: test_compiled.py.
+    NaN states. Raises ConfigurationError if numba is not installed or cannot compile the model, or if the results
+    differ, and errors of numba. Checked by: test_compiled.py.
     """
+    if not has_numba():
+        raise ConfigurationError("numba is not installed")
     backend, p, points = get_backend("lanes"), model.parameters(vehicle), np.arange(settings.steps + 1)
     constant_rows, sequence_rows = np.zeros(2 * settings.steps + 1, np.int64), np.arange(2 * settings.steps + 1)
     w = model.inputs(0.0, 0.0, p)

@@ -23,7 +23,8 @@ from st_core.models import MODELS, get_model
 STEP, STEPS = 0.05, 100
 LAST_POINT = np.array([STEPS])
 HALF_STEPS = np.arange(2 * STEPS + 1)
-BACKENDS = ["numpy", "lanes"]
+needs_numba = pytest.mark.skipif(not backends.has_numba(), reason="numba is not installed")
+BACKENDS = ["numpy", pytest.param("lanes", marks=needs_numba)]
 EFFECTS_BY_BASE = [(base, name) for base in MODELS for name in find_applicable_effects(base)]
 # One effect for each kind of hook, for the fast run.
 QUICK = [("nonlinear", "friction"), ("nonlinear", "steering_offset"), ("linear", "tyre_relaxation"),
@@ -80,7 +81,7 @@ def test_random_predictions_equal_those_on_floats(leaf, name, count):
     model = MODELS[name]
     p, inputs = model.parameters(leaf), random_cases(count)
     reference = predict_on_floats(model, p, *inputs)
-    for backend in backends.NAMES:
+    for backend in [b for b in backends.NAMES if b == "numpy" or backends.has_numba()]:
         assert_equal_to_rounding(run_backend(backend, model, p, *inputs)[0], reference)
 
 
@@ -106,11 +107,13 @@ def assert_lanes_equal_floats(car, base, name, all_at_null=None):
 
 # numpy with effects: test_effects.py, test_batch_equals_loop_and_arrays_equal_floats.
 @pytest.mark.slow
+@needs_numba
 @pytest.mark.parametrize(("base", "name"), QUICK)
 def test_effects_in_lanes_equal_floats(leaf, base, name):
     assert_lanes_equal_floats(leaf, base, name)
 
 
+@needs_numba
 @pytest.mark.slow
 @pytest.mark.parametrize(("base", "name"), EFFECTS_BY_BASE)
 def test_every_effect_in_lanes_equals_floats(leaf, base, name):
@@ -177,6 +180,7 @@ def test_yaw_of_many_turns_predicts_the_same_path(leaf, backend):
 
 
 @pytest.mark.slow
+@needs_numba
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="reads x86 instructions")
 @pytest.mark.parametrize("name", MODELS)
 def test_lanes_compile_to_vector_instructions(leaf, name):
@@ -195,6 +199,7 @@ def test_lanes_compile_to_vector_instructions(leaf, name):
     assert packed > 10 * single and packed > 100
 
 
+@needs_numba
 def test_numba_operations_equal_python_to_rounding():
     import numba
     from st_core.backends.numba_lanes import FLAGS
@@ -230,6 +235,7 @@ def test_numba_operations_equal_python_to_rounding():
         np.testing.assert_allclose(values, reference, atol=1e-16)
 
 
+@needs_numba
 def test_model_that_numba_cannot_compile_runs_in_numpy_with_a_warning(leaf, caplog):
     base = MODELS["kinematic"]
 
@@ -249,9 +255,15 @@ def test_model_that_numba_cannot_compile_runs_in_numpy_with_a_warning(leaf, capl
     assert message.startswith("model odd runs in numpy; numba cannot compile it: ") and "\n" not in message
 
 
-def test_backends_are_found_by_name():
-    assert backends.get_backend().__name__ == "st_core.backends.numba_lanes"
-    assert backends.get_backend("numpy") is numpy_batch
+def test_missing_numba_falls_back_to_numpy_with_one_warning(monkeypatch, caplog):
+    monkeypatch.setattr(backends, "has_numba", lambda: False)
+    backends._warn_numpy.cache_clear()
+    with caplog.at_level(logging.WARNING):
+        assert backends.get_backend() is numpy_batch and backends.get_backend() is numpy_batch
+    assert [r.getMessage() for r in caplog.records] == [
+        "numba is not installed: batches run in numpy, five to twenty times slower"]
+    with pytest.raises(ConfigurationError, match="backend lanes: numba is not installed"):
+        backends.get_backend("lanes")
     with pytest.raises(ConfigurationError, match="unknown backend 'gpu'; known: lanes, numpy"):
         backends.get_backend("gpu")
 

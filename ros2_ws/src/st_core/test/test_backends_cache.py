@@ -8,8 +8,10 @@ from pathlib import Path
 
 import pytest
 import st_core
-from st_core.backends import numba_cache
+from st_core.backends import has_numba, numba_cache
 from st_core.vehicle import VehicleParameters
+
+pytestmark = pytest.mark.skipif(not has_numba(), reason="numba is not installed")
 
 PROGRAM = """
 import sys

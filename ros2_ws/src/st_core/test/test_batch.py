@@ -9,6 +9,7 @@ from batched import predict_log
 from st_core import batch as batch_module
 from st_core import integrate
 from st_core.augmented import augment
+from st_core.backends import get_backend, has_numba
 from st_core.batch import LogBatch, plan_blocks
 from st_core.errors import ConfigurationError
 from st_core.evaluation import Evaluator
@@ -20,7 +21,7 @@ from st_core.readings import correct_log
 from st_core.types import ControlInput, InputSequence, InsSample, Trajectory, VehicleState
 
 T0, MS = 1_700_000_000_000_000_000, 1_000_000
-BACKENDS = ["numpy", "lanes"]
+BACKENDS = ["numpy", pytest.param("lanes", marks=pytest.mark.skipif(not has_numba(), reason="numba is not installed"))]
 
 
 def drive(seconds=20.0, rate=100, mean_speed=8.0) -> DriveLog:
@@ -238,6 +239,11 @@ def test_starts_on_a_common_grid_share_its_instants():
         for k in (0, 1, 77, 200):
             np.testing.assert_array_equal(times[b.offsets[k] + b.start_columns],
                                           b.starts_ns[b.start_columns] + instants[k])
+
+
+@pytest.mark.skipif(not has_numba(), reason="numba is not installed")
+def test_numba_lanes_are_the_default_backend():
+    assert get_backend().__name__ == "st_core.backends.numba_lanes"
 
 
 def test_sparse_starts_with_long_horizons_are_covered_once():

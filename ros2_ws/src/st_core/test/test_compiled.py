@@ -5,12 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from st_core import backends, prediction
 from st_core.augmented import augment
-from st_core.backends import numba_lanes
+from st_core.errors import ConfigurationError
 from st_core.models import MODELS
 from st_core.prediction import PredictionSettings, Predictor, Start, compile_model, compile_models, predict
 from st_core.types import ControlInput, InputSequence, VehicleState
 
+needs_numba = pytest.mark.skipif(not backends.has_numba(), reason="numba is not installed")
 SETTINGS = PredictionSettings()
 STATE = VehicleState(120.0, -40.0, 12.0, 0.1, 2.9, 0.15)
 INPUTS = ControlInput(0.03, -0.4)
@@ -21,6 +23,7 @@ def wavy(steps):
     return InputSequence(0.05 * np.sin(time), np.cos(time))
 
 
+@needs_numba
 @pytest.mark.parametrize("inputs", [INPUTS, wavy(SETTINGS.steps)], ids=["constant", "sequence"])
 @pytest.mark.parametrize("model", [*MODELS.values(), augment("linear", ["tyre_relaxation"]),
                                    augment("nonlinear", ["road_bank"])], ids=lambda m: m.name)
@@ -31,6 +34,7 @@ def test_compiled_prediction_equals_floats(leaf, model, inputs):
     np.testing.assert_allclose(compiled_path.states, exact.states, rtol=1e-12, atol=1e-12)
 
 
+@needs_numba
 def test_nan_propagates_as_on_floats(leaf):
     model = MODELS["linear"]
     sequence = wavy(SETTINGS.steps)
@@ -42,6 +46,7 @@ def test_nan_propagates_as_on_floats(leaf):
     assert np.isnan(compiled_path).any() and np.isfinite(compiled_path[49]).all()
 
 
+@needs_numba
 def test_predictor_uses_compiled_models(leaf):
     runners, message = compile_models(list(MODELS.values()), leaf, SETTINGS)
     assert message == "compiled and checked: kinematic, linear, nonlinear"
@@ -51,11 +56,22 @@ def test_predictor_uses_compiled_models(leaf):
         np.testing.assert_allclose(fast.run(start, name).states, plain.run(start, name).states, rtol=1e-12, atol=1e-12)
 
 
+@needs_numba
 def test_compiled_model_that_differs_from_floats_is_not_used(leaf, monkeypatch):
     """With an inexact compiled result the model runs on floats, and the message gives the reason."""
+    numba_lanes = backends.get_backend("lanes")
     exact = numba_lanes.advance
     monkeypatch.setattr(numba_lanes, "advance", lambda model, *arguments: (
         exact(model, *arguments) + 1e-6 * (model.name == "linear")))
     runners, message = compile_models(list(MODELS.values()), leaf, SETTINGS)
     assert set(runners) == {"kinematic", "nonlinear"}
     assert message.startswith("compiled and checked: kinematic, nonlinear; not compiled: linear (the compiled ")
+
+
+def test_without_numba_all_models_run_on_floats(leaf, monkeypatch):
+    monkeypatch.setattr(prediction, "has_numba", lambda: False)
+    assert compile_models(list(MODELS.values()), leaf, SETTINGS) == (
+        {}, "not compiled: kinematic, linear, nonlinear (numba is not installed)")
+    with pytest.raises(ConfigurationError, match="numba is not installed"):
+        compile_model(MODELS["linear"], leaf, SETTINGS)
+

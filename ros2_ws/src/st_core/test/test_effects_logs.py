@@ -49,6 +49,8 @@ def predict_individually(base, name, share, car) -> np.ndarray:
 @pytest.mark.parametrize("backend", ["numpy", "lanes"])
 @pytest.mark.parametrize("base", MODELS)
 def test_batch_over_a_log_equals_individual_predictions(leaf, backend, base):
+    if backend == "lanes":
+        pytest.importorskip("numba", reason="numba is not installed")
     batch, on_sample = LogBatch(LOG, STARTS, HORIZON, STEP, backend=backend), np.isin(STARTS, LOG.ins_time_ns)
     for name, share in itertools.product(list_effects(base), SHARES):
         model = augment(base, {name: values_of(name, share)})

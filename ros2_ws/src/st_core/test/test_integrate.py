@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from st_core.integrate import rk4
+from st_core.integrate import _rk4_step_six_states, rk4, rk4_step
 from st_core.prediction import predict
 from st_core.types import ControlInput, InputSequence, VehicleState
 
@@ -28,6 +28,15 @@ def test_cubic_input_is_integrated_exactly():
     grid = [(0.5 * step * i) ** 3 for i in range(2 * steps + 1)]
     end = rk4(lambda state, w, p: (w,), (0.0,), grid, None, step)[-1]
     assert end[0] == pytest.approx(2.0**4 / 4.0, rel=1e-14)
+
+
+def test_written_out_step_equals_general_step():
+    def derivative(s, w, p):
+        return (s[1] * w, math.sin(s[2]), s[3] - s[0], s[4] * s[5] * p, math.cos(s[0]), -s[1])
+
+    state, arguments = (0.3, -1.2, 0.5, 2.0, 0.1, -0.7), (1.0, 1.5, 2.0, 0.3, 0.1)
+    expected = rk4_step(derivative, state, *arguments)
+    assert _rk4_step_six_states(derivative, state, *arguments) == pytest.approx(expected, rel=1e-14)
 
 
 @pytest.mark.parametrize("model", ["kinematic", "linear", "nonlinear"])

@@ -7,11 +7,13 @@
     offsets: (2 * steps + 1,); column i has w[:, offsets[k] + i] at time k * step / 2. points: step numbers, increasing.
     out: (len(points), 6, n), states at these steps. NaN in a column makes only that column NaN.
 
-numba_lanes compiles the model. For a model that numba cannot compile, numpy_batch replaces it, five to twenty times
-slower.
+numpy_batch needs only numpy; numba_lanes needs numba (imported when used) and is five to twenty times faster.
 casadi_backend does not advance batches: it builds symbolic functions.
 """
 
+import importlib.util
+import logging
+from functools import cache
 from types import ModuleType
 
 from ..errors import ConfigurationError
@@ -19,12 +21,29 @@ from ..errors import ConfigurationError
 NAMES = ("lanes", "numpy")
 
 
-def get_backend(name: str = "lanes") -> ModuleType:
-    """Backend by name, imported at its first use. Raises ConfigurationError for an unknown name."""
+def get_backend(name: str | None = None) -> ModuleType:
+    """Backend by name; None: fastest. Raises ConfigurationError for an unknown name, and for lanes without numba."""
+    if name is None:
+        name = "lanes" if has_numba() else "numpy"
+        if name == "numpy":
+            _warn_numpy()
     if name == "numpy":
         from . import numpy_batch
         return numpy_batch
     if name == "lanes":
+        if not has_numba():
+            raise ConfigurationError("backend lanes: numba is not installed; install it or use backend numpy")
         from . import numba_lanes
         return numba_lanes
     raise ConfigurationError(f"unknown backend {name!r}; known: {', '.join(NAMES)}")
+
+
+@cache
+def has_numba() -> bool:
+    """Whether numba is installed; does not import it."""
+    return importlib.util.find_spec("numba") is not None
+
+
+@cache
+def _warn_numpy() -> None:
+    logging.getLogger(__name__).warning("numba is not installed: batches run in numpy, five to twenty times slower")

@@ -219,5 +219,4 @@ def find_candidates(windows: Windows) -> list[Candidate]:
 
 
 def _find_range(values: np.ndarray) -> np.ndarray:
-    """Range (low, high) of the finite values without their tails."""
     return np.quantile(values[np.isfinite(values)], [TAIL_FRACTION, 1.0 - TAIL_FRACTION])

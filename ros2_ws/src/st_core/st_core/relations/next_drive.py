@@ -109,7 +109,6 @@ def suggest_drives(fits: RelationFits, fit: RelationFit, alternatives: Mapping[s
 
 
 def _make_loss(fits: RelationFits, windows: Windows, fit: RelationFit) -> Loss:
-    """Loss over other windows, with the residual scale of the runs."""
     assert fit.candidate is not None
     loss = Loss(Errors(windows, fits.make_space(fit.candidate), fits.threads), fit.vector)
     loss.scale = fits.loss.scale

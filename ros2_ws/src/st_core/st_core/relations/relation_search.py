@@ -127,12 +127,11 @@ def _select(screened: Sequence[ScreenedCandidate], fits: RelationFits, base_fit:
     """The best significant candidate, or the reason why none is reported. effect_names: effects of the result."""
     limits, residual_count = fits.limits, fits.loss.residual_count
     p_values = selection.compute_p_values(screened, fits.blocks)
-    statistics = {s.candidate.name: (s.gain / residual_count, p_values[s.candidate.name])
-                  for s in sorted(screened, key=lambda s: -s.gain)}
+    ordered = sorted(screened, key=lambda s: -s.gain)
+    statistics = {s.candidate.name: (s.gain / residual_count, p_values[s.candidate.name]) for s in ordered}
     level = limits.false_alarm / len(screened)
     detection_limits = {s.candidate.name: s.compute_detection_limit(level, fits.blocks) for s in screened}
-    significant = sorted((s for s in screened if p_values[s.candidate.name] <= limits.false_alarm),
-                         key=lambda s: -s.gain)
+    significant = [s for s in ordered if p_values[s.candidate.name] <= limits.false_alarm]
     if not significant:
         name, (gain, p_value) = next(iter(statistics.items()))
         return RelationSearch(None, f"no relation is significant. The best, {name}, changes the held-out loss by "
@@ -181,7 +180,6 @@ def _fit_candidates(significant: Sequence[ScreenedCandidate], fits: RelationFits
 
 
 def _find_imitated_fault(candidate: Candidate, reported: Collection[tuple[str, str]]) -> str:
-    """Name of a finding of the checks that a candidate imitates, or ""."""
     if candidate.term == "front_steer" and {candidate.quantity, candidate.factor} & set(STEERING_TIMING):
         return next((name for name, channel in reported if channel == "road_wheel_angle" and name.endswith("_lag")), "")
     return next((name for name, channel in reported if channel == SENSOR_READINGS.get(candidate.term)), "")
@@ -189,7 +187,6 @@ def _find_imitated_fault(candidate: Candidate, reported: Collection[tuple[str, s
 
 def _make_relation(best: ScreenedCandidate, fitted: FitByCandidate, base_fit: RelationFit, fits: RelationFits,
                    p_value: float, effect_names: Sequence[str]) -> tuple[Relation, str]:
-    """The relation with its statistics, and a sentence on its gain."""
     fit, c = fitted[best], best.candidate
     gains = base_fit.held_out - fit.held_out
     before, after = (selection.compute_position_errors(fits, f) for f in (base_fit, fit))
