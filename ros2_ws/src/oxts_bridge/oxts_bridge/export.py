@@ -304,7 +304,8 @@ def filter_low_pass(seconds: np.ndarray, values: np.ndarray, settings: SettingHi
 def _compute_ground_acceleration(motion: Motion) -> Vector:
     """Acceleration relative to the ground [m/s^2], FLU: a = A + R^T (g - (2 w_ie + w_en) x v), R from body axes to ENU.
 
-    A: specific force. g: gravity. w_ie: earth rate. w_en: transport rate, of the local frame relative to the earth.
+    A: specific force. g: normal gravity, constant below height 0. w_ie: earth rate. w_en: transport rate, of the local
+    frame relative to the earth.
     """
     latitude, height = motion.latitude, motion.altitude
     east, north, _ = motion.velocity
@@ -313,13 +314,8 @@ def _compute_ground_acceleration(motion: Motion) -> Vector:
     rotation = np.array([-north / (meridian + height), 2 * EARTH_RATE * c + east / (normal + height),
                          2 * EARTH_RATE * s + east * s / c / (normal + height)])
     correction = -np.cross(rotation, motion.velocity, axis=0)
-    correction[2] -= compute_gravity(latitude, height)
+    surface_gravity = 9.780318 * (1 + 5.3024e-3 * s**2 - 5.9e-6 * np.sin(2 * latitude) ** 2)
+    correction[2] -= surface_gravity / (1 + np.maximum(height, 0) / 6367435.68) ** 2
     x, y, z = motion.attitude.to_body(tuple(correction))
     force_x, force_y, force_z = motion.acceleration
     return force_x + x, force_y + y, force_z + z
-
-
-def compute_gravity(latitude: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """Normal gravity [m/s^2] at a latitude [rad] and height [m]; constant below height 0."""
-    surface = 9.780318 * (1 + 5.3024e-3 * np.sin(latitude) ** 2 - 5.9e-6 * np.sin(2 * latitude) ** 2)
-    return surface / (1 + np.maximum(height, 0) / 6367435.68) ** 2

@@ -11,6 +11,7 @@ from mcap.reader import make_reader
 from st_core.log import DriveLog
 from st_core.sideslip import derive_yaw_rate
 
+from ..bag_metadata import read_information
 from .axes import convert_odometry
 from .bag_storage import EXTENSIONS, ROS1_EXTENSION, Storage, Topic, describe_missing_files, list_bag_files, open_bag
 from .cdr import CAN_FRAMES, CAN_MSGS_FRAME, NCOM, ODOMETRY, READ_ERRORS, STEERING, read_summary
@@ -49,10 +50,13 @@ def is_bag(path: Path) -> bool:
 
 
 def has_odometry(path: Path) -> bool:
-    """Whether a bag contains odometry, or INS packets and steering to reconstruct a drive; True if it is unreadable."""
+    """Whether a bag contains odometry, or INS packets and steering to reconstruct a drive; True if this is unclear."""
     try:
-        types = open_bag(path).by_type.keys()
-    except RunError:
+        if path.is_dir():
+            types = {t["topic_metadata"]["type"] for t in read_information(path)["topics_with_message_count"]}
+        else:
+            types = {topic.type_name for topic in open_bag(path).topics}
+    except (RunError, KeyError, TypeError):
         return True
     return ODOMETRY in types or (NCOM in types and bool(types & {STEERING, CAN_FRAMES}))
 

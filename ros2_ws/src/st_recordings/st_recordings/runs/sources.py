@@ -4,7 +4,7 @@ import glob
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import chain, count, pairwise
 from pathlib import Path
 
 from st_core import yaml_text
@@ -292,14 +292,11 @@ def _assign_distinct_names(runs: Sequence[RunSource]) -> list[RunSource]:
     used_names: set[str] = set()
     renamed_runs = []
     for run in sorted(runs, key=lambda r: (r.name, str(r.path))):
-        name = run.name
-        if name in GENERIC_NAMES and run.files:
-            name = run.path.absolute().parent.name or name
-        if name in used_names and run.files:
-            name = f"{run.path.absolute().parent.name}_{run.name}"
-        number = 2
-        while name in used_names:
-            name, number = f"{run.name}_{number}", number + 1
+        folder = run.path.absolute().parent.name if run.files else ""
+        first = (run.name in GENERIC_NAMES and folder) or run.name
+        names = chain((first, f"{folder}_{run.name}") if run.files else (first,),
+                      (f"{run.name}_{number}" for number in count(2)))
+        name = next(name for name in names if name not in used_names)
         used_names.add(name)
         renamed_runs.append(replace(run, name=name))
     return renamed_runs
