@@ -100,6 +100,7 @@ CONVENTION_FAULTS = [
     ("yaw_convention", yaw_from_north(DEG_PER_RAD)), ("yaw_convention", scaled(-1.0, "yaw")),
     ("position_axes", lambda log: axes_exchanged()(yaw_from_north()(log))),
     ("velocity_axes", lambda log: replace(log, velocity_x=log.velocity_y, velocity_y=log.velocity_x)),
+    *(("velocity_axes", ins_rotated(angle)) for angle in (0.5 * np.pi, -0.5 * np.pi, 1.2)),
 ]
 
 

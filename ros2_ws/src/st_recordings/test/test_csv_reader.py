@@ -209,6 +209,19 @@ def test_pause_of_half_a_day_after_midnight_is_no_step_back_in_time(tmp_path: Pa
     assert not any("set back" in warning for warning in drive.warnings)
 
 
+def test_two_drives_of_a_minute_in_one_file_are_not_joined(tmp_path: Path) -> None:
+    seconds = np.arange(6000) * 0.01
+    file = write(tmp_path, [HEADER, *(f"{t:.2f},{t:.2f},0,0.1,1,0,0,0,0,0.1" for t in (*seconds, *seconds))])
+    table = read_table(file, Layout())
+    assert table.is_usable.sum() == 6000 and "the clock was set back by 59.990 s" in table.warnings[0]
+
+
+@pytest.mark.parametrize(("unit", "step"), [("min", 1 / 6000), ("h", 1 / 360000), ("ms", 1.0)])
+def test_steps_of_times_in_another_unit_cause_a_warning(tmp_path: Path, unit: str, step: float) -> None:
+    file = write(tmp_path, [HEADER, *(f"{k * step:.8f},{k},0,0.1,1,0,0,0,0,0.1" for k in range(300))])
+    assert read_table(file, Layout()).warnings[0].endswith(f"units: {{t: {unit}}}")
+
+
 @pytest.mark.parametrize("cells", [[f"{150 - k // 2}" for k in range(103)],
                                    [f"{-1.0 + 0.01 * k:.2f}" for k in range(101)]])
 def test_short_last_cell_is_complete(tmp_path: Path, cells: list[str]) -> None:

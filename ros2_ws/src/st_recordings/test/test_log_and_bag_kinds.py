@@ -502,6 +502,12 @@ def test_bag_with_another_encoding_is_rejected(tmp_path: Path, drive_log: DriveL
         read(find_runs([file])[0], CAR)
 
 
+def test_messages_of_ros_1_in_an_mcap_file_are_rejected(tmp_path: Path, drive_log: DriveLog) -> None:
+    file = write_bag(tmp_path / "ros1.mcap", drive_log, 0, 5, encoding="ros1")
+    with pytest.raises(RunError, match=r"give the \.bag of ROS 1 from which it was converted"):
+        read(find_runs([file])[0], CAR)
+
+
 def test_bag_with_another_definition_of_a_known_type_is_rejected(tmp_path: Path, drive_log: DriveLog) -> None:
     file = write_bag(tmp_path / "a.mcap", drive_log, 0, 5, compression=CompressionType.NONE, enable_crcs=False)
     file.write_bytes(file.read_bytes().replace(b"Vector3 linear", b"Vector3 planar"))

@@ -408,12 +408,12 @@ def _compute_displacements(motion: Motion, velocity: np.ndarray) -> tuple[np.nda
     return windows.change(motion.position), windows.integral(velocity)
 
 
-def _compute_misfit(motion: Motion) -> float:
-    """Median distance [m] between change of position and integrated velocity per second, after the best rotation."""
+def _compute_misfit(motion: Motion, turns: bool = True) -> float:
+    """Median distance [m] of change of position and integrated velocity per second; turns: after the best rotation."""
     measured, derived = _compute_displacements(motion, motion.velocity_map)
     if not len(measured):
         return 0.0
-    rotation = np.sum(_direction(measured) * np.conj(derived))
+    rotation = np.sum(_direction(measured) * np.conj(derived)) if turns else 1.0
     return float(np.median(np.abs(measured - derived * rotation / max(abs(rotation), 1e-300))))
 
 
@@ -437,13 +437,25 @@ def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
                 "the body frame is expected")
         advice = Advice("text", "rotate them by yaw: forward = cos(yaw) {0} + sin(yaw) {1}, "
                         "lateral = cos(yaw) {1} - sin(yaw) {0}".format(*along))
-        motion = replace(motion, velocity_x=body.real, velocity_y=body.imag)
-    elif max_misfit > 0.0 and motion.moves_sideways and float(
-            np.median(np.abs(measured - _compute_displacements(exchanged, exchanged.velocity_map)[1]))) <= max_misfit:
-        text, advice = "velocity_x and velocity_y are exchanged (x should be forward, y left)", exchange
+        corrected = replace(motion, velocity_x=body.real, velocity_y=body.imag)
+    elif max_misfit > 0.0 and motion.moves_sideways and _compute_misfit(exchanged, turns=False) <= max_misfit:
+        corrected, advice = exchanged, exchange
+        text = "velocity_x and velocity_y are exchanged (x should be forward, y left)"
+    elif max_misfit > 0.0 and motion.moves_sideways and _compute_misfit(motion, turns=False) <= max_misfit:
+        angle = float(np.angle(motion.velocity.sum()))
+        quarter = float(np.copysign(np.pi / 2, angle))
+        angle = quarter if abs(angle - quarter) < 0.1 else angle
+        text = (f"velocity and track point {angle * DEG_PER_RAD:+.0f} deg to the left of yaw: is yaw that of an axis "
+                "that is not forward, or measured from north?")
+        advice, channels = Advice.correct("heading", add=angle), dict[str, Any](yaw=motion.yaw + angle)
+        for x, y in (("velocity_x", "velocity_y"), ("acceleration_x", "acceleration_y")):
+            if (along := getattr(motion, x)) is not None and (lateral := getattr(motion, y)) is not None:
+                body = (along + 1j * lateral) * np.exp(-1j * angle)
+                channels |= {x: body.real, y: body.imag}
+        corrected = replace(motion, **channels)
     else:
         return motion, None
-    return _correct(motion, "velocity_axes", ("velocity_x", "velocity_y"), text, None, advice)
+    return corrected, Finding("velocity_axes", Severity.ERROR, ("velocity_x", "velocity_y"), text, advice=advice)
 
 
 def _correct_yaw_offset(motion: Motion) -> MotionAndFinding:

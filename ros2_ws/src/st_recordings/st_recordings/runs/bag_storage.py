@@ -281,7 +281,7 @@ class McapStorage(Storage):
         if encodings and "cdr" not in encodings:
             raise RunError(self._files[0][0], f"its messages are encoded as {', '.join(sorted(map(str, encodings)))}, "
                            "but only CDR, the encoding of ROS 2, can be read",
-                           "convert it with rosbags-convert" if "ros1" in encodings else
+                           "give the .bag of ROS 1 from which it was converted" if "ros1" in encodings else
                            "export its topics as .csv, for example with PlotJuggler")
         super().__init__(path)
 

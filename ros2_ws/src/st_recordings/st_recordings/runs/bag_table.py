@@ -19,12 +19,8 @@ from .run_types import LoadedRun, SteeringField
 
 EXPORT_ADVICE = (f"record {ODOMETRY}, for example from robot_localization, or export the topics as one CSV file with "
                  "PlotJuggler and name the columns in a run.yaml")
-STAMP_FIELDS = ("header.stamp", "stamp")
 STEERING_ANGLES = (ROAD_WHEEL, STEERING_WHEEL)
-UNKNOWN_COVARIANCE = -1.0  # first element of orientation_covariance in a message without an orientation
 FIX_TYPES = ("sensor_msgs/msg/NavSatFix", "gps_msgs/msg/GPSFix", "gps_common/msg/GPSFix")
-NO_FIX = -1
-"""status.status of these types without a fix; position and velocity are then old or arbitrary."""
 
 
 def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: SteeringField | None,
@@ -104,13 +100,13 @@ def _find_fields(storage: Storage, topic: Topic) -> tuple[str, dict[str, tuple[s
         layout = CdrLayout(storage.store, topic.type_name, example)
     except Exception:  # any, from rosbags
         return "", {}, ""
-    has_orientation = UNKNOWN_COVARIANCE not in getattr(example, "orientation_covariance", ())[:1]
+    has_orientation = -1.0 not in getattr(example, "orientation_covariance", ())[:1]  # REP 145
     paths = [path for path, field in layout.fields.items()
               if field.count == 1 and (has_orientation or not path.startswith("orientation."))]
     names = [f"{topic.name}/{path.replace('.', '/')}" for path in paths]
     fields = {channel: (names[source.column], paths[source.column], source.factor)
              for channel, source in find_columns(storage.path, names, Layout()).items() if channel != "t"}
-    stamp = next((path for path in STAMP_FIELDS if path in layout.fields), "")
+    stamp = next((path for path in ("header.stamp", "stamp") if path in layout.fields), "")
     return stamp, fields if stamp else {}, getattr(getattr(example, "header", None), "frame_id", "")
 
 
@@ -128,7 +124,7 @@ def _read_columns(storage: Storage, topic: Topic, excluded: Collection[str]
     columns = storage.read_fields(topic, [stamp, *status, *(field for _, field, _ in fields.values())])
     stamps = columns[stamp] if columns[stamp].any() else storage.read_log_times(topic.name, columns[stamp])
     if status:
-        lacks_fix = columns[status[0]] == NO_FIX
+        lacks_fix = columns[status[0]] == -1  # position and velocity are then old or arbitrary
         columns |= {field: np.where(lacks_fix, np.nan, columns[field]) for _, field, _ in fields.values()}
     empty_channels = {channel for channel, (_, field, _) in fields.items() if not np.nan_to_num(columns[field]).any()}
     empty_channels -= {*STEERING_ANGLES, *(() if empty_channels >= {*QUATERNION_CHANNELS} else QUATERNION_CHANNELS)}

@@ -173,29 +173,28 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
         sources, body = _read_units_of_cells(sources, body, delimiter, layout)
         body = _apply_hemispheres(sources, body, delimiter)
     body = _use_decimal_points(file, body, delimiter)
-    time, first_time = sources.get("t"), None
-    if time is not None:
-        first = _split_first_row(body, delimiter)
-        first_time = first[time.column] if time.column < len(first) else None
-        if first_time:
-            body, first_time = read_stamps(file, body, delimiter, time.column, first_time, warnings)
+    time, first = sources.get("t"), _split_first_row(body, delimiter)
+    first_time = first[time.column] if time is not None and time.column < len(first) else None
+    if time is not None and first_time:
+        body, first_time = read_stamps(file, body, delimiter, time.column, first_time, warnings)
     rows = _parse_numbers(file, body, delimiter, len(names), warnings)
     joined = rows if time is None else _join_groups(rows, names, time.column)
     warnings += [f"{file}: column {source.name} occurs {names.count(source.name)} times; " + (
         "each is the time of the columns after it" if source is time and joined is not rows else "the first is used")
                  for source in sources.values() if source.name and names.count(source.name) > 1]
-    rows = joined
     with np.errstate(over="ignore"):
-        columns = {channel: rows[:, source.column] * source.factor
+        columns = {channel: joined[:, source.column] * source.factor
                    for channel, source in sources.items() if channel != "t"}
     columns = {channel: np.where(np.isfinite(values), values, np.nan) for channel, values in columns.items()}
-    first = _split_first_row(body, delimiter)
     texts = {channel: first[source.column][:40] for channel, source in sources.items()
              if channel in columns and not np.isfinite(columns[channel]).any()
              and source.column < len(first) and first[source.column].lower() not in MISSING_MARKS}
     if time is None:
         return Table(file, tuple(names), sources, columns, np.empty(0, np.int64), 0, np.empty(0, bool), tuple(warnings))
-    seconds, time = convert_to_seconds(file, _add_fraction(rows, names, time.column), time, warnings)
+    seconds, pair = joined[:, time.column], find_stamp_columns(names)
+    if pair is not None and pair[0] == time.column:
+        seconds = column_names.add_fraction(seconds, pair[2] * joined[:, pair[1]])
+    seconds, time = convert_to_seconds(file, seconds, time, warnings)
     has_time, time_ns, is_usable = select_usable_times(file, seconds, time, first_time, warnings)
     columns = {channel: values[has_time] for channel, values in columns.items()}
     sources = _read_degrees(file, {**sources, "t": time}, columns, time_ns, warnings)
@@ -219,14 +218,6 @@ def _join_groups(rows: np.ndarray, names: list[str], time_column: int) -> np.nda
     joined_rows[np.searchsorted(all_times, group_times[0]), :time_column] = groups[0][:, :time_column]
     joined_rows[:, time_column] = all_times
     return joined_rows
-
-
-def _add_fraction(rows: np.ndarray, names: list[str], column: int) -> np.ndarray:
-    """Times of a column; whole seconds with their fractions added, if these have a column and are all below 1 s."""
-    stamps, pair = rows[:, column], find_stamp_columns(names)
-    if pair is None or pair[0] != column:
-        return stamps
-    return column_names.add_fraction(stamps, pair[2] * rows[:, pair[1]])
 
 
 def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layout: Layout,

@@ -147,7 +147,8 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
     # (period, longest step) of seconds of a minute, hour, day or GPS week, and of micro- or milliseconds in 32 bits
     for period, longest_step in ((60.0, 1.0), (HOUR, 1.0), (2**32 * 1e-6, 1.0), (2**32 * 1e-3, 1.0),
                                  (DAY, ROLLOVER_STEP), (7 * DAY, ROLLOVER_STEP)):
-        if len(known_rows) and seconds[known_rows].min() >= 0.0 and seconds[known_rows].max() <= period + 1.0:
+        if len(known_rows) and seconds[known_rows].min() >= 0.0 and seconds[known_rows].max() <= period + 1.0 and (
+                period > 60.0 or seconds[known_rows[0]] >= 1.0):  # from 0: joined drives of a minute
             seconds[known_rows] += period * count_rollovers(seconds[known_rows], period - longest_step)
     return seconds, source
 
@@ -208,9 +209,9 @@ def select_usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, f
         warnings.append(f"{file}: column {source.name} has only whole seconds, each in many rows; export fractions of "
                         "a second")
     step = float(np.median(np.diff(time_ns[is_usable])) * 1e-9) if is_usable.sum() > 2 else 0.0
-    if not source.has_stated_unit and (step > 1.0 or 0.0 < step < 2e-5):
+    if not source.has_stated_unit and (step >= 1.0 or 0.0 < step < 5e-4):
         warnings.append(f"{file}: its times are {step:g} s apart; if they are not in seconds, declare their unit in a "
-                        f"run.yaml, as units: {{t: {'ms' if step > 1.0 else 'h'}}}")
+                        f"run.yaml, as units: {{t: {'ms' if step >= 1.0 else 'min' if step > 2e-5 else 'h'}}}")
     return has_time, time_ns, is_usable
 
 
