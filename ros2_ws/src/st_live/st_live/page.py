@@ -177,9 +177,10 @@ class LiveView:
             yield ""
             return
         with Processes(folder, domain) as processes:
-            server = processes.start("passenger", [
-                sys.executable, "-m", "st_live.nodes.passenger", "--vehicle", predictor["vehicle_file"], "--map-frame",
-                predictor["map_frame"], "--title", title, "--address", self._host, "--port", str(self._port)])
+            options = {"vehicle": predictor["vehicle_file"], "map_frame": predictor["map_frame"], "title": title,
+                       "address": self._host, "port": self._port}
+            server = processes.start(
+                "passenger", [sys.executable, "-m", "st_live.nodes.passenger", json.dumps(options)])
             line = server.wait_for("serving on ", READY_TIMEOUT)
             if not line:
                 raise SuiteError(f"passenger's page: {server.read_last_lines() or 'did not start'} (log: {server.log})")

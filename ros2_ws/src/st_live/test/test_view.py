@@ -227,7 +227,8 @@ def passenger() -> PassengerFrames:
 def test_vehicle_file_in_another_encoding_is_reported(tmp_path: Path, monkeypatch, capsys) -> None:
     file = tmp_path / "vehicle.yaml"
     file.write_bytes("name: Citroën".encode("cp1252"))
-    monkeypatch.setattr("sys.argv", ["passenger", "--vehicle", str(file)])
+    options = {"vehicle": str(file), "map_frame": "map", "title": "run", "address": "127.0.0.1", "port": 0}
+    monkeypatch.setattr("sys.argv", ["passenger", json.dumps(options)])
     assert main() == 2 and capsys.readouterr().err.startswith(f"{file}: cannot be read: 'utf-8' codec can't decode")
 
 

@@ -35,7 +35,8 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None, nice:
         # rclpy's own handlers would shut the context down at once, and `close` could not publish.
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # such as an invalid parameter file; rclpy's errors have no common base class
-        print(f"cannot start: {_format_error(error)}", file=sys.stderr, flush=True)
+        text = str(error).partition(", at /")[0]  # without the source locations that rcl appends
+        print(f"cannot start: {' '.join(text.split())}", file=sys.stderr, flush=True)
         return 2
     try:
         node = make_node()
@@ -83,8 +84,3 @@ def catch_stop_signals() -> Callable[[], bool]:
         # The interpreter removes the handlers before it exits; a signal after that would change the exit status.
         atexit.register(signal.signal, number, signal.SIG_IGN)
     return lambda: bool(received)
-
-
-def _format_error(error: Exception) -> str:
-    """The message of an error without the source locations that rcl appends."""
-    return " ".join(str(error).partition(", at /")[0].split())

@@ -4,7 +4,7 @@ It runs in its own process and subscribes with best-effort reliability and short
 nor resend, so it can be slow, stopped or killed without delaying a prediction.
 """
 
-import argparse
+import json
 import math
 import sys
 import threading
@@ -194,24 +194,21 @@ class PassengerNode(Node):
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--vehicle", type=Path, required=True)
-    parser.add_argument("--map-frame", default="map")
-    parser.add_argument("--title", default="run")
-    parser.add_argument("--address", default="127.0.0.1", help="local address to listen on")
-    parser.add_argument("--port", type=int, default=0, help="0: a free port")
-    options = parser.parse_args()
+    """Serve the page. Argument: JSON with vehicle (file), map_frame, title, and the address and port to listen on."""
+    options = json.loads(sys.argv[1])
+    address, port = options["address"], options["port"]
     try:
-        car = read_vehicle(options.vehicle)
-        settings = {"title": options.title, "car": {"length": car.length, "width": car.width}, "models": MODEL_COLOUR}
-        server = PageServer(options.address, options.port, settings)
+        car = read_vehicle(Path(options["vehicle"]))
+        settings = {
+            "title": options["title"], "car": {"length": car.length, "width": car.width}, "models": MODEL_COLOUR}
+        server = PageServer(address, port, settings)
     except (ConfigurationError, OSError) as error:
-        where = f"{options.address}:{options.port}: " if isinstance(error, OSError) else ""
+        where = f"{address}:{port}: " if isinstance(error, OSError) else ""
         print(f"{where}{getattr(error, 'strerror', None) or error}", file=sys.stderr)
         return 2
     threading.Thread(target=server.serve_forever, name="page", daemon=True).start()
-    print(f"serving on {options.address}:{server.port}", flush=True)
-    status = spin.run(lambda: PassengerNode(PassengerFrames(car, options.map_frame), server), nice=BACKGROUND_NICE)
+    print(f"serving on {address}:{server.port}", flush=True)
+    status = spin.run(lambda: PassengerNode(PassengerFrames(car, options["map_frame"]), server), nice=BACKGROUND_NICE)
     server.stop()
     return status
 
