@@ -107,16 +107,12 @@ class LogFile(CanutilsLogWriter):
 class Mf4File:
     """MDF 4.11 file in the finalised format of a CANedge: one bus-logging group per channel, times on a grid of 50 us.
 
-    CAN1 is the car, CAN2 the INS. Frames are kept in memory until stop(). Methods import asammdf, which is optional.
+    CAN1 is the car, CAN2 the INS. Frames are kept in memory until stop(), which imports asammdf (slow to load).
     """
 
     GRID_NS = 50_000
 
     def __init__(self, path: Path, start_ns: int):
-        try:
-            import asammdf  # noqa: F401
-        except ImportError:
-            raise ConfigurationError("--can-format mf4 requires the package asammdf; use --can-format log") from None
         self._path, self._start_ns = path, start_ns
         self._frames: dict[int, list[tuple[int, int, bytes]]] = {VEHICLE_BUS: [], INS_BUS: []}
 
