@@ -9,7 +9,6 @@ from dataclasses import replace
 import pytest
 from drives import weave, write_drive
 from example_discovery import discovery, fitted
-from rich.console import Console
 from st_cli.verbs.discover import expand_references
 from st_core.augmented import augment
 from st_core.checks import Advice, Finding, Severity
@@ -35,6 +34,7 @@ from st_offline.discovery.relation_report import RelationReport
 from st_offline.discovery.vehicle_update import VehicleUpdate, update_vehicle
 from st_offline.evaluation.drawing import FigureOutput
 from st_offline.pages import Table
+from st_offline.terminal import console
 from st_recordings.paths import json_text
 from st_recordings.runs import ReadSettings, find_runs
 from support import LEAF
@@ -300,7 +300,8 @@ def test_model_with_an_undetermined_peak_is_recommended_for_the_driven_range_onl
     assert line.endswith(limit) is is_limited  # other reasons than the range of the drives are possible
 
 
-def test_page_and_terminal_contain_the_result_and_escape_names(logs, drive, tmp_path, capsys):
+def test_page_and_terminal_contain_the_result_and_escape_names(logs, drive, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(console, "_width", 300)
     found = discovery(logs, STEPS, 1.72, varying=(make_varying_effect(logs),))
     request = make_request(drive)
     corrected = update_vehicle(found, request)
@@ -312,7 +313,7 @@ def test_page_and_terminal_contain_the_result_and_escape_names(logs, drive, tmp_
     text = page.read_text()
     assert report_text.format_title(found) in text and "&lt;b&gt;weave" in text and "<b>weave 20" not in text
     assert "2.5% is required" in text and not re.findall(r'(?:src|href)="(?!#|data:)[^"]+"', text)
-    print_result(found, corrected, [], {"report.html": page}, True, Console(width=300))
+    print_result(found, corrected, [], {"report.html": page}, True)
     message = capsys.readouterr().out
     order = [message.index(text) for text in ("suspect: 2 runs", "5 s position error 1.72 m", "effect", "to do")]
     assert order == sorted(order)
@@ -321,7 +322,8 @@ def test_page_and_terminal_contain_the_result_and_escape_names(logs, drive, tmp_
         assert all(quantities.format_parameter(p) in message for p in effect.parameters.values())
 
 
-def test_page_and_terminal_contain_the_proposal(logs, drive, tmp_path, capsys):
+def test_page_and_terminal_contain_the_proposal(logs, drive, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(console, "_width", 60)
     found = discovery(logs, STEPS, 1.72)
     table = Table("By run", "Note.", ("run", "m"), [("[weave]", "0.1")])
     reported = RelationReport([("proposal", ["a relation, <b>bold"])], [table], "PROPOSAL: a relation")
@@ -329,7 +331,7 @@ def test_page_and_terminal_contain_the_proposal(logs, drive, tmp_path, capsys):
     content = build_document(found, make_request(drive), None, {})
     write_page(page, found, None, [], content, [draw_waterfall(found, FigureOutput(None, ()))], reported)
     text = html.unescape(page.read_text())
-    print_result(found, None, [], {"report.html": page}, False, Console(width=60), reported)
+    print_result(found, None, [], {"report.html": page}, False, reported)
     message = capsys.readouterr().out
     for shown, parts in ((text, ("PROPOSAL: a relation", "a relation, <b>bold", "By run", "[weave]")),
                          (message, ("PROPOSAL: a relation",))):

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from oxts_bridge.geometry import compute_origin_offset
-from rich.console import Console
 from rich.markup import escape
 from st_core.course import SPACING, Course, Pass, split_into_passes
 from st_core.errors import ConfigurationError
@@ -14,11 +13,10 @@ from st_recordings.paths import OutputError
 from st_recordings.runs import ReadSettings, find_runs, read
 
 from .checking.gate import RUN_ERRORS, describe_problem
-from .terminal import format_count, print_line, report_problem
+from .terminal import console, format_count, print_line, report_problem
 
 
-def build_course(runs: Sequence[Path], vehicle: VehicleParameters, read_settings: ReadSettings, output: Path,
-                 console: Console) -> int:
+def build_course(runs: Sequence[Path], vehicle: VehicleParameters, read_settings: ReadSettings, output: Path) -> int:
     """Run the command; returns the exit status: 0 if every run was used, else 1. Raises ConfigurationError or
     OutputError if no course can be built or written."""
     if output.exists():
@@ -41,21 +39,21 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, read_settings
                     without_origin.append(source.name)
         except RUN_ERRORS as error:
             failed += 1
-            report_problem(source.name, describe_problem(error, source), console)
+            report_problem(source.name, describe_problem(error, source))
             continue
         passes += run_passes
         length = 1e-3 * SPACING * sum(len(part.points) for part in run_passes)  # km
-        print_line(f"{escape(source.name)}: {length:.2f} km in {format_count(len(run_passes), 'part')}", console)
+        print_line(f"{escape(source.name)}: {length:.2f} km in {format_count(len(run_passes), 'part')}")
     if not passes:
         raise ConfigurationError("no run can be used for a course, for the reasons above")
     if origin and without_origin:
         print_line(f"[yellow]warning: {escape(', '.join(without_origin))}: without a map origin, and therefore "
-                   "not shifted; valid only in the map frame of the first run with an origin[/yellow]", console)
+                   "not shifted; valid only in the map frame of the first run with an origin[/yellow]")
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
         output.write_text(Course(tuple(passes), origin).to_yaml(), encoding="utf-8")
     except OSError as error:
         raise OutputError(f"{output}: cannot be written: {error.strerror}") from None
     drives = format_count(len({part.recording for part in passes}), "drive")
-    print_line(f"{escape(str(output))}: course of {drives}", console)
+    print_line(f"{escape(str(output))}: course of {drives}")
     return 1 if failed else 0

@@ -1,4 +1,4 @@
-"""Prints terminal output shared by the commands: progress, tables, single lines, lists of written files."""
+"""The console of the commands, and what they print on it: progress, tables, single lines, lists of written files."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,8 +8,10 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+console = Console()
 
-def make_progress_bars(console: Console) -> Progress:
+
+def make_progress_bars() -> Progress:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     return Progress(*columns, console=console, transient=True)
 
@@ -30,17 +32,17 @@ def format_count(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def print_line(text: str, console: Console) -> None:
+def print_line(text: str) -> None:
     """Print one line without wrapping; `text` may contain rich markup, so escape user text."""
     console.print(text, highlight=False, soft_wrap=True)
 
 
-def report_problem(name: str, problem: str, console: Console) -> None:
+def report_problem(name: str, problem: str) -> None:
     """Print a line with a name and its problem; a name at the start of the problem is not repeated."""
-    print_line(f"[red]{escape(name)}[/red]: {escape(problem.removeprefix(f'{name}: '))}", console)
+    print_line(f"[red]{escape(name)}[/red]: {escape(problem.removeprefix(f'{name}: '))}")
 
 
-def list_files(files: Mapping[Path, str], console: Console) -> None:
+def list_files(files: Mapping[Path, str]) -> None:
     """Print one line per file: its path and a description."""
     for file, description in files.items():
-        print_line(f"  {escape(str(file))}  [dim]{description}[/dim]", console)
+        print_line(f"  {escape(str(file))}  [dim]{description}[/dim]")

@@ -3,12 +3,10 @@
 import json
 import re
 from dataclasses import replace
-from io import StringIO
 
 import numpy as np
 import pytest
 import yaml
-from rich.console import Console
 from st_core.checks import Advice, Comparison, DriveCheck, Finding, Sampling, Severity
 from st_core.checks.finding import Alternative
 from st_core.clock_types import Alignment, Verdict
@@ -34,6 +32,7 @@ from st_offline.checking.check_report import (
     print_runs,
 )
 from st_offline.checking.gate import RejectedRunError
+from st_offline.terminal import console
 from st_recordings.paths import OutputError, json_text
 from st_recordings.runs import ReadSettings, RunSource
 from st_recordings.runs.columns import Layout
@@ -79,9 +78,9 @@ def make_run(name="drive", findings=ALL_FINDINGS):
     return CheckedRun(name, make_check(findings), car, "leaf.yaml", 10.0, (), {"drive.csv": "0" * 64})
 
 
-def make_console() -> Console:
-    """A console of 60 columns that writes to a StringIO."""
-    return Console(file=StringIO(), width=60, color_system=None)
+@pytest.fixture(autouse=True)
+def narrow_terminal(monkeypatch):
+    monkeypatch.setattr(console, "_width", 60)
 
 
 @pytest.mark.parametrize(("value", "interval", "unit", "text"), [
@@ -123,28 +122,25 @@ def test_findings_are_sorted_by_severity():
     assert sorted((COARSE, MOVED, JUMPS, DEGREES), key=check_report.rank_severity) == [DEGREES, MOVED, JUMPS, COARSE]
 
 
-def test_terminal_prints_all_findings_and_no_markup_of_names():
-    console = make_console()
-    print_run(make_run(HOSTILE), console)
-    text = console.file.getvalue()
+def test_terminal_prints_all_findings_and_no_markup_of_names(capsys):
+    print_run(make_run(HOSTILE))
+    text = capsys.readouterr().out
     for one in ALL_FINDINGS:
         assert one.text in text and one.name in text and one.advice.line in text
     assert HOSTILE in text and "in the vehicle file: cg_to_ins_x" in text and "3.0 to 3.2 s" in text
 
 
-def test_other_commands_print_each_finding_once_with_its_runs():
-    console = make_console()
-    print_findings({HOSTILE: ALL_FINDINGS, "second": (replace(JUMPS, effect=2.0), COARSE)}, console)
-    text = console.file.getvalue()
+def test_other_commands_print_each_finding_once_with_its_runs(capsys):
+    print_findings({HOSTILE: ALL_FINDINGS, "second": (replace(JUMPS, effect=2.0), COARSE)})
+    text = capsys.readouterr().out
     assert text.count(JUMPS.text) == 1 and f"{HOSTILE}, second: warning: {JUMPS.text} (largest of 2) | shifts" in text
     assert "about 2 m" in text and text.count(DEGREES.text) == 1 and DEGREES.advice.line in text
     assert COARSE.text not in text and "2 notes of the checks" in text
 
 
-def test_opposite_steering_sign_comes_first_with_its_correction():
-    console = make_console()
-    print_run(replace(make_run("drive", (DEGREES, OPPOSITE_SIGN)), arguments="logs/drive.csv"), console)
-    first = console.file.getvalue().splitlines()[0]
+def test_opposite_steering_sign_comes_first_with_its_correction(capsys):
+    print_run(replace(make_run("drive", (DEGREES, OPPOSITE_SIGN)), arguments="logs/drive.csv"))
+    first = capsys.readouterr().out.splitlines()[0]
     assert "opposite sign" in first and "--steering-sign -1" in first and "CAN" not in first
     assert "`st check logs/drive.csv --propose-correction run.yaml`" in first
     assert "opposite sign" in str(RejectedRunError("a.csv", [OPPOSITE_SIGN]))
@@ -152,11 +148,10 @@ def test_opposite_steering_sign_comes_first_with_its_correction():
     assert make_summary([make_run("drive", (OPPOSITE_SIGN,))])[1].startswith("The steering angle has the opposite sign")
 
 
-def test_opposite_steering_sign_of_a_can_log_is_corrected_in_car_yaml():
+def test_opposite_steering_sign_of_a_can_log_is_corrected_in_car_yaml(capsys):
     alignment = summarise_alignment(Alignment(0, 0, 0.0, 0.001, 0.1, "shared signals", Verdict.GOOD))
-    console = make_console()
-    print_run(replace(make_run("drive", (OPPOSITE_SIGN,)), alignment=alignment), console)
-    first = console.file.getvalue().splitlines()[0]
+    print_run(replace(make_run("drive", (OPPOSITE_SIGN,)), alignment=alignment))
+    first = capsys.readouterr().out.splitlines()[0]
     assert "steering_sign in car.yaml" in first and "--steering-field" not in first and "run.yaml" not in first
 
 
@@ -178,14 +173,14 @@ def test_clock_offsets_of_many_runs_are_summarised_in_one_sentence():
     ("none", ""), ("by hand", "INS minus steering clock: -0.430 s, set by hand"),
     ("shared signals", "INS minus steering clock: -0.430 s, estimated from the data (by shared signals, "
      "standard deviation 1.2 ms, good)")])
-def test_clock_offset_of_the_steering_is_printed(method, text):
+def test_clock_offset_of_the_steering_is_printed(method, text, capsys):
     alignment = summarise_alignment(Alignment(0, -430_000_000, 0.0, 0.0012, 0.1, method, Verdict.GOOD))
     assert check_report.describe_clock(alignment) == text
     unknown = check_report.describe_clock(alignment | {"offset_deviation_s": None})
     assert unknown == text.replace("1.2 ms", "unknown")
-    console = make_console()
-    print_run(replace(make_run(), alignment=alignment), console)
-    assert (text in console.file.getvalue()) and ("steering clock" in console.file.getvalue()) is bool(text)
+    print_run(replace(make_run(), alignment=alignment))
+    message = capsys.readouterr().out
+    assert text in message and ("steering clock" in message) is bool(text)
 
 
 def test_document_contains_only_finite_numbers():
@@ -310,11 +305,10 @@ def test_quantity_has_the_unit_of_its_finding():
     assert check_report.format_quantity("x_scale", (0.97, 0.96, 0.98)) == "0.970 ± 0.010"
 
 
-def test_many_runs_print_each_finding_once_and_runs_without_findings_in_one_line():
-    console = Console(width=200, record=True)
+def test_many_runs_print_each_finding_once_and_runs_without_findings_in_one_line(capsys):
     runs = [make_run(f"{name}{k}", found) for name, found in (("bad", (DEGREES,)), ("good", ())) for k in range(5)]
-    print_runs(runs, console)
-    text = console.export_text()
+    print_runs(runs)
+    text = capsys.readouterr().out
     assert text.count(DEGREES.text) == 1 and "bad0, bad1" in text and "report.html" in text
     assert "no findings in 5 of 10 runs: good0, good1" in text
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
-from rich.console import Console
+from st_offline.terminal import console  # noqa: F401 - used by the verbs
 from st_recordings.paths import config
 
 if TYPE_CHECKING:
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from st_live.page import LiveView
     from st_recordings.runs import ReadSettings
 
-console = Console()
 FILE: dict[str, Any] = {"exists": True, "dir_okay": False}
 FOLDER: dict[str, Any] = {"exists": True, "file_okay": False}
 """Arguments of typer.Option for an existing file or folder."""

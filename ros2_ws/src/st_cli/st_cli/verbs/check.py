@@ -29,7 +29,7 @@ def check(
     vehicle, read_settings = read_options.resolve()
     parameters, file = shared.load_vehicle_or_default(vehicle)
     job = CheckJob(runs, parameters, str(file), vehicle is not None, read_settings, output, json, propose_correction)
-    return run_command(job, shared.console, lambda used: shared.report_default_car("check", None, used))
+    return run_command(job, lambda used: shared.report_default_car("check", None, used))
 
 
 def car(

@@ -79,7 +79,7 @@ def discover(
     request = Request(base, parameters, str(file), file.read_text(encoding="utf-8"), settings, runs, reference,
                       read_settings, effects, output, jobs, shared.split_names(figures), report, not fresh, force,
                       propose)
-    status = run_command(request, shared.console)
+    status = run_command(request)
     shared.report_default_car("discover", vehicle, file)
     return status
 
@@ -123,6 +123,6 @@ def identify(
         base = load_model(model, effects, parameters, str(file))
         job = IdentificationJob(EXPERIMENTS[experiment], tuple(files or ()), parameters, str(file), folder,
                                 read_settings, force, base)
-        status = run_command(job, shared.console)
+        status = run_command(job)
     shared.report_default_car("identify", vehicle, file)
     return status

@@ -95,7 +95,7 @@ def evaluate(
         read_options, interval, over=table, force=force, starts=_parse_seconds(at),
         formats=shared.split_names(figures), bands=parsed_bands, adaptive=adaptive, course=parsed_course)
     check_bands(task, load_models(task))
-    status = run_command(runs, task, output, workers, scheduler, shared.console, advise)
+    status = run_command(runs, task, output, workers, scheduler, advise)
     shared.report_default_car("evaluate", vehicle, task.vehicle_file)
     return status
 
@@ -124,7 +124,7 @@ def calibrate(
     from st_offline.bands.calibration_command import run_command
 
     task, vehicle = prediction_options.make_task(read_options, force=force)
-    status = run_command(runs, task, output, sorted(set(level)), together, shared.console)
+    status = run_command(runs, task, output, sorted(set(level)), together)
     shared.report_default_car("calibrate", vehicle, task.vehicle_file)
     return status
 
@@ -146,7 +146,7 @@ def course(
 
     vehicle, read_settings = read_options.resolve()
     parameters, _ = shared.load_vehicle_or_default(vehicle)
-    return build_course(runs, parameters, read_settings, output, shared.console)
+    return build_course(runs, parameters, read_settings, output)
 
 
 def _parse_seconds(text: str) -> tuple[float, ...]:

@@ -45,7 +45,7 @@ def align(
         pair = read_pair(files, settings)
     folder = new_folder(output, f"align-{pair.name}")
     for warning in pair.warnings:
-        print_line(f"[yellow]{escape(warning)}[/yellow]", console)
+        print_line(f"[yellow]{escape(warning)}[/yellow]")
     if read_options.car is None:
         shared.report_default_car("align", read_options.dbc, pair.dbc)
     alignment = pair.alignment
@@ -57,7 +57,7 @@ def align(
         title = f"{pair.name}: {describe_alignment(alignment, pair.can.start_ns, pair.ins.is_utc)}"
         draw_alignment(pair.shared_signals, alignment, title, folder / "alignment.png")
         results[folder / "alignment.png"] = "the signals of both recordings, aligned"
-    list_files(results, console)
+    list_files(results)
     return 1 if alignment.verdict == "refused" else 0
 
 
@@ -107,7 +107,7 @@ def print_alignment(pair: "RawRun") -> None:
             table.add_row(span, f"{alignment.overlap:.1f} s", "")
         console.print(table)
     for reason in alignment.reasons:
-        print_line(f"  [{style}]·[/{style}] {escape(reason)}", console)
+        print_line(f"  [{style}]·[/{style}] {escape(reason)}")
     if alignment.signals:
         console.print(_make_signal_table(alignment))
 
@@ -185,7 +185,7 @@ def _import_run(source: "RunSource", car: "VehicleParameters", folder: Path, set
     from st_recordings.runs.write import import_run
 
     started = time.perf_counter()
-    with make_progress_bars(console) as progress:
+    with make_progress_bars() as progress:
         task = progress.add_task(f"{source.name}: reading and aligning", total=None)
         imported = import_run(source, car, folder, settings,
                               lambda run: check_for_use(source.path, run, car, force),
@@ -193,17 +193,17 @@ def _import_run(source: "RunSource", car: "VehicleParameters", folder: Path, set
                                                                total=100, completed=round(100 * fraction)))
     duration = time.perf_counter() - started
     for warning in imported.warnings:
-        print_line(f"[yellow]{escape(warning)}[/yellow]", console)
-    print_findings({source.name: imported.findings}, console)
+        print_line(f"[yellow]{escape(warning)}[/yellow]")
+    print_findings({source.name: imported.findings})
     alignment = imported.run.alignment
     text = describe_alignment(alignment, imported.run.can.start_ns, is_utc=True)
     if imported.run.shared_signals:
         draw_alignment(imported.run.shared_signals, alignment, f"{source.name}: {text}", folder / "alignment.png")
     style = VERDICT_STYLE[alignment.verdict]
-    print_line(f"[bold]{escape(source.name)}[/bold]  [{style}]{text}[/{style}]", console)
-    print_line("  " + ", ".join(f"{topic} {count}" for topic, count in imported.counts.items()), console)
+    print_line(f"[bold]{escape(source.name)}[/bold]  [{style}]{text}[/{style}]")
+    print_line("  " + ", ".join(f"{topic} {count}" for topic, count in imported.counts.items()))
     speed = f"{imported.span:.0f} s of driving in {duration:.1f} s, {imported.span / duration:.0f} times real time"
-    list_files({folder: speed}, console)
+    list_files({folder: speed})
 
 
 def ncom(

@@ -36,7 +36,7 @@ def replay(
     read_settings = add_steering(bag, read_settings)
     view = run_options.make_view()
     findings = check_bag(bag, vehicle, force, read_settings)
-    print_findings({bag.name: findings}, shared.console)
+    print_findings({bag.name: findings})
     shared.report_default_car_for_bag("replay", bag, vehicle)
     folder = new_folder(output, f"replay-{bag.stem}")
     outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, shared.console, view, run_options.bands,
@@ -71,7 +71,7 @@ def verify(
 
     vehicle, read_settings = read_options.resolve()
     read_settings = add_steering(find_bag(bag), read_settings)
-    print_findings({bag.name: check_bag(find_bag(bag), vehicle, force, read_settings)}, shared.console)
+    print_findings({bag.name: check_bag(find_bag(bag), vehicle, force, read_settings)})
     shared.report_default_car_for_bag("verify", bag, vehicle)
     return verify_command(bag, vehicle, tolerance, through_nodes, output, shared.console, read_settings)
 

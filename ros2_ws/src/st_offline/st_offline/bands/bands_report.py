@@ -6,7 +6,6 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from rich.console import Console
 from st_core.bands import AdaptiveBand, Band, Bands, conditions_at
 from st_core.bands.calibration import LEVELS, RELIABILITY_LEVELS, to_predicted_frame
 from st_core.bands.error_budget import PARAMETERS, SENSORS, Intervals, sum_squared_contributions
@@ -22,7 +21,7 @@ from st_core.vehicle import VehicleParameters
 
 from ..evaluation.drawing import WIDTH, FigureOutput, PageFigure, save_figure
 from ..evaluation.run_figures import get_line_style
-from ..terminal import make_table, print_line
+from ..terminal import console, make_table, print_line
 
 Sums = dict[str, Any]
 MIN_STARTS = 200  # of a reported cell; for independent starts, the standard error of a coverage of 90 % is 2 %
@@ -268,7 +267,7 @@ def make_adaptive_rows(content: Mapping[str, Any]) -> list[dict[str, str]]:
             for model, modes in content.items() for mode, scores in modes.items()]
 
 
-def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Console) -> None:
+def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool) -> None:
     """Print the tables for all runs pooled. sums: one entry for each run. tested, adaptive: whether bands and adaptive
     bands were scored."""
     pooled = pool_sums(sums)
@@ -283,7 +282,7 @@ def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Co
             console.print(make_table(reported, title=title, width=min(console.width, 120)), highlight=False)
         if known := content["known_recordings"]:
             print_line(f"[yellow]the calibration used {len(known)} of these files, so this is not an independent test "
-                       "of the bands; use other runs[/yellow]", console)
+                       "of the bands; use other runs[/yellow]")
     elif not adaptive:
         console.print(NO_BANDS, highlight=False, soft_wrap=True)
     if adaptive:

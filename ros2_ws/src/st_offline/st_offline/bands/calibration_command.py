@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.console import Console
 from rich.markup import escape
 from st_core.bands import Band, Bands, CalibrationDomain, ErrorSamples, calibration
 from st_core.bands.file import hash_configuration, make_times
@@ -16,11 +15,10 @@ from st_recordings.runs import LoadedRun, RunError, RunSource, find_runs, read
 
 from ..checking.gate import RUN_ERRORS, check_for_use, describe_problem
 from ..evaluation.work import Task, collect_model_hashes, load_models
-from ..terminal import print_line, report_problem
+from ..terminal import console, print_line, report_problem
 
 
-def run_command(runs: Sequence[Path], task: Task, output: Path, levels: Sequence[float], together: bool,
-                console: Console) -> int:
+def run_command(runs: Sequence[Path], task: Task, output: Path, levels: Sequence[float], together: bool) -> int:
     """Run the command; returns the exit status: 0 if every run was used, else 1.
 
     task: car, models and settings of the predictions. levels: nominal coverages. together: whether the recordings in
@@ -33,7 +31,7 @@ def run_command(runs: Sequence[Path], task: Task, output: Path, levels: Sequence
     models = load_models(task)
     recordings: dict[str, str] = {}
     problems: list[str] = []
-    groups = [collect_errors(find_runs(paths), task, models, recordings, problems, console)
+    groups = [collect_errors(find_runs(paths), task, models, recordings, problems)
               for paths in ([[path] for path in runs] if together else [runs])]
     samples = [calibration.join_runs(group) for group in groups if group] if together else groups[0]
     calibration.check_levels(levels, len(samples))
@@ -54,12 +52,12 @@ def run_command(runs: Sequence[Path], task: Task, output: Path, levels: Sequence
         raise OutputError(f"{output}: cannot be written: {error.strerror}") from None
     starts, highest = sum(len(run.conditions) for run in samples), calibration.compute_highest_level(len(samples))
     print_line(f"{escape(str(output))}: bands of {', '.join(content.models)} from {len(samples)} runs, {starts} "
-               f"starts; {len(samples)} runs support levels up to {highest:.1%}", console)
+               f"starts; {len(samples)} runs support levels up to {highest:.1%}")
     return 1 if problems else 0
 
 
 def collect_errors(sources: Sequence[RunSource], task: Task, models: Sequence[Model], recordings: dict[str, str],
-                   problems: list[str], console: Console) -> list[ErrorSamples]:
+                   problems: list[str]) -> list[ErrorSamples]:
     """Prediction errors of each run. An unusable run is left out; its problem is printed and added to `problems`. The
     files of the used runs are added to `recordings`: sha256 by file name, or by path if the name occurred before."""
     samples: list[ErrorSamples] = []
@@ -78,7 +76,7 @@ def collect_errors(sources: Sequence[RunSource], task: Task, models: Sequence[Mo
                 samples.append(calibration.compute_error_samples(models, task.vehicle, signals, task.settings))
         except RUN_ERRORS as error:
             problems.append(describe_problem(error, source))
-            report_problem(source.name, problems[-1], console)
+            report_problem(source.name, problems[-1])
             continue
         for file, digest in run.provenance["files"].items():
             name = Path(file).name

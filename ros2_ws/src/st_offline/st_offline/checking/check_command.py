@@ -11,7 +11,6 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 import yaml
-from rich.console import Console
 from rich.markup import escape
 from st_core.checks import Comparison, Finding, Severity, compare_runs
 from st_core.corrections import Correction
@@ -32,7 +31,7 @@ from st_recordings.runs.run_file import RUN_FILE, RUN_SUFFIX, TABLE_KEYS
 from ..evaluation import drawing
 from ..evaluation.work import to_file_name
 from ..pages import load_template
-from ..terminal import list_files, make_progress_bars, print_line, report_problem
+from ..terminal import console, list_files, make_progress_bars, print_line, report_problem
 from . import check_report
 from .check_report import CheckedRun, build_document, compute_residual_rms, print_runs
 from .gate import RUN_ERRORS, check_log, describe_problem
@@ -61,7 +60,7 @@ class CheckJob:
     correction_file: Path | None = None  # run.yaml to write
 
 
-def run_command(job: CheckJob, console: Console, report_vehicle: Callable[[str], None] | None = None) -> int:
+def run_command(job: CheckJob, report_vehicle: Callable[[str], None] | None = None) -> int:
     """Run the command; returns the exit status: 1 if a run has an error or could not be read, else 0. report_vehicle:
     called with each `vehicle_source`, if the user named no file. Raises ConfigurationError, OutputError."""
     sources = find_runs(job.paths)
@@ -73,7 +72,7 @@ def run_command(job: CheckJob, console: Console, report_vehicle: Callable[[str],
     folder = new_folder(job.output, "check", create=False)
     checked_runs: list[CheckedRun] = []
     unreadable: dict[str, str] = {}
-    with make_progress_bars(console) as progress:
+    with make_progress_bars() as progress:
         for source in progress.track(sources, description="checking"):
             try:
                 checked_runs.append(check_run(source, job))
@@ -82,11 +81,11 @@ def run_command(job: CheckJob, console: Console, report_vehicle: Callable[[str],
     if not checked_runs:
         raise ConfigurationError("no run can be read: " + join_problems(unreadable.values()))
     new_folder(folder, "")
-    print_runs(checked_runs, console)
+    print_runs(checked_runs)
     for name, problem in unreadable.items():
-        report_problem(name, problem, console)
+        report_problem(name, problem)
     for number, quantity in enumerate(compare_runs([run.result for run in checked_runs])):
-        print_line(f"{'' if number else '[bold]all runs together[/bold]' + chr(10)}  {escape(quantity.text)}", console)
+        print_line(f"{'' if number else '[bold]all runs together[/bold]' + chr(10)}  {escape(quantity.text)}")
     if report_vehicle and not job.vehicle_is_given:
         for file in sorted({run.vehicle_source for run in checked_runs}):
             report_vehicle(file)
@@ -102,7 +101,7 @@ def run_command(job: CheckJob, console: Console, report_vehicle: Callable[[str],
         text = make_run_yaml(sources[0], checked_runs[0].result.findings, target, job.read_settings)
         target.write_text(text, encoding="utf-8")
         files[target] = "the run with its corrections, for every command"
-    list_files(files, console)
+    list_files(files)
     return int(bool(unreadable) or any(run.result.with_severity(Severity.ERROR) for run in checked_runs))
 
 

@@ -8,7 +8,6 @@ from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.markup import escape
 from st_core.checks import Advice, Comparison, DriveCheck, Finding, Severity, compare_runs
 from st_core.checks.finding import SCHEMA
@@ -228,41 +227,41 @@ def compute_residual_rms(comparison: Comparison) -> float:
     return float(np.sqrt(np.square(residual).mean())) if len(residual) else float("nan")
 
 
-def print_run(run: CheckedRun, console: Console) -> None:
+def print_run(run: CheckedRun) -> None:
     """Print the verdict on a run, its clock, and each finding with its correction."""
     worst = min((finding.severity for finding in run.result.findings), key=SEVERITY_ORDER.index, default=Severity.NOTE)
     colour = "green" if worst is Severity.NOTE else SEVERITY_STYLE[worst]
     if hint := advise_steering_sign(run.result.findings, run.arguments, run.alignment["method"] != "none"):
-        print_line(f"[bold red]{escape(run.name)}: {escape(hint)}[/]", console)
+        print_line(f"[bold red]{escape(run.name)}: {escape(hint)}[/]")
     print_line(f"[bold]{escape(run.name)}[/bold]: [{colour}]{escape(format_verdict(run.result))}[/]  "
-               f"[dim]{run.duration:.0f} s, {escape(run.vehicle.name)} from {escape(run.vehicle_source)}[/]", console)
+               f"[dim]{run.duration:.0f} s, {escape(run.vehicle.name)} from {escape(run.vehicle_source)}[/]")
     if text := describe_clock(run.alignment):
-        print_line(f"  {escape(text)}", console)
+        print_line(f"  {escape(text)}")
     for finding in run.result.findings:
         print_line(f"  [{SEVERITY_STYLE[finding.severity]}]{finding.severity.value}[/] "
-                   f"[bold]{escape(finding.name)}[/bold]: {escape(finding.text)}", console)
+                   f"[bold]{escape(finding.name)}[/bold]: {escape(finding.text)}")
         details = "; ".join(filter(None, (describe_intervals(finding), describe_effect(finding))))
-        print_line(f"    [dim]{escape(details)}[/dim]", console)
+        print_line(f"    [dim]{escape(details)}[/dim]")
         if finding.advice:
             print_line(f"    {'correction, ' if ADVICE_PLACE[finding.advice.kind] else 'advice: '}"
-                       f"{escape(describe_correction(finding.advice))}", console)
+                       f"{escape(describe_correction(finding.advice))}")
 
 
-def print_runs(runs: Sequence[CheckedRun], console: Console) -> None:
+def print_runs(runs: Sequence[CheckedRun]) -> None:
     """Print each run; for more than MAX_RUNS, print each error and warning once, with the names of its runs."""
     if len(runs) <= MAX_RUNS:
         for run in runs:
-            print_run(run, console)
+            print_run(run)
         return
     if text := describe_clocks({run.name: run.alignment for run in runs}):
-        print_line(f"  {escape(text)}", console)
-    print_findings({run.name: run.result.findings for run in runs}, console, "report.html")
+        print_line(f"  {escape(text)}")
+    print_findings({run.name: run.result.findings for run in runs}, "report.html")
     clean = [run.name for run in runs if not run.result.findings]
     names = f": {', '.join(clean)}" if clean else ""
-    print_line(f"[green]no findings[/] in {len(clean)} of {len(runs)} runs{escape(names)}", console)
+    print_line(f"[green]no findings[/] in {len(clean)} of {len(runs)} runs{escape(names)}")
     hints = {advise_steering_sign(run.result.findings, is_can=run.alignment["method"] != "none") for run in runs}
     for hint in sorted(filter(None, hints)):
-        print_line(f"[bold red]{escape(hint)}[/]", console)
+        print_line(f"[bold red]{escape(hint)}[/]")
 
 
 def group_findings(runs: Mapping[str, Sequence[Finding]]) -> list[tuple[Finding, list[str]]]:
@@ -283,7 +282,7 @@ def group_findings(runs: Mapping[str, Sequence[Finding]]) -> list[tuple[Finding,
     return sorted(groups, key=lambda group: order(group[0]))
 
 
-def print_findings(runs: Mapping[str, Sequence[Finding]], console: Console, details: str = "st check") -> None:
+def print_findings(runs: Mapping[str, Sequence[Finding]], details: str = "st check") -> None:
     """Print each error and warning once, and the number of notes. details: command or file that lists everything."""
     notes = 0
     for finding, names in group_findings(runs):
@@ -294,6 +293,6 @@ def print_findings(runs: Mapping[str, Sequence[Finding]], console: Console, deta
             f"{finding.text} (largest of {len(names)})", describe_effect(finding), f"corrections: {details}"]
         severity = finding.severity
         print_line(f"{escape(', '.join(dict.fromkeys(names)))}: [{SEVERITY_STYLE[severity]}]{severity.value}: "
-                   f"{escape(' | '.join(filter(None, parts)))}[/]", console)
+                   f"{escape(' | '.join(filter(None, parts)))}[/]")
     if notes:
-        print_line(f"[dim]{format_count(notes, 'note')} of the checks, negligible here; see {details}[/dim]", console)
+        print_line(f"[dim]{format_count(notes, 'note')} of the checks, negligible here; see {details}[/dim]")

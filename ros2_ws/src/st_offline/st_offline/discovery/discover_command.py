@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.markup import escape
 from rich.progress import Progress
 from st_core.augmented import AugmentedModel
@@ -35,7 +34,7 @@ from st_recordings.runs.errors import join_problems
 from ..checking.check_report import findings_as_json, get_unit_symbol
 from ..evaluation.drawing import FigureOutput, PageFigure, check_formats
 from ..pages import Table, load_template
-from ..terminal import list_files, make_progress_bars, make_table, report_problem
+from ..terminal import console, list_files, make_progress_bars, make_table, report_problem
 from . import quantities, report_text
 from .drives import Drive, Request, find_result, get_logs, read_drives
 from .figures import draw_agreement, draw_axle_curves, draw_maps, draw_relation, draw_waterfall
@@ -52,14 +51,14 @@ FILE_MEANINGS = {
     "model.yaml": "effects that are not in the vehicle file, for --model of st demo, st live, st evaluate"}
 
 
-def run_command(request: Request, console: Console) -> int:
+def run_command(request: Request) -> int:
     """Run the command; returns the exit status: 1 if a run could not be used, else 0. Raises ConfigurationError for
     invalid options or recordings, StCoreError if a search is not possible, OutputError if the folder is unusable."""
     check_formats(request.formats)
     base, effect_hashes = _load_base_and_effects(request)
     folder = new_folder(request.output, "discover")
     times = [time.perf_counter()]
-    with make_progress_bars(console) as progress:
+    with make_progress_bars() as progress:
         drives, reference = _read_runs(request, progress)
         request = replace(request, drives=drives, reference_drives=reference, effect_hashes=effect_hashes)
         times.append(time.perf_counter())
@@ -85,7 +84,7 @@ def run_command(request: Request, console: Console) -> int:
         update = update_vehicle(discovery, request)
         report = report_relation(search, discovery, request.vehicle, str(folder)) if search else None
         files = write_results(discovery, request, update, folder, figures, seconds, search, report)
-    print_result(discovery, update, request.all_drives, files, from_cache, console, report)
+    print_result(discovery, update, request.all_drives, files, from_cache, report)
     return 1 if any(d.problem for d in request.all_drives) else 0
 
 
@@ -333,8 +332,7 @@ def _make_wide_tables(discovery: Discovery) -> list[Table]:
 
 
 def print_result(discovery: Discovery, update: VehicleUpdate | None, recordings: Sequence[Drive],
-                 files: Mapping[str, Path], from_cache: bool, console: Console,
-                 relation: RelationReport | None = None) -> None:
+                 files: Mapping[str, Path], from_cache: bool, relation: RelationReport | None = None) -> None:
     """Print the result, the values of its effects, recommendations, and the files. recordings: all runs, including
     those that cannot be used."""
     def print_entry(name: str, text: str) -> None:
@@ -357,7 +355,7 @@ def print_result(discovery: Discovery, update: VehicleUpdate | None, recordings:
         print_entry(heading, text)
     for drive in recordings:
         if drive.problem:
-            report_problem(drive.name, drive.problem, console)
+            report_problem(drive.name, drive.problem)
     if from_cache:
         console.print("[dim]Cached result for the same inputs; --fresh repeats the search.[/dim]")
-    list_files({file: FILE_MEANINGS[name] for name, file in files.items()}, console)
+    list_files({file: FILE_MEANINGS[name] for name, file in files.items()})

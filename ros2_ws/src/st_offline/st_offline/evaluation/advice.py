@@ -10,7 +10,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.markup import escape
 from st_core.bands import CONDITIONS, ErrorSamples, NotFiniteError, calibrate
 from st_core.bands.calibration import MIN_CALIBRATION_RUNS, compute_error_samples, compute_highest_level
@@ -26,7 +25,7 @@ from st_core.types import ControlInput, VehicleState
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import RunError, RunSource, read
 
-from ..terminal import list_files, make_table, print_line
+from ..terminal import console, list_files, make_table, print_line
 from .tables import write_csv
 from .work import Task, load_models
 
@@ -139,7 +138,7 @@ def make_choice_rows(costs: Mapping[ModelStep, Cost], accuracies: Mapping[ModelS
     return rows
 
 
-def print_advice(sources: Sequence[RunSource], task: Task, tolerance: float, console: Console) -> None:
+def print_advice(sources: Sequence[RunSource], task: Task, tolerance: float) -> None:
     """Print the tables of the advice, and write advice.csv; unusable runs are skipped. tolerance: lateral error [m]."""
     with console.status("measuring cost and accuracy of each model and step"):
         costs, accuracies, problems = measure_runs(sources, task)
@@ -150,11 +149,11 @@ def print_advice(sources: Sequence[RunSource], task: Task, tolerance: float, con
              f"{REQUIRED_FRACTION:.0%} of the starts, with measured inputs")
     console.print(make_table(make_choice_rows(costs, accuracies, tolerance), title=title, **TABLE_STYLE))
     for (model, step), reason in problems.items():
-        print_line(f"[yellow]{escape(model)}, {step:g} s: {escape(reason)}[/yellow]", console)
+        print_line(f"[yellow]{escape(model)}, {step:g} s: {escape(reason)}[/yellow]")
     assert task.folder is not None  # set by the command
     file = task.folder / "advice.csv"
     write_csv(file, iter(rows))
-    list_files({file: "cost, error and band of each model and step"}, console)
+    list_files({file: "cost, error and band of each model and step"})
 
 
 def measure_runs(sources: Sequence[RunSource],

@@ -12,7 +12,6 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from rich.console import Console
 from rich.markup import escape
 from st_core.checks import Severity
 from st_core.errors import ConfigurationError
@@ -33,7 +32,7 @@ from ..checking.check_report import (
     print_findings,
 )
 from ..pages import load_template
-from ..terminal import format_count, list_files, make_progress_bars, print_line, report_problem
+from ..terminal import console, format_count, list_files, make_progress_bars, print_line, report_problem
 from . import tables
 from .drawing import TEXT_COLOUR, WIDTH, FigureOutput, PageFigure, check_formats, save_figure
 from .tables import REPORTED_AXES, format_error, get_axis_statistics, make_terminal_table, pool_entries, pool_models
@@ -51,7 +50,7 @@ FORECAST_LABELS = {"forecast": "", "plan": "with the inputs of the plan ", "cour
 
 
 def run_command(paths: Sequence[Path], task: Task, output: Path | None, workers: int, scheduler: str | None,
-                console: Console, tolerance: float | None = None) -> int:
+                tolerance: float | None = None) -> int:
     """Run the command; returns the exit status: 0 if every run was evaluated, else 1. tolerance: lateral error [m] for
     the advice on models; None for no advice. Raises ConfigurationError, OutputError."""
     check_formats(task.formats)
@@ -59,29 +58,29 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, workers:
     sources = find_runs(paths)
     _raise_if_all_failed([source.problem for source in sources])
     task = replace(task, folder=new_folder(output, "evaluate"))
-    reports = evaluate_all(sources, task, workers, scheduler, console)
+    reports = evaluate_all(sources, task, workers, scheduler)
     _raise_if_all_failed([report.problem for report in reports])
     evaluated_runs = [report for report in reports if not report.problem]
     title = make_headline(evaluated_runs, task.over)
     with console.status("writing the report"):
         files = write_results(reports, task, title)
     console.print(make_terminal_table(evaluated_runs, task.over, title, console.width))
-    print_line(make_summary(evaluated_runs, task)[0], console)
+    print_line(make_summary(evaluated_runs, task)[0])
     for key, value in describe_settings(task).items():
-        print_line(f"[dim]{key}: {escape(value)}[/dim]", console)
-    print_tables([report.bands for report in evaluated_runs], task.bands is not None, task.adaptive, console)
+        print_line(f"[dim]{key}: {escape(value)}[/dim]")
+    print_tables([report.bands for report in evaluated_runs], task.bands is not None, task.adaptive)
     if tolerance is not None:
         from .advice import print_advice  # the import takes half a second
 
-        print_advice([s for s, r in zip(sources, reports, strict=True) if not r.problem], task, tolerance, console)
+        print_advice([s for s, r in zip(sources, reports, strict=True) if not r.problem], task, tolerance)
     for report in evaluated_runs:
         if text := describe_clock(report.metadata["alignment"]):
-            print_line(f"{escape(report.name)}: {escape(text)}", console)
-    print_findings({report.name: report.findings for report in reports}, console)
-    list_files({files[key]: description for key, description in FILE_DESCRIPTIONS.items()}, console)
+            print_line(f"{escape(report.name)}: {escape(text)}")
+    print_findings({report.name: report.findings for report in reports})
+    list_files({files[key]: description for key, description in FILE_DESCRIPTIONS.items()})
     failed_reports = [report for report in reports if report.problem]
     for report in failed_reports:
-        report_problem(report.name, report.problem, console)
+        report_problem(report.name, report.problem)
     times = ", ".join(f"{part} {sum(r.seconds.get(part, 0.0) for r in evaluated_runs):.1f} s"
                       for part in ("read", "predict", "draw"))
     hours = sum(r.metadata["duration"] for r in evaluated_runs) / 3600.0
@@ -95,10 +94,9 @@ def _raise_if_all_failed(problems: Sequence[RunError | str | None]) -> None:
         raise ConfigurationError("no run can be used: " + join_problems(map(str, problems)))
 
 
-def evaluate_all(sources: Sequence[RunSource], task: Task, workers: int, scheduler: str | None,
-                 console: Console) -> list[RunReport]:
+def evaluate_all(sources: Sequence[RunSource], task: Task, workers: int, scheduler: str | None) -> list[RunReport]:
     """Evaluate all runs with a progress display; returns the reports in the order of the sources."""
-    with make_progress_bars(console) as progress:
+    with make_progress_bars() as progress:
         runs, starts = progress.add_task("runs"), progress.add_task("", visible=False)
 
         def evaluate(source: RunSource) -> RunReport:

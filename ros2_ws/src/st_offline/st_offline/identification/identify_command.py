@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.markup import escape
 from st_core.checks import Finding
 from st_core.handling import find_implausible_values
@@ -23,7 +22,7 @@ from ..checking.check_report import findings_as_json, print_findings
 from ..discovery.vehicle_update import edit_vehicle_text
 from ..evaluation.drawing import FigureOutput, PageFigure
 from ..pages import load_template
-from ..terminal import list_files, make_table, print_line
+from ..terminal import console, list_files, make_table, print_line
 from .driving import DRIVE_EXPERIMENTS
 from .experiment import COLUMN_NAMES, Experiment, IdentificationJob, make_estimate_rows
 from .static_tests import CG_HEIGHT, LAMBDA, SCALES, STEERING_RATIO, TYRE
@@ -34,7 +33,7 @@ EXPERIMENTS: dict[str, Experiment] = {
 STATUS_STYLE = {"identified": "green", "doubtful": "yellow", "unidentifiable": "red"}
 
 
-def run_command(job: IdentificationJob, console: Console) -> int:
+def run_command(job: IdentificationJob) -> int:
     """Run the command; returns the exit status: 0 if any parameter is identified or doubtful, else 1.
     Raises StCoreError, RunError, OutputError."""
     with console.status(f"identifying: {job.experiment.description}"):
@@ -56,17 +55,17 @@ def run_command(job: IdentificationJob, console: Console) -> int:
     lambda_warnings = result.describe_stale_lambda(job.vehicle, outcomes)
     with console.status("writing"):
         paths = write_results(job, outcomes, updated_vehicle, now)
-    print_results(outcomes, job.vehicle, lambda_warnings, console)
+    print_results(outcomes, job.vehicle, lambda_warnings)
     list_files({paths["identification.json"]: "values, uncertainties, verdicts",
                 paths["vehicle.yaml"]: "vehicle file with the identified values",
-                paths["report.html"]: "figures, correlations, lists of used and rejected data"}, console)
+                paths["report.html"]: "figures, correlations, lists of used and rejected data"})
     return 0 if any(e.status != "unidentifiable" for outcome in outcomes for e in outcome.estimates) else 1
 
 
-def print_results(outcomes: Sequence[result.Identification], vehicle: VehicleParameters, lambda_warnings: Sequence[str],
-                  console: Console) -> None:
+def print_results(outcomes: Sequence[result.Identification], vehicle: VehicleParameters,
+                  lambda_warnings: Sequence[str]) -> None:
     """Print the findings of the checks, and the table, verdicts and warnings of each result."""
-    print_findings(collect_findings_by_drive(outcomes), console)
+    print_findings(collect_findings_by_drive(outcomes))
     for outcome in outcomes:
         console.print(make_table([
             {"parameter": escape(f"{name}{'' if unit == '1' else f', {unit}'}"), "value": value,
@@ -78,9 +77,9 @@ def print_results(outcomes: Sequence[result.Identification], vehicle: VehiclePar
                              ("dim", [f"{name}: left out: {reason}" for name, reason in outcome.rejected_data]),
                              ("yellow", outcome.warnings)):
             for text in texts:
-                print_line(f"  [{style}]{escape(text)}[/]", console)
+                print_line(f"  [{style}]{escape(text)}[/]")
     for sentence in lambda_warnings:
-        print_line(f"  [yellow]{escape(sentence)}[/yellow]", console)
+        print_line(f"  [yellow]{escape(sentence)}[/yellow]")
 
 
 def collect_findings_by_drive(outcomes: Sequence[result.Identification]) -> dict[str, tuple[Finding, ...]]:
