@@ -3,35 +3,31 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from scipy.ndimage import minimum_filter1d
 from st_core.clock_alignment import correlation_curve, residual_lags
 from st_core.clock_types import Alignment, SharedSignal
-from st_core.palette import FIGURE_STYLE, MEASURED_COLOUR, OTHER_COLOUR
+from st_core.palette import MEASURED_COLOUR, OTHER_COLOUR
+
+from .evaluation.drawing import FigureOutput, save_figure
 
 CLOSE_UP_DURATION = 10.0  # s
 MAX_POINTS = 4000  # per line
 
 
-def draw_alignment(signals: Sequence[SharedSignal], alignment: Alignment, title: str, file: Path) -> None:
-    """Draw the speed, the 10 s with the largest variation of the yaw rate (or first signal), correlation, and lags."""
+def draw_alignment(signals: Sequence[SharedSignal], alignment: Alignment, title: str, folder: Path) -> None:
+    """Draw the speed, the 10 s with the largest variation of the yaw rate (or first signal), correlation, and lags into
+    alignment.png."""
     candidates = [s for s in signals if not s.is_angle] or list(signals)
     speed = next((s for s in candidates if "velocity" in s.name or "speed" in s.name), candidates[0])
-    with plt.rc_context(FIGURE_STYLE):
-        figure, axes = plt.subplots(2, 2, figsize=(11, 6.0))
-        _draw_signal(axes[0, 0], speed, alignment, whole=True)
-        rate = next((s for s in candidates if "rate" in s.name), candidates[0])
-        _draw_signal(axes[0, 1], rate, alignment, whole=False)
-        axes[0, 0].legend(loc="best")
-        _draw_correlation(axes[1, 0], signals, alignment)
-        _draw_lags(axes[1, 1], signals, alignment)
-        figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
-        figure.savefig(file)
-        plt.close(figure)
+    rate = next((s for s in candidates if "rate" in s.name), candidates[0])
+    figure, axes = plt.subplots(2, 2, figsize=(11, 6.0))
+    _draw_signal(axes[0, 0], speed, alignment, whole=True)
+    _draw_signal(axes[0, 1], rate, alignment, whole=False)
+    _draw_correlation(axes[1, 0], signals, alignment)
+    _draw_lags(axes[1, 1], signals, alignment)
+    save_figure(figure, FigureOutput(folder, ("png",)), "alignment", title, "")
 
 
 def _draw_signal(ax: plt.Axes, signal: SharedSignal, alignment: Alignment, whole: bool) -> None:
@@ -75,10 +71,8 @@ def _draw_correlation(ax: plt.Axes, signals: Sequence[SharedSignal], alignment: 
     ax.plot(lags - offset, np.where(has_overlap, r, np.nan), color=MEASURED_COLOUR, lw=0.9)
     for peak, style, name in ((alignment.peak, "o", "best"), (alignment.second_peak, "s", "second")):
         if peak is not None and peak[1] > 0:
-            ax.plot(peak[0] - offset, peak[1], style, ms=5, color=OTHER_COLOUR, label=f"{name}: {peak[1]:.2f}")
+            ax.plot(peak[0] - offset, peak[1], style, ms=5, color=OTHER_COLOUR, label=f"{name} peak: {peak[1]:.2f}")
     ax.set(ylim=(-1.05, 1.1), xlabel="offset relative to the estimate, s", ylabel="correlation")
-    if alignment.peak is not None:
-        ax.legend(loc="lower right")
 
 
 def _draw_lags(ax: plt.Axes, signals: Sequence[SharedSignal], alignment: Alignment) -> None:

@@ -90,5 +90,5 @@ def test_alignment_is_drawn_with_gaps_in_the_steering_angle(tmp_path):
     curvature = 0.05 * np.sin(time_ns * 1e-9)
     angle = np.where(np.arange(2000) // 5 == 60, np.nan, 16.0 * curvature)
     signal = SharedSignal("curvature against steering", time_ns, curvature, time_ns, angle)
-    draw_alignment([signal], Alignment(), "title", tmp_path / "alignment.png")
+    draw_alignment([signal], Alignment(), "title", tmp_path)
     assert (tmp_path / "alignment.png").stat().st_size > 20_000

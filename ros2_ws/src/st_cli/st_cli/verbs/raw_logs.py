@@ -55,7 +55,7 @@ def align(
     results = {folder / "alignment.json": "offset and drift, with uncertainty"}
     if pair.shared_signals and alignment.method != "none":
         title = f"{pair.name}: {describe_alignment(alignment, pair.can.start_ns, pair.ins.is_utc)}"
-        draw_alignment(pair.shared_signals, alignment, title, folder / "alignment.png")
+        draw_alignment(pair.shared_signals, alignment, title, folder)
         results[folder / "alignment.png"] = "the signals of both recordings, aligned"
     list_files(results)
     return 1 if alignment.verdict == "refused" else 0
@@ -198,7 +198,7 @@ def _import_run(source: "RunSource", car: "VehicleParameters", folder: Path, set
     alignment = imported.run.alignment
     text = describe_alignment(alignment, imported.run.can.start_ns, is_utc=True)
     if imported.run.shared_signals:
-        draw_alignment(imported.run.shared_signals, alignment, f"{source.name}: {text}", folder / "alignment.png")
+        draw_alignment(imported.run.shared_signals, alignment, f"{source.name}: {text}", folder)
     style = VERDICT_STYLE[alignment.verdict]
     print_line(f"[bold]{escape(source.name)}[/bold]  [{style}]{text}[/{style}]")
     print_line("  " + ", ".join(f"{topic} {count}" for topic, count in imported.counts.items()))
