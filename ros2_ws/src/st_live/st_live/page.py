@@ -78,10 +78,6 @@ class PageServer(ThreadingHTTPServer):
         self._frame, self._frame_number = b"", 0
         self.clients = 0  # number of open pages, protected by `condition`
 
-    @property
-    def port(self) -> int:
-        return self.server_address[1]
-
     def publish(self, frame: Mapping[str, Any]) -> None:
         """Send a frame to every client; a client that is slower than the frames receives only the newest."""
         data = b"data: " + json.dumps(frame, separators=(",", ":")).encode() + b"\n\n"

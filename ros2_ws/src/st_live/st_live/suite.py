@@ -14,10 +14,10 @@ import socket
 import subprocess
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import yaml
 from st_core import yaml_text
@@ -65,7 +65,7 @@ class Child:
         return ""
 
 
-class Processes:
+class Processes(AbstractContextManager):
     """Processes with their logs in folder/logs; leaving the `with` block ends them.
 
     realtime: request REALTIME_PRIORITIES. realtime_denied: processes for which this was not permitted.
@@ -134,9 +134,6 @@ class Processes:
             statuses[child.name] = process.returncode
             self.children.remove(child)
         return statuses
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.stop()

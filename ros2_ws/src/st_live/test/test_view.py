@@ -339,7 +339,8 @@ def server():
 
 
 def request(server: PageServer, path: str, host: str = "127.0.0.1"):
-    message = urllib.request.Request(f"http://127.0.0.1:{server.port}{path}", headers={"Host": f"{host}:{server.port}"})
+    port = server.server_port
+    message = urllib.request.Request(f"http://127.0.0.1:{port}{path}", headers={"Host": f"{host}:{port}"})
     return urllib.request.urlopen(message, timeout=10)
 
 

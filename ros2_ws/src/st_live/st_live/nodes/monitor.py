@@ -59,7 +59,7 @@ class SuiteState:
     prediction: Prediction | None = None  # the newest one of any model
 
 
-class Monitor:
+class Monitor(contextlib.AbstractContextManager):
     """ROS node with a thread that receives messages. Values in `state` are replaced, so readers need no lock."""
 
     def __init__(self, domain_id: int | None = None):
@@ -121,9 +121,6 @@ class Monitor:
         message = DiagnosticArray(status=[DiagnosticStatus(name="suite", level=bytes([worst]), message=text), *lines])
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._aggregate.publish(message)
-
-    def __enter__(self) -> "Monitor":
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._executor.shutdown()

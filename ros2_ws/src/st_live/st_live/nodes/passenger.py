@@ -207,7 +207,7 @@ def main() -> int:
         print(f"{where}{getattr(error, 'strerror', None) or error}", file=sys.stderr)
         return 2
     threading.Thread(target=server.serve_forever, name="page", daemon=True).start()
-    print(f"serving on {address}:{server.port}", flush=True)
+    print(f"serving on {address}:{server.server_port}", flush=True)
     status = spin.run(lambda: PassengerNode(PassengerFrames(car, options["map_frame"]), server), nice=BACKGROUND_NICE)
     server.stop()
     return status
