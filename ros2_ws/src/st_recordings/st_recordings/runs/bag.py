@@ -51,13 +51,16 @@ def is_bag(path: Path) -> bool:
 
 def has_odometry(path: Path) -> bool:
     """Whether a bag contains odometry, or INS packets and steering to reconstruct a drive; True if this is unclear."""
-    try:
-        if path.is_dir():
+    if path.is_dir() and (path / "metadata.yaml").is_file():
+        try:
             types = {t["topic_metadata"]["type"] for t in read_information(path)["topics_with_message_count"]}
-        else:
-            types = {topic.type_name for topic in open_bag(path).topics}
-    except (RunError, KeyError, TypeError):
-        return True
+        except (KeyError, TypeError):
+            return True
+    else:
+        summary = read_summary(path) if path.is_file() and path.suffix.lower() == ".mcap" else None
+        if summary is None:
+            return True
+        types = {schema.name for schema in summary.schemas.values()}
     return ODOMETRY in types or (NCOM in types and bool(types & {STEERING, CAN_FRAMES}))
 
 
