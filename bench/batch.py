@@ -50,10 +50,11 @@ def _measure_model(name: str, car, log, folder: Path) -> dict:
     p, signals = model.parameters(car), LogSignals(log, 0.1, 5.0)
     times = start_times(log)[:COUNT]
     block, = plan_blocks(times, 25_000_000 * np.arange(2 * STEPS + 1), numba_lanes.LANES)
-    angle = signals.road_wheel_angle_at(block.times_ns)
-    acceleration, = signals.ins_at(block.times_ns, "velocity_x_dot")
+    instants_ns = np.sort(block.times_ns)
+    angle = signals.road_wheel_angle_at(instants_ns)
+    acceleration, = signals.ins_at(instants_ns, "velocity_x_dot")
     # The inputs are constant before and after the drive, so that no kernel receives NaN.
-    angle, acceleration = (np.interp(block.times_ns, block.times_ns[np.isfinite(a)], a[np.isfinite(a)])
+    angle, acceleration = (np.interp(instants_ns, instants_ns[np.isfinite(a)], a[np.isfinite(a)])
                            for a in (angle, acceleration))
     w = block.tabulate(model.inputs(angle, acceleration, p))
     start = np.ascontiguousarray(signals.states_at(times, car).T)

@@ -40,7 +40,7 @@ class GridBlock:
     rows: slice  # starts in the block
     start_columns: np.ndarray  # (starts,), column of each start
     starts_ns: np.ndarray  # (count,), start time of each column
-    times_ns: np.ndarray  # instants to sample (m,)
+    times_ns: np.ndarray  # instants to sample (m,), in the order of the table
     offsets: np.ndarray  # instant k of column i is element `offsets[k] + i` of a row of the table
     columns: int  # count, rounded up to a multiple of the lanes
     spacing: int  # instants per column of the table
@@ -50,12 +50,8 @@ class GridBlock:
     def count(self) -> int:
         return len(self.starts_ns)
 
-    def arrange(self, values: np.ndarray) -> np.ndarray:
-        """Values at times_ns, (m,), in the order to which `offsets` refers."""
-        return values.reshape(-1, self.spacing).T.ravel()
-
     def tabulate(self, fields: tuple) -> np.ndarray:
-        """Table (fields, m) of quantities, each of them an arranged array or a number."""
+        """Table (fields, m) of quantities, each of them an array (m,) or a number."""
         result = np.empty((len(fields), self.times_ns.size))
         for row, values in zip(result, fields, strict=True):
             row[:] = values
@@ -89,7 +85,7 @@ def plan_blocks(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, shar
         start = rows[np.searchsorted(column[rows], table_columns, side="right") - 1]
         times = starts_ns[start] + half * spacing * (table_columns - column[start])
         yield GridBlock(number, slice(int(rows[0]), int(rows[-1]) + 1), column[rows] - first, times[:last + 1 - first],
-                        (times[:, None] + instants_ns[:spacing]).ravel(),
+                        (instants_ns[:spacing, None] + times).ravel(),
                         (k % spacing) * len(times) + k // spacing, columns, spacing, is_shared)
 
 
@@ -220,7 +216,7 @@ class LogBatch:
         return self._uncorrected if log is self.signals.log else Recording(self.signals.for_log(log))
 
     def _sample(self, block: GridBlock, recording: Recording, model: Model) -> list[np.ndarray]:
-        """Road wheel angle, velocity_x_dot and the signals of the model at all instants of a block, arranged."""
+        """Road wheel angle, velocity_x_dot and the signals of the model at all instants of a block."""
         key, signals, times_ns = (block.number, block.times_ns.size), recording.signals, block.times_ns
         if key in recording.sample_cache:
             angle, acceleration = recording.sample_cache[key]
@@ -230,19 +226,18 @@ class LogBatch:
             if recorded and shares_memory(signals.log, self.signals.log, "steering_time_ns", "road_wheel_angle"):
                 angle = recorded[0]
             else:
-                angle = block.arrange(signals.road_wheel_angle_at(times_ns))
+                angle = signals.road_wheel_angle_at(times_ns)
             if recorded and signals.velocity_x_dot is self.signals.velocity_x_dot:
                 acceleration = recorded[1]
             else:
-                acceleration = block.arrange(signals.ins_at(times_ns, "velocity_x_dot")[0])
+                acceleration, = signals.ins_at(times_ns, "velocity_x_dot")
         if block.is_shared:
             recording.sample_cache[key] = angle, acceleration
-        extra = [block.arrange(signals.sample(*self.extra_signals[name], times_ns)) for name in model.signals]
-        return [angle, acceleration, *extra]
+        return [angle, acceleration, *(signals.sample(*self.extra_signals[name], times_ns) for name in model.signals)]
 
     def _sample_separately(self, block: GridBlock, signals: LogSignals, model: Model) -> list[np.ndarray]:
         """Like `_sample`, for planned inputs, and for held inputs of a model with steering dynamics."""
-        times, log = block.times_ns.reshape(-1, block.spacing).T, self.signals.log
+        times, log = block.times_ns.reshape(block.spacing, -1), self.signals.log
         if isinstance(self._inputs, str):
             angle = self.signals.road_wheel_angle_at(times[0])
             acceleration, = signals.ins_at(times[0], "velocity_x_dot")

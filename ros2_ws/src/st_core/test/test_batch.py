@@ -235,7 +235,7 @@ def test_starts_on_a_common_grid_share_its_instants():
     assert list(plan_blocks(np.empty(0, np.int64), instants, 1)) == []
     for b in (b for starts in (hours_apart, two_rates, regular_starts(0, 20_000))
               for b in plan_blocks(starts, instants, 48)):
-        times = b.times_ns.reshape(-1, b.spacing).T.ravel()
+        times = b.times_ns
         for k in (0, 1, 77, 200):
             np.testing.assert_array_equal(times[b.offsets[k] + b.start_columns],
                                           b.starts_ns[b.start_columns] + instants[k])
