@@ -75,7 +75,8 @@ def make_source(folder):
 
 def make_run(name="drive", findings=ALL_FINDINGS):
     car = VehicleParameters.from_yaml(LEAF.read_text())
-    return CheckedRun(name, make_check(findings), car, "leaf.yaml", 10.0, (), {"drive.csv": "0" * 64})
+    return CheckedRun(name, make_check(findings), car, "leaf.yaml", 10.0, (), {"drive.csv": "0" * 64},
+                      summarise_alignment(Alignment()), "RUN")
 
 
 @pytest.fixture(autouse=True)
@@ -348,7 +349,7 @@ def test_labels_of_both_axes_stay_apart_below_a_long_title(monkeypatch, quantity
     monkeypatch.setattr(check_command.drawing, "save_figure", lambda figure, *others: figures.append(figure))
     result = make_check()
     title = f"{quantity}: sensor versus another one"
-    run = CheckedRun("run", result, None, "", 10.0, (), {}, {})
+    run = CheckedRun("run", result, None, "", 10.0, (), {}, {}, "RUN")
     draw_comparison(replace(result.comparisons[0], title=title), run, "")
     figures[0].suptitle("a title\nof\nthree lines", fontsize=10)
     figures[0].draw_without_rendering()

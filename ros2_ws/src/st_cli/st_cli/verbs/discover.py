@@ -101,18 +101,16 @@ def identify(
     The given vehicle file is not changed; the new one is vehicle.yaml in the output folder. Exit status: 0 at least one
     parameter is identified or doubtful, 1 none, 2 the data cannot be used.
     """
-    from rich.table import Table
     from st_core.errors import ConfigurationError
     from st_live.configuration import load_model
     from st_offline.identification.experiment import IdentificationJob
     from st_offline.identification.identify_command import EXPERIMENTS, run_command
+    from st_offline.terminal import make_table
     from st_recordings.paths import new_folder
 
     if experiment is None:
-        table = Table("experiment", "identifies", "data", box=None)
-        for row in EXPERIMENTS.values():
-            table.add_row(row.name, row.description, row.required_files)
-        shared.console.print(table)
+        shared.console.print(make_table([{"experiment": e.name, "identifies": e.description, "data": e.required_files}
+                                         for e in EXPERIMENTS.values()]))
         return 0
     if experiment not in EXPERIMENTS:
         raise ConfigurationError(f"unknown experiment {experiment!r}; use {', '.join(EXPERIMENTS)}")

@@ -33,7 +33,8 @@ class Scorer:
     """Accumulates the scores of bands on one run, with errors in the predicted frame.
 
     bands: calibrated bands, or None. adaptive: whether to count the coverage of adaptive bands, which start from
-    `bands`. files: sha256 of each file of the run, by path.
+    `bands`. files: sha256 of each file of the run, by path. `sums` has an entry for each block, model and mode, and
+    one with known_recordings, the files of the run that were used in the calibration; add them with `pool_sums`.
     """
 
     ADAPTATION_TIME = 120.0  # s; coverage of adaptive bands is also counted without the starts in this initial time
@@ -45,7 +46,7 @@ class Scorer:
         self._adaptive: dict[tuple[str, str], AdaptiveBand] = {}
         self._first_start_ns: int | None = None
         hashes = set(bands.recordings.values()) if bands else set()
-        self._sums: list[Sums] = [{"known_recordings": [name for name, digest in files.items() if digest in hashes]}]
+        self.sums: list[Sums] = [{"known_recordings": [name for name, digest in files.items() if digest in hashes]}]
 
     def add(self, starts_ns: np.ndarray, block: Block) -> None:
         """Add the starts of one block of an evaluation that have a complete horizon; starts outside the calibrated
@@ -63,7 +64,7 @@ class Scorer:
             if band is not None:
                 entry = sum_band_scores(band, conditions[scored], rotated[scored])
                 entry["without_band"] = int((complete & ~inside).sum())
-                self._sums.append({"models": {model: {mode: entry}}})
+                self.sums.append({"models": {model: {mode: entry}}})
             if self._is_adaptive:
                 adaptive = self._adaptive.setdefault((model, mode), AdaptiveBand(self._time, band))
                 factors, scales = adaptive.replay(starts_ns, conditions, rotated)
@@ -72,11 +73,7 @@ class Scorer:
                 late = (starts_ns[scored] - self._first_start_ns) * 1e-9 >= self.ADAPTATION_TIME
                 entry = _count_coverage(np.ones(len(score), bool), covered)
                 entry |= {f"late_{key}": value for key, value in _count_coverage(late, covered).items()}
-                self._sums.append({"adaptive": {model: {mode: entry}}})
-
-    def get_sums(self) -> Sums:
-        """Sums over all blocks. known_recordings: files of the run that were used in the calibration."""
-        return pool_sums(self._sums)
+                self.sums.append({"adaptive": {model: {mode: entry}}})
 
 
 def summarise_adaptive(sums: Sums) -> dict[str, Any]:
@@ -171,7 +168,7 @@ def pool_sums(entries: Sequence[Mapping[str, Any]]) -> Sums:
 
 
 def summarise_bands(sums: Sums) -> dict[str, Any]:
-    """models: coverages and mean scores by model and mode, None without starts. known_recordings: see `get_sums`."""
+    """models: coverages and mean scores by model and mode, None without starts. known_recordings: see `Scorer`."""
     return {"known_recordings": sums.get("known_recordings", []),
             "models": {model: {mode: _summarise_scores(scores) for mode, scores in modes.items()}
                        for model, modes in sums.get("models", {}).items()}}

@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
@@ -12,12 +12,10 @@ from rich.markup import escape
 from st_core.checks import Advice, Comparison, DriveCheck, Finding, Severity, compare_runs
 from st_core.checks.finding import SCHEMA
 from st_core.checks.sampling import UNITS as CHANNEL_UNITS
-from st_core.clock_types import Alignment
 from st_core.regression import count_decimals
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import json_ready
 from st_recordings.results import collect_versions
-from st_recordings.runs.raw import summarise_alignment
 
 from ..terminal import format_count, print_line
 
@@ -191,8 +189,8 @@ class CheckedRun:
     duration: float  # [s]
     warnings: tuple[str, ...]  # warnings of the reader, including its corrections
     files: Mapping[str, str]  # sha256 by path
-    alignment: Mapping[str, Any] = field(default_factory=lambda: summarise_alignment(Alignment()))
-    arguments: str = "RUN"  # arguments of `st check` that read this run
+    alignment: Mapping[str, Any]  # from `summarise_alignment`
+    arguments: str  # arguments of `st check` that read this run
 
 
 def findings_as_json(findings: Sequence[Finding]) -> list[dict[str, Any]]:

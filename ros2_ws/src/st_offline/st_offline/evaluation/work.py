@@ -28,7 +28,7 @@ from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, rea
 from st_recordings.runs.csv_table import read_header
 from st_recordings.runs.raw import summarise_alignment
 
-from ..bands.bands_report import Scorer, collect_intervals, sum_contributions
+from ..bands.bands_report import Scorer, collect_intervals, pool_sums, sum_contributions
 from ..checking.gate import RUN_ERRORS, check_log, describe_problem, raise_for_errors
 from . import tables
 from .background import run_in_background
@@ -125,7 +125,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
         "skipped": evaluation.skipped, "incomplete": evaluation.incomplete,
         "labels": "given" if run.labels else "detected", "alignment": summarise_alignment(run.alignment),
         "warnings": list(run.warnings), "provenance": dict(run.provenance), "inputs_ahead": list(future_inputs)}
-    sums = scorer.get_sums()
+    sums = pool_sums(scorer.sums)
     if bands:
         sums |= sum_contributions(models, task.vehicle, signals, task.settings, collect_intervals(task.model_files))
     seconds = dict(zip(("read", "predict", "draw"), np.diff(times).tolist(), strict=True))
