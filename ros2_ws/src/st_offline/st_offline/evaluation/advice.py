@@ -77,7 +77,7 @@ def measure_costs(models: Sequence[Model], vehicle: VehicleParameters, signals: 
     costs: dict[ModelStep, Cost] = {}
     for (key, kind), median in zip(calls, np.median(durations, axis=0).tolist(), strict=True):
         costs.setdefault(key, {})[kind] = median
-    return costs
+    return {(model.name, step): costs[model.name, step] for model in models for step in settings}
 
 
 @dataclass(frozen=True)
