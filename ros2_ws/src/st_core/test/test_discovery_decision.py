@@ -174,6 +174,7 @@ def test_accepted_effect_is_named_or_minor(evidence, rule, figures):
     (CONFIRMED, dict(excludes_null=False), NAMED),
     (GOOD, dict(parameter_at_bound="factor"), MINOR), (GOOD, dict(peak_force_share=0.5), MINOR),
     (GOOD, dict(worse_axle="rear"), FORCES), (GOOD, dict(summands=("steering_lag",)), MINOR),
+    (GOOD, dict(depends_on=("front_stiffness",)), MINOR),
     (CONFIRMED, dict(violation="yaw_inertia: dynamic index k^2 / (l_f l_r) 0.5 is outside 0.6 to 1.4"), IMPLAUSIBLE),
     (replace(GOOD, position_reduction=-0.03), {}, MINOR),  # adding it raises the held-out position error
     (replace(CONFIRMED, position_reduction=-0.03), {}, NAMED)])  # but the sensors confirm it
@@ -410,6 +411,30 @@ def test_peak_of_an_axle_that_did_not_reach_it_is_not_named(monkeypatch, name, r
     found = FoundEffect(name, "vehicle parameters", {"peak": FittedParameter(0.7, "1", (0.6, 0.8), 1.0)}, (), 0.1, {})
     state = SimpleNamespace(evidence={name: GOOD}, fit=SimpleNamespace(vector=None))
     assert _Analysis._decide_reporting(analysis, state, [found], axles, {})[name].rule == rule
+
+
+@pytest.mark.parametrize(("similarity", "rule"), [(0.0, NAMED), (0.9, MINOR)])
+def test_effect_that_compensates_for_a_refuted_one_is_not_named(monkeypatch, similarity, rule):
+    """As of a car with downforce, where stiffer tyres, refuted by the axle forces, changed the INS position."""
+    monkeypatch.setattr(discover_module, "find_implausible_values", lambda *_: ())
+    problem = linear_problem(("mass", "front_stiffness"), {"mass": 2.0, "front_stiffness": -2.0}, 3)
+    mass, stiffness = problem.space.indices("mass", "front_stiffness")[::-1]
+    problem.errors.signatures[mass] += similarity * problem.errors.signatures[stiffness]
+    fit = fit_problem(problem, "mass", "front_stiffness")
+    names = [problem.space.effect_names[i] for i in (mass, stiffness)]
+    found = [FoundEffect(n, "vehicle parameters", {"factor": FittedParameter(
+        value := float(fit.vector[i]), "1", (value - 0.05, value + 0.05), 1.0)}, (), 0.1, {})
+        for n, i in zip(names, (mass, stiffness), strict=True)]
+    axles = SimpleNamespace(compute_force_ratios=lambda: {}, find_worse_axles=lambda *_: ("front",),
+                            find_effects_on_axle=lambda *_: ["front_stiffness"])
+    analysis = SimpleNamespace(reference=[], limits=LIMITS, space=SimpleNamespace(
+        at=lambda _: SimpleNamespace(with_values=lambda _: SimpleNamespace(effective_vehicle=lambda _: None)),
+        null=None, values=problem.space.values), vehicle=None, problem=problem)
+    analysis._find_dependent = lambda *inputs: _Analysis._find_dependent(analysis, *inputs)
+    state = SimpleNamespace(evidence={n: replace(GOOD, name=n) for n in names}, fit=fit)
+    verdicts = _Analysis._decide_reporting(analysis, state, found, axles, {})
+    assert verdicts["front_stiffness"].rule == FORCES and verdicts["mass"].rule == rule
+    assert ("without the refuted front stiffness" in verdicts["mass"].text) == (rule == MINOR)
 
 
 @pytest.mark.parametrize(("rule", "count"), [(FORCES, 1), (IMPLAUSIBLE, 1), (MINOR, 2)])

@@ -147,7 +147,7 @@ def _relevance_values(e: Evidence, limits: Limits) -> dict[str, float]:
 
 def judge_reporting(e: Evidence, limits: Limits, excludes_null: bool = True, parameter_at_bound: str = "",
                     peak_force_share: float = 1.0, worse_axle: str = "", summands: Sequence[str] = (),
-                    violation: str = "") -> Reason:
+                    violation: str = "", depends_on: Sequence[str] = ()) -> Reason:
     """Verdict on whether an accepted effect is reported as a cause, or only kept to avoid a bias of other values.
 
     excludes_null: whether an interval excludes the null.
@@ -157,6 +157,7 @@ def judge_reporting(e: Evidence, limits: Limits, excludes_null: bool = True, par
     worse_axle: axle on which the effect acts and where measured forces agree better with the vehicle file, or "".
     summands: other effects of the model, of which only the sum with this effect is identifiable.
     violation: range that the car would violate with this effect (`handling.find_implausible_values`), or "".
+    depends_on: refuted or implausible effects without which a value is outside its interval.
     """
     def demote(text: str, **figures: float) -> Reason:
         return Reason(MINOR, e.name, figures or {"gain": e.gain},
@@ -170,6 +171,8 @@ def judge_reporting(e: Evidence, limits: Limits, excludes_null: bool = True, par
     if violation:
         return Reason(IMPLAUSIBLE, e.name, {"gain": e.gain}, f"with it the car is implausible: {violation}; "
                       "it improves predictions, but is not reported as a cause")
+    if depends_on:
+        return demote(f"its value leaves its interval without the refuted {' and '.join(depends_on).replace('_', ' ')}")
     if summands:
         return demote(f"only its sum with {' and '.join(summands).replace('_', ' ')} is identifiable")
     if parameter_at_bound:

@@ -117,7 +117,7 @@ class _Analysis:
         self.sensors = {f"{effect}.{p.name}": sensor_estimates[p.identity] for effect in self.space.hypotheses
                         for p in get_effect(effect).parameters if p.identity and p.identity in sensor_estimates}
 
-    def analyse(self) -> result.Discovery:
+    def analyse(self) -> result.Discovery:  # long: the steps of a discovery in their order, and its result
         self.problem, column_noise = self._make_problem()
         settings, space, problem = self.settings, self.space, self.problem
         self._warn_of_low_excitation()
@@ -137,13 +137,20 @@ class _Analysis:
         power = (measure_power(problem, state.fit, self.limits, settings.seed, self._ticker("measuring power"))
                  if settings.simulate_power else predict_power(problem, state.fit, state.scores, self.limits))
         effects, design_effect = judged.named, state.scores.design_effect
-        curvatures = self._simulate_catalogue(state, effects)
+        curvatures: Curvatures = {}
+        if settings.locate_errors or any(e.alternatives for e in effects):
+            self._ticker("simulating manoeuvres")()
+            curvatures = simulate_catalogue(problem, state.fit)
         untestable = self._find_untestable(state, power, judged, curvatures)
         noise, position = max(channel_noise.get("position_5s", 0.0), 1e-9), named_errors.get("position_5s")
         noise_ratios = (position.base / noise, position.augmented / noise) if position else (np.nan, np.nan)
         outcome, reasons = self._decide_outcome(state, judged, untestable, noise_ratios, len(varying))
         separability = list_separabilities(problem, state.fit, effects, design_effect)
         regions = self._locate_errors(base, channel_noise) if settings.locate_errors else ()
+        signature = (f"the position error is {noise_ratios[1]:.1f} times the noise",
+                     *(f"large {CHANNELS[r.channel].label} error: {r.condition}" for r in regions[:5]))
+        assumed = {q.key: result.AssumedQuantity(q.key, q.unit, q.value, q.deviation, q.stated)
+                   for q in problem.quantities if q is not None}
         return result.Discovery(
             outcome=outcome, effects=effects, minor=judged.minor, combinations=judged.combinations,
             effective=(*judged.contradicted, *self._list_corrections(without_priors, fit, state)),
@@ -152,9 +159,9 @@ class _Analysis:
             candidates=self._list_candidates(state, judged.verdicts), not_testable=untestable,
             next_manoeuvre=choose_manoeuvre(problem, state.fit, separability, curvatures, design_effect),
             separability=separability, power_analysis=power, runs=self._list_runs(), clock_errors=self.clock_errors,
-            signature=self._describe_residual(noise_ratios[1], regions), base=space.at(base.vector),
+            signature=signature if noise_ratios[1] > self.limits.max_noise_ratio else (), base=space.at(base.vector),
             start="reference" if self.reference else "vehicle file", warnings=tuple(self.warnings),
-            model=space.at(fit.vector) if fit.names else None, assumed=self._list_assumed(),
+            model=space.at(fit.vector) if fit.names else None, assumed=tuple(assumed.values()),
             named=space.at(problem.vector_without(state.fit, *(e.name for e in judged.contradicted)))
             if state.order else None, leave_one_out=judged.leave_one_out, axle_curves=judged.curves,
             # The residual of the best model counts as noise in all later comparisons, whatever its cause.
@@ -166,9 +173,8 @@ class _Analysis:
         problem = self.problem
         # All other parameters of the library are free as well, so that intervals include their possible contribution.
         joint_fit = approximate_joint_fit(problem, state.fit) if problem.prior is None else None
-        position = problem.position_error(problem.held_out_rows(state.fit))
-        noise_ratio = (float(np.nanmean(position)) / max(channel_noise["position_5s"], 1e-9)
-                       if np.isfinite(position).any() else 1.0)
+        position_error, _ = error_reductions(problem.position_error(problem.held_out_rows(state.fit)), None)
+        noise_ratio = position_error / max(channel_noise.get("position_5s", 0.0), 1e-9)  # 0 without positions
         sensors, effects = {} if self.reference else self.sensors, []
         for name in state.order:
             evidence = state.evidence[name]
@@ -296,11 +302,6 @@ class _Analysis:
             self.warnings.append("nearly all turns are to one side: offsets of sensors and steering are not separable "
                                  "from changes of the car")
 
-    def _list_assumed(self) -> tuple[result.AssumedQuantity, ...]:
-        """The quantities of the vehicle file that serve as priors or for comparison."""
-        return tuple({q.key: result.AssumedQuantity(q.key, q.unit, q.value, q.deviation, q.stated)
-                      for q in self.problem.quantities if q is not None}.values())
-
     def _analyse_axles(
             self, state: SearchState, joint_fit: JointFit | None, noise_ratio: float,
             ) -> tuple[Axles | None, tuple[ForceCurve, ...], tuple[result.Combination, ...]]:
@@ -329,6 +330,8 @@ class _Analysis:
                 model = self.space.at(self.problem.start).with_values({name: self.space.values(name, state.fit.vector)})
                 implausible = find_implausible_values(model.effective_vehicle(self.vehicle), self.vehicle)
                 violations[name] = next(iter(implausible), "")
+        refuted = [name for name in names if worse_axles.get(name) or violations.get(name)]
+        unstable = self._find_dependent(state.fit, effects, refuted) if refuted else ()
         # Only the total delay of the steering is identifiable, not its parts.
         delays = [n for n in names if TOTAL_DELAY in get_effect(n).combinations] if axles is not None else []
         return {e.name: decision.judge_reporting(
@@ -338,7 +341,16 @@ class _Analysis:
                                   and not self.reference
                                   and get_effect(e.name).slot in (f"{axle} axle", "both axles")), default=1.0),
             worse_axle=worse_axles.get(e.name, ""), violation=violations.get(e.name, ""),
+            depends_on=refuted if e.name in unstable else (),
             summands=tuple(n for n in delays if n != e.name) if e.name in delays else ()) for e in effects}
+
+    def _find_dependent(self, fit: Fit, effects: Sequence[result.FoundEffect], refuted: Sequence[str]) -> list[str]:
+        """Effects with a value that leaves its interval if the refuted ones are removed and all others refitted."""
+        names = tuple(n for n in fit.names if n not in refuted)
+        without = self.problem.refit(self.problem.fit(names, self.problem.all_sensitivities(fit.vector)))
+        return [e.name for e in effects if e.name in names and any(
+            not p.interval[0] <= self.space.values(e.name, without.vector)[key] <= p.interval[1]
+            for key, p in e.parameters.items())]
 
     def _list_corrections(self, problem: Problem, fit: Fit, state: SearchState) -> tuple[result.FoundEffect, ...]:
         """Effects of `fit` that are not in `state.fit`. Their `position_5s_increase` is in-sample, without a refit."""
@@ -408,13 +420,6 @@ class _Analysis:
                                                      verdict.rule, verdict.text))
         return tuple(sorted(candidates, key=lambda c: -c.gain))
 
-    def _simulate_catalogue(self, state: SearchState, effects: Sequence[result.FoundEffect]) -> Curvatures:
-        """Curvatures of the loss for the manoeuvres of the catalogue; empty if they are not needed."""
-        if not self.settings.locate_errors and not any(e.alternatives for e in effects):
-            return {}
-        self._ticker("simulating manoeuvres")()
-        return simulate_catalogue(self.problem, state.fit)
-
     def _find_untestable(self, state: SearchState, power: result.PowerAnalysis, judged: _JudgedEffects,
                          curvatures: Curvatures) -> tuple[result.UntestableEffect, ...]:
         """Effects that are not detectable in these drives, with the reason and a manoeuvre to detect them."""
@@ -425,13 +430,13 @@ class _Analysis:
             if name in names or max((p.probability for p in powers), default=0.0) >= self.limits.detection_power:
                 continue
             largest = max(powers, key=lambda p: p.size)
-            manoeuvre = find_most_informative(problem, name, curvatures)
             other = find_confounding_effect(problem, state.fit, name, state.scores, self.limits)
             confounder = f"in these drives it cannot be separated from {other.replace('_', ' ')}; " if other else ""
             size = f"{100 * largest.size:.3g} %" if largest.unit == "1" else f"{largest.size:.3g} {largest.unit}"
             untestable.append(result.UntestableEffect(
                 name, f"a change of {size} would be detected with probability {largest.probability:.2f}; "
-                f"{confounder}it is visible in {get_effect(name).excited_by}", manoeuvre))
+                f"{confounder}it is visible in {get_effect(name).excited_by}",
+                find_most_informative(problem, name, curvatures)))
         untestable += [result.UntestableEffect(n, f"it needs the signal {', '.join(get_effect(n).signals)}, which is "
                                                "not recorded") for n in self.space.without_signal]
         return (*untestable, *(result.UntestableEffect(name, reason) for name, reason in NEVER_TESTABLE.items()))
@@ -446,13 +451,6 @@ class _Analysis:
         if "position" in noise:  # mean of a Rayleigh distribution
             noise["position_5s"] = max(noise.get("position_5s", 0.0), noise["position"] * float(np.sqrt(np.pi) / 2.0))
         return noise
-
-    def _describe_residual(self, noise_ratio: float, regions: Sequence[result.LargeErrorRegion]) -> tuple[str, ...]:
-        """Sentences on the residual; empty if it is near the noise, and without positions."""
-        if not noise_ratio > self.limits.max_noise_ratio:
-            return ()
-        return (f"the position error is {noise_ratio:.1f} times the noise",
-                *(f"large {CHANNELS[r.channel].label} error: {r.condition}" for r in regions[:5]))
 
     def _locate_errors(self, fit: Fit, channel_noise: Mapping[str, float]) -> tuple[result.LargeErrorRegion, ...]:
         self._ticker("locating errors")()
@@ -507,9 +505,8 @@ def describe_varying(v: VaryingFit, space: Space, position_reduction: float) -> 
 
 def find_parameter_across_bound(effect: result.FoundEffect) -> str:
     """Name of a parameter with an interval that crosses one of its `hard_bounds`; "" if there is none."""
-    intervals = {name: p.interval for name, p in effect.parameters.items()}
-    return next((p.name for p in get_effect(effect.name).parameters if p.name in intervals and any(
-        intervals[p.name][0] < edge < intervals[p.name][1] for edge in p.hard_bounds)), "")
+    return next((p.name for p in get_effect(effect.name).parameters if (entry := effect.parameters.get(p.name)) and any(
+        entry.interval[0] < edge < entry.interval[1] for edge in p.hard_bounds)), "")
 
 
 def excludes_null(effect: result.FoundEffect) -> bool:
