@@ -42,7 +42,7 @@ class ReferencePath:
     """Reference path of a plan. distance: position of the car along the path [m]."""
 
     def __init__(self, plan: Plan):
-        self.plan, self.distance = plan, plan.start
+        self.plan, self.distance = plan, 0.0
 
     def track(self, x: float, y: float) -> float:
         """Update `distance` for a car at (x, y) [m]; returns its lateral deviation [m], positive to the left."""
@@ -69,8 +69,8 @@ def drive(controller: Controller, car: VehicleParameters, settings: Settings, pl
     The solver time is measured, but commands take effect without this delay.
     """
     path, plant = ReferencePath(plan), ControlledCar(car, settings, seed)
-    start = plan.path.pose(plan.start)
-    plant.place(start.x, start.y, start.yaw, plan.speed_at(plan.start), plan.path.curvature(plan.start))
+    start = plan.path.pose(0.0)
+    plant.place(start.x, start.y, start.yaw, plan.speed_at(0.0), plan.path.curvature(0.0))
     step, rows, solutions = controller.tuning.step, [], []
     finished = True
     while finished and plant.time < duration - 1e-9:

@@ -48,7 +48,7 @@ def make_scenario_course(name: str) -> Course:
     plan = load_plan(name)
     if not isinstance(plan, RoadPlan):
         raise ConfigurationError(f"--road {name}: its road depends on the driver; choose a fixed road, such as S6")
-    along = plan.start + np.arange(-50.0, ROAD_LENGTH, SPACING)
+    along = np.arange(-50.0, ROAD_LENGTH, SPACING)
     points = [(*plan.path.pose(s), plan.path.curvature(s), plan.speed_at(s)) for s in along.tolist()]
     return Course((Pass(name, (), np.array(points)),))
 

@@ -122,7 +122,7 @@ class SimulatedCar:
         self.car = car
         self.plant = Plant(car, settings, seed)
         self._step = self.plant.time_step
-        distance = plan.start
+        distance = 0.0
         for _ in range(round(RUN_IN_TIME / self._step)):
             distance -= plan.speed_at(distance) * self._step
         road = plan.path.pose(distance)

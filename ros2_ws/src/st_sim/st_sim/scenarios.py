@@ -38,13 +38,11 @@ class Demand:
 
 
 class RoadPlan:
-    """Plan that follows a road with its speed profile. acceleration, braking: limits of the profile [m/s^2, > 0].
-    start: distance along the road where the drive begins [m]."""
+    """Plan that follows a road with its speed profile. acceleration, braking: limits of the profile [m/s^2, > 0]."""
 
-    def __init__(self, pieces: Sequence[Piece], acceleration: float = 1.2, braking: float = 1.5, start: float = 0.0):
+    def __init__(self, pieces: Sequence[Piece], acceleration: float = 1.2, braking: float = 1.5):
         self.path = Path(pieces)
         self._profile = SpeedProfile(self.path, acceleration, braking)
-        self.start = start
 
     def speed_at(self, distance: float) -> float:
         """Target speed at a distance [m/s]."""
@@ -71,7 +69,6 @@ class PhasePlan:
 
     def __init__(self, radius: float, side: int, speed: float, phases: Sequence[Phase]):
         self.path = Path([Piece(2 * math.pi * radius, side / radius, side / radius, speed)])
-        self.start = 0.0
         self._cruise_speed, self._phases = speed, tuple(phases)
         self._index, self._phase_start, self._target_speed, self._last_time = 0, 0.0, speed, 0.0
 
@@ -97,7 +94,7 @@ class OpenLoopPlan:
 
     def __init__(self, manoeuvre: Manoeuvre):
         self.path = Path(straight(100.0, manoeuvre.speed))
-        self.start, self._manoeuvre = 0.0, manoeuvre
+        self._manoeuvre = manoeuvre
 
     def speed_at(self, distance: float) -> float:
         return self._manoeuvre.speed

@@ -7,8 +7,9 @@ from typing import Any
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from st_core.evaluation import Evaluator
+from st_core.prediction import Predictor
 from st_core.timeseries import NANOSECOND
-from st_core.types import InsSample
 from st_msgs.msg import Steering
 from st_ros import diagnostics
 from st_ros.diagnostics import Check
@@ -138,14 +139,13 @@ class _Input:
 
 
 class Inputs:
-    """Passes samples to `add_ins` and `add_steering`, which return False for a sample that they reject.
+    """Adds samples to `core`.
 
     on_change: called when the warning about competing publishers changes, to publish it at once.
     """
 
-    def __init__(self, node: Node, map_frame: str, add_ins: Callable[[InsSample], bool],
-                 add_steering: Callable[[int, float], bool], on_change: Callable[[], None]):
-        self._node, self._map_frame, self._add_ins, self._add_steering = node, map_frame, add_ins, add_steering
+    def __init__(self, node: Node, map_frame: str, core: Predictor | Evaluator, on_change: Callable[[], None]):
+        self._node, self._map_frame, self._core = node, map_frame, core
         self._ins = _Input(node, "INS", Odometry, "ins/odometry", on_change)
         self._steering = _Input(node, "steering", Steering, "vehicle/steering", on_change)
         self._inputs = self._ins, self._steering
@@ -163,12 +163,13 @@ class Inputs:
         """Process all queued messages."""
         for message in self._ins.take_accepted():
             sample = convert.read_ins_sample(message, self._map_frame)
-            self._ins.count(sample if isinstance(sample, str) else "" if self._add_ins(sample) else UNUSABLE_SAMPLE)
+            problem = sample if isinstance(sample, str) else "" if self._core.add_ins(sample) else UNUSABLE_SAMPLE
+            self._ins.count(problem)
         for message in self._steering.take_accepted():
             if not message.valid:
                 self._steering.count("marked invalid by the bridge (counter or checksum)")
             else:
-                accepted = self._add_steering(to_nanoseconds(message.header.stamp), message.road_wheel_angle)
+                accepted = self._core.add_steering(to_nanoseconds(message.header.stamp), message.road_wheel_angle)
                 self._steering.count("" if accepted else UNUSABLE_SAMPLE)
 
     def explain(self, reason: str) -> str:

@@ -52,8 +52,7 @@ class EvaluatorNode(Node):
         self._consistency = ConsistencyMonitor(self._vehicle)
         self._map_frame = values.map_frame
         self._diagnostics = Diagnostics(self, self._vehicle.name, self._make_checks)
-        self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering,
-                              self._diagnostics.publish)
+        self._inputs = Inputs(self, values.map_frame, self._core, self._diagnostics.publish)
         self._statistics = {(model, mode): ErrorStatistics() for model in self._models for mode in MODES}
         self._coverages = CoverageMonitor()
         self._hashes: dict[tuple[str, str, int], str] = {}  # by model, mode and start [ns] of pending predictions

@@ -85,8 +85,7 @@ class PredictorNode(Node):
         backend = self._make_core(values)
         self._map_frame = values.map_frame
         self._diagnostics = Diagnostics(self, self._vehicle.name, self._make_checks)
-        self._inputs = Inputs(self, values.map_frame, self._core.add_ins, self._core.add_steering,
-                              self._diagnostics.publish)
+        self._inputs = Inputs(self, values.map_frame, self._core, self._diagnostics.publish)
         self._plan = PlanInput(self, values.plan_frame, self._vehicle)
         settings = self._core.settings
         course = params.read_file(values, "course_file", Course.from_yaml)
