@@ -41,7 +41,7 @@ PREDICTOR = (
               100.0),
     Parameter("sample_wait", 0.015, "maximum time that a tick waits after its due time for a new sample of each "
               "input; at most half a period; not used in simulated time; 0: no wait", "s", 0.0, 0.1),
-    Parameter("compiled", True, "models as machine code (numba); false: interpreted Python"),
+    Parameter("compiled", True, "models as machine code if numba is installed; false: interpreted Python"),
     Parameter("minimum_speed", _DEFAULTS.minimum_speed, "no prediction below this speed", "m/s", 0.0, 50.0),
     Parameter("stale_after", _DEFAULTS.stale_after, "no prediction from inputs older than this", "s", 0.001, 10.0),
     _MAXIMUM_GAP, _FILTER_CUTOFF, _MAP_FRAME,
