@@ -10,6 +10,7 @@ from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
+from st_core.bands import BandCoverage
 from st_core.evaluation import ErrorStatistics as Statistics
 from st_core.evaluation import Mode, Score
 from st_core.log_evaluation import PLANNED_MODES
@@ -154,10 +155,14 @@ def make_prediction_error_message(score: Score, map_frame: str, configuration_ha
     return message
 
 
-def make_statistics_message(model: str, mode: str, statistics: Statistics) -> ErrorStatistics:
+def make_statistics_message(model: str, mode: str, statistics: Statistics,
+                            coverage: BandCoverage | None) -> ErrorStatistics:
+    """Errors of a model and mode so far; coverage: observed coverage of its bands, None before the first score."""
     errors = {f"{axis}_{statistic}": float(getattr(getattr(statistics, axis), statistic))
               for axis in ("longitudinal", "lateral", "yaw") for statistic in ("mean", "max", "rmse")}
+    coverage_50, coverage_90 = (coverage.coverage_at(level) if coverage else math.nan for level in (0.5, 0.9))
     return ErrorStatistics(model=model, mode=mode, n_starts=statistics.n_starts, n_incomplete=statistics.n_incomplete,
+                           n_bands=coverage.n if coverage else 0, coverage_50=coverage_50, coverage_90=coverage_90,
                            **errors)
 
 

@@ -1,6 +1,5 @@
 """Adds prediction bands (st_core.bands) to the predictor's messages, and reports their coverage for the evaluator."""
 
-import math
 from array import array
 from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
@@ -14,7 +13,7 @@ from st_core.measurement_history import MeasurementHistory
 from st_core.prediction import PredictionSettings, Start
 from st_core.types import Trajectory
 from st_core.vehicle import VehicleParameters
-from st_msgs.msg import Band, ErrorStatistics, Prediction
+from st_msgs.msg import Band, Prediction
 from st_ros import diagnostics
 from st_ros.diagnostics import Check
 
@@ -135,12 +134,3 @@ def make_coverage_check(coverages: CoverageMonitor) -> Check:
     if warning := coverages.describe_warnings():
         return Check("bands", diagnostics.WARN, warning, values)
     return Check("bands", diagnostics.OK, "coverage as expected" if values else "no prediction with a band yet", values)
-
-
-def add_coverage(message: ErrorStatistics, coverages: CoverageMonitor) -> ErrorStatistics:
-    """The message with the observed coverage of the bands of its model and mode; NaN before the first score."""
-    coverage = coverages.by_pair.get((message.model, message.mode))
-    message.n_bands = coverage.n if coverage else 0
-    message.coverage_50, message.coverage_90 = (coverage.coverage_at(level) if coverage else math.nan
-                                                for level in (0.5, 0.9))
-    return message

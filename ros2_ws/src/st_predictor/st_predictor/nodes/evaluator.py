@@ -23,7 +23,7 @@ from st_ros.scheduling import BACKGROUND_NICE
 from .. import convert, params
 from ..consistency import ConsistencyMonitor
 from ._bag import is_complete, make_recording_check, open_bag
-from ._bands import add_coverage, make_coverage_check, read_bands
+from ._bands import make_coverage_check, read_bands
 from ._inputs import Inputs
 
 WORK_PERIOD, SUMMARY_PERIOD = 0.05, 1.0  # s
@@ -138,7 +138,7 @@ class EvaluatorNode(Node):
         message = ErrorSummary(pending=self._core.pending_count)
         message.header.stamp = self.get_clock().now().to_msg()
         message.header.frame_id = self._map_frame
-        message.statistics = [add_coverage(convert.make_statistics_message(*key, statistics), self._coverages)
+        message.statistics = [convert.make_statistics_message(*key, statistics, self._coverages.by_pair.get(key))
                               for key, statistics in self._statistics.items()]
         self._summary_publisher.publish(message)
         self._record("summary", message)
