@@ -165,6 +165,16 @@ def navgraph(log: DriveLog) -> str:
             NAMES[7])))
 
 
+def with_unfilled_columns(log: DriveLog, orientation: bool) -> str:
+    """The table with columns of zeros: x, y, yaw and steering wheel, or orientation."""
+    names, *cells = (line.split(",") for line in geographic(log).splitlines())
+    zeros = ("qx", "qy", "qz") if orientation else ("x", "y", "yaw", "steering_wheel_angle")
+    wheel = CAR.road_wheel_angle(np.array([float(row[7]) for row in cells]))
+    return csv([[*row[:3], f"{np.pi / 2 - float(row[3]):.9f}", *row[4:7], f"{wheel[k]:.9f}", *["0"] * len(zeros), "1"]
+                for k, row in enumerate(cells)],
+               ",".join((*names[:3], "heading", *names[4:7], "delta", *zeros, "qw")))
+
+
 TABLES = [
     Table("plain.csv", lambda log: csv(rows(log))),
     # Encodings, delimiters, quotes, lines around the table.
@@ -286,6 +296,11 @@ TABLES = [
         ",".join(("UTC_Hour", "UTC_Minute", "UTC_Second", "UTC_Nano", *NAMES[1:])))),
     Table("latex.csv", lambda log: csv(rows(log), r"$t$ [s],$x$ [m],$y$ [m],$\psi$ [rad],$v_x$ [m/s],$v_y$ [m/s],"
                                        r"$\omega_z$ [rad/s],$\delta_H$ [rad]")),
+    Table("unfilled.csv", lambda log: with_unfilled_columns(log, orientation=False),
+          "column yaw is 0 in all rows; it was read as blank"),
+    Table("unfilled_orientation.csv", lambda log: with_unfilled_columns(log, orientation=True),
+          "column qz is 0 in all rows; it was read as blank"),
+    Table("pose_yaw.csv", lambda log: csv(rows(log), header(x="pose_x", y="pose_y", yaw="pose_yaw"))),
     Table("end_of_week.csv", lambda log: with_times(log, lambda s: f"{(604790 + s) % 604800:.6f}")),
     Table("end_of_hour.csv", lambda log: with_times(log, lambda s: f"{(3590 + s) % 3600:.6f}")),
     Table("end_of_32_bits.csv", lambda log: with_times(log, lambda s: f"{(4294957296 + s * 1e6) % 2**32:.0f}").replace(
@@ -340,8 +355,8 @@ TABLES = [
 ]
 # Days since 1970; 0 where the date is not used.
 DAYS = {"day_first.csv": 20568, "month_first.csv": 20568, "ambiguous_date.csv": 0}
-IN_ANOTHER_MAP = {"geographic.csv", "hemispheres.csv", "mode_after_the_longitude.csv",
-                  "positions_at_20_hz.csv", "unwrapped_heading.csv"}
+IN_ANOTHER_MAP = {"geographic.csv", "hemispheres.csv", "mode_after_the_longitude.csv", "positions_at_20_hz.csv",
+                  "unfilled.csv", "unfilled_orientation.csv", "unwrapped_heading.csv"}
 
 
 @pytest.mark.parametrize("table", TABLES, ids=[table.name for table in TABLES])

@@ -456,10 +456,8 @@ def _is_csv(head: bytes) -> bool:
 
 
 def _is_trc(head: bytes) -> bool:
-    if b";$FILEVERSION" in head:
-        return True
     is_old = b"Message Number" in head or (b"Start time:" in head and _TRC_LINE.search(head) is not None)
-    return head.lstrip().startswith(b";") and is_old
+    return b";$FILEVERSION" in head or (head.lstrip().startswith(b";") and is_old)
 
 
 def _is_candump(head: bytes) -> bool:

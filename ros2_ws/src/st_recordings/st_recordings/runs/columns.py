@@ -110,8 +110,8 @@ _OTHER_QUANTITY = re.compile(
     r"(?i)(^|[^a-z])(ref|target|desired|set|cmd|command|request|control|goal|limit|plan|pred|std|(?<!with.)cov|var|err|"
     r"max|min|engine|motor|wind|trailer|lead|object|obstacle|radar|fan|traffic|other)")
 """Words in a path which show that the value is not a measured quantity of this car."""
-_SOURCE = (r"(?:gps|gnss|ins|imu|ego|car|veh|vehicle|odom|odometry|can|chassis|state|est|estimated|meas|measured|act|"
-           r"actual|raw|filt|filtered|sensor|iso_vs|iso)")  # words that say where a value comes from, not what it is
+_SOURCE = (r"(?:gps|gnss|ins|imu|ego|car|veh|vehicle|odom|odometry|can|chassis|pose|state|est|estimated|meas|measured|"
+           r"act|actual|raw|filt|filtered|sensor|iso_vs|iso)")  # where a value comes from, not what it is
 _PATH = re.compile(rf"(?i)^{_SOURCE}[ _-]+|[/.]+|::")
 _CAMEL_CASE = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 _SUFFIX = re.compile(rf"(?i)[ _-]+{_SOURCE}$")
@@ -236,8 +236,7 @@ def find_stamp_columns(names: Sequence[str]) -> tuple[int, int, float] | None:
                 return normalised.index(stem + seconds), number, _FRACTION_FACTORS[unit]
         if "/" in names[number]:  # m/s is a speed
             continue
-        times = [*_find_best_columns(names).get("t", []), *(find_times(names) if stem else ())]
-        for time in times:
+        for time in (*_find_best_columns(names).get("t", []), *(find_times(names) if stem else ())):
             if time.factor == 1.0 and stem in ("", _without_unit(time.name)):
                 return time.column, number, _FRACTION_FACTORS[unit]
     return None

@@ -34,6 +34,7 @@ COMPUTED_FROM = {"time": "t", "x": "longitude", "y": "latitude", "yaw": HEADING}
 ALTERNATIVES = {ROAD_WHEEL: STEERING_WHEEL, "x": "longitude", "y": "latitude", "yaw": f"{HEADING} or {COURSE}"}
 """Channel -> channels from which it can also be computed."""
 QUATERNION_CHANNELS = [f"orientation_{axis}" for axis in "xyzw"]
+POSSIBLY_UNFILLED = ("x", "y", "yaw", "orientation_z", "yaw_rate", STEERING_WHEEL)  # often 0 if not measured
 MIN_DISAGREEING_ANGLE = 0.3
 """[rad]. If the median difference of heading and course is larger, the heading has a different unit or direction."""
 MAX_HELD_FRACTION = 0.3
@@ -164,13 +165,18 @@ def find_missing_channels(sources: Iterable[str], names: Iterable[str], required
 
 
 def _leave_out_blank_columns(table: Table, required: Sequence[str], kept: Sequence[str] = ()) -> Table:
-    """The table without columns that have only blanks, if the required channels can be derived from the others."""
-    blank = {channel for channel, values in table.columns.items() if not np.isfinite(values).any()}
-    blank -= {*OPTIONAL_INS_SIGNALS, *table.texts, *kept}
-    if find_missing_channels(table.sources.keys() - blank, table.names, required):
-        return table
-    return replace(table, sources={name: source for name, source in table.sources.items() if name not in blank},
-                   columns={name: values for name, values in table.columns.items() if name not in blank})
+    """The table without blank and unfilled (zero) columns, if the required channels can be derived from the others."""
+    sources, warnings = dict(table.sources), list(table.warnings)
+    for channel, values in table.columns.items():
+        is_blank = not np.isfinite(values).any()
+        is_unfilled = not is_blank and channel in POSSIBLY_UNFILLED and not np.nan_to_num(values).any()
+        derived = [channel] if is_unfilled and channel in INS_SIGNALS else []
+        if channel not in {*OPTIONAL_INS_SIGNALS, *table.texts, *kept} and (is_blank or is_unfilled) and (
+                not find_missing_channels(sources.keys() - {channel}, table.names, (*required, *derived))):
+            name = sources.pop(channel).name
+            warnings += [] if is_blank else [f"{table.file}: column {name} is 0 in all rows; it was read as blank"]
+    return replace(table, sources=sources, warnings=tuple(warnings), columns={
+        name: values for name, values in table.columns.items() if name in sources})
 
 
 def _require_columns(table: Table, required: Sequence[str], can: str = "") -> None:
@@ -212,15 +218,15 @@ def _reject_unusable(table: Table, n_ins: int, missing: Mapping[str, int]) -> No
     """Raises RunError with the reason. n_ins: number of rows with all INS channels. missing: from `_count_missing`."""
     _reject_without_fix(table)
     reason, advice = "", "remove it from the command"
-    if n_ins < 2 and all(np.isfinite(each[table.is_usable]).sum() > 1 for each in table.columns.values()):
+    if n_ins < 2 and max(missing.values(), default=0) < table.is_usable.sum() and all(
+            np.isfinite(each[table.is_usable]).sum() > 1 for each in table.columns.values()):
         reason, advice = ": its channels have numbers at different times", "export them on one clock"
     elif missing:
         channel = max(missing, key=lambda name: missing[name])
         total = len(table.time_ns) + table.rows_without_time
         reason = f": {channel} has no number in {format_count(missing[channel], total, 'rows')}"
         if column := next((name for name in (channel, COMPUTED_FROM.get(channel, "")) if name in table.texts), ""):
-            reason = (f": column {table.sources[column].name} has no numbers, but text such as "
-                      f"{table.texts[column]!r}")
+            reason = f": column {table.sources[column].name} has no numbers, but text such as {table.texts[column]!r}"
             advice = "export it as plain numbers"
     elif len(table.is_usable) > 1:
         rows = format_count(int(table.is_usable.sum()), len(table.is_usable), "rows")

@@ -221,6 +221,5 @@ def _guess_time_unit(times: np.ndarray) -> str:
     step = np.abs(np.diff(times))
     median_step = float(np.median(step[step > 0.0])) if step.any() else 0.0
     largest = float(np.abs(times).max())
-    factors = {unit: UNITS["time"][unit][0] for unit in ("ms", "us", "ns")}
-    return next((unit for unit, factor in factors.items()
-                 if 5e-4 <= median_step * factor < 0.5 and largest * factor <= LATEST_TIME), "")
+    return next((unit for unit in ("ms", "us", "ns") if 5e-4 <= median_step * (factor := UNITS["time"][unit][0]) < 0.5
+                 and largest * factor <= LATEST_TIME), "")

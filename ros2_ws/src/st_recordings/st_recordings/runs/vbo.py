@@ -106,8 +106,7 @@ def _find_sources(file: Path, names: list[str], sections: dict[str, str], layout
 
 def _read_units(names: list[str], sections: dict[str, str]) -> dict[str, str]:
     """Column -> unit, from [channel units], which lists the last columns only, and from velocity in [header]."""
-    text = sections.get("channel units", sections.get("units", ""))
-    lines = [line.strip() for line in text.rstrip().splitlines()]
+    lines = [line.strip() for line in sections.get("channel units", sections.get("units", "")).rstrip().splitlines()]
     units = dict(zip(names[-len(lines) :], lines, strict=False)) if lines and len(lines) <= len(names) else {}
     for line in sections.get("header", "").lower().splitlines():
         if line.strip().startswith("velocity "):
