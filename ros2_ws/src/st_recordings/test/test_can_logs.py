@@ -248,6 +248,7 @@ VEHICLE_SPY = "Line,Abs Time(Sec),Rel Time (Sec),Status,Er,Tx,Description,Networ
     ("a.log", [f" (2015-07-10 06:17:32.{k}00000)  can0  RX - -  002   [3]  01 02 03   '...'\n" for k in range(3)]),
     ("a.log", [f" (\x1b[34m1436509052.{k}00000\x1b[0m)  can0  002   [3]  01 02 03\n" for k in range(3)]),
     ("a.log", [f" (1436509052.{k}00000)  can0  002   [3]  03`02`01\n" for k in range(3)]),
+    ("a.log", [f" (1436509052.{k}00000)  can0  002   [3]  01 02 03 ::\nSteer(\n    angle: 3\n)\n" for k in range(3)]),
     ("a.log", [*(f" (1436509052.{k}00000)  can0  002   [3]  01 02 03\n" for k in range(3)),
                " (1436509052.300000)  can0  20000004   [8]  00 04 00 00 00 00 00 00   ERRORFRAME\n",
                "\tcontroller-problem{rx-error-warning}\n"]),
@@ -292,6 +293,7 @@ def test_variants_of_candump_and_asc(tmp_path: Path, name: str, lines: list[str]
     ("Time,ID,DLC,Data", f"0.1,1A2,12,{'0A' * 12}", "0a" * 12),
     ("Time,ID,DLC,D0,D1", f"0.1,1A2,9{',0A' * 12}", "0a" * 12),
     ("Time,ID,DLC,D0,D1", f"0.1,1A2,12{',0A' * 12}", "0a" * 12),
+    ("Time,ID,DLC,Data", "0.1,0x1A2,2,0x0A 0x1B", "0a1b"), ("Time,ID,DLC,Data", "0.1,1A2,3,0xAB", "d31001"),  # base 64
     ("time,addr,bus,data", "0.1,418,0,0a1b", "0a1b"), ("time,addr,bus,data", "0.1,0x1a2,0,0x0A1B", "0a1b"),  # Cabana
     (VEHICLE_SPY.format("Arb ID,Remote,Xtd," + ",".join(f"B{k}" for k in range(1, 10))).strip(),
      "1,0.1,0.1,6,F,F,,HS CAN,,1A2,F,F,0A,02,03,04,05,06,07,08,09,3C,,", "0a0203040506070809")])

@@ -39,7 +39,7 @@ _LINES = (
     re.compile(
         r"\s*\((?P<time>\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d+|\d+\.\d+)\)\s+(?P<bus>\S+)\s+"
         r"(?:(?P<direction>RX|TX)\s+\S+\s+\S+\s+)?(?P<id>[0-9A-F]{3}|[0-9A-F]{8})\s+\[(?P<length>\d+)\]\s*"
-        r"(?P<data>(?:[0-9A-F]{2}(?:[\s`]+|$))*|remote request\s*)(?:'.*')?\s*$"),
+        r"(?P<data>(?:[0-9A-F]{2}(?:[\s`]+|$))*|remote request\s*)(?:'.*'|::.*)?\s*$"),
     # Of BUSMASTER with hexadecimal numbers: "11:49:12:9420 Rx 1 0x023 s 1 40"; the last part of the time is in 0.1 ms.
     re.compile(r"(?P<time>\d+:\d\d?:\d\d?:\d{4}) (?P<direction>[RT]x) (?P<bus>\d+) 0x(?P<id>[0-9A-Fa-f]+) "
                r"(?P<kind>[sx]r?) \d+(?P<data>(?: [0-9A-Fa-f]{2})*)\s*$"),
@@ -53,8 +53,8 @@ _LINES = (
     re.compile(r"\s*(?P<index>\d+) +(?P<id>[01][0-9A-F]{7}) +(?P<kind>X?R?) +(?P<length>\d+)  "
                r"(?P<data>(?:[0-9A-F]{2} +)*) *(?P<time>\d+\.\d+) (?P<direction>[RT])\s*$"))
 _COMMENT = re.compile(r"\t|.*(ERRORFRAME|ERROR FRAME +\d+)\s*$|\*\*\*|\d+\.\d+ \d*C[A-Z]{2} |"
-                      r"\s*([A-Z][a-z]|CAN |=|[\d.]+ +Trigger)")
-"""Lines without data: error frames and their explanations (candump -e), headers of BUSMASTER and Kvaser, comments."""
+                      r"\s*([A-Z][a-z]|CAN |\w+: |\)|=|[\d.]+ +Trigger)")
+"""Lines without data: explanations (candump -e, cantools decode), headers of BUSMASTER and Kvaser, comments."""
 _ERROR_FLAG = 1 << 29  # of the identifier of an error frame
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # of candump -c
 UNSTAMPED_LINE = re.compile(rb"^\s+\S+\s+[0-9A-F]{3,8}\s+\[\d+\]\s", re.MULTILINE)
@@ -384,7 +384,7 @@ def _count_byte_columns(names: Sequence[str]) -> int:
 def _read_csv_data(cells: Mapping[str, str], row: Sequence[str], name: str, roles: Mapping[str, int], base: int,
                    n_columns: int) -> bytes:
     """Data of a frame in any of the CSV formats. Raises ValueError if it does not have the stated length."""
-    digits = "".join(row[roles["data"]].split()).removeprefix("0x")
+    digits = "".join(row[roles["data"]].split()).replace("0x", "")
     length = int(row[roles["length"]]) if "length" in roles else None
     if length is not None and 8 < length < len(FD_LENGTHS):  # may be a code, if there are as many bytes as it denotes
         n_bytes = len(list(takewhile(bool, row[roles["data"]:]))) if name[-1].isdigit() else len(digits) // 2
@@ -393,7 +393,7 @@ def _read_csv_data(cells: Mapping[str, str], row: Sequence[str], name: str, role
         texts = row[roles["data"]:][:n_columns if length is None else length]
         data = bytes(int(text, base) for text in texts[:sum(map(bool, texts))])
     elif name == "data" and length is not None and not re.fullmatch(f"[0-9A-Fa-f]{{{2 * length}}}", digits):
-        data = b64decode(digits)
+        data = b64decode(row[roles["data"]], validate=True)
     else:
         data = bytes.fromhex(digits)
     if length not in (None, len(data)) and not _is_marked(cells, "remote", "rtr"):

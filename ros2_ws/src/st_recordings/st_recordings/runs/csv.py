@@ -79,7 +79,6 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
     yaw_scale: correction factor of yaw, applied before unwrapping. steering: column that an option names, and its sign.
     frame_id: frame of the velocities, if they are from a ROS message.
     """
-    file = table.file
     named_channel = [_get_channel(steering)] if steering is not None and not steering.topic else []
     table = _leave_out_blank_columns(table, (*INS_SIGNALS, ROAD_WHEEL), named_channel)
     _require_columns(table, (*INS_SIGNALS, ROAD_WHEEL))
@@ -95,7 +94,7 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
     values["yaw"] = np.unwrap(yaw_scale * values["yaw"])
     values |= {name: columns[name][has_ins] for name in OPTIONAL_INS_SIGNALS if is_mostly_known(columns.get(name))}
     values |= {name: columns[name][has_steering] for name in {ROAD_WHEEL, *steering_channels}}
-    log = make_drive_log(file, file.stem, ins_time_ns=table.time_ns[has_ins],
+    log = make_drive_log(table.file, table.file.stem, ins_time_ns=table.time_ns[has_ins],
                          steering_time_ns=table.time_ns[has_steering], **values)
     speeds = {name: (table.time_ns[table.is_usable], columns[name][table.is_usable])
               for name in SPEEDS if name in columns}
