@@ -38,12 +38,10 @@ from .gate import RUN_ERRORS, check_log, describe_problem
 
 MODELS = ("linear", "nonlinear")  # checked for stable integration
 MAX_FIGURES = 6  # on the page
-HEIGHT = 3.1  # inch
 LABEL_CHARACTERS = 12  # per line of the label of an axis, so that the labels of both axes stay apart
 MAX_LINE_GAP = 1.5  # s; a line is interrupted at longer gaps
 MIN_SHADE_WIDTH = 0.004  # fraction of the time axis; narrower shading would be invisible
 SHADES = {Severity.ERROR: drawing.BAD_COLOUR, Severity.WARNING: drawing.WARN_COLOUR, Severity.NOTE: MEASURED_COLOUR}
-DERIVED_COLOUR = MODEL_COLOUR["kinematic"]
 
 
 @dataclass(frozen=True)
@@ -249,10 +247,10 @@ def draw_comparison(comparison: Comparison, run: CheckedRun, prefix: str) -> dra
     """Draw one comparison, with the time intervals of its findings shaded. prefix: start of the title."""
     findings = sorted((finding for finding in run.result.findings if finding.name in comparison.findings),
                       key=check_report.rank_severity)
-    figure, (upper, lower) = plt.subplots(2, 1, figsize=(drawing.WIDTH, HEIGHT), sharex=True, height_ratios=(3, 2))
+    figure, (upper, lower) = plt.subplots(2, 1, figsize=(drawing.WIDTH, 3.1), sharex=True, height_ratios=(3, 2))
     for axes, values, colour, width, label in (
             (upper, comparison.measured, MEASURED_COLOUR, 2.6, comparison.measured_label),
-            (upper, comparison.derived, DERIVED_COLOUR, 0.9, comparison.derived_label),
+            (upper, comparison.derived, MODEL_COLOUR["kinematic"], 0.9, comparison.derived_label),
             (lower, comparison.measured - comparison.derived, drawing.TEXT_COLOUR, 0.9, None)):
         line = drawing.reduce_points(*drawing.cut_at_gaps(comparison.time, values, MAX_LINE_GAP))
         axes.plot(*line, color=colour, lw=width, label=label)

@@ -138,9 +138,10 @@ def advise_steering_sign(findings: Iterable[Finding], source: str = "RUN", is_ca
 def describe_clocks(alignments: Mapping[str, Mapping[str, Any]]) -> str:
     """Text on the steering clock of each run; the range of the offsets, if more than two are estimated."""
     estimated = [alignment for alignment in alignments.values() if alignment["method"] not in ("none", "by hand")]
+    texts = [f"{name}: {text}" for name, alignment in alignments.items() if (text := describe_clock(alignment))
+             and (len(estimated) <= 2 or alignment["method"] == "by hand")]
     if len(estimated) <= 2:
-        return "; ".join(f"{name}: {text}" for name, alignment in alignments.items()
-                         if (text := describe_clock(alignment)))
+        return "; ".join(texts)
     offsets = sorted(alignment["offset_s"] for alignment in estimated)
     deviations = [alignment["offset_deviation_s"] for alignment in estimated]
     finite = [deviation for deviation in deviations if deviation is not None]
@@ -150,9 +151,7 @@ def describe_clocks(alignments: Mapping[str, Mapping[str, Any]]) -> str:
                f"{_note_time_zone(offsets[0])}, estimated from the data, standard deviation up to "
                f"{_describe_deviation(max(finite, default=None))}{unknown}, "
                f"{doubtful_count or 'none'} of them doubtful")
-    by_hand = [f"{name}: {describe_clock(alignment)}" for name, alignment in alignments.items()
-               if alignment["method"] == "by hand"]
-    return "; ".join([summary, *by_hand])
+    return "; ".join([summary, *texts])
 
 
 def describe_clock(alignment: Mapping[str, Any]) -> str:
