@@ -21,7 +21,7 @@ from st_offline.discovery.discover_command import build_model_file, write_result
 from st_offline.discovery.drives import Drive, Request, read_drive
 from st_offline.discovery.report_text import recommend
 from st_offline.discovery.vehicle_update import ENTRIES, edit_vehicle_text, fold_named_effects, update_vehicle
-from st_recordings.car_skeleton import STABILITY_SPEEDS
+from st_recordings.car import STABILITY_SPEEDS
 from st_recordings.runs import ReadSettings, find_runs
 from support import LEAF
 

@@ -27,6 +27,7 @@ MAX_TIME_FRAME_RESIDUAL = 0.02  # s, largest deviation of the offset of a time f
 GOOD_DEVIATION, USABLE_DEVIATION = 0.005, 0.05  # s, limits of the standard deviation of the offset
 MANUAL_SEARCH, MANUAL_TOLERANCE = 5.0, 0.01  # s, range and smallest tolerance of the check of a given offset
 STEP_SEARCH, WIDE_STEP_SEARCH = 5.0, 40.0  # s, largest step searched for; the second if a signal fits poorly
+STANDSTILL_MARGIN_NS = 2_000_000_000  # ns, from a moving instant to the farthest one that is used
 WINDOW_DURATION = 30.0  # s, length of a window
 MAX_WINDOWS = 150  # largest number of windows, evenly spaced in a long recording
 MIN_CORRELATION = 0.9  # smallest correlation of the highest peak of a window that is used
@@ -268,10 +269,10 @@ def mask_standstill(time_ns: np.ndarray, values: np.ndarray, speed_time_ns: np.n
     moving_ns = speed_time_ns[np.isfinite(speed) & (np.abs(speed) > threshold)]
     if not len(moving_ns):
         return np.full(len(values), np.nan)
-    index = np.searchsorted(moving_ns, time_ns)
-    before = time_ns - moving_ns[np.clip(index - 1, 0, len(moving_ns) - 1)]
-    after = moving_ns[np.clip(index, 0, len(moving_ns) - 1)] - time_ns
-    moves_nearby = np.minimum(np.abs(before), np.abs(after)) * 1e-9 <= 2.0
+    last = np.flatnonzero(np.append(np.diff(moving_ns) > 2 * STANDSTILL_MARGIN_NS, True))  # of each group
+    first = np.append(0, last[:-1] + 1)
+    index = np.searchsorted(moving_ns[first] - STANDSTILL_MARGIN_NS, time_ns, side="right") - 1
+    moves_nearby = (index >= 0) & (time_ns <= moving_ns[last[index]] + STANDSTILL_MARGIN_NS)
     return np.where(moves_nearby, values, np.nan)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,8 @@ DRIFT_PRIOR_PPM = 100.0  # standard deviation of the drift; two quartz clocks di
 PEAK_DISTANCE = 2.0  # s, minimum distance of the second peak of the correlation from the first
 BLOCK_DURATION = 5.0  # s; residuals further apart than this count as independent
 ITERATIONS = 12
+TOLERANCE = 0.003  # of the standard deviation for independent residuals; a smaller step is the last one,
+MIN_STEP = 1e-6, 1e-9  # s, s/s; and so is a step smaller than this
 MAX_OFFSET_STEP = 0.3  # s, largest change of the offset in one iteration
 
 
@@ -33,9 +36,20 @@ class Series:
     values: np.ndarray
     known: np.ndarray  # True for samples away from gaps and ends
 
-    @property
+    @cached_property
     def time(self) -> np.ndarray:
         return self.origin + STEP * np.arange(len(self.values))
+
+    @cached_property
+    def _coefficients(self) -> np.ndarray:
+        return CubicSpline(self.time, self.values).c
+
+    def interpolate(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(values, slopes) of the cubic spline at instants [s] within the series. Linear interpolation would attenuate
+        the noise between the samples, and thus favour some offsets."""
+        index = np.minimum(((time - self.origin) / STEP).astype(np.int64), len(self.values) - 2)
+        t, (a, b, c, d) = time - self.time[index], self._coefficients[:, index]
+        return ((a * t + b) * t + c) * t + d, (3.0 * a * t + 2.0 * b) * t + c
 
 
 def resample(time: np.ndarray, values: np.ndarray, cutoff: float, is_angle: bool = False) -> Series:
@@ -142,19 +156,17 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
     in which their independent noise averages out. A weak prior (100 ppm) limits the drift. Raises ValueError if a
     signal has less than 2 s in common, or if the signals do not vary.
     """
-    splines = [[CubicSpline(side.time, side.values) for side in (p.reference, p.other)] for p in pairs]
     parameters = np.array([offset, drift])
     for _ in range(ITERATIONS):
-        normal, curvature, gradient, _ = _normal_equations(pairs, splines, parameters, middle, free_drift)
-        step = np.linalg.solve(curvature if _is_positive_definite(curvature) else normal, -gradient)
+        normal, curvature, gradient, details = _normal_equations(pairs, parameters, middle, free_drift)
+        is_determined = bool(curvature[0, 0] > 0.0 and np.linalg.det(curvature) > 0.0)
+        inverse = np.linalg.inv(curvature if is_determined else normal)
+        step = -inverse @ gradient
         # Outside the width of the correlation peak the linear model is not valid: approach the peak in several steps.
         step *= MAX_OFFSET_STEP / max(abs(step[0]), MAX_OFFSET_STEP)
         parameters += step
-        if abs(step[0]) < 1e-7 and abs(step[1]) < 1e-9:
+        if (np.abs(step) <= np.maximum(MIN_STEP, TOLERANCE * np.sqrt(np.diag(inverse @ normal @ inverse)))).all():
             break
-    normal, curvature, _, details = _normal_equations(pairs, splines, parameters, middle, free_drift)
-    is_determined = _is_positive_definite(curvature)
-    inverse = np.linalg.inv(curvature if is_determined else normal)
     # Covariance of the total score, from its sums over blocks of time; all signals share the blocks.
     start = min(float(d.time[0]) for d in details)
     count = int((max(float(d.time[-1]) for d in details) - start) / BLOCK_DURATION) + 1
@@ -178,20 +190,20 @@ class _SignalFit(NamedTuple):
     correlation: float
 
 
-def _normal_equations(pairs: Sequence[Pair], splines: Sequence[Sequence[CubicSpline]], parameters: np.ndarray,
-                      middle: float, free_drift: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[_SignalFit]]:
-    """(normal matrix, curvature, gradient, fit of each signal) at parameters = (offset [s], drift). splines: two per
-    pair. The normal matrix also contains the noise of the reference, the curvature only common motion."""
+def _normal_equations(pairs: Sequence[Pair], parameters: np.ndarray, middle: float,
+                      free_drift: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[_SignalFit]]:
+    """(normal matrix, curvature, gradient, fit of each signal) at parameters = (offset [s], drift). The normal matrix
+    also contains the noise of the reference, the curvature only common motion."""
     normal = np.diag([0.0, (DRIFT_PRIOR_PPM * 1e-6) ** -2])
     curvature = normal.copy()
     gradient = np.array([0.0, normal[1, 1] * parameters[1] if free_drift else 0.0])
     details = []
-    for pair, (spline, other_spline) in zip(pairs, splines, strict=True):
-        rows, reference_time = select_common_samples(pair, parameters, middle)
+    for pair in pairs:
+        rows, reference, slope = select_common_samples(pair, parameters, middle)
         time, other = pair.other.time[rows], pair.other.values[rows]
         if len(time) * STEP < 2.0:
             raise ValueError(f"{pair.name}: less than 2 s with usable values in both recordings")
-        reference, slope = spline(reference_time), spline(reference_time, 1)
+        _, other_slope = pair.other.interpolate(time)
         weight = np.ones(len(time))  # soft-L1 weights of the squares
         for _ in range(2):
             gain, bias = _fit_weighted_line(other, reference, weight)
@@ -199,7 +211,7 @@ def _normal_equations(pairs: Sequence[Pair], splines: Sequence[Sequence[CubicSpl
             scale = max(robust_deviation(residual), 1e-4 * float(reference.std()), 1e-12)
             weight = 1.0 / np.sqrt(1.0 + (residual / (2 * scale)) ** 2)
         jacobian, other_jacobian = np.zeros((2, 2, len(time)))
-        for target, slopes in (jacobian, slope), (other_jacobian, gain * other_spline(time, 1)):
+        for target, slopes in (jacobian, slope), (other_jacobian, gain * other_slope):
             for k, derivative in enumerate([slopes, slopes * (time - middle)] if free_drift else [slopes]):
                 # Project out gain and bias, which contain no information about the clocks.
                 gain, bias = _fit_weighted_line(other, derivative, weight)
@@ -217,10 +229,6 @@ def _normal_equations(pairs: Sequence[Pair], splines: Sequence[Sequence[CubicSpl
     return normal, curvature, gradient, details
 
 
-def _is_positive_definite(matrix: np.ndarray) -> bool:
-    return bool(matrix[0, 0] > 0.0 and np.linalg.det(matrix) > 0.0)
-
-
 def _fit_weighted_line(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
     """(gain, bias) of the weighted least squares line y = gain x + bias; gain 0 if x does not vary."""
     # Sums instead of dot products, which would start linear algebra threads for each of these short rows.
@@ -235,14 +243,15 @@ def _fit_weighted_line(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tupl
 
 
 def select_common_samples(pair: Pair, parameters: Sequence[float] | np.ndarray,
-                          middle: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """(rows of `other` at which both series are known, their reference times [s]) at parameters (offset [s], drift)."""
+                          middle: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(rows of `other` at which both series are known, values and slopes of the reference there) at parameters (offset
+    [s], drift)."""
     known, time = pair.reference.known, pair.other.time
     reference_time = time + parameters[0] + parameters[1] * (time - middle)
     index = np.floor((reference_time - pair.reference.origin) / STEP).astype(np.int64)
     inside = pair.other.known & (index >= 0) & (index < len(known) - 1)
     inside[inside] = known[index[inside]] & known[index[inside] + 1]
-    return np.flatnonzero(inside), reference_time[inside]
+    return np.flatnonzero(inside), *pair.reference.interpolate(reference_time[inside])
 
 
 def mean_correlation(pairs: Sequence[Pair], minimum_overlap: float,

@@ -17,8 +17,10 @@ practitioner's guide to cluster-robust inference, 2015 (the jackknife CR3). Chec
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
+from scipy.special import stdtrit
 
 MIN_RUN_BLOCKS = 8  # minimum number of runs for whole runs to be used as blocks
 BLOCK_LENGTH = 10.0  # s, length of a block if there are fewer runs
@@ -30,9 +32,7 @@ SIGMA_PER_MAD = 1.4826  # standard deviation / median absolute deviation (MAD) o
 def symmetric_interval(value: float, standard_uncertainty: float,
                        degrees_of_freedom: float = math.inf) -> tuple[float, float]:
     """95 % confidence interval value -/+ t u, with Student's t (1.96 for infinitely many degrees of freedom)."""
-    from scipy.stats import t as student  # imported here: it takes half a second, and nodes do not need it
-
-    half_width = float(student.ppf(0.975, degrees_of_freedom)) * standard_uncertainty
+    half_width = float(stdtrit(degrees_of_freedom, 0.975)) * standard_uncertainty
     return value - half_width, value + half_width
 
 
@@ -138,11 +138,17 @@ class Blocks:
     def bootstrap(self, estimator: Callable[[np.ndarray], np.ndarray], draws: int, seed: int) -> Spread:
         """Uncertainty from draws of blocks with replacement. estimator: estimates (m, p) for weights (m, k)."""
         count = len(self)
-        weights = np.random.default_rng(seed).multinomial(count, np.full(count, 1.0 / count), size=draws).astype(float)
+        weights = _draw_weights(count, draws, seed)
         change = estimator(1.0 + WEIGHT_INCREMENT * np.eye(count)) - estimator(np.ones((1, count)))
         influence = change / WEIGHT_INCREMENT
         return self._inflate(np.atleast_2d(np.cov(estimator(weights), rowvar=False)),
                              influence - influence.mean(axis=0))
+
+    @cached_property
+    def _distances(self) -> tuple[np.ndarray, np.ndarray]:
+        """(distances |i - j| of blocks i, j of the same run, number of pairs (i, j) at each)."""
+        distance = np.abs(self.number_in_run[:, None] - self.number_in_run)[self.run[:, None] == self.run]
+        return np.unique(distance, return_counts=True)
 
     def _inflate(self, covariance: np.ndarray, centred: np.ndarray) -> Spread:
         """Uncertainty with the covariance increased by the factor f of each estimate; see the module docstring."""
@@ -153,8 +159,8 @@ class Blocks:
             product = (centred[neighbours] * centred[neighbours + 1]).mean(axis=0)
             rho = np.divide(product, mean_square, out=np.zeros_like(mean_square), where=mean_square > 0.0)
             rho = np.clip(rho + (1.0 + 3.0 * rho) / count, 0.0, 0.9)
-            distance = np.abs(self.number_in_run[:, None] - self.number_in_run)[self.run[:, None] == self.run]
-            factor = np.power(rho[:, None], distance).sum(axis=1) / count
+            distance, pairs = self._distances
+            factor = np.power(rho[:, None], distance) @ pairs / count
         covariance = covariance * count / max(count - 1, 1) * np.sqrt(np.outer(factor, factor))
         effective_counts = count / factor
         basis = tuple(self.name + (f" (equivalent to {number:.0f} independent ones)" if number < 0.8 * count else "")
@@ -174,6 +180,12 @@ class Blocks:
         # A millionth of the total keeps the system solvable if only one block excites a parameter.
         others = (1.0 + 1e-6) * squares.sum(axis=0) - squares
         return np.linalg.solve(others, gradient[:, :, None])[:, :, 0] * (len(self) - 1) / len(self)
+
+
+@lru_cache(maxsize=8)
+def _draw_weights(count: int, draws: int, seed: int) -> np.ndarray:
+    """How often each of `count` blocks is drawn, (draws, count)."""
+    return np.random.default_rng(seed).multinomial(count, np.full(count, 1.0 / count), size=draws).astype(float)
 
 
 def make_blocks(run_index: Sequence[int] | np.ndarray, time: Sequence[float] | np.ndarray) -> Blocks:

@@ -155,8 +155,8 @@ def test_long_step_of_the_fit_is_shortened_in_its_direction(monkeypatch) -> None
              for s in signals]
     solved, parameters = [], []
 
-    def record(pairs, splines, values, middle, free_drift):
-        result = normal_equations(pairs, splines, values, middle, free_drift)
+    def record(pairs, values, middle, free_drift):
+        result = normal_equations(pairs, values, middle, free_drift)
         parameters.append(values.copy())
         solved.append(np.linalg.solve(result[1], -result[2]))
         return result

@@ -36,8 +36,7 @@ from st_offline.terminal import console
 from st_recordings.paths import OutputError, json_text
 from st_recordings.runs import ReadSettings, RunSource
 from st_recordings.runs.columns import Layout
-from st_recordings.runs.raw import summarise_alignment
-from st_recordings.runs.run_types import SteeringField
+from st_recordings.runs.run_types import SteeringField, summarise_alignment
 from support import LEAF
 
 HOSTILE = "<script>alert(1)</script> & [bold]x"

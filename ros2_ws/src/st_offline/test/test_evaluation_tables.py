@@ -13,7 +13,7 @@ from st_core.vehicle import VehicleParameters
 from st_offline.evaluation import tables
 from st_offline.evaluation.evaluation_command import make_summary, pool_bins
 from st_offline.evaluation.work import RunReport, Task, to_file_name
-from st_recordings.runs.raw import summarise_alignment
+from st_recordings.runs.run_types import summarise_alignment
 from support import LEAF
 
 

@@ -15,6 +15,8 @@ from .runs.run_file import read_yaml_mapping
 
 STEERING_DEFAULTS = {"steering_sign": 1, "steering_latency": 0.0}
 """Keys of car.yaml and their defaults; the latency is in seconds."""
+STABILITY_SPEEDS = tuple(0.5 * k for k in range(1, 81))
+"""Speeds [m/s] at which the numerical integration of the models must be stable."""
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from st_core.vehicle import (
     VehicleParameters,
 )
 
-from .car import Car, load_car, read_vehicle
+from .car import STABILITY_SPEEDS, Car, load_car, read_vehicle
 from .paths import config
 from .runs.errors import RunError
 from .runs.ins_log import SPEEDS
@@ -29,8 +29,6 @@ from .runs.run_file import read_yaml_mapping
 FILL_IN = "FILL_IN"
 """Placeholder for values that only the owner of the car can give; commands reject files that contain it."""
 TEMPLATE_FILES = ("vehicle.yaml", "signals.yaml", "can.dbc", "rt.dbc", "car.yaml")
-STABILITY_SPEEDS = tuple(0.5 * k for k in range(1, 81))
-"""Speeds [m/s] at which the numerical integration of the models must be stable."""
 # Quantities that st discover never fits.
 FIXED_QUANTITIES = ("wheelbase", "minimum_slip_speed", "length", "width", *OPTIONAL_QUANTITIES)
 

@@ -38,7 +38,8 @@ def align(
     from st_offline.alignment_figure import draw_alignment
     from st_offline.terminal import list_files, print_line
     from st_recordings.paths import json_text, new_folder
-    from st_recordings.runs.raw import read_pair, summarise_alignment
+    from st_recordings.runs.raw import read_pair
+    from st_recordings.runs.run_types import summarise_alignment
 
     _, settings = read_options.resolve(search=search)
     with console.status("reading and aligning"):

@@ -85,10 +85,15 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
         first, last = log.ins_time_ns[[0, -1]].tolist()
         duration = min((last - first) // 2, round(MAX_PART_DURATION / NANOSECOND))
         middle, late = first + duration, last - duration
-        parts = [_check_part(log.slice(*span), vehicle, replace(auxiliary, implausible=()), start_ns)
-                 for span in ((log.start_ns, middle - 1), (late, log.end_ns))]
-        result = _report_changes(result, parts, [tuple((t - start_ns) * NANOSECOND for t in span)
-                                                 for span in ((first, middle), (late, last))])
+        times = [tuple((t - start_ns) * NANOSECOND for t in span) for span in ((first, middle), (late, last))]
+        # No change concerns only accelerations, but they help to decide which of two other channels is wrong.
+        for compared in (replace(log, acceleration_x=None, acceleration_y=None), log):
+            parts = [_check_part(compared.slice(*span), vehicle, replace(auxiliary, implausible=()), start_ns)
+                     for span in ((log.start_ns, middle - 1), (late, log.end_ns))]
+            with_changes = _report_changes(result, parts, times)
+            if with_changes is result:
+                break
+        result = with_changes
     # Within each severity, accelerations are last, since no prediction depends on them.
     findings = sorted(result.findings, key=lambda finding: (
         [*Severity].index(finding.severity), finding.concerns_only_acceleration, -(finding.effect or np.inf)))

@@ -10,8 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.stats import f as fisher
+from scipy.special import fdtri
 
 from ..clock_fit import STEP, Fit, Pair, fit, mean_correlation, rate_noise, resample, select_common_samples
 from ..clock_types import MAX_SPAN
@@ -67,16 +66,17 @@ class Agreement:
 def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, measured: np.ndarray,
                    cutoff: float, *, derived_is_angle: bool = False, fit_bias: bool = True,
                    fit_drift: bool = False, expected_lag: float = 0.0,
-                   max_lag: float = MAX_LAG, max_fitted_lag: float = MAX_LAG) -> Agreement | None:
+                   min_lag: float = 0.0, max_lag: float = MAX_LAG, max_fitted_lag: float = MAX_LAG) -> Agreement | None:
     """Agreement of two estimates of a quantity. None if `derived` is constant, if they overlap by less than
-    MIN_COMMON_TIME, if one of them spans more than MAX_SPAN, if the fit fails, or if |lag| exceeds max_fitted_lag.
+    MIN_COMMON_TIME, if one of them spans more than MAX_SPAN, if they correlate most at a lag below min_lag, if the fit
+    fails, or if |lag| exceeds max_fitted_lag.
 
     time, measured_time: ascending [s]; values NaN where unknown.
     cutoff: of the low-pass filter [Hz].
     derived_is_angle: whether to compare the rate of `derived`.
     fit_drift: whether to estimate a constant rate of change of the lag.
     expected_lag: lag without a fault [s].
-    max_lag: largest lag searched for, in both directions [s].
+    min_lag: smallest lag of interest, in both directions [s]. max_lag: largest lag searched for [s].
     max_fitted_lag: limit of the fitted lag [s], which may be outside the searched range.
     """
     if max(float(np.ptp(t)) if len(t) else 0.0 for t in (time, measured_time)) > MAX_SPAN:
@@ -87,19 +87,18 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
         return None
     pair = Pair("", reference, other)
     try:
-        solution, *alternatives = _find_best_offsets(pair, cutoff, max_lag)
+        solution, *alternatives = _find_best_offsets(pair, cutoff, min_lag, max_lag)
     except (ValueError, np.linalg.LinAlgError):
         return None
     if not abs(solution.offset) <= max_fitted_lag:
         return None
-    degrees_of_freedom = max(len(reference.time) * STEP / DECORRELATION_TIME - 1.0, 1.0)
-    _, half_width = symmetric_interval(0.0, solution.offset_deviation, degrees_of_freedom)
-    lag, drift = Estimate(-solution.offset, solution.offset_deviation, half_width), NO_DRIFT
+    quantile = symmetric_interval(0.0, 1.0, max(len(reference.time) * STEP / DECORRELATION_TIME - 1.0, 1.0))[1]
+    lag = Estimate(-solution.offset, solution.offset_deviation, quantile * solution.offset_deviation)
+    drift = NO_DRIFT
     if fit_drift:
         drift_fit = fit([pair], solution.offset, middle=float(other.time.mean()))
-        _, half_width = symmetric_interval(0.0, drift_fit.drift_deviation, degrees_of_freedom)
-        drift = Estimate(-drift_fit.drift, drift_fit.drift_deviation, half_width)
-    rows, x = _select_common_samples(pair, solution.offset)
+        drift = Estimate(-drift_fit.drift, drift_fit.drift_deviation, quantile * drift_fit.drift_deviation)
+    rows, x, _ = select_common_samples(pair, (solution.offset, 0.0))
     if len(rows) * STEP < MIN_COMMON_TIME or not float(np.std(x)) > 0.0:
         return None
     common_time, y = other.time[rows], other.values[rows]
@@ -108,7 +107,7 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
     noise = white_noise(derived) * rate_noise(float(np.median(np.diff(time))), cutoff) if derived_is_angle else 0.0
     scale, bias = _fit_line(problem, x, correlation, fit_bias, noise)
     neighbours = solution.offset - LAG_TEST_SHIFT, solution.offset + LAG_TEST_SHIFT
-    rows, unshifted = _select_common_samples(pair, 0.0)
+    rows, unshifted, _ = select_common_samples(pair, (0.0, 0.0))
     return Agreement(lag, scale, bias, correlation, float(np.std(x)), common_time, y, x,
                      tuple(-alternative.offset for alternative in alternatives),
                      _fits_worse(pair, -expected_lag, solution.offset, cutoff),
@@ -122,7 +121,7 @@ def _fits_worse(pair: Pair, offset: float, best_offset: float, cutoff: float) ->
     return residual > _compute_f_limit(common, cutoff, 0.95) * smallest
 
 
-def _find_best_offsets(pair: Pair, cutoff: float, max_lag: float) -> list[Fit]:
+def _find_best_offsets(pair: Pair, cutoff: float, min_lag: float, max_lag: float) -> list[Fit]:
     """Fits of the best offset and of all offsets that are not significantly worse, the smallest offset first.
 
         (1 - r^2) / (1 - r_best^2) <= F(0.975; n, n),   n = 2 cutoff T: independent samples of the residual in time T
@@ -132,13 +131,21 @@ def _find_best_offsets(pair: Pair, cutoff: float, max_lag: float) -> list[Fit]:
         return [fit([pair], offset=0.0, middle=0.0, free_drift=False)]
     residual = 1.0 - np.maximum(correlation, 0.0) ** 2
     best = int(np.argmin(residual))
+    if abs(lags[best]) < min_lag:
+        raise ValueError("the lag is smaller than the range searched")
     peaks = 1 + np.flatnonzero((residual[1:-1] < residual[:-2]) & (residual[1:-1] <= residual[2:]))
     known_count = min(float(side.known.sum()) for side in (pair.reference, pair.other))
     fits: list[Fit] = []
-    for start in (best, *peaks[residual[peaks] <= _compute_f_limit(known_count, cutoff) * residual[best] + GRID_ERROR]):
+    limit = _compute_f_limit(known_count, cutoff) * residual[best] + GRID_ERROR
+    if residual[best] > 1.0 - LIMITS.min_correlation**2 + GRID_ERROR:  # too large for a comparison
+        limit = 0.0
+    peaks = peaks[residual[peaks] <= limit]
+    for start in dict.fromkeys((best, *peaks.tolist())):
         solution = fit([pair], float(lags[start]), middle=0.0, free_drift=False)
         if all(abs(solution.offset - other.offset) > STEP for other in fits):
             fits.append(solution)
+    if len(fits) == 1:
+        return fits
     fractions, common = _compute_residual_fractions(pair, [solution.offset for solution in fits], cutoff)
     limit = _compute_f_limit(common, cutoff) * min(fractions)
     return sorted((solution for solution, fraction in zip(fits, fractions, strict=True) if fraction <= limit),
@@ -148,7 +155,7 @@ def _find_best_offsets(pair: Pair, cutoff: float, max_lag: float) -> list[Fit]:
 def _compute_f_limit(samples: float, cutoff: float, level: float = 0.975) -> float:
     """Quantile, at probability `level`, of the ratio of two estimates of one variance. samples: number in each."""
     degrees_of_freedom = max(2.0 * cutoff * STEP * samples, 1.0)
-    return float(fisher.ppf(level, degrees_of_freedom, degrees_of_freedom))
+    return float(fdtri(degrees_of_freedom, degrees_of_freedom, level))
 
 
 def _compute_residual_fractions(pair: Pair, offsets: Sequence[float], cutoff: float) -> tuple[list[float], int]:
@@ -157,7 +164,7 @@ def _compute_residual_fractions(pair: Pair, offsets: Sequence[float], cutoff: fl
 
     Both series u are whitened, as any lag may fit slow errors such as the slope of the road: u(t) - rho u(t - delay),
     delay = 1 / (2 cutoff), rho: correlation of the smallest residual with itself after this delay."""
-    series = [_select_common_samples(pair, offset) for offset in offsets]
+    series = [select_common_samples(pair, (offset, 0.0))[:2] for offset in offsets]
     common = np.flatnonzero(np.bincount(np.concatenate([rows for rows, _ in series])) == len(series))
     values, delay = pair.other.values[common], round(0.5 / (cutoff * STEP))
     candidates = [derived[np.isin(rows, common)] for rows, derived in series]
@@ -190,15 +197,6 @@ def _fit_line(problem: Regression, derived: np.ndarray, correlation: float, fit_
     if problem.fit(("scale",))[1] <= BIAS_RESIDUAL_RATIO * shifted.fit(("bias",))[1]:
         return scale, NO_BIAS
     return UNIT_SCALE, shifted.estimate(("bias",))["bias"]
-
-
-def _select_common_samples(pair: Pair, offset: float) -> tuple[np.ndarray, np.ndarray]:
-    """(rows of `other` for which both series are known at this offset [s], the reference values there).
-
-    Linear interpolation would attenuate the noise between the samples, and thus favour some offsets.
-    """
-    rows, time = select_common_samples(pair, (offset, 0.0))
-    return rows, CubicSpline(pair.reference.time, pair.reference.values)(time)
 
 
 GYRO_CUTOFF, ACCELERATION_CUTOFF, SPEED_CUTOFF = 4.0, 1.5, 1.5  # Hz
@@ -467,8 +465,8 @@ def check_speeds(motion: Motion) -> list[CheckResult]:
 def check_position_clock(motion: Motion) -> list[Finding]:
     """Finding about positions stamped by a different clock: they agree with velocity and yaw at a large lag only."""
     speed = np.abs(np.gradient(motion.position, motion.time))
-    agreement = compare_series(motion.time, motion.speed, motion.time, speed, SPEED_CUTOFF, max_lag=MAX_CLOCK_OFFSET,
-                               max_fitted_lag=MAX_CLOCK_OFFSET)
+    agreement = compare_series(motion.time, motion.speed, motion.time, speed, SPEED_CUTOFF, min_lag=MAX_LAG,
+                               max_lag=MAX_CLOCK_OFFSET, max_fitted_lag=MAX_CLOCK_OFFSET)
     if (agreement is None or not (agreement.has_lag and agreement.determines_lag)
             or abs(agreement.lag.value) <= MAX_LAG or agreement.correlation < MIN_SCALE_CORRELATION):
         return []

@@ -210,7 +210,9 @@ def _find_sentinels(channel: _ChannelSamples, large: np.ndarray, moving: np.ndar
     # A sentinel 0 is nearer to the usual values than other codes, so 8 median steps count as large, except for
     # velocity_x, since cars stop. In a channel that holds its values, the step must also reach 0.3 of the limit.
     zero_step = max(8.0 * channel.median_step, 0.0 if usual_count < 2.0 else 0.3 * channel.limit)
-    for k in np.flatnonzero(count >= MIN_SENTINEL_SAMPLES):
+    step = np.concatenate(([0.0], channel.step, [0.0]))
+    is_isolated = np.maximum(step[first], step[last + 1]) > min(zero_step, channel.limit)
+    for k in np.flatnonzero(is_isolated & (count >= MIN_SENTINEL_SAMPLES)):
         begin, end = int(first[k]), int(last[k])
         is_zero = channel.values[begin] == 0.0
         # A slowly updated channel also holds the value 0, so only a longer run of zeros is a sentinel.

@@ -9,8 +9,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import stdtrit
 
-from ..regression import Blocks, count_decimals, symmetric_interval
+from ..regression import Blocks, count_decimals
 from .finding import SYSTEMATIC_UNCERTAINTY
 
 OUTLIER_RATIO = 3.0  # windows with a residual above this multiple of the median residual have less weight (Huber)
@@ -75,9 +76,15 @@ class Regression:
 
     def __init__(self, time: np.ndarray, y: np.ndarray, columns: Mapping[str, np.ndarray]):
         self.time, self.y, self.columns = time, y, columns
+        self._fits: dict[tuple[str, ...], tuple[dict[str, float], float, np.ndarray]] = {}  # by names
         numbers, block_of = np.unique(np.floor(time / BLOCK_LENGTH).astype(np.int64), return_inverse=True)
         self._blocks = Blocks(block_of, np.zeros(len(numbers), np.int64), numbers,
                               f"{len(numbers)} blocks of {BLOCK_LENGTH:g} s")
+
+    def _multiply(self, names: Sequence[str]) -> np.ndarray:
+        """(n, p + 1, p) products of these columns with each other and, in the last row, with y."""
+        design = np.stack([*(self.columns[name] for name in names), self.y], axis=-1)
+        return np.einsum("nip,niq->npq", design, design[:, :, :-1])
 
     def compute_residual(self, theta: Mapping[str, float]) -> np.ndarray:
         """y - sum_k theta_k X_k (n, m); theta_k is 0 if it is not given."""
@@ -85,16 +92,19 @@ class Regression:
 
     def fit(self, names: Sequence[str]) -> tuple[dict[str, float], float, np.ndarray]:
         """(theta by name, median norm of the residuals of the windows, Huber weights of the windows (n,))."""
-        design = np.stack([self.columns[name] for name in names], axis=-1) if names else np.zeros((*self.y.shape, 0))
-        weights, theta = np.ones(len(self.y)), np.zeros(len(names))
-        for _ in range(HUBER_ITERATIONS if names else 1):
-            normal = np.einsum("n,nip,niq->pq", weights, design, design)
-            theta = np.linalg.solve(normal + RIDGE * np.diag(np.diag(normal)) + 1e-12 * np.eye(len(names)),
-                                    np.einsum("n,nip,ni->p", weights, design, self.y))
-            size = np.sqrt(np.square(self.y - design @ theta).sum(axis=1))
-            scale = max(float(np.median(size)), 1e-12)
-            weights = 1.0 / np.maximum(1.0, size / (OUTLIER_RATIO * scale))
-        return dict(zip(names, theta.tolist(), strict=True)), scale, weights
+        count, key = len(names), tuple(names)
+        if key not in self._fits:
+            products = self._multiply(names).reshape(len(self.y), -1)
+            weights, theta = np.ones(len(self.y)), {}
+            for _ in range(HUBER_ITERATIONS if names else 1):
+                sums = (weights @ products).reshape(count + 1, count)
+                normal = sums[:-1] + RIDGE * np.diag(np.diag(sums)) + 1e-12 * np.eye(count)
+                theta = dict(zip(names, np.linalg.solve(normal, sums[-1]).tolist(), strict=True))
+                size = np.sqrt(np.square(self.compute_residual(theta)).sum(axis=1))
+                scale = max(float(np.median(size)), 1e-12)
+                weights = 1.0 / np.maximum(1.0, size / (OUTLIER_RATIO * scale))
+            self._fits[key] = theta, scale, weights
+        return self._fits[key]
 
     def compute_loss(self, names: Sequence[str], scale: float) -> float:
         """Huber loss of the fit of these causes; a common scale makes the losses of two sets comparable."""
@@ -107,9 +117,8 @@ class Regression:
         if not names:
             return {}
         theta, _, weights = self.fit(names)
-        design = np.stack([self.columns[name] for name in names], axis=-1)
-        normals = self._blocks.sum_by_block(weights[:, None, None] * np.einsum("nip,niq->npq", design, design))
-        right_sides = self._blocks.sum_by_block(weights[:, None] * np.einsum("nip,ni->np", design, self.y))
+        sums = self._blocks.sum_by_block(weights[:, None, None] * self._multiply(names))
+        normals, right_sides = sums[:, :-1], sums[:, -1]
         normal, right_side = normals.sum(axis=0), right_sides.sum(axis=0)
         diagonal = np.diag(np.diag(normal)) + 1e-12 * np.eye(len(names))  # the causes may be collinear on this drive
 
@@ -118,12 +127,10 @@ class Regression:
                                    (weights_of_blocks @ right_sides + RIDGE * right_side)[:, :, None])[:, :, 0]
 
         spread = self._blocks.bootstrap(solve, DRAWS, SEED)
-        estimates = {}
-        for name, deviation, freedom in zip(names, spread.standard_errors.tolist(), spread.degrees_of_freedom.tolist(),
-                                            strict=True):
-            _, half_width = symmetric_interval(0.0, deviation, max(freedom, MIN_DEGREES_OF_FREEDOM))
-            estimates[name] = Estimate(theta[name], deviation, half_width)
-        return estimates
+        errors = spread.standard_errors
+        half_widths = stdtrit(np.maximum(spread.degrees_of_freedom, MIN_DEGREES_OF_FREEDOM), 0.975) * errors
+        return {name: Estimate(theta[name], *row)
+                for name, *row in zip(names, errors.tolist(), half_widths.tolist(), strict=True)}
 
     def compute_effect(self, name: str, count: int) -> float:
         """RMS change of y in `count` <= n successive windows, per unit of a cause."""

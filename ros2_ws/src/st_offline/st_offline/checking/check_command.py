@@ -24,9 +24,9 @@ from st_recordings.runs.bag import read_metadata_records
 from st_recordings.runs.columns import Layout
 from st_recordings.runs.csv import add_steering_column
 from st_recordings.runs.errors import escape_unprintable, join_problems
-from st_recordings.runs.raw import summarise_alignment
 from st_recordings.runs.readers import READERS
 from st_recordings.runs.run_file import RUN_FILE, RUN_SUFFIX, TABLE_KEYS
+from st_recordings.runs.run_types import summarise_alignment
 
 from ..evaluation import drawing
 from ..evaluation.work import to_file_name

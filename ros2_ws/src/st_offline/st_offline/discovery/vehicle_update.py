@@ -23,7 +23,7 @@ from st_core.prediction import PredictionSettings
 from st_core.regression import Z95
 from st_core.vehicle import TYRE_QUANTITIES, TYRES, VEHICLE_QUANTITIES, Provenance, VehicleParameters, value_of
 from st_core.yaml_text import format_number, quote
-from st_recordings.car_skeleton import STABILITY_SPEEDS
+from st_recordings.car import STABILITY_SPEEDS
 
 from ..terminal import format_count
 from .drives import Request

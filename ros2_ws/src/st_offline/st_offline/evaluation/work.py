@@ -26,7 +26,7 @@ from st_core.planned_inputs import SLIP_FREE_ANGLE, make_recorded_plan, path_inp
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
 from st_recordings.runs.csv_table import read_header
-from st_recordings.runs.raw import summarise_alignment
+from st_recordings.runs.run_types import summarise_alignment
 
 from ..bands.bands_report import Scorer, collect_intervals, pool_sums, sum_contributions
 from ..checking.gate import RUN_ERRORS, check_log, describe_problem, raise_for_errors

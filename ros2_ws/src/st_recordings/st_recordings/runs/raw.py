@@ -13,7 +13,7 @@ from st_core.clock_types import Alignment, SharedSignal, Verdict
 from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
 from st_core.vehicle import VehicleParameters
 
-from ..paths import config, json_ready
+from ..paths import config
 from .bag import may_need_can_frames
 from .can_formats import is_can_log
 from .can_logs import read_can_logs
@@ -23,7 +23,7 @@ from .errors import RunError, check_readable, format_count
 from .frames import CanLog, empty_frames
 from .ins_log import InsLog, is_mostly_known
 from .readers import READERS, find_reader
-from .run_types import LoadedRun, ReadSettings, RunSource, make_drive_log
+from .run_types import LoadedRun, ReadSettings, RunSource, make_drive_log, summarise_alignment
 from .sources import find_runs
 
 MAX_LOG_GAP = 10.0  # longest gap [s] between frames in one part of a log; after a longer one, a new drive may follow
@@ -182,15 +182,6 @@ def _describe_rejected_steering(run: RawRun, settings: ReadSettings) -> tuple[Fi
 def move_to_ins_clock(run: RawRun, settings: ReadSettings, time_ns: np.ndarray) -> np.ndarray:
     """Converts times of steering angles [ns] from the CAN clock to the INS clock and subtracts the steering latency."""
     return run.alignment.to_reference_ns(time_ns) - round(settings.steering_latency * 1e9)
-
-
-def summarise_alignment(alignment: Alignment) -> dict[str, Any]:
-    """The alignment as JSON values for reports and metadata; the keys contain the units."""
-    return {
-        "method": alignment.method, "verdict": str(alignment.verdict), "reasons": list(alignment.reasons),
-        "at_ns": alignment.at_ns, "offset_s": alignment.offset_ns * 1e-9, "drift_ppm": alignment.drift_ppm,
-        "offset_deviation_s": json_ready(alignment.offset_deviation),
-        "drift_deviation_ppm": json_ready(alignment.drift_deviation), "common_time_s": alignment.overlap}
 
 
 def choose_clock_settings(source: RunSource, settings: ReadSettings) -> dict[str, Any]:

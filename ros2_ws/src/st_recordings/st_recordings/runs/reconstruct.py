@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from canedge_bridge.decode import SteeringCalibration
 from oxts_bridge import file_decoder
 from oxts_bridge.motion import FIRST_FIX, GIVEN, Motion, Origin, reconstruct_odometry
 from oxts_bridge.ncom import NEW, NcomError
@@ -94,6 +93,8 @@ class Reconstruction:
 
     def reconstruct_steering(self) -> dict[str, np.ndarray]:
         """Columns of st_msgs/Steering, reconstructed from raw CAN frames. Raises RunError if they cannot be decoded."""
+        from canedge_bridge.decode import SteeringCalibration  # imports CAN libraries, which takes half a second
+
         from .can_signals import find_steering
 
         bridge = self._nodes.get("canedge_bridge", {})

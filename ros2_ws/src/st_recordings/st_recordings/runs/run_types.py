@@ -11,6 +11,7 @@ from st_core.clock_types import Alignment
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 
+from ..paths import json_ready
 from .columns import find_stated_unit
 from .errors import RunError
 
@@ -108,3 +109,12 @@ def make_drive_log(path: Path, name: str, **columns: Any) -> DriveLog:
         return DriveLog(name, **columns)
     except StCoreError as error:
         raise RunError(path, str(error)) from None
+
+
+def summarise_alignment(alignment: Alignment) -> dict[str, Any]:
+    """The alignment as JSON values for reports and metadata; the keys contain the units."""
+    return {
+        "method": alignment.method, "verdict": str(alignment.verdict), "reasons": list(alignment.reasons),
+        "at_ns": alignment.at_ns, "offset_s": alignment.offset_ns * 1e-9, "drift_ppm": alignment.drift_ppm,
+        "offset_deviation_s": json_ready(alignment.offset_deviation),
+        "drift_deviation_ppm": json_ready(alignment.drift_deviation), "common_time_s": alignment.overlap}

@@ -24,8 +24,8 @@ from .errors import RunError
 from .frames import ERROR, EXTENDED, FD, FRAME_HEAD_LENGTH, REMOTE, Frames
 from .load import apply_run_file, check_coverage, hash_files
 from .ncom import ACCURACIES, NcomLog, decode_status_channel, select_latest_values
-from .raw import RawRun, build_drive, move_to_ins_clock, read_raw, summarise_alignment
-from .run_types import LoadedRun, ReadSettings, RunSource
+from .raw import RawRun, build_drive, move_to_ins_clock, read_raw
+from .run_types import LoadedRun, ReadSettings, RunSource, summarise_alignment
 
 TOPICS = {"/ins/odometry": ODOMETRY, "/ins/ncom": NCOM, "/vehicle/steering": STEERING,
           "/vehicle/wheel_speeds": WHEEL_SPEEDS, "/can/frames": CAN_FRAMES}
