@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from st_core.integrate import required_slip_speed
 from st_core.prediction import PredictionSettings
-from st_recordings.car import read_vehicle
-from st_recordings.car_skeleton import STABILITY_SPEEDS, write_skeleton
+from st_recordings.car import STABILITY_SPEEDS, read_vehicle
+from st_recordings.car_skeleton import write_skeleton
 
 from . import multibody, simulation
 from .cases import Case, file_car, true_car
