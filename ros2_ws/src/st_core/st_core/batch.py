@@ -10,7 +10,7 @@ half steps between starts. At every instant, neighbouring starts are thus adjace
 Other starts have separate instants in the same layout.
 """
 
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -201,13 +201,17 @@ class LogBatch:
         integrate.warn_if_step_too_long(model, vehicle, self._speeds, self.step / self._substeps)
         return self._substeps
 
-    def _plan_blocks(self, count: int, is_separate: bool) -> list[GridBlock]:
+    def _plan_blocks(self, count: int, is_separate: bool) -> Iterable[GridBlock]:
+        """Blocks of all starts; stored for at most SHARED_BLOCK starts, because separate instants need much memory."""
         key = count, is_separate
         if key not in self._blocks:
             # Held inputs are required only at the start, unless earlier steering still affects the wheels.
             only_start = self._inputs == "held" and not is_separate
             instants = np.zeros(1, np.int64) if only_start else half_step_grid(0, self.steps * count, self.step / count)
-            self._blocks[key] = list(plan_blocks(self._unique_starts, instants, self._backend.LANES, not is_separate))
+            blocks = plan_blocks(self._unique_starts, instants, self._backend.LANES, not is_separate)
+            if len(self._unique_starts) > SHARED_BLOCK:
+                return blocks
+            self._blocks[key] = list(blocks)
         return self._blocks[key]
 
     def recording(self, model: Model) -> Recording:

@@ -156,6 +156,16 @@ def test_memory_per_start_is_bounded(leaf):
     assert long - short < 400 * (many - few)
 
 
+def test_separate_instants_of_many_starts_are_not_stored(log):
+    """Those of one hour with ten starts per second would need 290 MB at a step of 5 ms."""
+    batch = LogBatch(log, regular_starts(500, batch_module.SHARED_BLOCK + 1, 1), 5.0, backend="numpy")
+    tracemalloc.start()
+    counts = [block.count for block in batch._plan_blocks(1, False)]
+    current, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert sum(counts) == batch_module.SHARED_BLOCK + 1 and current < 1e6 and peak < 8e6  # of 13 MB
+
+
 def test_substeps_reduce_the_error_and_equal_shorter_steps(leaf, log):
     starts = regular_starts(700, 20)
     errors = []

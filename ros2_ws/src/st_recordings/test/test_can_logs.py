@@ -403,6 +403,23 @@ def test_truncated_last_line_is_skipped_with_a_warning(tmp_path: Path) -> None:
     assert "1 of 3 lines (33 %) cannot be read and were skipped; the first is line 3" in log.warnings[0]
 
 
+def test_damaged_identifier_is_skipped_with_a_warning(tmp_path: Path) -> None:
+    """A lost digit and # give an identifier of more than 32 bits."""
+    lines = [f"(1700000000.{k}00000) can0 002#1D000007B0\n" for k in range(4)]
+    (tmp_path / "a.log").write_text("".join([*lines, "(1700000000.500000) can0 0021D000007B#01\n"]))
+    log = read_can_logs([tmp_path / "a.log"])
+    assert log.frames.id.tolist() == [2] * 4 and "; the first is line 5" in log.warnings[0]
+
+
+@pytest.mark.parametrize("start", ["45903,75", "1e13"])
+def test_trc_with_an_unreadable_start_is_relative(tmp_path: Path, start: str) -> None:
+    rows = [f"{k} {k}.0 DT 0123 Rx 2 01 02\n" for k in range(1, 4)]
+    (tmp_path / "a.trc").write_text(f";$FILEVERSION=2.0\n;$STARTTIME={start}\n;$COLUMNS=N,O,T,I,d,l,D\n{''.join(rows)}")
+    log = read_can_logs([tmp_path / "a.trc"])
+    assert log.frames.time_ns.tolist() == [10**6, 2 * 10**6, 3 * 10**6] and not log.is_utc
+    assert "; the first is line 2" in log.warnings[0]
+
+
 def test_mf4_without_can_frames_is_rejected(tmp_path: Path) -> None:
     file = write_layout_2(tmp_path / "quiet.MF4", START_NS, [])
     with pytest.raises(RunError, match=r"quiet\.MF4: the log contains no CAN frames"):

@@ -8,7 +8,7 @@ from base64 import b64decode
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from functools import partial
 from importlib import import_module
 from itertools import dropwhile, islice, pairwise, takewhile
@@ -161,6 +161,8 @@ def _make_line_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
         else:
             seconds = float(time)
         identifier = int(cells["id"], 16)
+        if identifier >= 2 * _ERROR_FLAG:
+            raise ValueError("not an identifier")
         if identifier & _ERROR_FLAG:
             return make_message(timestamp=seconds, is_error_frame=True)
         is_remote = data[:1] in ("r", "R") or kind.endswith("r")
@@ -238,6 +240,10 @@ def _make_trc_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
 
     def parse(line: str) -> Any:
         line = line.strip()
+        if line.startswith(";$STARTTIME="):  # in days; not read by python-can, whose errors would end the header
+            start = datetime(1899, 12, 30, tzinfo=UTC) + timedelta(float(line.partition("=")[2]))
+            reader._start_time = start.timestamp()
+            return None
         if not line or line.startswith(";"):
             header.extend([line] if line else [])
             return None
@@ -425,7 +431,7 @@ def _read_blf(file: Path, notes: list[str]) -> Iterator[Any]:
     with import_module("can.io.blf").BLFReader(str(file)) as reader, mmap.mmap(
             reader.file.fileno(), 0, access=mmap.ACCESS_READ) as content:
         first = reader.file.tell()
-        starts = [match.start() for match in _BLF_CONTAINER.finditer(content, first)]
+        starts = dict.fromkeys(match.start() for match in _BLF_CONTAINER.finditer(content, first))
         for start, following in pairwise(dict.fromkeys([first, *starts, size])):
             end = start + int.from_bytes(content[start + 8:start + 12], "little")
             unread = start
