@@ -217,8 +217,7 @@ def _reject_unusable(table: Table, n_ins: int, missing: Mapping[str, int]) -> No
     """Raises RunError with the reason. n_ins: number of rows with all INS channels. missing: from `_count_missing`."""
     _reject_without_fix(table)
     reason, advice = "", "remove it from the command"
-    if n_ins < 2 and max(missing.values(), default=0) < table.is_usable.sum() and all(
-            np.isfinite(each[table.is_usable]).sum() > 1 for each in table.columns.values()):
+    if n_ins < 2 and all(np.isfinite(each[table.is_usable]).sum() > 1 for each in table.columns.values()):
         reason, advice = ": its channels have numbers at different times", "export them on one clock"
     elif missing:
         channel = max(missing, key=lambda name: missing[name])
