@@ -103,7 +103,7 @@ class Recording:
 
     signals: LogSignals
     sample_cache: dict[Hashable, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
-    """Cache of road wheel angle and velocity_x_dot at the instants of a block, by number and size of the block."""
+    """Cache of road wheel angle and velocity_x_dot at the instants of a block, by its number and spacing."""
 
 
 class LogBatch:
@@ -221,7 +221,7 @@ class LogBatch:
 
     def _sample(self, block: GridBlock, recording: Recording, model: Model) -> list[np.ndarray]:
         """Road wheel angle, velocity_x_dot and the signals of the model at all instants of a block."""
-        key, signals, times_ns = (block.number, block.times_ns.size), recording.signals, block.times_ns
+        key, signals, times_ns = (block.number, block.spacing), recording.signals, block.times_ns
         if key in recording.sample_cache:
             angle, acceleration = recording.sample_cache[key]
         else:

@@ -139,6 +139,17 @@ def test_block_size_does_not_change_the_result(leaf, log, backend, monkeypatch):
 
 
 @pytest.mark.slow
+def test_models_with_different_substeps_have_their_own_samples(leaf, log, monkeypatch):
+    """The first blocks of both models have the same number of instants, for five and for two starts."""
+    monkeypatch.setattr(batch_module, "SEPARATE_BLOCK", 800)
+    monkeypatch.setattr(integrate, "required_substeps", lambda model, *_: 1 if model.name == "kinematic" else 2)
+    starts = regular_starts(1000, 6, 400)
+    together = LogBatch(log, starts, 0.5, 0.005, substeps="auto", backend="numpy")
+    together.predict("kinematic", leaf)
+    alone = LogBatch(log, starts, 0.5, 0.005, substeps=2, backend="numpy")
+    np.testing.assert_array_equal(together.predict("linear", leaf), alone.predict("linear", leaf))
+
+
 def test_memory_per_start_is_bounded(leaf):
     def peak(log):
         signals = LogSignals(log, 0.1, 5.0)

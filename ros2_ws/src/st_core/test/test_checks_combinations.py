@@ -180,6 +180,15 @@ def test_fault_that_begins_or_grows_is_found_in_the_second_half(leaf, name):
     assert finding.times == (pytest.approx((80.0, 160.0), abs=0.1),)
 
 
+@pytest.mark.parametrize("name", sorted(CHANGES.keys() - {"yaw_lag", "yaw_offset"}))
+def test_fault_that_begins_is_found_while_yaw_drifts(leaf, name):
+    log = CHANGES[name](exact_drive(leaf, 160.0, rate=20.0))
+    found = findings_by_name(replace(log, yaw=log.yaw + 4e-4 * seconds_of(log)), leaf)
+    assert found.keys() == {name, "yaw_drift"}
+    assert found[name].times == (pytest.approx((80.0, 160.0), abs=0.1),) and found[name].advice.kind == "text"
+    assert not found["yaw_drift"].times and found["yaw_drift"].value == pytest.approx(4e-4, rel=0.02)
+
+
 def test_parts_of_a_long_drive_are_limited(leaf):
     log = CHANGES["yaw_rate_bias"](exact_drive(leaf, 900.0, rate=10.0))
     (finding,) = check(log, leaf).findings

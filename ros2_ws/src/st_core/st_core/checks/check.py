@@ -50,6 +50,7 @@ MIN_CHANGE = 0.5  # fraction of the deviation; if the parts differ by less, one 
 NOT_COMPARED = (  # between parts: the first two are constant, the others vary with the driving
     "measuring_point", "position_reference", "heading_misaligned", "steering_unrelated")
 UNKNOWN = 0.0, -np.inf, np.inf  # estimate: value and interval
+SHOWN_BY_DRIFT = ("yaw_drift", "yaw_offset", "velocity_y_scale", "velocity_y_bias")  # in a part, if yaw drifts
 MIN_INS_SAMPLES = 50  # with fewer samples, only implausible samples and time stamps are reported
 
 
@@ -109,8 +110,11 @@ def _report_changes(whole: DriveCheck, parts: list[DriveCheck], times: list[tupl
     whole drive that agree with both parts. times: start and end of each part [s]."""
     ranked: list[tuple[tuple[bool, int, float], Finding]] = []
     places = [f"in the {name} {end - start:.0f} s" for name, (start, end) in zip(("first", "last"), times, strict=True)]
+    drift, *drifts = (each.estimates.get("yaw_drift", UNKNOWN) for each in (whole, *parts))
+    drifts_evenly = any(f.name == "yaw_drift" for f in whole.findings) and all(_agree(drift, d) for d in drifts)
+    ignored = SHOWN_BY_DRIFT if drifts_evenly else ()
     for k, part in enumerate(parts):
-        for finding in part.findings:
+        for finding in (f for f in part.findings if f.name not in ignored):
             rank = -[*Severity].index(finding.severity), abs((finding.value or 0.0) - neutral_value(finding.name))
             if change := _describe_change(finding, parts[1 - k], places[1 - k], whole):
                 statement = f"{places[k]} of the drive, {finding.statement.removesuffix('?')}{change}"
@@ -120,11 +124,10 @@ def _report_changes(whole: DriveCheck, parts: list[DriveCheck], times: list[tupl
                 ranked.append(((False, *rank), finding))
     in_parts = {finding.name: finding for _, finding in sorted(ranked, key=lambda pair: pair[0])}  # the last one stays
     changed = {finding.name for (is_changed, *_), finding in ranked if is_changed}
-    drifts = [each.estimates.get("yaw_drift", UNKNOWN) for each in (whole, *parts)]
-    is_drift = any(f.name == "yaw_drift" for f in whole.findings) and all(_agree(drifts[0], d) for d in drifts[1:])
-    if is_drift or not changed:  # parts may show a drift under other names
+    if not changed:
         return whole
-    constant = [f for f in whole.findings if f.times or (f.interval is None and f.name in in_parts.keys() - changed)]
+    constant = [f for f in whole.findings if f.times or f.name in ignored or (
+        f.interval is None and f.name in in_parts.keys() - changed)]
     remaining = [f for f in in_parts.values() if f.name not in {f.name for f in constant}]
     return replace(whole, findings=(*constant, *remaining), estimates={
         name: values for name, values in whole.estimates.items() if name not in changed
