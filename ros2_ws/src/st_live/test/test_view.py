@@ -152,13 +152,14 @@ def test_labels_of_coinciding_predictions_do_not_overlap() -> None:
     assert rgb("#1f77b4") == (31, 119, 180) and rgb("#000000", 0.5) == (128, 128, 128)
 
 
-def test_error_table_has_a_row_per_model_and_mode_and_lists_faults() -> None:
+def test_error_table_has_a_row_per_model_and_mode_and_lists_faults(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")  # the text must not contain codes of a terminal
     rows = [ErrorStatistics(model=m, mode=k, n_starts=7, longitudinal_rmse=1.234, lateral_rmse=float("nan"))
             for m in ("kinematic", "linear") for k in ("forecast", "hindsight")]
     health = {name: Status(name, level, text, math.inf)
               for level, name, text in ((0, "a", "fine"), (1, "b", "late"), (2, "c", "silent"))}
     lines = format_results(SuiteState(ErrorSummary(statistics=rows), PredictorStatus(due=9), health)).splitlines()
-    assert max(map(len, lines)) <= 72 and lines[0] == lines[-1] == "```"
+    assert max(map(len, lines)) <= 72 and lines[0] == lines[-1] == "```" and "\x1b" not in "".join(lines)
     table = [line.split() for line in lines if " | 1.23" in line]
     assert [row[:3] for row in table] == [
         [mode, model, "7"] for mode in ("hindsight", "forecast") for model in ("kinematic", "linear")]
