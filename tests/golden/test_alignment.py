@@ -6,6 +6,7 @@ Frames of the INS have latencies of 1.5 to 2.3 ms, those of the car none. The se
 whole CAN log and every fourth row of the INS log (25 Hz); the set "complete" is reference data.
 """
 
+import io
 import json
 import math
 from dataclasses import replace
@@ -13,10 +14,11 @@ from functools import cache, cached_property
 
 import numpy as np
 import pytest
+from rich.console import Console
 from st_cli.cli import app
-from st_cli.verbs.raw_logs import describe_alignment
+from st_cli.verbs.raw_logs import _make_signal_table, describe_alignment
 from st_core.clock_alignment import align, manual_alignment
-from st_core.clock_types import Alignment, Verdict
+from st_core.clock_types import Alignment, SignalLag, Verdict
 from st_recordings.runs.can_logs import read_can_logs
 from st_recordings.runs.can_signals import CanSignals, decode_signals, load_signal_table
 from st_recordings.runs.clocks import INS_ON_CAN_DELAY, align_clocks, pair_shared_signals
@@ -174,6 +176,14 @@ def test_infinite_deviations_are_unknown(pair: Pair) -> None:
     refused = replace(pair.alignment, offset_deviation=math.inf, drift_deviation=math.inf)
     text = describe_alignment(refused, pair.log.start_ns, is_utc=True)
     assert text.count("unknown") == 2 and "inf" not in text
+
+
+def test_name_of_a_signal_is_complete_in_a_narrow_terminal() -> None:
+    name = "yaw_(RT_HeadingPitchRoll)"
+    table = _make_signal_table(Alignment(signals=(SignalLag(name, 0.0, 0.0007, 0.11, 0.99),)))
+    narrow = Console(width=80, file=io.StringIO())
+    narrow.print(table)
+    assert name in "".join(line[:14].strip() for line in narrow.file.getvalue().splitlines())
 
 
 def test_align_command_writes_result_and_figure(pair: Pair, tmp_path) -> None:

@@ -114,9 +114,9 @@ def print_alignment(pair: "RawRun") -> None:
 
 
 def _make_signal_table(alignment: "Alignment") -> "Table":
-    from rich.table import Table
+    from rich.table import Column, Table
 
-    table = Table("signal", box=None, padding=(0, 2))
+    table = Table(Column("signal", overflow="fold"), box=None, padding=(0, 2))
     for name in ("difference from the offset,\nms (standard deviation)", "correlation",
                  "residual /\nstandard deviation"):
         table.add_column(name, justify="right", no_wrap=True)
