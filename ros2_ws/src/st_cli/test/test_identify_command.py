@@ -148,7 +148,7 @@ INVALID_TABLES = {
               "front_left occurs twice"),
     "degrees as radians": ("cg-height", "pitch_rad,rear_left_kg,rear_right_kg,front_radius_m,rear_radius_m\n"
                            "0,340,340,0.3,0.3\n5,345,345,0.3,0.3\n10,350,350,0.3,0.3\n", "limit 45 deg"),
-    "no pitch": ("cg-height", "rear_left_kg,rear_right_kg\n340,340\n", "has neither a column pitch_deg, nor lift_m"),
+    "no pitch": ("cg-height", "rear_left_kg,rear_right_kg\n340,340\n", "has no values of pitch_deg, and lacks"),
     "too few": ("steering-ratio", "steering_wheel_deg,left_wheel_deg,right_wheel_deg\n0,0,0\n90,5,5\n", "2 rows, at "
                                                                                                         "least 5"),
     "which tyre": ("tyre", "load_n,slip_angle_deg,lateral_force_n\n3300,1,500\n", "has no column tyre"),

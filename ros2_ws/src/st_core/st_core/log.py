@@ -95,7 +95,7 @@ class DriveLog:
 
     @property
     def common_span_ns(self) -> tuple[int, int]:
-        """First and last instant [ns] at which both INS and steering are recorded; (0, 0) if one of them is empty."""
+        """First and last instant with INS and steering [ns]; first > last without overlap, (0, 0) if one is empty."""
         times = self.ins_time_ns, self.steering_time_ns
         if not all(map(len, times)):
             return 0, 0
@@ -141,7 +141,7 @@ def shares_memory(log: DriveLog, other: DriveLog, *names: str) -> bool:
 
 class LogSignals:
     """Measurements of a DriveLog interpolated at any instant; NaN in gaps. The vectorised counterpart of
-    `MeasurementHistory`, with identical results, but without detection of position jumps. Checked by: test_batch.py.
+    `MeasurementHistory`: causal results are identical, but position jumps are not detected. Checked by: test_batch.py.
 
     maximum_gap [s], filter_cutoff [Hz], acceleration: as maximum_gap, cutoff, mode of `timeseries.filtered_derivative`.
     """

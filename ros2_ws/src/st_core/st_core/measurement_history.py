@@ -195,7 +195,7 @@ class FrozenSteeringDetector:
         self._low, self._high = math.inf, -math.inf
 
     def add_ins(self, sample: InsSample) -> None:
-        """Add an INS sample; only its speed and yaw rate are used."""
+        """Add an INS sample; only its time, speed and yaw rate are used."""
         speed = sample.velocity_x
         if not speed > FROZEN_MIN_SPEED or not math.isfinite(sample.yaw_rate):
             self._filtered_angle = math.nan

@@ -62,8 +62,8 @@ def suite_node(package, executable, *overrides, **options):
 
 
 def steering_parameters(context):
-    """Overrides of steering parameters: the arguments, else car.yaml of `car` (sign 1 and latency 0 by default); none
-    if `car` is empty, so that nodes.yaml applies."""
+    """Overrides of steering parameters: the arguments, or else car.yaml of `car` (default sign 1, latency 0). If `car`
+    is empty, only the arguments override nodes.yaml."""
     steering = {}
     if CAR.perform(context):
         steering = {"steering_sign": 1, "steering_latency": 0.0}
@@ -123,8 +123,8 @@ def generate_launch_description():
         declare("parameters", "node parameters", [CONFIG, "/nodes.yaml"]),
         declare("dbc", "DBC of the car's bus", CarFile("can.dbc")),
         declare("signals", "table that maps DBC signals to canonical names, signs and units", CarFile("signals.yaml")),
-        declare("steering_sign", "1: decoded angle left positive, -1: right; empty: from car.yaml or parameters", ""),
-        declare("steering_latency", "s, delay of the stamp of a frame after the motion; empty: as above", ""),
+        declare("steering_sign", "1: left is positive, -1: right is positive; empty: from car.yaml or parameters", ""),
+        declare("steering_latency", "s, delay from motion to the stamp of its CAN frame; empty: as above", ""),
         declare("can_interface", "python-can interface", "socketcan"),
         declare("can_channel", "channel of that interface", "can0"),
         declare("ncom_port", "UDP port the INS sends NCOM to", "3000"),

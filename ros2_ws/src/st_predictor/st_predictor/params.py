@@ -84,7 +84,7 @@ IDENTIFIER = (_VEHICLE_FILE, _MAP_FRAME)
 
 
 def load_vehicle(values: SimpleNamespace) -> VehicleParameters:
-    """The vehicle of the parameter `vehicle_file`. Raises ConfigurationError naming the file and the key."""
+    """The vehicle of the parameter `vehicle_file`. Raises ConfigurationError if it is not set or cannot be used."""
     vehicle = read_file(values, "vehicle_file", VehicleParameters.from_yaml)
     if vehicle is None:
         raise ConfigurationError(f"{values.message_prefix}vehicle_file: not set; give a file of config/vehicle/")

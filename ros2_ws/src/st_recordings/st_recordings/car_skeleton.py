@@ -48,7 +48,7 @@ def write_skeleton(folder: Path) -> list[Path]:
 
 
 def find_problems(folder: str) -> list[str]:
-    """Finds the problems in the folder of a car: one line each with file and key; empty for a valid car.
+    """Finds the problems in the folder of a car: one line each with the file and any key; empty for a valid car.
 
     Raises RunError for a folder without a car.
     """

@@ -115,7 +115,7 @@ class Results:
     track: Track
     scores: dict[tuple[str, str], MeanErrors]  # by model and mode
     segments: dict[tuple[str, int], Segment]  # by model and start [ns, UTC]; at most MAX_DRAWN_STARTS
-    ticks: dict[str, Any]  # numbers of the predictor's ticks: due, predicted, skipped
+    ticks: dict[str, Any]  # numbers of the predictor's ticks: due, predicted, skipped, and skipped by reason
     configuration_hash: str
     bands: list[Any] = field(default_factory=list)  # statistics of st_msgs/ErrorSummary with n_bands > 0
 
@@ -231,7 +231,7 @@ def _read_ticks(bag: Storage) -> dict[str, Any]:
 
 
 def _read_scores(errors: Path) -> tuple[dict[tuple[str, str], MeanErrors], str]:
-    """(scores by model and mode, configuration hash of a last score or "" without scores)."""
+    """(scores by model and mode, configuration hash of the last score of one of them, "" without scores)."""
     columns = _collect_columns(
         read_messages([errors], ERROR_TYPE), lambda message: (message.model, message.mode),
         lambda message: (message.complete, message.longitudinal_mean, message.lateral_mean, message.yaw_mean,

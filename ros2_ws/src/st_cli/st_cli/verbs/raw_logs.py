@@ -101,7 +101,7 @@ def print_alignment(pair: "RawRun") -> None:
                           f"{middle:.1f} s later, in the middle of the {span}")
             without_latency = _format_deviation(estimation_deviation * 1e3, "ms")
             table.add_row("  standard deviation", _format_deviation(alignment.offset_deviation * 1e3, "ms"),
-                          f"{without_latency} without the uncertainty of the assumed latency")
+                          f"{without_latency} without the uncertainty of the latency")
             table.add_row("drift", f"{alignment.drift_ppm:+.2f} ppm",
                           "INS relative to CAN clock; standard deviation "
                           f"{_format_deviation(alignment.drift_deviation, 'ppm')}")

@@ -40,7 +40,7 @@ SMOOTHING_NS = 400_000_000  # ns, smoothing of the forward speed before differen
 FACTORS = {"steering": 0.1, "acceleration_y": 3.0, "steering_rate": 0.3}
 """Typical magnitudes of the quantities that may multiply a curve."""
 RELATIONS = {
-    ("front_steer", "steering", ""): "a steering ratio that depends on the angle, play, or a wrong angle sensor",
+    ("front_steer", "steering", ""): "a steering ratio that depends on the angle, play, or a nonlinear angle sensor",
     ("front_steer", "acceleration_y", ""): "roll steer or compliance steer of the front axle",
     ("front_steer", "speed", ""): "toe that changes with speed; a steering offset that depends on load",
     ("front_steer", "acceleration_x", ""): "brake or drive steer of the front axle, torque steer",
@@ -89,7 +89,7 @@ RELATIONS = {
     ("rear_steer", "speed", "acceleration_y"): "roll or compliance steer of the rear axle that changes with speed",
     ("yaw_moment", "acceleration_x", "steering"): "torque steer of steered wheels, a differential",
 }
-"""Textbook causes of every relation that is searched for, by (term, quantity of the curve, factor or "")."""
+"""Textbook causes ("" if none is known) of each relation that is searched for, by (term, quantity, factor or "")."""
 
 
 @dataclass(frozen=True)
@@ -197,8 +197,8 @@ def compute_quantities(windows: Windows) -> dict[str, np.ndarray]:
 
 
 def find_candidates(windows: Windows) -> list[Candidate]:
-    """Candidates that these drives excite: with quantities and factors in a range above MIN_RANGES, sensor terms of
-    measured channels, and positions only at a single site, because maps of several sites may have different origins."""
+    """Candidates that these drives excite. Quantities and factors must vary by more than MIN_RANGES; sensor terms need
+    measured channels, and positions a single site, because maps of several sites may have different origins."""
     values, candidates = compute_quantities(windows), []
     is_single_site = int(find_sites(windows).max()) == 0
     for term, quantity, factor in RELATIONS:

@@ -15,7 +15,7 @@ from .candidates import ODD, compute_quantities
 from .relation_fit import RIDGE, RelationFit, RelationFits
 
 MIN_IMPROVEMENT = 1.3  # smallest factor by which a suggested manoeuvre increases the separation or the precision
-SPARSE_DENSITY = 0.1  # ratio of the density to that of uniform driving, below which a range counts as sparsely driven
+SPARSE_DENSITY = 0.1  # a range is sparsely driven if its density is below this fraction of a uniform density
 INDEPENDENT_OF_MANOEUVRE = ("run_time", "position_x", "position_y", "north", "east")
 Range = tuple[float, float]
 

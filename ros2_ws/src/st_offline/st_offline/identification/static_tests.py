@@ -127,7 +127,7 @@ def identify_height(job: IdentificationJob) -> tuple[Identification, ...]:
         lift, front, rear = (columns[name][rows] for name in ("lift", "front_radius", "rear_radius"))
         if np.isnan(pitch[rows]).all():
             if np.isnan([lift, front, rear]).all(axis=1).any():
-                raise RunError(file, "has neither a column pitch_deg, nor lift_m with front_radius_m and "
+                raise RunError(file, "has no values of pitch_deg, and lacks values of lift_m, front_radius_m or "
                                "rear_radius_m", "measure pitch or lift in every row")
             pitch[rows] = compute_pitch(lift, front, rear, job.vehicle.wheelbase)
         elif np.isnan(pitch[rows]).any():

@@ -29,7 +29,7 @@ from ._inputs import Inputs
 WORK_PERIOD, SUMMARY_PERIOD = 0.05, 1.0  # s
 MODES = ("forecast", "hindsight")  # scored for every forecast, in the order of the summary
 DIAGNOSTIC_LEVELS = {"warning": diagnostics.WARN, "error": diagnostics.ERROR}
-HISTORY_SPAN = 65.0  # s of measurements stored: longest horizon of a predictor plus the wait for late signals
+HISTORY_SPAN = 65.0  # s of measurements stored: longest horizon of a predictor, 60 s, and 5 s for late messages
 ERROR_DEPTH = 1000  # at the end of a run, the scores of a whole horizon are published at once for all models and modes
 QUEUE_DEPTH = 500  # queued predictions per topic: 50 s at 10 Hz, 5 s of a fast replay
 # SI units; above rounding differences between computers, below the effect of a different vehicle file (cm in 1 s).

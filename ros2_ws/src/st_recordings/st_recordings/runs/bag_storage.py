@@ -133,10 +133,10 @@ class Storage(ABC):
     def align_stamps(self, stamps: Sequence[tuple[str, np.ndarray]], compares_clocks: bool = True
                      ) -> tuple[list[np.ndarray], list[str]]:
         """(times of each topic [ns] on one clock, notes). The times are the stamps if they share a clock; the times of
-        reception if the stamps do not overlap; else the stamps, shifted to the clock of the first topic.
+        reception if only these overlap; else the stamps, shifted to the clock of the first topic.
 
-        An INS may stamp with GPS time, 18 s ahead of UTC. If the delay from stamp to reception varies, as in topics
-        computed after the drive, stamps are not changed. compares_clocks: False if overlapping stamps share a clock.
+        An INS may stamp with GPS time, 18 s ahead of UTC. Stamps are not changed if neither overlap, or if the delay
+        from stamp to reception varies (computed topics). compares_clocks: False if overlapping stamps share a clock.
         """
         series, topics = [times for _, times in stamps], " and ".join(topic for topic, _ in stamps)
         is_common = _overlap(series)

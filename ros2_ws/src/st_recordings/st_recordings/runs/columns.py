@@ -178,7 +178,7 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
         sources[channel] = _make_source(column, names[column], channel, unit)
     pair = find_stamp_columns(names)
     if pair and ("t" not in sources or ("t" not in {*layout.columns, *layout.units} and (
-            sources["t"].column == pair[1] or sources["t"].factor > 1.0))):  # the column of the fractions, or of hours
+            sources["t"].column == pair[1] or sources["t"].factor > 1.0))):  # the fraction, or minutes or hours
         sources["t"] = _make_source(pair[0], names[pair[0]], "t", "s")
     if "compass_heading" in layout.columns and "yaw" not in layout.columns:
         sources.pop("yaw", None)

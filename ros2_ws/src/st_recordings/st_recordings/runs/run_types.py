@@ -61,7 +61,7 @@ class RunSource:
 
     @property
     def arguments(self) -> str:
-        """Command line arguments that read this run."""
+        """Command line arguments that read this run; with `each`, all runs of its run.yaml."""
         return str(self.run_file) if self.run_file else " ".join(map(str, (*self.files, *self.can)))
 
     @property

@@ -121,7 +121,7 @@ def _search_folder(folder: Path) -> list[RunSource]:
 
 
 def _may_belong_to_run(path: Path, files: Sequence[Path]) -> bool:
-    """Whether a file found in a folder may belong to a run; False for tables and bags without a drive."""
+    """Whether a file may belong to a run; False for duplicates, and for tables and bags without INS data or CAN log."""
     reader = find_reader(path)
     if reader is None or reader.needs_can or is_can_log(path):
         return True
@@ -180,9 +180,9 @@ def _group_files(files: Sequence[Path], named_by_user: bool) -> list[RunSource]:
 
 
 def _find_partners(recordings: Sequence[Path], logs: Sequence[Path]) -> dict[Path, tuple[Path, ...]]:
-    """CAN logs of each INS recording: those in the largest folder around it that contains no other INS recording, only
-    those with its stem if there are any; without logs there, those with its stem in other folders, if it is the only
-    recording with this stem. Empty if stems and folders disagree, or if two recordings would share a log."""
+    """CAN logs of each INS recording: those in the outermost folder around it without another INS recording, or only
+    those of them with its stem, if any; without logs there, those with its stem in other folders. A stem counts only if
+    no other recording has it. Empty if stems and folders disagree, or if two recordings would share a log."""
     candidates: dict[Path, tuple[Path, ...]] = {}
     contradictory = set[Path]()
     for file in recordings:
