@@ -70,7 +70,7 @@ class SignalSpec:
         return math.isfinite(self.maximum) or math.isfinite(self.max_rate)
 
     def to_si(self, data: Data) -> Any:
-        """The signal's value in SI units, in one frame or in all frames of a log."""
+        """The signal's value in SI units (or in UNCONVERTED_UNITS), in one frame or in all frames of a log."""
         value = self.extractor.extract(data)
         if self.sign is not None:
             value = value * (1 - 2 * ((self.sign.extract(data) != 0) & self.sign.is_present(data)))
@@ -108,7 +108,7 @@ class MessageSpec:
         return int(self.timeout * 1e9)
 
     def to_si(self, data: Data) -> dict[str, Any]:
-        """SI values by canonical name. A multiplexed signal that is not in the frame is omitted, or NaN in an array."""
+        """Values by canonical name. A multiplexed signal that is not in the frame is omitted, or NaN in an array."""
         values = {}
         for signal in self.signals:
             is_present = signal.extractor.is_present(data)
@@ -338,7 +338,7 @@ def _read_check(row: Entry, key: str, dbc: DbcMessage, dbc_path: Path) -> CheckS
 
 
 def _check_sample(entry: Entry, dbc: DbcMessage, signals: tuple[SignalSpec, ...], dbc_path: Path) -> None:
-    """Raises ConfigurationError if a sample does not decode to its value; steering_sign corrects a wrong sign."""
+    """Raises ConfigurationError if a sample does not decode to its value, apart from the sign (see steering_sign)."""
     entry.allow_only("data", "signal", "value", "unit")
     try:
         data = bytes.fromhex(entry.get("data", str))
@@ -354,4 +354,4 @@ def _check_sample(entry: Entry, dbc: DbcMessage, signals: tuple[SignalSpec, ...]
     if not math.isclose(abs(value), abs(expected), rel_tol=1e-6, abs_tol=abs(spec.dbc.scale) / 2):
         raise ConfigurationError(
             f"{dbc_path}: {spec.dbc.name} decodes {frame} incorrectly: {value:g} {spec.unit} instead of {expected:g} "
-            f"({entry.origin}: {entry.path}); its byte order, start bit or factor is wrong")
+            f"({entry.origin}: {entry.path}); correct its layout or factor in the DBC, or the entries in the table")

@@ -61,7 +61,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Verification:
-    """Comparisons of all models. same_configuration: whether all compared predictions used this car and settings."""
+    """Comparisons of all models. same_configuration: whether all recorded forecasts used this car and settings."""
 
     comparisons: list[Comparison]
     vehicle: str
@@ -215,8 +215,8 @@ def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replay: bo
         console.out(warning, style="yellow", highlight=False)
     if not result.n_starts:
         n_settling = sum(c.n_settling for c in result.comparisons)
-        reason = (f"all {n_settling} predictions start too soon after the first sample received" if n_settling
-                  else "no recorded prediction can be recomputed")
+        reason = (f"in {n_settling} predictions the acceleration filter had not settled; no other can be recomputed"
+                  if n_settling else "no recorded prediction can be recomputed")
         console.print(f"nothing to compare: {reason}")
         return 2
     console.print(_make_table(result))

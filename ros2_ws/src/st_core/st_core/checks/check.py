@@ -61,7 +61,7 @@ class _Results:
     findings: list[Finding] = field(default_factory=list)
     estimates: dict[str, Estimate] = field(default_factory=dict)
     panels: list[Comparison] = field(default_factory=list)
-    yaw_rate_lag: float | None = None  # s, if it may be the opposite lag of yaw
+    yaw_rate_lag: float | None = None  # s; None unless an opposite lag of yaw fits as well
 
     def add(self, result: CheckResult) -> None:
         findings, estimates, panel = result
@@ -77,7 +77,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
     The order is: sampling; units, signs and axes; relations valid for any vehicle (position, yaw, velocity,
     accelerations, other speeds); and, with a vehicle, comparison with it and trial of the corrections. Each check uses
     a copy corrected for the faults found before. No content of a recording raises an exception: channels that are too
-    short or too inaccurate are not compared. The first and last part are also checked, as faults may begin or grow.
+    short or too inaccurate are not compared. Faults may begin or grow, so both ends of long drives are also checked.
     """
     auxiliary = auxiliary or AuxiliaryData()
     start_ns = next(iter(log.ins_time_ns[:1].tolist()), 0) if auxiliary.start_ns is None else auxiliary.start_ns
@@ -106,8 +106,8 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
 
 def _report_changes(whole: DriveCheck, parts: list[DriveCheck], times: list[tuple[float, float]]) -> DriveCheck:
     """The result for a drive. If an error or warning changes between its first and last part, findings with an interval
-    are taken from the parts, because the change may cause false ones in the whole drive. Estimates are those of the
-    whole drive that agree with both parts. times: start and end of each part [s]."""
+    are taken from the parts, because the change may cause false ones in the whole drive, and estimates that differ
+    from those of a part are left out. times: start and end of each part [s]."""
     ranked: list[tuple[tuple[bool, int, float], Finding]] = []
     places = [f"in the {name} {end - start:.0f} s" for name, (start, end) in zip(("first", "last"), times, strict=True)]
     drift, *drifts = (each.estimates.get("yaw_drift", UNKNOWN) for each in (whole, *parts))
@@ -122,7 +122,7 @@ def _report_changes(whole: DriveCheck, parts: list[DriveCheck], times: list[tupl
                 ranked.append(((True, *rank), replace(finding, statement=statement, advice=advice, times=(times[k],))))
             elif not finding.times:
                 ranked.append(((False, *rank), finding))
-    in_parts = {finding.name: finding for _, finding in sorted(ranked, key=lambda pair: pair[0])}  # the last one stays
+    in_parts = {finding.name: finding for _, finding in sorted(ranked, key=lambda pair: pair[0])}  # the last is kept
     changed = {finding.name for (is_changed, *_), finding in ranked if is_changed}
     if not changed:
         return whole
@@ -144,7 +144,7 @@ def _describe_change(finding: Finding, other: DriveCheck, place: str, whole: Dri
     name, value, interval = finding.name, finding.value, finding.interval
     if (finding.times or finding.severity is Severity.NOTE or name in NOT_COMPARED
             or finding.concerns_only_acceleration or finding.channels == LENGTH_CHANNELS
-            or any(f.name in position.CONFOUNDED.get(name, ()) for f in other.findings)):  # the same effect
+            or any(f.name in position.CONFOUNDED.get(name, ()) for f in other.findings)):  # may be the same fault
         return ""
     if value is None or interval is None:
         return "" if name in {f.name for f in (*other.findings, *whole.findings)} else f", but not {place}"
@@ -194,7 +194,7 @@ def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters |
                      stuck_findings: list[Finding], broken_channels: set[str], results: _Results) -> None:
     """Add the results of comparing the channels with each other and with the vehicle.
 
-    stuck_findings: from `find_stuck_channels`. broken_channels: channels that still have faulty samples.
+    stuck_findings: from `find_stuck_channels`. broken_channels: from `find_broken_channels`.
     """
     recorded = motion
     motion, unit_findings = _correct_units_without_lag(sampling.drop_frozen_samples(motion, stuck_findings))
@@ -359,7 +359,7 @@ def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 def _add_yaw_lag_alternative(findings: list[Finding], motion: Motion, lag: float | None) -> list[Finding]:
     """The findings, with a lag of yaw as an alternative cause of those that it mostly explains. lag: of the yaw rate
-    [s], if it may be the opposite lag of yaw; else None."""
+    [s]; None unless an opposite lag of yaw fits as well."""
     if lag is None:
         return findings
     alternative = Alternative(f"yaw {'lags' if lag < 0.0 else 'leads'} by {abs(lag):.3f} s", ("yaw_lag",))

@@ -70,7 +70,7 @@ class Finding:
     effect: float | None = None  # approximate shift of the position at the end of the horizon [m]
     advice: Advice | None = None
     tried: tuple[float, float] | None = None  # prediction error [m] without and with the correction, if tried
-    alternatives: tuple[Alternative, ...] = ()  # a correction suits them, too, except for mirrored drives
+    alternatives: tuple[Alternative, ...] = ()  # a correction in `advice` fits them too, except for mirrored drives
 
     @property
     def text(self) -> str:

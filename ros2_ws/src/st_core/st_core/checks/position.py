@@ -185,8 +185,8 @@ def _is_preferred(loss: float, count: int, other_loss: float, other_count: int) 
 
 
 def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Estimate]]:
-    """(motion corrected for the causes found, the findings, reported estimate of every cause); with fewer than
-    MIN_WINDOWS windows, the motion as given and no estimates."""
+    """(motion corrected for the causes found, the findings, estimates of all causes as reported, without
+    velocity_y_scale if velocity_y is 0); with fewer than MIN_WINDOWS windows, the motion as given and no estimates."""
     if len(motion.make_windows(WINDOW)) < MIN_WINDOWS:
         return motion, [], {}
     explanation = _explain_residual(motion, RARE_EXPLANATIONS)
@@ -269,30 +269,30 @@ def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> 
     effect. The yaw for which the fitted position lag is smaller is right, whatever the reference point. If the drive
     does not determine this lag, the reference point is assumed to be that of the velocities.
     """
-    sides = make_residual_regression(motion), make_residual_regression(corrected)
-    if len(sides[0].time) < MIN_WINDOWS:
+    problems = make_residual_regression(motion), make_residual_regression(corrected)
+    if len(problems[0].time) < MIN_WINDOWS:
         return False
     causes = (*AXIS_SCALES, "position_lag", "velocity_lag", "velocity_x_lag")
     with_reference = (*causes, "position_reference")
-    is_yaw = _has_clearly_smaller_lag(*sides, with_reference)
+    is_yaw = _has_clearly_smaller_lag(*problems, with_reference)
     if abs(lag) < LIMITS.severe_lag:  # a small error of the velocities has the effect of a small lag of yaw
         return None if is_yaw else is_yaw
     if is_yaw is not None:
         return is_yaw
-    is_yaw = _has_clearly_smaller_lag(*sides, causes)
+    is_yaw = _has_clearly_smaller_lag(*problems, causes)
     if is_yaw is None:
         return None
     # Changes of speed may still contradict this assumption.
-    _, scale, _ = sides[is_yaw].fit(with_reference)
-    losses = [side.compute_loss(with_reference, scale) for side in sides]
+    _, scale, _ = problems[is_yaw].fit(with_reference)
+    losses = [problem.compute_loss(with_reference, scale) for problem in problems]
     return None if losses[is_yaw] > MIN_LOSS_RATIO * losses[not is_yaw] else is_yaw
 
 
 def _has_clearly_smaller_lag(recorded: Regression, corrected: Regression, causes: tuple[str, ...]) -> bool | None:
     """Whether the position lag, fitted with other causes, is clearly smaller in the corrected motion than in the
     recorded one (False: larger); None if neither is clearly smaller."""
-    lags = [abs(add_systematic_uncertainty("position_lag", side.estimate(causes)["position_lag"]))
-            for side in (recorded, corrected)]
+    lags = [abs(add_systematic_uncertainty("position_lag", problem.estimate(causes)["position_lag"]))
+            for problem in (recorded, corrected)]
     smaller, larger = sorted(lags, key=lambda lag: lag.value)
     if not larger.is_significant or smaller.value > MAX_RESIDUAL_LAG * larger.value:
         return None
@@ -300,7 +300,7 @@ def _has_clearly_smaller_lag(recorded: Regression, corrected: Regression, causes
 
 
 def check_lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """(motion, findings), with velocity_y of opposite sign if this explains the positions better than any cause."""
+    """(motion, findings), with velocity_y of opposite sign if no common cause explains the positions as well."""
     problem, mirrored = make_residual_regression(motion), replace(motion, velocity_y=-motion.velocity_y)
     if len(problem.time) < MIN_WINDOWS or float(np.sqrt(np.mean(motion.velocity_y**2))) < MIN_LATERAL_VELOCITY:
         return motion, []

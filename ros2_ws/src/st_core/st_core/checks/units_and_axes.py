@@ -245,7 +245,7 @@ def _add_mirrored_channels(motion: Motion, correct: Mapping[str, Any], columns: 
 
 
 def _compare_signs(motion: Motion) -> tuple[int, int]:
-    """For steering and acceleration_y: 1 if they turn in the direction of the yaw rate, -1 in the opposite, else 0."""
+    """(steering, acceleration_y): 1 if the sign agrees with that of the yaw rate, -1 if it is opposite, else 0."""
     turn, steering, lateral = motion.yaw_rate * motion.velocity_x, motion.steering_at_ins(), motion.acceleration_y
     return (_find_common_sign(steering * motion.velocity_x, turn),
             0 if lateral is None else _find_common_sign(lateral, turn))
@@ -408,17 +408,17 @@ def _compute_displacements(motion: Motion, velocity: np.ndarray) -> tuple[np.nda
     return windows.change(motion.position), windows.integral(velocity)
 
 
-def _compute_misfit(motion: Motion, turns: bool = True) -> float:
-    """Median distance [m] of change of position and integrated velocity per second; turns: after the best rotation."""
+def _compute_misfit(motion: Motion, rotated: bool = True) -> float:
+    """Median [m] of |change of position - integrated velocity| per second; rotated: after the best common rotation."""
     measured, derived = _compute_displacements(motion, motion.velocity_map)
     if not len(measured):
         return 0.0
-    rotation = np.sum(_direction(measured) * np.conj(derived)) if turns else 1.0
+    rotation = np.sum(_direction(measured) * np.conj(derived)) if rotated else 1.0
     return float(np.median(np.abs(measured - derived * rotation / max(abs(rotation), 1e-300))))
 
 
 def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
-    """Correct exchanged velocities, or velocities in the map frame, which agree with positions without rotation."""
+    """Correct velocities in the map frame (equal to those of positions), exchanged ones, or a yaw of another axis."""
     measured, unrotated = _compute_displacements(motion, motion.velocity)
     if len(measured) < MIN_WINDOWS:
         return motion, None
@@ -438,15 +438,15 @@ def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
         advice = Advice("text", "rotate them by yaw: forward = cos(yaw) {0} + sin(yaw) {1}, "
                         "lateral = cos(yaw) {1} - sin(yaw) {0}".format(*along))
         corrected = replace(motion, velocity_x=body.real, velocity_y=body.imag)
-    elif max_misfit > 0.0 and motion.moves_sideways and _compute_misfit(exchanged, turns=False) <= max_misfit:
+    elif max_misfit > 0.0 and motion.moves_sideways and _compute_misfit(exchanged, rotated=False) <= max_misfit:
         corrected, advice = exchanged, exchange
         text = "velocity_x and velocity_y are exchanged (x should be forward, y left)"
-    elif max_misfit > 0.0 and motion.moves_sideways and _compute_misfit(motion, turns=False) <= max_misfit:
+    elif max_misfit > 0.0 and motion.moves_sideways and _compute_misfit(motion, rotated=False) <= max_misfit:
         angle = float(np.angle(motion.velocity.sum()))
         quarter = float(np.copysign(np.pi / 2, angle))
         angle = quarter if abs(angle - quarter) < 0.1 else angle
-        text = (f"velocity and track point {angle * DEG_PER_RAD:+.0f} deg to the left of yaw: is yaw that of an axis "
-                "that is not forward, or measured from north?")
+        text = (f"velocity and track point {angle * DEG_PER_RAD:+.0f} deg to the left of yaw: does yaw refer to "
+                "an axis other than the forward one, or to north?")
         advice, channels = Advice.correct("heading", add=angle), dict[str, Any](yaw=motion.yaw + angle)
         for x, y in (("velocity_x", "velocity_y"), ("acceleration_x", "acceleration_y")):
             if (along := getattr(motion, x)) is not None and (lateral := getattr(motion, y)) is not None:

@@ -39,7 +39,7 @@ class Evidence:
 
     name: str
     # Reduction of the held-out loss per residual, approximately the relative reduction of the RMS error; the smaller of
-    # two values, with folds and with whole runs held out [1].
+    # two values, with folds and with `Problem.held_out_groups` held out [1].
     gain: float
     p_value: float  # p-value of the gain, corrected for the whole library [1]
     null_p_value: float = 0.0  # p-value of the hypothesis that the effect has its null values [1]
@@ -167,7 +167,7 @@ def p_no_worse(difference: np.ndarray) -> float:
 
 def collect_evidence(problem: Problem, reduced: Fit, fit: Fit, effect: str, scores: Scores,
                      partitions: Mapping[str, Partition], sensors: Sensors) -> Evidence:
-    """Evidence for an effect of `fit`, compared with the fit `reduced`, without it. scores: library scores there."""
+    """Evidence for an effect of `fit`, compared with the fit `reduced`, without it. scores: those at `reduced`."""
     gain = reduced.held_out - fit.held_out
     block_scores = scores.by_effect.get(effect)
     if block_scores is None:
@@ -209,7 +209,7 @@ def column_reductions(problem: Problem, reduced: np.ndarray, full: np.ndarray) -
 
 
 def efficient_score_at_fit(problem: Problem, fit: Fit, effect: str, sensitivities: Sensitivities) -> np.ndarray:
-    """(b, k) efficient scores of an effect that is not in the fit. sensitivities: to both, at a nearby vector."""
+    """(b, k) efficient scores of an effect that is not in the fit. sensitivities: to both, near its vector."""
     indices = np.union1d(fit.indices, problem.space.indices(effect))
     rows = problem.errors.at(fit.vector)
     q = problem.loss.quadratic(rows, sensitivities.select(indices)).sum_groups(problem.block, problem.blocks)
@@ -317,7 +317,7 @@ def covariance(problem: Problem, fit: Fit) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class JointFit:
-    """A fit in which all other effects of the library are free as well."""
+    """A fit in which the other effects that can be combined with it are free as well."""
 
     indices: np.ndarray  # (a,) free parameters
     covariance: np.ndarray  # (a, a) [parameter scales]
@@ -330,8 +330,8 @@ class JointFit:
 
 
 def approximate_joint_fit(problem: Problem, fit: Fit) -> JointFit:
-    """Quadratic approximation of a fit with all other effects free, which have a prior standard deviation of
-    UNSELECTED_DEVIATION, and with the uncertainties of the vehicle file as priors.
+    """Quadratic approximation of a fit with the other effects that do not overlap it free, with a prior standard
+    deviation of UNSELECTED_DEVIATION, and with the uncertainties of the vehicle file as priors.
 
         covariance = (D / 2) (H + K)^-1,   H, K: curvature of the loss and of the priors,   D: design effect
 

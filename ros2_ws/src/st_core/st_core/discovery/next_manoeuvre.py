@@ -138,8 +138,8 @@ def choose_manoeuvre(problem: Problem, fit: Fit, separabilities: Sequence[Separa
     strength, pair = weakest[name]
     manoeuvre = next(m for m in CATALOGUE if m.name == name)
     return NextManoeuvre(name, pair, strength, {n: s for n, (s, _) in weakest.items()}, REPETITIONS, manoeuvre.duration,
-                         manoeuvre.speed, "it separates even the least separable pair, "
-                         f"{pair[0]} and {pair[1]}, by more than any other manoeuvre simulated at these speeds")
+                         manoeuvre.speed, "its smallest separation, of "
+                         f"{pair[0]} and {pair[1]}, is the largest of the manoeuvres simulated at these speeds")
 
 
 def find_most_informative(problem: Problem, effect: str, curvatures: Curvatures) -> str:

@@ -260,7 +260,7 @@ def find_source_file(effect: type[Effect]) -> str:
 
 
 def get_effect(name: str) -> type[Effect]:
-    """The effect with this name; raises ConfigurationError, naming the nearest known one."""
+    """The effect with this name; raises ConfigurationError, with a similar name if there is one."""
     if name in UNLISTED_EFFECTS:
         return UNLISTED_EFFECTS[name]
     if name not in EFFECTS:

@@ -154,7 +154,7 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                          base: str | Model = "nonlinear") -> Identification:
     """Yaw inertia with its uncertainty; stiffnesses and steering delay are reported too.
 
-    Raises IdentificationError for unusable drives, and without 0.5 s in each bin of YAW_ACCELERATION_EDGES.
+    Raises IdentificationError for unusable drives and too little excitation, such as steady-state cornering only.
     """
     settings = TRANSIENT_SETTINGS.for_car(vehicle)
     logs, notes = prepare_drives(logs, vehicle)
@@ -236,7 +236,7 @@ def _make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivi
 
 
 def _judge_estimate(fit: DrivingFit, index: int, uncertainty: float) -> tuple[str, Status]:
-    """(verdict with uncertainty and number of predictions, status)."""
+    """(verdict, with uncertainty and number of predictions unless a bound was reached; status)."""
     name, value = fit.names[index], fit.values[index]
     basis = f"{fit.prediction_count} predictions in {fit.spread.basis[index]}"
     if name in fit.at_bound:

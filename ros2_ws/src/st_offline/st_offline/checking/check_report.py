@@ -78,7 +78,7 @@ def get_unit_symbol(text: str) -> str:
 
 
 def format_estimate(value: float | None, interval: Sequence[float] | None = None, unit: str = "1") -> str:
-    """An estimate rounded by its interval: "57.30 ± 0.02 m"; asymmetric: "57.3 (56.9 to 58.8) m"; None, NaN: ""."""
+    """An estimate rounded to its uncertainty: "57.30 ± 0.02 m"; asymmetric: "57.3 (56.9 to 58.8) m"; None, NaN: ""."""
     if value is None or not math.isfinite(value):
         return ""
     ending = f" {get_unit_symbol(unit)}" if get_unit_symbol(unit) else ""

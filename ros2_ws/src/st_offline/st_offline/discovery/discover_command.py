@@ -207,8 +207,8 @@ def build_document(discovery: Discovery, request: Request, update: VehicleUpdate
 def build_model_file(discovery: Discovery, request: Request, update: VehicleUpdate) -> ModelFile | None:
     """Model file with the effects of `update.model` that are not at their null values; None without any.
 
-    Intervals of changes relative to the reference drives are shifted to the total values. An effect whose value differs
-    from the reported one is marked as an effective correction.
+    Intervals of changes relative to the reference drives are shifted to the total values. An effect with a value
+    that is not reported, or outside the reported interval, and a folded effect are marked as effective corrections.
     """
     intervals: dict[tuple[str, str], Interval] = {}
     for named_effect in discovery.effects:
@@ -323,8 +323,8 @@ def _make_wide_tables(discovery: Discovery) -> list[Table]:
               "other effects cannot reproduce." + (
                   f" After each possible next drive, for the pair that it separates least: {separations}."
                   if separations else ""), report_text.PAIR_HEAD, report_text.list_pair_rows(discovery)),
-        Table("Other effects that were tried", "Improvement: reduction of the errors over all channels by this effect, "
-              "in addition to the result. An alternative is fitted in place of the reported effect.",
+        Table("Other effects that were tried", "Improvement: reduction of the errors over all channels by this effect "
+              "when it is added to the model. An alternative is fitted in place of the reported effect.",
               ("effect", "fitted", "improvement, %", "verdict", "reason"), candidates,
               f"the first {len(candidates)} of {len(tested)}; all in discovery.json"),
         Table("Not detectable in these drives", "", ("effect", "reason", "recommended manoeuvre"), undetectable,

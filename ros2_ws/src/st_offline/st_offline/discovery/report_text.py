@@ -29,7 +29,7 @@ OTHER_CAUSE = " or a cause outside the library with the same effect"
 DRIVEN_RANGE = "; use it only up to the slip angles of these drives: the peak force of its tyres is not established"
 EFFECT_HEAD = ("effect", "value (95 % interval)", "5 s position error without it", "largest reduction",
                "significant in")
-EFFECT_NOTE = ("Errors are those of the complete model on held-out drives; \"without it\" means that this effect is "
+EFFECT_NOTE = ("Errors are those of the complete model on held-out driving; \"without it\" means that this effect is "
                "removed and the others are refitted. An effect is reported as a cause only if it is significant and "
                f"reduces the error of a channel by at least {100 * LIMITS.relevant:g} %, or the 5 s position error, "
                f"over all driving or in one condition, by at least {LIMITS.relevant_position:g} m. A sensor error that "
@@ -209,7 +209,7 @@ def describe_residual(discovery: Discovery) -> str:
     if position.worst_run:
         text += f"; the run with the largest error is {position.worst_run} ({format_metres(position.worst)})"
     if position.worse_runs and discovery.model:
-        text += f"; the error is larger than before in {', '.join(position.worse_runs)}"
+        text += f"; the error is larger than without the effects in {', '.join(position.worse_runs)}"
     return text
 
 
@@ -290,7 +290,7 @@ def describe_effective_corrections(discovery: Discovery) -> list[str]:
     """Sentence on the effective corrections of the model; empty without any."""
     names = ", ".join(f"{to_words(e.name)} {format_briefly(e.name, e.parameters)} (5 s position error without it "
                       f"{format_metres(e.position_5s_increase, '+')})" for e in discovery.effective)
-    return [f"{names}: improves predictions, but is not a property of the car; model.yaml contains it, marked "
+    return [f"{names}: improving predictions, but not a property of the car; contained in model.yaml, marked "
             "effective"] if names and not discovery.increases_error else []
 
 

@@ -47,7 +47,7 @@ class VehicleUpdate:
 
     vehicle: VehicleParameters  # updated car, or the original one if vehicle.yaml is not written
     text: str  # content of vehicle.yaml; "" if it is not written
-    # Augmented model for `vehicle`; a folded effect keeps the difference between its complete and its named value.
+    # Model for `vehicle`; of a folded effect, the difference between the complete and the named model remains.
     model: AugmentedModel
     folded: tuple[str, ...]  # effects in vehicle.yaml
     # (before, after, low, high) by key [SI]; low, high: 95 % interval.

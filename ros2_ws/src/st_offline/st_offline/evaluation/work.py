@@ -201,7 +201,7 @@ def make_future_inputs(run: LoadedRun, signals: LogSignals, task: Task) -> dict[
 
     The passes of this run are removed from the course. If both origins are known, the course is transformed into the
     map of the run; otherwise both must be in the same map. Raises RunError for planned columns that cannot be read and
-    a course at a different location, ConfigurationError for planned columns whose times do not increase.
+    a course at a different location, ConfigurationError for planned columns whose times are invalid or do not increase.
     """
     inputs: dict[Mode, FutureInputs] = {}
     prediction, files = task.settings.prediction, run.provenance["files"]
@@ -237,7 +237,7 @@ def _read_planned_columns(files: Mapping[str, str],
                            "write numbers with a decimal point, separated by commas") from None
         seconds, first, second = np.atleast_2d(rows).T
         if not np.isfinite(seconds).all() or (np.diff(seconds) <= 0.0).any():
-            raise ConfigurationError(f"{file}: t does not increase in rows with planned columns; sort or correct them")
+            raise ConfigurationError(f"{file}: planned columns need a t that increases in each row; correct or sort it")
         time_ns = np.round(seconds * 1e6).astype(np.int64) * 1000
         if kind == PLANNED_INPUTS:
             return time_ns, (first, second)
