@@ -225,6 +225,12 @@ def test_figures_are_drawn_only_if_they_have_content(logs, tmp_path):
         assert make(empty, FigureOutput(None, ())) is None
 
 
+@pytest.mark.parametrize(("after", "is_shown"), [(0.722, False), (0.75, True)])
+def test_legend_lists_an_increase_only_if_it_is_visible(logs, after, is_shown):
+    found = discovery(logs, (STEPS[0], ("lateral_acceleration_bias", {"bias": -0.6}, after)), 1.72)
+    assert (">increase<" in draw_waterfall(found, FigureOutput(None, ())).svg) is is_shown
+
+
 def test_maps_are_drawn_from_window_errors(tmp_path):
     files = [write_drive(tmp_path / f"{speed}.csv", weave(90.0, speed)) for speed in (7.0, 9.0)]
     long = [read_drive(source, CAR, ReadSettings(), force=True).log for source in find_runs(files)]

@@ -43,7 +43,7 @@ def draw_waterfall(discovery: Discovery, output: FigureOutput) -> PageFigure | N
     for row, step in enumerate(steps, 1):
         before, after = step.position_5s.base, step.position_5s.augmented
         axes.plot([before, before], [row - 0.7, row + 0.31], color=TEXT_COLOUR, lw=0.6, alpha=0.5)
-        colour, change = (AFTER_COLOUR, "reduction") if after <= before else (BAD_COLOUR, "increase")
+        colour, change = (AFTER_COLOUR, "reduction") if after - before <= MIN_CHANGE else (BAD_COLOUR, "increase")
         axes.barh(row, before - after, left=after, color=colour, height=0.62, alpha=0.65, label=change)
         ends = [before - end for end in step.position_5s.interval]
         axes.plot(ends, [row, row], color=TEXT_COLOUR, lw=1.0)
