@@ -296,6 +296,16 @@ def test_odometry_without_velocity_is_refused(tmp_path: Path, drive_log: DriveLo
         read(find_runs([folder])[0], CAR, STEER)
 
 
+def test_odometry_without_orientation_is_refused(tmp_path: Path, drive_log: DriveLog) -> None:
+    def forget(message: Any, k: int) -> Any:
+        pose = replace(message.pose.pose, orientation=make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=0.0))
+        return replace(message, pose=replace(message.pose, pose=pose))
+
+    folder = write(tmp_path / "drive", drive_log, "/odom", "/steer", change={"/odom": forget})
+    with pytest.raises(RunError, match=r"no usable value of yaw; .*; their orientation, a quaternion, is 0 in all of"):
+        read(find_runs([folder])[0], CAR, STEER)
+
+
 @pytest.mark.parametrize(("z_down", "drift", "note"), [
     (True, 1.0, "z of the body axes points down: the sign"), (False, 1.0, "x, y and yaw were converted"),
     (True, 0.0, "the data do not show whether z of the body axes points down, which was assumed")])

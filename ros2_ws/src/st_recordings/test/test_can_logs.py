@@ -386,11 +386,16 @@ def test_log_with_the_wrong_extension_is_read_by_its_content(tmp_path: Path) -> 
     ("text.MF4", b"time,value\n1,2\n", "this is not an MF4 file"),
     ("noise.log", bytes(range(256)) * 10, "this is not a CAN log of a known format"),
     ("packets.asc", b"\xe7" + bytes(71), "this is not a CAN log of a known format"),
+    ("can.pcap", b"\xd4\xc3\xb2\xa1\2\0\4\0" + bytes(8) + b"\0\0\4\0\xe3\0\0\0" + bytes(64),
+     r"this is a network capture \(pcap\) of CAN frames"),
+    ("can.pcapng", b"\n\r\r\n\0\0\0\x1c\x1a\x2b\x3c\x4d\0\1\0\0" + b"\xff" * 8 + b"\0\0\0\x1c"
+     + b"\0\0\0\1\0\0\0\x14\0\xe3" + bytes(64), r"this is a network capture \(pcap\) of CAN frames"),
     ("nothing.log", b"(1.0) can0 002#not hexadecimal\n", "it contains no usable frames"),
 ])
 def test_file_that_is_not_a_can_log_is_rejected(tmp_path: Path, name: str, content: bytes, message: str) -> None:
     file = tmp_path / name
     file.write_bytes(content)
+    assert is_can_log(file) is (name not in ("noise.log", "packets.asc"))
     with pytest.raises(RunError, match=rf"{name}: ({message})"):
         read_can_logs([file])
 

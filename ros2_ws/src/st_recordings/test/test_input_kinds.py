@@ -410,6 +410,9 @@ def test_parts_of_a_table_are_one_run(tmp_path: Path, drive_log: DriveLog, kind:
      r"deg, which is .*: \{latitude: min\}; or interchange"),
     (lambda log: re.sub(r"(?m)^(\d[^,]*),[^,]*,[^,]*", r"\1,0.0,0", geographic(log)),
      "latitude and longitude are 0 or empty in all rows, so the receiver had no fix; export x and y"),
+    (lambda log: re.sub(r"(?m)^(\d[^,]*,[^,]*,[^,]*),[^,]*(.*)", r"\1\2,0,0,0,0", csv(rows(log), header())).replace(
+        ",yaw,", ",", 1).replace("\n", ",qx,qy,qz,qw\n", 1), "its orientation, a quaternion, is 0 or empty in all "
+     "rows; also export yaw, compass_heading or course"),
     (lambda log: re.sub(r"(,-\d\.\d*)", r"\1W", geographic(log)),
      r"column longitude has no numbers, but text such as '-1\.5\d*W'; export"),
     (lambda log: csv(rows(log), csv(rows(log)[:1]).splitlines()[1]),
@@ -417,6 +420,9 @@ def test_parts_of_a_table_are_one_run(tmp_path: Path, drive_log: DriveLog, kind:
     (lambda log: csv(rows(log), header(yaw="yaw [?]")), r"column yaw \[\?\] is not used: '\?'"),
     (lambda log: with_times(log, lambda s: f"{s * 1e9:.0f}").replace("t,", "t [s],", 1),
      r"cannot be in s; .*units: \{t: ns\}"),
+    (lambda log: "#datatype,string,dateTime:RFC3339,double,string\n#group,false,false,false,true\n#default,,,,\n,"
+                 "result,_time,_value,_field\n,_result,2026-05-04T10:00:00Z,1.5,x\n,_result,2026-05-04T10:00:00Z,1.5,yaw\n",
+     "it has one row for each value .* InfluxDB.; export one column for each field"),
     (lambda log: "$GPRMC,101112.00,A,5200.0,N\n" * 99, "it contains NMEA sentences instead of a table; export time"),
     (lambda log: csv(rows(log), ",".join(NAMES).replace(",x,", ",a/pos_x,b/pos_x,")[:-21]),
      "columns a/pos_x and b/pos_x may each be x; name the right one"),

@@ -255,6 +255,8 @@ def _select_odometry(odometry: Mapping[str, np.ndarray], frame_id: str) -> tuple
     missing = {signal: int((~np.isfinite(value)).sum()) for signal, value in values.items()}
     is_usable = np.isfinite(np.stack(list(values.values()))).all(axis=0)
     time_ns, rows, notes = _select_usable_messages(odometry["header.stamp"], is_usable, "odometry messages", missing)
+    if not np.nan_to_num(quaternion).any():
+        notes.append("their orientation, a quaternion, is 0 in all of them: record a heading in it")
     values = {name: value[rows] for name, value in values.items()}
     values["yaw"] = np.unwrap(values["yaw"])
     conversions = convert_odometry(values, frame_id)

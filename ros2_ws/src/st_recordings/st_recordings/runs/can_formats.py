@@ -17,10 +17,11 @@ from typing import Any
 
 import numpy as np
 from canedge_bridge.units import UNITS, normalise
+from oxts_bridge.file_decoder import CAPTURE_MAGIC
 
 from .binary_table import is_signal_table
 from .columns import MOTION_CHANNELS, Layout, find_columns, find_times
-from .errors import COMPRESSED_MAGIC, CP1252_FALLBACK, find_utf16, format_count, shorten
+from .errors import COMPRESSED_MAGIC, CP1252_FALLBACK, RunError, find_utf16, format_count, shorten
 from .frames import EXTENDED_IDS, STANDARD_IDS
 from .mf4 import FD_LENGTHS, MF4_EXTENSIONS, VENDOR_EXTENSIONS, is_mdf
 from .table_times import DAY, PLAUSIBLE_EPOCH, ROLLOVER_STEP, month_number, parse_stamp
@@ -57,7 +58,7 @@ _COMMENT = re.compile(r"\t|.*(ERRORFRAME|ERROR FRAME +\d+)\s*$|\*\*\*|\d+\.\d+ \
 """Lines without data: explanations (candump -e, cantools decode), headers of BUSMASTER and Kvaser, comments."""
 _ERROR_FLAG = 1 << 29  # of the identifier of an error frame
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # of candump -c
-UNSTAMPED_LINE = re.compile(rb"^\s+\S+\s+[0-9A-F]{3,8}\s+\[\d+\]\s", re.MULTILINE)
+_UNSTAMPED_LINE = re.compile(rb"^\s+\S+\s+[0-9A-F]{3,8}\s+\[\d+\]\s", re.MULTILINE)
 """A line of candump without -l and without -t."""
 _ASC_LINE = re.compile(rb"^\s*\d+[.,]\d+\s+\d+\s+[0-9A-Fa-f]+x?\s+[RT]x\s+[dr]\s", re.MULTILINE)
 _TRC_LINE = re.compile(rb"^\s*\d+\)\s", re.MULTILINE)
@@ -486,7 +487,8 @@ FORMATS = (
     Format("PEAK trace", (".trc",), _is_trc, partial(_read_text, make_parser=_make_trc_parser)),
     Format("CSV", _TABLE_EXTENSIONS, _is_csv, partial(_read_text, make_parser=_make_csv_parser)),
 )
-SHARED_EXTENSIONS = (".log", ".asc", "", *_TABLE_EXTENSIONS)  # that CAN logs share with files of other programs
+SHARED_EXTENSIONS = (".log", ".asc", "", ".pcap", ".pcapng", ".cap", *_TABLE_EXTENSIONS)
+"""Extensions that CAN logs share with files of other programs."""
 EXTENSIONS = frozenset({e for f in FORMATS for e in f.extensions}.difference(_TABLE_EXTENSIONS)
                        | {*MF4_EXTENSIONS, *VENDOR_EXTENSIONS})
 
@@ -497,6 +499,23 @@ def read_head(file: Path) -> bytes:
         head = stream.read(4096)
     codec = find_utf16(head)
     return head.decode(codec, "ignore").encode() if codec else head
+
+
+def check_format(file: Path, head: bytes) -> None:
+    """Raises RunError for CAN frames in a form that cannot be read."""
+    if _is_can_capture(head):
+        raise RunError(file, "this is a network capture (pcap) of CAN frames, which cannot be read",
+                       "convert it to .asc or .blf, or record with candump -l")
+    if _UNSTAMPED_LINE.search(head):
+        raise RunError(file, "this output of candump has no time stamps", "record again with candump -l")
+
+
+def _is_can_capture(head: bytes) -> bool:
+    """Whether a file begins as a network capture (pcap or pcapng) of which the first interface is SocketCAN."""
+    if head[:4] != CAPTURE_MAGIC[-1]:
+        return head[:4] in CAPTURE_MAGIC and head[20:24] in (b"\xe3\0\0\0", b"\0\0\0\xe3")
+    start = int.from_bytes(head[4:8], "little" if head[8:9] == b"\x4d" else "big") + 8
+    return head[start:start + 2] in (b"\xe3\0", b"\0\xe3")
 
 
 def find_clock(head: bytes) -> tuple[float, float]:
@@ -526,5 +545,5 @@ def is_can_log(file: Path) -> bool:
         head = b""
     if extension == ".csv":
         return _is_csv(head)
-    return is_mdf(head) or any(kind.matches(head) for kind in FORMATS) or (
+    return is_mdf(head) or _is_can_capture(head) or any(kind.matches(head) for kind in FORMATS) or (
         extension in (".log", ".asc") and (not head or head.startswith(tuple(COMPRESSED_MAGIC))))

@@ -14,7 +14,7 @@ from scipy.ndimage import median_filter
 from . import frames as can_frames
 from .bag import is_bag
 from .bag_storage import open_bag
-from .can_formats import AMBIGUOUS_IDS, DECIMAL_IDS, FORMATS, LINE_FORMAT, UNSTAMPED_LINE, Format, find_clock, read_head
+from .can_formats import AMBIGUOUS_IDS, DECIMAL_IDS, FORMATS, LINE_FORMAT, Format, check_format, find_clock, read_head
 from .cdr import CAN_MSGS_FRAME
 from .errors import RunError, check_readable, shorten
 from .frames import ERROR, EXTENDED, FD, MAX_DATA_LENGTH, REMOTE, SENT, STANDARD_IDS, CanLog, Frames
@@ -75,8 +75,7 @@ def _read_log(file: Path) -> CanLog:
         if file.suffix.lower() in MF4_EXTENSIONS:
             raise RunError(file, "this is not an MF4 file (it does not start with MDF)",
                            "correct its extension, or remove it from the command")
-        if UNSTAMPED_LINE.search(head):
-            raise RunError(file, "this output of candump has no time stamps", "record again with candump -l")
+        check_format(file, head)
         formats = ", ".join(["MF4", *(f.name for f in FORMATS)])
         raise RunError(file, f"this is not a CAN log of a known format ({formats})",
                        "remove it from the command, or convert it")

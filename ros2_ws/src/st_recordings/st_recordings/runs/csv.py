@@ -121,7 +121,7 @@ def build_ins_log(table: Table, required: Sequence[str], yaw_scale: float = 1.0)
                 and (name in required or (name == "yaw" and np.isfinite(columns[name]).any()))]
     rows = table.is_usable & all_finite(columns, channels)
     if rows.sum() < 2:
-        _reject_without_fix(table)
+        _reject_unfilled(table)
         raise RunError(table.file, "it contains fewer than two usable rows", "remove it from the command")
     counted_columns = {name: columns[name] for name in (*channels, *OPTIONAL_INS_SIGNALS) if name in columns}
     _count_missing(table, counted_columns, (), warnings)
@@ -215,7 +215,7 @@ def _require_columns(table: Table, required: Sequence[str], can: str = "") -> No
 
 def _reject_unusable(table: Table, n_ins: int, missing: Mapping[str, int]) -> NoReturn:
     """Raises RunError with the reason. n_ins: number of rows with all INS channels. missing: from `_count_missing`."""
-    _reject_without_fix(table)
+    _reject_unfilled(table)
     reason, advice = "", "remove it from the command"
     if n_ins < 2 and all(np.isfinite(each[table.is_usable]).sum() > 1 for each in table.columns.values()):
         reason, advice = ": its channels have numbers at different times", "export them on one clock"
@@ -232,12 +232,16 @@ def _reject_unusable(table: Table, n_ins: int, missing: Mapping[str, int]) -> No
     raise RunError(table.file, f"it contains fewer than two usable rows{reason}", advice)
 
 
-def _reject_without_fix(table: Table) -> None:
-    """Raises RunError if the position is given by latitude and longitude, and both are 0 or empty in all rows."""
-    angles = [table.columns[name] for name in ("latitude", "longitude") if name in table.columns.keys() - table.texts]
-    if len(angles) == 2 and not {"x", "y"} <= table.columns.keys() and not np.nan_to_num(angles).any():
-        raise RunError(table.file, "latitude and longitude are 0 or empty in all rows, so the receiver had no fix",
-                       "export x and y, or a part with a fix")
+def _reject_unfilled(table: Table) -> None:
+    """Raises RunError if the only position or orientation is a latitude and longitude or a quaternion of zeros."""
+    for names, others, problem, advice in (
+            (("latitude", "longitude"), {"x", "y"}, "latitude and longitude are 0 or empty in all rows, so the "
+             "receiver had no fix", "export x and y, or a part with a fix"),
+            (QUATERNION_CHANNELS, {"yaw"}, "its orientation, a quaternion, is 0 or empty in all rows",
+             f"also export yaw, {ALTERNATIVES['yaw']}")):
+        values = [table.columns[name] for name in names if name in table.columns.keys() - table.texts]
+        if len(values) == len(names) and not others <= table.columns.keys() and not np.nan_to_num(values).any():
+            raise RunError(table.file, problem, advice)
 
 
 def _derive_channels(table: Table, warnings: list[str], frame_id: str = ""

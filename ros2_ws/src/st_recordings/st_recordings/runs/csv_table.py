@@ -110,6 +110,9 @@ def read_table(file: Path, layout: Layout) -> Table:
     if text.startswith("$G"):
         raise RunError(file, "it contains NMEA sentences instead of a table", "export time, latitude, longitude, speed "
                        "and course as .csv")
+    if any({"_field", "_value"} <= {*line.split(",")} for line in text.split("\n", MAX_UNIT_ROWS)):
+        raise RunError(file, "it has one row for each value (columns _field and _value, as of InfluxDB)", "export one "
+                       "column for each field, with the function pivot of InfluxDB")
     n_above = _find_header_line(text.split("\n", MAX_HEADER_LINES + 1)[:MAX_HEADER_LINES], layout)
     *preamble, header, body = (text + "\n").split("\n", n_above + 1)
     if n_above > 1 or (n_above and not _SEPARATOR.match(preamble[0])):

@@ -34,6 +34,8 @@ UNKNOWN_ADVICE = {
     ".dbc": "give a DBC with --dbc, or put it into the folder of --car",
     ".rd": "this is raw data of an OxTS unit: convert it to NCOM with the software of the unit",
     **dict.fromkeys((".nmea", ".gpx", ".ulg"), "export it as .csv with columns as in docs/csv_columns.md"),
+    ".active": "the recording was not closed: repair it with `st recover` (.mcap) or `rosbag reindex` (.bag), then "
+               "remove .active from its name",
     ".vbb": "export it as .vbo with the software of the logger",
     ".bin": "rename it to .ncom if it contains NCOM packets; else export a .csv",
     **dict.fromkeys((".gz", ".zip", ".7z", ".bz2", ".xz", ".zst", ".zstd"), "unpack it first"),
