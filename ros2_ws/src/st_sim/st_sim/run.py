@@ -123,7 +123,7 @@ def _find_can_tables(options: argparse.Namespace) -> tuple[Path, Path]:
     defaults = [options.vehicle.absolute().parent.parent, *(root / "config" for root in roots)]
     for folder in [options.config] if options.config else defaults:
         dbc, signals = folder / "can" / "leaf_ze0.dbc", folder / "can" / "leaf_ze0.yaml"
-        if dbc.exists() and signals.exists():
+        if dbc.exists() and signals.exists() and "Leaf_Steering:" in signals.read_text(encoding="utf-8"):
             return dbc, signals
     raise ConfigurationError(f"--config {options.config or 'is missing'}: can/leaf_ze0.dbc and can/leaf_ze0.yaml, the "
                              "CAN tables of the virtual car, were not found; give the folder config/ of the project")

@@ -227,6 +227,14 @@ def test_other_car_uses_the_bus_of_the_leaf(tmp_path, monkeypatch, config):
     assert (tmp_path / "run" / "run.log").stat().st_size > 10_000
 
 
+def test_tables_without_the_messages_of_the_leaf_are_not_used(tmp_path, capsys):
+    (tmp_path / "can").mkdir()
+    (tmp_path / "can" / "leaf_ze0.dbc").write_text(DBC.read_text())
+    (tmp_path / "can" / "leaf_ze0.yaml").write_text("messages: {}\n")
+    arguments = ["--vehicle", str(LEAF), "--config", str(tmp_path), "--to-files", str(tmp_path / "run")]
+    assert run.main(arguments) == 2 and "the CAN tables of the virtual car, were not found" in capsys.readouterr().err
+
+
 def test_missing_tables_of_the_leaf_are_located_in_the_message(tmp_path, monkeypatch, capsys):
     monkeypatch.delenv("ST_ENVIRONMENT", raising=False)
     monkeypatch.chdir(tmp_path)
