@@ -290,8 +290,8 @@ def describe_effective_corrections(discovery: Discovery) -> list[str]:
     """Sentence on the effective corrections of the model; empty without any."""
     names = ", ".join(f"{to_words(e.name)} {format_briefly(e.name, e.parameters)} (5 s position error without it "
                       f"{format_metres(e.position_5s_increase, '+')})" for e in discovery.effective)
-    return [f"{names}: improving predictions, but not a property of the car; contained in model.yaml, marked "
-            "effective"] if names and not discovery.increases_error else []
+    return [f"{names}: in model.yaml, marked effective, as predictions are better with it; not a property "
+            "of the car"] if names and not discovery.increases_error else []
 
 
 def _list_vehicle_recommendations(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
