@@ -79,7 +79,7 @@ def test_title_and_table_list_values_with_the_largest_effect_first(logs):
 def test_effective_correction_is_described_by_the_error_without_it(logs):
     found = discovery(logs, STEPS, 1.72)
     (text,) = report_text.describe_effective_corrections(replace(found, effective=found.effects[:1]))
-    assert text.startswith("steering ratio × 0.8940 (5 s position error without it +0.90 m): in model.yaml, marked effective")
+    assert text.startswith("steering ratio × 0.8940 (5 s position error without it +0.90 m): in model.yaml, marked")
 
 
 def test_all_effects_of_the_model_file_are_listed(logs):
