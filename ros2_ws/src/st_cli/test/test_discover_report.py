@@ -76,6 +76,10 @@ def test_title_and_table_list_values_with_the_largest_effect_first(logs):
     assert last[2] == "+0.000 m" and "2 of 2 runs, 2 of 2 sites" in last
 
 
+def test_names_of_effects_keep_the_abbreviations_of_the_field():
+    assert quantities.to_words("cg_position") == "CG position"
+
+
 def test_effective_correction_is_described_by_the_error_without_it(logs):
     found = discovery(logs, STEPS, 1.72)
     (text,) = report_text.describe_effective_corrections(replace(found, effective=found.effects[:1]))

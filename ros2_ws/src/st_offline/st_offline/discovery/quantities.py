@@ -54,8 +54,8 @@ def label_channel(name: str) -> str:
 
 
 def to_words(name: str) -> str:
-    """Name of an effect or parameter, with spaces instead of underscores."""
-    return name.replace("_", " ")
+    """Name of an effect or parameter as words, with abbreviations in capitals."""
+    return " ".join(word.upper() if word in ("cg", "ins") else word for word in name.split("_"))
 
 
 def append_unit(number: str, unit: str) -> str:
