@@ -62,8 +62,9 @@ class _ChannelSamples:
 
     def __init__(self, name: str, rows: np.ndarray, time: np.ndarray, values: np.ndarray):
         self.name, self.limits, self.rows, self.time, self.values = name, CHANNEL_LIMITS[name], rows, time, values
-        self.spacing = float(np.median(np.diff(time)))  # s
-        self.gap = np.diff(time) > max(MAX_GAP, 1.5 * self.spacing)  # whether each step spans a gap, (n - 1,)
+        intervals = np.diff(time)  # s
+        self.spacing = float(np.median(intervals))  # s
+        self.gap = intervals > max(MAX_GAP, 1.5 * self.spacing)  # whether each step spans a gap, (n - 1,)
         self.step = np.abs(np.diff(values))  # |change| from each sample to the next, (n - 1,) [unit]
         changes = np.flatnonzero(self.step > 0.0)
         self.median_step = float(np.median(self.step[changes]))  # of the non-zero steps
@@ -157,6 +158,8 @@ def _detect_motion(log: DriveLog, instants_ns: np.ndarray) -> np.ndarray:
 
 def _find_jumps(channel: _ChannelSamples, large: np.ndarray, implausible: np.ndarray) -> np.ndarray:
     """Samples after a step much larger than the usual steps, except at implausible samples, held values and gaps."""
+    if not large.any():
+        return np.zeros(0, np.int64)
     constant = channel.step == 0.0  # a step next to a held value belongs to a frozen channel
     is_held = np.append(constant[:1], constant) | np.append(constant, constant[-1:])
     excluded = implausible | (is_held & (channel.update_interval <= 1.5 * channel.spacing))
