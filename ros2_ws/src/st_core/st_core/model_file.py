@@ -14,7 +14,7 @@ values and vehicle: a file that does not match its hash is rejected as edited; a
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from . import __version__
@@ -22,7 +22,7 @@ from .augmented import AugmentedModel, augment
 from .effects import get_effect
 from .errors import ConfigurationError
 from .vehicle import VEHICLE_QUANTITIES, VehicleParameters
-from .yaml_text import check_keys, format_number, hash_content, load, quote
+from .yaml_text import check_keys, dump, hash_content, load
 
 Interval = tuple[float, float] | None
 MAX_LISTED_DIFFERENCES = 3  # differences between two cars listed in a message
@@ -96,27 +96,17 @@ class ModelFile:
 
     def to_yaml(self) -> str:
         """The text of a model file, from which `from_yaml` reads an equal ModelFile."""
-        lines = [f"base: {self.base}"]
+        document: dict[str, Any] = {}
         if self.vehicle_hash or self.vehicle_name:
-            lines += ["vehicle:", f"  name: {quote(self.vehicle_name)}", f"  hash: {quote(self.vehicle_hash)}"]
-        if self.vehicle:
-            lines += ["  parameters:", *(f"    {line}" for line in self.vehicle.to_yaml().splitlines())]
-        lines.append("effects:" if self.effects else "effects: {}")
-        for name, estimates in self.effects.items():
-            units = {p.name: p.unit for p in get_effect(name).parameters}
-            lines.append(f"  {name}:")
-            for key, estimate in estimates.items():
-                ends = ", ".join(map(format_number, estimate.interval or ()))
-                interval = f"[{ends}]" if ends else "null"
-                lines.append(f"    {key}: {{value: {format_number(estimate.value)}, unit: {quote(units[key])}, "
-                             f"interval: {interval}, source: {quote(estimate.source)}"
-                             f"{', effective: true' if estimate.effective else ''}}}")
-        provenance = self.provenance
-        lines += ["provenance:", f"  date: {quote(provenance.date)}", f"  version: {quote(provenance.version)}",
-                  "  data:" if provenance.data else "  data: {}",
-                  *(f"    {quote(name)}: {quote(digest)}" for name, digest in provenance.data.items()),
-                  f"  note: {quote(provenance.note)}", f"hash: {quote(self.hash)}"]
-        return HEADER + "\n".join(lines) + "\n"
+            parameters = {"parameters": self.vehicle.to_document()} if self.vehicle else {}
+            document["vehicle"] = {"name": self.vehicle_name, "hash": self.vehicle_hash, **parameters}
+        effects = {name: {
+            p.name: {"value": estimate.value, "unit": p.unit, "interval": estimate.interval, "source": estimate.source,
+                     **({"effective": True} if estimate.effective else {})}
+            for p in get_effect(name).parameters if (estimate := estimates.get(p.name))}
+            for name, estimates in self.effects.items()}
+        document |= {"effects": effects, "provenance": asdict(self.provenance), "hash": self.hash}
+        return f"{HEADER}base: {self.base}\n{dump(document)}"
 
     @classmethod
     def from_yaml(cls, text: str, origin: str = "model") -> "ModelFile":
@@ -158,7 +148,7 @@ def _read_effect(name: str, entry: Any) -> dict[str, EffectValue]:
     for key in entry:
         path = f"effects.{name}.{key}"
         unit = parameters[key].unit
-        fields = _check_mapping(path, entry[key], f"value: ..., unit: {quote(unit)}")
+        fields = _check_mapping(path, entry[key], f'value: ..., unit: "{unit}"')
         check_keys(f"{path}.", fields, ["value", "unit", "interval", "source", "effective"], required=["value", "unit"])
         if str(fields["unit"]) != unit:
             raise ConfigurationError(f"{path}: unit {str(fields['unit'])!r} is not {unit}; convert the value")

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from .errors import ConfigurationError
 from .types import Number, Quantity, quantities_of
 from .tyres import GRAVITY, MagicFormula, stiffness_scale
-from .yaml_text import check_keys, format_number, hash_content, load, quote
+from .yaml_text import check_keys, dump, hash_content, load
 
 STIFFNESS_LIMITS = 0.05, 500.0  # cornering stiffness of an axle, divided by the weight of the car [1/rad]
 TYRES = ("tyre_front", "tyre_rear")
@@ -57,11 +57,9 @@ class Provenance:
     data: str = ""  # free text
     date: str = ""  # YYYY-MM-DD
 
-    def format_entries(self) -> str:
-        """The entries as text for a vehicle file, each preceded by a comma."""
-        parts = [] if self.uncertainty is None else [f"uncertainty: {format_number(self.uncertainty)}"]
-        parts += [f"{key}: {quote(getattr(self, key))}" for key in PROVENANCE_TEXTS if getattr(self, key)]
-        return "".join(f", {part}" for part in parts)
+    def to_document(self) -> dict[str, float | str]:
+        """The entries of a vehicle file."""
+        return {key: value for key in PROVENANCE_KEYS if (value := getattr(self, key)) not in (None, "")}
 
 
 def road_wheel_angle(steering_wheel_angle: Number, offset: Number, ratio: Number) -> Number:
@@ -223,26 +221,26 @@ class VehicleParameters:
         return replace(self, **fields).with_derived_scales(derived)
 
     def to_yaml(self) -> str:
-        """A vehicle file in SI units, which `from_yaml` reads back to the same parameters and hash.
+        """A vehicle file in SI units, which `from_yaml` reads back to the same parameters and hash."""
+        return dump(self.to_document())
+
+    def to_document(self) -> dict[str, Any]:
+        """The content of a vehicle file in SI units.
 
         A derived lambda_ky is left out, so that it is recomputed after the cornering stiffness in the file is edited.
         """
         rederived = self.with_derived_scales()
         derived = [tyre for tyre in TYRES if self.sources.get(f"{tyre}.lambda_ky") == DERIVED_SOURCE
                    and getattr(self, tyre) == getattr(rederived, tyre)]
-        lines = [f"name: {quote(self.name)}"]
-        lines += [self._format_entry(key, quantity) for key, quantity in VEHICLE_QUANTITIES.items()]
-        for tyre in TYRES:
-            lines.append(f"{tyre}:")
-            lines += ["  " + self._format_entry(f"{tyre}.{key}", quantity)
-                      for key, quantity in TYRE_QUANTITIES.items() if key != "lambda_ky" or tyre not in derived]
-        return "\n".join(lines) + "\n"
+        return {"name": self.name,
+                **{key: self._make_entry(key, quantity) for key, quantity in VEHICLE_QUANTITIES.items()},
+                **{tyre: {key: self._make_entry(f"{tyre}.{key}", quantity) for key, quantity in TYRE_QUANTITIES.items()
+                          if key != "lambda_ky" or tyre not in derived} for tyre in TYRES}}
 
-    def _format_entry(self, key: str, quantity: Quantity) -> str:
+    def _make_entry(self, key: str, quantity: Quantity) -> dict[str, Any]:
         source = self.sources.get(key, "not stated" if quantity.required else "default")
-        return (f"{key.rpartition('.')[2]}: {{value: {format_number(value_of(self, key))}, "
-                f"unit: {quote(quantity.si_unit)}, source: {quote(source)}"
-                f"{self.provenance.get(key, Provenance()).format_entries()}}}")
+        return {"value": value_of(self, key), "unit": quantity.si_unit, "source": source,
+                **self.provenance.get(key, Provenance()).to_document()}
 
     @cached_property
     def hash(self) -> str:

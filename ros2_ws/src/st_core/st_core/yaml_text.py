@@ -7,6 +7,7 @@ billions of values), tags, duplicate keys (PyYAML silently uses the last one), s
 import difflib
 import hashlib
 import json
+import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -17,6 +18,7 @@ from .errors import ConfigurationError
 MAX_CHARACTERS = 1 << 20
 MAX_NESTING = 40
 LARGEST_INTEGER = 2**63  # a larger integer is a mistake and could overflow a float
+_PLAIN_KEY = re.compile(r"(?!(?:y|n|yes|no|on|off|true|false|null)$)[a-z]\w*", re.IGNORECASE)  # no other value in YAML
 
 
 class _Loader(yaml.SafeLoader):
@@ -119,6 +121,26 @@ def hash_content(content: Any) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def quote(text: str) -> str:
-    """The text in double quotes, escaped where necessary."""
-    return json.dumps(text, ensure_ascii=False)
+def dump(content: Mapping[str, Any], indent: str = "") -> str:
+    """Text that `load` reads: mappings that contain mappings with one line per key, everything else in flow style."""
+    lines = []
+    for key, value in content.items():
+        is_block = isinstance(value, Mapping) and any(isinstance(part, Mapping) for part in value.values())
+        text = "\n" + dump(value, indent + "  ") if is_block else f" {dump_flow(value)}\n"
+        lines.append(f"{indent}{_dump_key(key)}:{text}")
+    return "".join(lines)
+
+
+def dump_flow(value: Any) -> str:
+    """A value in flow style."""
+    if isinstance(value, float):
+        return format_number(value)
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_dump_key(key)}: {dump_flow(part)}" for key, part in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(dump_flow, value)) + "]"
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _dump_key(key: str) -> str:
+    return key if _PLAIN_KEY.fullmatch(key) else json.dumps(key, ensure_ascii=False)

@@ -15,7 +15,6 @@ dimensionless. hindsight: predictions with the inputs as measured; forecast: wit
 An edited file is rejected, because its hash no longer matches.
 """
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
@@ -26,7 +25,7 @@ from ..errors import ConfigurationError
 from ..log_evaluation import MODES, EvaluationSettings
 from ..prediction import PredictionSettings, configuration_hash
 from ..vehicle import VehicleParameters
-from ..yaml_text import check_keys, format_number, hash_content, load, quote
+from ..yaml_text import check_keys, dump, hash_content, load
 from .calibration import Band, ModelMode
 from .scale import KNOTS, CalibrationDomain, Scale, compute_features
 
@@ -107,16 +106,7 @@ class Bands:
             "recordings": dict(self.recordings), "runs": self.runs,
             "calibration_domain": {"starts_per_cell": self.domain.starts.tolist(),
                                    "upper_limits": list(self.domain.upper_limits)}, "bands": entries}
-        lines = [HEADER + f"schema: {SCHEMA}", f"units: {json.dumps(UNITS)}"]
-        lines += [f"{key}: {_to_flow(document[key])}" for key in
-                  ("vehicle", "settings", "runs", "calibration_domain")]
-        lines += ["recordings:", *(f"  {_to_flow(k)}: {_to_flow(v)}" for k, v in document["recordings"].items())]
-        lines.append("bands:")
-        for model, entry in document["bands"].items():
-            lines += [f"  {model}:", f"    configuration_hash: {_to_flow(entry['configuration_hash'])}"]
-            for mode in (m for m in MODES if m in entry):
-                lines += [f"    {mode}:", *(f"      {k}: {_to_flow(v)}" for k, v in entry[mode].items())]
-        return "\n".join([*lines, f"hash: {_to_flow(hash_content(document))}"]) + "\n"
+        return HEADER + dump({"schema": SCHEMA, "units": UNITS, **document, "hash": hash_content(document)})
 
     @classmethod
     def from_yaml(cls, text: str, origin: str = "bands") -> "Bands":
@@ -169,14 +159,3 @@ def hash_configuration(vehicle: VehicleParameters, settings: Mapping[str, Any], 
     """The configuration hash of predictions with these settings. model_hash: "" for a built-in model."""
     prediction = PredictionSettings(**{setting.name: settings[setting.name] for setting in fields(PredictionSettings)})
     return configuration_hash(vehicle, prediction, model_hash)
-
-
-def _to_flow(value: Any) -> str:
-    """A value in YAML flow style; floats have a decimal point, since YAML reads 1e-05 as text."""
-    if isinstance(value, float):
-        return format_number(value)
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{quote(str(k))}: {_to_flow(v)}" for k, v in value.items()) + "}"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(_to_flow, value)) + "]"
-    return json.dumps(value, ensure_ascii=False)

@@ -22,7 +22,7 @@ from st_core.log_evaluation import regular_starts, usable_starts
 from st_core.prediction import PredictionSettings
 from st_core.regression import Z95
 from st_core.vehicle import TYRE_QUANTITIES, TYRES, VEHICLE_QUANTITIES, Provenance, VehicleParameters, value_of
-from st_core.yaml_text import format_number, quote
+from st_core.yaml_text import dump_flow, format_number
 from st_recordings.car import STABILITY_SPEEDS
 
 from ..terminal import format_count
@@ -280,8 +280,8 @@ def _format_entry(car: VehicleParameters, key: str, digits: int | None, unit: st
     existing = car.provenance.get(key, Provenance())
     provenance = replace(existing, uncertainty=None if existing.uncertainty is None else convert(existing.uncertainty))
     source = car.sources[key] if key in car.provenance else SCALE_SOURCE
-    return (f"{{value: {format_number(convert(value_of(car, key)))}, unit: {quote(unit)}, source: {quote(source)}"
-            f"{provenance.format_entries()}}}")
+    return dump_flow({"value": convert(value_of(car, key)), "unit": unit, "source": source,
+                      **provenance.to_document()})
 
 
 def _edit_entries(text: str, keys: Iterable[str], car: VehicleParameters, digits: int | None) -> str:
