@@ -31,7 +31,7 @@ def demo(
     ncom_rate: int = typer.Option(100, help="NCOM packets per second: 100 or 250."),
     seed: int = typer.Option(0, help="Seed of the simulated noise."),
     run_options: shared.RunOptions = shared.RunOptions(),
-    output: Path | None = typer.Option(None, help="Folder for the run; default runs/demo-<scenario>-<time>."),
+    output: Path | None = typer.Option(None, help="Folder for the run; default runs/demo-<scenario or drive>-<time>."),
 ) -> int:
     """Run the live suite on the virtual Leaf or on a recorded drive; show how well each model predicts."""
     from st_live import configuration, session
