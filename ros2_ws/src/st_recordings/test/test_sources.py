@@ -67,6 +67,8 @@ def test_drives_in_folders_are_paired_with_the_logs_next_to_them(tmp_path: Path,
      {"d3/c.ncom": "d3/x.log"}),
     (("d1/a.ncom", "d1/00000001.log", "d2/00000001.ncom", "d2/log/00000001.log"),
      {"d1/a.ncom": "d1/00000001.log", "d2/00000001.ncom": "d2/log/00000001.log"}),
+    (("a.ncom", "a.log", "b.ncom", "c.log", "d.log"), {"a.ncom": "a.log"}),
+    (("a.ncom", "a.log", "b.ncom", "c.log"), {"a.ncom": "a.log", "b.ncom": "c.log"}),
     (("d1/a.ncom", "d1/log/a.log", "d1/log/b.log", "d2/b.ncom"),
      {"d1/a.ncom": "d1/log/a.log", "d2/b.ncom": "d1/log/b.log"}),
 ])

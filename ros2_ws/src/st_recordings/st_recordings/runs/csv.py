@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
-from canedge_bridge.units import UNITS
 from oxts_bridge.geometry import LocalFrame
 from st_core.checks import AuxiliaryData
 from st_core.checks.sampling import MIN_FREEZE_TIME
@@ -15,7 +14,17 @@ from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
 from st_core.types import map_to_body, wrap_angle
 from st_core.vehicle import VehicleParameters
 
-from .axes import MAX_AGREEING_ANGLE, MIN_COMPARED_SAMPLES, MIN_COURSE_SPEED, rotate_to_body_axes
+from .axes import (
+    COURSE,
+    HEADING,
+    MAX_AGREEING_ANGLE,
+    MIN_COMPARED_SAMPLES,
+    MIN_COURSE_SPEED,
+    MIN_DISAGREEING_ANGLE,
+    compute_steps,
+    read_angles,
+    rotate_to_body_axes,
+)
 from .columns import Layout, describe_unknown_units, find_ambiguous, find_ambiguous_steering, find_columns
 from .csv_table import Table, all_finite, differentiate_yaw, read_header, read_table
 from .errors import RunError, format_count
@@ -23,7 +32,7 @@ from .ins_log import SPEEDS, InsLog, compute_car_speed, is_mostly_known, yaw_fro
 from .run_types import LoadedRun, SteeringField, make_drive_log
 
 MOTION_SIGNALS = ("velocity_x", "yaw_rate")
-ROAD_WHEEL, STEERING_WHEEL, HEADING, COURSE = "road_wheel_angle", "steering_wheel_angle", "compass_heading", "course"
+ROAD_WHEEL, STEERING_WHEEL = "road_wheel_angle", "steering_wheel_angle"
 COLUMN_ADVICE = ("name the columns as in docs/csv_columns.md, or write a {stem}.run.yaml with the lines `{key}: {name}`"
                  "{can} and `columns: {{{channel}: NAME, ...}}` (for many drives: `each: '*{extension}'`)")
 STEERING_ADVICE = ("name its column with --steering-field NAME --steering-is wheel (or road), and --steering-sign -1 "
@@ -35,8 +44,6 @@ ALTERNATIVES = {ROAD_WHEEL: STEERING_WHEEL, "x": "longitude", "y": "latitude", "
 """Channel -> channels from which it can also be computed."""
 QUATERNION_CHANNELS = [f"orientation_{axis}" for axis in "xyzw"]
 POSSIBLY_UNFILLED = ("x", "y", "yaw", "orientation_z", "yaw_rate", STEERING_WHEEL)  # often 0 if not measured
-MIN_DISAGREEING_ANGLE = 0.3
-"""[rad]. If the median difference of heading and course is larger, the heading has a different unit or direction."""
 MAX_HELD_FRACTION = 0.3
 """Positions have a lower rate than the rows if more than this fraction of the rows with a moving car repeat them."""
 MIN_INTERVAL_RATIO = 1.5
@@ -82,6 +89,7 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
     named_channel = [_get_channel(steering)] if steering is not None and not steering.topic else []
     table = _leave_out_blank_columns(table, (*INS_SIGNALS, ROAD_WHEEL), named_channel)
     _require_columns(table, (*INS_SIGNALS, ROAD_WHEEL))
+    table = read_angles(table, use_positions=yaw_scale == 1.0)
     warnings = list(table.warnings)
     columns, origin = _derive_channels(table, warnings, frame_id)
     steering_channels = _choose_steering(table, columns, vehicle, steering, warnings)
@@ -115,6 +123,7 @@ def build_ins_log(table: Table, required: Sequence[str], yaw_scale: float = 1.0)
     """
     table = _leave_out_blank_columns(table, required)
     _require_columns(table, required, ", `can: [CAN LOGS]`")
+    table = read_angles(table, use_positions=yaw_scale == 1.0)
     warnings = list(table.warnings)
     columns, origin = _derive_channels(table, warnings)
     channels = [name for name in INS_SIGNALS if name in columns
@@ -261,7 +270,6 @@ def _derive_channels(table: Table, warnings: list[str], frame_id: str = ""
     elif "yaw" not in columns and COURSE in columns:
         columns[COURSE] = _replace_course_when_slow(table, columns, warnings)
         columns["yaw"] = np.pi / 2 - columns[COURSE]
-    _correct_yaw(table, columns, warnings)
     if "velocity_y" not in columns and columns.keys() >= {"yaw", "velocity_east", "velocity_north"}:
         east, north = columns["velocity_east"], columns["velocity_north"]
         columns["velocity_x"], columns["velocity_y"] = map_to_body(east, north, columns["yaw"])
@@ -291,30 +299,6 @@ def _derive_channels(table: Table, warnings: list[str], frame_id: str = ""
     return columns, origin
 
 
-def _correct_yaw(table: Table, columns: dict[str, np.ndarray], warnings: list[str]) -> None:
-    """Reinterprets yaw or heading in another unit or direction if only then it agrees with the course over ground; this
-    requires velocities to the east and north."""
-    channel = next((name for name in ("yaw", HEADING) if name in table.sources), "")
-    if not channel or table.sources[channel].unit not in ("rad", "deg") or not columns.keys() >= {
-            "velocity_east", "velocity_north"}:
-        return
-    east, north, source = columns["velocity_east"], columns["velocity_north"], table.sources[channel]
-    course, speed = np.arctan2(north, east), np.hypot(east, north)
-    recorded_angles = table.columns[channel] / source.factor
-    rows = table.is_usable & np.isfinite(recorded_angles) & (speed > MIN_COURSE_SPEED)
-    if rows.sum() < MIN_COMPARED_SAMPLES:
-        return
-    angles = {unit: recorded_angles * UNITS["angle"][unit][0] for unit in ("rad", "deg")}
-    readings = {(name, unit): yaw for unit, angle in angles.items() for name, yaw in (
-        ("yaw", angle), (HEADING, np.pi / 2 - angle))}
-    differences = {key: float(np.median(np.abs(wrap_angle(course - yaw)[rows]))) for key, yaw in readings.items()}
-    name, unit = min(differences, key=lambda candidate: differences[candidate])
-    if differences[channel, source.unit] > MIN_DISAGREEING_ANGLE and differences[name, unit] < MAX_AGREEING_ANGLE:
-        columns["yaw"] = readings[name, unit]
-        warnings.append(f"{table.file}: column {source.name} agrees with the velocities to the east and north only as "
-                        f"{name} in {unit}; it was read as such")
-
-
 def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: np.ndarray,
                     longitude: np.ndarray) -> None:
     """Raises RunError if latitude and longitude are in radians without a stated unit, or interchanged.
@@ -324,27 +308,17 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
     """
     if "velocity_x" not in columns:
         return
-    rows = np.flatnonzero(table.is_usable & np.isfinite(latitude) & np.isfinite(longitude) & np.isfinite(
-        columns["velocity_x"]))
-    time = (table.time_ns[rows] - table.time_ns[:1]) * 1e-9
-    if len(rows) < MIN_COMPARED_SAMPLES:
-        return
-    step = max(round(1.0 / float(np.median(np.diff(time)))), 1)
-    speed = np.abs(columns["velocity_x"][rows])
-    driven_distance = np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time)))[::step]
-    if driven_distance[-1] < time[-1] - time[0]:  # below 1 m/s on average, receiver noise dominates
-        return
-    is_moving = np.diff(driven_distance) > 0.5 * np.median(np.diff(driven_distance))
-    yaw = columns["yaw"][rows[::step]][:-1] if "yaw" in columns else None
+    speed, yaw = np.abs(columns["velocity_x"]), columns.get("yaw", np.full(len(latitude), np.nan))
 
     def compare(latitude: np.ndarray, longitude: np.ndarray) -> tuple[float, float]:
-        """Medians over steps: (ratio of position distance to driven distance, |course - yaw| [rad])."""
-        frame, compared_rows = LocalFrame(float(latitude[rows[0]]), float(longitude[rows[0]]), 0.0), rows[::step]
-        east, north, _ = map(np.diff, frame.to_enu(latitude[compared_rows], longitude[compared_rows], 0.0))
-        ratio = np.median((np.hypot(east, north) / np.maximum(np.diff(driven_distance), 1e-9))[is_moving])
-        if yaw is None:
-            return float(ratio), np.nan
-        return float(ratio), float(np.nanmedian(np.abs(np.angle((east + 1j * north) * np.exp(-1j * yaw)))[is_moving]))
+        """Medians over steps: (ratio of position distance to driven distance, |course - yaw| [rad]); NaN if slow."""
+        first, last, motion = compute_steps(table, longitude, latitude, is_geographic=True)
+        driven = 0.5 * (speed[first] + speed[last])
+        is_moving = driven > max(MIN_COURSE_SPEED, 0.5 * float(np.nanmedian(np.append(driven, 0.0))))
+        if is_moving.sum() < MIN_COMPARED_SAMPLES:
+            return np.nan, np.nan
+        angles = np.append(np.abs(np.angle(motion * np.exp(-1j * yaw[first])))[is_moving], np.inf)
+        return float(np.median(np.abs(motion[is_moving]) / driven[is_moving])), float(np.nanmedian(angles))
 
     names = [table.sources[name].name for name in ("latitude", "longitude")]
     ratio, angle = compare(latitude, longitude)
@@ -352,7 +326,7 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
         raise RunError(table.file, f"{names[0]} and {names[1]} are in radians: if read as degrees, they give 1/"
                        f"{1.0 / ratio:.0f} of the driven distance",
                        "declare the unit in a run.yaml, as units: {latitude: rad, longitude: rad}")
-    if abs(ratio - 1.0) > 0.05 and angle > MIN_DISAGREEING_ANGLE and np.abs(longitude[rows]).max() < np.pi / 2:
+    if abs(ratio - 1.0) > 0.05 and angle > MIN_DISAGREEING_ANGLE and np.nanmax(np.abs(longitude)) < np.pi / 2:
         ratio, angle = compare(longitude, latitude)
         if abs(ratio - 1.0) < 0.02 and angle < MAX_AGREEING_ANGLE:
             raise RunError(table.file, f"{names[0]} and {names[1]} are interchanged: they agree with the driven "

@@ -29,8 +29,6 @@ _GROUPED_POINTS = re.compile(r"\.(?<=\d.)\d{3}\.\d{3}(?!\d)")  # 1.234.567; fast
 _NUMBER = re.compile(r'[\s"]*[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?[\s"]*')
 _NUMBER_WITH_UNIT = re.compile(r"([+-]?\d[\d.,]*(?:[eE][+-]?\d+)?)\s*([^\d\s.,+-].*)")  # 0.02 sec, 12 km/h
 _FORTRAN_EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[+-]\d\d)")  # 1.5D-03
-MAX_RADIANS = 6.4  # rad; a column of headings is in degrees if its first value has a larger magnitude
-MAX_YAW_RATE = 3.0  # rad/s; a yaw rate column with larger values is in deg/s, and yaw is not compared with it
 _SEPARATOR = re.compile(r"sep=.\s*$", re.MULTILINE)  # how a spreadsheet marks its delimiter
 _LINE_END_IN_CELL = re.compile(r'"[^",;|\t]{0,80}\n[^",;|\t]{1,80}"(?=[,;|\t\n])')
 _QUOTED_ROW = re.compile(r'^"((?:[^"\n]|"")*)"$', re.MULTILINE)  # a row that was exported as one cell
@@ -200,9 +198,9 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
     seconds, time = convert_to_seconds(file, seconds, time, warnings)
     has_time, time_ns, is_usable = select_usable_times(file, seconds, time, first_time, warnings)
     columns = {channel: values[has_time] for channel, values in columns.items()}
-    sources = _read_degrees(file, {**sources, "t": time}, columns, time_ns, warnings)
     rows_without_time = int((~has_time).sum())
-    return Table(file, tuple(names), sources, columns, time_ns, rows_without_time, is_usable, tuple(warnings), texts)
+    return Table(file, tuple(names), {**sources, "t": time}, columns, time_ns, rows_without_time, is_usable,
+                 tuple(warnings), texts)
 
 
 def _join_groups(rows: np.ndarray, names: list[str], time_column: int) -> np.ndarray:
@@ -250,36 +248,6 @@ def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layou
     first = _split_first_row(body, delimiter)[:1]
     if "t" not in sources and names[:1] == [""] and first and parse_stamp(first[0]):
         sources["t"] = ColumnSource(0, "(without a name)", "time", "s", has_stated_unit=True)
-    return sources
-
-
-def _read_degrees(file: Path, sources: dict[str, ColumnSource], columns: dict[str, np.ndarray], time_ns: np.ndarray,
-                  warnings: list[str]) -> dict[str, ColumnSource]:
-    """Converts angles that are in degrees although the header states no unit; returns the updated sources.
-
-    Angles are in degrees if they lie between -180 and 360 and either wrap by 360, or begin above 2 pi in magnitude and
-    their change does not agree with the integrated yaw rate [rad/s].
-    """
-    degree = UNITS["angle"]["deg"][0]
-    # The checks report a yaw in degrees that contradicts the yaw rate column; a derived yaw rate would hide the error.
-    for channel in ("compass_heading", "course", *(() if "yaw_rate" in sources else ("yaw",))):
-        source = sources.get(channel)
-        if source is None or source.has_stated_unit or source.unit != "rad":
-            continue
-        has_value = np.isfinite(columns[channel])
-        values = columns[channel][has_value]
-        wraps = np.abs(np.diff(values)).max(initial=0.0) > 180.0
-        if not wraps and "yaw_rate" in columns and len(values):
-            rate = np.nan_to_num(columns["yaw_rate"])
-            yaw_change = np.cumsum(rate * np.diff(time_ns * 1e-9, prepend=time_ns[0] * 1e-9))[has_value]
-            yaw_range = np.ptp(yaw_change)
-            if np.abs(rate).max() < MAX_YAW_RATE and yaw_range > 0.3 and np.ptp(values) < 3.0 * yaw_range:
-                continue  # both are in radians
-        if len(values) and values.min() > -180.5 and values.max() < 360.5 and (wraps or abs(values[0]) > MAX_RADIANS):
-            columns[channel] = columns[channel] * degree
-            sources = {**sources, channel: replace(source, unit="deg")}
-            warnings.append(f"{file}: column {source.name} has values from {values.min():.4g} to {values.max():.4g}: "
-                            "they were read as degrees")
     return sources
 
 

@@ -171,7 +171,7 @@ def _group_files(files: Sequence[Path], named_by_user: bool) -> list[RunSource]:
             logs = [f for f in logs if f not in own_logs]
         else:
             recordings_without_logs.append(file)
-    partners = _find_partners(recordings_without_logs, logs)
+    partners = _find_partners(recordings_without_logs, logs, any(run.can for run in runs))
     runs += [RunSource(f.stem, readers[f].kind, (f,), own_logs) for f, own_logs in partners.items() if own_logs]
     logs = [log for log in logs if not any(log in own_logs for own_logs in partners.values())]
     for file in complete_drives:
@@ -181,10 +181,12 @@ def _group_files(files: Sequence[Path], named_by_user: bool) -> list[RunSource]:
     return [*runs, *_report_unmatched([f for f, own_logs in partners.items() if not own_logs], readers, logs)]
 
 
-def _find_partners(recordings: Sequence[Path], logs: Sequence[Path]) -> dict[Path, tuple[Path, ...]]:
+def _find_partners(recordings: Sequence[Path], logs: Sequence[Path], others_paired: bool
+                   ) -> dict[Path, tuple[Path, ...]]:
     """CAN logs of each INS recording: those in the outermost folder around it without another INS recording, or only
     those of them with its stem, if any; without logs there, those with its stem in other folders. A stem counts only if
-    no other recording has it. Empty if stems and folders disagree, or if two recordings would share a log."""
+    no other recording has it. Empty if stems and folders disagree, if two recordings would share a log, or, where
+    others have logs of their stem, for logs of several sessions."""
     candidates: dict[Path, tuple[Path, ...]] = {}
     contradictory = set[Path]()
     for file in recordings:
@@ -197,7 +199,8 @@ def _find_partners(recordings: Sequence[Path], logs: Sequence[Path]) -> dict[Pat
         if nearby and {*candidates[file]} - {*nearby}:
             contradictory.add(file)
     counts = Counter(log for own_logs in candidates.values() for log in own_logs)
-    return {file: () if file in contradictory or any(counts[log] > 1 for log in own_logs) else own_logs
+    return {file: () if file in contradictory or any(counts[log] > 1 for log in own_logs) or (
+                others_paired and len({parse_session(log)[0] for log in own_logs}) > 1) else own_logs
             for file, own_logs in candidates.items()}
 
 
