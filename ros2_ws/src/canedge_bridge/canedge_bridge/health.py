@@ -13,7 +13,6 @@ _LEVELS = {BusState.OK: OK, BusState.SILENT: WARN, BusState.ERROR_PASSIVE: WARN,
            BusState.DOWN: ERROR, BusState.GONE: ERROR}
 _START_UP_TIME = 2.0  # time after the start before a missing signal is an error [s]
 _RATE_INTERVAL = 0.5  # minimum time between two updates of the frame rates [s]
-_FAULTS = ("wrong_counter", "wrong_checksum", "wrong_length", "not_finite", "implausible")  # in MessageStatistics
 
 
 class Health:
@@ -32,8 +31,8 @@ class Health:
     def checks(self) -> list[Check]:
         plausibility = Check("plausibility", OK, "no signal is persistently implausible")
         if implausible := self._decoder.plausibility_faults():
-            text = "; ".join(implausible) + "; messages with these signals are not published"
-            plausibility = Check("plausibility", ERROR, text)
+            plausibility = Check("plausibility", ERROR, "; ".join(
+                [*implausible, "messages with these signals are not published"]))
         return [self._check_bus(), self._check_signals(), self._check_frames(), plausibility]
 
     def _check_bus(self) -> Check:
@@ -65,8 +64,8 @@ class Health:
             last_seen_ns = self._decoder.statistics(message.name).last_seen_ns
             age = None if last_seen_ns is None else (now_ns - last_seen_ns) * 1e-9
             for signal in message.signals:
-                values[f"{signal.name} ({message.name}) age [s]"] = "never seen" if age is None else age
-            fault = "no frame yet" if age is None else f"no good frame for {age:.1f} s"
+                values[f"{signal.name} ({message.name}) age [s]"] = "no good frame yet" if age is None else age
+            fault = "no good frame yet" if age is None else f"no good frame for {age:.1f} s"
             text = f"{', '.join(s.name for s in message.signals)} ({message.name}): {fault}"
             if message.is_needed and (age is None or age > message.timeout):
                 missing.append(text)
@@ -76,7 +75,7 @@ class Health:
             return Check("signals", ERROR, "; ".join(missing), values)
         if stale:
             return Check("signals", WARN, "; ".join(stale), values)
-        text = "waiting for the first frames" if missing else "needed signals are up to date"
+        text = "waiting for the first good frames" if missing else "needed signals are up to date"
         return Check("signals", OK, text, values)
 
     def _check_frames(self) -> Check:
@@ -86,7 +85,8 @@ class Health:
             counts = self._decoder.statistics(name)
             values[f"{name} good"] = counts.good
             values[f"{name} rate, expected [frames/s]"] = f"{self._rates.get(name, 0.0):.1f}, {1 / message.period:g}"
-            for fault in ("lost", *_FAULTS, "dropped"):
+            for fault in ("lost", "wrong_counter", "wrong_checksum", "wrong_length", "not_finite", "implausible",
+                          "dropped"):
                 if count := getattr(counts, fault):
                     values[f"{name} {fault.replace('_', ' ')}"] = count
             bad += counts.bad

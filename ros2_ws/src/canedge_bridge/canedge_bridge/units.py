@@ -57,14 +57,16 @@ _BASE_UNITS = {**_UNITS_BY_SPELLING["length"], **_UNITS_BY_SPELLING["angle"], **
 def find_unit(kind: str, text: str) -> str | None:
     """The unit in a text such as "in degrees per sec"; None if not of this kind, "" for a clock or time format."""
     text = text.translate(_SPELLINGS).replace("_", " ")
-    words = set(re.findall("[a-z]+", text.lower())) - {"start", "time", "in"}
-    if kind == "time" and words and not normalise(_CLOCK.sub("", text)):
-        return None if words & {"day", "week"} and "of" not in words else ""  # a count of days or weeks is not a clock
-    text = re.sub(r"(?i)^\W*in (?=.)", "", _CLOCK.sub("", text) if kind == "time" else text)
-    parts = (re.fullmatch(r"[^\w°]*(.*?)[^\w°]*([2²]|squared)?[^\w°]*", part) for part in re.split(
+    if kind == "time":
+        words = set(re.findall("[a-z]+", text.lower())) - {"start", "time", "in"}
+        text = _CLOCK.sub("", text)
+        if words and not normalise(text):  # a count of days or weeks is not a clock
+            return None if words & {"day", "week"} and "of" not in words else ""
+    text = re.sub(r"(?i)^\W*in (?=.)", "", text)
+    terms = (re.fullmatch(r"[^\w°]*(.*?)[^\w°]*([2²]|squared)?[^\w°]*", term) for term in re.split(
         r"(?i)[/∕⁄]|\bper\b", text))
-    composed = "/".join(_BASE_UNITS.get(normalise(part[1]), part[1]) + "2" * bool(part[2]) for part in parts if part)
-    return _UNITS_BY_SPELLING[kind].get(normalise(text)) or _UNITS_BY_SPELLING[kind].get(normalise(composed))
+    quotient = "/".join(_BASE_UNITS.get(normalise(term[1]), term[1]) + "2" * bool(term[2]) for term in terms if term)
+    return _UNITS_BY_SPELLING[kind].get(normalise(text)) or _UNITS_BY_SPELLING[kind].get(normalise(quotient))
 
 
 def list_kinds(text: str) -> list[str]:

@@ -67,12 +67,12 @@ def plan_blocks(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, shar
         return
     count, between = len(instants_ns), np.diff(starts_ns)
     half = int(instants_ns[1]) if count > 1 else 1
-    is_apart = between >= half * count
+    is_apart = between >= half * count  # the horizon ends before the next start
     spacing = int(np.gcd.reduce(between[~is_apart] // half)) or count
     tail = (count - 1) // spacing  # columns into which the horizon of a start extends
     column = np.concatenate(([0], np.cumsum(np.where(is_apart, tail + 1, between // (half * spacing)))))
     is_on_grid = np.array_equal(instants_ns, half * np.arange(count)) and not np.any(between[~is_apart] % half)
-    width = column[-1] + 1 + tail * (column[-1] // SHARED_BLOCK + 1)
+    width = column[-1] + 1 + tail * (column[-1] // SHARED_BLOCK + 1)  # columns of all tables, each with a tail
     is_shared = bool(share and is_on_grid and width <= 2 * len(starts_ns) + lanes)
     if not is_shared:
         spacing, tail, column = count, 0, np.arange(len(starts_ns))
@@ -99,7 +99,7 @@ Signals = Mapping[str, tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Signals of a drive, corrected by a model."""
+    """Signals of a drive, as recorded or corrected by a model."""
 
     signals: LogSignals
     sample_cache: dict[Hashable, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
@@ -259,14 +259,14 @@ class LogBatch:
                  for name in model.signals]
         return [v.ravel() for v in (angle, acceleration, *extra)]
 
-    def _table(self, block: GridBlock, values: list[np.ndarray], model: Model, p: Any) -> np.ndarray:
+    def _tabulate_inputs(self, block: GridBlock, values: list[np.ndarray], model: Model, p: Any) -> np.ndarray:
         """Quantities w that depend only on inputs (`Model.inputs`), at all instants of a block."""
         return block.tabulate(model.inputs(*values[:2], p, *values[2:]))
 
     def _advance(self, block: GridBlock, values: list[np.ndarray], states: np.ndarray, model: Model, p: Any,
                  substeps: int) -> np.ndarray:
         with np.errstate(all="ignore"):
-            w = self._table(block, values, model, p)
+            w = self._tabulate_inputs(block, values, model, p)
             start = model.start_state(tuple(states), tuple(w[:, block.offsets[0]:block.offsets[0] + block.count]), p)
         columns = np.full((len(start), block.columns), np.nan)
         columns[:, :block.count] = np.broadcast_arrays(*start)

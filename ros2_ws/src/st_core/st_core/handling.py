@@ -19,7 +19,7 @@ def stability_factor(car: VehicleParameters) -> float:
 def steady_state_steering(speed: Number, curvature: Number, car: VehicleParameters) -> Number:
     """Road wheel angle [rad] of the linear single-track car in a steady turn of curvature k [1/m] at speed v [m/s].
 
-        delta = L (1 + K v^2) k,   L: wheelbase, K: `stability_factor`
+        delta = l (1 + K v^2) k,   l: wheelbase, K: `stability_factor`
 
     Source: Guiggiani, The Science of Vehicle Dynamics, ch. 6.
     """
@@ -42,8 +42,7 @@ def linear_system(speed: float, car: VehicleParameters) -> tuple[np.ndarray, np.
     a = np.array([[-(front + rear) / (car.mass * v), (l_r * rear - l_f * front) / (car.mass * v) - speed],
                   [(l_r * rear - l_f * front) / (car.yaw_inertia * v),
                    -(l_f**2 * front + l_r**2 * rear) / (car.yaw_inertia * v)]])
-    ratio = speed / v
-    return a, ratio * np.array([front / car.mass, l_f * front / car.yaw_inertia])
+    return a, speed / v * np.array([front / car.mass, l_f * front / car.yaw_inertia])
 
 
 @dataclass(frozen=True)

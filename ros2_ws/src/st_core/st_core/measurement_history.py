@@ -114,7 +114,7 @@ class MeasurementHistory:
             self.generation += 1
         if index is None:
             return False
-        # Usually only the newest sample is filtered; a sample inserted in time order changes all later results.
+        # Usually only the newest sample is filtered; a late sample changes all later results.
         times, rows, (*_, cutoff) = self.ins.times, self.ins.rows, self._settings
         for i in range(index, len(times)):
             spacing_ns = int(times[i] - times[i - 1]) if i else 0
@@ -137,7 +137,7 @@ class MeasurementHistory:
         return index is not None
 
     def _find_jumps(self, index: int) -> None:
-        # A sample inserted in time order changes the steps before and after it.
+        # A late sample changes the steps before and after it.
         for after in range(max(index, 1), min(index + 2, len(self.ins))):
             times, rows = self.ins.times[after - 1:after + 1].tolist(), self.ins.rows[after - 1:after + 1].tolist()
             size = unexplained_displacement((times[1] - times[0]) * NANOSECOND, *rows)
@@ -188,7 +188,7 @@ class FrozenSteeringDetector:
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> None:
         """Add a road wheel angle [rad], positive to the left, measured at time_ns."""
         self._newest_ns = time_ns
-        # NaN, the first angle and a time step backward also restart the detection.
+        # NaN, the first angle and a time before `_since_ns` also restart the detection.
         if abs(road_wheel_angle - self._angle) <= ANGLE_RESOLUTION and time_ns >= self._since_ns:
             return
         self._angle, self._since_ns = road_wheel_angle, time_ns

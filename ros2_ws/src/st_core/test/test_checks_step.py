@@ -97,7 +97,7 @@ def test_prediction_does_not_warn_with_the_proposed_value(leaf, log, monkeypatch
 
 def test_finding_names_models_and_times(leaf, log):
     finding = check_step_length(MODELS, replace(leaf, minimum_slip_speed=0.1), log, STEP)
-    assert finding.severity is Severity.WARNING and "linear and nonlinear model of Nissan Leaf ZE0" in finding.text
+    assert finding.severity is Severity.WARNING and "linear and nonlinear models of Nissan Leaf ZE0" in finding.text
     first, second = finding.times
     # The speed is below the limit of 2.66 m/s at the start, and again from 39 to 50 s.
     assert first == (0.0, pytest.approx(2.2, abs=0.5)) and second == pytest.approx((39.2, 50.2), abs=0.7)

@@ -10,7 +10,6 @@ from st_core.course import Course
 from st_core.effects import load_folder
 from st_core.errors import StCoreError
 from st_core.log_evaluation import EvaluationSettings
-from st_core.model_file import ModelFile
 from st_core.models import MODELS, Model
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
@@ -162,7 +161,7 @@ def _check_bands(bands: Path, predictor: Mapping[str, Any]) -> None:
     car = read_vehicle(Path(predictor["vehicle_file"]))
     hashes = dict.fromkeys(predictor["models"], "")  # hash of the model file by model; "" for a built-in model
     if name := predictor.get("model_file"):
-        model = _read_option("--model", Path(name), ModelFile.from_yaml)
+        model = read_model_file(name)
         hashes[model.model().name] = model.hash
     settings = {name: predictor[name] for name in PredictionSettings.__dataclass_fields__ if name in predictor}
     try:

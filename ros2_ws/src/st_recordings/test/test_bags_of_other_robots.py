@@ -322,6 +322,18 @@ def test_odometry_in_north_east_down_without_a_yaw_rate(z_down: bool, drift: flo
     assert note in notes[-1]
 
 
+def test_velocities_over_ground_in_north_east_down() -> None:
+    """Only the yaw rate changes its sign; velocity_y results from the rotation into body axes."""
+    yaw = 0.2 * np.linspace(0.0, 10.0, 501)
+    position = np.cumsum(5.0 * np.exp(1j * yaw)) * 0.02
+    values = {"x": position.imag, "y": position.real, "yaw": np.pi / 2 - yaw, "velocity_x": 5.0 * np.sin(yaw),
+              "velocity_y": 5.0 * np.cos(yaw), "yaw_rate": np.full(501, -0.2)}
+    notes = convert_odometry(values, "odom_ned")
+    np.testing.assert_allclose(values["yaw_rate"], 0.2)
+    np.testing.assert_allclose(values["velocity_y"], 0.0, atol=1e-12)
+    assert notes[1] == "z of the body axes points down: the sign of yaw_rate was changed"
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_noise_at_constant_heading_does_not_show_the_direction_of_z(seed: int) -> None:
     noise = 0.002 * np.random.default_rng(seed).normal(size=(3, 501))

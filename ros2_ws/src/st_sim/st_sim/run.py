@@ -27,7 +27,7 @@ from .stream import LiveOutput, Output, Report, Source, Stream, send
 
 DEFAULT_DURATION, MAX_DURATION = 60.0, 1e6  # s
 START_GRID_NS = 20_000_000  # drives start on this UTC grid, a multiple of the periods at 100 and 250 Hz
-LEAD_NS = 20_000_000  # minimum time from the end of preparation to the first epoch
+LEAD_NS = 20_000_000  # minimum time to the first epoch, for the rest of the preparation
 FILE_EPOCH_NS = 1_756_900_800_000_000_000  # 2025-09-03 12:00 UTC: start of a drive written to files with seed 0
 DEFAULT_ORIGIN = "51.448,5.49,65.0"  # latitude, longitude [deg], ellipsoidal height [m]
 

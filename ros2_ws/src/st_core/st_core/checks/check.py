@@ -50,7 +50,7 @@ MIN_CHANGE = 0.5  # fraction of the deviation; if the parts differ by less, one 
 NOT_COMPARED = (  # between parts: the first two are constant, the others vary with the driving
     "measuring_point", "position_reference", "heading_misaligned", "steering_unrelated")
 UNKNOWN = 0.0, -np.inf, np.inf  # estimate: value and interval
-SHOWN_BY_DRIFT = ("yaw_drift", "yaw_offset", "velocity_y_scale", "velocity_y_bias")  # in a part, if yaw drifts
+CAUSED_BY_DRIFT = ("yaw_drift", "yaw_offset", "velocity_y_scale", "velocity_y_bias")  # findings in a part
 MIN_INS_SAMPLES = 50  # with fewer samples, only implausible samples and time stamps are reported
 
 
@@ -87,7 +87,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
         duration = min((last - first) // 2, round(MAX_PART_DURATION / NANOSECOND))
         middle, late = first + duration, last - duration
         times = [tuple((t - start_ns) * NANOSECOND for t in span) for span in ((first, middle), (late, last))]
-        # No change concerns only accelerations, but they help to decide which of two other channels is wrong.
+        # A change of accelerations alone is not reported. They help to decide which of two other channels has changed.
         for compared in (replace(log, acceleration_x=None, acceleration_y=None), log):
             parts = [_check_part(compared.slice(*span), vehicle, replace(auxiliary, implausible=()), start_ns)
                      for span in ((log.start_ns, middle - 1), (late, log.end_ns))]
@@ -105,31 +105,31 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
 
 
 def _report_changes(whole: DriveCheck, parts: list[DriveCheck], times: list[tuple[float, float]]) -> DriveCheck:
-    """The result for a drive. If an error or warning changes between its first and last part, findings with an interval
-    are taken from the parts, because the change may cause false ones in the whole drive, and estimates that differ
-    from those of a part are left out. times: start and end of each part [s]."""
-    ranked: list[tuple[tuple[bool, int, float], Finding]] = []
+    """The result for a drive; `whole` itself if no error or warning changes between its first and last part. Otherwise,
+    findings with an interval are taken from the parts, because the change may cause false ones in the whole drive, and
+    estimates that differ from those of a part are left out. times: start and end of each part [s]."""
     places = [f"in the {name} {end - start:.0f} s" for name, (start, end) in zip(("first", "last"), times, strict=True)]
     drift, *drifts = (each.estimates.get("yaw_drift", UNKNOWN) for each in (whole, *parts))
     drifts_evenly = any(f.name == "yaw_drift" for f in whole.findings) and all(_agree(drift, d) for d in drifts)
-    ignored = SHOWN_BY_DRIFT if drifts_evenly else ()
+    ignored = CAUSED_BY_DRIFT if drifts_evenly else ()
+    in_parts: dict[str, tuple[tuple[bool, int, float], Finding]] = {}  # (rank, highest-ranking finding) by name
     for k, part in enumerate(parts):
-        for finding in (f for f in part.findings if f.name not in ignored):
-            rank = -[*Severity].index(finding.severity), abs((finding.value or 0.0) - neutral_value(finding.name))
-            if change := _describe_change(finding, parts[1 - k], places[1 - k], whole):
+        for finding in (f for f in part.findings if not f.times and f.name not in ignored):
+            change = _describe_change(finding, parts[1 - k], places[1 - k], whole)
+            deviation = abs((finding.value or 0.0) - neutral_value(finding.name))
+            rank = bool(change), -[*Severity].index(finding.severity), deviation
+            if finding.name not in in_parts or rank >= in_parts[finding.name][0]:
                 statement = f"{places[k]} of the drive, {finding.statement.removesuffix('?')}{change}"
                 advice = Advice("text", "split the recording where this changes: no correction fits the whole drive")
-                ranked.append(((True, *rank), replace(finding, statement=statement, advice=advice, times=(times[k],))))
-            elif not finding.times:
-                ranked.append(((False, *rank), finding))
-    in_parts = {finding.name: finding for _, finding in sorted(ranked, key=lambda pair: pair[0])}  # the last is kept
-    changed = {finding.name for (is_changed, *_), finding in ranked if is_changed}
+                in_parts[finding.name] = rank, replace(
+                    finding, statement=statement, advice=advice, times=(times[k],)) if change else finding
+    changed = {name for name, ((is_changed, *_), _) in in_parts.items() if is_changed}
     if not changed:
         return whole
-    constant = [f for f in whole.findings if f.times or f.name in ignored or (
+    kept = [f for f in whole.findings if f.times or f.name in ignored or (
         f.interval is None and f.name in in_parts.keys() - changed)]
-    remaining = [f for f in in_parts.values() if f.name not in {f.name for f in constant}]
-    return replace(whole, findings=(*constant, *remaining), estimates={
+    replaced = [f for _, f in in_parts.values() if f.name not in {f.name for f in kept}]
+    return replace(whole, findings=(*kept, *replaced), estimates={
         name: values for name, values in whole.estimates.items() if name not in changed
         and all(name in part.estimates and _agree(values, part.estimates[name]) for part in parts)})
 
@@ -142,7 +142,7 @@ def _agree(first: tuple[float, float, float], second: tuple[float, float, float]
 def _describe_change(finding: Finding, other: DriveCheck, place: str, whole: DriveCheck) -> str:
     """Clause about the value in the other part of the drive, at `place`, if it differs significantly; otherwise ""."""
     name, value, interval = finding.name, finding.value, finding.interval
-    if (finding.times or finding.severity is Severity.NOTE or name in NOT_COMPARED
+    if (finding.severity is Severity.NOTE or name in NOT_COMPARED
             or finding.concerns_only_acceleration or finding.channels == LENGTH_CHANNELS
             or any(f.name in position.CONFOUNDED.get(name, ()) for f in other.findings)):  # may be the same fault
         return ""
@@ -230,7 +230,7 @@ def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters |
         results.findings += vehicle_relations.check_tyre_limit(corrected, sideslip_measured)
     results.findings += vehicle_relations.check_standstill(replace(corrected, velocity_x=speed, yaw_rate=yaw_rate))
     findings = _add_yaw_lag_alternative(results.findings, corrected, sensors.yaw_rate_lag)
-    results.findings = _limit_to_measured_channels(findings, log, corrected)
+    results.findings = _remove_consequences(findings, log, corrected)
     biased = () if sideslip_measured else ESTIMATES_BIASED_BY_SIDESLIP
     results.estimates = {name: estimate for name, estimate in results.estimates.items() if name not in biased}
     if vehicle is not None:
@@ -257,7 +257,7 @@ def _list_channels(findings: list[Finding], name: str = "") -> set[str]:
     return {channel for finding in findings if name in ("", finding.name) for channel in finding.channels}
 
 
-def _limit_to_measured_channels(findings: list[Finding], log: DriveLog, motion: Motion) -> list[Finding]:
+def _remove_consequences(findings: list[Finding], log: DriveLog, motion: Motion) -> list[Finding]:
     """The findings, without those that merely follow from a wrong yaw rate or a channel that was derived, not measured.
 
     The noise of yaw changes the scale of a yaw rate derived from it. Without velocity_y, yaw may be the course. The
@@ -396,10 +396,10 @@ def _find_removed_factors(unit_findings: list[Finding]) -> dict[str, float]:
         fields = {key: value for correction in corrections.values() for key, value in correction.items()}
         if finding.name == "yaw_offset":
             removed_factors[finding.name] = -fields["add"]
-        elif {"yaw", "yaw_rate"} <= corrections.keys():
-            continue  # their ratio is unchanged
-        elif factor := 1.0 / fields["scale"] if "scale" in fields else finding.value:
-            removed_factors[finding.name] = factor
+        elif not {"yaw", "yaw_rate"} <= corrections.keys():  # the ratio of these two is unchanged
+            factor = 1.0 / fields["scale"] if "scale" in fields else finding.value
+            if factor:
+                removed_factors[finding.name] = factor
     return removed_factors
 
 

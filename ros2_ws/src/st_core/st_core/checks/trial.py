@@ -40,7 +40,7 @@ MIN_REDUCED_STARTS = 100  # many starts are reduced to 100 to 199; more would ch
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
 MAX_TRIAL_SUBSTEPS = 50  # steps of 1 ms
 SPEED_COUNT = 40  # number of speeds, from the lowest to the highest of the run, at which the stability is computed
-STEP_DIVISORS = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, MAX_SUBSTEPS)  # the resulting steps are round numbers
+STEP_DIVISORS = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, MAX_SUBSTEPS)  # most resulting steps have few digits
 MERGE_GAP = 1.0  # s; intervals with a smaller gap are merged
 Run = tuple[DriveLog, VehicleParameters]
 
@@ -50,7 +50,7 @@ def try_corrections(findings: list[Finding], log: DriveLog, vehicle: VehiclePara
 
     The corrections of all errors are applied together, since one wrong unit may mask another. If none is missing or
     fails, and they are not harmful, the correction of each warning is then tried separately. A warning with a harmful
-    correction becomes a note. Corrections that affect no prediction, and `leave_out`, are not tried.
+    correction becomes a note. Corrections that affect no prediction, and `leave_out`, are applied but not judged.
     """
     tried_findings = [finding for finding in findings if _is_tried(finding)]
     if not tried_findings:
@@ -179,9 +179,9 @@ def check_step_length(models: Sequence[str | Model], vehicle: VehicleParameters,
         advice = Advice("option", f"--step {value:.9g}", {"step": value}) if value is not None else Advice(
             "text", f"no step down to {1e3 * step / MAX_SUBSTEPS:.2g} ms is short enough: check the vehicle's "
             "yaw_inertia, mass and stiffnesses, and the effects of the model")
-    text = (f"integration steps of {1e3 * step:g} ms are too long for the {' and '.join(unstable_models)} model of "
-            f"{vehicle.name} at {affected.min():.1f} to {affected.max():.1f} m/s: the lateral motion "
-            "is numerically unstable")
+    text = (f"integration steps of {1e3 * step:g} ms are too long for the {' and '.join(unstable_models)} "
+            f"{'model' if len(unstable_models) == 1 else 'models'} of {vehicle.name} at {affected.min():.1f} to "
+            f"{affected.max():.1f} m/s: the lateral motion is numerically unstable")
     seconds = (log.ins_time_ns - log.ins_time_ns[0]) * NANOSECOND
     times = () if unstable.all() else find_time_intervals(seconds[unstable], MERGE_GAP)
     return Finding("step_too_long", Severity.WARNING, ("velocity_x",), text, value, unit, times=times, advice=advice)

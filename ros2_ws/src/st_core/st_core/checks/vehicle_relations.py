@@ -53,7 +53,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
     """Result of comparing steering with curvature. has_steering_wheel: whether its angle was recorded."""
     moving = motion.velocity_x > MIN_SPEED
     curvature = motion.yaw_rate / np.maximum(motion.velocity_x, MIN_MOVING_SPEED)
-    derived = np.where(motion.velocity_x > MIN_SPEED, np.arctan(vehicle.wheelbase * curvature), np.nan)  # without slip
+    derived = np.where(moving, np.arctan(vehicle.wheelbase * curvature), np.nan)  # without slip
     speed = float(np.median(motion.velocity_x[moving])) if moving.any() else MIN_SPEED
     response = compute_response_time(vehicle, speed)
     agreement = _compare_angles(motion, derived, response)

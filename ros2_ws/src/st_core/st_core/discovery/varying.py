@@ -24,8 +24,7 @@ class VaryingFit:
     name: str
     varies_with: str  # name of the partition
     gain: float  # reduction of the loss per residual compared with one common value [1]
-    # Of the hypothesis that the value is the same in all parts, Bonferroni-corrected for effects and partitions [1].
-    p_value: float
+    p_value: float  # of equal values in all parts, Bonferroni-corrected for the number of effects and partitions [1]
     index: int  # parameter with the most information
     values: Mapping[str, tuple[float, float]]  # its (value, standard deviation) by part
     steps: Mapping[int, np.ndarray]  # (p,) step of all parameters [parameter scales], by part
@@ -45,9 +44,9 @@ def find_varying_effects(problem: Problem, fit: Fit, partitions: Mapping[str, Pa
 
 def _fit_by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, partition: Partition,
                  tests: int) -> VaryingFit | None:
-    """One effect with its own value in each part of one partition; None if fewer than two parts are informative, or if
-    there are no more blocks than parts. tests: number of tests, for the Bonferroni correction."""
-    space, (number, names) = problem.space, partition
+    """One effect with its own value in each part of one partition; None if fewer than two parts are informative, if
+    there are no more blocks than parts, or if the effect has no influence. tests: number of tests (Bonferroni)."""
+    space, (part_of_window, names) = problem.space, partition
     indices = space.indices(effect)
     fitted_indices = problem.free_indices(fit.names) if problem.prior is None else space.indices(*fit.names)
     other_indices = np.setdiff1d(fitted_indices, indices)
@@ -56,21 +55,23 @@ def _fit_by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: st
     projection[indices, np.arange(len(indices))] = 1.0
     projection[other_indices] = -inverse(h[np.ix_(other_indices, other_indices)]) @ h[np.ix_(other_indices, indices)]
     gradient, curvature = q.gradient @ projection, projection.T @ q.hessian @ projection
-    # (part, half the negative gradient of its loss (m,), half its Hessian (m, m))
-    all_parts = [(k, gradient[number == k].sum(axis=0), curvature[number == k].sum(axis=0)) for k in np.unique(number)]
-    information = np.diag(sum(hk for *_, hk in all_parts))
+    parts = Quadratic(q.cost, gradient, curvature).sum_groups(part_of_window)
+    information = np.diag(parts.hessian.sum(axis=0))
     if information.min() <= 1e-9 * float(np.trace(h)) / len(h):
         return None
-    parts = [part for part in all_parts if np.diag(part[2]).min() > MIN_INFORMATION_FRACTION * information.min()]
-    degrees_of_freedom, residual_degrees = (len(parts) - 1) * len(indices), problem.blocks - len(parts)
-    if len(parts) < 2 or residual_degrees < 1:
+    least_information = np.diagonal(parts.hessian, axis1=1, axis2=2).min(axis=1)
+    informative = np.flatnonzero(least_information > MIN_INFORMATION_FRACTION * information.min()).tolist()
+    degrees_of_freedom, residual_degrees = (len(informative) - 1) * len(indices), problem.blocks - len(informative)
+    if len(informative) < 2 or residual_degrees < 1:
         return None
-    separate_gain = sum(float(gk @ inverse(hk) @ gk) for _, gk, hk in parts)
-    total = sum(gk for _, gk, _ in parts)
-    gain = separate_gain - float(total @ inverse(sum(hk for *_, hk in parts)) @ total)
+    inverses = {k: inverse(parts.hessian[k]) for k in informative}
+    steps = {k: inverses[k] @ parts.gradient[k] for k in informative}  # from the common to the separate values
+    total = parts.gradient[informative].sum(axis=0)
+    gain = (sum(float(parts.gradient[k] @ step) for k, step in steps.items())
+            - float(total @ inverse(parts.hessian[informative].sum(axis=0)) @ total))
     separate_gradient = gradient.copy()  # at the separate values; its sums over blocks give the design effect
-    for k, gk, hk in parts:
-        separate_gradient[number == k] -= curvature[number == k] @ (inverse(hk) @ gk)
+    for k, step in steps.items():
+        separate_gradient[part_of_window == k] -= curvature[part_of_window == k] @ step
     scores = np.zeros((problem.blocks, len(indices)))
     np.add.at(scores, problem.block, separate_gradient)
     scatter = float(np.trace(inverse(curvature.sum(axis=0)) @ scores.T @ scores))
@@ -80,10 +81,11 @@ def _fit_by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: st
     best = int(np.argmax(information))
     index = indices[best]
     value, scale = float(fit.vector[index]), space.scale[index]
-    values = {names[k]: (value + scale * float((inverse(hk) @ gk)[best]),
-                         scale * float(np.sqrt(0.5 * design_effect * inverse(hk)[best, best]))) for k, gk, hk in parts}
-    steps = {int(k): projection @ (inverse(hk) @ gk) for k, gk, hk in parts}
-    return VaryingFit(effect, name, gain / problem.residual_count, p_value, index, values, steps)
+    values = {names[k]: (value + scale * float(step[best]),
+                         scale * float(np.sqrt(0.5 * design_effect * inverses[k][best, best])))
+              for k, step in steps.items()}
+    return VaryingFit(effect, name, gain / problem.residual_count, p_value, index, values,
+                      {k: projection @ step for k, step in steps.items()})
 
 
 def collect_varying_evidence(problem: Problem, fit: Fit, v: VaryingFit,

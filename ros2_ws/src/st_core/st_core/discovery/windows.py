@@ -89,10 +89,10 @@ class Batch(LogBatch):
         key = model.correction_key
         return _remember(self._recordings, key, self._recordings.pop(key, None) or super().recording(model))
 
-    def _table(self, block: GridBlock, values: list[np.ndarray], model: Any, p: Any) -> np.ndarray:
+    def _tabulate_inputs(self, block: GridBlock, values: list[np.ndarray], model: Any, p: Any) -> np.ndarray:
         # The values are cached as well: their ids are part of the key and must not be reused.
         key = (block.number, model.inputs, model.input_dependencies(p), *map(id, values))
-        cached = self._tables.pop(key, None) or (values, super()._table(block, values, model, p))
+        cached = self._tables.pop(key, None) or (values, super()._tabulate_inputs(block, values, model, p))
         return _remember(self._tables, key, cached)[1]
 
     def _count_substeps(self, model: Model, vehicle: VehicleParameters) -> Any:

@@ -2,9 +2,8 @@
 
     dF_z = m height v_x_dot / l from the front to the rear axle,   F' = F + F_MF(F_z -/+ dF_z) - F_MF(F_z)
 
-height is the CG height that the base model does not contain: the whole height for linear tyres, the excess above the
-height in the vehicle file for the nonlinear model. F_MF is the Magic Formula of the vehicle file for the two tyres of
-an axle, F_z the axle load with the CG height of the file.
+height is the CG height in excess of the base model's (0 with linear tyres, else that of the vehicle file). F_MF is the
+Magic Formula of the vehicle file for the two tyres of an axle, F_z the axle load with the CG height of the file.
 """
 
 from ..models.nonlinear_tyre import axle_loads
@@ -14,7 +13,7 @@ from ._base import Effect, Parameter, register
 
 
 def compute_force_change(slip, before, after, tyre):
-    """Change of an axle force [N], of two tyres. before, after: (B, D, E) without and with dF_z."""
+    """Change of an axle force [N], twice that of a tyre. before, after: (B, D, E) without and with dF_z."""
     return 2.0 * (magic_formula_force(slip, after[0], after[1], after[2], tyre)
                   - magic_formula_force(slip, before[0], before[1], before[2], tyre))
 

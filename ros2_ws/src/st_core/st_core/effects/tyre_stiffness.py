@@ -6,7 +6,7 @@ from .front_stiffness import make_stiffness_parameter, scale_stiffness
 
 @register
 class TyreStiffness(Effect):
-    physics = "C_f = factor C_f, C_r = factor C_r of the file, peak forces unchanged"
+    physics = "C_f, C_r = factor times the values of the file, peak forces unchanged"
     excited_by = "cornering with measured sideslip, steering sweeps; observable only relative to mass and yaw_inertia"
     kind, slot = "vehicle parameters", "both axles"
     confounded_with = ("mass", "front_stiffness", "rear_stiffness", "cg_position")

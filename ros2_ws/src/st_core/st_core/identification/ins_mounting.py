@@ -99,9 +99,8 @@ def _estimate_lateral_position(speed: np.ndarray, rate: np.ndarray, angle: np.nd
                                vehicle: VehicleParameters, used_runs: tuple[str, ...]) -> ParameterEstimate | str:
     """Estimate of cg_to_ins_y, or a warning if it is not identifiable."""
     curvature = rate / speed
-    seconds = [float(np.count_nonzero(side * curvature > MIN_CURVATURE)) * SAMPLE_INTERVAL for side in (1.0, -1.0)]
-    if min(seconds) < MIN_TIGHT_TIME:
-        left, right = seconds
+    left, right = (np.count_nonzero(side * curvature > MIN_CURVATURE) * SAMPLE_INTERVAL for side in (1.0, -1.0))
+    if min(left, right) < MIN_TIGHT_TIME:
         return (f"cg_to_ins_y is not estimated: the drives have {left:.0f} s of left and {right:.0f} s of right bends "
                 f"tighter than R = {1 / MIN_CURVATURE:.0f} m; {MIN_TIGHT_TIME:g} s of each are needed.")
     d_y = 0.0
@@ -127,7 +126,7 @@ def _make_estimate(name: str, value: float, spread: Spread, index: int, factor: 
     status: Status = "identified" if uncertainty < max_uncertainty else (
         "doubtful" if uncertainty < 5.0 * max_uncertainty else "unidentifiable")
     prefix = {"identified": "", "doubtful": "Poorly determined: ", "unidentifiable": "Not identifiable: "}[status]
-    method = "steering versus curvature in tight bends" if name == "cg_to_ins_y" else "lateral velocity of slow driving"
+    method = "steering versus curvature in tight bends" if name == "cg_to_ins_y" else "lateral velocity in slow driving"
     return ParameterEstimate(name, float(value), unit, uncertainty, spread.interval(index, value, uncertainty), method,
                              used_runs,
                              f"{prefix}{description}, standard uncertainty {text}, from {spread.basis[index]}.", status)

@@ -31,7 +31,7 @@ NAMES = ("steering_wheel_offset", "steering_ratio", "stiffness_scale")
 UNITS = ("rad", "1", "1")
 FITTED_PARAMETERS = ("steering_wheel_offset", "steering_ratio", *STIFFNESSES, MISALIGNMENT, DELAY, RELAXATION)
 FIT_SETTINGS = DrivingFitSettings(interval=1.0, min_windows=20)
-BUFFER_DURATION, SPACING_NS = 400.0, 19_000_000  # s stored at 50 Hz; smallest ns between samples: 20 ms - jitter
+BUFFER_DURATION, SPACING_NS = 400.0, 19_000_000  # s of stored driving; minimum ns between stored samples
 FIT_INTERVAL = 15.0  # s of usable driving
 MIN_SPEED = 2.0  # m/s; slower samples are not stored
 MAX_GAP = 0.1  # s; longer intervals between samples do not count as driving time
@@ -204,17 +204,17 @@ class OnlineIdentifier:
         bends = min(times.left, times.right)
         filled_bins = sum(time >= 5.0 for time in times.speeds)
         required = {
-            "steering_wheel_offset": [(times.used, 10.0, "driving"),
-                                      (max(times.straight, bends), 5.0, "straights, or of bends to each side")],
+            "steering_wheel_offset": [(times.used, 10, "s of driving"),
+                                      (max(times.straight, bends), 5, "s of straights, or of bends to each side")],
             # Ratio and front stiffness are not separable at a single speed.
-            "steering_ratio": [(times.left, 5.0, "left bends"), (times.right, 5.0, "right bends"),
+            "steering_ratio": [(times.left, 5, "s of left bends"), (times.right, 5, "s of right bends"),
                                (filled_bins, 2, "speed ranges with 5 s each")],
-            "stiffness_scale": [(times.loaded_left, 3.0, "left bends above 1.5 m/s^2"),
-                                (times.loaded_right, 3.0, "right bends above 1.5 m/s^2"),
+            "stiffness_scale": [(times.loaded_left, 3, "s of left bends above 1.5 m/s^2"),
+                                (times.loaded_right, 3, "s of right bends above 1.5 m/s^2"),
                                 (filled_bins, 2, "speed ranges with 5 s each")],
         }
-        return {name: "; ".join(f"{driven:.0f} of {needed:g}{'' if isinstance(needed, int) else ' s of'} {kind}"
-                                for driven, needed, kind in rows if driven < needed) for name, rows in required.items()}
+        return {name: "; ".join(f"{driven:.0f} of {needed} {kind}" for driven, needed, kind in rows if driven < needed)
+                for name, rows in required.items()}
 
     def _describe_implausible_values(self) -> Mapping[str, str]:
         fit, (offset, ratio, scale) = self.fit, self.fit.values

@@ -102,8 +102,8 @@ def _load_base_and_effects(request: Request) -> tuple[Model, dict[str, str]]:
 
 
 def _read_runs(request: Request, progress: Progress) -> tuple[list[Drive], list[Drive]]:
-    """(suspect, reference) drives, with distinct names. Raises ConfigurationError if no suspect drive can be used, or
-    none of the reference drives that were given, and as `_check_reference` does."""
+    """(suspect, reference) drives, with distinct names. Raises ConfigurationError if no suspect drive can be used, if
+    none of the given reference drives can be used, and for the problems found by `_check_reference`."""
     sources = find_runs(request.runs)
     reference_sources = find_runs(request.reference) if request.reference else []
     if not sources:
@@ -221,21 +221,21 @@ def build_model_file(discovery: Discovery, request: Request, update: VehicleUpda
     note = f"st discover, outcome {discovery.outcome}, from {request.base}{companion}"
     provenance = ModelProvenance(f"{datetime.now(UTC):%Y-%m-%d}", data=request.file_hashes, note=note)
     named = {e.name: e.parameters for e in discovery.effects}
-    complete = ModelFile.from_model(update.model, update.vehicle, provenance, intervals,
-                                    "st discover: found in the runs")
+    complete = ModelFile.from_model(update.model, update.vehicle, provenance, intervals)
     base_source = ("st discover: value fitted to the reference drives" if request.reference_drives
                    else "part of the base model")
     minor = {r.subject: r.text for r in discovery.reasons if r.rule == MINOR}
     effects = {}
     for effect in update.model.active_effects:
         name, values = effect.name, update.model.values[effect.name]
-        is_effective = name in update.folded or discovery.named is None or (
-            not all(p.interval[0] <= values[key] <= p.interval[1] for key, p in named[name].items())
-            if name in named else name not in minor and values != discovery.named.values.get(name))
-        if name in named and not is_effective:
-            effects[name] = complete.effects[name]
-            continue
+        if name in update.folded or discovery.named is None:
+            is_effective = True
+        elif name in named:
+            is_effective = any(not p.interval[0] <= values[key] <= p.interval[1] for key, p in named[name].items())
+        else:
+            is_effective = name not in minor and values != discovery.named.values.get(name)
         source = ("st discover: effective correction" if is_effective else
+                  "st discover: found in the runs" if name in named else
                   f"st discover: minor effect: {minor[name]}" if name in minor else base_source)
         fitted = {p.name for p in effect.parameters if p.fit}
         effects[name] = {parameter: estimate if parameter not in fitted else replace(

@@ -11,16 +11,16 @@ from st_core.types import map_to_body, wrap_angle
 from .csv_table import Table
 
 MAP_FRAMES = {"map", "odom", "world", "enu", "ned", "gps", "gnss", "navsat"}
-"""Words in the frame_id of a velocity over ground: names of map frames (REP-105) and of receivers."""
+"""Words in the frame_id of a velocity over ground: names of map frames and of receivers."""
 MIN_COURSE_SPEED = 1.0
-"""Lowest speed [m/s] at which the direction of the velocity is used; 0.05 m/s of noise then change it by 3 degrees."""
+"""Lowest speed [m/s] at which the direction of the velocity is used; noise of 0.05 m/s then changes it by 3 degrees."""
 MIN_COMPARED_SAMPLES = 20
 """Minimum number of samples for comparing positions with the integrated speed, or yaw with the course over ground."""
-MAX_COMPARED_SAMPLES = 10_000
 MIN_CORRELATION = 0.5
-"""Minimum magnitude of a correlation of displacement and velocity, or of their mean cosine, that shows a sign."""
+"""Minimum magnitude of the correlation, or mean cosine, between displacement and velocity for its sign to be used."""
 SIGNIFICANT_DEVIATIONS = 3.0
-"""A sum of independent products differs from 0 (p = 0.003) if it exceeds this multiple of its standard deviation."""
+"""A sum of independent products differs from 0 (p = 0.003) if it exceeds this multiple of its standard deviation. Also
+the minimum ratio of two standard deviations for the smaller one to be preferred."""
 MAX_AGREEING_ANGLE = 0.1
 """[rad]. Two directions agree if their median difference, due to sideslip and noise, is smaller than this. The better
 of two interpretations is accepted if the difference of the other is larger by more than this."""
@@ -30,8 +30,8 @@ MAX_RADIANS = 6.4  # rad; without motion, a heading is in degrees if its first v
 HEADING, COURSE = "compass_heading", "course"
 EARTH_RADIUS = 6.37e6  # m
 MIN_COURSE_SPREAD = 0.03
-"""[rad]. Positions show the axes of the velocity only if one of the two interpretations has a larger standard deviation
-from them; below it, both give the same lateral velocity to 3 % of the speed."""
+"""[rad]. If the angle between velocity and change of position varies by less than this in both interpretations, their
+lateral velocities differ by less than 3 % of the speed, and both are valid."""
 
 
 def find_words(frame_id: str) -> set[str]:
@@ -43,25 +43,25 @@ def convert_odometry(values: dict[str, np.ndarray], frame_id: str) -> list[str]:
     changes `values` and returns warnings.
 
     If a word of frame_id is ned, x is north, y east and yaw a compass heading. Whether z of the body axes also points
-    down then follows from the yaw rate, or else from the sideways motion; if neither has a clear sign, it is assumed.
+    down then follows from the sign of the yaw rate, or else of the sideways motion. If neither is clear, it is assumed,
+    unless the velocities are over ground: the sign of velocity_y is then known.
     """
-    notes = []
-    is_ned = "ned" in find_words(frame_id)
+    notes, is_ned = [], "ned" in find_words(frame_id)
     if is_ned:
         values["x"], values["y"], values["yaw"] = values["y"], values["x"], np.pi / 2 - values["yaw"]
         notes.append(f"frame_id is {frame_id!r}: x, y and yaw were converted from north, east and compass heading")
-    warning = rotate_to_body_axes(values)
-    products = np.diff(values["yaw"]) * values["yaw_rate"][1:]
-    total, deviation = float(np.sum(products)), float(np.sqrt(np.sum(products**2)))
-    direction = total if abs(total) > SIGNIFICANT_DEVIATIONS * deviation else _correlate_sideways(values)
-    has_signs = values["velocity_y"].any() or values["yaw_rate"].any()
-    if is_ned and has_signs and (direction < 0 or not (direction or warning)):
-        values["yaw_rate"] = -values["yaw_rate"]
-        values["velocity_y"] = values["velocity_y"] if warning else -values["velocity_y"]
-        notes.append("z of the body axes points down: the sign of yaw_rate and velocity_y was changed" if direction else
-                     "the sign of yaw_rate and velocity_y was changed: the data do not show whether z of the body axes "
-                     "points down, which was assumed")
-    return [*notes, warning] if warning else notes
+    rotation = rotate_to_body_axes(values)  # a warning if the velocities are over ground
+    if is_ned and (values["velocity_y"].any() or values["yaw_rate"].any()):
+        products = np.diff(values["yaw"]) * values["yaw_rate"][1:]
+        total, deviation = float(np.sum(products)), float(np.sqrt(np.sum(products**2)))
+        sign = total if abs(total) > SIGNIFICANT_DEVIATIONS * deviation else _correlate_sideways(values)
+        if sign < 0 or not (sign or rotation):
+            changed = ("yaw_rate",) if rotation else ("yaw_rate", "velocity_y")
+            values.update({name: -values[name] for name in changed})
+            notes.append(f"z of the body axes points down: the sign of {' and '.join(changed)} was changed" if sign else
+                         "the sign of yaw_rate and velocity_y was changed: the data do not show whether z of the body "
+                         "axes points down, which was assumed")
+    return [*notes, rotation] if rotation else notes
 
 
 def _correlate_sideways(values: Mapping[str, np.ndarray]) -> float:
@@ -86,7 +86,6 @@ def rotate_to_body_axes(columns: dict[str, np.ndarray], frame_id: str = "") -> s
     rows = np.flatnonzero((np.abs(velocity) > MIN_COURSE_SPEED) & np.isfinite(columns["yaw"]))
     if len(rows) < MIN_COMPARED_SAMPLES:
         return ""
-    rows = rows[:: max(len(rows) // MAX_COMPARED_SAMPLES, 1)]
     moving, yaw = velocity[rows], columns["yaw"][rows] + (np.pi if _moves_backward(columns) else 0.0)
     body_angle, *map_angles = (float(np.median(np.abs(wrap_angle(np.angle(direction) - yaw)))) for direction in (
         moving * np.exp(1j * columns["yaw"][rows]), moving, 1j * moving.conj()))
