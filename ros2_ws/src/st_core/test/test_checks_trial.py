@@ -39,6 +39,8 @@ def test_only_the_right_correction_is_proposed(leaf, channel, severity):
     (refuted,) = try_corrections([wrong], log, leaf)
     assert refuted.advice.kind == "text" and not refuted.advice.entry and refuted.tried[1] > refuted.tried[0]
     assert refuted.severity is (Severity.NOTE if severity is Severity.WARNING else Severity.ERROR)
+    subject = "it" if severity is Severity.WARNING else "the corrections of all errors"
+    assert refuted.advice.line.startswith(f"its correction is not proposed, as {subject} would raise the prediction")
 
 
 def test_corrections_of_errors_are_tried_together(leaf):

@@ -23,7 +23,7 @@ from .suite import Parameters, Suite, SuiteError, find_executable, find_free_udp
 
 T = TypeVar("T")
 REPLAY_NODES = ("recorder", "evaluator", "predictor")  # in the order of their start: subscribers first
-TRUNCATION_WARNING = "{} was not closed by its recorder: its end is missing and is not {}"
+TRUNCATION_WARNING = "{} was not closed by its recorder: its end may be missing and cannot be {}"
 LEAF_TIMEOUT = 20.0  # s within which the virtual Leaf must start to transmit
 
 

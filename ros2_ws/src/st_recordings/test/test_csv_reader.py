@@ -18,7 +18,7 @@ from st_recordings.runs.csv import (
 )
 from st_recordings.runs.csv_table import read_table
 from st_recordings.runs.errors import RunError
-from st_recordings.runs.ins_log import yaw_from_quaternion
+from st_recordings.runs.ins_log import select_usable_rows, yaw_from_quaternion
 from st_recordings.runs.table_times import month_number
 from support import EXAMPLES, GOLDEN_DATA
 
@@ -74,6 +74,16 @@ def test_unusable_rows_are_left_out_and_counted(tmp_path: Path) -> None:
         "1 of 100 rows (1 %) are not later than those before them; they were left out",
         "velocity_x (column vx): 1 of 100 rows (1 %) have no number; these INS samples were left out",
     ]
+
+
+@pytest.mark.parametrize(("row", "time", "reason"), [
+    (3, 505, "out of order in time"), (99, 975, "not later than those before them")])
+def test_reason_why_a_row_is_left_out(row: int, time: int, reason: str) -> None:
+    times = 10 * np.arange(100)
+    times[row] = time
+    selected, warnings = select_usable_rows(times, "rows")
+    assert selected.tolist() == [k for k in range(100) if k != row]
+    assert warnings == [f"1 of 100 rows (1 %) are {reason}; they were left out"]
 
 
 def test_semicolons_and_other_column_orders(tmp_path: Path) -> None:

@@ -86,8 +86,9 @@ def _add_outcome(finding: Finding, before: float | None, after: float | None) ->
         return finding
     if not _is_worse(before, after):
         return replace(finding, tried=(before, after))
-    advice = (f"its correction is not proposed, as it would raise the prediction error of this run from {before:.2f} "
-              f"to {after:.2f} m: look for a different cause")
+    correction = "the corrections of all errors" if finding.severity is Severity.ERROR else "it"
+    advice = (f"its correction is not proposed, as {correction} would raise the prediction error of this run from "
+              f"{before:.2f} to {after:.2f} m: look for a different cause")
     severity = Severity.NOTE if finding.severity is Severity.WARNING else finding.severity
     return replace(finding, severity=severity, advice=Advice("text", advice), tried=(before, after))
 

@@ -19,8 +19,7 @@ MIN_COMPARED_SAMPLES = 20
 MIN_CORRELATION = 0.5
 """Minimum magnitude of the correlation, or mean cosine, between displacement and velocity for its sign to be used."""
 SIGNIFICANT_DEVIATIONS = 3.0
-"""A sum of independent products differs from 0 (p = 0.003) if it exceeds this multiple of its standard deviation. Also
-the minimum ratio of two standard deviations for the smaller one to be preferred."""
+"""Minimum ratio of a sum to its standard deviation (p = 0.003), or of two standard deviations, to be significant."""
 MAX_AGREEING_ANGLE = 0.1
 """[rad]. Two directions agree if their median difference, due to sideslip and noise, is smaller than this. The better
 of two interpretations is accepted if the difference of the other is larger by more than this."""

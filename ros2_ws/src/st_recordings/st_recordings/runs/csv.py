@@ -203,8 +203,9 @@ def _require_columns(table: Table, required: Sequence[str], can: str = "") -> No
     if text := next((unknown_units[name] for name in candidates if name in unknown_units), ""):
         raise RunError(table.file, text, "export it in a different unit; or name the column in a run.yaml under "
                        "`columns:`, and convert it with `correct:`")
-    if missing and (channel := next((n for n in candidates if n in (found := find_ambiguous(table.names))), "")):
-        raise RunError(table.file, f"columns {' and '.join(found[channel])[:200]} may each be {channel}",
+    ambiguous = find_ambiguous(table.names)
+    if channel := next((name for name in candidates if name in ambiguous), ""):
+        raise RunError(table.file, f"columns {' and '.join(ambiguous[channel])[:200]} may each be {channel}",
                        f"name the right one in a run.yaml, as columns: {{{channel}: NAME}}")
     if missing:
         texts = [f"{name} (or {ALTERNATIVES[name]})" if name in ALTERNATIVES else name for name in missing]
@@ -392,7 +393,7 @@ def _replace_course_when_slow(table: Table, columns: Mapping[str, np.ndarray], w
     is_fast = has_course & ~is_slow
     known_rows = np.flatnonzero(is_fast) if is_fast.any() else np.flatnonzero(has_course)[:1]
     warnings.append(f"{table.file}: {format_count(int(is_slow.sum()), int(table.is_usable.sum()), 'rows')} are slower "
-                    f"than {MIN_COURSE_SPEED:g} m/s; the course is noise there and was interpolated")
+                    f"than {MIN_COURSE_SPEED:g} m/s; the course is noise there and is not used")
     course = course.copy()
     time_ns = table.time_ns - table.time_ns[0]
     course[is_slow] = np.interp(time_ns[is_slow], time_ns[known_rows], np.unwrap(course[known_rows]))

@@ -61,7 +61,7 @@ def compute_car_speed(speeds: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> Se
 
 
 def make_series(time_ns: np.ndarray, values: np.ndarray) -> Series | None:
-    """Selects the finite samples of a signal that are later than all previous ones; None if there are none."""
+    """Selects the finite samples of a signal with strictly ascending times; None if there are none."""
     time_ns, values = _select_finite(np.asarray(time_ns, np.int64), values)
     if not len(time_ns):
         return None
@@ -113,7 +113,8 @@ def select_usable_rows(time_ns: np.ndarray, noun: str) -> tuple[np.ndarray, list
         warnings.append(f"the clock was set back {times}by {backward_steps[0]:.3f} s: "
                         f"{format_count(n - len(rows), n, noun)} are not used; split the recording to use them")
     elif lost_count:
-        reason = "not later than those before them" if time_ns[rows].max() == time_ns.max() else "out of order in time"
+        is_newest = np.diff(np.maximum.accumulate(time_ns), prepend=time_ns[:1] - 1) > 0
+        reason = "out of order in time" if np.delete(is_newest, rows).any() else "not later than those before them"
         warnings.append(f"{format_count(lost_count, n, noun)} are {reason}; they were left out")
     steps = np.diff(time_ns[rows])
     if len(rows) <= 10:
