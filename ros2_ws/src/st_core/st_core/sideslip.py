@@ -50,6 +50,12 @@ def with_steady_sideslip(log: DriveLog, vehicle: VehicleParameters) -> DriveLog:
                    sideslip_measured=False)
 
 
+def with_course(log: DriveLog) -> DriveLog:
+    """The drive before `with_steady_sideslip`: yaw is the course."""
+    return replace(log, yaw=log.yaw + np.arctan2(log.velocity_y, log.velocity_x), sideslip_measured=True,
+                   velocity_x=np.hypot(log.velocity_x, log.velocity_y), velocity_y=np.zeros_like(log.velocity_y))
+
+
 def derive_yaw_rate(time_ns: np.ndarray, yaw: np.ndarray) -> np.ndarray:
     """Derivative of unwrapped yaw [rad/s], averaged over RATE_WIDTH_NS to reduce its noise."""
     return moving_average(time_ns, np.gradient(yaw, (time_ns - time_ns[0]) * NANOSECOND), RATE_WIDTH_NS)

@@ -289,6 +289,17 @@ def test_steering_wheel_offset_is_corrected_in_the_vehicle_file(log, leaf, angle
     assert findings_by_name(wrong.with_steering(corrected), corrected) == {}
 
 
+@pytest.mark.parametrize("factor", [-1.0, DEG_PER_RAD, -DEG_PER_RAD])
+@pytest.mark.parametrize("angle", [-0.047, 0.3])
+def test_correction_of_a_steering_wheel_angle_keeps_its_offset(log, leaf, factor, angle):
+    car = replace(leaf, steering_wheel_offset=angle)
+    wheel = factor * car.steering_wheel_angle(log.road_wheel_angle)
+    found = errors(wrong := replace(log, steering_wheel_angle=wheel).with_steering(car), car)
+    assert len(found) == 1 and not {"steering_offset"} & findings_by_name(wrong, car).keys()
+    corrected = corrected_drive(wrong, next(iter(found.values())).advice.entry, car)
+    np.testing.assert_allclose(corrected.road_wheel_angle, log.road_wheel_angle, atol=1e-5)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.0, -1.0, DEG_PER_RAD])
 @pytest.mark.parametrize("angle", [0.04, -0.03])

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from st_core.channels import CHANNELS
 from st_core.checks import check
+from st_core.checks.finding import Advice
+from st_core.checks.trial import _apply_advice
 from st_core.identification.axle_forces import identify_stiffness
 from st_core.identification.ins_mounting import identify_ins_mounting
 from st_core.identification.result import IdentificationError
@@ -78,6 +80,12 @@ def test_identification_that_needs_the_sideslip_is_rejected(course: DriveLog) ->
     for identify in (identify_stiffness, identify_ins_mounting):
         with pytest.raises(IdentificationError, match="road: velocity_y was not measured, or is 0 throughout"):
             identify([log], CAR)
+
+
+def test_correction_of_the_yaw_rate_is_tried_before_the_sideslip_is_computed_from_it(course: DriveLog) -> None:
+    wrong = with_steady_sideslip(replace(course, yaw_rate=-course.yaw_rate), CAR)
+    corrected, _ = _apply_advice((wrong, CAR), Advice.correct("yaw_rate", scale=-1.0))
+    np.testing.assert_allclose(corrected.velocity_y, with_steady_sideslip(course, CAR).velocity_y, atol=1e-9)
 
 
 def test_checks_do_not_locate_the_ins_from_reconstructed_sideslip(course: DriveLog) -> None:

@@ -26,6 +26,7 @@ from ..log import DriveLog
 from ..log_evaluation import EvaluationSettings, evaluate_log, regular_starts
 from ..models import Model, get_model
 from ..prediction import PredictionSettings
+from ..sideslip import with_course, with_steady_sideslip
 from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
 from .finding import HORIZON, LIMITS, Advice, Finding, Severity
@@ -145,7 +146,11 @@ def _apply_advice(run: Run, advice: Advice | None) -> Run | None:
         columns = advice.entry.get("columns", {})
         log = replace(log, **{name: getattr(log, source) for name, source in columns.items()})
         changes = {name: Correction(**values) for name, values in advice.entry.get("correct", {}).items()}
-        return apply_corrections(log, changes, vehicle, advice.entry.get("leave_out", ())), vehicle
+        leave_out = advice.entry.get("leave_out", ())
+        if log.sideslip_measured:
+            return apply_corrections(log, changes, vehicle, leave_out), vehicle
+        # The reader computes the sideslip of a course after the corrections.
+        return with_steady_sideslip(apply_corrections(with_course(log), changes, vehicle, leave_out), vehicle), vehicle
     except StCoreError:
         return None
 

@@ -50,7 +50,7 @@ MIN_GAIN = 1e-6  # ratio of measured to derived angle below which the steering i
 
 
 def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_wheel: bool) -> CheckResult:
-    """Result of comparing steering with curvature. has_steering_wheel: whether its angle was recorded."""
+    """Result of comparing steering with curvature. has_steering_wheel: whether its angle gave the road wheel angle."""
     moving = motion.velocity_x > MIN_SPEED
     curvature = motion.yaw_rate / np.maximum(motion.velocity_x, MIN_MOVING_SPEED)
     derived = np.where(moving, np.arctan(vehicle.wheelbase * curvature), np.nan)  # without slip
@@ -84,10 +84,11 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
     has_lag &= not has_clock_error
     # Play reduces every turn of the steering by its width, so the gain is too small at small angles.
     may_be_play = 0.0 < (1.0 - gain.value) * agreement.spread < 0.5 * STEERING_PLAY / vehicle.steering_ratio
-    findings = (_make_unit_finding(gain, plausible_gains, vehicle, has_steering_wheel, motion.geographic, may_be_play),
-                _make_clock_finding(agreement, lateral_shift) if has_clock_error else None,
+    unit = _make_unit_finding(gain, plausible_gains, vehicle, has_steering_wheel, motion.geographic, may_be_play)
+    correction = unit.advice.entry.get("correct", {}).get("road_wheel_angle", {}) if unit and unit.advice else {}
+    findings = (unit, _make_clock_finding(agreement, lateral_shift) if has_clock_error else None,
                 _make_lag_finding(lag, agreement, response, lateral_shift) if has_lag else None,
-                _make_offset_finding(agreement, vehicle, has_steering_wheel, lateral_shift))
+                _make_offset_finding(agreement, vehicle, has_steering_wheel, lateral_shift, **correction))
     estimates = {"steering_scale": gain, "steering_sign": gain,
                  "steering_offset": add_systematic_uncertainty("steering_offset", agreement.bias)}
     estimates |= {"steering_lag": lag} if has_lag and agreement.determines_lag else {}
@@ -182,12 +183,12 @@ def _make_unit_finding(gain: Estimate, plausible_gains: tuple[float, float], veh
     (expected, largest), value, limit = plausible_gains, gain.value, LIMITS.steering_unit_ratio
     if abs(value) < MIN_GAIN or (gain.interval[1] > 1.0 / limit and gain.interval[0] < limit * largest):
         return None
-    ratio = f"steering ratio {vehicle.steering_ratio:g} of the vehicle file"
-    reasons = {DEG_PER_RAD: "is it in degrees",
-               vehicle.steering_ratio: f"is it the angle of the steering wheel ({ratio})",
-               DEG_PER_RAD * vehicle.steering_ratio: f"is it the angle of the steering wheel in degrees ({ratio})",
+    ratio, offset = vehicle.steering_ratio, vehicle.steering_wheel_offset
+    source = f"steering ratio {ratio:g} of the vehicle file"
+    reasons = {DEG_PER_RAD: "is it in degrees", ratio: f"is it the angle of the steering wheel ({source})",
+               DEG_PER_RAD * ratio: f"is it the angle of the steering wheel in degrees ({source})",
                1.0 / DEG_PER_RAD: "was it converted to rad twice",
-               1.0 / vehicle.steering_ratio: "was it divided by the steering ratio twice", 1.0: ""}
+               1.0 / ratio: "was it divided by the steering ratio twice", 1.0: ""}
     size = abs(value) / expected
     distinct = [factor for factor in reasons if factor == 1.0 or not is_near(factor, 1.0, limit)]  # karts: ratio 1.2
     nearest = min(distinct, key=lambda factor: abs(np.log(size / factor)))
@@ -196,10 +197,11 @@ def _make_unit_finding(gain: Estimate, plausible_gains: tuple[float, float], veh
     reason = " and ".join(filter(None, (reasons.get(exact, ""), opposite)))
     text = (f"road_wheel_angle is {value:.3g} times the angle from yaw rate and speed"
             + (f": {reason}?" if reason else ""))
-    advice = Advice.correct("road_wheel_angle", scale=float(f"{1.0 / np.copysign(exact, value):.6g}"))
-    if has_steering_wheel and exact == 1.0 / vehicle.steering_ratio:  # its offset was also subtracted
-        advice = Advice.correct("road_wheel_angle", scale=vehicle.steering_ratio,
-                                add=float(f"{vehicle.steering_wheel_offset:.5g}"))
+    scale = float(f"{1.0 / np.copysign(exact, value):.6g}")
+    # The offset was subtracted from the recorded angle, but belongs to the corrected one, or to none of road wheels.
+    add = float(f"{offset if exact == 1.0 / ratio else (scale - 1.0) * offset / ratio:.5g}")
+    has_add = has_steering_wheel and reason and add
+    advice = Advice.correct("road_wheel_angle", scale=scale, **({"add": add} if has_add else {}))
     name = "steering_scale"
     if exact == 1.0:
         name = "steering_sign"
@@ -275,23 +277,21 @@ def _play_explains(lag: float, agreement: Agreement) -> bool:
 
 
 def _make_offset_finding(agreement: Agreement, vehicle: VehicleParameters, has_steering_wheel: bool,
-                         lateral_shift: float) -> Finding | None:
-    size = abs(agreement.scale.value)
-    bias = agreement.bias.scaled(1.0 / size) if size > LIMITS.steering_unit_ratio else agreement.bias
-    offset = add_systematic_uncertainty("steering_offset", bias)
+                         lateral_shift: float, scale: float = 1.0, add: float = 0.0) -> Finding | None:
+    """scale, add: correction of a wrong unit or sign, after which an offset remains."""
+    offset = add_systematic_uncertainty("steering_offset", agreement.bias.scaled(scale).shifted(add))
     if not offset.is_significant or abs(offset.value) < LIMITS.steering_offset:
         return None
     text = (f"road_wheel_angle reads {abs(offset)} rad ({abs(offset.value) * DEG_PER_RAD:.1f} deg) too far "
             f"{'left' if offset.value > 0.0 else 'right'} when driving straight: the steering offset is wrong")
     effect = lateral_shift * abs(offset.value)
-    signed_offset = offset.value * float(np.sign(agreement.scale.value))  # after correction of a wrong sign
     if has_steering_wheel:
-        wheel = vehicle.steering_wheel_offset + signed_offset * vehicle.steering_ratio
+        wheel = vehicle.steering_wheel_offset + offset.value * vehicle.steering_ratio
         line = f"steering_wheel_offset: {{value: {wheel * DEG_PER_RAD:.2f}, unit: deg, source: st check}}"
         advice = Advice("vehicle", f"{line}  # check with st identify steering-offset",
                         {"steering_wheel_offset": wheel})
     else:
-        advice = Advice.correct("road_wheel_angle", add=float(f"{-signed_offset:.4g}"))
+        advice = Advice.correct("road_wheel_angle", add=float(f"{-offset.value:.4g}"))
     return _make_finding("steering_offset", ("road_wheel_angle",), text, offset, "rad", effect, advice)
 
 
