@@ -233,6 +233,21 @@ def test_time_stamp_jitter_is_estimated_from_the_motion(leaf, deviation):
     assert "time_jitter" not in findings_by_name(drive)
 
 
+@pytest.mark.parametrize("signal", ["ins_time_ns", "steering_time_ns"])
+def test_samples_in_bursts_are_named_and_cause_no_other_finding(leaf, signal):
+    """Bursts of 5 to 40 samples at 100 Hz, each with the time of its last sample: pauses of 0.05 to 0.4 s."""
+    drive = exact_drive(leaf, 90.0)
+    stamps, count = getattr(drive, signal), len(getattr(drive, signal))
+    ends = np.append(np.cumsum(np.random.default_rng(1).integers(5, 41, count // 5)), count - 1)
+    last = ends[np.searchsorted(ends, np.arange(count))].clip(max=count - 1)
+    speed = drive.velocity_x + np.where(np.arange(len(drive.velocity_x)) == 1000, 30.0, 0.0)
+    drive = replace(drive, velocity_x=speed, **{signal: stamps[last] + 2000 * (np.arange(count) - last)})
+    findings = findings_by_name(drive, leaf)
+    assert findings.keys() - {"steering_lag"} == {"time_jitter", "sample_spikes"}  # steering or motion is late
+    burst = findings["time_jitter"]
+    assert "bursts of 2" in burst.text and burst.severity is Severity.WARNING and 0.05 < burst.value < 0.12
+
+
 def test_randomly_missing_samples_give_no_jitter_finding(leaf):
     """The motion between samples agrees with the uneven time stamps."""
     drive = exact_drive(leaf, 40.0)

@@ -81,6 +81,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
     """
     auxiliary = auxiliary or AuxiliaryData()
     start_ns = next(iter(log.ins_time_ns[:1].tolist()), 0) if auxiliary.start_ns is None else auxiliary.start_ns
+    log, burst_findings = sampling.spread_bursts(log)
     result = _check_part(log, vehicle, auxiliary, start_ns)
     if log.duration >= 2.0 * MIN_PART_DURATION:
         first, last = log.ins_time_ns[[0, -1]].tolist()
@@ -96,7 +97,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
                 break
         result = with_changes
     # Within each severity, accelerations are last, since no prediction depends on them.
-    findings = sorted(result.findings, key=lambda finding: (
+    findings = sorted((*burst_findings, *result.findings), key=lambda finding: (
         [*Severity].index(finding.severity), finding.concerns_only_acceleration, -(finding.effect or np.inf)))
     ambiguous = {name for f in findings for a in f.alternatives for name in (f.name, *a.findings)}
     ambiguous |= {"steering_sign"} if "steering_scale" in ambiguous else set()  # both name the same estimate

@@ -16,7 +16,7 @@ import numpy as np
 from ..log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, STEERING, DriveLog
 from ..timeseries import NANOSECOND
 from .finding import LIMITS, Advice, Finding, Severity, merge_findings
-from .motion import MAX_GAP, MIN_MOVING_SPEED, find_groups, find_spans, find_time_intervals
+from .motion import MAX_GAP, MIN_MOVING_SPEED, estimate_spacing, find_groups, find_spans, find_time_intervals
 
 STEP_MEDIAN_RATIO = 20.0  # minimum ratio of a large step to the median step; noise and quantisation cause smaller steps
 HALF_WINDOW = 0.1  # s; half-width of the window that contains a sample's neighbours; at least 2.5 updates
@@ -62,9 +62,8 @@ class _ChannelSamples:
 
     def __init__(self, name: str, rows: np.ndarray, time: np.ndarray, values: np.ndarray):
         self.name, self.limits, self.rows, self.time, self.values = name, CHANNEL_LIMITS[name], rows, time, values
-        intervals = np.diff(time)  # s
-        self.spacing = float(np.median(intervals))  # s
-        self.gap = intervals > max(MAX_GAP, 1.5 * self.spacing)  # whether each step spans a gap, (n - 1,)
+        self.spacing = estimate_spacing(time)  # s
+        self.gap = np.diff(time) > max(MAX_GAP, 1.5 * self.spacing)  # whether each step spans a gap, (n - 1,)
         self.step = np.abs(np.diff(values))  # |change| from each sample to the next, (n - 1,) [unit]
         changes = np.flatnonzero(self.step > 0.0)
         self.median_step = float(np.median(self.step[changes]))  # of the non-zero steps

@@ -8,7 +8,7 @@ from scipy.stats import binomtest
 
 from ..regression import SIGMA_PER_MAD
 from .finding import HORIZON, LIMITS, Advice, Alternative, Finding, Severity
-from .motion import MAX_GAP, MAX_LISTED_TIMES, MIN_MOVING_SPEED, Motion, find_groups, find_time_intervals
+from .motion import MAX_GAP, MAX_LISTED_TIMES, MIN_MOVING_SPEED, SPACING_SAMPLES, Motion, even_out, find_time_intervals
 from .sampling import estimate_resolution
 
 OUTLIER_SIGMAS = 6.0  # number of robust standard deviations above which a step is not noise
@@ -43,9 +43,7 @@ def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
     along = np.where(speed > MIN_MOVING_SPEED, (errors * to_track).real / np.maximum(speed, MIN_MOVING_SPEED), np.nan)
     jitter = _check_jitter(motion, along)
     if jitter:
-        groups = zip(*find_groups(np.diff(motion.time) > MAX_GAP), strict=True)
-        even = [np.linspace(motion.time[first], motion.time[last], last - first + 1) for first, last in groups]
-        return replace(motion, time=np.concatenate(even)), jitter
+        return replace(motion, time=even_out(motion.time, SPACING_SAMPLES, MAX_GAP)), jitter
     rounding = max(estimate_resolution(motion.time, motion.x), estimate_resolution(motion.time, motion.y))
     is_stale, findings = _check_stale(motion, errors, along, rounding)
     findings += _check_jumps(motion, errors, along, is_stale, rounding)

@@ -5,16 +5,28 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, STEERING
+from ..log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, STEERING, DriveLog
 from ..prediction import PredictionSettings
 from ..regression import white_noise
 from ..timeseries import NANOSECOND, find_ascending
 from .finding import HORIZON, LIMITS, Advice, AuxiliaryData, Finding, InsQuality, Sampling, Severity, merge_findings
-from .motion import MAX_GAP, MAX_LISTED_TIMES, Motion, find_groups, find_spans, find_time_intervals
+from .motion import (
+    MAX_GAP,
+    MAX_LISTED_TIMES,
+    Motion,
+    estimate_spacing,
+    even_out,
+    find_groups,
+    find_spans,
+    find_time_intervals,
+)
 
 UNITS = {"x": "m", "y": "m", "yaw": "rad", "velocity_x": "m/s", "velocity_y": "m/s", "yaw_rate": "rad/s",
          "acceleration_x": "m/s^2", "acceleration_y": "m/s^2", "road_wheel_angle": "rad"}
 STAMPED_CHANNELS = {"INS": ("time",), "steering": ("road_wheel_angle",)}  # channels affected by wrong time stamps
+MAX_BURST_INTERVAL = 0.25  # largest interval within a burst, divided by the mean interval
+MIN_BURST_LENGTH = 2.0  # minimum mean number of samples in a burst
+MAX_PAUSE_RATIO = 3.0  # longest pause between bursts divided by the usual one; longer ones are gaps
 MIN_HELD_FRACTION = 0.7  # minimum fraction of the samples in sequences of equal values of the usual length
 MIN_HELD_RATE = 15.0  # Hz; at 15 m/s, positions held at this rate lag by up to 1 m, and by 0.5 m on average
 PREDICTION_GAP = PredictionSettings().maximum_gap
@@ -37,6 +49,34 @@ LOCKED_STATUS = 4  # NCOM byte 21
 RTK_MODES = (5, 6)  # NCOM position modes: RTK float, RTK integer
 ROUNDING_STEPS = 3.0  # expected change, in steps of the resolution, below which a rounded channel may stay constant
 MIN_MEASURED_STEPS = 20  # minimum number of steps or intervals from which a resolution or a rate is estimated
+
+
+def spread_bursts(log: DriveLog) -> tuple[DriveLog, list[Finding]]:
+    """(the drive with even stamps of a signal with samples that arrive in bursts, the findings)."""
+    findings = []
+    for signal, name in (("INS", "ins_time_ns"), ("steering", "steering_time_ns")):
+        stamps = getattr(log, name)
+        if len(stamps) < MIN_MEASURED_STEPS:
+            continue
+        time = (stamps - stamps[0]) * NANOSECOND
+        spacing = np.diff(time)
+        pauses = spacing[spacing > MAX_BURST_INTERVAL * estimate_spacing(time)]
+        count, period = len(spacing) / len(pauses), float(np.median(pauses))  # samples per burst, s
+        if count < MIN_BURST_LENGTH:
+            continue
+        even = even_out(time, round(MAX_PAUSE_RATIO * count), max(MAX_PAUSE_RATIO * period, MAX_GAP))
+        deviation = float(np.std(time - even))
+        if deviation < LIMITS.lag:
+            continue
+        log = replace(log, **{name: stamps[0] + np.round(even / NANOSECOND).astype(np.int64)})
+        effect = deviation * float(np.median(np.abs(log.velocity_x))) if signal == "INS" else None
+        text = (f"the {signal} samples come in bursts of {count:.0f}, {period:.2g} s apart: their time stamps are the "
+                "times at which they were received or written, not measured")
+        severity = LIMITS.severity(effect or 0.0, deviation >= LIMITS.severe_lag)
+        advice = Advice("text", "use the time of measurement (GPS time), or that of each message on the bus")
+        findings.append(Finding("time_jitter", severity, STAMPED_CHANNELS[signal], text, deviation, "s", effect=effect,
+                                advice=advice))
+    return log, findings
 
 
 def describe_channels(motion: Motion, auxiliary: AuxiliaryData) -> dict[str, Sampling]:
