@@ -288,12 +288,12 @@ def _read_unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> tuple
     """(unit of a signal, factor to SI). Raises ConfigurationError if the unit contradicts the name or the DBC."""
     text, kind = entry.get("unit", str), CANONICAL_SIGNALS[name]
     possible = [UNCONVERTED_UNITS[name]] if name in UNCONVERTED_UNITS else list(UNITS[kind])
-    unit, dbc_kinds = find_unit(kind, text), list_kinds(dbc.unit or "")
+    unit, dbc_unit = find_unit(kind, text), dbc.unit or ""
     if unit not in possible:
         missing = f", and {dbc_path} gives no unit" if not dbc.unit and not text else ""
         raise entry.error("unit", f"{text!r} is not a unit of {kind} ({name}){missing}; "
                           f"write {' or '.join(map(repr, possible))}, the unit of the sensor")
-    if dbc_kinds and "ratio" not in dbc_kinds and find_unit(kind, dbc.unit or "") != unit:
+    if list_kinds(dbc_unit) and find_unit("ratio", dbc_unit) != "1" and find_unit(kind, dbc_unit) != unit:
         raise entry.error("unit", f"{text!r}, but {dbc_path} gives {dbc.unit!r}")
     return unit, 1.0 if name in UNCONVERTED_UNITS else UNITS[kind][unit][0]
 

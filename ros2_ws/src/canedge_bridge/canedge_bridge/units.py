@@ -29,14 +29,14 @@ UNITS: Mapping[str, Mapping[str, tuple[float, tuple[str, ...]]]] = {
     "angular rate": {"rad/s": (1.0, ("radps", "rad per s", "rad s-1", "1/s")),
                      "deg/s": (math.pi / 180, ("dps", "degps", "deg per s", "deg s-1")),
                      "mrad/s": (1e-3, ())},
-    "ratio": {"1": (1.0, ("-", "none", "unitless"))},
+    "ratio": {"1": (1.0, ("-", "none", "unitless")), "%": (1e-2, ("percent",))},
     "acceleration": {"m/s^2": (1.0, ("m/s/s", "mps2", "m s-2")),
                      "g": (STANDARD_GRAVITY, ("g0", "gs")), "ft/s^2": (0.3048, ("ft/s2",))},
 }
 
 _SPELLINGS = str.maketrans({
     **dict.fromkeys("º˚⁰", "°"), **dict.fromkeys("µμ", "u"), **dict.fromkeys("äÄ", "ae"), **dict.fromkeys("öÖ", "oe"),
-    **dict.fromkeys("üÜ", "ue"), "ψ": "psi", "δ": "delta", "ω": "omega", "\u0307": "dot"})
+    **dict.fromkeys("üÜ", "ue"), "%": "percent", "ψ": "psi", "δ": "delta", "ω": "omega", "\u0307": "dot"})
 _CLOCK = re.compile(r"(?i)\b(gps|(utc|gmt)( ?[+-]\d[\d.,:]*)?|local|unix|since|start|boot|epoch|of|day|week|time|in)\b"
                     r"|[ymdt./ -]*h+:?m+:?s+[.:sfx\d]*")  # clocks, and formats such as HH:MM:SS.SS
 

@@ -115,9 +115,10 @@ def test_dbc_without_the_needed_message_is_rejected(edit_dbc, signals_file):
         load_table(edit_dbc("BO_ 2 Leaf_Steering:", "BO_ 2 leaf_steering:"), signals_file)
 
 
-def test_unit_that_differs_from_the_dbc_is_rejected(edit_dbc, signals_file):
-    with pytest.raises(ConfigurationError, match=r"SteeringWheelAngle.unit: 'deg', but .* gives 'mrad'"):
-        load_table(edit_dbc(ANGLE, ANGLE.replace('"deg"', '"mrad"')), signals_file)
+@pytest.mark.parametrize("unit", ["mrad", "%"])
+def test_unit_that_differs_from_the_dbc_is_rejected(edit_dbc, signals_file, unit):
+    with pytest.raises(ConfigurationError, match=rf"SteeringWheelAngle.unit: 'deg', but .* gives '{unit}'"):
+        load_table(edit_dbc(ANGLE, ANGLE.replace('"deg"', f'"{unit}"')), signals_file)
 
 
 def test_dbc_without_the_needed_signal_is_rejected(edit_dbc, signals_file):

@@ -352,6 +352,9 @@ TABLES = [
           "columns ax_raw and ax_filtered may each be acceleration_x; none of them is used"),
     Table("two_speeds.csv", lambda log: with_columns(log, {"Speed (OBD)(m/s)": "99"}, vx="Speed (GPS)(m/s)")),
     Table("control_input.csv", lambda log: with_columns(log, {"u": "0"}, vx="v")),
+    Table("racecapture.csv", lambda log: in_degrees(log, ",".join(
+        f'"{name}"|"{unit}"|-9.0|9.0|25' for name, unit in zip(NAMES, (
+            "s", "m", "m", "Degrees", "m/s", "m/s", "Deg/Sec", "deg"), strict=True)))),
     Table("unknown_unit.csv", lambda log: with_columns(log, {"ax [mg]": "9"}),
           "column ax .* is not used: 'mg' is not a unit of acceleration"),
 ]
@@ -424,7 +427,9 @@ def test_parts_of_a_table_are_one_run(tmp_path: Path, drive_log: DriveLog, kind:
      r"cannot be in s; .*units: \{t: ns\}"),
     (lambda log: "#datatype,string,dateTime:RFC3339,double,string\n#group,false,false,false,true\n#default,,,,\n,"
                  "result,_time,_value,_field\n,_result,2026-05-04T10:00:00Z,1.5,x\n,_result,2026-05-04T10:00:00Z,1.5,yaw\n",
-     "it has one row for each value .* InfluxDB.; export one column for each field"),
+     r"it has one row for each value \(columns _field and _value\); export one column for each _field"),
+    (lambda log: "lap,telemetry_name,telemetry_value,timestamp\n2,Speed,99.1,2025-09-05T00:28:20.593Z\n",
+     r"columns telemetry_name and telemetry_value\); export one column for each telemetry_name, with"),
     (lambda log: "$GPRMC,101112.00,A,5200.0,N\n" * 99, "it contains NMEA sentences instead of a table; export time"),
     (lambda log: csv(rows(log), ",".join(NAMES).replace(",x,", ",a/pos_x,b/pos_x,")[:-21]),
      "columns a/pos_x and b/pos_x may each be x; name the right one"),

@@ -32,6 +32,7 @@ _FORTRAN_EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[+-]\d\d)")  # 1.5D-03
 _SEPARATOR = re.compile(r"sep=.\s*$", re.MULTILINE)  # how a spreadsheet marks its delimiter
 _LINE_END_IN_CELL = re.compile(r'"[^",;|\t]{0,80}\n[^",;|\t]{1,80}"(?=[,;|\t\n])')
 _QUOTED_ROW = re.compile(r'^"((?:[^"\n]|"")*)"$', re.MULTILINE)  # a row that was exported as one cell
+_RACECAPTURE_NAME = re.compile(r'"([^"|\n]*)"\|"([^"|\n]*)"(?:\|[-\d.]+)+')  # "AccelX"|"G"|-3.0|3.0|25
 _THOUSANDS_SPACES = re.compile(r"[\u00a0\u202f\u2009\u2019'](?<=\d.)(?=\d{3}(?!\d))")
 
 
@@ -63,6 +64,7 @@ def read_text(file: Path, size: int = -1) -> str:
     """
     text = _decode(file, size).replace("\r\n", "\n").replace("\r", "\n")
     text = re.sub(r"(?<!\0)\0+(?=\n|$)", "", text) if "\0" in text else text  # some loggers end each line with a NUL
+    text = _RACECAPTURE_NAME.sub(r"\1 [\2]", text) if text.startswith('"') else text
     text = _LINE_END_IN_CELL.sub(lambda cell: cell[0].replace("\n", " "), text)
     return _QUOTED_ROW.sub(lambda row: row[1].replace('""', '"') if set(row[1]) & set(",;\t") else row[0], text)
 
@@ -108,9 +110,10 @@ def read_table(file: Path, layout: Layout) -> Table:
     if text.startswith("$G"):
         raise RunError(file, "it contains NMEA sentences instead of a table", "export time, latitude, longitude, speed "
                        "and course as .csv")
-    if any({"_field", "_value"} <= {*line.split(",")} for line in text.split("\n", MAX_UNIT_ROWS)):
-        raise RunError(file, "it has one row for each value (columns _field and _value, as of InfluxDB)", "export one "
-                       "column for each field, with the function pivot of InfluxDB")
+    for name, value in (("_field", "_value"), ("telemetry_name", "telemetry_value")):
+        if any({name, value} <= {*line.split(",")} for line in text.split("\n", MAX_UNIT_ROWS)):
+            raise RunError(file, f"it has one row for each value (columns {name} and {value})", "export one column for "
+                           f"each {name}, with the function pivot of InfluxDB or pandas")
     n_above = _find_header_line(text.split("\n", MAX_HEADER_LINES + 1)[:MAX_HEADER_LINES], layout)
     *preamble, header, body = (text + "\n").split("\n", n_above + 1)
     if n_above > 1 or (n_above and not _SEPARATOR.match(preamble[0])):
