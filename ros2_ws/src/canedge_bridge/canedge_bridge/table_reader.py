@@ -1,4 +1,4 @@
-"""Reads and checks the values of a YAML document; every error is one line with file, key and limit."""
+"""Reads and checks the values of a YAML document; every error is one line that names the file and the key or line."""
 
 import math
 import textwrap

@@ -185,17 +185,18 @@ def compute_packet_times(ms: np.ndarray, minutes: np.ndarray,
     # Minute of each packet that contains one, minus the rollovers up to it: constant while the count is correct.
     timed = np.flatnonzero(minutes >= 0)
     bases = minutes[timed] - wraps[timed]
-    stops = np.union1d(np.flatnonzero(is_late), timed[1:][np.diff(bases) != 0])
+    stops = np.unique(np.concatenate([np.flatnonzero(is_late), timed[1:][np.diff(bases) != 0], [len(ms)]]))
     times = np.full(len(ms), -1, np.int64)
     order = np.where(ahead > 0, ncom.NEW, ncom.SAME).astype(np.int8)
     waiting, clock, start = deque(status_minutes), ncom.GpsClock(), 0
     while start < len(ms):
         if clock.is_settled:
             base, k = clock.minute - wraps[start - 1], np.searchsorted(timed, start)
-            stop = min([*stops[np.searchsorted(stops, start):][:1], *timed[k:k + 1][bases[k:k + 1] != base], len(ms)])
+            stop = int(stops[np.searchsorted(stops, start)])
+            if k < len(timed) and bases[k] != base:
+                stop = min(stop, int(timed[k]))
             if stop > start:
-                run = slice(start, stop)
-                times[run] = (wraps[run] + base) * ncom.MINUTE_MS + ms[run]
+                times[start:stop] = (wraps[start:stop] + base) * ncom.MINUTE_MS + ms[start:stop]
                 clock.minute, clock.milliseconds = divmod(int(times[stop - 1]), ncom.MINUTE_MS)
             start = stop
         for i in range(start, min(start + _SINGLE_STEPS, len(ms))):

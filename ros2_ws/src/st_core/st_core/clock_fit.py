@@ -23,8 +23,8 @@ DRIFT_PRIOR_PPM = 100.0  # standard deviation of the drift; two quartz clocks di
 PEAK_DISTANCE = 2.0  # s, minimum distance of the second peak of the correlation from the first
 BLOCK_DURATION = 5.0  # s; residuals further apart than this count as independent
 ITERATIONS = 12
-TOLERANCE = 0.003  # of the standard deviation for independent residuals; a smaller step is the last one,
-MIN_STEP = 1e-6, 1e-9  # s, s/s; and so is a step smaller than this
+# The iteration ends with a step below MIN_STEP [s, s/s] or this fraction of the deviation for independent residuals.
+TOLERANCE, MIN_STEP = 0.003, (1e-6, 1e-9)
 MAX_OFFSET_STEP = 0.3  # s, largest change of the offset in one iteration
 
 

@@ -199,7 +199,7 @@ INITIAL_CURVATURE_ERRORS, INITIAL_SPEED_ERRORS = (1.0, 0.2), (1.0, 1.0, 0.5, 0.3
 """Initial E [m^2], in the order of the forecasts of `CourseTracker`, from leave-one-out errors of real laps."""
 SQUARED_ERROR_LIMITS = (0.01, 9.0)  # m^2: the accuracy of the INS, and the largest influence of one error
 MAX_JUMP = 2.0  # m; the tracker restarts if displacement and distance driven differ by more than this + 10 %
-MIN_COVERAGE, MAX_COVERAGE = 1.2, 2.0  # horizons ahead of the car that a pass must cover, and for which it is used
+MIN_COVERAGE, MAX_COVERAGE = 1.2, 2.0  # minimum length of a pass ahead of the car and maximum length used [horizons]
 
 
 class EgoMotion(NamedTuple):
@@ -348,8 +348,8 @@ class CourseTracker:
         curvature, speed = curvature[:count], speed[:count]
         distance_behind = np.array([self._distance - distance for distance, _ in self._past])
         rows = np.round(point.row - distance_behind / SPACING).astype(int)
-        pass_points = points[np.maximum(rows, 0)][rows >= 0]
         recent = np.array([[motion.velocity_x, motion.curvature] for _, motion in self._past])[rows >= 0]
+        pass_points = points[rows[rows >= 0]]
         direction_error = float(wrap_angle(ego.direction - direction[0]))
         differences = {"position": point.distance, "direction": direction_error,
                        "speed": float(np.sqrt(np.square(np.log(recent[:, 0] / pass_points[:, 4])).mean())),

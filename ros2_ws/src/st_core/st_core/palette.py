@@ -37,6 +37,6 @@ def rgb(colour: str, strength: float = 1.0) -> tuple[int, int, int]:
     return red, green, blue
 
 
-def label_index(model: str, step: float, points: int) -> int:
+def get_label_index(model: str, step: float, points: int) -> int:
     """Index of the point at which the path of a model is labelled. points: number of points, `step` [s] apart."""
     return min(round(LABEL_TIMES.get(model, OTHER_LABEL_TIME) / step), points - 1)

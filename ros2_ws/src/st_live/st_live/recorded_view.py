@@ -275,7 +275,7 @@ def draw_recording(path: Path, file: Path, vehicle: Path | None = None) -> int:
 
 def format_results(state: SuiteState) -> str:
     """Markdown text of the errors so far, and of all checks that are not OK, as the terminal shows them."""
-    console = Console(file=StringIO(), width=TEXT_WIDTH, force_terminal=False)  # no colours, even if FORCE_COLOR is set
-    with console.capture() as text:
-        console.print(render_results(state))
-    return f"```\n{text.get()}```"
+    text = StringIO()
+    # No colours, even if FORCE_COLOR is set.
+    Console(file=text, width=TEXT_WIDTH, force_terminal=False).print(render_results(state))
+    return f"```\n{text.getvalue()}```"

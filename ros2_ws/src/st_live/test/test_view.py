@@ -20,7 +20,7 @@ from nav_msgs.msg import Odometry
 from ros_messages import STORE
 from ros_messages import odometry as serialised_odometry
 from rosbags.rosbag2 import StoragePlugin, Writer
-from st_core.palette import LABEL_TIMES, MODEL_COLOUR, label_index, rgb
+from st_core.palette import LABEL_TIMES, MODEL_COLOUR, get_label_index, rgb
 from st_core.vehicle import VehicleParameters
 from st_live.nodes.monitor import Monitor, Status, SuiteState
 from st_live.nodes.passenger import PassengerFrames, main
@@ -145,10 +145,10 @@ def test_ribbon_has_the_width_of_its_band_and_extends_beyond_the_path() -> None:
 
 
 def test_labels_of_coinciding_predictions_do_not_overlap() -> None:
-    places = [label_index(model, 0.05, 101) for model in LABEL_TIMES]
+    places = [get_label_index(model, 0.05, 101) for model in LABEL_TIMES]
     assert LABEL_TIMES.keys() == MODEL_COLOUR.keys()
     assert min(np.abs(np.diff(sorted(places)))) >= 10  # half a second of driving apart
-    assert label_index("kinematic", 0.05, 21) == 20  # a shorter horizon: at its end
+    assert get_label_index("kinematic", 0.05, 21) == 20  # a shorter horizon: at its end
     assert rgb("#1f77b4") == (31, 119, 180) and rgb("#000000", 0.5) == (128, 128, 128)
 
 

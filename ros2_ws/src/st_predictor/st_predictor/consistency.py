@@ -18,7 +18,7 @@ MIN_DRIVING, MIN_SPEED = 20.0, 1.0  # a verdict requires this duration [s] of dr
 MAX_STEP = 0.25  # s; a longer interval between samples counts as this much driving
 SAMPLE_PERIOD_NS = 20_000_000  # 20 ms: only the first sample of each such period is used
 CHECK_PERIOD = 10.0  # s of measurements between checks
-MAX_CPU_FRACTION = 0.018  # maximum processor time as a fraction of one core; checks run less often to stay below it
+MAX_CPU_FRACTION = 0.018  # of a core, maximum of all checks since the first poll; if exceeded, checks are delayed
 # Findings not reported live: a single bend does not distinguish a heading error from a wrong INS lever arm. Gaps and
 # implausible samples are reported by the bridges; here they would persist for WINDOW.
 NOT_REPORTED_LIVE = ("heading_misaligned", "measuring_point", "time_gaps", "sample_spikes", "sentinel_values",
@@ -27,7 +27,7 @@ NOT_REPORTED_LIVE = ("heading_misaligned", "measuring_point", "time_gaps", "samp
 
 @dataclass(frozen=True)
 class Verdict:
-    """Result of a check. severity: of the worst confirmed fault; without one, "note" if there is a finding, else ""."""
+    """Result of a check. severity: of the worst confirmed fault or a failed check, else "note" for findings, or ""."""
 
     severity: str
     message: str
@@ -138,8 +138,7 @@ def _make_verdict(findings: Sequence[Finding], previous_faults: Set[str], durati
         severity = confirmed[0].severity
         text = "; ".join(fault.text for fault in confirmed if fault.severity is severity)
         return Verdict(severity.value, text, values)
-    text = f"no fault found in the last {duration:.0f} s"
-    if faults:
-        names = ", ".join(fault.name for fault in faults)
-        text = f"no confirmed fault in the last {duration:.0f} s; awaiting confirmation by the next check: {names}"
+    names = ", ".join(fault.name for fault in faults)
+    text = f"no fault found in the last {duration:.0f} s" if not faults else (
+        f"no confirmed fault in the last {duration:.0f} s; awaiting confirmation by the next check: {names}")
     return Verdict("note" if findings else "", text, values)

@@ -169,9 +169,9 @@ def _read_plan(file: FilePath) -> Plan:
     try:
         pieces = [piece for row in document["road"] for piece in _make_pieces(row)]
         if not pieces:
-            raise ValueError("no rows")
+            raise ValueError("road has no rows")
         if not sum(abs(piece.length) for piece in pieces) <= LONGEST_ROAD:
-            raise ValueError(f"longer than {LONGEST_ROAD:g} m")
+            raise ValueError(f"road is longer than {LONGEST_ROAD:g} m")
         limits = [float(document.get(key, default)) for key, default in (("acceleration", 1.2), ("braking", 1.5))]
         if not all(0.01 <= limit <= 20.0 for limit in limits):
             raise ValueError(f"acceleration and braking {limits}: not within 0.01 to 20 m/s^2")
@@ -179,7 +179,7 @@ def _read_plan(file: FilePath) -> Plan:
     except (ArithmeticError, AttributeError, KeyError, StopIteration, TypeError, ValueError) as error:
         reason = f"key {error} is missing" if isinstance(error, KeyError) else (
             str(error) or "a row has none of the keys straight, turn and shift")
-        raise ConfigurationError(f"{file}: road: {reason}; rows are {{straight: m, speed: m/s}}, {{turn: deg, "
+        raise ConfigurationError(f"{file}: {reason}; rows of road are {{straight: m, speed: m/s}}, {{turn: deg, "
                                  "radius: m, blend: m, speed: m/s} or {shift: m, length: m, speed: m/s}") from None
 
 

@@ -236,10 +236,10 @@ def test_stop_and_go_has_speed_changes_and_turns_to_both_sides():
         ("road: [{turn: 30, radius: 5, blend: 10, speed: 4}]", "too short for blends"),
         ("roads: []", "road"),
         ("road: []", "no rows"),
-        ("road: [3]", "rows are"),
+        ("road: [3]", "rows of road are"),
         ("road: [{straight: 0, speed: 5}]", "no length"),
-        ("road: [{turn: 90, radius: 0, speed: 5}]", "rows are"),
-        ("road: [{loop: 90, speed: 5}]", "rows are"),
+        ("road: [{turn: 90, radius: 0, speed: 5}]", "rows of road are"),
+        ("road: [{loop: 90, speed: 5}]", "rows of road are"),
         ("[", "not valid YAML"),
     ],
 )

@@ -4,7 +4,7 @@ The change of yaw is estimated from yaw, integrated yaw rate and course over gro
 is estimated from positions and from integrated velocity. The ratios of these estimates reveal the cause:
 
     yaw / course = f, yaw / rate = f, rate / course = 1      -> yaw is f times too large
-    position / velocity = 1 / f, yaw / rate = 1 / f          -> the stamps run f times too fast
+    position / velocity = 1 / f, yaw / rate = 1 / f          -> the stamps run f times as fast as time
 """
 
 from collections.abc import Mapping
@@ -103,12 +103,12 @@ def check_time_unit(motion: Motion) -> MotionAndFinding:
         factor, (name, symbol) = unit, TIME_UNITS[unit]
         question = f": is its unit {name}?"
         advice = Advice.for_run_yaml({"units": {"t": symbol}})
-    text = f"time runs {factor:g} times too fast compared with positions{question}"
+    text = f"time runs {factor:g} times as fast as positions imply{question}"
     return _correct(motion.with_time_divided(factor), "time_unit", ("time",), text, factor, advice)
 
 
 def check_nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate]) -> Finding | None:
-    """Finding about time stamps at a wrong nominal rate, if velocity and yaw rate are too large by the same factor."""
+    """Finding about time stamps at a wrong nominal rate, if velocity and yaw rate are wrong by the same factor."""
     velocity, yaw_rate = (estimates.get(name) for name in ("velocity_scale", "yaw_rate_scale"))
     scale_finding = next((f for f in findings if f.name in ("velocity_scale", "position_scale")), None)
     if velocity is None or yaw_rate is None or scale_finding is None or yaw_rate.shifted(-1.0).covers(0.0):
@@ -117,8 +117,8 @@ def check_nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate
     if abs(factor - 1.0) < MIN_RATE_ERROR or difference > float(
             np.hypot(np.hypot(velocity.half_width, yaw_rate.half_width), MAX_SCALE_ERROR)):
         return None
-    text = (f"time runs {factor:.4f} ± {velocity.half_width:.4f} times too fast compared with positions and yaw: were "
-            "the time stamps computed from a wrong nominal rate?")
+    text = (f"time runs {factor:.4f} ± {velocity.half_width:.4f} times as fast as positions and yaw imply: were the "
+            "time stamps computed from a wrong nominal rate?")
     scale = float(f"{1.0 / factor:.5g}")
     advice = Advice.for_run_yaml({"correct": {"velocity": {"scale": scale}, "yaw_rate": {"scale": scale}}})
     advice = replace(advice, line=f"{advice.line}  # or divide the time of the rows by {factor:.4f}")
@@ -143,11 +143,12 @@ def _correct_rate_in_unit_of_yaw(motion: Motion) -> MotionAndFinding:
 
 
 def _correct_yaw_or_rate(motion: Motion) -> MotionAndFinding:
-    """Correct unit and sign of yaw or yaw rate, whichever disagrees with the other estimates of the turn."""
+    """Correct unit and sign of yaw or yaw rate, whichever disagrees with the other two estimates of the yaw change."""
     ratios = compute_ratios(motion)
     if not np.isfinite(ratios.yaw_to_rate) or _matches(ratios.yaw_to_rate, 1.0):
         return _correct_yaw_scale(motion, ratios.yaw_to_rate)
     rate_to_yaw = 1.0 / ratios.yaw_to_rate
+    # The yaw rate is wrong if yaw agrees with the positions, or the yaw rate disagrees with both by the same factor.
     if (_matches(ratios.yaw_to_course, 1.0) or _positions_follow_yaw(motion) or is_near(rate_to_yaw, DEG_PER_RAD)
             or _matches(ratios.rate_to_course, rate_to_yaw)):
         return _scale_yaw_rate(motion, rate_to_yaw)
@@ -166,7 +167,7 @@ def _correct_yaw_or_rate(motion: Motion) -> MotionAndFinding:
         text = (f"yaw increases clockwise{f' in {unit}' if unit else ''}: is it a compass heading? Expected: from "
                 "east, counter-clockwise")
     corrected, finding = _correct(motion, name, ("yaw",), text, factor, advice)
-    return replace(corrected, yaw=_remove_wraps(corrected)), finding
+    return _remove_wraps(corrected), finding
 
 
 def _correct_yaw_scale(motion: Motion, ratio: float) -> MotionAndFinding:
@@ -188,13 +189,12 @@ def _scale_yaw(motion: Motion, ratio: float) -> tuple[Motion, Finding]:
     corrected, finding = _correct(
         motion, "yaw_scale", ("yaw",), f"yaw is {scale} times its value from positions and velocities", scale.value,
         Advice.correct("yaw", scale=float(f"{1.0 / scale.value:.5g}")))
-    return replace(corrected, yaw=_remove_wraps(corrected)), replace(finding, interval=scale.interval)
+    return _remove_wraps(corrected), replace(finding, interval=scale.interval)
 
 
 def _estimate_yaw_scale(motion: Motion, ratio: float) -> Estimate:
     """Scale of yaw, near `ratio`; the true yaw is the direction of travel minus the sideslip angle."""
-    rescaled = replace(motion, yaw=motion.yaw / ratio)
-    rescaled = replace(rescaled, yaw=_remove_wraps(rescaled))
+    rescaled = _remove_wraps(replace(motion, yaw=motion.yaw / ratio))
     windows = rescaled.make_windows(1.0)
     measured, derived = _compute_displacements(rescaled, rescaled.velocity_map)
     product, yaw = measured * np.conj(derived), windows.mean(rescaled.yaw)
@@ -206,28 +206,26 @@ def _estimate_yaw_scale(motion: Motion, ratio: float) -> Estimate:
 
 
 def _correct_north_east(motion: Motion) -> MotionAndFinding:
-    """Correct positions (north, east) with a clockwise yaw, if the other channels confirm the sign of the yaw rate, or
-    contradict it and that of yaw."""
+    """Correct x north, y east and a compass heading, which turn in the opposite direction to steering, acceleration_y
+    and velocity_y; the yaw rate may turn in either direction."""
     ratios, votes = compute_ratios(motion), sum(_compare_signs(motion))
     if motion.geographic or not _matches(ratios.yaw_to_course, 1.0):
         return motion, None
-    text = ("x, y and yaw turn in the opposite direction to yaw_rate, which other channels confirm: is x north, y east "
-            "and yaw a compass heading? Expected: x east, y north, yaw from east, counter-clockwise")
-    correct: dict[str, Any] = {"yaw": COMPASS_TO_YAW}
-    alternatives: tuple[Alternative, ...] = ()
     measured, derived = _compute_displacements(motion, motion.velocity_map)
     is_forward = np.sum(derived * np.conj(_direction(measured))).real > 0.0  # else velocity_x has the opposite sign
+    alternatives: tuple[Alternative, ...] = ()
     if _matches(ratios.yaw_to_rate, 1.0) and votes == -2 and is_forward:
         text = ("x, y, yaw and yaw_rate turn in the opposite direction to acceleration_y and steering: x is north, "
                 "y east and yaw a compass heading")
-        correct = _add_mirrored_channels(motion, {**correct, "yaw_rate": MIRROR}, EXCHANGE_X_Y)
+        correct = _add_mirrored_channels(motion, {"yaw": COMPASS_TO_YAW, "yaw_rate": MIRROR}, EXCHANGE_X_Y)
         alternatives = (Alternative("steering and acceleration_y are positive to the right",
                                     ("steering_sign", "acceleration_y_scale")),)  # the mirror image of the same drive
+    elif _matches(ratios.yaw_to_rate, -1.0) and votes > _find_lateral_sign(motion):
+        text = ("x, y and yaw turn in the opposite direction to yaw_rate and other channels: is x north, y east and "
+                "yaw a compass heading? Expected: x east, y north, yaw from east, counter-clockwise")
+        correct = {"yaw": COMPASS_TO_YAW}
     else:
-        original, mirrored = _compute_misfit(motion), _compute_misfit(replace(motion, velocity_y=-motion.velocity_y))
-        votes += int(mirrored < CLEAR_MISFIT_RATIO * original) - int(original < CLEAR_MISFIT_RATIO * mirrored)
-        if votes <= 0 or not _matches(ratios.yaw_to_rate, -1.0):
-            return motion, None
+        return motion, None
     corrected, finding = _correct(motion, "position_axes", ("x", "y", *correct), text, None,
                                   Advice.for_run_yaml({"columns": EXCHANGE_X_Y, "correct": correct}))
     return corrected, replace(finding, alternatives=alternatives)
@@ -236,12 +234,17 @@ def _correct_north_east(motion: Motion) -> MotionAndFinding:
 def _add_mirrored_channels(motion: Motion, correct: Mapping[str, Any], columns: Mapping[str, str]) -> dict[str, Any]:
     """Corrections of mirrored axes, with those of velocity_y and acceleration_y if they are positive to the right."""
     corrected, mirrored = motion.apply_entry({"columns": columns, "correct": correct}), {**correct}
-    if _compute_misfit(replace(corrected, velocity_y=-corrected.velocity_y)) < (
-            CLEAR_MISFIT_RATIO * _compute_misfit(corrected)):
+    if _find_lateral_sign(corrected) < 0:
         mirrored["velocity_y"] = MIRROR
     if _compare_signs(corrected)[1] < 0:
         mirrored["acceleration_y"] = MIRROR
     return mirrored
+
+
+def _find_lateral_sign(motion: Motion) -> int:
+    """Sign of velocity_y with which positions agree clearly better; 0 if neither."""
+    original, mirrored = _compute_misfit(motion), _compute_misfit(replace(motion, velocity_y=-motion.velocity_y))
+    return int(original < CLEAR_MISFIT_RATIO * mirrored) - int(mirrored < CLEAR_MISFIT_RATIO * original)
 
 
 def _compare_signs(motion: Motion) -> tuple[int, int]:
@@ -287,13 +290,14 @@ def _round_to_angle_unit(factor: float, tolerance: float = UNIT_TOLERANCE) -> fl
                key=lambda unit: abs(np.log(size / unit)), default=size)
 
 
-def _remove_wraps(motion: Motion) -> np.ndarray:
-    """The yaw, with the integrated yaw rate in place of steps that remain if a different unit was unwrapped as rad."""
+def _remove_wraps(motion: Motion) -> Motion:
+    """The motion with the yaw rate in place of yaw steps that remain if a different unit was unwrapped as rad."""
     step = np.diff(motion.yaw)
     expected = np.diff(cumulative_trapezoid(motion.yaw_rate, motion.time, initial=0.0))
     error = np.abs(step - expected)
     wrapped = error > max(8.0 * SIGMA_PER_MAD * float(np.median(error)), MIN_WRAP_STEP)
-    return motion.yaw[0] + np.concatenate(([0.0], np.cumsum(np.where(wrapped, expected, step))))
+    change = np.cumsum(np.where(wrapped, expected, step))
+    return replace(motion, yaw=motion.yaw[0] + np.concatenate(([0.0], change)))
 
 
 def _correct_position_axes(motion: Motion) -> MotionAndFinding:
@@ -304,7 +308,7 @@ def _correct_position_axes(motion: Motion) -> MotionAndFinding:
     measured, derived = _compute_displacements(motion, motion.velocity_map)
     angle = np.angle(np.sum(_direction(measured) * derived))
     quarter = int(np.round(angle / (np.pi / 2))) % 4
-    # An even quarter is a longitude positive to the west, or a latitude positive to the south.
+    # x and y from longitude and latitude can be mirrored (even quarter), but not exchanged.
     signs = _compare_signs(motion)
     if quarter % 2 and (motion.geographic or signs[0] < 0 or sum(signs) < 0):
         correct = _add_mirrored_channels(motion, {"yaw": COMPASS_TO_YAW, "yaw_rate": MIRROR}, {})
@@ -357,8 +361,8 @@ def correct_length_unit(motion: Motion) -> MotionAndFinding:
                  and (unit < 1.0) != np.isfinite(ratio)), None)
     if unit is None or not all(is_near(each, 1.0 / unit, LIMITS.channel_unit_ratio) for each in scales.tolist()):
         return motion, None
-    text = (f"x, y and both velocities agree, but accelerations are {scale:.4g} times the derivative of velocity: is "
-            f"the unit of length {LENGTH_UNITS[unit]}?")
+    text = (f"accelerations are {scale:.4g} times the derivative of velocity: is {LENGTH_UNITS[unit]} the unit of "
+            "length of positions and velocities?")
     advice = Advice.for_run_yaml({"correct": {name: {"scale": 1.0 / unit} for name in ("position", "velocity")}})
     corrected, finding = _correct(motion, "position_scale", LENGTH_CHANNELS, text, unit, advice)
     return (corrected, finding) if is_driven(corrected) else (motion, None)  # else the accelerations have another unit
@@ -418,7 +422,7 @@ def _compute_misfit(motion: Motion, rotated: bool = True) -> float:
 
 
 def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
-    """Correct velocities in the map frame (equal to those of positions), exchanged ones, or a yaw of another axis."""
+    """Correct velocities along the map axes, exchanged velocities, or a yaw of an axis other than the forward one."""
     measured, unrotated = _compute_displacements(motion, motion.velocity)
     if len(measured) < MIN_WINDOWS:
         return motion, None

@@ -306,15 +306,13 @@ class Problem:
         low, high = (edge - optimum for edge in limits)
         columns = np.flatnonzero(np.isin(indices, self.space.indices(*names)))
         gradient = q.gradient - q.hessian @ optimum
-        base = optimum
-        if at_optimum:
-            q, base = Quadratic(q.cost, gradient, q.hessian), np.zeros(len(indices))
+        initial_gradient, base = (gradient, np.zeros(len(indices))) if at_optimum else (q.gradient, optimum)
         steps, held_out = {}, np.zeros(len(q.cost))
         for k in np.unique(fold):
             in_fold = fold == k
             remaining_h = h - q.hessian[in_fold].sum(axis=0)
             if self.prior is None:
-                remaining_g = g - (gradient + q.hessian @ optimum)[in_fold].sum(axis=0) - prior @ distance
+                remaining_g = g - q.gradient[in_fold].sum(axis=0) - prior @ distance
                 d = minimise_bounded(add_ridge(remaining_h + prior), remaining_g, *limits) - optimum
             else:
                 d = np.zeros(len(indices))
@@ -323,7 +321,7 @@ class Problem:
                     remaining_h[np.ix_(columns, columns)] + ridge, gradient[~in_fold].sum(axis=0)[columns],
                     np.minimum(low, 0.0)[columns], np.maximum(high, 0.0)[columns])
             steps[int(k)] = d = base + d
-            rise = np.einsum("i,bij,j->b", d, q.hessian[in_fold], d) - 2.0 * q.gradient[in_fold] @ d
+            rise = np.einsum("i,bij,j->b", d, q.hessian[in_fold], d) - 2.0 * initial_gradient[in_fold] @ d
             prior_cost = (distance + d) @ prior @ (distance + d) / len(q.cost)
             # The robust loss grows with the logarithm of its quadratic approximation above 1 per residual.
             count = np.maximum(self._residual_counts[in_fold], 1)

@@ -20,8 +20,7 @@ from st_recordings.runs.cdr import CAN_MSGS_FRAME, ODOMETRY
 from . import check_report
 
 STEP = PredictionSettings().step
-RUN_ERRORS = (RunError, StCoreError, MemoryError, OSError)
-"""Errors that concern a single run; the other runs are still processed."""
+RUN_ERRORS = (RunError, StCoreError, MemoryError, OSError)  # concern a single run; the others are still processed
 ADVICE = "follow the advice of `st check`, or use the recording anyway with --force"
 
 
@@ -52,7 +51,7 @@ def raise_for_errors(source: Path | str, findings: Sequence[Finding], force: boo
         raise RejectedRunError(source, findings)
 
 
-def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettings | None = None) -> list[Finding]:
+def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettings = ReadSettings()) -> list[Finding]:
     """Check a bag before its replay, with its recorded built-in models and step; returns the findings.
 
     vehicle: file to use instead of the recorded vehicle (the default vehicle if none is recorded). Raises
@@ -61,19 +60,19 @@ def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettin
     if bag.suffix.lower() == ROS1_EXTENSION:
         raise RunError(bag, "the nodes cannot receive ROS 1 messages",
                        "convert the bag with rosbags-convert; st check, evaluate and discover read it as it is")
-    if not (settings and settings.steering) and may_need_can_frames(bag):
+    if settings.steering is None and may_need_can_frames(bag):
         has_other = any(map(may_carry_steering, open_bag(bag).topics))
         other = ", or name a topic with --steering-topic" if has_other else ""
         raise RunError(bag, f"its steering is only in CAN frames ({CAN_MSGS_FRAME}), which the nodes do not receive",
                        f"use st check, evaluate or discover, which decode them{other}")
-    if not (settings and settings.odometry) and lacks_odometry(bag):
+    if settings.odometry is None and lacks_odometry(bag):
         raise RunError(bag, f"it contains no message of type {ODOMETRY}, which the nodes need",
                        "use st check, evaluate or discover, which can read a drive from other messages")
     run = read(RunSource(bag.stem, "bag", (bag,)), settings=settings)
     car, recorded, _ = find_configuration(run.provenance["recorded"], vehicle)
     # The bag is read before its vehicle is known: a steering-wheel angle is read with a ratio of 1 and converted here.
-    steering = settings.steering if settings else None
-    log = run.log.with_steering(car) if steering is not None and steering.quantity == "wheel" else run.log
+    is_wheel_angle = settings.steering is not None and settings.steering.quantity == "wheel"
+    log = run.log.with_steering(car) if is_wheel_angle else run.log
     predictor = recorded.nodes.get("predictor", {})
     models = [model for model in predictor.get("models", MODELS) if model in MODELS]
     findings = check_log(log, car, run.auxiliary, models, predictor.get("step", STEP)).findings

@@ -20,7 +20,7 @@ from . import quantities, report_text
 
 AFTER_COLOUR = MODEL_COLOUR["augmented"]
 HALF_WIDTH = 6.8  # inch; for two figures side by side on the page
-MIN_CHANGE = 0.005  # m; if the position error changes less, the most reduced channel error is reported instead
+MIN_CHANGE = 0.005  # m; if the position error changes less, the channel error with the lowest ratio is reported instead
 MIN_ASPECT = 0.3  # `_compute_aspect_ratio` of a track; the axes of narrower tracks have different scales
 MAX_PANELS = 6  # maximum number of effects in the figure of local estimates
 MAX_ROWS = 14  # a partition with more parts, or by place, is drawn in one row
@@ -58,7 +58,7 @@ def draw_waterfall(discovery: Discovery, output: FigureOutput) -> PageFigure | N
     axes.set_yticks(range(len(steps) + 2), [*rows, end])
     axes.set(ylim=(len(steps) + 1.6, -0.6), xlim=(0.0, 1.16 * max(first, *(s.position_5s.base for s in steps))),
              xlabel="mean position error after 5 s on held-out driving, m")
-    caption = ("Each row adds one effect and refits all values; its value and change belong to that step. Line: "
+    caption = ("Each row adds one effect, refits all values, and shows the effect and the change of the error. Line: "
                "95 % interval of the change. Effects in parentheses are part of the fit, but not reported as causes.")
     return save_figure(figure, output, "waterfall", "Error of each step of the search", caption)
 
@@ -108,8 +108,8 @@ def draw_axle_curves(discovery: Discovery, output: FigureOutput) -> PageFigure |
 
 def draw_maps(discovery: Discovery, runs: Sequence[DriveLog], before: Samples, after: Samples | None,
               output: FigureOutput) -> PageFigure | None:
-    """Draw the track of the run with the largest errors and the starts of its predictions, coloured by the error of the
-    base model and of the complete model; None without errors.
+    """Draw the track of the run with the largest mean squared error and the starts of its predictions, coloured by the
+    error of the base model and of the complete model; None without errors. Narrow tracks are left out if possible.
 
     The channel is that with the highest lower 95 % limit of the ratio of error to expected error, or the first one.
     before, after: errors of the base and of the complete model in `runs`, the suspect drives.
@@ -119,17 +119,15 @@ def draw_maps(discovery: Discovery, runs: Sequence[DriveLog], before: Samples, a
     squares = before.squares[channel]
     if not len(squares):
         return None
-    indices = np.unique(before.run)
-    wide = [_compute_aspect_ratio(runs[k]) > MIN_ASPECT for k in indices]
-    # Narrow tracks are left out if there are others.
-    run = max(indices[wide] if any(wide) else indices, key=lambda k: float(squares[before.run == k].mean()))
+    indices = np.unique(before.run).tolist()
+    wide = [k for k in indices if _compute_aspect_ratio(runs[k]) > MIN_ASPECT]
+    run = max(wide or indices, key=lambda k: float(squares[before.run == k].mean()))
     models = [("base model", before)] + ([("complete model", after)] if after else [])
     factor, unit = quantities.get_display_unit(UNITS[channel])
     largest = factor * max(float(np.nanmax(np.sqrt(samples.squares[channel][samples.run == run]), initial=1e-12))
                            for _, samples in models)
     log = runs[run]
-    is_wide = _compute_aspect_ratio(log) > MIN_ASPECT
-    shape = np.ptp(log.y) / max(np.ptp(log.x), 1e-9) if is_wide else 0.5
+    shape = np.ptp(log.y) / max(np.ptp(log.x), 1e-9) if wide else 0.5
     size = (HALF_WIDTH, float(np.clip(0.4 * HALF_WIDTH * shape, 1.2, 3.5)) + 0.9)
     figure, panels = plt.subplots(1, len(models), figsize=size, sharex=True, sharey=True, squeeze=False)
     stride = max(1, len(log.x) // 600)
@@ -140,7 +138,7 @@ def draw_maps(discovery: Discovery, runs: Sequence[DriveLog], before: Samples, a
         axes.plot(log.x[::stride], log.y[::stride], color=MEASURED_COLOUR, lw=0.6, alpha=0.6, zorder=1)
         points = axes.scatter(samples.x[rows], samples.y[rows], c=error, s=14, cmap="cividis", zorder=2, linewidths=0,
                               rasterized=True, vmin=0.0, vmax=largest)
-        if is_wide:
+        if wide:
             axes.set_aspect("equal", adjustable="box")
         axes.set_title(name, fontsize=9)
         axes.set_xlabel("east, m")

@@ -97,17 +97,17 @@ def _raise_if_all_failed(problems: Sequence[RunError | str | None]) -> None:
 def evaluate_all(sources: Sequence[RunSource], task: Task, workers: int, scheduler: str | None) -> list[RunReport]:
     """Evaluate all runs with a progress display; returns the reports in the order of the sources."""
     with make_progress_bars() as progress:
-        runs, starts = progress.add_task("runs"), progress.add_task("", visible=False)
+        run_bar, start_bar = progress.add_task("runs"), progress.add_task("", visible=False)
 
         def evaluate(source: RunSource) -> RunReport:
-            progress.update(starts, description=escape(f"{source.name}: reading"), total=None, completed=0,
+            progress.update(start_bar, description=escape(f"{source.name}: reading"), total=None, completed=0,
                             visible=True)
             return evaluate_run(source, task, lambda done, total: progress.update(
-                starts, description=escape(source.name), total=total, completed=done))
+                start_bar, description=escape(source.name), total=total, completed=done))
 
         reports = (_evaluate_in_workers(sources, task, workers, scheduler) if workers > 1 or scheduler else
                    map(evaluate, sources))
-        by_name = {report.name: report for report in progress.track(reports, len(sources), task_id=runs)}
+        by_name = {report.name: report for report in progress.track(reports, len(sources), task_id=run_bar)}
     return [by_name[source.name] for source in sources]
 
 
@@ -246,12 +246,12 @@ def draw_overview(reports: Sequence[RunReport], over: str, output: FigureOutput)
     selection = np.sort(order[:MAX_RUNS])
     figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 1.4 + 0.24 * len(selection)), sharey=True)
     figure.set_layout_engine("constrained", w_pad=0.12)  # inch, between the labels of both axes
-    for axes, (axis, sizes) in zip(panels, rmse.items(), strict=True):
+    for axes, (axis, values) in zip(panels, rmse.items(), strict=True):
         for row, run in enumerate(selection):
-            axes.plot(sizes[run], np.full(len(models), row), color=TEXT_COLOUR, lw=0.6, alpha=0.5, zorder=1)
+            axes.plot(values[run], np.full(len(models), row), color=TEXT_COLOUR, lw=0.6, alpha=0.5, zorder=1)
         for k, model in enumerate(models):
             # The marker size decreases from model to model, so that equal values remain visible.
-            axes.plot(sizes[selection, k], range(len(selection)), "o", ms=8 - 2 * k, mew=0, zorder=2,
+            axes.plot(values[selection, k], range(len(selection)), "o", ms=8 - 2 * k, mew=0, zorder=2,
                       color=MODEL_COLOUR.get(model, TEXT_COLOUR), label=model)
         axes.set_xlim(0.0, 1.05 * axes.get_xlim()[1])  # if values are similar, the default margin cuts their markers
         axes.set_xlabel(f"{axis} RMSE, m")
@@ -266,10 +266,10 @@ def draw_overview(reports: Sequence[RunReport], over: str, output: FigureOutput)
 def make_headline(reports: Sequence[RunReport], over: str) -> str:
     """Lateral hindsight RMSE of each model over all runs, smallest first."""
     models = pool_models([r.models for r in reports])
-    sizes = [(get_axis_statistics(models, m, "hindsight", "lateral", over)["rmse"], m) for m in models]
-    ranked = sorted((size, m) for size, m in sizes if size is not None)
+    rmse = [(get_axis_statistics(models, m, "hindsight", "lateral", over)["rmse"], m) for m in models]
+    ranked = sorted((value, m) for value, m in rmse if value is not None)
     name = reports[0].name if len(reports) == 1 else f"{len(reports)} runs"
-    return f"{name}: lateral RMSE " + ", ".join(f"{model} {format_error(size)} m" for size, model in ranked)
+    return f"{name}: lateral RMSE " + ", ".join(f"{model} {format_error(value)} m" for value, model in ranked)
 
 
 def make_summary(reports: Sequence[RunReport], task: Task) -> list[str]:

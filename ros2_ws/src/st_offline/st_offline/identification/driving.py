@@ -237,23 +237,22 @@ def compare_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base
     except IdentificationError as error:
         return replace(outcome, warnings=(*outcome.warnings, f"The paper's regression failed: {error}"))
     estimates, comparisons = [], []
-    for estimate in outcome.estimates:
-        name, regression = estimate.parameter, paper[estimate.parameter]
+    for predicted in outcome.estimates:
+        estimate, name, regression = predicted, predicted.parameter, paper[predicted.parameter]
         if regression.status == "unidentifiable":
-            estimates.append(estimate)
-            comparisons.append(f"The paper's regression did not identify {name}: {regression.verdict}")
-            continue
-        text = describe_contradiction(estimate, regression.value, regression.standard_uncertainty,
-                                      "the paper's regression")
-        # The regression averages over the nonlinear force curve, so a difference of a few per cent is expected.
-        if text and abs(estimate.value - regression.value) > MAX_DISAGREEMENT * regression.value:
-            text += f" {STIFFNESS_ADVICE}"
-            verdict = f"{estimate.verdict} Doubtful: {STIFFNESS_ADVICE}"
-            estimates.append(replace(estimate, status="doubtful", verdict=verdict))
+            text = f"The paper's regression did not identify {name}: {regression.verdict}"
+        elif text := describe_contradiction(estimate, regression.value, regression.standard_uncertainty,
+                                            "the paper's regression"):
+            # The regression averages over the nonlinear force curve, so a difference of a few per cent is expected.
+            if abs(estimate.value - regression.value) > MAX_DISAGREEMENT * regression.value:
+                text += f" {STIFFNESS_ADVICE}"
+                verdict = f"{estimate.verdict} Doubtful: {STIFFNESS_ADVICE}"
+                estimate = replace(estimate, status="doubtful", verdict=verdict)
         else:
-            estimates.append(estimate)
-        comparisons.append(text or f"The paper's regression gives {name} {regression.value:.0f} N/rad (standard "
-                           f"uncertainty {regression.standard_uncertainty:.0f}), in agreement.")
+            text = (f"The paper's regression gives {name} {regression.value:.0f} N/rad (standard uncertainty "
+                    f"{regression.standard_uncertainty:.0f}), in agreement.")
+        estimates.append(estimate)
+        comparisons.append(text)
     return replace(outcome, estimates=tuple(estimates), warnings=(*outcome.warnings, *comparisons),
                    figure={**outcome.figure, "paper": paper})
 

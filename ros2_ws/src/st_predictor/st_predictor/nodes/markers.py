@@ -9,7 +9,7 @@ from geometry_msgs.msg import Point, Vector3Stamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from st_core.palette import MEASURED_COLOUR, get_model_colour, label_index, rgb
+from st_core.palette import MEASURED_COLOUR, get_label_index, get_model_colour, rgb
 from st_core.types import InsSample
 from st_msgs.msg import Prediction, PredictionError
 from st_ros import parameters, spin
@@ -121,7 +121,7 @@ class MarkersNode(Node):
 
     def _make_label(self, number: int, time_ns: int, model: str, path: Path) -> Marker:
         marker = self._make_marker(Marker.TEXT_VIEW_FACING, "names", number, time_ns, get_model_colour(model), 1.0)
-        index = label_index(model, path.step, len(path.x))
+        index = get_label_index(model, path.step, len(path.x))
         marker.pose.position.x, marker.pose.position.y = float(path.x[index]), float(path.y[index])
         marker.pose.position.z = 1.0
         marker.scale.z, marker.text = TEXT_HEIGHT, model

@@ -122,11 +122,10 @@ class PredictorNode(Node):
         scorer = Evaluator(self._vehicle, settings, 0.0, parsed_models, runners) if values.adaptive_bands else None
         self._core = params.translate_errors(values, lambda: Predictor(
             self._vehicle, parsed_models, settings, runners, scorer.history if scorer else None))
-        self._hashes = dict.fromkeys(self._core.models, configuration_hash(self._vehicle, settings))
         file_hashes = dict.fromkeys(self._core.models, "")
         if file:
             file_hashes[parsed_models[-1].name] = file.hash
-            self._hashes[parsed_models[-1].name] = configuration_hash(self._vehicle, settings, file.hash)
+        self._hashes = {model: configuration_hash(self._vehicle, settings, h) for model, h in file_hashes.items()}
         self._bands = PredictionBands(values, self._vehicle, file_hashes, settings, scorer)
         return backend or "interpreted"
 

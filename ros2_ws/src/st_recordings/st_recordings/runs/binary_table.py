@@ -54,7 +54,7 @@ class Signal(NamedTuple):
 
 @cached_by_version(maxsize=4)
 def read_binary_table(file: Path) -> tuple[list[str], str]:
-    """(header, comma-separated rows) of a file. Raises RunError if unreadable, or MATLAB or HDF5 without vectors."""
+    """(header, comma-separated rows) of a file. Raises RunError if it cannot be read or contains no vectors."""
     extension = file.suffix.lower()
     if extension in ARROW_EXTENSIONS:
         frame = _read_arrow(file)
@@ -144,19 +144,7 @@ def _find_signals(value: Any, path: tuple[str, ...] = (), unit: str = "",
                   times: tuple[tuple[str, np.ndarray], ...] = ()) -> Iterator[Signal]:
     """Yields the signals in structs, arrays of structs and matrices. times: (name, times) of the enclosing structs."""
     if isinstance(value, dict):
-        vectors = [name for name, entry in value.items() if _is_vector(entry)]
-        source, stamp = find_columns(Path(), vectors, Layout()).get("t"), find_stamp_columns(vectors)
-        own_times = [(vectors[source.column], value[vectors[source.column]])] if source else []
-        if source and stamp and source.column == stamp[0]:  # for example, sec and nanosec of a ROS stamp
-            seconds, fraction = (value[vectors[column]] for column in stamp[:2])
-            if len(seconds) == len(fraction) and (total := add_fraction(seconds, stamp[2] * fraction)) is not seconds:
-                own_times = [("t [s]", total)]
-        axes = value.get("X")  # dSPACE ControlDesk: one time vector, or one for each raster, of different lengths
-        axes = [axis["Data"] for axis in (axes if isinstance(axes, list) else [axes])
-                if isinstance(axis, dict) and _is_vector(axis.get("Data"))]
-        if axes and len(set(map(len, axes))) == len(axes):
-            own_times += [("time", axis) for axis in axes]
-            value = {name: entry for name, entry in value.items() if name != "X"}
+        own_times, value = _find_own_times(value)
         unit = next((value[name] for name in UNIT_FIELDS if isinstance(value.get(name), str)), "")
         for name, entry in value.items():
             is_sample_field = path and name.lower() in SAMPLE_FIELDS
@@ -173,6 +161,24 @@ def _find_signals(value: Any, path: tuple[str, ...] = (), unit: str = "",
         # The columns are signals, or the rows if there are too many columns.
         for number, column in enumerate(value.T if value.shape[1] <= MAX_MATRIX_COLUMNS else value, 1):
             yield from _find_signals(column, (*path[:-1], f"{path[-1]}_{number}"), unit, times)
+
+
+def _find_own_times(struct: dict[str, Any]) -> tuple[list[tuple[str, np.ndarray]], dict[str, Any]]:
+    """((name, times) of each time vector of a struct, the other fields)."""
+    vectors = [name for name, entry in struct.items() if _is_vector(entry)]
+    source, stamp = find_columns(Path(), vectors, Layout()).get("t"), find_stamp_columns(vectors)
+    own_times = [(vectors[source.column], struct[vectors[source.column]])] if source else []
+    if source and stamp and source.column == stamp[0]:  # for example, sec and nanosec of a ROS stamp
+        seconds, fraction = (struct[vectors[column]] for column in stamp[:2])
+        if len(seconds) == len(fraction) and (total := add_fraction(seconds, stamp[2] * fraction)) is not seconds:
+            own_times = [("t [s]", total)]
+    axes = struct.get("X")  # dSPACE ControlDesk: one time vector, or one for each raster, of different lengths
+    axes = [axis["Data"] for axis in (axes if isinstance(axes, list) else [axes])
+            if isinstance(axis, dict) and _is_vector(axis.get("Data"))]
+    if axes and len(set(map(len, axes))) == len(axes):
+        own_times += [("time", axis) for axis in axes]
+        struct = {name: entry for name, entry in struct.items() if name != "X"}
+    return own_times, struct
 
 
 def _is_vector(value: Any) -> bool:
@@ -243,8 +249,7 @@ def read_signals(file: Path, layout: Layout, warnings: list[str]) -> tuple[list[
 
 def _list_signals(mdf: Any) -> list[tuple[str, int, int, int]]:
     """(name with unit, group and index of the longest signal, number of signals) for each name except times."""
-    longest_signals: dict[str, tuple[str, int, int]] = {}
-    lengths: dict[str, int] = {}
+    longest: dict[str, tuple[int, str, int, int]] = {}  # name -> (number of samples, name with unit, group, index)
     occurrences: Counter[str] = Counter()
     for group, content in enumerate(mdf.groups):
         length = content.channel_group.cycles_nr
@@ -253,12 +258,12 @@ def _list_signals(mdf: Any) -> list[tuple[str, int, int, int]]:
             if index == mdf.masters_db.get(group):
                 continue
             occurrences[name] += 1
-            if length <= lengths.get(name, -1):
+            if name in longest and length <= longest[name][0]:
                 continue
             unit = mdf.get_channel_unit(group=group, index=index)
             lacks_unit = unit and not name.endswith(f"[{unit}]")
-            longest_signals[name], lengths[name] = (f"{name} [{unit}]" if lacks_unit else name, group, index), length
-    return [(*signal, occurrences[name]) for name, signal in longest_signals.items()]
+            longest[name] = length, f"{name} [{unit}]" if lacks_unit else name, group, index
+    return [(*signal[1:], occurrences[name]) for name, signal in longest.items()]
 
 
 def _open_file(file: Path) -> AbstractContextManager[Any]:

@@ -102,10 +102,8 @@ AMBIGUOUS_STEERING = {normalise(name) for name in _split(
 """Names that mean the steering wheel in some files and the road wheels in others."""
 
 MAX_NAME_LENGTH = 200  # characters; of a longer name, only the end counts
-PATH_RANK = 1000
-"""Added to the rank of a name after a path, as in /odom/twist/twist/linear/x of PlotJuggler, or a source (ego_vx)."""
-DOUBTFUL_RANK = 500
-"""Rank of theta and phi, which may also denote pitch and roll; read as yaw if no other column is a heading."""
+PATH_RANK = 1000  # added for a name after a path (/odom/twist/twist/linear/x of PlotJuggler) or a source (ego_vx)
+DOUBTFUL_RANK = 500  # of theta and phi, which may be pitch and roll; read as yaw if no other column is a heading
 _OTHER_QUANTITY = re.compile(
     r"(?i)(^|[^a-z])(ref|target|desired|set|cmd|command|request|control|goal|limit|plan|pred|std|(?<!with.)cov|var|err|"
     r"max|min|engine|motor|wind|trailer|lead|object|obstacle|radar|fan|traffic|other)")
@@ -129,7 +127,7 @@ _CHANNELS_BY_NAME = {**dict.fromkeys(AMBIGUOUS_STEERING, (_STEERING, 0)),
 
 @dataclass(frozen=True)
 class Layout:
-    """Columns that a run.yaml or an option names."""
+    """Columns and units stated in a run.yaml or by an option."""
 
     columns: Mapping[str, str] = field(default_factory=dict)  # channel -> column name
     units: Mapping[str, str] = field(default_factory=dict)  # channel -> unit
@@ -176,9 +174,10 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
         kind = COLUMNS[channel].kind
         unit = find_stated_unit(names[column], kind) or find_stated_unit(column_name, kind)
         sources[channel] = _make_source(column, names[column], channel, unit)
-    pair = find_stamp_columns(names)
-    if pair and ("t" not in sources or ("t" not in {*layout.columns, *layout.units} and (
-            sources["t"].column == pair[1] or sources["t"].factor > 1.0))):  # the fraction, or minutes or hours
+    time, pair = sources.get("t"), find_stamp_columns(names)
+    is_time_stated = "t" in layout.columns or "t" in layout.units
+    # A stamp in two columns replaces the column of its fraction, and a time in minutes or hours.
+    if pair and (time is None or (not is_time_stated and (time.column == pair[1] or time.factor > 1.0))):
         sources["t"] = _make_source(pair[0], names[pair[0]], "t", "s")
     if "compass_heading" in layout.columns and "yaw" not in layout.columns:
         sources.pop("yaw", None)
@@ -231,7 +230,8 @@ def find_stamp_columns(names: Sequence[str]) -> tuple[int, int, float] | None:
             continue
         stem, unit, ending = match.groups()
         is_time = _CHANNELS_BY_NAME.get(stem, ("", 0))[0] == "t"  # a_s and a_ms may be an acceleration
-        for seconds in ("sec", "secs", "second", "seconds") if ending != "s" else ("s",) * is_time:
+        endings = ("sec", "secs", "second", "seconds") if ending != "s" else ("s",) if is_time else ()
+        for seconds in endings:
             if stem + seconds in normalised:
                 return normalised.index(stem + seconds), number, _FRACTION_FACTORS[unit]
         if "/" in names[number]:  # m/s is a speed

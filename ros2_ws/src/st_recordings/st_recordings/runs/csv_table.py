@@ -77,8 +77,8 @@ def _decode(file: Path, size: int) -> str:
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
-        n_text = len(content[:4096])
-        if size < 0 and (b"\0" in content[:4096] or sum(byte > 0x7F for byte in content[:4096]) > 0.3 * n_text):
+        head = content[:4096]
+        if size < 0 and (b"\0" in head or sum(byte > 0x7F for byte in head) > 0.3 * len(head)):
             raise RunError(file, "this is not a text file", "correct its extension, or export it as .csv") from None
         return content.decode("utf-8-sig", CP1252_FALLBACK)
 

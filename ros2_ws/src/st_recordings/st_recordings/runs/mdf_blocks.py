@@ -58,8 +58,8 @@ def describe_truncation(head: bytes, size: int) -> str:
 
 
 def check_blocks(data: Buffer) -> RecordLayout | None:
-    """Layout of the unsorted records that are last in the file, None if there are none, after a check of all blocks
-    that lead to the frames. Raises DamageError if one of them is missing or invalid.
+    """Check all blocks that lead to the frames; return the layout of the last unsorted records, None if there are none.
+    Raises DamageError if a block is missing or invalid.
 
     asammdf does not validate these blocks: it crashes on a channel outside its record, allocates a record of a
     gigabyte, and follows circular links forever. Names, comments and sources may be missing. The data block of an

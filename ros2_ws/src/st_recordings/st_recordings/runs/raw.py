@@ -61,7 +61,6 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
                               or config("car/leaf/signals.yaml"))
     can = read_can_logs(source.can or source.files, {message.frame_id for message in table.database.messages})
     signals = decode_signals(can.frames, table)
-    steering = None if settings.for_alignment else find_steering(signals, can.files[0], table, can.warnings)
     parts = _split_log(can)
     if not keep_frames:
         can = replace(can, frames=empty_frames())
@@ -79,21 +78,21 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
         span, alignment, shared_signals = part
         signals = signals.select_interval(*span)
         can = replace(can, frames=can.frames.select(slice(*np.searchsorted(can.frames.time_ns, span).tolist())))
-        steering = None if settings.for_alignment else find_steering(signals, can.files[0], table, can.warnings)
-        used, total = (1e-9 * sum(end - start for start, end in spans) for spans in ([span], parts))
-        warnings.append(f"{can.files[0]}: its clock was adjusted or it contains several drives; only the {used:.1f} of "
-                        f"{total:.1f} s ({100.0 * used / total:.0f} %) that match the INS recording are used")
+        used, total = 1e-9 * (span[1] - span[0]), 1e-9 * sum(end - start for start, end in parts)
+        warnings.append(f"{can.files[0]}: its clock was adjusted or it contains several drives; only the part that "
+                        f"matches the INS recording is used ({used:.1f} of {total:.1f} s, {used / total:.0%})")
+    steering = None if settings.for_alignment else find_steering(signals, can.files[0], table, can.warnings)
     latency_source = "given" if settings.ins_can_latency or source.settings.get("ins_can_latency") else "assumed"
     delay, deviation = (1e3 * value for value in options["latency"])
     latency = f"{delay:g} ms (standard deviation {deviation:g} ms), {latency_source}"
     faults = [f"{can.files[0]}: {message}: {fault}" for message, fault in signals.faults.items()]
     return RawRun(source.name, dbc, ins, can, signals, steering, alignment, shared_signals, latency,
                   (*source.notes, *ins.warnings, *can.warnings, *faults, *warnings,
-                   *_name_unused_logs(can, ins, alignment)))
+                   *_warn_about_unused_logs(can, ins, alignment)))
 
 
-def _name_unused_logs(can: CanLog, ins: InsLog, alignment: Alignment) -> list[str]:
-    """A warning about the CAN logs that do not overlap the INS recording in time, if others do."""
+def _warn_about_unused_logs(can: CanLog, ins: InsLog, alignment: Alignment) -> list[str]:
+    """A warning that names the CAN logs that do not overlap the INS recording in time, if others do."""
     edges_ns = [alignment.to_reference_ns(np.array(span)) for span in can.spans]
     unused = [file.name for file, (first, last) in zip(can.files, edges_ns, strict=False)
               if last < ins.time_ns[0] or first > ins.time_ns[-1]]

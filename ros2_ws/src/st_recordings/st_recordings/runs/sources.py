@@ -28,8 +28,7 @@ DOCUMENT_EXTENSIONS = (".md", ".txt", ".rst", ".pdf", ".html", ".png", ".jpg", "
 MAX_SPLIT_GAP = 5.0  # longest gap or overlap [s] between the end of one file of a split bag and the start of the next
 TABLE_EXTENSIONS = (".lvm", ".xls", ".xlsx", ".ods", ".tdms", ".json", ".erg", ".ld", ".pos")
 """Extensions of tables of other programs. Some of these files are text, which can be read with the extension .csv."""
-TEXT_EXPORTS = (".txt", ".tsv", ".dat")
-"""Extensions of text tables that programs often export in addition to their own files."""
+TEXT_EXPORTS = (".txt", ".tsv", ".dat")  # of text tables that programs often export in addition to their own files
 UNKNOWN_ADVICE = {
     ".dbc": "give a DBC with --dbc, or put it into the folder of --car",
     ".rd": "this is raw data of an OxTS unit: convert it to NCOM with the software of the unit",
@@ -59,8 +58,7 @@ def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
             advice = f"looked for in {folder}{yaml_text.suggest_key(path.name, names)}"
             runs.append(_report_problem(path, "the file or folder does not exist", advice))
         elif path.is_dir() and find_reader(path) is None:
-            found_runs = _search_folder(path)
-            runs += found_runs or _report_folder_without_runs(path)
+            runs += _search_folder(path) or _report_folder_without_runs(path)
         elif is_run_file(path):
             runs += _read_run_file_or_problem(path)
         else:
@@ -248,10 +246,11 @@ def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
             advice += f"; the run.yaml can also name unknown columns of {tables[0]}, as columns: {{x: NAME, ...}}"
         advice += "".join(f"; {f.name}: {UNKNOWN_ADVICE[f.suffix.lower()]}" for f in sorted(file.parent.iterdir())
                           if f.name.split(".")[0] == file.stem and f.suffix.lower() in UNKNOWN_ADVICE)
-        yield _report_problem(file, "no INS recording (.ncom, .csv, .vbo, bag) matches this CAN log", advice) if (
-            is_can_log(file)) else _report_problem(
-                file, "this is not a CAN log of a known format", "convert a CAN log to .asc, .blf, .trc or .mf4, and "
-                "export other recordings as .csv")
+        problem = "no INS recording (.ncom, .csv, .vbo, bag) matches this CAN log"
+        if not is_can_log(file):
+            problem, advice = "this is not a CAN log of a known format", (
+                "convert a CAN log to .asc, .blf, .trc or .mf4, and export other recordings as .csv")
+        yield _report_problem(file, problem, advice)
 
 
 def _group_split_bags(files: Sequence[Path]) -> list[list[Path]]:
