@@ -25,7 +25,7 @@ VERDICT_STYLE = {"good": "green", "doubtful": "yellow", "refused": "red"}
 @shared.expand_options(shared.ReadOptions)
 def align(
     files: list[Path] = typer.Argument(
-        ..., help="INS recording (.ncom, .xcom, .vbo; CSV with t, vx, yaw_rate) and CAN logs; a folder; run.yaml."),
+        ..., help="INS recording (.ncom, .xcom, .vbo, bag; CSV of t, vx, yaw_rate) and CAN logs; a folder; run.yaml."),
     search: tuple[float, float] | None = typer.Option(
         None, help="Bounds of the offset in seconds, if it is known approximately."),
     output: Path | None = typer.Option(None, help="Folder for the results; default runs/align-<name>-<time>."),
