@@ -380,9 +380,9 @@ def _check_yaw_lag(motion: Motion, agreement: Agreement | None) -> tuple[Motion,
         return motion, [], None
     lag = add_systematic_uncertainty("yaw_lag", agreement.lag.scaled(-1.0))
     corrected = motion.shifted_earlier(lag.value, "yaw")
-    is_yaw = position.positions_confirm_yaw_lag(motion, corrected, lag.value)
-    if not is_yaw:
-        return motion, [], None if is_yaw is not None else agreement.lag.value
+    is_confirmed = position.positions_confirm_yaw_lag(motion, corrected, lag.value)
+    if not is_confirmed:  # False, or None if they fit both
+        return motion, [], agreement.lag.value if is_confirmed is None else None
     effect = abs(lag.value) * float(np.std(motion.yaw_rate)) * float(np.median(motion.speed)) * HORIZON
     severity = LIMITS.severity(effect, abs(lag.value) >= LIMITS.severe_lag)
     text = f"yaw {'lags' if lag.value > 0.0 else 'leads'} yaw rate and positions by {abs(lag)} s"

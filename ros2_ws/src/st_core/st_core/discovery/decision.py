@@ -152,10 +152,10 @@ def judge_reporting(e: Evidence, limits: Limits, excludes_null: bool = True, par
 
     excludes_null: whether an interval excludes the null.
     parameter_at_bound: parameter with an interval that crosses its bound, or "".
-    peak_force_share: largest force in the drives divided by the peak force of an axle that the effect acts on; 1 if it
-        does not act on the peak, NaN if the forces are unknown [1].
+    peak_force_share: largest force in the drives divided by the peak force [1], the larger of the axles that the effect
+        acts on; 1 if it does not act on the peak, or with reference drives; NaN if the forces are unknown.
     worse_axle: axle on which the effect acts and where measured forces agree better with the vehicle file, or "".
-    summands: other effects of the model, of which only the sum with this effect is identifiable.
+    summands: other effects of the model that are identifiable only as a sum with this effect.
     violation: range that the car would violate with this effect (`handling.find_implausible_values`), or "".
     depends_on: refuted or implausible effects without which a value is outside its interval.
     """

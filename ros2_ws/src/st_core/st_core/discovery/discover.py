@@ -323,6 +323,9 @@ class _Analysis:
         violations: dict[str, str] = {}
         force_ratios = dict.fromkeys(("front", "rear"), np.nan) if axles is None else axles.compute_force_ratios()
         names = [e.name for e in effects]
+        at_peak = [] if self.reference else [get_effect(name) for name in names if get_effect(name).at_peak_force]
+        peak_force_shares = {effect.name: max((ratio for axle, ratio in force_ratios.items() if effect.slot in (
+            f"{axle} axle", "both axles")), default=1.0) for effect in at_peak}
         if axles is not None and not self.reference:
             for axle in axles.find_worse_axles(self.space.at(self.space.null), leave_one_out):
                 worse_axles |= dict.fromkeys(axles.find_effects_on_axle(axle, names), axle)
@@ -337,11 +340,8 @@ class _Analysis:
         return {e.name: decision.judge_reporting(
             state.evidence[e.name], self.limits, excludes_null=excludes_null(e),
             parameter_at_bound="" if self.reference else find_parameter_across_bound(e),
-            peak_force_share=max((ratio for axle, ratio in force_ratios.items() if get_effect(e.name).at_peak_force
-                                  and not self.reference
-                                  and get_effect(e.name).slot in (f"{axle} axle", "both axles")), default=1.0),
-            worse_axle=worse_axles.get(e.name, ""), violation=violations.get(e.name, ""),
-            depends_on=refuted if e.name in unstable else (),
+            peak_force_share=peak_force_shares.get(e.name, 1.0), worse_axle=worse_axles.get(e.name, ""),
+            violation=violations.get(e.name, ""), depends_on=refuted if e.name in unstable else (),
             summands=tuple(n for n in delays if n != e.name) if e.name in delays else ()) for e in effects}
 
     def _find_dependent(self, fit: Fit, effects: Sequence[result.FoundEffect], refuted: Sequence[str]) -> list[str]:

@@ -102,23 +102,23 @@ def sum_band_scores(band: Band, conditions: np.ndarray, errors: np.ndarray) -> S
     second = np.ceil(np.round(time, 6)).astype(int)
     at_seconds = [k for k in range(len(time)) if abs(time[k] - round(time[k])) < 1e-6]
     by_point, by_axis = ratio.max(axis=2), ratio.max(axis=1)
-    largest_ratio, is_inside = by_point.max(axis=1, initial=0.0), {}
+    largest_ratio = by_point.max(axis=1, initial=0.0)
+    is_inside = {f"{level:g}": largest_ratio <= band.factors[level] for level in levels}
     sums: Sums = {"starts": len(errors), "coverage": {}, "axes": {}, "interval_score": {}, "half_width": {},
                   "conditions": {}, "cells": {},
                   "reliability": {f"{level:g}": int((largest_ratio <= c).sum()) for level, c in band.factors.items()},
                   "crps": _name_axes(_sum_crps(band, scale[:, at_seconds], errors[:, at_seconds]))}
     for level in levels:
         key, c = f"{level:g}", band.factors[level]
-        is_inside[key] = largest_ratio <= c
         sums["coverage"][key] = int(is_inside[key].sum())
         sums["axes"][key] = _name_axes((by_axis <= c).sum(axis=0))
         score = scoringrules.interval_score(errors, -c * scale, c * scale, 1.0 - level, backend="numpy")
         sums["interval_score"][key] = _name_axes(score.mean(axis=1).sum(axis=0))
         sums["half_width"][key] = {f"{time[k]:g}": _name_axes(c * scale[:, k].sum(axis=0)) for k in at_seconds}
     largest_in_second = np.stack([by_point[:, second == s].max(axis=1) for s in np.unique(second)], axis=1)
-    inside = {f"{level:g}": largest_in_second <= band.factors[level] for level in levels}
+    seconds_inside = {f"{level:g}": largest_in_second <= band.factors[level] for level in levels}
     sums["seconds"] = {key: {str(s): int(count) for s, count in zip(np.unique(second), rows.sum(axis=0), strict=True)}
-                       for key, rows in inside.items()}
+                       for key, rows in seconds_inside.items()}
     cells = {name: find_bins(conditions, name) for name in EDGES}
     for name, cell in cells.items():
         sums["conditions"][name.replace("_", " ")] = {
@@ -127,7 +127,7 @@ def sum_band_scores(band: Band, conditions: np.ndarray, errors: np.ndarray) -> S
         rows = (cells["speed"] == v) & (cells["lateral_acceleration"] == a)
         for column, s in enumerate(np.unique(second)):
             name = f"{_label_bin('speed', v)}, {_label_bin('lateral_acceleration', a)}, second {s}"
-            sums["cells"][name] = _count_coverage(rows, {key: values[:, column] for key, values in inside.items()})
+            sums["cells"][name] = _count_coverage(rows, {key: each[:, column] for key, each in seconds_inside.items()})
     return sums
 
 

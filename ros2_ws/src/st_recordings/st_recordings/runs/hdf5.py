@@ -35,7 +35,7 @@ def is_hdf5(file: Path) -> bool:
 
 
 def read_hdf5(file: Path) -> tuple[dict[str, Any], dict[str, str]]:
-    """(structs; by name, the class of each object that only MATLAB can read, and each broken link). Raises RunError."""
+    """(structs; by name: class of each object that only MATLAB reads, each broken external link). Raises RunError."""
     try:
         import h5py
     except ImportError:
@@ -74,8 +74,8 @@ def _read_group(group: Any, path: str, objects: dict[str, str], parents: tuple[A
     fields: dict[str, Any] = {}
     for name in group:
         node = group.get(name)  # None for a link to a missing file or object
-        if node is None and (other := getattr(link := group.get(name, getlink=True), "filename", "")):
-            objects[f"{path}.{name}" if path else name] = f"{LINK} to {link.path} in the file {other}"
+        if node is None and hasattr(link := group.get(name, getlink=True), "filename"):
+            objects[f"{path}.{name}" if path else name] = f"{LINK} to {link.path} in the file {link.filename}"
         is_type = hasattr(node, "dtype") and not hasattr(node, "shape")
         if name.startswith("#") or node is None or is_type or _to_text(node.attrs.get("CLASS")) == "TINDEX" or (
                 node in (group, *parents)):
