@@ -172,7 +172,8 @@ class Receiver:
         if is_up is None and self._network_interface:
             raise can.CanOperationError(f"interface {self._network_interface} was removed", errno.ENODEV)
         if is_up is False:
-            self._set_state(BusState.DOWN, f"interface {self._network_interface} is down")
+            self._set_state(BusState.DOWN, f"interface {self._network_interface} is down; switch it on: "
+                            f"ip link set {self._network_interface} up")
             return
         self._back_off = BACK_OFF_FIRST
         is_silent = time.monotonic() - self._last_frame_at > self._silence
@@ -215,7 +216,7 @@ def _error_number(error: BaseException) -> int | None:
 
 def _describe(error: Exception) -> str:
     if _error_number(error) == errno.EAFNOSUPPORT:
-        return "this kernel has no SocketCAN (module can_raw)"
+        return "this kernel has no SocketCAN; try modprobe can_raw"
     return " ".join(str(error).split()) or type(error).__name__
 
 

@@ -226,3 +226,9 @@ def test_removed_interface_is_detected_without_a_socket_error(start_receiver, wa
     removed = start_receiver(lambda: ScriptedBus([]), network_interface="no-such-can")
     assert wait_until(lambda: removed.status().state is BusState.GONE)
     assert "no-such-can was removed" in removed.status().reason
+
+
+def test_interface_that_is_down_is_reported_with_the_command_that_helps(start_receiver, wait_until, monkeypatch):
+    monkeypatch.setattr("canedge_bridge.receiver.link_is_up", lambda name: False)
+    down = start_receiver(lambda: ScriptedBus([]), network_interface="can7")
+    assert wait_until(lambda: down.status().reason == "interface can7 is down; switch it on: ip link set can7 up")

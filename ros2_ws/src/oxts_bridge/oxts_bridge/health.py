@@ -96,7 +96,8 @@ class Health:
         if source.is_done:
             return Check("stream", OK, "replay finished", values)
         if self.last_packet_at == _NEVER:
-            return Check("stream", ERROR, "no NCOM packet yet", values)
+            return Check("stream", ERROR, f"no NCOM packet yet ({source.name}: {source.datagrams} datagrams "
+                         "received); check the address and port to which the unit sends, and the cable", values)
         if age > self._silence_after:
             return Check("stream", ERROR, f"no packet for {age:.1f} s", values)
         problems = [f"{count} {'late packets' if name == 'late' else name}" for name, count in increments.items()

@@ -156,6 +156,13 @@ def test_each_valid_packet_is_published_once(rig, drive, packet):
     assert int(values["checksum errors"]) >= 1 and int(values["skipped bytes"]) >= 4 + 72 + 30 + 500
 
 
+def test_missing_stream_is_reported_with_the_port_and_the_number_of_datagrams(rig):
+    rig = rig()
+    rig.send(b"no NCOM", b"no NCOM")
+    text = f"(udp 127.0.0.1:{rig.port}: 2 datagrams received); check the address and port to which the unit sends"
+    assert rig.spin(lambda: text in rig.check("stream")[1]), rig.check("stream")
+
+
 def test_interruption_is_reported_until_packets_return(rig, drive):
     rig = rig(silence_after=0.3)
     packets = drive(300, step_ms=10)

@@ -1,12 +1,15 @@
 """Arguments that st demo and st live reject before the start, and their terminal view."""
 
+import errno
 import importlib.util
 import math
 import os
 import socket
 import sys
 import time
+from io import StringIO
 from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import pytest
@@ -104,6 +107,33 @@ def test_only_a_player_that_succeeds_may_end_during_a_run(tmp_path: Path) -> Non
             processes.start("player", [sys.executable, "-c", code], may_end=True).process.wait(20)
         with pytest.raises(SuiteError, match="player ended with status 1: no subscriber"):
             processes.check()
+
+
+def test_end_of_a_node_by_a_signal_is_not_explained_by_an_earlier_line_of_its_log(tmp_path: Path) -> None:
+    shown: list[Status] = []
+    monitor = SimpleNamespace(state=SimpleNamespace(health={}), add_statuses=shown.extend)
+    with Processes(tmp_path) as processes:
+        for code in ("import os; print('recording', flush=True); os.abort()", "raise SystemExit('no car')"):
+            supervisor = session.Supervisor(processes, monitor, [("a", "node")])
+            processes.start("node", [sys.executable, "-c", code]).process.wait(20)
+            supervisor.update()
+    assert [status.message for status in shown] == ["not ready; failed once: ended with status -6 (signal 6, Aborted)",
+                                                 "not ready; failed once: ended with status 1 (no car)"]
+
+
+def test_table_is_printed_if_the_disk_is_full(tmp_path: Path, monkeypatch) -> None:
+    def fail(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(report, "replace_file", fail)
+    monkeypatch.setattr(report, "read_results", lambda folder: None)
+    monkeypatch.setattr(report, "summarise", lambda results, extra: {"models": {}})
+    with StringIO() as stream, pytest.raises(OSError, match="No space left"):
+        try:
+            outcome = session.Outcome({"recorder": 1}, interrupted=False)
+            report.report_results(tmp_path, outcome, {"title": "live"}, Console(file=stream))
+        finally:
+            assert "live: mean error over each horizon" in stream.getvalue()
 
 
 def test_starts_without_a_complete_horizon_are_counted_by_mode() -> None:

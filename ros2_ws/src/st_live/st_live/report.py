@@ -42,10 +42,10 @@ def report_results(folder: Path, outcome: Outcome, extra: dict[str, Any], consol
             console.out(error, style="red", highlight=False)
             return 1
         summary = summarise(results, {**extra, "exit_statuses": outcome.statuses})
+        title = f"{extra['title']}: mean error over each horizon, at the INS point"
+        console.print(make_error_table(summary["models"], title))  # before anything is written: the disk may be full
         replace_file(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
         draw_paths(results, f"{extra['title']}: {make_headline(summary)}", folder / "paths.png")
-    title = f"{extra['title']}: mean error over each horizon, at the INS point"
-    console.print(make_error_table(summary["models"], title))
     for line in format_band_lines(results.bands):
         console.out(line, highlight=False)
     ticks = summary["ticks"]
@@ -68,7 +68,7 @@ def _print_problems(folder: Path, outcome: Outcome, console: Console) -> None:
     for name, count in outcome.restarts.items():
         frequency = "once" if count == 1 else f"{count} times"
         console.out(f"{name} was restarted {frequency}; recordings of a restarted node continue in bag_2, errors_2 and "
-                    "so on, and `st recover` repairs truncated ones", style="yellow", highlight=False)
+                    f"so on; repair truncated ones with `st recover {folder}`", style="yellow", highlight=False)
     failed = {name: status for name, status in outcome.statuses.items() if status}
     if failed:
         names = ", ".join(f"{name} (status {status})" for name, status in failed.items())

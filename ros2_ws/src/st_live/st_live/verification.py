@@ -7,8 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
-from rich.progress import Progress as ProgressBar
 from rich.table import Table
 from rich.text import Text
 from st_core.errors import ConfigurationError
@@ -22,7 +20,7 @@ from st_core.types import wrap_angle
 from st_core.vehicle import VehicleParameters
 from st_recordings import results
 from st_recordings.paths import new_folder
-from st_recordings.results import Predictions, Progress, Scores
+from st_recordings.results import Predictions, Scores
 from st_recordings.runs import ReadSettings
 from st_recordings.runs.bag import is_bag, read_bag, was_interrupted
 
@@ -77,7 +75,7 @@ class Verification:
         return sum(c.n_starts for c in self.comparisons)
 
 
-def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = None,
+def verify(path: Path, vehicle: Path | None = None,
            read_settings: ReadSettings = ReadSettings()) -> Verification | None:
     """Compare recorded predictions and scores with the library's; None for a recording without predictions.
 
@@ -86,7 +84,7 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
     bag = find_bag(path)
     errors = bag.parent / "errors"
     score_bag = errors if errors.is_dir() and is_bag(errors) else bag
-    predictions = results.read_predictions(bag, progress)
+    predictions = results.read_predictions(bag)
     if not predictions:
         return None
     drive = read_bag(bag, steering=read_settings.steering, odometry=read_settings.odometry)
@@ -94,8 +92,8 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
     parameters = {**recorded.nodes.get("evaluator", {}), **recorded.nodes.get("predictor", {})}
     names = PredictionSettings.__dataclass_fields__.keys() & parameters.keys()
     settings = PredictionSettings(**{name: float(parameters[name]) for name in names})
-    scores = results.read_scores([score_bag], progress)
-    planned_by_mode = {mode: results.read_predictions(bag, progress, mode) for mode in PLANNED_MODES}
+    scores = results.read_scores([score_bag])
+    planned_by_mode = {mode: results.read_predictions(bag, mode) for mode in PLANNED_MODES}
     signals = LogSignals(drive.log, settings.maximum_gap, settings.filter_cutoff)
     truncations = [TRUNCATION_WARNING.format(file, "compared") for file in dict.fromkeys((bag, score_bag))
                    if was_interrupted(file)]
@@ -108,8 +106,7 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
             continue
         model_scores = {mode: scores[name, mode] for mode in (*MODES, *PLANNED_MODES) if (name, mode) in scores}
         planned = {mode: by_model[name] for mode, by_model in planned_by_mode.items() if name in by_model}
-        comparisons.append(
-            _compare(model, car, signals, forecasts, planned, model_scores, settings.filter_cutoff, progress))
+        comparisons.append(_compare(model, car, signals, forecasts, planned, model_scores, settings.filter_cutoff))
     is_same = all(predictions[c.model].hashes == {configuration_hash(car, settings)} for c in comparisons)
     return Verification(comparisons, f"{car.name}, from {source}", is_same, tuple(warnings))
 
@@ -130,8 +127,8 @@ def find_settled_starts(starts_ns: np.ndarray, ins_time_ns: np.ndarray, cutoff: 
 
 
 def _compare(model: Model, car: VehicleParameters, signals: LogSignals, forecasts: Predictions,
-             planned: Mapping[Mode, Predictions], scores: Mapping[Mode, Scores], cutoff: float,
-             progress: Progress | None) -> Comparison:
+             planned: Mapping[Mode, Predictions], scores: Mapping[Mode, Scores],
+             cutoff: float) -> Comparison:
     horizon = forecasts.step * (forecasts.states.shape[1] - 1)
     settings = EvaluationSettings(PredictionSettings(horizon=horizon, step=forecasts.step, minimum_speed=0.0))
     result = Comparison(model.name)
@@ -143,13 +140,15 @@ def _compare(model: Model, car: VehicleParameters, signals: LogSignals, forecast
     # The inputs of a plan or course are known only from its recorded predictions; other scores cannot be recomputed.
     scores = {mode: mode_scores.at(planned[mode].starts_ns) if mode in planned else mode_scores
               for mode, mode_scores in scores.items() if mode in MODES or mode in planned}
+    for mode, each in scores.items():  # an evaluator that is ready after the predictor misses the first samples
+        if each.complete.any():
+            has_settled = find_settled_starts(each.starts_ns, each.starts_ns[each.complete], cutoff)
+            scores[mode] = each.at(each.starts_ns[has_settled])
     for rows, block in evaluate_blocks([model], car, signals, starts_ns, settings, future_inputs):
         for mode, predictions in recorded.items():
             _compare_paths(result, mode, predictions, starts_ns[rows], block.trajectories[model.name, mode])
         for mode, mode_scores in scores.items():
             _compare_scores(result, mode, mode_scores, starts_ns[rows], block.errors[model.name, mode])
-        if progress:
-            progress(rows.stop, len(starts_ns))
     return result
 
 
@@ -199,7 +198,8 @@ def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replay: bo
     """
     from .replaying import replay_bag  # needs ROS; comparing does not
 
-    result = None if replay else _verify_with_progress(bag, vehicle, console, read_settings)
+    with console.status(description := "reading and comparing"):
+        result = None if replay else verify(bag, vehicle, read_settings)
     if result is None:
         reason = "--replay" if replay else "it contains no predictions"
         folder = new_folder(output, f"verify-{bag.stem}")
@@ -207,7 +207,8 @@ def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replay: bo
         outcome, _ = replay_bag(find_bag(bag), folder, vehicle, 0.0, console, settings=read_settings)
         if not outcome.ok:
             raise SuiteError(outcome.problem or f"a node failed: {outcome.statuses}; see {folder / 'logs'}")
-        result = _verify_with_progress(folder, vehicle, console, ReadSettings())
+        with console.status(description):
+            result = verify(folder, vehicle)
     if result is None:
         console.print("nothing to compare: the nodes made no prediction from this recording")
         return 2
@@ -223,15 +224,6 @@ def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replay: bo
     if not result.same_configuration:
         console.print("[yellow]the predictions were made with a different vehicle or settings[/yellow]")
     return _print_conclusion(result, tolerance, console)
-
-
-def _verify_with_progress(path: Path, vehicle: Path | None, console: Console,
-                          read_settings: ReadSettings) -> Verification | None:
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    with ProgressBar(*columns, console=console, transient=True) as progress:
-        bar = progress.add_task("reading and comparing")
-        return verify(path, vehicle, lambda completed, total: progress.update(bar, completed=completed, total=total),
-                      read_settings)
 
 
 def _make_table(result: Verification) -> Table:

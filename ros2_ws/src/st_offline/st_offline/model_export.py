@@ -103,12 +103,15 @@ def _format_readme(description: dict[str, Any], kind: Format) -> str:
         f"Base model {description['base']}; effects: {', '.join(description['effects']) or 'none'}. st_core "
         f"{description['version']}, vehicle hash {description['vehicle']['hash'][:12]}. SI units. Frame: "
         f"{description['frame']}.",
-        f"States x: {states}. Inputs u: {inputs}. Parameters p: {parameters}. Bounds, and the arguments and results of "
-        "each function, are in model.json; use the bounds, or narrower ones, as constraints.",
+        f"States x: {states}. Inputs u: {inputs}. Parameters p: {parameters}. The road wheel angle is positive to the "
+        "left. velocity_x_dot is the derivative of velocity_x; the acceleration is velocity_x_dot - velocity_y * "
+        "yaw_rate. Bounds, and the arguments and results of each function, are in model.json; use the bounds, or "
+        "narrower ones, as constraints.",
         "`dynamics`: time derivative. `step`: classical Runge-Kutta over h [s], inputs constant, "
         f"{description['substeps']} substep(s). `dynamics_jacobian`, `step_jacobian`: their derivatives A with respect "
         "to x and B with respect to u. `start`: appends the initial values of the additional states to the six states.",
-        f"Speed above which a step h is stable (the equations are stiff at low speed): {stable}.",
+        f"Speed above which a step h is stable (the equations are stiff at low speed): {stable}. By default, "
+        "`st evaluate` uses h = 0.05 s.",
         f"Not in the equations: {missing}. These effects act on the steering signal before the model, or on the "
         "sensors; apply them separately." if missing else "",
         f"`{name}_band_...`: half-widths (points after the start, 3) along, across [m] and in yaw [rad], from x, u and "

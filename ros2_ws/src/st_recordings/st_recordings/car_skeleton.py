@@ -131,7 +131,7 @@ def _find_bus_problems(car: Car) -> list[str]:
         if _find_unfilled_keys(read_yaml_mapping(car.signals)):
             return [f"{car.signals}: messages: {FILL_IN}_message and {FILL_IN}_signal are not filled in: enter the "
                     f"names, as in {car.dbc.name}, of the message and the signal that carry the steering wheel angle; "
-                    "if all recordings are CSV or bags, delete both files"]
+                    "if all recordings are CSV or bags, delete both files and rt.dbc"]
         table = load_table(car.dbc, car.signals)
     except (RunError, ConfigurationError) as error:
         return [str(error)]

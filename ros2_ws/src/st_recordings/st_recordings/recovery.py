@@ -68,9 +68,9 @@ class RecoveryReport:
 
 
 def recover(path: Path | str, output: Path | str | None = None) -> RecoveryReport:
-    """Makes a damaged bag directory or .mcap file readable.
+    """Makes a damaged bag directory, all bags of a run folder, or an .mcap file readable.
 
-    path: bag directory, or one .mcap file (then metadata.yaml is not changed). output: new directory or file for the
+    path: directory, or one .mcap file (then metadata.yaml is not changed). output: new directory or file for the
     repaired bag; it must not exist. By default the bag is repaired in place. Raises RecoveryError if there is no valid
     MCAP file, one is still being recorded, the output exists, or the disk is full.
     """
@@ -92,7 +92,12 @@ def recover(path: Path | str, output: Path | str | None = None) -> RecoveryRepor
 def _recover_directory(source: Path, target: Path) -> RecoveryReport:
     files = sorted(source.glob("*.mcap"), key=natural_sort_key)
     if not files:
-        raise RecoveryError(f"{source} has no .mcap file")
+        bags = sorted(file.parent for file in source.glob(f"*/{FILE_NAME}"))  # of a run: bag, errors, bag_2, ...
+        if not bags:
+            raise RecoveryError(f"{source} has no .mcap file")
+        reports = [_recover_directory(bag, target / bag.name) for bag in bags]
+        return RecoveryReport([file for report in reports for file in report.files],
+                              any(report.has_rebuilt_metadata for report in reports))
     if target != source:
         target.mkdir(parents=True)
     results = [_recover_file(file, target / file.name) for file in files]

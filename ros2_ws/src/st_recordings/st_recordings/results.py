@@ -27,7 +27,6 @@ INPUT_FIELDS = ("road_wheel_angle", "velocity_x_dot")  # [rad], [m/s^2]
 # Phrases in the evaluator's reason for an incomplete score (st_core: MeasurementHistory, TimeSeries.describe_unknown).
 JUMP_REASON = "position jumps"
 END_REASON = ": ends "  # a signal has no later sample
-Progress = Callable[[int, int], None]
 MODES = ("forecast", "hindsight")
 MAX_DRAWN_STARTS = 6  # maximum number of start times with drawn hindsight predictions
 ODOMETRY_TOPIC, STATUS_TOPIC, SUMMARY_TOPIC = "/ins/odometry", "/predictor/status", "/evaluator/summary"
@@ -142,12 +141,12 @@ def find_configuration(records: Mapping[str, Mapping[str, str]],
     return read_vehicle(file), recorded, str(file)
 
 
-def read_predictions(bag: Path, progress: Progress | None = None, mode: str = "") -> dict[str, Predictions]:
+def read_predictions(bag: Path, mode: str = "") -> dict[str, Predictions]:
     """Reads forecasts, or predictions of mode plan or course, by model. Raises RunError if the predictions of a model
     have different horizons or steps."""
     inputs = INPUT_FIELDS if mode else ()
     columns = _collect_columns(
-        read_messages([bag], PLANNED_TYPE if mode else PREDICTION_TYPE, progress, f"/{mode}" if mode else ""),
+        read_messages([bag], PLANNED_TYPE if mode else PREDICTION_TYPE, f"/{mode}" if mode else ""),
         lambda message: (message.model, len(message.x), float(message.step)),
         lambda message: (np.stack([getattr(message, name) for name in STATE_FIELDS], axis=-1),
                          message.configuration_hash, *(getattr(message, name) for name in inputs)))
@@ -171,29 +170,22 @@ def _collect_columns(messages: Iterable[Any], get_key: Callable[[Any], Key],
     return columns
 
 
-def read_scores(bags: Sequence[Path], progress: Progress | None = None) -> dict[tuple[str, str], Scores]:
+def read_scores(bags: Sequence[Path]) -> dict[tuple[str, str], Scores]:
     """Reads the scores in all bags, by model and mode; of several scores for one start, the last is used."""
     columns = _collect_columns(
-        read_messages(bags, ERROR_TYPE, progress), lambda message: (message.model, message.mode),
+        read_messages(bags, ERROR_TYPE), lambda message: (message.model, message.mode),
         lambda message: (np.stack([message.longitudinal, message.lateral, message.yaw], axis=-1), message.complete,
                          END_REASON in message.incomplete_reason, JUMP_REASON in message.incomplete_reason))
     return {key: Scores(*parts) for key, parts in columns.items()}
 
 
-def read_messages(bags: Sequence[Path], type_name: str, progress: Progress | None = None,
-                  topic_end: str = "") -> Iterator[Any]:
-    """Yields the messages of a type in topics with names that end with `topic_end`. Raises RunError.
-
-    progress: called with the number of messages read from a bag, and the total number to be read from it.
-    """
+def read_messages(bags: Sequence[Path], type_name: str, topic_end: str = "") -> Iterator[Any]:
+    """Yields the messages of a type in topics with names that end with `topic_end`. Raises RunError."""
     for bag in bags:
         storage = open_bag(bag)
         topics = [t for t in storage.topics if t.type_name == type_name and t.name.endswith(topic_end)]
-        total = sum(t.count for t in topics)
-        for count, (_, message) in enumerate(chain.from_iterable(map(storage.deserialise, topics)), 1):
+        for _, message in chain.from_iterable(map(storage.deserialise, topics)):
             yield message
-            if progress and (count % 500 == 0 or count == total):
-                progress(count, total)
 
 
 def read_results(folder: Path) -> Results:

@@ -160,6 +160,14 @@ def test_bag_with_raw_packets_is_a_drive_if_it_has_steering(tmp_path: Path) -> N
     assert has_odometry(write_own(tmp_path / "drive", {**raw, **{k: m for k, m in DRIVE.items() if k[1] == STEERING}}))
 
 
+@pytest.mark.parametrize(("record", "is_reported"), [({"recording": {"recorder": "st_predictor"}}, True), ({}, False)])
+def test_bag_of_a_killed_recorder_is_not_ignored_in_a_folder(tmp_path: Path, record, is_reported: bool) -> None:
+    """`st live` continues in bag_2; the evaluator's bag, also unclosed, contains no drive."""
+    write_own(tmp_path / "bag_2", DRIVE)
+    BagWriter(tmp_path / "bag", record)  # not closed
+    assert [source.path.name for source in find_runs([tmp_path])] == ["bag"] * is_reported + ["bag_2"]
+
+
 def test_bag_without_a_lateral_velocity_is_rejected(tmp_path: Path) -> None:
     messages = [odometry_message(k, velocity_y=math.nan) for k in range(N)]
     folder = write_own(tmp_path / "drive", {**DRIVE, ("/ins/odometry", ODOMETRY): messages})

@@ -177,7 +177,8 @@ def test_rps_is_no_unit_of_the_yaw_rate(tmp_path: Path, name: str) -> None:
     texts = [text.partition(": ")[2] for text in drive.warnings]
     ignored = ["column yaw rate [rps] is not used: 'rps' is not a unit of angular rate (known units are rad/s, deg/s, "
                "mrad/s)"] if "[" in name else []
-    assert texts == [*ignored, "yaw_rate has no column with numbers; the derivative of yaw is used"]
+    assert texts == [*ignored, "yaw_rate has no column with numbers; the derivative of yaw is used; columns not used: "
+                     f"{name}; if it is one of them, name it in a run.yaml"]
 
 
 @pytest.mark.parametrize("course_is_yaw", [True, False])
@@ -192,6 +193,13 @@ def test_course_and_speed_over_ground_give_the_body_velocities(tmp_path: Path, c
     texts = [text.partition(": ")[2] for text in drive.warnings]
     lacking = ["velocity_y has no column with numbers; it is set to 0 (unknown sideslip)"] * course_is_yaw
     assert texts == [*lacking, "yaw_rate has no column with numbers; the derivative of yaw is used"]
+
+
+@pytest.mark.parametrize("missing", ["velocity_y", "yaw_rate"])
+def test_columns_not_used_are_named_if_a_channel_is_missing(tmp_path: Path, missing: str) -> None:
+    names = {**PLAIN, missing: "sensor 7 [km/h]", "acceleration_y": "Quer2"}
+    (warning,) = [w for w in read_csv(write(tmp_path / "d.csv", names)).warnings if missing in w]
+    assert warning.endswith("columns not used: sensor 7 [km/h], Quer2; if it is one of them, name it in a run.yaml")
 
 
 @pytest.mark.parametrize("rows", [0, 1, 2])

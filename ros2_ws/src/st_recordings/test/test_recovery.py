@@ -1,6 +1,7 @@
 """Recovery of truncated and damaged bags: every complete chunk is recovered, nothing gets worse, and repeating it
 changes nothing."""
 
+import os
 import shutil
 from pathlib import Path
 
@@ -248,3 +249,15 @@ def test_missing_input_and_existing_output_are_rejected(complete: Path, tmp_path
         recover(tmp_path)
     with pytest.raises(RecoveryError, match="already exists"):
         recover(complete, tmp_path)
+
+
+def test_all_bags_of_a_run_are_repaired(complete: Path, tmp_path: Path) -> None:
+    for name in ("bag", "errors"):
+        shutil.copytree(complete, tmp_path / "run" / name)
+        os.truncate(tmp_path / "run" / name / "bag_0.mcap", size_of(complete) - 40)
+    (tmp_path / "run" / "truth").mkdir()
+    report = recover(tmp_path / "run", tmp_path / "repaired")
+    assert [file.is_intact for file in report.files] == [False, False]
+    for name in ("bag", "errors"):
+        check_numbers(tmp_path / "repaired" / name, MESSAGES)
+    assert {path.name for path in (tmp_path / "repaired").iterdir()} == {"bag", "errors"}

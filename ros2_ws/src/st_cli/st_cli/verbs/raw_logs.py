@@ -222,7 +222,7 @@ def ncom(
 
 
 def recover(
-    path: Path = typer.Argument(..., help="A bag directory or an .mcap file that was not closed.", exists=True),
+    path: Path = typer.Argument(..., help="A run, a bag directory or an .mcap file that was not closed.", exists=True),
     output: Path | None = typer.Option(
         None, help="Path of the repaired recording; default: in place, and the damaged file is renamed."),
 ) -> None:

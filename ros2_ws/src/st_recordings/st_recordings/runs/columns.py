@@ -150,8 +150,6 @@ class ColumnSource:
 
 
 class _Meaning(NamedTuple):
-    """Meaning of the name of a column."""
-
     channel: str  # a key of COLUMNS, or _STEERING
     rank: int  # of the name among the names of the channel
     unit: str | None  # as stated in the name

@@ -404,16 +404,20 @@ def _complete_motion(table: Table, columns: dict[str, np.ndarray], warnings: lis
     """Adds missing velocity_y (0, or from speed and course, which also correct velocity_x) and yaw rate (from yaw)."""
     if not columns.keys() >= {"velocity_x", "yaw"}:
         return
+    known_sources = (*table.sources.values(), *find_columns(table.file, table.names, Layout()).values())
+    unused = ", ".join(name for name in table.names if name not in {source.name for source in known_sources})
+    advice = f"; columns not used: {unused[:200]}; if it is one of them, name it in a run.yaml" if unused else ""
     if "velocity_y" not in columns:
         course = np.pi / 2 - columns[COURSE] if COURSE in columns else columns["yaw"]
         sideslip = wrap_angle(course - columns["yaw"])
         speed = columns["velocity_x"]
         columns["velocity_x"], columns["velocity_y"] = speed * np.cos(sideslip), speed * np.sin(sideslip)
         if not np.nan_to_num(sideslip).any():
-            warnings.append(f"{table.file}: velocity_y has no column with numbers; it is set to 0 (unknown sideslip)")
+            warnings.append(f"{table.file}: velocity_y has no column with numbers; it is set to 0 (unknown sideslip)"
+                            + advice)
     if "yaw_rate" not in columns:
         columns["yaw_rate"] = differentiate_yaw(table, columns["yaw"])
-        warnings.append(f"{table.file}: yaw_rate has no column with numbers; the derivative of yaw is used")
+        warnings.append(f"{table.file}: yaw_rate has no column with numbers; the derivative of yaw is used{advice}")
 
 
 def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], warnings: list[str]) -> None:
