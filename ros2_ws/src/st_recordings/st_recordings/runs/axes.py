@@ -24,7 +24,7 @@ MAX_AGREEING_ANGLE = 0.1
 """[rad]. Two directions agree if their median difference, due to sideslip and noise, is smaller than this. The better
 of two interpretations is accepted if the difference of the other is larger by more than this."""
 MIN_DISAGREEING_ANGLE = 0.3
-"""[rad]. If the median difference of heading and course is larger, the heading has a different unit or direction."""
+"""[rad]. If the difference of heading and course is larger, the heading has a different unit or direction."""
 MAX_RADIANS = 6.4  # rad; without motion, a heading is in degrees if its first value has a larger magnitude
 HEADING, COURSE = "compass_heading", "course"
 EARTH_RADIUS = 6.37e6  # m
@@ -129,42 +129,43 @@ def _moves_backward(columns: Mapping[str, np.ndarray]) -> bool:
 
 
 def read_angles(table: Table, use_positions: bool) -> Table:
-    """The table with yaw, heading and course in the unit in which they agree with the motion: the velocities to the
-    east and north, with which yaw may also be a heading and vice versa, or else the steps of the position.
+    """The table with yaw, heading and course in the unit in which they agree with the motion: with the velocities to
+    the east and north, by which yaw may also be a heading and vice versa, or else with the steps of the position, apart
+    from a constant angle, because their map may be rotated.
 
-    A constant angle to the positions does not count, because their map may be rotated. If the motion does not show the
-    unit, angles between -180 and 360 without a stated unit that wrap by 360 or begin above 2 pi are in degrees.
+    If the motion does not show the unit, angles between -180 and 360 without a stated unit that wrap by 360 or begin
+    above 2 pi are in degrees.
     """
     columns, sources, warnings = dict(table.columns), dict(table.sources), list(table.warnings)
-    turns, first, last, motion = _find_motion(table, use_positions)
+    has_velocities = columns.keys() >= {"velocity_east", "velocity_north"}
+    first, last, motion = _find_motion(table, use_positions)
 
-    def compare(reading: tuple[str, str]) -> tuple[float, float]:
-        """(Median magnitude, standard deviation) of the angle [rad] between the motion and yaw."""
-        yaw = angles[reading] if reading[0] == "yaw" else np.pi / 2 - angles[reading]
-        direction = np.exp(1j * yaw)
+    def compute_deviation(name: str, angle: np.ndarray) -> float:
+        """RMS angle [rad] between yaw and the motion, forward or backward; NaN if unknown."""
+        direction = np.exp(1j * (angle if name == "yaw" else np.pi / 2 - angle))
         products = ((direction[first] + direction[last]) * motion.conj())[np.abs(motion) > MIN_COURSE_SPEED]
-        difference = np.angle(products[np.isfinite(products)] ** turns)
-        if len(difference) < MIN_COMPARED_SAMPLES:
-            return np.nan, np.nan
-        resultant = float(np.abs(np.mean(np.exp(1j * difference))))
-        return float(np.median(np.abs(difference))) / turns, float(np.sqrt(max(2.0 - 2.0 * resultant, 0.0))) / turns
+        turns = np.exp(2j * np.angle(products[np.isfinite(products)]))
+        if len(turns) < MIN_COMPARED_SAMPLES:
+            return np.nan
+        cosine = turns.mean().real if has_velocities else np.abs(turns.mean())
+        return float(np.sqrt(max(2.0 - 2.0 * cosine, 0.0))) / 2.0
 
     for channel in [name for name in ("yaw", HEADING) if name in sources][:1] + [COURSE] * (COURSE in sources):
         source = sources[channel]
         if source.unit not in ("rad", "deg"):
             continue
-        names = ("yaw", HEADING) if turns == 1 and channel != COURSE else (channel,)
+        names = ("yaw", HEADING) if has_velocities and channel != COURSE else (channel,)
         angles = {(name, unit): columns[channel] / source.factor * UNITS["angle"][unit][0]
                   for unit in ("rad", "deg") for name in names}
-        results = {reading: compare(reading) for reading in angles}
-        recorded, best = (channel, source.unit), min(results, key=lambda key: results[key])
-        reading, values, text = (channel, "deg"), angles[channel, "rad"][np.isfinite(columns[channel])], ""
-        if results[recorded][0] > MIN_DISAGREEING_ANGLE and results[best][0] < MAX_AGREEING_ANGLE and (
-                turns == 1 or results[recorded][1] > max(SIGNIFICANT_DEVIATIONS * results[best][1], MIN_COURSE_SPREAD)):
-            reading, motion_name = best, "velocities to the east and north" if turns == 1 else "positions"
-            text = f"agrees with the {motion_name} only as {best[0]} in {best[1]}; it was read as such"
+        deviations = {reading: compute_deviation(reading[0], angle) for reading, angle in angles.items()}
+        recorded, reading, text = (channel, source.unit), min(deviations, key=lambda key: deviations[key]), ""
+        values = angles[channel, "rad"][np.isfinite(columns[channel])]
+        if deviations[recorded] > max(SIGNIFICANT_DEVIATIONS * deviations[reading], MIN_DISAGREEING_ANGLE):
+            motion_name = "velocities to the east and north" if has_velocities else "positions"
+            text = f"agrees with the {motion_name} only as {reading[0]} in {reading[1]}; it was read as such"
         elif not source.has_stated_unit and not (channel == "yaw" and "yaw_rate" in sources) and (
-                _look_like_degrees(values) and not results[recorded][0] < MAX_AGREEING_ANGLE <= results[reading][0]):
+                _look_like_degrees(values) and not deviations[recorded] < deviations[channel, "deg"]):
+            reading = channel, "deg"
             text = f"has values from {values.min():.4g} to {values.max():.4g}: they were read as degrees"
         if text:
             del columns[channel], sources[channel]
@@ -173,21 +174,20 @@ def read_angles(table: Table, use_positions: bool) -> Table:
     return replace(table, columns=columns, sources=sources, warnings=tuple(warnings))
 
 
+def _find_motion(table: Table, use_positions: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Steps as of `compute_steps`; without length if the velocities to the east and north are known."""
+    columns, rows = table.columns, np.flatnonzero(table.is_usable)
+    if columns.keys() >= {"velocity_east", "velocity_north"}:
+        return rows, rows, (columns["velocity_east"] + 1j * columns["velocity_north"])[rows]
+    for x, y in (("x", "y"), ("longitude", "latitude")) if use_positions else ():
+        if columns.keys() >= {x, y}:
+            return compute_steps(table, columns[x], columns[y], is_geographic=x != "x")
+    return rows[:0], rows[:0], np.empty(0)
+
+
 def _look_like_degrees(values: np.ndarray) -> bool:
     return len(values) > 0 and values.min() > -180.5 and values.max() < 360.5 and bool(
         np.abs(np.diff(values)).max(initial=0.0) > 180.0 or abs(values[0]) > MAX_RADIANS)
-
-
-def _find_motion(table: Table, use_positions: bool) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
-    """(1 for velocities to the east and north, 2 for steps of the position, which may be backward; first and last row
-    of each step; velocities [m/s] as complex numbers)."""
-    rows, columns = np.flatnonzero(table.is_usable), table.columns
-    if columns.keys() >= {"velocity_east", "velocity_north"}:
-        return 1, rows, rows, (columns["velocity_east"] + 1j * columns["velocity_north"])[rows]
-    for names in (("x", "y"), ("longitude", "latitude")) if use_positions else ():
-        if columns.keys() >= {*names}:
-            return 2, *compute_steps(table, columns[names[0]], columns[names[1]], names != ("x", "y"))
-    return 2, rows[:0], rows[:0], np.empty(0)
 
 
 def compute_steps(table: Table, x: np.ndarray, y: np.ndarray, is_geographic: bool

@@ -8,6 +8,7 @@ from typing import NoReturn
 
 import numpy as np
 from oxts_bridge.geometry import LocalFrame
+from scipy.interpolate import interp1d
 from st_core.checks import AuxiliaryData
 from st_core.checks.sampling import MIN_FREEZE_TIME
 from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
@@ -386,18 +387,15 @@ def _replace_course_when_slow(table: Table, columns: Mapping[str, np.ndarray], w
         speed = np.hypot(columns["velocity_east"], columns["velocity_north"])
     else:
         return course
-    has_course = table.is_usable & np.isfinite(course) & np.isfinite(speed)
-    is_slow = has_course & (speed < MIN_COURSE_SPEED)
+    is_slow = table.is_usable & np.isfinite(course) & (speed < MIN_COURSE_SPEED)
     if not is_slow.any():
         return course
-    is_fast = has_course & ~is_slow
-    known_rows = np.flatnonzero(is_fast) if is_fast.any() else np.flatnonzero(has_course)[:1]
+    is_fast = table.is_usable & np.isfinite(course) & (speed >= MIN_COURSE_SPEED)
+    known_rows = np.flatnonzero(is_fast) if is_fast.any() else np.flatnonzero(is_slow)[:1]
     warnings.append(f"{table.file}: {format_count(int(is_slow.sum()), int(table.is_usable.sum()), 'rows')} are slower "
                     f"than {MIN_COURSE_SPEED:g} m/s; the course is noise there and is not used")
-    course = course.copy()
     time_ns = table.time_ns - table.time_ns[0]
-    course[is_slow] = np.interp(time_ns[is_slow], time_ns[known_rows], np.unwrap(course[known_rows]))
-    return course
+    return np.where(is_slow, np.interp(time_ns, time_ns[known_rows], np.unwrap(course[known_rows])), course)
 
 
 def _complete_motion(table: Table, columns: dict[str, np.ndarray], warnings: list[str]) -> None:
@@ -450,32 +448,20 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], wa
     has_gap = steps > MIN_GAP_RATIO * usual_step
     if (is_measured & has_gap).sum() <= MAX_GAP_FRACTION * is_measured.sum() and (is_measured & ~has_gap).sum() > 2:
         is_measured &= ~has_gap
-    # Missing rows do not count as an outage of the positions.
-    is_outage = _find_outages(np.cumsum(np.where(has_gap, usual_step, steps)), is_measured)
-    second_last, last = np.flatnonzero(is_measured)[-2:]
+    # A row is in an outage if the next new position is late; missing rows do not count as an outage.
+    elapsed = np.cumsum(np.where(has_gap, usual_step, steps))
+    intervals = np.diff(elapsed[is_measured], append=elapsed[-1])
+    is_long = intervals > max(MIN_FREEZE_TIME, MIN_GAP_RATIO * float(np.median(intervals)))
+    is_outage = is_long[np.cumsum(is_measured) - 1]
     for name in ("x", "y"):
         recorded = columns[name][rows]
-        values = np.interp(seconds, seconds[is_measured], recorded[is_measured])
-        slope = (values[last] - values[second_last]) / (seconds[last] - seconds[second_last])
-        values[last:] = values[last] + slope * (seconds[last:] - seconds[last])
+        values = interp1d(seconds[is_measured], recorded[is_measured], fill_value="extrapolate")(seconds)
         columns[name] = columns[name].copy()
         columns[name][rows] = np.where(is_outage, recorded, values)
-    n_frozen = int(is_outage.sum())
-    duration = float(np.diff(seconds)[:last][~is_outage[:last]].sum())
-    rate = (is_measured.sum() - 1) / max(duration, 1e-9)
+    n_frozen, rate = int(is_outage.sum()), 1.0 / float(np.median(np.diff(seconds[is_measured])))
     outages = f"; {format_count(n_frozen, len(rows), 'rows')} repeat a position for a long time" if n_frozen else ""
     warnings.append(f"{table.file}: positions change in {format_count(int(is_measured.sum()), len(rows), 'rows')}, "
                     f"about {rate:.3g} Hz; the positions of the other rows were interpolated{outages}")
-
-
-def _find_outages(seconds: np.ndarray, is_measured: np.ndarray) -> np.ndarray:
-    """Mask (n,) of the rows in outages of the positions: longer than MIN_FREEZE_TIME and MIN_GAP_RATIO usual intervals.
-
-    seconds: (n,) times [s]. is_measured: (n,) whether a row has a new position; the first one has.
-    """
-    interval = np.diff(seconds[is_measured], append=seconds[-1])
-    is_long = interval > max(MIN_FREEZE_TIME, MIN_GAP_RATIO * float(np.median(interval)))
-    return is_long[np.cumsum(is_measured) - 1]
 
 
 def _is_rounded(values: np.ndarray) -> bool:
