@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 from st_core.identification.result import Identification, ParameterEstimate
+from st_core.vehicle import VehicleParameters
 from st_offline.evaluation.drawing import FigureOutput
-from st_offline.identification.driving import draw_prediction
+from st_offline.identification.driving import draw_prediction, draw_stiffness
+from st_offline.identification.experiment import make_estimate_rows
+from support import LEAF
 
 
 @pytest.mark.parametrize("channels", [["yaw_rate"], ["velocity_y", "yaw_rate"]])
@@ -18,3 +21,18 @@ def test_residuals_are_drawn_with_and_without_measured_sideslip(channels, tmp_pa
     outcome = Identification("steering", estimates, ("a",), figure=figure)
     draw_prediction(outcome, FigureOutput(tmp_path, ("png",)))
     assert (tmp_path / "steering.png").is_file()
+
+
+def test_stiffness_that_is_not_identified_is_marked_in_the_title(tmp_path):
+    estimates = tuple(
+        ParameterEstimate(f"cornering_stiffness_{axle}", 390e3, "N/rad", 65e3, (259e3, 521e3), "fit", ("a",), "",
+                          status)
+        for axle, status in (("front", "unidentifiable"), ("rear", "identified")))
+    names = tuple(e.parameter for e in estimates)
+    outcome = Identification("stiffness", estimates, ("a",), figure={"names": names, "covariance": np.eye(2) * 65e3**2})
+    figure = draw_stiffness(outcome, FigureOutput(tmp_path, ("png",)))
+    assert figure.title == ("Cornering stiffness front 390 ± 130 kN/rad (95 %, unidentifiable), rear 390 ± 130 kN/rad "
+                            "(95 %) by prediction")
+    vehicle = VehicleParameters.from_yaml(LEAF.read_text().replace("value: 70000.0", "value: 130000.0"))
+    rows = make_estimate_rows(outcome, vehicle)
+    assert rows[0][5] == "130000"

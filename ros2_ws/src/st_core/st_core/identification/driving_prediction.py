@@ -240,7 +240,7 @@ def _judge_estimate(fit: DrivingFit, index: int, uncertainty: float) -> tuple[st
     name, value = fit.names[index], fit.values[index]
     basis = f"{fit.prediction_count} predictions in {fit.spread.basis[index]}"
     if name in fit.at_bound:
-        return (f"The fit reached the limit {value:.4g}: the drives do not determine the value, or contradict other "
+        return (f"The fit reached the limit {value:.6g}: the drives do not determine the value, or contradict other "
                 "values of the vehicle file."), "unidentifiable"
     if not QUANTITIES[name].relative:
         return (f"{value:.4g} {QUANTITIES[name].unit}, standard uncertainty {uncertainty:.2g}, from {basis}.",

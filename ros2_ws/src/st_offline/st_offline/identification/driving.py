@@ -101,9 +101,9 @@ def draw_stiffness(outcome: Identification, output: FigureOutput) -> PageFigure:
                 **{f"{axis}err": np.abs(np.array(e.interval95) - e.value)[:, None] * 1e-3
                    for axis, e in (("x", front), ("y", rear))})
     region_panel.set(xlabel="front, kN/rad", ylabel="rear, kN/rad")
-    region_panel.legend(fontsize=8)
-    caption = ("Left: force and slip as in the paper, with both slopes. Right: 95 % intervals of both methods, and "
-               "the joint 95 % region of the fit." if paper else "95 % intervals and joint 95 % region of the fit.")
+    region_panel.legend(loc="lower right", fontsize=8)
+    caption = ("Left: force and slip as in the paper, with the fitted slopes. Right: " if paper else "") + (
+        "95 % intervals and joint 95 % region of the fit.")
     return save_figure(figure, output, "stiffness", f"Cornering stiffness {values} by prediction", caption)
 
 
@@ -198,12 +198,13 @@ def _get_display_unit(parameter: str) -> tuple[float, str]:
 
 
 def _format_value(estimate: ParameterEstimate) -> str:
-    """Value and half-width of its 95 % interval, angles in degrees."""
+    """Value and half-width of its 95 % interval, angles in degrees, and its status if it is not identified."""
     factor, unit = DISPLAY_UNITS.get(estimate.unit, (1.0, estimate.unit))
     low, high = estimate.interval95
     value, half_width = estimate.value * factor, 0.5 * (high - low) * factor
     text = f"{format_rounded(value, half_width)} ± {format_rounded(half_width, half_width)}"
-    return f"{text if unit == '1' else f'{text} {unit}'} (95 %)"
+    status = "" if estimate.status == "identified" else f", {estimate.status}"
+    return f"{text if unit == '1' else f'{text} {unit}'} (95 %{status})"
 
 
 def make_drive_experiment(name: str, description: str, driving: str, compute: Callable[..., Identification],

@@ -78,7 +78,6 @@ def identify_ratio(job: IdentificationJob) -> tuple[Identification, ...]:
 
 
 def _name_series(table: MeasurementTable) -> tuple[str, ...]:
-    """File and series of each row."""
     return tuple(f"{file.name}:{name or 1}" for (file, _), name in zip(table.rows, table.texts["series"], strict=True))
 
 
