@@ -146,11 +146,9 @@ def _apply_advice(run: Run, advice: Advice | None) -> Run | None:
         columns = advice.entry.get("columns", {})
         log = replace(log, **{name: getattr(log, source) for name, source in columns.items()})
         changes = {name: Correction(**values) for name, values in advice.entry.get("correct", {}).items()}
-        leave_out = advice.entry.get("leave_out", ())
-        if log.sideslip_measured:
-            return apply_corrections(log, changes, vehicle, leave_out), vehicle
-        # The reader computes the sideslip of a course after the corrections.
-        return with_steady_sideslip(apply_corrections(with_course(log), changes, vehicle, leave_out), vehicle), vehicle
+        log = log if log.sideslip_measured else with_course(log)
+        log = apply_corrections(log, changes, vehicle, advice.entry.get("leave_out", ()))
+        return with_steady_sideslip(log, vehicle), vehicle  # as the reader does after the corrections
     except StCoreError:
         return None
 

@@ -200,8 +200,8 @@ def _make_unit_finding(gain: Estimate, plausible_gains: tuple[float, float], veh
     scale = float(f"{1.0 / np.copysign(exact, value):.6g}")
     # The offset was subtracted from the recorded angle, but belongs to the corrected one, or to none of road wheels.
     add = float(f"{offset if exact == 1.0 / ratio else (scale - 1.0) * offset / ratio:.5g}")
-    has_add = has_steering_wheel and reason and add
-    advice = Advice.correct("road_wheel_angle", scale=scale, **({"add": add} if has_add else {}))
+    has_offset = has_steering_wheel and reason and add
+    advice = Advice.correct("road_wheel_angle", scale=scale, **({"add": add} if has_offset else {}))
     name = "steering_scale"
     if exact == 1.0:
         name = "steering_sign"
