@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from discovery_drives import linear_problem, recorded
 from st_core.discovery import OUTCOMES, PARTS, DiscoverySettings, Limits, discover
+from st_core.discovery.decision import judge_necessity, list_alternatives
 from st_core.discovery.discover import fit_effects
 from st_core.discovery.library_fit import apply_clock_corrections
 from st_core.discovery.partitions import MIN_RUNS
@@ -160,8 +161,29 @@ def test_one_effect_replaces_two_only_if_it_explains_as_much(heading, expected):
     signatures[index("road_bank")] = signatures[index(PAIR[0])] + signatures[index(PAIR[1])]
     problem.update_design_effect(problem.start)
     fit = problem.fit(PAIR, problem.all_sensitivities(problem.start))
-    found = Search(problem, Limits(), {}, {})._exchange_until_accepted(SearchState(fit, list(PAIR)))
+    found = Search(problem, Limits(), {}, {})._exchange_until_accepted(SearchState(fit))
     assert sorted(found.fit.names) == sorted(expected)
+
+
+@pytest.mark.parametrize(("replaced_by", "rival", "alternatives", "named"), [
+    (PAIR, "lateral_acceleration_bias and heading_misalignment", (), False),
+    (PAIR[:1], "", PAIR[:1], True),  # a single effect is an alternative; nothing else replaces both
+    ((), "", (), True),
+])
+def test_effect_is_named_only_if_no_other_set_explains_the_errors(replaced_by, rival, alternatives, named):
+    """As of a minibus whose stiffer front tyres a roll steer described; a second effect was needed to replace it."""
+    problem = linear_problem([*PAIR, "road_bank"], {"road_bank": 3.0}, seed=1)
+    signatures, index = problem.errors.signatures, problem.space.indices
+    if replaced_by:
+        signatures[index("road_bank")] = sum(signatures[index(name)] for name in replaced_by)
+    problem.update_design_effect(problem.start)
+    search = Search(problem, Limits(), {}, {})
+    fit = problem.fit(("road_bank",), problem.all_sensitivities(problem.start))
+    state = SearchState(search._rescale(fit))
+    search._drop_rejected(state)
+    best = search.find_best_rival(state, "road_bank")
+    assert best.name == rival and list_alternatives(state.rivals["road_bank"], Limits()) == alternatives
+    assert (judge_necessity(best, Limits()) is None) == named
 
 
 def test_residual_scale_is_unchanged_when_all_effects_are_rejected():

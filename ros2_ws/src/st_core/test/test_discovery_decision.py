@@ -31,6 +31,7 @@ from st_core.discovery.decision import (
     decide,
     judge,
     judge_alternative,
+    judge_necessity,
     judge_reporting,
     varies_relevantly,
     varying_partition,
@@ -248,6 +249,17 @@ def test_rival_is_an_alternative_or_rejected_by_a_rule(rival, rule):
     assert judge_alternative(rival, LIMITS).rule == rule
 
 
+@pytest.mark.parametrize(("rival", "established"), [
+    (EQUAL_RIVAL, False), (WORSE_RIVAL, True), (CLOSE_RIVAL, False), (replace(CLOSE_RIVAL, deficit=0.3), True)])
+def test_effect_is_established_only_if_the_best_model_without_it_explains_less(rival, established):
+    for name, instead in (("rear_stiffness and mass", " with rear stiffness and mass instead"), ("", "")):
+        verdict = judge_necessity(replace(rival, name=name, replaces="roll_steer"), LIMITS)
+        assert (verdict is None) == established
+        if verdict:
+            assert (verdict.rule, verdict.subject) == (MINOR, "roll_steer")
+            assert f"the best model without it{instead} changes the errors by only +" in verdict.text
+
+
 def test_text_of_an_alternative_names_the_effect_it_replaces():
     for rival in (replace(EQUAL_RIVAL, replaces="tyre_stiffness"), replace(WORSE_RIVAL, replaces="tyre_stiffness")):
         text = judge_alternative(rival, LIMITS).text
@@ -440,20 +452,32 @@ def test_effect_that_compensates_for_a_refuted_one_is_not_named(monkeypatch, sim
 @pytest.mark.parametrize(("rule", "count"), [(FORCES, 1), (IMPLAUSIBLE, 1), (MINOR, 2)])
 def test_combination_changed_by_a_refuted_effect_is_not_stated(monkeypatch, rule, count):
     """As of a bus whose tyre stiffness, correct in its file, was refuted as implausible, but stated over the mass."""
-    monkeypatch.setattr(discover_module.waterfall, "estimate_parameters", lambda *_: {})
-    monkeypatch.setattr(discover_module.waterfall, "leave_one_out", lambda *_: {})
     delay = Combination("total delay of the steering", "s", 0.06, (0.05, 0.07), 0.0, ("steering_delay",))
     stiffness = replace(delay, name="front cornering stiffness over mass", effects=("front_stiffness", "mass"))
+    judged = judge_tyre_stiffness(monkeypatch, Reason(rule, "tyre_stiffness", {}, ""), (delay, stiffness))
+    assert judged.combinations == (delay, stiffness)[:count]
+
+
+@pytest.mark.parametrize(("rival", "evidence", "named"), [
+    (WORSE_RIVAL, GOOD, True), (EQUAL_RIVAL, GOOD, False), (EQUAL_RIVAL, CONFIRMED, True)])
+def test_effect_that_the_best_other_model_does_not_need_is_named_only_if_sensors_confirm_it(
+        monkeypatch, rival, evidence, named):
+    judged = judge_tyre_stiffness(monkeypatch, Reason(NAMED, "tyre_stiffness", {}, ""), (), rival, evidence)
+    assert (len(judged.named), len(judged.minor)) == (named, not named)
+
+
+def judge_tyre_stiffness(monkeypatch, verdict, combinations, rival=WORSE_RIVAL, evidence=GOOD):
+    """Result for a fit with only tyre_stiffness, with this verdict before the search without it finds `rival`."""
+    monkeypatch.setattr(discover_module.waterfall, "estimate_parameters", lambda *_: {})
+    monkeypatch.setattr(discover_module.waterfall, "leave_one_out", lambda *_: {})
     problem = SimpleNamespace(prior=(), held_out_rows=lambda _: None, position_error=lambda _: np.array([np.nan]))
     analysis = SimpleNamespace(
-        problem=problem, reference=[], sensors={}, limits=LIMITS,
-        _analyse_axles=lambda *_: (None, (), (delay, stiffness)),
-        _decide_reporting=lambda *_: {"tyre_stiffness": Reason(rule, "tyre_stiffness", {}, "")})
-    state = SimpleNamespace(order=["tyre_stiffness"], evidence={"tyre_stiffness": GOOD}, rivals={}, fit=None,
+        problem=problem, reference=[], sensors={}, limits=LIMITS, _analyse_axles=lambda *_: (None, (), combinations),
+        _decide_reporting=lambda *_: {"tyre_stiffness": verdict})
+    state = SimpleNamespace(order=["tyre_stiffness"], evidence={"tyre_stiffness": evidence}, rivals={}, fit=None,
                             near_optimal=[])
-    search = SimpleNamespace(find_cancelling_effects=lambda *_: ())
-    judged = _Analysis._judge_effects(analysis, search, state, {}, {"position_5s": 0.1})
-    assert judged.combinations == (delay, stiffness)[:count]
+    search = SimpleNamespace(find_cancelling_effects=lambda *_: (), find_best_rival=lambda *_: rival)
+    return _Analysis._judge_effects(analysis, search, state, {}, {"position_5s": 0.1})
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")

@@ -220,25 +220,44 @@ def judge_alternative(rival: Rival, limits: Limits) -> Reason:
     figures = {"share": rival.share, "added": rival.added, "p_no_worse": rival.p_no_worse, "deficit": rival.deficit,
                "min_rival_gain": limits.min_rival_gain, "undecided_p": limits.undecided_p,
                "unexplained_share": limits.unexplained_share}
-    is_unexplained = rival.evidence.noise_ratio > limits.max_noise_ratio and rival.deficit < limits.unexplained_share
     replaced_name = rival.replaces.replace("_", " ")
     gain = f"in place of {replaced_name} it achieves {rival.share:.0%} of that effect's error reduction"
     gain += f", and in addition to it {rival.added:.0%}" if rival.added >= 0.005 else ""
     test_result = f"p = {rival.p_no_worse:.2g} for the hypothesis that it is as good"
-    is_worse = rival.p_no_worse < limits.undecided_p
-    if rival.share - rival.added < limits.min_rival_gain or (is_worse and not is_unexplained):
+    if rival.share - rival.added < limits.min_rival_gain or explains_less(rival, limits):
         return Reason(EXPLAINS_LESS, rival.name, figures, f"{gain}; {test_result}")
     if rival.shared:
         gain = f"together with {replaced_name} it reduces the errors no more than that effect alone"
     elif (verdict := judge(rival.evidence, limits)).rule not in (ACCEPTED, IRRELEVANT):
         return verdict
-    if is_worse:
+    if rival.p_no_worse < limits.undecided_p:
         test_result += f", but unmodelled effects may cause the difference of {rival.deficit:.1%} of the residual"
     return Reason(ALTERNATIVE, rival.name, figures, f"{gain}; {test_result}")
 
 
+def explains_less(rival: Rival, limits: Limits) -> bool:
+    """Whether errors are significantly larger with the rival, and by more than unmodelled effects may cause."""
+    is_unexplained = rival.evidence.noise_ratio > limits.max_noise_ratio and rival.deficit < limits.unexplained_share
+    return rival.p_no_worse < limits.undecided_p and not is_unexplained
+
+
+def judge_necessity(rival: Rival, limits: Limits) -> Reason | None:
+    """Verdict on an effect that the best set without it can replace; None if that set explains less."""
+    if explains_less(rival, limits):
+        return None
+    instead = f" with {rival.name.replace('_', ' ')} instead" * bool(rival.name)
+    return Reason(MINOR, rival.replaces, {"deficit": rival.deficit, "p_no_worse": rival.p_no_worse},
+                  f"the best model without it{instead} changes the errors by only {rival.deficit:+.1%} (p = "
+                  f"{rival.p_no_worse:.2g} for the hypothesis that it is as good): it is not reported as a cause")
+
+
 def is_alternative(rival: Rival, limits: Limits) -> bool:
     return judge_alternative(rival, limits).rule == ALTERNATIVE
+
+
+def list_alternatives(rivals: Sequence[Rival], limits: Limits) -> tuple[str, ...]:
+    """Names of the rivals that are alternatives, best first."""
+    return tuple(r.name for r in sorted(rivals, key=lambda r: -r.share) if is_alternative(r, limits))
 
 
 def decide(limits: Limits, named: Sequence[Evidence], rivals: Mapping[str, Sequence[Rival]],
@@ -261,8 +280,7 @@ def decide(limits: Limits, named: Sequence[Evidence], rivals: Mapping[str, Seque
         return conclude("several", f"{len(named)} effects are significant, relevant and consistent between "
                         "parts of the drives", effects=len(named))
     if named:
-        count = 1 + sum(is_alternative(r, limits) for r in rivals.get(named[0].name, ()))
-        if count > 1:
+        if (count := 1 + len(list_alternatives(rivals.get(named[0].name, ()), limits))) > 1:
             return conclude("ambiguous", f"{count} effects explain the errors equally well", names=count)
         return conclude("named", "one effect is significant, relevant and consistent between parts of the drives")
     if combinations:

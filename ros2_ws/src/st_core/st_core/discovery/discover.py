@@ -178,18 +178,21 @@ class _Analysis:
         sensors, effects = {} if self.reference else self.sensors, []
         for name in state.order:
             evidence = state.evidence[name]
-            others = sorted((r for r in state.rivals.get(name, ()) if decision.is_alternative(r, self.limits)),
-                            key=lambda r: -r.share)
             values = waterfall.estimate_parameters(problem, state.fit, name, partitions, state.near_optimal, joint_fit,
                                                    noise_ratio)
             effects.append(result.FoundEffect(
                 name, get_effect(name).kind,
                 {n: replace_interval(p, sensors.get(f"{name}.{n}")) for n, p in values.items()},
-                tuple(r.name for r in others), evidence.position_reduction, _local_estimates(evidence),
+                (), evidence.position_reduction, _local_estimates(evidence),
                 search.find_cancelling_effects(state.fit, name), *decision.find_most_affected(evidence, self.limits)))
         leave_one_out = waterfall.leave_one_out(problem, state.fit)
         axles, curves, combinations = self._analyse_axles(state, joint_fit, noise_ratio)
         verdicts = self._decide_reporting(state, effects, axles, leave_one_out)
+        for name, verdict in verdicts.items():
+            if verdict.rule == decision.NAMED and not decision.is_confirmed(state.evidence[name], self.limits):
+                verdicts[name] = decision.judge_necessity(search.find_best_rival(state, name), self.limits) or verdict
+        effects = [replace(e, alternatives=decision.list_alternatives(state.rivals.get(e.name, ()), self.limits))
+                   for e in effects]
         named, minor, contradicted = (tuple(e for e in effects if verdicts[e.name].rule in rules) for rules in (
             (decision.NAMED,), (decision.MINOR,), (decision.FORCES, decision.IMPLAUSIBLE)))
         refuted = {part for e in contradicted for part in (e.name, *get_effect(e.name).members)}

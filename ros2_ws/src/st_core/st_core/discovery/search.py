@@ -6,6 +6,7 @@ from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy import stats
 
 from ..effects import find_confounded_effects, get_effect
 from ..regression import add_ridge
@@ -31,7 +32,7 @@ class SearchState:
     """State of the search."""
 
     fit: Fit  # fit of the current set
-    order: list[str]  # names in order of selection; after the search, by decreasing gain
+    order: tuple[str, ...] = ()  # after the search: names by decreasing gain
     evidence: dict[str, Evidence] = field(default_factory=dict)  # for each effect of the set
     fits_without: dict[str, Fit] = field(default_factory=dict)  # fit without each effect of the set
     # (evidence, verdict, fit) of each effect that was rejected in the last forward step, or dropped from the set.
@@ -82,17 +83,12 @@ class Search:
         for names in ([*first.fit.names, *physics], [n for n in library if not get_effect(n).members]):
             scale, design_effect = p.loss.scale, p.design_effect
             start = self._prune(first.fit.vector, list(dict.fromkeys(names)))
-            while start and start.names:  # remove the effects that fail the test, weakest first
-                state = SearchState(start, list(start.names), cached_scores=self._scores(start))
-                weakest = self._find_weakest_failing(state, self.limits.relevant)
-                if not weakest:
-                    break
-                start = self._rescale(self._refit_without(start, weakest))
+            start = start and self._drop_rejected(SearchState(start), self.limits.relevant).fit
             candidates.append(self._step_from(start) if start else None)
             if candidates[-1] is None:
                 p.loss.scale, p.design_effect = scale, design_effect
         state = self._exchange_until_accepted(self._select([c for c in candidates if c]))
-        state.order = sorted(state.fit.names, key=lambda n: -state.evidence[n].gain)
+        state.order = tuple(sorted(state.fit.names, key=lambda n: -state.evidence[n].gain))
         state.near_optimal = self._find_near_sets(state)
         # A rival that gains as much in addition to an effect as in its place explains different errors.
         added = {name: max(float(gains.sum()), 0.0) for name, (gains, _) in state.scores.gains.items()}
@@ -118,19 +114,43 @@ class Search:
                 vector[load] = laden_problem.start[load] = p.start[load] + size * p.space.scale[load]
                 self.tick()
                 fit = laden_problem.refit(laden_problem.fit(names, laden_problem.all_sensitivities(vector), vector))
-                difference = fit.held_out - state.fit.held_out
                 indices = p.space.indices(*(n for n in names if n in find_confounded_effects(payload)))
                 nearer = indices[np.abs(fit.vector - p.start)[indices] < np.abs(state.fit.vector - p.start)[indices]]
-                deficit = float(difference.sum()) / p.residual_count
-                rivals = [Rival(payload, name, 1.0, p_no_worse(difference), deficit, state.evidence[name],
-                                p.space.values(payload, fit.vector), shared=True)
-                          for name in sorted({p.space.free[i][0] for i in nearer})]
+                rivals = [replace(self._make_rival(payload, name, fit, state, state.evidence[name]), share=1.0,
+                                  shared=True) for name in sorted({p.space.free[i][0] for i in nearer})]
                 if rivals and is_alternative(rivals[0], self.limits):
                     for rival in rivals:
                         others = state.rivals.get(rival.replaces, ())
                         state.rivals[rival.replaces] = [*(r for r in others if r.name != payload), rival]
                     state.near_optimal.append(((), fit.vector))
                     break
+
+    def find_best_rival(self, state: SearchState, name: str) -> Rival:
+        """The best set without an effect and its alternatives, found from the final set, as a rival of this effect. A
+        single effect that is an alternative is added to `state.rivals`, and the search repeated without it."""
+        other, p, rivals = copy(self), copy(self.problem), state.rivals.setdefault(name, [])
+        other.problem, p.loss, p.space = p, copy(p.loss), copy(p.space)
+        excluded = [name, *(r.name for r in rivals if is_alternative(r, self.limits))]
+        p.space.hypotheses = tuple(n for n in p.space.hypotheses if not p.space.overlaps(n, excluded))
+        found = other._step_from(p.refit(state.fits_without[name]), revisit=True)
+        assert found is not None  # because of `revisit`
+        fit = self.problem.refit(self.problem.fit(found.fit.names, found.fit.sensitivities))
+        names = [n for n in fit.names if n not in state.fit.names]
+        rival = self._make_rival(" and ".join(names), name, fit, state, state.evidence[name])
+        # A signed-rank test as well, because in few blocks a mean is uncertain even if all of them are worse.
+        test = stats.wilcoxon(fit.held_out, state.fit.held_out, zero_method="zsplit", alternative="greater")
+        rival = replace(rival, p_no_worse=min(rival.p_no_worse, float(test.pvalue)))
+        if len(names) != 1 or not is_alternative(rival, self.limits):
+            return rival
+        state.rivals[name] = [*(r for r in rivals if r.name != rival.name), rival]
+        return self.find_best_rival(state, name)
+
+    def _make_rival(self, other: str, name: str, fit: Fit, state: SearchState, evidence: Evidence) -> Rival:
+        """The rival `other` of the effect `name` with this fit."""
+        difference, gain = fit.held_out - state.fit.held_out, self._gain(state.fits_without[name], state.fit)
+        deficit = float(difference.sum())
+        return Rival(other, name, 1.0 - deficit / max(gain, 1e-12), p_no_worse(difference),
+                     deficit / self.problem.residual_count, evidence, self.problem.space.values(other, fit.vector))
 
     def add_corrections(self, fit: Fit) -> Fit:
         """The best fit with further effects and all effects of `fit`, a fit of a different problem."""
@@ -152,7 +172,7 @@ class Search:
     def _step_from(self, fit: Fit, revisit: bool = False) -> SearchState | None:
         """The state after forward and backward steps until no further effect is accepted, or a set recurs. None if they
         lead to a set that was visited from a different start, unless `revisit` is set."""
-        state = SearchState(fit, list(fit.names))
+        state = SearchState(fit)
         path: set[frozenset[str]] = set()
         while True:
             key = frozenset(state.fit.names)
@@ -168,7 +188,6 @@ class Search:
                 self.problem.loss.scale = scale  # `_step_forward` may have changed it for effects that it rejected
                 return state
             state.fit = self._rescale(self._step_backward(extended_fit, state.scores))
-            state.order = [n for n in dict.fromkeys((*state.order, *extended_fit.names)) if n in state.fit.names]
             state.cached_scores = None
 
     def _rescale(self, fit: Fit) -> Fit:
@@ -360,19 +379,18 @@ class Search:
                 return state
             result = self._step_from(self._rescale(exchanged_fit), revisit=True)
             assert result is not None  # because of `revisit`
-            result.order = [n for n in dict.fromkeys((*state.order, *result.fit.names)) if n in result.fit.names]
             state = result
         return self._drop_rejected(state)
 
-    def _drop_rejected(self, state: SearchState) -> SearchState:
+    def _drop_rejected(self, state: SearchState, required_gain: float = np.inf) -> SearchState:
         """Drop the effects that fail the test, weakest first, and fill in the evidence of the others."""
-        while weakest := self._find_weakest_failing(state):
-            fit, e = self._rescale(state.fits_without[weakest]), state.evidence[weakest]
+        while weakest := self._find_weakest_failing(state, required_gain):
+            fit, e = self._rescale(self._refit_without(state.fit, weakest)), state.evidence[weakest]
             rejected = {**state.rejected, weakest: (e, self._judge(e, self.limits), state.fit)}
-            state = SearchState(fit, [n for n in state.order if n != weakest], rejected=rejected)
+            state = SearchState(fit, rejected=rejected)
         return state
 
-    def _find_weakest_failing(self, state: SearchState, required_gain: float = np.inf) -> str:
+    def _find_weakest_failing(self, state: SearchState, required_gain: float) -> str:
         """Fill in `evidence` and `fits_without`, and return the weakest effect that fails the test, or "".
 
         An effect counts as significant without a refit if its removal is predicted to raise the loss per residual by
@@ -412,11 +430,7 @@ class Search:
                 if others[other][0] > (1.0 - 0.5 * self.limits.min_rival_gain) * gain:
                     continue
                 fit = self._refit_with(without, other, others[other][1], sensitivities)
-                difference = fit.held_out - state.fit.held_out
-                deficit = float(difference.sum())
-                rival = Rival(other, name, 1.0 - deficit / max(gain, 1e-12), p_no_worse(difference),
-                              deficit / p.residual_count, self._evidence(without, fit, other, state.scores),
-                              p.space.values(other, fit.vector))
+                rival = self._make_rival(other, name, fit, state, self._evidence(without, fit, other, state.scores))
                 state.rivals[name].append(rival)
                 if is_alternative(rival, self.limits):
                     alternatives[other].append(fit)

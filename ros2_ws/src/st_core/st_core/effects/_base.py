@@ -5,7 +5,7 @@ import re
 import sys
 from collections import namedtuple
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from numbers import Real
 from types import FunctionType
@@ -159,6 +159,11 @@ class Effect:
 
     constants = vehicle = fold = steering = inputs = prepare = slip_angles = axle_forces = NO_HOOK
     acceleration = start = rates = specific_force = observe = correct = NO_HOOK
+
+
+def scale_entry(key):
+    """The hook `vehicle` that multiplies an entry of the vehicle file by the parameter `factor`."""
+    return staticmethod(lambda vehicle, theta: replace(vehicle, **{key: getattr(vehicle, key) * theta.factor}))
 
 
 HOOKS = tuple(name for name, value in vars(Effect).items() if value is NO_HOOK and name != "converts")

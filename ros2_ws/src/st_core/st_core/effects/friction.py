@@ -1,8 +1,7 @@
 """Error of the friction in the tyre data, due to a wet or cold road or to different tyres."""
 
-from dataclasses import replace
-
 from ._base import Effect, Parameter, register
+from .front_stiffness import scale_axles
 
 
 @register
@@ -16,9 +15,4 @@ class Friction(Effect):
     parameter = Parameter("factor", "1", null=1.0, initial=0.8, bounds=(0.1, 1.6),
                           meaning="ratio of true friction to that of the tyre data",
                           source="ice 0.1, wet 0.6-0.8, dry asphalt relative to a test drum 1.0-1.3")
-
-    @staticmethod
-    def vehicle(vehicle, theta):
-        front, rear = vehicle.tyre_front, vehicle.tyre_rear
-        return replace(vehicle, tyre_front=front._replace(lambda_muy=front.lambda_muy * theta.factor),
-                       tyre_rear=rear._replace(lambda_muy=rear.lambda_muy * theta.factor))
+    vehicle = scale_axles("lambda_muy", "front", "rear")

@@ -8,10 +8,6 @@ with C = 1.3, E = -3).
 from ..ops import sqrt
 from ._base import Effect, Parameter, register
 
-SATURATION = Parameter("saturation", "1", null=0.0, initial=1.0, bounds=(0.0, 16.0),
-                       meaning="squared ratio of static load to the axle's largest force: 1 / mu^2",
-                       source="mu from 0.25 to infinity; dry asphalt: mu 0.8-1.2, s 0.7-1.6")
-
 
 def saturate(force, load, saturation):
     """Saturated axle force [N] from the linear force [N] and the static load [N] of the axle."""
@@ -28,7 +24,9 @@ class FrontSaturation(Effect):
     confounded_with = ("tyre_saturation", "front_stiffness", "steering_compliance")
     applies_to = frozenset(("linear",))
     order = 10
-    parameter = SATURATION
+    parameter = Parameter("saturation", "1", null=0.0, initial=1.0, bounds=(0.0, 16.0),
+                          meaning="squared ratio of static load to the axle's largest force: 1 / mu^2",
+                          source="mu from 0.25 to infinity; dry asphalt: mu 0.8-1.2, s 0.7-1.6")
 
     @staticmethod
     def constants(vehicle):

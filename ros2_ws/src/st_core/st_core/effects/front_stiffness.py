@@ -12,11 +12,16 @@ def make_stiffness_parameter(initial):
                      source="tyres of one size differ by a factor of 2; openpilot limits a factor of both to 0.2-5")
 
 
-def scale_stiffness(vehicle, axle, factor):
-    """The vehicle with the cornering stiffness of one axle, "front" or "rear", multiplied by a factor."""
-    stiffness, tyre = getattr(vehicle, f"cornering_stiffness_{axle}"), getattr(vehicle, f"tyre_{axle}")
-    return replace(vehicle, **{f"cornering_stiffness_{axle}": stiffness * factor,
-                               f"tyre_{axle}": tyre._replace(lambda_ky=tyre.lambda_ky * factor)})
+def scale_axles(coefficient, *axles, entry=""):
+    """The hook `vehicle` that multiplies a coefficient of the tyres of axles, "front" or "rear", and an entry of the
+    vehicle file by the parameter `factor`."""
+    def scale(vehicle, theta):
+        changes = {f"{entry}_{axle}": getattr(vehicle, f"{entry}_{axle}") * theta.factor for axle in axles if entry}
+        for name in (f"tyre_{axle}" for axle in axles):
+            tyre = getattr(vehicle, name)
+            changes[name] = tyre._replace(**{coefficient: getattr(tyre, coefficient) * theta.factor})
+        return replace(vehicle, **changes)
+    return staticmethod(scale)
 
 
 @register
@@ -28,7 +33,4 @@ class FrontStiffness(Effect):
     combinations = ("front cornering stiffness over mass", "stability factor K", "steady-state yaw gain at 20 m/s")
     ratio_to = ("mass", "cg_to_front_axle")
     parameter = make_stiffness_parameter(0.9)
-
-    @staticmethod
-    def vehicle(vehicle, theta):
-        return scale_stiffness(vehicle, "front", theta.factor)
+    vehicle = scale_axles("lambda_ky", "front", entry="cornering_stiffness")

@@ -21,11 +21,15 @@ PARAMETERS = (
 )
 
 
-def reshape(tyre, theta):
-    """The tyre with peak and curvature changed, and its cornering stiffness unchanged, at every load."""
-    return tyre._replace(lambda_muy=TYRE_QUANTITIES["lambda_muy"].clip(tyre.lambda_muy * theta.peak),
-                         p_ey1=TYRE_QUANTITIES["p_ey1"].clip(1.0 - theta.curvature * (1.0 - tyre.p_ey1)),
-                         p_ey2=TYRE_QUANTITIES["p_ey2"].clip(theta.curvature * tyre.p_ey2))
+def reshape(axle):
+    """The hook `vehicle` that changes peak and curvature of an axle, "front" or "rear", at every load."""
+    def change(vehicle, theta):
+        tyre = getattr(vehicle, f"tyre_{axle}")
+        return replace(vehicle, **{f"tyre_{axle}": tyre._replace(
+            lambda_muy=TYRE_QUANTITIES["lambda_muy"].clip(tyre.lambda_muy * theta.peak),
+            p_ey1=TYRE_QUANTITIES["p_ey1"].clip(1.0 - theta.curvature * (1.0 - tyre.p_ey1)),
+            p_ey2=TYRE_QUANTITIES["p_ey2"].clip(theta.curvature * tyre.p_ey2))})
+    return staticmethod(change)
 
 
 @register
@@ -37,7 +41,4 @@ class FrontTyreCurve(Effect):
     at_peak_force = True
     applies_to = frozenset(("nonlinear",))  # a linear tyre has no peak
     parameters = PARAMETERS
-
-    @staticmethod
-    def vehicle(vehicle, theta):
-        return replace(vehicle, tyre_front=reshape(vehicle.tyre_front, theta))
+    vehicle = reshape("front")

@@ -15,8 +15,7 @@ class LateralAccelerationBias(Effect):
     order = 60
     parameter = Parameter("bias", "m/s^2", null=0.0, initial=0.1, bounds=(-2.0, 2.0), odd=True,
                           meaning="bias of the reading, positive to the left",
-                          source="a sensor tilted by 1 deg reads 0.17 m/s^2",
-                          identity="acceleration_y_bias")
+                          source="a sensor tilted by 1 deg reads 0.17 m/s^2", identity="acceleration_y_bias")
 
     @staticmethod
     def observe(measured, theta):

@@ -28,9 +28,8 @@ class LongitudinalLoadTransfer(Effect):
                      for coefficient in "bde")
     costly = True
     order = 70
-    parameter = Parameter("height", "m", null=0.0, initial=0.4, bounds=(-0.6, 1.2),
-                          meaning="CG height in excess of the base model's", source="CG of passenger cars 0.4-0.8 m",
-                          quantity="cg_height")
+    parameter = Parameter("height", "m", null=0.0, initial=0.4, bounds=(-0.6, 1.2), quantity="cg_height",
+                          meaning="CG height in excess of the base model's", source="CG of passenger cars 0.4-0.8 m")
 
     constants = staticmethod(tyre_parameters)
 

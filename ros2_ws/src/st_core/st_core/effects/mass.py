@@ -1,8 +1,6 @@
 """Error of the mass in the vehicle file; CG position, yaw inertia and lengths are unchanged."""
 
-from dataclasses import replace
-
-from ._base import FORCE_COMBINATIONS, Effect, Parameter, register
+from ._base import FORCE_COMBINATIONS, Effect, Parameter, register, scale_entry
 
 
 @register
@@ -15,7 +13,4 @@ class Mass(Effect):
     parameter = Parameter("factor", "1", null=1.0, initial=1.1, bounds=(0.6, 2.0),
                           meaning="ratio of true mass to the file's",
                           source="empty to fully laden: passenger cars 1.4, vans 2")
-
-    @staticmethod
-    def vehicle(vehicle, theta):
-        return replace(vehicle, mass=vehicle.mass * theta.factor)
+    vehicle = scale_entry("mass")

@@ -1,18 +1,15 @@
 """Saturation of a linear rear axle, with the equation of `front_saturation`."""
 
-from ._base import Effect, register
-from .front_saturation import SATURATION, saturate
+from ._base import register
+from .front_saturation import FrontSaturation, saturate
 
 
 @register
-class RearSaturation(Effect):
+class RearSaturation(FrontSaturation):
     physics = "F_r = F / (1 + s u^2 + s^2 u^4)^(1/4), F = -C_r alpha, u = F / static load; limit F_z / sqrt(s)"
     excited_by = "cornering above 4 m/s^2 with measured sideslip"
-    kind, slot = "physics", "rear axle"
+    slot = "rear axle"
     confounded_with = ("tyre_saturation", "rear_stiffness", "cg_position")
-    applies_to = frozenset(("linear",))
-    order = 10
-    parameter = SATURATION
 
     @staticmethod
     def constants(vehicle):

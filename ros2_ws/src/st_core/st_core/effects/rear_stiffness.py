@@ -1,7 +1,7 @@
 """Error of the rear cornering stiffness in the vehicle file."""
 
 from ._base import Effect, register
-from .front_stiffness import make_stiffness_parameter, scale_stiffness
+from .front_stiffness import make_stiffness_parameter, scale_axles
 
 
 @register
@@ -13,7 +13,4 @@ class RearStiffness(Effect):
     combinations = ("rear cornering stiffness over mass", "stability factor K", "steady-state yaw gain at 20 m/s")
     ratio_to = ("mass", "cg_to_front_axle")
     parameter = make_stiffness_parameter(0.85)
-
-    @staticmethod
-    def vehicle(vehicle, theta):
-        return scale_stiffness(vehicle, "rear", theta.factor)
+    vehicle = scale_axles("lambda_ky", "rear", entry="cornering_stiffness")

@@ -1,7 +1,5 @@
 """Peak and curvature of the rear axle's force curve, with the equations of `front_tyre_curve`."""
 
-from dataclasses import replace
-
 from ._base import Effect, register
 from .front_tyre_curve import PARAMETERS, reshape
 
@@ -15,7 +13,4 @@ class RearTyreCurve(Effect):
     at_peak_force = True
     applies_to = frozenset(("nonlinear",))  # a linear tyre has no peak
     parameters = PARAMETERS
-
-    @staticmethod
-    def vehicle(vehicle, theta):
-        return replace(vehicle, tyre_rear=reshape(vehicle.tyre_rear, theta))
+    vehicle = reshape("rear")

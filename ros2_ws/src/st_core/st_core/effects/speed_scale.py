@@ -12,9 +12,8 @@ class SpeedScale(Effect):
     confounded_with = ("steering_ratio", "yaw_rate_scale")
     applies_to = ANY
     order = 40
-    parameter = Parameter("factor", "1", null=1.0, initial=1.02, bounds=(0.8, 1.25),
-                          meaning="ratio of measured to true", source="wheel speeds with worn tyres: 2-4 %",
-                          identity="velocity_scale")
+    parameter = Parameter("factor", "1", null=1.0, initial=1.02, bounds=(0.8, 1.25), identity="velocity_scale",
+                          meaning="ratio of measured to true", source="wheel speeds with worn tyres: 2-4 %")
 
     @staticmethod
     def observe(measured, theta):

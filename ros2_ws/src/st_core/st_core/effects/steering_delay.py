@@ -15,10 +15,9 @@ class SteeringDelay(Effect):
     combinations = (TOTAL_DELAY,)
     applies_to = ANY
     order = 10
-    parameter = Parameter("time", "s", null=0.0, initial=0.04, bounds=(-0.2, 0.5),
+    parameter = Parameter("time", "s", null=0.0, initial=0.04, bounds=(-0.2, 0.5), model_error=0.004,
                           meaning="delay of the wheels behind the measured angle",
-                          source="buses and filters cause up to 0.2 s; no steering has a delay of 0.5 s",
-                          model_error=0.004)
+                          source="buses and filters cause up to 0.2 s; no steering has a delay of 0.5 s")
 
     @staticmethod
     def steering(time, angle, is_start, theta):

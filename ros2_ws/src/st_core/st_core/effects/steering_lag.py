@@ -21,10 +21,9 @@ class SteeringLag(Effect):
     combinations = (TOTAL_DELAY,)
     applies_to = ANY
     order = 30
-    parameter = Parameter("time_constant", "s", null=0.0, initial=0.06, bounds=(0.0, 0.5),
+    parameter = Parameter("time_constant", "s", null=0.0, initial=0.06, bounds=(0.0, 0.5), model_error=0.004,
                           meaning="time to 63 % of a step",
-                          source="power steering 0.03-0.1 s; the lag estimator of openpilot allows 0.5 s",
-                          model_error=0.004)
+                          source="power steering 0.03-0.1 s; the lag estimator of openpilot allows 0.5 s")
 
     @staticmethod
     def steering(time, angle, is_start, theta):

@@ -1,8 +1,6 @@
 """Error of the steering ratio in the vehicle file: delta = delta_measured / factor."""
 
-from dataclasses import replace
-
-from ._base import ANY, Effect, Parameter, register
+from ._base import ANY, Effect, Parameter, register, scale_entry
 
 
 @register
@@ -19,11 +17,8 @@ class SteeringRatio(Effect):
     parameter = Parameter("factor", "1", null=1.0, initial=1.05, bounds=(0.5, 2.0),
                           meaning="ratio of true steering ratio to the file's",
                           source="identified ratios of one car type vary by 10-20 % in fleets", model_error=0.009)
+    fold = scale_entry("steering_ratio")
 
     @staticmethod
     def inputs(road_wheel_angle, velocity_x_dot, signals, theta):
         return road_wheel_angle / theta.factor, velocity_x_dot
-
-    @staticmethod
-    def fold(vehicle, theta):
-        return replace(vehicle, steering_ratio=vehicle.steering_ratio * theta.factor)

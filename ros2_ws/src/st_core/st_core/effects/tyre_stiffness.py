@@ -1,7 +1,7 @@
 """Error of both cornering stiffnesses in the vehicle file by a common factor, as with different tyres."""
 
 from ._base import Effect, register
-from .front_stiffness import make_stiffness_parameter, scale_stiffness
+from .front_stiffness import make_stiffness_parameter, scale_axles
 
 
 @register
@@ -13,7 +13,4 @@ class TyreStiffness(Effect):
     ratio_to = ("mass", "cg_to_front_axle")
     members = ("front_stiffness", "rear_stiffness")
     parameter = make_stiffness_parameter(0.85)
-
-    @staticmethod
-    def vehicle(vehicle, theta):
-        return scale_stiffness(scale_stiffness(vehicle, "front", theta.factor), "rear", theta.factor)
+    vehicle = scale_axles("lambda_ky", "front", "rear", entry="cornering_stiffness")

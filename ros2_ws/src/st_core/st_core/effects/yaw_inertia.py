@@ -1,8 +1,6 @@
 """Error of the yaw inertia in the vehicle file."""
 
-from dataclasses import replace
-
-from ._base import Effect, Parameter, register
+from ._base import Effect, Parameter, register, scale_entry
 
 
 @register
@@ -15,7 +13,4 @@ class YawInertia(Effect):
     parameter = Parameter("factor", "1", null=1.0, initial=1.15, bounds=(0.4, 2.5),
                           meaning="ratio of true inertia to the file's",
                           source="estimates from mass and wheelbase are accurate to 20 %", model_error=0.16)
-
-    @staticmethod
-    def vehicle(vehicle, theta):
-        return replace(vehicle, yaw_inertia=vehicle.yaw_inertia * theta.factor)
+    vehicle = scale_entry("yaw_inertia")
