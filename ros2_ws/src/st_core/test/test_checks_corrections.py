@@ -300,6 +300,14 @@ def test_correction_of_a_steering_wheel_angle_keeps_its_offset(log, leaf, factor
     np.testing.assert_allclose(corrected.road_wheel_angle, log.road_wheel_angle, atol=1e-5)
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_correction_of_a_road_wheel_angle_read_as_steering_wheel_angle_restores_the_offset(log, leaf, sign):
+    car = replace(leaf, steering_wheel_offset=0.3)
+    wrong = replace(log, steering_wheel_angle=sign * log.road_wheel_angle).with_steering(car)
+    corrected = corrected_drive(wrong, errors(wrong, car)["steering_scale"].advice.entry, car)
+    np.testing.assert_allclose(corrected.road_wheel_angle, log.road_wheel_angle, atol=1e-4)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.0, -1.0, DEG_PER_RAD])
 @pytest.mark.parametrize("angle", [0.04, -0.03])

@@ -223,9 +223,9 @@ def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters |
     results.estimates, results.panels = sensors.estimates, sensors.panels
     if vehicle is not None:
         if not broken_channels & {*STEERING}:
-            has_steering_wheel = log.steering_wheel_angle is not None and np.allclose(
+            from_steering_wheel = log.steering_wheel_angle is not None and np.allclose(
                 log.road_wheel_angle, vehicle.road_wheel_angle(log.steering_wheel_angle), atol=1e-4)
-            results.add(vehicle_relations.check_steering(corrected, vehicle, has_steering_wheel))
+            results.add(vehicle_relations.check_steering(corrected, vehicle, from_steering_wheel))
         unusable_channels = coarse_channels | _list_channels(stuck_findings, "channel_frozen")
         if sideslip_measured and not unusable_channels & {"velocity_y", "yaw_rate"}:
             results.add(_check_rear_axle(corrected, vehicle, findings))

@@ -25,7 +25,7 @@ MAX_TURN = 1.5  # rad; largest change of the course between adjacent windows tha
 MAX_MEDIAN_TURN, MIN_HALVED_LENGTH = 1.0, 0.2  # rad, s; longer windows with a larger median turn are halved
 MIN_RATIO = 1e-10  # smallest ratio of two varying channels; nanoseconds read as seconds cause a ratio of 1e-9
 SAME_RATIO_FACTOR = 1.2  # ratios that differ by less than this factor are taken as equal
-SPACING_SAMPLES = 50  # number of intervals in the mean of `estimate_spacing`; several bursts, at most seconds
+SPACING_SAMPLES = 50  # number of intervals in a mean interval: several bursts, a few seconds at most
 SLOPE_ITERATIONS = 8  # number of iterations of the robust fit of a slope
 
 
@@ -190,14 +190,14 @@ class Windows:
 
 
 def estimate_spacing(time: np.ndarray) -> float:
-    """Usual time between samples [s], n >= 2, also if they arrive in bursts: a mean over many of them is the same."""
+    """Median of the mean of SPACING_SAMPLES intervals [s], which bursts do not change. time: at least two instants."""
     count = min(SPACING_SAMPLES, len(time) - 1)
     return float(np.median(time[count:] - time[:-count])) / count
 
 
 def even_out(time: np.ndarray, half: int, max_gap: float) -> np.ndarray:
-    """Ascending instants [s] without jitter: the mean delay of each and its `half` neighbours on both sides, counted
-    from evenly spaced instants. Intervals longer than `max_gap` [s] remain."""
+    """The instants [s] without jitter: evenly spaced ones, delayed by the mean delay of each instant and its `half`
+    neighbours on both sides. Intervals longer than `max_gap` [s] remain."""
     groups = []
     for first, last in zip(*find_groups(np.diff(time) > max_gap), strict=True):
         even = np.linspace(time[first], time[last], last - first + 1)

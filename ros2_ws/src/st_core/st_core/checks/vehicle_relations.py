@@ -49,8 +49,8 @@ MIN_FOUR_WHEEL_GAIN = 0.5  # smallest gain with rear-wheel steering: rear angle 
 MIN_GAIN = 1e-6  # ratio of measured to derived angle below which the steering is constant and reported as frozen
 
 
-def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_wheel: bool) -> CheckResult:
-    """Result of comparing steering with curvature. has_steering_wheel: whether its angle gave the road wheel angle."""
+def check_steering(motion: Motion, vehicle: VehicleParameters, from_steering_wheel: bool) -> CheckResult:
+    """Compare steering with curvature. from_steering_wheel: whether the road wheel angle is computed from its angle."""
     moving = motion.velocity_x > MIN_SPEED
     curvature = motion.yaw_rate / np.maximum(motion.velocity_x, MIN_MOVING_SPEED)
     derived = np.where(moving, np.arctan(vehicle.wheelbase * curvature), np.nan)  # without slip
@@ -66,7 +66,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
     plausible_gains = 1.0 + expected * mean_square, 1.0 + largest * mean_square
     if agreement is None or not agreement.correlates:
         steering_finding = _make_unrelated_finding(motion, derived) or (
-            gain and _make_unit_finding(gain, plausible_gains, vehicle, has_steering_wheel, motion.geographic))
+            gain and _make_unit_finding(gain, plausible_gains, vehicle, from_steering_wheel, motion.geographic))
         return [steering_finding] if steering_finding else [], {}, None
     # In one long bend, gain and offset are confounded; in a slalom, the opposite sign and a lag of half a period.
     if gain is not None and (agreement.scale.standard_error > 0.2 * abs(agreement.scale.value)
@@ -84,11 +84,11 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_whee
     has_lag &= not has_clock_error
     # Play reduces every turn of the steering by its width, so the gain is too small at small angles.
     may_be_play = 0.0 < (1.0 - gain.value) * agreement.spread < 0.5 * STEERING_PLAY / vehicle.steering_ratio
-    unit = _make_unit_finding(gain, plausible_gains, vehicle, has_steering_wheel, motion.geographic, may_be_play)
+    unit = _make_unit_finding(gain, plausible_gains, vehicle, from_steering_wheel, motion.geographic, may_be_play)
     correction = unit.advice.entry.get("correct", {}).get("road_wheel_angle", {}) if unit and unit.advice else {}
     findings = (unit, _make_clock_finding(agreement, lateral_shift) if has_clock_error else None,
                 _make_lag_finding(lag, agreement, response, lateral_shift) if has_lag else None,
-                _make_offset_finding(agreement, vehicle, has_steering_wheel, lateral_shift, **correction))
+                _make_offset_finding(agreement, vehicle, from_steering_wheel, lateral_shift, **correction))
     estimates = {"steering_scale": gain, "steering_sign": gain,
                  "steering_offset": add_systematic_uncertainty("steering_offset", agreement.bias)}
     estimates |= {"steering_lag": lag} if has_lag and agreement.determines_lag else {}
@@ -172,7 +172,7 @@ def _compute_lateral_shift(speed: float, vehicle: VehicleParameters) -> float:
 
 
 def _make_unit_finding(gain: Estimate, plausible_gains: tuple[float, float], vehicle: VehicleParameters,
-                       has_steering_wheel: bool, geographic: bool, may_be_play: bool = False) -> Finding | None:
+                       from_steering_wheel: bool, geographic: bool, may_be_play: bool = False) -> Finding | None:
     """Finding about an implausible steering gain, with the wrong unit or sign that explains it; None if plausible.
 
     plausible_gains: the expected and the largest one; 1 is plausible too, since stiffnesses may be inaccurate.
@@ -198,9 +198,9 @@ def _make_unit_finding(gain: Estimate, plausible_gains: tuple[float, float], veh
     text = (f"road_wheel_angle is {value:.3g} times the angle from yaw rate and speed"
             + (f": {reason}?" if reason else ""))
     scale = float(f"{1.0 / np.copysign(exact, value):.6g}")
-    # The offset was subtracted from the recorded angle, but belongs to the corrected one, or to none of road wheels.
-    add = float(f"{offset if exact == 1.0 / ratio else (scale - 1.0) * offset / ratio:.5g}")
-    has_offset = has_steering_wheel and reason and add
+    # The offset was subtracted before the correction. It applies after it, unless a road wheel angle was recorded.
+    add = float(f"{(scale - (exact != 1.0 / ratio)) * offset / ratio:.5g}")
+    has_offset = from_steering_wheel and reason and add
     advice = Advice.correct("road_wheel_angle", scale=scale, **({"add": add} if has_offset else {}))
     name = "steering_scale"
     if exact == 1.0:
@@ -276,7 +276,7 @@ def _play_explains(lag: float, agreement: Agreement) -> bool:
     return min(with_play) <= MIN_LOSS_RATIO * with_lag
 
 
-def _make_offset_finding(agreement: Agreement, vehicle: VehicleParameters, has_steering_wheel: bool,
+def _make_offset_finding(agreement: Agreement, vehicle: VehicleParameters, from_steering_wheel: bool,
                          lateral_shift: float, scale: float = 1.0, add: float = 0.0) -> Finding | None:
     """scale, add: correction of a wrong unit or sign, after which an offset remains."""
     offset = add_systematic_uncertainty("steering_offset", agreement.bias.scaled(scale).shifted(add))
@@ -285,7 +285,7 @@ def _make_offset_finding(agreement: Agreement, vehicle: VehicleParameters, has_s
     text = (f"road_wheel_angle reads {abs(offset)} rad ({abs(offset.value) * DEG_PER_RAD:.1f} deg) too far "
             f"{'left' if offset.value > 0.0 else 'right'} when driving straight: the steering offset is wrong")
     effect = lateral_shift * abs(offset.value)
-    if has_steering_wheel:
+    if from_steering_wheel:
         wheel = vehicle.steering_wheel_offset + offset.value * vehicle.steering_ratio
         line = f"steering_wheel_offset: {{value: {wheel * DEG_PER_RAD:.2f}, unit: deg, source: st check}}"
         advice = Advice("vehicle", f"{line}  # check with st identify steering-offset",
