@@ -130,8 +130,8 @@ def _moves_backward(columns: Mapping[str, np.ndarray]) -> bool:
 
 def read_angles(table: Table, use_positions: bool) -> Table:
     """The table with yaw, heading and course in the unit in which they agree with the motion: with the velocities to
-    the east and north, by which yaw may also be a heading and vice versa, or else with the steps of the position, apart
-    from a constant angle, because their map may be rotated.
+    the east and north, which also distinguish yaw from heading, or else with the steps of the position, apart from a
+    constant angle, because their map may be rotated.
 
     If the motion does not show the unit, angles between -180 and 360 without a stated unit that wrap by 360 or begin
     above 2 pi are in degrees.
@@ -144,10 +144,10 @@ def read_angles(table: Table, use_positions: bool) -> Table:
         """RMS angle [rad] between yaw and the motion, forward or backward; NaN if unknown."""
         direction = np.exp(1j * (angle if name == "yaw" else np.pi / 2 - angle))
         products = ((direction[first] + direction[last]) * motion.conj())[np.abs(motion) > MIN_COURSE_SPEED]
-        turns = np.exp(2j * np.angle(products[np.isfinite(products)]))
-        if len(turns) < MIN_COMPARED_SAMPLES:
+        doubled = np.exp(2j * np.angle(products[np.isfinite(products)]))  # forward and backward are the same
+        if len(doubled) < MIN_COMPARED_SAMPLES:
             return np.nan
-        cosine = turns.mean().real if has_velocities else np.abs(turns.mean())
+        cosine = doubled.mean().real if has_velocities else np.abs(doubled.mean())
         return float(np.sqrt(max(2.0 - 2.0 * cosine, 0.0))) / 2.0
 
     for channel in [name for name in ("yaw", HEADING) if name in sources][:1] + [COURSE] * (COURSE in sources):
@@ -175,7 +175,7 @@ def read_angles(table: Table, use_positions: bool) -> Table:
 
 
 def _find_motion(table: Table, use_positions: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Steps as of `compute_steps`; without length if the velocities to the east and north are known."""
+    """Steps as of `compute_steps`; if the velocities to the east and north are known, each step is a single row."""
     columns, rows = table.columns, np.flatnonzero(table.is_usable)
     if columns.keys() >= {"velocity_east", "velocity_north"}:
         return rows, rows, (columns["velocity_east"] + 1j * columns["velocity_north"])[rows]
