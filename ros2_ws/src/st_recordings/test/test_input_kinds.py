@@ -520,3 +520,11 @@ def test_compressed_can_log_is_rejected(tmp_path: Path, drive_folder: Path) -> N
     (tmp_path / "run.log").write_bytes(b"\x1f\x8b\x08" + bytes(100))
     with pytest.raises(RunError, match=r"run.log: this is a compressed file \(gzip\); unpack it first"):
         read(find_runs([tmp_path])[0], CAR)
+
+
+def test_positions_from_latitude_and_longitude_are_east_and_north_also_with_a_can_log(
+        tmp_path: Path, drive_log: DriveLog, drive_folder: Path) -> None:
+    (tmp_path / "run.csv").write_text(geographic(drive_log).replace(NAMES[7], "note"))
+    (tmp_path / "run.log").write_bytes((drive_folder / "run.log").read_bytes())
+    for folder in (tmp_path, drive_folder):
+        assert read(find_runs([folder])[0], CAR).auxiliary.geographic

@@ -163,7 +163,7 @@ def build_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSet
     auxiliary = AuxiliaryData({"INS": ins.stamps_ns, "steering": steering_ns},
                               {name: count for name, count in missing.items() if count},
                               *collect_speeds(run.signals, run.alignment.to_reference_ns), ins.quality,
-                              implausible=_describe_rejected_steering(run, settings))
+                              implausible=_describe_rejected_steering(run, settings), geographic=ins.origin is not None)
     return LoadedRun(log, provenance, source.labels, tuple(warnings), run.alignment, auxiliary)
 
 
