@@ -19,6 +19,12 @@ def seconds_of(log):
     return (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
 
 
+def read_real_drive(name):
+    rows = np.genfromtxt(shared(f"data/hyundai_genesis_oxts/{name}.csv"), delimiter=",", names=True)
+    time = np.round(rows["t"] * 1e9).astype(np.int64)
+    return DriveLog(name, time, *(rows[key] for key in ("x", "y", "yaw", "vx", "vy", "yaw_rate")), time, rows["delta"])
+
+
 def late_in_second_half(log, seconds, channel):
     """The drive with a channel that is late in its second half only."""
     is_steering = channel.endswith("angle")
@@ -50,10 +56,8 @@ def test_latency_of_the_yaw_rate_that_changes_is_not_one_of_the_steering(leaf):
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "rate"), [("cpg_lap_medium", 0.999), ("cpg_lap_fast", 1.003)])
 def test_steering_clock_of_another_rate_is_no_step_in_real_drives(name, rate):
-    rows = np.genfromtxt(shared(f"data/hyundai_genesis_oxts/{name}.csv"), delimiter=",", names=True)
-    time = np.round(rows["t"] * 1e9).astype(np.int64)
-    log = DriveLog(name, time, *(rows[key] for key in ("x", "y", "yaw", "vx", "vy", "yaw_rate")),
-                   np.round(rate * time).astype(np.int64), rows["delta"])
+    log = read_real_drive(name)
+    log = replace(log, steering_time_ns=np.round(rate * log.ins_time_ns).astype(np.int64))
     found = findings_by_name(log, read_car("hyundai_genesis"))
     assert found["time_rate"].channels == ("road_wheel_angle",) and "steering_lag" not in found
 
@@ -164,8 +168,7 @@ CHANGES = {
     "yaw_offset": lambda log: replace(log, yaw=log.yaw + in_second_half(log, 0.03)),
     "yaw_rate_bias": lambda log: replace(log, yaw_rate=log.yaw_rate + in_second_half(log, 0.02)),
     "yaw_rate_scale": lambda log: replace(log, yaw_rate=log.yaw_rate * (1.0 - in_second_half(log, 2.0))),
-    "velocity_scale": lambda log: replace(
-        log, velocity_x=log.velocity_x * (1.0 + 0.08 * seconds_of(log) / seconds_of(log)[-1])),
+    "velocity_scale": lambda log: replace(log, velocity_x=log.velocity_x * (1.0 + in_second_half(log, 0.08))),
     "steering_offset": lambda log: replace(log, steering_wheel_angle=None,
                                            road_wheel_angle=log.road_wheel_angle + in_second_half(log, 0.05)),
 }
@@ -187,6 +190,40 @@ def test_fault_that_begins_is_found_while_yaw_drifts(leaf, name):
     assert found.keys() == {name, "yaw_drift"}
     assert found[name].times == (pytest.approx((80.0, 160.0), abs=0.1),) and found[name].advice.kind == "text"
     assert not found["yaw_drift"].times and found["yaw_drift"].value == pytest.approx(4e-4, rel=0.02)
+
+
+VARIATIONS = {
+    "yaw_wander": lambda log, u: replace(log, yaw=log.yaw + np.deg2rad(2.0) * np.sin(2.0 * np.pi * u)),
+    "position_lag": lambda log, u: replace(log, **{name: np.interp(
+        u - 0.3 / log.duration * np.clip(10.0 - 50.0 * np.abs(u - 0.5), 0.0, 1.0), u, getattr(log, name))
+        for name in ("x", "y")}),
+    "velocity_scale": lambda log, u: replace(log, velocity_x=log.velocity_x * (1.0 + 0.06 * u)),
+}
+
+
+@pytest.mark.parametrize("drive", ["cpg_lap_fast_controlled", "cpg_low_speed_a"])
+@pytest.mark.parametrize("name", VARIATIONS)
+def test_fault_that_varies_during_a_real_drive_is_named_alone(name, drive):
+    log, car = read_real_drive(drive), read_car("hyundai_genesis")
+    wrong = VARIATIONS[name](log, seconds_of(log) / log.duration)
+    before, after = ({f.name: f for f in check(each, car).with_severity(Severity.WARNING)} for each in (log, wrong))
+    assert after.keys() - before.keys() == {name} and after[name].advice.kind == "text" and not after[name].interval
+    assert not check(wrong, car).with_severity(Severity.ERROR)
+
+
+@pytest.mark.parametrize("drive", ["cpg_lap_fast_controlled", "cpg_low_speed_a", "rfs_turn_c"])
+def test_positions_displaced_for_a_while_are_found_in_real_drives(drive):
+    """By 1.5 m for 4 s, after a ramp of 0.5 s: no step is a jump."""
+    log, car = read_real_drive(drive), read_car("hyundai_genesis")
+    time = seconds_of(log)
+    begin = time[int(0.6 * len(time))]
+    wrong = replace(log, y=log.y + 1.5 * np.clip(np.minimum(time - begin, begin + 5.0 - time) / 0.5, 0.0, 1.0))
+    before, after = ({f.name: f for f in check(each, car).with_severity(Severity.WARNING)} for each in (log, wrong))
+    assert after.keys() - before.keys() == {"position_deviation"}
+    deviation = after["position_deviation"]
+    ((first, last),) = deviation.times
+    assert begin - 6.0 <= first <= begin and begin + 5.0 <= last <= begin + 11.0
+    assert deviation.value == pytest.approx(1.5, abs=0.3) and "leave_out" in deviation.advice.entry
 
 
 def test_parts_of_a_long_drive_are_limited(leaf):

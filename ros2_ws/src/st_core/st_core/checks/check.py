@@ -27,7 +27,7 @@ from .finding import (
 from .inertial import Agreement, CheckResult
 from .motion import MIN_MOVING_SPEED, Motion, is_driven
 from .plausibility import drop_implausible, find_broken_channels
-from .position_steps import check_position_steps
+from .position_steps import check_position_deviations, check_position_steps
 from .regression import Estimate, add_systematic_uncertainty
 from .trial import try_corrections
 from .units_and_axes import (
@@ -112,7 +112,9 @@ def _report_changes(whole: DriveCheck, parts: list[DriveCheck], times: list[tupl
     places = [f"in the {name} {end - start:.0f} s" for name, (start, end) in zip(("first", "last"), times, strict=True)]
     drift, *drifts = (each.estimates.get("yaw_drift", UNKNOWN) for each in (whole, *parts))
     drifts_evenly = any(f.name == "yaw_drift" for f in whole.findings) and all(_agree(drift, d) for d in drifts)
-    ignored = CAUSED_BY_DRIFT if drifts_evenly else ()
+    wanders = all(any(f.name == "yaw_wander" for f in each) for each in (
+        whole.findings, [f for part in parts for f in part.findings]))
+    ignored = CAUSED_BY_DRIFT if drifts_evenly or wanders else ()
     in_parts: dict[str, tuple[tuple[bool, int, float], Finding]] = {}  # (rank, highest-ranking finding) by name
     for k, part in enumerate(parts):
         for finding in (f for f in part.findings if not f.times and f.name not in ignored):
@@ -127,7 +129,7 @@ def _report_changes(whole: DriveCheck, parts: list[DriveCheck], times: list[tupl
     changed = {name for name, ((is_changed, *_), _) in in_parts.items() if is_changed}
     if not changed:
         return whole
-    kept = [f for f in whole.findings if f.times or f.name in ignored or (
+    kept = [f for f in whole.findings if (f.times and f.name != "position_deviation") or f.name in ignored or (
         f.interval is None and f.name in in_parts.keys() - changed)]
     replaced = [f for _, f in in_parts.values() if f.name not in {f.name for f in kept}]
     return replace(whole, findings=(*kept, *replaced), estimates={
@@ -219,7 +221,11 @@ def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters |
         corrected, sensors = _check_sensors(motion.with_time_divided(wrong_rate.value), removed_factors)
     findings = _merge_findings_of_units(unit_findings, sensors.findings, sensors.estimates)
     corrected, findings = position.attribute_scale_to_velocity_x(corrected, findings, sensors.estimates)
+    jumps = [finding for finding in results.findings if finding.name == "position_jumps"]
     results.findings += position.add_sign_alternative(findings, recorded, corrected)
+    if not any(finding.name in ("yaw_wander", "position_lag", "velocity_scale") and finding.interval is None
+               for finding in findings):  # what remains of a cause that varies is no fault of its own
+        results.findings += check_position_deviations(corrected, jumps)
     results.estimates, results.panels = sensors.estimates, sensors.panels
     if vehicle is not None:
         if not broken_channels & {*STEERING}:
@@ -307,7 +313,7 @@ def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[M
     if yaw_rate and yaw_rate.determines_lag:
         estimates["yaw_lag"] = add_systematic_uncertainty("yaw_lag", yaw_rate.lag.scaled(-1.0))
     results.findings += lag_findings + position_findings
-    if lag_findings or any(finding.name == "yaw_offset" for finding in position_findings):
+    if lag_findings or any(finding.name in ("yaw_offset", "yaw_wander") for finding in position_findings):
         yaw_rate, tolerances = inertial.compare_yaw_rate(motion)
     results.add(inertial.judge_agreement(
         yaw_rate, tolerances, "yaw rate: sensor versus change of yaw", removed_factors.get("yaw_rate_scale", 1.0),
@@ -367,8 +373,8 @@ def _add_yaw_lag_alternative(findings: list[Finding], motion: Motion, lag: float
     alternative = Alternative(f"yaw {'lags' if lag < 0.0 else 'leads'} by {abs(lag):.3f} s", ("yaw_lag",))
     sizes = {"s": abs(lag), "m": abs(lag) * float(np.median(motion.speed))}
     return [finding.with_alternative(alternative, position.VARY_BENDS, "yaw")
-            if finding.name in EXPLAINED_BY_YAW_LAG
-            and abs(finding.value or 0.0) * position.MAX_RESIDUAL_LAG < sizes[finding.unit] else finding
+            if finding.name in EXPLAINED_BY_YAW_LAG and finding.value
+            and abs(finding.value) * position.MAX_RESIDUAL_LAG < sizes[finding.unit] else finding
             for finding in findings]
 
 

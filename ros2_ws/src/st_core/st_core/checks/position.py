@@ -32,6 +32,8 @@ MIN_WINDOWS = 10
 ITERATIONS = 3
 MAX_RESIDUAL_LAG = 0.5  # largest position lag with the right yaw, divided by that with the wrong one
 MIN_LOSS_RATIO = 1.1  # ratio of the losses of two explanations above which the one with the smaller loss is preferred
+VARIATION_INTERVAL, MAX_VARIATION_INTERVALS = 20.0, 16  # s, number of intervals between instants; limits the memory
+MIN_VARIATION_RATIO = 2.0  # ratio of the losses above which a cause varies
 MIN_SIGN_GAIN = 0.01  # m; minimum reduction of the misfit by the opposite sign; RTK noise is 1 cm
 MAX_SIGN_MISFIT_RATIO = 1.2  # largest misfit with the opposite sign, divided by that with another cause, if both fit
 MIN_LATERAL_VELOCITY = 0.02  # m/s, root mean square
@@ -111,6 +113,16 @@ CAUSES = {
                              "too {high} compared with positions, at every speed"),
     "velocity_y_bias": Cause(("velocity_y",), "velocity_y", "add", "m/s", "velocity_y is {size:.2f} ± {half:.2f} m/s "
                              "too {high} compared with positions and yaw, at every speed"),
+}
+VARYING_CAUSES = {  # smallest reported standard deviation, name of the finding, text, advice
+    "yaw_offset": (LIMITS.heading_misalignment, "yaw_wander", "yaw wanders within {size:.3f} rad ({degrees:.1f} deg) "
+                   "during the drive according to positions and velocities", CAUSES["yaw_drift"].key),
+    "position_lag": (LIMITS.severe_lag, "position_lag", "the lag of positions behind velocity and yaw varies within "
+                     "{size:.2f} s during the drive", "stamp positions with the time of their measurement: no constant "
+                     "correction exists"),
+    "velocity_scale": (SPHERICAL_EARTH_SCALE, "velocity_scale", "the ratio of velocity to the rate of change of "
+                       "positions varies within {size:.3f} during the drive", "check the source of the velocity: no "
+                       "constant correction exists"),
 }
 SPHERE_TEXT = "{axis} is {value:.4f} ± {half:.4f} times the integrated velocity: projected on a spherical earth?"
 
@@ -197,6 +209,7 @@ def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Es
         without = _explain_residual(motion, others)
         if not _fits_better(explanation, without):
             explanation = without
+    explanation, varying_findings = _find_varying_cause(motion, explanation)
     causes, corrected, effects = explanation
     problem = make_residual_regression(corrected)
     errors = {name: _convert_to_reported(name, estimate).shifted(-neutral_value(name))
@@ -204,6 +217,8 @@ def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Es
     findings = [_make_finding(name, causes[name], abs(error.value) * effects[name]) for name, error in errors.items()
                 if not error.covers(0.0)]
     findings = _add_lag_alternative(_add_lateral_alternative(findings, problem, causes), problem, causes)
+    varying_names = {finding.name for finding in varying_findings}
+    findings = varying_findings + [finding for finding in findings if finding.name not in varying_names]
     estimates = {}
     for name, column in problem.columns.items():  # each is fitted together with the causes found
         if name == "velocity_y_scale" and not column.any():
@@ -213,6 +228,41 @@ def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Es
         estimates[name] = _convert_to_reported(name, estimate)
     estimates["position_scale"] = estimates["velocity_scale"].inverse()  # assumes a correct velocity
     return corrected, findings, estimates
+
+
+def _find_varying_cause(motion: Motion, explanation: _Explanation) -> tuple[_Explanation, list[Finding]]:
+    """(explanation, finding) with a cause that varies slowly, linearly between instants at equal intervals, if it
+    explains the positions far better than constant causes; (explanation as given, []) otherwise."""
+    problem, corrected = make_residual_regression(motion), make_residual_regression(explanation.corrected)
+    middle = problem.time + 0.5 * WINDOW
+    count = int(np.clip(np.ptp(middle) / VARIATION_INTERVAL, 2, MAX_VARIATION_INTERVALS)) + 1
+    instants, step = np.linspace(middle[0], middle[-1], count, retstep=True)
+    hats = {str(t): np.maximum(1.0 - np.abs(middle - t) / step, 0.0)[:, None] for t in instants}
+    fits, names = {}, (*hats, *dict.fromkeys((*AXIS_SCALES, *explanation.causes)))
+    for name in VARYING_CAUSES:
+        columns = {label: problem.columns[name] * hat for label, hat in hats.items()}
+        varying = Regression(problem.time, problem.y, {**problem.columns, **columns})
+        theta, scale, _ = varying.fit(names)
+        loss, constant_loss = varying.compute_loss(names, scale), corrected.compute_loss((*explanation.causes,), scale)
+        fits[name] = loss / max(constant_loss, 1e-300), [theta[label] for label in hats]
+    cause = min(fits, key=lambda name: fits[name][0])
+    ratio, values = fits[cause]
+    smallest, name, text, advice = VARYING_CAUSES[cause]
+    if ratio * MIN_VARIATION_RATIO > 1.0 or np.std(values) < smallest:
+        return explanation, []
+    value, size, unit = np.interp(motion.time, instants, values), float(np.ptp(values)), CAUSES[cause].unit
+    if cause == "yaw_offset":  # the mean is an offset
+        value -= value.mean()
+        motion = replace(motion, yaw=motion.yaw - value)
+    elif cause == "position_lag":
+        motion = motion.shifted_earlier(value, "x", "y")
+    else:
+        motion = motion.apply_entry({"correct": {"velocity": {"scale": 1.0 + value}}})
+    effect = float(np.std(value)) * problem.compute_effect(cause, HORIZON_WINDOWS)
+    finding = Finding(name, LIMITS.severity(effect), CAUSES[cause].channels, text.format(
+        size=size, degrees=np.rad2deg(size)), size if name not in CAUSES else None, unit, effect=effect,
+        advice=Advice("text", advice))
+    return _explain_residual(motion, RARE_EXPLANATIONS), [finding]
 
 
 def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estimates: dict[str, Estimate],

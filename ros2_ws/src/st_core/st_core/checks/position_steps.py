@@ -12,6 +12,7 @@ from .motion import MAX_GAP, MAX_LISTED_TIMES, MIN_MOVING_SPEED, SPACING_SAMPLES
 from .sampling import estimate_resolution
 
 OUTLIER_SIGMAS = 6.0  # number of robust standard deviations above which a step is not noise
+MIN_DEVIATION_WINDOWS = 20  # minimum number of windows of 1 s in which deviations are judged
 MIN_JUDGED_STEPS = 50  # minimum number of steps for judging jitter, stale samples and noise
 MIN_NOISE = 0.05  # m per axis; white noise is 2 cm for RTK positions, and far less for INS positions
 MIN_JUMP = 0.2  # m; the distance in 10 ms at 20 m/s
@@ -133,6 +134,31 @@ def _check_jumps(motion: Motion, errors: np.ndarray, along: np.ndarray, is_stale
         clock = Alternative(f"the clock was set by {'up to ' if count > 1 else ''}{seconds:+.2f} s")
         finding = replace(finding, channels=("x", "y", "time"), alternatives=(clock,))
     return [finding]
+
+
+def check_position_deviations(motion: Motion, jumps: list[Finding]) -> list[Finding]:
+    """Finding about times, except those of jumps, at which positions deviate from velocity and yaw within the horizon
+    by far more than in most of the drive. motion: corrected for the findings so far."""
+    windows, count = motion.make_windows(1.0), round(HORIZON)
+    if len(windows) < MIN_DEVIATION_WINDOWS:
+        return []
+    errors = windows.change(motion.position) - windows.integral(motion.velocity_map)
+    sums = np.cumsum(np.append(0.0, errors - np.median(errors.real) - 1j * np.median(errors.imag)))
+    size, begin = np.abs(sums[count:] - sums[:-count]), windows.time[:1 - count]
+    usual = float(np.median(size))
+    large = size > max(LIMITS.warning_effect, OUTLIER_SIGMAS * SIGMA_PER_MAD * usual)
+    times = tuple((first, last + HORIZON) for first, last in find_time_intervals(begin[large], HORIZON) if not any(
+        first <= end and jump <= last + HORIZON for finding in jumps for jump, end in finding.times))
+    if not times:
+        return []
+    inside = large & np.any([(begin >= first) & (begin <= last) for first, last in times], axis=0)
+    largest, effect = float(size[inside].max()), float(np.sqrt(np.mean(np.where(inside, size, 0.0) ** 2)))
+    text = (f"positions deviate from velocity and yaw by up to {largest:.2f} m within {HORIZON:g} s, {len(times)} "
+            f"time{'s' if len(times) > 1 else ''}, but usually by {usual:.2f} m: are satellite signals reflected or "
+            "lost?")
+    severity = LIMITS.severity(effect, severe=True)
+    advice = Advice.for_run_yaml({"leave_out": [[round(first, 1), round(last, 1)] for first, last in times]})
+    return [Finding("position_deviation", severity, ("x", "y"), text, largest, "m", None, times, effect, advice)]
 
 
 def _check_jitter(motion: Motion, along: np.ndarray) -> list[Finding]:

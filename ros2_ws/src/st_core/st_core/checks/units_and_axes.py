@@ -176,8 +176,11 @@ def _correct_yaw_scale(motion: Motion, ratio: float) -> MotionAndFinding:
         return motion, None
     corrected, finding = _scale_yaw(motion, ratio)
     factor = finding.value or ratio
+    low, high = finding.interval or (factor, factor)
+    if low <= 1.0 <= high or abs(factor - ratio) > abs(factor - 1.0):
+        return motion, None
     misfits = [compute_scaled_misfit(each, "yaw_offset") for each in (motion, corrected)]
-    if abs(factor - ratio) > abs(factor - 1.0) or not misfits[1] < CLEAR_MISFIT_RATIO * misfits[0]:
+    if not misfits[1] < CLEAR_MISFIT_RATIO * misfits[0]:
         return motion, None
     effect = abs(factor - 1.0) * float(np.std(motion.yaw)) * float(np.median(motion.speed)) * HORIZON
     return corrected, replace(finding, severity=LIMITS.severity(effect), effect=effect)
