@@ -221,11 +221,8 @@ def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters |
         corrected, sensors = _check_sensors(motion.with_time_divided(wrong_rate.value), removed_factors)
     findings = _merge_findings_of_units(unit_findings, sensors.findings, sensors.estimates)
     corrected, findings = position.attribute_scale_to_velocity_x(corrected, findings, sensors.estimates)
-    jumps = [finding for finding in results.findings if finding.name == "position_jumps"]
     results.findings += position.add_sign_alternative(findings, recorded, corrected)
-    if not any(finding.name in ("yaw_wander", "position_lag", "velocity_scale") and finding.interval is None
-               for finding in findings):  # what remains of a cause that varies is no fault of its own
-        results.findings += check_position_deviations(corrected, jumps)
+    results.findings += check_position_deviations(corrected, results.findings)
     results.estimates, results.panels = sensors.estimates, sensors.panels
     if vehicle is not None:
         if not broken_channels & {*STEERING}:

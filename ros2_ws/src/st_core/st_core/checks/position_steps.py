@@ -136,19 +136,22 @@ def _check_jumps(motion: Motion, errors: np.ndarray, along: np.ndarray, is_stale
     return [finding]
 
 
-def check_position_deviations(motion: Motion, jumps: list[Finding]) -> list[Finding]:
+def check_position_deviations(motion: Motion, findings: list[Finding]) -> list[Finding]:
     """Finding about times, except those of jumps, at which positions deviate from velocity and yaw within the horizon
-    by far more than in most of the drive. motion: corrected for the findings so far."""
+    by far more than in most of the drive. findings: so far. motion: corrected for them."""
     windows, count = motion.make_windows(1.0), round(HORIZON)
-    if len(windows) < MIN_DEVIATION_WINDOWS:
+    # The part of a varying cause that its correction leaves is no fault of its own.
+    if len(windows) < MIN_DEVIATION_WINDOWS or any(
+            f.name in ("yaw_wander", "position_lag", "velocity_scale") and f.interval is None for f in findings):
         return []
+    jumps = [time for finding in findings if finding.name == "position_jumps" for time in finding.times]
     errors = windows.change(motion.position) - windows.integral(motion.velocity_map)
     sums = np.cumsum(np.append(0.0, errors - np.median(errors.real) - 1j * np.median(errors.imag)))
     size, begin = np.abs(sums[count:] - sums[:-count]), windows.time[:1 - count]
     usual = float(np.median(size))
     large = size > max(LIMITS.warning_effect, OUTLIER_SIGMAS * SIGMA_PER_MAD * usual)
     times = tuple((first, last + HORIZON) for first, last in find_time_intervals(begin[large], HORIZON) if not any(
-        first <= end and jump <= last + HORIZON for finding in jumps for jump, end in finding.times))
+        first <= end and jump <= last + HORIZON for jump, end in jumps))
     if not times:
         return []
     inside = large & np.any([(begin >= first) & (begin <= last) for first, last in times], axis=0)
