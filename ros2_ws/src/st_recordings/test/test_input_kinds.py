@@ -522,6 +522,12 @@ def test_compressed_can_log_is_rejected(tmp_path: Path, drive_folder: Path) -> N
         read(find_runs([tmp_path])[0], CAR)
 
 
+def test_stated_unit_of_yaw_has_priority_over_the_positions(tmp_path: Path, drive_log: DriveLog) -> None:
+    run = read_text(tmp_path / "stated.csv", with_yaw(
+        drive_log, lambda yaw: f"{np.degrees(yaw):.6f}", {}, yaw="yaw [rad]"))
+    assert np.ptp(run.log.yaw) > 10.0 and not run.warnings
+
+
 def test_positions_from_latitude_and_longitude_are_east_and_north_also_with_a_can_log(
         tmp_path: Path, drive_log: DriveLog, drive_folder: Path) -> None:
     (tmp_path / "run.csv").write_text(geographic(drive_log).replace(NAMES[7], "note"))

@@ -160,7 +160,8 @@ def read_angles(table: Table, use_positions: bool) -> Table:
         deviations = {reading: compute_deviation(reading[0], angle) for reading, angle in angles.items()}
         recorded, reading, text = (channel, source.unit), min(deviations, key=lambda key: deviations[key]), ""
         values = angles[channel, "rad"][np.isfinite(columns[channel])]
-        if deviations[recorded] > max(SIGNIFICANT_DEVIATIONS * deviations[reading], MIN_DISAGREEING_ANGLE):
+        if (has_velocities or not source.has_stated_unit) and deviations[recorded] > max(
+                SIGNIFICANT_DEVIATIONS * deviations[reading], MIN_DISAGREEING_ANGLE):
             motion_name = "velocities to the east and north" if has_velocities else "positions"
             text = f"agrees with the {motion_name} only as {reading[0]} in {reading[1]}; it was read as such"
         elif not source.has_stated_unit and not (channel == "yaw" and "yaw_rate" in sources) and (
