@@ -25,7 +25,7 @@ from rclpy.signals import SignalHandlerOptions
 from rich.console import Console
 from st_cli.verbs import live, raw_logs, replay
 from st_live import configuration, report, session
-from st_live.nodes.monitor import Monitor, Status, SuiteState, render_progress
+from st_live.nodes.monitor import Monitor, Status, SuiteState, render_health, render_progress
 from st_live.nodes.player import Player
 from st_live.suite import Processes, SuiteError, claim_domain, merge_parameters, read_domain_id
 from st_msgs.msg import ErrorStatistics, ErrorSummary, Prediction, PredictorStatus
@@ -119,6 +119,13 @@ def test_end_of_a_node_by_a_signal_is_not_explained_by_an_earlier_line_of_its_lo
             supervisor.update()
     assert [status.message for status in shown] == ["not ready; failed once: ended with status -6 (signal 6, Aborted)",
                                                  "not ready; failed once: ended with status 1 (no car)"]
+
+
+def test_cause_is_listed_before_checks_that_are_stale_because_of_it() -> None:
+    now = time.monotonic()
+    levels = {"evaluator: input INS": 3, "oxts_bridge: stream": 2, "oxts_bridge: solution": 1, "recorder: topics": 0}
+    state = SuiteState(health={name: Status(name, level, "text", now) for name, level in levels.items()})
+    assert [line.partition(":")[0] for line in render_health(state).plain.splitlines()] == ["error", "stale", "warning"]
 
 
 def test_table_is_printed_if_the_disk_is_full(tmp_path: Path, monkeypatch) -> None:

@@ -221,10 +221,10 @@ def render_counts(status: PredictorStatus | None) -> Text:
 
 
 def render_health(state: SuiteState) -> Text:
-    """Statuses that are silent or not OK, highest level first, or "all nodes OK"; empty before the first status."""
+    """Statuses that are silent or not OK, errors first, then stale ones, or "all nodes OK"; empty before the first."""
     now = time.monotonic()
     text = Text()
-    for status in sorted(state.health.values(), key=lambda s: (-s.level, s.name)):
+    for status in sorted(state.health.values(), key=lambda s: ((3, 2, 0, 1)[min(s.level, STALE)], s.name)):
         is_silent = status.is_silent(now)
         if status.level == 0 and not is_silent:
             continue
