@@ -230,7 +230,7 @@ def test_truncated_recording_is_reported(live):
     done = st_verify(live.folder)
     assert f"{live.folder} was not closed" in done.output.replace("\n", "")
     (text,) = describe_omissions(live.folder, ())
-    assert text.startswith(f"{live.folder} was not closed") and text.endswith("is not played")
+    assert text.startswith(f"{live.folder} was not closed") and text.endswith("cannot be played")
     assert describe_omissions(live.folder, ["/a (b)"])[0] == "topics of unknown type, not played: /a (b)"
 
 
