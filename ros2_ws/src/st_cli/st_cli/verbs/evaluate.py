@@ -45,9 +45,8 @@ class PredictionOptions:
             load_folder(str(self.effects.absolute()))
         models = {name: read_model_file(name) if name.endswith((".yaml", ".yml")) else None for name in self.model}
         vehicle, read_settings = read_options.resolve()
-        embedded = next(((file.vehicle, name) for name, file in models.items() if file and file.vehicle), None)
-        parameters, vehicle_file = (embedded if embedded and vehicle is None else
-                                    shared.load_vehicle_or_default(vehicle))
+        embedded = [(file.vehicle, name) for name, file in models.items() if file and file.vehicle]
+        parameters, vehicle_file = embedded[0] if embedded and not vehicle else shared.load_vehicle_or_default(vehicle)
         task = Task(parameters, models, settings, read_settings, vehicle_file=str(vehicle_file), effects=self.effects,
                     **others)
         return task, vehicle

@@ -87,14 +87,17 @@ def draw_stiffness(outcome: Identification, output: FigureOutput) -> PageFigure:
         _draw_force_and_slip(panels, outcome, (outcome,))
         caption = "Dots: force and slip angle of the axle from force and moment balance, up to 2 deg of slip."
         return save_figure(figure, output, outcome.experiment, f"Cornering stiffness {values} by regression", caption)
-    widths = (1.2, 1.2, 1) if paper else (1,)
-    figure, panels = plt.subplots(1, len(widths), figsize=(WIDTH, 3.6), width_ratios=widths, squeeze=False)
-    *force_panels, region_panel = panels[0]
-    if paper is not None:
+    if paper:
+        figure, (*force_panels, region_panel) = plt.subplots(1, 3, figsize=(WIDTH, 3.6), width_ratios=(1.2, 1.2, 1))
         _draw_force_and_slip(force_panels, paper, (paper, outcome))
+        caption = ("Left: force and slip as in the paper, with the fitted slopes. Right: 95 % intervals and joint 95 % "
+                   "region of the fit.")
+    else:
+        figure, region_panel = plt.subplots(figsize=(WIDTH, 3.6))
+        caption = "95 % intervals and joint 95 % region of the fit."
     _draw_region(region_panel, outcome, outcome.estimates[:2])
     for source, colour, label in ((outcome, FIT_COLOUR, "prediction"), (paper, PAPER_COLOUR, "regression (paper)")):
-        if source is not None and np.isfinite([e.value for e in source.estimates[:2]]).all():
+        if source and np.isfinite([e.value for e in source.estimates[:2]]).all():
             front, rear = source.estimates[:2]
             region_panel.errorbar(
                 front.value * 1e-3, rear.value * 1e-3, fmt="o", color=colour, mec=TEXT_COLOUR, label=label, zorder=3,
@@ -102,8 +105,6 @@ def draw_stiffness(outcome: Identification, output: FigureOutput) -> PageFigure:
                    for axis, e in (("x", front), ("y", rear))})
     region_panel.set(xlabel="front, kN/rad", ylabel="rear, kN/rad")
     region_panel.legend(loc="lower right", fontsize=8)
-    caption = ("Left: force and slip as in the paper, with the fitted slopes. Right: " if paper else "") + (
-        "95 % intervals and joint 95 % region of the fit.")
     return save_figure(figure, output, "stiffness", f"Cornering stiffness {values} by prediction", caption)
 
 
