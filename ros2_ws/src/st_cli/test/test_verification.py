@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -215,6 +216,14 @@ def test_evaluator_that_is_ready_after_the_predictor_is_no_difference(live):
     found = verify(live.write())
     assert found.largest_difference < 1e-9 and not sum(c.n_one_sided for c in found.comparisons)
     assert found.comparisons[0].n_scores["hindsight"] > 20
+
+
+def test_bags_after_a_restart_of_the_recorder_are_reported(live):
+    run = live.write().parent
+    assert "restarted" not in st_verify(run).output
+    shutil.copytree(live.folder, run / "bag_2")
+    output = st_verify(run).output
+    assert f"only {live.folder} is used" in output and "continued in bag_2" in output
 
 
 def test_truncated_recording_is_reported(live):

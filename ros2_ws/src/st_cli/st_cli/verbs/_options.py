@@ -243,11 +243,19 @@ def report_default_car(verb: str, given_file: Path | None, file: Path | str) -> 
                    f"({', '.join(list_cars())}, or a folder)", err=True)
 
 
-def report_default_car_for_bag(verb: str, bag: Path, vehicle: Path | None) -> None:
-    """Call `report_default_car` if neither user nor bag names a vehicle file. Raises RunError for an unreadable bag."""
+def report_bag(verb: str, path: Path, vehicle: Path | None) -> None:
+    """Print a line for each: the Leaf's vehicle file is used, and further bags of the folder of a run are not.
+
+    Raises RunError for an unreadable bag.
+    """
     from st_live.configuration import find_bag
     from st_recordings.results import parse_configuration
-    from st_recordings.runs.bag import read_metadata_records
+    from st_recordings.runs.bag import is_bag, read_metadata_records
 
-    if vehicle is None and parse_configuration(read_metadata_records(find_bag(bag))).vehicle is None:
+    bag = find_bag(path)
+    if vehicle is None and parse_configuration(read_metadata_records(bag)).vehicle is None:
         report_default_car(verb, None, LEAF)
+    further_bags = [folder.name for folder in sorted(path.glob("bag_*")) if is_bag(folder)] if bag != path else []
+    if further_bags:
+        typer.echo(f"st {verb}: only {bag} is used; the recorder was restarted and continued in "
+                   f"{', '.join(further_bags)}, which can be used separately", err=True)

@@ -32,12 +32,12 @@ def replay(
     from st_recordings.runs.readers.bag import add_steering
 
     vehicle, read_settings = read_options.resolve()
-    bag = find_bag(bag)
+    run, bag = bag, find_bag(bag)
     read_settings = add_steering(bag, read_settings)
     view = run_options.make_view()
     findings = check_bag(bag, vehicle, force, read_settings)
     print_findings({bag.name: findings})
-    shared.report_default_car_for_bag("replay", bag, vehicle)
+    shared.report_bag("replay", run, vehicle)
     folder = new_folder(output, f"replay-{bag.stem}")
     outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, shared.console, view, run_options.bands,
                                run_options.course, run_options.adaptive, read_settings)
@@ -72,7 +72,7 @@ def verify(
     vehicle, read_settings = read_options.resolve()
     read_settings = add_steering(find_bag(bag), read_settings)
     print_findings({bag.name: check_bag(find_bag(bag), vehicle, force, read_settings)})
-    shared.report_default_car_for_bag("verify", bag, vehicle)
+    shared.report_bag("verify", bag, vehicle)
     return verify_command(bag, vehicle, tolerance, through_nodes, output, shared.console, read_settings)
 
 
@@ -100,7 +100,7 @@ def view(
             file = save or Path(name, "view.rrd")
             with shared.console.status("drawing"):
                 n_frames = draw_recording(recording, file, vehicle)
-            shared.report_default_car_for_bag("view", recording, vehicle)
+            shared.report_bag("view", recording, vehicle)
             shared.console.out(f"{n_frames} frames of {recording.name}", highlight=False)
         elif save:
             raise SuiteError(f"--save {save}: {recording} is already a saved view; leave out --save")
