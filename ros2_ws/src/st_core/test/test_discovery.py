@@ -13,6 +13,7 @@ from discovery_drives import linear_problem, recorded
 from st_core.discovery import OUTCOMES, PARTS, DiscoverySettings, Limits, discover
 from st_core.discovery.decision import judge_necessity, list_alternatives
 from st_core.discovery.discover import fit_effects
+from st_core.discovery.evidence import Evidence
 from st_core.discovery.library_fit import apply_clock_corrections
 from st_core.discovery.partitions import MIN_RUNS
 from st_core.discovery.result import Reason
@@ -184,6 +185,19 @@ def test_effect_is_named_only_if_no_other_set_explains_the_errors(replaced_by, r
     best = search.find_best_rival(state, "road_bank")
     assert best.name == rival and list_alternatives(state.rivals["road_bank"], Limits()) == alternatives
     assert (judge_necessity(best, Limits()) is None) == named
+
+
+def test_sets_found_from_other_starts_widen_the_intervals():
+    """If the residual is far above the noise and their loss is similar, as of an SUV with three optima."""
+    problem = linear_problem(PAIR, {PAIR[0]: 3.0}, seed=1)
+    sensitivities = problem.all_sensitivities(problem.start)
+    search = Search(problem, Limits(), {}, {})
+    selected = search._select([SearchState(problem.fit(names, sensitivities)) for names in (PAIR[:1], PAIR)])
+    selected.evidence = {PAIR[0]: Evidence(PAIR[0], 0.5, 0.001, noise_ratio=5.0)}
+    near = search._find_near_sets(selected)
+    assert [names for names, _ in near] == [PAIR[:1], PAIR]
+    selected.evidence = {PAIR[0]: Evidence(PAIR[0], 0.5, 0.001, noise_ratio=1.0)}
+    assert search._find_near_sets(selected) == []
 
 
 def test_residual_scale_is_unchanged_when_all_effects_are_rejected():

@@ -219,7 +219,8 @@ class Search:
             p.loss.rescale(smallest.fit.vector)
             p.update_design_effect(smallest.fit.vector)
             for c in candidates:
-                c.fit, c.cached_scores = p.fit(c.fit.names, c.fit.sensitivities, iterations=2), None
+                c.fit = self._remember(p.fit(c.fit.names, c.fit.sensitivities, iterations=2))
+                c.cached_scores = None
         penalty = self.limits.negligible * p.residual_count
         return min(candidates, key=lambda c: float(c.fit.held_out.sum()) + penalty * len(c.fit.names))
 
