@@ -22,7 +22,8 @@ def seconds_of(log):
 def read_real_drive(name):
     rows = np.genfromtxt(shared(f"data/hyundai_genesis_oxts/{name}.csv"), delimiter=",", names=True)
     time = np.round(rows["t"] * 1e9).astype(np.int64)
-    return DriveLog(name, time, *(rows[key] for key in ("x", "y", "yaw", "vx", "vy", "yaw_rate")), time, rows["delta"])
+    return DriveLog(name, time, *(rows[key] for key in ("x", "y", "yaw", "vx", "vy", "yaw_rate")), time, rows["delta"],
+                    acceleration_x=rows["ax"], acceleration_y=rows["ay"])
 
 
 def late_in_second_half(log, seconds, channel):
@@ -224,6 +225,20 @@ def test_positions_displaced_for_a_while_are_found_in_real_drives(drive):
     ((first, last),) = deviation.times
     assert begin - 6.0 <= first <= begin and begin + 5.0 <= last <= begin + 11.0
     assert deviation.value == pytest.approx(1.5, abs=0.3) and "leave_out" in deviation.advice.entry
+
+
+@pytest.mark.parametrize("drive", ["cpg_lap_fast_controlled", "cpg_low_speed_a", "rfs_turn_b"])
+def test_accelerations_of_a_wrong_axis_or_scale_are_named_in_real_drives(drive):
+    log, car = read_real_drive(drive), read_car("hyundai_genesis")
+    vertical = 9.8 + 0.3 * np.random.default_rng(0).standard_normal(len(log.x))
+    known = findings_by_name(log, car).keys()
+    found = findings_by_name(replace(log, acceleration_y=vertical), car)
+    assert found.keys() - known == {"acceleration_unrelated"} and "gravity" in found["acceleration_unrelated"].text
+    # 0.3 is nearly the length of a foot, but the steering confirms that positions and velocities are in metres.
+    found = findings_by_name(scaled(0.3, "acceleration_x", "acceleration_y")(log), car)
+    assert found.keys() - known == {"acceleration_x_scale", "acceleration_y_scale"}
+    found = findings_by_name(scaled(3.28084, "x", "y", "velocity_x", "velocity_y")(log), car)
+    assert found["position_scale"].value == pytest.approx(3.281, abs=0.01) and "steering_scale" not in found
 
 
 def test_parts_of_a_long_drive_are_limited(leaf):

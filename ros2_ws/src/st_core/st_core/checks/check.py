@@ -200,7 +200,7 @@ def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters |
     stuck_findings: from `find_stuck_channels`. broken_channels: from `find_broken_channels`.
     """
     recorded = motion
-    motion, unit_findings = _correct_units_without_lag(sampling.drop_frozen_samples(motion, stuck_findings))
+    motion, unit_findings = _correct_units(sampling.drop_frozen_samples(motion, stuck_findings), vehicle)
     unit_findings = [time_unit, *unit_findings] if time_unit else unit_findings
     coarse_findings = sampling.find_coarse_channels(motion, stuck_findings)
     results.findings += coarse_findings
@@ -349,6 +349,16 @@ def _add_yaw_alternative(finding: Finding, motion: Motion) -> Finding:
     alternative = Alternative(f"yaw is {1.0 / finding.value:.3f} times its true value", ("yaw_scale",))
     return finding.with_alternative(
         alternative, Advice("text", "record more accurate positions to distinguish the two"), "yaw")
+
+
+def _correct_units(motion: Motion, vehicle: VehicleParameters | None) -> tuple[Motion, list[Finding]]:
+    """Result of `correct_units`; if the steering confirms the unit of length, the accelerations are wrong instead."""
+    corrected, findings = _correct_units_without_lag(motion)
+    unit = next((finding.value for finding in findings if finding.channels == LENGTH_CHANNELS), None)
+    if vehicle is None or unit is None or not vehicle_relations.steering_confirms_length(motion, vehicle, unit):
+        return corrected, findings
+    corrected, findings = _correct_units_without_lag(replace(motion, acceleration_x=None, acceleration_y=None))
+    return replace(corrected, acceleration_x=motion.acceleration_x, acceleration_y=motion.acceleration_y), findings
 
 
 def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:

@@ -205,6 +205,8 @@ GYRO_SCALE_ERROR = 0.02  # smallest reported deviation from 1; the scale of a gy
 GYRO_BIAS = 0.001  # rad/s; smallest reported bias; twice the bias of a good INS
 ACCELERATION_SCALE_ERROR = 0.35  # smallest reported deviation from 1; roll and pitch of the body cause up to 0.33
 ACCELERATION_LAG = 0.12  # s; smallest reported lag; filters of accelerometers cause delays of up to 0.1 s
+ACCELERATION_TOLERANCE = 1.2  # factor by which the mean of a vertical acceleration may differ from gravity
+MIN_UNRELATED_WINDOWS = 20  # minimum number of windows of 1 s for an acceleration that is unrelated to the motion
 MIN_ACCELERATION_DEVIATION = 0.25  # m/s^2; minimum spread for a scale; a slope of 2.5 % has this effect
 ACCELEROMETER_ARM = 1.5  # m between accelerometer and INS point
 SEVERE_ACCELERATION_BIAS = 0.3  # m/s^2; a crossfall of 2.5 % causes a bias of 0.25
@@ -371,10 +373,32 @@ def correct_yaw_rate(motion: Motion, agreement: Agreement) -> Motion:
 
 def _compare_acceleration(motion: Motion, name: str, measured: np.ndarray) -> Agreement | None:
     """Agreement of a measured acceleration with the derivative of velocity. name: of the channel."""
+    derived = _derive_acceleration(motion, name)
+    return compare_series(motion.time, derived, motion.time, measured, ACCELERATION_CUTOFF)
+
+
+def _derive_acceleration(motion: Motion, name: str) -> np.ndarray:
     lateral = name == "acceleration_y"
     velocity, other = (motion.velocity_y, motion.velocity_x) if lateral else (motion.velocity_x, -motion.velocity_y)
-    derived = np.gradient(velocity, motion.time) + other * motion.yaw_rate
-    return compare_series(motion.time, derived, motion.time, measured, ACCELERATION_CUTOFF)
+    return np.gradient(velocity, motion.time) + other * motion.yaw_rate
+
+
+def _make_unrelated_finding(motion: Motion, name: str, measured: np.ndarray) -> Finding | None:
+    """Finding about an acceleration that does not correlate with the derivative of velocity in windows of 1 s; None if
+    it does, or if the drive has too little acceleration and the mean is not that of gravity."""
+    windows = motion.make_windows(1.0)
+    derived, values = (windows.mean(series) for series in (_derive_acceleration(motion, name), measured))
+    known = np.isfinite(values)
+    correlation, mean = correlate(derived[known], values[known]), float(np.mean(values[known])) if known.any() else 0.0
+    is_vertical = is_near(abs(mean), STANDARD_GRAVITY, ACCELERATION_TOLERANCE)
+    if abs(correlation) >= LIMITS.min_correlation or known.sum() < MIN_UNRELATED_WINDOWS or not (
+            is_vertical or np.std(derived[known]) >= MIN_ACCELERATION_DEVIATION):
+        return None
+    text = f"{name} does not follow velocity and yaw rate (correlation {correlation:.2f})" + (
+        f" and has a mean of {mean:.1f} m/s², that of gravity: does this axis of the sensor point up or down?"
+        if is_vertical else ": is it another axis of the sensor, or another signal?")
+    advice = Advice("text", "check the axes of the sensor; without the right one, leave this column out")
+    return Finding("acceleration_unrelated", Severity.WARNING, (name,), text, correlation, advice=advice)
 
 
 def accelerations_confirm_velocity(motion: Motion, factor: float) -> bool:
@@ -435,8 +459,12 @@ def check_accelerations(motion: Motion) -> list[CheckResult]:
     if not any(agreement and agreement.correlates for agreement in agreements.values()) and (
             exchanged := _find_exchanged_accelerations(motion, measured)):
         return [([exchanged], {}, None)]
-    results = []
+    results: list[CheckResult] = []
     for name, agreement in agreements.items():
+        if not (agreement and agreement.correlates) and (
+                unrelated := _make_unrelated_finding(motion, name, measured[name])):
+            results.append(([unrelated], {}, None))
+            continue
         axis, reference, lag = "forward", "velocity", ACCELERATION_LAG
         if name == "acceleration_y":
             axis, reference = "lateral", "velocity and yaw rate"

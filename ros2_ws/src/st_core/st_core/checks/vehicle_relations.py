@@ -240,6 +240,14 @@ def _make_clock_finding(agreement: Agreement, lateral_shift: float) -> Finding:
                          Advice("text", "time-stamp the steering and the motion with one clock"))
 
 
+def steering_confirms_length(motion: Motion, vehicle: VehicleParameters, unit: float) -> bool:
+    """Whether the steering angle from curvature and wheelbase is nearer to the measured one with positions and velocity
+    in metres than with `unit` per metre."""
+    forward = np.where(motion.velocity_x > MIN_SPEED, motion.velocity_x, np.nan)
+    gain = _estimate_steering_gain(motion, np.arctan(vehicle.wheelbase * motion.yaw_rate / forward))
+    return gain is not None and gain.value > 0.0 and abs(np.log(gain.value)) < 0.5 * abs(np.log(unit))
+
+
 def _make_lag_finding(lag: Estimate, agreement: Agreement, response: float, lateral_shift: float) -> Finding | None:
     """Finding about a lag beyond the response time [s] of the car; None if small or insignificant."""
     if not lag.is_significant or not agreement.expected_lag_rejected or abs(lag.value) < LIMITS.steering_lag:
