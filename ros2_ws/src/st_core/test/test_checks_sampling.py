@@ -10,6 +10,7 @@ from exact_faults import findings_by_name
 from st_core.checks import AuxiliaryData, Severity, check
 from st_core.checks.sampling import estimate_resolution
 from st_core.corrections import apply_corrections
+from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, STEERING
 from st_core.timeseries import NANOSECOND
 
 
@@ -246,6 +247,18 @@ def test_samples_in_bursts_are_named_and_cause_no_other_finding(leaf, signal):
     assert findings.keys() - {"steering_lag"} == {"time_jitter", "sample_spikes"}  # steering or motion is late
     burst = findings["time_jitter"]
     assert "bursts of 2" in burst.text and burst.severity is Severity.WARNING and 0.05 < burst.value < 0.12
+
+
+@pytest.mark.parametrize(("rate", "seconds", "length", "period"), [(100.0, 90.0, 0.4, 2.0), (10.0, 300.0, 5.0, 25.0)])
+def test_recording_in_short_parts_has_gaps_but_no_bursts(leaf, rate, seconds, length, period):
+    drive = exact_drive(leaf, seconds, rate=rate)
+    kept = {}
+    for signal, names in (("ins", (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS)), ("steering", STEERING)):
+        stamps = getattr(drive, f"{signal}_time_ns")
+        rows = (stamps - drive.start_ns) * NANOSECOND % period < length
+        kept |= {name: getattr(drive, name)[rows] for name in (f"{signal}_time_ns", *names)}
+    findings = check(replace(drive, **kept), leaf).findings
+    assert [finding.name for finding in findings] == ["time_gaps", "time_gaps"]  # of INS and steering
 
 
 def test_randomly_missing_samples_give_no_jitter_finding(leaf):

@@ -54,19 +54,21 @@ MIN_MEASURED_STEPS = 20  # minimum number of steps or intervals from which a res
 def spread_bursts(log: DriveLog) -> tuple[DriveLog, list[Finding]]:
     """(the drive with even stamps of a signal with samples that arrive in bursts, the findings)."""
     findings = []
-    for signal, name in (("INS", "ins_time_ns"), ("steering", "steering_time_ns")):
+    for signal, name, values in (("INS", "ins_time_ns", log.x + 1j * log.y),
+                                 ("steering", "steering_time_ns", log.road_wheel_angle)):
         stamps = getattr(log, name)
         if len(stamps) < MIN_MEASURED_STEPS:
             continue
         time = (stamps - stamps[0]) * NANOSECOND
-        spacing = np.diff(time)
-        pauses = spacing[spacing > MAX_BURST_INTERVAL * estimate_spacing(time)]
-        count, period = len(spacing) / len(pauses), float(np.median(pauses))  # samples per burst, s
-        if count < MIN_BURST_LENGTH:
+        spacing, steps = np.diff(time), np.abs(np.diff(values))
+        is_pause = spacing > MAX_BURST_INTERVAL * estimate_spacing(time)
+        count, period = len(spacing) / is_pause.sum(), float(np.median(spacing[is_pause]))  # samples per burst, s
+        max_gap = max(MAX_PAUSE_RATIO * period, MAX_GAP)
+        if count < MIN_BURST_LENGTH or (  # or a recording with gaps: the motion continues in the pauses
+                MAX_BURST_INTERVAL * steps[is_pause & (spacing <= max_gap)].mean() > steps[~is_pause].mean()):
             continue
-        even = even_out(time, round(MAX_PAUSE_RATIO * count), max(MAX_PAUSE_RATIO * period, MAX_GAP))
-        deviation = float(np.std(time - even))
-        if deviation < LIMITS.lag:
+        even = even_out(time, round(MAX_PAUSE_RATIO * count), max_gap)
+        if (deviation := float(np.std(time - even))) < LIMITS.lag:
             continue
         log = replace(log, **{name: stamps[0] + np.round(even / NANOSECOND).astype(np.int64)})
         effect = deviation * float(np.median(np.abs(log.velocity_x))) if signal == "INS" else None
