@@ -22,6 +22,7 @@ from st_live.verification import verify
 from st_recordings.mcap import BagWriter
 from st_recordings.runs.bag import ODOMETRY, STEERING, read_bag
 from st_recordings.runs.errors import RunError
+from st_recordings.runs.reconstruct import RECONSTRUCTED_SUFFIX
 from support import LEAF, ROOT
 
 PREDICTION, ERROR = "st_msgs/msg/Prediction", "st_msgs/msg/PredictionError"
@@ -305,10 +306,15 @@ def test_replay_uses_the_recorded_model_file(live, tmp_path, monkeypatch):
     assert {parameters[node]["model_file"] for node in ("predictor", "evaluator")} == {str(model)}
 
 
-def test_recording_that_is_converted_is_not_replayed(live, tmp_path, monkeypatch):
-    drive = replace(read_bag(live.write()), conversions=("all stamps were moved to the clock of /odom",))
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"conversions": ("all stamps were moved to the clock of /odom",)},
+     r"played as recorded: all stamps were moved .*; st check, st evaluate and"),
+    ({"topics": {ODOMETRY: f"/ins/ncom{RECONSTRUCTED_SUFFIX}", STEERING: "/vehicle/steering"}},
+     r"cannot be played: no nav_msgs/msg/Odometry; use st evaluate, which reconstructs")])
+def test_recording_that_is_converted_or_reconstructed_is_not_replayed(live, tmp_path, monkeypatch, changes, message):
+    drive = replace(read_bag(live.write()), **changes)
     monkeypatch.setattr(replaying, "read_bag", lambda *arguments, **settings: drive)
-    with pytest.raises(RunError, match=r"played as recorded: all stamps were moved .*; st check, st evaluate and"):
+    with pytest.raises(RunError, match=message):
         replay_bag(tmp_path, tmp_path, None, 0.0, Console())
 
 

@@ -25,7 +25,7 @@ SPEEDS = (4.0, 8.0, 15.0, 25.0)  # m/s
 STANDSTILL_SPEEDS = (-1.0, 0.0, 1e-9, 0.5, 2.0)  # m/s
 ROUNDING = 1e-9  # largest difference between backends, relative to max(1, |value|), and between mirror images
 CORRECTION_RESIDUAL = 0.05  # largest residual after `correct`, as a fraction of the change by `observe`
-MAX_GROWTH_RATE_INCREASE = 0.1  # 1/s, growth rate that an effect may add to 0 or to the rate of an unstable base
+MAX_GROWTH_RATE_INCREASE = 0.1  # 1/s; an effect may increase the growth rate to this or, of an unstable base, by this
 MIRROR_SIGNS = np.array([1.0, -1.0, 1.0, -1.0, -1.0, -1.0])  # signs of the states under left-right mirroring
 ODD_READINGS = ("y", "yaw", "velocity_y", "yaw_rate", "acceleration_y", "yaw_acceleration")
 READING = Measured(3.0, -2.0, 0.2, 12.0, 0.1, 0.25, 0.4, 2.9, 0.3)
@@ -52,7 +52,7 @@ def _check_null(effect: type[Effect], vehicle: VehicleParameters, base: Model, m
     null = set_effects_to_null(model)
     change = float(np.abs(_predict_floats(null, vehicle) - _predict_floats(base, vehicle)).max())
     if np.isnan(change) or change > 0.0:
-        return f"with null values the path of the {base.name} model changes by {change:.3g}; it must be bit-identical"
+        return f"with null values a state of the {base.name} model changes by {change:.3g}; it must be bit-identical"
     readings = null.observe(READING), null.correct(READING)
     if readings != (READING, READING) or null.effective_vehicle(vehicle) != vehicle:
         return "null values change a reading or the vehicle parameters"
@@ -95,7 +95,7 @@ def _check_backends(effect: type[Effect], vehicle: VehicleParameters, base: Mode
         reference = floats if path.shape == floats.shape else floats[:, -1]
         difference = np.abs(path - reference) / np.maximum(1.0, np.abs(reference))
         if not (difference < ROUNDING).all():
-            return f"{name} and floats differ by {float(difference.max()):.2g} in the {base.name} model"
+            return f"{base.name}: backend {name} and Python floats differ by {float(difference.max()):.2g}"
     return ""
 
 
@@ -109,7 +109,7 @@ def _check_mirror(effect: type[Effect], vehicle: VehicleParameters, base: Model,
     difference = float(max(np.abs(paths).max(), np.abs(readings).max()))
     if not difference < ROUNDING:
         return (f"a left turn is not the mirror image of a right one in the {base.name} model ({difference:.2g}); "
-                "if intended, set odd=True for the parameter that changes its sign")
+                "if a parameter changes sign in the mirror image, set odd=True for it")
     return ""
 
 
@@ -148,7 +148,7 @@ REQUIREMENTS = {
     "null values leave predictions bit-identical": _check_null,
     "initial values change a prediction or a reading": _check_change,
     "predictions are finite at the bounds and at standstill": _check_finite,
-    "results are equal with floats, in batches, compiled and in CasADi": _check_backends,
+    "results are equal with Python floats, in batches, compiled and in CasADi": _check_backends,
     "left and right are mirror images, except for the environment and parameters with odd=True": _check_mirror,
     "it does not make the car unstable": _check_stability,
     "correct() inverts observe()": _check_correction,

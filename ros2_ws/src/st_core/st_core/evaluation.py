@@ -25,12 +25,12 @@ from a motion planner; course = from earlier drives at the same place."""
 class Score:
     """Error of one prediction, predicted minus measured, at the INS point, in axes along the measured heading.
 
-    NaN after a position jump, where no position was measured, and, in the mode hindsight, after an unknown input.
+    NaN after a position jump, where no position was measured, and, in hindsight, after an unknown input.
     *_mean: mean over all points of the horizon, the start included; NaN unless complete.
     """
 
     model: str
-    mode: Mode  # hindsight: predicted again with the measured inputs (the paper's protocol)
+    mode: Mode  # hindsight: predicted again with the measured inputs
     start_ns: int
     complete: bool
     incomplete_reason: str
@@ -100,7 +100,7 @@ class Evaluator:
         return self._views[model]
 
     def add_prediction(self, model: str, start_ns: int, trajectory: Trajectory, mode: Mode = "forecast") -> None:
-        """Add a prediction (at the CG) to be scored. A forecast is also scored in the mode hindsight."""
+        """Add a prediction (at the CG) to be scored. A forecast is also scored in hindsight."""
         self._abandon_after_restart()
         key = (start_ns, len(trajectory.states) - 1, trajectory.step)
         self._pending.setdefault(key, []).append((model, mode, trajectory))

@@ -36,7 +36,7 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
     missing = [name for name in (ODOMETRY, STEERING) if drive.topics[name].endswith(RECONSTRUCTED_SUFFIX)]
     if missing:
         raise RunError(bag, f"cannot be played: no {' and no '.join(missing)}",
-                       "st evaluate and st verify reconstruct them from raw packets and frames")
+                       "use st evaluate, which reconstructs them from raw packets and frames")
     if drive.conversions:
         raise RunError(bag, f"cannot be played as recorded: {drive.conversions[0]}",
                        "st check, st evaluate and st discover convert it")

@@ -192,9 +192,9 @@ def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replay: bo
                    console: Console, read_settings: ReadSettings) -> int:
     """Run `st verify`, print the result and return the exit status.
 
-    0: no difference exceeds `tolerance` [m; rad for yaw angles], and every score that is complete on one side only has
-    a known reason; 1: any other result; 2: nothing to compare. replay: whether to play the recording through the nodes
-    and compare their output, even if it contains predictions.
+    0: no difference exceeds `tolerance` [m; rad for yaw angles], and every score that is complete only live or only
+    offline has a known reason; 1: any other result; 2: nothing to compare. replay: whether to play the recording
+    through the nodes and compare their output, even if it contains predictions.
     """
     from .replaying import replay_bag  # needs ROS; comparing does not
 
@@ -228,11 +228,11 @@ def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replay: bo
 
 def _make_table(result: Verification) -> Table:
     """Table of the comparisons, at most 80 columns wide for a drive of one hour."""
-    table = Table(title=f"Live versus library ({result.vehicle}): largest differences", title_justify="left",
+    table = Table(title=f"Live versus offline ({result.vehicle}): largest differences", title_justify="left",
                   title_style="bold", box=None, collapse_padding=True, pad_edge=False)
     table.add_column("model")
     for heading in ("predictions", "start\npoint\nmm", "path\nmm", "hindsight\nscores\nnumber, mm",
-                    "forecast\nscores\nnumber, mm", "only on\none side"):
+                    "forecast\nscores\nnumber, mm", "scores\nonly live\nor offline"):
         table.add_column(heading, justify="right", no_wrap=True)
     for c in result.comparisons:
         scores = [f"{c.n_scores[mode]}, {c.score_difference[mode] * 1000:.2g}" for mode in MODES]
@@ -258,7 +258,7 @@ def _print_conclusion(result: Verification, tolerance: float, console: Console) 
     console.print(f"{verdict}: {result.n_starts} predictions{planned} and {n_scores} scores compared, largest "
                   f"difference {result.largest_difference * 1000:.3g} mm (limit {tolerance * 1000:g} mm), in yaw "
                   f"{yaw_difference * 1000:.3g} mrad (limit {tolerance * 1000:g} mrad); {n_one_sided} scores complete "
-                  f"on one side only, {n_truncated} incomplete because the nodes stopped{location}",
+                  f"only live or only offline, {n_truncated} incomplete because the nodes stopped{location}",
                   highlight=False, soft_wrap=True)
     console.print(f"[dim]{n_settling} predictions not compared: the filter of the forward acceleration had not settled "
                   "after the first sample that each node received[/dim]", highlight=False, soft_wrap=True)

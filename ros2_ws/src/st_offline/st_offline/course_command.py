@@ -48,7 +48,7 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, read_settings
         raise ConfigurationError("no run can be used for a course, for the reasons above")
     if origin and without_origin:
         print_line(f"[yellow]warning: {escape(', '.join(without_origin))}: without a map origin, and therefore "
-                   "not shifted; valid only in the map frame of the first run with an origin[/yellow]")
+                   "not shifted; correct only if recorded in the map frame of the first run with an origin[/yellow]")
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
         output.write_text(Course(tuple(passes), origin).to_yaml(), encoding="utf-8")

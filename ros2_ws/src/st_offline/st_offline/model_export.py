@@ -47,7 +47,7 @@ def export_model(model: Model, vehicle: VehicleParameters, folder: Path, kind: F
                           for level in band.factors if level in LEVELS}
         if not exported_bands:
             raise ConfigurationError(f"the bands have no entry for model {model.name}, only for "
-                                     f"{', '.join(bands.models)}; calibrate them with --model {model.name}")
+                                     f"{', '.join(bands.models)}; calibrate them with this model")
         for (mode, level), band in exported_bands.items():
             name = f"{model.name}_band_{mode}_{100 * level:.0f}"
             files.append(folder / f"{name}.casadi")
@@ -104,9 +104,9 @@ def _format_readme(description: dict[str, Any], kind: Format) -> str:
         f"{description['version']}, vehicle hash {description['vehicle']['hash'][:12]}. SI units. Frame: "
         f"{description['frame']}.",
         f"States x: {states}. Inputs u: {inputs}. Parameters p: {parameters}. The road wheel angle is positive to the "
-        "left. velocity_x_dot is the derivative of velocity_x; the acceleration is velocity_x_dot - velocity_y * "
-        "yaw_rate. Bounds, and the arguments and results of each function, are in model.json; use the bounds, or "
-        "narrower ones, as constraints.",
+        "left. velocity_x_dot is the derivative of velocity_x; the longitudinal acceleration is velocity_x_dot - "
+        "velocity_y * yaw_rate. Bounds, and the arguments and results of each function, are in model.json; use the "
+        "bounds, or narrower ones, as constraints.",
         "`dynamics`: time derivative. `step`: classical Runge-Kutta over h [s], inputs constant, "
         f"{description['substeps']} substep(s). `dynamics_jacobian`, `step_jacobian`: their derivatives A with respect "
         "to x and B with respect to u. `start`: appends the initial values of the additional states to the six states.",
@@ -124,7 +124,7 @@ def make_half_width_function(band: Band, level: float, vehicle: VehicleParameter
     """CasADi function that returns the half-widths of a band, (points of the horizon, 3): along, across [m], yaw [rad].
 
     Its arguments are x: the six states at the CG; u: road_wheel_angle [rad], velocity_x_dot [m/s^2]; steering_activity
-    [rad/s]: root mean square rate of the road-wheel angle in the last second. Its values equal `Band.half_widths`; the
+    [rad/s]: root mean square rate of the road wheel angle in the last second. Its values equal `Band.half_widths`; the
     calibration domain is not checked. Raises ConfigurationError for a level without a band.
     """
     if level not in band.factors:

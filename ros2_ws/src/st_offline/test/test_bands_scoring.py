@@ -32,4 +32,4 @@ def test_figure_names_a_coverage_of_zero_as_the_largest_deviation():
     score = {"starts": 10, "coverage": {"0.9": 0.8}, "reliability": {"0.9": 0.8}}
     content = {"models": {"linear": {"hindsight": score, "forecast": score | {"coverage": {"0.9": 0.0}}}}}
     (figure,) = draw_bands(content, FigureOutput(None, (), ""))
-    assert "largest deviation from 90 %: 0 %, linear, forecast" in figure.title
+    assert "coverage furthest from 90 %: 0 %, linear, forecast" in figure.title

@@ -41,8 +41,8 @@ class BagWriter:
 
     message_count: number of messages, including those not yet written to the file. syncer: synchronises file and disk;
     None if not requested. A full or failing disk does not raise an error: the bag is closed after its last complete
-    chunk, `error` gives the reason, and `lost_count` is the number of messages not in the file. If the directory is
-    renamed or deleted, the file is closed with its index, `error` reports this, and `was_moved` is set.
+    chunk, `error` gives the reason, and `lost_count` is the number of messages not in the file. If the file is
+    moved or deleted, it is closed with its index, `error` reports this, and `was_moved` is set.
     """
 
     def __init__(self, directory: Path | str, records: Mapping[str, Mapping[str, str]] | None = None,
@@ -191,8 +191,8 @@ class BagWriter:
         self.was_moved = True
         current_path = Path(os.readlink(f"/proc/self/fd/{self._file.descriptor}"))
         folder = current_path.parent if self._file.is_at(current_path) else None
-        state = "deleted" if folder is None else f"renamed to {folder}"
-        self.error = f"recording stopped: {self.directory} was {state}"
+        state = "deleted" if folder is None else f"moved to {current_path}"
+        self.error = f"recording stopped: {self.path} was {state}"
         with contextlib.suppress(OSError):  # `recover` writes a missing index
             if self._messages:
                 self._write_chunk()

@@ -222,11 +222,20 @@ def test_renamed_bag_is_detected_and_closed_under_its_new_name(tmp_path: Path, r
     bag.write(topic, numbered(2), 2)
     time.sleep(FLUSH_PERIOD)
     bag.flush_when_due()
-    assert bag.was_moved and bag.error == f"recording stopped: {tmp_path / 'bag'} was renamed to {tmp_path / 'renamed'}"
+    names = tmp_path / "bag" / "bag_0.mcap", tmp_path / "renamed" / "bag_0.mcap"
+    assert bag.was_moved and bag.error == f"recording stopped: {names[0]} was moved to {names[1]}"
     bag.write(topic, numbered(3), 3)
     bag.close()
     assert bag.lost_count == 1
     assert read_numbers(tmp_path / "renamed") == {"/a": [1, 2]}
+
+
+def test_file_moved_within_its_directory_is_named(tmp_path: Path) -> None:
+    bag, _ = new_bag(tmp_path / "bag")
+    moved = bag.path.rename(tmp_path / "bag" / "other.mcap")
+    time.sleep(FLUSH_PERIOD)
+    bag.flush_when_due()
+    assert bag.was_moved and bag.error == f"recording stopped: {bag.path} was moved to {moved}"
 
 
 def test_messages_that_a_renamed_bag_cannot_hold_are_counted_as_lost(tmp_path: Path, monkeypatch) -> None:
@@ -253,7 +262,7 @@ def test_deleted_bag_is_detected(tmp_path: Path) -> None:
     shutil.rmtree(tmp_path / "bag")
     time.sleep(FLUSH_PERIOD)
     bag.flush_when_due()
-    assert bag.was_moved and bag.error == f"recording stopped: {tmp_path / 'bag'} was deleted"
+    assert bag.was_moved and bag.error == f"recording stopped: {tmp_path / 'bag' / 'bag_0.mcap'} was deleted"
     bag.write(topic, numbered(2), 2)
     bag.close()
     assert bag.lost_count == 2

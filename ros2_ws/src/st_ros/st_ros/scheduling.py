@@ -23,7 +23,7 @@ _MAX_ATTEMPTS, _PAUSE = 5, 0.11  # count, s; the kernel accepts one change of an
 
 def read_scheduling() -> dict[str, Any]:
     """Scheduling of this process: policy, priority (0 unless the policy is real time), nice, and the nice value of its
-    autogroup, which is missing without an autogroup."""
+    autogroup, if it has one."""
     policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
     values = {"policy": _POLICIES.get(policy, f"policy {policy}"),
               "priority": os.sched_getparam(0).sched_priority if policy in _REALTIME else 0,

@@ -61,8 +61,8 @@ def _is_due(now_ms: int, schedule: tuple[int, int]) -> bool:
 
 
 class Stream:
-    """Outputs of a source in order of time. The source runs at most one tick ahead. ins_rate: INS epochs per second.
-    background: whether to add BackgroundTraffic. start_up: whether time 0 is the power-up of the INS."""
+    """Outputs of a source in order of time. The source does not advance beyond the next output. ins_rate: INS epochs
+    per second. background: whether to add BackgroundTraffic. start_up: whether time 0 is the power-up of the INS."""
 
     def __init__(self, source: Source, settings: Settings, ins: Ins, steering: SteeringSensor, ncom: NcomEncoder,
                  can: CanEncoder, ins_rate: int, seed: int, background: bool = False, start_up: bool = False):

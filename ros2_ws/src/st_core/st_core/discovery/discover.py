@@ -34,7 +34,7 @@ from .windows import MARGIN_NS, MIN_SPEED, Windows
 
 Progress = Callable[[str, int, int], None]
 SensorEstimates = Mapping[str, tuple[float, float, float]]
-MIN_WINDOWS = 3  # smallest number of predictions that can be divided into a training and a test set
+MIN_WINDOWS = 3  # smallest number of predictions with which a search is attempted
 MIN_TURNING_FRACTION = 0.05  # smallest fraction of driving in turns, and of turns to each side, without a warning
 CONTAINED_IN_INPUT = "the measured forward acceleration is an input and already contains it"
 NEVER_TESTABLE = {"drag": CONTAINED_IN_INPUT, "rolling_resistance": CONTAINED_IN_INPUT,
@@ -309,8 +309,8 @@ class _Analysis:
             self, state: SearchState, joint_fit: JointFit | None, noise_ratio: float,
             ) -> tuple[Axles | None, tuple[ForceCurve, ...], tuple[result.Combination, ...]]:
         """(axle forces of the final model, force curves, combinations); (None, (), ()) for a base model without tyres,
-        for driving without slip, and for values so uncertain that they exceed the limits of a vehicle file. There are
-        no combinations with reference drives, as they are compared with the vehicle file, not the healthy car."""
+        for driving without slip, and for values so uncertain that they exceed the limits of a vehicle file. With
+        reference drives there are no combinations, because these are compared with the vehicle file."""
         base = self.space.at(self.problem.start)
         try:
             axles = Axles(self.problem, state.fit, joint_fit, self.runs, self.vehicle, noise_ratio,
@@ -337,14 +337,14 @@ class _Analysis:
                 implausible = find_implausible_values(model.effective_vehicle(self.vehicle), self.vehicle)
                 violations[name] = next(iter(implausible), "")
         refuted = [name for name in names if worse_axles.get(name) or violations.get(name)]
-        unstable = self._find_dependent(state.fit, effects, refuted) if refuted else ()
+        dependent = self._find_dependent(state.fit, effects, refuted) if refuted else ()
         # Only the total delay of the steering is identifiable, not its parts.
         delays = [n for n in names if TOTAL_DELAY in get_effect(n).combinations] if axles is not None else []
         return {e.name: decision.judge_reporting(
             state.evidence[e.name], self.limits, excludes_null=excludes_null(e),
             parameter_at_bound="" if self.reference else find_parameter_across_bound(e),
             peak_force_share=peak_force_shares.get(e.name, 1.0), worse_axle=worse_axles.get(e.name, ""),
-            violation=violations.get(e.name, ""), depends_on=refuted if e.name in unstable else (),
+            violation=violations.get(e.name, ""), depends_on=refuted if e.name in dependent else (),
             summands=tuple(n for n in delays if n != e.name) if e.name in delays else ()) for e in effects}
 
     def _find_dependent(self, fit: Fit, effects: Sequence[result.FoundEffect], refuted: Sequence[str]) -> list[str]:

@@ -84,7 +84,7 @@ class FoundEffect:
     joint: tuple[str, ...] = ()
     # Channel with the largest error reduction relative to its baseline error, "" if no error exceeds twice the noise.
     channel: str = ""
-    share: float = 0.0  # the error reduction in this channel [1]
+    share: float = 0.0  # relative error reduction in this channel [1]
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ class CandidateEffect:
     parameters: Mapping[str, float]
     gain: float  # relative reduction of the RMS error [1]
     verdict: str  # the rule of `decision` that applied; "included" if the effect overlaps one of the model
-    reason: str  # as text
+    reason: str  # of the verdict
 
 
 @dataclass(frozen=True)
@@ -218,7 +218,7 @@ class UntestableEffect:
 
     name: str
     reason: str
-    manoeuvre: str = ""  # of the catalogue, that excites it, or ""
+    manoeuvre: str = ""  # name of a manoeuvre of the catalogue that excites it, or ""
 
 
 @dataclass(frozen=True)
@@ -318,8 +318,8 @@ class Discovery:
 
 def unseparated_combinations(combinations: Sequence[Combination],
                              named: Sequence[FoundEffect]) -> tuple[Combination, ...]:
-    """Combinations that differ significantly from the vehicle file and that no named effect changes: all ratios of
-    stiffness to mass or, if none of these differs, the first of stability factor and yaw gain; and the total delay."""
+    """Combinations that differ significantly from the vehicle file and that no named effect or alternative changes: all
+    ratios of stiffness to mass or, if there are none, the first of stability factor and yaw gain; the total delay."""
     names = {part for e in named for name in (e.name, *e.alternatives) for part in (name, *get_effect(name).members)}
     unexplained = [c for c in combinations if c.differs and not names.intersection(c.effects)]
     delay = [c for c in unexplained if c.is_delay]

@@ -220,7 +220,7 @@ def draw_bands(content: Mapping[str, Any], output: FigureOutput) -> list[PageFig
         axes.set(title=f"{mode} ({inputs})", xlabel="nominal coverage, %", xlim=(0, 100), ylim=(0, 100))
     panels[0].set_ylabel("paths entirely inside, %")
     return [save_figure(figure, output, "bands_reliability",
-                        f"Reliability of the bands; largest deviation from {_format_level(top)}: {worst}",
+                        f"Reliability of the bands; coverage furthest from {_format_level(top)}: {worst}",
                         "Grey line: coverage equal to the nominal coverage. Below it, the band is too narrow.")]
 
 

@@ -132,7 +132,7 @@ class RecorderNode(Node):
             self._resume()
 
     def _resume(self) -> None:
-        """Resume in a new bag if the disk has space; at once if the directory was moved, else after RESUME_PERIOD."""
+        """Resume in a new bag if the disk has space; at once if the file was moved, else after RESUME_PERIOD."""
         now = time.monotonic()
         if self._next_attempt == float("inf"):
             self._next_attempt = now if self._bag.was_moved else now + RESUME_PERIOD

@@ -27,37 +27,37 @@ from .mf4 import FD_LENGTHS, MF4_EXTENSIONS, VENDOR_EXTENSIONS, is_mdf
 from .table_times import DAY, PLAUSIBLE_EPOCH, ROLLOVER_STEP, month_number, parse_stamp
 
 _BLF_HEAD_LENGTH = 16  # bytes: "LOBJ", header size, header version, object size, object type
-_BLF_CONTAINER = re.compile(rb"LOBJ.{8}\x0a\0\0\0", re.DOTALL)  # its head
+_BLF_CONTAINER = re.compile(rb"LOBJ.{8}\x0a\0\0\0", re.DOTALL)  # head of a container
 _BLF_PADDING = 3  # bytes; largest padding after a container, which the format aligns to four bytes
 _WEEKDAY_MONTH = re.compile(r"(?i)^(date|begin\s+triggerblock)\s+\S+\s+(\S+)(.*)")
 _TABLE_EXTENSIONS = (".csv", ".txt")
 LINE_FORMAT = "candump, BUSMASTER, CRTD or Kvaser"
 _LINES = (
-    # Of candump -l: "(1436509052.249713) can0 044#2A36", with CAN FD "044##12A36", direction "044#2A36 T"
+    # candump -l: "(1436509052.249713) can0 044#2A36", with CAN FD "044##12A36", direction "044#2A36 T"
     re.compile(r"\s*\((?P<time>\S+)\)\s+(?P<bus>\S+)\s+(?P<id>[0-9A-Fa-f]+)#(?P<fd>#[0-9A-Fa-f])?"
                r"(?P<data>[0-9A-Fa-f]*|[Rr]\d*)(?:\s+(?P<direction>[RTrt]))?\s*$"),
-    # Of candump without -l, stamped by -t a, -t z or -t A: " (1436509052.249713)  can0  RX - -  044   [8]  2A 36".
+    # candump without -l, stamped by -t a, -t z or -t A: " (1436509052.249713)  can0  RX - -  044   [8]  2A 36".
     re.compile(
         r"\s*\((?P<time>\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d+|\d+\.\d+)\)\s+(?P<bus>\S+)\s+"
         r"(?:(?P<direction>RX|TX)\s+\S+\s+\S+\s+)?(?P<id>[0-9A-F]{3}|[0-9A-F]{8})\s+\[(?P<length>\d+)\]\s*"
         r"(?P<data>(?:[0-9A-F]{2}(?:[\s`]+|$))*|remote request\s*)(?:'.*'|::.*)?\s*$"),
-    # Of BUSMASTER with hexadecimal numbers: "11:49:12:9420 Rx 1 0x023 s 1 40"; the last part of the time is in 0.1 ms.
+    # BUSMASTER with hexadecimal numbers: "11:49:12:9420 Rx 1 0x023 s 1 40"; the last part of the time is in 0.1 ms.
     re.compile(r"(?P<time>\d+:\d\d?:\d\d?:\d{4}) (?P<direction>[RT]x) (?P<bus>\d+) 0x(?P<id>[0-9A-Fa-f]+) "
                r"(?P<kind>[sx]r?) \d+(?P<data>(?: [0-9A-Fa-f]{2})*)\s*$"),
-    # CRTD, of OVMS and SavvyCAN: "1436509052.249713 1R11 044 2A 36"
+    # CRTD (OVMS, SavvyCAN): "1436509052.249713 1R11 044 2A 36"
     re.compile(r"(?P<time>\d+\.\d+) (?P<bus>\d*)(?P<direction>[RT])(?P<kind>11|29) (?P<id>[0-9A-Fa-f]+)"
                r"(?P<data>(?: [0-9A-Fa-f]{2})*)\s*$"),
-    # Of Kvaser's loggers: "    0.005500  1         600    Rx             8  19 14 09 03 00 12 00 12        1"
+    # Kvaser loggers: "    0.005500  1         600    Rx             8  19 14 09 03 00 12 00 12        1"
     re.compile(r"\s*(?P<time>\d+\.\d+) +(?P<bus>\d+) +(?P<id>[0-9A-F]{1,8})(?P<kind>x?) +(?P<direction>[RT]x)(?:Rq)?"
                r"[ EFBPRW#]+(?P<length>\d+) +(?P<data>(?:[0-9A-F]{2} )*|RTR) +\d+\s*$"),
-    # Of CanKing with hexadecimal numbers: " 0    0000014B         1  00                                1675.570498 T"
+    # CanKing with hexadecimal numbers: " 0    0000014B         1  00                                1675.570498 T"
     re.compile(r"\s*(?P<index>\d+) +(?P<id>[01][0-9A-F]{7}) +(?P<kind>X?R?) +(?P<length>\d+)  "
                r"(?P<data>(?:[0-9A-F]{2} +)*) *(?P<time>\d+\.\d+) (?P<direction>[RT])\s*$"))
 _COMMENT = re.compile(r"\t|.*(ERRORFRAME|ERROR FRAME +\d+)\s*$|\*\*\*|\d+\.\d+ \d*C[A-Z]{2} |"
                       r"\s*([A-Z][a-z]|CAN |\w+: |\)|=|[\d.]+ +Trigger)")
 """Lines without data: explanations (candump -e, cantools decode), headers of BUSMASTER and Kvaser, comments."""
 _ERROR_FLAG = 1 << 29  # of the identifier of an error frame
-_COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # of candump -c
+_COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # colour codes of candump -c
 _UNSTAMPED_LINE = re.compile(rb"^\s+\S+\s+[0-9A-F]{3,8}\s+\[\d+\]\s", re.MULTILINE)
 """A line of candump without -l and without -t."""
 _ASC_LINE = re.compile(rb"^\s*\d+[.,]\d+\s+\d+\s+[0-9A-Fa-f]+x?\s+[RT]x\s+[dr]\s", re.MULTILINE)
@@ -71,7 +71,7 @@ _CSV_COLUMNS = {
     "id": ("arbitrationid", "id", "idhex", "iddec", "canid", "identifier", "arbid", "identifierhex", "addr"),
     "length": ("datalength", "len", "length", "dlc"),
     "data": ("databytes", "data", "datahex", "payload", "d0", "d1", "data0", "data1", "byte0", "byte1", "b0", "b1")}
-_HEXADECIMAL_IDS, _DECIMAL_IDS = ("idhex", "identifierhex", "arbid"), ("iddec", "addr")  # without a letter or 0x
+_HEXADECIMAL_IDS, _DECIMAL_IDS = ("idhex", "identifierhex", "arbid"), ("iddec", "addr")  # names that imply the base
 _EXTENDED_COLUMNS = ("extended", "ide", "xtd", "format")
 _FURTHER_HEADER = re.compile(r'[^\d"]*Line,')  # a further header of Vehicle Spy, for frames of another kind
 MAX_HEADER_LINES = 30  # lines at the start of a file searched for the names of the columns
@@ -81,7 +81,7 @@ AMBIGUOUS_IDS = "its identifiers may be decimal or hexadecimal numbers; they wer
 MAX_SCANNED_ROWS = 5000  # rows that show the unit of times, and whether identifiers and bytes are decimal
 MIN_STEPS = 50  # minimum number of increases of the time to judge its unit by their size
 MAX_STEPS = {"s": 0.15, "ms": 50.0}
-"""Largest median step of times since the start that are in s (7 frames a second) or ms (20); larger: they are in us."""
+"""Below a median step of 0.15, times since the start are in s (7 frames/s), below 50 in ms (20/s), otherwise in us."""
 MIN_FRAME_DURATION = 40.0  # us; every frame takes longer at 1 Mbit/s
 
 
@@ -123,8 +123,8 @@ def _read_text(file: Path, notes: list[str], make_parser: Callable[[Lines, list[
                ) -> Iterator[Any]:
     """Yields the messages of a text format and skips lines that cannot be parsed.
 
-    make_parser: from the lines, of which it may read the header, and the notes, creates a function of a line that
-    returns its message, or None for a line without data.
+    make_parser(lines, notes): may read the header from the lines, and returns a function that converts a line to a
+    message, or to None if it has no data.
     """
     unreadable_lines: list[int] = []
     with closing(Lines(file)) as lines:
@@ -241,7 +241,7 @@ def _make_trc_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
 
     def parse(line: str) -> Any:
         line = line.strip()
-        if line.startswith(";$STARTTIME="):  # in days; not read by python-can, whose errors would end the header
+        if line.startswith(";$STARTTIME="):  # in days; for an invalid one, python-can would raise at every later line
             start = datetime(1899, 12, 30, tzinfo=UTC) + timedelta(float(line.partition("=")[2]))
             reader._start_time = start.timestamp()
             return None
@@ -393,7 +393,7 @@ def _read_csv_data(cells: Mapping[str, str], row: Sequence[str], name: str, role
     """Data of a frame in any of the CSV formats. Raises ValueError if it does not have the stated length."""
     digits = "".join(row[roles["data"]].split()).replace("0x", "")
     length = int(row[roles["length"]]) if "length" in roles else None
-    if length is not None and 8 < length < len(FD_LENGTHS):  # may be a code, if there are as many bytes as it denotes
+    if length is not None and 8 < length < len(FD_LENGTHS):  # a DLC code, if there are as many bytes as it denotes
         n_bytes = len(list(takewhile(bool, row[roles["data"]:]))) if name[-1].isdigit() else len(digits) // 2
         length = n_bytes if n_bytes == FD_LENGTHS[length] else length
     if name[-1].isdigit():  # blank cells may follow the bytes, but not separate them
@@ -409,8 +409,8 @@ def _read_csv_data(cells: Mapping[str, str], row: Sequence[str], name: str, role
 
 
 def _unpack_blf_container(container: bytes, tail: bytes) -> bytes:
-    """The objects in a container, of which the first begins with `tail`, from the previous one. Raises ValueError or
-    zlib.error for damage, such as an object shorter than its header, which python-can would read forever."""
+    """The objects in a container, after `tail`, the incomplete object at the end of the previous one. Raises ValueError
+    or zlib.error for damage, such as an object shorter than its header, which python-can would read forever."""
     method, content = int.from_bytes(container[16:18], "little"), container[32:]
     if method not in (0, 2):
         raise ValueError(f"unknown compression {method}")
@@ -519,8 +519,8 @@ def _is_can_capture(head: bytes) -> bool:
 
 
 def find_clock(head: bytes) -> tuple[float, float]:
-    """(period [s] after which the times of a log restart, smallest jump [s] that counts as a restart): half of the
-    period for times of day or of an hour; nearly a day for numbers, which may be times since the start."""
+    """(period after which the times of a log restart, smallest jump that counts as a restart) [s]. Half of the period
+    counts for times of day or since the full hour; for numbers, which may be times since the start, nearly a day."""
     lines = head.decode("utf-8-sig", "ignore").splitlines()
     _, delimiter, roles = _split_csv_header(next(filter(_is_csv_header, lines), ""))
     column, delimiter = (roles["time"], delimiter) if "time" in roles else (0, " ")  # BUSMASTER

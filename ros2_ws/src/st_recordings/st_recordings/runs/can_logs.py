@@ -25,7 +25,7 @@ from .table_times import count_rollovers
 _BAG_FIELDS = ("header.stamp", "id", "is_rtr", "is_extended", "is_error", "dlc", "data")  # of can_msgs/Frame
 BLOCK_SIZE = 65536  # messages converted to columns at a time
 MAX_TIME_JUMPS_NS = 60 * 10**9, 86400 * 10**9
-"""A time is damaged if it differs by more from the median of itself and its neighbours: 60 s, or 1 day at the ends."""
+"""A time further than this from the median of itself and its neighbours is damaged: within a log, at its ends."""
 FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times are relative to the start of the log
 MIN_DECREASING_FRACTION = 0.2
 """Times of a text log that begin at 0 are steps between frames if a larger fraction decreases, or all are equal."""
@@ -86,7 +86,7 @@ def _read_log(file: Path) -> CanLog:
 
 
 def _choose_id_base(log: CanLog, known_ids: Collection[int]) -> CanLog:
-    """A log with identifiers that may be decimal, in the base with more of the known identifiers."""
+    """The log; if its identifiers may be decimal, they are read in the base in which more of them are known."""
     if AMBIGUOUS_IDS not in log.warnings:
         return log
     ids, rows = np.unique(log.frames.id & ~np.uint32(EXTENDED), return_inverse=True)
@@ -117,7 +117,7 @@ def _read_bag(path: Path) -> CanLog:
         time_ns, length = columns["header.stamp"], columns["dlc"]
         if 2 * np.count_nonzero(time_ns) < len(time_ns):
             time_ns = storage.read_log_times(topic.name, time_ns)
-            notes.append(f"frames of {topic.name} have no stamp; the times of reception are used")
+            notes.append(f"most frames of {topic.name} have no stamp; the times of reception are used")
         if not (time_ns > 0).any():
             continue
         flags = REMOTE * columns["is_rtr"] + ERROR * columns["is_error"]

@@ -214,8 +214,8 @@ class Block:
 def read_summary(path: Path) -> Summary | None:
     """Reads channels, schemas and chunk indexes of an MCAP file that was closed properly.
 
-    Returns None for a file without a complete index: truncated, not MCAP, without chunks, or written without message
-    indexes or without statistics, channels or schemas in its summary.
+    Returns None for a file that cannot be read or lacks a complete index: truncated, not MCAP, without chunks, or
+    written without message indexes or without statistics, channels or schemas in its summary.
     """
     try:
         with path.open("rb") as stream:
@@ -234,7 +234,7 @@ def read_summary(path: Path) -> Summary | None:
 
 
 def read_blocks(path: Path, summary: Summary, channels: Collection[int]) -> Iterator[tuple[int, Block]]:
-    """Yields (channel, block of its messages in one chunk) in the order of the file. Raises one of READ_ERRORS."""
+    """Yields (channel, block of its messages in one chunk), chunk by chunk in file order. Raises one of READ_ERRORS."""
     chunks = [chunk for chunk in sorted(summary.chunk_indexes, key=lambda c: c.chunk_start_offset)
               if not chunk.message_index_offsets.keys().isdisjoint(channels)]
     with path.open("rb") as stream:

@@ -126,7 +126,7 @@ def read_table(file: Path, layout: Layout) -> Table:
 
 
 def _is_last_cell_truncated(body: str, delimiter: str) -> bool:
-    """Whether the last cell of a table has fewer decimals than all others of its column, which have the same number.
+    """Whether the last cell of a table has fewer decimals than the others of its column, which all have equally many.
     The file is then truncated, if its last line has no line end."""
     lines = body.rstrip("\n").split("\n")
     cells = (line[line.rfind(delimiter) + 1:] for line in lines)
