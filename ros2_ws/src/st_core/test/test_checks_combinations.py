@@ -241,6 +241,14 @@ def test_accelerations_of_a_wrong_axis_or_scale_are_named_in_real_drives(drive):
     assert found["position_scale"].value == pytest.approx(3.281, abs=0.01) and "steering_scale" not in found
 
 
+@pytest.mark.parametrize(("degrees", "is_reported"), [(0.1, False), (2.0, True)])
+def test_steering_in_coarse_steps_is_reported_in_a_real_drive(degrees, is_reported):
+    log, car, step = read_real_drive("cpg_lap_medium"), read_car("hyundai_genesis"), np.deg2rad(degrees)
+    found = findings_by_name(replace(log, road_wheel_angle=np.round(log.road_wheel_angle / step) * step), car)
+    assert ("resolution_coarse" in found) is is_reported
+    assert not is_reported or found["resolution_coarse"].value == pytest.approx(step)
+
+
 def test_parts_of_a_long_drive_are_limited(leaf):
     log = CHANGES["yaw_rate_bias"](exact_drive(leaf, 900.0, rate=10.0))
     (finding,) = check(log, leaf).findings
