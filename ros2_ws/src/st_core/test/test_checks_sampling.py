@@ -39,6 +39,13 @@ def test_sampling_rate_too_low_for_predictions_is_reported(leaf, rate, jitter, e
     assert all("exceed 0.1 s; no prediction is made across these" in text for text in texts)
 
 
+@pytest.mark.parametrize("rate", [2.0, 3.0])
+def test_wrong_scale_of_yaw_is_found_at_a_low_rate(leaf, rate):
+    log = exact_drive(leaf, seconds=120.0, rate=rate)
+    (finding,) = (f for f in check(replace(log, yaw=1.3 * log.yaw), leaf).findings if f.name == "yaw_scale")
+    assert finding.value == pytest.approx(1.3, abs=0.01) and finding.interval[0] < 1.3 < finding.interval[1]
+
+
 def test_unrounded_values_have_no_resolution():
     time = np.arange(0.0, 20.0, 0.01)
     assert estimate_resolution(time, 12.3 * time) == 0.0
