@@ -132,7 +132,9 @@ def test_bands_are_exported_as_functions_of_state_and_inputs(tmp_path):
     assert sorted(description["files"]) == sorted(f.name for f in out.iterdir() if f.suffix == ".casadi")
     assert "linear_band_" in (out / "README.md").read_text()
     result = export("kinematic", "--bands", file, "--output", tmp_path / "other")
-    assert result.exit_code == 2 and "the bands have no entry for model kinematic, only for linear" in result.output
+    assert result.exit_code == 2 and "bands.kinematic: missing; the file has linear" in result.output
+    result = export("linear", "--car", "hyundai_genesis", "--bands", file, "--output", tmp_path / "other")
+    assert result.exit_code == 2 and "calibrate with drives of this car" in result.output
 
 
 @pytest.mark.parametrize(("arguments", "message"), [

@@ -27,9 +27,9 @@ def export_model(model: Model, vehicle: VehicleParameters, folder: Path, kind: F
                  free: Iterable[str] = (), bands: Bands | None = None) -> list[Path]:
     """Write the functions of a model, model.json and README.md into an existing folder; returns the files.
 
-    free: parameters that remain arguments of the functions. bands: each mode and level in LEVELS becomes a CasADi
-    function that returns half-widths. Raises ConfigurationError for an unknown parameter in `free`, and for bands
-    without this model.
+    free: parameters that remain arguments of the functions. bands: of this car and model (`Bands.check`); each mode and
+    level in LEVELS becomes a CasADi function that returns half-widths. Raises ConfigurationError for an unknown
+    parameter in `free`.
     """
     symbolic = build(model, vehicle, substeps, free)
     if kind == "casadi":
@@ -45,9 +45,6 @@ def export_model(model: Model, vehicle: VehicleParameters, folder: Path, kind: F
     if bands is not None:
         exported_bands = {(mode, level): band for (name, mode), band in bands.bands.items() if name == model.name
                           for level in band.factors if level in LEVELS}
-        if not exported_bands:
-            raise ConfigurationError(f"the bands have no entry for model {model.name}, only for "
-                                     f"{', '.join(bands.models)}; calibrate them with this model")
         for (mode, level), band in exported_bands.items():
             name = f"{model.name}_band_{mode}_{100 * level:.0f}"
             files.append(folder / f"{name}.casadi")

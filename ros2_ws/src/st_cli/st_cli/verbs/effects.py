@@ -111,13 +111,14 @@ def export(
     """
     from st_core.bands import Bands
     from st_core.effects import load_folder
+    from st_core.models import MODELS
     from st_recordings.paths import new_folder
 
     if importlib.util.find_spec("casadi") is None:
         typer.echo("st export: CasADi is not installed: run pip install '.[mpc]' or pip install casadi", err=True)
         raise typer.Exit(2)
     from st_offline.model_export import export_model
-    from st_recordings.car import read_model, read_text
+    from st_recordings.car import read_model, read_model_file, read_text
 
     with shared.report_errors("export", OSError):
         given_file = shared.ReadOptions(car, vehicle).fill_in_car().vehicle
@@ -126,6 +127,8 @@ def export(
             load_folder(str(effects.absolute()))
         exported, model_vehicle = read_model(model, parameters, str(file), given_file is not None)
         parsed_bands = None if bands is None else Bands.from_yaml(read_text(bands), str(bands))
+        if parsed_bands is not None:
+            parsed_bands.check(model_vehicle, {exported.name: "" if model in MODELS else read_model_file(model).hash})
         folder = new_folder(output, "export")
         paths = export_model(exported, model_vehicle, folder, kind, substeps, free, parsed_bands)
     if model_vehicle is parameters:

@@ -73,15 +73,16 @@ class Bands:
         result[inside, 1:] = band.half_widths(conditions[inside], level)
         return result
 
-    def check(self, vehicle: VehicleParameters, models: Mapping[str, str], settings: EvaluationSettings) -> None:
+    def check(self, vehicle: VehicleParameters, models: Mapping[str, str],
+              settings: EvaluationSettings | None = None) -> None:
         """Raises a one-line ConfigurationError if the bands belong to a different car, model or configuration.
 
-        models: hash of the model file of each model to use, "" for a built-in model.
+        models: hash of the model file of each model to use, "" for a built-in model. settings: None for any.
         """
         if vehicle.hash != self.vehicle_hash:
             raise ConfigurationError(f"vehicle: the bands are for {self.vehicle_name!r} {self.vehicle_hash[:12]}, "
                                      f"this is {vehicle.name!r} {vehicle.hash[:12]}; calibrate with drives of this car")
-        current = settings.as_dict()
+        current = self.settings if settings is None else settings.as_dict()
         for key in CHECKED_SETTINGS:
             if current[key] != self.settings[key]:
                 raise ConfigurationError(f"settings.{key}: the bands are for {self.settings[key]}, not {current[key]}; "
