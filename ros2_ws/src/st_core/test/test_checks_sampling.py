@@ -40,10 +40,10 @@ def test_sampling_rate_too_low_for_predictions_is_reported(leaf, rate, jitter, e
 
 
 @pytest.mark.parametrize("rate", [2.0, 3.0])
-def test_wrong_scale_of_yaw_is_found_at_a_low_rate(leaf, rate):
+def test_only_the_rate_is_reported_of_drives_too_slow_to_judge_a_wrong_scale(leaf, rate):
     log = exact_drive(leaf, seconds=120.0, rate=rate)
-    (finding,) = (f for f in check(replace(log, yaw=1.3 * log.yaw), leaf).findings if f.name == "yaw_scale")
-    assert finding.value == pytest.approx(1.3, abs=0.01) and finding.interval[0] < 1.3 < finding.interval[1]
+    findings = check(replace(log, yaw=1.3 * log.yaw), leaf).findings
+    assert [finding.name for finding in findings] == ["time_gaps", "time_gaps"]  # of INS and steering
 
 
 def test_unrounded_values_have_no_resolution():
