@@ -63,6 +63,30 @@ def test_every_name_denotes_one_channel() -> None:
     assert len(names) == len(set(names)) and not columns.AMBIGUOUS_STEERING & set(names)
 
 
+@pytest.mark.parametrize(("name", "factor", "offset", "is_degrees"), [
+    ("yaw", 1.0, 1.0, False), ("yaw [rad]", 1.0, 3.0, False), ("yaw", 180 / np.pi, 0.0, True),
+    ("yaw [rad]", 180 / np.pi, 0.0, False)])
+def test_yaw_is_read_in_degrees_only_if_no_unit_is_stated_and_it_does_not_drift(
+        tmp_path: Path, name: str, factor: float, offset: float, is_degrees: bool) -> None:
+    t = 0.1 * np.arange(400)
+    yaw = 0.1 * np.sin(t / 5) + 0.02
+    position = np.cumsum(np.exp(1j * yaw))
+    recorded = factor * yaw + offset * (1.0 + (t > 20.0))
+    data = {c: np.ones(400) for c in PLAIN} | {"t": t, "x": position.real, "y": position.imag, "yaw": recorded}
+    run = read_csv(write(tmp_path / "d.csv", {**PLAIN, "yaw": name}, data=data), CAR)
+    np.testing.assert_allclose(run.log.yaw, yaw if is_degrees else recorded, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_constant_heading_in_degrees_on_a_straight(tmp_path: Path, seed: int) -> None:
+    noise = np.random.default_rng(seed).normal(size=(2, N))
+    data = values() | {"t": 0.1 * np.arange(N), "x": np.arange(N) + 0.02 * noise[0], "y": 0.02 * noise[1],
+                       "compass_heading": np.full(N, 73.0)}
+    names = {"compass_heading" if c == "yaw" else c: "heading" if c == "yaw" else n for c, n in PLAIN.items()}
+    run = read_csv(write(tmp_path / "d.csv", names, data=data), CAR)
+    np.testing.assert_allclose(run.log.yaw, np.radians(90.0 - 73.0))
+
+
 @pytest.mark.parametrize("blank", ["", "nan", "0"])
 @pytest.mark.parametrize(("channel", "other", "note"), [
     ("velocity_y", "", "velocity_y has no column with numbers; it is set to 0"),

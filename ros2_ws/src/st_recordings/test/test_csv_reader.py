@@ -16,7 +16,7 @@ from st_recordings.runs.csv import (
     find_missing_in_header,
     read_csv,
 )
-from st_recordings.runs.csv_table import read_table
+from st_recordings.runs.csv_table import read_table, read_text
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.ins_log import select_usable_rows, yaw_from_quaternion
 from st_recordings.runs.table_times import month_number
@@ -74,6 +74,11 @@ def test_unusable_rows_are_left_out_and_counted(tmp_path: Path) -> None:
         "1 of 100 rows (1 %) are not later than those before them; they were left out",
         "velocity_x (column vx): 1 of 100 rows (1 %) have no number; these INS samples were left out",
     ]
+
+
+def test_quoted_texts_between_bars_are_kept(tmp_path: Path) -> None:
+    (tmp_path / "d.csv").write_text('"t"|"place"|"x"\n"0.5"|"north"|1.5|2.5\n')
+    assert read_text(tmp_path / "d.csv").endswith('"0.5"|"north"|1.5|2.5\n')
 
 
 @pytest.mark.parametrize(("row", "time", "reason"), [

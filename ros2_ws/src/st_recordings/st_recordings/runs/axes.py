@@ -138,7 +138,14 @@ def read_angles(table: Table, use_positions: bool) -> Table:
     """
     columns, sources, warnings = dict(table.columns), dict(table.sources), list(table.warnings)
     has_velocities = columns.keys() >= {"velocity_east", "velocity_north"}
-    first, last, motion = _find_motion(table, use_positions)
+    rows = np.flatnonzero(table.is_usable)
+    positions = [(columns[x], columns[y], x != "x") for x, y in (("x", "y"), ("longitude", "latitude"))
+                 if use_positions and columns.keys() >= {x, y}]
+    first, last, motion = rows[:0], rows[:0], np.empty(0)
+    if has_velocities:
+        first, last, motion = rows, rows, (columns["velocity_east"] + 1j * columns["velocity_north"])[rows]
+    elif positions:
+        first, last, motion = compute_steps(table, *positions[0])
 
     def compute_deviation(name: str, angle: np.ndarray) -> float:
         """RMS angle [rad] between yaw and the motion, forward or backward; NaN if unknown."""
@@ -152,7 +159,7 @@ def read_angles(table: Table, use_positions: bool) -> Table:
 
     for channel in [name for name in ("yaw", HEADING) if name in sources][:1] + [COURSE] * (COURSE in sources):
         source = sources[channel]
-        if source.unit not in ("rad", "deg"):
+        if source.unit not in ("rad", "deg") or (source.has_stated_unit and not has_velocities):
             continue
         names = ("yaw", HEADING) if has_velocities and channel != COURSE else (channel,)
         angles = {(name, unit): columns[channel] / source.factor * UNITS["angle"][unit][0]
@@ -160,12 +167,16 @@ def read_angles(table: Table, use_positions: bool) -> Table:
         deviations = {reading: compute_deviation(reading[0], angle) for reading, angle in angles.items()}
         recorded, reading, text = (channel, source.unit), min(deviations, key=lambda key: deviations[key]), ""
         values = angles[channel, "rad"][np.isfinite(columns[channel])]
-        if (has_velocities or not source.has_stated_unit) and deviations[recorded] > max(
-                SIGNIFICANT_DEVIATIONS * deviations[reading], MIN_DISAGREEING_ANGLE):
+        looks_like_degrees = _look_like_degrees(values)
+        # A yaw that drifts during a straight drive is almost constant in degrees: a constant then agrees as well.
+        constant = compute_deviation("yaw", np.zeros(len(columns[channel])))
+        is_shown = looks_like_degrees or deviations[reading] ** 2 < 0.5 * constant ** 2
+        if is_shown and deviations[recorded] > max(SIGNIFICANT_DEVIATIONS * deviations[reading], MIN_DISAGREEING_ANGLE):
             motion_name = "velocities to the east and north" if has_velocities else "positions"
             text = f"agrees with the {motion_name} only as {reading[0]} in {reading[1]}; it was read as such"
         elif not source.has_stated_unit and not (channel == "yaw" and "yaw_rate" in sources) and (
-                _look_like_degrees(values) and not deviations[recorded] < deviations[channel, "deg"]):
+                looks_like_degrees and not deviations[channel, "deg"] > max(
+                    np.sqrt(2.0) * deviations[recorded], MIN_COURSE_SPREAD)):
             reading = channel, "deg"
             text = f"has values from {values.min():.4g} to {values.max():.4g}: they were read as degrees"
         if text:
@@ -173,17 +184,6 @@ def read_angles(table: Table, use_positions: bool) -> Table:
             columns[reading[0]], sources[reading[0]] = angles[reading], replace(source, unit=reading[1])
             warnings.append(f"{table.file}: column {source.name} {text}")
     return replace(table, columns=columns, sources=sources, warnings=tuple(warnings))
-
-
-def _find_motion(table: Table, use_positions: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Steps as of `compute_steps`; if the velocities to the east and north are known, each step is a single row."""
-    columns, rows = table.columns, np.flatnonzero(table.is_usable)
-    if columns.keys() >= {"velocity_east", "velocity_north"}:
-        return rows, rows, (columns["velocity_east"] + 1j * columns["velocity_north"])[rows]
-    for x, y in (("x", "y"), ("longitude", "latitude")) if use_positions else ():
-        if columns.keys() >= {x, y}:
-            return compute_steps(table, columns[x], columns[y], is_geographic=x != "x")
-    return rows[:0], rows[:0], np.empty(0)
 
 
 def _look_like_degrees(values: np.ndarray) -> bool:

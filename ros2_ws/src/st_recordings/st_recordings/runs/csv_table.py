@@ -64,7 +64,9 @@ def read_text(file: Path, size: int = -1) -> str:
     """
     text = _decode(file, size).replace("\r\n", "\n").replace("\r", "\n")
     text = re.sub(r"(?<!\0)\0+(?=\n|$)", "", text) if "\0" in text else text  # some loggers end each line with a NUL
-    text = _RACECAPTURE_NAME.sub(r"\1 [\2]", text) if text.startswith('"') else text
+    if text.startswith('"'):
+        header, line_end, rows = text.partition("\n")
+        text = _RACECAPTURE_NAME.sub(r"\1 [\2]", header) + line_end + rows
     text = _LINE_END_IN_CELL.sub(lambda cell: cell[0].replace("\n", " "), text)
     return _QUOTED_ROW.sub(lambda row: row[1].replace('""', '"') if set(row[1]) & set(",;\t") else row[0], text)
 
