@@ -16,6 +16,7 @@ MIN_COURSE_SPEED = 1.0
 """Lowest speed [m/s] at which the direction of the velocity is used; noise of 0.05 m/s then changes it by 3 degrees."""
 MIN_COMPARED_SAMPLES = 20
 """Minimum number of samples for comparing positions with the integrated speed, or yaw with the course over ground."""
+MAX_COMPARED_SAMPLES = 10_000
 MIN_CORRELATION = 0.5
 """Minimum magnitude of the correlation, or mean cosine, between displacement and velocity for its sign to be used."""
 SIGNIFICANT_DEVIATIONS = 3.0
@@ -138,19 +139,19 @@ def read_angles(table: Table, use_positions: bool) -> Table:
     """
     columns, sources, warnings = dict(table.columns), dict(table.sources), list(table.warnings)
     has_velocities = columns.keys() >= {"velocity_east", "velocity_north"}
-    rows = np.flatnonzero(table.is_usable)
     positions = [(columns[x], columns[y], x != "x") for x, y in (("x", "y"), ("longitude", "latitude"))
-                 if use_positions and columns.keys() >= {x, y}]
-    first, last, motion = rows[:0], rows[:0], np.empty(0)
+                 if use_positions and not has_velocities and columns.keys() >= {x, y}]
+    rows = np.flatnonzero(table.is_usable)
+    first, last, motion = compute_steps(table, *positions[0]) if positions else (rows[:0], rows[:0], np.empty(0))
     if has_velocities:
-        first, last, motion = rows, rows, (columns["velocity_east"] + 1j * columns["velocity_north"])[rows]
-    elif positions:
-        first, last, motion = compute_steps(table, *positions[0])
+        first = last = rows[:: max(len(rows) // MAX_COMPARED_SAMPLES, 1)]
+        motion = (columns["velocity_east"] + 1j * columns["velocity_north"])[first]
 
     def compute_deviation(name: str, angle: np.ndarray) -> float:
         """RMS angle [rad] between yaw and the motion, forward or backward; NaN if unknown."""
-        direction = np.exp(1j * (angle if name == "yaw" else np.pi / 2 - angle))
-        products = ((direction[first] + direction[last]) * motion.conj())[np.abs(motion) > MIN_COURSE_SPEED]
+        yaw = angle if name == "yaw" else np.pi / 2 - angle
+        direction = np.exp(1j * yaw[first]) + np.exp(1j * yaw[last])
+        products = (direction * motion.conj())[np.abs(motion) > MIN_COURSE_SPEED]
         doubled = np.exp(2j * np.angle(products[np.isfinite(products)]))  # forward and backward are the same
         if len(doubled) < MIN_COMPARED_SAMPLES:
             return np.nan
@@ -193,7 +194,7 @@ def _look_like_degrees(values: np.ndarray) -> bool:
 
 def compute_steps(table: Table, x: np.ndarray, y: np.ndarray, is_geographic: bool
                   ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(First and last row of each step of a second, velocities [m/s] x + iy); empty for few rows with a position.
+    """(First and last row of steps of a second, velocities [m/s] x + iy); empty for few rows with a position.
 
     is_geographic: x and y are longitude and latitude [rad].
     """
@@ -202,7 +203,7 @@ def compute_steps(table: Table, x: np.ndarray, y: np.ndarray, is_geographic: boo
         return rows[:0], rows[:0], np.empty(0)
     seconds = (table.time_ns - table.time_ns[0]) * 1e-9
     step = min(max(round(1.0 / float(np.median(np.diff(seconds[rows])))), 1), len(rows) - 1)
-    first, last = rows[:-step], rows[step:]
+    first, last = (part[:: max(len(rows) // MAX_COMPARED_SAMPLES, 1)] for part in (rows[:-step], rows[step:]))
     dx, dy = x[last] - x[first], y[last] - y[first]
     if is_geographic:
         dx, dy = EARTH_RADIUS * np.cos(y[first]) * dx, EARTH_RADIUS * dy

@@ -113,7 +113,7 @@ def read_table(file: Path, layout: Layout) -> Table:
         raise RunError(file, "it contains NMEA sentences instead of a table", "export time, latitude, longitude, speed "
                        "and course as .csv")
     for name, value in (("_field", "_value"), ("telemetry_name", "telemetry_value")):
-        if any({name, value} <= {*line.split(",")} for line in text.split("\n", MAX_UNIT_ROWS)):
+        if any({name, value} <= {*line.split(",")} for line in text.split("\n", MAX_UNIT_ROWS)[:MAX_UNIT_ROWS]):
             raise RunError(file, f"it has one row for each value (columns {name} and {value})", "export one column for "
                            f"each {name}, with the function pivot of InfluxDB or pandas")
     n_above = _find_header_line(text.split("\n", MAX_HEADER_LINES + 1)[:MAX_HEADER_LINES], layout)
