@@ -139,13 +139,7 @@ def read_angles(table: Table, use_positions: bool) -> Table:
     """
     columns, sources, warnings = dict(table.columns), dict(table.sources), list(table.warnings)
     has_velocities = columns.keys() >= {"velocity_east", "velocity_north"}
-    positions = [(columns[x], columns[y], x != "x") for x, y in (("x", "y"), ("longitude", "latitude"))
-                 if use_positions and not has_velocities and columns.keys() >= {x, y}]
-    rows = np.flatnonzero(table.is_usable)
-    first, last, motion = compute_steps(table, *positions[0]) if positions else (rows[:0], rows[:0], np.empty(0))
-    if has_velocities:
-        first = last = rows[:: max(len(rows) // MAX_COMPARED_SAMPLES, 1)]
-        motion = (columns["velocity_east"] + 1j * columns["velocity_north"])[first]
+    first, last, motion = _find_motion(table, use_positions)
 
     def compute_deviation(name: str, angle: np.ndarray) -> float:
         """RMS angle [rad] between yaw and the motion, forward or backward; NaN if unknown."""
@@ -185,6 +179,18 @@ def read_angles(table: Table, use_positions: bool) -> Table:
             columns[reading[0]], sources[reading[0]] = angles[reading], replace(source, unit=reading[1])
             warnings.append(f"{table.file}: column {source.name} {text}")
     return replace(table, columns=columns, sources=sources, warnings=tuple(warnings))
+
+
+def _find_motion(table: Table, use_positions: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Steps as of `compute_steps`; if the velocities to the east and north are known, each step is a single row."""
+    columns, rows = table.columns, np.flatnonzero(table.is_usable)
+    if columns.keys() >= {"velocity_east", "velocity_north"}:
+        rows = rows[:: max(len(rows) // MAX_COMPARED_SAMPLES, 1)]
+        return rows, rows, (columns["velocity_east"] + 1j * columns["velocity_north"])[rows]
+    for x, y in (("x", "y"), ("longitude", "latitude")) if use_positions else ():
+        if columns.keys() >= {x, y}:
+            return compute_steps(table, columns[x], columns[y], is_geographic=x != "x")
+    return rows[:0], rows[:0], np.empty(0)
 
 
 def _look_like_degrees(values: np.ndarray) -> bool:
