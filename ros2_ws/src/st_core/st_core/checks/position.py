@@ -248,7 +248,7 @@ def _find_varying_cause(motion: Motion, explanation: _Explanation) -> tuple[_Exp
     cause = min(fits, key=lambda name: fits[name][0])
     ratio, values = fits[cause]
     smallest, name, text, advice = VARYING_CAUSES[cause]
-    if ratio * MIN_VARIATION_RATIO > 1.0 or np.std(values) < smallest:
+    if ratio * MIN_VARIATION_RATIO > 1.0 or np.std(values) < smallest or not motion.velocity_y.any():  # sideslip varies
         return explanation, []
     value, size, unit = np.interp(motion.time, instants, values), float(np.ptp(values)), CAUSES[cause].unit
     if cause == "yaw_offset":  # the mean is an offset
