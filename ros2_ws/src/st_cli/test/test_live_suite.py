@@ -117,6 +117,10 @@ def test_end_of_a_node_by_a_signal_is_not_explained_by_an_earlier_line_of_its_lo
             supervisor = session.Supervisor(processes, monitor, [("a", "node")])
             processes.start("node", [sys.executable, "-c", code]).process.wait(20)
             supervisor.update()
+        code = "import os; print('recording', flush=True); os.kill(os.getpid(), 9)"
+        processes.start("node", [sys.executable, "-c", code]).process.wait(20)
+        with pytest.raises(SuiteError, match=r"node ended with status -9: signal 9, Killed\n"):
+            processes.check()
     assert [status.message for status in shown] == ["not ready; failed once: ended with status -6 (signal 6, Aborted)",
                                                  "not ready; failed once: ended with status 1 (no car)"]
 

@@ -203,4 +203,4 @@ class VirtualCar:
         leaf = suite.start("virtual_leaf", [find_executable("st_sim", "virtual_leaf"), *arguments])
         if line := leaf.wait_for('"sending"', LEAF_TIMEOUT):
             return json.loads(line)["duration"]
-        raise SuiteError(leaf.read_last_lines() or "the virtual Leaf did not start")
+        raise SuiteError(leaf.read_reason() or "the virtual Leaf did not start")

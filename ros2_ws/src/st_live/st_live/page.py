@@ -179,12 +179,12 @@ class LiveView:
                 "passenger", [sys.executable, "-m", "st_live.nodes.passenger", json.dumps(options)])
             line = server.wait_for("serving on ", READY_TIMEOUT)
             if not line:
-                raise SuiteError(f"passenger's page: {server.read_last_lines() or 'did not start'} (log: {server.log})")
+                raise SuiteError(f"passenger's page: {server.read_reason() or 'did not start'} (log: {server.log})")
             url = f"http://{_find_reachable_address(self._host)}:{line.strip().rpartition(':')[2]}/"
             show_address(url, console)
             yield url
             if server.process.poll() is not None:
-                text = f"the page server stopped during the run: {server.read_last_lines()}"
+                text = f"the page server stopped during the run: {server.read_reason()}"
                 console.out(text, style="yellow", highlight=False)
             processes.stop(timeout=STOP_TIMEOUT)
 
@@ -277,7 +277,7 @@ def _start_rerun(processes: Processes, recording: str) -> tuple[Child, int]:
         "--hide-welcome-screen"])
     if address := re.search(rf"http://{LOOPBACK}:(\d+)", rerun.wait_for(f"http://{LOOPBACK}:", READY_TIMEOUT)):
         return rerun, int(address[1])
-    output = rerun.read_last_lines() or "no output"
+    output = rerun.read_reason() or "no output"
     raise SuiteError(f"the Rerun viewer did not start: {output} (log: {rerun.log})")
 
 

@@ -93,9 +93,8 @@ class Supervisor:
 
     def _check_node(self, node: _SupervisedNode, now: float) -> None:
         if (child := self._suite.reap(node.name)) is not None:
-            status = child.process.returncode
-            reason = f"signal {-status}, {signal.strsignal(-status)}" if status < 0 else child.read_last_lines(1)
-            self._schedule_restart(node, now, f"ended with status {status} ({reason or 'no output'})")
+            failure = f"ended with status {child.process.returncode} ({child.read_reason(1) or 'no output'})"
+            self._schedule_restart(node, now, failure)
             return
         statuses = self._monitor.state.health.values()
         last = max((s.received_at for s in statuses if s.name.startswith(f"{node.name}: ")), default=-math.inf)

@@ -51,7 +51,10 @@ class Child:
     log: Path
     may_end: bool = False
 
-    def read_last_lines(self, count: int = 5) -> str:
+    def read_reason(self, count: int = 5) -> str:
+        """The signal that ended the process, or else the last lines of its output."""
+        if (status := self.process.returncode or 0) < 0:
+            return f"signal {-status}, {signal.strsignal(-status)}"
         return "\n".join(self.log.read_text(errors="replace").strip().splitlines()[-count:])
 
     def wait_for(self, text: str, timeout: float) -> str:
@@ -104,7 +107,7 @@ class Processes(AbstractContextManager):
         """Raises SuiteError naming the first child that has ended, except with status 0 if it may end."""
         for child in self.children:
             if (status := child.process.poll()) is not None and (status or not child.may_end):
-                raise SuiteError(f"{child.name} ended with status {status}: {child.read_last_lines() or 'no output'}\n"
+                raise SuiteError(f"{child.name} ended with status {status}: {child.read_reason() or 'no output'}\n"
                                  f"(log: {child.log})")
 
     def reap(self, name: str) -> Child | None:
