@@ -147,6 +147,14 @@ def test_table_is_printed_if_the_disk_is_full(tmp_path: Path, monkeypatch) -> No
             assert "live: mean error over each horizon" in stream.getvalue()
 
 
+def test_restarts_are_reported_in_one_line(tmp_path: Path) -> None:
+    with StringIO() as stream:
+        outcome = session.Outcome({}, interrupted=False, problem="no car", restarts={"predictor": 2, "recorder": 1})
+        report.report_results(tmp_path, outcome, {"title": "live"}, Console(file=stream))
+        lines = [line for line in stream.getvalue().splitlines() if "bag_2" in line]
+    assert len(lines) == 1 and lines[0].startswith("number of restarts: predictor (2), recorder (1); recorder and")
+
+
 def test_starts_without_a_complete_horizon_are_counted_by_mode() -> None:
     models = {model: {mode: {"n_incomplete": count} for mode in ("forecast", "hindsight")}
               for model, count in (("linear", 50), ("augmented", 51))}

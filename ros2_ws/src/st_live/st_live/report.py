@@ -65,10 +65,10 @@ def report_results(folder: Path, outcome: Outcome, extra: dict[str, Any], consol
 def _print_problems(folder: Path, outcome: Outcome, console: Console) -> None:
     if outcome.problem:
         console.out(outcome.problem, style="red", highlight=False)
-    for name, count in outcome.restarts.items():
-        frequency = "once" if count == 1 else f"{count} times"
-        console.out(f"{name} was restarted {frequency}; recordings of a restarted node continue in bag_2, errors_2 and "
-                    f"so on; repair truncated ones with `st recover {folder}`", style="yellow", highlight=False)
+    if outcome.restarts:
+        names = ", ".join(f"{name} ({count})" for name, count in outcome.restarts.items())
+        console.out(f"number of restarts: {names}; recorder and evaluator then continue in bag_2, errors_2 and so on; "
+                    f"repair truncated recordings with `st recover {folder}`", style="yellow", highlight=False)
     failed = {name: status for name, status in outcome.statuses.items() if status}
     if failed:
         names = ", ".join(f"{name} (status {status})" for name, status in failed.items())
