@@ -177,8 +177,7 @@ class LiveView:
                        "address": self._host, "port": self._port}
             server = processes.start(
                 "passenger", [sys.executable, "-m", "st_live.nodes.passenger", json.dumps(options)])
-            line = server.wait_for("serving on ", READY_TIMEOUT)
-            if not line:
+            if not (line := server.wait_for("serving on ", READY_TIMEOUT)):
                 raise SuiteError(f"passenger's page: {server.read_reason() or 'did not start'} (log: {server.log})")
             url = f"http://{_find_reachable_address(self._host)}:{line.strip().rpartition(':')[2]}/"
             show_address(url, console)
@@ -277,8 +276,7 @@ def _start_rerun(processes: Processes, recording: str) -> tuple[Child, int]:
         "--hide-welcome-screen"])
     if address := re.search(rf"http://{LOOPBACK}:(\d+)", rerun.wait_for(f"http://{LOOPBACK}:", READY_TIMEOUT)):
         return rerun, int(address[1])
-    output = rerun.read_reason() or "no output"
-    raise SuiteError(f"the Rerun viewer did not start: {output} (log: {rerun.log})")
+    raise SuiteError(f"the Rerun viewer did not start: {rerun.read_reason() or 'no output'} (log: {rerun.log})")
 
 
 def check_rerun(prefix: str = "") -> None:

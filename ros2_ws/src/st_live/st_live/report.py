@@ -65,14 +65,11 @@ def report_results(folder: Path, outcome: Outcome, extra: dict[str, Any], consol
 def _print_problems(folder: Path, outcome: Outcome, console: Console) -> None:
     if outcome.problem:
         console.out(outcome.problem, style="red", highlight=False)
-    if outcome.restarts:
-        names = ", ".join(f"{name} ({count})" for name, count in outcome.restarts.items())
-        console.out(f"number of restarts: {names}; recorder and evaluator then continue in bag_2, errors_2 and so on; "
-                    f"repair truncated recordings with `st recover {folder}`", style="yellow", highlight=False)
-    failed = {name: status for name, status in outcome.statuses.items() if status}
-    if failed:
-        names = ", ".join(f"{name} (status {status})" for name, status in failed.items())
-        console.out(f"ended with an error: {names}; see {folder / 'logs'}", style="red", highlight=False)
+    if restarts := [f"{name} ({count})" for name, count in outcome.restarts.items()]:
+        console.out(f"number of restarts: {', '.join(restarts)}; recorder and evaluator continue in bag_2, errors_2; "
+                    f"repair truncated bags with `st recover {folder}`", style="yellow", highlight=False)
+    if failed := [f"{name} (status {status})" for name, status in outcome.statuses.items() if status]:
+        console.out(f"ended with an error: {', '.join(failed)}; see {folder / 'logs'}", style="red", highlight=False)
 
 
 def draw_paths(results: Results, title: str, file: Path) -> None:

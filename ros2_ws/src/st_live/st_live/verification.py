@@ -127,8 +127,7 @@ def find_settled_starts(starts_ns: np.ndarray, ins_time_ns: np.ndarray, cutoff: 
 
 
 def _compare(model: Model, car: VehicleParameters, signals: LogSignals, forecasts: Predictions,
-             planned: Mapping[Mode, Predictions], scores: Mapping[Mode, Scores],
-             cutoff: float) -> Comparison:
+             planned: Mapping[Mode, Predictions], scores: Mapping[Mode, Scores], cutoff: float) -> Comparison:
     horizon = forecasts.step * (forecasts.states.shape[1] - 1)
     settings = EvaluationSettings(PredictionSettings(horizon=horizon, step=forecasts.step, minimum_speed=0.0))
     result = Comparison(model.name)

@@ -308,9 +308,8 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
     They are interchanged if they agree with the integrated speed and the heading only the other way round. Distances
     are compared over steps of one second, so that they are large relative to the noise of the receiver.
     """
-    if "velocity_x" not in columns:
-        return
-    speed, yaw = np.abs(columns["velocity_x"]), columns.get("yaw", np.full(len(latitude), np.nan))
+    unknown = np.full(len(latitude), np.nan)
+    speed, yaw = np.abs(columns.get("velocity_x", unknown)), columns.get("yaw", unknown)
 
     def compare(latitude: np.ndarray, longitude: np.ndarray) -> tuple[float, float]:
         """Medians over steps: (ratio of position distance to driven distance, |course - yaw| [rad]); NaN if slow."""
@@ -380,13 +379,9 @@ def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], warni
 
 def _replace_course_when_slow(table: Table, columns: Mapping[str, np.ndarray], warnings: list[str]) -> np.ndarray:
     """Course over ground [rad], interpolated at low speed; constant if always slow, unchanged without a speed."""
-    course = columns[COURSE]
-    if "velocity_x" in columns:
-        speed = np.abs(columns["velocity_x"])
-    elif columns.keys() >= {"velocity_east", "velocity_north"}:
-        speed = np.hypot(columns["velocity_east"], columns["velocity_north"])
-    else:
-        return course
+    course, unknown = columns[COURSE], np.full(len(columns[COURSE]), np.nan)
+    over_ground = columns.get("velocity_east", unknown) + 1j * columns.get("velocity_north", unknown)
+    speed = np.abs(columns.get("velocity_x", over_ground))
     is_slow = table.is_usable & np.isfinite(course) & (speed < MIN_COURSE_SPEED)
     if not is_slow.any():
         return course
