@@ -268,6 +268,14 @@ def test_recording_in_short_parts_has_gaps_but_no_bursts(leaf, rate, seconds, le
     assert [finding.name for finding in findings] == ["time_gaps", "time_gaps"]  # of INS and steering
 
 
+@pytest.mark.parametrize("rate", [50.0, 100.0])
+def test_samples_in_pairs_are_noted_and_cause_no_other_finding(leaf, rate):
+    drive = exact_drive(leaf, 90.0, rate=rate)
+    stamps, k = drive.ins_time_ns, np.arange(len(drive.x))
+    (finding,) = check(replace(drive, ins_time_ns=stamps[k // 2 * 2] + 2000 * (k % 2)), leaf).findings
+    assert finding.severity is Severity.NOTE and "bursts of 2" in finding.text
+
+
 def test_randomly_missing_samples_give_no_jitter_finding(leaf):
     """The motion between samples agrees with the uneven time stamps."""
     drive = exact_drive(leaf, 40.0)

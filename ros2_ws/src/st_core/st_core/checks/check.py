@@ -412,9 +412,7 @@ def _find_removed_factors(unit_findings: list[Finding]) -> dict[str, float]:
         if finding.name == "yaw_offset":
             removed_factors[finding.name] = -fields["add"]
         elif not {"yaw", "yaw_rate"} <= corrections.keys():  # the ratio of these two is unchanged
-            factor = 1.0 / fields["scale"] if "scale" in fields else finding.value
-            if factor:
-                removed_factors[finding.name] = factor
+            removed_factors[finding.name] = 1.0 / fields["scale"] if "scale" in fields else finding.value or 1.0
     return removed_factors
 
 

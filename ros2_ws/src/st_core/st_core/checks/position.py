@@ -24,7 +24,7 @@ import numpy as np
 
 from .finding import HORIZON, LIMITS, Advice, Alternative, Comparison, Finding, Severity, neutral_value
 from .motion import Motion, has_varying_speed, is_near
-from .regression import Estimate, Regression, add_systematic_uncertainty, is_relevant
+from .regression import BLOCK_LENGTH, Estimate, Regression, add_systematic_uncertainty, is_relevant
 
 WINDOW = 1.0  # s, length of the windows
 HORIZON_WINDOWS = round(HORIZON / WINDOW)  # number of windows in the horizon
@@ -33,7 +33,7 @@ ITERATIONS = 3
 MAX_RESIDUAL_LAG = 0.5  # largest position lag with the right yaw, divided by that with the wrong one
 MIN_LOSS_RATIO = 1.1  # ratio of the losses of two explanations above which the one with the smaller loss is preferred
 VARIATION_INTERVAL, MAX_VARIATION_INTERVALS = 20.0, 16  # s, number of intervals between instants; limits the memory
-MIN_VARIATION_RATIO = 2.0  # ratio of the losses above which a cause varies
+MIN_VARIATION_RATIO = 2.0  # ratio of the losses per degree of freedom above which a cause varies
 MIN_SIGN_GAIN = 0.01  # m; minimum reduction of the misfit by the opposite sign; RTK noise is 1 cm
 MAX_SIGN_MISFIT_RATIO = 1.2  # largest misfit with the opposite sign, divided by that with another cause, if both fit
 MIN_LATERAL_VELOCITY = 0.02  # m/s, root mean square
@@ -248,7 +248,9 @@ def _find_varying_cause(motion: Motion, explanation: _Explanation) -> tuple[_Exp
     cause = min(fits, key=lambda name: fits[name][0])
     ratio, values = fits[cause]
     smallest, name, text, advice = VARYING_CAUSES[cause]
-    if ratio * MIN_VARIATION_RATIO > 1.0 or np.std(values) < smallest or not motion.velocity_y.any():  # sideslip varies
+    freedom = 1.0 - count * BLOCK_LENGTH / (2.0 * np.ptp(middle))  # of two independent values per block of windows
+    # Without velocity_y, the sideslip varies.
+    if not motion.velocity_y.any() or ratio * MIN_VARIATION_RATIO > freedom or np.std(values) < smallest:
         return explanation, []
     value, size, unit = np.interp(motion.time, instants, values), float(np.ptp(values)), CAUSES[cause].unit
     if cause == "yaw_offset":  # the mean is an offset

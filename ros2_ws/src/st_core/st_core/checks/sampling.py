@@ -68,8 +68,7 @@ def spread_bursts(log: DriveLog) -> tuple[DriveLog, list[Finding]]:
                 MAX_BURST_INTERVAL * steps[is_pause & (spacing <= max_gap)].mean() > steps[~is_pause].mean()):
             continue
         even = even_out(time, round(MAX_PAUSE_RATIO * count), max_gap)
-        if (deviation := float(np.std(time - even))) < LIMITS.lag:
-            continue
+        deviation = float(np.std(time - even))
         log = replace(log, **{name: stamps[0] + np.round(even / NANOSECOND).astype(np.int64)})
         effect = deviation * float(np.median(np.abs(log.velocity_x))) if signal == "INS" else None
         text = (f"the {signal} samples come in bursts of {count:.0f}, {period:.2g} s apart: their time stamps are the "
