@@ -60,6 +60,11 @@ def test_drives_in_folders_are_paired_with_the_logs_next_to_them(tmp_path: Path,
     assert not any(run.problem for run in runs)
 
 
+def test_recording_takes_all_logs_of_its_own_folder(tmp_path: Path) -> None:
+    touch(tmp_path, "d1/a.ncom", "d1/a.log", "d2/b.ncom", "d2/00000001.log", "d2/00000002.log")
+    assert {run.name: len(run.can) for run in find_runs([tmp_path]) if not run.problem} == {"a": 1, "b": 2}
+
+
 @pytest.mark.parametrize(("names", "pairs"), [
     (("d1/a.ncom", "d1/b.log", "d2/b.ncom"), {}),
     (("d1/drive.ncom", "d1/log/00000001.log", "d2/00000001.ncom", "d2/log/00000002.log"), {}),

@@ -169,7 +169,8 @@ def _group_files(files: Sequence[Path], named_by_user: bool) -> list[RunSource]:
             logs = [f for f in logs if f not in own_logs]
         else:
             recordings_without_logs.append(file)
-    partners = _find_partners(recordings_without_logs, logs, any(run.can for run in runs))
+    paired = {folder for run in runs if run.can for folder in run.files[0].absolute().parents}
+    partners = _find_partners(recordings_without_logs, logs, paired)
     runs += [RunSource(f.stem, readers[f].kind, (f,), own_logs) for f, own_logs in partners.items() if own_logs]
     logs = [log for log in logs if not any(log in own_logs for own_logs in partners.values())]
     for file in complete_drives:
@@ -179,12 +180,11 @@ def _group_files(files: Sequence[Path], named_by_user: bool) -> list[RunSource]:
     return [*runs, *_report_unmatched([f for f, own_logs in partners.items() if not own_logs], readers, logs)]
 
 
-def _find_partners(recordings: Sequence[Path], logs: Sequence[Path], others_paired: bool
-                   ) -> dict[Path, tuple[Path, ...]]:
+def _find_partners(recordings: Sequence[Path], logs: Sequence[Path], paired: set[Path]) -> dict[Path, tuple[Path, ...]]:
     """CAN logs of each INS recording: those in the outermost folder around it without another INS recording, or only
     those of them with its stem, if any; without logs there, those with its stem in other folders. A stem counts only if
-    no other recording has it. Empty if stems and folders disagree, if two recordings would share a log, or, where
-    others have logs of their stem, for logs of several sessions."""
+    no other recording has it. Empty if stems and folders disagree, if two recordings would share a log, or, next to
+    pairs of the same stem (in the folders `paired`), for logs of several sessions."""
     candidates: dict[Path, tuple[Path, ...]] = {}
     contradictory = set[Path]()
     for file in recordings:
@@ -194,11 +194,11 @@ def _find_partners(recordings: Sequence[Path], logs: Sequence[Path], others_pair
         is_only_one = sum(other.stem == file.stem for other in recordings) == 1
         same_stem = tuple(log for log in logs if is_only_one and log.stem == file.stem)
         candidates[file] = tuple(log for log in same_stem if log in nearby) or (*nearby, *same_stem)
-        if nearby and {*candidates[file]} - {*nearby}:
+        is_mixed = file.absolute().parent in paired and len({parse_session(log)[0] for log in candidates[file]}) > 1
+        if is_mixed or (nearby and {*candidates[file]} - {*nearby}):
             contradictory.add(file)
     counts = Counter(log for own_logs in candidates.values() for log in own_logs)
-    return {file: () if file in contradictory or any(counts[log] > 1 for log in own_logs) or (
-                others_paired and len({parse_session(log)[0] for log in own_logs}) > 1) else own_logs
+    return {file: () if file in contradictory or any(counts[log] > 1 for log in own_logs) else own_logs
             for file, own_logs in candidates.items()}
 
 
