@@ -26,6 +26,7 @@ MAX_AGREEING_ANGLE = 0.1
 of two interpretations is accepted if the difference of the other is larger by more than this."""
 MIN_DISAGREEING_ANGLE = 0.3
 """[rad]. If the difference of heading and course is larger, the heading has a different unit or direction."""
+MAX_UNEXPLAINED = 0.5  # maximum ratio of two mean-square deviations from the motion that shows the better reading
 MAX_RADIANS = 6.4  # rad; without motion, a heading is in degrees if its first value has a larger magnitude
 HEADING, COURSE = "compass_heading", "course"
 EARTH_RADIUS = 6.37e6  # m
@@ -162,16 +163,17 @@ def read_angles(table: Table, use_positions: bool) -> Table:
         deviations = {reading: compute_deviation(reading[0], angle) for reading, angle in angles.items()}
         recorded, reading, text = (channel, source.unit), min(deviations, key=lambda key: deviations[key]), ""
         values = angles[channel, "rad"][np.isfinite(columns[channel])]
-        looks_like_degrees = _look_like_degrees(values)
+        looks_like_degrees = len(values) > 0 and values.min() > -180.5 and values.max() < 360.5 and bool(
+            np.abs(np.diff(values)).max(initial=0.0) > 180.0 or abs(values[0]) > MAX_RADIANS)
         # A yaw that drifts during a straight drive is almost constant in degrees: a constant then agrees as well.
-        constant = compute_deviation("yaw", np.zeros(len(columns[channel])))
-        is_shown = looks_like_degrees or deviations[reading] ** 2 < 0.5 * constant ** 2
+        constant, degrees = compute_deviation("yaw", np.zeros(len(columns[channel]))), deviations[channel, "deg"]
+        in_radians = degrees > MIN_COURSE_SPREAD and deviations[recorded] ** 2 < MAX_UNEXPLAINED * degrees ** 2
+        is_shown = looks_like_degrees or deviations[reading] ** 2 < MAX_UNEXPLAINED * constant ** 2
         if is_shown and deviations[recorded] > max(SIGNIFICANT_DEVIATIONS * deviations[reading], MIN_DISAGREEING_ANGLE):
             motion_name = "velocities to the east and north" if has_velocities else "positions"
             text = f"agrees with the {motion_name} only as {reading[0]} in {reading[1]}; it was read as such"
-        elif not source.has_stated_unit and not (channel == "yaw" and "yaw_rate" in sources) and (
-                looks_like_degrees and not deviations[channel, "deg"] > max(
-                    np.sqrt(2.0) * deviations[recorded], MIN_COURSE_SPREAD)):
+        elif looks_like_degrees and not source.has_stated_unit and not in_radians and not (
+                channel == "yaw" and "yaw_rate" in sources):
             reading = channel, "deg"
             text = f"has values from {values.min():.4g} to {values.max():.4g}: they were read as degrees"
         if text:
@@ -191,11 +193,6 @@ def _find_motion(table: Table, use_positions: bool) -> tuple[np.ndarray, np.ndar
         if columns.keys() >= {x, y}:
             return compute_steps(table, columns[x], columns[y], is_geographic=x != "x")
     return rows[:0], rows[:0], np.empty(0)
-
-
-def _look_like_degrees(values: np.ndarray) -> bool:
-    return len(values) > 0 and values.min() > -180.5 and values.max() < 360.5 and bool(
-        np.abs(np.diff(values)).max(initial=0.0) > 180.0 or abs(values[0]) > MAX_RADIANS)
 
 
 def compute_steps(table: Table, x: np.ndarray, y: np.ndarray, is_geographic: bool
