@@ -396,7 +396,7 @@ def _make_unrelated_finding(motion: Motion, name: str, measured: np.ndarray) -> 
         return None
     text = f"{name} does not follow velocity and yaw rate (correlation {correlation:.2f})" + (
         f" and has a mean of {mean:.1f} m/s², that of gravity: does this axis of the sensor point up or down?"
-        if is_vertical else ": is it another axis of the sensor, or another signal?")
+        if is_vertical else ": is it another axis of the sensor or another signal, or is the road hilly?")
     advice = Advice("text", "check the axes of the sensor; without the right one, leave this column out")
     return Finding("acceleration_unrelated", Severity.WARNING, (name,), text, correlation, advice=advice)
 

@@ -217,8 +217,7 @@ def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Es
     findings = [_make_finding(name, causes[name], abs(error.value) * effects[name]) for name, error in errors.items()
                 if not error.covers(0.0)]
     findings = _add_lag_alternative(_add_lateral_alternative(findings, problem, causes), problem, causes)
-    varying_names = {finding.name for finding in varying_findings}
-    findings = varying_findings + [finding for finding in findings if finding.name not in varying_names]
+    findings = varying_findings + [f for f in findings if f.name not in {v.name for v in varying_findings}]
     estimates = {}
     for name, column in problem.columns.items():  # each is fitted together with the causes found
         if name == "velocity_y_scale" and not column.any():
@@ -232,7 +231,7 @@ def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Es
 
 def _find_varying_cause(motion: Motion, explanation: _Explanation) -> tuple[_Explanation, list[Finding]]:
     """(explanation, finding) with a cause that varies slowly, linearly between instants at equal intervals, if it
-    explains the positions far better than constant causes; (explanation as given, []) otherwise."""
+    explains the positions far better than constant causes; (explanation as given, []) else or without v_y."""
     problem, corrected = make_residual_regression(motion), make_residual_regression(explanation.corrected)
     middle = problem.time + 0.5 * WINDOW
     count = int(np.clip(np.ptp(middle) / VARIATION_INTERVAL, 2, MAX_VARIATION_INTERVALS)) + 1
@@ -249,7 +248,6 @@ def _find_varying_cause(motion: Motion, explanation: _Explanation) -> tuple[_Exp
     ratio, values = fits[cause]
     smallest, name, text, advice = VARYING_CAUSES[cause]
     freedom = 1.0 - count * BLOCK_LENGTH / (2.0 * np.ptp(middle))  # of two independent values per block of windows
-    # Without velocity_y, the sideslip varies.
     if not motion.velocity_y.any() or ratio * MIN_VARIATION_RATIO > freedom or np.std(values) < smallest:
         return explanation, []
     value, size, unit = np.interp(motion.time, instants, values), float(np.ptp(values)), CAUSES[cause].unit

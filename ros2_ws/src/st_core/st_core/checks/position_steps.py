@@ -146,7 +146,9 @@ def check_position_deviations(motion: Motion, findings: list[Finding]) -> list[F
         return []
     jumps = [time for finding in findings if finding.name == "position_jumps" for time in finding.times]
     errors = windows.change(motion.position) - windows.integral(motion.velocity_map)
-    sums = np.cumsum(np.append(0.0, errors - np.median(errors.real) - 1j * np.median(errors.imag)))
+    # The correction of a lag extrapolates the first or last values before and after gaps.
+    is_inner = np.append(False, windows.are_adjacent) & np.append(windows.are_adjacent, False)
+    sums = np.cumsum(np.append(0.0, is_inner * (errors - np.median(errors.real) - 1j * np.median(errors.imag))))
     size, begin = np.abs(sums[count:] - sums[:-count]), windows.time[:1 - count]
     usual = float(np.median(size))
     large = size > max(LIMITS.warning_effect, OUTLIER_SIGMAS * SIGMA_PER_MAD * usual)

@@ -73,10 +73,9 @@ def spread_bursts(log: DriveLog) -> tuple[DriveLog, list[Finding]]:
         effect = deviation * float(np.median(np.abs(log.velocity_x))) if signal == "INS" else None
         text = (f"the {signal} samples come in bursts of {count:.0f}, {period:.2g} s apart: their time stamps are the "
                 "times at which they were received or written, not measured")
-        severity = LIMITS.severity(effect or 0.0, deviation >= LIMITS.severe_lag)
         advice = Advice("text", "use the time of measurement (GPS time), or that of each message on the bus")
-        findings.append(Finding("time_jitter", severity, STAMPED_CHANNELS[signal], text, deviation, "s", effect=effect,
-                                advice=advice))
+        findings.append(Finding("time_jitter", LIMITS.severity(effect or 0.0, deviation >= LIMITS.severe_lag),
+                                STAMPED_CHANNELS[signal], text, deviation, "s", effect=effect, advice=advice))
     return log, findings
 
 
