@@ -252,8 +252,8 @@ def test_steering_in_coarse_steps_is_reported_in_a_real_drive(degrees, is_report
 def test_parts_of_a_long_drive_are_limited(leaf):
     log = CHANGES["yaw_rate_bias"](exact_drive(leaf, 900.0, rate=10.0))
     (finding,) = check(log, leaf).findings
-    assert finding.times == (pytest.approx((750.0, 900.0), abs=0.2),)
-    assert finding.text.startswith("in the last 150 s of the drive, ")
+    assert finding.times == (pytest.approx((600.0, 900.0), abs=0.2),)
+    assert finding.text.startswith("in the last 300 s of the drive, ")
 
 
 def test_constant_fault_is_one_of_the_whole_drive(leaf):
