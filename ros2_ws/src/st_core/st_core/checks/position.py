@@ -124,6 +124,7 @@ VARYING_CAUSES = {  # smallest reported standard deviation, name of the finding,
                        "positions varies within {size:.3f} during the drive", "check the source of the velocity: no "
                        "constant correction exists"),
 }
+VARYING_FINDINGS = tuple(name for _, name, *_ in VARYING_CAUSES.values())
 SPHERE_TEXT = "{axis} is {value:.4f} ± {half:.4f} times the integrated velocity: projected on a spherical earth?"
 
 

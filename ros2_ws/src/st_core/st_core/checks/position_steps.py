@@ -9,6 +9,7 @@ from scipy.stats import binomtest
 from ..regression import SIGMA_PER_MAD
 from .finding import HORIZON, LIMITS, Advice, Alternative, Finding, Severity
 from .motion import MAX_GAP, MAX_LISTED_TIMES, MIN_MOVING_SPEED, SPACING_SAMPLES, Motion, even_out, find_time_intervals
+from .position import VARYING_FINDINGS
 from .sampling import estimate_resolution
 
 OUTLIER_SIGMAS = 6.0  # number of robust standard deviations above which a step is not noise
@@ -142,7 +143,7 @@ def check_position_deviations(motion: Motion, findings: list[Finding]) -> list[F
     windows, count = motion.make_windows(1.0), round(HORIZON)
     # The part of a varying cause that its correction leaves is no fault of its own.
     if len(windows) < MIN_DEVIATION_WINDOWS or any(
-            f.name in ("yaw_wander", "position_lag", "velocity_scale") and f.interval is None for f in findings):
+            f.name in VARYING_FINDINGS and f.interval is None for f in findings):
         return []
     jumps = [time for finding in findings if finding.name == "position_jumps" for time in finding.times]
     errors = windows.change(motion.position) - windows.integral(motion.velocity_map)
