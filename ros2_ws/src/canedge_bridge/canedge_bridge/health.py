@@ -75,7 +75,7 @@ class Health:
             return Check("signals", ERROR, "; ".join(missing), values)
         if stale:
             return Check("signals", WARN, "; ".join(stale), values)
-        text = "waiting for the first good frames" if missing else "needed signals are up to date"
+        text = "waiting for the first good frames" if missing else "required signals are up to date"
         return Check("signals", OK, text, values)
 
     def _check_frames(self) -> Check:

@@ -59,7 +59,7 @@ LONGEST_GAP_NS = 30_000_000_000  # longest pause on the receive clock after whic
 # Within this time of a minute change [ms], a channel 0 that differs by one minute must be confirmed by the next one.
 CONFIRMATION_MS = 1_000
 # A step of the packet time that exceeds the pause on the receive clock by more than this is a jump [ns].
-LARGEST_STEP_NS = 1_000_000_000
+MAX_STEP_EXCESS_NS = 1_000_000_000
 
 _LAYOUT = struct.Struct("<xH 9s9s B x ddf 9s9s x B 8s x")
 _VECTOR = struct.Struct("<HbHbHb")  # low 16 bits and high 8 bits of each i24
@@ -70,7 +70,7 @@ class NcomError(ValueError):
 
 
 class StatusRule(NamedTuple):
-    """Contents of a packet at a navigation status (byte 21)."""
+    """Contents of a packet with a given navigation status (byte 21)."""
 
     text: str
     # "regular" (a measurement); "trigger" (an event with its time in batch S); "status" (only batch S is valid); or
@@ -174,7 +174,7 @@ class Packet:
 
 
 def decode(data: bytes) -> Packet:
-    """Physical values of a packet; find_next_packet() verifies the checksums.
+    """Physical values of a packet; the checksums are not verified.
 
     Raises NcomError for a wrong length or sync byte, or structure B (navigation status 11, vendor-internal).
     """
@@ -348,7 +348,7 @@ class GpsClock:
         ahead = (ms - self.milliseconds) % MINUTE_MS
         if ahead >= HALF_MINUTE_MS:
             return self._step_back(ms, minute, MINUTE_MS - ahead)
-        jumped = ahead * 1_000_000 - pause > LARGEST_STEP_NS
+        jumped = ahead * 1_000_000 - pause > MAX_STEP_EXCESS_NS
         if self.minute is not None and ms < self.milliseconds:
             self.minute += 1
         self.milliseconds, self._late_count = ms, 0

@@ -36,7 +36,7 @@ class StatusTracker:
         self._last_pulses: tuple[float, int] | None = None
 
     def restart(self) -> None:
-        """Prepare for a new stream: counters begin with the count that it sends first; other values stay."""
+        """Prepare for a new stream: counters begin with its first counts; other values are kept."""
         self._raw_counts.clear()
         self._last_pulses = None
 

@@ -1,6 +1,6 @@
 """Scenarios of unlimited duration: S1 to S7 of the paper, the manoeuvres of `st_core.manoeuvres`, and roads from files.
 
-The paper states R ~ 23 m and R ~ 20 m, but its error table matches these values as diameters: the radii here are half.
+The paper states R ~ 23 m and R ~ 20 m, but its error table is consistent only with diameters of this size.
 """
 
 import math
@@ -131,7 +131,7 @@ def _make_circle(lateral_acceleration: float) -> Plan:
     return RoadPlan([Piece(2 * math.pi * radius, 1 / radius, 1 / radius, math.sqrt(lateral_acceleration * radius))])
 
 
-_CIRCLE_TO_REST = (
+_CIRCLE_WITH_STOPS = (
     Phase("path", duration=18.0), Phase("path", acceleration=-1.5, end_speed=0.0), Phase("path", duration=4.0),
     Phase("path", acceleration=1.2, duration=5.0))
 _LEFT_U_TURN = turn(8, 180, 4, 5)
@@ -146,7 +146,7 @@ SCENARIOS: dict[str, tuple[Callable[[], Plan], str]] = {
     "S2": (partial(_make_circle, 1.5), "left circle, R = 11.5 m, 1.5 m/s^2"),
     "S3": (partial(_make_circle, 3.77), "left circle, R = 11.5 m, 3.8 m/s^2"),
     "S4": (partial(_make_circle, 6.37), "left circle, R = 11.5 m, 6.4 m/s^2"),
-    "S5": (partial(PhasePlan, 10.0, -1, math.sqrt(1.5 * 10.0), _CIRCLE_TO_REST),
+    "S5": (partial(PhasePlan, 10.0, -1, math.sqrt(1.5 * 10.0), _CIRCLE_WITH_STOPS),
            "right circle, R = 10 m, 1.5 m/s^2, brake to standstill, accelerate, repeat"),
     "S6": (partial(RoadPlan, _U_TURNS), "U-turns right, left, left with straights, 4 to 6 m/s"),
     "S7": (partial(RoadPlan, _ROUNDABOUT, acceleration=1.6, braking=2.0),
@@ -188,7 +188,7 @@ def _make_pieces(row: dict[str, Any]) -> list[Piece]:
     kind = next(key for key in ("straight", "turn", "shift") if key in values)
     size, speed = values.pop(kind), values.pop("speed")
     if not 0 < speed <= MAX_SPEED:
-        raise ValueError(f"speed {speed:g} is not above 0 and at most {MAX_SPEED:g} m/s")
+        raise ValueError(f"speed {speed:g} m/s: must be above 0 and at most {MAX_SPEED:g} m/s")
     if kind == "turn":
         pieces = turn(values.pop("radius"), size, speed, values.pop("blend", 0.0))
     else:

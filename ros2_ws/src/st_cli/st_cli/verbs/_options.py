@@ -244,7 +244,7 @@ def report_default_car(verb: str, given_file: Path | None, file: Path | str) -> 
 
 
 def report_bag(verb: str, path: Path, vehicle: Path | None) -> None:
-    """Print a line for each: the Leaf's vehicle file is used, and further bags of the folder of a run are not.
+    """Report the use of the Leaf's vehicle file, and bags in the folder of a run that are not used.
 
     Raises RunError for an unreadable bag.
     """

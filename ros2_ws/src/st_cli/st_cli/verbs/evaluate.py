@@ -78,7 +78,7 @@ def evaluate(
     scheduler: str | None = typer.Option(None, help="Address of a Dask scheduler to use instead of --workers."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> int:
-    """Predict every --interval s of each run with each model, score the predictions, and write tables and figures.
+    """Every --interval s of each run, predict with each model and score the predictions; write tables and figures.
 
     Unusable runs are reported and skipped. Exit status: 0 all runs evaluated, 1 some not, 2 none.
     """

@@ -33,7 +33,7 @@ def align(
 ) -> int:
     """Find offset and drift between the clocks of INS and CAN log, report their uncertainty, and draw the signals.
 
-    Exit status 0: good or doubtful (see the reasons). 1: no alignment. 2: files that cannot be read.
+    Exit status 0: good or doubtful (see the reasons). 1: no usable alignment. 2: files that cannot be read.
     """
     from st_offline.alignment_figure import draw_alignment
     from st_offline.terminal import list_files, print_line
@@ -138,7 +138,7 @@ def _format_seconds(nanoseconds: int) -> str:
 
 @shared.expand_options(shared.ReadOptions)
 def import_(
-    paths: list[Path] = typer.Argument(..., help="Runs: .ncom with CAN logs, folders of them, or run.yaml."),
+    paths: list[Path] = typer.Argument(..., help="NCOM files with CAN logs, folders of them, or run.yaml."),
     output: Path | None = typer.Option(
         None, help="Bag directory; with several runs, the folder of their bags. Default runs/import-<name>-<time>."),
     search: tuple[float, float] | None = typer.Option(None, help="Bounds of the offset in seconds."),
@@ -161,8 +161,8 @@ def import_(
     runs = [run for run in find_runs(paths) if run.kind == "ncom" or run.problem is not None]
     if not runs:
         raise ConfigurationError(
-            f"{', '.join(map(str, paths))}: no .ncom with CAN logs found, and only these are imported; st check, "
-            "evaluate and discover read CSV, VBO and bags with their CAN logs")
+            f"{', '.join(map(str, paths))}: no NCOM file with CAN logs found, and only these are imported; "
+            "st check, evaluate and discover read CSV, VBO and bags with their CAN logs")
     written = 0
     for run in runs:
         try:

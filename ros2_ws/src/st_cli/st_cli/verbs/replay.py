@@ -50,7 +50,7 @@ def replay(
 
 @shared.expand_options(shared.ReadOptions, *shared.BAG_INPUTS, vehicle=shared.BagVehicle)
 def verify(
-    bag: Path = typer.Argument(..., help="A recording, or the folder of a run of st.", exists=True),
+    bag: Path = typer.Argument(..., help="A recording, or the folder of a run.", exists=True),
     tolerance: float = typer.Option(
         0.001, callback=shared.in_range(0.0, "m"), help="Largest accepted difference, m; for yaw angles, rad."),
     through_nodes: bool = typer.Option(False, "--replay", help="Play the recording through the nodes and compare."),

@@ -81,7 +81,7 @@ def _list_base_folders() -> Iterator[Path]:
 def find_reachable_functions(function: FunctionType, excluded: frozenset[str] = frozenset()) -> list[FunctionType]:
     """The function and all plain functions that it can call, directly or indirectly; each once, callees first.
 
-    They are found by the names in code and closures, including attributes of modules. excluded: names of modules.
+    They are found by the names in code and closures, including attributes of modules. excluded: modules to omit.
     """
     functions: list[FunctionType] = []
     visited: set[FunctionType] = set()

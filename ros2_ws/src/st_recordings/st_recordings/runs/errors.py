@@ -1,4 +1,4 @@
-"""Errors and warnings about recordings; each is one sentence with the file, the problem and the remedy."""
+"""Errors and warnings about recordings; each states the file, the problem and, if known, the remedy."""
 
 import codecs
 import logging
@@ -73,7 +73,7 @@ def log_warnings(warnings: Iterable[str]) -> None:
 @contextmanager
 def group_similar_warnings() -> Iterator[None]:
     """Context that abbreviates warnings that differ only in file and numbers: the first MAX_SIMILAR_WARNINGS are logged
-    in full; on exit, one more warning gives the number of further ones and lists at most 10 of their files."""
+    in full; on exit, one more warning per kind gives the number of further ones and lists at most 10 of their files."""
     groups: dict[str, list[str]] = {}
     token = _groups.set(groups)
     try:

@@ -46,7 +46,7 @@ class Reconstruction:
     @property
     def has_decodable_frames(self) -> bool:
         """Whether the recording includes CAN frames with their DBC and signal table."""
-        return CAN_FRAMES in self._by_type and None not in self._read_descriptions()
+        return CAN_FRAMES in self._by_type and None not in self._read_can_files()
 
     def map_frame(self) -> str:
         return str(self._nodes.get("oxts_bridge", {}).get("map_frame", "map"))
@@ -161,7 +161,7 @@ class Reconstruction:
         status, mode, north, east = (column[rows].astype(float) for column in values)
         return InsQuality(time_ns[rows], status, mode, np.hypot(north, east))
 
-    def _read_descriptions(self) -> tuple[str | None, ...]:
+    def _read_can_files(self) -> tuple[str | None, ...]:
         bridge = self._nodes.get("canedge_bridge", {})
         return tuple(find_file_text(self._records, str(bridge.get(name, ""))) for name in ("dbc_file", "signals_file"))
 
@@ -174,7 +174,7 @@ class Reconstruction:
                            "also record vehicle/steering")
         with tempfile.TemporaryDirectory() as folder:
             files = Path(folder, "can.dbc"), Path(folder, "signals.yaml")
-            for file, text in zip(files, self._read_descriptions(), strict=True):
+            for file, text in zip(files, self._read_can_files(), strict=True):
                 file.write_text(text or "", encoding="utf-8")
             try:
                 return load_signal_table(*files)
@@ -183,7 +183,7 @@ class Reconstruction:
 
     @cached_property
     def _signals(self) -> Any:
-        from .can_signals import decode_signals  # here, because importing the CAN libraries takes a second
+        from .can_signals import decode_signals  # imports the CAN libraries
         from .frames import read_frames
 
         table = self._table
@@ -222,7 +222,7 @@ def find_steering_topic(storage: Storage, steering: SteeringField) -> Topic:
     """Finds the topic of --steering-topic. Raises RunError if it has no messages or an unknown type."""
     topic = next((t for t in storage.topics if t.is_in(steering.topic)), None)
     if topic is None:
-        names = ", ".join(sorted(t.name for t in storage.topics))[:300] or "no messages"
+        names = ", ".join(sorted(t.name for t in storage.topics))[:300] or "none"
         raise RunError(storage.path, f"--steering-topic: topic {steering.topic} has no messages in this bag",
                        f"name one of the recorded topics: {names}")
     if topic.type_name not in storage.store.fielddefs:
