@@ -14,7 +14,7 @@ from .settings import Settings
 OUTAGE_DURATION = 1.0  # s
 # Speed above which vibration noise has its full level [m/s], and fraction of this level at rest.
 FULL_VIBRATION_SPEED, REST_VIBRATION = 5.0, 0.1
-# m/s; lower wheel speeds and vehicle speeds are sent as 0, as in recordings of the Leaf's family of cars.
+# m/s; lower wheel speeds and vehicle speeds are sent as 0, as in recordings of the Leaf and related cars.
 MIN_WHEEL_SPEED, MIN_VEHICLE_SPEED = 1.1 / 3.6, 2.8 / 3.6
 
 

@@ -42,7 +42,7 @@ class Limits:
     at_bound: float = 0.05
     # With a residual above `max_noise_ratio`, the fraction by which an effect must reduce it to be reported as a cause,
     # and by which it must explain more than a rival to exclude that as an alternative, because smaller differences may
-    # be due to unmodelled effects. Intervals include the values of sets whose loss is higher by less than this [1].
+    # be due to unmodelled effects. Intervals include the values of effect sets with a loss higher by less [1].
     unexplained_share: float = 0.2
     max_noise_ratio: float = 2.0  # ratio of residual to noise above which the residual is reported as unexplained [1]
     detection_power: float = 0.8  # minimum power at which a size counts as detectable [1]

@@ -18,7 +18,7 @@ class SensorLeverArm(Effect):
         Parameter("x", "m", null=0.0, initial=0.2, bounds=(-3.0, 3.0), meaning="INS further forward than in the file",
                   source="an INS at the rear axle or the front bumper, but assumed at the CG"),
         Parameter("y", "m", null=0.0, initial=0.1, bounds=(-1.0, 1.0), odd=True,
-                  meaning="INS further to the left than in the file", source="half a car's width"),
+                  meaning="INS further to the left than in the file", source="half the width of a car"),
     )
 
     @staticmethod

@@ -17,7 +17,7 @@ class SteeringMap(Effect):
     order = 70
     parameter = Parameter("curvature", "1/rad^2", null=0.0, initial=0.55, bounds=(-0.9, 3.0),
                           meaning="relative increase of the angle per squared angle; 0.55 is 5 % at 0.3 rad",
-                          source="linkages 5 %, racks of variable pitch up to 25 % at 0.3 rad; model error: standard "
+                          source="linkages 5 %, variable-ratio racks up to 25 % at 0.3 rad; model error: standard "
                                  "deviation of 14 estimates on simulated cars without a map", model_error=0.25)
 
     @staticmethod

@@ -19,7 +19,7 @@ from .readers import READERS
 from .run_types import LoadedRun, ReadSettings, RunSource
 from .vbo import YAW_RATE_REVERSED
 
-MAX_STATIONARY_EXTENT = 20.0  # m; positions of a parked car vary by less, even without corrections of the receiver
+MAX_STATIONARY_EXTENT = 20.0  # m; positions of a parked car vary by less, even without differential corrections
 MIN_UNUSED_TIME, MIN_UNUSED_FRACTION = 1.0, 0.01
 """[s], and fraction of the recording. Time that only INS or only steering covers is reported if it exceeds both."""
 
@@ -40,7 +40,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
         digests = pool.submit(hash_files, (*source.files, *source.can))
         reader = READERS[source.kind]
         if reader.read is None or (source.can and reader.read_ins and not settings.steering):
-            from .raw import read_raw_run  # imports scipy.signal and CAN libraries, which takes two seconds
+            from .raw import read_raw_run  # imports the CAN libraries
 
             run = read_raw_run(source, vehicle, settings)
         else:
