@@ -118,7 +118,7 @@ class Decoder:
 
     def _are_plausible(self, state: _MessageState, values: Mapping[str, float], time_ns: int, reaction: Mode) -> bool:
         """Whether all values are plausible; false also while too many recent values of a signal are implausible,
-        because plausible ones are then due to chance. reaction: to this frame, from `_check_integrity`."""
+        because those in range may then be plausible by chance. reaction: to this frame, from `_check_integrity`."""
         plausible = [state.plausibility[name].accepts(value, time_ns) for name, value in values.items()
                      if name in state.plausibility]
         if not all(plausible):

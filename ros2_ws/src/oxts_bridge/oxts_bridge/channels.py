@@ -1,6 +1,7 @@
 """Layout, decoding and encoding of the NCOM status channels: byte 62 is the channel number, batch S its 8 bytes.
 
-Field names are the vendor's if it gives one, as in tests/golden/data/ncom. Angles are in degrees, as in its tools.
+Fields have the vendor's names, where there are any (tests/golden/data/ncom), and angles are in degrees, as in the
+vendor's tools.
 Source: NCOM manual 260702 and the behaviour of the vendor's public decoder. Checked by:
 tests/golden/test_ncom_vectors.py (every channel), test_channels.py (round trips).
 """
@@ -186,21 +187,21 @@ def _word(name: str, first_byte: int, unit: str = "1", scale: float = 1, offset:
     return F(name, "u16", first_byte, unit, scale, WORD, offset)
 
 
-def _xyz(names: Iterable[str], kind: str, scale: float, unit: str, validity: Validity) -> list[Field]:
+def _triple(names: Iterable[str], kind: str, scale: float, unit: str, validity: Validity) -> list[Field]:
     """Three consecutive two-byte fields from byte 0."""
     return [F(name, kind, 2 * i, unit, scale, validity) for i, name in enumerate(names)]
 
 
 def _lever_arm(prefix: str) -> list[Field]:
-    return _xyz([f"{prefix}{axis}" for axis in "XYZ"], "i16", 1e-3, "m", B6_ZERO)
+    return _triple([f"{prefix}{axis}" for axis in "XYZ"], "i16", 1e-3, "m", B6_ZERO)
 
 
 def _lever_arm_accuracy(prefix: str) -> list[Field]:
-    return _xyz([f"{prefix}{axis}Acc" for axis in "XYZ"], "u16", 1e-4, "m", B6_ZERO)
+    return _triple([f"{prefix}{axis}Acc" for axis in "XYZ"], "u16", 1e-4, "m", B6_ZERO)
 
 
 def _angles(prefix: str) -> list[Field]:
-    return _xyz([prefix + angle for angle in ("Heading", "Pitch", "Roll")], "i16", degrees(1e-4), "deg", B6_ZERO)
+    return _triple([prefix + angle for angle in ("Heading", "Pitch", "Roll")], "i16", degrees(1e-4), "deg", B6_ZERO)
 
 
 def _innovations(*names: str, first: int = 0) -> list[Field]:
@@ -243,28 +244,28 @@ TABLE: dict[int, list[Field]] = {
         F("GpsAttMode", "u8", 7, validity=HIGH_BIT_CLEAR)],
     1: _innovations("InnPosX", "InnPosY", "InnPosZ", "InnVelX", "InnVelY", "InnVelZ", "InnPitch", "InnHeading"),
     2: _receiver_counters("GpsPrimary"),
-    3: [*_xyz(("NorthAcc", "EastAcc", "AltAcc"), "u16", 1e-3, "m", FRESH), _byte("UmacStatus", 7)],
-    4: [*_xyz(("VnAcc", "VeAcc", "VdAcc"), "u16", 1e-3, "m/s", FRESH),
+    3: [*_triple(("NorthAcc", "EastAcc", "AltAcc"), "u16", 1e-3, "m", FRESH), _byte("UmacStatus", 7)],
+    4: [*_triple(("VnAcc", "VeAcc", "VdAcc"), "u16", 1e-3, "m/s", FRESH),
         F("ProcessingMethod", "u8", 7, validity=POSITIVE)],
-    5: _xyz(("HeadingAcc", "PitchAcc", "RollAcc"), "u16", degrees(1e-5), "deg", FRESH),
-    6: [*_xyz(("WxBias", "WyBias", "WzBias"), "i16", degrees(5e-6), "deg/s", FRESH),
+    5: _triple(("HeadingAcc", "PitchAcc", "RollAcc"), "u16", degrees(1e-5), "deg", FRESH),
+    6: [*_triple(("WxBias", "WyBias", "WzBias"), "i16", degrees(5e-6), "deg/s", FRESH),
         *_nibbles(7, "GpsPrimary.NumGpsL1", "GpsPrimary.NumGpsL2")],
-    7: [*_xyz(("AxBias", "AyBias", "AzBias"), "i16", 1e-4, "m/s^2", FRESH),
+    7: [*_triple(("AxBias", "AyBias", "AzBias"), "i16", 1e-4, "m/s^2", FRESH),
         *_nibbles(7, "GpsSecondary.NumGpsL1", "GpsSecondary.NumGpsL2")],
-    8: [*_xyz(("WxSf", "WySf", "WzSf"), "i16", 1e-6, "1", FRESH),
+    8: [*_triple(("WxSf", "WySf", "WzSf"), "i16", 1e-6, "1", FRESH),
         *_nibbles(7, "GpsExternal.NumGpsL1", "GpsExternal.NumGpsL2")],
-    9: [*_xyz(("WxBiasAcc", "WyBiasAcc", "WzBiasAcc"), "u16", degrees(1e-6), "deg/s", FRESH),
+    9: [*_triple(("WxBiasAcc", "WyBiasAcc", "WzBiasAcc"), "u16", degrees(1e-6), "deg/s", FRESH),
         *_nibbles(7, "GpsPrimary.NumGloL1", "GpsPrimary.NumGloL2")],
     # The manual swaps L1 and L2 in channel 10 only, which is probably a misprint.
-    10: [*_xyz(("AxBiasAcc", "AyBiasAcc", "AzBiasAcc"), "u16", 1e-5, "m/s^2", FRESH),
+    10: [*_triple(("AxBiasAcc", "AyBiasAcc", "AzBiasAcc"), "u16", 1e-5, "m/s^2", FRESH),
          *_nibbles(7, "GpsSecondary.NumGloL1", "GpsSecondary.NumGloL2")],
-    11: [*_xyz(("WxSfAcc", "WySfAcc", "WzSfAcc"), "u16", 1e-6, "1", FRESH),
+    11: [*_triple(("WxSfAcc", "WySfAcc", "WzSfAcc"), "u16", 1e-6, "1", FRESH),
          *_nibbles(7, "GpsExternal.NumGloL1", "GpsExternal.NumGloL2")],
-    12: _xyz(("GAPx", "GAPy", "GAPz"), "i16", 1e-3, "m", FRESH),
+    12: _triple(("GAPx", "GAPy", "GAPz"), "i16", 1e-3, "m", FRESH),
     13: [F("AtH", "i16", 0, "deg", degrees(1e-4), FRESH), F("AtP", "i16", 2, "deg", degrees(1e-4), FRESH),
          F("BaseLineLength", "u16", 4, "m", 1e-3, valid_unless(0, 0xFFFF, fresh=True)),
          *_nibbles(7, "HeadNumGpsAvailable", "HeadNumGpsUsed")],
-    14: [*_xyz(("GAPxAcc", "GAPyAcc", "GAPzAcc"), "u16", 1e-4, "m", FRESH),
+    14: [*_triple(("GAPxAcc", "GAPyAcc", "GAPzAcc"), "u16", 1e-4, "m", FRESH),
          *_nibbles(7, "NumGpsUsedInPos", "NumGloUsedInPos")],
     15: [F("AtHAcc", "u16", 0, "deg", degrees(1e-5), FRESH), F("AtPAcc", "u16", 2, "deg", degrees(1e-5), FRESH),
          F("BaseLineLengthAcc", "u16", 4, "m", 1e-4, valid_unless(0xFFFF, fresh=True)),
@@ -339,7 +340,7 @@ TABLE: dict[int, list[Field]] = {
     **{channel: _lever_arm(f"SlipPoint{i}") for i, channel in enumerate((51, 52, 53, 54, 68, 69, 70, 71), 1)},
     55: _receiver_status("GpsPrimary"),
     56: _receiver_status("GpsSecondary"),
-    57: _xyz(("GAPx", "GAPy", "GAPz"), "i16", 1e-3, "m", LONG_RANGE),  # multiplied by byte 7, see decode_channel()
+    57: _triple(("GAPx", "GAPy", "GAPz"), "i16", 1e-3, "m", LONG_RANGE),  # multiplied by byte 7, see decode_channel()
     58: _angles("VehicleToOutput"),
     59: [F("ImuMissedPkts", "u16", 0, counter_bits=16), F("ImuResetCount", "u8", 2, counter_bits=8),
          F("ImuErrorCount", "u8", 3, counter_bits=8), _word("ImuCalibrationDay", 4, "day"),
@@ -359,8 +360,8 @@ TABLE: dict[int, list[Field]] = {
          _byte("ProductType", 7)],
     66: [F("RefLat", "i32", 0, "deg", 1e-7, INT32), F("RefLon", "i32", 4, "deg", 1e-7, INT32)],
     67: [F("RefAlt", "i32", 0, "m", 1e-3, INT32), F("RefHeading", "i32", 4, "deg", 1e-7, INT32)],
-    72: [*_xyz(("AxSf", "AySf", "AzSf"), "i16", 1e-6, "1", FRESH), *_nibbles(7, "DiffNumGpsL1", "DiffNumGpsL2")],
-    73: [*_xyz(("AxSfAcc", "AySfAcc", "AzSfAcc"), "u16", 1e-6, "1", FRESH),
+    72: [*_triple(("AxSf", "AySf", "AzSf"), "i16", 1e-6, "1", FRESH), *_nibbles(7, "DiffNumGpsL1", "DiffNumGpsL2")],
+    73: [*_triple(("AxSfAcc", "AySfAcc", "AzSfAcc"), "u16", 1e-6, "1", FRESH),
          *_nibbles(7, "DiffNumGloL1", "DiffNumGloL2")],
     74: [F("LinAccFiltFreq", "f32", 0, "Hz"), F("LinAccFiltZeta", "f32", 4)],
     75: [_word("FirmwareExpiryDay", 0, "day"), _byte("SupplyVoltage", 2, "V", 0.2), _word("ImuRate", 3, "Hz", 0.02)],

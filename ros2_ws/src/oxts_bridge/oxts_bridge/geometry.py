@@ -25,7 +25,7 @@ SEMI_MAJOR_AXIS = 6_378_137.0  # m
 FLATTENING = 1 / 298.257223563
 ECCENTRICITY_SQUARED = FLATTENING * (2 - FLATTENING)
 
-# For single values, the functions of `math` are ten times as fast.
+# For single values, attitudes and positions take a quarter of the time with the functions of `math`.
 _FLOAT_FUNCTIONS, _ARRAY_FUNCTIONS = (math.sin, math.cos, math.sqrt), (np.sin, np.cos, np.sqrt)
 
 

@@ -66,7 +66,7 @@ _VECTOR = struct.Struct("<HbHbHb")  # low 16 bits and high 8 bits of each i24
 
 
 class NcomError(ValueError):
-    """Bytes without an NCOM packet, values that cannot be encoded, or an output file that must not be written."""
+    """Raised for bytes without an NCOM packet, values that cannot be encoded, and an output file that is an input."""
 
 
 class StatusRule(NamedTuple):

@@ -181,16 +181,16 @@ class OxtsBridge(LifecycleNode):
             self._accuracy = Accuracy.from_status(self._status)
         if not publish:
             return
-        in_series = received.kind == "regular" and received.order == NEW
+        is_new_regular = received.kind == "regular" and received.order == NEW
         motion = extract_motion(received)
-        self._health.incomplete_packets += in_series and motion is None and received.rule.navigation == "valid"
+        self._health.incomplete_packets += is_new_regular and motion is None and received.rule.navigation == "valid"
         position = self._locate(publishers, received_ns, motion)
         if received.event_ns is not None:
             # An event that is only repeated in a regular packet has no pose.
             pose = (position, motion) if received.kind == "trigger" else (None, None)
             utc_ns = to_unix_nanoseconds(received.event_ns, self._parser.utc_offset)
             publishers.publish_trigger(utc_ns, received.packet.channel, received.packet.batch_s[7], *pose)
-        if in_series:
+        if is_new_regular:
             self._newest_packet = received.packet
             self._statistics.add(received)
             self._publish_motion(publishers, received, motion, position, now)
@@ -245,7 +245,7 @@ def check_settings(settings: SimpleNamespace, node_name: str) -> None:
             reject(key, f"{getattr(settings, key)!r} is not an IP address")
     arm = settings.base_to_ins
     if len(arm) != 3 or not all(isinstance(v, int | float) and math.isfinite(v) and abs(v) <= 100 for v in arm):
-        reject("base_to_ins", f"{list(arm)} is not three lengths of at most 100 m")
+        reject("base_to_ins", f"{list(arm)} is not three lengths within +/- 100 m")
     if settings.origin_source == GIVEN:
         for key in ("origin_latitude", "origin_longitude", "origin_altitude"):
             if math.isnan(getattr(settings, key)):

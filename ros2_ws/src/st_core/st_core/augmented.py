@@ -92,7 +92,7 @@ class AugmentedModel(Model):
         return cached[1]
 
     def without_null_effects(self) -> "AugmentedModel":
-        """The model without costly effects that have no influence (null values); its predictions are bit-identical."""
+        """The model without the costly ones of its inactive effects; its predictions are bit-identical."""
         return self.select_effects(e for e in self.effects if e in self.active_effects or not e.costly)
 
     def select_effects(self, effects: Iterable[type[Effect]]) -> "AugmentedModel":
@@ -149,9 +149,9 @@ class AugmentedModel(Model):
 def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedModel:
     """The base model with additional effects.
 
-    effects: values by effect and parameter (null for a parameter neither fitted nor given), or names of effects
-    at their initial values. Raises ConfigurationError, naming effect, parameter and limit, for an unknown or repeated
-    effect, one that does not apply to the base model, an unknown parameter, and a missing or out-of-bounds value.
+    effects: values by effect and parameter, or names of effects, which get their initial values. A parameter that is
+    not given is null if its `fit` is false. Raises ConfigurationError, naming effect, parameter and limit, for a value
+    that is missing or out of bounds, an unknown parameter, and an effect that is unknown, repeated or does not apply.
     """
     base = get_model(base)
     if not isinstance(effects, Mapping):

@@ -96,7 +96,7 @@ def test_frames_are_preferred_to_a_steering_report(raw, tmp_path, has_steering: 
                        report=lambda stamp: store.serialize_cdr(store.types[REPORT](stamp, 0.25), REPORT), store=store)
     run = read(find_runs([folder])[0], CAR)
     assert (float(run.log.road_wheel_angle.min()) == 0.25) != has_steering
-    assert any("by its type" in warning for warning in run.warnings) != has_steering
+    assert any("for its type" in warning for warning in run.warnings) != has_steering
 
 
 def test_bag_with_frames_is_a_drive_of_a_discovery(raw, tmp_path):

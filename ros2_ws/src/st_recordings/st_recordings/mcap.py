@@ -120,8 +120,8 @@ class BagWriter:
             self.flush()
 
     def flush_when_due(self) -> None:
-        """Writes pending messages every FLUSH_PERIOD, so that they survive the end of this process, and checks that the
-        file still exists under its name. Call it at least twice a second.
+        """Writes pending messages every FLUSH_PERIOD, so that they are not lost if this process is killed, and
+        checks that the file still exists under its name. Call it at least twice a second.
         """
         now = time.monotonic()
         if now >= self._next_flush:
@@ -248,7 +248,7 @@ class _LockedFile:
         self._length = length
 
     def is_at(self, path: Path) -> bool:
-        """Whether the path leads to this file."""
+        """Whether the path refers to this file."""
         try:
             return os.path.samestat(os.stat(path), os.fstat(self.descriptor))
         except OSError:
@@ -257,7 +257,7 @@ class _LockedFile:
 
 class Syncer:
     """Calls fdatasync on a growing file in a separate thread after `wake`, at most once per MIN_SYNC_PERIOD. A
-    power failure then loses only the last data of the file.
+    power failure then loses only the newest data of the file.
 
     error: text of the last error, or "". It is never cleared, because data of a failed call may be missing even if
     later calls succeed. call_count: including failed calls. longest_call: duration of the longest call [s].

@@ -164,7 +164,7 @@ def test_bag_without_odometry_is_read_as_a_table(tmp_path: Path, drive_log: Driv
     (source,) = find_runs([write(tmp_path / "drive", drive_log, *topics)])
     run = read(source, CAR, settings)
     assert_same(run.log, drive_log, max_lost=0, rotated=rotated)
-    assert all("by its type" in warning for warning in run.warnings)
+    assert all("for its type" in warning for warning in run.warnings)
     assert run.log.name == "drive" and run.provenance["recorded"] == {}
 
 
@@ -369,7 +369,7 @@ def test_command_in_place_of_the_steering_angle_is_reported(tmp_path: Path, driv
     folder = write(tmp_path / "drive", drive_log, "/odom", topic)
     field = {"/steering_cmd": "data", "/drive": "drive.steering_angle"}[topic]
     run = read(find_runs([folder])[0], CAR, ReadSettings(steering=SteeringField(topic, field)))
-    assert_warned(run.warnings, f"{topic} is a command by its name or type, not a measurement")
+    assert_warned(run.warnings, f"the name of {topic} or of its field .* is that of a command")
 
 
 @pytest.mark.parametrize("topics", [
@@ -378,14 +378,14 @@ def test_command_in_place_of_the_steering_angle_is_reported(tmp_path: Path, driv
 def test_steering_report_of_a_known_type_is_found(tmp_path: Path, drive_log: DriveLog, topics: tuple[str, ...]) -> None:
     run = read(find_runs([write(tmp_path / "drive", drive_log, "/odom", *topics)])[0], CAR)
     assert_same(run.log, drive_log, max_lost=0, rotated=False)
-    assert_warned(run.warnings, f"is .* of {topics[0]}, positive to the left, by its type .*; name another with")
+    assert_warned(run.warnings, f"is .* of {topics[0]}, positive to the left as defined for its .*; --steering-topic")
 
 
 def test_steering_report_of_a_known_type_is_found_for_a_replay(tmp_path: Path, drive_log: DriveLog, caplog) -> None:
     folder = write(tmp_path / "drive", drive_log, "/odom", "/raptor/steering_report")
     settings = add_steering(folder, ReadSettings())
     assert settings.steering == SteeringField("/raptor/steering_report", "steering_wheel_angle", "wheel", "deg")
-    assert "steering_wheel_angle of /raptor/steering_report, positive to the left, by its type" in caplog.text
+    assert "steering_wheel_angle of /raptor/steering_report, positive to the left as defined for its" in caplog.text
     read_bag(folder, steering=settings.steering)  # as the replay does
     named = ReadSettings(steering=SteeringField("/steer"))
     assert add_steering(folder, named) == named

@@ -1,4 +1,4 @@
-"""Starts, spins and stops a node; the exit status is that of the node, 0 by default, or 2 for a wrong configuration."""
+"""Starts, spins and stops a node; exit status: that of the node, 0 by default, or 2 for an invalid configuration."""
 
 import atexit
 import gc

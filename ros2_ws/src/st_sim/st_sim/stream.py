@@ -42,7 +42,8 @@ class Output(NamedTuple):
 def find_start_up_status(time: float) -> tuple[int, float] | None:
     """Navigation status and delay [s] of the epoch at `time` [s] after power-up; None if no packet is sent.
 
-    The phases: no data and raw IMU data, at 10 Hz; pause; initialising, delay 1 s; locking, delay falling to 0; locked.
+    The phases: status "nothing valid", then raw IMU, both at 10 Hz; pause; initialising, delay 1 s; locking, delay
+    falling to 0; locked.
     """
     if time < RAW_IMU_END:
         is_sent = round(time * 1000) % 100 == 0
@@ -61,8 +62,8 @@ def _is_due(now_ms: int, schedule: tuple[int, int]) -> bool:
 
 
 class Stream:
-    """Outputs of a source in order of time. The source does not advance beyond the next output. ins_rate: INS epochs
-    per second. background: whether to add BackgroundTraffic. start_up: whether time 0 is the power-up of the INS."""
+    """Outputs of a source in order of time; the source advances as they are consumed. ins_rate: INS epochs per second.
+    background: whether to add BackgroundTraffic. start_up: whether time 0 is the power-up of the INS."""
 
     def __init__(self, source: Source, settings: Settings, ins: Ins, steering: SteeringSensor, ncom: NcomEncoder,
                  can: CanEncoder, ins_rate: int, seed: int, background: bool = False, start_up: bool = False):

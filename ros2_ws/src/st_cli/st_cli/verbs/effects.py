@@ -28,10 +28,10 @@ def effects(
     own_effects: Path | None = typer.Option(
         None, "--effects", help="list: folder of your own effects to include.", **shared.FOLDER),
 ) -> None:
-    """List the effects (kind, where they act, similar effects, required channels), or check effect files of your own.
+    """List the effects (kind, what they act on, confounded effects, channels needed), or check your own effect files.
 
     check: with its null values an effect must not change the base model; within its bounds it must be finite, stable,
-    symmetric in left and right, and equal for floats, arrays, compiled code and CasADi. Exit status: 0 all
+    left-right symmetric, and give equal results with floats, arrays, compiled code and CasADi. Exit status: 0 all
     requirements met, 1 some not, 2 a file cannot be loaded.
     """
     from st_core.effects import load_folder

@@ -84,7 +84,7 @@ def _from_bits(_, x):
 
 @inline
 def _sine_cosine(x):
-    """Sine and cosine of r, and an integer with n in its low bits. Two calls with the same x are computed once."""
+    """Sine and cosine of r, and an integer with n in its low bits. LLVM merges calls with the same x."""
     shifted = x * TWO_OVER_PI + ROUNDING_OFFSET
     n = shifted - ROUNDING_OFFSET
     r = (x - n * HALF_PI_HIGH) - n * HALF_PI_LOW

@@ -22,7 +22,7 @@ class TyreRelaxation(Effect):
     extra_units = ("rad", "rad")
     order = 40
     parameter = Parameter("length", "m", null=0.0, initial=0.4, bounds=(0.0, 1.5),
-                          meaning="distance rolled to 63 % of the force after a slip step",
+                          meaning="distance rolled until 63 % of the force after a step of slip",
                           source="passenger tyres 0.2-0.8 m, more at high load", model_error=0.35)
 
     @staticmethod

@@ -1,4 +1,4 @@
-"""Finds the column and the unit of each channel by the usual names of columns in tables."""
+"""Finds the column and the unit of each channel of a table from the names in its header."""
 
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -59,7 +59,7 @@ COLUMNS: Mapping[str, Channel] = {
         "long_velocity speed_forward forward_speed longitudinal_speed twist_linear_x twist_twist_linear_x "
         "linear_velocity_x x_velocity linear_vel_x linear_vels_x v_ego laengsgeschwindigkeit speed velocity vel v "
         "ground_speed speed_over_ground gps_speed speed_gps geschwindigkeit spd")),
-    "velocity_y": Channel("speed", "to the left, body axes, at the INS point; if missing, derived or else 0", _split(
+    "velocity_y": Channel("speed", "to the left, body axes, at the INS point; if missing, derived, else 0", _split(
         "velocity_y vy vel_y velocity_lateral vel_lateral v_lateral lateral_velocity lateral_vel v_lat vel_lat "
         "lat_vel lat_velocity velocity_left vel_left lateral_speed twist_linear_y twist_twist_linear_y "
         "linear_velocity_y y_velocity linear_vel_y linear_vels_y quergeschwindigkeit")),

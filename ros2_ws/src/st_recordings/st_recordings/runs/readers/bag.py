@@ -44,15 +44,16 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
     if found is not None:
         steering, warning = found, _describe(found)
     elif steering is not None and _is_command(steering):
-        warning = (f"{steering.topic} is a command by its name or type, not a measurement; the car follows it with a "
-                   "delay")
+        warning = (f"the name of {steering.topic} or of its field {steering.field} is that of a command, which the car "
+                   "follows with a delay; name a measured steering angle with --steering-topic")
     run = _read_bag(source, vehicle, settings, steering)
     return replace(run, warnings=(*run.warnings, f"{source.path}: {warning}")) if warning else run
 
 
 def add_steering(path: Path, settings: ReadSettings) -> ReadSettings:
-    """The settings of a replay, with the steering angle found by its type if they name none, and the bag has no CAN
-    frames, which `read` prefers; logs a warning about it."""
+    """The settings of a replay, with the steering report that `_find_steering` selects, and a logged warning about it.
+
+    Unchanged if they name a steering topic, or the bag may need its CAN frames (see `read`)."""
     if settings.steering is not None or bag.may_need_can_frames(path) or (steering := _find_steering(path)) is None:
         return settings
     log_warnings([f"{path}: {_describe(steering)}"])
@@ -60,12 +61,13 @@ def add_steering(path: Path, settings: ReadSettings) -> ReadSettings:
 
 
 def _describe(steering: SteeringField) -> str:
-    return (f"the steering angle is {steering.field} of {steering.topic}, positive to the left, by its type "
-            f"(--steering-is {steering.quantity}, --steering-unit {steering.unit}); name another with --steering-topic")
+    return (f"the steering angle is {steering.field} of {steering.topic}, positive to the left as defined for its type "
+            f"(--steering-is {steering.quantity}, --steering-unit {steering.unit}); --steering-topic selects another")
 
 
 def _find_steering(path: Path, files: Sequence[Path] = ()) -> SteeringField | None:
-    """The steering angle of the only measured topic of a type in _STEERING_TYPES; None if the suite recorded it too."""
+    """The steering angle of the only measured topic of a type in _STEERING_TYPES; None without or with several such
+    topics, and if the bag contains st_msgs/Steering or CAN frames or cannot be read."""
     with suppress(RunError):
         storage = open_bag(path, files)
         known_types = _STEERING_TYPES.keys() & {*storage.store.fielddefs, *storage.definitions()}
