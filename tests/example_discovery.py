@@ -77,13 +77,13 @@ def discovery(runs: Sequence[DriveLog], steps: Sequence[tuple[str, Mapping[str, 
     candidates = [CandidateEffect(e.name, e.kind, {k: p.value for k, p in e.parameters.items()}, 0.3, "named", "p = 0")
                   for e in effects]
     candidates.append(CandidateEffect("mass", "vehicle parameters", {"factor": 1.02}, 0.006, decision.IRRELEVANT,
-                                      "it is significant, but reduces the errors by 0.6%; 2.5% is required"))
+                                      "it is significant, but reduces the errors by 0.6 %; 2.5 % is required"))
     return Discovery(
         outcome=outcome, effects=tuple(effects), minor=(), varying=tuple(varying), steps=tuple(waterfall),
         errors=errors, budget=budget,
         reasons=(Reason("significant", "outcome", {"score": 44.0, "threshold": 12.0},
                         "the gain is 44; by chance it is at most 12"),
-                 *(Reason(decision.ACCEPTED, e.name, {"share": 0.2}, "it reduces the errors by 20.0%")
+                 *(Reason(decision.ACCEPTED, e.name, {"share": 0.2}, "it reduces the errors by 20.0 %")
                    for e in effects)),
         candidates=tuple(candidates),
         large_error_regions=(LargeErrorRegion("yaw_rate", "lateral acceleration above 3 m/s^2", 4.2, (3.1, 5.5)),),

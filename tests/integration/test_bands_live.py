@@ -125,7 +125,7 @@ def band_warnings(run: Path) -> set[str]:
 
 def test_low_coverage_of_a_car_unlike_the_calibrated_one_is_warned_about(folder: Path) -> None:
     texts = band_warnings(folder / "offset")
-    parts = ("coverage of bands is or was significantly below", "hindsight of linear (", "nominal level 90%")
+    parts = ("coverage of bands is or was significantly below", "hindsight of linear (", "nominal level 90 %")
     assert any(all(part in text for part in parts) for text in texts), texts
     summary = json.loads((folder / "offset" / "summary.json").read_text())["models"]
     assert summary["linear"]["hindsight"]["bands"]["0.9"] < 0.3

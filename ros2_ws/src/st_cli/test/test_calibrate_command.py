@@ -30,7 +30,7 @@ def test_calibrate_reports_excluded_runs_and_supported_levels(folder):
     assert result.exit_code == 1, result.output
     text = " ".join(result.output.split())
     assert "less than the horizon of 5 s" in text and "has the same content as" in text
-    assert "bands of linear from 10 runs" in text and "10 runs support levels up to 90.9%" in text
+    assert "bands of linear from 10 runs" in text and "10 runs support levels up to 90.9 %" in text
     assert (base / "bands.yaml").read_text().count("weave_1.csv") == 2  # files with the same name in two folders
 
 
@@ -41,7 +41,7 @@ def test_recordings_of_one_folder_count_as_one_run_with_together(folder, tmp_pat
     arguments = (*recordings, base / "new", "--vehicle", base / "car.yaml", "--model", "linear", "--together",
                  "--output", tmp_path / "bands.yaml")
     result = st("calibrate", *arguments)
-    assert result.exit_code == 2 and "4 runs support levels up to 80.0%" in result.output
+    assert result.exit_code == 2 and "4 runs support levels up to 80.0 %" in result.output
     done = st("calibrate", *arguments, "--level", 0.8)
     assert done.exit_code == 0 and "from 4 runs" in done.output
     assert "weave_10" in (tmp_path / "bands.yaml").read_text()
@@ -103,7 +103,7 @@ def test_too_few_runs_write_no_file_and_existing_file_is_kept(folder, tmp_path):
     base, _ = folder
     few = st("calibrate", base / "new", "--vehicle", base / "car.yaml", "--model", "linear", "--output",
              tmp_path / "b.yaml")
-    assert few.exit_code == 2 and "2 runs support levels up to 66.7%" in few.output
+    assert few.exit_code == 2 and "2 runs support levels up to 66.7 %" in few.output
     assert not (tmp_path / "b.yaml").exists()
     second = st("calibrate", base / "new", "--vehicle", base / "car.yaml", "--output", base / "bands.yaml")
     assert second.exit_code == 2 and "bands.yaml exists: " in second.output

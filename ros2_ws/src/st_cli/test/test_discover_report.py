@@ -128,7 +128,7 @@ def test_file_with_one_of_two_alternatives_mentions_the_other(logs, strength, wh
     assert any(f"the first of yaw inertia × 0.8600 or mass × 1.020; {why} separate" in t for t in reported)
     more = replace(found, minor=found.effects)
     reported = report_text.recommend(more, replace(corrected, text="name: x", error=(0.33, 0.31)))
-    alone = "vehicle.yaml alone reduces the position error at the end of the horizon by 6%, together"
+    alone = "vehicle.yaml alone reduces the position error at the end of the horizon by 6 %, together"
     assert any(alone in t for t in reported)
 
 
@@ -322,7 +322,7 @@ def test_page_and_terminal_contain_the_result_and_escape_names(logs, drive, tmp_
     write_page(page, found, corrected, [], content, [draw_waterfall(found, FigureOutput(None, ()))])
     text = page.read_text()
     assert report_text.format_title(found) in text and "&lt;b&gt;weave" in text and "<b>weave 20" not in text
-    assert "2.5% is required" in text and not re.findall(r'(?:src|href)="(?!#|data:)[^"]+"', text)
+    assert "2.5 % is required" in text and not re.findall(r'(?:src|href)="(?!#|data:)[^"]+"', text)
     print_result(found, corrected, [], {"report.html": page}, True)
     message = capsys.readouterr().out
     order = [message.index(text) for text in ("suspect: 2 runs", "5 s position error 1.72 m", "effect", "to do")]

@@ -65,7 +65,7 @@ def test_new_run_is_covered_at_the_level_despite_correlated_windows():
 def test_level_above_what_the_runs_support_is_rejected():
     assert compute_highest_level(8) == pytest.approx(8 / 9)
     assert count_required_runs(0.9) == 9 and count_required_runs(0.5) == 1
-    with pytest.raises(StCoreError, match=r"^8 runs support levels up to 88\.9%.*give 9 runs") as caught:
+    with pytest.raises(StCoreError, match=r"^8 runs support levels up to 88\.9 %.*give 9 runs") as caught:
         compute_conformal_factors([np.ones(5)] * 8, [0.9])
     assert "\n" not in str(caught.value)
     assert np.isfinite(compute_conformal_factors([np.arange(5.0)] * 9, [0.9])).all()
@@ -97,7 +97,7 @@ def test_too_few_runs_and_non_finite_errors_are_rejected():
         calibrate([draw_run(k) for k in range(2)], PAIR, TIME, (0.5,))
     with pytest.raises(StCoreError, match="5 runs support levels up to 83"):
         calibrate([draw_run(k) for k in range(5)], PAIR, TIME)
-    with pytest.raises(StCoreError, match=r"not 99\.5%: give 199 runs"):  # not rounded to 100 %
+    with pytest.raises(StCoreError, match=r"not 99\.5 %: give 199 runs"):  # not rounded to 100 %
         calibrate([draw_run(k) for k in range(5)], PAIR, TIME, (0.995,))
     runs = [draw_run(k) for k in range(9)]
     runs[3].errors[PAIR][7, 50, 1] = np.inf

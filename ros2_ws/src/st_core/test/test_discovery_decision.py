@@ -263,7 +263,7 @@ def test_effect_is_established_only_if_the_best_model_without_it_explains_less(r
 def test_text_of_an_alternative_names_the_effect_it_replaces():
     for rival in (replace(EQUAL_RIVAL, replaces="tyre_stiffness"), replace(WORSE_RIVAL, replaces="tyre_stiffness")):
         text = judge_alternative(rival, LIMITS).text
-        assert "in place of tyre stiffness it achieves 90% of that effect's error reduction" in text
+        assert "in place of tyre stiffness it achieves 90 % of that effect's error reduction" in text
 
 
 @pytest.mark.parametrize(("answer", "outcome", "figures"), [

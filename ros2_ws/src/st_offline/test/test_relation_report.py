@@ -145,7 +145,7 @@ def test_written_files_and_report_describe_the_proposal(tmp_path, registry):
     assert "mass is reported above, but is redundant given this relation (residual without the effect: +" in lines
     assert "1 of 1 runs" in lines
     assert "widest interval at -6 m/s²: " in lines and "± 1.1 ° (95 %)" in lines
-    assert "y = 2 u (linear; keeps 97% of" in lines and "textbook causes: a cause. These" in lines
+    assert "y = 2 u (linear; keeps 97 % of" in lines and "textbook causes: a cause. These" in lines
     assert "u: lateral acceleration (forward speed times yaw rate; positive to the left), m/s²" in lines
     assert "physics = \"y = curve of the lateral acceleration: additional steer angle of the rear wheels" in text
     content = build_relation_document(search)

@@ -331,6 +331,7 @@ class CoverageMonitor:
         for (model, mode), coverage in self.by_pair.items():
             if coverage.has_warning:
                 level = max(coverage.inside_counts)
-                pairs.append(f"{mode} of {model} ({coverage.coverage_at(level):.0%} so far, nominal level {level:.0%})")
+                pairs.append(f"{mode} of {model} ({100 * coverage.coverage_at(level):.0f} % so far, nominal level "
+                             f"{100 * level:.0f} %)")
         return (f"coverage of bands is or was significantly below the nominal level: {', '.join(pairs)}; check whether "
                 "the car, the road or the driving has changed") if pairs else ""

@@ -41,7 +41,7 @@ def judge(e: Evidence, limits: Limits) -> Reason:
     elif not is_relevant(e, limits):
         return Reason(IRRELEVANT, e.name, _relevance_values(e, limits), "redundant sensors confirm it, but it "
                       f"reduces baseline errors above {limits.max_noise_ratio:g} times the noise by at most "
-                      f"{find_most_affected(e, limits)[1]:.1%}, and "
+                      f"{100 * find_most_affected(e, limits)[1]:.1f} %, and "
                       f"{describe_position_reduction(max_position_reduction(e))}")
     if e.sensors_p_value is not None and e.sensors_p_value < limits.undecided_p:
         return Reason(SENSORS, e.name, {"sensors_p_value": e.sensors_p_value, "undecided_p": limits.undecided_p},
@@ -60,14 +60,14 @@ def judge(e: Evidence, limits: Limits) -> Reason:
                       "its value is at a bound, so the best fit is beyond the physical range")
     return _reject_varying(e, limits) or Reason(
         ACCEPTED, e.name, {"gain": e.gain, "p_value": e.p_value, "position": e.position_reduction},
-        f"it reduces the errors by {e.share:.1%} and {describe_position_reduction(e.position_reduction)} "
+        f"it reduces the errors by {100 * e.share:.1f} % and {describe_position_reduction(e.position_reduction)} "
         f"(p = {e.p_value:.2g}), and is consistent between parts of the drives")
 
 
 def judge_correction(e: Evidence, limits: Limits) -> Reason:
     """Verdict on an effective correction, which must be consistent between parts of the drives."""
     return _reject_insignificant(e, limits) or _reject_varying(e, limits) or Reason(
-        ACCEPTED, e.name, {"gain": e.gain, "p_value": e.p_value}, f"it reduces the errors by {e.share:.1%}")
+        ACCEPTED, e.name, {"gain": e.gain, "p_value": e.p_value}, f"it reduces the errors by {100 * e.share:.1f} %")
 
 
 def _reject_varying(e: Evidence, limits: Limits) -> Reason | None:
@@ -91,24 +91,24 @@ def _format_with_unit(number: float, unit: str) -> str:
 def _reject_insignificant(e: Evidence, limits: Limits) -> Reason | None:
     """Reason to reject an effect that is not significant or too small; None otherwise."""
     if e.gain < limits.negligible:
-        text = (f"it reduces the errors by {e.share:.1%}, less than the limit of {limits.negligible:.1%}"
-                if e.gain > 0.0 else "it does not reduce the errors")
+        text = (f"it reduces the errors by {100 * e.share:.1f} %, less than the limit of "
+                f"{100 * limits.negligible:.1f} %" if e.gain > 0.0 else "it does not reduce the errors")
         return Reason(NEGLIGIBLE, e.name, {"gain": e.gain, "negligible": limits.negligible}, text)
     if e.p_value > limits.false_alarm:
         return Reason(GAIN_INSIGNIFICANT, e.name, {"p_value": e.p_value, "false_alarm": limits.false_alarm},
                       f"it is not significant: p = {e.p_value:.2g}, corrected for the number of effects tested")
     if e.gain < e.gain_between_runs:
         return Reason(GAIN_INSIGNIFICANT, e.name, {"gain": e.gain, "gain_between_runs": e.gain_between_runs},
-                      f"it reduces the errors by {e.share:.1%}; differences between drives of the healthy "
-                      f"car alone give a reduction of {relative_reduction(e.gain_between_runs):.1%}")
+                      f"it reduces the errors by {100 * e.share:.1f} %; differences between drives of the healthy "
+                      f"car alone give a reduction of {100 * relative_reduction(e.gain_between_runs):.1f} %")
     if e.null_p_value > limits.undecided_p:
         return Reason(NULL, e.name, {"null_p_value": e.null_p_value, "undecided_p": limits.undecided_p},
                       f"its values do not differ significantly from their null values: p = {e.null_p_value:.2g}")
     if e.gain < limits.relevant and max_position_reduction(e) < limits.relevant_position:
         return Reason(IRRELEVANT, e.name, {"gain": e.gain, "position": max_position_reduction(e),
                                            "relevant": limits.relevant, "relevant_position": limits.relevant_position},
-                      f"it is significant, but reduces the errors by {e.share:.1%} and "
-                      f"{describe_position_reduction(max_position_reduction(e))}; {limits.relevant:.1%} or "
+                      f"it is significant, but reduces the errors by {100 * e.share:.1f} % and "
+                      f"{describe_position_reduction(max_position_reduction(e))}; {100 * limits.relevant:.1f} % or "
                       f"{100 * limits.relevant_position:.0f} cm is required")
     return None
 
@@ -178,27 +178,28 @@ def judge_reporting(e: Evidence, limits: Limits, excludes_null: bool = True, par
     if parameter_at_bound:
         return demote(f"the interval of its {parameter_at_bound.replace('_', ' ')} extends beyond the physical range")
     if not peak_force_share >= limits.min_peak_force:
-        reached = f"the drives reach only {peak_force_share:.1%} of the peak force"
+        reached = f"the drives reach only {100 * peak_force_share:.1f} % of the peak force"
         return demote(reached if peak_force_share >= 0.0 else "the axle forces, and so their peaks, are unknown",
                       peak_force_share=peak_force_share, min_peak_force=limits.min_peak_force)
     if e.position_reduction < -limits.relevant_position and not confirmed_by_sensors:
         return demote(f"without it the held-out position error is {-100 * e.position_reduction:.1f} cm smaller",
                       position=e.position_reduction, relevant_position=limits.relevant_position)
     if e.noise_ratio > limits.max_noise_ratio and e.gain < limits.unexplained_share and not confirmed_by_sensors:
-        return demote(f"it is significant, but reduces the errors by only {e.share:.1%}, and one channel's error "
-                      f"remains {e.noise_ratio:.1f} times the noise; a reduction of {limits.unexplained_share:.0%} is "
-                      "required, as unmodelled effects may cause a smaller one", gain=e.gain, noise_ratio=e.noise_ratio,
+        return demote(f"it is significant, but reduces the errors by only {100 * e.share:.1f} %, and one channel's "
+                      f"error remains {e.noise_ratio:.1f} times the noise; {100 * limits.unexplained_share:.0f} % is "
+                      "required, as unmodelled effects may cause less", gain=e.gain, noise_ratio=e.noise_ratio,
                       max_noise_ratio=limits.max_noise_ratio, unexplained_share=limits.unexplained_share)
     if not excludes_null and not confirmed_by_sensors:
         return demote("it reduces the errors, but the interval of its value includes the null value")
     channel, share = find_most_affected(e, limits)
-    channel_part = f"reduces the baseline {CHANNELS[channel].label} error by {share:.1%} and " if channel else ""
+    channel_part = (f"reduces the baseline {CHANNELS[channel].label} error by {100 * share:.1f} % and " if channel else
+                    "")
     scope = " in one driving condition" if max_position_reduction(e) > max(e.position_reduction, 0.0) else ""
     reduction = f"it {channel_part}{describe_position_reduction(max_position_reduction(e))}{scope}"
     if is_relevant(e, limits):
         return Reason(NAMED, e.name, _relevance_values(e, limits), reduction)
-    return demote(f"it is significant, but {reduction}; {limits.relevant:.1%} or {100 * limits.relevant_position:.0f} "
-                  "cm is required", **_relevance_values(e, limits))
+    return demote(f"it is significant, but {reduction}; {100 * limits.relevant:.1f} % or "
+                  f"{100 * limits.relevant_position:.0f} cm is required", **_relevance_values(e, limits))
 
 
 def varying_partition(e: Evidence, limits: Limits) -> str:
@@ -221,8 +222,8 @@ def judge_alternative(rival: Rival, limits: Limits) -> Reason:
                "min_rival_gain": limits.min_rival_gain, "undecided_p": limits.undecided_p,
                "unexplained_share": limits.unexplained_share}
     replaced_name = rival.replaces.replace("_", " ")
-    gain = f"in place of {replaced_name} it achieves {rival.share:.0%} of that effect's error reduction"
-    gain += f", and in addition to it {rival.added:.0%}" if rival.added >= 0.005 else ""
+    gain = f"in place of {replaced_name} it achieves {100 * rival.share:.0f} % of that effect's error reduction"
+    gain += f", and in addition to it {100 * rival.added:.0f} %" if rival.added >= 0.005 else ""
     test_result = f"p = {rival.p_no_worse:.2g} for the hypothesis that it is as good"
     if rival.share - rival.added < limits.min_rival_gain or explains_less(rival, limits):
         return Reason(EXPLAINS_LESS, rival.name, figures, f"{gain}; {test_result}")
@@ -231,7 +232,8 @@ def judge_alternative(rival: Rival, limits: Limits) -> Reason:
     elif (verdict := judge(rival.evidence, limits)).rule not in (ACCEPTED, IRRELEVANT):
         return verdict
     if rival.p_no_worse < limits.undecided_p:
-        test_result += f", but unmodelled effects may cause the difference of {rival.deficit:.1%} of the residual"
+        test_result += (", but unmodelled effects may cause the difference of "
+                        f"{100 * rival.deficit:.1f} % of the residual")
     return Reason(ALTERNATIVE, rival.name, figures, f"{gain}; {test_result}")
 
 
@@ -247,7 +249,7 @@ def judge_necessity(rival: Rival, limits: Limits) -> Reason | None:
         return None
     instead = f" with {rival.name.replace('_', ' ')} instead" * bool(rival.name)
     return Reason(MINOR, rival.replaces, {"deficit": rival.deficit, "p_no_worse": rival.p_no_worse},
-                  f"the best model without it{instead} changes the errors by only {rival.deficit:+.1%} (p = "
+                  f"the best model without it{instead} changes the errors by only {100 * rival.deficit:+.1f} % (p = "
                   f"{rival.p_no_worse:.2g} for the hypothesis that it is as good): it is not reported as a cause")
 
 
@@ -303,7 +305,7 @@ def decide(limits: Limits, named: Sequence[Evidence], rivals: Mapping[str, Seque
                         "be reported as a cause", effects=n_effects, base_noise_ratio=base_noise_ratio,
                         max_noise_ratio=limits.max_noise_ratio)
     if detectable_share < limits.detection_power:
-        return conclude("not_testable", f"only {detectable_share:.0%} of the library's effects would be "
+        return conclude("not_testable", f"only {100 * detectable_share:.0f} % of the library's effects would be "
                         "detectable in these drives at their typical size", detectable_share=detectable_share,
                         detection_power=limits.detection_power)
     return conclude("none", f"the position error is {noise_ratio:.1f} times the noise" if noise_ratio >= 0.0 else

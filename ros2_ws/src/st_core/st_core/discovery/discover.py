@@ -415,8 +415,8 @@ class _Analysis:
                 verdict = decision.judge(Evidence(name, gain, p_value), self.limits)
                 if verdict.rule == decision.ACCEPTED:
                     verdict = result.Reason(decision.EXPLAINS_LESS, name, {"gain": gain}, "it reduces the errors by "
-                                            f"{relative_reduction(gain):.1%}; effects that reduce them by more were "
-                                            "tried first")
+                                            f"{100 * relative_reduction(gain):.1f} %; effects that reduce them by more "
+                                            "were tried first")
             else:
                 verdict, gain = result.Reason("included", name, {}, "overlaps an effect of the model"), 0.0
             candidates.append(result.CandidateEffect(name, get_effect(name).kind, values, relative_reduction(gain),

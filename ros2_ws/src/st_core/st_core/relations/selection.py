@@ -157,7 +157,8 @@ def describe_gain(fits: RelationFits, gains: np.ndarray, position_gain: np.ndarr
     """Text on the held-out gain. gains: (b,) reduction of the loss. position_gain: (n,) of the position error [m]."""
     gain, low = (-np.expm1(-total / fits.loss.residual_count)
                  for total in (gains.sum(), compute_lower_bound(gains, fits.limits.undecided_p)))
-    text = f"reduces the held-out residual of all channels by {gain:.1%} (95 % confidence: at least {low:.1%})"
+    text = (f"reduces the held-out residual of all channels by {100 * gain:.1f} % (95 % confidence: at least "
+            f"{100 * low:.1f} %)")
     has_positions = np.isfinite(position_gain).any()
     return f"{text}, and {describe_position_reduction(average_finite(position_gain))}" if has_positions else text
 

@@ -237,7 +237,7 @@ def make_band_rows(content: Mapping[str, Any]) -> list[dict[str, str]]:
                 "predictions": str(scores["starts"]), "no band": str(scores["without_band"]),
                 "50 % band": _format_percent(scores["coverage"].get("0.5")),
                 f"{_format_level(top)} band": _format_percent(scores["coverage"].get(top)),
-                "worst cell": (f"{worst['coverage']:.0%} ({worst['cell']}, {worst['starts']} predictions)"
+                "worst cell": (f"{100 * worst['coverage']:.0f} % ({worst['cell']}, {worst['starts']} predictions)"
                                if worst else "-"),
                 f"interval score {_format_level(top)}, along | across, m": _format_pair(interval_score),
                 "CRPS, along | across, m": _format_pair(crps),
@@ -290,7 +290,7 @@ def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool) -> None:
 
 
 def _format_percent(value: float | None) -> str:
-    return "-" if value is None else f"{value:.1%}"
+    return "-" if value is None else f"{100 * value:.1f} %"
 
 
 def _format_pair(axes: dict[str, float] | None) -> str:
@@ -350,7 +350,7 @@ def make_contribution_rows(content: Mapping[str, Any]) -> list[dict[str, str]]:
             row = {"model": model, "second": second,
                    "rms along | across, m": f"{rms['longitudinal']:.2f} | {rms['lateral']:.2f}"}
             for kind, values in summary["share"].items():
-                text = f"{values[second]['longitudinal']:.0%} | {values[second]['lateral']:.0%}"
+                text = f"{100 * values[second]['longitudinal']:.0f} % | {100 * values[second]['lateral']:.0f} %"
                 row[kind] = text if kind != PARAMETERS or summary["stated"] else "not stated"
             rows.append(row)
     return rows

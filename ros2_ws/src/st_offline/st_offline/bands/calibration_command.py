@@ -52,7 +52,7 @@ def run_command(runs: Sequence[Path], task: Task, output: Path, levels: Sequence
         raise OutputError(f"{output}: cannot be written: {error.strerror}") from None
     starts, highest = sum(len(run.conditions) for run in samples), calibration.compute_highest_level(len(samples))
     print_line(f"{escape(str(output))}: bands of {', '.join(content.models)} from {len(samples)} runs, {starts} "
-               f"starts; {len(samples)} runs support levels up to {highest:.1%}")
+               f"starts; {len(samples)} runs support levels up to {100 * highest:.1f} %")
     return 1 if problems else 0
 
 

@@ -266,9 +266,9 @@ def _make_tables(discovery: Discovery, content: Mapping[str, Any]) -> dict[str, 
         channels.append((f"{quantities.label_channel(name)}, {unit}", before, after, f"{low} to {high}", floor,
                          f"{error.worst_run} {worst}" if error.worst_run else "", ", ".join(error.worse_runs)))
     changes = [_make_change_row(key, change) for key, change in content["files"]["vehicle.yaml"]["changes"].items()]
-    parts = [(b.part, f"{metres(b.added_last)}, {b.share_added_last:.0%}",
-              f"{metres(b.added_first)}, {b.share_added_first:.0%}", f"{b.loss_added_last:.0%}",
-              f"{b.loss_added_first:.0%}") for b in sorted(discovery.budget, key=lambda b: -b.added_last)]
+    parts = [(b.part, f"{metres(b.added_last)}, {100 * b.share_added_last:.0f} %",
+              f"{metres(b.added_first)}, {100 * b.share_added_first:.0f} %", f"{100 * b.loss_added_last:.0f} %",
+              f"{100 * b.loss_added_first:.0f} %") for b in sorted(discovery.budget, key=lambda b: -b.added_last)]
     regions = [(quantities.label_channel(r.channel), *report_text.describe_condition(r))
                for r in sorted(discovery.large_error_regions, key=lambda r: -r.interval[0])[:MAX_ROWS]]
     combinations = [(f"{c.name}, {c.unit}".replace("^2", "²"), f"{c.value:.4g}",

@@ -81,7 +81,7 @@ def _describe_size(relation: Relation, discovery: Discovery, reason: str) -> lis
 def _describe_formulas(relation: Relation, vehicle: VehicleParameters) -> list[str]:
     c = relation.candidate
     lines = [f"{'or ' if k else ''}{f.text.replace('^2', '²').replace('^3', '³')} ({f.shape}; keeps "
-             f"{f.retained_fraction:.0%} of the curve's held-out gain when simulated in its place)"
+             f"{100 * f.retained_fraction:.0f} % of the curve's held-out gain when simulated in its place)"
              for k, f in enumerate(relation.formulas)]
     lines = lines or ["no simple formula keeps 90 % of the curve's held-out gain when simulated in its place"]
     return [*lines, f"y: {quantities.make_axis_label(c)}, {c.unit.replace('^2', '²')}; u: "
@@ -122,7 +122,7 @@ def _list_alternatives(relation: Relation) -> list[str]:
                      "effects on the predictions (1: identical, 0: unrelated)")
     for name, increase in relation.redundant.items():
         lines.append(f"{quantities.to_words(name)} is reported above, but is redundant given this relation (residual "
-                     f"without the effect: {increase:+.1%}): it may have been fitted in place of the relation")
+                     f"without the effect: {100 * increase:+.1f} %): it may have been fitted in place of the relation")
     return lines
 
 
@@ -262,8 +262,8 @@ def make_effect_code(relation: Relation, runs: Sequence[str], created: str) -> s
     meaning = ALL_TERMS[c.term][1] + (f", for each {QUANTITIES[c.factor]} of {quantities.QUANTITY_NAMES[c.factor]}"
                                       if c.factor else "")
     values = {**{f"c{k}": float(f"{height:.6g}") for k, height in enumerate(relation.coefficients)}, **c.constants}
-    formulas = "\n".join(f"Formula {k}: {f.text} ({f.shape}, keeps {f.retained_fraction:.0%} of the curve's held-out "
-                         "gain)" for k, f in enumerate(relation.formulas, 1))
+    formulas = "\n".join(f"Formula {k}: {f.text} ({f.shape}, keeps {100 * f.retained_fraction:.0f} % of the curve's "
+                         "held-out gain)" for k, f in enumerate(relation.formulas, 1))
     formulas = formulas or "No simple formula can replace the curve."
     return EFFECT_FILE.format(
         title=_describe_with_causes(relation), count=len(runs), runs=", ".join(runs), created=created,

@@ -35,8 +35,8 @@ EFFECT_NOTE = ("Errors are those of the complete model on held-out driving; \"wi
                f"over all driving or in one condition, by at least {LIMITS.relevant_position:g} m. A sensor error that "
                f"redundant sensors confirm is also reported, if it is at least {LIMITS.min_relative_size:g} times its "
                "typical size")
-PAIR_HEAD = ("effect", "alternative", f"fraction of the gain (limit {LIMITS.min_rival_gain:.0%})",
-             f"increase of the residual (limit {LIMITS.unexplained_share:.0%})",
+PAIR_HEAD = ("effect", "alternative", f"fraction of the gain (limit {100 * LIMITS.min_rival_gain:.0f} %)",
+             f"increase of the residual (limit {100 * LIMITS.unexplained_share:.0f} %)",
              f"p (limit {LIMITS.undecided_p:g})", "cosine", "separation, σ of the noise")
 
 
@@ -233,8 +233,8 @@ def list_pair_rows(discovery: Discovery) -> list[tuple[str, ...]]:
     for pair in sorted(discovery.separability, key=lambda p: p.strength):
         figures = next((r.figures for r in discovery.reasons if r.rule == "alternative" and r.subject == pair.second
                         and f"{to_words(pair.first)} it " in r.text), {})
-        tests = (f"{figures[key]:{form}}" if key in figures else "-" for key, form in
-                 (("share", ".0%"), ("deficit", ".1%"), ("p_no_worse", ".2g")))
+        tests = (form % (factor * figures[key]) if key in figures else "-" for key, factor, form in
+                 (("share", 100, "%.0f %%"), ("deficit", 100, "%.1f %%"), ("p_no_worse", 1, "%.2g")))
         rows.append((to_words(pair.first), to_words(pair.second), *tests, f"{pair.cosine:.3f}",
                      format_separation(pair.strength)))
     return rows
@@ -318,10 +318,10 @@ def _list_vehicle_recommendations(discovery: Discovery, update: VehicleUpdate | 
         entries = format_changes(changes) if len(changes) <= MAX_KEYS else f"{len(changes)} entries are corrected"
         stable = f"; {format_changes({SLIP_SPEED_KEY: slip})}, for stable steps of 50 ms" if slip else ""
         position = discovery.errors.get("position_5s")
-        together = (f", together with model.yaml by {1.0 - position.augmented / position.base:.0%}"
+        together = (f", together with model.yaml by {100 * (1.0 - position.augmented / position.base):.0f} %"
                     if position and position.base > 0.0 and not discovery.increases_error else "")
         alone = ("; vehicle.yaml alone reduces the position error at the end of the horizon by "
-                 f"{1.0 - update.error[1] / update.error[0]:.0%}{together}"
+                 f"{100 * (1.0 - update.error[1] / update.error[0]):.0f} %{together}"
                  if (discovery.minor or discovery.effective) and update.error[0] > 0.0 else "")
         effects = ", ".join(map(to_words, update.folded))
         lines.append(f"use the new vehicle.yaml: {entries}, for {effects}{stable}{alone}")

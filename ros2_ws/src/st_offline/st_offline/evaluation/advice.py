@@ -146,7 +146,7 @@ def print_advice(sources: Sequence[RunSource], task: Task, tolerance: float) -> 
     for title, part in split_rows(rows, accuracies).items():
         console.print(make_table(part, title=title, **TABLE_STYLE))
     title = (f"Cheapest model and step with a lateral error within {tolerance:g} m up to each second, in "
-             f"{REQUIRED_FRACTION:.0%} of the starts, with measured inputs")
+             f"{100 * REQUIRED_FRACTION:.0f} % of the starts, with measured inputs")
     console.print(make_table(make_choice_rows(costs, accuracies, tolerance), title=title, **TABLE_STYLE))
     for (model, step), reason in problems.items():
         print_line(f"[yellow]{escape(model)}, {step:g} s: {escape(reason)}[/yellow]")
@@ -235,8 +235,8 @@ def split_rows(rows: Sequence[Mapping[str, str]],
                 f"Lateral RMS error with measured inputs, m{'' if level else ' (no bands: fewer than 3 runs)'}":
                     r"error (.*), m"}
     if level is not None:
-        patterns[f"Mean lateral half-width of the simultaneous {level:.0%} band, m; calibrated on these runs"] = (
-            r"band (.*), m")
+        patterns[f"Mean lateral half-width of the simultaneous {100 * level:.0f} % band, m; calibrated on these "
+                 "runs"] = r"band (.*), m"
     return {title: [{name: row[name] for name in ("model", "step, s")} | {
         match[1]: cell for name, cell in row.items() if (match := re.fullmatch(pattern, name))} for row in rows]
         for title, pattern in patterns.items()}

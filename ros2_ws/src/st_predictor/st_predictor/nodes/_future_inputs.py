@@ -124,7 +124,7 @@ class CourseInput:
         if forecast.inputs is None:
             return Check("course", diagnostics.OK, f"inputs are held: {forecast.reason}", self._counts)
         weights = {"weight in curvature": forecast.curvature_weight, "weight in speed": forecast.speed_weight}
-        text = ", ".join(f"{name} {weight:.0%}" for name, weight in weights.items())
+        text = ", ".join(f"{name} {100 * weight:.0f} %" for name, weight in weights.items())
         return Check("course", diagnostics.OK, f"used, {text}; remaining weight: held inputs", self._counts | weights)
 
 

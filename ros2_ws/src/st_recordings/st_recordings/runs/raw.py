@@ -80,7 +80,7 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
         can = replace(can, frames=can.frames.select(slice(*np.searchsorted(can.frames.time_ns, span).tolist())))
         used, total = 1e-9 * (span[1] - span[0]), 1e-9 * sum(end - start for start, end in parts)
         warnings.append(f"{can.files[0]}: its clock was adjusted or it contains several drives; only the part that "
-                        f"matches the INS recording is used ({used:.1f} of {total:.1f} s, {used / total:.0%})")
+                        f"matches the INS recording is used ({used:.1f} of {total:.1f} s, {100 * used / total:.0f} %)")
     steering = None if settings.for_alignment else find_steering(signals, can.files[0], table, can.warnings)
     latency_source = "given" if settings.ins_can_latency or source.settings.get("ins_can_latency") else "assumed"
     delay, deviation = (1e3 * value for value in options["latency"])
