@@ -130,7 +130,7 @@ class Predictor:
 
     models: names, or models from model files. runners: compiled replacements of `predict`, by name of the model, with
     the same results (see `compile_model`). history: that of an `Evaluator` with these settings, to store measurements
-    only once; None: an own one. Raises ConfigurationError without a model, for an unknown model, and for a model that
+    only once; None: a new one. Raises ConfigurationError without a model, for an unknown model, and for a model that
     requires a signal not measured live.
     """
 
@@ -302,7 +302,7 @@ def compile_model(model: Model, vehicle: VehicleParameters, settings: Prediction
             # Both must be finite at the same points (a spin with a long step diverges), and agree there.
             if not np.array_equal(finite, np.isfinite(compiled)) or (difference[finite] > TOLERANCE).any():
                 worst = float(difference[finite & np.isfinite(compiled)].max(initial=0.0))
-                raise ConfigurationError(f"the compiled {model.name} differs from floats by {worst:.1e} where finite")
+                raise ConfigurationError(f"the compiled {model.name} differs from the interpreted model by {worst:.1e}")
     return run
 
 
