@@ -6,6 +6,7 @@ An independent plant, the sealed cases and raw files are in bench/discovery and 
 import json
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -185,6 +186,16 @@ def test_effect_is_named_only_if_no_other_set_explains_the_errors(replaced_by, r
     best = search.find_best_rival(state, "road_bank")
     assert best.name == rival and list_alternatives(state.rivals["road_bank"], Limits()) == alternatives
     assert (judge_necessity(best, Limits()) is None) == named
+
+
+def test_p_value_of_the_best_rival_is_corrected_for_two_tests(monkeypatch):
+    problem = linear_problem(PAIR[:1], {PAIR[0]: 3.0}, seed=1)
+    search = Search(problem, Limits(), {}, {})
+    state = SearchState(problem.fit(PAIR[:1], problem.all_sensitivities(problem.start)))
+    search._drop_rejected(state)
+    monkeypatch.setattr("st_core.discovery.search.p_no_worse", lambda difference: 0.03)
+    monkeypatch.setattr("scipy.stats.wilcoxon", lambda *_, **__: SimpleNamespace(pvalue=0.04))
+    assert search.find_best_rival(state, PAIR[0]).p_no_worse == 0.06
 
 
 def test_sets_found_from_other_starts_widen_the_intervals():
