@@ -6,9 +6,9 @@ from typing import Any
 from st_core.augmented import AugmentedModel, augment
 from st_core.checks import check, pool_estimates
 from st_core.discovery import Discovery, discover
+from st_core.discovery.windows import Windows
 from st_core.log import DriveLog
 from st_core.relations import RelationSearch, find_relation, needs_search
-from st_core.relations.relation_fit import RunWindows
 from st_core.vehicle import VehicleParameters
 
 from . import relation_baselines
@@ -34,7 +34,7 @@ def run_case(case: RelationCase, whole: bool = True) -> Record:
     search = find_relation(found, drives.suspect, vehicle, settings) if needs_search(found) else RelationSearch(
         None, "not searched: the residual is near the noise", {})
     end = time.process_time()
-    held_out = RunWindows(drives.held_out, vehicle, settings)
+    held_out = Windows(drives.held_out, vehicle, settings)
     answer = found.model or found.base
     proposed = proposed_model(search) or answer
     record = {"hidden": case.hidden.name if case.hidden else "nothing", "plant": case.car.plant, "scale": case.scale,
@@ -57,7 +57,7 @@ def proposed_model(search: RelationSearch) -> AugmentedModel | None:
     return augment(one.model, {one.candidate.effect: coefficients | one.candidate.constants})
 
 
-def position_error(windows: RunWindows, model: AugmentedModel) -> float:
+def position_error(windows: Windows, model: AugmentedModel) -> float:
     """Mean position error after 5 s [m]."""
     last = windows.errors(model)[:, -1, windows.columns.index("position_lateral"):][:, :2]
     return mean_distance(last)
@@ -68,7 +68,7 @@ def _oracle_error(case: RelationCase, healthy: list[DriveLog], held_out: list[Dr
     """Held-out error [m] of the effects of the plant, fitted to the same programmes driven by the healthy car."""
     names = {*SCATTER, *(n for n in plant_differences(case.car.plant) if members(n) == (n,))} - set(NOT_IN_ORACLE)
     best = Oracle(healthy, vehicle, names, {}, case.settings).best
-    return position_error(RunWindows(held_out, vehicle, case.settings), best.model)
+    return position_error(Windows(held_out, vehicle, case.settings), best.model)
 
 
 def _answer_record(found: Discovery, search: RelationSearch) -> Record:

@@ -8,10 +8,11 @@ from discovery_drives import recorded, relation
 from example_discovery import discovery
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings
+from st_core.discovery.windows import Windows
 from st_core.relations import find_relation
 from st_core.relations.candidates import NO_PARITY, ODD, Candidate
 from st_core.relations.next_drive import NextDrives, Option, _compute_variance, find_sparse_ranges, suggest_drives
-from st_core.relations.relation_fit import RelationFits, RunWindows
+from st_core.relations.relation_fit import RelationFits
 
 RELATION = Candidate("yaw_moment", "acceleration_x", NO_PARITY, -4.0, 2.0)
 OTHER = Candidate("front_steer", "acceleration_x", NO_PARITY, -4.0, 2.0)
@@ -24,7 +25,7 @@ def fit_relations(leaf, names, scale=None):
     """Fits of the true relation and of a wrong one to drives with a yaw moment proportional to forward acceleration.
 
     scale: residual scale, by default that of these drives."""
-    windows = RunWindows(recorded(leaf, HIDDEN, 3, names), leaf, SETTINGS)
+    windows = Windows(recorded(leaf, HIDDEN, 3, names), leaf, SETTINGS)
     fits = RelationFits(windows, augment("nonlinear", {}), 0.0, (), SETTINGS)
     fits.loss.scale = fits.loss.scale if scale is None else scale
     without = fits.fit_without_relation()

@@ -12,6 +12,7 @@ from example_discovery import discovery
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings, discover
 from st_core.discovery.loss import Quadratic
+from st_core.discovery.windows import Windows
 from st_core.effects import EFFECTS, Measured
 from st_core.effects._relation import SPLINES, RelationEffect, evaluate_curve
 from st_core.errors import ConfigurationError
@@ -26,11 +27,10 @@ from st_core.relations.candidates import (
     QUANTITIES,
     RELATIONS,
     TYPICAL_SIZES,
-    compute_run_time,
     find_candidates,
 )
 from st_core.relations.formulas import fit_shapes, simulate_formulas
-from st_core.relations.relation_fit import PENALTIES, RelationFits, RunWindows
+from st_core.relations.relation_fit import PENALTIES, RelationFits
 from st_core.relations.relation_search import _find_imitated_fault
 from st_core.relations.selection import (
     compute_lower_bound,
@@ -268,8 +268,8 @@ def test_lagged_relations_use_the_steering_rate_and_the_lagging_steering(leaf):
 
 def test_run_time_starts_at_zero_in_every_run(leaf):
     logs = recorded(leaf, {}, 3, ("lane_change", "slalom", "brake_in_turn"))
-    windows = RunWindows(logs, leaf, DiscoverySettings(locate_errors=False))
-    time = compute_run_time(windows, windows.starts_ns)
+    windows = Windows(logs, leaf, DiscoverySettings(locate_errors=False))
+    time = np.interp(windows.starts_ns, windows.joined_log.ins_time_ns, windows.run_time)
     assert time == pytest.approx(windows.seconds)
     found = find_candidates(windows)
     assert {c.name for c in found} >= {"both_grip(run_time)", "front_steer(steering_rate)"}
@@ -295,7 +295,7 @@ def test_too_few_blocks_and_a_single_run_are_reported_as_reasons(leaf):
 @pytest.fixture(scope="module")
 def fits(leaf):
     settings = DiscoverySettings(locate_errors=False, block=4.0)
-    windows = RunWindows(recorded(leaf, {}, 3, ("lane_change", "slalom")), leaf, settings)
+    windows = Windows(recorded(leaf, {}, 3, ("lane_change", "slalom")), leaf, settings)
     return RelationFits(windows, augment("nonlinear", {}), 0.0, (), settings)
 
 
@@ -342,7 +342,7 @@ def test_formula_is_reported_only_if_it_keeps_the_gain_in_simulation(leaf, monke
     c = Candidate("yaw_moment", "speed", 0.0, 6.0, 18.0)
     logs = recorded(leaf, relation(c, lambda u: 0.3 - 0.02 * u), 3, DRIVEN)
     settings = DiscoverySettings(locate_errors=False, block=4.0)
-    windows = RunWindows(logs, leaf, settings)
+    windows = Windows(logs, leaf, settings)
     fits = RelationFits(windows, augment("nonlinear", {}), 0.0, (), settings)
     without = fits.fit_without_relation()
     low, high = np.quantile(windows.joined_log.velocity_x, [0.01, 0.99])

@@ -121,6 +121,7 @@ class Windows:
     time: (k,) time of the scored points after the start of a window [s]; the last is the horizon, or
         SIDESLIP_SETTLING_TIME later without velocity_y.
     columns: (c,) names of the errors.
+    run_time: time of each sample of `joined_log`, counted like `seconds` [s]; also a signal for models.
     """
 
     MIN_SUBSTEPS = 1  # integration steps per STEP
@@ -146,8 +147,11 @@ class Windows:
         initial = replace(self.joined_log, yaw_rate=yaw_rate)
         initial = initial if with_sideslip else replace(initial, velocity_y=compute_steady_velocity_y(initial, vehicle))
         signals = Signals(initial, MAX_GAP)
+        self.run_time = np.concatenate([(run.ins_time_ns - (run.common_span_ns[0] or run.start_ns)) * NANOSECOND
+                                        for run in runs])
         self._batch = Batch(vehicle, self.MIN_SUBSTEPS, signals, starts, steps * STEP, STEP,
-                            points=np.round(stencil * STEP, 6))
+                            points=np.round(stencil * STEP, 6),
+                            signals={"run_time": (self.joined_log.ins_time_ns, self.run_time)})
         times = starts[:, None] + np.round(self._points * (STEP / NANOSECOND)).astype(np.int64)
         self._times, self._measured = times, self._sample_channels(times)
         self.starts_ns, self.run, self.seconds = starts, run, seconds

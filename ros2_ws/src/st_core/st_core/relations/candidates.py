@@ -165,15 +165,6 @@ def split_name(name: str) -> tuple[str, str, str]:
     return term, quantity, factor
 
 
-def compute_run_time(windows: Windows, time_ns: np.ndarray) -> np.ndarray:
-    """Time [s] since the first instant of the run with INS and steering data, at instants of the common clock [ns]."""
-    runs, first = np.unique(windows.run, return_index=True)
-    run_starts_ns = windows.starts_ns[first] - np.round(windows.seconds[first] / NANOSECOND).astype(np.int64)
-    order = np.argsort(run_starts_ns)
-    run = np.clip(np.searchsorted(run_starts_ns[order], time_ns, side="right") - 1, 0, len(runs) - 1)
-    return (time_ns - run_starts_ns[order][run]) * NANOSECOND
-
-
 def compute_quantities(windows: Windows) -> dict[str, np.ndarray]:
     """Each quantity at the INS samples above MIN_SPEED, by name; slip angles in small-angle approximation, from the
     measured velocity. A lag is approximated by a moving average over twice its time constant."""
@@ -189,7 +180,7 @@ def compute_quantities(windows: Windows) -> dict[str, np.ndarray]:
                       "acceleration_y": speed * rate,
                       "acceleration_x": np.gradient(moving_average(stamps, speed, SMOOTHING_NS), time * NANOSECOND),
                       "speed": speed, "yaw_rate": rate, "north": np.sin(log.yaw), "east": np.cos(log.yaw),
-                      "position_x": log.x, "position_y": log.y, "run_time": compute_run_time(windows, stamps)}
+                      "position_x": log.x, "position_y": log.y, "run_time": windows.run_time}
         for name, (source, kind, tau) in FILTERED_QUANTITIES.items():
             lagging = moving_average(stamps, quantities[source], round(2.0 * tau / NANOSECOND))
             quantities[name] = np.gradient(lagging, time * NANOSECOND) if kind == "rate" else lagging

@@ -14,10 +14,8 @@ from ..discovery.space import ACCELEROMETER_GAIN, Space
 from ..discovery.windows import Windows
 from ..effects import get_effect
 from ..effects._relation import SPLINES, RelationEffect
-from ..log import DriveLog
 from ..regression import add_ridge
-from ..vehicle import VehicleParameters
-from .candidates import Candidate, compute_run_time
+from .candidates import Candidate
 
 RELATION = RelationEffect.name  # the three relation effects have the same indices in the vector
 PENALTIES = (0.003, 0.03, 0.3)  # of second differences, relative to the mean curvature of the loss per coefficient
@@ -60,16 +58,6 @@ def profile_coefficients(h: np.ndarray) -> np.ndarray:
     """(a, SPLINES) optimal change of all parameters per unit of each coefficient. h: (a, a) curvature, these last."""
     others = -np.linalg.solve(add_ridge(h[:-SPLINES, :-SPLINES]), h[:-SPLINES, -SPLINES:])
     return np.concatenate([others, np.eye(SPLINES)])
-
-
-class RunWindows(Windows):
-    """Windows with the time since the start of the run (`compute_run_time`) as a signal."""
-
-    def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DiscoverySettings):
-        super().__init__(runs, vehicle, settings)
-        if len(self):
-            time_ns = self.joined_log.ins_time_ns
-            self._batch.extra_signals["run_time"] = time_ns, compute_run_time(self, time_ns)
 
 
 class RelationFits:

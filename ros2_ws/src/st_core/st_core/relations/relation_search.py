@@ -9,13 +9,14 @@ from ..augmented import AugmentedModel
 from ..discovery.evidence import Agreement
 from ..discovery.result import Discovery
 from ..discovery.settings import DiscoverySettings
+from ..discovery.windows import Windows
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
 from . import selection
 from .candidates import FACTORS, SENSOR_READINGS, TYPICAL_SIZES, Candidate, compute_quantities, split_name
 from .formulas import Formula, simulate_formulas
 from .next_drive import NextDrives, find_sparse_ranges, suggest_drives
-from .relation_fit import RelationFit, RelationFits, RunWindows
+from .relation_fit import RelationFit, RelationFits
 from .selection import ScreenedCandidate
 
 MAX_FITTED_CANDIDATES = 10  # largest number of candidates fitted by simulation
@@ -103,7 +104,7 @@ def find_relation(discovery: Discovery, runs: Sequence[DriveLog], vehicle: Vehic
     if not model.has_tyres:
         return RelationSearch(None, "the kinematic model has no tyre slip and no axle forces for a relation to act "
                               "on: use --base linear or --base nonlinear")
-    windows = RunWindows(runs, vehicle, settings)
+    windows = Windows(runs, vehicle, settings)
     blocks = int(windows.block.max()) + 1 if len(windows) else 0
     if len(set(windows.run)) == 1:
         return RelationSearch(None, "only one usable run: a relation needs a second one for validation; add drives")
