@@ -8,7 +8,7 @@ import numpy as np
 from .signals import MessageSpec, SignalSpec
 
 # If more than MAX_IMPLAUSIBLE of the last PLAUSIBILITY_FRAMES values of a signal (1 s at 100 Hz) are implausible, even
-# plausible ones are withheld until MAX_IMPLAUSIBLE in a row are plausible: with a wrong DBC, they are isolated.
+# plausible ones are withheld until MAX_IMPLAUSIBLE in a row are plausible: with a wrong DBC, few are, by chance.
 PLAUSIBILITY_FRAMES, MAX_IMPLAUSIBLE = 100, 10
 
 Reference = tuple[int, float]  # (time [ns], value in the unit of the signal) of an earlier frame

@@ -152,7 +152,7 @@ def test_restarts_are_reported_in_one_line(tmp_path: Path) -> None:
         outcome = session.Outcome({}, interrupted=False, problem="no car", restarts={"predictor": 2, "recorder": 1})
         report.report_results(tmp_path, outcome, {"title": "live"}, Console(file=stream))
         lines = [line for line in stream.getvalue().splitlines() if "bag_2" in line]
-    assert len(lines) == 1 and lines[0].startswith("number of restarts: predictor (2), recorder (1); recorder and")
+    assert len(lines) == 1 and lines[0].startswith("number of restarts: predictor (2), recorder (1); a recorder")
 
 
 def test_starts_without_a_complete_horizon_are_counted_by_mode() -> None:

@@ -20,7 +20,7 @@ COARSE_CUTOFF, FINE_CUTOFF = 0.5, 4.0  # Hz, of the low-pass while the drift is 
 STAMP_RESOLUTION = 50e-6  # s, of logger time stamps; their rounding error is part of the uncertainty
 GOOD_CORRELATION, USABLE_CORRELATION = 0.95, 0.80  # doubtful: one signal below GOOD; refused: all below USABLE
 MIN_OVERLAP = 20.0  # s, required overlap if no offset fits with an overlap of 40 % of the shorter recording
-UNTYPICAL_DRIFT_PPM = 200.0  # two quartz clocks differ by less
+ATYPICAL_DRIFT_PPM = 200.0  # two quartz clocks differ by less
 MAX_CLOCK_STEP = 0.05  # s; an alignment with a larger clock step is refused
 MAX_DISAGREEMENT = 0.005  # s, largest difference of the offset of a single signal from the common offset
 MAX_TIME_FRAME_RESIDUAL = 0.02  # s, largest deviation of the offset of a time frame from the fitted line
@@ -232,7 +232,7 @@ def _add_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_
 
 
 def _describe_unusual_drift(result: Alignment) -> list[str]:
-    if abs(result.drift_ppm) - 2.0 * result.drift_deviation > UNTYPICAL_DRIFT_PPM:
+    if abs(result.drift_ppm) - 2.0 * result.drift_deviation > ATYPICAL_DRIFT_PPM:
         return [f"a drift of {result.drift_ppm:.0f} ppm exceeds that of quartz clocks"]
     return []
 

@@ -23,7 +23,7 @@ from a motion planner; course = from earlier drives at the same place."""
 
 @dataclass(frozen=True)
 class Score:
-    """Error of one prediction, predicted minus measured, at the INS point, in axes along the measured heading.
+    """Error of one prediction, predicted minus measured, at the INS point, along and across the measured heading.
 
     NaN after a position jump, where no position was measured, and, in hindsight, after an unknown input.
     *_mean: mean over all points of the horizon, the start included; NaN unless complete.

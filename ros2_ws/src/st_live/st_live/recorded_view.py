@@ -199,7 +199,7 @@ class Scene:
             for age, ghost in history.find_ghosts(model, now_ns):
                 ghosts.append(to_screen(view, ghost.x[::GHOST_STRIDE], ghost.y[::GHOST_STRIDE]))
                 ghost_colours.append(rgb(get_model_colour(model), GHOST_STRENGTH * (1.2 - 0.15 * age)))
-            # A line from the car to the position that the oldest stored prediction has for the present time.
+            # A line from the car to the position that the oldest stored prediction predicted for the present time.
             if point := history.find_predicted_position(model, now_ns):
                 errors.append(to_screen(view, *np.transpose([(pose.x, pose.y), point])))
                 error_colours.append(rgb(get_model_colour(model)))

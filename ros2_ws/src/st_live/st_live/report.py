@@ -66,8 +66,8 @@ def _print_problems(folder: Path, outcome: Outcome, console: Console) -> None:
     if outcome.problem:
         console.out(outcome.problem, style="red", highlight=False)
     if restarts := [f"{name} ({count})" for name, count in outcome.restarts.items()]:
-        console.out(f"number of restarts: {', '.join(restarts)}; recorder and evaluator continue in bag_2, errors_2; "
-                    f"repair truncated bags with `st recover {folder}`", style="yellow", highlight=False)
+        console.out(f"number of restarts: {', '.join(restarts)}; a recorder continues in bag_2, an evaluator in "
+                    f"errors_2; repair truncated bags with `st recover {folder}`", style="yellow", highlight=False)
     if failed := [f"{name} (status {status})" for name, status in outcome.statuses.items() if status]:
         console.out(f"ended with an error: {', '.join(failed)}; see {folder / 'logs'}", style="red", highlight=False)
 

@@ -48,7 +48,7 @@ def source_version() -> str:
 
 
 class OutputError(OSError):
-    """An output folder cannot be used. The text is one line for the user."""
+    """An output file or folder cannot be used. The text is one line for the user."""
 
 
 _created_folders: list[Path] = []

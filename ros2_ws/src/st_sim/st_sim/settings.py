@@ -48,7 +48,7 @@ _TABLE = (
     ("front_stiffness_factor", "tyre", 1.0, 0.2, 4.0, "1", "factor on the cornering stiffness of the front tyres"),
     ("rear_stiffness_factor", "tyre", 1.0, 0.2, 4.0, "1", "factor on the cornering stiffness of the rear tyres"),
     ("friction_factor", "tyre", 1.0, 0.05, 2.0, "1", "factor on the peak force of all tyres"),
-    ("relaxation_length", "tyre", 0.0, 0.0, 2.0, "m", "rolled distance until the force reaches 63 % of a step"),
+    ("relaxation_length", "tyre", 0.0, 0.0, 2.0, "m", "distance rolled until the force reaches 63 % of a step"),
     ("combined_slip", "tyre", 0.0, 0.0, 1.0, "1", "reduction of F_y by F_x; 1: friction ellipse, 0: none"),
     ("wheel_slip_compliance", "tyre", 0.0, 0.0, 0.2, "1", "longitudinal slip per F_x / F_z, in wheel speeds only"),
     ("camber_thrust", "tyre", 0.0, -2.0, 2.0, "1/rad", "outward lateral force per load and body roll"),

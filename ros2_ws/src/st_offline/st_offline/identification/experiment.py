@@ -73,8 +73,8 @@ def format_rounded(value: float, uncertainty: float) -> str:
 class MeasurementTable:
     """Rows of one or more CSV files, as columns by name.
 
-    numbers: SI values (n,), NaN for an empty cell or a missing column. texts: cells as written, "" likewise. rows: file
-    and number of each row.
+    numbers: SI values (n,), NaN for an empty cell or missing column. texts: cells as written, "" for a missing column.
+    rows: file and number of each row.
     """
 
     numbers: Mapping[str, np.ndarray]

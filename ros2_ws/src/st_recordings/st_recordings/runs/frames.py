@@ -126,8 +126,8 @@ def remove_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]],
 def _find_opposite_step(time_ns: np.ndarray, row: int, start: int, end: int, median_step: int) -> int | None:
     """Row of the forward step, among those from `start` to `end`, that reverses the backward step after `row`.
 
-    None if no step or several are more than half as large, or if the frames between the two steps last clearly longer
-    or shorter than the clock shows. At most MAX_EARLY_FRAMES frames, or frames of nearly one time, may last longer.
+    None if no step or several are more than half as large, or if the time between the two steps clearly differs from
+    that on the clock. It may be longer for up to MAX_EARLY_FRAMES frames between them, or nearly equal times.
     """
     steps = np.diff(time_ns[start:end + 1])
     large_steps = start + np.flatnonzero(steps > (time_ns[row] - time_ns[row + 1]) / 2)

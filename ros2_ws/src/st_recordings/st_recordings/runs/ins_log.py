@@ -80,8 +80,8 @@ def _select_finite(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray,
 
 
 def are_stored_out_of_order(time_ns: np.ndarray) -> bool:
-    """Whether sorting makes the times (n,) even. It does not if the clock was set back: times then overlap, and the
-    steps between them are at most half as long, far below 3/4 of the median."""
+    """Whether the times (n,) are evenly spaced after sorting. They are not if the clock was set back: two parts then
+    overlap, and the steps in the overlap are at most half as long, far below 3/4 of the median."""
     lost_fraction = 1.0 - np.mean(find_ascending(time_ns)) if len(time_ns) else 0.0
     steps = np.diff(np.sort(time_ns))
     return bool(lost_fraction > MAX_LOST_FRACTION

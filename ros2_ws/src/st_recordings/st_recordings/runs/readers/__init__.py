@@ -26,7 +26,7 @@ class Reader:
     read: Callable[[RunSource, VehicleParameters | None, ReadSettings], LoadedRun] | None
     read_ins: Callable[[RunSource, ReadSettings], InsLog] | None = None  # reads only the INS, for a run with CAN logs
     is_folder: Callable[[Path], bool] | None = None  # whether a folder is one recording
-    has_drive: Callable[[Path], bool] = lambda path: True  # whether a file has a drive, by a quick test or if unclear
+    has_drive: Callable[[Path], bool] = lambda path: True  # False if a quick test shows that a file has no drive
     # Whether a file is probably meant to contain a drive but lacks channels, so that these are reported.
     is_incomplete: Callable[[Path], bool] = lambda path: False
     lacks_steering: Callable[[Path], bool] = lambda path: False  # whether it has no steering angle, only the INS
@@ -67,7 +67,7 @@ def find_reader(path: Path, key: str | None = None) -> Reader | None:
     """The reader that accepts a path; None if there is none. key: only readers with this run.yaml key are candidates;
     if none of them accepts the path, the first is returned."""
     candidates = [reader for reader in READERS.values() if key in (None, reader.key)]
-    return next((one for one in candidates if one.accepts(path)), candidates[0] if key and candidates else None)
+    return next((each for each in candidates if each.accepts(path)), candidates[0] if key and candidates else None)
 
 
 for _module in sorted(info.name for info in pkgutil.iter_modules(__path__)):
