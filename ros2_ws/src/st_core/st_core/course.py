@@ -9,7 +9,7 @@ import hashlib
 import json
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -390,17 +390,13 @@ class CourseTracker:
         return CourseForecast(inputs, float(curvature_weights[1]), float(speed_weights[3]))
 
 
-def make_course_inputs(course: Course, signals: LogSignals, vehicle: VehicleParameters, horizon: float,
-                       step: float) -> Callable[[np.ndarray], tuple[np.ndarray, ...]]:
-    """Function for `log_evaluation.evaluate_log`: inputs over the horizon of each start, predicted from a course."""
-
-    def predict_inputs(starts_ns: np.ndarray) -> tuple[np.ndarray, ...]:
-        tracker = CourseTracker(course, vehicle, horizon, step)
-        columns = [*signals.ins_at(starts_ns, *EgoMotion._fields[1:-1]), signals.road_wheel_angle_at(starts_ns)]
-        inputs = np.full((3, len(starts_ns), round(2.0 * horizon / step) + 1), np.nan)
-        for k, (time_ns, *values) in enumerate(zip(starts_ns.tolist(), *(c.tolist() for c in columns), strict=True)):
-            if (future := tracker.update(EgoMotion(time_ns, *values)).inputs) is not None:
-                inputs[:, k] = future.road_wheel_angle, future.velocity_x_dot, future.signals[SLIP_FREE_ANGLE]
-        return tuple(inputs)
-
-    return predict_inputs
+def predict_course_inputs(course: Course, signals: LogSignals, vehicle: VehicleParameters, horizon: float, step: float,
+                          starts_ns: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Inputs over the horizon of each start, predicted from a course; see `log_evaluation.FutureInputs`."""
+    tracker = CourseTracker(course, vehicle, horizon, step)
+    columns = [*signals.ins_at(starts_ns, *EgoMotion._fields[1:-1]), signals.road_wheel_angle_at(starts_ns)]
+    inputs = np.full((3, len(starts_ns), round(2.0 * horizon / step) + 1), np.nan)
+    for k, (time_ns, *values) in enumerate(zip(starts_ns.tolist(), *(c.tolist() for c in columns), strict=True)):
+        if (future := tracker.update(EgoMotion(time_ns, *values)).inputs) is not None:
+            inputs[:, k] = future.road_wheel_angle, future.velocity_x_dot, future.signals[SLIP_FREE_ANGLE]
+    return tuple(inputs)

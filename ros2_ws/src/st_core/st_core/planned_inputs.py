@@ -6,7 +6,7 @@ Checked by: test_planned_inputs.py, against hindsight.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,20 +86,15 @@ def path_inputs(speed: np.ndarray, curvature: np.ndarray, seconds: np.ndarray,
                          {SLIP_FREE_ANGLE: np.arctan(vehicle.wheelbase * curvature)})
 
 
-def make_recorded_plan(time_ns: np.ndarray, columns: Sequence[np.ndarray], steps: int, step: float,
-                       maximum_gap: float) -> Callable[[np.ndarray], tuple[np.ndarray, ...]]:
-    """Function that interpolates a recorded plan, for `future_inputs` of `log_evaluation.evaluate_log`.
+def interpolate_plan(time_ns: np.ndarray, columns: Sequence[np.ndarray], steps: int, step: float, maximum_gap: float,
+                     starts_ns: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Inputs of a recorded plan over the horizon of each start; see `log_evaluation.FutureInputs`.
 
     time_ns: increasing [ns]. columns: planned road wheel angle, velocity_x_dot and, for a path, slip-free angle at
     these instants. NaN, and gaps longer than maximum_gap [s], mean that nothing was planned.
     """
-    gap_ns = round(maximum_gap / NANOSECOND)
-
-    def interpolate_plan(starts_ns: np.ndarray) -> tuple[np.ndarray, ...]:
-        grid = starts_ns[:, None] + half_step_grid(0, steps, step)
-        return tuple(interpolate(time_ns, values, grid, gap_ns) for values in columns)
-
-    return interpolate_plan
+    grid = starts_ns[:, None] + half_step_grid(0, steps, step)
+    return tuple(interpolate(time_ns, values, grid, round(maximum_gap / NANOSECOND)) for values in columns)
 
 
 def find_plan_problem(plan: PlannedInputs, start_ns: int, state: VehicleState, inputs: ControlInput, horizon: float,

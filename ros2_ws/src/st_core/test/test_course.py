@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from st_core.course import Course, CourseTracker, EgoMotion, Pass, make_course_inputs, split_into_passes
+from st_core.course import Course, CourseTracker, EgoMotion, Pass, predict_course_inputs, split_into_passes
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings, evaluate_log
@@ -44,7 +44,7 @@ def mean_errors(leaf, log: DriveLog, course: Course) -> tuple[float, float]:
     """Mean position error [m] at 5 s of the kinematic model with constant inputs and with the course."""
     settings = EvaluationSettings(interval=0.2)
     signals = settings.signals(log)
-    ahead = make_course_inputs(course, signals, leaf, 5.0, 0.05)
+    ahead = functools.partial(predict_course_inputs, course, signals, leaf, 5.0, 0.05)
     result = evaluate_log(["kinematic"], leaf, signals, settings, future_inputs={"course": ahead})
     constant, from_course = (result.errors["kinematic", mode] for mode in ("forecast", "course"))
     both = constant.complete & from_course.complete

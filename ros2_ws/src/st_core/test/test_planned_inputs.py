@@ -1,6 +1,7 @@
 """Planned inputs: plans of the true inputs equal hindsight, invalid plans are rejected with a reason."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from st_core.models import get_model
 from st_core.planned_inputs import (
     PlannedInputs,
     find_plan_problem,
-    make_recorded_plan,
+    interpolate_plan,
     select_inputs,
     steady_state_steering,
 )
@@ -37,7 +38,7 @@ def test_plan_of_the_true_inputs_equals_hindsight(leaf):
     log = signals.log
     times = np.union1d(log.ins_time_ns, log.steering_time_ns)
     inputs = signals.road_wheel_angle_at(times), *signals.ins_at(times, "velocity_x_dot")
-    planned = make_recorded_plan(times, inputs, SHORT.steps, SHORT.step, 0.1)
+    planned = partial(interpolate_plan, times, inputs, SHORT.steps, SHORT.step, 0.1)
     result = evaluate_log(MODELS, leaf, signals, settings, future_inputs={"plan": planned})
     for model in MODELS:
         hindsight, plan_errors, forecast = (result.errors[model, mode] for mode in ("hindsight", "plan", "forecast"))

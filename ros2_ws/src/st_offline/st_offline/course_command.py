@@ -9,18 +9,16 @@ from rich.markup import escape
 from st_core.course import SPACING, Course, Pass, split_into_passes
 from st_core.errors import ConfigurationError
 from st_core.vehicle import VehicleParameters
-from st_recordings.paths import OutputError
 from st_recordings.runs import ReadSettings, find_runs, read
 
 from .checking.gate import RUN_ERRORS, describe_problem
-from .terminal import console, format_count, print_line, report_problem
+from .terminal import check_is_new, console, format_count, print_line, report_problem, write_file
 
 
 def build_course(runs: Sequence[Path], vehicle: VehicleParameters, read_settings: ReadSettings, output: Path) -> int:
     """Run the command; returns the exit status: 0 if every run was used, else 1. Raises ConfigurationError or
     OutputError if no course can be built or written."""
-    if output.exists():
-        raise OutputError(f"{output} exists: choose another --output (existing files are not overwritten)")
+    check_is_new(output)
     passes: list[Pass] = []  # in the map of the first run with an origin; runs without one are not shifted
     origin: tuple[float, float] | None = None
     without_origin: list[str] = []
@@ -49,11 +47,7 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, read_settings
     if origin and without_origin:
         print_line(f"[yellow]warning: {escape(', '.join(without_origin))}: without a map origin, and therefore "
                    "not shifted; correct only if recorded in the map frame of the first run with an origin[/yellow]")
-    try:
-        output.parent.mkdir(parents=True, exist_ok=True)
-        output.write_text(Course(tuple(passes), origin).to_yaml(), encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{output}: cannot be written: {error.strerror}") from None
+    write_file(output, Course(tuple(passes), origin).to_yaml())
     drives = format_count(len({part.recording for part in passes}), "drive")
     print_line(f"{escape(str(output))}: course of {drives}")
     return 1 if failed else 0

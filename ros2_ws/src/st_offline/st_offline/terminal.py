@@ -7,6 +7,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from st_recordings.paths import OutputError
 
 console = Console()
 
@@ -40,6 +41,21 @@ def print_line(text: str) -> None:
 def report_problem(name: str, problem: str) -> None:
     """Print a line with a name and its problem; a name at the start of the problem is not repeated."""
     print_line(f"[red]{escape(name)}[/red]: {escape(problem.removeprefix(f'{name}: '))}")
+
+
+def check_is_new(file: Path) -> None:
+    """Raise OutputError for a file that exists."""
+    if file.exists():
+        raise OutputError(f"{file} exists: choose another --output (existing files are not overwritten)")
+
+
+def write_file(file: Path, text: str) -> None:
+    """Write a text in UTF-8, and the folder of the file if necessary. Raises OutputError if that is not possible."""
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{file}: cannot be written: {error.strerror}") from None
 
 
 def list_files(files: Mapping[Path, str]) -> None:

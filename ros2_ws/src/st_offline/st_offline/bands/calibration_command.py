@@ -9,13 +9,12 @@ from st_core.bands.file import hash_configuration, make_times
 from st_core.log_evaluation import MODES
 from st_core.models import Model
 from st_core.vehicle import VehicleParameters
-from st_recordings.paths import OutputError
 from st_recordings.results import parse_configuration
 from st_recordings.runs import LoadedRun, RunError, RunSource, find_runs, read
 
 from ..checking.gate import RUN_ERRORS, check_for_use, describe_problem
 from ..evaluation.work import Task, collect_model_hashes, load_models
-from ..terminal import console, print_line, report_problem
+from ..terminal import check_is_new, console, print_line, report_problem, write_file
 
 
 def run_command(runs: Sequence[Path], task: Task, output: Path, levels: Sequence[float], together: bool) -> int:
@@ -25,8 +24,7 @@ def run_command(runs: Sequence[Path], task: Task, output: Path, levels: Sequence
     one entry of `runs` are dependent and count as one run. Raises StCoreError or OutputError if no bands can be
     calibrated or written.
     """
-    if output.exists():
-        raise OutputError(f"{output} exists: choose another --output (existing files are not overwritten)")
+    check_is_new(output)
     calibration.check_level_range(levels)
     models = load_models(task)
     recordings: dict[str, str] = {}
@@ -45,11 +43,7 @@ def run_command(runs: Sequence[Path], task: Task, output: Path, levels: Sequence
               for name, digest in collect_model_hashes(task, models).items()}
     content = Bands(task.vehicle.name, task.vehicle.hash, settings, recordings, len(samples),
                     CalibrationDomain.from_runs([run.conditions for run in samples]), bands, hashes)
-    try:
-        output.parent.mkdir(parents=True, exist_ok=True)
-        output.write_text(content.to_yaml(), encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{output}: cannot be written: {error.strerror}") from None
+    write_file(output, content.to_yaml())
     starts, highest = sum(len(run.conditions) for run in samples), calibration.compute_highest_level(len(samples))
     print_line(f"{escape(str(output))}: bands of {', '.join(content.models)} from {len(samples)} runs, {starts} "
                f"starts; {len(samples)} runs support levels up to {100 * highest:.1f} %")

@@ -6,6 +6,7 @@ import time
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 from oxts_bridge.geometry import compute_origin_offset
 from st_core.bands import Bands
 from st_core.checks import Finding
-from st_core.course import Course, make_course_inputs
+from st_core.course import Course, predict_course_inputs
 from st_core.effects import load_folder
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.evaluation import Mode
@@ -22,7 +23,7 @@ from st_core.log import LogSignals
 from st_core.log_evaluation import AXES, EvaluationSettings, FutureInputs, LogEvaluation, Progress, evaluate_log
 from st_core.model_file import ModelFile
 from st_core.models import Model, get_model
-from st_core.planned_inputs import SLIP_FREE_ANGLE, make_recorded_plan, path_inputs
+from st_core.planned_inputs import SLIP_FREE_ANGLE, interpolate_plan, path_inputs
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
 from st_recordings.runs.csv_table import read_header
@@ -207,7 +208,7 @@ def make_future_inputs(run: LoadedRun, signals: LogSignals, task: Task) -> dict[
     prediction, files = task.settings.prediction, run.provenance["files"]
     plan = _read_planned_columns(files, task.vehicle)
     if plan is not None:
-        inputs["plan"] = make_recorded_plan(*plan, prediction.steps, prediction.step, prediction.maximum_gap)
+        inputs["plan"] = partial(interpolate_plan, *plan, prediction.steps, prediction.step, prediction.maximum_gap)
     if task.course is not None:
         course = task.course[1]
         other_passes = course.exclude(list(files.values()))
@@ -218,13 +219,14 @@ def make_future_inputs(run: LoadedRun, signals: LogSignals, task: Task) -> dict[
             except StCoreError as error:
                 raise RunError(Path(run.log.name), f"--course: {error}",
                                "leave the option out, or give a course of this location") from None
-        inputs["course"] = make_course_inputs(other_passes, signals, task.vehicle, prediction.horizon, prediction.step)
+        inputs["course"] = partial(predict_course_inputs, other_passes, signals, task.vehicle, prediction.horizon,
+                                   prediction.step)
     return inputs
 
 
 def _read_planned_columns(files: Mapping[str, str],
                           vehicle: VehicleParameters) -> tuple[np.ndarray, tuple[np.ndarray, ...]] | None:
-    """Time [ns] and inputs for `make_recorded_plan` from the first CSV with t and planned columns; None without one."""
+    """Time [ns] and inputs for `interpolate_plan` from the first CSV with t and planned columns; None without one."""
     for file in (Path(name) for name in files if name.lower().endswith(".csv")):
         names = read_header(file)
         kind = next((kind for kind in (PLANNED_INPUTS, PLANNED_PATH) if set(kind) <= set(names)), None)
