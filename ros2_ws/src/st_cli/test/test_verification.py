@@ -58,6 +58,7 @@ class LiveBag:
         self.velocity_factor = 1.0
         self.unreceived = range(0)  # numbers of the samples the predictor does not receive
         self.n_before_evaluator = 0  # number of the first samples that the evaluator does not receive
+        self.n_recorded = 10_000  # number of samples until the recorder, but not the evaluator, is killed
         self._predictor, self._evaluator = Predictor(car, MODELS, SETTINGS), Evaluator(car, SETTINGS)
         self._count = 0
 
@@ -84,12 +85,14 @@ class LiveBag:
                          *([] if k < self.n_before_evaluator else [self._evaluator])]:
                 core.add_ins(sample)
                 core.add_steering(steering_ns, angle)
-            writer.write(topics[ODOMETRY], odometry(*sample), time_ns)
-            writer.write(topics[STEERING], serialise(STEERING, header=header(steering_ns), road_wheel_angle=angle,
-                                                   steering_wheel_angle=angle * 17.3, valid=True), steering_ns)
+            if k < self.n_recorded:
+                writer.write(topics[ODOMETRY], odometry(*sample), time_ns)
+                writer.write(topics[STEERING], serialise(STEERING, header=header(steering_ns), road_wheel_angle=angle,
+                                                       steering_wheel_angle=angle * 17.3, valid=True), steering_ns)
             if k % 10 == 9 and not self.without_predictions:
                 for prediction in self._tick(steering_ns):
-                    writer.write(topics[PREDICTION], prediction, steering_ns)
+                    if k < self.n_recorded:
+                        writer.write(topics[PREDICTION], prediction, steering_ns)
             for score in self._evaluator.poll():
                 writer.write(topics[ERROR], self._score(score), steering_ns)
         for score in self._evaluator.flush():
@@ -147,7 +150,7 @@ def test_live_and_offline_agree_for_every_start(bag):
     found = verify(bag)
     assert [c.model for c in found.comparisons] == list(MODELS) and found.same_configuration
     for comparison in found.comparisons:
-        assert comparison.n_starts == 53 and comparison.n_one_sided == comparison.n_truncated == 0
+        assert comparison.n_predictions == {"forecast": 53} and comparison.n_one_sided == comparison.n_truncated == 0
         assert comparison.n_settling == 7
         # One second of horizon at the end is incomplete on both sides.
         assert comparison.n_scores == {"hindsight": 43, "forecast": 43}
@@ -217,6 +220,16 @@ def test_evaluator_that_is_ready_after_the_predictor_is_no_difference(live):
     found = verify(live.write())
     assert found.largest_difference < 1e-9 and not sum(c.n_one_sided for c in found.comparisons)
     assert found.comparisons[0].n_scores["hindsight"] > 20
+
+
+def test_scores_beyond_the_end_of_a_killed_recorder_are_no_difference(live):
+    live.n_recorded = 400
+    found = verify(live.write())
+    for comparison in found.comparisons:
+        assert comparison.n_predictions["forecast"] == 33 and comparison.n_one_sided == 0
+        assert comparison.n_truncated == 20 and comparison.n_scores == {"hindsight": 23, "forecast": 23}
+    result = st_verify(live.folder)
+    assert result.exit_code == 0 and "40 incomplete because nodes or recording ended" in " ".join(result.output.split())
 
 
 def test_bags_after_a_restart_of_the_recorder_are_reported(live):

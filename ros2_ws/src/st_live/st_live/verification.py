@@ -1,5 +1,6 @@
 """Implements `st verify`: compares the recorded predictions and scores of the nodes with those of the library."""
 
+from collections import Counter, defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -36,19 +37,18 @@ RESTART_PAUSE = 1.0
 
 @dataclass
 class Comparison:
-    """Comparison of one model: numbers of predictions and scores, and largest |recorded - recomputed|."""
+    """Comparison of one model: numbers of predictions and scores by mode, and largest |recorded - recomputed|."""
 
     model: str
-    n_starts: int = 0  # forecasts compared
-    n_planned: int = 0  # compared predictions with the inputs of a plan or course
+    n_predictions: Counter[Mode] = field(default_factory=Counter)
     start_difference: float = 0.0  # of the start positions [m], which depend only on the state estimates
     path_difference: float = 0.0  # between positions at any point of a prediction [m]
     yaw_difference: float = 0.0  # between yaw angles at any point of a prediction [rad]
     worst_start_ns: int = 0  # start of the prediction with the largest path difference
-    n_scores: dict[str, int] = field(default_factory=lambda: dict.fromkeys(MODES, 0))  # complete live and offline
-    score_difference: dict[str, float] = field(default_factory=lambda: dict.fromkeys(MODES, 0.0))  # by mode [m]
-    n_truncated: int = 0  # scores that are incomplete only because the nodes stopped
-    n_one_sided: int = 0  # scores complete only live or only offline, except truncated ones and those across a jump
+    n_scores: Counter[Mode] = field(default_factory=Counter)  # complete live and offline
+    score_difference: dict[Mode, float] = field(default_factory=lambda: defaultdict(float))  # [m]
+    n_truncated: int = 0  # scores complete only live or only offline because the nodes or the recording ended
+    n_one_sided: int = 0  # other scores complete only live or only offline, except those across a jump
     n_settling: int = 0  # forecasts not compared because the acceleration filter had not settled
 
     @property
@@ -69,10 +69,6 @@ class Verification:
     @property
     def largest_difference(self) -> float:
         return max((c.largest_difference for c in self.comparisons), default=0.0)
-
-    @property
-    def n_starts(self) -> int:
-        return sum(c.n_starts for c in self.comparisons)
 
 
 def verify(path: Path, vehicle: Path | None = None,
@@ -135,6 +131,8 @@ def _compare(model: Model, car: VehicleParameters, signals: LogSignals, forecast
     result.n_settling = int((~is_settled).sum())
     starts_ns = forecasts.starts_ns[is_settled]
     recorded: dict[Mode, Predictions] = {"forecast": forecasts, **planned}
+    end_ns = min(int(times.max(initial=0)) for times in (signals.log.ins_time_ns, signals.log.steering_time_ns))
+    last_ns = end_ns - round(horizon * 1e9)  # the last start with recorded measurements in its whole horizon
     future_inputs: dict[Mode, FutureInputs] = {mode: predictions.inputs_at for mode, predictions in planned.items()}
     # The inputs of a plan or course are known only from its recorded predictions; other scores cannot be recomputed.
     scores = {mode: mode_scores.at(planned[mode].starts_ns) if mode in planned else mode_scores
@@ -147,7 +145,7 @@ def _compare(model: Model, car: VehicleParameters, signals: LogSignals, forecast
         for mode, predictions in recorded.items():
             _compare_paths(result, mode, predictions, starts_ns[rows], block.trajectories[model.name, mode])
         for mode, mode_scores in scores.items():
-            _compare_scores(result, mode, mode_scores, starts_ns[rows], block.errors[model.name, mode])
+            _compare_scores(result, mode, mode_scores, starts_ns[rows], block.errors[model.name, mode], last_ns)
     return result
 
 
@@ -158,10 +156,7 @@ def _compare_paths(result: Comparison, mode: Mode, recorded: Predictions, starts
     difference = states[rows] - recorded.states[recorded_rows]
     is_finite = np.isfinite(difference).all(axis=(1, 2))
     difference, starts_ns = difference[is_finite], starts_ns[rows][is_finite]
-    if mode == "forecast":
-        result.n_starts += len(difference)
-    else:
-        result.n_planned += len(difference)
+    result.n_predictions[mode] += len(difference)
     if not len(difference):
         return
     distance = np.hypot(difference[..., 0], difference[..., 1])
@@ -172,19 +167,21 @@ def _compare_paths(result: Comparison, mode: Mode, recorded: Predictions, starts
     result.yaw_difference = max(result.yaw_difference, float(np.abs(wrap_angle(difference[..., 4])).max()))
 
 
-def _compare_scores(result: Comparison, mode: str, scores: Scores, starts_ns: np.ndarray, errors: np.ndarray) -> None:
-    _, computed, recorded = np.intersect1d(starts_ns, scores.starts_ns, assume_unique=True, return_indices=True)
-    complete = np.isfinite(errors[computed]).all(axis=(1, 2))
-    both = complete & scores.complete[recorded]
-    truncated = complete & scores.signal_ends[recorded]
+def _compare_scores(result: Comparison, mode: Mode, scores: Scores, starts_ns: np.ndarray, errors: np.ndarray,
+                    last_ns: int) -> None:
+    """Compare recorded scores with errors (n, points, 3) for the starts (n,). last_ns: last start that is recorded in
+    full; a recorder that was killed before the evaluator leaves complete scores of later ones."""
+    starts_ns, computed, recorded = np.intersect1d(starts_ns, scores.starts_ns, return_indices=True)
+    complete, complete_live = np.isfinite(errors[computed]).all(axis=(1, 2)), scores.complete[recorded]
+    one_sided = complete != complete_live
+    truncated = one_sided & np.where(complete, scores.signal_ends[recorded], starts_ns > last_ns)
     result.n_truncated += int(truncated.sum())
     # The evaluator does not score across a position jump; the library does, unless the jump is excluded from the run.
-    excluded = truncated | scores.has_jump[recorded]
-    result.n_one_sided += int(((complete != scores.complete[recorded]) & ~excluded).sum())
-    result.n_scores[mode] = result.n_scores.get(mode, 0) + int(both.sum())
-    if both.any():
-        difference = np.abs(errors[computed][both][..., :2] - scores.errors[recorded][both][..., :2])
-        result.score_difference[mode] = max(result.score_difference.get(mode, 0.0), float(difference.max()))
+    result.n_one_sided += int((one_sided & ~truncated & ~scores.has_jump[recorded]).sum())
+    both = complete & complete_live
+    result.n_scores[mode] += int(both.sum())
+    difference = np.abs(errors[computed][both][..., :2] - scores.errors[recorded][both][..., :2])
+    result.score_difference[mode] = max(result.score_difference[mode], float(difference.max(initial=0.0)))
 
 
 def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replay: bool, output: Path | None,
@@ -213,7 +210,7 @@ def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replay: bo
         return 2
     for warning in result.warnings:
         console.out(warning, style="yellow", highlight=False)
-    if not result.n_starts:
+    if not any(c.n_predictions["forecast"] for c in result.comparisons):
         n_settling = sum(c.n_settling for c in result.comparisons)
         reason = (f"in {n_settling} predictions the acceleration filter had not settled; no other can be recomputed"
                   if n_settling else "no recorded prediction can be recomputed")
@@ -235,16 +232,16 @@ def _make_table(result: Verification) -> Table:
         table.add_column(heading, justify="right", no_wrap=True)
     for c in result.comparisons:
         scores = [f"{c.n_scores[mode]}, {c.score_difference[mode] * 1000:.2g}" for mode in MODES]
-        table.add_row(Text(c.model, style=MODEL_COLOUR.get(c.model, "")), str(c.n_starts),
+        table.add_row(Text(c.model, style=MODEL_COLOUR.get(c.model, "")), str(c.n_predictions["forecast"]),
                       f"{c.start_difference * 1000:.2g}", f"{c.path_difference * 1000:.2g}", *scores,
                       str(c.n_one_sided))
     return table
 
 
 def _print_conclusion(result: Verification, tolerance: float, console: Console) -> int:
-    n_scores = sum(sum(c.n_scores.values()) for c in result.comparisons)
-    n_one_sided, n_truncated, n_settling, n_planned = np.sum(
-        [(c.n_one_sided, c.n_truncated, c.n_settling, c.n_planned) for c in result.comparisons], axis=0)
+    n_one_sided, n_truncated, n_settling, n_scores, n_predictions, n_forecasts = np.sum(
+        [(c.n_one_sided, c.n_truncated, c.n_settling, c.n_scores.total(), c.n_predictions.total(),
+          c.n_predictions["forecast"]) for c in result.comparisons], axis=0)
     yaw_difference = max(c.yaw_difference for c in result.comparisons)
     passed = max(result.largest_difference, yaw_difference) <= tolerance and not n_one_sided
     verdict = "[green]live equals offline[/green]" if passed else "[red]live differs from offline[/red]"
@@ -253,11 +250,12 @@ def _print_conclusion(result: Verification, tolerance: float, console: Console) 
     if worst.worst_start_ns and not passed:
         time = f"{datetime.fromtimestamp(worst.worst_start_ns * 1e-9, UTC):%H:%M:%S.%f}"[:-3]
         location = f"; the path that differs most: {worst.model} at {time} UTC"
+    n_planned = n_predictions - n_forecasts
     planned = f", {n_planned} more with inputs of a plan or course," if n_planned else ""
-    console.print(f"{verdict}: {result.n_starts} predictions{planned} and {n_scores} scores compared, largest "
+    console.print(f"{verdict}: {n_forecasts} predictions{planned} and {n_scores} scores compared, largest "
                   f"difference {result.largest_difference * 1000:.3g} mm (limit {tolerance * 1000:g} mm), in yaw "
                   f"{yaw_difference * 1000:.3g} mrad (limit {tolerance * 1000:g} mrad); {n_one_sided} scores complete "
-                  f"only live or only offline, {n_truncated} incomplete because the nodes stopped{location}",
+                  f"only live or only offline, {n_truncated} incomplete because nodes or recording ended{location}",
                   highlight=False, soft_wrap=True)
     console.print(f"[dim]{n_settling} predictions not compared: the filter of the forward acceleration had not settled "
                   "after the first sample that each node received[/dim]", highlight=False, soft_wrap=True)

@@ -83,9 +83,10 @@ MARKERS = (
 IDENTIFIER = (_VEHICLE_FILE, _MAP_FRAME)
 
 
-def load_vehicle(values: SimpleNamespace) -> VehicleParameters:
+def load_vehicle(values: SimpleNamespace, parse: Callable[[str, str], VehicleParameters] = VehicleParameters.from_yaml,
+                 ) -> VehicleParameters:
     """The vehicle of the parameter `vehicle_file`. Raises ConfigurationError if it is not set or cannot be used."""
-    vehicle = read_file(values, "vehicle_file", VehicleParameters.from_yaml)
+    vehicle = read_file(values, "vehicle_file", parse)
     if vehicle is None:
         raise ConfigurationError(f"{values.message_prefix}vehicle_file: not set; give a file of config/vehicle/")
     return vehicle

@@ -1,5 +1,6 @@
 """Sensors of the virtual car with noise, bias, lever arm and loss; the NCOM and CAN encoders round the values."""
 
+import cmath
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -95,19 +96,14 @@ class Ins:
         return reading
 
     def _add_errors(self, r: InsReading) -> None:
-        s = self._settings
-        if angle := s["ins_misalignment"]:
-            # Only the body axes rotate; position and velocity over ground are not affected.
-            cosine, sine = math.cos(angle), math.sin(angle)
-            (vx, vy), (fx, fy, fz) = (r.velocity_x, r.velocity_y), r.specific_force
-            r.velocity_x, r.velocity_y = cosine * vx + sine * vy, cosine * vy - sine * vx
-            r.specific_force = cosine * fx + sine * fy, cosine * fy - sine * fx, fz
-            r.yaw += angle
-        r.velocity_x *= s["velocity_scale"]
-        r.velocity_y *= s["velocity_scale"]
+        s, (fx, fy, fz) = self._settings, r.specific_force
+        # Only the body axes rotate; position and velocity over ground are not affected.
+        rotation = cmath.rect(1.0, -s["ins_misalignment"])
+        velocity = complex(r.velocity_x, r.velocity_y) * rotation * s["velocity_scale"]
+        force = complex(fx, fy) * rotation
+        r.velocity_x, r.velocity_y, r.yaw = velocity.real, velocity.imag, r.yaw + s["ins_misalignment"]
         r.rates = [rate * s["yaw_rate_scale"] for rate in r.rates]
-        fx, fy, fz = r.specific_force
-        r.specific_force = fx, fy + s["lateral_acceleration_bias"], fz
+        r.specific_force = force.real, force.imag + s["lateral_acceleration_bias"], fz
 
     def _add_noise(self, r: InsReading, vibration: float) -> None:
         noise = self._noise

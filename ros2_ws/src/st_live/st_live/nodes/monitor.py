@@ -1,17 +1,17 @@
 """Node st_monitor: receives and formats statistics and diagnostics of a running suite, and aggregates diagnostics."""
 
-import contextlib
 import math
 import threading
 import time
 from collections.abc import Iterable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rich.console import Group, RenderableType
@@ -59,7 +59,7 @@ class SuiteState:
     prediction: Prediction | None = None  # the newest one of any model
 
 
-class Monitor(contextlib.AbstractContextManager):
+class Monitor(AbstractContextManager):
     """ROS node with a thread that receives messages. Values in `state` are replaced, so readers need no lock."""
 
     def __init__(self, domain_id: int | None = None):
@@ -81,7 +81,7 @@ class Monitor(contextlib.AbstractContextManager):
         self._node.create_timer(AGGREGATE_PERIOD, self._publish_aggregate)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
-        self._thread = threading.Thread(target=self._spin, name="monitor", daemon=True)
+        self._thread = threading.Thread(target=self._executor.spin, name="monitor", daemon=True)
         self._thread.start()
 
     def find_node_names(self) -> list[str]:
@@ -127,10 +127,6 @@ class Monitor(contextlib.AbstractContextManager):
         self._thread.join()
         self._node.destroy_node()
         rclpy.try_shutdown(context=self._context)
-
-    def _spin(self) -> None:
-        with contextlib.suppress(ExternalShutdownException):
-            self._executor.spin()
 
     def _read_predictions(self) -> None:
         for subscription in self._predictions:

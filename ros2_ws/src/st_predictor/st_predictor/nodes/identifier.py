@@ -2,12 +2,13 @@
 
 import math
 from concurrent.futures import Future, ThreadPoolExecutor
-from pathlib import Path
+from functools import lru_cache
 
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from st_core.identification.online import NAMES, OnlineEstimate, OnlineFit, OnlineIdentifier, fit_recent
+from st_core.vehicle import VehicleParameters
 from st_msgs.msg import Steering, TrackedParameter, TrackedParameters
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
@@ -27,9 +28,8 @@ class IdentifierNode(Node):
     def __init__(self) -> None:
         super().__init__("identifier")
         self._values = parameters.declare(self, params.IDENTIFIER)
-        self._file = Path(self._values.vehicle_file)
-        self._vehicle = vehicle = params.load_vehicle(self._values)
-        self._file_text = self._file.read_text()
+        self._parse_vehicle = lru_cache(1)(VehicleParameters.from_yaml)  # the file is read once a second
+        self._vehicle = vehicle = params.load_vehicle(self._values, self._parse_vehicle)
         self._problem = ""
         self._core = OnlineIdentifier(vehicle)
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="fit")
@@ -90,22 +90,17 @@ class IdentifierNode(Node):
     def _reload_vehicle_file(self) -> None:
         """Reset the estimates if values in the vehicle file have changed; an invalid file is only reported."""
         try:
-            text = self._file.read_text()
-            if text == self._file_text:
-                self._problem = ""
-                return
-            vehicle = params.load_vehicle(self._values)
-        except (OSError, UnicodeDecodeError, ConfigurationError) as error:
+            vehicle = params.load_vehicle(self._values, self._parse_vehicle)
+        except ConfigurationError as error:
             self._problem = " ".join(str(error).split())
             return
-        has_changed = vehicle.hash != self._vehicle.hash
-        self._vehicle, self._file_text, self._problem = vehicle, text, ""
-        if has_changed:
+        previous, self._vehicle, self._problem = self._vehicle, vehicle, ""
+        if vehicle.hash != previous.hash:
             self._core.reset(vehicle)
             self._fit = None  # a fit still in progress uses the previous values
             self._statuses = {}
             self._resets += 1
-            self.get_logger().info(f"{self._file} has changed: all estimates are reset")
+            self.get_logger().info(f"{self._values.vehicle_file} has changed: all estimates are reset")
 
     def _find_file_value(self, estimate: OnlineEstimate) -> float:
         """Value in the vehicle file; 1 for the stiffness scale, which is relative to the file."""

@@ -2,6 +2,7 @@
 
 import contextlib
 import hashlib
+import itertools
 import json
 import shutil
 import time
@@ -215,9 +216,8 @@ def name_files(files: Sequence[str]) -> dict[str, str]:
     paths = {name: Path(name).absolute() for name in files if name}
     keys = {}
     for name, path in paths.items():
-        length, others = 1, set(paths.values()) - {path}
-        while any(other.parts[-length:] == path.parts[-length:] for other in others):
-            length += 1
+        others = set(paths.values()) - {path}
+        length = next(n for n in itertools.count(1) if all(o.parts[-n:] != path.parts[-n:] for o in others))
         keys[name] = Path(*path.parts[-length:]).as_posix()
     return keys
 
