@@ -333,13 +333,6 @@ def write_truncated_version_7_3(file: Path) -> None:
     file.write_bytes(file.read_bytes()[:9000])
 
 
-def test_missing_h5py_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    save_version_7_3(tmp_path / "a.mat", {"t": np.arange(9.0)})
-    monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(RunError, match=r"the package h5py; install h5py, save the file with save\(\.\.\., '-v7'\), or"):
-        load(tmp_path / "a.mat")
-
-
 def test_code_in_an_attribute_of_a_table_is_not_run(columns: Columns, tmp_path: Path):
     class Code:
         def __reduce__(self) -> tuple[Any, ...]:

@@ -9,6 +9,7 @@ from canedge_bridge.units import UNITS
 from st_core.types import map_to_body, wrap_angle
 
 from .csv_table import Table
+from .errors import RunError
 
 MAP_FRAMES = {"map", "odom", "world", "enu", "ned", "gps", "gnss", "navsat"}
 """Words in the frame_id of a velocity over ground: names of map frames and of receivers."""
@@ -211,3 +212,37 @@ def compute_steps(table: Table, x: np.ndarray, y: np.ndarray, is_geographic: boo
     if is_geographic:
         dx, dy = EARTH_RADIUS * np.cos(y[first]) * dx, EARTH_RADIUS * dy
     return first, last, (dx + 1j * dy) / (seconds[last] - seconds[first])
+
+
+def check_geographic(table: Table, columns: Mapping[str, np.ndarray], latitude: np.ndarray,
+                     longitude: np.ndarray) -> None:
+    """Raises RunError if latitude and longitude are in radians without a stated unit, or interchanged.
+
+    They are interchanged if they agree with the integrated speed and the heading only the other way round. Distances
+    are compared over steps of one second, so that they are large relative to the noise of the receiver.
+    """
+    unknown = np.full(len(latitude), np.nan)
+    speed, yaw = np.abs(columns.get("velocity_x", unknown)), columns.get("yaw", unknown)
+
+    def compare(latitude: np.ndarray, longitude: np.ndarray) -> tuple[float, float]:
+        """Medians over steps: (ratio of position distance to driven distance, |course - yaw| [rad]); NaN if slow."""
+        first, last, motion = compute_steps(table, longitude, latitude, is_geographic=True)
+        driven = 0.5 * (speed[first] + speed[last])
+        is_moving = driven > max(MIN_COURSE_SPEED, 0.5 * float(np.nanmedian(np.append(driven, 0.0))))
+        if is_moving.sum() < MIN_COMPARED_SAMPLES:
+            return np.nan, np.nan
+        angles = np.append(np.abs(np.angle(motion * np.exp(-1j * yaw[first])))[is_moving], np.inf)
+        return float(np.median(np.abs(motion[is_moving]) / driven[is_moving])), float(np.nanmedian(angles))
+
+    names = [table.sources[name].name for name in ("latitude", "longitude")]
+    ratio, angle = compare(latitude, longitude)
+    if not table.sources["latitude"].has_stated_unit and 0.8 < ratio * 180.0 / np.pi < 3.0:
+        raise RunError(table.file, f"{names[0]} and {names[1]} are in radians: if read as degrees, they give 1/"
+                       f"{1.0 / ratio:.0f} of the driven distance",
+                       "declare the unit in a run.yaml, as units: {latitude: rad, longitude: rad}")
+    if abs(ratio - 1.0) > 0.05 and angle > MIN_DISAGREEING_ANGLE and np.nanmax(np.abs(longitude)) < np.pi / 2:
+        ratio, angle = compare(longitude, latitude)
+        if abs(ratio - 1.0) < 0.02 and angle < MAX_AGREEING_ANGLE:
+            raise RunError(table.file, f"{names[0]} and {names[1]} are interchanged: they agree with the driven "
+                           "distance and the heading only the other way round", "interchange them in a run.yaml, as "
+                           f"columns: {{latitude: '{names[1]}', longitude: '{names[0]}'}}")

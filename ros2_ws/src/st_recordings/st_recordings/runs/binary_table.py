@@ -16,23 +16,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..paths import cached_by_version
+from . import hdf5
 from .columns import Layout, add_fraction, find_ambiguous_steering, find_columns, find_stamp_columns
 from .errors import RunError, shorten
-from .hdf5 import (
-    HDF5_EXTENSIONS,
-    MAX_MATRIX_COLUMNS,
-    SAMPLE_FIELDS,
-    TIME_CLASSES,
-    UNIT_FIELDS,
-    is_hdf5,
-    read_hdf5,
-    reject_objects,
-)
 from .mdf_blocks import describe_truncation
 from .mf4 import MDF_OPTIONS, open_mdf
 
 ARROW_EXTENSIONS = (".parquet", ".feather")
-BINARY_EXTENSIONS = (".mat", *HDF5_EXTENSIONS, *ARROW_EXTENSIONS)
+BINARY_EXTENSIONS = (".mat", *hdf5.EXTENSIONS, *ARROW_EXTENSIONS)
 NAME_FIELDS = ("label", "Name", "name")
 _RAW_FRAMES = re.compile(rb"\0CAN_(Data|Remote|Error)Frame")
 """Name of the channel of raw frames. The header of its block ends with 0; in comments, no 0 precedes the name."""
@@ -59,7 +50,7 @@ def read_binary_table(file: Path) -> tuple[list[str], str]:
     if extension in ARROW_EXTENSIONS:
         frame = _read_arrow(file)
     else:
-        frame = _read_hdf5(file) if extension in HDF5_EXTENSIONS or is_hdf5(file) else _read_matlab(file)
+        frame = _read_hdf5(file) if extension in hdf5.EXTENSIONS or hdf5.is_hdf5(file) else _read_matlab(file)
     return [str(name) for name in frame.columns], frame.to_csv(index=False, header=False, lineterminator="\n")
 
 
@@ -93,11 +84,11 @@ def _read_matlab(file: Path) -> Any:
 
 
 def _read_hdf5(file: Path) -> Any:
-    structs, objects = read_hdf5(file)
+    structs, objects = hdf5.read_hdf5(file)
     signals = list(_find_signals(structs))
-    lacks_times = not any(signal.time for signal in signals) and not TIME_CLASSES.isdisjoint(objects.values())
+    lacks_times = not any(signal.time for signal in signals) and not hdf5.TIME_CLASSES.isdisjoint(objects.values())
     if objects and (len(signals) < 2 or lacks_times):
-        reject_objects(file, objects)
+        hdf5.reject_objects(file, objects)
     return _join_signals(file, signals)
 
 
@@ -145,9 +136,9 @@ def _find_signals(value: Any, path: tuple[str, ...] = (), unit: str = "",
     """Yields the signals in structs, arrays of structs and matrices. times: (name, times) of the enclosing structs."""
     if isinstance(value, dict):
         own_times, value = _find_own_times(value)
-        unit = next((value[name] for name in UNIT_FIELDS if isinstance(value.get(name), str)), "")
+        unit = next((value[name] for name in hdf5.UNIT_FIELDS if isinstance(value.get(name), str)), "")
         for name, entry in value.items():
-            is_sample_field = path and name.lower() in SAMPLE_FIELDS
+            is_sample_field = path and name.lower() in hdf5.SAMPLE_FIELDS
             yield from _find_signals(entry, path if is_sample_field else (*path, name),
                                      unit if is_sample_field else "", (*own_times, *times))
     elif isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype.kind == "O"):
@@ -157,9 +148,9 @@ def _find_signals(value: Any, path: tuple[str, ...] = (), unit: str = "",
             yield from _find_signals(entry, (*path[:-1], labels[0]) if labels else (*path, str(number)), "", times)
     elif _is_vector(value):
         yield Signal(path, unit, value, next((time for time in times if len(time[1]) == len(value)), None))
-    elif isinstance(value, np.ndarray) and value.ndim == 2 and 1 < min(value.shape) <= MAX_MATRIX_COLUMNS:
+    elif isinstance(value, np.ndarray) and value.ndim == 2 and 1 < min(value.shape) <= hdf5.MAX_MATRIX_COLUMNS:
         # The columns are signals, or the rows if there are too many columns.
-        for number, column in enumerate(value.T if value.shape[1] <= MAX_MATRIX_COLUMNS else value, 1):
+        for number, column in enumerate(value.T if value.shape[1] <= hdf5.MAX_MATRIX_COLUMNS else value, 1):
             yield from _find_signals(column, (*path[:-1], f"{path[-1]}_{number}"), unit, times)
 
 

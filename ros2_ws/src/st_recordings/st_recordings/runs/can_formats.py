@@ -1,12 +1,13 @@
 """Reads CAN logs in text and binary formats with python-can; unreadable lines are skipped."""
 
 import csv
+import io
 import mmap
 import re
 import zlib
 from base64 import b64decode
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import partial
@@ -85,28 +86,21 @@ MAX_STEPS = {"s": 0.15, "ms": 50.0}
 MIN_FRAME_DURATION = 40.0  # us; every frame takes longer at 1 Mbit/s
 
 
-class Lines:
-    """Iterates over the lines of a text log in UTF-8, UTF-16 or Windows-1252. number: of the last line read."""
+class Lines(io.TextIOWrapper):
+    """The lines of a text log in UTF-8, UTF-16 or Windows-1252. number: of the last line read."""
 
     def __init__(self, file: Path):
         self.file, self.number = file, 0
-        with file.open("rb") as stream:
-            head = stream.read(1 << 16)
+        stream = io.BufferedReader(io.FileIO(file), 1 << 16)
+        head = stream.peek()
         # Comments and dates may contain Windows-1252 characters, even after the first 64 KiB.
         is_utf8 = head.startswith(head.decode("utf-8", "ignore").encode())
-        codec = find_utf16(head) or ("utf-8-sig" if is_utf8 else "cp1252")
-        self._stream = file.open(encoding=codec, errors=CP1252_FALLBACK)
+        super().__init__(stream, find_utf16(head) or ("utf-8-sig" if is_utf8 else "cp1252"), CP1252_FALLBACK)
 
-    def __iter__(self) -> "Lines":
-        return self
-
-    def __next__(self) -> str:
-        line = next(self._stream)
+    def __next__(self) -> str:  # type: ignore[override]
+        line = super().__next__()
         self.number += 1
         return line
-
-    def close(self) -> None:
-        self._stream.close()
 
 
 @dataclass(frozen=True)
@@ -127,7 +121,7 @@ def _read_text(file: Path, notes: list[str], make_parser: Callable[[Lines, list[
     message, or to None if it has no data.
     """
     unreadable_lines: list[int] = []
-    with closing(Lines(file)) as lines:
+    with Lines(file) as lines:
         parse = make_parser(lines, notes)
         for line in lines:
             try:
@@ -342,7 +336,7 @@ def _find_number_formats(file: Path, names: Sequence[str], delimiter: str, roles
     ids: list[tuple[str, int]] = []
     data: list[tuple[str, int]] = []
     times: list[float] = []
-    with closing(Lines(file)) as lines:
+    with Lines(file) as lines:
         rows = (_split_row(line, delimiter) for line in lines)
         for row in islice(dropwhile(lambda row: [*map(normalise, row)] != names, rows), 1, MAX_SCANNED_ROWS):
             if len(row) <= max(roles.values()):

@@ -15,17 +15,7 @@ from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
 from st_core.types import map_to_body, wrap_angle
 from st_core.vehicle import VehicleParameters
 
-from .axes import (
-    COURSE,
-    HEADING,
-    MAX_AGREEING_ANGLE,
-    MIN_COMPARED_SAMPLES,
-    MIN_COURSE_SPEED,
-    MIN_DISAGREEING_ANGLE,
-    compute_steps,
-    read_angles,
-    rotate_to_body_axes,
-)
+from .axes import COURSE, HEADING, MIN_COURSE_SPEED, check_geographic, read_angles, rotate_to_body_axes
 from .columns import Layout, describe_unknown_units, find_ambiguous, find_ambiguous_steering, find_columns
 from .csv_table import Table, all_finite, differentiate_yaw, read_header, read_table
 from .errors import RunError, format_count
@@ -295,44 +285,10 @@ def _derive_channels(table: Table, warnings: list[str], frame_id: str = ""
         fixes = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude) & table.is_usable)
         origin = (float(latitude[fixes[0]]), float(longitude[fixes[0]]), 0.0) if len(fixes) else None
         columns["x"], columns["y"], _ = LocalFrame(*(origin or (0.0, 0.0, 0.0))).to_enu(latitude, longitude, 0.0)
-        _check_distance(table, columns, latitude, longitude)
+        check_geographic(table, columns, latitude, longitude)
     _interpolate_lower_rates(table, columns, warnings)
     _interpolate_held_positions(table, columns, warnings)
     return columns, origin
-
-
-def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: np.ndarray,
-                    longitude: np.ndarray) -> None:
-    """Raises RunError if latitude and longitude are in radians without a stated unit, or interchanged.
-
-    They are interchanged if they agree with the integrated speed and the heading only the other way round. Distances
-    are compared over steps of one second, so that they are large relative to the noise of the receiver.
-    """
-    unknown = np.full(len(latitude), np.nan)
-    speed, yaw = np.abs(columns.get("velocity_x", unknown)), columns.get("yaw", unknown)
-
-    def compare(latitude: np.ndarray, longitude: np.ndarray) -> tuple[float, float]:
-        """Medians over steps: (ratio of position distance to driven distance, |course - yaw| [rad]); NaN if slow."""
-        first, last, motion = compute_steps(table, longitude, latitude, is_geographic=True)
-        driven = 0.5 * (speed[first] + speed[last])
-        is_moving = driven > max(MIN_COURSE_SPEED, 0.5 * float(np.nanmedian(np.append(driven, 0.0))))
-        if is_moving.sum() < MIN_COMPARED_SAMPLES:
-            return np.nan, np.nan
-        angles = np.append(np.abs(np.angle(motion * np.exp(-1j * yaw[first])))[is_moving], np.inf)
-        return float(np.median(np.abs(motion[is_moving]) / driven[is_moving])), float(np.nanmedian(angles))
-
-    names = [table.sources[name].name for name in ("latitude", "longitude")]
-    ratio, angle = compare(latitude, longitude)
-    if not table.sources["latitude"].has_stated_unit and 0.8 < ratio * 180.0 / np.pi < 3.0:
-        raise RunError(table.file, f"{names[0]} and {names[1]} are in radians: if read as degrees, they give 1/"
-                       f"{1.0 / ratio:.0f} of the driven distance",
-                       "declare the unit in a run.yaml, as units: {latitude: rad, longitude: rad}")
-    if abs(ratio - 1.0) > 0.05 and angle > MIN_DISAGREEING_ANGLE and np.nanmax(np.abs(longitude)) < np.pi / 2:
-        ratio, angle = compare(longitude, latitude)
-        if abs(ratio - 1.0) < 0.02 and angle < MAX_AGREEING_ANGLE:
-            raise RunError(table.file, f"{names[0]} and {names[1]} are interchanged: they agree with the driven "
-                           "distance and the heading only the other way round", "interchange them in a run.yaml, as "
-                           f"columns: {{latitude: '{names[1]}', longitude: '{names[0]}'}}")
 
 
 def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], warnings: list[str]) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from .errors import RunError, shorten
 
-HDF5_EXTENSIONS = (".h5", ".hdf5", ".hdf")
+EXTENSIONS = (".h5", ".hdf5", ".hdf")
 MAX_MATRIX_COLUMNS = 32
 """A matrix with more rows and more columns is an image or a map; smaller ones are split into NAME_1, NAME_2, ..."""
 SAMPLE_FIELDS = ("data", "value", "values")
@@ -36,12 +36,8 @@ def is_hdf5(file: Path) -> bool:
 
 def read_hdf5(file: Path) -> tuple[dict[str, Any], dict[str, str]]:
     """(structs; by name: class of each object that only MATLAB reads, each broken external link). Raises RunError."""
-    try:
-        import h5py
-    except ImportError:
-        old_format_advice = "save the file with save(..., '-v7'), " if file.suffix.lower() == ".mat" else ""
-        raise RunError(file, "HDF5 files, such as those of MATLAB 7.3, require the package h5py",
-                       f"install h5py, {old_format_advice}or export a CSV file") from None
+    import h5py
+
     objects: dict[str, str] = {}
     try:
         with h5py.File(file, "r", locking=False) as content:

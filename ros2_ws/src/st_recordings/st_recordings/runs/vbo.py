@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from canedge_bridge.units import find_unit, normalise
 
-from .columns import COLUMNS, ColumnSource, Layout, apply_units, find_columns
+from .columns import ColumnSource, Layout, apply_units, find_columns
 from .csv import find_missing_channels
 from .csv_table import Table, differentiate_yaw, parse_table, read_text
 from .errors import RunError, check_readable
@@ -20,10 +20,11 @@ from .table_times import HHMMSS
 YAW_RATE_REVERSED = "the yaw rate is positive in right turns; its sign was changed"
 _SECTION = re.compile(r"^\[([^\]]*)\][ \t]*\n", re.MULTILINE)
 _CREATION_DATE = re.compile(r"created on (\d{1,2})/(\d{1,2})/(\d{4})", re.IGNORECASE)
-# Standard channels: name in [column names] -> (channel, unit).
-_STANDARD_CHANNELS = {"lat": ("latitude", "min"), "latitude": ("latitude", "min"), "long": ("longitude", "min"),
-                      "longitude": ("longitude", "min"), "velocity": ("velocity_x", "km/h"),
-                      "heading": ("course", "deg"), "time": ("t", HHMMSS)}
+# Name of a standard channel in [column names] -> channel, and channel -> its unit, unless [channel units] gives one
+_STANDARD_CHANNELS = {"lat": "latitude", "latitude": "latitude", "long": "longitude", "longitude": "longitude",
+                      "velocity": "velocity_x", "heading": "course", "time": "t"}
+_STANDARD_UNITS = {"latitude": "min", "longitude": "min", "velocity_x": "km/h", "course": "deg",
+                   "compass_heading": "deg", "t": HHMMSS}
 # Units in which Racelogic's loggers write other channels, unless [channel units] gives one
 _DEFAULT_UNITS = {"angular rate": "deg/s", "acceleration": "g", "angle": "deg", "speed": "km/h", "length": "m"}
 HEADER_SIZE = 65536  # bytes that are read to find the column names
@@ -82,23 +83,18 @@ def _read_column_names(sections: dict[str, str]) -> list[str]:
 def _find_sources(file: Path, names: list[str], sections: dict[str, str], layout: Layout) -> dict[str, ColumnSource]:
     """Finds the standard channels, and further channels by the column names that are known for CSV files."""
     units = _read_units(names, sections)
+    named = dict(layout.columns)
+    for name in names:
+        channel = "compass_heading" if normalise(name) in TRUE_HEADING_NAMES else _STANDARD_CHANNELS.get(name.lower())
+        named |= {channel: name} if channel and channel not in layout.columns else {}
     sources = {}
-    for channel, source in find_columns(file, names, Layout(layout.columns, {}, layout.source)).items():
-        if normalise(source.name) == "heading" and channel not in layout.columns:
-            continue  # not the yaw angle: "heading" is the course, which is added below from _STANDARD_CHANNELS
-        stated_unit = find_unit(source.kind, units.get(source.name, ""))
-        sources[channel] = replace(source, unit=stated_unit or _DEFAULT_UNITS.get(source.kind, source.unit),
-                                   has_stated_unit=bool(stated_unit))
-    for number, name in enumerate(names):
-        is_first = names.index(name) == number  # among columns with the same name
-        if is_first and (standard := _STANDARD_CHANNELS.get(name.lower())) and standard[0] not in layout.columns:
-            channel, unit = standard
-            kind = COLUMNS[channel].kind
-            stated_unit = find_unit(kind, units.get(name, "")) if channel != "t" else unit
-            sources[channel] = ColumnSource(number, name, kind, stated_unit or unit, True)
-        if normalise(name) in TRUE_HEADING_NAMES:
-            unit = find_unit("angle", units.get(name, "")) or "deg"
-            sources["compass_heading"] = ColumnSource(number, name, "angle", unit, True)
+    for channel, source in find_columns(file, names, Layout(named, {}, layout.source)).items():
+        if normalise(source.name) == "heading" and channel not in named:
+            continue  # not the yaw angle or the true heading, but the course
+        is_standard = channel in named.keys() - layout.columns
+        default = _STANDARD_UNITS[channel] if is_standard else _DEFAULT_UNITS.get(source.kind, source.unit)
+        stated = find_unit(source.kind, units.get(source.name, "")) if default != HHMMSS else None
+        sources[channel] = replace(source, unit=stated or default, has_stated_unit=bool(stated or is_standard))
     if "yaw" in sources and "course" in sources and "yaw" not in layout.columns:
         sources.pop("yaw")
     return apply_units(file, sources, layout)
