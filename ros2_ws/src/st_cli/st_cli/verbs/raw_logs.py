@@ -162,7 +162,7 @@ def import_(
     if not runs:
         raise ConfigurationError(
             f"{', '.join(map(str, paths))}: no NCOM file with CAN logs found, and only these are imported; "
-            "st check, evaluate and discover read CSV, VBO and bags with their CAN logs")
+            "st check, evaluate and discover read other recordings directly")
     written = 0
     for run in runs:
         try:

@@ -225,5 +225,5 @@ TYRE = Experiment("tyre", "Magic Formula parameters from flat-plank tyre tests",
                   lambda job: tuple(identify_magic_formula(table, getattr(job.vehicle, table.tyre))
                                     for table in read_tyre_tables(job.files)), draw_tyre)
 LAMBDA = Experiment("lambda", "stiffness scale factor of the Magic Formula, from the cornering stiffness of the axle",
-                    "none, or the tables of flat-plank tests for the uncertainty of the tyre", identify_lambda,
+                    "optional: flat-plank tables, for the uncertainty of the tyre", identify_lambda,
                     needs_files=False)
