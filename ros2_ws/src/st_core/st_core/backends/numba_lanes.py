@@ -1,9 +1,9 @@
 """Backend that numba compiles from the functions of a model; vector registers hold several predictions (lanes).
 
-All functions of a model are inlined into one loop over lanes, which contains a stage of a Runge-Kutta step and is
-vectorised by LLVM. With all four stages in the loop, compiling takes more than twice as long, and only the kinematic
-model is faster, because its middle stages share their inputs. Three vectors are interleaved, because each operation
-within a vector waits for the previous one. Measurements: docs/measurements/performance.md.
+All functions of a model are inlined into one loop over lanes, which LLVM vectorises. With tyres it contains one stage
+of a Runge-Kutta step, since compiling all four takes more than twice as long. The kinematic model, whose equations are
+short, is faster with all four. Three vectors are interleaved, because each operation within a vector waits for the
+previous one. Measurements: docs/measurements/performance.md.
 
 The functions of `st_core.ops` have versions without branches. Sine, cosine: x = n pi/2 + r with |r| <= pi/4. pi/2 is
 split into two parts, the first with 33 bits, so that its product with n is exact up to |n| = 2^20 or 1.6e6 rad. Arc
@@ -222,8 +222,8 @@ def make_kernel(model: Model, type_of_p, fields: int, states: int):
     for function in numba_cache.find_reachable_functions(cast(FunctionType, model.rhs), EXCLUDED_MODULES):
         if function not in _inlined_functions:
             _inlined_functions.add(inline(function))
-    return _define_kernel(model.rhs, _make_parameter_reader(type_of_p), _make_loader(fields), _make_loader(states),
-                          _make_scratch(states * LANES))
+    return _define_kernel(model.rhs, model.has_tyres, _make_parameter_reader(type_of_p), _make_loader(fields),
+                          _make_loader(states), _make_scratch(states))
 
 
 @contextmanager
@@ -247,11 +247,12 @@ _ROW, _INDICES = types.float64[::1], types.int64[::1]
 SIGNATURE = types.void(_ROW, _ROW, types.int64, _ROW, types.int64, _INDICES, types.float64, _INDICES, _ROW)
 
 
-def _define_kernel(rhs, read_parameters, load_w, load_state, allocate):
+def _define_kernel(rhs, in_stages, read_parameters, load_w, load_state, allocate):
     @numba.njit(fastmath=set(FLAGS), error_model="numpy", nogil=True)
     def kernel(values, start, columns, w, stride, offsets, step, points, out):
         p = read_parameters(values)
-        lengths, weights = (0.0, 0.5 * step, 0.5 * step, step), (step / 6.0, step / 3.0, step / 3.0, step / 6.0)
+        half, third, sixth = 0.5 * step, step / 3.0, step / 6.0
+        lengths, weights = (0.0, half, half, step), (sixth, third, third, sixth)
         state, slope, following = allocate(), allocate(), allocate()
         for first in range(0, columns, LANES):
             for lane in range(LANES):
@@ -262,17 +263,30 @@ def _define_kernel(rhs, read_parameters, load_w, load_state, allocate):
             k = 0
             for point in range(len(points)):
                 while k < points[point]:
-                    for stage in range(4):
-                        length, weight = lengths[stage], weights[stage]
-                        column = offsets[2 * k + (stage + 1) // 2] + first
+                    if in_stages:
+                        for stage in range(4):
+                            length, weight = lengths[stage], weights[stage]
+                            column = offsets[2 * k + (stage + 1) // 2] + first
+                            for lane in range(LANES):
+                                s = _add(load_state(state, LANES, lane), length, load_state(slope, LANES, lane))
+                                derivative = rhs(s, load_w(w, stride, column + lane), p)
+                                _store(slope, LANES, lane, derivative)
+                                s = _add(load_state(following, LANES, lane), weight, derivative)
+                                _store(following, LANES, lane, s)
                         for lane in range(LANES):
-                            s = _add(load_state(state, LANES, lane), length, load_state(slope, LANES, lane))
-                            derivative = rhs(s, load_w(w, stride, column + lane), p)
-                            _store(slope, LANES, lane, derivative)
-                            s = _add(load_state(following, LANES, lane), weight, derivative)
-                            _store(following, LANES, lane, s)
-                    for lane in range(LANES):
-                        _store(state, LANES, lane, load_state(following, LANES, lane))
+                            _store(state, LANES, lane, load_state(following, LANES, lane))
+                    else:
+                        begin, middle, end = offsets[2 * k], offsets[2 * k + 1], offsets[2 * k + 2]
+                        for column in range(first, first + LANES):
+                            lane = column - first
+                            s = load_state(state, LANES, lane)
+                            w_middle = load_w(w, stride, middle + column)
+                            k1 = rhs(s, load_w(w, stride, begin + column), p)
+                            k2 = rhs(_add(s, half, k1), w_middle, p)
+                            k3 = rhs(_add(s, half, k2), w_middle, p)
+                            k4 = rhs(_add(s, step, k3), load_w(w, stride, end + column), p)
+                            increment = _add(_add(k1, 2.0, _add(k2, 1.0, k3)), 1.0, k4)
+                            _store(state, LANES, lane, _add(s, sixth, increment))
                     k += 1
                 for lane in range(LANES):
                     _store(out, columns, point * N_STATES * columns + first + lane, _load_motion(state, LANES, lane))
@@ -304,10 +318,13 @@ def _make_scratch(size: int):
         """Stack memory for `size` numbers, aligned to cache lines. This aligns the stack as well; otherwise a spilled
         vector may occupy two cache lines, and the speed varies by a third between processes."""
         def generate(context, builder, signature, arguments):
-            memory = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), size))
-            memory.align = CACHE_LINE
-            return builder.bitcast(memory, ir.DoubleType().as_pointer())
-        return types.CPointer(types.float64)(), generate
+            rows = []
+            for _ in range(size):
+                memory = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), LANES))
+                memory.align = CACHE_LINE
+                rows.append(builder.bitcast(memory, ir.DoubleType().as_pointer()))
+            return context.make_tuple(builder, signature.return_type, rows)
+        return types.UniTuple(types.CPointer(types.float64), size)(), generate
     return allocate
 
 
@@ -318,10 +335,8 @@ def _make_loader(size: int):
         result = types.UniTuple(types.float64, size)
 
         def generate(context, builder, signature, arguments):
-            data = _get_pointer(context, builder, signature.args[0], arguments[0])
-            indices = [_compute_index(context, builder, i, *arguments[1:]) for i in range(size)]
-            return context.make_tuple(
-                builder, result, [builder.load(builder.gep(data, [index], inbounds=True)) for index in indices])
+            return context.make_tuple(builder, result, [
+                builder.load(_point_to(context, builder, signature.args[0], i, *arguments)) for i in range(size)])
         return result(table, types.intp, types.intp), generate
     return load
 
@@ -334,10 +349,8 @@ _load_motion = _make_loader(N_STATES)  # the six states, without the extra state
 def _store(_, table, stride, column, values):
     """table[i * stride + column] = values[i]."""
     def generate(context, builder, signature, arguments):
-        data = _get_pointer(context, builder, signature.args[0], arguments[0])
         for i, value in enumerate(_extract_values(context, builder, signature.args[3], arguments[3])):
-            index = _compute_index(context, builder, i, *arguments[1:3])
-            builder.store(value, builder.gep(data, [index], inbounds=True))
+            builder.store(value, _point_to(context, builder, signature.args[0], i, *arguments[:3]))
         return context.get_dummy_value()
     return types.none(table, types.intp, types.intp, values), generate
 
@@ -356,13 +369,14 @@ def _add(_, first, factor, second):
     return result(first, types.float64, second), generate
 
 
-def _get_pointer(context, builder, kind, value):
-    return value if isinstance(kind, types.CPointer) else context.make_array(kind)(context, builder, value).data
+def _point_to(context, builder, kind, i, table, stride, column):
+    """Address of element `column` of row i: a row of its own in scratch memory, or `stride` elements apart."""
+    if isinstance(kind, types.BaseTuple):
+        return builder.gep(builder.extract_value(table, i), [column], inbounds=True)
+    row = builder.mul(context.get_constant(types.intp, i), stride, flags=("nsw",))
+    data = context.make_array(kind)(context, builder, table).data
+    return builder.gep(data, [builder.add(column, row, flags=("nsw",))], inbounds=True)
 
 
 def _extract_values(context, builder, kind, value):
     return [context.cast(builder, builder.extract_value(value, i), k, types.float64) for i, k in enumerate(kind.types)]
-
-
-def _compute_index(context, builder, i, stride, column):
-    return builder.add(column, builder.mul(context.get_constant(types.intp, i), stride, flags=("nsw",)), flags=("nsw",))
