@@ -247,6 +247,7 @@ _ROW, _INDICES = types.float64[::1], types.int64[::1]
 SIGNATURE = types.void(_ROW, _ROW, types.int64, _ROW, types.int64, _INDICES, types.float64, _INDICES, _ROW)
 
 
+# long: a function for each kind of step would count references to the arrays, which costs the kinematic model a fifth
 def _define_kernel(rhs, in_stages, read_parameters, load_w, load_state, allocate):
     @numba.njit(fastmath=set(FLAGS), error_model="numpy", nogil=True)
     def kernel(values, start, columns, w, stride, offsets, step, points, out):
