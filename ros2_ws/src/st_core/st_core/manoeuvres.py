@@ -35,7 +35,7 @@ class PiecewiseLinear:
 
     @cached_property
     def _corners(self) -> tuple[np.ndarray, np.ndarray]:
-        """(times, values) at both ends of each part; at a jump, a time occurs twice, and its second value counts."""
+        """(times, values) at both ends of each part; at a jump, a time occurs twice, and its second value applies."""
         parts = np.array(self.parts)
         return np.repeat(np.cumsum([0.0, *parts[:, 0]]), 2)[1:-1], parts[:, 1:].ravel()
 

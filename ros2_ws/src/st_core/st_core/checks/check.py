@@ -284,7 +284,7 @@ def _remove_consequences(findings: list[Finding], log: DriveLog, motion: Motion)
     advice = Advice("text", "record the heading of the car and velocity_y; without them the sensor's error is unknown")
     for k, f in enumerate(findings):
         if f.name == "position_reference":
-            statement = f"{f.statement}; velocity_y is missing or 0, which is right only for a point on the rear axle"
+            statement = f"{f.statement}; velocity_y is missing or 0, which is correct only for a point on the rear axle"
             findings[k] = replace(f, statement=statement)
         low, high = limits.get(f.name, (np.inf, -np.inf))
         if f.value is not None and low <= f.value <= high:

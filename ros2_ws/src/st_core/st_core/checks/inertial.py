@@ -418,7 +418,7 @@ def compute_acceleration_scales(motion: Motion) -> list[float]:
 
 
 def _find_exchanged_accelerations(motion: Motion, measured: Mapping[str, np.ndarray]) -> Finding | None:
-    """Finding about exchanged accelerations, as of a sensor turned by 90 deg, which also changes the sign of one;
+    """Finding about exchanged accelerations; a sensor turned by 90 deg exchanges them and reverses the sign of one.
     None if the exchanged channels do not agree with velocity either. measured: by channel."""
     if len(measured) != 2:
         return None

@@ -112,7 +112,7 @@ def rotate_to_body_axes(columns: dict[str, np.ndarray], frame_id: str = "") -> s
 
 def _compare_with_positions(columns: Mapping[str, np.ndarray], velocity: np.ndarray) -> tuple[float, float]:
     """Standard deviations [rad] of the angle from the velocity, in body axes and over ground, to the steps of the
-    position; a constant angle, as of a misaligned INS, does not count."""
+    position; a constant angle, such as from a misaligned INS, has no influence."""
     products = (np.diff(columns["x"]) + 1j * np.diff(columns["y"])) * velocity[1:].conj()
     products = np.stack((products * np.exp(-1j * columns["yaw"][1:]), products))
     products = products[:, np.isfinite(products).all(axis=0)]
@@ -185,7 +185,7 @@ def read_angles(table: Table, use_positions: bool) -> Table:
 
 
 def _find_motion(table: Table, use_positions: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Steps as of `compute_steps`; if the velocities to the east and north are known, each step is a single row."""
+    """Steps as from `compute_steps`; if the velocities to the east and north are known, each step is a single row."""
     columns, rows = table.columns, np.flatnonzero(table.is_usable)
     if columns.keys() >= {"velocity_east", "velocity_north"}:
         rows = rows[:: max(len(rows) // MAX_COMPARED_SAMPLES, 1)]

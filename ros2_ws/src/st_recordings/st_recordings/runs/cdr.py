@@ -270,7 +270,7 @@ def _read_block(stream: BinaryIO, chunk: ChunkIndex, channel: int, buffer: np.nd
         raise ValueError("a message index points outside its chunk")
     sizes = uint64_at[offsets + 1].astype(np.int64) - 22
     if (sizes < 0).any() or (sizes > len(buffer) - _MESSAGE_HEAD_LENGTH - offsets).any():
-        raise ValueError("a message reaches beyond its chunk")
+        raise ValueError("a message extends beyond its chunk")
     return Block(buffer, offsets + _MESSAGE_HEAD_LENGTH, sizes, times)
 
 

@@ -101,7 +101,7 @@ AMBIGUOUS_STEERING = {normalise(name) for name in _split(
     "steering_angle steering steer steer_angle steered_angle steering_position steering_pos delta_wheel")}
 """Names that mean the steering wheel in some files and the road wheels in others."""
 
-MAX_NAME_LENGTH = 200  # characters; of a longer name, only the end counts
+MAX_NAME_LENGTH = 200  # characters; of a longer name, only the end is used
 PATH_RANK = 1000  # added for a name after a path (/odom/twist/twist/linear/x of PlotJuggler) or a source (ego_vx)
 DOUBTFUL_RANK = 500  # of theta and phi, which may be pitch and roll; read as yaw if no other column is a heading
 _OTHER_QUANTITY = re.compile(

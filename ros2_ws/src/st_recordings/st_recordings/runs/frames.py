@@ -174,7 +174,7 @@ def read_frames(messages: Iterable[bytes]) -> Frames:
         offsets, remaining, message = offsets[has_more], remaining[has_more], message[has_more]
         length = heads[offsets, 16:20].copy().view("<u4")[:, 0].astype(np.int64)
         if (length > MAX_DATA_LENGTH).any() or (offsets + FRAME_HEAD_LENGTH + length > ends[message]).any():
-            raise ValueError("a frame reaches beyond its message")
+            raise ValueError("a frame extends beyond its message")
         frame_offsets.append(offsets)
         message_numbers.append(message)
         offsets, remaining = offsets + FRAME_HEAD_LENGTH + (length + 3) // 4 * 4, remaining - 1
