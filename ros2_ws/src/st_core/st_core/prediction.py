@@ -302,7 +302,7 @@ def compile_model(model: Model, vehicle: VehicleParameters, settings: Prediction
             # Both must be finite at the same points (a spin with a long step diverges), and agree there.
             if not np.array_equal(finite, np.isfinite(compiled)) or (difference[finite] > TOLERANCE).any():
                 worst = float(difference[finite & np.isfinite(compiled)].max(initial=0.0))
-                raise ConfigurationError(f"compiled {model.name} differs from `predict` by {worst:.1e} where finite")
+                raise ConfigurationError(f"the compiled {model.name} differs from predict by {worst:.1e} where finite")
     return run
 
 
