@@ -231,7 +231,7 @@ def test_stop_and_go_has_speed_changes_and_turns_to_both_sides():
     ("text", "message"),
     [
         ("road: [{straight: 10}]", "speed"),
-        ("road: [{straight: 10, speed: 0}]", "not above 0"),
+        ("road: [{straight: 10, speed: 0}]", "must be above 0"),
         ("road: [{straight: 10, speed: 5, radius: 3}]", "unknown key radius"),
         ("road: [{turn: 30, radius: 5, blend: 10, speed: 4}]", "too short for blends"),
         ("roads: []", "road"),
