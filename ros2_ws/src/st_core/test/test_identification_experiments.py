@@ -104,7 +104,7 @@ def test_pitch_from_lift_includes_tyre_deflection():
 
 
 @pytest.mark.parametrize(("change", "message"), [
-    (lambda d: replace(d, pitch=np.degrees(d.pitch)), "limit 45 deg: is the unit in the header right"),
+    (lambda d: replace(d, pitch=np.degrees(d.pitch)), "limit 45 deg: is the unit in the header correct"),
     (lambda d: replace(d, pitch=np.radians(d.pitch)), "pitch ranges over 0.26"),
     (lambda d: replace(d, pitch=d.rear_load, rear_load=np.degrees(d.pitch) + 1.0), "two columns exchanged"),
     (lambda d: replace(d, pitch=0.0 * d.pitch), "pitch ranges over 0 deg"),

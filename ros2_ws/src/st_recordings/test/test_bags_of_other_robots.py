@@ -302,7 +302,7 @@ def test_odometry_without_orientation_is_refused(tmp_path: Path, drive_log: Driv
         return replace(message, pose=replace(message.pose, pose=pose))
 
     folder = write(tmp_path / "drive", drive_log, "/odom", "/steer", change={"/odom": forget})
-    with pytest.raises(RunError, match=r"no usable value of yaw; .*; their orientation, a quaternion, is 0 in all of"):
+    with pytest.raises(RunError, match=r"no usable value of yaw; .*; the orientation quaternion is 0 in all odo"):
         read(find_runs([folder])[0], CAR, STEER)
 
 

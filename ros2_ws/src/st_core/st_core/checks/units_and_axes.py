@@ -209,8 +209,8 @@ def _estimate_yaw_scale(motion: Motion, ratio: float) -> Estimate:
 
 
 def _correct_north_east(motion: Motion) -> MotionAndFinding:
-    """Correct x north, y east and a compass heading, which turn in the opposite direction to steering, acceleration_y
-    and velocity_y; the yaw rate may turn in either direction."""
+    """Correct x north, y east and a compass heading, which have the opposite sign of rotation to steering,
+    acceleration_y and velocity_y; the yaw rate may have either sign."""
     ratios, votes = compute_ratios(motion), sum(_compare_signs(motion))
     if motion.geographic or not _matches(ratios.yaw_to_course, 1.0):
         return motion, None

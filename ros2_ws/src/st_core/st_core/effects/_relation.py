@@ -122,10 +122,8 @@ def _make_parameters(*constants: Parameter) -> tuple[Parameter, ...]:
 
 
 def fix_curve(kind: type[Effect], odd: bool = False, **values: float) -> tuple[Parameter, ...]:
-    """Parameters of an effect with a fixed curve, of which only `share` is fitted.
-
-    kind: relation whose hooks the effect uses. odd: as for Parameter. values: values of parameters of `kind`, by name.
-    """
+    """Parameters of an effect with a fixed curve, of which only `share` is fitted. kind: relation with the hooks of
+    the effect. odd: as for Parameter. values: values of parameters of `kind`, by name."""
     share = Parameter("share", "1", null=0.0, initial=1.0, bounds=(-3.0, 3.0), meaning="fraction of the fitted curve",
                       source="st discover --propose", odd=odd)
     return share, *(_make_constant(p.name, p.meaning, values.get(p.name, p.null))

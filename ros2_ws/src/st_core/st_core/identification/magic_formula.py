@@ -96,7 +96,7 @@ def check_table(data: FlatPlank, levels: np.ndarray, level: np.ndarray, nominal_
     ratio = float((np.abs(data.force) / data.load).max())
     if not 0.2 < ratio < 3.0:
         raise IdentificationError(f"{data.tyre}: the lateral force reaches {ratio:.3g} times the load, expected 0.2 to "
-                                  "3 for a tyre: are the units in the header right, or two columns exchanged?")
+                                  "3 for a tyre: are the units in the header correct, or two columns exchanged?")
     nominal = int(np.argmin(np.abs(levels - nominal_load)))
     if abs(levels[nominal] - nominal_load) > 0.1 * nominal_load:
         raise IdentificationError(f"{data.tyre}: no load near nominal_load {nominal_load:.0f} N of the vehicle file, "

@@ -142,7 +142,7 @@ MIN_PITCH_RANGE = math.radians(3.0)  # in a smaller range the rear load changes 
 MAX_PITCH = math.radians(45.0)
 PITCH_BIN_WIDTH = math.radians(3.0)
 RADIUS_UNCERTAINTY = 0.003  # m; standard uncertainty of a wheel radius read from a ruler
-MAX_LOAD_DIFFERENCE = 0.02  # largest error of the rear load of the level car, divided by the mass
+MAX_LOAD_DIFFERENCE = 0.02  # largest difference of the level car's rear load from the expected one, divided by the mass
 
 
 @dataclass(frozen=True)
@@ -230,7 +230,7 @@ def _check_rows(data: LiftRows) -> None:
     if np.abs(pitch).max(initial=0.0) > MAX_PITCH:
         raise IdentificationError(f"pitch reaches {np.abs(pitch).max():.3g} rad = "
                                   f"{math.degrees(np.abs(pitch).max()):.0f} deg, limit 45 deg: is the unit in the "
-                                  "header right, or are two columns exchanged?")
+                                  "header correct, or are two columns exchanged?")
     span = float(np.ptp(pitch)) if len(pitch) else 0.0
     if span < MIN_PITCH_RANGE:
         raise IdentificationError(f"pitch ranges over {math.degrees(span):.3g} deg, at least 3 are needed: lift "
@@ -253,7 +253,7 @@ def _compute_radii(data: LiftRows, rear_fraction: float) -> tuple[float, str]:
     for name, values in (("front", front), ("rear", rear)):
         if not (values.min() > 0.1 and values.max() < 1.0):
             raise IdentificationError(f"{name} wheel radius {values.min():.3g} to {values.max():.3g} m is not within "
-                                      "0.1 to 1 m: is the unit in the header right?")
+                                      "0.1 to 1 m: is the unit in the header correct?")
     deflection = float(rear.mean() - data.rear_radius[np.argmax(data.pitch)])
     text = (f" At the steepest pitch the rear tyres deflected by a further {1e3 * deflection:.1f} mm, which does not "
             "change the height of the level car.") if math.isfinite(deflection) else ""
@@ -262,10 +262,7 @@ def _compute_radii(data: LiftRows, rear_fraction: float) -> tuple[float, str]:
 
 def _compute_load_transfers(data: LiftRows, line: Line) -> np.ndarray:
     """Rear load minus the level rear load of the same lift, (n,) [kg]; NaN at a pitch below MIN_PITCH_RANGE, or below
-    the largest pitch if that is smaller.
-
-    The level load of a lift is the mean of its level rows, or else the intercept of its line.
-    """
+    the largest pitch if that is smaller. The level load is the mean of the level rows, or else the intercept."""
     is_usable = data.pitch >= min(MIN_PITCH_RANGE, data.pitch.max())
     transfers = np.full(len(data.pitch), np.nan)
     for name, intercept in line.intercepts.items():

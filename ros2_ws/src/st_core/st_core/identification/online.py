@@ -1,7 +1,7 @@
 """Online identification of steering offset, steering ratio and stiffness scale, by `driving_fit` on recent driving.
 
 After every FIT_INTERVAL of usable driving, both stiffnesses, ratio, offset, INS misalignment, dead time of the steering
-and relaxation length of the tyres are fitted together to the last BUFFER_DURATION seconds. The standard deviation is
+and relaxation length of the tyres are fitted together to the stored driving. The standard deviation is
 the quadrature sum of the variation between blocks of driving, converted to a normal distribution with the same 95 %
 interval, and of SYSTEMATIC_ERRORS, due to the single-track model. After sufficient excitation a value has the status
 estimated if its standard deviation is at most MAX_DEVIATIONS, and invalid if it is implausible for the car or at a
@@ -31,7 +31,7 @@ NAMES = ("steering_wheel_offset", "steering_ratio", "stiffness_scale")
 UNITS = ("rad", "1", "1")
 FITTED_PARAMETERS = ("steering_wheel_offset", "steering_ratio", *STIFFNESSES, MISALIGNMENT, DELAY, RELAXATION)
 FIT_SETTINGS = DrivingFitSettings(interval=1.0, min_windows=20)
-BUFFER_DURATION, SPACING_NS = 400.0, 19_000_000  # s of stored driving; minimum ns between stored samples
+BUFFER_DURATION, SPACING_NS = 400.0, 19_000_000  # s of driving at this spacing of the stored samples [ns]
 FIT_INTERVAL = 15.0  # s of usable driving
 MIN_SPEED = 2.0  # m/s; slower samples are not stored
 MAX_GAP = 0.1  # s; longer intervals between samples do not count as driving time
@@ -130,7 +130,7 @@ class OnlineIdentifier:
         self.fit = _make_failed_fit(vehicle, "no fit yet")
 
     def add_ins(self, sample: InsSample) -> bool:
-        """Add a sample at the INS point; False if not finite or not newer. A time jump back by over 1 s resets all."""
+        """Add a sample at the INS point; False if not finite or not newer. A jump back in time by over 1 s: `reset`."""
         if not all(map(math.isfinite, sample[1:7])):
             return False
         step = (sample.time_ns - self._newest_ns) * NANOSECOND

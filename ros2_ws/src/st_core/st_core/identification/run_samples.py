@@ -15,7 +15,7 @@ from .result import Coverage, IdentificationError
 FILTER_SETTLING_TIME = 0.2  # s; discarded at both ends of each interval without gaps
 MAXIMUM_GAP = 0.1  # s; longest interval between samples that is interpolated
 MIN_COMMON_TIME, MIN_SAMPLES = 5.0, 50  # time with both INS and steering [s], number of INS samples
-MIN_REPORTED_BIAS = 5.0e-4  # rad/s; above the drift of a good INS; as 0.1 deg of steering wheel offset causes at 15 m/s
+MIN_REPORTED_BIAS = 5.0e-4  # rad/s; above the drift of a good INS; 0.1 deg of steering wheel offset equals it at 15 m/s
 SPEED_EDGES = np.array([0.0, 3.0, 6.0, 9.0, 12.0, 15.0, 20.0, 30.0, 60.0])  # m/s
 ACCELERATION_EDGES = np.array([-8.0, -4.0, -3.0, -2.0, -1.0, -0.3, 0.3, 1.0, 2.0, 3.0, 4.0, 8.0])  # m/s^2
 

@@ -153,7 +153,7 @@ def _check_rows(data: Turntable) -> None:
             raise IdentificationError(f"the {name} angle is missing in row {int(np.argmin(np.isfinite(angle))) + 1}")
         if np.abs(angle).max() > largest:
             raise IdentificationError(f"the {name} angle reaches {math.degrees(np.abs(angle).max()):.4g} deg, limit "
-                                      f"{math.degrees(largest):.0f}: is the unit in the header right, or are two "
+                                      f"{math.degrees(largest):.0f}: is the unit in the header correct, or are two "
                                       "columns exchanged?")
         if not np.ptp(angle) > 0.0:
             raise IdentificationError(f"the {name} angle is {math.degrees(angle[0]):.4g} deg in every row: it must "

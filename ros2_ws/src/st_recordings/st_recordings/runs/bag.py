@@ -25,10 +25,8 @@ KNOWN_TOPIC_PREFIXES = ("/ins/", "/can/", "/predictor/", "/evaluator/", "/identi
 """Prefixes of the topics that the suite or every ROS system publishes."""
 SUITE_RECORDS = {"recording", "configuration"}  # metadata records that the recorder and the evaluator write first
 CLOSING_RECORD = "rosbag2"  # metadata record that a recorder writes when it closes a recording
-PREFERRED_TOPICS = {ODOMETRY: "ins/odometry", STEERING: "vehicle/steering"}
-"""Type -> ending of the topic name that is preferred if several topics have this type."""
-MAX_REPEATED_FRACTION = 0.75
-"""If a larger fraction of the stamps of a topic repeats the previous one, its stamps are meaningless."""
+PREFERRED_TOPICS = {ODOMETRY: "ins/odometry", STEERING: "vehicle/steering"}  # type -> preferred end of the topic name
+MAX_REPEATED_FRACTION = 0.75  # largest fraction of stamps that repeat the previous one; above it, all are meaningless
 _ODOMETRY_FIELDS = ("header.stamp", "pose.pose.position.x", "pose.pose.position.y", "pose.pose.orientation.x",
                     "pose.pose.orientation.y", "pose.pose.orientation.z", "pose.pose.orientation.w",
                     "twist.twist.linear.x", "twist.twist.linear.y", "twist.twist.angular.z")
@@ -45,7 +43,7 @@ class BagDrive(LoadedRun):
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path is a rosbag2 directory, one of its storage files, or a bag of ROS 1."""
+    """Whether a path is a rosbag2 directory, one of its storage files, or a ROS 1 bag."""
     return (path / "metadata.yaml").is_file() if path.is_dir() else path.suffix.lower() in (*EXTENSIONS, ROS1_EXTENSION)
 
 
@@ -200,7 +198,7 @@ def read_metadata_records(path: Path) -> dict[str, dict[str, str]]:
 
 
 def was_interrupted(path: Path) -> bool:
-    """Whether the suite's recorder stopped before it closed the recording, as with a full disk. Raises RunError."""
+    """Whether the suite's recorder stopped before it closed the recording, e.g. on a full disk. Raises RunError."""
     records = _read_all_metadata_records(path)
     return bool(SUITE_RECORDS & records.keys()) and CLOSING_RECORD not in records
 
@@ -259,7 +257,7 @@ def _select_odometry(odometry: Mapping[str, np.ndarray], frame_id: str) -> tuple
     is_usable = np.isfinite(np.stack(list(values.values()))).all(axis=0)
     time_ns, rows, notes = _select_usable_messages(odometry["header.stamp"], is_usable, "odometry messages", missing)
     if not np.nan_to_num(quaternion).any():
-        notes.append("their orientation, a quaternion, is 0 in all of them: record a heading in it")
+        notes.append("the orientation quaternion is 0 in all odometry messages: record the heading in it")
     values = {name: value[rows] for name, value in values.items()}
     values["yaw"] = np.unwrap(values["yaw"])
     conversions = convert_odometry(values, frame_id)

@@ -271,7 +271,7 @@ def _find_header_line(lines: list[str], layout: Layout | None = None) -> int:
 
 def _split_header(header: str) -> tuple[list[str], str]:
     """(names of the columns, delimiter)."""
-    # If all names end with a unit, as "speed, m/s", there is one comma more. Of equal counts, the first mark is used.
+    # If all names end with a unit, as in "speed, m/s", there is an extra comma. The first of equal counts is used.
     text = re.sub('"[^"]*"', "", header)
     delimiter = max(";\t|,", key=lambda mark: text.count(mark) - (mark == "," and ", " in text))
     if delimiter not in header and len(header.split()) > 2:
