@@ -75,11 +75,6 @@ class AugmentedModel(Model):
         """Cache key of a corrected recording; equal for models with the same `steering` and `correct`."""
         return tuple((e.name, *self.values[e.name].values()) for e in self.active_effects if e.steering or e.observe)
 
-    def input_dependencies(self, p: Any) -> tuple:
-        """Cache key: the parameters in p on which `inputs` depends."""
-        effects = compose(self.base, self.effects).effects
-        return (p.base, *(t for e, t in zip(effects, p.thetas, strict=True) if e.inputs or e.prepare)) if effects else p
-
     def effective_vehicle(self, vehicle: VehicleParameters) -> VehicleParameters:
         """The vehicle with the active effects applied. Raises ConfigurationError if a parameter leaves its limits."""
         cached = self._vehicles.get(id(vehicle))

@@ -259,14 +259,10 @@ class LogBatch:
                  for name in model.signals]
         return [v.ravel() for v in (angle, acceleration, *extra)]
 
-    def _tabulate_inputs(self, block: GridBlock, values: list[np.ndarray], model: Model, p: Any) -> np.ndarray:
-        """Quantities w that depend only on inputs (`Model.inputs`), at all instants of a block."""
-        return block.tabulate(model.inputs(*values[:2], p, *values[2:]))
-
     def _advance(self, block: GridBlock, values: list[np.ndarray], states: np.ndarray, model: Model, p: Any,
                  substeps: int) -> np.ndarray:
         with np.errstate(all="ignore"):
-            w = self._tabulate_inputs(block, values, model, p)
+            w = block.tabulate(model.inputs(*values[:2], p, *values[2:]))  # depends only on inputs
             start = model.start_state(tuple(states), tuple(w[:, block.offsets[0]:block.offsets[0] + block.count]), p)
         columns = np.full((len(start), block.columns), np.nan)
         columns[:, :block.count] = np.broadcast_arrays(*start)

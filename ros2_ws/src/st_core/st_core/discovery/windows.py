@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..augmented import AugmentedModel
-from ..batch import GridBlock, LogBatch, Recording
+from ..batch import LogBatch, Recording
 from ..channels import CHANNELS, SMOOTHING_NS
 from ..composition import compose
 from ..effects import Measured
@@ -37,7 +37,7 @@ MAX_GAP = 0.1  # s, longest gap that is interpolated, as PredictionSettings.maxi
 MIN_SPEED = 1.5  # m/s; slower windows have hardly any lateral motion
 PAUSE_NS = 5_000_000_000  # ns between runs on the common clock
 YAW_RATE_SMOOTHING_NS = 50_000_000  # ns, moving average of the initial yaw rate
-RECORDING_CACHE_SIZE = 4  # number of corrected recordings, and of input tables computed from them
+RECORDING_CACHE_SIZE = 4  # number of corrected recordings
 LOOKUP_CACHE_SIZE = 8  # number of sets of instants with their neighbouring samples
 SCORED_FRACTIONS = (0.1, 0.25, 0.5, 1.0)  # of the horizon; `Windows` may add the settling time
 
@@ -74,26 +74,19 @@ class Signals(LogSignals):
 
 
 class Batch(LogBatch):
-    """A LogBatch for thousands of predictions: the integration step is checked only once, and recordings and input
-    tables are cached for models that correct the recording in the same way. minimum_substeps: smallest number
-    of substeps; more if the step is unstable at the speeds of the drives, as for small cars."""
+    """A LogBatch for thousands of predictions: the integration step is checked only once, and recordings are cached for
+    models that correct them in the same way. minimum_substeps: smallest number of substeps; more if the step is
+    unstable at the speeds of the drives, as for small cars."""
 
     def __init__(self, vehicle: VehicleParameters, minimum_substeps: int, *arguments: Any, **options: Any):
         super().__init__(*arguments, **options)
         self._substeps = max(minimum_substeps, *(required_substeps(model, vehicle, self._speeds, self.step)
                                                  for model in TYRE_MODELS))
         self._recordings: OrderedDict[tuple, Recording] = OrderedDict()
-        self._tables: OrderedDict[tuple, tuple[list[np.ndarray], np.ndarray]] = OrderedDict()
 
     def recording(self, model: Any) -> Recording:
         key = model.correction_key
         return _remember(self._recordings, key, self._recordings.pop(key, None) or super().recording(model))
-
-    def _tabulate_inputs(self, block: GridBlock, values: list[np.ndarray], model: Any, p: Any) -> np.ndarray:
-        # The values are cached as well: their ids are part of the key and must not be reused.
-        key = (block.number, model.inputs, model.input_dependencies(p), *map(id, values))
-        cached = self._tables.pop(key, None) or (values, super()._tabulate_inputs(block, values, model, p))
-        return _remember(self._tables, key, cached)[1]
 
     def _count_substeps(self, model: Model, vehicle: VehicleParameters) -> Any:
         return self._substeps
