@@ -12,8 +12,10 @@ from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import Mock
 
+import numpy as np
 import pytest
 import typer
+from matplotlib.figure import Figure
 from support import LEAF, ROOT
 from typer.testing import CliRunner
 
@@ -29,6 +31,8 @@ from st_live.nodes.monitor import Monitor, Status, SuiteState, render_health, re
 from st_live.nodes.player import Player
 from st_live.suite import Processes, SuiteError, claim_domain, merge_parameters, read_domain_id
 from st_msgs.msg import ErrorStatistics, ErrorSummary, Prediction, PredictorStatus
+from st_recordings.paths import new_folder
+from st_recordings.results import Results, Track
 from st_ros.diagnostics import Diagnostics
 
 from tools import develop
@@ -153,6 +157,42 @@ def test_restarts_are_reported_in_one_line(tmp_path: Path) -> None:
         report.report_results(tmp_path, outcome, {"title": "live"}, Console(file=stream))
         lines = [line for line in stream.getvalue().splitlines() if "bag_2" in line]
     assert len(lines) == 1 and lines[0].startswith("number of restarts: predictor (2), recorder (1); a recorder")
+
+
+def test_published_errors_are_printed_if_the_bag_cannot_be_read(tmp_path: Path) -> None:
+    statistics = [ErrorStatistics(model="linear", mode="hindsight", n_starts=7, lateral_rmse=0.123)]
+    state = SuiteState(ErrorSummary(statistics=statistics), PredictorStatus(due=9, predicted=8))
+    with StringIO() as stream:
+        outcome = session.Outcome({}, interrupted=False, restarts={"recorder": 1}, state=state)
+        assert report.report_results(tmp_path, outcome, {"title": "live"}, Console(file=stream)) == 1
+        lines = stream.getvalue().splitlines()
+    assert lines[1].startswith(f"{tmp_path / 'bag'}") and any("linear" in line and "0.12" in line for line in lines)
+    assert lines[-1].startswith("predictions due 9, made 8")
+
+
+def test_figure_on_a_full_disk_leaves_no_file(tmp_path: Path, monkeypatch) -> None:
+    def fail(_, file: Path, **__: object) -> None:
+        file.write_bytes(b"")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Figure, "savefig", fail)
+    track = Track(np.empty(0, np.int64), *(np.empty(0),) * 3)
+    with pytest.raises(OSError, match="No space left"):
+        report.draw_paths(Results(track, {}, {}, {}, "", []), "title", tmp_path / "paths.png")
+    assert not list(tmp_path.iterdir())
+
+
+def test_output_of_a_run_that_did_not_start_can_be_used_again(tmp_path: Path) -> None:
+    for number in (1, 2):
+        folder = new_folder(tmp_path / "today", "live")
+        (folder / "logs").mkdir()
+        message = rf"no car \(log: {folder}_failed_{number}/logs\)"
+        with pytest.raises(SuiteError, match=message), session.set_aside_on_failure(folder):
+            raise SuiteError(f"no car (log: {folder / 'logs'})")
+    new_folder(tmp_path / "today", "live")
+    with StringIO() as stream:
+        status = report.report_results(folder, session.Outcome({}, interrupted=True), {}, Console(file=stream))
+        assert status == 130 and stream.getvalue().endswith(f"logs: {folder}_failed_3/logs\n")
 
 
 def test_starts_without_a_complete_horizon_are_counted_by_mode() -> None:

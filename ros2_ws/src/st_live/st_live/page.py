@@ -16,7 +16,7 @@ import threading
 import time
 import webbrowser
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any, ClassVar
@@ -201,12 +201,10 @@ def _find_reachable_address(host: str) -> str:
     """The host; for ALL_ADDRESSES, the address of the interface of the default route, LOOPBACK if there is none."""
     if host != ALL_ADDRESSES:
         return host
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.connect(("192.0.2.1", 9))  # a documentation address; no packet is sent
-            return probe.getsockname()[0]
-        except OSError:
-            return LOOPBACK
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):
+        probe.connect(("192.0.2.1", 9))  # a documentation address; no packet is sent
+        return probe.getsockname()[0]
+    return LOOPBACK
 
 
 class _RerunHandler(_Handler):

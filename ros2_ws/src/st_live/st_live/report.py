@@ -18,21 +18,23 @@ from st_recordings.paths import replace_file
 from st_recordings.results import Results, format_band_lines, read_results, summarise
 from st_recordings.runs.errors import RunError
 
-from .nodes.monitor import TABLE_MODES, make_error_table
-from .session import Outcome
+from . import session
+from .nodes.monitor import TABLE_MODES, make_error_table, render_counts, render_errors
 
 MAX_LINE_GAP = 1.0  # s between scored starts; no line is drawn across a longer gap
 INPUTS_OF_MODE = {"hindsight": "measured inputs", "forecast": "inputs held"}
 
 
-def report_results(folder: Path, outcome: Outcome, extra: dict[str, Any], console: Console) -> int:
+def report_results(folder: Path, outcome: session.Outcome, extra: dict[str, Any], console: Console) -> int:
     """Write and print the results of a run; returns the exit status.
 
     extra: further entries of summary.json, including `title`. Status 0: no process failed or was restarted, and
     a prediction was scored or the user stopped the run; 130: it was stopped before all nodes were up; 1: other cases.
     """
     if outcome.interrupted and not outcome.statuses:
-        console.print("the run was stopped before all nodes were up")
+        logs = session.set_aside(folder) / "logs"
+        console.print(f"the run was stopped before all nodes were up; logs: {escape(str(logs))}", highlight=False,
+                      soft_wrap=True)
         return 130
     _print_problems(folder, outcome, console)
     with console.status("reading the recordings, drawing"):
@@ -40,6 +42,8 @@ def report_results(folder: Path, outcome: Outcome, extra: dict[str, Any], consol
             results = read_results(folder)
         except RunError as error:
             console.out(error, style="red", highlight=False)
+            console.print("errors that the evaluator published:", render_errors(outcome.state), sep="\n")
+            console.print(render_counts(outcome.state.predictor_status))
             return 1
         summary = summarise(results, {**extra, "exit_statuses": outcome.statuses})
         title = f"{extra['title']}: mean error over each horizon, at the INS point"
@@ -62,7 +66,7 @@ def report_results(folder: Path, outcome: Outcome, extra: dict[str, Any], consol
     return 0 if outcome.ok and (has_scores or outcome.interrupted) else 1
 
 
-def _print_problems(folder: Path, outcome: Outcome, console: Console) -> None:
+def _print_problems(folder: Path, outcome: session.Outcome, console: Console) -> None:
     if outcome.problem:
         console.out(outcome.problem, style="red", highlight=False)
     if restarts := [f"{name} ({count})" for name, count in outcome.restarts.items()]:
@@ -95,8 +99,13 @@ def draw_paths(results: Results, title: str, file: Path) -> None:
                 lower.set_ylabel("mean lateral error, m\n(+ = predicted left)")
         figure.align_ylabels()
         figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
-        figure.savefig(file, bbox_inches="tight")
-        plt.close(figure)
+        temporary = file.with_name(f"new_{file.name}")
+        try:
+            figure.savefig(temporary, bbox_inches="tight")
+            temporary.replace(file)
+        finally:
+            temporary.unlink(missing_ok=True)  # incomplete on a full disk
+            plt.close(figure)
 
 
 def _draw_map(axes: Axes, results: Results) -> None:

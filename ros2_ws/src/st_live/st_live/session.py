@@ -1,5 +1,6 @@
 """Starts the nodes of a run, shows its progress, stops them in order; a supervisor restarts nodes that end or hang."""
 
+import itertools
 import math
 import signal
 import time
@@ -13,8 +14,9 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 from st_ros.diagnostics import ERROR, WARN
+from st_ros.spin import catch_stop_signals
 
-from .nodes.monitor import Monitor, Status, render_counts, render_health, render_progress
+from .nodes.monitor import Monitor, Status, SuiteState, render_counts, render_health, render_progress
 from .page import LiveView
 from .suite import REALTIME_PERMISSION, Parameters, Suite, SuiteError, claim_domain, read_domain_id
 
@@ -121,6 +123,7 @@ class Outcome:
     problem: str = ""
     health: str = ""  # the result of `render_health` before the stop, as text
     restarts: dict[str, int] = field(default_factory=dict)  # see `Supervisor.restarts`
+    state: SuiteState = field(default_factory=SuiteState)  # after the stop, with the last summary of the evaluator
 
     @property
     def ok(self) -> bool:
@@ -137,14 +140,12 @@ def run(folder: Path, parameters: Parameters, title: str, console: Console, view
     restart nodes that end or hang, instead of ending the run. realtime: real-time scheduling for bridges and predictor.
     Raises SuiteError if a node or the page does not start, or if a node is already running.
     """
-    requested_domain = read_domain_id()
-    if requested_domain is None:
-        requested_domain = default_domain
+    requested_domain = default_domain if (own_domain := read_domain_id()) is None else own_domain
     with _catch_signals() as stop_requested, claim_domain(requested_domain) as domain, Monitor(domain) as monitor:
         if requested_domain is not None:
             time.sleep(DISCOVERY_TIME)
             _check_instances(monitor, domain, max_instances=0)
-        with Suite(folder, parameters, domain, realtime) as suite:
+        with set_aside_on_failure(folder), Suite(folder, parameters, domain, realtime) as suite:
             with console.status(f"starting {len(nodes)} nodes; the first start compiles the models"):
                 if not _start_nodes(suite, monitor, nodes, stop_requested):
                     return Outcome({}, interrupted=True)
@@ -161,7 +162,27 @@ def run(folder: Path, parameters: Parameters, title: str, console: Console, view
             statuses = {}
             for name in STOP_ORDER:
                 statuses.update(suite.stop(name))
-        return Outcome(statuses, stop_requested(), problem, health_text, supervisor.restarts if supervisor else {})
+        restarts = supervisor.restarts if supervisor else {}
+        return Outcome(statuses, stop_requested(), problem, health_text, restarts, monitor.state)
+
+
+@contextmanager
+def set_aside_on_failure(folder: Path) -> Iterator[None]:
+    """Context of a run; a SuiteError in it sets its folder aside, and paths in the message are changed accordingly."""
+    try:
+        yield
+    except SuiteError as error:
+        raise SuiteError(str(error).replace(str(folder), str(set_aside(folder)))) from None
+
+
+def set_aside(folder: Path) -> Path:
+    """Rename the folder of a run that did not start, so that its name can be used again; returns the new path."""
+    names = (f"{folder.name}_failed_{number}" for number in itertools.count(1))
+    unused = next(path for path in map(folder.with_name, names) if not path.exists())
+    try:
+        return folder.rename(unused)
+    except OSError:  # a mount point
+        return folder
 
 
 def _check_instances(monitor: Monitor, domain: int, max_instances: int) -> None:
@@ -232,11 +253,9 @@ def _watch(suite: Suite, monitor: Monitor, supervisor: Supervisor | None, consol
 @contextmanager
 def _catch_signals() -> Iterator[Callable[[], bool]]:
     """Yields a function that returns whether SIGINT or SIGTERM has arrived; neither interrupts the program."""
-    received: list[int] = []
-    handlers = {number: signal.signal(number, lambda number, _: received.append(number))
-                for number in (signal.SIGINT, signal.SIGTERM)}
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield lambda: bool(received)
+        yield catch_stop_signals()
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)

@@ -37,12 +37,6 @@ class _PolledGroup(CallbackGroup):
     def can_execute(self, entity: Any) -> bool:
         return False
 
-    def beginning_execution(self, entity: Any) -> bool:
-        return False
-
-    def ending_execution(self, entity: Any) -> None:
-        raise AssertionError("a polled subscription is never executed")
-
 
 class PolledSubscription:
     """Subscription that the node reads itself. raw: `take` yields serialised bytes instead of messages."""

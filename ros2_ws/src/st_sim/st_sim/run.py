@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         else:
             _run_live(options, stop_requested)
     except (OSError, ValueError) as error:
-        print(f"virtual_leaf: {_format_error(error)}", file=sys.stderr)
+        print(f"virtual_leaf: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     return 0
 
@@ -57,11 +57,7 @@ def check_arguments(arguments: Sequence[str]) -> None:
     try:
         _Run(_make_parser().parse_args(arguments))
     except (OSError, ValueError) as error:
-        raise ConfigurationError(_format_error(error)) from None
-
-
-def _format_error(error: Exception) -> str:
-    return " ".join(str(error).split())
+        raise ConfigurationError(" ".join(str(error).split())) from None
 
 
 def _watch_signals() -> Callable[[], bool]:
