@@ -416,7 +416,7 @@ def test_parts_of_a_table_are_one_run(tmp_path: Path, drive_log: DriveLog, kind:
     (lambda log: re.sub(r"(?m)^(\d[^,]*),[^,]*,[^,]*", r"\1,0.0,0", geographic(log)),
      "latitude and longitude are 0 or empty in all rows, so the receiver had no fix; export x and y"),
     (lambda log: re.sub(r"(?m)^(\d[^,]*,[^,]*,[^,]*),[^,]*(.*)", r"\1\2,0,0,0,0", csv(rows(log), header())).replace(
-        ",yaw,", ",", 1).replace("\n", ",qx,qy,qz,qw\n", 1), "its orientation, a quaternion, is 0 or empty in all "
+        ",yaw,", ",", 1).replace("\n", ",qx,qy,qz,qw\n", 1), "the orientation quaternion is 0 or empty in all "
      "rows; also export yaw, compass_heading or course"),
     (lambda log: re.sub(r"(,-\d\.\d*)", r"\1W", geographic(log)),
      r"column longitude has no numbers, but text such as '-1\.5\d*W'; export"),

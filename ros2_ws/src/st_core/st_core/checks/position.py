@@ -174,7 +174,7 @@ def _explain_residual(motion: Motion, rare_explanations: Mapping[tuple[str, ...]
             lag = problem.estimate(tuple(dict.fromkeys((*refined, "velocity_x_bias"))))[name]
             if not is_relevant(_add_refinement(name, causes, lag), min_values[name]):
                 del refined[name]
-        # An axis scale far enough from 1 for a wrong unit counts only if it moves positions enough for a warning.
+        # An axis scale that differs from 1 as much as a wrong unit is kept only if its effect is enough for a warning.
         causes = {name: estimate for name, estimate in refined.items() if is_relevant(estimate, min_values[name]) and (
             name not in AXIS_SCALES or abs(estimate.value) * effects[name] >= LIMITS.warning_effect
             or is_near(1.0 + estimate.value, 1.0, LIMITS.unit_ratio))}
@@ -232,7 +232,7 @@ def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Es
 
 def _find_varying_cause(motion: Motion, explanation: _Explanation) -> tuple[_Explanation, list[Finding]]:
     """(explanation, finding) with a cause that varies slowly, linearly between instants at equal intervals, if it
-    explains the positions far better than constant causes; (explanation as given, []) else or without v_y."""
+    explains the positions far better than constant causes; otherwise, and without v_y, (explanation as given, [])."""
     problem, corrected = make_residual_regression(motion), make_residual_regression(explanation.corrected)
     middle = problem.time + 0.5 * WINDOW
     count = int(np.clip(np.ptp(middle) / VARIATION_INTERVAL, 2, MAX_VARIATION_INTERVALS)) + 1
@@ -317,7 +317,7 @@ def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> 
     """Whether yaw, not the yaw rate, lags by `lag` [s]; None if both fit. corrected: the motion without that lag.
 
     At constant speed v, a lag T of yaw, a lag -T of the positions, and a reference point v T ahead have the same
-    effect. The yaw for which the fitted position lag is smaller is right, whatever the reference point. If the drive
+    effect. The yaw for which the fitted position lag is smaller is correct, whatever the reference point. If the drive
     does not determine this lag, the reference point is assumed to be that of the velocities.
     """
     problems = make_residual_regression(motion), make_residual_regression(corrected)

@@ -198,7 +198,7 @@ def _scale_yaw(motion: Motion, ratio: float) -> tuple[Motion, Finding]:
 def _estimate_yaw_scale(motion: Motion, ratio: float) -> Estimate:
     """Scale of yaw, near `ratio`; the true yaw is the direction of travel minus the sideslip angle."""
     rescaled = _remove_wraps(replace(motion, yaw=motion.yaw / ratio))
-    windows = rescaled.make_windows(1.0, 0.5)  # as the ratio, which is known only if there are some
+    windows = rescaled.make_windows(1.0, 0.5)  # those of the ratio, which is known only if there are some
     product = windows.change(rescaled.position) * np.conj(windows.integral(rescaled.velocity_map))
     yaw = windows.mean(rescaled.yaw)
     error, weight = np.angle(product * np.conj(product.sum())), np.sqrt(np.abs(product))  # rad, m

@@ -66,7 +66,7 @@ _TRC_LINE = re.compile(rb"^\s*\d+\)\s", re.MULTILINE)
 _ASC_DATE = re.compile(rb"(?i)date \S+ \S+ +\d+ +\d")  # not "Date Time;x;y" of a table
 _ASC_STAMP = re.compile(r"\s*(\d+)[.,](\d+)\s+")
 _ASC_FRAME = re.compile(r"(?i)(?:(\d+)\s+(?=\w+\s+[TR]x|ErrorFrame)|CANFD\s+)(.*)", re.ASCII)
-# Columns of CAN logs in CSV, as of python-can, mdf2csv (CSS Electronics), SavvyCAN (GVRET), Vehicle Spy, IXXAT, Cabana
+# Columns of CAN logs in CSV by python-can, mdf2csv (CSS Electronics), SavvyCAN (GVRET), Vehicle Spy, IXXAT, Cabana
 _CSV_COLUMNS = {
     "time": ("timestampepoch", "timestamp", "timestamps", "time", "times", "abstimesec", "timeabs"),
     "id": ("arbitrationid", "id", "idhex", "iddec", "canid", "identifier", "arbid", "identifierhex", "addr"),
@@ -162,7 +162,7 @@ def _make_line_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
             return make_message(timestamp=seconds, is_error_frame=True)
         is_remote = data[:1] in ("r", "R") or kind.endswith("r")
         octets = b"" if is_remote else bytes.fromhex(data)
-        # candump writes eight digits of an extended identifier; others mark it.
+        # candump writes an extended identifier with eight digits; other formats mark it.
         digits = cells["id"] if kind == "-" else cells["id"].lstrip("0")
         channel: int | str = int(cells["index"]) if cells["index"] else (
             int(bus) - (kind != "-") if bus.isdigit() else bus or "can0")
@@ -323,7 +323,7 @@ def _make_csv_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
 
 
 def _is_marked(cells: Mapping[str, str], *names: str) -> bool | None:
-    """Whether the first of these columns that is not blank has a mark; None if there is none, or another text."""
+    """Whether the first of these columns that is not blank is set; None if all are blank, or for an unknown text."""
     mark = next((cells[name].lower() for name in names if cells.get(name)), "")
     is_marked = mark in ("1", "t", "true", "yes", "tx") or mark.startswith("ext")
     return is_marked if is_marked or mark in ("0", "f", "false", "no") or mark.startswith("std") else None
@@ -378,7 +378,7 @@ def _find_base(cells: Sequence[tuple[str, int]]) -> int:
 
 
 def _count_byte_columns(names: Sequence[str]) -> int:
-    """Number of columns B0, B1, ...; without a length, as of Vehicle Spy, other columns may follow them."""
+    """Number of columns B0, B1, ...; without a length, as in Vehicle Spy, other columns may follow them."""
     return sum(re.fullmatch(r"b\d+", name) is not None for name in names)
 
 
@@ -513,8 +513,8 @@ def _is_can_capture(head: bytes) -> bool:
 
 
 def find_clock(head: bytes) -> tuple[float, float]:
-    """(period after which the times of a log restart, smallest jump that counts as a restart) [s]. Half of the period
-    counts for times of day or since the full hour; for numbers, which may be times since the start, nearly a day."""
+    """(period after which the times of a log restart, smallest jump back that is a restart) [s]. This jump is half of
+    the period for times of day or since the full hour, and nearly a day for numbers, which may be relative times."""
     lines = head.decode("utf-8-sig", "ignore").splitlines()
     _, delimiter, roles = _split_csv_header(next(filter(_is_csv_header, lines), ""))
     column, delimiter = (roles["time"], delimiter) if "time" in roles else (0, " ")  # BUSMASTER
@@ -526,7 +526,7 @@ def find_clock(head: bytes) -> tuple[float, float]:
 def is_can_log(file: Path) -> bool:
     """Whether a file is a CAN log, by its extension, or by its content if other programs also use the extension.
 
-    A .log or .asc file that is empty, compressed or unreadable counts as a CAN log; its reader reports the problem.
+    A .log or .asc file that is empty, compressed or unreadable is taken for a CAN log; its reader reports the problem.
     """
     extension = file.suffix.lower()
     if extension in MF4_EXTENSIONS:

@@ -238,7 +238,7 @@ def _reject_unfilled(table: Table) -> None:
     for names, others, problem, advice in (
             (("latitude", "longitude"), {"x", "y"}, "latitude and longitude are 0 or empty in all rows, so the "
              "receiver had no fix", "export x and y, or a part with a fix"),
-            (QUATERNION_CHANNELS, {"yaw"}, "its orientation, a quaternion, is 0 or empty in all rows",
+            (QUATERNION_CHANNELS, {"yaw"}, "the orientation quaternion is 0 or empty in all rows",
              f"also export yaw, {ALTERNATIVES['yaw']}")):
         values = [table.columns[name] for name in names if name in table.columns.keys() - table.texts]
         if len(values) == len(names) and not others <= table.columns.keys() and not np.nan_to_num(values).any():
