@@ -9,6 +9,7 @@ from exact_drive import Sines, exact_drive
 from exact_faults import findings_by_name
 from st_core.checks import AuxiliaryData, Finding, Severity, check
 from st_core.checks.finding import merge_findings
+from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
 
 CHANNELS = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "acceleration_x", "acceleration_y",
             "road_wheel_angle")
@@ -137,3 +138,22 @@ def test_constant_position_of_a_stationary_car_is_not_a_fault(log, leaf):
     times = log.ins_time_ns[0] + 10_000_000 * np.arange(len(wait["x"]))
     found = check(replace(log, ins_time_ns=times, steering_time_ns=times, **wait), leaf).findings
     assert not [f for f in found if f.name == "channel_frozen" and {"x", "y"} & set(f.channels)], found
+
+
+@pytest.mark.parametrize("name", ["x", "y"])
+def test_altitude_in_place_of_a_horizontal_axis_is_one_error(log, leaf, name):
+    time = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
+    altitude = 3.0 * np.sin(time / 10.0) + 0.01 * np.random.default_rng(0).standard_normal(len(time))
+    (error,) = check(replace(log, **{name: altitude}), leaf).with_severity(Severity.ERROR)
+    assert (error.name, error.channels) == ("position_axes", (name,)) and "altitude" in error.text
+    assert not findings_by_name(replace(log, **{name: 0.001 * getattr(log, name)}), leaf).keys() & {"position_axes"}
+
+
+@pytest.mark.parametrize("seconds", [0.5, 2.0])
+def test_rows_that_repeat_the_previous_one_are_frozen_and_no_jumps(log, leaf, seconds):
+    time, row = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9, np.arange(len(log.x))
+    source = np.maximum.accumulate(np.where(time % 20.0 > 20.0 - seconds, 0, row))
+    held = {name: getattr(log, name)[source] for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS)}
+    (finding,) = check(replace(log, **held), leaf).findings
+    assert (finding.name, finding.channels) == ("channel_frozen", INS_SIGNALS)
+    assert finding.severity is Severity.WARNING and finding.advice.entry.keys() == {"leave_out"}

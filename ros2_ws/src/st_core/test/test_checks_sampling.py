@@ -268,12 +268,23 @@ def test_recording_in_short_parts_has_gaps_but_no_bursts(leaf, rate, seconds, le
     assert [finding.name for finding in findings] == ["time_gaps", "time_gaps"]  # of INS and steering
 
 
-@pytest.mark.parametrize("rate", [50.0, 100.0])
-def test_samples_in_pairs_are_noted_and_cause_no_other_finding(leaf, rate):
+@pytest.mark.parametrize("rate", [10.0, 25.0, 50.0, 100.0])
+def test_samples_in_pairs_are_reported_and_cause_no_other_finding(leaf, rate):
     drive = exact_drive(leaf, 90.0, rate=rate)
     stamps, k = drive.ins_time_ns, np.arange(len(drive.x))
     (finding,) = check(replace(drive, ins_time_ns=stamps[k // 2 * 2] + 2000 * (k % 2)), leaf).findings
-    assert finding.severity is Severity.NOTE and "bursts of 2" in finding.text
+    assert "bursts of 2" in finding.text
+    assert finding.severity is (Severity.NOTE if rate >= 50.0 else Severity.WARNING)
+
+
+@pytest.mark.parametrize("step", [0.005, 0.01, 0.02])
+def test_steering_sent_on_change_does_not_come_in_bursts(leaf, step):
+    drive = exact_drive(leaf, 90.0)
+    angle = step * np.round(drive.road_wheel_angle / step)
+    rows = np.append(True, np.diff(angle) != 0.0)
+    drive = replace(drive, road_wheel_angle=angle[rows], steering_time_ns=drive.steering_time_ns[rows],
+                    steering_wheel_angle=None)
+    assert "time_jitter" not in findings_by_name(drive, leaf)
 
 
 def test_randomly_missing_samples_give_no_jitter_finding(leaf):

@@ -1,6 +1,7 @@
 """Runs all checks on a recording, ordered so that each fault yields only one finding."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -10,35 +11,14 @@ from ..log import INS_SIGNALS, STEERING, DriveLog
 from ..sideslip import has_derived_yaw_rate
 from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
-from . import inertial, position, sampling, vehicle_relations
-from .finding import (
-    HORIZON,
-    LIMITS,
-    WHEEL_SCALE_TOLERANCE,
-    Advice,
-    Alternative,
-    AuxiliaryData,
-    Comparison,
-    DriveCheck,
-    Finding,
-    Severity,
-    neutral_value,
-)
-from .inertial import Agreement, CheckResult
+from . import inertial, position, sampling, units_and_axes, vehicle_relations
+from .finding import HORIZON, LIMITS, Advice, Alternative, AuxiliaryData, DriveCheck, Finding, Severity, find
+from .inertial import Agreement, Results
 from .motion import MIN_MOVING_SPEED, Motion, is_driven
 from .plausibility import drop_implausible, find_broken_channels
-from .position_steps import check_position_deviations, check_position_steps
+from .position_steps import check_position_deviations, check_position_steps, spread_bursts
 from .regression import Estimate, add_systematic_uncertainty
 from .trial import try_corrections
-from .units_and_axes import (
-    LENGTH_CHANNELS,
-    check_nominal_rate,
-    check_time_unit,
-    correct_length_unit,
-    correct_units,
-    match_unit,
-    other_yaw_fits_better,
-)
 
 ESTIMATES_BIASED_BY_SIDESLIP = ("steering_lag", "yaw_rate_lag", "yaw_lag")
 EXPLAINED_BY_YAW_LAG = ("yaw_rate_lag", "position_lag", "position_reference", "steering_lag")
@@ -54,22 +34,6 @@ CAUSED_BY_DRIFT = ("yaw_drift", "yaw_offset", "velocity_y_scale", "velocity_y_bi
 MIN_INS_SAMPLES = 50  # with fewer samples, only implausible samples and time stamps are reported
 
 
-@dataclass
-class _Results:
-    """Findings, estimates by name of the finding, and panels of the figure."""
-
-    findings: list[Finding] = field(default_factory=list)
-    estimates: dict[str, Estimate] = field(default_factory=dict)
-    panels: list[Comparison] = field(default_factory=list)
-    yaw_rate_lag: float | None = None  # s; None unless an opposite lag of yaw fits as well
-
-    def add(self, result: CheckResult) -> None:
-        findings, estimates, panel = result
-        self.findings += findings
-        self.estimates |= estimates
-        self.panels += [panel] if panel else []
-
-
 def check(log: DriveLog, vehicle: VehicleParameters | None = None,
           auxiliary: AuxiliaryData | None = None) -> DriveCheck:
     """Result of all checks of one recording.
@@ -81,7 +45,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
     """
     auxiliary = auxiliary or AuxiliaryData()
     start_ns = next(iter(log.ins_time_ns[:1].tolist()), 0) if auxiliary.start_ns is None else auxiliary.start_ns
-    log, burst_findings = sampling.spread_bursts(log)
+    log, burst_findings = spread_bursts(log)
     result = _check_part(log, vehicle, auxiliary, start_ns)
     if log.duration >= 2.0 * MIN_PART_DURATION:
         first, last = log.ins_time_ns[[0, -1]].tolist()
@@ -111,27 +75,25 @@ def _report_changes(whole: DriveCheck, parts: list[DriveCheck], times: list[tupl
     estimates that differ from those of a part are left out. times: start and end of each part [s]."""
     places = [f"in the {name} {end - start:.0f} s" for name, (start, end) in zip(("first", "last"), times, strict=True)]
     drift, *drifts = (each.estimates.get("yaw_drift", UNKNOWN) for each in (whole, *parts))
-    drifts_evenly = any(f.name == "yaw_drift" for f in whole.findings) and all(_agree(drift, d) for d in drifts)
-    wanders = all(any(f.name == "yaw_wander" for f in each) for each in (
-        whole.findings, [f for part in parts for f in part.findings]))
+    drifts_evenly = find(whole.findings, "yaw_drift") and all(_agree(drift, d) for d in drifts)
+    wanders = find(whole.findings, "yaw_wander") and any(find(part.findings, "yaw_wander") for part in parts)
     ignored = CAUSED_BY_DRIFT if drifts_evenly or wanders else ()
-    in_parts: dict[str, tuple[tuple[bool, int, float], Finding]] = {}  # (rank, highest-ranking finding) by name
+    advice = Advice("text", "split the recording where this changes: no correction fits the whole drive")
+    ranked = []
     for k, part in enumerate(parts):
         for finding in (f for f in part.findings if not f.times and f.name not in ignored):
             change = _describe_change(finding, parts[1 - k], places[1 - k], whole)
-            deviation = abs((finding.value or 0.0) - neutral_value(finding.name))
-            rank = bool(change), -[*Severity].index(finding.severity), deviation
-            if finding.name not in in_parts or rank >= in_parts[finding.name][0]:
-                statement = f"{places[k]} of the drive, {finding.statement.removesuffix('?')}{change}"
-                advice = Advice("text", "split the recording where this changes: no correction fits the whole drive")
-                in_parts[finding.name] = rank, replace(
-                    finding, statement=statement, advice=advice, times=(times[k],)) if change else finding
-    changed = {name for name, ((is_changed, *_), _) in in_parts.items() if is_changed}
+            rank = bool(change), -[*Severity].index(finding.severity), finding.deviation, k
+            statement = f"{places[k]} of the drive, {finding.statement.removesuffix('?')}{change}"
+            ranked.append((rank, replace(
+                finding, statement=statement, advice=advice, times=(times[k],)) if change else finding))
+    in_parts = {finding.name: finding for _, finding in sorted(ranked, key=itemgetter(0))}  # those of the highest rank
+    changed = {finding.name for finding in in_parts.values() if finding.times}
     if not changed:
         return whole
     kept = [f for f in whole.findings if (f.times and f.name != "position_deviation") or f.name in ignored or (
         f.interval is None and f.name in in_parts.keys() - changed)]
-    replaced = [f for _, f in in_parts.values() if f.name not in {f.name for f in kept}]
+    replaced = [f for f in in_parts.values() if f.name not in {f.name for f in kept}]
     return replace(whole, findings=(*kept, *replaced), estimates={
         name: values for name, values in whole.estimates.items() if name not in changed
         and all(name in part.estimates and _agree(values, part.estimates[name]) for part in parts)})
@@ -146,7 +108,7 @@ def _describe_change(finding: Finding, other: DriveCheck, place: str, whole: Dri
     """Clause about the value in the other part of the drive, at `place`, if it differs significantly; otherwise ""."""
     name, value, interval = finding.name, finding.value, finding.interval
     if (finding.severity is Severity.NOTE or name in NOT_COMPARED
-            or finding.concerns_only_acceleration or finding.channels == LENGTH_CHANNELS
+            or finding.concerns_only_acceleration or finding.channels == units_and_axes.LENGTH_CHANNELS
             or any(f.name in position.CONFOUNDED.get(name, ()) for f in other.findings)):  # may be the same fault
         return ""
     if value is None or interval is None:
@@ -154,7 +116,7 @@ def _describe_change(finding: Finding, other: DriveCheck, place: str, whole: Dri
     there = other.estimates.get(name) or next(
         ((f.value, *f.interval) for f in other.findings if f.name == name and f.value is not None and f.interval), None)
     if (there is None or _agree((value, *interval), there)
-            or abs(there[0] - value) <= MIN_CHANGE * abs(value - neutral_value(name))):
+            or abs(there[0] - value) <= MIN_CHANGE * finding.deviation):
         return ""
     unit = "" if finding.unit == "1" else f" {finding.unit}"
     return f"; {place}, the value is {there[0]:.3g} ({there[1]:.3g} to {there[2]:.3g}){unit}"
@@ -170,31 +132,30 @@ def _check_part(log: DriveLog, vehicle: VehicleParameters | None, auxiliary: Aux
     motion = Motion.from_log(log, start_ns, auxiliary)
     channels = sampling.describe_channels(motion, auxiliary)
     is_long_enough = len(log.ins_time_ns) >= MIN_INS_SAMPLES
-    is_moving = is_long_enough and (is_driven(motion) or correct_length_unit(motion)[1] is not None)
-    motion, time_unit = check_time_unit(motion) if is_moving else (motion, None)
-    results = _Results([*implausible, *sampling.check_timing(motion, auxiliary, implausible, start_ns)])
+    is_moving = is_long_enough and (is_driven(motion) or units_and_axes.correct_length_unit(motion)[1] is not None)
+    motion, time_unit = units_and_axes.check_time_unit(motion) if is_moving else (motion, None)
+    results = Results([*implausible, *sampling.check_timing(motion, auxiliary, implausible, start_ns)])
     results.findings += sampling.check_quality(auxiliary.quality, start_ns) if is_long_enough else []
     broken_channels = find_broken_channels(implausible)
-    if not is_moving:
-        results.findings += vehicle_relations.check_standstill(motion) if is_long_enough else []
-    else:
-        ins_is_usable = not broken_channels & {*INS_SIGNALS}  # comparisons need all of these channels
+    if is_moving:
         unusable: dict[str, Any] = dict.fromkeys(broken_channels & {*inertial.ACCELERATIONS})
         motion = replace(motion, **unusable)
         stuck_findings = sampling.find_stuck_channels(motion, channels)
         results.findings += stuck_findings
-        if ins_is_usable:
+        if not broken_channels & {*INS_SIGNALS}:  # comparisons need all of these channels
             clock_findings = inertial.check_position_clock(motion)
             results.findings += clock_findings
             if not clock_findings:  # comparisons need positions on the clock of the other channels
                 broken_channels |= find_broken_channels(stuck_findings)
-                _check_relations(motion, log, vehicle, time_unit, stuck_findings, broken_channels, results)
+                _check_relations(results, motion, log, vehicle, time_unit, stuck_findings, broken_channels)
+    elif is_long_enough:
+        results.findings += vehicle_relations.check_standstill(motion)
     return DriveCheck(tuple(results.findings), channels, tuple(results.panels), {
         name: (estimate.value, *estimate.interval) for name, estimate in results.estimates.items()})
 
 
-def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters | None, time_unit: Finding | None,
-                     stuck_findings: list[Finding], broken_channels: set[str], results: _Results) -> None:
+def _check_relations(results: Results, motion: Motion, log: DriveLog, vehicle: VehicleParameters | None,
+                     time_unit: Finding | None, stuck_findings: list[Finding], broken_channels: set[str]) -> None:
     """Add the results of comparing the channels with each other and with the vehicle.
 
     stuck_findings: from `find_stuck_channels`. broken_channels: from `find_broken_channels`.
@@ -214,11 +175,12 @@ def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters |
         results.findings += step_findings
     speed, yaw_rate, sideslip_measured = motion.velocity_x, motion.yaw_rate, CHANNELS["velocity_y"].is_measured_in(log)
     removed_factors = _find_removed_factors(unit_findings)
-    corrected, sensors = _check_sensors(motion, removed_factors)
-    wrong_rate = None if time_unit else check_nominal_rate(sensors.findings, sensors.estimates)
+    corrected, sensors, yaw_rate_lag = _check_sensors(motion, removed_factors)
+    wrong_rate = None if time_unit else units_and_axes.check_nominal_rate(sensors.findings, sensors.estimates)
     if wrong_rate and wrong_rate.value:
         results.findings.append(wrong_rate)
-        corrected, sensors = _check_sensors(motion.with_time_divided(wrong_rate.value), removed_factors)
+        motion = motion.with_time_divided(wrong_rate.value)
+        corrected, sensors, yaw_rate_lag = _check_sensors(motion, removed_factors)
     findings = _merge_findings_of_units(unit_findings, sensors.findings, sensors.estimates)
     corrected, findings = position.attribute_scale_to_velocity_x(corrected, findings, sensors.estimates)
     results.findings += position.add_sign_alternative(findings, recorded, corrected)
@@ -228,13 +190,13 @@ def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters |
         if not broken_channels & {*STEERING}:
             from_steering_wheel = log.steering_wheel_angle is not None and np.allclose(
                 log.road_wheel_angle, vehicle.road_wheel_angle(log.steering_wheel_angle), atol=1e-4)
-            results.add(vehicle_relations.check_steering(corrected, vehicle, from_steering_wheel))
+            vehicle_relations.check_steering(results, corrected, vehicle, from_steering_wheel)
         unusable_channels = coarse_channels | _list_channels(stuck_findings, "channel_frozen")
         if sideslip_measured and not unusable_channels & {"velocity_y", "yaw_rate"}:
-            results.add(_check_rear_axle(corrected, vehicle, findings))
+            _check_rear_axle(results, corrected, vehicle, findings)
         results.findings += vehicle_relations.check_tyre_limit(corrected, sideslip_measured)
     results.findings += vehicle_relations.check_standstill(replace(corrected, velocity_x=speed, yaw_rate=yaw_rate))
-    findings = _add_yaw_lag_alternative(results.findings, corrected, sensors.yaw_rate_lag)
+    findings = _add_yaw_lag_alternative(results.findings, corrected, yaw_rate_lag)
     results.findings = _remove_consequences(findings, log, corrected)
     biased = () if sideslip_measured else ESTIMATES_BIASED_BY_SIDESLIP
     results.estimates = {name: estimate for name, estimate in results.estimates.items() if name not in biased}
@@ -242,19 +204,22 @@ def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters |
         results.findings = try_corrections(results.findings, log, vehicle)
 
 
-def _check_rear_axle(motion: Motion, vehicle: VehicleParameters, findings: list[Finding]) -> CheckResult:
-    """Result of `check_rear_axle`. motion: corrected for a scale of the velocity. The scale of the positions may be
-    wrong instead, so a finding must also exist at the recorded velocity, and has the lower of the two severities."""
-    found, estimates, panel = vehicle_relations.check_rear_axle(motion, vehicle)
-    scale = position.find_velocity_scale(findings)
-    if found and scale is not None and scale.value and not match_unit(scale.value):
+def _check_rear_axle(results: Results, motion: Motion, vehicle: VehicleParameters, findings: list[Finding]) -> None:
+    """Add the results of `check_rear_axle`. motion: corrected for a scale of the velocity. The scale of the positions
+    may be wrong instead, so a finding must also exist at the recorded velocity, with the lower of the two severities.
+    """
+    rear = vehicle_relations.check_rear_axle(motion, vehicle)
+    scale, found = find(findings, "velocity_scale"), rear.findings
+    if found and scale is not None and scale.value and not units_and_axes.match_unit(scale.value):
         recorded = motion.apply_entry({"correct": {"velocity": {"scale": scale.value}}})
-        others = {finding.name: finding for finding in vehicle_relations.check_rear_axle(recorded, vehicle)[0]}
+        others = {finding.name: finding for finding in vehicle_relations.check_rear_axle(recorded, vehicle).findings}
         found = [replace(finding, severity=max(finding.severity, others[finding.name].severity, key=[*Severity].index))
                  for finding in found if finding.name in others]
     for alternative in [a for f in findings for a in f.alternatives if "velocity_y_scale" in a.findings][:1]:
         found = [finding.with_alternative(alternative, position.VARY_BENDS) for finding in found]
-    return found, estimates, panel
+    results.findings += found
+    results.estimates |= rear.estimates
+    results.panels += rear.panels
 
 
 def _list_channels(findings: list[Finding], name: str = "") -> set[str]:
@@ -295,26 +260,23 @@ def _remove_consequences(findings: list[Finding], log: DriveLog, motion: Motion)
     return findings
 
 
-def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[Motion, _Results]:
-    """(corrected motion, results) of the relations valid for any vehicle. removed_factors: `_find_removed_factors`."""
-    results = _Results(panels=[position.make_distance_panel(motion, removed_factors)])
+def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[Motion, Results, float | None]:
+    """(corrected motion, results) of the relations valid for any vehicle, and the lag of the yaw rate [s], None unless
+    an opposite lag of yaw fits as well. removed_factors: see `_find_removed_factors`."""
+    distance_panel = position.make_distance_panel(motion, removed_factors)
     motion, sign_findings = position.check_lateral_sign(motion)
-    yaw_rate, tolerances = inertial.compare_yaw_rate(motion)
-    motion, lag_findings, results.yaw_rate_lag = _check_yaw_lag(motion, yaw_rate)
-    recorded = motion
-    motion, position_findings, estimates = position.check_positions(motion)
-    position_findings = position.merge_lateral_sign(sign_findings, position_findings, estimates)
-    results.estimates = estimates
-    motion, position_findings = position.attribute_scale_to_positions(
-        motion, position_findings, estimates, _confirm_velocity(recorded, position_findings))
+    yaw_rate = inertial.compare_yaw_rate(motion)
+    recorded, lag_findings, yaw_rate_lag = _check_yaw_lag(motion, yaw_rate)
+    motion, findings, estimates = position.check_positions(recorded)
+    findings = position.merge_lateral_sign(sign_findings, findings, estimates)
+    motion, findings = position.attribute_scale_to_positions(
+        motion, findings, estimates, inertial.confirm_velocity(recorded, find(findings, "velocity_scale")))
+    results = Results([*lag_findings, *findings], estimates, [distance_panel])
     if yaw_rate and yaw_rate.determines_lag:
         estimates["yaw_lag"] = add_systematic_uncertainty("yaw_lag", yaw_rate.lag.scaled(-1.0))
-    results.findings += lag_findings + position_findings
-    if lag_findings or any(finding.name in ("yaw_offset", "yaw_wander") for finding in position_findings):
-        yaw_rate, tolerances = inertial.compare_yaw_rate(motion)
-    results.add(inertial.judge_agreement(
-        yaw_rate, tolerances, "yaw rate: sensor versus change of yaw", removed_factors.get("yaw_rate_scale", 1.0),
-        removed_factors.get("yaw_scale", removed_factors.get("yaw_convention", 1.0))))
+    if lag_findings or find(findings, "yaw_offset", "yaw_wander"):
+        yaw_rate = inertial.compare_yaw_rate(motion)
+    inertial.check_yaw_rate(results, motion, yaw_rate, removed_factors)
     results.findings = [_add_yaw_alternative(finding, motion) for finding in results.findings]
     if yaw_rate and yaw_rate.scale.value:  # a constant yaw rate has no scale
         estimates["yaw_scale"] = add_systematic_uncertainty("yaw_scale", yaw_rate.scale.inverse())
@@ -325,25 +287,14 @@ def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[M
         estimates["velocity_x_scale"] = estimates["velocity_scale"].scaled(removed_factors.get("velocity_x_scale", 1.0))
     if yaw_rate:
         motion = inertial.correct_yaw_rate(motion, yaw_rate)
-    for result in (*inertial.check_accelerations(motion), *inertial.check_speeds(motion)):
-        results.add(result)
-    return motion, results
-
-
-def _confirm_velocity(motion: Motion, findings: list[Finding]) -> str:
-    """Measurement that agrees with the recorded velocity and refutes the finding of its scale; "" if there is none."""
-    scale = position.find_velocity_scale(findings)
-    if scale is None or not scale.value:
-        return ""
-    wheel = inertial.compare_speed(motion, "wheel_speed") if "wheel_speed" in motion.speeds else None
-    if wheel and abs(scale.value - 1.0) >= max(2.0 * abs(wheel.scale.value - 1.0), WHEEL_SCALE_TOLERANCE):
-        return "the wheel speed"
-    return "the accelerations" if inertial.accelerations_confirm_velocity(motion, scale.value) else ""
+    inertial.check_accelerations(results, motion)
+    inertial.check_speeds(results, motion)
+    return motion, results, yaw_rate_lag
 
 
 def _add_yaw_alternative(finding: Finding, motion: Motion) -> Finding:
     """The finding; a scale of yaw_rate loses its correction if positions fit a scale error of yaw equally well."""
-    if finding.name != "yaw_rate_scale" or not finding.value or other_yaw_fits_better(
+    if finding.name != "yaw_rate_scale" or not finding.value or units_and_axes.other_yaw_fits_better(
             replace(motion, yaw=finding.value * motion.yaw), motion):
         return finding
     alternative = Alternative(f"yaw is {1.0 / finding.value:.3f} times its true value", ("yaw_scale",))
@@ -354,7 +305,7 @@ def _add_yaw_alternative(finding: Finding, motion: Motion) -> Finding:
 def _correct_units(motion: Motion, vehicle: VehicleParameters | None) -> tuple[Motion, list[Finding]]:
     """Result of `correct_units`; if the steering confirms the unit of length, the accelerations are wrong instead."""
     corrected, findings = _correct_units_without_lag(motion)
-    unit = next((finding.value for finding in findings if finding.channels == LENGTH_CHANNELS), None)
+    unit = next((finding.value for finding in findings if finding.channels == units_and_axes.LENGTH_CHANNELS), None)
     if vehicle is None or unit is None or not vehicle_relations.steering_confirms_length(motion, vehicle, unit):
         return corrected, findings
     corrected, findings = _correct_units_without_lag(replace(motion, acceleration_x=None, acceleration_y=None))
@@ -365,10 +316,10 @@ def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
     """Result of `correct_units`, without the lag between yaw and yaw rate, which would change their ratio."""
     lag = inertial.estimate_yaw_rate_lag(motion)
     if not lag:
-        return correct_units(motion)
-    yaw_is_wrong = other_yaw_fits_better(motion, motion.shifted_earlier(-lag, "yaw"))
+        return units_and_axes.correct_units(motion)
+    yaw_is_wrong = units_and_axes.other_yaw_fits_better(motion, motion.shifted_earlier(-lag, "yaw"))
     name, seconds = ("yaw", -lag) if yaw_is_wrong else ("yaw_rate", lag)
-    aligned, findings = correct_units(motion.shifted_earlier(seconds, name))
+    aligned, findings = units_and_axes.correct_units(motion.shifted_earlier(seconds, name))
     return aligned.shifted_earlier(-seconds, name), findings
 
 

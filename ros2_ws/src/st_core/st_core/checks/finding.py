@@ -86,6 +86,11 @@ class Finding:
                        alternatives=(*self.alternatives, alternative), advice=advice)
 
     @property
+    def deviation(self) -> float:
+        """Distance of the value from that in a recording without faults [unit]."""
+        return abs((self.value or 0.0) - neutral_value(self.name))
+
+    @property
     def concerns_only_acceleration(self) -> bool:
         """Whether only accelerations are affected, which identification and discovery use, but predictions do not."""
         return (self.effect is None and bool(self.channels)
@@ -96,6 +101,11 @@ class Finding:
         fields = {**asdict(self), "severity": self.severity.value, "text": self.text}
         del fields["statement"]
         return fields
+
+
+def find(findings: Iterable[Finding], *names: str) -> Finding | None:
+    """The first finding with one of the names, or None."""
+    return next((finding for finding in findings if finding.name in names), None)
 
 
 def merge_findings(findings: Iterable[Finding]) -> list[Finding]:

@@ -25,7 +25,7 @@ from .regression import Estimate, Regression, add_systematic_uncertainty
 MAX_LAG = 1.5  # s; largest lag searched for, in both directions
 MAX_CLOCK_OFFSET = 40.0  # s; largest offset between two clocks searched for; TAI is 37 s ahead of UTC
 MIN_COMMON_TIME = 15.0  # s; minimum overlap of two series
-NO_BIAS, UNIT_SCALE, NO_DRIFT = Estimate(0.0, 0.0, 0.0), Estimate(1.0, 0.0, 0.0), Estimate(0.0, 0.0, 0.0)
+UNKNOWN, UNIT_SCALE = Estimate(0.0, 0.0, 0.0), Estimate(1.0, 0.0, 0.0)  # not fitted
 LAG_TEST_SHIFT = 0.3  # s; a drive determines a lag if lags smaller and larger by this both fit worse
 BIAS_RESIDUAL_RATIO = 1.25  # ratio of the residuals with a scale and with a bias above which a bias is reported
 MIN_SCALE_CORRELATION = 0.98  # at a higher correlation, noise reduces a scale by less than 4 %
@@ -50,7 +50,7 @@ class Agreement:
     expected_lag_rejected: bool = True  # whether the lag expected without a fault fits significantly worse
     correlation_without_lag: float = 0.0  # at zero lag
     determines_lag: bool = True  # whether lags that differ by LAG_TEST_SHIFT fit significantly worse
-    drift: Estimate = NO_DRIFT  # increase of the lag per second [1], if fitted
+    drift: Estimate = UNKNOWN  # increase of the lag per second [1]
 
     @property
     def correlates(self) -> bool:
@@ -94,31 +94,27 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
         return None
     quantile = symmetric_interval(0.0, 1.0, max(len(reference.time) * STEP / DECORRELATION_TIME - 1.0, 1.0))[1]
     lag = Estimate(-solution.offset, solution.offset_deviation, quantile * solution.offset_deviation)
-    drift = NO_DRIFT
+    drift = UNKNOWN
     if fit_drift:
         drift_fit = fit([pair], solution.offset, middle=float(other.time.mean()))
         drift = Estimate(-drift_fit.drift, drift_fit.drift_deviation, quantile * drift_fit.drift_deviation)
     rows, x, _ = select_common_samples(pair, (solution.offset, 0.0))
     if len(rows) * STEP < MIN_COMMON_TIME or not float(np.std(x)) > 0.0:
         return None
-    common_time, y = other.time[rows], other.values[rows]
-    problem = Regression(common_time, y[:, None], {"scale": x[:, None], "bias": np.ones((len(rows), 1))})
-    correlation = correlate(x, y)
+    y, correlation = other.values[rows], correlate(x, other.values[rows])
+    problem = Regression(other.time[rows], y[:, None], {"scale": x[:, None], "bias": np.ones((len(rows), 1))})
     noise = white_noise(derived) * rate_noise(float(np.median(np.diff(time))), cutoff) if derived_is_angle else 0.0
     scale, bias = _fit_line(problem, x, correlation, fit_bias, noise)
-    neighbours = solution.offset - LAG_TEST_SHIFT, solution.offset + LAG_TEST_SHIFT
-    rows, unshifted, _ = select_common_samples(pair, (0.0, 0.0))
-    return Agreement(lag, scale, bias, correlation, float(np.std(x)), common_time, y, x,
-                     tuple(-alternative.offset for alternative in alternatives),
-                     _fits_worse(pair, -expected_lag, solution.offset, cutoff),
-                     correlate(unshifted, other.values[rows]),
-                     all(_fits_worse(pair, offset, solution.offset, cutoff) for offset in neighbours), drift)
 
+    def fits_worse(offset: float) -> bool:  # significantly (F test, 95 %)
+        (smallest, residual), common = _compute_residual_fractions(pair, [solution.offset, offset], cutoff)
+        return residual > _compute_f_limit(common, cutoff, 0.95) * smallest
 
-def _fits_worse(pair: Pair, offset: float, best_offset: float, cutoff: float) -> bool:
-    """Whether the residual with an offset is significantly larger than with the best offset (F test, 95 %)."""
-    (smallest, residual), common = _compute_residual_fractions(pair, [best_offset, offset], cutoff)
-    return residual > _compute_f_limit(common, cutoff, 0.95) * smallest
+    unshifted_rows, unshifted, _ = select_common_samples(pair, (0.0, 0.0))
+    return Agreement(lag, scale, bias, correlation, float(np.std(x)), other.time[rows], y, x,
+                     tuple(-alternative.offset for alternative in alternatives), fits_worse(-expected_lag),
+                     correlate(unshifted, other.values[unshifted_rows]),
+                     all(fits_worse(solution.offset + shift) for shift in (-LAG_TEST_SHIFT, LAG_TEST_SHIFT)), drift)
 
 
 def _find_best_offsets(pair: Pair, cutoff: float, min_lag: float, max_lag: float) -> list[Fit]:
@@ -192,10 +188,10 @@ def _fit_line(problem: Regression, derived: np.ndarray, correlation: float, fit_
         return scale, both["bias"].shifted((both["scale"].value - scale.value) * float(derived.mean()))
     scale = problem.estimate(("scale",))["scale"]
     if not fit_bias:
-        return scale, NO_BIAS
+        return scale, UNKNOWN
     shifted = Regression(problem.time, problem.y - derived[:, None], problem.columns)
     if problem.fit(("scale",))[1] <= BIAS_RESIDUAL_RATIO * shifted.fit(("bias",))[1]:
-        return scale, NO_BIAS
+        return scale, UNKNOWN
     return UNIT_SCALE, shifted.estimate(("bias",))["bias"]
 
 
@@ -217,8 +213,14 @@ ACCELERATIONS = ("acceleration_x", "acceleration_y")
 ACCELERATION_UNITS = {1.0 / STANDARD_GRAVITY: "is its unit g"}
 SPEED_UNITS = {3.6: "is its unit km/h", 2.23694: "is its unit mph", 1.0 / 3.6: "was it divided by 3.6 twice"}
 CORRECTION_KEYS = {"lag": "earlier", "scale": "scale", "bias": "add"}  # keys of run.yaml
-CheckResult = tuple[list[Finding], dict[str, Estimate], Comparison | None]
-"""(findings, estimates by name of the finding, panel of the figure or None)."""
+
+@dataclass
+class Results:
+    """Results of comparisons, to which the checks add."""
+
+    findings: list[Finding] = field(default_factory=list)
+    estimates: dict[str, Estimate] = field(default_factory=dict)  # by name of the finding
+    panels: list[Comparison] = field(default_factory=list)  # of the figure
 
 
 @dataclass(frozen=True)
@@ -241,55 +243,48 @@ class Tolerances:
     bias_question: str = ""  # question about the cause of a bias
 
 
-def judge_agreement(agreement: Agreement | None, tolerances: Tolerances, title: str, removed_scale: float = 1.0,
-                    removed_reference_scale: float = 1.0) -> CheckResult:
-    """Result of a comparison. title: of the panel, which shows both series in recorded units. removed_scale,
+def judge_agreement(results: Results, agreement: Agreement | None, tolerances: Tolerances, title: str,
+                    removed_scale: float = 1.0, removed_reference_scale: float = 1.0) -> None:
+    """Add the result of a comparison. title: of the panel, which shows both series in recorded units. removed_scale,
     removed_reference_scale: factors already divided out of the channel and of the reference."""
     if agreement is None:
-        return [], {}, None
-    panel = Comparison(
-        tolerances.channel, title, tolerances.unit, tolerances.channel, f"from {tolerances.reference}", agreement.time,
-        removed_scale * agreement.measured, removed_reference_scale * agreement.derived,
-        tuple(f"{tolerances.channel}_{kind}" for kind in ("scale", "bias", "lag")))
-    return (*_judge(agreement, tolerances), panel) if agreement.correlates else ([], {}, panel)
-
-
-def _judge(agreement: Agreement, tolerances: Tolerances) -> tuple[list[Finding], dict[str, Estimate]]:
-    """(findings, estimates by name of the finding) of series that correlate."""
+        return
     name = tolerances.channel
+    results.panels.append(Comparison(
+        name, title, tolerances.unit, name, f"from {tolerances.reference}", agreement.time,
+        removed_scale * agreement.measured, removed_reference_scale * agreement.derived,
+        tuple(f"{name}_{kind}" for kind in ("scale", "bias", "lag"))))
+    if not agreement.correlates:
+        return
     scale, lag, bias = (add_systematic_uncertainty(f"{name}_{kind}", getattr(agreement, kind))
                         for kind in ("scale", "lag", "bias"))
-    has_lag_error = (lag.is_significant and agreement.expected_lag_rejected and abs(lag.value) >= tolerances.lag
-                     and agreement.spread >= tolerances.min_spread)
-    lag_findings = [_make_lag_finding(agreement, lag, tolerances)] if has_lag_error else []
-    estimates = {f"{name}_lag": lag} if agreement.determines_lag else {}
+    if (lag.is_significant and agreement.expected_lag_rejected and abs(lag.value) >= tolerances.lag
+            and agreement.spread >= tolerances.min_spread):
+        results.findings.append(_make_lag_finding(agreement, lag, tolerances))
+    results.estimates |= {f"{name}_lag": lag} if agreement.determines_lag else {}
     if abs(agreement.correlation) < tolerances.min_correlation:  # noise biases the scale and the bias, but not the lag
-        return lag_findings, estimates
-    estimates |= {f"{name}_scale": scale}
-    estimates |= {f"{name}_bias": bias} if bias.standard_error else {}  # 0: no bias was fitted
+        return
+    results.estimates |= {f"{name}_scale": scale}
+    results.estimates |= {f"{name}_bias": bias} if bias.standard_error else {}  # 0: no bias was fitted
     # Regression on a noisy quantity yields between r^2 and 1 times the true slope (Fuller 1987, Measurement Error
     # Models, 1.1), so noise of the derived quantity may explain a scale below 1.
     explained_by_noise = scale.value < 1.0 and scale.value / agreement.correlation**2 + scale.half_width > 1.0
-    findings: list[Finding] = []
-    scale_error = abs(scale.value - 1.0)
-    wrong_unit = not explained_by_noise and not is_near(scale.value, 1.0, LIMITS.channel_unit_ratio)
-    if wrong_unit:
-        findings.append(_make_unit_finding(scale, tolerances))
-    elif scale_error >= tolerances.scale and scale.shifted(-1.0).is_significant and not explained_by_noise:
+    divisor, scale_error = 1.0, abs(scale.value - 1.0)
+    if not explained_by_noise and not is_near(scale.value, 1.0, LIMITS.channel_unit_ratio):
+        results.findings.append(_make_unit_finding(scale, tolerances))
+        return
+    if scale_error >= tolerances.scale and scale.shifted(-1.0).is_significant and not explained_by_noise:
+        divisor = scale.value  # the user's correction divides by the reported scale before it subtracts the bias
         text = f"{name} is {scale} times its value from {tolerances.reference}"
-        findings.append(_make_finding("scale", text, scale, scale_error * agreement.spread, tolerances,
-                                      1.0 / scale.value, scale_error >= tolerances.severe_scale))
-    # The user's correction divides by the reported scale before it subtracts the bias.
-    divisor = scale.value if findings else 1.0
-    findings += lag_findings
+        results.findings.append(_make_finding("scale", text, scale, scale_error * agreement.spread, tolerances,
+                                              1.0 / divisor, scale_error >= tolerances.severe_scale))
     error = abs(bias.value) / max(abs(scale.value), 1e-300)
-    if bias.is_significant and error >= tolerances.bias and not wrong_unit:
+    if bias.is_significant and error >= tolerances.bias:
         side, unit = "high" if bias.value > 0.0 else "low", tolerances.unit.replace("^2", "²")
         text = (f"{name} is {abs(bias)} {unit} too {side} compared with {tolerances.reference}"
                 f"{tolerances.bias_question}")
-        findings.append(_make_finding("bias", text, bias, error, tolerances, -bias.value / divisor,
-                                      error >= tolerances.severe_bias))
-    return findings, estimates
+        results.findings.append(_make_finding("bias", text, bias, error, tolerances, -bias.value / divisor,
+                                              error >= tolerances.severe_bias))
 
 
 def _make_lag_finding(agreement: Agreement, lag: Estimate, tolerances: Tolerances) -> Finding:
@@ -337,24 +332,28 @@ def format_alternative_lags(agreement: Agreement, response: float = 0.0) -> str:
     return f" (or {text}, which fits equally well: the motion is periodic)" if text else ""
 
 
-def _compare_yaw_rate(motion: Motion, cutoff: float) -> Agreement | None:
+def compare_yaw_rate(motion: Motion, cutoff: float = GYRO_CUTOFF) -> Agreement | None:
     """Agreement of yaw rate and change of yaw while the car moves; a yaw from the course is undefined at standstill."""
     yaw = np.where(motion.speed > MIN_MOVING_SPEED, motion.yaw, np.nan)
     return compare_series(motion.time, yaw, motion.time, motion.yaw_rate, cutoff, derived_is_angle=True)
 
 
-def compare_yaw_rate(motion: Motion) -> tuple[Agreement | None, Tolerances]:
-    """(agreement of yaw rate and change of yaw, tolerances)."""
-    agreement = _compare_yaw_rate(motion, GYRO_CUTOFF)
+def check_yaw_rate(results: Results, motion: Motion, agreement: Agreement | None,
+                   removed_factors: Mapping[str, float]) -> None:
+    """Compare yaw rate and change of yaw. removed_factors: already divided out of both, by name of the finding."""
     position_effect = LIMITS.yaw_settling_time * float(np.median(np.abs(motion.velocity_x))) * HORIZON
-    return agreement, Tolerances(
+    tolerances = Tolerances(
         "yaw_rate", "yaw", "rad/s", LIMITS.lag, GYRO_SCALE_ERROR, GYRO_BIAS, LIMITS.severe_lag, severe_scale=0.03,
         severe_bias=0.01, position_effect=position_effect, min_correlation=GYRO_CORRELATION)
+    judge_agreement(
+        results, agreement, tolerances, "yaw rate: sensor versus change of yaw",
+        removed_factors.get("yaw_rate_scale", 1.0),
+        removed_factors.get("yaw_scale", removed_factors.get("yaw_convention", 1.0)))
 
 
 def estimate_yaw_rate_lag(motion: Motion) -> float:
     """Lag of the yaw rate behind yaw [s]; 0 unless it is significant, severe (LIMITS) and improves the correlation."""
-    agreement = _compare_yaw_rate(motion, ACCELERATION_CUTOFF)
+    agreement = compare_yaw_rate(motion, ACCELERATION_CUTOFF)
     if (agreement is None or not agreement.has_lag or abs(agreement.lag.value) < LIMITS.severe_lag
             or agreement.correlation < LIMITS.min_correlation):
         return 0.0
@@ -372,15 +371,12 @@ def correct_yaw_rate(motion: Motion, agreement: Agreement) -> Motion:
 
 
 def _compare_acceleration(motion: Motion, name: str, measured: np.ndarray) -> Agreement | None:
-    """Agreement of a measured acceleration with the derivative of velocity. name: of the channel."""
-    derived = _derive_acceleration(motion, name)
-    return compare_series(motion.time, derived, motion.time, measured, ACCELERATION_CUTOFF)
+    return compare_series(motion.time, _derive_acceleration(motion, name), motion.time, measured, ACCELERATION_CUTOFF)
 
 
 def _derive_acceleration(motion: Motion, name: str) -> np.ndarray:
-    lateral = name == "acceleration_y"
-    velocity, other = (motion.velocity_y, motion.velocity_x) if lateral else (motion.velocity_x, -motion.velocity_y)
-    return np.gradient(velocity, motion.time) + other * motion.yaw_rate
+    derivative = np.gradient(motion.velocity, motion.time) + 1j * motion.yaw_rate * motion.velocity
+    return derivative.imag if name == "acceleration_y" else derivative.real
 
 
 def _make_unrelated_finding(motion: Motion, name: str, measured: np.ndarray) -> Finding | None:
@@ -399,6 +395,16 @@ def _make_unrelated_finding(motion: Motion, name: str, measured: np.ndarray) -> 
         if is_vertical else ": is it another axis of the sensor or another signal, or is the road hilly?")
     advice = Advice("text", "check the axes of the sensor; without the right one, leave this column out")
     return Finding("acceleration_unrelated", Severity.WARNING, (name,), text, correlation, advice=advice)
+
+
+def confirm_velocity(motion: Motion, scale: Finding | None) -> str:
+    """Measurement that agrees with the recorded velocity and refutes the finding of its scale; "" if there is none."""
+    if scale is None or not scale.value:
+        return ""
+    wheel = compare_speed(motion, "wheel_speed") if "wheel_speed" in motion.speeds else None
+    if wheel and abs(scale.value - 1.0) >= max(2.0 * abs(wheel.scale.value - 1.0), WHEEL_SCALE_TOLERANCE):
+        return "the wheel speed"
+    return "the accelerations" if accelerations_confirm_velocity(motion, scale.value) else ""
 
 
 def accelerations_confirm_velocity(motion: Motion, factor: float) -> bool:
@@ -449,21 +455,21 @@ def _find_nearest_factor(scale: float, sizes: Iterable[float]) -> float:
     return float(np.copysign(min(sizes, key=lambda size: abs(np.log(abs(scale) / size))), scale))
 
 
-def check_accelerations(motion: Motion) -> list[CheckResult]:
-    """Results of comparing accelerations with the derivative of velocity; empty if the velocity has wrong axes."""
+def check_accelerations(results: Results, motion: Motion) -> None:
+    """Compare accelerations with the derivative of velocity, unless the velocity has wrong axes."""
     if motion.moves_sideways:
-        return []
+        return
     speed = float(np.median(np.abs(motion.velocity_x)))
     measured = {name: values for name in ACCELERATIONS if (values := getattr(motion, name)) is not None}
     agreements = {name: _compare_acceleration(motion, name, values) for name, values in measured.items()}
     if not any(agreement and agreement.correlates for agreement in agreements.values()) and (
             exchanged := _find_exchanged_accelerations(motion, measured)):
-        return [([exchanged], {}, None)]
-    results: list[CheckResult] = []
+        results.findings.append(exchanged)
+        return
     for name, agreement in agreements.items():
         if not (agreement and agreement.correlates) and (
                 unrelated := _make_unrelated_finding(motion, name, measured[name])):
-            results.append(([unrelated], {}, None))
+            results.findings.append(unrelated)
             continue
         axis, reference, lag = "forward", "velocity", ACCELERATION_LAG
         if name == "acceleration_y":
@@ -474,20 +480,17 @@ def check_accelerations(motion: Motion) -> list[CheckResult]:
             name, reference, "m/s^2", lag, ACCELERATION_SCALE_ERROR if judges_scale else np.inf,
             LIMITS.acceleration_bias, severe_bias=SEVERE_ACCELERATION_BIAS, unit_questions=ACCELERATION_UNITS,
             bias_question=": is the sensor mounted at an angle, or is the road not level?")
-        results.append(judge_agreement(agreement, tolerances, f"{axis} acceleration: sensor versus velocity"))
-    return results
+        judge_agreement(results, agreement, tolerances, f"{axis} acceleration: sensor versus velocity")
 
 
-def check_speeds(motion: Motion) -> list[CheckResult]:
-    """Results of comparing the speeds from other sources with the forward speed of the INS."""
-    results = []
+def check_speeds(results: Results, motion: Motion) -> None:
+    """Compare the speeds from other sources with the forward speed of the INS."""
     for name in motion.speeds:
         scale, lag = SPEED_LIMITS[name]
         tolerances = Tolerances(name, "velocity_x", "m/s", lag, scale, np.inf, min_spread=MIN_SPEED_DEVIATION,
                                 unit_questions=SPEED_UNITS)
         title = f"forward speed: {name.replace('_', ' ')} versus velocity_x"
-        results.append(judge_agreement(compare_speed(motion, name), tolerances, title))
-    return results
+        judge_agreement(results, compare_speed(motion, name), tolerances, title)
 
 
 def check_position_clock(motion: Motion) -> list[Finding]:

@@ -195,14 +195,15 @@ def estimate_spacing(time: np.ndarray) -> float:
     return float(np.median(time[count:] - time[:-count])) / count
 
 
-def even_out(time: np.ndarray, half: int, max_gap: float) -> np.ndarray:
-    """The instants [s] without jitter: evenly spaced ones, delayed by the mean delay of each instant and its `half`
-    neighbours on both sides. Intervals longer than `max_gap` [s] remain."""
+def even_out(time: np.ndarray, half: int = SPACING_SAMPLES, max_gap: float = MAX_GAP) -> np.ndarray:
+    """The instants [s] without jitter: evenly spaced ones, delayed by the mean delay of 2 `half` recorded ones, which
+    whole bursts must fill. Intervals longer than `max_gap` [s] remain."""
     groups = []
     for first, last in zip(*find_groups(np.diff(time) > max_gap), strict=True):
         even = np.linspace(time[first], time[last], last - first + 1)
         sums, k = np.concatenate(([0.0], np.cumsum(time[first:last + 1] - even))), np.arange(len(even))
-        begin, end = np.maximum(k - half, 0), np.minimum(k + half + 1, len(even))
+        begin = np.clip(k - half, 0, max(len(even) - 2 * half, 0))
+        end = np.minimum(begin + 2 * half, len(even))
         groups.append(even + (sums[end] - sums[begin]) / (end - begin))
     return np.concatenate(groups)
 
@@ -269,7 +270,6 @@ def compute_ratios(motion: Motion, length: float = 1.0, min_distance: float = MI
 
 
 def _reject_constant(ratio: float) -> float:
-    """The ratio; NaN if one of the two channels is constant."""
     return ratio if MIN_RATIO < abs(ratio) < 1.0 / MIN_RATIO else float("nan")
 
 

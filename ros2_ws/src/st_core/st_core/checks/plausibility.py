@@ -198,7 +198,6 @@ def _find_out_of_range(channel: _ChannelSamples, large: np.ndarray) -> np.ndarra
 
 
 def _list_samples(spans: Iterable[tuple[int, int]]) -> np.ndarray:
-    """Indices of all samples in spans (first, last)."""
     return np.concatenate([np.zeros(0, np.int64), *(np.arange(first, last + 1) for first, last in spans)])
 
 

@@ -18,11 +18,11 @@ Each cause of a residual contributes a term that is linear in the size of the ca
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from .finding import HORIZON, LIMITS, Advice, Alternative, Comparison, Finding, Severity, neutral_value
+from .finding import HORIZON, LIMITS, Advice, Alternative, Comparison, Finding, Severity, find, neutral_value
 from .motion import Motion, has_varying_speed, is_near
 from .regression import BLOCK_LENGTH, Estimate, Regression, add_systematic_uncertainty, is_relevant
 
@@ -114,7 +114,7 @@ CAUSES = {
     "velocity_y_bias": Cause(("velocity_y",), "velocity_y", "add", "m/s", "velocity_y is {size:.2f} ± {half:.2f} m/s "
                              "too {high} compared with positions and yaw, at every speed"),
 }
-VARYING_CAUSES = {  # smallest reported standard deviation, name of the finding, text, advice
+VARYING_CAUSES = {  # smallest reported standard deviation, name of the finding, statement, advice
     "yaw_offset": (LIMITS.heading_misalignment, "yaw_wander", "yaw wanders within {size:.3f} rad ({degrees:.1f} deg) "
                    "during the drive according to positions and velocities", CAUSES["yaw_drift"].key),
     "position_lag": (LIMITS.severe_lag, "position_lag", "the lag of positions behind velocity and yaw varies within "
@@ -151,8 +151,6 @@ def make_residual_regression(motion: Motion) -> Regression:
 
 
 class _Explanation(NamedTuple):
-    """Causes of the residual."""
-
     causes: dict[str, Estimate]
     corrected: Motion  # motion corrected for the causes
     effects: dict[str, float]  # shift of the position at the end of the horizon by each possible cause [m per unit]
@@ -178,23 +176,17 @@ def _explain_residual(motion: Motion, rare_explanations: Mapping[tuple[str, ...]
         causes = {name: estimate for name, estimate in refined.items() if is_relevant(estimate, min_values[name]) and (
             name not in AXIS_SCALES or abs(estimate.value) * effects[name] >= LIMITS.warning_effect
             or is_near(1.0 + estimate.value, 1.0, LIMITS.unit_ratio))}
-        corrected = _correct_causes(motion, causes)
+        corrected = _correct_causes(motion, {name: estimate.value for name, estimate in causes.items()})
         if not causes:
             break
     return _Explanation(causes, corrected, effects)
 
 
-def _fits_better(explanation: _Explanation, other: _Explanation) -> bool:
-    problem, other_problem = (make_residual_regression(each.corrected) for each in (explanation, other))
-    _, scale, _ = other_problem.fit((*other.causes,))
-    return _is_preferred(problem.compute_loss((*explanation.causes,), scale), len(explanation.causes),
-                         other_problem.compute_loss((*other.causes,), scale), len(other.causes))
-
-
-def _is_preferred(loss: float, count: int, other_loss: float, other_count: int) -> bool:
-    """Whether the loss of `count` causes is clearly smaller than another, or, for fewer causes, not clearly larger."""
-    ratio = MIN_LOSS_RATIO if count >= other_count else 1.0 / MIN_LOSS_RATIO
-    return ratio * loss < other_loss
+def _fits_better(problem: Regression, causes: Names, other_problem: Regression, other_causes: Names) -> bool:
+    """Whether the loss of the causes is clearly smaller than that of others, or, if fewer, not clearly larger."""
+    _, scale, _ = other_problem.fit(other_causes)
+    ratio = MIN_LOSS_RATIO if len(causes) >= len(other_causes) else 1.0 / MIN_LOSS_RATIO
+    return ratio * problem.compute_loss(causes, scale) < other_problem.compute_loss(other_causes, scale)
 
 
 def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Estimate]]:
@@ -208,24 +200,22 @@ def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Es
         others = {names: confounded for names, confounded in RARE_EXPLANATIONS.items()
                   if rare not in names and {*names} <= explanation.causes.keys()}
         without = _explain_residual(motion, others)
-        if not _fits_better(explanation, without):
+        problems = [make_residual_regression(each.corrected) for each in (explanation, without)]
+        if not _fits_better(problems[0], (*explanation.causes,), problems[1], (*without.causes,)):
             explanation = without
     explanation, varying_findings = _find_varying_cause(motion, explanation)
     causes, corrected, effects = explanation
     problem = make_residual_regression(corrected)
-    errors = {name: _convert_to_reported(name, estimate).shifted(-neutral_value(name))
-              for name, estimate in causes.items()}
-    findings = [_make_finding(name, causes[name], abs(error.value) * effects[name]) for name, error in errors.items()
-                if not error.covers(0.0)]
+    findings = [_make_finding(name, estimate, effects[name]) for name, estimate in causes.items()
+                if not _convert_to_reported(name, estimate).covers(neutral_value(name))]
     findings = _add_lag_alternative(_add_lateral_alternative(findings, problem, causes), problem, causes)
     findings = varying_findings + [f for f in findings if f.name not in {v.name for v in varying_findings}]
     estimates = {}
     for name, column in problem.columns.items():  # each is fitted together with the causes found
-        if name == "velocity_y_scale" and not column.any():
-            continue
-        alongside = tuple(other for other in causes if other != name and other not in CONFOUNDED.get(name, ()))
-        estimate = _add_refinement(name, causes, problem.estimate((*alongside, name))[name])
-        estimates[name] = _convert_to_reported(name, estimate)
+        if name != "velocity_y_scale" or column.any():
+            alongside = tuple(other for other in causes if other != name and other not in CONFOUNDED.get(name, ()))
+            estimate = _add_refinement(name, causes, problem.estimate((*alongside, name))[name])
+            estimates[name] = _convert_to_reported(name, estimate)
     estimates["position_scale"] = estimates["velocity_scale"].inverse()  # assumes a correct velocity
     return corrected, findings, estimates
 
@@ -247,30 +237,25 @@ def _find_varying_cause(motion: Motion, explanation: _Explanation) -> tuple[_Exp
         fits[name] = loss / max(constant_loss, 1e-300), [theta[label] for label in hats]
     cause = min(fits, key=lambda name: fits[name][0])
     ratio, values = fits[cause]
-    smallest, name, text, advice = VARYING_CAUSES[cause]
+    smallest, name, statement, advice = VARYING_CAUSES[cause]
     freedom = 1.0 - count * BLOCK_LENGTH / (2.0 * np.ptp(middle))  # of two independent values per block of windows
     if not motion.velocity_y.any() or ratio * MIN_VARIATION_RATIO > freedom or np.std(values) < smallest:
         return explanation, []
-    value, size, unit = np.interp(motion.time, instants, values), float(np.ptp(values)), CAUSES[cause].unit
-    if cause == "yaw_offset":  # the mean is an offset
-        value -= value.mean()
-        motion = replace(motion, yaw=motion.yaw - value)
-    elif cause == "position_lag":
-        motion = motion.shifted_earlier(value, "x", "y")
-    else:
-        motion = motion.apply_entry({"correct": {"velocity": {"scale": 1.0 + value}}})
+    value, size = np.interp(motion.time, instants, values), float(np.ptp(values))
+    value -= value.mean() if cause == "yaw_offset" else 0.0  # the mean is an offset
     effect = float(np.std(value)) * problem.compute_effect(cause, HORIZON_WINDOWS)
-    finding = Finding(name, LIMITS.severity(effect), CAUSES[cause].channels, text.format(
-        size=size, degrees=np.rad2deg(size)), size if name not in CAUSES else None, unit, effect=effect,
+    finding = Finding(name, LIMITS.severity(effect), CAUSES[cause].channels, statement.format(
+        size=size, degrees=np.rad2deg(size)), size if name not in CAUSES else None, CAUSES[cause].unit, effect=effect,
         advice=Advice("text", advice))
-    return _explain_residual(motion, RARE_EXPLANATIONS), [finding]
+    explanations = {names: confounded for names, confounded in RARE_EXPLANATIONS.items() if cause not in confounded}
+    return _explain_residual(_correct_causes(motion, {cause: value}), explanations), [finding]
 
 
 def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estimates: dict[str, Estimate],
                                  confirmed_by: str) -> tuple[Motion, list[Finding]]:
     """(motion, findings) with a scale error of the velocity attributed to the positions instead. confirmed_by: other
     measurements with which the recorded velocity agrees; "" if there are none."""
-    velocity_scale = find_velocity_scale(findings)
+    velocity_scale = find(findings, "velocity_scale")
     if velocity_scale is None or not velocity_scale.value or not confirmed_by:
         return motion, findings
     scale = estimates["position_scale"]
@@ -284,17 +269,11 @@ def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estima
             [attributed if finding is velocity_scale else finding for finding in findings])
 
 
-def find_velocity_scale(findings: list[Finding]) -> Finding | None:
-    """The finding of a scale of both velocities, or None."""
-    return next((finding for finding in findings if finding.name == "velocity_scale"), None)
-
-
 def attribute_scale_to_velocity_x(motion: Motion, findings: list[Finding],
                                   estimates: dict[str, Estimate]) -> tuple[Motion, list[Finding]]:
     """(motion, findings) with a scale error of both velocities attributed to velocity_x, if a further one of velocity_y
     cancels it, so that the recorded velocity_y is correct."""
-    both = find_velocity_scale(findings)
-    lateral = next((finding for finding in findings if finding.name == "velocity_y_scale"), None)
+    both, lateral = find(findings, "velocity_scale"), find(findings, "velocity_y_scale")
     if both is None or lateral is None or not both.value or not both.advice or "correct" not in both.advice.entry or (
             abs(both.value * (lateral.value or 0.0) - 1.0) >= MIN_LATERAL_SCALE_ERROR):
         return motion, findings
@@ -456,8 +435,8 @@ def _add_alternative(findings: list[Finding], names: Collection[str], alternativ
 
 def add_sign_alternative(findings: list[Finding], recorded: Motion, corrected: Motion) -> list[Finding]:
     """The findings; those that a wrong sign of velocity_y also explains, as on a circle, lose their correction."""
-    names = {"yaw_offset", "position_reference", "velocity_y_bias"}
-    if not any(finding.name in names for finding in findings):
+    names = ("yaw_offset", "position_reference", "velocity_y_bias")
+    if not find(findings, *names):
         return findings
     mirrored = compute_scaled_misfit(replace(recorded, velocity_y=-recorded.velocity_y))
     if not mirrored < min(MAX_SIGN_MISFIT_RATIO * compute_scaled_misfit(corrected),
@@ -471,22 +450,20 @@ def _refine_causes(problem: Regression, causes: dict[str, Estimate], min_values:
     """Refined values of the causes found so far, and further causes. min_values: smallest reported value by cause."""
     excluded = {*causes, *(other for name in causes for other in CONFOUNDED.get(name, ()))}
     candidates = [name for name in min_values if name not in excluded]
-    further = _find_causes(problem, [name for name in candidates if name not in RARE_CAUSES], min_values, tuple(causes))
-    _, scale, _ = problem.fit((*causes, *further))
-    loss = problem.compute_loss((*causes, *further), scale)
+    usual = [name for name in candidates if name not in RARE_CAUSES]
+    best = (*causes, *_find_causes(problem, usual, min_values, tuple(causes)))
     for rare, confounded in rare_explanations.items():
-        is_tried = confounded & {*further} if rare[0] in CONFOUNDED else len(rare) == 1 or (
-            MIN_LOSS_RATIO * problem.compute_loss(sorted({*causes, *further, *rare}), scale) < loss)
+        is_tried = confounded & {*best[len(causes):]} if rare[0] in CONFOUNDED else len(rare) == 1 or (
+            _fits_better(problem, (*best, *(name for name in rare if name not in best)), problem, best))
         if {*rare} <= {*candidates} and is_tried:
             others = [name for name in candidates if name not in {*confounded, *RARE_CAUSES, *rare}]
-            alternative = (*rare, *_find_causes(problem, others, min_values, (*causes, *rare)))
-            other_loss = problem.compute_loss((*causes, *alternative), scale)
-            joint = problem.estimate((*causes, *alternative))
-            if (_is_preferred(other_loss, len(alternative), loss, len(further))
+            alternative = (*causes, *rare, *_find_causes(problem, others, min_values, (*causes, *rare)))
+            joint = problem.estimate(alternative)
+            if (_fits_better(problem, alternative, problem, best)
                     and all(is_relevant(joint[name], min_values[name]) for name in rare)
-                    and (rare[0] in CONFOUNDED or _has_lateral_scale_error(problem, (*causes, *alternative)))):
-                further, loss = alternative, other_loss
-    estimates = problem.estimate((*causes, *further))
+                    and (rare[0] in CONFOUNDED or _has_lateral_scale_error(problem, alternative))):
+                best = alternative
+    estimates = problem.estimate(best)
     return {name: _add_refinement(name, causes, estimate) for name, estimate in estimates.items()}
 
 
@@ -533,9 +510,10 @@ def _find_causes(problem: Regression, candidates: list[str], min_values: dict[st
     return (*others, "velocity_scale") if is_velocity_scale else tuple(causes)
 
 
-def _make_finding(name: str, estimate: Estimate, effect: float) -> Finding:
-    """Finding of a cause. effect: shift of the position at the end of the horizon [m]."""
+def _make_finding(name: str, estimate: Estimate, sensitivity: float) -> Finding:
+    """Finding of a cause. sensitivity: shift of the position at the end of the horizon [m per unit]."""
     cause, reported = CAUSES[name], _convert_to_reported(name, estimate)
+    effect = abs(reported.value - neutral_value(name)) * sensitivity
     positive, degrees = reported.value > 0.0, np.rad2deg(abs(reported.value))
     spherical = name in AXIS_SCALES and abs(estimate.value) < SPHERICAL_EARTH_SCALE
     text = (SPHERE_TEXT if spherical else cause.text).format(
@@ -560,8 +538,9 @@ def _convert_to_reported(name: str, cause: Estimate) -> Estimate:
     return add_systematic_uncertainty(name, cause.shifted(1.0) if name.endswith("_scale") else cause)
 
 
-def _correct_causes(motion: Motion, causes: dict[str, Estimate]) -> Motion:
-    values = {name: causes[name].value if name in causes else 0.0 for name in CAUSES}
+def _correct_causes(motion: Motion, causes: Mapping[str, Any]) -> Motion:
+    """The motion corrected for causes, each constant or with one value per INS sample."""
+    values = {**dict.fromkeys(CAUSES, 0.0), **causes}
     ahead, scale = values["position_reference"], 1.0 + values["velocity_scale"]
     lateral_scale = scale * (1.0 + values["velocity_y_scale"])
     y = motion.y / (1.0 + values["y_scale"])

@@ -1,4 +1,4 @@
-"""Checks of the steps between successive positions: jumps, stale samples, noise, and jitter of the time stamps."""
+"""Checks of the steps between successive samples: bursts, and jumps, stale samples, noise and jitter of positions."""
 
 from dataclasses import replace
 
@@ -6,11 +6,13 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.stats import binomtest
 
+from ..log import DriveLog
 from ..regression import SIGMA_PER_MAD
+from ..timeseries import NANOSECOND
 from .finding import HORIZON, LIMITS, Advice, Alternative, Finding, Severity
-from .motion import MAX_GAP, MAX_LISTED_TIMES, MIN_MOVING_SPEED, SPACING_SAMPLES, Motion, even_out, find_time_intervals
+from .motion import MAX_GAP, MAX_LISTED_TIMES, MIN_MOVING_SPEED, Motion, estimate_spacing, even_out, find_time_intervals
 from .position import VARYING_FINDINGS
-from .sampling import estimate_resolution
+from .sampling import MIN_MEASURED_STEPS, STAMPED_CHANNELS, estimate_resolution
 
 OUTLIER_SIGMAS = 6.0  # number of robust standard deviations above which a step is not noise
 MIN_DEVIATION_WINDOWS = 20  # minimum number of windows of 1 s in which deviations are judged
@@ -26,6 +28,40 @@ MIN_AGE_RATIO, MAX_AGE_RATIO = 0.5, 1.6  # limits of the age of a stale sample d
 MAX_AGE_SPREAD = 0.35  # largest robust standard deviation of the ages of stale samples, divided by their median
 MIN_STEP_BALANCE = 0.5  # minimum ratio between the numbers of forward and backward steps
 MAX_CROSS_TRACK_FRACTION = 0.3  # largest cross-track component of the step of a stale sample, divided by the step
+MAX_BURST_INTERVAL = 0.25  # largest interval within a burst, divided by the mean interval
+MIN_BURST_LENGTH = 2.0  # minimum mean number of samples in a burst
+MAX_STEP_RATIO = 1.5  # largest median step of an angle sent only on change, divided by its smallest step
+MAX_PAUSE_RATIO = 3.0  # longest pause between bursts divided by the usual one; longer ones are gaps
+
+
+def spread_bursts(log: DriveLog) -> tuple[DriveLog, list[Finding]]:
+    """(the drive with even stamps of a signal with samples that arrive in bursts, the findings)."""
+    findings = []
+    for signal, name, values in (("INS", "ins_time_ns", log.x + 1j * log.y),
+                                 ("steering", "steering_time_ns", log.road_wheel_angle)):
+        stamps = getattr(log, name)
+        if len(stamps) < MIN_MEASURED_STEPS:
+            continue
+        time = (stamps - stamps[0]) * NANOSECOND
+        spacing, steps = np.diff(time), np.abs(np.diff(values))
+        is_pause = spacing > MAX_BURST_INTERVAL * estimate_spacing(time)
+        count, period = len(spacing) / is_pause.sum(), float(np.median(spacing[is_pause]))  # samples per burst, s
+        max_gap = max(MAX_PAUSE_RATIO * period, MAX_GAP)
+        # An angle sent only on change never repeats, and mostly changes by one step of its resolution.
+        is_sent_on_change = signal == "steering" and np.median(steps) < MAX_STEP_RATIO * steps.min()
+        if count < MIN_BURST_LENGTH or is_sent_on_change or (  # or there are gaps: the motion continues in the pauses
+                MAX_BURST_INTERVAL * steps[is_pause & (spacing <= max_gap)].mean() > steps[~is_pause].mean()):
+            continue
+        even = even_out(time, round(MAX_PAUSE_RATIO * count), max_gap)
+        deviation = float(np.std(time - even))
+        log = replace(log, **{name: stamps[0] + np.round(even / NANOSECOND).astype(np.int64)})
+        effect = deviation * float(np.median(np.abs(log.velocity_x))) if signal == "INS" else None
+        text = (f"the {signal} samples come in bursts of {count:.0f}, {period:.2g} s apart: their time stamps are the "
+                "times at which they were received or written, not measured")
+        advice = Advice("text", "use the time of measurement (GPS time), or that of each message on the bus")
+        findings.append(Finding("time_jitter", LIMITS.severity(effect or 0.0, deviation >= LIMITS.severe_lag),
+                                STAMPED_CHANNELS[signal], text, deviation, "s", effect=effect, advice=advice))
+    return log, findings
 
 
 def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
@@ -45,7 +81,7 @@ def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
     along = np.where(speed > MIN_MOVING_SPEED, (errors * to_track).real / np.maximum(speed, MIN_MOVING_SPEED), np.nan)
     jitter = _check_jitter(motion, along)
     if jitter:
-        return replace(motion, time=even_out(motion.time, SPACING_SAMPLES, MAX_GAP)), jitter
+        return replace(motion, time=even_out(motion.time)), jitter
     rounding = max(estimate_resolution(motion.time, motion.x), estimate_resolution(motion.time, motion.y))
     is_stale, findings = _check_stale(motion, errors, along, rounding)
     findings += _check_jumps(motion, errors, along, is_stale, rounding)

@@ -5,28 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, STEERING, DriveLog
+from ..log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, STEERING
 from ..prediction import PredictionSettings
 from ..regression import white_noise
 from ..timeseries import NANOSECOND, find_ascending
 from .finding import HORIZON, LIMITS, Advice, AuxiliaryData, Finding, InsQuality, Sampling, Severity, merge_findings
-from .motion import (
-    MAX_GAP,
-    MAX_LISTED_TIMES,
-    Motion,
-    estimate_spacing,
-    even_out,
-    find_groups,
-    find_spans,
-    find_time_intervals,
-)
+from .motion import MAX_GAP, MAX_LISTED_TIMES, Motion, find_groups, find_spans, find_time_intervals
 
 UNITS = {"x": "m", "y": "m", "yaw": "rad", "velocity_x": "m/s", "velocity_y": "m/s", "yaw_rate": "rad/s",
          "acceleration_x": "m/s^2", "acceleration_y": "m/s^2", "road_wheel_angle": "rad"}
+ALL_INS_SIGNALS = "every INS signal"
 STAMPED_CHANNELS = {"INS": ("time",), "steering": ("road_wheel_angle",)}  # channels affected by wrong time stamps
-MAX_BURST_INTERVAL = 0.25  # largest interval within a burst, divided by the mean interval
-MIN_BURST_LENGTH = 2.0  # minimum mean number of samples in a burst
-MAX_PAUSE_RATIO = 3.0  # longest pause between bursts divided by the usual one; longer ones are gaps
 MIN_HELD_FRACTION = 0.7  # minimum fraction of the samples in sequences of equal values of the usual length
 MIN_HELD_RATE = 15.0  # Hz; at 15 m/s, positions held at this rate lag by up to 1 m, and by 0.5 m on average
 PREDICTION_GAP = PredictionSettings().maximum_gap
@@ -49,34 +38,6 @@ LOCKED_STATUS = 4  # NCOM byte 21
 RTK_MODES = (5, 6)  # NCOM position modes: RTK float, RTK integer
 ROUNDING_STEPS = 3.0  # expected change, in steps of the resolution, below which a rounded channel may stay constant
 MIN_MEASURED_STEPS = 20  # minimum number of steps or intervals from which a resolution or a rate is estimated
-
-
-def spread_bursts(log: DriveLog) -> tuple[DriveLog, list[Finding]]:
-    """(the drive with even stamps of a signal with samples that arrive in bursts, the findings)."""
-    findings = []
-    for signal, name, values in (("INS", "ins_time_ns", log.x + 1j * log.y),
-                                 ("steering", "steering_time_ns", log.road_wheel_angle)):
-        stamps = getattr(log, name)
-        if len(stamps) < MIN_MEASURED_STEPS:
-            continue
-        time = (stamps - stamps[0]) * NANOSECOND
-        spacing, steps = np.diff(time), np.abs(np.diff(values))
-        is_pause = spacing > MAX_BURST_INTERVAL * estimate_spacing(time)
-        count, period = len(spacing) / is_pause.sum(), float(np.median(spacing[is_pause]))  # samples per burst, s
-        max_gap = max(MAX_PAUSE_RATIO * period, MAX_GAP)
-        if count < MIN_BURST_LENGTH or (  # or a recording with gaps: the motion continues in the pauses
-                MAX_BURST_INTERVAL * steps[is_pause & (spacing <= max_gap)].mean() > steps[~is_pause].mean()):
-            continue
-        even = even_out(time, round(MAX_PAUSE_RATIO * count), max_gap)
-        deviation = float(np.std(time - even))
-        log = replace(log, **{name: stamps[0] + np.round(even / NANOSECOND).astype(np.int64)})
-        effect = deviation * float(np.median(np.abs(log.velocity_x))) if signal == "INS" else None
-        text = (f"the {signal} samples come in bursts of {count:.0f}, {period:.2g} s apart: their time stamps are the "
-                "times at which they were received or written, not measured")
-        advice = Advice("text", "use the time of measurement (GPS time), or that of each message on the bus")
-        findings.append(Finding("time_jitter", LIMITS.severity(effect or 0.0, deviation >= LIMITS.severe_lag),
-                                STAMPED_CHANNELS[signal], text, deviation, "s", effect=effect, advice=advice))
-    return log, findings
 
 
 def describe_channels(motion: Motion, auxiliary: AuxiliaryData) -> dict[str, Sampling]:
@@ -121,17 +82,16 @@ def estimate_resolution(time: np.ndarray, values: np.ndarray) -> float:
     return smallest if small.sum() >= 10 and is_on_grid[small].mean() > 0.95 else 0.0
 
 
-def check_timing(motion: Motion, auxiliary: AuxiliaryData, excluded: Sequence[Finding], start_ns: int) -> list[Finding]:
+def check_timing(motion: Motion, auxiliary: AuxiliaryData, excluded: Sequence[Finding],
+                 start_ns: int) -> Iterator[Finding]:
     """Findings about time stamps, gaps and missing values. excluded: findings about left-out samples, whose times
     are not reported as gaps. start_ns: zero of the times in the findings."""
-    findings = []
     for signal, stamps in auxiliary.stamps.items():
-        findings += _check_stamps(signal, np.asarray(stamps, np.int64), start_ns)
+        yield from _check_stamps(signal, np.asarray(stamps, np.int64), start_ns)
     for signal, time in (("INS", motion.time), ("steering", motion.steering_time)):
-        findings += _check_gaps(signal, time, [interval for finding in excluded for interval in finding.times])
-    missing = [_make_missing_values_finding(channel, count, motion, auxiliary)
-               for channel, count in auxiliary.missing.items() if count]
-    return findings + merge_findings(missing)
+        yield from _check_gaps(signal, time, [interval for finding in excluded for interval in finding.times])
+    yield from merge_findings(_make_missing_values_finding(channel, count, motion, auxiliary)
+                              for channel, count in auxiliary.missing.items() if count)
 
 
 def _make_missing_values_finding(channel: str, count: int, motion: Motion, auxiliary: AuxiliaryData) -> Finding:
@@ -174,12 +134,11 @@ def make_rejected_frames_finding(time: np.ndarray, frames: int, reason: str) -> 
                    times=find_time_intervals(time, MAX_GAP), advice=advice)
 
 
-def _check_stamps(signal: str, stamps: np.ndarray, start_ns: int) -> list[Finding]:
+def _check_stamps(signal: str, stamps: np.ndarray, start_ns: int) -> Iterator[Finding]:
     if len(stamps) < 2:
-        return []
+        return
     step, is_ascending = np.diff(stamps), find_ascending(stamps)
     newest = np.maximum.accumulate(np.where(is_ascending, stamps, stamps[is_ascending][0]))[:-1]
-    findings = []
     lost_rows = ~is_ascending & np.append(True, step != 0)
     for name, faulty, lost in (("time_order", step < 0, lost_rows), ("time_duplicates", step == 0, step == 0)):
         if not faulty.any():
@@ -197,9 +156,8 @@ def _check_stamps(signal: str, stamps: np.ndarray, start_ns: int) -> list[Findin
                     f"{'are out of order' if name == 'time_order' else 'are duplicates'}; those rows were left out")
             advice = "check how the rows were time-stamped and merged"
         severity = Severity.WARNING if was_reset or fraction > LIMITS.max_note_fraction else Severity.NOTE
-        findings.append(Finding(name, severity, STAMPED_CHANNELS[signal], text, fraction, times=times,
-                                advice=Advice("text", advice)))
-    return findings
+        yield Finding(name, severity, STAMPED_CHANNELS[signal], text, fraction, times=times,
+                      advice=Advice("text", advice))
 
 
 def _check_gaps(signal: str, time: np.ndarray, excluded_times: Sequence[tuple[float, float]]) -> list[Finding]:
@@ -232,7 +190,9 @@ def _check_gaps(signal: str, time: np.ndarray, excluded_times: Sequence[tuple[fl
 
 def find_stuck_channels(motion: Motion, channels: Mapping[str, Sampling]) -> list[Finding]:
     """Findings about channels that are held at a lower rate, clipped, or constant while the car moves."""
-    findings = []
+    is_new = np.any([np.diff(getattr(motion, name), prepend=np.nan) != 0.0 for name in INS_SIGNALS], axis=0)
+    findings = _check_frozen(ALL_INS_SIGNALS, motion.time, np.cumsum(is_new), motion, 0.0, MAX_GAP)
+    motion = drop_frozen_samples(motion, findings)
     for name, time, values in _iterate_channels(motion):
         resolution = channels[name].resolution
         findings += (_check_held(name, time, values) or _check_clipped(name, time, values, motion, resolution)
@@ -305,12 +265,13 @@ def _check_clipped(name: str, time: np.ndarray, values: np.ndarray, motion: Moti
                     UNITS[name], times=times, advice=advice)]
 
 
-def _check_frozen(name: str, time: np.ndarray, values: np.ndarray, motion: Motion, resolution: float) -> list[Finding]:
-    """Finding about a channel that is constant for much longer than usual while other channels change."""
+def _check_frozen(name: str, time: np.ndarray, values: np.ndarray, motion: Motion, resolution: float,
+                  min_time: float = MIN_FREEZE_TIME) -> list[Finding]:
+    """Finding about a channel that is constant for `min_time` [s] and much longer than usual, as others contradict."""
     first, last = find_groups(np.diff(values) != 0.0)
     duration = time[last] - time[first]
     usual_pause = float(np.sort(duration)[max(int(0.98 * len(duration)) - 1, 0)]) if len(duration) > 5 else 0.0
-    frozen = [k for k in np.flatnonzero(duration > max(MIN_FREEZE_TIME, FREEZE_PAUSE_RATIO * usual_pause))
+    frozen = [k for k in np.flatnonzero(duration > max(min_time, FREEZE_PAUSE_RATIO * usual_pause))
               if _should_change(name, time[first[k]], time[last[k]], motion, resolution, MIN_FROZEN_CURVATURE_CHANGE)]
     if not frozen:
         return []
@@ -328,7 +289,8 @@ def _check_frozen(name: str, time: np.ndarray, values: np.ndarray, motion: Motio
     else:
         frozen_times = [[round(begin, 2), round(end, 2)] for begin, end in times]
         advice = Advice.for_run_yaml({"leave_out": frozen_times})
-    return [Finding("channel_frozen", severity, (name,), text, seconds, "s", times=times, advice=advice)]
+    affected = INS_SIGNALS if name == ALL_INS_SIGNALS else (name,)
+    return [Finding("channel_frozen", severity, affected, text, seconds, "s", times=times, advice=advice)]
 
 
 def _should_change(name: str, begin: float, end: float, motion: Motion, resolution: float,
@@ -344,7 +306,7 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, resoluti
         return False
     if name in RATES:
         rate, bias, min_change = RATES[name]
-        change = max(abs(float(rate(motion)[in_interval].mean())) - bias, 0.0) * (end - begin)
+        change = max(float(abs(rate(motion)[in_interval].mean())) - bias, 0.0) * (end - begin)
         return change > max(ROUNDING_STEPS * resolution, min_change)
     related, min_change = RELATED_QUANTITIES[name]
     expected = related(motion)[in_interval]
@@ -372,6 +334,7 @@ POSITION_EFFECT = {
     "velocity_y": (LIMITS.yaw_settling_time * HORIZON, False), "yaw_rate": (LIMITS.yaw_settling_time * HORIZON, True)}
 # By channel: its rate of change from other channels, the largest bias of that rate, and the smallest expected change.
 RATES: Mapping[str, tuple[Callable[[Motion], np.ndarray], float, float]] = {
+    ALL_INS_SIGNALS: (lambda m: m.velocity, MAX_SPEED_NOISE, 1.0),
     "x": (lambda m: m.velocity_map.real, MAX_SPEED_NOISE, 1.0),
     "y": (lambda m: m.velocity_map.imag, MAX_SPEED_NOISE, 1.0),
     "yaw": (lambda m: m.yaw_rate, MAX_GYRO_BIAS, 0.05)}
@@ -412,16 +375,15 @@ def interpolate_held_channels(motion: Motion, stuck: Sequence[Finding]) -> Motio
     return replace(motion, **signals)
 
 
-def check_quality(quality: InsQuality | None, start_ns: int) -> list[Finding]:
+def check_quality(quality: InsQuality | None, start_ns: int) -> Iterator[Finding]:
     """Findings from the status and accuracy reported by the INS. start_ns: zero of the times [ns]."""
     if quality is None or len(quality.time_ns) < 2:
-        return []
+        return
     time = (quality.time_ns - start_ns) * NANOSECOND
 
     def list_times(mask: np.ndarray) -> tuple[tuple[float, float], ...]:
         return tuple((float(time[first]), float(time[last])) for first, last in find_spans(mask)[:MAX_LISTED_TIMES])
 
-    findings = []
     mode, status = quality.position_mode, quality.navigation_status
     without_rtk = np.isfinite(mode) & (mode >= 0) & ~np.isin(mode, RTK_MODES)
     not_locked = np.isfinite(status) & (status != LOCKED_STATUS)
@@ -431,14 +393,13 @@ def check_quality(quality: InsQuality | None, start_ns: int) -> list[Finding]:
         fraction = float(rows.mean())
         text = f"the INS is {condition} for {100 * fraction:.0f} % of the time, during which its positions drift"
         severity = Severity.WARNING if fraction > LIMITS.max_note_fraction else Severity.NOTE
-        findings.append(Finding("ins_mode", severity, ("ins",), text, fraction, times=list_times(rows), advice=Advice(
-            "text", "leave out these intervals, or post-process the raw data of the INS")))
+        yield Finding("ins_mode", severity, ("ins",), text, fraction, times=list_times(rows), advice=Advice(
+            "text", "leave out these intervals, or post-process the raw data of the INS"))
     accuracy = quality.position_accuracy
     known = np.isfinite(accuracy)
     median = float(np.median(accuracy[known])) if known.any() else 0.0
     if median >= LIMITS.warning_effect:
         text = f"the median standard deviation of position reported by the INS is {median:.2f} m"
-        findings.append(Finding("ins_accuracy", LIMITS.severity(median), ("ins",), text, median, "m",
-                                times=list_times(known & (accuracy >= LIMITS.warning_effect)), effect=median,
-                                advice=Advice("text", "record with RTK, or post-process the raw data of the INS")))
-    return findings
+        yield Finding("ins_accuracy", LIMITS.severity(median), ("ins",), text, median, "m",
+                      times=list_times(known & (accuracy >= LIMITS.warning_effect)), effect=median,
+                      advice=Advice("text", "record with RTK, or post-process the raw data of the INS"))

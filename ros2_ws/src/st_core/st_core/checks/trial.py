@@ -57,23 +57,18 @@ def try_corrections(findings: list[Finding], log: DriveLog, vehicle: VehiclePara
     if not tried_findings:
         return findings
     errors = [finding for finding in findings if finding.severity is Severity.ERROR]
-    run: Run = (log, vehicle)
-    outcomes: dict[int, Finding] = {}
-    before = _compute_prediction_error(run)
-    harmful = False
+    corrected: Run | None = (log, vehicle)
+    before = after = _compute_prediction_error(corrected)
     if errors:
-        corrected: Run | None = run
         for finding in errors:
-            corrected = _apply_advice(corrected, finding.advice) if corrected else None
+            corrected = _apply_advice(corrected, finding.advice)
         after = _compute_prediction_error(corrected)
-        outcomes |= {id(finding): _add_outcome(finding, before, after) for finding in errors if _is_tried(finding)}
-        harmful = after is None or (before is not None and _is_worse(before, after))
-        if corrected is not None and not harmful:
-            run, before = corrected, after
-    for finding in tried_findings:
-        if finding.severity is Severity.WARNING and not harmful:
-            after = _compute_prediction_error(_apply_advice(run, finding.advice))
-            outcomes[id(finding)] = _add_outcome(finding, before, after)
+    outcomes = {id(finding): _add_outcome(finding, before, after) for finding in errors if _is_tried(finding)}
+    harmful = errors and (after is None or (before is not None and _is_worse(before, after)))
+    for finding in tried_findings if not harmful else ():
+        if finding.severity is Severity.WARNING:
+            corrected_error = _compute_prediction_error(_apply_advice(corrected, finding.advice))
+            outcomes[id(finding)] = _add_outcome(finding, after, corrected_error)
     return [outcomes.get(id(finding), finding) for finding in findings]
 
 
@@ -128,11 +123,11 @@ def _compute_prediction_error(run: Run | None) -> float | None:
     return float(np.sqrt(2.0 * np.mean(residual**2)))
 
 
-def _apply_advice(run: Run, advice: Advice | None) -> Run | None:
-    """The run with the correction applied; None without a correction, or if it fails."""
-    log, vehicle = run
-    if advice is None or not advice.entry:
+def _apply_advice(run: Run | None, advice: Advice | None) -> Run | None:
+    """The run with the correction applied; None without a run or a correction, or if it fails."""
+    if run is None or advice is None or not advice.entry:
         return None
+    log, vehicle = run
     try:
         if advice.kind == "vehicle":
             values: dict[str, Any] = {name: float(value) for name, value in advice.entry.items()}

@@ -15,19 +15,15 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from ..regression import SIGMA_PER_MAD
-from .finding import HORIZON, LIMITS, Advice, Alternative, Finding, Severity
-from .inertial import (
-    ACCELERATION_SCALE_ERROR,
-    GYRO_SCALE_ERROR,
-    accelerations_confirm_velocity,
-    compute_acceleration_scales,
-)
+from . import inertial
+from .finding import HORIZON, LIMITS, Advice, Alternative, Finding, Severity, find
 from .motion import MIN_DISTANCE, MIN_WINDOWS, Motion, compute_ratios, correlate, is_driven, is_near
 from .position import compute_scaled_misfit
 from .regression import Estimate, Regression, add_systematic_uncertainty
 
 MIN_YAW_RANGE = 0.2  # rad; minimum range of yaw in the drive
 MAX_CONSISTENT_MISFIT = 0.02  # largest misfit of consistent positions, yaw and velocities, divided by the distance
+MAX_SLOPE = 0.1  # largest usual slope of a road; an altitude changes by at most this fraction of the distance
 MAX_MAP_MISFIT = 0.1  # largest ratio of the misfit in map axes to the distance, and to the misfit in body axes
 UNIT_TOLERANCE = 1.06  # factor by which a ratio may differ from the factor of its unit
 COURSE_TOLERANCE = 1.2  # UNIT_TOLERANCE of a ratio to the course, which one short bend determines to 10 %
@@ -110,7 +106,7 @@ def check_time_unit(motion: Motion) -> MotionAndFinding:
 def check_nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate]) -> Finding | None:
     """Finding about time stamps at a wrong nominal rate, if velocity and yaw rate are wrong by the same factor."""
     velocity, yaw_rate = (estimates.get(name) for name in ("velocity_scale", "yaw_rate_scale"))
-    scale_finding = next((f for f in findings if f.name in ("velocity_scale", "position_scale")), None)
+    scale_finding = find(findings, "velocity_scale", "position_scale")
     if velocity is None or yaw_rate is None or scale_finding is None or yaw_rate.shifted(-1.0).covers(0.0):
         return None
     factor, difference = velocity.value, abs(velocity.value - yaw_rate.value)
@@ -172,7 +168,7 @@ def _correct_yaw_or_rate(motion: Motion) -> MotionAndFinding:
 
 def _correct_yaw_scale(motion: Motion, ratio: float) -> MotionAndFinding:
     """Correct the scale of yaw if positions agree with the yaw rate. ratio: yaw / integrated yaw rate, near 1."""
-    if not abs(ratio - 1.0) >= GYRO_SCALE_ERROR:
+    if not abs(ratio - 1.0) >= inertial.GYRO_SCALE_ERROR:
         return motion, None
     corrected, finding = _scale_yaw(motion, ratio)
     factor = finding.value or ratio
@@ -332,7 +328,6 @@ def _correct_position_axes(motion: Motion) -> MotionAndFinding:
 
 
 def _correct_one_axis(motion: Motion) -> MotionAndFinding:
-    """Correct the scale of x or y, if that of the other is correct."""
     measured, derived = _compute_displacements(motion, motion.velocity_map)
     scales = []
     for along_measured, along_derived in ((measured.real, derived.real), (measured.imag, derived.imag)):
@@ -341,26 +336,38 @@ def _correct_one_axis(motion: Motion) -> MotionAndFinding:
             return motion, None
         scales.append(float(np.sum(along_measured[moves] * along_derived[moves]) / np.sum(along_derived[moves]**2)))
     wrong, common = [not _matches(scale, 1.0) for scale in scales], compute_ratios(motion).position_to_speed
-    if sum(wrong) != 1 or min(scales) <= 0.0 or not np.isfinite(common):
+    if sum(wrong) != 1 or not np.isfinite(common):
         return motion, None
-    axis, other = ("x", "y") if wrong[0] else ("y", "x")
-    scale = scales[wrong.index(True)]
-    text = f"{axis}, unlike {other}, is {scale:.4g} times the integrated velocity"
-    corrected, finding = _correct(motion, f"{axis}_scale", (axis,), text, scale,
-                                  Advice.correct(axis, scale=float(f"{1.0 / scale:.5g}")))
-    both = motion.apply_entry({"correct": {"position": {"scale": 1.0 / common}}})
-    limit = min(MAX_CONSISTENT_MISFIT * float(np.median(np.abs(derived))), CLEAR_MISFIT_RATIO * _compute_misfit(both))
-    return (corrected, finding) if _compute_misfit(corrected) < limit else (motion, None)
+    k = wrong.index(True)
+    axis, other, scale = ("x", "y")[k], ("y", "x")[k], scales[k]
+    if scale > 0.0:
+        text = f"{axis}, unlike {other}, is {scale:.4g} times the integrated velocity"
+        corrected, finding = _correct(motion, f"{axis}_scale", (axis,), text, scale,
+                                      Advice.correct(axis, scale=float(f"{1.0 / scale:.5g}")))
+        both = motion.apply_entry({"correct": {"position": {"scale": 1.0 / common}}})
+        limit = min(MAX_CONSISTENT_MISFIT * float(np.median(np.abs(derived))),
+                    CLEAR_MISFIT_RATIO * _compute_misfit(both))
+        if _compute_misfit(corrected) < limit:
+            return corrected, finding
+    slope = np.abs((measured.real, measured.imag)[k]) / np.maximum(np.abs(derived), MIN_DISTANCE)
+    if not 0.0 < float(np.median(slope)) < MAX_SLOPE:
+        return motion, None
+    text = f"{axis}, unlike {other}, does not follow velocity and yaw: is it the altitude, or another signal?"
+    derived_position = cumulative_trapezoid(motion.velocity_map, motion.time, initial=0.0)
+    replaced = replace(motion, **{axis: (derived_position.real, derived_position.imag)[k]})
+    advice = Advice("text", "record x to the east and y to the north")
+    return _correct(replaced, "position_axes", (axis,), text, None, advice)
 
 
 def correct_length_unit(motion: Motion) -> MotionAndFinding:
     """Correct positions and velocities in the same wrong unit of length, by comparison with the accelerations."""
     ratio = compute_ratios(motion).position_to_speed  # NaN for kilometres, in which all motion seems too small
-    scales = np.array(compute_acceleration_scales(motion) if not np.isfinite(ratio) or _matches(ratio, 1.0) else [])
+    is_consistent = not np.isfinite(ratio) or _matches(ratio, 1.0)
+    scales = np.array(inertial.compute_acceleration_scales(motion) if is_consistent else [])
     if not len(scales) or not (scales > 0.0).all():
         return motion, None
     scale = float(np.exp(np.log(scales).mean()))
-    unit = next((unit for unit in LENGTH_UNITS if is_near(scale, 1.0 / unit, 1.0 + ACCELERATION_SCALE_ERROR)
+    unit = next((unit for unit in LENGTH_UNITS if is_near(scale, 1.0 / unit, 1.0 + inertial.ACCELERATION_SCALE_ERROR)
                  and (unit < 1.0) != np.isfinite(ratio)), None)
     if unit is None or not all(is_near(each, 1.0 / unit, LIMITS.channel_unit_ratio) for each in scales.tolist()):
         return motion, None
@@ -372,7 +379,6 @@ def correct_length_unit(motion: Motion) -> MotionAndFinding:
 
 
 def _correct_distance(motion: Motion) -> MotionAndFinding:
-    """Correct the unit of positions or velocities."""
     ratio = compute_ratios(motion).position_to_speed
     if not np.isfinite(ratio) or _matches(ratio, 1.0):
         return motion, None
@@ -388,7 +394,7 @@ def _correct_distance(motion: Motion) -> MotionAndFinding:
         return _correct(metres, "position_scale", ("x", "y"), text, ratio,
                         Advice("text", "project latitude and longitude to east and north"))
     velocity_ratio = 1.0 / ratio
-    if not speed and accelerations_confirm_velocity(motion, velocity_ratio):
+    if not speed and inertial.accelerations_confirm_velocity(motion, velocity_ratio):
         text = (f"x and y are {ratio:.4g} times the integrated velocity, which agrees with the accelerations: is the "
                 "scale of the projection wrong?")
         return _correct(motion, "position_scale", ("x", "y"), text, ratio,

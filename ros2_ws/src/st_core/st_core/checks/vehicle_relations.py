@@ -20,7 +20,7 @@ from ..handling import MAX_UNDERSTEER, linear_system, rear_slip_coefficient, sta
 from ..tyres import GRAVITY
 from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
 from .finding import HORIZON, LIMITS, SYSTEMATIC_UNCERTAINTY, Advice, Alternative, Comparison, Finding, Severity
-from .inertial import MAX_LAG, MIN_COMMON_TIME, NO_BIAS, Agreement, CheckResult, compare_series, format_alternative_lags
+from .inertial import MAX_LAG, MIN_COMMON_TIME, UNKNOWN, Agreement, Results, compare_series, format_alternative_lags
 from .motion import MAX_LISTED_TIMES, MIN_MOVING_SPEED, Motion, correlate, has_varying_speed, is_near
 from .position import MIN_LOSS_RATIO, make_lateral_sign_finding
 from .regression import Estimate, Regression, add_systematic_uncertainty
@@ -49,7 +49,7 @@ MIN_FOUR_WHEEL_GAIN = 0.5  # smallest gain with rear-wheel steering: rear angle 
 MIN_GAIN = 1e-6  # ratio of measured to derived angle below which the steering is constant and reported as frozen
 
 
-def check_steering(motion: Motion, vehicle: VehicleParameters, from_steering_wheel: bool) -> CheckResult:
+def check_steering(results: Results, motion: Motion, vehicle: VehicleParameters, from_steering_wheel: bool) -> None:
     """Compare steering with curvature. from_steering_wheel: whether the road wheel angle is computed from its angle."""
     moving = motion.velocity_x > MIN_SPEED
     curvature = motion.yaw_rate / np.maximum(motion.velocity_x, MIN_MOVING_SPEED)
@@ -65,14 +65,17 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, from_steering_whe
     largest = max(expected, MAX_UNDERSTEER / DEG_PER_RAD / (vehicle.wheelbase * GRAVITY))
     plausible_gains = 1.0 + expected * mean_square, 1.0 + largest * mean_square
     if agreement is None or not agreement.correlates:
-        steering_finding = _make_unrelated_finding(motion, derived) or (
-            gain and _make_unit_finding(gain, plausible_gains, vehicle, from_steering_wheel, motion.geographic))
-        return [steering_finding] if steering_finding else [], {}, None
+        steering_finding = _make_unrelated_finding(motion, derived)
+        if steering_finding is None and gain is not None:
+            steering_finding = _make_unit_finding(
+                gain, plausible_gains, vehicle, from_steering_wheel, motion.geographic)
+        results.findings += filter(None, [steering_finding])
+        return
     # In one long bend, gain and offset are confounded; in a slalom, the opposite sign and a lag of half a period.
     if gain is not None and (agreement.scale.standard_error > 0.2 * abs(agreement.scale.value)
                              or agreement.correlation_without_lag < MAX_OPPOSITE_CORRELATION < agreement.correlation
                              or abs(float(agreement.derived.mean())) > agreement.spread):
-        agreement = replace(agreement, scale=gain, bias=NO_BIAS)
+        agreement = replace(agreement, scale=gain, bias=UNKNOWN)
     gain = add_systematic_uncertainty("steering_scale", agreement.scale)
     lag = add_systematic_uncertainty(
         "steering_lag", agreement.lag.shifted(response).widened(_compute_response_uncertainty(vehicle, speed)))
@@ -86,16 +89,17 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, from_steering_whe
     may_be_play = 0.0 < (1.0 - gain.value) * agreement.spread < 0.5 * STEERING_PLAY / vehicle.steering_ratio
     unit = _make_unit_finding(gain, plausible_gains, vehicle, from_steering_wheel, motion.geographic, may_be_play)
     correction = unit.advice.entry.get("correct", {}).get("road_wheel_angle", {}) if unit and unit.advice else {}
-    findings = (unit, _make_clock_finding(agreement, lateral_shift) if has_clock_error else None,
-                _make_lag_finding(lag, agreement, response, lateral_shift) if has_lag else None,
-                _make_offset_finding(agreement, vehicle, from_steering_wheel, lateral_shift, **correction))
-    estimates = {"steering_scale": gain, "steering_sign": gain,
-                 "steering_offset": add_systematic_uncertainty("steering_offset", agreement.bias)}
-    estimates |= {"steering_lag": lag} if has_lag and agreement.determines_lag else {}
-    panel = Comparison("steering", "road wheel angle: steering sensor versus curvature", "rad", "road_wheel_angle",
-                       "from yaw rate and speed", agreement.time, agreement.measured, agreement.derived,
-                       ("steering_scale", "steering_sign", "steering_lag", "steering_offset"))
-    return [finding for finding in findings if finding], estimates, panel
+    results.findings += filter(None, (
+        unit, _make_clock_finding(agreement, lateral_shift) if has_clock_error else None,
+        _make_lag_finding(lag, agreement, response, lateral_shift) if has_lag else None,
+        _make_offset_finding(agreement, vehicle, from_steering_wheel, lateral_shift, **correction)))
+    results.estimates |= {"steering_scale": gain, "steering_sign": gain,
+                          "steering_offset": add_systematic_uncertainty("steering_offset", agreement.bias)}
+    results.estimates |= {"steering_lag": lag} if has_lag and agreement.determines_lag else {}
+    results.panels.append(Comparison(
+        "steering", "road wheel angle: steering sensor versus curvature", "rad", "road_wheel_angle",
+        "from yaw rate and speed", agreement.time, agreement.measured, agreement.derived,
+        ("steering_scale", "steering_sign", "steering_lag", "steering_offset")))
 
 
 def _compare_angles(motion: Motion, derived: np.ndarray, response: float,
@@ -231,7 +235,6 @@ def _lag_is_constant(half: Agreement, drift: Estimate) -> bool:
 
 
 def _make_clock_finding(agreement: Agreement, lateral_shift: float) -> Finding:
-    """Finding about a steering lag that changes at a constant rate. lateral_shift: `_compute_lateral_shift`."""
     rate, change = agreement.drift.shifted(1.0), agreement.drift.scaled(float(np.ptp(agreement.time)))
     effect = lateral_shift * abs(change.value) * float(np.std(agreement.derived)) * np.sqrt(2.0) / HORIZON
     text = (f"the clock of the steering runs {rate} times as fast as that of the motion: the lag changes by {change} s "
@@ -310,16 +313,16 @@ def _make_finding(name: str, channels: tuple[str, ...], text: str, estimate: Est
     return Finding(name, severity, channels, text, estimate.value, unit, estimate.interval, (), effect, advice)
 
 
-def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
-    """Result of comparing heading alignment and INS position with the motion of the rear axle."""
+def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> Results:
+    """Results of comparing heading alignment and INS position with the motion of the rear axle."""
+    results = Results()
     windows = motion.make_windows(WINDOW)
     means = [windows.mean(values) for values in (motion.velocity_x, motion.velocity_y, motion.yaw_rate)]
     usable = (means[0] > MIN_SPEED) & (np.abs(means[0] * means[2]) < MAX_LATERAL_ACCELERATION)
-    if usable.sum() < MIN_REAR_AXLE_WINDOWS:
-        return [], {}, None
     forward, lateral, rate = (mean[usable] for mean in means)
-    if abs(float(forward @ rate)) > MAX_COSINE * float(np.linalg.norm(forward) * np.linalg.norm(rate)):
-        return [], {}, None
+    if usable.sum() < MIN_REAR_AXLE_WINDOWS or (
+            abs(float(forward @ rate)) > MAX_COSINE * float(np.linalg.norm(forward) * np.linalg.norm(rate))):
+        return results
     problem = Regression(windows.time[usable], lateral[:, None], {
         "misalignment": -forward[:, None], "lever_arm": rate[:, None], "slip": -(forward**2 * rate)[:, None],
         "roll": -(windows.change(motion.velocity_x * motion.yaw_rate)[usable] / WINDOW)[:, None]})
@@ -330,7 +333,6 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
     # If v_y has the opposite sign, the point appears as far behind the axle as it is ahead, and the slip is negative.
     is_mirrored = (point.covers(-2.0 * distance_in_file) and distance_in_file > LIMITS.ins_position
                    and estimates["slip"].interval[1] < 0.0)
-    findings = []
     if heading.is_significant and abs(heading.value) >= LIMITS.heading_misalignment:
         effect = abs(heading.value) * float(np.median(forward)) * HORIZON
         text = (f"the heading points {abs(heading)} rad ({abs(heading.value) * DEG_PER_RAD:.2f} deg) to the "
@@ -340,15 +342,16 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
                                 Advice.correct("heading", add=float(f"{-heading.value:.4g}")))
         # On a road banked by b, the rear tyres slip as under a lateral acceleration of g b.
         may_be_bank = abs(heading.value) < SLIP_RANGE[1] * rear_slip_coefficient(vehicle) * GRAVITY * MAX_BANK
-        findings = [finding.with_alternative(BANK, BOTH_DIRECTIONS) if may_be_bank else finding]
-    point_finding = (make_lateral_sign_finding() if is_mirrored else
-                     _make_point_finding(point, estimates["slip"], motion, vehicle))
-    findings += [point_finding] if point_finding else []
+        results.findings.append(finding.with_alternative(BANK, BOTH_DIRECTIONS) if may_be_bank else finding)
+    results.findings += filter(None, [make_lateral_sign_finding() if is_mirrored else
+                                      _make_point_finding(point, estimates["slip"], motion, vehicle)])
+    results.estimates = {"heading_misaligned": heading, "measuring_point": point}
     axle_motion = sum(estimates[name].value * problem.columns[name][:, 0] for name in ("slip", "roll"))
-    panel = Comparison("velocity_y", "lateral velocity: measured versus derived from the rear axle", "m/s",
-                       "velocity_y", "from yaw rate and the INS position in the file", windows.time[usable], lateral,
-                       distance_in_file * rate + axle_motion, ("heading_misaligned", "measuring_point"))
-    return findings, {"heading_misaligned": heading, "measuring_point": point}, panel
+    results.panels.append(Comparison(
+        "velocity_y", "lateral velocity: measured versus derived from the rear axle", "m/s", "velocity_y",
+        "from yaw rate and the INS position in the file", windows.time[usable], lateral,
+        distance_in_file * rate + axle_motion, ("heading_misaligned", "measuring_point")))
+    return results
 
 
 def _fit_rear_axle(problem: Regression, vehicle: VehicleParameters, speed_varies: bool) -> dict[str, Estimate]:

@@ -142,11 +142,12 @@ def make_run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, re
             comment = f"not applied, negligible: {advice.line}"
         elif not READERS[source.kind].is_table and {"columns", "units"} & advice.entry.keys():
             comment = f"not applied, only {' and '.join(TABLE_KEYS)} files have columns and units: {advice.line}"
-        elif (merged := _merge(corrections, as_yaml_values(advice.entry))) is None:
-            comment = f"not applied, an earlier finding proposes a different value: {advice.line}"
         else:
-            corrections = merged
-            continue
+            joined = _join(corrections, as_yaml_values(advice.entry))
+            if joined == _join(joined, corrections):
+                corrections = joined
+                continue
+            comment = f"not applied, an earlier finding proposes a different value: {advice.line}"
         lines.append(f"#   {escape_unprintable(comment)}\n")
     if options := _format_steering_options(read_settings):
         lines.append(f"# read with {options}\n")
@@ -173,16 +174,9 @@ def append_corrections(settings: Mapping[str, Any], corrections: Mapping[str, An
 
         scale = scale2 scale1,  add = scale2 add1 + add2,  earlier = earlier1 + earlier2,  ahead = ahead1 + ahead2
     """
-    result = {**settings}
-    for key, value in corrections.items():
-        existing = result.get(key)
-        if key == "correct":
-            result[key] = {channel: _combine((existing or {}).get(channel, {}), value.get(channel, {}))
-                           for channel in {**(existing or {}), **value}}
-        elif isinstance(value, list):
-            result[key] = [*(existing or ()), *value]
-        else:
-            result[key] = {**(existing or {}), **value} if isinstance(value, Mapping) else value
+    result, first = _join(settings, corrections), settings.get("correct", {})
+    for channel, second in corrections.get("correct", {}).items():
+        result["correct"][channel] = _combine(first.get(channel, {}), second)
     return result
 
 
@@ -193,18 +187,15 @@ def _combine(first: Mapping[str, float], second: Mapping[str, float]) -> dict[st
     return {key: combined.get(key, value) for key, value in {**first, **second}.items()}
 
 
-def _merge(settings: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Settings with the values of a further entry, lists joined; None if a key would get two different values."""
-    merged = {**settings}
-    for key, value in entry.items():
-        existing = settings.get(key)
+def _join(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
+    """Values of both mappings, lists joined; of two different values, the second."""
+    joined = {**first}
+    for key, value in second.items():
         if isinstance(value, list):
-            merged[key] = [*(existing or ()), *(item for item in value if item not in (existing or ()))]
+            joined[key] = [*joined.get(key, ()), *(item for item in value if item not in joined.get(key, ()))]
         else:
-            merged[key] = _merge(existing or {}, value) if isinstance(value, Mapping) else value
-            if merged[key] is None or (existing is not None and not isinstance(value, Mapping) and existing != value):
-                return None
-    return merged
+            joined[key] = _join(joined.get(key, {}), value) if isinstance(value, Mapping) else value
+    return joined
 
 
 def _merge_settings(source: RunSource, file: Path, read_settings: ReadSettings) -> dict[str, Any]:
