@@ -179,8 +179,7 @@ def _check_relations(results: Results, motion: Motion, log: DriveLog, vehicle: V
     wrong_rate = None if time_unit else units_and_axes.check_nominal_rate(sensors.findings, sensors.estimates)
     if wrong_rate and wrong_rate.value:
         results.findings.append(wrong_rate)
-        motion = motion.with_time_divided(wrong_rate.value)
-        corrected, sensors, yaw_rate_lag = _check_sensors(motion, removed_factors)
+        corrected, sensors, yaw_rate_lag = _check_sensors(motion.with_time_divided(wrong_rate.value), removed_factors)
     findings = _merge_findings_of_units(unit_findings, sensors.findings, sensors.estimates)
     corrected, findings = position.attribute_scale_to_velocity_x(corrected, findings, sensors.estimates)
     results.findings += position.add_sign_alternative(findings, recorded, corrected)

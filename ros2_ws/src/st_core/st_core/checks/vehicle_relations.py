@@ -52,8 +52,7 @@ MIN_GAIN = 1e-6  # ratio of measured to derived angle below which the steering i
 def check_steering(results: Results, motion: Motion, vehicle: VehicleParameters, from_steering_wheel: bool) -> None:
     """Compare steering with curvature. from_steering_wheel: whether the road wheel angle is computed from its angle."""
     moving = motion.velocity_x > MIN_SPEED
-    curvature = motion.yaw_rate / np.maximum(motion.velocity_x, MIN_MOVING_SPEED)
-    derived = np.where(moving, np.arctan(vehicle.wheelbase * curvature), np.nan)  # without slip
+    derived = _derive_angle(motion, vehicle)
     speed = float(np.median(motion.velocity_x[moving])) if moving.any() else MIN_SPEED
     response = compute_response_time(vehicle, speed)
     agreement = _compare_angles(motion, derived, response)
@@ -65,11 +64,8 @@ def check_steering(results: Results, motion: Motion, vehicle: VehicleParameters,
     largest = max(expected, MAX_UNDERSTEER / DEG_PER_RAD / (vehicle.wheelbase * GRAVITY))
     plausible_gains = 1.0 + expected * mean_square, 1.0 + largest * mean_square
     if agreement is None or not agreement.correlates:
-        steering_finding = _make_unrelated_finding(motion, derived)
-        if steering_finding is None and gain is not None:
-            steering_finding = _make_unit_finding(
-                gain, plausible_gains, vehicle, from_steering_wheel, motion.geographic)
-        results.findings += filter(None, [steering_finding])
+        results.findings += filter(None, [_make_unrelated_finding(motion, derived) or _make_unit_finding(
+            gain, plausible_gains, vehicle, from_steering_wheel, motion.geographic)])
         return
     # In one long bend, gain and offset are confounded; in a slalom, the opposite sign and a lag of half a period.
     if gain is not None and (agreement.scale.standard_error > 0.2 * abs(agreement.scale.value)
@@ -100,6 +96,12 @@ def check_steering(results: Results, motion: Motion, vehicle: VehicleParameters,
         "steering", "road wheel angle: steering sensor versus curvature", "rad", "road_wheel_angle",
         "from yaw rate and speed", agreement.time, agreement.measured, agreement.derived,
         ("steering_scale", "steering_sign", "steering_lag", "steering_offset")))
+
+
+def _derive_angle(motion: Motion, vehicle: VehicleParameters) -> np.ndarray:
+    """Road wheel angle of a car without slip, from its curvature [rad]; NaN below MIN_SPEED."""
+    forward = np.where(motion.velocity_x > MIN_SPEED, motion.velocity_x, np.nan)
+    return np.arctan(vehicle.wheelbase * motion.yaw_rate / forward)
 
 
 def _compare_angles(motion: Motion, derived: np.ndarray, response: float,
@@ -175,7 +177,7 @@ def _compute_lateral_shift(speed: float, vehicle: VehicleParameters) -> float:
     return abs(0.5 * speed * yaw_gain) * HORIZON**2
 
 
-def _make_unit_finding(gain: Estimate, plausible_gains: tuple[float, float], vehicle: VehicleParameters,
+def _make_unit_finding(gain: Estimate | None, plausible_gains: tuple[float, float], vehicle: VehicleParameters,
                        from_steering_wheel: bool, geographic: bool, may_be_play: bool = False) -> Finding | None:
     """Finding about an implausible steering gain, with the wrong unit or sign that explains it; None if plausible.
 
@@ -184,9 +186,11 @@ def _make_unit_finding(gain: Estimate, plausible_gains: tuple[float, float], veh
     and the correction of the steering is valid in both cases.
     may_be_play: whether play explains a positive gain that no unit matches; steered rear wheels may also explain it.
     """
-    (expected, largest), value, limit = plausible_gains, gain.value, LIMITS.steering_unit_ratio
-    if abs(value) < MIN_GAIN or (gain.interval[1] > 1.0 / limit and gain.interval[0] < limit * largest):
+    (expected, largest), limit = plausible_gains, LIMITS.steering_unit_ratio
+    if gain is None or abs(gain.value) < MIN_GAIN or (
+            gain.interval[1] > 1.0 / limit and gain.interval[0] < limit * largest):
         return None
+    value = gain.value
     ratio, offset = vehicle.steering_ratio, vehicle.steering_wheel_offset
     source = f"steering ratio {ratio:g} of the vehicle file"
     reasons = {DEG_PER_RAD: "is it in degrees", ratio: f"is it the angle of the steering wheel ({source})",
@@ -246,8 +250,7 @@ def _make_clock_finding(agreement: Agreement, lateral_shift: float) -> Finding:
 def steering_confirms_length(motion: Motion, vehicle: VehicleParameters, unit: float) -> bool:
     """Whether the steering angle from curvature and wheelbase is nearer to the measured one with positions and velocity
     in metres than with `unit` per metre."""
-    forward = np.where(motion.velocity_x > MIN_SPEED, motion.velocity_x, np.nan)
-    gain = _estimate_steering_gain(motion, np.arctan(vehicle.wheelbase * motion.yaw_rate / forward))
+    gain = _estimate_steering_gain(motion, _derive_angle(motion, vehicle))
     return gain is not None and gain.value > 0.0 and abs(np.log(gain.value)) < 0.5 * abs(np.log(unit))
 
 
