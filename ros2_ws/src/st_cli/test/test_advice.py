@@ -14,7 +14,6 @@ from st_core.log_evaluation import EvaluationSettings
 from st_core.prediction import PredictionSettings
 from st_offline.evaluation.advice import (
     COST_KINDS,
-    TABLE_STYLE,
     make_advice_rows,
     make_choice_rows,
     measure_accuracy,
@@ -90,7 +89,7 @@ def test_tables_of_advice_fit_into_80_columns():
              ("kinematic", 0.05): dict.fromkeys(COST_KINDS, 1e-4)}
     accuracies = {("nonlinear", 0.025): measure_accuracy(make_error_samples(4, 0.1), "linear", SETTINGS)}
     for title, rows in split_rows(make_advice_rows(costs, accuracies), accuracies).items():
-        console.print(make_table(rows, title=title, **TABLE_STYLE))
+        console.print(make_table(rows, title))
     lines = [" ".join(line.split()) for line in console.export_text().splitlines()]
     assert "model step, s interpreted compiled batch" in lines and "model step, s 1 s 2 s 3 s 4 s 5 s" in lines
     assert "nonlinear 0.025 12300 (123.0) 12300 (123.0) 12300 (123.0)" in lines

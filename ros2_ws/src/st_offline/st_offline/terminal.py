@@ -17,12 +17,12 @@ def make_progress_bars() -> Progress:
     return Progress(*columns, console=console, transient=True)
 
 
-def make_table(rows: Sequence[Mapping[str, str]], **options) -> Table:
-    """Table with the keys of the first row as titles, empty without rows. options: those of rich's Table."""
-    table = Table(box=None, **options)
-    for title in rows[0] if rows else ():
+def make_table(rows: Sequence[Mapping[str, str]], title: str | None = None) -> Table:
+    """Table with the keys of the first row as titles of the columns, empty without rows."""
+    table = Table(title=title, title_justify="left", title_style="bold", box=None, padding=(0, 1))
+    for name in rows[0] if rows else ():
         # A model name that is split by a line break cannot be copied.
-        table.add_column(title, overflow="fold", no_wrap=title == "model")
+        table.add_column(name, overflow="fold", no_wrap=name == "model")
     for row in rows:
         table.add_row(*row.values())
     return table

@@ -274,19 +274,20 @@ def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool) -> None:
         for title, columns in (("Bands: fraction of paths entirely inside", slice(2, 6)),
                                (f"Bands: conditions with the lowest coverage of the {level} band", slice(6, 7)),
                                ("Bands: scores and half-width, along | across", slice(7, None))):
-            reported = [dict((*list(row.items())[:2], *list(row.items())[columns])) for row in rows]
-            console.print(make_table(reported, title=title, width=min(console.width, 120)), highlight=False)
+            cells = [list(row.items()) for row in rows]
+            if any(text != "-" for row in cells for _, text in row[columns]):
+                console.print(make_table([dict(row[:2] + row[columns]) for row in cells], title), highlight=False)
         if known := content["known_recordings"]:
             print_line(f"[yellow]the calibration used {len(known)} of these files, so this is not an independent test "
                        "of the bands; use other runs[/yellow]")
     elif not adaptive:
         console.print(NO_BANDS, highlight=False, soft_wrap=True)
     if adaptive:
-        console.print(make_table(make_adaptive_rows(summarise_adaptive(pooled)), width=min(console.width, 140),
-                                 title="Adaptive bands: fraction of paths entirely inside"))
+        console.print(make_table(make_adaptive_rows(summarise_adaptive(pooled)),
+                                 "Adaptive bands: fraction of paths entirely inside"))
     if rows := make_contribution_rows(summarise_contributions(pooled)):
-        console.print(make_table(rows, title="Decomposition of the error with measured inputs: fractions of the "
-                                 "mean squared error, along | across", width=min(console.width, 140)))
+        console.print(make_table(rows, "Decomposition of the error with measured inputs: fractions of the mean squared "
+                                       "error, along | across"))
 
 
 def _format_percent(value: float | None) -> str:

@@ -345,7 +345,7 @@ def print_result(discovery: Discovery, update: VehicleUpdate | None, recordings:
     if discovery.effects:
         rows = [dict(zip(report_text.EFFECT_HEAD[:-1], map(escape, row[:-1]), strict=True)) for row in
                 report_text.list_effect_rows(discovery)]
-        console.print(make_table(rows, padding=(0, 1)))
+        console.print(make_table(rows))
         console.print(f"[dim]{report_text.EFFECT_NOTE}.[/dim]", highlight=False)
     findings = {drive.name: drive.findings for drive in recordings}
     advice = report_text.recommend(discovery, update)[1:3]  # the page contains all

@@ -7,7 +7,6 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from rich.markup import escape
@@ -40,7 +39,6 @@ ModelStep = tuple[str, float]  # (name of the model, step [s])
 Cost = dict[str, float]  # processor time per prediction [s], for those of COST_KINDS that are possible
 COST_KINDS = ("interpreted", "compiled", "batch")  # single without numba; single with numba; mean of a batch
 STEP_MULTIPLES = (1, 2, 4)  # of the integration step of the task
-TABLE_STYLE: Mapping[str, Any] = {"title_justify": "left", "title_style": "bold", "padding": (0, 1)}
 
 
 def measure_costs(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals,
@@ -144,10 +142,10 @@ def print_advice(sources: Sequence[RunSource], task: Task, tolerance: float) -> 
         costs, accuracies, problems = measure_runs(sources, task)
     rows = make_advice_rows(costs, accuracies)
     for title, part in split_rows(rows, accuracies).items():
-        console.print(make_table(part, title=title, **TABLE_STYLE))
+        console.print(make_table(part, title))
     title = (f"Cheapest model and step with a lateral error within {tolerance:g} m up to each second, in "
              f"{100 * REQUIRED_FRACTION:.0f} % of the starts, with measured inputs")
-    console.print(make_table(make_choice_rows(costs, accuracies, tolerance), title=title, **TABLE_STYLE))
+    console.print(make_table(make_choice_rows(costs, accuracies, tolerance), title))
     for (model, step), reason in problems.items():
         print_line(f"[yellow]{escape(model)}, {step:g} s: {escape(reason)}[/yellow]")
     assert task.folder is not None  # set by the command

@@ -31,7 +31,6 @@ DEG = np.rad2deg(1.0)
 DISPLAY_UNITS = {"rad": (DEG, "deg"), "N/rad": (1e-3, "kN/rad")}
 MAX_DISAGREEMENT = 0.15  # between two stiffness estimates, as a fraction of that by the regression of the paper
 STIFFNESS_ADVICE = "Steering ratio or lever arm may be wrong: run `st identify steering` and `st identify ins` first."
-RECORDINGS_HELP = "recordings of drives (several are better): folders, .ncom with CAN logs, bags, CSV"
 
 
 def draw_offset(outcome: Identification, output: FigureOutput) -> PageFigure:
@@ -227,7 +226,7 @@ def make_drive_experiment(name: str, description: str, driving: str, compute: Ca
                         warnings=(*outcome.warnings, *warnings),
                         findings={d.name: d.findings for d in drives if d.log is not None or d.findings}),)
 
-    return Experiment(name, description, f"{RECORDINGS_HELP}; {driving}", identify, draw, uses_recordings=True)
+    return Experiment(name, description, f"recorded drives: {driving}", identify, draw, uses_recordings=True)
 
 
 def compare_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: Model) -> Identification:

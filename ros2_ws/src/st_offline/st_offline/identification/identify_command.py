@@ -71,7 +71,7 @@ def print_results(outcomes: Sequence[result.Identification], vehicle: VehiclePar
             {"parameter": escape(f"{name}{'' if unit == '1' else f', {unit}'}"), "value": value,
              "95 % interval": interval, "in the file": file_value, "status": f"[{STATUS_STYLE[status]}]{status}[/]"}
             for name, value, _, interval, unit, file_value, status in make_estimate_rows(outcome, vehicle)],
-            title=outcome.experiment, title_justify="left", padding=(0, 2, 0, 0)))
+            outcome.experiment))
         for style, texts in (("default", [f"{e.parameter}: {e.verdict}" for e in outcome.estimates]),
                              ("dim", [coverage.describe() for coverage in outcome.coverage]),
                              ("dim", [f"{name}: left out: {reason}" for name, reason in outcome.rejected_data]),
