@@ -4,9 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from discovery_drives import fit_problem, linear_problem
 from driven import SILENT, drive, weave
 from st_core.augmented import augment
-from st_core.discovery.axles import _combination_values
+from st_core.discovery import DiscoverySettings
+from st_core.discovery.axles import Axles, _combination_values
+from st_core.discovery.evidence import approximate_joint_fit
 from st_core.errors import StCoreError
 from st_core.identification.axle_forces import (
     compute_axle_force,
@@ -36,6 +39,18 @@ def limit_drives(leaf):
 def test_combinations_do_not_depend_on_a_steering_offset(leaf):
     with_offset = augment("linear", {"steering_offset": {"angle": 0.01}})
     np.testing.assert_allclose(_combination_values(with_offset, leaf), _combination_values(augment("linear", {}), leaf))
+
+
+def test_interval_of_a_combination_includes_sets_that_fit_nearly_as_well(leaf, limit_drives):
+    problem = linear_problem(["front_stiffness"], {"front_stiffness": 1.0}, seed=1)
+    object.__setattr__(problem.errors.windows, "settings", DiscoverySettings())
+    fit, first, laden = fit_problem(problem, "front_stiffness"), problem.start.copy(), problem.start.copy()
+    index = problem.space.indices("front_stiffness")
+    first[index], laden[index] = 1.4, 1.8
+    axles = Axles(problem, fit, approximate_joint_fit(problem, fit), limit_drives, leaf, 1.0,
+                  [(("front_stiffness",), first), ((), laden)])
+    front, *_ = axles.combinations(problem.space.at(problem.start))
+    assert front.value < 1.2 * front.file and front.interval[1] == pytest.approx(1.4 * front.file, rel=0.02)
 
 
 @pytest.mark.parametrize("axle", ["front", "rear"])

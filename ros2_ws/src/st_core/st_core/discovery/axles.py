@@ -27,6 +27,7 @@ from ..vehicle import STIFFNESS_LIMITS, VehicleParameters
 from .evidence import JointFit
 from .fit import Fit, Problem
 from .result import Combination
+from .search import NearSet
 
 DRAWS = 100  # number of random draws of the fitted values, for 90 % and 95 % intervals
 MAX_SLIP = 0.35  # rad, slip angle beyond the peak force of every road tyre
@@ -41,12 +42,12 @@ class Axles:
 
     joint_fit: covariance of the values; if None, there are no bands and the intervals have zero width.
     noise_ratio: ratio of residual to noise, by which bands and intervals are widened if it is above 1 [1].
-    near_optimal_vectors: vectors of effect sets that fit nearly as well; the bands include their curves.
+    near_sets: sets that fit nearly as well; bands and intervals include their values, intervals not those with a load.
     Raises StCoreError for a base model without tyres, and if the drives are too short or the values too uncertain.
     """
 
     def __init__(self, problem: Problem, fit: Fit, joint_fit: JointFit | None, runs: Sequence[DriveLog],
-                 vehicle: VehicleParameters, noise_ratio: float, near_optimal_vectors: Sequence[np.ndarray] = ()):
+                 vehicle: VehicleParameters, noise_ratio: float, near_sets: Sequence[NearSet] = ()):
         if not problem.space.model.base.has_tyres:
             raise StCoreError(f"{problem.space.model.base.name}: this model has no axle forces")
         self.problem, self.fit, self.runs, self.vehicle = problem, fit, runs, vehicle
@@ -63,10 +64,10 @@ class Axles:
             log = replace(log, road_wheel_angle=angle, steering_wheel_angle=None)
             logs.append(log if self.has_sideslip else replace(log, velocity_y=compute_steady_velocity_y(log, car)))
         self.regressions = fit_axle_regressions(logs, car)
-        self.near_optimal_models: list[AugmentedModel] = []
+        self.near_sets = near_sets if joint_fit else ()
+        self.near_models = select_valid_models([problem.space.at(vector) for _, vector in self.near_sets], vehicle)
         self.draws: list[AugmentedModel] = []
         if joint_fit is not None:
-            self.near_optimal_models = select_valid_models([problem.space.at(v) for v in near_optimal_vectors], vehicle)
             in_model = joint_fit.indices < len(problem.space) - 1  # the last parameter is the accelerometer gain
             indices = joint_fit.indices[in_model]
             covariance, scale = np.zeros((len(self.model.vector),) * 2), problem.space.scale[indices]
@@ -80,14 +81,16 @@ class Axles:
         """`ForceCurve` of each axle in the slip range of the drives. base: initial model, for `ForceCurve.file`.
         Raises StCoreError for drives without slip."""
         return tuple(make_axle_curve(self.model, self.vehicle, r.axle, r.samples.slip, base, self.draws,
-                                     self.near_optimal_models) for r in self.regressions)
+                                     self.near_models) for r in self.regressions)
 
     def combinations(self, base: AugmentedModel) -> tuple[Combination, ...]:
         """`COMBINATIONS` of vehicle parameters, with 95 % intervals."""
         values, file_values = _combination_values(self.model, self.vehicle), _combination_values(base, self.vehicle)
         draws = np.array([_combination_values(model, self.vehicle) for model in self.draws] or [values])
         low, high = np.quantile(draws, (0.025, 0.975), axis=0)
-        low, high = np.minimum(low, values).tolist(), np.maximum(high, values).tolist()
+        unladen = select_valid_models([self.problem.space.at(v) for names, v in self.near_sets if names], self.vehicle)
+        sets = [values, *(_combination_values(model, self.vehicle) for model in unladen)]
+        low, high = np.min([low, *sets], axis=0).tolist(), np.max([high, *sets], axis=0).tolist()
         effects = {name: tuple(e.name for e in EFFECTS.values() if name in e.combinations) for name in COMBINATIONS}
         return tuple(Combination(name, unit, float(values[i]), (low[i], high[i]), float(file_values[i]), effects[name])
                      for i, (name, unit) in enumerate(COMBINATIONS.items()))

@@ -313,8 +313,7 @@ class _Analysis:
         reference drives there are no combinations, because these are compared with the vehicle file."""
         base = self.space.at(self.problem.start)
         try:
-            axles = Axles(self.problem, state.fit, joint_fit, self.runs, self.vehicle, noise_ratio,
-                          [vector for _, vector in state.near_optimal])
+            axles = Axles(self.problem, state.fit, joint_fit, self.runs, self.vehicle, noise_ratio, state.near_optimal)
             return axles, axles.force_curves(base), axles.combinations(base) if joint_fit else ()
         except StCoreError:
             return None, (), ()
