@@ -1,6 +1,5 @@
 """Reads CAN logs in text and binary formats with python-can; unreadable lines are skipped."""
 
-import csv
 import io
 import mmap
 import re
@@ -22,6 +21,7 @@ from oxts_bridge.file_decoder import CAPTURE_MAGIC
 
 from .binary_table import is_signal_table
 from .columns import MOTION_CHANNELS, Layout, find_columns, find_times
+from .csv_table import split_row
 from .errors import COMPRESSED_MAGIC, CP1252_FALLBACK, RunError, find_utf16, format_count, shorten
 from .frames import EXTENDED_IDS, STANDARD_IDS
 from .mf4 import FD_LENGTHS, MF4_EXTENSIONS, VENDOR_EXTENSIONS, is_mdf
@@ -251,18 +251,10 @@ def _make_trc_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
     return parse
 
 
-def _split_row(line: str, delimiter: str) -> list[str]:
-    row = line.split(delimiter)
-    if '"' in line:
-        with suppress(csv.Error):
-            row = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
-    return [cell.strip() for cell in row]
-
-
 def _split_csv_header(line: str) -> tuple[list[str], str, dict[str, int]]:
     """(normalised names of the columns, delimiter, column of each role in _CSV_COLUMNS)."""
     delimiter = next((mark for mark in ";\t" if mark in line), ",")
-    cells = _split_row(line, delimiter)
+    cells = split_row(line, delimiter)
     names = [normalise(name) for name in cells]
     found = {role: next((name for name in known if name in names), None) for role, known in _CSV_COLUMNS.items()}
     roles = {role: names.index(name) for role, name in found.items() if name}
@@ -286,7 +278,7 @@ def _make_csv_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
     id_base, byte_base, unit, are_whole = _find_number_formats(lines.file, names, delimiter, roles)
     if id_base != 16:
         notes.append(AMBIGUOUS_IDS if id_base == 0 else DECIMAL_IDS)
-    stated = next((source.unit for source in find_times(_split_row(header, delimiter))
+    stated = next((source.unit for source in find_times(split_row(header, delimiter))
                    if source.column == roles["time"] and source.has_stated_unit), None)
     is_gvret = (names[roles["time"]], names[roles["data"]]) == ("timestamp", "d1")
     if is_gvret:
@@ -304,7 +296,7 @@ def _make_csv_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
     def parse(line: str) -> Any:
         if not line.strip() or _FURTHER_HEADER.match(line):
             return None
-        row = _split_row(line, delimiter)
+        row = split_row(line, delimiter)
         cells = dict(zip(names, row, strict=False))
         data = _read_csv_data(cells, row, names[roles["data"]], roles, byte_base, n_columns)
         identifier, is_extended = int(row[roles["id"]], id_base or 16), _is_marked(cells, *_EXTENDED_COLUMNS)
@@ -337,7 +329,7 @@ def _find_number_formats(file: Path, names: Sequence[str], delimiter: str, roles
     data: list[tuple[str, int]] = []
     times: list[float] = []
     with Lines(file) as lines:
-        rows = (_split_row(line, delimiter) for line in lines)
+        rows = (split_row(line, delimiter) for line in lines)
         for row in islice(dropwhile(lambda row: [*map(normalise, row)] != names, rows), 1, MAX_SCANNED_ROWS):
             if len(row) <= max(roles.values()):
                 continue
@@ -518,7 +510,7 @@ def find_clock(head: bytes) -> tuple[float, float]:
     lines = head.decode("utf-8-sig", "ignore").splitlines()
     _, delimiter, roles = _split_csv_header(next(filter(_is_csv_header, lines), ""))
     column, delimiter = (roles["time"], delimiter) if "time" in roles else (0, " ")  # BUSMASTER
-    cells = (cell for line in lines for cell in _split_row(line, delimiter)[column:column + 1])
+    cells = (cell for line in lines for cell in split_row(line, delimiter)[column:column + 1])
     _, period = next(filter(None, map(parse_stamp, cells)), (0.0, 0.0))
     return (period, period / 2) if period else (DAY, DAY - ROLLOVER_STEP)
 

@@ -1,9 +1,9 @@
 """Reads tables into channels in SI units; finds delimiter, decimal mark, encoding and missing values of text files."""
 
 import csv
-import io
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -15,7 +15,7 @@ from st_core.sideslip import derive_yaw_rate
 from . import columns as column_names
 from .binary_table import BINARY_EXTENSIONS, is_signal_table, read_binary_table, read_names, read_signals
 from .columns import COLUMNS, ColumnSource, Layout, find_columns, find_stamp_columns
-from .errors import CP1252_FALLBACK, RunError, check_readable, find_utf16, format_count, shorten
+from .errors import CP1252_FALLBACK, RunError, check_readable, find_utf16, format_count
 from .table_times import convert_to_seconds, parse_stamp, read_stamps, select_usable_times
 
 MAX_TIME_ROWS = 500  # rows in which distinct times are counted, to find the time column with the highest resolution
@@ -173,17 +173,20 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
     body = body.replace("\u2212", "-")
     if "D+" in body or "D-" in body or "d+" in body or "d-" in body:  # the substitution is slow
         body = _FORTRAN_EXPONENT.sub("E", body)
+    if delimiter != "," and "." not in body and "," in body and not _GROUPED_CELL.search(body):
+        body = body.replace(",", ".")
     if sources is None:
         sources = _find_sources(file, names, body, delimiter, layout, warnings)
         sources, body = _read_unit_rows(file, sources, preamble, body, delimiter, layout)
-        sources, body = _read_units_of_cells(sources, body, delimiter, layout)
-        body = _apply_hemispheres(sources, body, delimiter)
-    body = _use_decimal_points(file, body, delimiter)
-    time, first = sources.get("t"), _split_first_row(body, delimiter)
-    first_time = first[time.column] if time is not None and time.column < len(first) else None
-    if time is not None and first_time:
-        body, first_time = read_stamps(file, body, delimiter, time.column, first_time, warnings)
-    rows = _parse_numbers(file, body, delimiter, len(names), warnings)
+    lines = [line for line in body.splitlines() if line.strip(f' \t"{delimiter}')]
+    # In an ASCII log of NovAtel, every row begins with #.
+    lines = [line for line in lines if not _is_comment(line, delimiter)] or lines
+    first: dict[str, str] = {}
+    try:
+        rows = _load_numbers(lines, delimiter, len(names))
+    except ValueError:
+        rows, sources, first = _read_cells(file, lines, delimiter, names, sources, layout, warnings)
+    time = sources.get("t")
     joined = rows if time is None else _join_groups(rows, names, time.column)
     warnings += [f"{file}: column {source.name} occurs {names.count(source.name)} times; " + (
         "each is the time of the columns after it" if source is time and joined is not rows else "the first is used")
@@ -192,16 +195,15 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
         columns = {channel: joined[:, source.column] * source.factor
                    for channel, source in sources.items() if channel != "t"}
     columns = {channel: np.where(np.isfinite(values), values, np.nan) for channel, values in columns.items()}
-    texts = {channel: first[source.column][:40] for channel, source in sources.items()
-             if channel in columns and not np.isfinite(columns[channel]).any()
-             and source.column < len(first) and first[source.column].lower() not in MISSING_MARKS}
+    texts = {channel: cell[:40] for channel, cell in first.items() if cell.lower() not in MISSING_MARKS
+             and channel in columns and not np.isfinite(columns[channel]).any()}
     if time is None:
         return Table(file, tuple(names), sources, columns, np.empty(0, np.int64), 0, np.empty(0, bool), tuple(warnings))
     seconds, pair = joined[:, time.column], find_stamp_columns(names)
     if pair is not None and pair[0] == time.column:
         seconds = column_names.add_fraction(seconds, pair[2] * joined[:, pair[1]])
     seconds, time = convert_to_seconds(file, seconds, time, warnings)
-    has_time, time_ns, is_usable = select_usable_times(file, seconds, time, first_time, warnings)
+    has_time, time_ns, is_usable = select_usable_times(file, seconds, time, first.get("t"), warnings)
     columns = {channel: values[has_time] for channel, values in columns.items()}
     rows_without_time = int((~has_time).sum())
     return Table(file, tuple(names), {**sources, "t": time}, columns, time_ns, rows_without_time, is_usable,
@@ -250,8 +252,8 @@ def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layou
         finest = max(column_names.find_times(names), key=count_times, default=sources["t"])
         if 2 * count_times(sources["t"]) < count_times(finest):  # whole seconds, and fractions in another column
             sources["t"] = finest
-    first = _split_first_row(body, delimiter)[:1]
-    if "t" not in sources and names[:1] == [""] and first and parse_stamp(first[0]):
+    first = split_row(body.lstrip("\n").partition("\n")[0], delimiter)[0]
+    if "t" not in sources and names[:1] == [""] and parse_stamp(first):
         sources["t"] = ColumnSource(0, "(without a name)", "time", "s", has_stated_unit=True)
     return sources
 
@@ -292,7 +294,7 @@ def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], preamble: Sequ
     types or sources. Raises RunError if there are such rows below the names but no row of units.
     """
     def read_unit_texts(line: str) -> dict[str, str]:
-        cells = [cell.strip(' \r"\'') for cell in line.split(delimiter)]
+        cells = split_row(line, delimiter)
         texts = {channel: text for channel, source in sources.items() if source.column < len(cells)
                  and cells[source.column] != source.name  # the names may be repeated below the header
                  and (text := cells[source.column].strip("[]() ")).lower() not in MISSING_MARKS}
@@ -331,67 +333,101 @@ def _apply_stated_units(sources: dict[str, ColumnSource], texts: Mapping[str, st
                           if channel not in layout.units and (unit := find_unit(COLUMNS[channel].kind, text))}}
 
 
-def _read_units_of_cells(sources: dict[str, ColumnSource], body: str, delimiter: str,
-                         layout: Layout) -> tuple[dict[str, ColumnSource], str]:
-    """(sources with the units that follow the numbers in their cells, the body without these units)."""
-    first = _split_first_row(body, delimiter)
-    unit_texts = {channel: text for channel, source in sources.items() if source.column < len(first)
-                  and (text := _split_unit(channel, first[source.column]))}
-    if not unit_texts:
-        return sources, body
-    rows = [line.split(delimiter) for line in body.split("\n")]
-    for channel, text in unit_texts.items():
-        for row in rows:
-            if (column := sources[channel].column) < len(row):
-                row[column] = row[column].strip(' \r"\'').removesuffix(text)
-    return _apply_stated_units(sources, unit_texts, layout), "\n".join(map(delimiter.join, rows))
-
-
-def _apply_hemispheres(sources: Mapping[str, ColumnSource], body: str, delimiter: str) -> str:
-    """The body with negative southern latitudes and western longitudes, if N, S, E or W is in the cell after each."""
-    def read_hemisphere(row: list[str], column: int) -> str:
-        return row[column + 1].strip(' \r"\'').upper() if column + 1 < len(row) else ""
-
-    rows = [line.split(delimiter) for line in body.split("\n", MAX_TIME_ROWS)[:MAX_TIME_ROWS]]
-    columns = []
-    for channel in HEMISPHERES.keys() & sources.keys():
-        letters = {read_hemisphere(row, sources[channel].column) for row in rows} - {""}
-        columns += [sources[channel].column] if letters and letters <= HEMISPHERES[channel] else []
-    if not columns:
-        return body
-    rows = [line.split(delimiter) for line in body.split("\n")]
-    for row in rows:
-        for column in columns:
-            if read_hemisphere(row, column) in ("S", "W"):
-                row[column] = "-" + row[column].strip(' "\'+-')
-    return "\n".join(map(delimiter.join, rows))
-
-
 def _split_unit(channel: str, cell: str) -> str:
     """The unit after the number in a cell of a channel; empty if there is none."""
     match = _NUMBER_WITH_UNIT.fullmatch(cell)
     return match[2] if match and find_unit(COLUMNS[channel].kind, match[2]) else ""
 
 
-def _split_first_row(body: str, delimiter: str) -> list[str]:
-    """Cells of the first row that is not blank."""
-    row = next((line.split(delimiter) for line in body.split("\n", 20) if line.strip()), [])
-    return [cell.strip(' \r"\'') for cell in row]
+def split_row(line: str, delimiter: str) -> list[str]:
+    """Cells of a row without quotes and blanks around them."""
+    row = line.split(delimiter)
+    if '"' in line:
+        with suppress(csv.Error):  # a cell is too long
+            row = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+    return [cell.strip(" \t\r\n\"'") for cell in row]
 
 
-def _use_decimal_points(file: Path, body: str, delimiter: str) -> str:
-    """Rewrites all numbers with decimal points and without thousands separators.
+def _load_numbers(lines: list[str], delimiter: str, width: int) -> np.ndarray:
+    """The cells of the rows (n, width). Raises ValueError if one is not a number, or a row has more or fewer cells."""
+    rows = np.loadtxt(lines, delimiter=delimiter, ndmin=2, comments=None) if lines else np.zeros((0, width))
+    if rows.shape[1] != width:
+        raise ValueError(f"{rows.shape[1]} columns instead of {width}")
+    return rows
 
-    All cells together determine the decimal mark. Raises RunError if a cell is ambiguous: 1,234 may be 1.234 or 1234.
+
+def _read_cells(file: Path, lines: list[str], delimiter: str, names: list[str], sources: dict[str, ColumnSource],
+                layout: Layout, warnings: list[str]) -> tuple[np.ndarray, dict[str, ColumnSource], dict[str, str]]:
+    """(numbers (n, width), sources, channel -> first cell) of rows with blank cells or text; NaN where no number is.
+
+    A unit after the numbers is that of the source, unless the layout states one. Latitudes and longitudes with S or W
+    in the next column become negative, dates and times of day become seconds. Unused columns are NaN. Raises RunError.
     """
-    body = _THOUSANDS_SPACES.sub("", body)
+    lines = _THOUSANDS_SPACES.sub("", "\n".join(lines)).split("\n")
+    decimal_mark, thousands_separator = _find_decimal_mark(file, lines, delimiter)
+    lines = _select_complete_rows(file, lines, delimiter, len(names), warnings)
+    first_row, fraction = split_row(lines[0], delimiter), find_stamp_columns(names)
+    first = {channel: first_row[source.column] for channel, source in sources.items()}
+    units = {channel: text for channel, cell in first.items() if (text := _split_unit(channel, cell))}
+    time = sources.get("t")
+    used = {number: "" for number, name in enumerate(names) if time is not None and name == time.name}
+    used |= {fraction[1]: ""} if fraction else {}
+    used |= {source.column: channel for channel, source in sources.items()}
+
+    def make_converter(unit: str) -> Callable[[str], float]:
+        if not unit and (decimal_mark, thousands_separator) == (".", ""):
+            return _parse_number
+        return lambda cell: _parse_number(cell.strip(" '").removesuffix(unit).replace(thousands_separator, "").replace(
+            decimal_mark, "."))
+
+    def read_texts(number: int) -> list[str]:
+        return [split_row(line, delimiter)[number] for line in lines]
+
+    numbers = np.full((len(lines), len(names)), np.nan)
+    if used:
+        numbers[:, list(used)] = np.loadtxt(
+            lines, delimiter=delimiter, ndmin=2, comments=None, quotechar='"', usecols=list(used),
+            converters={number: make_converter(units.get(channel, "")) for number, channel in used.items()})
+    if time is not None and np.isnan(numbers[0, time.column]) and (
+            seconds := read_stamps(file, read_texts(time.column), warnings)) is not None:
+        numbers[:, time.column] = seconds
+    for channel, hemispheres in HEMISPHERES.items():
+        column = sources[channel].column if channel in sources else len(names)
+        if column + 1 < len(names) and first_row[column + 1].upper() in {*hemispheres, ""}:
+            letters = [text.upper() for text in read_texts(column + 1)]
+            rows = np.isin(letters, ("S", "W")) & ({*letters} <= {*hemispheres, ""})
+            numbers[rows, column] = -np.abs(numbers[rows, column])
+    return numbers, _apply_stated_units(sources, units, layout), first
+
+
+def _select_complete_rows(file: Path, lines: list[str], delimiter: str, width: int, warnings: list[str]) -> list[str]:
+    """The rows with a cell for each column, and perhaps a delimiter at the end. Raises RunError if at least half of the
+    rows have a different number of cells."""
+    widths = [len(split_row(line, delimiter)) if '"' in line else line.count(delimiter) + 1 for line in lines]
+    rows = [line for line, count in zip(lines, widths, strict=True)
+            if count == width or (count == width + 1 and line.rstrip(" ").endswith(delimiter))]
+    lost = len(lines) - len(rows)
+    if not rows:
+        raise RunError(file, f"its rows have {max(widths, key=widths.count)} cells, but its header has {width}",
+                       "export it with one delimiter that is not the decimal mark, and one name for each column")
+    problem = f"{format_count(lost, len(lines), 'rows')} do not have as many cells as the header"
+    if 2 * lost >= len(lines):
+        raise RunError(file, problem, "export it with a cell for every column in each row")
+    if lost:
+        is_truncated = lost == 1 and widths[-1] < width
+        warnings.append(f"{file}: the last row is truncated and was left out" if is_truncated else
+                        f"{file}: {problem}; they were left out")
+    return rows
+
+
+def _find_decimal_mark(file: Path, lines: list[str], delimiter: str) -> tuple[str, str]:
+    """(decimal mark, thousands separator or "") of all cells together. Raises RunError if a cell is ambiguous: 1,234
+    may be 1.234 or 1234."""
+    body = "\n".join(lines)
     has_quotes = delimiter == "," and '"' in body
     if not has_quotes and (delimiter == "," or "," not in body) and not _GROUPED_POINTS.search(body):
-        return body
-    if not has_quotes and "." not in body and not _GROUPED_CELL.search(body):
-        return body.replace(",", ".")
-    table = _split_cells(file, io.StringIO(body), delimiter)
-    cells = {cell.strip(' \r"\'') for row in table for cell in row}
+        return ".", ""
+    cells = {cell for line in lines for cell in split_row(line, delimiter)}
     commas = {cell for cell in cells if "," in cell}
     points = {cell for cell in cells if "." in cell}
     # If a cell contains both marks, as 1.234,5 does, the last one is the decimal mark.
@@ -409,65 +445,9 @@ def _use_decimal_points(file: Path, body: str, delimiter: str) -> str:
         reason = "the file has decimal commas and decimal points" if marks else "no other cell shows which"
         raise RunError(file, f"{ambiguous_cells[0]} may be a number with a decimal mark or with a thousands separator: "
                        f"{reason}", "export it without thousands separators")
-    decimal_mark = next(iter(marks), ",")
-    thousands_separator = "." if decimal_mark == "," else ","
     if len(marks) > 1:  # every cell has at most one mark, and it is decimal
-        decimal_mark, thousands_separator = ",", ""
-    return "\n".join(
-        delimiter.join(cell.replace(thousands_separator, "").replace(decimal_mark, ".") if _NUMBER.fullmatch(cell)
-                       else cell.replace(delimiter, "." if parse_stamp(cell.strip()) else " ") for cell in row)
-        for row in table)
-
-
-def _split_cells(file: Path, lines: Iterable[str], delimiter: str) -> list[list[str]]:
-    try:
-        return list(csv.reader(lines, delimiter=delimiter, skipinitialspace=delimiter == " "))
-    except csv.Error as error:
-        raise RunError(file, f"a row cannot be read ({error})", "correct or remove that row") from None
-
-
-def _parse_numbers(file: Path, body: str, delimiter: str, width: int, warnings: list[str]) -> np.ndarray:
-    """Parses the rows into an array (n, width) with NaN for missing numbers. A delimiter at the end of a row is
-    ignored; rows with a different number of cells are left out. Raises RunError if at least half of the rows are."""
-    nonblank_lines = [line for line in body.splitlines() if line.strip(f' \t"{delimiter}')]
-    # In an ASCII log of NovAtel, every row begins with #.
-    lines = [line for line in nonblank_lines if not _is_comment(line, delimiter)] or nonblank_lines
-    try:
-        return _parse_rows(lines, delimiter, width)
-    except ValueError:
-        widths = [len(row) for row in _split_cells(file, lines, delimiter)]
-    complete_lines = [line if count == width else line.rstrip(" ").removesuffix(delimiter)
-                      for line, count in zip(lines, widths, strict=False)
-                      if count == width or (count == width + 1 and line.rstrip(" ").endswith(delimiter))]
-    lost = len(lines) - len(complete_lines)
-    if not complete_lines:
-        raise RunError(file, f"its rows have {max(widths, key=widths.count)} cells, but its header has {width}",
-                       "export it with one delimiter that is not the decimal mark, and one name for each column")
-    problem = f"{format_count(lost, len(lines), 'rows')} do not have as many cells as the header"
-    if 2 * lost >= len(lines):
-        raise RunError(file, problem, "export it with a cell for every column in each row")
-    if lost:
-        is_truncated = lost == 1 and widths[-1] < width
-        warnings.append(f"{file}: the last row is truncated and was left out" if is_truncated else
-                        f"{file}: {problem}; they were left out")
-    try:
-        return _parse_rows(complete_lines, delimiter, width)
-    except ValueError as error:
-        raise RunError(file, f"a row cannot be read ({shorten(error)})", "correct or remove that row") from None
-
-
-def _parse_rows(lines: list[str], delimiter: str, width: int) -> np.ndarray:
-    if not lines:
-        return np.zeros((0, width))
-    try:
-        rows = np.loadtxt(lines, delimiter=delimiter, ndmin=2, comments=None)
-    except ValueError:  # A cell is empty or text. Converting cell by cell takes three times as long.
-        rows = np.loadtxt(lines, delimiter=delimiter, ndmin=2, quotechar='"', converters=_parse_number, comments=None)
-    if rows.shape[1] == width + 1 and all(line.rstrip(" ").endswith(delimiter) for line in lines):
-        rows = rows[:, :width]  # every row ends with a delimiter
-    if rows.shape[1] != width:
-        raise ValueError(f"{rows.shape[1]} columns instead of {width}")
-    return rows
+        return ",", ""
+    return (".", ",") if marks == {"."} else (",", ".")
 
 
 def _is_comment(line: str, delimiter: str) -> bool:

@@ -43,29 +43,19 @@ def month_number(name: str) -> int | None:
     return _MONTHS.get(name[:4]) or _MONTHS.get(name[:3])
 
 
-def read_stamps(file: Path, body: str, delimiter: str, column: int, first: str, warnings: list[str]) -> tuple[str, str]:
-    """(rows with dates and times of day in seconds, first time as text). first: cell of the column in the first row."""
-    if (match := _NAMED_MONTH.search(first)) and month_number(match[2]):
-        body = _NAMED_MONTH.sub(_replace_month_name, body)
-        first = _replace_month_name(match) + first[match.end():]
-    if parse_stamp(first):
-        if "/" in first:
-            body = _order_dates(file, body, warnings)
-        body = _convert_stamps(body, delimiter, column)
-    return body, first
-
-
-def _convert_stamps(body: str, delimiter: str, column: int) -> str:
-    """Converts the times of the rows to seconds; a time of day continues past midnight."""
-    rows = [line.split(delimiter) for line in body.split("\n")]
-    rows_with_time = [row for row in rows if len(row) > column and "".join(row).strip()]
-    stamps = [parse_stamp(row[column].strip(' \r"\'')) or (np.nan, 0.0) for row in rows_with_time]
-    seconds, periods = np.reshape(stamps, (-1, 2)).T
+def read_stamps(file: Path, cells: list[str], warnings: list[str]) -> np.ndarray | None:
+    """Seconds (n,) of a column of dates and times of day, NaN for other cells; None if the first cell is not a time. A
+    time of day continues past midnight."""
+    if (match := _NAMED_MONTH.search(cells[0])) and month_number(match[2]):
+        cells = [_NAMED_MONTH.sub(_replace_month_name, cell) for cell in cells]
+    if not parse_stamp(cells[0]):
+        return None
+    if "/" in cells[0]:
+        cells = _order_dates(file, "\n".join(cells), warnings).split("\n")
+    seconds, periods = np.array([parse_stamp(cell) or (np.nan, 0.0) for cell in cells]).T
     for period in {DAY, HOUR}.intersection(periods):
         seconds[periods == period] += period * count_rollovers(seconds[periods == period], period / 2)
-    for row, time in zip(rows_with_time, seconds.tolist(), strict=True):
-        row[column] = f"{time:.6f}"
-    return "\n".join(map(delimiter.join, rows))
+    return seconds
 
 
 def _order_dates(file: Path, body: str, warnings: list[str]) -> str:
