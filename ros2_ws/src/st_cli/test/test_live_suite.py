@@ -170,6 +170,22 @@ def test_published_errors_are_printed_if_the_bag_cannot_be_read(tmp_path: Path) 
     assert lines[-1].startswith("predictions due 9, made 8")
 
 
+@pytest.mark.parametrize("restarts", [{}, {"predictor": 1}])
+def test_predictions_that_the_evaluator_did_not_receive_are_counted(tmp_path: Path, monkeypatch, restarts) -> None:
+    errors = {axis: dict.fromkeys(("mean", "max", "rmse"), 0.1) for axis in ("longitudinal", "lateral")}
+    models = {"linear": {mode: {"n_starts": 87, "n_incomplete": 15, **errors} for mode in ("hindsight", "forecast")}}
+    ticks = {"due": 154, "predicted": 154, "skipped": 0}
+    monkeypatch.setattr(report, "read_results", lambda folder: SimpleNamespace(bands=[]))
+    monkeypatch.setattr(report, "summarise", lambda results, extra: {"models": models, "ticks": ticks})
+    monkeypatch.setattr(report, "draw_paths", Mock())
+    with StringIO() as stream:
+        outcome = session.Outcome({}, interrupted=True, restarts=restarts, state=SuiteState())
+        outcome.statuses["recorder"] = 0
+        report.report_results(tmp_path, outcome, {"title": "live"}, Console(file=stream, width=100))
+        line = "predictions that the evaluator did not receive, usually before it was ready: 52"
+        assert (line in stream.getvalue()) == (not restarts)
+
+
 def test_figure_on_a_full_disk_leaves_no_file(tmp_path: Path, monkeypatch) -> None:
     def fail(_, file: Path, **__: object) -> None:
         file.write_bytes(b"")

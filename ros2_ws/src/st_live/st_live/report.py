@@ -56,6 +56,10 @@ def report_results(folder: Path, outcome: session.Outcome, extra: dict[str, Any]
     console.print(f"predictions due {ticks['due']}, made {ticks['predicted']}, skipped {ticks['skipped']}")
     if text := describe_incomplete(summary["models"]):
         console.print(f"predictions without a complete score, not in the table: {text}", highlight=False)
+    scored = max((modes["forecast"]["n_starts"] + modes["forecast"]["n_incomplete"]
+                  for modes in summary["models"].values()), default=0)
+    if (unscored := ticks["predicted"] - scored) > 0 and not outcome.restarts:  # counts begin anew after a restart
+        console.print(f"predictions that the evaluator did not receive, usually before it was ready: {unscored}")
     for name, content in (("bag", "measurements and predictions"), ("errors", "every score"),
                           ("summary.json", "this table"), ("paths.png", "the figure")):
         console.print(f"  {escape(str(folder / name))}  [dim]{content}[/dim]", highlight=False, soft_wrap=True)

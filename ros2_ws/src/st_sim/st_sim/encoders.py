@@ -269,11 +269,10 @@ class BackgroundTraffic:
 
     def __init__(self, seed: int):
         generator = np.random.default_rng([seed, 6])
-        self._frames = []
-        for index, (identifier, period) in enumerate(_BACKGROUND.items()):
-            frame = can.Message(
-                arbitration_id=identifier, is_extended_id=False, data=generator.bytes(8), channel=VEHICLE_BUS)
-            self._frames.append((period, index % period, frame))
+        self._frames = [
+            (period, index % period, can.Message(arbitration_id=identifier, is_extended_id=False,
+                                                 data=generator.bytes(8), channel=VEHICLE_BUS))
+            for index, (identifier, period) in enumerate(_BACKGROUND.items())]
 
     def select_frames(self, millisecond: int) -> list[can.Message]:
         """The frames sent in the given millisecond of the drive."""

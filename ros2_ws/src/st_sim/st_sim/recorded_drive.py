@@ -28,7 +28,7 @@ class RecordedDrive:
         self._car = car
         table[:, COLUMNS.index("yaw")] = np.unwrap(table[:, COLUMNS.index("yaw")])
         self._times = (table[:, 0] - table[0, 0]).tolist()
-        self._rows = table.tolist()
+        self._rows, self._slopes = table.tolist(), (np.diff(table, axis=0) / np.diff(table[:, :1], axis=0)).tolist()
         self._time, self._index = 0.0, 0
         self.duration: float | None = self._times[-1]
 
@@ -37,16 +37,15 @@ class RecordedDrive:
         self._index = min(max(bisect_right(self._times, self._time) - 1, 0), len(self._rows) - 2)
 
     def make_truth(self) -> Truth:
-        a, b = self._rows[self._index], self._rows[self._index + 1]
-        step = self._times[self._index + 1] - self._times[self._index]
-        fraction = (self._time - self._times[self._index]) / step
-        _, x, y, yaw, vx, vy, yaw_rate, ax, ay, delta = (p + fraction * (q - p) for p, q in zip(a, b, strict=True))
-        slopes = dict(zip(COLUMNS, ((q - p) / step for p, q in zip(a, b, strict=True)), strict=True))
+        slopes, elapsed = self._slopes[self._index], self._time - self._times[self._index]
+        _, x, y, yaw, vx, vy, yaw_rate, ax, ay, delta = (
+            value + elapsed * slope for value, slope in zip(self._rows[self._index], slopes, strict=True))
+        rates = dict(zip(COLUMNS, slopes, strict=True))
         ratio = self._car.steering_ratio
         return Truth(time=self._time, x=x, y=y, z=0.0, yaw=yaw, velocity_x=vx, velocity_y=vy, yaw_rate=yaw_rate,
-                     acceleration_x=ax, acceleration_y=ay, yaw_acceleration=slopes["yaw_rate"],
+                     acceleration_x=ax, acceleration_y=ay, yaw_acceleration=rates["yaw_rate"],
                      steering_wheel_angle=delta * ratio, road_wheel_angle=delta,
-                     steering_wheel_rate=slopes["delta"] * ratio, wheel_speed=(vx, vx, vx, vx), gear=DRIVE)
+                     steering_wheel_rate=rates["delta"] * ratio, wheel_speed=(vx, vx, vx, vx), gear=DRIVE)
 
 
 def _read_table(path: Path) -> np.ndarray:

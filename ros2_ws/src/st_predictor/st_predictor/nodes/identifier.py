@@ -19,8 +19,6 @@ from .. import convert, params
 
 DRAIN_PERIOD, PUBLISH_PERIOD = 0.1, 1.0  # s
 QUEUE_DEPTH = 1000
-STATUS_CODES = {"unestimated": TrackedParameter.UNESTIMATED, "estimated": TrackedParameter.ESTIMATED,
-                "invalid": TrackedParameter.INVALID}
 MAX_DIFFERENCE = 3.0  # between estimate and vehicle file, in standard deviations; a larger difference causes a warning
 
 
@@ -84,7 +82,8 @@ class IdentifierNode(Node):
         message.parameters = [TrackedParameter(
             parameter=estimate.parameter, unit=estimate.unit, value=estimate.value,
             standard_deviation=estimate.deviation, vehicle_file_value=self._find_file_value(estimate),
-            status=STATUS_CODES[estimate.status], reason=estimate.reason) for estimate in self._core.make_estimates()]
+            status=getattr(TrackedParameter, estimate.status.upper()), reason=estimate.reason)
+            for estimate in self._core.make_estimates()]
         self._publisher.publish(message)
 
     def _reload_vehicle_file(self) -> None:
