@@ -31,7 +31,7 @@ TABLE_MODES = ("hindsight", "forecast", "course", "plan")
 AXES, STATISTICS = ("longitudinal", "lateral"), ("mean", "max", "rmse")
 STATUS_TIMEOUT = 5.0  # s without an update until a status counts as silent, or MISSED_REPORTS intervals if longer
 MISSED_REPORTS = 3  # nodes report rarely in a slow replay
-N_INTERVALS = 3  # number of newest reporting intervals; the longest counts, because a change is reported at once
+N_INTERVALS = 3  # number of newest reporting intervals; the longest is used, because a change is reported at once
 LEVEL_NAMES = ("ok", "warning", "error", "stale")
 
 
