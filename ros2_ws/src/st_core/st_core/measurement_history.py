@@ -207,8 +207,9 @@ class FrozenSteeringDetector:
             self._filtered_angle = angle
             return
         self._filtered_angle += (angle - self._filtered_angle) * spacing / FROZEN_TIME_CONSTANT
-        # The low-pass and the tyres still respond to the steering before it became constant.
-        if sample.time_ns > self._since_ns + 3.0 * FROZEN_TIME_CONSTANT / NANOSECOND:
+        time_constant_ns = FROZEN_TIME_CONSTANT / NANOSECOND
+        # Before, low-pass and tyres still respond to the earlier steering; after, the sensor is silent, not frozen.
+        if self._since_ns + 3.0 * time_constant_ns < sample.time_ns < self._newest_ns + time_constant_ns:
             self._low, self._high = min(self._low, self._filtered_angle), max(self._high, self._filtered_angle)
 
     @property

@@ -59,6 +59,17 @@ def test_constant_steering_wheel_is_not_frozen(leaf, angle, speed, acceleration)
     assert detect(leaf, rows, lambda t: angle) == []
 
 
+def test_silent_sensor_is_not_frozen(leaf):
+    """From 5 s on, no angle is received while the car weaves."""
+    detector = FrozenSteeringDetector(leaf)
+    times, v_x, rates = simulate(leaf, weave)
+    for t, speed, rate in zip(times, v_x, rates, strict=True):
+        if t < 5.0:
+            detector.add_steering(T0 + round(t * 1e9), weave(t))
+        detector.add_ins(InsSample(T0 + round(t * 1e9), 0.0, 0.0, 0.0, speed, 0.0, rate))
+        assert detector.frozen_angle is None, t
+
+
 def test_moving_steering_wheel_is_not_frozen(leaf):
     assert detect(leaf, simulate(leaf, weave), weave) == []
 

@@ -189,7 +189,7 @@ class LiveView:
 
     def finish(self, folder: Path, console: Console) -> None:
         """Write the Rerun file of --view-save from the recording of the run."""
-        if self._save:
+        if self._save and folder.exists():  # it was set aside if the run did not start
             from .recorded_view import draw_recording
 
             draw_recording(folder, self._save)

@@ -120,8 +120,6 @@ CYCLE_LENGTH = 200  # packets after which the sequence of channels repeats
 MINUTES = 0  # channel with the GPS time in minutes
 UP_TIME_AT_START = 1800.0  # s
 _RTK, _SATELLITES = 6, 14  # code of the position mode, number of satellites
-
-
 _RECEIVER = {"AntStatus": 0, "AntPower": 0, "CpuUsed": 34, "CoreNoise": 12, "SerBaud": 14, "NumSats": _SATELLITES,
              "PosMode": _RTK, "CoreTemp": 41, "SupplyVolt": 12.1}
 # Channels with constant values; those that the suite does not use are sent with all fields invalid.
