@@ -175,19 +175,21 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Sequence[
 
 
 def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
-    """cantools database of a DBC file; if the file is invalid, it contains only the given messages.
+    """cantools database of a DBC, KCD, SYM or ARXML file; from an invalid DBC file, only the given messages.
 
     In public DBC files of real cars, some messages have 29-bit identifiers without the extended flag, or signal names
     that begin with a digit. Raises ConfigurationError if the file cannot be read, or the messages are invalid too.
     """
     try:
         content = path.read_bytes()
-        codec = next((name for mark, name in _BYTE_ORDER_MARKS.items() if content.startswith(mark)), "cp1252")
+        kind = {".kcd": "kcd", ".sym": "sym", ".arxml": "arxml"}.get(path.suffix.lower(), "dbc")
+        codec = "utf-8" if kind in ("kcd", "arxml") else "cp1252"
+        codec = next((name for mark, name in _BYTE_ORDER_MARKS.items() if content.startswith(mark)), codec)
         text = content.decode(codec, "replace")
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
     try:
-        return cantools.database.load_string(text, "dbc", strict=False)
+        return cantools.database.load_string(text, kind, strict=False)
     except Exception as error:  # cantools does not wrap the exceptions of its parsers
         reason = error
     try:
@@ -196,7 +198,7 @@ def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
             return cantools.database.load_string(reduced, "dbc", strict=False)
     except Exception as error:
         reason = error
-    raise ConfigurationError(f"{path}: is not a valid DBC: {to_one_line(reason)}")
+    raise ConfigurationError(f"{path}: is not a valid {kind.upper()}: {to_one_line(reason)}")
 
 
 def _reduce_dbc(text: str, names: frozenset[str]) -> str:

@@ -2,6 +2,7 @@
 
 import math
 
+import cantools
 import pytest
 from canedge_bridge.signals import load_dbc, load_table
 from st_core.errors import ConfigurationError
@@ -166,6 +167,18 @@ def test_file_that_is_not_a_table_is_rejected(text, dbc_file, tmp_path):
     with pytest.raises(ConfigurationError) as error:
         load_table(dbc_file, path)
     assert str(path) in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("kind", ["kcd", "sym"])
+def test_database_of_another_format_gives_the_same_signals(kind, dbc_file, signals_file, tmp_path):
+    file = tmp_path / f"car.{kind.upper()}"
+    file.write_text(getattr(cantools.database.load_file(dbc_file), f"as_{kind}_string")())
+    data = bytes.fromhex("1D 00 00 07 B0")
+    expected, found = (load_table(path, signals_file).messages["Leaf_Steering"] for path in (dbc_file, file))
+    assert found.to_si(data) == pytest.approx(expected.to_si(data)) and found.key == expected.key
+    file.write_text("BU_: X")
+    with pytest.raises(ConfigurationError, match=rf"car\.{kind.upper()}: is not a valid {kind.upper()}: "):
+        load_table(file, signals_file)
 
 
 def test_dbc_without_the_flag_of_29_bits_and_with_names_that_begin_with_a_digit_is_read(tmp_path):

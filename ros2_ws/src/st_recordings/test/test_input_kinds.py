@@ -230,6 +230,10 @@ TABLES = [
     Table("am_pm.csv", lambda log: with_times(log, lambda s: clock((43190 + s) % 43200) + " AP"[1 + (s < 10)] + "M")),
     Table("day_first.csv", lambda log: with_times(log, lambda s: f"25/04/2026 {clock(NOON + s)}")),
     Table("month_first.csv", lambda log: with_times(log, lambda s: f"04/25/2026 {clock(NOON + s)}")),
+    Table("day_first_with_dashes.csv", lambda log: with_times(log, lambda s: f"25-04-2026 {clock(NOON + s)}")),
+    Table("day_of_the_week.csv", lambda log: with_times(log, lambda s: f'"Mon, 4 May 2026 {clock(NOON + s)} +0200"')),
+    Table("quoted_names.txt", lambda log: "\n".join([" ".join(f'"{name}"' for name in ("sample no", *NAMES)), *(
+        "  ".join([str(k), *row]) for k, row in enumerate(rows(log)))])),
     Table("ambiguous_date.csv", lambda log: with_times(log, lambda s: f"05/04/2026 {clock(NOON + s)}"),
           "the order of day and month in its dates is ambiguous"),
     Table("colon_before_fraction.csv", lambda log: with_times(log, lambda s: clock(NOON + s)[:12].replace(".", ":"))),

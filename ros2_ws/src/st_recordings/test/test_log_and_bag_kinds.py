@@ -143,6 +143,17 @@ def busmaster(lines: list[str]) -> str:
     return "\r\n".join([*out, "***[STOP LOGGING SESSION]***", ""])
 
 
+def cl2000(lines: list[str]) -> str:
+    """Days of the month and milliseconds; the header gives year and month."""
+    start = datetime.fromtimestamp(split_frame(lines[0])[0], UTC)
+    out = ["# Logger type: CL2000", f"# Time: {start:%Y%m%dT%H%M%S}", "# Time format: 4", "Timestamp;Type;ID;Data"]
+    for time, _, identifier, data in map(split_frame, lines):
+        stamp = datetime.fromtimestamp(round(time, 3), UTC)
+        out.append(f"{stamp:%dT%H%M%S}{stamp.microsecond // 1000:03d};{int(len(identifier) > 3)};{identifier.lower()};"
+                   f"{data.lower()}")
+    return "\n".join([*out, ""])
+
+
 def crtd(lines: list[str]) -> str:
     """As OVMS writes it."""
     frames = [f"{time:.6f} {bus + 1}R{29 if len(identifier) > 3 else 11} {identifier} {bytes.fromhex(data).hex(' ')}"
@@ -226,10 +237,12 @@ LOGS = [
         r" of 3\d\.\d s, 75 %\)"),
     Log("an earlier drive first", "run.log", lambda lines: "\n".join([*earlier_drive(lines), *lines]),
         r" of 3\d\.\d s, 75 %\)"),
-    Log("candump as .txt", "run.txt", "\n".join, "is a candump, BUSMASTER, CRTD or Kvaser log with the extension .txt"),
+    Log("candump as .txt", "run.txt", "\n".join,
+        "is a candump, BUSMASTER, CRTD, CL2000 or Kvaser log with the extension .txt"),
     Log("BUSMASTER", "run.log", busmaster),
+    Log("CL2000", "run.txt", cl2000, "is a candump, BUSMASTER, CRTD, CL2000 or Kvaser log with the extension .txt"),
     Log("CRTD", "run.crtd", crtd),
-    Log("CRTD as .txt", "run.txt", crtd, "is a candump, BUSMASTER, CRTD or Kvaser log with the extension .txt"),
+    Log("CRTD as .txt", "run.txt", crtd, "is a candump, BUSMASTER, CRTD, CL2000 or Kvaser log with the extension .txt"),
     Log("comment", "run.asc", lambda lines: asc(lines, comment="// Prüfstand"), encoding="cp1252"),
     Log("24 hours and pm", "run.asc", lambda lines: asc(lines, "Wed Sep 3 18:00:00.005 pm 2025")),
     Log("German date", "run.asc", lambda lines: asc(lines, "Mi Mär 3 18:00:00.005 2025"), encoding="cp1252"),

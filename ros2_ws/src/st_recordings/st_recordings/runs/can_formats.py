@@ -5,6 +5,7 @@ import mmap
 import re
 import zlib
 from base64 import b64decode
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -32,7 +33,7 @@ _BLF_CONTAINER = re.compile(rb"LOBJ.{8}\x0a\0\0\0", re.DOTALL)  # head of a cont
 _BLF_PADDING = 3  # bytes; largest padding after a container, which the format aligns to four bytes
 _WEEKDAY_MONTH = re.compile(r"(?i)^(date|begin\s+triggerblock)\s+\S+\s+(\S+)(.*)")
 _TABLE_EXTENSIONS = (".csv", ".txt")
-LINE_FORMAT = "candump, BUSMASTER, CRTD or Kvaser"
+LINE_FORMAT = "candump, BUSMASTER, CRTD, CL2000 or Kvaser"
 _LINES = (
     # candump -l: "(1436509052.249713) can0 044#2A36", with CAN FD "044##12A36", direction "044#2A36 T"
     re.compile(r"\s*\((?P<time>\S+)\)\s+(?P<bus>\S+)\s+(?P<id>[0-9A-Fa-f]+)#(?P<fd>#[0-9A-Fa-f])?"
@@ -48,13 +49,15 @@ _LINES = (
     # CRTD (OVMS, SavvyCAN): "1436509052.249713 1R11 044 2A 36"
     re.compile(r"(?P<time>\d+\.\d+) (?P<bus>\d*)(?P<direction>[RT])(?P<kind>11|29) (?P<id>[0-9A-Fa-f]+)"
                r"(?P<data>(?: [0-9A-Fa-f]{2})*)\s*$"),
+    # CL1000, CL2000 and CL3000: "22T140315133;0;201;10a87d00271000ff", with the day, or the date, before T
+    re.compile(r"(?P<time>[\d/.-]{2,10}T[\d:.,]{9,12});(?P<kind>[0189]);(?P<id>[0-9a-f]+);(?P<data>[0-9a-f]*)\s*$"),
     # Kvaser loggers: "    0.005500  1         600    Rx             8  19 14 09 03 00 12 00 12        1"
     re.compile(r"\s*(?P<time>\d+\.\d+) +(?P<bus>\d+) +(?P<id>[0-9A-F]{1,8})(?P<kind>x?) +(?P<direction>[RT]x)(?:Rq)?"
                r"[ EFBPRW#]+(?P<length>\d+) +(?P<data>(?:[0-9A-F]{2} )*|RTR) +\d+\s*$"),
     # CanKing with hexadecimal numbers: " 0    0000014B         1  00                                1675.570498 T"
     re.compile(r"\s*(?P<index>\d+) +(?P<id>[01][0-9A-F]{7}) +(?P<kind>X?R?) +(?P<length>\d+)  "
                r"(?P<data>(?:[0-9A-F]{2} +)*) *(?P<time>\d+\.\d+) (?P<direction>[RT])\s*$"))
-_COMMENT = re.compile(r"\t|.*(ERRORFRAME|ERROR FRAME +\d+)\s*$|\*\*\*|\d+\.\d+ \d*C[A-Z]{2} |"
+_COMMENT = re.compile(r"[#\t]|.*(ERRORFRAME|ERROR FRAME +\d+)\s*$|\*\*\*|\d+\.\d+ \d*C[A-Z]{2} |"
                       r"\s*([A-Z][a-z]|CAN |\w+: |\)|=|[\d.]+ +Trigger)")
 """Lines without data: explanations (candump -e, cantools decode), headers of BUSMASTER and Kvaser, comments."""
 _ERROR_FLAG = 1 << 29  # of the identifier of an error frame
@@ -138,16 +141,22 @@ def _read_text(file: Path, notes: list[str], make_parser: Callable[[Lines, list[
 
 def _make_line_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
     make_message = import_module("can").Message
+    start = "20000101"  # date of a CL1000, which has no clock
 
     def parse(line: str) -> Any:
+        nonlocal start
         line = _COLOUR.sub("", line)
         if not line.strip() or _COMMENT.match(line):
+            start = line[8:16] if line.startswith("# Time: ") else start
             return None
         match = next(filter(None, (form.match(line) for form in _LINES)), None)
         if match is None:
             raise ValueError("not a frame")
-        cells = {"kind": "-", "length": "", "fd": "", "bus": "", "index": "", **match.groupdict("")}
+        cells = defaultdict(str, {"kind": "-", **match.groupdict("")})
         time, kind, bus, data = cells["time"], cells["kind"].lower(), cells["bus"], cells["data"].replace("`", " ")
+        if "T" in time:
+            day, clock = re.sub("[^0-9T]", "", time).split("T")
+            time = f"{start[:8 - len(day)]}{day} {clock[:6]}.{clock[6:]}"
         if " " in time:
             seconds = datetime.fromisoformat(time).replace(tzinfo=UTC).timestamp()
         elif ":" in time:
@@ -167,8 +176,9 @@ def _make_line_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
         channel: int | str = int(cells["index"]) if cells["index"] else (
             int(bus) - (kind != "-") if bus.isdigit() else bus or "can0")
         return make_message(
-            timestamp=seconds, arbitration_id=identifier, is_extended_id=len(digits) > 3 or kind in ("x", "xr", "29"),
-            is_remote_frame=is_remote, is_rx=cells["direction"][:1] not in ("T", "t"), channel=channel,
+            timestamp=seconds, arbitration_id=identifier, is_remote_frame=is_remote, channel=channel,
+            is_extended_id=len(digits) > 3 or kind in ("x", "xr", "29", "1", "9"),
+            is_rx=cells["direction"][:1] not in ("T", "t") and kind not in ("8", "9"),
             is_fd=bool(cells["fd"]) or len(cells["length"]) > 1 or len(octets) > 8,  # two digits for CAN FD
             data=octets[::-1] if "`" in cells["data"] else octets)  # candump -S prints the last byte first
 

@@ -277,13 +277,18 @@ def _split_header(header: str) -> tuple[list[str], str]:
     text = re.sub('"[^"]*"', "", header)
     delimiter = max(";\t|,", key=lambda mark: text.count(mark) - (mark == "," and ", " in text))
     if delimiter not in header and len(header.split()) > 2:
-        names = header.split()
+        names = split_words(header)
         return names[names[0] in ("#", "%", "//"):], " "  # "# t x y" of numpy.savetxt
     try:
         names = next(csv.reader([header.strip("\r\n")], delimiter=delimiter, skipinitialspace=True), [])
     except csv.Error:
         names = header.split(delimiter)
     return [name.strip(" '") for name in names], delimiter
+
+
+def split_words(text: str) -> list[str]:
+    """Words of a text, or quoted parts without their quotes."""
+    return [word.strip('"') for word in re.findall(r'"[^"\n]*"|\S+', text)]
 
 
 def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], preamble: Sequence[str], body: str, delimiter: str,

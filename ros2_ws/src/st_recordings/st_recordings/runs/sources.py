@@ -30,7 +30,7 @@ TABLE_EXTENSIONS = (".lvm", ".xls", ".xlsx", ".ods", ".tdms", ".json", ".erg", "
 """Extensions of tables of other programs. Some of these files are text, which can be read with the extension .csv."""
 TEXT_EXPORTS = (".txt", ".tsv", ".dat")  # of text tables that programs often export in addition to their own files
 UNKNOWN_ADVICE = {
-    ".dbc": "give a DBC with --dbc, or put it into the folder of --car",
+    **dict.fromkeys((".dbc", ".kcd", ".sym", ".arxml"), "give a DBC with --dbc, or put it into the folder of --car"),
     ".rd": "this is raw data of an OxTS unit: convert it to NCOM with the software of the unit",
     **dict.fromkeys((".nmea", ".gpx", ".ulg"), "export it as .csv with columns as in docs/csv_columns.md"),
     ".active": "the recording was not closed: repair it with `st recover` (.mcap) or `rosbag reindex` (.bag), then "

@@ -14,13 +14,14 @@ from .ins_log import LATEST_TIME, MAX_LOST_FRACTION, select_usable_rows
 
 # 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.2026 10:11:12,5, 10:11:12.5, 10:11:12:500, 11:12:13.5 PM.
 # Spreadsheets write minutes and seconds as 11:12.5. A date 05/04/2026 is ignored if _order_dates cannot convert it.
-_STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4})|\d\d?/\d\d?/\d{4})[T ] *)?"
+_STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4})|\d\d?[/-]\d\d?[/-]\d{4})[T ] *)?"
                     r"(?:0 days )?(?:(\d{1,2}):)?(\d\d?):(\d\d(?:[.,:]\d+)?) *(?:([AaPp])\.?[Mm]\.?)? *"
                     r"(?:Z|UTC|GMT|([+-])(\d\d)(?::?(\d\d))?)?")
 _COMPACT_STAMP = re.compile(r"(\d{4})-?(\d\d)-?(\d\d)[T_ -](\d\d)[:-]?(\d\d)[:-]?(\d\d)(?!\d)")  # 20260504T101112.5
 _UNDERSCORED_STAMP = re.compile(r"(\d{4})_(\d\d?)_(\d\d?)_(\d\d?)_(\d\d)_(\d\d)(?:_(\d+))?")  # 2026_05_04_10_11_12_500
-_SLASHED_DATE = re.compile(r"(?<!\d)(\d\d?)/(\d\d?)/(\d{4})(?!\d)")
-_NAMED_MONTH = re.compile(r"(?<!\d)(\d\d?)[- ]([^\W\d]{3,})\.?[- ](\d{4})(?!\d)")  # 04-May-2026, as MATLAB writes it
+_NUMERIC_DATE = re.compile(r"(?<!\d)(\d\d?)[/-](\d\d?)[/-](\d{4})(?!\d)")
+# 04-May-2026, as MATLAB writes it, or Mon, 4 May 2026, as in RFC 5322
+_NAMED_MONTH = re.compile(r"(?:[^\W\d]+\.?,? )?(?<!\d)(\d\d?)[- ]([^\W\d]{3,})\.?[- ](\d{4})(?!\d)")
 # First letters of month names in Danish, Dutch, English, French, German, Italian, Norwegian, Polish, Portuguese,
 # Spanish and Swedish -> number; Vector's tools write month names in the language of the computer.
 _MONTHS = {name: number for number, names in enumerate((
@@ -50,7 +51,7 @@ def read_stamps(file: Path, cells: list[str], warnings: list[str]) -> np.ndarray
         cells = [_NAMED_MONTH.sub(_replace_month_name, cell) for cell in cells]
     if not parse_stamp(cells[0]):
         return None
-    if "/" in cells[0]:
+    if _NUMERIC_DATE.search(cells[0]):
         cells = _order_dates(file, "\n".join(cells), warnings).split("\n")
     seconds, periods = np.array([parse_stamp(cell) or (np.nan, 0.0) for cell in cells]).T
     for period in {DAY, HOUR}.intersection(periods):
@@ -59,11 +60,11 @@ def read_stamps(file: Path, cells: list[str], warnings: list[str]) -> np.ndarray
 
 
 def _order_dates(file: Path, body: str, warnings: list[str]) -> str:
-    """Converts dates such as 25/04/2026 to 2026-04-25 if a date shows which number is the day; otherwise warns."""
-    pairs = {(int(a), int(b)) for a, b, _ in _SLASHED_DATE.findall(body) if int(a) <= 31 and int(b) <= 31}
+    """Converts dates such as 25/04/2026 or 25-04-2026 to 2026-04-25 if one shows which number is the day, or warns."""
+    pairs = {(int(a), int(b)) for a, b, _ in _NUMERIC_DATE.findall(body) if int(a) <= 31 and int(b) <= 31}
     day_first, month_first = any(a > 12 for a, _ in pairs), any(b > 12 for _, b in pairs)
     if day_first != month_first:
-        return _SLASHED_DATE.sub(r"\3-\2-\1" if day_first else r"\3-\1-\2", body)
+        return _NUMERIC_DATE.sub(r"\3-\2-\1" if day_first else r"\3-\1-\2", body)
     if pairs:
         warnings.append(f"{file}: the order of day and month in its dates is ambiguous, so only the time of day is "
                         "used; export dates such as 2026-04-25")

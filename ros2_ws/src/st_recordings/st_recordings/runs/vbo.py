@@ -13,7 +13,7 @@ from canedge_bridge.units import find_unit, normalise
 
 from .columns import ColumnSource, Layout, apply_units, find_columns
 from .csv import find_missing_channels
-from .csv_table import Table, differentiate_yaw, parse_table, read_text
+from .csv_table import Table, differentiate_yaw, parse_table, read_text, split_words
 from .errors import RunError, check_readable
 from .table_times import HHMMSS
 
@@ -77,7 +77,7 @@ def _split_sections(text: str) -> dict[str, str]:
 
 
 def _read_column_names(sections: dict[str, str]) -> list[str]:
-    return [name.strip('"') for name in re.findall(r'"[^"\n]*"|\S+', sections.get("column names", ""))]
+    return split_words(sections.get("column names", ""))
 
 
 def _find_sources(file: Path, names: list[str], sections: dict[str, str], layout: Layout) -> dict[str, ColumnSource]:
