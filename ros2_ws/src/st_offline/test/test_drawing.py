@@ -45,6 +45,15 @@ def test_svg_uses_the_colours_and_fonts_of_the_page(drawn):
     assert "time, s" in drawn.svg and "x &lt; y" not in drawn.svg  # the page shows the title outside the figure
 
 
+@pytest.mark.parametrize("label", ["kinematic", "steering_ratio.csv:to the right"])
+def test_legend_is_not_wider_than_the_figure(label):
+    figure, axes = plt.subplots(figsize=(9.0, 3.0))
+    for k in range(6):
+        axes.plot([0, 1], [k, k], label=f"{label}{k}")
+    save_figure(figure, FigureOutput(None, ()), "legend", "title", "")
+    assert figure.legends[0].get_window_extent().x1 < figure.bbox.width
+
+
 @pytest.mark.parametrize("has_own", [False, True])
 def test_legend_lists_each_label_once_unless_an_axis_has_its_own(has_own):
     figure, panels = plt.subplots(1, 2)

@@ -50,6 +50,8 @@ def align(
     if read_options.car is None:
         shared.report_default_car("align", read_options.dbc, pair.dbc)
     alignment = pair.alignment
+    if search and alignment.method == "time frame":
+        print_line("[yellow]--search is not used: the INS time in the log determines the offset[/yellow]")
     print_alignment(pair)
     content = {**summarise_alignment(alignment), "ins_can_latency": pair.latency}
     (folder / "alignment.json").write_text(json_text(content), encoding="utf-8")
@@ -117,8 +119,8 @@ def _make_signal_table(alignment: "Alignment") -> "Table":
     from rich.table import Column, Table
 
     table = Table(Column("signal", overflow="fold"), box=None, padding=(0, 2))
-    for name in ("difference from the offset,\nms (standard deviation)", "correlation",
-                 "residual /\nstandard deviation"):
+    for name in ("difference from the\ncommon offset, ms\n(standard deviation)", "correlation",
+                 "residual /\nstandard\ndeviation"):
         table.add_column(name, justify="right", no_wrap=True)
     for row in alignment.signals:
         difference = f"{row.difference * 1e3:+z.2f} ({_format_deviation(row.deviation * 1e3)})"

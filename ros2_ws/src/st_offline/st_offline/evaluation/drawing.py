@@ -35,6 +35,7 @@ plt.rcParams.update({
 FORMATS = ("png", "pdf", "svg")
 WIDTH = 9.0  # inch; the page scales figures to its own width
 TITLE_CHARACTERS = 104  # per line of a title, at WIDTH
+LEGEND_LINE_CHARACTERS = 7  # width of a line or marker in the legend with its margins; its text is smaller than a title
 HALF_TICK_LABEL_HEIGHT = 0.09  # inch
 PAGE_DPI = 110  # of raster images inside an SVG
 MAX_POINTS = 900  # per line; more cannot be distinguished at WIDTH
@@ -73,9 +74,13 @@ def save_figure(figure: Figure, output: FigureOutput, key: str, title: str, capt
     """
     entries = {label: handle for axes in figure.axes
                for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    characters = round(TITLE_CHARACTERS * figure.get_figwidth() / WIDTH)
     if entries and not any(axes.get_legend() for axes in figure.axes):
-        figure.legend(entries.values(), entries.keys(), loc="outside lower left", ncols=min(len(entries), 6))
-    lines = textwrap.wrap(title, round(TITLE_CHARACTERS * figure.get_figwidth() / WIDTH))
+        widths = {n: sum(max(map(len, column)) + LEGEND_LINE_CHARACTERS for column in np.array_split(list(entries), n))
+                  for n in range(1, min(len(entries), 6) + 1)}
+        columns = max([n for n, width in widths.items() if width <= 1.2 * characters], default=1)
+        figure.legend(entries.values(), entries.keys(), loc="outside lower left", ncols=columns)
+    lines = textwrap.wrap(title, characters)
     heading = figure.suptitle("\n".join(lines), x=0.01, ha="left", fontweight="bold", fontsize=10)
     # The layout is computed once, because it takes longer than the drawing. Then the layout engine is removed, which in
     # Matplotlib requires both this setting and `None`.

@@ -43,9 +43,9 @@ def draw_offset(outcome: Identification, output: FigureOutput) -> PageFigure:
                                     (outcome.estimates[1], FIT_COLOUR, "mean of windows")):
         left.axhspan(*(np.array(estimate.interval95) * DEG), color=colour, alpha=0.25, lw=0)
         left.axhline(estimate.value * DEG, color=colour, label=label)
-    left.set(xlabel="driving time, s (straights of all runs)", ylabel="sensor reading when driving straight, deg")
+    left.set(xlabel="driving time, s (straights of all runs)", ylabel="sensor reading on straights, deg")
     right.hist(data["residual_yaw_rate"] * DEG, 40, color=MEASURED_COLOUR)
-    right.set(xlabel="simulated minus measured yaw rate, deg/s", ylabel="predictions")
+    right.set(xlabel="simulated minus measured\nyaw rate, deg/s", ylabel="predictions")
     first, second = (e.value * DEG for e in outcome.estimates[:2])
     return save_figure(figure, output, "steering-offset",
                        f"Steering offset {first:.2f} deg from the yaw rate, {second:.2f} deg from the mean reading",
