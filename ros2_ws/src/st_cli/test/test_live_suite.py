@@ -157,6 +157,10 @@ def test_restarts_are_reported_in_one_line(tmp_path: Path) -> None:
         report.report_results(tmp_path, outcome, {"title": "live"}, Console(file=stream))
         lines = [line for line in stream.getvalue().splitlines() if "bag_2" in line]
     assert len(lines) == 1 and lines[0].startswith("number of restarts: predictor (2), recorder (1); a recorder")
+    with StringIO() as stream:
+        outcome = session.Outcome({}, interrupted=False, restarts={"predictor": 2})
+        report.report_results(tmp_path, outcome, {"title": "live"}, Console(file=stream))
+        assert stream.getvalue().startswith("number of restarts: predictor (2)\n")
 
 
 def test_published_errors_are_printed_if_the_bag_cannot_be_read(tmp_path: Path) -> None:

@@ -42,8 +42,8 @@ def report_results(folder: Path, outcome: session.Outcome, extra: dict[str, Any]
             results = read_results(folder)
         except RunError as error:
             console.out(error, style="red", highlight=False)
-            console.print("errors that the evaluator published:", render_errors(outcome.state), sep="\n")
-            console.print(render_counts(outcome.state.predictor_status))
+            console.print("errors that the evaluator published since its last start:")
+            console.print(render_errors(outcome.state), render_counts(outcome.state.predictor_status), sep="\n")
             return 1
         summary = summarise(results, {**extra, "exit_statuses": outcome.statuses})
         title = f"{extra['title']}: mean error over each horizon, at the INS point"
@@ -74,8 +74,9 @@ def _print_problems(folder: Path, outcome: session.Outcome, console: Console) ->
     if outcome.problem:
         console.out(outcome.problem, style="red", highlight=False)
     if restarts := [f"{name} ({count})" for name, count in outcome.restarts.items()]:
-        console.out(f"number of restarts: {', '.join(restarts)}; a recorder continues in bag_2, an evaluator in "
-                    f"errors_2; repair truncated bags with `st recover {folder}`", style="yellow", highlight=False)
+        advice = ("; a recorder continues in bag_2, an evaluator in errors_2; repair truncated bags with `st recover "
+                  f"{folder}`" if outcome.restarts.keys() & {"recorder", "evaluator"} else "")
+        console.out(f"number of restarts: {', '.join(restarts)}{advice}", style="yellow", highlight=False)
     if failed := [f"{name} (status {status})" for name, status in outcome.statuses.items() if status]:
         console.out(f"ended with an error: {', '.join(failed)}; see {folder / 'logs'}", style="red", highlight=False)
 

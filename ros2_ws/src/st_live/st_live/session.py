@@ -160,8 +160,9 @@ def run(folder: Path, parameters: Parameters, title: str, console: Console, view
                 problem = _watch(suite, monitor, supervisor, console, title, source(suite), stop_requested)
             health_text = render_health(monitor.state).plain
             statuses = {}
-            for name in STOP_ORDER:
-                statuses.update(suite.stop(name))
+            with console.status("stopping the nodes"):
+                for name in STOP_ORDER:
+                    statuses.update(suite.stop(name))
         restarts = supervisor.restarts if supervisor else {}
         return Outcome(statuses, stop_requested(), problem, health_text, restarts, monitor.state)
 

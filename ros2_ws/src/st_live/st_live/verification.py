@@ -239,9 +239,9 @@ def _make_table(result: Verification) -> Table:
 
 
 def _print_conclusion(result: Verification, tolerance: float, console: Console) -> int:
-    n_one_sided, n_truncated, n_settling, n_scores, n_predictions, n_forecasts = np.sum(
-        [(c.n_one_sided, c.n_truncated, c.n_settling, c.n_scores.total(), c.n_predictions.total(),
-          c.n_predictions["forecast"]) for c in result.comparisons], axis=0)
+    n_one_sided, n_truncated, n_settling, n_scores, n_forecasts, n_planned = np.sum(
+        [(c.n_one_sided, c.n_truncated, c.n_settling, c.n_scores.total(), c.n_predictions["forecast"],
+          sum(c.n_predictions[mode] for mode in PLANNED_MODES)) for c in result.comparisons], axis=0)
     yaw_difference = max(c.yaw_difference for c in result.comparisons)
     passed = max(result.largest_difference, yaw_difference) <= tolerance and not n_one_sided
     verdict = "[green]live equals offline[/green]" if passed else "[red]live differs from offline[/red]"
@@ -250,7 +250,6 @@ def _print_conclusion(result: Verification, tolerance: float, console: Console) 
     if worst.worst_start_ns and not passed:
         time = f"{datetime.fromtimestamp(worst.worst_start_ns * 1e-9, UTC):%H:%M:%S.%f}"[:-3]
         location = f"; the path that differs most: {worst.model} at {time} UTC"
-    n_planned = n_predictions - n_forecasts
     planned = f", {n_planned} more with inputs of a plan or course," if n_planned else ""
     console.print(f"{verdict}: {n_forecasts} predictions{planned} and {n_scores} scores compared, largest "
                   f"difference {result.largest_difference * 1000:.3g} mm (limit {tolerance * 1000:g} mm), in yaw "
