@@ -183,7 +183,7 @@ def test_name_of_a_signal_is_complete_in_a_narrow_terminal() -> None:
     table = _make_signal_table(Alignment(signals=(SignalLag(name, 0.0, 0.0007, 0.11, 0.99),)))
     narrow = Console(width=80, file=io.StringIO())
     narrow.print(table)
-    assert name in "".join(line[:14].strip() for line in narrow.file.getvalue().splitlines())
+    assert name in "".join(line[:26].strip() for line in narrow.file.getvalue().splitlines())
 
 
 def test_align_command_writes_result_and_figure(pair: Pair, tmp_path) -> None:
