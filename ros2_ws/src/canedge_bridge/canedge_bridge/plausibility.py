@@ -8,7 +8,7 @@ import numpy as np
 from .signals import MessageSpec, SignalSpec
 
 # If more than MAX_IMPLAUSIBLE of the last PLAUSIBILITY_FRAMES values of a signal (1 s at 100 Hz) are implausible, even
-# plausible ones are withheld until MAX_IMPLAUSIBLE in a row are plausible: with a wrong DBC, few are, by chance.
+# plausible ones are withheld until MAX_IMPLAUSIBLE in a row are plausible: a wrong DBC also yields some by chance.
 PLAUSIBILITY_FRAMES, MAX_IMPLAUSIBLE = 100, 10
 
 Reference = tuple[int, float]  # (time [ns], value in the unit of the signal) of an earlier frame
@@ -16,10 +16,10 @@ Reference = tuple[int, float]  # (time [ns], value in the unit of the signal) of
 
 def _is_reachable(signal: SignalSpec, message: MessageSpec, value: float, time_ns: int,
                   references: Iterable[Reference | None]) -> bool:
-    """Whether the rate limit permits the change from a reference within the timeout, or there is none."""
+    """Whether the rate limit permits the change from a reference; True if none is within the timeout."""
     recent = [(last_ns, last) for last_ns, last in filter(None, references)
               if 0 < time_ns - last_ns <= message.timeout_ns]
-    # An elapsed time of at least one period is assumed, because frames can arrive closer together than sent.
+    # An elapsed time of at least one period is assumed, because frames can arrive closer together than they were sent.
     return not recent or any(
         abs(value - last) <= signal.max_rate * max((time_ns - last_ns) * 1e-9, message.period)
         for last_ns, last in recent)

@@ -119,7 +119,7 @@ class Field:
             try:
                 _F32.pack_into(buffer, self.first_byte, -1.0 if value is None else value)
             except OverflowError:
-                raise NcomError(f"{self.name}: {value} does not fit a 32-bit float") from None
+                raise NcomError(f"{self.name}: {value} does not fit into a 32-bit float") from None
             return
         shift, mask, flip, _ = self._bit_layout
         number = self.validity.invalid_raw if value is None else self._to_raw(value)
@@ -164,7 +164,7 @@ LONG_RANGE = Validity("b6 < 150 and b7 > 0", lambda raw, data: data[6] < 150 and
 
 
 def valid_unless(*codes: int, fresh: bool = False) -> Validity:
-    """Valid unless the raw number is a code; the first code is written as invalid. fresh: b6 must also be below 150."""
+    """Valid unless the raw number is a code; the first code is written for None. fresh: b6 must also be below 150."""
     text = "b6 < 150 and " * fresh + f"not {', '.join(map(str, codes))}"
     return Validity(text, lambda raw, data: raw not in codes and (not fresh or data[6] < 150), codes[0],
                     flag_byte=6 if fresh else None)

@@ -205,7 +205,7 @@ class Publishers:
         self._outputs["status"].publish(message)
 
     def publish_origin(self, stamp_ns: int, geodetic: tuple[float, float, float]) -> None:
-        """Publish the origin of the map. geodetic: latitude, longitude [deg], altitude of the unit [m]."""
+        """Publish the origin of the map. geodetic: latitude, longitude [deg], altitude as sent by the INS [m]."""
         message = NavSatFix(header=Header(frame_id=self._settings.map_frame))
         _set_time(message.header.stamp, stamp_ns)
         message.latitude, message.longitude, message.altitude = geodetic

@@ -21,7 +21,7 @@ KINDS = ("empty", "regular", "status", "trigger")
 EMPTY, REGULAR, STATUS, TRIGGER = range(4)
 UNKNOWN_TIME = np.iinfo(np.int64).min
 
-# Packets searched and verified at once: few after a fault, then four times as many at each step.
+# Number of packets verified together: few after a fault, then four times as many at each step.
 _FIRST_ROWS, _MAX_ROWS = 64, 1 << 16
 # After a fault, the times of this many packets are computed one by one before columns are used again.
 _SINGLE_STEPS = 16

@@ -42,7 +42,7 @@ def main() -> None:
     except OSError as error:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EROFS):
             raise
-        print(f"st: {error.filename or 'output'}: {error.strerror}; free some space or choose another --output",
+        print(f"st: {error.filename or 'output'}: {error.strerror}; choose another --output or free some space",
               file=sys.stderr)
         sys.exit(1)
 

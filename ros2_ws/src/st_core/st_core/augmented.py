@@ -51,7 +51,7 @@ class AugmentedModel(Model):
     def with_values(self, values: Values) -> "AugmentedModel":
         """The model with other values. Raises ConfigurationError for an unknown name or a value outside its bounds."""
         for name in set(values) - set(self.values):
-            raise ConfigurationError(f"effect {name}: not in this model, which has {', '.join(self.values) or 'none'}")
+            raise ConfigurationError(f"effect {name}: not in this model; it has {', '.join(self.values) or 'none'}")
         changed = [e for e in self.effects if e.name in values]
         merged = {e.name: {**self.values[e.name], **values[e.name]} for e in changed}
         return _compose(self.base, self.effects, {**self.values, **_check_all_values(changed, merged)})
@@ -87,7 +87,7 @@ class AugmentedModel(Model):
         return cached[1]
 
     def without_null_effects(self) -> "AugmentedModel":
-        """The model without the costly ones of its inactive effects; its predictions are bit-identical."""
+        """The model without its inactive costly effects; its predictions are bit-identical."""
         return self.select_effects(e for e in self.effects if e in self.active_effects or not e.costly)
 
     def select_effects(self, effects: Iterable[type[Effect]]) -> "AugmentedModel":
@@ -145,8 +145,8 @@ def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedMode
     """The base model with additional effects.
 
     effects: values by effect and parameter, or names of effects, which get their initial values. A parameter that is
-    not given is null if its `fit` is false. Raises ConfigurationError, naming effect, parameter and limit, for a value
-    that is missing or out of bounds, an unknown parameter, and an effect that is unknown, repeated or does not apply.
+    not given has its null value if `fit` is false. Raises ConfigurationError, naming effect, parameter and limit, for a
+    value missing or out of bounds, an unknown parameter, and an effect that is unknown, repeated or does not apply.
     """
     base = get_model(base)
     if not isinstance(effects, Mapping):

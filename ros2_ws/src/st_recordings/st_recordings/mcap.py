@@ -29,7 +29,7 @@ CHUNK_SIZE = 1024 * 1024
 FLUSH_PERIOD = 0.5
 """Period [s] of writes. A killed process loses up to 1 s of data: this period plus that of flush_when_due calls."""
 DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""If writing the index fails with one of these errors, the newest chunks are dropped until it fits; otherwise none."""
+"""If writing the index fails with one of these errors, the newest chunks are dropped until it fits."""
 MIN_SYNC_PERIOD = 0.25
 """Minimum time [s] between the starts of two synchronisations, so that frequent writes do not occupy the disk."""
 _MESSAGE_RECORD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
@@ -50,8 +50,8 @@ class BagWriter:
         """Creates the directory, the file and a first metadata.yaml.
 
         directory: must be empty or not exist. records: MCAP metadata records, name -> {key: text}; short one-line texts
-        are also written to metadata.yaml. synced: a separate thread synchronises each chunk with the disk at once, so
-        that a power failure loses only the last second; for live recordings. Raises OSError if the directory cannot be
+        are also written to metadata.yaml. synced: a separate thread synchronises each chunk with the disk, so that a
+        power failure loses little more than a second; for live recordings. Raises OSError if the directory cannot be
         created or written, FileExistsError if it is not empty.
         """
         self.directory = Path(directory).absolute()
@@ -97,7 +97,7 @@ class BagWriter:
         new_records.append(Channel(len(self._topics), name, "cdr", metadata, self._schemas[type_name]))
         if not (self.is_closed or self.error):
             try:
-                # Definitions are outside of chunks, so that a damaged chunk loses only its own messages.
+                # Definitions are outside chunks, so that a damaged chunk loses only its own messages.
                 self._contents.append(self._file, *new_records)
             except OSError as error:
                 self._stop(error)
@@ -287,7 +287,7 @@ class Syncer:
 
     @property
     def delay(self) -> float:
-        """Age of the oldest data that are not synchronised yet [s]; 0 if there are none."""
+        """Age of the oldest data not yet synchronised [s]; 0 if there are none."""
         with self._condition:
             starts = [t for t in (self._waiting_start, self._syncing_start) if t is not None]
         return time.monotonic() - min(starts) if starts else 0.0

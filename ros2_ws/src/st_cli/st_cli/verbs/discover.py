@@ -45,7 +45,7 @@ def expand_references(arguments: Sequence[str]) -> list[str]:
 def discover(
     runs: shared.Runs,
     reference: list[Path] = typer.Option(
-        [], REFERENCE, help="Reference drives, of the healthy car: all paths up to the next option. The search starts "
+        [], REFERENCE, help="Reference drives of the healthy car: all paths up to the next option. The search starts "
         "from the fit to these drives instead of from the vehicle file."),
     base: str = typer.Option("nonlinear", help="Base model: kinematic, linear, nonlinear, or a model file (.yaml)."),
     output: Path | None = typer.Option(None, help="Folder for the results; default runs/discover-<time>."),

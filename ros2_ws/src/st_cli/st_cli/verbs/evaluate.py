@@ -60,7 +60,7 @@ def evaluate(
     output: Path | None = typer.Option(None, help="Folder for the results; default runs/evaluate-<time>."),
     at: str = typer.Option("", help="Starts of predictions to draw in detail, s, e.g. 1,10,19; default: four starts."),
     table: Literal["means", "samples"] = typer.Option(
-        "means", help="Error statistics: of the means over each horizon, or of all samples."),
+        "means", help="Error statistics over the mean errors of the predictions, or over all samples."),
     interval: float = typer.Option(0.1, help="Time between starts, s."),
     figures: str = typer.Option("png,pdf", help="Formats of the figure files; empty: none."),
     bands: Path | None = typer.Option(
@@ -78,7 +78,7 @@ def evaluate(
     scheduler: str | None = typer.Option(None, help="Address of a Dask scheduler to use instead of --workers."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> int:
-    """Every --interval s of each run, predict with each model and score the predictions; write tables and figures.
+    """Predict with each model every --interval seconds, score the predictions, and write tables and figures.
 
     Unusable runs are reported and skipped. Exit status: 0 all runs evaluated, 1 some not, 2 none.
     """

@@ -1,4 +1,4 @@
-"""The commands `st demo` and `st live`: run the live suite on this computer or on the real car."""
+"""The commands `st demo` and `st live`: run the live suite with a simulated or a real car."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -8,7 +8,7 @@ import typer
 
 from . import _options as shared
 
-EXTRA_DRIVING = 2.0  # s of driving after the predictor stops
+EXTRA_DRIVING = 2.0  # s by which the drive is longer than the run
 SCENARIOS = ("S1 to S7 of the paper, sweep, step, ramp_to_limit, brake_in_turn, lane_change, slalom, weave, circle, "
              "there_and_back, or a .yaml file")
 
@@ -42,7 +42,7 @@ def demo(
     options = ["--seed", str(seed), "--ncom-rate", str(ncom_rate)]
     for name, value in (("--drive", drive and drive.absolute()), ("--scenario", scenario), ("--plant", plant)):
         options += [name, str(value)] if value else []
-    # The car continues to drive while the predictor stops, so that even the last prediction has inputs.
+    # The drive is longer than the run, so that measured inputs do not end before the last prediction.
     options += ["--duration", str(duration + EXTRA_DRIVING)] if duration else []
     options += [part for setting in effect for part in ("--effect", setting)]
     car = configuration.VirtualCar(configuration.resolve_vehicle_file(vehicle), options,
@@ -86,11 +86,11 @@ def live(
 
 
 def _run(name: str, summary: dict[str, Any], vehicle: Path, bridges: Mapping[str, Mapping[str, Any]],
-         options: shared.RunOptions, output: Path | None, reports_car: bool = False, **arguments: Any) -> int:
+         options: shared.RunOptions, output: Path | None, reports_default_car: bool = False, **arguments: Any) -> int:
     """Run the suite and report the results; returns the exit status.
 
     name: start of the name of the default output folder. summary: entries of summary.json. bridges: parameters of the
-    bridges. reports_car: whether to report that the Leaf's file is used. arguments: further arguments of `session.run`.
+    bridges. reports_default_car: whether to report the use of the Leaf's file. arguments: others of `session.run`.
     Raises StCoreError, RunError and OutputError.
     """
     from st_live import configuration, report, session
@@ -101,7 +101,7 @@ def _run(name: str, summary: dict[str, Any], vehicle: Path, bridges: Mapping[str
     folder = new_folder(output, name)
     parameters = configuration.make_live_parameters(folder, vehicle, bridges, model_settings, options.record == "all")
     parameters = configuration.set_bands_and_course(parameters, options.bands, options.course, options.adaptive)
-    if reports_car:
+    if reports_default_car:
         shared.report_default_car(name, None, vehicle)
     outcome = session.run(folder, parameters, summary["title"], shared.console, view, **arguments)
     status = report.report_results(folder, outcome, summary, shared.console)

@@ -91,14 +91,14 @@ def print_alignment(pair: "RawRun") -> None:
         estimation_deviation = max(alignment.offset_deviation**2 - latency_deviation**2, 0.0) ** 0.5
         table = Table(box=None, padding=(0, 2), show_header=False)
         offset = _format_seconds(alignment.offset_at_ns(start_ns))
-        table.add_row("INS minus CAN clock", f"{offset} s", "at the CAN log's start")
+        table.add_row("INS minus CAN clock", f"{offset} s", "at the start of the CAN log")
         if not pair.ins.is_utc:
             ins_time = _format_seconds(int(alignment.to_reference_ns(start_ns)))
-            table.add_row("INS time", f"{ins_time} s", "at the CAN log's start")
+            table.add_row("INS time", f"{ins_time} s", "at the start of the CAN log")
         if alignment.method != "by hand":
             span = "overlap" if alignment.method == "shared signals" else "time span of the INS time messages"
             if any(signal.name.startswith(("forward velocity", "yaw")) for signal in pair.shared_signals):
-                table.add_row("INS frames on the bus", pair.latency, "after the instant of measurement")
+                table.add_row("delay of INS frames on CAN", pair.latency, "after the measurement")
             table.add_row("INS minus CAN clock", f"{_format_seconds(alignment.offset_ns)} s",
                           f"{middle:.1f} s later, in the middle of the {span}")
             without_latency = _format_deviation(estimation_deviation * 1e3, "ms")

@@ -187,7 +187,7 @@ class Band:
     ratios: np.ndarray  # (3, len(RELIABILITY_LEVELS)) quantiles of |error| / scale at a single point, for the CRPS
 
     def half_widths(self, conditions: np.ndarray, level: float) -> np.ndarray:
-        """Half-widths (n, points, 3) along, across [m] and in yaw [rad], without the start, under conditions (n, 4)."""
+        """Half-widths (n, points, 3) along, across [m] and in yaw [rad] after time 0, under conditions (n, 4)."""
         return self.factors[level] * self.scale(conditions)
 
 

@@ -23,7 +23,7 @@ class TyreRelaxation(Effect):
     order = 40
     parameter = Parameter("length", "m", null=0.0, initial=0.4, bounds=(0.0, 1.5),
                           meaning="distance rolled until 63 % of the force after a step of slip",
-                          source="passenger tyres 0.2-0.8 m, more at high load", model_error=0.35)
+                          source="passenger-car tyres 0.2-0.8 m, more at high load", model_error=0.35)
 
     @staticmethod
     def constants(vehicle):

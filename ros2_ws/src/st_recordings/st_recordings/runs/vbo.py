@@ -1,6 +1,6 @@
 """Reads Racelogic VBOX files (.vbo), which contain position, speed and course from GNSS, and CAN signals.
 
-Source: Racelogic, VBO file format. Latitude and longitude are in minutes of arc, west positive; time is HHMMSS.ss UTC.
+Source: Racelogic, VBO file format. Latitude and longitude (positive west) are in minutes of arc; time is HHMMSS.ss UTC.
 """
 
 import re
@@ -32,8 +32,8 @@ TRUE_HEADING_NAMES = ("trueheading", "truehead", "headingtrue", "heading2", "dua
 MIN_HEADING_AGREEMENT = 0.5
 """A yaw rate channel is not used if its cosine similarity with the derivative of the heading is lower in magnitude."""
 MIN_TURN_RATE = 0.01
-"""[rad/s]. The yaw rate is replaced only if the median magnitude of the derivative of the heading is higher, its sign
-changed only if the largest is; a heading noise of 0.1 deg at 5 Hz has about this derivative."""
+"""[rad/s]. The yaw rate is replaced only if the median magnitude of the derivative of the heading is higher; its sign
+is changed only if the largest magnitude is. A heading noise of 0.1 deg at 5 Hz has about this derivative."""
 
 
 def read_vbo(file: Path, layout: Layout) -> Table:
@@ -131,16 +131,16 @@ def _correct_signs(table: Table) -> Table:
         heading_rate = differentiate_yaw(table, -heading)
         rows = np.isfinite(columns["yaw_rate"]) & np.isfinite(heading_rate) & (np.abs(columns["velocity_x"]) > 3.0)
         yaw_rate, derivative = columns["yaw_rate"][rows], heading_rate[rows]
-        # The derivative is noise if the car drives straight; one turn shows the sign. Means are not subtracted from
-        # steady turns, in which both are constant, but otherwise a bias of the yaw rate could decide.
-        usual, largest = np.quantile(np.abs(derivative), [0.5, 1.0]) if rows.sum() > 10 else (0.0, 0.0)
-        if 0.0 < usual < MIN_TURN_RATE:
+        # The derivative is noise if the car drives straight; one turn shows the sign. Unless the drive is a steady
+        # turn, in which both are constant, means are subtracted, so that a bias of the yaw rate has no influence.
+        median, largest = np.quantile(np.abs(derivative), [0.5, 1.0]) if rows.sum() > 10 else (0.0, 0.0)
+        if 0.0 < median < MIN_TURN_RATE:
             yaw_rate, derivative = yaw_rate - yaw_rate.mean(), derivative - derivative.mean()
         similarity = yaw_rate @ derivative / max(np.linalg.norm(yaw_rate) * np.linalg.norm(derivative), 1e-12)
         if largest >= MIN_TURN_RATE and similarity < -MIN_HEADING_AGREEMENT:
             columns["yaw_rate"] = -columns["yaw_rate"]
             warnings.append(f"{table.file}: {YAW_RATE_REVERSED}")
-        elif usual >= MIN_TURN_RATE and similarity < MIN_HEADING_AGREEMENT:
+        elif median >= MIN_TURN_RATE and similarity < MIN_HEADING_AGREEMENT:
             warnings.append(f"{table.file}: the yaw rate channel does not agree with the heading (cosine similarity "
                             f"{similarity:.2f}); the derivative of the heading is used")
             columns["yaw_rate"] = heading_rate
