@@ -65,6 +65,12 @@ def test_recording_takes_all_logs_of_its_own_folder(tmp_path: Path) -> None:
     assert {run.name: len(run.can) for run in find_runs([tmp_path]) if not run.problem} == {"a": 1, "b": 2}
 
 
+def test_numbered_logs_belong_to_the_recording_of_their_stem(tmp_path: Path) -> None:
+    touch(tmp_path, "a.ncom", "a.log", "b.ncom", "b_1.log", "b_2.log", "c.ncom", "c_001.log", "c_1.ncom", "c_1.log")
+    assert {run.name: [log.name for log in run.can] for run in find_runs([tmp_path])} == {
+        "a": ["a.log"], "b": ["b_1.log", "b_2.log"], "c": ["c_001.log"], "c_1": ["c_1.log"]}
+
+
 @pytest.mark.parametrize(("names", "pairs"), [
     (("d1/a.ncom", "d1/b.log", "d2/b.ncom"), {}),
     (("d1/drive.ncom", "d1/log/00000001.log", "d2/00000001.ncom", "d2/log/00000002.log"), {}),

@@ -1,6 +1,7 @@
 """Groups files into runs: by their names, by their folders, by the time of split bags, or by a run.yaml."""
 
 import glob
+import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -182,19 +183,21 @@ def _group_files(files: Sequence[Path], named_by_user: bool) -> list[RunSource]:
 
 def _find_partners(recordings: Sequence[Path], logs: Sequence[Path], paired: set[Path]) -> dict[Path, tuple[Path, ...]]:
     """CAN logs of each INS recording: those in the outermost folder around it without another INS recording, or only
-    those of them with its stem, if any; without logs there, those with its stem in other folders. A stem counts only if
-    no other recording has it. Empty if stems and folders disagree, if two recordings would share a log, or, next to
-    pairs of the same stem (in the folders `paired`), for logs of several sessions."""
+    those of them with its stem (or STEM_1, STEM_2, ...), if any; without logs there, those with its stem in other
+    folders. A stem counts only if no other recording has it. Empty if stems and folders disagree, if two recordings
+    would share a log, or, next to pairs of the same stem (in the folders `paired`), for logs of several sessions."""
     candidates: dict[Path, tuple[Path, ...]] = {}
     contradictory = set[Path]()
     for file in recordings:
         other_folders = {folder for other in recordings if other != file for folder in other.absolute().parents}
         folders = [folder for folder in file.absolute().parents if folder not in other_folders]
         nearby = tuple(log for log in logs if folders and folders[-1] in log.absolute().parents)
-        is_only_one = sum(other.stem == file.stem for other in recordings) == 1
-        same_stem = tuple(log for log in logs if is_only_one and log.stem == file.stem)
+        other_stems = {other.stem for other in recordings if other != file}
+        same_stem = tuple(log for log in logs if log.stem not in other_stems
+                          and re.fullmatch(rf"{re.escape(file.stem)}(_\d+)?", log.stem))
         candidates[file] = tuple(log for log in same_stem if log in nearby) or (*nearby, *same_stem)
-        is_mixed = file.absolute().parent in paired and len({parse_session(log)[0] for log in candidates[file]}) > 1
+        is_mixed = file.absolute().parent in paired and not {*candidates[file]} <= {*same_stem} and (
+            len({parse_session(log)[0] for log in candidates[file]}) > 1)
         if is_mixed or (nearby and {*candidates[file]} - {*nearby}):
             contradictory.add(file)
     counts = Counter(log for own_logs in candidates.values() for log in own_logs)
