@@ -298,6 +298,12 @@ def test_zeros_in_the_middle_of_a_file_cost_one_row(tmp_path: Path) -> None:
     assert len(read_csv(write(tmp_path, [HEADER, *lines])).log.x) == 199
 
 
+@pytest.mark.parametrize("cell", ['"lost', 'lost"', '"a""b"', '"a,b"', '"a" b'])
+def test_quotes_in_a_cell_cost_no_row(tmp_path: Path, cell: str) -> None:
+    lines = [f"{row},{cell if k == 50 else 'good'}" for k, row in enumerate(rows(200))]
+    assert len(read_csv(write(tmp_path, [f"{HEADER},note", *lines])).log.x) == 200
+
+
 def test_rows_with_repeated_times_are_left_out(tmp_path: Path) -> None:
     lines = [line for line in rows(40) for _ in range(3)]
     drive = read_csv(write(tmp_path, [HEADER, *lines]))

@@ -319,6 +319,9 @@ TABLES = [
     Table("date_time.txt", lambda log: with_times(log, lambda s: f"2026-05-04 {clock(NOON + s)}").replace(
         "t,", "Date Time,", 1)),
     Table("hemispheres.csv", with_hemispheres),
+    Table("hemispheres_before.csv", lambda log: "\n".join(
+        ",".join([cells[0], cells[2], cells[1], cells[4], cells[3], *cells[5:]])
+        for cells in (line.split(",") for line in with_hemispheres(log).splitlines()))),
     Table("mode_after_the_longitude.csv", lambda log: csv(  # W is no side of the latitude, S none of the longitude
         [[*row[:2], "W", row[2], "S", *row[3:]] for row in (
             line.split(",") for line in geographic(log).splitlines()[1:])],
@@ -364,8 +367,8 @@ TABLES = [
 ]
 # Days since 1970; 0 where the date is not used.
 DAYS = {"day_first.csv": 20568, "month_first.csv": 20568, "ambiguous_date.csv": 0}
-IN_ANOTHER_MAP = {"geographic.csv", "hemispheres.csv", "mode_after_the_longitude.csv", "positions_at_20_hz.csv",
-                  "unfilled.csv", "unfilled_orientation.csv", "unwrapped_heading.csv"}
+IN_ANOTHER_MAP = {"geographic.csv", "hemispheres.csv", "hemispheres_before.csv", "mode_after_the_longitude.csv",
+                  "positions_at_20_hz.csv", "unfilled.csv", "unfilled_orientation.csv", "unwrapped_heading.csv"}
 
 
 @pytest.mark.parametrize("table", TABLES, ids=[table.name for table in TABLES])

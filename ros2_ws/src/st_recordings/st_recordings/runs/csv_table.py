@@ -15,7 +15,7 @@ from st_core.sideslip import derive_yaw_rate
 from . import columns as column_names
 from .binary_table import BINARY_EXTENSIONS, is_signal_table, read_binary_table, read_names, read_signals
 from .columns import COLUMNS, ColumnSource, Layout, find_columns, find_stamp_columns
-from .errors import CP1252_FALLBACK, RunError, check_readable, find_utf16, format_count
+from .errors import CP1252_FALLBACK, RunError, check_readable, find_utf16, format_count, shorten
 from .table_times import convert_to_seconds, parse_stamp, read_stamps, select_usable_times
 
 MAX_TIME_ROWS = 500  # rows in which distinct times are counted, to find the time column with the highest resolution
@@ -366,9 +366,10 @@ def _read_cells(file: Path, lines: list[str], delimiter: str, names: list[str], 
     """(numbers (n, width), sources, channel -> first cell) of rows with blank cells or text; NaN where no number is.
 
     A unit after the numbers is that of the source, unless the layout states one. Latitudes and longitudes with S or W
-    in the next column become negative, dates and times of day become seconds. Unused columns are NaN. Raises RunError.
+    in the columns after or before both become negative, dates and times become seconds. Raises RunError.
     """
     lines = _THOUSANDS_SPACES.sub("", "\n".join(lines)).split("\n")
+    lines = [line.replace('"', "") if line.count('"') % 2 else line for line in lines]
     decimal_mark, thousands_separator = _find_decimal_mark(file, lines, delimiter)
     lines = _select_complete_rows(file, lines, delimiter, len(names), warnings)
     first_row, fraction = split_row(lines[0], delimiter), find_stamp_columns(names)
@@ -389,19 +390,23 @@ def _read_cells(file: Path, lines: list[str], delimiter: str, names: list[str], 
         return [split_row(line, delimiter)[number] for line in lines]
 
     numbers = np.full((len(lines), len(names)), np.nan)
-    if used:
+    try:
         numbers[:, list(used)] = np.loadtxt(
             lines, delimiter=delimiter, ndmin=2, comments=None, quotechar='"', usecols=list(used),
             converters={number: make_converter(units.get(channel, "")) for number, channel in used.items()})
+    except ValueError as error:
+        raise RunError(file, f"a row cannot be read ({shorten(error)})", "correct or remove that row") from None
     if time is not None and np.isnan(numbers[0, time.column]) and (
             seconds := read_stamps(file, read_texts(time.column), warnings)) is not None:
         numbers[:, time.column] = seconds
-    for channel, hemispheres in HEMISPHERES.items():
-        column = sources[channel].column if channel in sources else len(names)
-        if column + 1 < len(names) and first_row[column + 1].upper() in {*hemispheres, ""}:
-            letters = [text.upper() for text in read_texts(column + 1)]
-            rows = np.isin(letters, ("S", "W")) & ({*letters} <= {*hemispheres, ""})
-            numbers[rows, column] = -np.abs(numbers[rows, column])
+    cells = dict(enumerate(first_row))
+    places = {sources[channel].column: {*letters, ""} for channel, letters in HEMISPHERES.items() if channel in sources}
+    for side in (1, -1):
+        if all(cells.get(column + side, "?").upper() in letters for column, letters in places.items()):
+            for column, hemispheres in places.items():
+                letters = [text.upper() for text in read_texts(column + side)]
+                rows = np.isin(letters, ("S", "W")) & ({*letters} <= hemispheres)
+                numbers[rows, column] = -np.abs(numbers[rows, column])
     return numbers, _apply_stated_units(sources, units, layout), first
 
 
