@@ -424,6 +424,15 @@ def test_steering_and_acceleration_to_the_right_are_an_alternative_to_axes_of_a_
     assert check(corrected_drive(wrong, finding.advice.entry, leaf), leaf).findings == ()
 
 
+@pytest.mark.parametrize("speed", [4.0, -4.0])
+def test_axes_and_heading_are_distinguished_in_either_direction_of_travel(leaf, speed):
+    log = exact_drive(leaf, speed=Sines(speed, ((1.0, 20.0, 0.0),)))
+    clockwise = scaled(-1.0, "yaw_rate")(yaw_from_north()(log))
+    assert set(findings_by_name(clockwise, leaf)) == {"yaw_convention"}
+    assert set(findings_by_name(axes_exchanged()(log), leaf)) == {"position_axes"}
+    assert findings_by_name(log, leaf) == {}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "fault", "severity"), [
     ("x_scale", scaled(1.003, "x"), "note"), ("x_scale", scaled(0.964, "x"), "warning"),

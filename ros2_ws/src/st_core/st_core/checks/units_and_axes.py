@@ -248,15 +248,15 @@ def _find_lateral_sign(motion: Motion) -> int:
 
 def _compare_signs(motion: Motion) -> tuple[int, int]:
     """(steering, acceleration_y): 1 if the sign agrees with that of the yaw rate, -1 if it is opposite, else 0."""
-    turn, steering, lateral = motion.yaw_rate * motion.velocity_x, motion.steering_at_ins(), motion.acceleration_y
-    return (_find_common_sign(steering * motion.velocity_x, turn),
-            0 if lateral is None else _find_common_sign(lateral, turn))
+    rate, speed, lateral = motion.yaw_rate, motion.velocity_x, motion.acceleration_y
+    return (_find_common_sign(motion.steering_at_ins() * speed, rate),
+            0 if lateral is None else _find_common_sign(lateral, rate * speed))
 
 
-def _find_common_sign(values: np.ndarray, turn: np.ndarray) -> int:
-    """Sign of the correlation of values and turn; 0 if it is weak."""
+def _find_common_sign(values: np.ndarray, expected: np.ndarray) -> int:
+    """Sign of the correlation of values and expected values; 0 if it is weak."""
     known = np.isfinite(values)
-    correlation = correlate(values[known], turn[known]) if known.sum() >= 50 else 0.0
+    correlation = correlate(values[known], expected[known]) if known.sum() >= 50 else 0.0
     return int(np.sign(correlation)) if abs(correlation) >= LIMITS.min_correlation else 0
 
 
