@@ -91,7 +91,7 @@ def _recover(data: bytes, folder: Path) -> str:
     assert any(path.read_bytes() == data for path in originals), "the original is lost"
     assert all(line.isprintable() for line in str(report).splitlines())
     repaired = file.read_bytes()
-    assert not recover(bag).was_changed and file.read_bytes() == repaired
+    assert all(part.is_intact for part in recover(bag).files) and file.read_bytes() == repaired
     with file.open("rb") as stream:
         last = [record.opcode for record in read_records(stream, len(repaired))][-1:]
     assert last == [Opcode.FOOTER]

@@ -46,11 +46,6 @@ class RecoveryReport:
     files: list[FileReport] = field(default_factory=list)
     has_rebuilt_metadata: bool = False
 
-    @property
-    def was_changed(self) -> bool:
-        """Whether anything had to be repaired."""
-        return self.has_rebuilt_metadata or any(not f.is_intact for f in self.files)
-
     def __str__(self) -> str:
         """One line per file, for a terminal."""
         lines = []

@@ -159,7 +159,7 @@ def test_recording_of_many_chunks_is_indexed_completely(tmp_path: Path) -> None:
     bag.close()
     assert read_numbers(tmp_path / "bag")["/a"] == list(range(1200))
     assert read_numbers_with_mcap(bag.path)["/a"] == list(range(1200))
-    assert not recover(tmp_path / "bag").was_changed
+    assert all(part.is_intact for part in recover(tmp_path / "bag").files)
     last = list_chunks(bag.path)[-1]
     directory = truncate(tmp_path / "bag", tmp_path / "truncated", last.offset + 5)
     report = recover(directory)
@@ -179,7 +179,7 @@ def test_complete_bag_is_not_changed(complete: Path, tmp_path: Path) -> None:
     directory = shutil.copytree(complete, tmp_path / "bag")
     before = {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in directory.iterdir()}
     report = recover(directory)
-    assert not report.was_changed
+    assert all(part.is_intact for part in report.files) and not report.has_rebuilt_metadata
     assert {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in directory.iterdir()} == before
 
 
@@ -189,8 +189,8 @@ def test_second_recovery_changes_nothing_and_the_original_is_kept(complete: Path
     first = recover(directory)
     after = {p.name: p.read_bytes() for p in directory.iterdir()}
     second = recover(directory)
-    assert first.was_changed
-    assert not second.was_changed
+    assert not all(part.is_intact for part in first.files)
+    assert all(part.is_intact for part in second.files) and not second.has_rebuilt_metadata
     assert second.files[0].count == first.files[0].count
     assert {p.name: p.read_bytes() for p in directory.iterdir()} == after
     assert (directory / "bag_0.mcap.cut").read_bytes() == original
