@@ -36,7 +36,7 @@ from st_core.discovery.decision import (
     varies_relevantly,
     varying_partition,
 )
-from st_core.discovery.discover import _Analysis, complete_delay, replace_interval
+from st_core.discovery.discover import _Analysis, complete_delay, find_parameter_across_bound, replace_interval
 from st_core.discovery.evidence import Agreement, Evidence
 from st_core.discovery.result import Combination, FittedParameter, FoundEffect, Reason, unseparated_combinations
 from st_core.discovery.space import FileQuantity
@@ -133,6 +133,14 @@ def test_total_delay_of_one_effect_has_the_interval_and_alternatives_of_that_eff
     assert complete_delay(delay, (one, other)).interval == delay.interval
     stiffness = Combination("front cornering stiffness over mass", "N/(rad kg)", 35.0, (34.0, 36.0), 40.0, ("mass",))
     assert complete_delay(stiffness, (replace(one, name="mass"),)) == stiffness  # yaw inertia does not change it
+
+
+@pytest.mark.parametrize(("interval", "crossed"), [((0.28, 0.72), "factor"), ((0.55, 0.9), ""), ((1.7, 6.0), "")])
+def test_load_sensitivity_is_not_named_across_its_physical_bound(interval, crossed):
+    """As of a saloon without lateral velocity; at the upper bound, stiffness is proportional to load."""
+    fitted = {"factor": FittedParameter(sum(interval) / 2.0, "1", interval, 1.0)}
+    effect = FoundEffect("tyre_load_sensitivity", "vehicle parameters", fitted, (), 0.1, {})
+    assert find_parameter_across_bound(effect) == crossed
 
 
 def test_first_failed_rule_is_the_verdict():

@@ -80,6 +80,15 @@ def test_values_at_bounds_are_accepted_and_beyond_are_rejected(name):
                 augment(base, {name: {**initial, p.name: float(value)}})
 
 
+@pytest.mark.parametrize(("name", "parameter", "invalid", "physical"), [
+    ("tyre_load_sensitivity", "factor", (), (0.5,)),  # no published tyre; at 5.0, stiffness is proportional to load
+    ("front_tyre_curve", "peak", (0.3, 2.5), (0.3, 2.5)), ("front_tyre_curve", "curvature", (), ()),
+    ("combined_slip", "share", (), ())])
+def test_bounds_at_which_an_estimate_is_invalid_or_not_named(name, parameter, invalid, physical):
+    parameter = next(p for p in EFFECTS[name].parameters if p.name == parameter)
+    assert parameter.hard_bounds == invalid and parameter.physical_bounds == physical
+
+
 @EACH_EFFECT
 def test_null_values_leave_predictions_and_readings_bit_identical(car, base, name):
     model = set_effects_to_null(augment(base, [name]))

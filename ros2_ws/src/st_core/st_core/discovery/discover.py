@@ -506,9 +506,9 @@ def describe_varying(v: VaryingFit, space: Space, position_reduction: float) -> 
 
 
 def find_parameter_across_bound(effect: result.FoundEffect) -> str:
-    """Name of a parameter with an interval that crosses one of its `hard_bounds`; "" if there is none."""
+    """Name of a parameter with an interval that crosses one of its `physical_bounds`; "" if there is none."""
     return next((p.name for p in get_effect(effect.name).parameters if (entry := effect.parameters.get(p.name)) and any(
-        entry.interval[0] < edge < entry.interval[1] for edge in p.hard_bounds)), "")
+        entry.interval[0] < edge < entry.interval[1] for edge in p.physical_bounds)), "")
 
 
 def excludes_null(effect: result.FoundEffect) -> bool:
