@@ -36,6 +36,11 @@ def test_constant_channel_is_reported(log, leaf, name, value):
     assert finding.advice.kind == "text"  # leaving out the complete drive is not a correction
 
 
+@pytest.mark.parametrize("name", [name for name in CHANNELS if name not in ("velocity_y", "road_wheel_angle")])
+def test_constant_channel_has_no_consequences(log, leaf, name):
+    assert [finding.name for finding in check(with_constant(log, name, value=0.3), leaf).findings] == ["channel_frozen"]
+
+
 @pytest.mark.parametrize("value", [0.0, 0.3])
 def test_constant_yaw_rate_with_noise_of_yaw_is_reported(leaf, value):
     """On a straight road, yaw varies by its noise alone, and does not correlate with the yaw rate."""

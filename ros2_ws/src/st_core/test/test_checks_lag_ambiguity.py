@@ -261,3 +261,12 @@ def test_opposite_sign_of_the_steering_in_a_slalom_is_no_lag_of_half_a_period(le
     log = exact_drive(leaf, 60.0, **SLALOM)
     found = findings_by_name(replace(log, road_wheel_angle=-log.road_wheel_angle, steering_wheel_angle=None), leaf)
     assert "steering_sign" in found and "steering_lag" not in found
+
+
+@pytest.mark.parametrize("slip", [0.003, 0.007, 0.012])  # per forward acceleration [s^2/m]
+def test_slip_of_a_wheel_speed_is_no_lead_of_the_velocity(leaf, slip):
+    log = exact_drive(leaf, 120.0, rate=20.0)
+    acceleration = np.gradient(log.velocity_x, (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9)
+    slipping = replace(log, velocity_x=log.velocity_x * (1.0 + slip * acceleration))
+    assert not {"velocity_lag", "velocity_x_lag"} & lag_findings(slipping).keys()
+    assert {"velocity_lag", "velocity_x_lag"} & lag_findings(delay(log, -0.1, "velocity_x")).keys()

@@ -190,7 +190,8 @@ def test_percentage_of_missing_values_refers_to_all_recorded_rows(log, channel, 
 
 
 @pytest.mark.parametrize(("channels", "count"), [
-    (("x", "y"), 10), (("x", "y"), 100), (("velocity_x", "velocity_y"), 10), (("yaw",), 10), (("yaw_rate",), 20)])
+    (("x", "y"), 10), (("x", "y"), 100), (("velocity_x", "velocity_y"), 10), (("yaw",), 10), (("yaw_rate",), 20),
+    (("acceleration_x", "acceleration_y"), 50)])
 def test_values_repeated_at_a_lower_rate_are_not_jumps_and_have_no_lag(log, channels, count):
     rows = np.maximum((np.arange(len(log.x)) - count // 2) // count * count + count // 2, 0)
     repeated = replace(log, **{name: getattr(log, name)[rows] for name in channels})

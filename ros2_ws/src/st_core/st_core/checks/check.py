@@ -142,11 +142,11 @@ def _check_part(log: DriveLog, vehicle: VehicleParameters | None, auxiliary: Aux
         motion = replace(motion, **unusable)
         stuck_findings = sampling.find_stuck_channels(motion, channels)
         results.findings += stuck_findings
+        broken_channels |= find_broken_channels(stuck_findings)
         if not broken_channels & {*INS_SIGNALS}:  # comparisons need all of these channels
             clock_findings = inertial.check_position_clock(motion)
             results.findings += clock_findings
             if not clock_findings:  # comparisons need positions on the clock of the other channels
-                broken_channels |= find_broken_channels(stuck_findings)
                 _check_relations(results, motion, log, vehicle, time_unit, stuck_findings, broken_channels)
     elif is_long_enough:
         results.findings += vehicle_relations.check_standstill(motion)
@@ -183,7 +183,7 @@ def _check_relations(results: Results, motion: Motion, log: DriveLog, vehicle: V
     findings = _merge_findings_of_units(unit_findings, sensors.findings, sensors.estimates)
     corrected, findings = position.attribute_scale_to_velocity_x(corrected, findings, sensors.estimates)
     results.findings += position.add_sign_alternative(findings, recorded, corrected)
-    results.findings += check_position_deviations(corrected, results.findings)
+    results.findings += check_position_deviations(corrected, results.findings) if sideslip_measured else []
     results.estimates, results.panels = sensors.estimates, sensors.panels
     if vehicle is not None:
         if not broken_channels & {*STEERING}:

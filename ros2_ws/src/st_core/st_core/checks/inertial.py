@@ -387,8 +387,8 @@ def _make_unrelated_finding(motion: Motion, name: str, measured: np.ndarray) -> 
     known = np.isfinite(values)
     correlation, mean = correlate(derived[known], values[known]), float(np.mean(values[known])) if known.any() else 0.0
     is_vertical = is_near(abs(mean), STANDARD_GRAVITY, ACCELERATION_TOLERANCE)
-    if abs(correlation) >= LIMITS.min_correlation or known.sum() < MIN_UNRELATED_WINDOWS or not (
-            is_vertical or np.std(derived[known]) >= MIN_ACCELERATION_DEVIATION):
+    if abs(correlation) >= LIMITS.min_correlation or known.sum() < MIN_UNRELATED_WINDOWS or not np.ptp(measured) or (
+            not is_vertical and np.std(derived[known]) < MIN_ACCELERATION_DEVIATION):
         return None
     text = f"{name} does not follow velocity and yaw rate (correlation {correlation:.2f})" + (
         f" and has a mean of {mean:.1f} m/s², that of gravity: does this axis of the sensor point up or down?"

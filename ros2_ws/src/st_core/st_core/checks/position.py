@@ -37,6 +37,7 @@ MIN_VARIATION_RATIO = 2.0  # ratio of the losses per degree of freedom above whi
 MIN_SIGN_GAIN = 0.01  # m; minimum reduction of the misfit by the opposite sign; RTK noise is 1 cm
 MAX_SIGN_MISFIT_RATIO = 1.2  # largest misfit with the opposite sign, divided by that with another cause, if both fit
 MIN_LATERAL_VELOCITY = 0.02  # m/s, root mean square
+MAX_WHEEL_SLIP = 0.02  # s^2/m; slip of a wheel per acceleration; 0.01 for a longitudinal stiffness of 10 Fz
 SPHERICAL_EARTH_SCALE = 0.005  # largest scale error per axis of a projection on a spherical earth
 MIN_VELOCITY_BIAS = 0.05  # m/s; INS velocities are accurate to 0.03
 # Smallest reported relative error of velocity_y alone. At a point 1.5 m ahead of the rear axle, an error of 0.25 m
@@ -170,7 +171,8 @@ def _explain_residual(motion: Motion, rare_explanations: Mapping[tuple[str, ...]
         refined = _refine_causes(problem, causes, min_values, explanations)
         for name in ALTERNATIVE_LAGS.keys() & refined.keys():  # a bias acts like it at constant acceleration
             lag = problem.estimate(tuple(dict.fromkeys((*refined, "velocity_x_bias"))))[name]
-            if not is_relevant(_add_refinement(name, causes, lag), min_values[name]):
+            is_slip = name not in causes and lag.value < 0.0 and _is_wheel_slip(problem, name, tuple(refined))
+            if is_slip or not is_relevant(_add_refinement(name, causes, lag), min_values[name]):
                 del refined[name]
         # An axis scale that differs from 1 as much as a wrong unit is kept only if its effect is enough for a warning.
         causes = {name: estimate for name, estimate in refined.items() if is_relevant(estimate, min_values[name]) and (
@@ -180,6 +182,16 @@ def _explain_residual(motion: Motion, rare_explanations: Mapping[tuple[str, ...]
         if not causes:
             break
     return _Explanation(causes, corrected, effects)
+
+
+def _is_wheel_slip(problem: Regression, lead: str, causes: Names) -> bool:
+    """Whether a wheel speed v (1 + c a_x), with slip c per acceleration, fits better than a velocity that leads."""
+    speed = np.linalg.norm(problem.columns["velocity_scale"], axis=1)[:, None] / WINDOW
+    columns = {**problem.columns, lead: speed * problem.columns["velocity_x_lag"]}
+    with_slip = Regression(problem.time, problem.y, columns)
+    _, scale, _ = problem.fit(causes)
+    return (-MAX_WHEEL_SLIP < with_slip.fit(causes)[0][lead] < 0.0
+            and with_slip.compute_loss(causes, scale) < problem.compute_loss(causes, scale))
 
 
 def _fits_better(problem: Regression, causes: Names, other_problem: Regression, other_causes: Names) -> bool:

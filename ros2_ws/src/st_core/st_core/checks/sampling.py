@@ -368,10 +368,10 @@ def interpolate_held_channels(motion: Motion, stuck: Sequence[Finding]) -> Motio
     """The motion with held INS channels interpolated between their changes. stuck: from `find_stuck_channels`."""
     held = {name for finding in stuck if finding.name == "samples_repeated" for name in finding.channels}
     signals = {}
-    for name in sorted(held & {*INS_SIGNALS}):
-        values = getattr(motion, name)
-        changes = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
-        signals[name] = np.interp(motion.time, motion.time[changes], values[changes])
+    for name in sorted(held & {*INS_SIGNALS, *OPTIONAL_INS_SIGNALS}):
+        if (values := getattr(motion, name)) is not None:
+            changes = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
+            signals[name] = np.interp(motion.time, motion.time[changes], values[changes])
     return replace(motion, **signals)
 
 

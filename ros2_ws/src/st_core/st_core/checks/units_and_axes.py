@@ -24,6 +24,7 @@ from .regression import Estimate, Regression, add_systematic_uncertainty
 MIN_YAW_RANGE = 0.2  # rad; minimum range of yaw in the drive
 MAX_CONSISTENT_MISFIT = 0.02  # largest misfit of consistent positions, yaw and velocities, divided by the distance
 MAX_SLOPE = 0.1  # largest usual slope of a road; an altitude changes by at most this fraction of the distance
+MIN_AXIS_FRACTION = 0.3  # smallest usual motion along an axis, divided by the distance, that is judged alone
 MAX_MAP_MISFIT = 0.1  # largest ratio of the misfit in map axes to the distance, and to the misfit in body axes
 UNIT_TOLERANCE = 1.06  # factor by which a ratio may differ from the factor of its unit
 COURSE_TOLERANCE = 1.2  # UNIT_TOLERANCE of a ratio to the course, which one short bend determines to 10 %
@@ -349,8 +350,9 @@ def _correct_one_axis(motion: Motion) -> MotionAndFinding:
                     CLEAR_MISFIT_RATIO * _compute_misfit(both))
         if _compute_misfit(corrected) < limit:
             return corrected, finding
-    slope = np.abs((measured.real, measured.imag)[k]) / np.maximum(np.abs(derived), MIN_DISTANCE)
-    if not 0.0 < float(np.median(slope)) < MAX_SLOPE:
+    distance = np.maximum(np.abs(derived), MIN_DISTANCE)
+    slope, expected = (float(np.median(np.abs((d.real, d.imag)[k]) / distance)) for d in (measured, derived))
+    if not 0.0 < slope < MAX_SLOPE or expected < MIN_AXIS_FRACTION:
         return motion, None
     text = f"{axis}, unlike {other}, does not follow velocity and yaw: is it the altitude, or another signal?"
     derived_position = cumulative_trapezoid(motion.velocity_map, motion.time, initial=0.0)
