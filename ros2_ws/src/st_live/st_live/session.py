@@ -182,7 +182,7 @@ def set_aside(folder: Path) -> Path:
     unused = next(path for path in map(folder.with_name, names) if not path.exists())
     try:
         return folder.rename(unused)
-    except OSError:  # a mount point
+    except OSError:  # a mount point, or no permission in the parent folder
         return folder
 
 

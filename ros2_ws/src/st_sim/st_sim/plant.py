@@ -94,27 +94,26 @@ class Conditions(NamedTuple):
 
 
 class Road(NamedTuple):
-    """Friction factors of road and patches, bank and grade angles [rad], slopes of hillside and waves; see SETTINGS."""
+    """Settings of the road; meaning and unit: SETTINGS."""
 
-    friction: float
-    patch: float
-    bank: float
-    grade: float
-    hillside: float
-    wave: float
+    friction_factor: float
+    friction_patch: float
+    bank_angle: float
+    grade_angle: float
+    hillside_slope: float
+    terrain_wave: float
 
 
 def make_road(settings: Settings) -> Road:
-    names = ("friction_factor", "friction_patch", "bank_angle", "grade_angle", "hillside_slope", "terrain_wave")
-    return Road(*(settings[name] for name in names))
+    return Road(*(settings[name] for name in Road._fields))
 
 
 def evaluate_road(road: Road, x: float, yaw: float) -> tuple[float, float, float]:
     """(friction factor, bank, grade [rad]) for a car at x [m, map] with a yaw angle [rad]. Also compiled with numba."""
-    friction = road.friction * (road.patch if x % PATCH_PERIOD < PATCH_LENGTH else 1.0)
-    bank, grade = road.bank, road.grade
-    if road.hillside or road.wave:
-        slope_east, slope_north = road.wave * sin(2 * pi * x / WAVE_LENGTH), road.hillside
+    friction = road.friction_factor * (road.friction_patch if x % PATCH_PERIOD < PATCH_LENGTH else 1.0)
+    bank, grade = road.bank_angle, road.grade_angle
+    if road.hillside_slope or road.terrain_wave:
+        slope_east, slope_north = road.terrain_wave * sin(2 * pi * x / WAVE_LENGTH), road.hillside_slope
         c, s = cos(yaw), sin(yaw)
         grade += slope_east * c + slope_north * s
         bank += slope_north * c - slope_east * s
