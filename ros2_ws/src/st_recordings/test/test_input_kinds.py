@@ -232,6 +232,7 @@ TABLES = [
     Table("month_first.csv", lambda log: with_times(log, lambda s: f"04/25/2026 {clock(NOON + s)}")),
     Table("day_first_with_dashes.csv", lambda log: with_times(log, lambda s: f"25-04-2026 {clock(NOON + s)}")),
     Table("day_of_the_week.csv", lambda log: with_times(log, lambda s: f'"Mon, 4 May 2026 {clock(NOON + s)} +0200"')),
+    Table("month_before_the_day.csv", lambda log: with_times(log, lambda s: f'"May 4, 2026 {clock(NOON + s)}"')),
     Table("quoted_names.txt", lambda log: "\n".join([" ".join(f'"{name}"' for name in ("sample no", *NAMES)), *(
         "  ".join([str(k), *row]) for k, row in enumerate(rows(log)))])),
     Table("ambiguous_date.csv", lambda log: with_times(log, lambda s: f"05/04/2026 {clock(NOON + s)}"),

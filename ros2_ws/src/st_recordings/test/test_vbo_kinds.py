@@ -43,6 +43,15 @@ def test_negative_scale_of_a_vbo_yaw_rate_and_the_change_of_its_sign_are_one(tmp
     assert run.auxiliary.corrections == (() if scale == -1.0 else ("yaw_rate x 0.5",))
 
 
+@pytest.mark.parametrize(("units", "factor"), [("", 1.0), ("[channel units]\ndeg/s\ndeg\n", np.pi / 180.0)])
+def test_unit_in_the_name_of_a_vbo_column_is_used(tmp_path: Path, units: str, factor: float) -> None:
+    """The section of units has priority."""
+    lines = "\n".join(f"{120000 + 0.05 * k:.2f} {3120 + 0.0003 * k:.6f} -90.0 36.0 90.0 0.2 0.1" for k in range(600))
+    run = read_text(tmp_path / "drive.vbo", f"{units}[column names]\ntime lat long velocity heading YawRate_rad/s "
+                    f"Steer\n[data]\n{lines}\n")
+    np.testing.assert_allclose(run.log.yaw_rate, 0.2 * factor)
+
+
 def test_bias_of_a_vbo_yaw_rate_does_not_change_its_sign(tmp_path: Path) -> None:
     """A bend to the right, so wide that a gyroscope with a bias to the left is positive in it."""
     rate = np.where((np.arange(600) >= 300) & (np.arange(600) < 400), -0.013, -0.004)

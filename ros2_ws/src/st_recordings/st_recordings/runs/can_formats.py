@@ -50,7 +50,8 @@ _LINES = (
     re.compile(r"(?P<time>\d+\.\d+) (?P<bus>\d*)(?P<direction>[RT])(?P<kind>11|29) (?P<id>[0-9A-Fa-f]+)"
                r"(?P<data>(?: [0-9A-Fa-f]{2})*)\s*$"),
     # CL1000, CL2000 and CL3000: "22T140315133;0;201;10a87d00271000ff", with the day, or the date, before T
-    re.compile(r"(?P<time>[\d/.-]{2,10}T[\d:.,]{9,12});(?P<kind>[0189]);(?P<id>[0-9a-f]+);(?P<data>[0-9a-f]*)\s*$"),
+    re.compile(r"(?P<time>[\d/.-]{2,10}T[\d:.,]{9,12});(?P<kind>[0189]);(?P<id>[0-9A-Fa-f]+);"
+               r"(?P<data>[0-9A-Fa-f]*)\s*$"),
     # Kvaser loggers: "    0.005500  1         600    Rx             8  19 14 09 03 00 12 00 12        1"
     re.compile(r"\s*(?P<time>\d+\.\d+) +(?P<bus>\d+) +(?P<id>[0-9A-F]{1,8})(?P<kind>x?) +(?P<direction>[RT]x)(?:Rq)?"
                r"[ EFBPRW#]+(?P<length>\d+) +(?P<data>(?:[0-9A-F]{2} )*|RTR) +\d+\s*$"),

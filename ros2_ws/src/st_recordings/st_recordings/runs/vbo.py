@@ -93,7 +93,8 @@ def _find_sources(file: Path, names: list[str], sections: dict[str, str], layout
             continue  # not the yaw angle or the true heading, but the course
         is_standard = channel in named.keys() - layout.columns
         default = _STANDARD_UNITS[channel] if is_standard else _DEFAULT_UNITS.get(source.kind, source.unit)
-        stated = find_unit(source.kind, units.get(source.name, "")) if default != HHMMSS else None
+        in_name = source.unit if source.has_stated_unit else ""
+        stated = (find_unit(source.kind, units.get(source.name, "")) or in_name) if default != HHMMSS else ""
         sources[channel] = replace(source, unit=stated or default, has_stated_unit=bool(stated or is_standard))
     if "yaw" in sources and "course" in sources and "yaw" not in layout.columns:
         sources.pop("yaw")
