@@ -58,7 +58,7 @@ def report_results(folder: Path, outcome: session.Outcome, extra: dict[str, Any]
         console.print(f"predictions without a complete score, not in the table: {text}", highlight=False)
     scored = max((modes["forecast"]["n_starts"] + modes["forecast"]["n_incomplete"]
                   for modes in summary["models"].values()), default=0)
-    if (unscored := ticks["predicted"] - scored) > 0 and not outcome.restarts:  # counts begin anew after a restart
+    if (unscored := ticks["predicted"] - scored) > 0 and not outcome.restarts:  # a restart resets the counts
         console.print(f"predictions that the evaluator did not receive, usually before it was ready: {unscored}")
     for name, content in (("bag", "measurements and predictions"), ("errors", "every score"),
                           ("summary.json", "this table"), ("paths.png", "the figure")):

@@ -247,7 +247,7 @@ _ROW, _INDICES = types.float64[::1], types.int64[::1]
 SIGNATURE = types.void(_ROW, _ROW, types.int64, _ROW, types.int64, _INDICES, types.float64, _INDICES, _ROW)
 
 
-# long: a function for each kind of step would count references to the arrays, which costs the kinematic model a fifth
+# long: a function for each kind of step would count references to arrays and slow the kinematic model by a fifth
 def _define_kernel(rhs, in_stages, read_parameters, load_w, load_state, allocate):
     @numba.njit(fastmath=set(FLAGS), error_model="numpy", nogil=True)
     def kernel(values, start, columns, w, stride, offsets, step, points, out):
@@ -316,8 +316,8 @@ def _make_parameter_reader(type_of_p):
 def _make_scratch(size: int):
     @intrinsic
     def allocate(_):
-        """Stack memory for `size` numbers, aligned to cache lines. This aligns the stack as well; otherwise a spilled
-        vector may occupy two cache lines, and the speed varies by a third between processes."""
+        """Stack memory for `size` rows of LANES numbers, aligned to cache lines. This aligns the stack as well:
+        otherwise a spilled vector may occupy two cache lines, and the speed varies by a third between processes."""
         def generate(context, builder, signature, arguments):
             rows = []
             for _ in range(size):

@@ -124,7 +124,7 @@ def _describe_change(finding: Finding, other: DriveCheck, place: str, whole: Dri
 
 def _check_part(log: DriveLog, vehicle: VehicleParameters | None, auxiliary: AuxiliaryData,
                 start_ns: int) -> DriveCheck:
-    """Unsorted result for a drive or a part of it, with ambiguous estimates. start_ns: zero of the times [ns]."""
+    """Unsorted result for a drive or a part of it, including ambiguous estimates. start_ns: zero of the times [ns]."""
     log, implausible = drop_implausible(log, start_ns)
     # The reader has already reported samples that it left out, or kept although implausible.
     reported = {(finding.name, finding.channels) for finding in auxiliary.implausible}
@@ -205,7 +205,7 @@ def _check_relations(results: Results, motion: Motion, log: DriveLog, vehicle: V
 
 def _check_rear_axle(results: Results, motion: Motion, vehicle: VehicleParameters, findings: list[Finding]) -> None:
     """Add the results of `check_rear_axle`. motion: corrected for a scale of the velocity. The scale of the positions
-    may be wrong instead, so a finding must also exist at the recorded velocity, with the lower of the two severities.
+    may be wrong instead, so a finding must also exist at the recorded velocity; the lower severity applies.
     """
     rear = vehicle_relations.check_rear_axle(motion, vehicle)
     scale, found = find(findings, "velocity_scale"), rear.findings

@@ -159,7 +159,7 @@ def _compute_residual_fractions(pair: Pair, offsets: Sequence[float], cutoff: fl
     comparison would be biased, since a filtered derivative is least accurate at its ends.
 
     Both series u are whitened, as any lag may fit slow errors such as the slope of the road: u(t) - rho u(t - delay),
-    delay = 1 / (2 cutoff), rho: correlation of the smallest residual with itself after this delay."""
+    delay = 1 / (2 cutoff), rho: autocorrelation of the smallest residual at this delay."""
     series = [select_common_samples(pair, (offset, 0.0))[:2] for offset in offsets]
     common = np.flatnonzero(np.bincount(np.concatenate([rows for rows, _ in series])) == len(series))
     values, delay = pair.other.values[common], round(0.5 / (cutoff * STEP))
@@ -393,7 +393,7 @@ def _make_unrelated_finding(motion: Motion, name: str, measured: np.ndarray) -> 
     text = f"{name} does not follow velocity and yaw rate (correlation {correlation:.2f})" + (
         f" and has a mean of {mean:.1f} m/s², that of gravity: does this axis of the sensor point up or down?"
         if is_vertical else ": is it another axis of the sensor or another signal, or is the road hilly?")
-    advice = Advice("text", "check the axes of the sensor; without the right one, leave this column out")
+    advice = Advice("text", "check the axes of the sensor, and leave this column out if none of them fits")
     return Finding("acceleration_unrelated", Severity.WARNING, (name,), text, correlation, advice=advice)
 
 

@@ -116,13 +116,13 @@ CAUSES = {
                              "too {high} compared with positions and yaw, at every speed"),
 }
 VARYING_CAUSES = {  # smallest reported standard deviation, name of the finding, statement, advice
-    "yaw_offset": (LIMITS.heading_misalignment, "yaw_wander", "yaw wanders within {size:.3f} rad ({degrees:.1f} deg) "
+    "yaw_offset": (LIMITS.heading_misalignment, "yaw_wander", "yaw wanders by up to {size:.3f} rad ({degrees:.1f} deg) "
                    "during the drive according to positions and velocities", CAUSES["yaw_drift"].key),
-    "position_lag": (LIMITS.severe_lag, "position_lag", "the lag of positions behind velocity and yaw varies within "
+    "position_lag": (LIMITS.severe_lag, "position_lag", "the lag of positions behind velocity and yaw varies by up to "
                      "{size:.2f} s during the drive", "stamp positions with the time of their measurement: no constant "
                      "correction exists"),
     "velocity_scale": (SPHERICAL_EARTH_SCALE, "velocity_scale", "the ratio of velocity to the rate of change of "
-                       "positions varies within {size:.3f} during the drive", "check the source of the velocity: no "
+                       "positions varies by up to {size:.3f} during the drive", "check the source of the velocity: no "
                        "constant correction exists"),
 }
 VARYING_FINDINGS = tuple(name for _, name, *_ in VARYING_CAUSES.values())
@@ -250,7 +250,7 @@ def _find_varying_cause(motion: Motion, explanation: _Explanation) -> tuple[_Exp
     cause = min(fits, key=lambda name: fits[name][0])
     ratio, values = fits[cause]
     smallest, name, statement, advice = VARYING_CAUSES[cause]
-    freedom = 1.0 - count * BLOCK_LENGTH / (2.0 * np.ptp(middle))  # of two independent values per block of windows
+    freedom = 1.0 - count * BLOCK_LENGTH / (2.0 * np.ptp(middle))  # fraction left, of two per block of windows
     if not motion.velocity_y.any() or ratio * MIN_VARIATION_RATIO > freedom or np.std(values) < smallest:
         return explanation, []
     value, size = np.interp(motion.time, instants, values), float(np.ptp(values))

@@ -49,14 +49,14 @@ def spread_bursts(log: DriveLog) -> tuple[DriveLog, list[Finding]]:
         max_gap = max(MAX_PAUSE_RATIO * period, MAX_GAP)
         # An angle sent only on change never repeats, and mostly changes by one step of its resolution.
         is_sent_on_change = signal == "steering" and np.median(steps) < MAX_STEP_RATIO * steps.min()
-        if count < MIN_BURST_LENGTH or is_sent_on_change or (  # or there are gaps: the motion continues in the pauses
+        if count < MIN_BURST_LENGTH or is_sent_on_change or (  # or the car moves on in the pauses, which are gaps
                 MAX_BURST_INTERVAL * steps[is_pause & (spacing <= max_gap)].mean() > steps[~is_pause].mean()):
             continue
         even = even_out(time, round(MAX_PAUSE_RATIO * count), max_gap)
         deviation = float(np.std(time - even))
         log = replace(log, **{name: stamps[0] + np.round(even / NANOSECOND).astype(np.int64)})
         effect = deviation * float(np.median(np.abs(log.velocity_x))) if signal == "INS" else None
-        text = (f"the {signal} samples come in bursts of {count:.0f}, {period:.2g} s apart: their time stamps are the "
+        text = (f"the {signal} samples come in bursts of {count:.0f} every {period:.2g} s: their time stamps are the "
                 "times at which they were received or written, not measured")
         advice = Advice("text", "use the time of measurement (GPS time), or that of each message on the bus")
         findings.append(Finding("time_jitter", LIMITS.severity(effect or 0.0, deviation >= LIMITS.severe_lag),
@@ -177,7 +177,7 @@ def check_position_deviations(motion: Motion, findings: list[Finding]) -> list[F
     """Finding about times, except those of jumps, at which positions deviate from velocity and yaw within the horizon
     by far more than in most of the drive. findings: so far. motion: corrected for them."""
     windows, count = motion.make_windows(1.0), round(HORIZON)
-    # The part of a varying cause that its correction leaves is no fault of its own.
+    # The residual of a corrected varying cause is not a separate fault.
     if len(windows) < MIN_DEVIATION_WINDOWS or any(
             f.name in VARYING_FINDINGS and f.interval is None for f in findings):
         return []
@@ -187,8 +187,8 @@ def check_position_deviations(motion: Motion, findings: list[Finding]) -> list[F
     is_inner = np.append(False, windows.are_adjacent) & np.append(windows.are_adjacent, False)
     sums = np.cumsum(np.append(0.0, is_inner * (errors - np.median(errors.real) - 1j * np.median(errors.imag))))
     size, begin = np.abs(sums[count:] - sums[:-count]), windows.time[:1 - count]
-    usual = float(np.median(size))
-    large = size > max(LIMITS.warning_effect, OUTLIER_SIGMAS * SIGMA_PER_MAD * usual)
+    median = float(np.median(size))
+    large = size > max(LIMITS.warning_effect, OUTLIER_SIGMAS * SIGMA_PER_MAD * median)
     times = tuple((first, last + HORIZON) for first, last in find_time_intervals(begin[large], HORIZON) if not any(
         first <= end and jump <= last + HORIZON for jump, end in jumps))
     if not times:
@@ -196,7 +196,7 @@ def check_position_deviations(motion: Motion, findings: list[Finding]) -> list[F
     inside = large & np.any([(begin >= first) & (begin <= last) for first, last in times], axis=0)
     largest, effect = float(size[inside].max()), float(np.sqrt(np.mean(np.where(inside, size, 0.0) ** 2)))
     text = (f"positions deviate from velocity and yaw by up to {largest:.2f} m within {HORIZON:g} s, {len(times)} "
-            f"time{'s' if len(times) > 1 else ''}, but usually by {usual:.2f} m: are satellite signals reflected or "
+            f"time{'s' if len(times) > 1 else ''}, but usually by {median:.2f} m: are satellite signals reflected or "
             "lost?")
     severity = LIMITS.severity(effect, severe=True)
     advice = Advice.for_run_yaml({"leave_out": [[round(first, 1), round(last, 1)] for first, last in times]})

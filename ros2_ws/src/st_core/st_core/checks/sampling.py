@@ -267,7 +267,7 @@ def _check_clipped(name: str, time: np.ndarray, values: np.ndarray, motion: Moti
 
 def _check_frozen(name: str, time: np.ndarray, values: np.ndarray, motion: Motion, resolution: float,
                   min_time: float = MIN_FREEZE_TIME) -> list[Finding]:
-    """Finding about a channel that is constant for `min_time` [s] and much longer than usual, as others contradict."""
+    """Finding about a channel that is constant for `min_time` [s] and much longer than usual while others change."""
     first, last = find_groups(np.diff(values) != 0.0)
     duration = time[last] - time[first]
     usual_pause = float(np.sort(duration)[max(int(0.98 * len(duration)) - 1, 0)]) if len(duration) > 5 else 0.0
@@ -391,7 +391,7 @@ def check_quality(quality: InsQuality | None, start_ns: int) -> Iterator[Finding
         if not rows.any():
             continue
         fraction = float(rows.mean())
-        text = f"the INS is {condition} for {100 * fraction:.0f} % of the time, during which its positions drift"
+        text = f"the INS is {condition} for {100 * fraction:.0f} % of the time, during which its positions may drift"
         severity = Severity.WARNING if fraction > LIMITS.max_note_fraction else Severity.NOTE
         yield Finding("ins_mode", severity, ("ins",), text, fraction, times=list_times(rows), advice=Advice(
             "text", "leave out these intervals, or post-process the raw data of the INS"))

@@ -4,7 +4,7 @@ The change of yaw is estimated from yaw, integrated yaw rate and course over gro
 is estimated from positions and from integrated velocity. The ratios of these estimates reveal the cause:
 
     yaw / course = f, yaw / rate = f, rate / course = 1      -> yaw is f times too large
-    position / velocity = 1 / f, yaw / rate = 1 / f          -> the stamps run f times as fast as time
+    position / velocity = 1 / f, yaw / rate = 1 / f          -> the time stamps run f times as fast as true time
 """
 
 from collections.abc import Mapping
@@ -195,7 +195,7 @@ def _scale_yaw(motion: Motion, ratio: float) -> tuple[Motion, Finding]:
 def _estimate_yaw_scale(motion: Motion, ratio: float) -> Estimate:
     """Scale of yaw, near `ratio`; the true yaw is the direction of travel minus the sideslip angle."""
     rescaled = _remove_wraps(replace(motion, yaw=motion.yaw / ratio))
-    windows = rescaled.make_windows(1.0, 0.5)  # those of the ratio, which is known only if there are some
+    windows = rescaled.make_windows(1.0, 0.5)  # as for the ratio, which is known, so there are some
     product = windows.change(rescaled.position) * np.conj(windows.integral(rescaled.velocity_map))
     yaw = windows.mean(rescaled.yaw)
     error, weight = np.angle(product * np.conj(product.sum())), np.sqrt(np.abs(product))  # rad, m
@@ -206,7 +206,7 @@ def _estimate_yaw_scale(motion: Motion, ratio: float) -> Estimate:
 
 
 def _correct_north_east(motion: Motion) -> MotionAndFinding:
-    """Correct x north, y east and a compass heading, which have the opposite sign of rotation to steering,
+    """Correct x north, y east and a compass heading, which turn in the opposite direction to steering,
     acceleration_y and velocity_y; the yaw rate may have either sign."""
     ratios, votes = compute_ratios(motion), sum(_compare_signs(motion))
     if motion.geographic or not _matches(ratios.yaw_to_course, 1.0):
@@ -460,8 +460,8 @@ def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
         angle = float(np.angle(motion.velocity.sum()))
         quarter = float(np.copysign(np.pi / 2, angle))
         angle = quarter if abs(angle - quarter) < 0.1 else angle
-        text = (f"velocity and track point {angle * DEG_PER_RAD:+.0f} deg to the left of yaw: does yaw refer to "
-                "an axis other than the forward one, or to north?")
+        text = (f"velocity and track point {abs(angle) * DEG_PER_RAD:.0f} deg to the "
+                f"{'left' if angle > 0 else 'right'} of yaw: does it refer to an axis other than forward, or to north?")
         advice, channels = Advice.correct("heading", add=angle), dict[str, Any](yaw=motion.yaw + angle)
         for x, y in (("velocity_x", "velocity_y"), ("acceleration_x", "acceleration_y")):
             if (along := getattr(motion, x)) is not None and (lateral := getattr(motion, y)) is not None:

@@ -50,7 +50,7 @@ MIN_GAIN = 1e-6  # ratio of measured to derived angle below which the steering i
 
 
 def check_steering(results: Results, motion: Motion, vehicle: VehicleParameters, from_steering_wheel: bool) -> None:
-    """Compare steering with curvature. from_steering_wheel: whether the road wheel angle is computed from its angle."""
+    """Compare steering with curvature. from_steering_wheel: whether a steering wheel angle was recorded."""
     moving = motion.velocity_x > MIN_SPEED
     derived = _derive_angle(motion, vehicle)
     speed = float(np.median(motion.velocity_x[moving])) if moving.any() else MIN_SPEED
@@ -112,7 +112,7 @@ def _compare_angles(motion: Motion, derived: np.ndarray, response: float,
 
 
 def _make_unrelated_finding(motion: Motion, derived: np.ndarray) -> Finding | None:
-    """Finding about steering not correlated with curvature; None if it is, hardly varies, or is too short."""
+    """Finding about steering not correlated with curvature; None if correlated, almost constant or too short."""
     angle = motion.steering_at_ins()
     known = np.isfinite(derived) & np.isfinite(angle)
     if known.sum() < 2 or known.mean() * np.ptp(motion.time) < MIN_COMMON_TIME or (
@@ -206,7 +206,7 @@ def _make_unit_finding(gain: Estimate | None, plausible_gains: tuple[float, floa
     text = (f"road_wheel_angle is {value:.3g} times the angle from yaw rate and speed"
             + (f": {reason}?" if reason else ""))
     scale = float(f"{1.0 / np.copysign(exact, value):.6g}")
-    # The offset was subtracted before the correction. It applies after it, unless a road wheel angle was recorded.
+    # The offset, subtracted before this correction, applies after it, unless a road wheel angle was recorded.
     add = float(f"{(scale - (exact != 1.0 / ratio)) * offset / ratio:.5g}")
     has_offset = from_steering_wheel and reason and add
     advice = Advice.correct("road_wheel_angle", scale=scale, **({"add": add} if has_offset else {}))
@@ -379,8 +379,8 @@ def _fit_rear_axle(problem: Regression, vehicle: VehicleParameters, speed_varies
 def _make_point_finding(point: Estimate, slip: Estimate, motion: Motion, vehicle: VehicleParameters) -> Finding | None:
     """Finding about a displaced INS point; None if small or uncertain. slip: of the rear axle, see `_fit_rear_axle`.
 
-    Rear wheels steered by k times the front angle act like a point k wheelbases further ahead. A k that depends on the
-    speed changes the slip too, so there is no correction if the slip does not agree with the vehicle file.
+    Rear wheels steered by k times the front angle act like a point k / (1 - k) wheelbases further ahead. A k that
+    depends on speed changes the slip too, so there is no correction if the slip does not agree with the vehicle file.
     """
     if not point.is_significant or abs(point.value) < LIMITS.ins_position:
         return None

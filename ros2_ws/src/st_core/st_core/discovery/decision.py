@@ -185,9 +185,9 @@ def judge_reporting(e: Evidence, limits: Limits, excludes_null: bool = True, par
         return demote(f"without it the held-out position error is {-100 * e.position_reduction:.1f} cm smaller",
                       position=e.position_reduction, relevant_position=limits.relevant_position)
     if e.noise_ratio > limits.max_noise_ratio and e.gain < limits.unexplained_share and not confirmed_by_sensors:
-        return demote(f"it is significant, but reduces the errors by only {100 * e.share:.1f} %, and one channel's "
-                      f"error remains {e.noise_ratio:.1f} times the noise; {100 * limits.unexplained_share:.0f} % is "
-                      "required, as unmodelled effects may cause less", gain=e.gain, noise_ratio=e.noise_ratio,
+        return demote(f"it is significant, but reduces the errors by {100 * e.share:.1f} %, and one channel's error "
+                      f"remains {e.noise_ratio:.1f} times the noise; {100 * limits.unexplained_share:.0f} % is needed, "
+                      "as unmodelled effects may cause smaller reductions", gain=e.gain, noise_ratio=e.noise_ratio,
                       max_noise_ratio=limits.max_noise_ratio, unexplained_share=limits.unexplained_share)
     if not excludes_null and not confirmed_by_sensors:
         return demote("it reduces the errors, but the interval of its value includes the null value")

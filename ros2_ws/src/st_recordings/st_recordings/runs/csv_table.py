@@ -273,7 +273,7 @@ def _find_header_line(lines: list[str], layout: Layout | None = None) -> int:
 
 def _split_header(header: str) -> tuple[list[str], str]:
     """(names of the columns, delimiter)."""
-    # If all names end with a unit, as in "speed, m/s", there is an extra comma. The first of equal counts is used.
+    # Names with units, as in "speed, m/s;yaw, deg", add one comma. Of equal counts, the first mark is used.
     text = re.sub('"[^"]*"', "", header)
     delimiter = max(";\t|,", key=lambda mark: text.count(mark) - (mark == "," and ", " in text))
     if delimiter not in header and len(header.split()) > 2:
@@ -363,7 +363,7 @@ def _load_numbers(lines: list[str], delimiter: str, width: int) -> np.ndarray:
 
 def _read_cells(file: Path, lines: list[str], delimiter: str, names: list[str], sources: dict[str, ColumnSource],
                 layout: Layout, warnings: list[str]) -> tuple[np.ndarray, dict[str, ColumnSource], dict[str, str]]:
-    """(numbers (n, width), sources, channel -> first cell) of rows with blank cells or text; NaN where no number is.
+    """(numbers (n, width), sources, channel -> first cell) of rows with blanks or text; NaN where a number is missing.
 
     A unit after the numbers is that of the source, unless the layout states one. Latitudes and longitudes with S or W
     in the columns after or before both become negative, dates and times become seconds. Raises RunError.

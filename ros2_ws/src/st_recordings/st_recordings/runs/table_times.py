@@ -142,7 +142,7 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
     for period, longest_step in ((60.0, 1.0), (HOUR, 1.0), (2**32 * 1e-6, 1.0), (2**32 * 1e-3, 1.0),
                                  (DAY, ROLLOVER_STEP), (7 * DAY, ROLLOVER_STEP)):
         if len(known_rows) and seconds[known_rows].min() >= 0.0 and seconds[known_rows].max() <= period + 1.0 and (
-                period > 60.0 or seconds[known_rows[0]] >= 1.0):  # from 0: joined drives of a minute
+                period > 60.0 or seconds[known_rows[0]] >= 1.0):  # times from 0 may be joined drives of a minute
             seconds[known_rows] += period * count_rollovers(seconds[known_rows], period - longest_step)
     return seconds, source
 
