@@ -46,7 +46,7 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, read_settings
         raise ConfigurationError("no run can be used for a course, for the reasons above")
     if origin and without_origin:
         print_line(f"[yellow]warning: {escape(', '.join(without_origin))}: without a map origin, and therefore "
-                   "not shifted; correct only if recorded in the map frame of the first run with an origin[/yellow]")
+                   "not shifted; valid only if recorded in the map frame of the first run with an origin[/yellow]")
     write_file(output, Course(tuple(passes), origin).to_yaml())
     drives = format_count(len({part.recording for part in passes}), "drive")
     print_line(f"{escape(str(output))}: course of {drives}")

@@ -72,5 +72,5 @@ def _read_table(path: Path) -> np.ndarray:
     except (UnicodeDecodeError, csv.Error) as error:
         raise ConfigurationError(f"{path}: not a CSV file: {error}") from None
     if len(rows) < 2:
-        raise ConfigurationError(f"{path}: has {len(rows)} rows, but at least 2 are required")
+        raise ConfigurationError(f"{path}: at least 2 rows are required, not {len(rows)}")
     return np.array(rows)

@@ -42,7 +42,7 @@ class Axles:
 
     joint_fit: covariance of the values; if None, there are no bands and the intervals have zero width.
     noise_ratio: ratio of residual to noise, by which bands and intervals are widened if it is above 1 [1].
-    near_sets: sets that fit nearly as well; bands and intervals include their values, intervals not those with a load.
+    near_sets: `SearchState.near_optimal`; bands include all of these fits, intervals only those without a load.
     Raises StCoreError for a base model without tyres, and if the drives are too short or the values too uncertain.
     """
 

@@ -55,7 +55,7 @@ class RelationFit:
 
 
 def profile_coefficients(h: np.ndarray) -> np.ndarray:
-    """(a, SPLINES) optimal change of all parameters per unit of each coefficient. h: (a, a) curvature, these last."""
+    """(a, SPLINES) optimal change of all parameters per unit of each coefficient. h: (a, a), coefficients last."""
     others = -np.linalg.solve(add_ridge(h[:-SPLINES, :-SPLINES]), h[:-SPLINES, -SPLINES:])
     return np.concatenate([others, np.eye(SPLINES)])
 
