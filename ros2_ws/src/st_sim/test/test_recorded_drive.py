@@ -79,7 +79,7 @@ VALID_ROWS = "0,0,0,0,5,0,0,0,0,0\n0.02,0.1,0,0,5,0,0,0,0,0\n"
         (f"{HEADER}\n{VALID_ROWS}0.04,nan,0,0,5,0,0,0,0,0\n", "line 4: not all of t, x, y"),
         (f"{HEADER}\n{VALID_ROWS}0.01,0,0,0,5,0,0,0,0,0\n", "line 4: t does not increase"),
         (f"{HEADER}\n{VALID_ROWS}\n\n0.01,0,0,0,5,0,0,0,0,0\n", "line 6: t does not increase"),
-        (f"{HEADER}\n0,0,0,0,5,0,0,0,0,0\n", "has 1 rows"),
+        (f"{HEADER}\n0,0,0,0,5,0,0,0,0,0\n", "at least 2 rows are required, not 1"),
         ("", "column t is missing"),
         ("\udcff\udcfe", "not a CSV file"),
     ],
