@@ -6,44 +6,12 @@ has its own versions (`numba_lanes`). On floats no function raises: outside its 
 
 import math
 from collections.abc import Callable, Mapping
-from functools import cache
 from typing import Any
 
 import numpy as np
 
-# numpy computes sines and cosines one by one in the C library, 12 ns each, but vectorises tangents on newer x86, 1 ns.
-# Sine and cosine from t = tan(x / 2) have an absolute error of 2.3e-16 for any x. For arrays with fewer elements than
-# _VECTOR_SIZE, the additional calls take longer than they save.
-_VECTOR_SIZE = 256
-
-
-@cache
-def _has_vector_tangent() -> bool:
-    try:
-        from numpy.lib import introspect
-    except ImportError:  # numpy before 2.1
-        return False
-    signatures = introspect.opt_func_info(func_name="^tan$", signature="float64").get("tan", {})
-    return any(not kind.get("current", "baseline").startswith("baseline") for kind in signatures.values())
-
-
-def _array_sin(x):
-    if np.size(x) < _VECTOR_SIZE or not _has_vector_tangent():
-        return np.sin(x)
-    t = np.tan(0.5 * x)
-    return 2.0 * t / (1.0 + t * t)
-
-
-def _array_cos(x):
-    if np.size(x) < _VECTOR_SIZE or not _has_vector_tangent():
-        return np.cos(x)
-    t = np.tan(0.5 * x)
-    t = t * t
-    return (1.0 - t) / (1.0 + t)
-
-
 _NUMPY: dict[str, Callable] = {
-    "sin": _array_sin, "cos": _array_cos, "tan": np.tan, "atan": np.arctan, "sqrt": np.sqrt, "sign": np.sign,
+    "sin": np.sin, "cos": np.cos, "tan": np.tan, "atan": np.arctan, "sqrt": np.sqrt, "sign": np.sign,
     "absolute": np.abs, "maximum": np.maximum, "minimum": np.minimum}
 NAMES = tuple(_NUMPY)
 _registered: dict[type, Mapping[str, Callable]] = {}
