@@ -102,7 +102,7 @@ class Lines(io.TextIOWrapper):
         super().__init__(stream, find_utf16(head) or ("utf-8-sig" if is_utf8 else "cp1252"), CP1252_FALLBACK)
 
     def __next__(self) -> str:  # type: ignore[override]
-        line = super().__next__()
+        line = io.TextIOWrapper.__next__(self)  # faster than super()
         self.number += 1
         return line
 
@@ -327,7 +327,7 @@ def _make_csv_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
 
 def _is_marked(cells: Mapping[str, str], *names: str) -> bool | None:
     """Whether the first of these columns that is not blank is set; None if all are blank, or for an unknown text."""
-    mark = next((cells[name].lower() for name in names if cells.get(name)), "")
+    mark = next(filter(None, map(cells.get, names)), "").lower()
     is_marked = mark in ("1", "t", "true", "yes", "tx") or mark.startswith("ext")
     return is_marked if is_marked or mark in ("0", "f", "false", "no") or mark.startswith("std") else None
 

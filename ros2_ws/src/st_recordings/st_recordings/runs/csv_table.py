@@ -3,7 +3,6 @@
 import csv
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -346,10 +345,12 @@ def _split_unit(channel: str, cell: str) -> str:
 
 def split_row(line: str, delimiter: str) -> list[str]:
     """Cells of a row without quotes and blanks around them."""
-    row = line.split(delimiter)
-    if '"' in line:
-        with suppress(csv.Error):  # a cell is too long
-            row = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+    if '"' not in line and "'" not in line:
+        return [cell.strip() for cell in line.split(delimiter)]
+    try:
+        row = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+    except csv.Error:  # a cell is too long
+        row = line.split(delimiter)
     return [cell.strip(" \t\r\n\"'") for cell in row]
 
 
