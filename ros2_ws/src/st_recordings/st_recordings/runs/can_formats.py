@@ -5,7 +5,6 @@ import mmap
 import re
 import zlib
 from base64 import b64decode
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -153,7 +152,7 @@ def _make_line_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
         match = next(filter(None, (form.match(line) for form in _LINES)), None)
         if match is None:
             raise ValueError("not a frame")
-        cells = defaultdict(str, {"kind": "-", **match.groupdict("")})
+        cells = {"kind": "-", "length": "", "fd": "", "bus": "", "index": "", "direction": "", **match.groupdict("")}
         time, kind, bus, data = cells["time"], cells["kind"].lower(), cells["bus"], cells["data"].replace("`", " ")
         if "T" in time:
             day, clock = re.sub("[^0-9T]", "", time).split("T")
