@@ -50,7 +50,7 @@ def test_document_has_the_keys_of_identification_json():
 def test_verdict_states_once_that_the_interval_contains_zero():
     found = make_identification(make_estimate("steering_wheel_offset", 0.001))
     copied = replace(found, estimates=replace(found).estimates)
-    assert copied["steering_wheel_offset"].verdict == "Verdict. Not distinguishable from zero."
+    assert copied["steering_wheel_offset"].verdict == "Verdict. steering_wheel_offset is not distinguishable from zero."
 
 
 def test_coverage_counts_filled_bins():

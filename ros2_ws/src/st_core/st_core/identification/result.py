@@ -16,7 +16,6 @@ if TYPE_CHECKING:  # `checks` takes a second to import, and nodes do not need it
 
 Status = Literal["identified", "doubtful", "unidentifiable"]
 
-ZERO_NOTE = " Not distinguishable from zero."
 
 
 class IdentificationError(StCoreError):
@@ -93,7 +92,8 @@ class Identification:
                 verdict = f"Not identifiable: zero is inside the interval. {estimate.verdict}"
                 estimates[k] = replace(estimate, status="unidentifiable", verdict=verdict)
             else:
-                verdict = f"{estimate.verdict.removesuffix(ZERO_NOTE)}{ZERO_NOTE}"
+                note = f" {estimate.parameter} is not distinguishable from zero."
+                verdict = f"{estimate.verdict.removesuffix(note)}{note}"
                 estimates[k] = replace(estimate, status="doubtful", verdict=verdict)
         object.__setattr__(self, "estimates", tuple(estimates))
 
