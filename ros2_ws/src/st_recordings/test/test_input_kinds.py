@@ -27,6 +27,8 @@ from st_core.checks import check
 from st_core.log import DriveLog
 from st_recordings.car import load_car, read_vehicle
 from st_recordings.runs import ReadSettings, RunError, find_runs, read
+from st_recordings.runs.columns import Layout
+from st_recordings.runs.csv_table import read_table
 from st_recordings.runs.run_types import SteeringField
 from support import EXAMPLES
 
@@ -233,6 +235,7 @@ TABLES = [
     Table("day_first_with_dashes.csv", lambda log: with_times(log, lambda s: f"25-04-2026 {clock(NOON + s)}")),
     Table("day_of_the_week.csv", lambda log: with_times(log, lambda s: f'"Mon, 4 May 2026 {clock(NOON + s)} +0200"')),
     Table("month_before_the_day.csv", lambda log: with_times(log, lambda s: f'"May 4, 2026 {clock(NOON + s)}"')),
+    Table("date_and_clock_with_comma.csv", lambda log: with_times(log, lambda s: f'"04 May 2026, {clock(NOON + s)}"')),
     Table("quoted_names.txt", lambda log: "\n".join([" ".join(f'"{name}"' for name in ("sample no", *NAMES)), *(
         "  ".join([str(k), *row]) for k, row in enumerate(rows(log)))])),
     Table("ambiguous_date.csv", lambda log: with_times(log, lambda s: f"05/04/2026 {clock(NOON + s)}"),
@@ -332,6 +335,12 @@ TABLES = [
         [["#INSPVAXA", "COM1", "4e77;INS_SOLUTION_GOOD", *row] for row in rows(log)],
         ",".join(("log", "port", "status", *NAMES)))),
     # Names and units of columns.
+    Table("quotes_after_blanks.csv", lambda log: "\n".join([f"t,note,{','.join(NAMES[1:])}", *(
+        f'{row[0]}, "turn, left", {", ".join(row[1:])}' for row in rows(log))])),
+    Table("quoted_units.csv", lambda log: csv([[f'"{cell} {unit}"' for cell, unit in zip(
+        row, ("s", "m", "m", "rad", "m/s", "m/s", "rad/s", "rad"), strict=True)] for row in rows(log)])),
+    Table("quoted_units_after_decimal_commas.csv", lambda log: csv([[f'"{cell.replace(".", ",")} {unit}"' for cell, unit
+        in zip(row, ("s", "m", "m", "rad", "m/s", "m/s", "rad/s", "rad"), strict=True)] for row in rows(log)])),
     Table("repeated_column.csv", lambda log: with_columns(log, {"vx": "9"}),
           "column vx occurs 2 times; the first is used"),
     Table("row_of_units.csv", lambda log: in_degrees(log, header() + "\ns,m,m,deg,m/s,m/s,deg/s,deg")),
@@ -382,6 +391,12 @@ def test_table_gives_the_drive(tmp_path: Path, drive_log: DriveLog, table: Table
     assert_warned(run.warnings, table.warning)
     if table.name in DAYS:
         assert run.log.ins_time_ns[0] // 86_400_000_000_000 == DAYS[table.name]
+
+
+def test_an_unknown_hemisphere_has_no_effect_on_other_rows(tmp_path: Path) -> None:
+    file = tmp_path / "drive.csv"
+    file.write_text("t,latitude,N/S,longitude,E/W\n0,52,N,1,W\n1,52,nan,1,nan\n2,52,N,1,W\n")
+    assert np.sign(read_table(file, Layout()).columns["longitude"]).tolist() == [-1.0, 1.0, -1.0]
 
 
 @pytest.mark.parametrize("kind", ["csv", "vbo"])

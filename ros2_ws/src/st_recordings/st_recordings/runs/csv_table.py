@@ -369,13 +369,14 @@ def _read_cells(file: Path, lines: list[str], delimiter: str, names: list[str], 
     A unit after the numbers is that of the source, unless the layout states one. Latitudes and longitudes with S or W
     in the columns after or before both become negative, dates and times become seconds. Raises RunError.
     """
-    lines = _THOUSANDS_SPACES.sub("", "\n".join(lines)).split("\n")
-    lines = [line.replace('"', "") if line.count('"') % 2 else line for line in lines]
-    decimal_mark, thousands_separator = _find_decimal_mark(file, lines, delimiter)
+    text = re.sub(rf'{re.escape(delimiter)} +"', f'{delimiter}"', "\n".join(lines))  # numpy needs quotes at the start
+    text = _THOUSANDS_SPACES.sub("", text)
+    lines = [line.replace('"', "") if line.count('"') % 2 else line for line in text.split("\n")]
     lines = _select_complete_rows(file, lines, delimiter, len(names), warnings)
     first_row, fraction = split_row(lines[0], delimiter), find_stamp_columns(names)
     first = {channel: first_row[source.column] for channel, source in sources.items()}
     units = {channel: text for channel, cell in first.items() if (text := _split_unit(channel, cell))}
+    decimal_mark, thousands_separator = _find_decimal_mark(file, lines, delimiter, units.values())
     time = sources.get("t")
     used = {number: "" for number, name in enumerate(names) if time is not None and name == time.name}
     used |= {fraction[1]: ""} if fraction else {}
@@ -404,9 +405,8 @@ def _read_cells(file: Path, lines: list[str], delimiter: str, names: list[str], 
     places = {sources[channel].column: {*letters, ""} for channel, letters in HEMISPHERES.items() if channel in sources}
     for side in (1, -1):
         if all(cells.get(column + side, "?").upper() in letters for column, letters in places.items()):
-            for column, hemispheres in places.items():
-                letters = [text.upper() for text in read_texts(column + side)]
-                rows = np.isin(letters, ("S", "W")) & ({*letters} <= hemispheres)
+            for column in places:
+                rows = np.isin([letter.upper() for letter in read_texts(column + side)], ("S", "W"))
                 numbers[rows, column] = -np.abs(numbers[rows, column])
     return numbers, _apply_stated_units(sources, units, layout), first
 
@@ -431,14 +431,14 @@ def _select_complete_rows(file: Path, lines: list[str], delimiter: str, width: i
     return rows
 
 
-def _find_decimal_mark(file: Path, lines: list[str], delimiter: str) -> tuple[str, str]:
-    """(decimal mark, thousands separator or "") of all cells together. Raises RunError if a cell is ambiguous: 1,234
-    may be 1.234 or 1234."""
+def _find_decimal_mark(file: Path, lines: list[str], delimiter: str, units: Iterable[str]) -> tuple[str, str]:
+    """(decimal mark, thousands separator or "") of all cells together, without the units after their numbers. Raises
+    RunError if a cell is ambiguous: 1,234 may be 1.234 or 1234."""
     body = "\n".join(lines)
-    has_quotes = delimiter == "," and '"' in body
-    if not has_quotes and (delimiter == "," or "," not in body) and not _GROUPED_POINTS.search(body):
+    if ('"' not in body if delimiter == "," else "," not in body) and not _GROUPED_POINTS.search(body):
         return ".", ""
-    cells = {cell for line in lines for cell in split_row(line, delimiter)}
+    cells = {cell.removesuffix(unit).strip() for line in lines for cell in split_row(line, delimiter)
+             for unit in ("", *units)}
     commas = {cell for cell in cells if "," in cell}
     points = {cell for cell in cells if "." in cell}
     # If a cell contains both marks, as 1.234,5 does, the last one is the decimal mark.
@@ -456,7 +456,7 @@ def _find_decimal_mark(file: Path, lines: list[str], delimiter: str) -> tuple[st
         reason = "the file has decimal commas and decimal points" if marks else "no other cell shows which"
         raise RunError(file, f"{ambiguous_cells[0]} may be a number with a decimal mark or with a thousands separator: "
                        f"{reason}", "export it without thousands separators")
-    if len(marks) > 1:  # every cell has at most one mark, and it is decimal
+    if len(marks) != 1:  # every cell has at most one mark, and it is decimal
         return ",", ""
     return (".", ",") if marks == {"."} else (",", ".")
 
