@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 from exact_drive import Sines, exact_drive
-from exact_faults import findings_by_name
+from exact_faults import findings_by_name, ins_rotated
 from st_core.checks import AuxiliaryData, Finding, Severity, check
 from st_core.checks.finding import merge_findings
 from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
@@ -39,6 +39,13 @@ def test_constant_channel_is_reported(log, leaf, name, value):
 @pytest.mark.parametrize("name", [name for name in CHANNELS if name not in ("velocity_y", "road_wheel_angle")])
 def test_constant_channel_has_no_consequences(log, leaf, name):
     assert [finding.name for finding in check(with_constant(log, name, value=0.3), leaf).findings] == ["channel_frozen"]
+
+
+@pytest.mark.parametrize(("name", "turning"), [
+    ("x", Sines(0.1 * np.pi, ())), ("y", Sines(0.1 * np.pi, ())), ("yaw", Sines(0.0, ((0.3, 10.0, 0.0),)))])
+def test_constant_channel_is_reported_if_the_car_returns(leaf, name, turning):
+    lap = exact_drive(leaf, speed=Sines(8.0, ((0.5, 15.0, 0.0),)), turning=turning)
+    assert [f.name for f in check(with_constant(lap, name), leaf).findings] == ["channel_frozen"]
 
 
 @pytest.mark.parametrize("value", [0.0, 0.3])
@@ -162,3 +169,6 @@ def test_rows_that_repeat_the_previous_one_are_frozen_and_no_jumps(log, leaf, se
     (finding,) = check(replace(log, **held), leaf).findings
     assert (finding.name, finding.channels) == ("channel_frozen", INS_SIGNALS)
     assert finding.severity is Severity.WARNING and finding.advice.entry.keys() == {"leave_out"}
+    turned = ins_rotated(0.03)(log)  # the rear axle is still compared with the rest of the drive
+    held = {name: getattr(turned, name)[source] for name in held}
+    assert findings_by_name(replace(turned, **held), leaf).keys() == {"channel_frozen", "heading_misaligned"}

@@ -190,7 +190,8 @@ def _check_relations(results: Results, motion: Motion, log: DriveLog, vehicle: V
             from_steering_wheel = log.steering_wheel_angle is not None and np.allclose(
                 log.road_wheel_angle, vehicle.road_wheel_angle(log.steering_wheel_angle), atol=1e-4)
             vehicle_relations.check_steering(results, corrected, vehicle, from_steering_wheel)
-        unusable_channels = coarse_channels | _list_channels(stuck_findings, "channel_frozen")
+        constant = [f for f in stuck_findings if f.value and f.value > 0.5 * log.duration]  # others are gaps by now
+        unusable_channels = coarse_channels | _list_channels(constant, "channel_frozen")
         if sideslip_measured and not unusable_channels & {"velocity_y", "yaw_rate"}:
             _check_rear_axle(results, corrected, vehicle, findings)
         results.findings += vehicle_relations.check_tyre_limit(corrected, sideslip_measured)
@@ -205,8 +206,7 @@ def _check_relations(results: Results, motion: Motion, log: DriveLog, vehicle: V
 
 def _check_rear_axle(results: Results, motion: Motion, vehicle: VehicleParameters, findings: list[Finding]) -> None:
     """Add the results of `check_rear_axle`. motion: corrected for a scale of the velocity. The scale of the positions
-    may be wrong instead, so a finding must also exist at the recorded velocity; the lower severity applies.
-    """
+    may be wrong instead, so a finding must also exist at the recorded velocity; the lower severity applies."""
     rear = vehicle_relations.check_rear_axle(motion, vehicle)
     scale, found = find(findings, "velocity_scale"), rear.findings
     if found and scale is not None and scale.value and not units_and_axes.match_unit(scale.value):

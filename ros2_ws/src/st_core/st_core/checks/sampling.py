@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from ..log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, STEERING
 from ..prediction import PredictionSettings
@@ -121,10 +122,8 @@ def _make_missing_values_finding(channel: str, count: int, motion: Motion, auxil
 
 
 def make_rejected_frames_finding(time: np.ndarray, frames: int, reason: str) -> Finding:
-    """Finding about steering frames that the decoder rejected for a reason.
-
-    time: of the rejected frames, ascending [s since the first INS measurement]. frames: number of all frames.
-    """
+    """Finding about steering frames that the decoder rejected. time: of these frames, ascending [s since the first INS
+    measurement]. frames: number of all frames."""
     fraction = len(time) / frames
     text = (f"road_wheel_angle: {len(time)} of {frames} frames between {time[0]:.2f} and {time[-1]:.2f} s were "
             f"received but not used: {reason}")
@@ -287,8 +286,7 @@ def _check_frozen(name: str, time: np.ndarray, values: np.ndarray, motion: Motio
     elif name == "road_wheel_angle":
         advice = Advice("text", "check the steering sensor: its frames repeat one value")
     else:
-        frozen_times = [[round(begin, 2), round(end, 2)] for begin, end in times]
-        advice = Advice.for_run_yaml({"leave_out": frozen_times})
+        advice = Advice.for_run_yaml({"leave_out": [[round(begin, 2), round(end, 2)] for begin, end in times]})
     affected = INS_SIGNALS if name == ALL_INS_SIGNALS else (name,)
     return [Finding("channel_frozen", severity, affected, text, seconds, "s", times=times, advice=advice)]
 
@@ -306,7 +304,9 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, resoluti
         return False
     if name in RATES:
         rate, bias, min_change = RATES[name]
-        change = max(float(abs(rate(motion)[in_interval].mean())) - bias, 0.0) * (end - begin)
+        rises = [cumulative_trapezoid(sign * rate(motion)[in_interval] - bias, motion.time[in_interval], initial=0.0)
+                 for sign in (1.0, -1.0)]  # at any time, since a lap ends where it begins
+        change = max(float((rise - np.minimum.accumulate(rise)).max()) for rise in rises)
         return change > max(ROUNDING_STEPS * resolution, min_change)
     related, min_change = RELATED_QUANTITIES[name]
     expected = related(motion)[in_interval]
@@ -334,7 +334,7 @@ POSITION_EFFECT = {
     "velocity_y": (LIMITS.yaw_settling_time * HORIZON, False), "yaw_rate": (LIMITS.yaw_settling_time * HORIZON, True)}
 # By channel: its rate of change from other channels, the largest bias of that rate, and the smallest expected change.
 RATES: Mapping[str, tuple[Callable[[Motion], np.ndarray], float, float]] = {
-    ALL_INS_SIGNALS: (lambda m: m.velocity, MAX_SPEED_NOISE, 1.0),
+    ALL_INS_SIGNALS: (lambda m: m.speed, MAX_SPEED_NOISE, 1.0),
     "x": (lambda m: m.velocity_map.real, MAX_SPEED_NOISE, 1.0),
     "y": (lambda m: m.velocity_map.imag, MAX_SPEED_NOISE, 1.0),
     "yaw": (lambda m: m.yaw_rate, MAX_GYRO_BIAS, 0.05)}
