@@ -268,5 +268,5 @@ def test_slip_of_a_wheel_speed_is_no_lead_of_the_velocity(leaf, slip):
     log = exact_drive(leaf, 120.0, rate=20.0)
     acceleration = np.gradient(log.velocity_x, (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9)
     slipping = replace(log, velocity_x=log.velocity_x * (1.0 + slip * acceleration))
-    assert not {"velocity_lag", "velocity_x_lag"} & lag_findings(slipping).keys()
+    assert not lag_findings(slipping)  # of the acceleration neither
     assert {"velocity_lag", "velocity_x_lag"} & lag_findings(delay(log, -0.1, "velocity_x")).keys()

@@ -156,10 +156,8 @@ def _check_part(log: DriveLog, vehicle: VehicleParameters | None, auxiliary: Aux
 
 def _check_relations(results: Results, motion: Motion, log: DriveLog, vehicle: VehicleParameters | None,
                      time_unit: Finding | None, stuck_findings: list[Finding], broken_channels: set[str]) -> None:
-    """Add the results of comparing the channels with each other and with the vehicle.
-
-    stuck_findings: from `find_stuck_channels`. broken_channels: from `find_broken_channels`.
-    """
+    """Add the results of comparing the channels with each other and with the vehicle. stuck_findings: from
+    `find_stuck_channels`. broken_channels: from `find_broken_channels`."""
     recorded = motion
     motion, unit_findings = _correct_units(sampling.drop_frozen_samples(motion, stuck_findings), vehicle)
     unit_findings = [time_unit, *unit_findings] if time_unit else unit_findings
@@ -190,8 +188,7 @@ def _check_relations(results: Results, motion: Motion, log: DriveLog, vehicle: V
             from_steering_wheel = log.steering_wheel_angle is not None and np.allclose(
                 log.road_wheel_angle, vehicle.road_wheel_angle(log.steering_wheel_angle), atol=1e-4)
             vehicle_relations.check_steering(results, corrected, vehicle, from_steering_wheel)
-        constant = [f for f in stuck_findings if f.value and f.value > 0.5 * log.duration]  # others are gaps by now
-        unusable_channels = coarse_channels | _list_channels(constant, "channel_frozen")
+        unusable_channels = coarse_channels | _list_channels(stuck_findings, "channel_frozen", 0.5 * log.duration)
         if sideslip_measured and not unusable_channels & {"velocity_y", "yaw_rate"}:
             _check_rear_axle(results, corrected, vehicle, findings)
         results.findings += vehicle_relations.check_tyre_limit(corrected, sideslip_measured)
@@ -221,9 +218,10 @@ def _check_rear_axle(results: Results, motion: Motion, vehicle: VehicleParameter
     results.panels += rear.panels
 
 
-def _list_channels(findings: list[Finding], name: str = "") -> set[str]:
-    """Channels affected by the findings of this name, or by any finding if no name is given."""
-    return {channel for finding in findings if name in ("", finding.name) for channel in finding.channels}
+def _list_channels(findings: list[Finding], name: str = "", min_value: float = 0.0) -> set[str]:
+    """Channels affected by the findings of this name, or any if none is given, with at least this value."""
+    return {channel for finding in findings if name in ("", finding.name) and (finding.value or 0.0) >= min_value
+            for channel in finding.channels}
 
 
 def _remove_consequences(findings: list[Finding], log: DriveLog, motion: Motion) -> list[Finding]:

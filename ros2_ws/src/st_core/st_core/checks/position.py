@@ -160,7 +160,7 @@ class _Explanation(NamedTuple):
 def _explain_residual(motion: Motion, rare_explanations: Mapping[tuple[str, ...], set[str]]) -> _Explanation:
     """The causes found by repeated selection and correction. rare_explanations: part of RARE_EXPLANATIONS."""
     causes: dict[str, Estimate] = {}
-    corrected = motion
+    corrected, slips = motion, set[str]()
     for _ in range(ITERATIONS):  # the effect of a large cause is nonlinear and biases the other estimates
         problem = make_residual_regression(corrected)
         effects = {name: problem.compute_effect(name, HORIZON_WINDOWS) for name in problem.columns}  # m per unit
@@ -171,17 +171,19 @@ def _explain_residual(motion: Motion, rare_explanations: Mapping[tuple[str, ...]
         refined = _refine_causes(problem, causes, min_values, explanations)
         for name in ALTERNATIVE_LAGS.keys() & refined.keys():  # a bias acts like it at constant acceleration
             lag = problem.estimate(tuple(dict.fromkeys((*refined, "velocity_x_bias"))))[name]
-            is_slip = name not in causes and lag.value < 0.0 and _is_wheel_slip(problem, name, tuple(refined))
-            if is_slip or not is_relevant(_add_refinement(name, causes, lag), min_values[name]):
+            slips |= {name} if name not in causes and _is_wheel_slip(problem, name, tuple(refined)) else set()
+            if not is_relevant(_add_refinement(name, causes, lag), min_values[name]):
                 del refined[name]
         # An axis scale that differs from 1 as much as a wrong unit is kept only if its effect is enough for a warning.
         causes = {name: estimate for name, estimate in refined.items() if is_relevant(estimate, min_values[name]) and (
             name not in AXIS_SCALES or abs(estimate.value) * effects[name] >= LIMITS.warning_effect
             or is_near(1.0 + estimate.value, 1.0, LIMITS.unit_ratio))}
-        corrected = _correct_causes(motion, {name: estimate.value for name, estimate in causes.items()})
+        # The slip of a wheel speed v is no fault. Near the usual v, it acts like a lead of c v, see `_is_wheel_slip`.
+        corrected = _correct_causes(motion, {"velocity_x_lag" if name in slips else name: estimate.value
+                                             for name, estimate in causes.items()})
         if not causes:
             break
-    return _Explanation(causes, corrected, effects)
+    return _Explanation({name: causes[name] for name in causes if name not in slips}, corrected, effects)
 
 
 def _is_wheel_slip(problem: Regression, lead: str, causes: Names) -> bool:

@@ -214,7 +214,7 @@ def find_coarse_channels(motion: Motion, stuck: Sequence[Finding]) -> list[Findi
         findings.append(Finding("resolution_coarse", LIMITS.severity(effect), (name,),
                                 f"{name} is rounded to {step:.3g} {unit}{degrees}", step, unit, effect=effect,
                                 advice=Advice("text", f"log {name} with more digits")))
-    step = estimate_resolution(motion.steering_time, motion.steering) if len(motion.steering) else 0.0
+    step = estimate_resolution(motion.steering_time, motion.steering) if len(motion.steering) > 1 else 0.0
     if step >= LIMITS.steering_offset and "road_wheel_angle" not in held:
         text = f"road_wheel_angle is rounded to {step:.3g} rad ({np.rad2deg(step):.2g} deg at the road wheels)"
         findings.append(Finding("resolution_coarse", Severity.WARNING, ("road_wheel_angle",), text, step, "rad",
