@@ -331,6 +331,12 @@ def test_recording_that_is_converted_or_reconstructed_is_not_replayed(live, tmp_
         replay_bag(tmp_path, tmp_path, None, 0.0, Console())
 
 
+def test_replay_that_was_stopped_before_it_began_is_reported(bag, tmp_path, monkeypatch):
+    monkeypatch.setattr(session, "run", lambda *arguments, **options: session.Outcome({}, interrupted=True))
+    result = st("verify", bag, "--replay", "--output", tmp_path / "replay")
+    assert result.exit_code == 2 and "stopped before it began" in result.output
+
+
 def test_invalid_recording_is_rejected(tmp_path):
     file = tmp_path / "x.mcap"
     file.write_bytes(b"nothing of the kind")

@@ -201,8 +201,8 @@ def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replay: bo
         folder = new_folder(output, f"verify-{bag.stem}")
         console.out(f"playing {bag.name} through the nodes ({reason}); recordings in {folder}", highlight=False)
         outcome, _ = replay_bag(find_bag(bag), folder, vehicle, 0.0, console, settings=read_settings)
-        if not outcome.ok:
-            raise SuiteError(outcome.problem or f"a node failed: {outcome.statuses}; see {folder / 'logs'}")
+        if not (outcome.ok and outcome.statuses):
+            raise SuiteError(outcome.problem or f"the replay failed or was stopped before it began; see {folder}/logs")
         with console.status(description):
             result = verify(folder, vehicle)
     if result is None:
