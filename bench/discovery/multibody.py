@@ -180,7 +180,7 @@ def _loop(state, o, p, slippery, road, relation, body, first, delayed, gusts,  #
     oldest, drawn = 0, 0
     for k in range(len(steering)):
         friction, bank, grade = evaluate_road(road, x[0], x[P_YAW])
-        tyres = p if friction == road.friction else slippery
+        tyres = p if friction == road.friction_factor else slippery
         f = rates(x, 0.0, pedal, (bank, grade, gust_x, o.wind + gust_y), tyres, o.drag_area, o.still_air)
         time = (first + k) * STEPS_PER_SAMPLE * STEP
         if relation[0]:
@@ -203,7 +203,7 @@ def _loop(state, o, p, slippery, road, relation, body, first, delayed, gusts,  #
             if step == STEERING_SAMPLE_STEP:
                 row[RECORDED] = angle
             friction, bank, grade = evaluate_road(road, x[0], x[P_YAW])
-            tyres = p if friction == road.friction else slippery
+            tyres = p if friction == road.friction_factor else slippery
             if o.gust:
                 gust_x, gust_y = fading * gust_x + kick * gusts[drawn], fading * gust_y + kick * gusts[drawn + 1]
                 drawn += 2
