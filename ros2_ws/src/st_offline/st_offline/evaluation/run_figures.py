@@ -1,12 +1,8 @@
 """Draws the figures of one run: predicted paths, errors versus start time and versus horizon, slip and forces."""
 
-import contextlib
 import math
-import multiprocessing
-import signal
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -19,6 +15,7 @@ from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE
 from st_core.readings import predict_readings
 from st_core.vehicle import VehicleParameters
 
+from .background import run_in_background
 from .drawing import TEXT_COLOUR, WIDTH, FigureOutput, PageFigure, cut_at_gaps, reduce_points, save_figure
 
 POSITIVE_SIDE = {"longitudinal": "ahead", "lateral": "left"}
@@ -63,39 +60,10 @@ def choose_starts(evaluation: LogEvaluation, times: Sequence[float]) -> np.ndarr
 
 def draw_run(data: FigureData) -> list[PageFigure]:
     """Draw all figures for which this run has data, half of them on a second core."""
-    first, second = run_in_two_processes(lambda: [draw_segments(data), draw_horizon_means(data)],
-                                         lambda: [draw_slip_and_forces(data), draw_error_against_horizon(data)])
-    return [figure for figure in first + second if figure is not None]
-
-
-def run_in_two_processes(first: Callable[[], Any], second: Callable[[], Any]) -> tuple[Any, Any]:
-    """The results of both functions; `second` runs in a forked child process, without a copy of its data.
-
-    This process does all the work if it is a Dask worker, which cannot have children, or if the child fails, for
-    example for lack of memory. The result of `second` must be picklable.
-    """
-    if multiprocessing.current_process().daemon:
-        return first(), second()
-    context = multiprocessing.get_context("fork")
-    receiver, sender = context.Pipe(duplex=False)
-    child = context.Process(target=_send_result, args=(second, sender), daemon=True)
-    child.start()
-    sender.close()
-    try:
-        result = first()
-        with contextlib.suppress(EOFError):
-            return result, receiver.recv()
-        return result, second()
-    finally:
-        receiver.close()
-        child.terminate()  # if its result was not fetched
-        child.join()
-
-
-def _send_result(work: Callable[[], Any], sender: Connection) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent, which terminates this process
-    with contextlib.suppress(Exception):  # the parent repeats the work and reports its error
-        sender.send(work())
+    first, second = (draw_segments, draw_horizon_means), (draw_slip_and_forces, draw_error_against_horizon)
+    with run_in_background(lambda: [draw(data) for draw in second]) as wait_for_second:
+        figures = [draw(data) for draw in first] + wait_for_second()
+    return [figure for figure in figures if figure is not None]
 
 
 def draw_segments(data: FigureData) -> PageFigure | None:

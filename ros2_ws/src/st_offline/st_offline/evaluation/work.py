@@ -32,6 +32,7 @@ from st_recordings.runs.run_types import summarise_alignment
 from ..bands.bands_report import Scorer, collect_intervals, pool_sums, sum_contributions
 from ..checking.gate import RUN_ERRORS, check_log, describe_problem, raise_for_errors
 from . import tables
+from .background import run_in_background
 from .drawing import FigureOutput, PageFigure
 from .drive_parts import segment_drive
 from .run_figures import FigureData, describe_ranking, draw_run
@@ -98,14 +99,18 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     run = read(source, task.vehicle, task.read_settings)
     times.append(time.perf_counter())
     models, prediction = load_models(task), task.settings.prediction
-    findings = check_log(run.log, task.vehicle, run.auxiliary, models, prediction.step).findings
-    raise_for_errors(source.path, findings, task.force)
-    signals = task.settings.signals(run.log)
-    bands = task.bands[1] if task.bands else None
-    scorer = Scorer(bands, task.adaptive, signals, run.provenance["files"], prediction)
-    future_inputs = make_future_inputs(run, signals, task)
-    evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress, on_block=scorer.add,
-                              future_inputs=future_inputs)
+    with run_in_background(lambda: (check_log(run.log, task.vehicle, run.auxiliary, models, prediction.step).findings,
+                                    segment_drive(run.log, run.labels))) as wait_for_checks:
+        signals = task.settings.signals(run.log)
+        bands = task.bands[1] if task.bands else None
+        scorer = Scorer(bands, task.adaptive, signals, run.provenance["files"], prediction)
+        try:
+            future_inputs = make_future_inputs(run, signals, task)
+            evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress,
+                                      on_block=scorer.add, future_inputs=future_inputs)
+        finally:  # a finding of the checks explains a fault better than the exception that it causes here
+            findings, parts = wait_for_checks()
+            raise_for_errors(source.path, findings, task.force)
     times.append(time.perf_counter())
     _require_scores(source, run, evaluation)
     folder, name = None, to_file_name(source.name)
@@ -127,8 +132,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     seconds = dict(zip(("read", "predict", "draw"), np.diff(times).tolist(), strict=True))
     return RunReport(source.name, "", describe_ranking(evaluation), metadata, tables.summarise_by_model(evaluation),
                      tables.summarise_by_second(evaluation), tables.summarise_by_bin(evaluation),
-                     tables.summarise_by_manoeuvre(evaluation, segment_drive(run.log, run.labels)), figures, sums,
-                     findings, seconds)
+                     tables.summarise_by_manoeuvre(evaluation, parts), figures, sums, findings, seconds)
 
 
 def _require_scores(source: RunSource, run: LoadedRun, evaluation: LogEvaluation) -> None:

@@ -5,15 +5,16 @@ import os
 import signal
 
 import pytest
-from st_offline.evaluation.run_figures import run_in_two_processes
+from st_offline.evaluation.background import run_in_background
 
 PARENT = os.getpid()
 
 
 def test_work_runs_in_a_child_process_with_the_data_of_its_parent():
     content = [1, 2, 3]
-    first, (pid, total) = run_in_two_processes(os.getpid, lambda: (os.getpid(), sum(content)))
-    assert (first, pid != PARENT, total) == (PARENT, True, 6)
+    with run_in_background(lambda: (os.getpid(), sum(content))) as result:
+        pid, total = result()
+    assert (pid != PARENT, total) == (True, 6)
     assert not multiprocessing.active_children()
 
 
@@ -23,20 +24,22 @@ def test_work_of_a_killed_child_is_repeated_in_its_parent():
             os.kill(os.getpid(), signal.SIGKILL)
         return os.getpid()
 
-    assert run_in_two_processes(os.getpid, work) == (PARENT, PARENT)
+    with run_in_background(work) as result:
+        assert result() == PARENT
 
 
 def test_exception_of_the_work_is_raised_in_the_parent(capfd):
     def work():
         raise ValueError("no room")
 
-    with pytest.raises(ValueError, match="no room"):
-        run_in_two_processes(os.getpid, work)
+    with pytest.raises(ValueError, match="no room"), run_in_background(work) as result:
+        result()
 
 
 def test_daemon_process_does_the_work_itself():
     def worker(queue):
-        queue.put(run_in_two_processes(os.getpid, os.getpid))
+        with run_in_background(os.getpid) as result:
+            queue.put((os.getpid(), result()))
 
     context = multiprocessing.get_context("fork")
     queue = context.Queue()
