@@ -151,12 +151,17 @@ class _PageHandler(_Handler):
 
 class LiveView:
     """Serves the passenger's page during a run, if `page` is set or an address (HOST or HOST:PORT) is given, and writes
-    the Rerun file `save` (.rrd) afterwards. Raises SuiteError for an invalid port or a file that cannot be used."""
+    the Rerun file `save` (.rrd) afterwards. Raises SuiteError for an address or a file that cannot be used."""
 
     def __init__(self, page: bool, address: str | None = None, save: Path | None = None):
         host, _, port = (address or LOOPBACK).partition(":")
         if port and not (port.isdecimal() and int(port) <= 65535):
             raise SuiteError(f"--view-address {address}: the port is not a whole number from 0 to 65535")
+        try:  # before any node starts
+            socket.create_server((host or LOOPBACK, int(port or 0))).close()
+        except (OSError, TypeError) as error:  # TypeError: the host cannot be encoded
+            raise SuiteError(f"--view-address {address}: {getattr(error, 'strerror', None) or error}; use an address "
+                             "of this computer and a free port") from None
         if save is not None:
             check_new_rerun_file("--view-save", save)
         self._page, self._host, self._port = page or address is not None, host or LOOPBACK, int(port or 0)

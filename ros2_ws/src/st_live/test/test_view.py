@@ -2,6 +2,7 @@
 
 import json
 import math
+import socket
 import threading
 import time
 from pathlib import Path
@@ -187,10 +188,15 @@ def test_invalid_rerun_file_is_rejected(tmp_path: Path, name: str, text: str) ->
         check_new_rerun_file("--view-save", tmp_path / name)
 
 
-@pytest.mark.parametrize("address", ["127.0.0.1:http", "127.0.0.1:99999"])
-def test_address_without_a_valid_port_is_rejected(address: str) -> None:
+@pytest.mark.parametrize("address", ["127.0.0.1:http", "127.0.0.1:99999", "192.0.2.7:8080", "a..b:0"])
+def test_unusable_address_is_rejected_before_the_run(address: str) -> None:
     with pytest.raises(SuiteError, match="--view-address"):
         LiveView(True, address)
+
+
+def test_occupied_port_is_rejected_before_the_run() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other, pytest.raises(SuiteError, match="in use"):
+        LiveView(True, f"127.0.0.1:{other.getsockname()[1]}")
 
 
 def test_port_alone_does_not_open_the_page_to_the_network() -> None:
