@@ -72,8 +72,8 @@ def compare_runs(runs: Sequence[DriveCheck]) -> list[RunComparison]:
 
 
 def pool_estimates(runs: Sequence[Mapping[str, Sequence[float]]]) -> dict[str, tuple[float, float, float]]:
-    """Estimate (value, ends of its 95 % interval) of each quantity, pooled over the runs by random effects. Those that
-    only one of several runs determines are left out: nothing shows that it is the same in the others."""
+    """Estimate (value, ends of its 95 % interval) of each quantity, pooled over the runs by random effects. Quantities
+    that only one of several runs determines are left out: nothing shows that the other runs have the same value."""
     result = {}
     for name in dict.fromkeys(name for run in runs for name in run):
         rows = _select_finite([run[name] for run in runs if name in run])

@@ -282,8 +282,11 @@ def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[M
         estimates[name] = estimate.shifted(value) if name == "yaw_offset" else estimate.scaled(value)
     if "velocity_scale" in estimates:
         estimates["velocity_x_scale"] = estimates["velocity_scale"].scaled(removed_factors.get("velocity_x_scale", 1.0))
-    if yaw_rate:
-        motion = inertial.correct_yaw_rate(motion, yaw_rate)
+    # The yaw rate is corrected as far as its correlation with the change of yaw determines the errors.
+    if yaw_rate and yaw_rate.correlation >= inertial.GYRO_CORRELATION:
+        motion = replace(motion, yaw_rate=(motion.yaw_rate - yaw_rate.bias.value) / yaw_rate.scale.value)
+    if yaw_rate and yaw_rate.correlation >= LIMITS.min_correlation and yaw_rate.has_lag:
+        motion = motion.shifted_earlier(yaw_rate.lag.value, "yaw_rate")
     inertial.check_accelerations(results, motion)
     inertial.check_speeds(results, motion)
     return motion, results, yaw_rate_lag
@@ -310,10 +313,14 @@ def _correct_units(motion: Motion, vehicle: VehicleParameters | None) -> tuple[M
 
 
 def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """Result of `correct_units`, without the lag between yaw and yaw rate, which would change their ratio."""
-    lag = inertial.estimate_yaw_rate_lag(motion)
-    if not lag:
+    """Result of `correct_units`, without a severe lag between yaw and yaw rate, which would change their ratio."""
+    agreement = inertial.compare_yaw_rate(motion, inertial.ACCELERATION_CUTOFF)
+    # A yaw rate with the opposite sign also correlates at a lag of half a period, but as much without a lag.
+    if (agreement is None or not agreement.has_lag or abs(agreement.lag.value) < LIMITS.severe_lag
+            or agreement.correlation < LIMITS.min_correlation
+            or abs(agreement.correlation_without_lag) >= agreement.correlation - 0.05):
         return units_and_axes.correct_units(motion)
+    lag = agreement.lag.value
     yaw_is_wrong = units_and_axes.other_yaw_fits_better(motion, motion.shifted_earlier(-lag, "yaw"))
     name, seconds = ("yaw", -lag) if yaw_is_wrong else ("yaw_rate", lag)
     aligned, findings = units_and_axes.correct_units(motion.shifted_earlier(seconds, name))

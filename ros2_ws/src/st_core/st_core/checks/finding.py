@@ -80,7 +80,7 @@ class Finding:
         return f"{self.statement.removesuffix('?')}{others}: {count} fit this drive" if others else self.statement
 
     def with_alternative(self, alternative: Alternative, advice: Advice, *channels: str) -> "Finding":
-        """The finding with an alternative, which may affect further channels: at most a warning, not corrected."""
+        """The finding with an alternative, which may affect further channels, and this advice; at most a warning."""
         severity = Severity.WARNING if self.severity is Severity.ERROR else self.severity
         return replace(self, severity=severity, channels=tuple(dict.fromkeys((*self.channels, *channels))),
                        alternatives=(*self.alternatives, alternative), advice=advice)

@@ -7,7 +7,7 @@ a bias of a_y. If the accelerometer is at a distance d behind the INS point, its
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.special import fdtri
@@ -349,25 +349,6 @@ def check_yaw_rate(results: Results, motion: Motion, agreement: Agreement | None
         results, agreement, tolerances, "yaw rate: sensor versus change of yaw",
         removed_factors.get("yaw_rate_scale", 1.0),
         removed_factors.get("yaw_scale", removed_factors.get("yaw_convention", 1.0)))
-
-
-def estimate_yaw_rate_lag(motion: Motion) -> float:
-    """Lag of the yaw rate behind yaw [s]; 0 unless it is significant, severe (LIMITS) and improves the correlation."""
-    agreement = compare_yaw_rate(motion, ACCELERATION_CUTOFF)
-    if (agreement is None or not agreement.has_lag or abs(agreement.lag.value) < LIMITS.severe_lag
-            or agreement.correlation < LIMITS.min_correlation):
-        return 0.0
-    # A yaw rate with the opposite sign also correlates at a lag of half a period.
-    return agreement.lag.value if abs(agreement.correlation_without_lag) < agreement.correlation - 0.05 else 0.0
-
-
-def correct_yaw_rate(motion: Motion, agreement: Agreement) -> Motion:
-    """The motion with lag, scale and bias of its yaw rate corrected, as far as the correlation determines them."""
-    if agreement.correlation < LIMITS.min_correlation:
-        return motion
-    if agreement.correlation >= GYRO_CORRELATION:
-        motion = replace(motion, yaw_rate=(motion.yaw_rate - agreement.bias.value) / agreement.scale.value)
-    return motion.shifted_earlier(agreement.lag.value, "yaw_rate") if agreement.has_lag else motion
 
 
 def _compare_acceleration(motion: Motion, name: str, measured: np.ndarray) -> Agreement | None:

@@ -169,7 +169,7 @@ def _explain_residual(motion: Motion, rare_explanations: Mapping[tuple[str, ...]
                       for name, effect in effects.items()}
         explanations = rare_explanations if has_varying_speed(motion.velocity_x) else {}
         refined = _refine_causes(problem, causes, min_values, explanations)
-        for name in ALTERNATIVE_LAGS.keys() & refined.keys():  # a bias acts like it at constant acceleration
+        for name in ALTERNATIVE_LAGS.keys() & refined.keys():  # at constant acceleration, a bias acts like a lag
             lag = problem.estimate(tuple(dict.fromkeys((*refined, "velocity_x_bias"))))[name]
             slips |= {name} if name not in causes and _is_wheel_slip(problem, name, tuple(refined)) else set()
             if not is_relevant(_add_refinement(name, causes, lag), min_values[name]):
@@ -178,7 +178,7 @@ def _explain_residual(motion: Motion, rare_explanations: Mapping[tuple[str, ...]
         causes = {name: estimate for name, estimate in refined.items() if is_relevant(estimate, min_values[name]) and (
             name not in AXIS_SCALES or abs(estimate.value) * effects[name] >= LIMITS.warning_effect
             or is_near(1.0 + estimate.value, 1.0, LIMITS.unit_ratio))}
-        # The slip of a wheel speed v is no fault. Near the usual v, it acts like a lead of c v, see `_is_wheel_slip`.
+        # The slip of a wheel is not a fault. At nearly constant speed v, it acts like a lead c v, see `_is_wheel_slip`.
         corrected = _correct_causes(motion, {"velocity_x_lag" if name in slips else name: estimate.value
                                              for name, estimate in causes.items()})
         if not causes:
@@ -186,13 +186,13 @@ def _explain_residual(motion: Motion, rare_explanations: Mapping[tuple[str, ...]
     return _Explanation({name: causes[name] for name in causes if name not in slips}, corrected, effects)
 
 
-def _is_wheel_slip(problem: Regression, lead: str, causes: Names) -> bool:
-    """Whether a wheel speed v (1 + c a_x), with slip c per acceleration, fits better than a velocity that leads."""
+def _is_wheel_slip(problem: Regression, lag: str, causes: Names) -> bool:
+    """Whether a wheel speed v (1 + c a_x), with slip c per acceleration, fits better than `lag`, a lag of velocity."""
     speed = np.linalg.norm(problem.columns["velocity_scale"], axis=1)[:, None] / WINDOW
-    columns = {**problem.columns, lead: speed * problem.columns["velocity_x_lag"]}
+    columns = {**problem.columns, lag: speed * problem.columns["velocity_x_lag"]}
     with_slip = Regression(problem.time, problem.y, columns)
     _, scale, _ = problem.fit(causes)
-    return (-MAX_WHEEL_SLIP < with_slip.fit(causes)[0][lead] < 0.0
+    return (-MAX_WHEEL_SLIP < with_slip.fit(causes)[0][lag] < 0.0
             and with_slip.compute_loss(causes, scale) < problem.compute_loss(causes, scale))
 
 
@@ -252,8 +252,9 @@ def _find_varying_cause(motion: Motion, explanation: _Explanation) -> tuple[_Exp
     cause = min(fits, key=lambda name: fits[name][0])
     ratio, values = fits[cause]
     smallest, name, statement, advice = VARYING_CAUSES[cause]
-    freedom = 1.0 - count * BLOCK_LENGTH / (2.0 * np.ptp(middle))  # fraction left, of two per block of windows
-    if not motion.velocity_y.any() or ratio * MIN_VARIATION_RATIO > freedom or np.std(values) < smallest:
+    # Fraction of the degrees of freedom, two per block of windows, that the values at `count` instants leave.
+    remaining = 1.0 - count * BLOCK_LENGTH / (2.0 * np.ptp(middle))
+    if not motion.velocity_y.any() or ratio * MIN_VARIATION_RATIO > remaining or np.std(values) < smallest:
         return explanation, []
     value, size = np.interp(motion.time, instants, values), float(np.ptp(values))
     value -= value.mean() if cause == "yaw_offset" else 0.0  # the mean is an offset

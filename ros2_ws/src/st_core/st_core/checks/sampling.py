@@ -387,13 +387,13 @@ def check_quality(quality: InsQuality | None, start_ns: int) -> Iterator[Finding
     mode, status = quality.position_mode, quality.navigation_status
     without_rtk = np.isfinite(mode) & (mode >= 0) & ~np.isin(mode, RTK_MODES)
     not_locked = np.isfinite(status) & (status != LOCKED_STATUS)
-    for rows, condition in ((without_rtk, "without RTK"), (not_locked, "not locked")):
-        if not rows.any():
+    for mask, condition in ((without_rtk, "without RTK"), (not_locked, "not locked")):
+        if not mask.any():
             continue
-        fraction = float(rows.mean())
+        fraction = float(mask.mean())
         text = f"the INS is {condition} for {100 * fraction:.0f} % of the time, during which its positions may drift"
         severity = Severity.WARNING if fraction > LIMITS.max_note_fraction else Severity.NOTE
-        yield Finding("ins_mode", severity, ("ins",), text, fraction, times=list_times(rows), advice=Advice(
+        yield Finding("ins_mode", severity, ("ins",), text, fraction, times=list_times(mask), advice=Advice(
             "text", "leave out these intervals, or post-process the raw data of the INS"))
     accuracy = quality.position_accuracy
     known = np.isfinite(accuracy)

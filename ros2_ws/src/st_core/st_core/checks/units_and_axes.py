@@ -24,7 +24,7 @@ from .regression import Estimate, Regression, add_systematic_uncertainty
 MIN_YAW_RANGE = 0.2  # rad; minimum range of yaw in the drive
 MAX_CONSISTENT_MISFIT = 0.02  # largest misfit of consistent positions, yaw and velocities, divided by the distance
 MAX_SLOPE = 0.1  # largest usual slope of a road; an altitude changes by at most this fraction of the distance
-MIN_AXIS_FRACTION = 0.3  # smallest usual motion along an axis, divided by the distance, that is judged alone
+MIN_AXIS_FRACTION = 0.3  # minimum median motion along an axis, divided by the distance, for a check of this axis alone
 MAX_MAP_MISFIT = 0.1  # largest ratio of the misfit in map axes to the distance, and to the misfit in body axes
 UNIT_TOLERANCE = 1.06  # factor by which a ratio may differ from the factor of its unit
 COURSE_TOLERANCE = 1.2  # UNIT_TOLERANCE of a ratio to the course, which one short bend determines to 10 %
@@ -184,16 +184,8 @@ def _correct_yaw_scale(motion: Motion, ratio: float) -> MotionAndFinding:
 
 
 def _scale_yaw(motion: Motion, ratio: float) -> tuple[Motion, Finding]:
-    """Divide yaw by its scale, estimated from positions. ratio: yaw / integrated yaw rate."""
-    scale = _estimate_yaw_scale(motion, ratio)
-    corrected, finding = _correct(
-        motion, "yaw_scale", ("yaw",), f"yaw is {scale} times its value from positions and velocities", scale.value,
-        Advice.correct("yaw", scale=float(f"{1.0 / scale.value:.5g}")))
-    return _remove_wraps(corrected), replace(finding, interval=scale.interval)
-
-
-def _estimate_yaw_scale(motion: Motion, ratio: float) -> Estimate:
-    """Scale of yaw, near `ratio`; the true yaw is the direction of travel minus the sideslip angle."""
+    """Divide yaw by its scale, estimated near `ratio`, which is yaw / integrated yaw rate; the true yaw is the
+    direction of travel minus the sideslip angle."""
     rescaled = _remove_wraps(replace(motion, yaw=motion.yaw / ratio))
     windows = rescaled.make_windows(1.0, 0.5)  # as for the ratio, which is known, so there are some
     product = windows.change(rescaled.position) * np.conj(windows.integral(rescaled.velocity_map))
@@ -202,7 +194,11 @@ def _estimate_yaw_scale(motion: Motion, ratio: float) -> Estimate:
     problem = Regression(windows.time, (weight * error)[:, None], {
         "scale": (weight * (yaw - yaw.mean()))[:, None], "offset": weight[:, None]})
     slope = problem.estimate(("scale", "offset"))["scale"]
-    return add_systematic_uncertainty("yaw_scale", slope.shifted(1.0).inverse().scaled(ratio))
+    scale = add_systematic_uncertainty("yaw_scale", slope.shifted(1.0).inverse().scaled(ratio))
+    corrected, finding = _correct(
+        motion, "yaw_scale", ("yaw",), f"yaw is {scale} times its value from positions and velocities", scale.value,
+        Advice.correct("yaw", scale=float(f"{1.0 / scale.value:.5g}")))
+    return _remove_wraps(corrected), replace(finding, interval=scale.interval)
 
 
 def _correct_north_east(motion: Motion) -> MotionAndFinding:

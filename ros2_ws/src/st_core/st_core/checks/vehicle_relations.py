@@ -75,19 +75,19 @@ def check_steering(results: Results, motion: Motion, vehicle: VehicleParameters,
     gain = add_systematic_uncertainty("steering_scale", agreement.scale)
     lag = add_systematic_uncertainty(
         "steering_lag", agreement.lag.shifted(response).widened(_compute_response_uncertainty(vehicle, speed)))
+    # Lateral shift of the predicted position after HORIZON per constant error of the road wheel angle [m/rad].
+    a, b = linear_system(max(speed, MIN_MOVING_SPEED), vehicle)
+    lateral_shift = abs(0.5 * speed * float(np.linalg.solve(a, b).ravel()[1])) * HORIZON**2
     # If correlation and gain differ in sign, the driver countersteers (crosswind, bank), and the lag is undetermined.
-    has_lag, lateral_shift = agreement.correlation * gain.value >= 0.0, _compute_lateral_shift(speed, vehicle)
-    has_clock_error = has_lag and _has_clock_error(motion, vehicle, agreement) and not all(
-        (half := _compare_angles(motion, derived, response, rows)) and _lag_is_constant(half, agreement.drift)
-        for rows in np.array_split(np.arange(len(motion.time)), 2))
-    has_lag &= not has_clock_error
+    has_lag = agreement.correlation * gain.value >= 0.0
+    clock = _check_clock(motion, vehicle, agreement, derived, response, lateral_shift) if has_lag else None
+    has_lag &= clock is None
     # Play reduces every turn of the steering by its width, so the gain is too small at small angles.
     may_be_play = 0.0 < (1.0 - gain.value) * agreement.spread < 0.5 * STEERING_PLAY / vehicle.steering_ratio
     unit = _make_unit_finding(gain, plausible_gains, vehicle, from_steering_wheel, motion.geographic, may_be_play)
     correction = unit.advice.entry.get("correct", {}).get("road_wheel_angle", {}) if unit and unit.advice else {}
     results.findings += filter(None, (
-        unit, _make_clock_finding(agreement, lateral_shift) if has_clock_error else None,
-        _make_lag_finding(lag, agreement, response, lateral_shift) if has_lag else None,
+        unit, clock, _make_lag_finding(lag, agreement, response, lateral_shift) if has_lag else None,
         _make_offset_finding(agreement, vehicle, from_steering_wheel, lateral_shift, **correction)))
     results.estimates |= {"steering_scale": gain, "steering_sign": gain,
                           "steering_offset": add_systematic_uncertainty("steering_offset", agreement.bias)}
@@ -170,13 +170,6 @@ def _compute_response_uncertainty(vehicle: VehicleParameters, speed: float) -> f
     return float(np.sqrt(max(np.square(changes).sum() - SYSTEMATIC_UNCERTAINTY["steering_lag"] ** 2, 0.0)))
 
 
-def _compute_lateral_shift(speed: float, vehicle: VehicleParameters) -> float:
-    """Lateral shift of the predicted position after HORIZON per constant error of the road wheel angle [m/rad]."""
-    a, b = linear_system(max(speed, MIN_MOVING_SPEED), vehicle)
-    yaw_gain = -float(np.linalg.solve(a, b).ravel()[1])
-    return abs(0.5 * speed * yaw_gain) * HORIZON**2
-
-
 def _make_unit_finding(gain: Estimate | None, plausible_gains: tuple[float, float], vehicle: VehicleParameters,
                        from_steering_wheel: bool, geographic: bool, may_be_play: bool = False) -> Finding | None:
     """Finding about an implausible steering gain, with the wrong unit or sign that explains it; None if plausible.
@@ -198,7 +191,8 @@ def _make_unit_finding(gain: Estimate | None, plausible_gains: tuple[float, floa
                1.0 / DEG_PER_RAD: "was it converted to rad twice",
                1.0 / ratio: "was it divided by the steering ratio twice", 1.0: ""}
     size = abs(value) / expected
-    distinct = [factor for factor in reasons if factor == 1.0 or not is_near(factor, 1.0, limit)]  # karts: ratio 1.2
+    # Without the factors that are too near to 1, such as the steering ratio 1.2 of a kart.
+    distinct = [factor for factor in reasons if factor == 1.0 or not is_near(factor, 1.0, limit)]
     nearest = min(distinct, key=lambda factor: abs(np.log(size / factor)))
     exact = nearest if 1.0 / limit < size / nearest < limit else size
     opposite = "does it have the opposite sign (left is positive)" if value < 0.0 else ""
@@ -222,24 +216,27 @@ def _make_unit_finding(gain: Estimate | None, plausible_gains: tuple[float, floa
     return finding
 
 
-def _has_clock_error(motion: Motion, vehicle: VehicleParameters, agreement: Agreement) -> bool:
-    """Whether the steering lag changes by LIMITS.steering_lag or more, unexplained by the response time."""
+def _check_clock(motion: Motion, vehicle: VehicleParameters, agreement: Agreement, derived: np.ndarray,
+                 response: float, lateral_shift: float) -> Finding | None:
+    """Finding about a steering lag that changes by LIMITS.steering_lag or more, unexplained by the response time; None
+    if the lag is constant in both halves of the drive, which contradicts a steady change. derived, response: see
+    `_compare_angles`."""
+    drift, change = agreement.drift, agreement.drift.scaled(float(np.ptp(agreement.time)))  # 1, s
     first, second = (compute_response_time(vehicle, max(float(np.median(half)), MIN_SPEED))
                      for half in np.array_split(motion.velocity_x, 2))
-    change = add_systematic_uncertainty("steering_lag", agreement.drift.scaled(float(np.ptp(agreement.time))))  # s
-    return change.widened(abs(second - first)).is_significant and abs(change.value) >= LIMITS.steering_lag
-
-
-def _lag_is_constant(half: Agreement, drift: Estimate) -> bool:
-    """Whether the steering lag in half of a drive is constant and does not change at the rate `drift` of the drive."""
-    duration = float(np.ptp(half.time))
-    change = add_systematic_uncertainty("steering_lag", half.drift.scaled(duration))
-    difference = change.shifted(-duration * drift.value).widened(duration * drift.half_width)
-    return difference.is_significant and not change.is_significant
-
-
-def _make_clock_finding(agreement: Agreement, lateral_shift: float) -> Finding:
-    rate, change = agreement.drift.shifted(1.0), agreement.drift.scaled(float(np.ptp(agreement.time)))
+    if abs(change.value) < LIMITS.steering_lag or not add_systematic_uncertainty(
+            "steering_lag", change).widened(abs(second - first)).is_significant:
+        return None
+    contradictions = 0  # number of halves in which the lag is constant and does not change at the rate of the drive
+    for rows in np.array_split(np.arange(len(motion.time)), 2):
+        if (half := _compare_angles(motion, derived, response, rows)) is not None:
+            duration = float(np.ptp(half.time))
+            half_change = add_systematic_uncertainty("steering_lag", half.drift.scaled(duration))
+            difference = half_change.shifted(-duration * drift.value).widened(duration * drift.half_width)
+            contradictions += difference.is_significant and not half_change.is_significant
+    if contradictions == 2:
+        return None
+    rate = drift.shifted(1.0)
     effect = lateral_shift * abs(change.value) * float(np.std(agreement.derived)) * np.sqrt(2.0) / HORIZON
     text = (f"the clock of the steering runs {rate} times as fast as that of the motion: the lag changes by {change} s "
             "during the drive")
@@ -428,7 +425,8 @@ def check_tyre_limit(motion: Motion, sideslip_measured: bool) -> list[Finding]:
         reason = "plausible with downforce or racing tyres, else a unit of length or time is wrong"
     elif not sideslip_measured:
         return []
-    text = f"{sources} give up to {largest:.0f} m/s^2 laterally, but road tyres reach about 10 m/s^2: {reason}"
+    text = (f"{sources} imply a lateral acceleration of up to {largest:.0f} m/s^2, but road tyres reach about "
+            f"10 m/s^2: {reason}")
     channels = ("velocity_x", "velocity_y", "yaw_rate") if sideslip_measured else ("velocity_x", "yaw_rate")
     return [Finding("lateral_acceleration_impossible", severity, channels, text, largest, "m/s^2", times=times,
                     advice=Advice("text", "check speed and yaw rate at these times"))]

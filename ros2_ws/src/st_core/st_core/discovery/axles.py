@@ -9,16 +9,7 @@ from ..augmented import AugmentedModel
 from ..effects import COMBINATIONS, EFFECTS, TOTAL_DELAY, get_effect
 from ..errors import StCoreError
 from ..handling import stability_factor
-from ..identification.axle_forces import (
-    ForceCurve,
-    compute_axle_force,
-    compute_axle_forces,
-    compute_force_error,
-    draw_models,
-    fit_axle_regressions,
-    make_axle_curve,
-    select_valid_models,
-)
+from ..identification import axle_forces
 from ..log import DriveLog
 from ..readings import correct_log
 from ..sideslip import compute_steady_velocity_y
@@ -63,9 +54,9 @@ class Axles:
             angle = corrector.effective_road_wheel_angle(log.road_wheel_angle, vehicle)
             log = replace(log, road_wheel_angle=angle, steering_wheel_angle=None)
             logs.append(log if self.has_sideslip else replace(log, velocity_y=compute_steady_velocity_y(log, car)))
-        self.regressions = fit_axle_regressions(logs, car)
+        self.regressions = axle_forces.fit_axle_regressions(logs, car)
         self.near_sets = near_sets if joint_fit else ()
-        self.near_models = select_valid_models([problem.space.at(vector) for _, vector in self.near_sets], vehicle)
+        self.near_models = axle_forces.select_valid_models([problem.space.at(v) for _, v in self.near_sets], vehicle)
         self.draws: list[AugmentedModel] = []
         if joint_fit is not None:
             in_model = joint_fit.indices < len(problem.space) - 1  # the last parameter is the accelerometer gain
@@ -75,21 +66,22 @@ class Axles:
                 scale, scale) * max(noise_ratio, 1.0) ** 2
             model_error = np.array([p.model_error for _, p in self.model.free_parameters])[indices]
             covariance[indices, indices] += np.square(model_error)
-            self.draws = draw_models(self.model, covariance, vehicle, DRAWS)
+            self.draws = axle_forces.draw_models(self.model, covariance, vehicle, DRAWS)
 
-    def force_curves(self, base: AugmentedModel) -> tuple[ForceCurve, ...]:
+    def force_curves(self, base: AugmentedModel) -> tuple[axle_forces.ForceCurve, ...]:
         """`ForceCurve` of each axle in the slip range of the drives. base: initial model, for `ForceCurve.file`.
         Raises StCoreError for drives without slip."""
-        return tuple(make_axle_curve(self.model, self.vehicle, r.axle, r.samples.slip, base, self.draws,
-                                     self.near_models) for r in self.regressions)
+        return tuple(axle_forces.make_axle_curve(self.model, self.vehicle, r.axle, r.samples.slip, base, self.draws,
+                                                 self.near_models) for r in self.regressions)
 
     def combinations(self, base: AugmentedModel) -> tuple[Combination, ...]:
         """`COMBINATIONS` of vehicle parameters, with 95 % intervals."""
         values, file_values = _combination_values(self.model, self.vehicle), _combination_values(base, self.vehicle)
         draws = np.array([_combination_values(model, self.vehicle) for model in self.draws] or [values])
         low, high = np.quantile(draws, (0.025, 0.975), axis=0)
-        unladen = select_valid_models([self.problem.space.at(v) for names, v in self.near_sets if names], self.vehicle)
-        sets = [values, *(_combination_values(model, self.vehicle) for model in unladen)]
+        unladen = [self.problem.space.at(vector) for names, vector in self.near_sets if names]
+        sets = [values, *(_combination_values(model, self.vehicle)
+                          for model in axle_forces.select_valid_models(unladen, self.vehicle))]
         low, high = np.min([low, *sets], axis=0).tolist(), np.max([high, *sets], axis=0).tolist()
         effects = {name: tuple(e.name for e in EFFECTS.values() if name in e.combinations) for name in COMBINATIONS}
         return tuple(Combination(name, unit, float(values[i]), (low[i], high[i]), float(file_values[i]), effects[name])
@@ -100,7 +92,7 @@ class Axles:
         ratios = {}
         for regression in self.regressions:
             slip = np.linspace(0.0, MAX_SLIP, 61)
-            force = compute_axle_force(self.model, self.vehicle, regression.axle, slip)
+            force = axle_forces.compute_axle_force(self.model, self.vehicle, regression.axle, slip)
             largest_slip = float(np.quantile(np.abs(regression.samples.slip), 0.995))
             reached_force = float(np.interp(largest_slip, slip, np.maximum.accumulate(force)))
             ratios[regression.axle] = reached_force / max(float(force.max()), 1.0)
@@ -110,9 +102,9 @@ class Axles:
         """The effects among `names` that change the force of an axle at the slip angles of the drives."""
         samples = next(regression.samples for regression in self.regressions if regression.axle == axle)
         slip = np.quantile(np.abs(samples.slip), (0.5, 0.95))
-        force = compute_axle_force(self.model, self.vehicle, axle, slip)
+        force = axle_forces.compute_axle_force(self.model, self.vehicle, axle, slip)
         models = {name: self.problem.space.at(self.problem.vector_without(self.fit, name)) for name in names}
-        changes = {name: compute_axle_force(model, self.vehicle, axle, slip) / force - 1.0
+        changes = {name: axle_forces.compute_axle_force(model, self.vehicle, axle, slip) / force - 1.0
                    for name, model in models.items()}
         return tuple(name for name, change in changes.items() if np.abs(change).max() > MIN_FORCE_CHANGE)
 
@@ -133,7 +125,8 @@ class Axles:
                 samples = replace(regression.samples, **{name: getattr(regression.samples, name)[in_run]
                                                          for name in ("slip", "force", "run_index", "time", "used")})
                 held_out_model = self.model.with_values(leave_one_out.get(run.name, {}))
-                squared_errors += [compute_force_error(m, self.vehicle, samples) ** 2 for m in (held_out_model, base)]
+                squared_errors += [axle_forces.compute_force_error(model, self.vehicle, samples) ** 2
+                                   for model in (held_out_model, base)]
             if squared_errors[0] > squared_errors[1]:
                 worse_axles.append(regression.axle)
         return tuple(worse_axles)
@@ -144,7 +137,7 @@ def _combination_values(model: AugmentedModel, vehicle: VehicleParameters) -> np
     car = model.effective_vehicle(vehicle)
     low, high = (limit * car.mass * GRAVITY for limit in STIFFNESS_LIMITS)  # random draws are clipped to the limits
     front, rear = (min(max(float(force[0]) / SMALL_SLIP, low), high)
-                   for force in compute_axle_forces(model, vehicle, np.array([SMALL_SLIP])))
+                   for force in axle_forces.compute_axle_forces(model, vehicle, np.array([SMALL_SLIP])))
     understeer = stability_factor(replace(car, cornering_stiffness_front=front, cornering_stiffness_rear=rear))
     yaw_gain = GAIN_SPEED / (car.wheelbase * (1.0 + understeer * GAIN_SPEED**2))
     # Road wheel angles at a steering wheel angle of -1 and 1 rad; a steering offset cancels in their difference.

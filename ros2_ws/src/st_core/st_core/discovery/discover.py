@@ -1,6 +1,7 @@
 """Finds the effects that a model lacks, with their values, and the remaining residual, from recorded drives."""
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -105,7 +106,12 @@ class _Analysis:
         if not self.runs:
             raise StCoreError(f"no run is long enough: a run needs {self._required_duration:.0f} s of driving faster "
                               f"than {MIN_SPEED:g} m/s with INS and steering")
-        self.settings = settings = self._select_channels(settings)
+        logs = [*self.runs, *self.reference]
+        missing = [c for c in settings.channels if not all(CHANNELS[c].is_measured_in(log) for log in logs)]
+        if missing:
+            self.warnings.append(f"{', '.join(missing)}: not measured in every run, left out; effects that need "
+                                 f"{'it' if len(missing) == 1 else 'them'} are not searched for")
+        self.settings = settings = replace(settings, channels=tuple(c for c in settings.channels if c not in missing))
         self.space = Space(base, settings)
         self.threads = parallel
         self.runs, self.reference = (self._correct_clocks(logs, clocks) for logs in (self.runs, self.reference))
@@ -221,7 +227,8 @@ class _Analysis:
         problem, scale = self.problem, self.problem.loss.scale
         if problem.prior is not None:
             return problem, state.fit
-        without_priors = problem.without_file_priors()
+        without_priors = copy(problem)  # its fits predict best, but may be implausible
+        without_priors.set_quantities((None,) * len(self.space))
         search = Search(without_priors, self.limits, partitions, self.sensors, self.settings.seed,
                         self._ticker("searching for corrections"), decision.judge_correction)
         fit = search.add_corrections(state.fit)
@@ -277,15 +284,6 @@ class _Analysis:
         self.warnings.append(f"{warning} has the same effect as steering delay or lag, yaw inertia or tyre relaxation "
                              "(log INS frames on CAN, or give the clock offset)")
         return apply_clock_corrections(runs, corrections)
-
-    def _select_channels(self, settings: DiscoverySettings) -> DiscoverySettings:
-        """The settings with only the channels that are measured in all runs; warns about the others."""
-        logs = [*self.runs, *self.reference]
-        missing = [c for c in settings.channels if not all(CHANNELS[c].is_measured_in(log) for log in logs)]
-        if missing:
-            self.warnings.append(f"{', '.join(missing)}: not measured in every run, left out; effects that need "
-                                 f"{'it' if len(missing) == 1 else 'them'} are not searched for")
-        return replace(settings, channels=tuple(c for c in settings.channels if c not in missing))
 
     def _warn_of_low_excitation(self) -> None:
         if len(self.runs) < MIN_RUNS:

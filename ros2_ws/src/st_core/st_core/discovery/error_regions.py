@@ -212,17 +212,15 @@ def _list_channel_regions(channel: str, bins: Sequence[BinExcess], segments: Seq
 
 def _group_neighbours(bins: Sequence[BinExcess]) -> list[list[BinExcess]]:
     """Group significant neighbouring ranges of the same quantity with similar excess."""
-    def belong_together(a: BinExcess, b: BinExcess) -> bool:
-        low, high = sorted((a.excess, b.excess))
-        return (a.range.quantity == b.range.quantity and a.range.high is not None and a.range.high == b.range.low
-                and high <= MAX_EXCESS_RATIO * low)
-
     groups: list[list[BinExcess]] = []
-    for current in (b for b in bins if b.is_significant and b.range.quantity != EVERYWHERE):
-        if groups and belong_together(groups[-1][-1], current):
-            groups[-1].append(current)
+    for b in (b for b in bins if b.is_significant and b.range.quantity != EVERYWHERE):
+        a = groups[-1][-1] if groups else None
+        if (a is not None and a.range.quantity == b.range.quantity and a.range.high is not None
+                and a.range.high == b.range.low
+                and max(a.excess, b.excess) <= MAX_EXCESS_RATIO * min(a.excess, b.excess)):
+            groups[-1].append(b)
         else:
-            groups.append([current])
+            groups.append([b])
     return groups
 
 

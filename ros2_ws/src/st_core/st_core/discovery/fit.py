@@ -1,7 +1,6 @@
 """Joint fits of sets of effects by simulation, and their held-out loss."""
 
 from collections.abc import Iterable
-from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -145,12 +144,6 @@ class Problem:
         run = np.zeros(self.blocks, int)
         run[self.block] = self.errors.windows.run
         return run
-
-    def without_file_priors(self) -> "Problem":
-        """The problem without priors from the vehicle file. Its fits predict best, but may be implausible."""
-        other = copy(self)
-        other.set_quantities((None,) * len(self.space))
-        return other
 
     def free_indices(self, names: Iterable[str]) -> np.ndarray:
         """(a,) indices of the parameters that are free in a fit of the effects `names`."""

@@ -24,7 +24,8 @@ TYPICAL_GAIN, GAIN_BOUNDS = 0.05, (-0.3, 0.5)  # typical: roll gradient of 5 mra
 
 class Space:
     """Parameters of all effects that apply to a base model. not_searched: effects of the model that are not searched.
-    library: names of the effects to choose from, by default all that apply.
+    library: names of the effects to choose from, by default all that apply. Raises ConfigurationError if a requested
+    effect does not apply, or if no effect remains.
 
     hypotheses: names of the searched effects. without_signal: names of effects that need a further signal, which no
     drive has. free: (effect name, parameter) of all parameters but the last, the gain. null: (p,) vector of the base
@@ -39,7 +40,16 @@ class Space:
         available = tuple(n for n in find_applicable_effects(equations.name) if library is None or n in library)
         self.without_signal = tuple(n for n in available if get_effect(n).signals)
         usable = [n for n in available if n not in self.without_signal]
-        self.hypotheses = _choose_effects(usable, settings, available)
+        for name in settings.effects or ():
+            get_effect(name)
+            if name not in available:
+                raise ConfigurationError(f"effects: {name} does not apply to this base model; available are "
+                                         f"{', '.join(available)}")
+        self.hypotheses = tuple(n for n in usable if (settings.effects is None or n in settings.effects)
+                                and set(get_effect(n).needs) <= set(settings.channels))
+        if not self.hypotheses:
+            raise ConfigurationError("effects: none is usable with this base model, these channels and recorded "
+                                     "signals")
         values = {n: dict(v) for n, v in base.values.items()} if isinstance(base, AugmentedModel) else {}
         self.model = set_effects_to_null(augment(equations, [*usable, *not_searched])).with_values(values)
         self.null = np.append(self.model.vector, 0.0)
@@ -80,22 +90,6 @@ class Space:
 def typical_size(effect: str, unit: str) -> float:
     """Scale of the parameters of an effect with this unit, such as two wind speeds: their largest |initial - null|."""
     return max(abs(p.initial - p.null) for p in get_effect(effect).parameters if p.fit and p.unit == unit)
-
-
-def _choose_effects(usable: Sequence[str], settings: DiscoverySettings, available: Sequence[str]) -> tuple[str, ...]:
-    """Names of the effects to search. available: names that apply to the base model. Raises ConfigurationError if a
-    requested effect does not apply, or if no effect remains."""
-    requested = settings.effects
-    for name in requested or ():
-        get_effect(name)
-        if name not in available:
-            raise ConfigurationError(f"effects: {name} does not apply to this base model; available are "
-                                     f"{', '.join(available)}")
-    hypotheses = tuple(n for n in usable if (requested is None or n in requested)
-                       and set(get_effect(n).needs) <= set(settings.channels))
-    if not hypotheses:
-        raise ConfigurationError("effects: none is usable with this base model, these channels and recorded signals")
-    return hypotheses
 
 
 @dataclass(frozen=True)
