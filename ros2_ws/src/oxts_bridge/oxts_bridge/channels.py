@@ -392,7 +392,6 @@ TABLE: dict[int, list[Field]] = {
 }
 
 FIELDS: dict[int, dict[str, Field]] = {channel: {f.name: f for f in fields} for channel, fields in TABLE.items()}
-_TRIGGER = struct.Struct("<iHbB")
 UTC_CHANNEL = 16
 
 
@@ -416,7 +415,7 @@ def decode_event_time(channel: int, data: bytes) -> int | None:
     """
     if channel not in TRIGGER_CHANNELS:
         return None
-    minutes, milliseconds, fine, count = _TRIGGER.unpack(data)
+    minutes, milliseconds, fine, count = struct.unpack("<iHbB", data)
     if not 0 < minutes <= LAST_MINUTE or not count:
         return None
     return int(minutes * 60_000_000_000 + milliseconds * 1_000_000 + fine * 4_000)

@@ -4,6 +4,7 @@ Frequent messages are reused, because publishing copies them and constructing an
 work on a packet.
 """
 
+from collections.abc import Callable
 from math import degrees, isfinite
 from types import SimpleNamespace
 from typing import Any
@@ -102,6 +103,7 @@ class Publishers:
         Odometry: pose of the INS point in the map frame (ENU), twist in vehicle axes (FLU). position: ENU in the map
         frame [m]; None while the origin is unknown: only velocity is published.
         """
+        attitude = motion.attitude
         if position is not None:
             if self._outputs["odometry"].has_subscribers():
                 message = self._odometry
@@ -109,20 +111,19 @@ class Publishers:
                 _set_pose(message.pose.pose, position, motion)
                 _set_twist(message.twist.twist, motion)
                 message.pose.covariance[:15:7] = compute_variances(accuracy.position) or UNKNOWN_VARIANCE
-                orientation_covariance = _rotate_orientation_covariance(motion, accuracy) or _UNKNOWN_BLOCK
-                _set_block(message.pose.covariance, 21, orientation_covariance)
-                _set_block(message.twist.covariance, 0, _rotate_velocity_covariance(motion, accuracy))
+                _set_block(message.pose.covariance, 21, attitude.rotate_orientation_covariance, accuracy.attitude)
+                _set_block(message.twist.covariance, 0, attitude.rotate_covariance, accuracy.velocity)
                 self._outputs["odometry"].publish(message)
             if self._tf.has_subscribers():
-                x, y, z = motion.attitude.to_enu(self._ins_to_base)
+                x, y, z = attitude.to_enu(self._ins_to_base)
                 _set_time(self._transform.header.stamp, stamp_ns)
                 _set_vector(self._transform.transform.translation, (position[0] + x, position[1] + y, position[2] + z))
-                _set_quaternion(self._transform.transform.rotation, motion.attitude.to_quaternion())
+                _set_quaternion(self._transform.transform.rotation, attitude.to_quaternion())
                 self._tf.publish(self._transforms)
         if self._outputs["velocity"].has_subscribers():
             _set_time(self._velocity.header.stamp, stamp_ns)
             _set_twist(self._velocity.twist.twist, motion)
-            _set_block(self._velocity.twist.covariance, 0, _rotate_velocity_covariance(motion, accuracy))
+            _set_block(self._velocity.twist.covariance, 0, attitude.rotate_covariance, accuracy.velocity)
             self._outputs["velocity"].publish(self._velocity)
 
     def publish_fix(self, stamp_ns: int, motion: Motion, accuracy: Accuracy, status: StatusTracker) -> None:
@@ -159,7 +160,8 @@ class Publishers:
             covariance[0] = -1.0
         else:
             _set_quaternion(self._imu.orientation, motion.attitude.to_quaternion())
-            covariance[:] = _rotate_orientation_covariance(motion, accuracy) or 0.0
+            variances = compute_variances(accuracy.attitude)
+            covariance[:] = motion.attitude.rotate_orientation_covariance(variances) if variances else 0.0
         self._outputs["imu"].publish(self._imu)
 
     def publish_trigger(self, stamp_ns: int, channel: int, count: int, position: Vector | None,
@@ -239,8 +241,14 @@ def _set_vector(message: Any, vector: Vector) -> None:
     message.x, message.y, message.z = vector
 
 
-def _set_block(covariance: Any, first: int, block: tuple[float, ...]) -> None:
-    """Set a 3 x 3 block of a 6 x 6 matrix; first: index of the first element of the block."""
+def _set_block(covariance: Any, first: int, rotate: Callable[[Vector], tuple[float, ...]],
+               standard_deviations: Vector) -> None:
+    """Set a 3 x 3 block of a 6 x 6 covariance matrix, of which `first` is the index of the first element.
+
+    rotate: variances -> elements of the block, row by row. Unknown standard deviations: UNKNOWN_VARIANCE.
+    """
+    variances = compute_variances(standard_deviations)
+    block = _UNKNOWN_BLOCK if variances is None else rotate(variances)
     for row in (0, 1, 2):
         covariance[first + 6 * row : first + 6 * row + 3] = block[3 * row : 3 * row + 3]
 
@@ -253,17 +261,6 @@ def _set_pose(pose: Any, position: Vector, motion: Motion) -> None:
 def _set_twist(twist: Any, motion: Motion) -> None:
     _set_vector(twist.linear, motion.body_velocity)
     _set_vector(twist.angular, motion.angular_velocity)
-
-
-def _rotate_velocity_covariance(motion: Motion, accuracy: Accuracy) -> tuple[float, ...]:
-    variances = compute_variances(accuracy.velocity)
-    return _UNKNOWN_BLOCK if variances is None else motion.attitude.rotate_covariance(variances)
-
-
-def _rotate_orientation_covariance(motion: Motion, accuracy: Accuracy) -> tuple[float, ...] | None:
-    """Row-major 3 x 3 covariance [rad^2]; None while unknown."""
-    variances = compute_variances(accuracy.attitude)
-    return None if variances is None else motion.attitude.rotate_orientation_covariance(variances)
 
 
 def _to_integer(value: Value) -> int:

@@ -39,7 +39,7 @@ _DERIVATION_FIELDS = {4: ("VnAcc", "VeAcc"), 60: ("Ned2SurfHeading", "Ned2SurfPi
 _SURFACE_ANGLES = ("Surf2OutHeading", "Surf2OutPitch", "Surf2OutRoll")
 _ROWS_PER_WRITE = 1 << 12
 EARTH_RATE = 7.2921151467e-5  # rad/s
-MIN_TRACK_SPEED = 0.14  # m/s; lowest speed with a track while the velocity accuracy is unknown
+MIN_TRACK_SPEED = 0.14  # m/s; while the velocity accuracy is unknown, the track is computed above this speed
 # Distance is not integrated across a time step that is negative or longer than this [s], as in joined files.
 LONGEST_STEP = 10.0
 _STEP_TOLERANCE = 0.01  # two successive steps give the sampling rate if they differ by less than this fraction
@@ -199,7 +199,7 @@ def compute_gps_seconds(columns: Columns) -> np.ndarray:
 def _add_speed_and_slip(out: dict, motion: Motion, yaw_rate: np.ndarray, velocity_accuracy: SettingHistory) -> None:
     """Add speeds, track, slip (track minus heading) and curvature. yaw_rate: clockwise, in level axes [rad/s].
 
-    Track, slip and curvature are NaN up to a speed of 2 sqrt(north^2 + east^2) of the velocity accuracies [m/s].
+    Track, slip and curvature are NaN up to a speed of 2 sqrt(VnAcc^2 + VeAcc^2) [m/s], the velocity accuracies.
     """
     east, north, up = motion.velocity
     speed = np.hypot(north, east)

@@ -74,39 +74,11 @@ def decode_file(source: str | Path | bytes) -> Columns:
 
     Raises NcomError if it contains no packet, OSError if it cannot be read.
     """
-    if isinstance(source, str | Path):
-        data, name = Path(source).read_bytes(), str(source)
-    else:
-        data, name = bytes(source), "input"
+    data = Path(source).read_bytes() if isinstance(source, str | Path) else source
     counters = Counters()
     offset = _find_packets(data, counters)
     if not len(offset):
-        raise NcomError(_describe_missing_packet(name, data))
-    return _decode(data, offset, counters)
-
-
-def _find_packets(data: bytes, counters: Counters) -> np.ndarray:
-    """Byte offsets of all packets. Counts checksum_errors and skipped_bytes in `counters`."""
-    octets = np.frombuffer(data, np.uint8)
-    offsets: list[np.ndarray] = []
-    start, size, rows = 0, len(data), _FIRST_ROWS
-    while size - start >= PACKET_SIZE:
-        count = min(rows, (size - start) // PACKET_SIZE)
-        block = octets[start : start + count * PACKET_SIZE].reshape(count, PACKET_SIZE)
-        good = block[:, 0] == ncom.SYNC
-        end = ncom.CHECKSUM_3_BYTE
-        good &= np.add.reduce(block[:, 1:end], axis=1, dtype=np.uint8) == block[:, end]
-        run = count if good.all() else int(good.argmin())
-        offsets.append(np.arange(start, start + run * PACKET_SIZE, PACKET_SIZE))
-        start += run * PACKET_SIZE
-        rows = min(_MAX_ROWS, 4 * rows)
-        if run < count:
-            start, rows = find_next_packet(data, start, True, counters)[0], _FIRST_ROWS
-    find_next_packet(data, start, True, counters)  # only to count the bytes after the last packet
-    return np.concatenate(offsets) if offsets else np.empty(0, np.int64)
-
-
-def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
+        raise NcomError(_describe_missing_packet("input" if data is source else str(source), data))
     rows = np.lib.stride_tricks.sliding_window_view(np.frombuffer(data, np.uint8), PACKET_SIZE)
     is_contiguous = offset[-1] - offset[0] == (len(offset) - 1) * PACKET_SIZE
     raw = np.ascontiguousarray(rows[offset[0] : offset[-1] + 1 : PACKET_SIZE] if is_contiguous else rows[offset])
@@ -115,7 +87,8 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
     kind, gps_ns, order = _compute_times(raw, packets)
     layout = ((ncom.ACCELERATION_BYTE, ncom.ACCELERATION_UNIT), (ncom.ANGULAR_RATE_BYTE, ncom.ANGULAR_RATE_UNIT),
               (ncom.VELOCITY_BYTE, ncom.VELOCITY_UNIT), (ncom.ANGLES_BYTE, ncom.ANGLE_UNIT))
-    acceleration, angular_rate, velocity, (heading, pitch, roll) = (_decode_vectors(raw, *place) for place in layout)
+    acceleration, angular_rate, velocity, (heading, pitch, roll) = (
+        _decode_vectors(raw, first_byte, unit) for first_byte, unit in layout)
     with np.errstate(invalid="ignore"):  # structure B and empty packets may contain a signalling NaN
         altitude = packets["altitude"].astype(np.float64)
     columns = Columns(
@@ -129,6 +102,27 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
         checksum_errors=counters.checksum_errors, skipped_bytes=counters.skipped_bytes)
     _mask_invalid(columns)
     return columns
+
+
+def _find_packets(data: bytes, counters: Counters) -> np.ndarray:
+    """Byte offsets of all packets. Counts checksum_errors and skipped_bytes in `counters`."""
+    octets = np.frombuffer(data, np.uint8)
+    offsets: list[np.ndarray] = []
+    start, size, rows = 0, len(data), _FIRST_ROWS
+    while size - start >= PACKET_SIZE:
+        count = min(rows, (size - start) // PACKET_SIZE)
+        block = octets[start : start + count * PACKET_SIZE].reshape(count, PACKET_SIZE)
+        end = ncom.CHECKSUM_3_BYTE
+        is_packet = np.add.reduce(block[:, 1:end], axis=1, dtype=np.uint8) == block[:, end]
+        is_packet &= block[:, 0] == ncom.SYNC
+        n_packets = count if is_packet.all() else int(is_packet.argmin())
+        offsets.append(np.arange(start, start + n_packets * PACKET_SIZE, PACKET_SIZE))
+        start += n_packets * PACKET_SIZE
+        rows = min(_MAX_ROWS, 4 * rows)
+        if n_packets < count:
+            start, rows = find_next_packet(data, start, True, counters)[0], _FIRST_ROWS
+    find_next_packet(data, start, True, counters)  # only to count the bytes after the last packet
+    return np.concatenate(offsets) if offsets else np.empty(0, np.int64)
 
 
 def _decode_vectors(raw: np.ndarray, first: int, unit: float) -> np.ndarray:
@@ -183,18 +177,18 @@ def compute_packet_times(ms: np.ndarray, minutes: np.ndarray,
     is_late = ahead >= ncom.HALF_MINUTE_MS
     wraps = np.cumsum((step < 0) & ~is_late)
     # Minute of each packet that contains one, minus the rollovers up to it: constant while the count is correct.
-    timed = np.flatnonzero(minutes >= 0)
-    bases = minutes[timed] - wraps[timed]
-    stops = np.unique(np.concatenate([np.flatnonzero(is_late), timed[1:][np.diff(bases) != 0], [len(ms)]]))
+    with_minute = np.flatnonzero(minutes >= 0)
+    bases = minutes[with_minute] - wraps[with_minute]
+    stops = np.unique(np.concatenate([np.flatnonzero(is_late), with_minute[1:][np.diff(bases) != 0], [len(ms)]]))
     times = np.full(len(ms), -1, np.int64)
     order = np.where(ahead > 0, ncom.NEW, ncom.SAME).astype(np.int8)
     waiting, clock, start = deque(status_minutes), ncom.GpsClock(), 0
     while start < len(ms):
         if clock.is_settled:
-            base, k = clock.minute - wraps[start - 1], np.searchsorted(timed, start)
+            base, k = clock.minute - wraps[start - 1], np.searchsorted(with_minute, start)
             stop = int(stops[np.searchsorted(stops, start)])
-            if k < len(timed) and bases[k] != base:
-                stop = min(stop, int(timed[k]))
+            if k < len(with_minute) and bases[k] != base:
+                stop = min(stop, int(with_minute[k]))
             if stop > start:
                 times[start:stop] = (wraps[start:stop] + base) * ncom.MINUTE_MS + ms[start:stop]
                 clock.minute, clock.milliseconds = divmod(int(times[stop - 1]), ncom.MINUTE_MS)

@@ -276,10 +276,10 @@ def find_next_packet(data: bytes, start: int, in_sync: bool, counters: Counters)
                 if in_sync or status == STRUCTURE_B or (STATUS_RULES[status].is_defined and inner_checksums_match(raw)):
                     return start, True
             counters.checksum_errors += in_sync
-        found = data.find(SYNC, start + 1)
-        following = len(data) if found < 0 else found
-        counters.skipped_bytes += following - start
-        start, in_sync = following, False
+        next_sync = data.find(SYNC, start + 1)
+        next_start = len(data) if next_sync < 0 else next_sync
+        counters.skipped_bytes += next_start - start
+        start, in_sync = next_start, False
     return start, in_sync
 
 

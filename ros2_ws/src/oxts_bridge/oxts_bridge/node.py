@@ -184,7 +184,13 @@ class OxtsBridge(LifecycleNode):
         is_new_regular = received.kind == "regular" and received.order == NEW
         motion = extract_motion(received)
         self._health.incomplete_packets += is_new_regular and motion is None and received.rule.navigation == "valid"
-        position = self._locate(publishers, received_ns, motion)
+        position: Vector | None = None
+        if motion is not None:
+            frame = self._origin.update(motion, self._status, received_ns)
+            if frame is not self._published_frame and self._origin.geodetic is not None:
+                self._published_frame = frame
+                publishers.publish_origin(received_ns, self._origin.geodetic)
+            position = None if frame is None else motion.locate(frame)
         if received.event_ns is not None:
             # An event that is only repeated in a regular packet has no pose.
             pose = (position, motion) if received.kind == "trigger" else (None, None)
@@ -195,15 +201,6 @@ class OxtsBridge(LifecycleNode):
             self._statistics.add(received)
             self._publish_motion(publishers, received, motion, position, now)
         self._publish_status(publishers, received.utc_ns if received.utc_ns is not None else received_ns, now)
-
-    def _locate(self, publishers: Publishers, received_ns: int, motion: Motion | None) -> Vector | None:
-        if motion is None:
-            return None
-        frame = self._origin.update(motion, self._status, received_ns)
-        if frame is not self._published_frame and self._origin.geodetic is not None:
-            self._published_frame = frame
-            publishers.publish_origin(received_ns, self._origin.geodetic)
-        return None if frame is None else motion.locate(frame)
 
     def _publish_motion(self, publishers: Publishers, received: ReceivedPacket, motion: Motion | None,
                         position: Vector | None, now: float) -> None:

@@ -137,23 +137,18 @@ def read_definition(type_name: str) -> str:
     pending = [type_name]
     while pending:
         name = pending.pop(0)
-        if name not in texts:
-            texts[name] = _find_interface_file(name, ".msg").read_text().rstrip("\n") + "\n"
-            pending += _list_field_types(name, texts[name])
+        if name in texts:
+            continue
+        texts[name] = _find_interface_file(name, ".msg").read_text().rstrip("\n") + "\n"
+        for line in texts[name].splitlines():
+            match = _FIELD.match(line.split("#", 1)[0])
+            if match is None or (field_type := match.group(1)) in PRIMITIVE_TYPES:
+                continue
+            if "/" not in field_type:
+                field_type = f"{'std_msgs' if field_type == 'Header' else name.partition('/')[0]}/{field_type}"
+            pending.append(field_type.replace("/msg/", "/"))
     return "".join(text if name == type_name else f"{TYPE_SEPARATOR}\nMSG: {name}\n{text}"
                    for name, text in texts.items())
-
-
-def _list_field_types(owner: str, text: str) -> list[str]:
-    field_types = []
-    for line in text.splitlines():
-        match = _FIELD.match(line.split("#", 1)[0])
-        if match is None or (name := match.group(1)) in PRIMITIVE_TYPES:
-            continue
-        if "/" not in name:
-            name = f"{'std_msgs' if name == 'Header' else owner.partition('/')[0]}/{name}"
-        field_types.append(name.replace("/msg/", "/"))
-    return field_types
 
 
 @cache

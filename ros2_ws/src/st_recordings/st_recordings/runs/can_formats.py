@@ -32,7 +32,7 @@ _BLF_CONTAINER = re.compile(rb"LOBJ.{8}\x0a\0\0\0", re.DOTALL)  # head of a cont
 _BLF_PADDING = 3  # bytes; largest padding after a container, which the format aligns to four bytes
 _WEEKDAY_MONTH = re.compile(r"(?i)^(date|begin\s+triggerblock)\s+\S+\s+(\S+)(.*)")
 _TABLE_EXTENSIONS = (".csv", ".txt")
-LINE_FORMAT = "candump, BUSMASTER, CRTD, CL2000 or Kvaser"
+LINE_FORMAT = "candump, BUSMASTER, CRTD, CL2000 or Kvaser"  # formats with one frame per line, parsed by _LINES
 _LINES = (
     # candump -l: "(1436509052.249713) can0 044#2A36", with CAN FD "044##12A36", direction "044#2A36 T"
     re.compile(r"\s*\((?P<time>\S+)\)\s+(?P<bus>\S+)\s+(?P<id>[0-9A-Fa-f]+)#(?P<fd>#[0-9A-Fa-f])?"
@@ -69,7 +69,7 @@ _TRC_LINE = re.compile(rb"^\s*\d+\)\s", re.MULTILINE)
 _ASC_DATE = re.compile(rb"(?i)date \S+ \S+ +\d+ +\d")  # not "Date Time;x;y" of a table
 _ASC_STAMP = re.compile(r"\s*(\d+)[.,](\d+)\s+")
 _ASC_FRAME = re.compile(r"(?i)(?:(\d+)\s+(?=\w+\s+[TR]x|ErrorFrame)|CANFD\s+)(.*)", re.ASCII)
-# Columns of CAN logs in CSV by python-can, mdf2csv (CSS Electronics), SavvyCAN (GVRET), Vehicle Spy, IXXAT, Cabana
+# Columns of the CSV logs of python-can, mdf2csv (CSS Electronics), SavvyCAN (GVRET), Vehicle Spy, IXXAT and Cabana
 _CSV_COLUMNS = {
     "time": ("timestampepoch", "timestamp", "timestamps", "time", "times", "abstimesec", "timeabs"),
     "id": ("arbitrationid", "id", "idhex", "iddec", "canid", "identifier", "arbid", "identifierhex", "addr"),
@@ -77,20 +77,20 @@ _CSV_COLUMNS = {
     "data": ("databytes", "data", "datahex", "payload", "d0", "d1", "data0", "data1", "byte0", "byte1", "b0", "b1")}
 _HEXADECIMAL_IDS, _DECIMAL_IDS = ("idhex", "identifierhex", "arbid"), ("iddec", "addr")  # names that imply the base
 _EXTENDED_COLUMNS = ("extended", "ide", "xtd", "format")
-_FURTHER_HEADER = re.compile(r'[^\d"]*Line,')  # a further header of Vehicle Spy, for frames of another kind
+_FURTHER_HEADER = re.compile(r'[^\d"]*Line,')  # further header of Vehicle Spy, for frames with other columns
 MAX_HEADER_LINES = 30  # lines at the start of a file searched for the names of the columns
 EXTENDED_DIGITS = 8  # hexadecimal digits of an extended identifier
 DECIMAL_IDS = "its identifiers were read as decimal numbers"
 AMBIGUOUS_IDS = "its identifiers may be decimal or hexadecimal numbers; they were read as hexadecimal"
 MAX_SCANNED_ROWS = 5000  # rows that show the unit of times, and whether identifiers and bytes are decimal
-MIN_STEPS = 50  # minimum number of increases of the time to judge its unit by their size
+MIN_STEPS = 50  # minimum number of positive time steps from which the unit of the times is inferred
 MAX_STEPS = {"s": 0.15, "ms": 50.0}
 """Below a median step of 0.15, times since the start are in s (7 frames/s), below 50 in ms (20/s), otherwise in us."""
 MIN_FRAME_DURATION = 40.0  # us; every frame takes longer at 1 Mbit/s
 
 
 class Lines(io.TextIOWrapper):
-    """The lines of a text log in UTF-8, UTF-16 or Windows-1252. number: of the last line read."""
+    """The lines of a text log in UTF-8, UTF-16 or Windows-1252. number: number of the last line read, from 1."""
 
     def __init__(self, file: Path):
         self.file, self.number = file, 0
@@ -274,7 +274,7 @@ def _split_csv_header(line: str) -> tuple[list[str], str, dict[str, int]]:
 
 
 def _is_csv_header(line: str) -> bool:
-    """Whether a line names the columns of a CAN log. Without a length, its bytes must be known to be hexadecimal."""
+    """Whether a line is the header of a CAN log in CSV. Without a length, the bytes must be known to be hexadecimal."""
     names, _, roles = _split_csv_header(line)
     has_length = "length" in roles or not {"addr", "datahex", "b0", "b1"}.isdisjoint(names)
     return (has_length and roles.keys() >= {"time", "id", "data"}
@@ -285,23 +285,19 @@ def _make_csv_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
     make_message = import_module("can").Message
     header = next(filter(_is_csv_header, lines), "")
     names, delimiter, roles = _split_csv_header(header)
-    id_base, byte_base, unit, are_whole = _find_number_formats(lines.file, names, delimiter, roles)
+    id_base, byte_base, unit, times_are_whole = _find_number_formats(lines.file, names, delimiter, roles)
     if id_base != 16:
         notes.append(AMBIGUOUS_IDS if id_base == 0 else DECIMAL_IDS)
     stated = next((source.unit for source in find_times(split_row(header, delimiter))
                    if source.column == roles["time"] and source.has_stated_unit), None)
     is_gvret = (names[roles["time"]], names[roles["data"]]) == ("timestamp", "d1")
     if is_gvret:
-        unit = "us" if are_whole else "s"
+        unit = "us" if times_are_whole else "s"
     elif not stated and unit != "s":
         notes.append(f"its times were read in {unit}")
     factor = UNITS["time"][stated or unit][0]
     n_columns = _count_byte_columns(names)
     networks: dict[str, int] = {}  # names of buses, in the order of their first frames
-
-    def read_time(text: str) -> float:
-        stamp = parse_stamp(text) if ":" in text else None
-        return stamp[0] if stamp else float(text.replace(",", ".")) * factor
 
     def parse(line: str) -> Any:
         if not line.strip() or _FURTHER_HEADER.match(line):
@@ -313,8 +309,11 @@ def _make_csv_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
         if identifier > STANDARD_IDS and (is_extended is False or ("xtd" in cells and not is_extended)):
             raise ValueError(f"standard identifier {identifier:x}")  # or a J1939 row, with other columns
         bus = cells.get("bus") or cells.get("buschannel") or cells.get("network", "")
+        time = row[roles["time"]]
+        stamp = parse_stamp(time) if ":" in time else None
         return make_message(
-            timestamp=read_time(row[roles["time"]]), arbitration_id=identifier, data=data, is_fd=len(data) > 8,
+            timestamp=stamp[0] if stamp else float(time.replace(",", ".")) * factor, arbitration_id=identifier,
+            data=data, is_fd=len(data) > 8,
             is_extended_id=identifier > STANDARD_IDS if is_extended is None else is_extended,
             is_remote_frame=_is_marked(cells, "remote", "rtr"), is_error_frame=_is_marked(cells, "error", "er"),
             is_rx=not _is_marked(cells, "dir", "tx"),
@@ -333,8 +332,8 @@ def _is_marked(cells: Mapping[str, str], *names: str) -> bool | None:
 
 def _find_number_formats(file: Path, names: Sequence[str], delimiter: str, roles: Mapping[str, int]
                          ) -> tuple[int, int, str, bool]:
-    """(base of the identifiers: 16, 10, or 0 if they may have either; base of bytes in separate columns; unit of times
-    that are numbers; whether all are whole numbers), from the first rows."""
+    """(base of the identifiers: 16, 10, or 0 if either is possible; base of the bytes in separate columns; unit of
+    numeric times; whether all these times are whole numbers), from the first rows."""
     ids: list[tuple[str, int]] = []
     data: list[tuple[str, int]] = []
     times: list[float] = []
@@ -373,7 +372,7 @@ def _find_time_unit(times: np.ndarray) -> str:
 
 
 def _find_base(cells: Sequence[tuple[str, int]]) -> int:
-    """10 if all texts consist of decimal digits and one, read as hexadecimal, is larger than its limit; else 16."""
+    """10 if all texts are decimal and one exceeds its limit when read as hexadecimal; else 16. cells: (text, limit)."""
     cells = [cell for cell in cells if cell[0]]
     is_decimal = all(text.isdecimal() for text, _ in cells) and any(int(text, 16) > limit for text, limit in cells)
     return 10 if is_decimal else 16
@@ -405,8 +404,9 @@ def _read_csv_data(cells: Mapping[str, str], row: Sequence[str], name: str, role
 
 
 def _unpack_blf_container(container: bytes, tail: bytes) -> bytes:
-    """The objects in a container, after `tail`, the incomplete object at the end of the previous one. Raises ValueError
-    or zlib.error for damage, such as an object shorter than its header, which python-can would read forever."""
+    """The objects in a container, preceded by `tail`, the incomplete object at the end of the previous container.
+    Raises ValueError or zlib.error for damage, such as an object shorter than its header, on which python-can would
+    never return."""
     method, content = int.from_bytes(container[16:18], "little"), container[32:]
     if method not in (0, 2):
         raise ValueError(f"unknown compression {method}")
@@ -429,22 +429,22 @@ def _read_blf(file: Path, notes: list[str]) -> Iterator[Any]:
             reader.file.fileno(), 0, access=mmap.ACCESS_READ) as content:
         first = reader.file.tell()
         starts = dict.fromkeys(match.start() for match in _BLF_CONTAINER.finditer(content, first))
-        for start, following in pairwise(dict.fromkeys([first, *starts, size])):
+        for start, next_start in pairwise(dict.fromkeys([first, *starts, size])):
             end = start + int.from_bytes(content[start + 8:start + 12], "little")
             unread = start
             try:
-                if start not in starts or end > following < size:
+                if start not in starts or end > next_start < size:
                     raise ValueError(f"the container at byte {start} has a wrong head or length")
                 data, reader._tail = _unpack_blf_container(content[start:end], reader._tail), b""
                 for message in reader._parse_container(data):
                     count += 1
                     yield message
                 unread = end
-                if following - end > _BLF_PADDING:
+                if next_start - end > _BLF_PADDING:
                     raise ValueError(f"no container is at byte {end}")
             except Exception as error:  # any, from python-can
                 damage = damage or f"is damaged after frame {count} ({shorten(error)})"
-                lost += following - unread
+                lost += next_start - unread
                 reader._tail = b""
     if damage:
         notes.append(f"{damage}; frames in {format_count(lost, size, 'bytes')} may be missing")
@@ -507,7 +507,7 @@ def check_format(file: Path, head: bytes) -> None:
 
 
 def _is_can_capture(head: bytes) -> bool:
-    """Whether a file begins as a network capture (pcap or pcapng) of which the first interface is SocketCAN."""
+    """Whether a file with these first bytes is a network capture (pcap, pcapng) whose first interface is SocketCAN."""
     if head[:4] != CAPTURE_MAGIC[-1]:
         return head[:4] in CAPTURE_MAGIC and head[20:24] in (b"\xe3\0\0\0", b"\0\0\0\xe3")
     start = int.from_bytes(head[4:8], "little" if head[8:9] == b"\x4d" else "big") + 8
@@ -515,8 +515,9 @@ def _is_can_capture(head: bytes) -> bool:
 
 
 def find_clock(head: bytes) -> tuple[float, float]:
-    """(period after which the times of a log restart, smallest jump back that is a restart) [s]. This jump is half of
-    the period for times of day or since the full hour, and nearly a day for numbers, which may be relative times."""
+    """(period after which the times of a log restart at 0, smallest backward jump that counts as a restart) [s]. The
+    jump is half of the period for times of day or since the full hour, and nearly a day for numeric times, which may
+    be relative."""
     lines = head.decode("utf-8-sig", "ignore").splitlines()
     _, delimiter, roles = _split_csv_header(next(filter(_is_csv_header, lines), ""))
     column, delimiter = (roles["time"], delimiter) if "time" in roles else (0, " ")  # BUSMASTER

@@ -28,7 +28,8 @@ MAX_TIME_JUMPS_NS = 60 * 10**9, 86400 * 10**9
 """A time further than this from the median of itself and its neighbours is damaged: within a log, at its ends."""
 FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times are relative to the start of the log
 MIN_DECREASING_FRACTION = 0.2
-"""Times of a text log that begin at 0 are steps between frames if a larger fraction decreases, or all are equal."""
+"""Times of a text log that begin at 0 are time steps between frames if a larger fraction of the other times is lower
+than the previous one, or if these are all equal."""
 
 
 def read_can_logs(files: Sequence[Path], known_ids: Collection[int] = ()) -> CanLog:
@@ -86,7 +87,7 @@ def _read_log(file: Path) -> CanLog:
 
 
 def _choose_id_base(log: CanLog, known_ids: Collection[int]) -> CanLog:
-    """The log; if its identifiers may be decimal, they are read in the base in which more of them are known."""
+    """The log; identifiers that may be decimal or hexadecimal are read in the base in which more of them are known."""
     if AMBIGUOUS_IDS not in log.warnings:
         return log
     ids, rows = np.unique(log.frames.id & ~np.uint32(EXTENDED), return_inverse=True)
@@ -97,7 +98,7 @@ def _choose_id_base(log: CanLog, known_ids: Collection[int]) -> CanLog:
     decimal_ids = np.array([int(text) for text in texts], np.uint32)
     n_hexadecimal, n_decimal = (np.isin(each, list(known_ids)).sum() for each in (ids, decimal_ids))
     if n_decimal > n_hexadecimal:
-        # If the log does not mark extended identifiers, their hexadecimal values have decided which ones are extended.
+        # If the log does not mark extended identifiers, they were identified by their hexadecimal values.
         extended = np.where((ids > STANDARD_IDS) & (decimal_ids <= STANDARD_IDS), 0, EXTENDED).astype(np.uint32)
         frames = replace(log.frames, id=decimal_ids[rows] | (log.frames.id & extended[rows]))
         return replace(log, frames=frames, warnings=(*notes, DECIMAL_IDS))
@@ -164,17 +165,13 @@ def _read_with_python_can(file: Path, kind: Format, notes: Sequence[str]) -> Can
     if frames.time_ns.max() <= period * 1e9:  # times of a day continue past midnight
         rollovers = count_rollovers(frames.time_ns * 1e-9, min_jump)
         frames = replace(frames, time_ns=frames.time_ns + rollovers * round(period * 1e9))
-    if kind.name == LINE_FORMAT and _are_time_steps(frames.time_ns):
+    steps = np.diff(frames.time_ns[1:])
+    if kind.name == LINE_FORMAT and frames.time_ns[0] == 0 and len(steps) and (
+            (steps < 0).mean() > MIN_DECREASING_FRACTION or not steps.any()):
         frames = replace(frames, time_ns=np.cumsum(frames.time_ns))
         format_notes.append("its times are relative to the previous frame; they were summed")
     log = can_frames.build_log(file, [frames], [*notes, *format_notes])
     return replace(log, is_utc=log.start_ns >= FIRST_ABSOLUTE_TIME * 10**9)
-
-
-def _are_time_steps(time_ns: np.ndarray) -> bool:
-    """Whether the times of a text log are time steps between frames: first 0, then often decreasing or all equal."""
-    steps = np.diff(time_ns[1:])
-    return bool(time_ns[0] == 0 and len(steps) and ((steps < 0).mean() > MIN_DECREASING_FRACTION or not steps.any()))
 
 
 def _build_frames(messages: Sequence[can.Message]) -> Frames:

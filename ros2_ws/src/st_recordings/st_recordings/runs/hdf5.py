@@ -35,7 +35,7 @@ def is_hdf5(file: Path) -> bool:
 
 
 def read_hdf5(file: Path) -> tuple[dict[str, Any], dict[str, str]]:
-    """(structs; by name: class of each object that only MATLAB reads, each broken external link). Raises RunError."""
+    """(structs, name -> class of an object that only MATLAB can read, or broken external link). Raises RunError."""
     import h5py
 
     objects: dict[str, str] = {}
@@ -128,12 +128,8 @@ def _read_node(node: Any, path: str, objects: dict[str, str], parents: tuple[Any
     if node.dtype.kind not in "biuf" or not sizes or is_image:
         return None
     _check_samples(node)
-    array = np.squeeze(_use_native_byte_order(node[()]))
+    array = np.squeeze(_split_columns(node[()]))
     return array.T if kind else array  # MATLAB stores transposed arrays
-
-
-def _use_native_byte_order(array: np.ndarray) -> np.ndarray:
-    return array.astype(array.dtype.newbyteorder("="), copy=False)
 
 
 def _read_table(dataset: Any) -> dict[str, Any]:
@@ -156,9 +152,11 @@ def _read_table(dataset: Any) -> dict[str, Any]:
     return table
 
 
-def _split_columns(rows: np.ndarray) -> dict[str, Any]:
-    return {name: _split_columns(rows[name]) if rows[name].dtype.names else _use_native_byte_order(rows[name])
-            for name in rows.dtype.names or ()}
+def _split_columns(rows: np.ndarray) -> Any:
+    """An array in native byte order; a structured array as a dict of its fields."""
+    if rows.dtype.names:
+        return {name: _split_columns(rows[name]) for name in rows.dtype.names}
+    return rows.astype(rows.dtype.newbyteorder("="), copy=False)
 
 
 def _read_frame(group: Any) -> dict[str, np.ndarray]:

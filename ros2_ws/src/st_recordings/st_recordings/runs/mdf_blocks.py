@@ -50,7 +50,8 @@ class RecordLayout:
 
 
 def describe_truncation(head: bytes, size: int) -> str:
-    """Text on an MDF 4 file that ends before its first data group; empty for others. head: first 96 bytes or more."""
+    """Describes how an MDF 4 file is truncated before its first data group; empty for other files. head: first 96
+    bytes or more."""
     if head[:4] != b"MDF " or head[8:10] != b"4.":
         return ""
     offset = int.from_bytes(head[88:96], "little")
@@ -58,8 +59,8 @@ def describe_truncation(head: bytes, size: int) -> str:
 
 
 def check_blocks(data: Buffer) -> RecordLayout | None:
-    """Check all blocks that lead to the frames; return the layout of the last unsorted records, None if there are none.
-    Raises DamageError if a block is missing or invalid.
+    """Checks all blocks that lead to the frames; returns the layout of the last unsorted records, None if there are
+    none. Raises DamageError if a block is missing or invalid.
 
     asammdf does not validate these blocks: it crashes on a channel outside its record, allocates a record of a
     gigabyte, and follows circular links forever. Names, comments and sources may be missing. The data block of an
@@ -82,7 +83,11 @@ class _BlockChecker:
         self.layouts: list[RecordLayout] = []  # of the data groups with unsorted records
         header = self._read_block(64, (b"##HD",), links=6, content=32)
         for link, name in ((1, b"##FH"), (3, b"##AT"), (4, b"##EV")):
-            self._check_chain(header.links[link], name)
+            offset = header.links[link]
+            # The content of these chains is not needed; only a circular one is rejected.
+            while offset and offset + _HEAD_LENGTH + 8 <= self._size and data[offset : offset + 4] == name:
+                self._mark_visited(offset)
+                offset = struct.unpack_from("<Q", data, offset + _HEAD_LENGTH)[0]
         offset = header.links[0]
         while offset:
             offset = self._check_data_group(offset)
@@ -111,12 +116,6 @@ class _BlockChecker:
         if offset in self._visited:
             raise DamageError(f"two links refer to the block at byte {offset}")
         self._visited.add(offset)
-
-    def _check_chain(self, offset: int, name: bytes) -> None:
-        """Rejects a circular chain of blocks; follows only the links and does not read the content."""
-        while offset and offset + _HEAD_LENGTH + 8 <= self._size and self._data[offset : offset + 4] == name:
-            self._mark_visited(offset)
-            offset = struct.unpack_from("<Q", self._data, offset + _HEAD_LENGTH)[0]
 
     def _check_data_group(self, offset: int) -> int:
         """Checks a data group; returns the offset of the next one."""
@@ -213,7 +212,7 @@ class _BlockChecker:
                 raise DamageError(f"the time conversion at byte {offset} is invalid ({start:g} + {factor:g} x)")
 
     def _measure_records(self, offset: int, kind: bytes) -> int:
-        """Unpacked size [byte] of the records at an offset: in one block, packed or not, or in a list of blocks."""
+        """Uncompressed size [byte] of the records at an offset, in one block (compressed or not) or in several."""
         size, list_count, pending_links = 0, 0, [offset]
         while pending_links:
             offset = pending_links.pop()

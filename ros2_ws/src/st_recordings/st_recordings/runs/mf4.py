@@ -211,7 +211,11 @@ def _read_group_frames(log: Any, group: int, start_ns: int) -> Iterator[frames.F
     name = _find_frame_channel(log, group)
     if name is None:
         return
-    content, bus = log.groups[group], _find_bus(log, group)
+    content = log.groups[group]
+    source = content.channel_group.acq_source
+    texts = (content.channel_group.acq_name, getattr(source, "name", None), getattr(source, "path", None))
+    # The bus is in the name of a group or of its source, such as CAN1_Rx (layout 2); 0: unknown.
+    bus = next((int(match[1]) for text in texts if (match := _BUS.search(text or ""))), 0)
     if not content.channel_group.samples_byte_nr:
         raise DamageError("its records have length zero")
     if not any(channel.channel_type in _TIME_CHANNELS for channel in content.channels):
@@ -283,11 +287,3 @@ def _convert_lengths(codes: np.ndarray, channel: Any) -> np.ndarray:
     if length.dtype.kind not in "biuf" or not ((length >= 0) & (length <= frames.MAX_DATA_LENGTH)).all():
         raise DamageError("the lengths of its frames are invalid")
     return length
-
-
-def _find_bus(log: Any, group: int) -> int:
-    """Finds the bus in the name of a group or of its source, such as CAN1_Rx (layout 2); 0 if it is unknown."""
-    channel_group = log.groups[group].channel_group
-    source = channel_group.acq_source
-    texts = (channel_group.acq_name, getattr(source, "name", None), getattr(source, "path", None))
-    return next((int(match[1]) for text in texts if (match := _BUS.search(text or ""))), 0)

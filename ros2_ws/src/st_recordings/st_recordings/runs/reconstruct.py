@@ -64,7 +64,14 @@ class Reconstruction:
             raise RunError(self._path, "its raw packets differ in length, or several nodes have published them",
                            "record the packets of one INS")
         packets = zip(raw["header.stamp"].tolist(), map(bytes, raw["raw_packet"]), strict=True)
-        odometry = reconstruct_odometry(packets, self._choose_origin(bridge), not bridge.get("replay_file"),
+        source, position = bridge.get("origin_source", FIRST_FIX), self.read_origin()
+        if position is not None:
+            source = GIVEN
+        elif source == GIVEN:
+            latitude, longitude, altitude = (float(bridge.get(f"origin_{name}", math.nan))
+                                             for name in ("latitude", "longitude", "altitude"))
+            position = latitude, longitude, altitude
+        odometry = reconstruct_odometry(packets, Origin(source, position), not bridge.get("replay_file"),
                                         bridge.get("stamp_source") == "receive")
         rows = [(stamp_ns, *position[:2], *motion.attitude.to_quaternion(), *motion.body_velocity[:2],
                  motion.angular_velocity[2]) for stamp_ns, position, motion in odometry]
@@ -82,14 +89,6 @@ class Reconstruction:
             return None
         fix: Any = self._storage.store.deserialize_cdr(next(self._storage.messages(topic.name)), topic.type_name)
         return fix.latitude, fix.longitude, fix.altitude
-
-    def _choose_origin(self, bridge: Mapping[str, Any]) -> Origin:
-        if (recorded_origin := self.read_origin()) is not None:
-            return Origin(GIVEN, recorded_origin)
-        source = bridge.get("origin_source", FIRST_FIX)
-        latitude, longitude, altitude = (float(bridge.get(f"origin_{name}", math.nan))
-                                         for name in ("latitude", "longitude", "altitude"))
-        return Origin(source, (latitude, longitude, altitude) if source == GIVEN else None)
 
     def reconstruct_steering(self) -> dict[str, np.ndarray]:
         """Columns of st_msgs/Steering, reconstructed from raw CAN frames. Raises RunError if they cannot be decoded."""
@@ -133,7 +132,13 @@ class Reconstruction:
         "steering". missing: channel -> number of messages without a usable value.
         """
         quality = self._read_reported_quality()
-        car_speed = _compute_speed_from_wheels(columns[WHEEL_SPEEDS]) if WHEEL_SPEEDS in columns else None
+        car_speed = None
+        if wheel_speeds := columns.get(WHEEL_SPEEDS):
+            valid = wheel_speeds["valid"].astype(bool)
+            speeds = {name: make_series(wheel_speeds["header.stamp"][valid], wheel_speeds[field][valid])
+                      for name, field in WHEEL_FIELDS.items()}
+            car_speed = compute_car_speed(
+                {name: (speed.time_ns, speed.values) for name, speed in speeds.items() if speed})
         ins_on_can = columns.get(INS_ON_CAN)
         ins_speed = make_series(ins_on_can["header.stamp"], ins_on_can["velocity_x"]) if ins_on_can else None
         if WHEEL_SPEEDS not in columns and self.has_decodable_frames:
@@ -193,13 +198,6 @@ class Reconstruction:
             raise RunError(self._path, f"its raw CAN frames are damaged: {error}",
                            "also record vehicle/steering") from None
         return decode_signals(frames, table)
-
-
-def _compute_speed_from_wheels(columns: Mapping[str, np.ndarray]) -> Series | None:
-    valid = columns["valid"].astype(bool)
-    speeds = {name: make_series(columns["header.stamp"][valid], columns[field][valid])
-              for name, field in WHEEL_FIELDS.items()}
-    return compute_car_speed({name: (speed.time_ns, speed.values) for name, speed in speeds.items() if speed})
 
 
 def _decode_packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:

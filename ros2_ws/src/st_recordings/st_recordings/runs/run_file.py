@@ -107,13 +107,23 @@ def _parse_single_run(path: Path, content: Mapping[str, Any]) -> RunSource:
         keys = f"{', '.join(_FILE_KEYS[:-1])} and {_FILE_KEYS[-1]}"
         raise RunError(path, f"exactly one of the keys {keys} must name the file with the INS measurements",
                        "use `each` instead to read several recordings in the same way")
-    files = _find_parts(path, file_keys[0], content[file_keys[0]])
+    key = file_keys[0]
+    if key in TABLE_KEYS:  # only tables may consist of several files
+        files = tuple(dict.fromkeys(_find_matching_files(path, key, content[key])))
+        if not files:
+            raise RunError(path, f"{key}: no file matches {content[key]!r}",
+                           "patterns are relative to the folder of the run.yaml")
+    else:
+        files = (_find_file(path, key, content[key]),)
+    logs = [f for entry in _find_matching_files(path, "can", content.get("can", []))
+            for f in (sorted(entry.rglob("*")) if entry.is_dir() else [entry])
+            if f.is_file() and (is_can_log(f) or (f == entry and f.suffix.lower() in CAN_EXTENSIONS))]
     default = path.parent.name if path.name == RUN_FILE else path.name.removesuffix(RUN_SUFFIX)
     name = str(content.get("name", default))  # results are stored under it
     if not name.isprintable() or name in ("", ".", "..") or "/" in name or "\\" in name:
         raise RunError(path, f"name: {name[:100]!r} cannot be the name of a folder",
                        "choose a name without slashes and control characters")
-    return _build_run(path, content, name, file_keys[0], files, _find_can_logs(path, content.get("can", [])))
+    return _build_run(path, content, name, key, files, logs)
 
 
 def _parse_each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
@@ -179,22 +189,6 @@ def find_logs(file: Path, files: Sequence[Path]) -> list[Path]:
     """Finds, among `files`, the CAN logs with the same folder and stem as the recording `file`."""
     return [f for f in files if f.stem == file.stem and f.parent == file.parent
             and (f.suffix.lower() in CAN_EXTENSIONS or is_can_log(f))]
-
-
-def _find_parts(path: Path, key: str, value: Any) -> tuple[Path, ...]:
-    """Finds the files with the INS measurements. Only tables may consist of several files."""
-    if key not in TABLE_KEYS:
-        return (_find_file(path, key, value),)
-    files = tuple(dict.fromkeys(_find_matching_files(path, key, value)))
-    if not files:
-        raise RunError(path, f"{key}: no file matches {value!r}", "patterns are relative to the folder of the run.yaml")
-    return files
-
-
-def _find_can_logs(path: Path, value: Any) -> list[Path]:
-    return [f for entry in _find_matching_files(path, "can", value)
-            for f in (sorted(entry.rglob("*")) if entry.is_dir() else [entry])
-            if f.is_file() and (is_can_log(f) or (f == entry and f.suffix.lower() in CAN_EXTENSIONS))]
 
 
 def _find_matching_files(path: Path, key: str, value: Any) -> list[Path]:

@@ -29,7 +29,7 @@ _MONTHS = {name: number for number, names in enumerate((
     "jan jän gen ene sty", "feb fév fev lut", "mar mär mrz mrt maa", "apr avr abr kwi", "may mai mag maj mei",
     "jun juin giu cze", "jul juil lug lip", "aug aoû ago sie", "sep set wrz", "oct okt ott out paź", "nov lis",
     "dec dez déc dic des gru"), 1) for name in names.split()}
-ROLLOVER_STEP = 60.0  # s, longest gap of numbers across midnight or the end of a GPS week; 1 s for shorter periods
+ROLLOVER_STEP = 60.0  # s, longest step of numeric times across midnight or the end of a GPS week
 # (day number of 1970-01-01, name of the scale)
 _DAY_COUNTS = ((719529.0, "MATLAB date numbers"), (25569.0, "spreadsheet date numbers"), (2440587.5, "Julian dates"))
 PLAUSIBLE_EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
@@ -51,7 +51,8 @@ def read_stamps(file: Path, cells: list[str], warnings: list[str]) -> np.ndarray
     if (match := _MONTH_FIRST.search(cells[0])) and month_number(match[1]):
         cells = [_MONTH_FIRST.sub(r"\2 \1 \3", cell) for cell in cells]
     if (match := _NAMED_MONTH.search(cells[0])) and month_number(match[2]):
-        cells = [_NAMED_MONTH.sub(_replace_month_name, cell) for cell in cells]
+        cells = [_NAMED_MONTH.sub(lambda named: f"{named[3]}-{month_number(named[2]) or 0:02d}-{named[1]}", cell)
+                 for cell in cells]
     if not parse_stamp(cells[0]):
         return None
     if _NUMERIC_DATE.search(cells[0]):
@@ -72,11 +73,6 @@ def _order_dates(file: Path, body: str, warnings: list[str]) -> str:
         warnings.append(f"{file}: the order of day and month in its dates is ambiguous, so only the time of day is "
                         "used; export dates such as 2026-04-25")
     return body
-
-
-def _replace_month_name(match: re.Match[str]) -> str:
-    day, month, year = match.groups()
-    return f"{year}-{month_number(month) or 0:02d}-{day}"
 
 
 def parse_stamp(text: str) -> tuple[float, float] | None:

@@ -44,7 +44,7 @@ def read_vbo(file: Path, layout: Layout) -> Table:
     if not {"column names", "data"} <= sections.keys():
         raise RunError(file, "this is not a VBO file: section [column names] or [data] is missing",
                        "correct its extension")
-    names = _read_column_names(sections)
+    names = split_words(sections["column names"])
     if len({*re.findall(r"(?mi)^\[column names\]\s*\n(.*)", text)}) > 1:
         raise RunError(file, "it consists of several files with different [column names]", "split it into these files")
     sources = _find_sources(file, names, sections, layout)
@@ -59,7 +59,7 @@ def read_vbo(file: Path, layout: Layout) -> Table:
 def lacks_steering(file: Path) -> bool:
     """Whether [column names] has names but no road wheel or steering wheel angle; False for an unreadable file."""
     try:
-        names = _read_column_names(_split_sections(read_text(file, HEADER_SIZE)))
+        names = split_words(_split_sections(read_text(file, HEADER_SIZE)).get("column names", ""))
         sources = find_columns(file, names, Layout())
     except (RunError, OSError):  # read_vbo reports the error
         return False
@@ -76,10 +76,6 @@ def _split_sections(text: str) -> dict[str, str]:
     return sections
 
 
-def _read_column_names(sections: dict[str, str]) -> list[str]:
-    return split_words(sections.get("column names", ""))
-
-
 def _find_sources(file: Path, names: list[str], sections: dict[str, str], layout: Layout) -> dict[str, ColumnSource]:
     """Finds the standard channels, and further channels by the column names that are known for CSV files."""
     units = _read_units(names, sections)
@@ -93,9 +89,10 @@ def _find_sources(file: Path, names: list[str], sections: dict[str, str], layout
             continue  # not the yaw angle or the true heading, but the course
         is_standard = channel in named.keys() - layout.columns
         default = _STANDARD_UNITS[channel] if is_standard else _DEFAULT_UNITS.get(source.kind, source.unit)
-        in_name = source.unit if source.has_stated_unit else ""
-        stated = (find_unit(source.kind, units.get(source.name, "")) or in_name) if default != HHMMSS else ""
-        sources[channel] = replace(source, unit=stated or default, has_stated_unit=bool(stated or is_standard))
+        unit_in_name = source.unit if source.has_stated_unit else ""
+        stated_unit = (find_unit(source.kind, units.get(source.name, "")) or unit_in_name) if default != HHMMSS else ""
+        sources[channel] = replace(source, unit=stated_unit or default,
+                                   has_stated_unit=bool(stated_unit or is_standard))
     if "yaw" in sources and "course" in sources and "yaw" not in layout.columns:
         sources.pop("yaw")
     return apply_units(file, sources, layout)
