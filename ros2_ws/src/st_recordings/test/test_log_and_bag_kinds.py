@@ -154,6 +154,12 @@ def cl2000(lines: list[str]) -> str:
     return "\n".join([*out, ""])
 
 
+def move_to_end_of_month(lines: list[str]) -> list[str]:
+    """The log with its month ending after 10 s."""
+    start = datetime.fromtimestamp(split_frame(lines[0])[0], UTC)
+    return [shift_stamp(line, (datetime(2025, 10, 1, tzinfo=UTC) - start).total_seconds() - 10.0) for line in lines]
+
+
 def crtd(lines: list[str]) -> str:
     """As OVMS writes it."""
     frames = [f"{time:.6f} {bus + 1}R{29 if len(identifier) > 3 else 11} {identifier} {bytes.fromhex(data).hex(' ')}"
@@ -237,12 +243,12 @@ LOGS = [
         r" of 3\d\.\d s, 75 %\)"),
     Log("an earlier drive first", "run.log", lambda lines: "\n".join([*earlier_drive(lines), *lines]),
         r" of 3\d\.\d s, 75 %\)"),
-    Log("candump as .txt", "run.txt", "\n".join,
-        "is a candump, BUSMASTER, CRTD, CL2000 or Kvaser log with the extension .txt"),
+    Log("candump as .txt", "run.txt", "\n".join),
     Log("BUSMASTER", "run.log", busmaster),
-    Log("CL2000", "run.txt", cl2000, "is a candump, BUSMASTER, CRTD, CL2000 or Kvaser log with the extension .txt"),
+    Log("CL2000", "run.txt", cl2000),
+    Log("CL2000 at the end of a month", "run.txt", lambda lines: cl2000(move_to_end_of_month(lines))),
     Log("CRTD", "run.crtd", crtd),
-    Log("CRTD as .txt", "run.txt", crtd, "is a candump, BUSMASTER, CRTD, CL2000 or Kvaser log with the extension .txt"),
+    Log("CRTD as .txt", "run.txt", crtd),
     Log("comment", "run.asc", lambda lines: asc(lines, comment="// Prüfstand"), encoding="cp1252"),
     Log("24 hours and pm", "run.asc", lambda lines: asc(lines, "Wed Sep 3 18:00:00.005 pm 2025")),
     Log("German date", "run.asc", lambda lines: asc(lines, "Mi Mär 3 18:00:00.005 2025"), encoding="cp1252"),
@@ -287,6 +293,15 @@ def test_can_log_gives_the_steering(ncom_folder: Path, drive_log: DriveLog, fram
     run = read(find_runs([ncom_folder])[0], CAR)
     assert_same(run.log, drive_log, max_lost=0, steering=0.003)
     assert_warned([w for w in run.warnings if "alignment" not in w], log.warning)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("settings", "reason"), [
+    (ReadSettings(search=(-9.0, 9.0)), "the INS time in the log determines the offset"),
+    (ReadSettings(search=(-9.0, 9.0), offset=0.0), "the offset is given"), (ReadSettings(), "")])
+def test_unused_search_is_reported(drive_folder: Path, settings: ReadSettings, reason: str) -> None:
+    notes = [w for w in read(find_runs([drive_folder])[0], CAR, settings).warnings if "--search" in w]
+    assert notes == ([f"--search is not used: {reason}"] if reason else [])
 
 
 @pytest.mark.parametrize("head", [

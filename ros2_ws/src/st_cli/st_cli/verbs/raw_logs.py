@@ -50,8 +50,6 @@ def align(
     if read_options.car is None:
         shared.report_default_car("align", read_options.dbc, pair.dbc)
     alignment = pair.alignment
-    if search and alignment.method == "time frame":
-        print_line("[yellow]--search is not used: the INS time in the log determines the offset[/yellow]")
     print_alignment(pair)
     content = {**summarise_alignment(alignment), "ins_can_latency": pair.latency}
     (folder / "alignment.json").write_text(json_text(content), encoding="utf-8")

@@ -156,7 +156,10 @@ def _make_line_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
         time, kind, bus, data = cells["time"], cells["kind"].lower(), cells["bus"], cells["data"].replace("`", " ")
         if "T" in time:
             day, clock = re.sub("[^0-9T]", "", time).split("T")
-            time = f"{start[:8 - len(day)]}{day} {clock[:6]}.{clock[6:]}"
+            if len(day) == 2 and abs(step := int(day) - int(start[6:])) > 15:  # in the next or the previous month
+                start = f"{datetime.strptime(start[:6], '%Y%m') + timedelta(45 if step < 0 else -15):%Y%m}"
+            start = f"{start[:8 - len(day)]}{day}"
+            time = f"{start} {clock[:6]}.{clock[6:]}"
         if " " in time:
             seconds = datetime.fromisoformat(time).replace(tzinfo=UTC).timestamp()
         elif ":" in time:
@@ -476,7 +479,7 @@ def _is_asc(head: bytes) -> bool:
 
 
 FORMATS = (
-    Format(LINE_FORMAT, (".log", ".candump", ".crtd"), _is_candump, partial(
+    Format(LINE_FORMAT, (".log", ".candump", ".crtd", ".txt"), _is_candump, partial(
         _read_text, make_parser=_make_line_parser)),
     Format("Vector ASC", (".asc",), _is_asc, partial(_read_text, make_parser=_AscParser)),
     Format("Vector BLF", (".blf",), lambda head: head.startswith(b"LOGG"), _read_blf),

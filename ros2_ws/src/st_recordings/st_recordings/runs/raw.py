@@ -73,7 +73,9 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
         alignment, shared_signals = Alignment(), list[SharedSignal]()
     else:
         alignment, shared_signals = align_clocks(ins, signals, **options)
-    warnings = []
+    warnings = [f"--search is not used: {reason}" for method, reason in (
+        ("time frame", "the INS time in the log determines the offset"), ("by hand", "the offset is given")
+        ) if settings.search and alignment.method == method]
     if alignment.verdict is Verdict.REFUSED and (part := _find_alignable_part(ins, signals, parts, options)):
         span, alignment, shared_signals = part
         signals = signals.select_interval(*span)

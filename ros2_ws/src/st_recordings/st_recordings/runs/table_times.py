@@ -12,17 +12,21 @@ from .columns import ColumnSource
 from .errors import RunError, format_count
 from .ins_log import LATEST_TIME, MAX_LOST_FRACTION, select_usable_rows
 
-# 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.2026 10:11:12,5, 10:11:12.5, 10:11:12:500, 11:12:13.5 PM.
+# Time zone name -> hours ahead of UTC; sources: RFC 5322, and the tz database
+_ZONES = {"Z": 0, "UTC": 0, "GMT": 0, "EST": -5, "EDT": -4, "CST": -6, "CDT": -5, "MST": -7, "MDT": -6, "PST": -8,
+          "PDT": -7, "BST": 1, "CET": 1, "MEZ": 1, "CEST": 2, "MESZ": 2, "EET": 2, "EEST": 3, "JST": 9, "KST": 9}
+# 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.26 10:11:12,5, 10:11:12.5, 10:11:12:500, 11:12:13.5 PM (CEST).
 # Spreadsheets write minutes and seconds as 11:12.5. A date 05/04/2026 is ignored if _order_dates cannot convert it.
-_STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4})|\d\d?[/-]\d\d?[/-]\d{4})"
-                    r"[T ,.] *)?(?:0 days )?(?:(\d{1,2}):)?(\d\d?):(\d\d(?:[.,:]\d+)?) *(?:([AaPp])\.?[Mm]\.?)? *"
-                    r"(?:Z|UTC|GMT|([+-])(\d\d)(?::?(\d\d))?)?")
+_STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4}|\d\d)|"
+                    r"\d\d?[/-]\d\d?[/-](?:\d{4}|\d\d))[T ,.] *)?(?:0 days )?(?:(\d{1,2}):)?(\d\d?):"
+                    rf"(\d\d(?:[.,:]\d+)?) *(?:([AaPp])\.?[Mm]\.?)? *\(?({'|'.join(_ZONES)})?\)?"
+                    r"(?:([+-])(\d\d)(?::?(\d\d))?)?")
 _COMPACT_STAMP = re.compile(r"(\d{4})-?(\d\d)-?(\d\d)[T_ -](\d\d)[:-]?(\d\d)[:-]?(\d\d)(?!\d)")  # 20260504T101112.5
 _UNDERSCORED_STAMP = re.compile(r"(\d{4})_(\d\d?)_(\d\d?)_(\d\d?)_(\d\d)_(\d\d)(?:_(\d+))?")  # 2026_05_04_10_11_12_500
-_NUMERIC_DATE = re.compile(r"(?<!\d)(\d\d?)[/-](\d\d?)[/-](\d{4})(?!\d)")
+_NUMERIC_DATE = re.compile(r"(?<!\d)(\d\d?)[/-](\d\d?)[/-](\d{4}|\d\d)(?!\d)")
 # 04-May-2026, as MATLAB writes it, or Mon, 4 May 2026, as in RFC 5322
 _MONTH_FIRST = re.compile(r"([^\W\d]{3,})\.? (\d\d?)[,.]? +(\d{4})(?!\d)")  # May 4, 2026
-_NAMED_MONTH = re.compile(r"(?:[^\W\d]+\.?,? )?(?<!\d)(\d\d?)[- ]([^\W\d]{3,})\.?[- ](\d{4})(?!\d)")
+_NAMED_MONTH = re.compile(r"(?:[^\W\d]+\.?,? )?(?<!\d)(\d\d?)[- ]([^\W\d]{3,})\.?[- ](\d{4}|\d\d)(?![\d:])")
 # First letters of month names in Danish, Dutch, English, French, German, Italian, Norwegian, Polish, Portuguese,
 # Spanish and Swedish -> number; Vector's tools write month names in the language of the computer.
 _MONTHS = {name: number for number, names in enumerate((
@@ -51,8 +55,8 @@ def read_stamps(file: Path, cells: list[str], warnings: list[str]) -> np.ndarray
     if (match := _MONTH_FIRST.search(cells[0])) and month_number(match[1]):
         cells = [_MONTH_FIRST.sub(r"\2 \1 \3", cell) for cell in cells]
     if (match := _NAMED_MONTH.search(cells[0])) and month_number(match[2]):
-        cells = [_NAMED_MONTH.sub(lambda named: f"{named[3]}-{month_number(named[2]) or 0:02d}-{named[1]}", cell)
-                 for cell in cells]
+        cells = [_NAMED_MONTH.sub(lambda named: f"{_read_year(named[3])}-{month_number(named[2]) or 0:02d}-{named[1]}",
+                                  cell) for cell in cells]
     if not parse_stamp(cells[0]):
         return None
     if _NUMERIC_DATE.search(cells[0]):
@@ -64,15 +68,21 @@ def read_stamps(file: Path, cells: list[str], warnings: list[str]) -> np.ndarray
 
 
 def _order_dates(file: Path, body: str, warnings: list[str]) -> str:
-    """Converts dates such as 25/04/2026 or 25-04-2026 to 2026-04-25 if one shows which number is the day, or warns."""
-    pairs = {(int(a), int(b)) for a, b, _ in _NUMERIC_DATE.findall(body) if int(a) <= 31 and int(b) <= 31}
-    day_first, month_first = any(a > 12 for a, _ in pairs), any(b > 12 for _, b in pairs)
-    if day_first != month_first:
-        return _NUMERIC_DATE.sub(r"\3-\2-\1" if day_first else r"\3-\1-\2", body)
-    if pairs:
-        warnings.append(f"{file}: the order of day and month in its dates is ambiguous, so only the time of day is "
-                        "used; export dates such as 2026-04-25")
+    """Converts dates such as 25/04/2026, 25-04-2026 or 04/25/26 to 2026-04-25 if one shows which number is the day, or
+    warns. In 25/04/26, the year may also be first."""
+    dates = {(int(a), int(b), int(year)) for a, b, year in _NUMERIC_DATE.findall(body) if int(a) <= 31 and int(b) <= 31}
+    day_first, month_first = any(a > 12 for a, _, _ in dates), any(b > 12 for _, b, _ in dates)
+    if day_first != month_first and (month_first or all(year > 99 for _, _, year in dates)):
+        month, day = (2, 1) if day_first else (1, 2)
+        return _NUMERIC_DATE.sub(lambda date: f"{_read_year(date[3])}-{date[month]}-{date[day]}", body)
+    if dates:
+        warnings.append(f"{file}: the order of day, month and year in its dates is ambiguous, so only the time of day "
+                        "is used; export dates such as 2026-04-25")
     return body
+
+
+def _read_year(digits: str) -> int:
+    return int(digits) + (2000 if len(digits) == 2 else 0)
 
 
 def parse_stamp(text: str) -> tuple[float, float] | None:
@@ -83,18 +93,19 @@ def parse_stamp(text: str) -> tuple[float, float] | None:
     match = _STAMP.fullmatch(_COMPACT_STAMP.sub(r"\1-\2-\3 \4:\5:\6", text))
     if match is None:
         return None
-    year, month, day, day_2, month_2, year_2, hour, minute, second, am_pm, sign, hours, minutes = match.groups()
+    year, month, day, day_2, month_2, year_2, hour, minute, second, am_pm, zone, sign, hours, minutes = match.groups()
     if not hour and (year or year_2 or not re.search("[.,]", second)):
         return None  # 10:11 is hours and minutes, 11:12.5 minutes and seconds
     seconds = int(hour or 0) * 3600 + int(minute) * 60 + float(re.sub("[,:]", ".", second))
     if am_pm:
         seconds = seconds % (DAY / 2) + (DAY / 2 if am_pm in "Pp" else 0.0)
+    seconds -= _ZONES[zone or "Z"] * HOUR
     if sign:
         seconds -= float(f"{sign}1") * (int(hours) * 3600 + int(minutes or 0) * 60)
     if not (year or year_2):
         return seconds, DAY if hour else HOUR
     try:
-        calendar_date = date(int(year or year_2), int(month or month_2), int(day or day_2))
+        calendar_date = date(_read_year(year or year_2), int(month or month_2), int(day or day_2))
     except ValueError:
         return None
     return seconds + (calendar_date - date(1970, 1, 1)).days * DAY, 0.0
