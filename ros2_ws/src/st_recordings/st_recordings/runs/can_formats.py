@@ -139,6 +139,15 @@ def _read_text(file: Path, notes: list[str], make_parser: Callable[[Lines, list[
                          f"skipped; the first is line {unreadable_lines[0]}")
 
 
+def _complete_date(time: str, previous: str) -> str:
+    """The time of a CL1000 to CL3000, as 20260504 101112.500, with the day or the date before T. previous: date of the
+    previous line, which is at most 15 days earlier or later."""
+    day, clock = re.sub("[^0-9T]", "", time).split("T")
+    if len(day) == 2 and abs(step := int(day) - int(previous[6:])) > 15:  # in the next or the previous month
+        previous = f"{datetime.strptime(previous[:6], '%Y%m') + timedelta(45 if step < 0 else -15):%Y%m}"
+    return f"{previous[:8 - len(day)]}{day} {clock[:6]}.{clock[6:]}"
+
+
 def _make_line_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
     make_message = import_module("can").Message
     start = "20000101"  # date of a CL1000, which has no clock
@@ -155,11 +164,8 @@ def _make_line_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
         cells = {"kind": "-", "length": "", "fd": "", "bus": "", "index": "", "direction": "", **match.groupdict("")}
         time, kind, bus, data = cells["time"], cells["kind"].lower(), cells["bus"], cells["data"].replace("`", " ")
         if "T" in time:
-            day, clock = re.sub("[^0-9T]", "", time).split("T")
-            if len(day) == 2 and abs(step := int(day) - int(start[6:])) > 15:  # in the next or the previous month
-                start = f"{datetime.strptime(start[:6], '%Y%m') + timedelta(45 if step < 0 else -15):%Y%m}"
-            start = f"{start[:8 - len(day)]}{day}"
-            time = f"{start} {clock[:6]}.{clock[6:]}"
+            time = _complete_date(time, start)
+            start = time[:8]
         if " " in time:
             seconds = datetime.fromisoformat(time).replace(tzinfo=UTC).timestamp()
         elif ":" in time:
