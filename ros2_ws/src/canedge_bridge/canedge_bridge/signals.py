@@ -134,8 +134,8 @@ class SignalTable:
 
     def find_steering(self) -> tuple[MessageSpec, SignalSpec] | None:
         """Message and signal of the steering wheel angle, preferably in a needed message; None if there is none."""
-        rows = sorted(self.messages.values(), key=lambda m: not m.is_needed)
-        return next(((m, s) for m in rows for s in m.signals if s.name == "steering_wheel_angle"), None)
+        messages = sorted(self.messages.values(), key=lambda m: not m.is_needed)
+        return next(((m, s) for m in messages for s in m.signals if s.name == "steering_wheel_angle"), None)
 
 
 def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Sequence[str] = ()) -> SignalTable:
@@ -148,23 +148,23 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Sequence[
     dbc_path, table_path = Path(dbc_file), Path(signals_file)
     root = Entry(str(table_path), "", read_document(table_path))
     root.allow_only("messages")
-    rows = root.entry("messages")
-    database = load_dbc(dbc_path, rows)
+    entries = root.entry("messages")
+    database = load_dbc(dbc_path, entries)
     for name in needed:
-        if name not in rows:
+        if name not in entries:
             raise ConfigurationError(f"{table_path}: needed message {name} is not in the table; it has "
-                                     f"{', '.join(rows)}")
+                                     f"{', '.join(entries)}")
     defined = {m.name: m for m in database.messages}
     messages, absent = {}, []
-    for name in rows:
-        row = rows.entry(name)
+    for name in entries:
+        entry = entries.entry(name)
         if [m.name for m in database.messages].count(name) > 1:
             raise ConfigurationError(f"{dbc_path}: defines {name} more than once; keep one definition")
-        is_needed = row.get("needed", bool)
+        is_needed = entry.get("needed", bool)
         if needed:
             is_needed = name in needed
         if name in defined:
-            messages[name] = _read_message(row, defined[name], dbc_path, is_needed)
+            messages[name] = _read_message(entry, defined[name], dbc_path, is_needed)
         elif is_needed:
             raise ConfigurationError(f"{dbc_path}: has no message {name}, which "
                                      f"{'needed_messages' if needed else table_path} marks as needed"
@@ -224,27 +224,27 @@ def _correct_dbc(text: str) -> str:
     return re.sub(r"(?<=[(\[,|])(-?)(?=\.\d)", r"\g<1>0", text)
 
 
-def _read_message(row: Entry, dbc: DbcMessage, dbc_path: Path, is_needed: bool) -> MessageSpec:
-    row.allow_only("needed", "period", "timeout", "counter", "checksum", "fill", "samples", "signals")
+def _read_message(entry: Entry, dbc: DbcMessage, dbc_path: Path, is_needed: bool) -> MessageSpec:
+    entry.allow_only("needed", "period", "timeout", "counter", "checksum", "fill", "samples", "signals")
     if dbc.is_container:
         raise ConfigurationError(f"{dbc_path}: {dbc.name} is a container of other messages, which is not supported")
     _check_layout(dbc, dbc_path)
-    rows = row.entry("signals")
-    signals = tuple(_read_signal(rows.entry(name), dbc, _find_signal(dbc, name, dbc_path, row), dbc_path)
-                    for name in rows)
+    signal_entries = entry.entry("signals")
+    signals = tuple(_read_signal(signal_entries.entry(name), dbc, _find_signal(dbc, name, dbc_path, entry), dbc_path)
+                    for name in signal_entries)
     parts = {s.name for s in signals if s.name.startswith("gps_")}
     if parts and parts not in (set(DATE_TIME_PARTS), set(GPS_SECONDS_PARTS)):
-        raise ConfigurationError(f"{rows.origin}: {rows.path}: GPS time needs all of {', '.join(GPS_SECONDS_PARTS)} "
-                                 f"or all of {', '.join(DATE_TIME_PARTS)}")
-    fill = row.optional("fill")
-    for sample in row.entries("samples"):
+        raise entry.error("signals", f"GPS time needs all of {', '.join(GPS_SECONDS_PARTS)} or all of "
+                          f"{', '.join(DATE_TIME_PARTS)}")
+    fill = entry.optional("fill")
+    for sample in entry.entries("samples"):
         _check_sample(sample, dbc, signals, dbc_path)
     return MessageSpec(
         dbc=dbc, is_needed=is_needed, signals=signals,
-        period=row.duration("period", 0.0005, 60.0), timeout=row.duration("timeout", 0.001, 600.0),
-        counter=_read_check(row, "counter", dbc, dbc_path), checksum=_read_check(row, "checksum", dbc, dbc_path),
+        period=entry.duration("period", 0.0005, 60.0), timeout=entry.duration("timeout", 0.001, 600.0),
+        counter=_read_check(entry, "counter", dbc, dbc_path), checksum=_read_check(entry, "checksum", dbc, dbc_path),
         fill={} if fill is None else {name: fill.integer(
-            name, 0, 2 ** _find_signal(dbc, name, dbc_path, row).length - 1) for name in fill})
+            name, 0, 2 ** _find_signal(dbc, name, dbc_path, entry).length - 1) for name in fill})
 
 
 def _check_layout(dbc: DbcMessage, dbc_path: Path) -> None:
@@ -260,11 +260,11 @@ def _check_layout(dbc: DbcMessage, dbc_path: Path) -> None:
             raise ConfigurationError(f"{dbc_path}: {dbc.name}.{signal.name}: factor or offset beyond {MAX_SCALING:g}")
 
 
-def _find_signal(dbc: DbcMessage, name: str, dbc_path: Path, row: Entry) -> DbcSignal:
+def _find_signal(dbc: DbcMessage, name: str, dbc_path: Path, entry: Entry) -> DbcSignal:
     for signal in dbc.signals:
         if signal.name == name:
             return signal
-    raise ConfigurationError(f"{dbc_path}: {dbc.name} has no signal {name}, which {row.origin} names; "
+    raise ConfigurationError(f"{dbc_path}: {dbc.name} has no signal {name}, which {entry.origin} names; "
                              f"it has {', '.join(s.name for s in dbc.signals)}")
 
 

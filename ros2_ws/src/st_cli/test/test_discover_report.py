@@ -82,7 +82,7 @@ def test_names_of_effects_keep_the_abbreviations_of_the_field():
 
 def test_effective_correction_is_described_by_the_error_without_it(logs):
     found = discovery(logs, STEPS, 1.72)
-    (text,) = report_text.describe_effective_corrections(replace(found, effective=found.effects[:1]))
+    text = report_text.describe_effective_corrections(replace(found, effective=found.effects[:1]))
     assert text.startswith("steering ratio × 0.8940 (5 s position error without it +0.90 m): in model.yaml, marked")
 
 
@@ -306,7 +306,7 @@ def test_model_with_an_undetermined_peak_is_recommended_for_the_driven_range_onl
     found = discovery(logs, STEPS, 1.72)
     lines = report_text.recommend(replace(found, minor=(replace(found.effects[0], name=effect),)), None)
     (line,) = [line for line in lines if line.startswith("model.yaml also contains")]
-    limit = "; use it only up to the slip angles of these drives: the peak force of its tyres is not established"
+    limit = "; use it only up to the slip angles of these drives, which do not determine the peak tyre force"
     assert line.endswith(limit) is is_limited  # other reasons than the range of the drives are possible
 
 

@@ -141,21 +141,21 @@ def _compare(model: Model, car: VehicleParameters, signals: LogSignals, forecast
         if each.complete.any():
             has_settled = find_settled_starts(each.starts_ns, each.starts_ns[each.complete], cutoff)
             scores[mode] = each.at(each.starts_ns[has_settled])
-    for rows, block in evaluate_blocks([model], car, signals, starts_ns, settings, future_inputs):
+    for indices, block in evaluate_blocks([model], car, signals, starts_ns, settings, future_inputs):
         for mode, predictions in recorded.items():
-            _compare_paths(result, mode, predictions, starts_ns[rows], block.trajectories[model.name, mode])
+            _compare_paths(result, mode, predictions, starts_ns[indices], block.trajectories[model.name, mode])
         for mode, mode_scores in scores.items():
-            _compare_scores(result, mode, mode_scores, starts_ns[rows], block.errors[model.name, mode], last_ns)
+            _compare_scores(result, mode, mode_scores, starts_ns[indices], block.errors[model.name, mode], last_ns)
     return result
 
 
 def _compare_paths(result: Comparison, mode: Mode, recorded: Predictions, starts_ns: np.ndarray,
                    states: np.ndarray) -> None:
     """Compare recorded predictions with recomputed ones; states: (n, points, 6), for the starts (n,)."""
-    _, rows, recorded_rows = np.intersect1d(starts_ns, recorded.starts_ns, assume_unique=True, return_indices=True)
-    difference = states[rows] - recorded.states[recorded_rows]
+    starts_ns, computed, common = np.intersect1d(starts_ns, recorded.starts_ns, assume_unique=True, return_indices=True)
+    difference = states[computed] - recorded.states[common]
     is_finite = np.isfinite(difference).all(axis=(1, 2))
-    difference, starts_ns = difference[is_finite], starts_ns[rows][is_finite]
+    difference, starts_ns = difference[is_finite], starts_ns[is_finite]
     result.n_predictions[mode] += len(difference)
     if not len(difference):
         return

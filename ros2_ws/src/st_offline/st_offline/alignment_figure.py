@@ -50,9 +50,9 @@ def _draw_signal(ax: plt.Axes, signal: SharedSignal, alignment: Alignment, whole
     for time, line, colour, width, alpha, label in (
             (reference, signal.reference, MEASURED_COLOUR, 3.0, 0.55, "INS recording"),
             (other, values, OTHER_COLOUR, 1.0, 1.0, "CAN log")):
-        rows = np.flatnonzero((time >= start) & (time <= (np.inf if whole else start + CLOSE_UP_DURATION)))
-        rows = rows[::max(-(-len(rows) // MAX_POINTS), 1)]
-        ax.plot(time[rows], line[rows], color=colour, lw=width, alpha=alpha, label=label)
+        indices = np.flatnonzero((time >= start) & (time <= (np.inf if whole else start + CLOSE_UP_DURATION)))
+        indices = indices[::max(-(-len(indices) // MAX_POINTS), 1)]
+        ax.plot(time[indices], line[indices], color=colour, lw=width, alpha=alpha, label=label)
     units = {"velocity": "m/s", "speed": "m/s", "rate": "rad/s", "curvature": "1/m\n(steering scaled)"}
     unit = next((unit for word, unit in units.items() if word in signal.name), "rad")
     ax.set(title="Aligned" if whole else f"The {CLOSE_UP_DURATION:.0f} s with the largest variation",

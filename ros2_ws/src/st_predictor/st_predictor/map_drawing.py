@@ -48,8 +48,8 @@ class Ribbon:
     def make_triangles(self, stride: int) -> np.ndarray:
         """(k, 3, 2) triangles [m] that fill the band, with corners at every `stride`-th and at the last two points."""
         last = len(self.left) - 1
-        rows = np.unique(np.append(np.arange(0, last, stride), (last - 1, last)))
-        left, right = self.left[rows], self.right[rows]
+        indices = np.unique(np.append(np.arange(0, last, stride), (last - 1, last)))
+        left, right = self.left[indices], self.right[indices]
         return np.concatenate([np.stack([left[:-1], right[:-1], left[1:]], axis=1),
                                np.stack([right[:-1], right[1:], left[1:]], axis=1)])
 

@@ -106,8 +106,13 @@ def sum_band_scores(band: Band, conditions: np.ndarray, errors: np.ndarray) -> S
     is_inside = {f"{level:g}": largest_ratio <= band.factors[level] for level in levels}
     sums: Sums = {"starts": len(errors), "coverage": {}, "axes": {}, "interval_score": {}, "half_width": {},
                   "conditions": {}, "cells": {},
-                  "reliability": {f"{level:g}": int((largest_ratio <= c).sum()) for level, c in band.factors.items()},
-                  "crps": _name_axes(_sum_crps(band, scale[:, at_seconds], errors[:, at_seconds]))}
+                  "reliability": {f"{level:g}": int((largest_ratio <= c).sum()) for level, c in band.factors.items()}}
+    crps = np.zeros(len(AXES))  # of the symmetric distribution with the quantiles of the band
+    for axis, ratios in enumerate(band.ratios):
+        quantiles = scale[:, at_seconds, axis, None] * np.concatenate([-ratios[::-1], [0.0], ratios])
+        score = scoringrules.crps_quantile(errors[:, at_seconds, axis], quantiles, _PROBABILITIES, backend="numpy")
+        crps[axis] = score.mean(axis=1).sum() if score.size else 0.0
+    sums["crps"] = _name_axes(crps)
     for level in levels:
         key, c = f"{level:g}", band.factors[level]
         sums["coverage"][key] = int(is_inside[key].sum())
@@ -117,35 +122,23 @@ def sum_band_scores(band: Band, conditions: np.ndarray, errors: np.ndarray) -> S
         sums["half_width"][key] = {f"{time[k]:g}": _name_axes(c * scale[:, k].sum(axis=0)) for k in at_seconds}
     largest_in_second = np.stack([by_point[:, second == s].max(axis=1) for s in np.unique(second)], axis=1)
     seconds_inside = {f"{level:g}": largest_in_second <= band.factors[level] for level in levels}
-    sums["seconds"] = {key: {str(s): int(count) for s, count in zip(np.unique(second), rows.sum(axis=0), strict=True)}
-                       for key, rows in seconds_inside.items()}
+    sums["seconds"] = {key: {str(s): int(count) for s, count in zip(np.unique(second), inside.sum(axis=0), strict=True)}
+                       for key, inside in seconds_inside.items()}
     cells = {name: find_bins(conditions, name) for name in EDGES}
     for name, cell in cells.items():
         sums["conditions"][name.replace("_", " ")] = {
             _label_bin(name, k): _count_coverage(cell == k, is_inside) for k in np.unique(cell).tolist()}
     for v, a in np.unique(np.stack([cells["speed"], cells["lateral_acceleration"]], axis=1), axis=0).tolist():
-        rows = (cells["speed"] == v) & (cells["lateral_acceleration"] == a)
+        mask = (cells["speed"] == v) & (cells["lateral_acceleration"] == a)
         for column, s in enumerate(np.unique(second)):
             name = f"{_label_bin('speed', v)}, {_label_bin('lateral_acceleration', a)}, second {s}"
-            sums["cells"][name] = _count_coverage(rows, {key: each[:, column] for key, each in seconds_inside.items()})
+            sums["cells"][name] = _count_coverage(
+                mask, {key: inside[:, column] for key, inside in seconds_inside.items()})
     return sums
 
 
-def _sum_crps(band: Band, scale: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """(3,) CRPS of the symmetric distribution with the quantiles of the band: mean over points, summed over starts."""
-    import scoringrules
-
-    crps = np.zeros(errors.shape[2])
-    for axis, ratios in enumerate(band.ratios):
-        quantiles = np.concatenate([-ratios[::-1], [0.0], ratios])
-        score = scoringrules.crps_quantile(errors[:, :, axis], scale[:, :, axis, None] * quantiles, _PROBABILITIES,
-                                           backend="numpy")
-        crps[axis] = score.mean(axis=1).sum() if score.size else 0.0
-    return crps
-
-
-def _count_coverage(rows: np.ndarray, is_inside: Mapping[str, np.ndarray]) -> Sums:
-    return {"starts": int(rows.sum()), "coverage": {key: int(inside[rows].sum()) for key, inside in is_inside.items()}}
+def _count_coverage(mask: np.ndarray, is_inside: Mapping[str, np.ndarray]) -> Sums:
+    return {"starts": int(mask.sum()), "coverage": {key: int(inside[mask].sum()) for key, inside in is_inside.items()}}
 
 
 def _name_axes(values: np.ndarray) -> dict[str, float]:
@@ -308,8 +301,8 @@ def collect_intervals(files: Sequence[ModelFile]) -> dict[str, Intervals]:
 
 def sum_contributions(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals,
                       settings: EvaluationSettings, intervals: Mapping[str, Intervals]) -> Sums:
-    """{"shares": {model: {starts, total, causes}}} of one run. starts: number of starts. total, causes: squared errors,
-    and squared contributions by cause, each summed over the starts, (seconds, axes) [m^2, m^2, rad^2]."""
+    """{"shares": {model: {starts, total, causes}}} of one run. starts: their number. total: squared errors, causes:
+    squared contributions by cause, summed over the starts; each (seconds, axes) [m^2, m^2, rad^2]."""
     by_model: Sums = {}
     for model in models:
         starts, total, parts = sum_squared_contributions(model, vehicle, signals, settings, intervals.get(model.name))

@@ -38,7 +38,7 @@ from .gate import RUN_ERRORS, check_log, describe_problem
 
 MODELS = ("linear", "nonlinear")  # checked for stable integration
 MAX_FIGURES = 6  # on the page
-LABEL_CHARACTERS = 12  # per line of the label of an axis, so that the labels of both axes stay apart
+LABEL_CHARACTERS = 12  # per line of a vertical axis label, so that the labels of both panels do not overlap
 MAX_LINE_GAP = 1.5  # s; a line is interrupted at longer gaps
 MIN_SHADE_WIDTH = 0.004  # fraction of the time axis; narrower shading would be invisible
 SHADES = {Severity.ERROR: drawing.BAD_COLOUR, Severity.WARNING: drawing.WARN_COLOUR, Severity.NOTE: MEASURED_COLOUR}
@@ -130,7 +130,7 @@ def make_run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, re
     earlier finding, or concerns the columns of a run without a table. Paths are relative to `file`.
     """
     corrections: dict[str, Any] = {}
-    lines = ["# Proposed by st check. Every command that reads it lists the corrections.\n"]
+    lines = ["# Proposed by st check. Every command that reads this file lists its corrections.\n"]
     for finding in findings:
         lines.append(f"# {finding.severity.value}: {finding.name}: {escape_unprintable(finding.text)}\n")
         advice = finding.advice
@@ -143,8 +143,8 @@ def make_run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, re
         elif not READERS[source.kind].is_table and {"columns", "units"} & advice.entry.keys():
             comment = f"not applied, only {' and '.join(TABLE_KEYS)} files have columns and units: {advice.line}"
         else:
-            joined = _join(corrections, as_yaml_values(advice.entry))
-            if joined == _join(joined, corrections):
+            joined = _merge(corrections, as_yaml_values(advice.entry))
+            if joined == _merge(joined, corrections):
                 corrections = joined
                 continue
             comment = f"not applied, an earlier finding proposes a different value: {advice.line}"
@@ -174,7 +174,7 @@ def append_corrections(settings: Mapping[str, Any], corrections: Mapping[str, An
 
         scale = scale2 scale1,  add = scale2 add1 + add2,  earlier = earlier1 + earlier2,  ahead = ahead1 + ahead2
     """
-    result, first = _join(settings, corrections), settings.get("correct", {})
+    result, first = _merge(settings, corrections), settings.get("correct", {})
     for channel, second in corrections.get("correct", {}).items():
         result["correct"][channel] = _combine(first.get(channel, {}), second)
     return result
@@ -187,14 +187,14 @@ def _combine(first: Mapping[str, float], second: Mapping[str, float]) -> dict[st
     return {key: combined.get(key, value) for key, value in {**first, **second}.items()}
 
 
-def _join(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
-    """Values of both mappings, lists joined; of two different values, the second."""
+def _merge(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
+    """Both mappings, nested ones merged and lists joined without repetition; of two other values, the second."""
     joined = {**first}
     for key, value in second.items():
         if isinstance(value, list):
             joined[key] = [*joined.get(key, ()), *(item for item in value if item not in joined.get(key, ()))]
         else:
-            joined[key] = _join(joined.get(key, {}), value) if isinstance(value, Mapping) else value
+            joined[key] = _merge(joined.get(key, {}), value) if isinstance(value, Mapping) else value
     return joined
 
 

@@ -23,7 +23,6 @@ from st_core.discovery.library_fit import apply_clock_corrections
 from st_core.effects import load_folder
 from st_core.errors import ConfigurationError
 from st_core.model_file import Interval, ModelFile, ModelProvenance
-from st_core.models import Model
 from st_core.relations import RelationSearch, find_relation, needs_search
 from st_recordings.car import read_model
 from st_recordings.paths import json_text, new_folder
@@ -55,7 +54,15 @@ def run_command(request: Request) -> int:
     """Run the command; returns the exit status: 1 if a run could not be used, else 0. Raises ConfigurationError for
     invalid options or recordings, StCoreError if a search is not possible, OutputError if the folder is unusable."""
     check_formats(request.formats)
-    base, effect_hashes = _load_base_and_effects(request)
+    effect_hashes: dict[str, str] = {}
+    if request.effects is not None:
+        load_folder(str(request.effects.absolute()))
+        effect_hashes = {file.name: hashlib.sha256(file.read_bytes()).hexdigest()
+                         for file in sorted(request.effects.glob("*.py"))}
+    try:
+        base, *_ = read_model(request.base, request.vehicle, request.vehicle_file)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"--base {error}") from None
     folder = new_folder(request.output, "discover")
     times = [time.perf_counter()]
     with make_progress_bars() as progress:
@@ -86,19 +93,6 @@ def run_command(request: Request) -> int:
         files = write_results(discovery, request, update, folder, figures, seconds, search, report)
     print_result(discovery, update, request.all_drives, files, from_cache, report)
     return 1 if any(d.problem for d in request.all_drives) else 0
-
-
-def _load_base_and_effects(request: Request) -> tuple[Model, dict[str, str]]:
-    """(base model, sha256 of each file of user-defined effects). Loads these effects."""
-    hashes: dict[str, str] = {}
-    if request.effects is not None:
-        load_folder(str(request.effects.absolute()))
-        hashes = {file.name: hashlib.sha256(file.read_bytes()).hexdigest()
-                  for file in sorted(request.effects.glob("*.py"))}
-    try:
-        return read_model(request.base, request.vehicle, request.vehicle_file)[0], hashes
-    except ConfigurationError as error:
-        raise ConfigurationError(f"--base {error}") from None
 
 
 def _read_runs(request: Request, progress: Progress) -> tuple[list[Drive], list[Drive]]:
@@ -265,7 +259,13 @@ def _make_tables(discovery: Discovery, content: Mapping[str, Any]) -> dict[str, 
             error.base, error.augmented, error.floor, error.worst, *error.interval))
         channels.append((f"{quantities.label_channel(name)}, {unit}", before, after, f"{low} to {high}", floor,
                          f"{error.worst_run} {worst}" if error.worst_run else "", ", ".join(error.worse_runs)))
-    changes = [_make_change_row(key, change) for key, change in content["files"]["vehicle.yaml"]["changes"].items()]
+    changes = []
+    for key, change in content["files"]["vehicle.yaml"]["changes"].items():
+        unit, limits = get_unit_symbol(ENTRIES[key].si_unit), (ENTRIES[key].minimum, ENTRIES[key].maximum)
+        at_limit = any(math.isclose(change["after"], limit, rel_tol=1e-4) for limit in limits)
+        changes.append((f"{key}, {unit}" if unit else key, f"{change['before']:.5g}",
+                        f"{change['after']:.5g}{' (limit of the file)' if at_limit else ''}",
+                        f"{change['interval'][0]:.5g} to {change['interval'][1]:.5g}"))
     parts = [(b.part, f"{metres(b.added_last)}, {100 * b.share_added_last:.0f} %",
               f"{metres(b.added_first)}, {100 * b.share_added_first:.0f} %", f"{100 * b.loss_added_last:.0f} %",
               f"{100 * b.loss_added_first:.0f} %") for b in sorted(discovery.budget, key=lambda b: -b.added_last)]
@@ -296,14 +296,6 @@ def _make_tables(discovery: Discovery, content: Mapping[str, Any]) -> dict[str, 
               ("combination", "value", "95 % interval", "vehicle file"), combinations))
     return {"narrow": [table for table in narrow if table.rows],
             "wide": [table for table in _make_wide_tables(discovery) if table.rows]}
-
-
-def _make_change_row(key: str, change: Mapping[str, Any]) -> tuple[str, str, str, str]:
-    unit, limits = get_unit_symbol(ENTRIES[key].si_unit), (ENTRIES[key].minimum, ENTRIES[key].maximum)
-    at_limit = any(math.isclose(change["after"], limit, rel_tol=1e-4) for limit in limits)
-    return (f"{key}, {unit}" if unit else key, f"{change['before']:.5g}",
-            f"{change['after']:.5g}{' (limit of the file)' if at_limit else ''}",
-            f"{change['interval'][0]:.5g} to {change['interval'][1]:.5g}")
 
 
 def _make_wide_tables(discovery: Discovery) -> list[Table]:

@@ -132,23 +132,21 @@ def collect_clock_deviations(drives: Sequence[Drive]) -> dict[str, float]:
 
 
 def find_result(request: Request, base: Model, progress: Progress) -> tuple[Discovery, bool]:
-    """(result of the search, whether it was read from the cache)."""
+    """(discovery, whether it was read from the cache)."""
     bar = progress.add_task("", total=None)
-
-    def report_progress(stage: str, done: int, total: int) -> None:
-        progress.update(bar, description=escape(stage), completed=done, total=total)
-
     logs, reference = get_logs(request.drives), get_logs(request.reference_drives)
     sensors, clocks = pool_sensor_estimates(request.drives), collect_clock_deviations(request.all_drives)
-    key = make_result_key(
-        logs, reference, request.vehicle, base, request.settings, request.effect_hashes, sensors, clocks)
+    key = make_result_key(logs, reference, request.vehicle, base, request.settings, request.effect_hashes, sensors,
+                          clocks)
     cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     file = Path(cache, "single_track", "discovery", f"{key}.json")
     use_cache = request.use_cache and file.is_absolute()  # relative without a home directory
     if use_cache and (cached := read_result(file)) is not None:
         return cached, True
-    discovery = discover(logs, request.vehicle, base, reference, request.settings, report_progress, sensors,
-                         request.jobs, clocks)
+    discovery = discover(logs, request.vehicle, base, reference, request.settings,
+                         lambda stage, done, total: progress.update(
+                             bar, description=escape(stage), completed=done, total=total),
+                         sensors, request.jobs, clocks)
     if use_cache:
         write_result(file, discovery)
     return discovery, False

@@ -26,7 +26,7 @@ MAX_SEPARATION = 10.0  # standard deviations; larger separations are outside the
 MAX_RATIO = 1000.0  # of an error to the expected error; with larger errors, predictions have diverged
 LIMITS = Limits()
 OTHER_CAUSE = " or a cause outside the library with the same effect"
-DRIVEN_RANGE = "; use it only up to the slip angles of these drives: the peak force of its tyres is not established"
+DRIVEN_RANGE = "; use it only up to the slip angles of these drives, which do not determine the peak tyre force"
 EFFECT_HEAD = ("effect", "value (95 % interval)", "5 s position error without it", "largest reduction",
                "significant in")
 EFFECT_NOTE = ("Errors are those of the complete model on held-out driving; \"without it\" means that this effect is "
@@ -61,7 +61,7 @@ def list_effect_rows(discovery: Discovery) -> list[tuple[str, str, str, str, str
     return [(name_with_alternatives(discovery, e, to_words(e.name)),
              "; ".join(quantities.format_parameters(e.name, e.parameters)), format_metres(e.position_5s_increase, "+"),
              f"{label_channel(e.channel)} error by {100 * e.share:.0f} %" if e.channel and e.share >= 0.005 else "-",
-             count_agreement(e)) for e in sort_by_size(discovery.effects)]
+             describe_agreement(e)) for e in sort_by_size(discovery.effects)]
 
 
 def format_title(discovery: Discovery) -> str:
@@ -71,7 +71,7 @@ def format_title(discovery: Discovery) -> str:
     effects = [name_with_alternatives(discovery, e) + (OTHER_CAUSE if _list_other_causes(discovery, e.name) else "")
                for e in sort_by_size(discovery.effects)]
     # A cause outside the library that acts like a named effect may change the combinations as well.
-    other_cause = OTHER_CAUSE * any(_list_other_causes(discovery, e.name) for e in discovery.effects)
+    other_cause = OTHER_CAUSE if any(_list_other_causes(discovery, e.name) for e in discovery.effects) else ""
     combinations = [format_combination(c) + other_cause for c in discovery.unseparated_combinations]
     position = discovery.errors.get("position_5s")
     one_dominates = position is None or any(e.position_5s_increase > 0.5 * (position.base - position.augmented)
@@ -188,7 +188,7 @@ def describe_varying(effect: result.VaryingEffect) -> str:
             f"relative to this one: {ratios}{more}")
 
 
-def count_agreement(effect: result.FoundEffect) -> str:
+def describe_agreement(effect: result.FoundEffect) -> str:
     """Numbers of runs (or parts of runs) and sites with a significant estimate of the same sign as the overall one."""
     counts = []
     for partition in ("run", "site"):
@@ -231,9 +231,9 @@ def list_pair_rows(discovery: Discovery) -> list[tuple[str, ...]]:
     """Table row of each inseparable pair of effects, with the columns of PAIR_HEAD; smallest separation first."""
     rows = []
     for pair in sorted(discovery.separability, key=lambda p: p.strength):
-        figures = next((r.figures for r in discovery.reasons if r.rule == "alternative" and r.subject == pair.second
+        numbers = next((r.figures for r in discovery.reasons if r.rule == "alternative" and r.subject == pair.second
                         and f"{to_words(pair.first)} it " in r.text), {})
-        tests = (form % (factor * figures[key]) if key in figures else "-" for key, factor, form in
+        tests = (form % (factor * numbers[key]) if key in numbers else "-" for key, factor, form in
                  (("share", 100, "%.0f %%"), ("deficit", 100, "%.1f %%"), ("p_no_worse", 1, "%.2g")))
         rows.append((to_words(pair.first), to_words(pair.second), *tests, f"{pair.cosine:.3f}",
                      format_separation(pair.strength)))
@@ -286,12 +286,12 @@ def describe_next_drive(discovery: Discovery) -> str:
             f"{format_separation(now)} σ; required: {MIN_SEPARATION:g} σ)")
 
 
-def describe_effective_corrections(discovery: Discovery) -> list[str]:
-    """Sentence on the effective corrections of the model; empty without any."""
+def describe_effective_corrections(discovery: Discovery) -> str:
+    """Sentence on the effective corrections of the model; "" without any."""
     names = ", ".join(f"{to_words(e.name)} {format_briefly(e.name, e.parameters)} (5 s position error without it "
                       f"{format_metres(e.position_5s_increase, '+')})" for e in discovery.effective)
-    return [f"{names}: in model.yaml, marked effective, as predictions are better with it; not a property "
-            "of the car"] if names and not discovery.increases_error else []
+    return (f"{names}: in model.yaml, marked effective, because predictions improve; not a property of the car"
+            if names and not discovery.increases_error else "")
 
 
 def _list_vehicle_recommendations(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
@@ -334,7 +334,7 @@ def _list_vehicle_recommendations(discovery: Discovery, update: VehicleUpdate | 
 
 
 def _list_other_causes(discovery: Discovery, name: str) -> str:
-    """Causes outside the library with the same effect; "" with reference drives, which these causes affect equally."""
+    """Causes outside the library with the same effect; "" with reference drives, which they affect equally."""
     return "" if discovery.start == "reference" else get_effect(name).imitated_by
 
 
@@ -407,7 +407,7 @@ def list_details(discovery: Discovery, update: VehicleUpdate | None) -> list[tup
     sections = [*((role, [text]) for role, text in describe_drives(discovery)), ("meaning", explain_effects(discovery)),
                 ("decision rule", decisions), ("minor effects", minor),
                 ("to do", recommend(discovery, update)[1:]),
-                ("effective corrections", describe_effective_corrections(discovery)),
+                ("effective corrections", [describe_effective_corrections(discovery)]),
                 ("priors from the vehicle file", [priors + change] if priors else []),
                 ("varying effects", list(map(describe_varying, discovery.varying))),
                 ("detectability", [describe_detectable(discovery)])]

@@ -68,7 +68,7 @@ class VehicleUpdate:
 
 
 def update_vehicle(discovery: Discovery, request: Request) -> VehicleUpdate | None:
-    """Update by `fold_named_effects`, or the original file if the updated one predicts worse; None without a model."""
+    """The update of `fold_named_effects`, or the original file if it predicts better; None without a model."""
     update = fold_named_effects(discovery, request)
     if update is None or not update.text or update.improves:
         return update
@@ -293,17 +293,16 @@ def _edit_entries(text: str, keys: Iterable[str], car: VehicleParameters, digits
         section, units = _find_entry(root, tyre) if tyre else root, ENTRIES[key].units
         assert isinstance(section, yaml.MappingNode)  # already parsed as a vehicle file
         node = _find_entry(section, name)
+        unit = next(iter(units)) if node is None else next(v.value for k, v in node.value if k.value == "unit")
+        entry = _format_entry(car, key, digits, unit, units[unit])
         if node is None:
-            first, unit = section.value[0][0].start_mark, next(iter(units))
+            first = section.value[0][0].start_mark
             gap = ", " if section.flow_style else "\n" + " " * first.column
-            edits.append((first.index, first.index,
-                          f"{name}: {_format_entry(car, key, digits, unit, units[unit])}{gap}"))
+            edits.append((first.index, first.index, f"{name}: {entry}{gap}"))
         else:
             # A YAML block ends at the next key; the edit ends at its last value, to preserve the comments in between.
             last = node if node.flow_style else node.value[-1][1]
-            unit = next(value.value for name, value in node.value if name.value == "unit")
-            edits.append((node.start_mark.index, last.end_mark.index,
-                          _format_entry(car, key, digits, unit, units[unit])))
+            edits.append((node.start_mark.index, last.end_mark.index, entry))
     for start, end, new in sorted(edits, reverse=True):
         text = text[:start] + new + text[end:]
     return text

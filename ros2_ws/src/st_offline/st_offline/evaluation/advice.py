@@ -37,7 +37,7 @@ REQUIRED_FRACTION = 0.9  # fraction of the starts that must be within the tolera
 MIN_STARTS = 100  # in a speed bin; 10 s of driving at 10 starts per second
 ModelStep = tuple[str, float]  # (name of the model, step [s])
 Cost = dict[str, float]  # processor time per prediction [s], for those of COST_KINDS that are possible
-COST_KINDS = ("interpreted", "compiled", "batch")  # single without numba; single with numba; mean of a batch
+COST_KINDS = ("interpreted", "compiled", "batch")  # one prediction without numba, one with numba; mean of a batch
 STEP_MULTIPLES = (1, 2, 4)  # of the integration step of the task
 
 

@@ -5,7 +5,6 @@ import multiprocessing
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from multiprocessing.connection import Connection
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -23,7 +22,13 @@ def run_in_background(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
         return
     context = multiprocessing.get_context("fork")
     receiver, sender = context.Pipe(duplex=False)
-    child = context.Process(target=_send_result, args=(work, sender), daemon=True)
+
+    def send_result() -> None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent, which terminates this process
+        with contextlib.suppress(Exception):  # the parent repeats the work and reports its error
+            sender.send(work())
+
+    child = context.Process(target=send_result, daemon=True)
     child.start()
     sender.close()
 
@@ -39,9 +44,3 @@ def run_in_background(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
         receiver.close()
         child.terminate()  # if its result was not fetched
         child.join()
-
-
-def _send_result(work: Callable[[], T], sender: Connection) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent, which terminates this process
-    with contextlib.suppress(Exception):  # the parent repeats the work and reports its error
-        sender.send(work())

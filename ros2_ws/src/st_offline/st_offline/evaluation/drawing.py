@@ -131,14 +131,14 @@ def reduce_points(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.
     if len(time) <= MAX_POINTS:
         return time, values
     edges = np.linspace(0, len(time), MAX_POINTS // 2 + 1).astype(int)
-    rows: list[int] = []
+    indices: list[int] = []
     for a, b in itertools.pairwise(edges.tolist()):
         part = values[a:b]
         is_nan = np.isnan(part)
-        indices = {int(is_nan.argmax())} if is_nan.any() else set()
-        indices |= set() if is_nan.all() else {int(np.nanargmin(part)), int(np.nanargmax(part))}
-        rows += [a + k for k in sorted(indices)]
-    return time[rows], values[rows]
+        selected = {int(is_nan.argmax())} if is_nan.any() else set()
+        selected |= set() if is_nan.all() else {int(np.nanargmin(part)), int(np.nanargmax(part))}
+        indices += [a + k for k in sorted(selected)]
+    return time[indices], values[indices]
 
 
 def cut_at_gaps(time: np.ndarray, values: np.ndarray, gap: float) -> tuple[np.ndarray, np.ndarray]:

@@ -23,14 +23,7 @@ from st_recordings.runs.errors import join_problems
 
 from ..bands import bands_report
 from ..bands.bands_report import print_tables
-from ..checking.check_report import (
-    describe_clock,
-    describe_clocks,
-    describe_effect,
-    findings_as_json,
-    group_findings,
-    print_findings,
-)
+from ..checking import check_report
 from ..pages import load_template
 from ..terminal import console, format_count, list_files, make_progress_bars, print_line, report_problem
 from . import tables
@@ -74,9 +67,9 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, workers:
 
         print_advice([s for s, r in zip(sources, reports, strict=True) if not r.problem], task, tolerance)
     for report in evaluated_runs:
-        if text := describe_clock(report.metadata["alignment"]):
+        if text := check_report.describe_clock(report.metadata["alignment"]):
             print_line(f"{escape(report.name)}: {escape(text)}")
-    print_findings({report.name: report.findings for report in reports})
+    check_report.print_findings({report.name: report.findings for report in reports})
     list_files({files[key]: description for key, description in FILE_DESCRIPTIONS.items()})
     failed_reports = [report for report in reports if report.problem]
     for report in failed_reports:
@@ -182,10 +175,11 @@ def make_document(reports: Sequence[RunReport], task: Task) -> dict[str, Any]:
         "bins_all_runs": pool_bins(evaluated_runs),
         "manoeuvres": {r.name: r.manoeuvres for r in evaluated_runs},
         "manoeuvres_all_runs": sorted(pool_entries(parts, "name"), key=lambda entry: -_count_starts(entry)),
-        "about": {r.name: {**r.metadata, "findings": findings_as_json(r.findings)} for r in evaluated_runs},
+        "about": {r.name: {**r.metadata, "findings": check_report.findings_as_json(r.findings)}
+                  for r in evaluated_runs},
         **bands,
         "failed": {r.name: r.problem for r in reports if r.problem},
-        "refused": {r.name: findings_as_json(r.findings) for r in reports if r.problem and r.findings},
+        "refused": {r.name: check_report.findings_as_json(r.findings) for r in reports if r.problem and r.findings},
     }
 
 
@@ -279,11 +273,11 @@ def make_summary(reports: Sequence[RunReport], task: Task) -> list[str]:
     errors = ", ".join(f"{label}{format_error(get_axis_statistics(models, best, mode, 'lateral', over)['rmse'])} m"
                        for mode, label in FORECAST_LABELS.items() if mode in models[best])
     minutes = sum(r.metadata["duration"] for r in reports) / 60.0
-    groups = group_findings({r.name: r.findings for r in reports})
-    faults = "; ".join(f"{finding.name} in {', '.join(names)} ({describe_effect(finding) or finding.text})"
+    groups = check_report.group_findings({r.name: r.findings for r in reports})
+    faults = "; ".join(f"{finding.name} in {', '.join(names)} ({check_report.describe_effect(finding) or finding.text})"
                        for finding, names in groups
                        if finding.severity is not Severity.NOTE and not finding.concerns_only_acceleration)
-    steering = describe_clocks({report.name: report.metadata["alignment"] for report in reports})
+    steering = check_report.describe_clocks({report.name: report.metadata["alignment"] for report in reports})
     return [f"{minutes:.1f} minutes of driving, predictions over {task.settings.prediction.horizon:g} s. With "
             "measured inputs (hindsight), the error is due to model, parameters and sensors; with inputs held as at "
             f"the start (forecast), also to the driver's later inputs: the lateral RMSE of {best} is then {errors}.",

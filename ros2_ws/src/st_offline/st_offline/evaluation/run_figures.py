@@ -46,16 +46,16 @@ def find_complete_starts(evaluation: LogEvaluation) -> np.ndarray:
 
 
 def choose_starts(evaluation: LogEvaluation, times: Sequence[float]) -> np.ndarray:
-    """Rows of the complete starts nearest to the times [s]; without times, rows of four evenly spaced starts."""
-    complete_rows = np.flatnonzero(find_complete_starts(evaluation))
-    if not len(complete_rows):
-        return complete_rows
+    """Indices of the complete starts nearest to the times [s]; without times, indices of four evenly spaced starts."""
+    complete = np.flatnonzero(find_complete_starts(evaluation))
+    if not len(complete):
+        return complete
     if times:
-        rows = [complete_rows[np.abs(evaluation.time[complete_rows] - t).argmin()] for t in times]
+        indices = [complete[np.abs(evaluation.time[complete] - t).argmin()] for t in times]
     else:
         # The first and the last start are excluded, because they are the least representative.
-        rows = complete_rows[np.linspace(0, len(complete_rows) - 1, 6).round().astype(int)[1:-1]]
-    return np.unique(rows)
+        indices = complete[np.linspace(0, len(complete) - 1, 6).round().astype(int)[1:-1]]
+    return np.unique(indices)
 
 
 def draw_run(data: FigureData) -> list[PageFigure]:
@@ -69,17 +69,17 @@ def draw_run(data: FigureData) -> list[PageFigure]:
 def draw_segments(data: FigureData) -> PageFigure | None:
     """Draw measured and predicted paths from a few starts, with the errors over the horizon: figure 1 of the paper."""
     evaluation = data.evaluation
-    rows = choose_starts(evaluation, data.starts)
-    if not len(rows):
+    indices = choose_starts(evaluation, data.starts)
+    if not len(indices):
         return None
-    starts, length = evaluation.starts_ns[rows], float(evaluation.horizon[-1])
+    starts, length = evaluation.starts_ns[indices], float(evaluation.horizon[-1])
     _, block = next(evaluate_blocks(data.models, data.vehicle, data.signals, starts, evaluation.settings))
-    figure, grid = plt.subplots(3, len(rows), figsize=(WIDTH, 5.9), height_ratios=(1.75, 1, 1), squeeze=False)
-    for column, (row, start_ns) in enumerate(zip(rows, starts, strict=True)):
+    figure, grid = plt.subplots(3, len(indices), figsize=(WIDTH, 5.9), height_ratios=(1.75, 1, 1), squeeze=False)
+    for column, (index, start_ns) in enumerate(zip(indices, starts, strict=True)):
         path, *profiles = grid[:, column]
         _draw_measured_path(path, data, start_ns, length)
-        speed = evaluation.conditions["speed"][row]
-        path.set_title(f"$t_0$ = {evaluation.time[row]:.1f} s, {speed:.1f} m/s", fontsize=9)
+        speed = evaluation.conditions["speed"][index]
+        path.set_title(f"$t_0$ = {evaluation.time[index]:.1f} s, {speed:.1f} m/s", fontsize=9)
         path.set(xlabel="east, m", ylabel="" if column else "north, m")
         for axes, first, (axis, side) in zip(profiles, grid[1:, 0], POSITIVE_SIDE.items(), strict=True):
             if column:
@@ -98,7 +98,7 @@ def draw_segments(data: FigureData) -> PageFigure | None:
     end_errors = {m.name: float(np.linalg.norm(block.errors[m.name, "hindsight"][:, -1, :2], axis=1).max())
                   for m in data.models}
     largest = ", ".join(f"{model} {value:.2f} m" for model, value in end_errors.items())
-    starts_text = "these starts" if len(rows) > 1 else "this start"
+    starts_text = "these starts" if len(indices) > 1 else "this start"
     title = f"{evaluation.name}: largest position error {length:g} s after {starts_text}: {largest}"
     caption = ("Predictions with the measured inputs (hindsight) from selected starts, and their errors over the "
                "horizon, along and across the measured heading.")
@@ -113,9 +113,9 @@ def _draw_measured_path(axes: plt.Axes, data: FigureData, start_ns: int, length:
     half_size = 0.5 * max(np.ptp(x), np.ptp(y)) * 1.15 + 2.0
     middle = 0.5 * (x.min() + x.max()), 0.5 * (y.min() + y.max())
     in_frame = (np.abs(log.x - middle[0]) < half_size) & (np.abs(log.y - middle[1]) < half_size)
-    rows = np.flatnonzero(in_frame)[:: max(1, int(in_frame.sum()) // 400)]
-    gaps = np.flatnonzero(np.diff(np.cumsum(~in_frame)[rows])) + 1  # the car left the frame and returned
-    axes.plot(*(np.insert(v[rows], gaps, np.nan) for v in (log.x, log.y)), color=MEASURED_COLOUR, lw=0.8, alpha=0.5)
+    indices = np.flatnonzero(in_frame)[:: max(1, int(in_frame.sum()) // 400)]
+    gaps = np.flatnonzero(np.diff(np.cumsum(~in_frame)[indices])) + 1  # the car left the frame and returned
+    axes.plot(*(np.insert(v[indices], gaps, np.nan) for v in (log.x, log.y)), color=MEASURED_COLOUR, lw=0.8, alpha=0.5)
     stride = max(1, len(log.x[context]) // 200)
     axes.plot(log.x[context][::stride], log.y[context][::stride], color=MEASURED_COLOUR, lw=1.2)
     stride = max(1, len(x) // 100)
@@ -176,8 +176,9 @@ def draw_error_against_horizon(data: FigureData) -> PageFigure:
     parts = []
     for model in data.models:
         profile = evaluation.errors[model.name, "hindsight"].profile_rmse[:, 1]
-        rows = np.flatnonzero(profile > NOTICEABLE_ERROR)
-        parts.append(f"{model.name} " + (f"after {evaluation.horizon[rows[0]]:.1f} s" if len(rows) else "never"))
+        is_large = profile > NOTICEABLE_ERROR
+        time = f"after {evaluation.horizon[is_large.argmax()]:.1f} s" if is_large.any() else "never"
+        parts.append(f"{model.name} {time}")
     title = f"{evaluation.name}: lateral hindsight RMSE exceeds {NOTICEABLE_ERROR:g} m: {', '.join(parts)}"
     caption = ("RMSE over the complete starts at each point of the horizon. Hindsight uses the measured inputs; the "
                "forecast holds the inputs constant at their values at the start.")
@@ -199,12 +200,12 @@ def draw_slip_and_forces(data: FigureData) -> PageFigure | None:
     """Draw the predicted slip angles and lateral forces of both axles, and slip angles from the measured motion."""
     models = [m for m in data.models if m.axle_forces and not m.extra_states and not m.signals]
     evaluation, signals, vehicle = data.evaluation, data.signals, data.vehicle
-    rows = choose_starts(evaluation, data.starts)
-    if not models or not len(rows):
+    indices = choose_starts(evaluation, data.starts)
+    if not models or not len(indices):
         return None
     lateral = np.where(find_complete_starts(evaluation), np.abs(evaluation.conditions["lateral_acceleration"]), -1.0)
-    row = int(rows[0] if len(data.starts) == 1 else lateral.argmax())
-    start = evaluation.starts_ns[row : row + 1]
+    index = int(indices[0] if len(data.starts) == 1 else lateral.argmax())
+    start = evaluation.starts_ns[index : index + 1]
     _, block = next(evaluate_blocks(models, vehicle, signals, start, evaluation.settings))
     horizon, times = evaluation.horizon, start[0] + np.round(evaluation.horizon * 1e9).astype(np.int64)
     angle, acceleration = signals.road_wheel_angle_at(times), signals.ins_at(times, "velocity_x_dot")[0]
@@ -229,7 +230,7 @@ def draw_slip_and_forces(data: FigureData) -> PageFigure | None:
     grid[1, 0].set_xlim(0, horizon[-1])
     grid[0, 0].set_ylabel("slip angle, °\n(positive: slides to the left)")
     grid[1, 0].set_ylabel("lateral force of the axle, kN\n(positive to the left)")
-    title = (f"{evaluation.name}: largest slip angle in the {horizon[-1]:g} s from {evaluation.time[row]:.1f} s: "
+    title = (f"{evaluation.name}: largest slip angle in the {horizon[-1]:g} s from {evaluation.time[index]:.1f} s: "
              f"{', '.join(f'{source} {np.degrees(angle):.1f}°' for source, angle in largest_slips.items())}")
     start_text = "requested start" if len(data.starts) == 1 else "start with the largest mean lateral acceleration"
     caption = f"Slip angles and forces that the models predict with the measured inputs, from the {start_text}."

@@ -9,7 +9,6 @@ import numpy as np
 from scipy.stats import chi2
 from st_core.errors import ConfigurationError
 from st_core.identification.axle_forces import identify_stiffness
-from st_core.identification.driving_fit import QUANTITIES
 from st_core.identification.driving_prediction import fit_stiffness, identify_steering, identify_yaw_inertia
 from st_core.identification.ins_mounting import identify_ins_mounting
 from st_core.identification.result import Identification, IdentificationError, ParameterEstimate, describe_contradiction
@@ -58,8 +57,8 @@ def draw_mounting(outcome: Identification, output: FigureOutput) -> PageFigure:
     figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
     subset = _thin_rows(len(data["curvature"]))
     for index, name in enumerate(data["names"]):
-        rows = subset[data["run"][subset] == index]
-        left.plot(data["curvature"][rows], data["velocity_ratio"][rows], ".", ms=2.5,
+        indices = subset[data["run"][subset] == index]
+        left.plot(data["curvature"][indices], data["velocity_ratio"][indices], ".", ms=2.5,
                   label=name if len(data["names"]) <= 8 else None)
     ends = np.array([data["curvature"].min(), data["curvature"].max()])
     left.plot(ends, data["theta"][0] + data["theta"][1] * ends, color=TEXT_COLOUR, lw=1, label="fit")
@@ -135,7 +134,7 @@ def draw_prediction(outcome: Identification, output: FigureOutput) -> PageFigure
     _draw_region(region_panel, outcome, (first, second))
     bars: dict[str, Any] = {}
     for axis, e in (("x", first), ("y", second)):
-        factor, unit = _get_display_unit(e.parameter)
+        factor, unit = _get_display_unit(e)
         bars |= {axis: e.value * factor, f"{axis}err": np.abs(np.array(e.interval95) - e.value)[:, None] * factor}
         region_panel.set(**{f"{axis}label": e.parameter.replace("_", " ") + (f", {unit}" if unit != "1" else "")})
     region_panel.errorbar(**bars, fmt="o", ms=4, color=TEXT_COLOUR, label="95 % interval")
@@ -173,7 +172,7 @@ def _draw_region(axes: plt.Axes, outcome: Identification, pair: Sequence[Paramet
     size = directions * np.sqrt(chi2.ppf(0.95, 2) * np.maximum(values, 0.0))
     angle = np.linspace(0.0, 2.0 * np.pi, 121)
     x, y = size @ np.stack([np.cos(angle), np.sin(angle)])
-    x_factor, y_factor = (_get_display_unit(name)[0] for name in names)
+    x_factor, y_factor = (_get_display_unit(estimate)[0] for estimate in pair)
     axes.plot((pair[0].value + x) * x_factor, (pair[1].value + y) * y_factor, color=FIT_COLOUR, lw=1,
               label="95 % region")
 
@@ -186,20 +185,19 @@ def _concatenate_times(run: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Time axis [s] on which the runs follow each other, 2 s apart."""
     result, start = np.zeros(len(time)), 0.0
     for index in np.unique(run):
-        rows = run == index
-        result[rows] = start + time[rows] - time[rows].min()
-        start = float(result[rows].max()) + 2.0
+        mask = run == index
+        result[mask] = start + time[mask] - time[mask].min()
+        start = float(result[mask].max()) + 2.0
     return result
 
 
-def _get_display_unit(parameter: str) -> tuple[float, str]:
-    unit = QUANTITIES[parameter].unit
-    return DISPLAY_UNITS.get(unit, (1.0, unit))
+def _get_display_unit(estimate: ParameterEstimate) -> tuple[float, str]:
+    return DISPLAY_UNITS.get(estimate.unit, (1.0, estimate.unit))
 
 
 def _format_value(estimate: ParameterEstimate) -> str:
     """Value and half-width of its 95 % interval, angles in degrees, and its status if it is not identified."""
-    factor, unit = DISPLAY_UNITS.get(estimate.unit, (1.0, estimate.unit))
+    factor, unit = _get_display_unit(estimate)
     low, high = estimate.interval95
     value, half_width = estimate.value * factor, 0.5 * (high - low) * factor
     text = f"{format_rounded(value, half_width)} ± {format_rounded(half_width, half_width)}"

@@ -96,8 +96,8 @@ def draw_ratio(outcome: Identification, output: FigureOutput) -> PageFigure:
               label=f"steering wheel / {estimate.value:.2f}")
     left.set(xlabel="steering wheel angle, deg (positive to the left)", ylabel="wheel angle, deg")
     for k, name in enumerate(dict.fromkeys(data["sweeps"])):
-        rows = sweeps == name
-        right.plot(steering[rows], np.degrees(data["residuals"][rows]), "os^Dv<>P"[k % 8], color=TEXT_COLOUR, ms=4.5,
+        mask = sweeps == name
+        right.plot(steering[mask], np.degrees(data["residuals"][mask]), "os^Dv<>P"[k % 8], color=TEXT_COLOUR, ms=4.5,
                    mfc="none", label=name)
     if data["significant"]:
         first, last = np.radians(ends)
@@ -122,14 +122,14 @@ def identify_height(job: IdentificationJob) -> tuple[Identification, ...]:
     table = read_tables(job.files, {"rear_left": ("kg",), "rear_right": ("kg",)}, LIFT_COLUMNS, ("series",))
     columns, pitch = table.numbers, table.numbers["pitch"].copy()
     for file in dict.fromkeys(job.files):
-        rows = np.array([row_file == file for row_file, _ in table.rows])
-        lift, front, rear = (columns[name][rows] for name in ("lift", "front_radius", "rear_radius"))
-        if np.isnan(pitch[rows]).all():
+        mask = np.array([row_file == file for row_file, _ in table.rows])
+        lift, front, rear = (columns[name][mask] for name in ("lift", "front_radius", "rear_radius"))
+        if np.isnan(pitch[mask]).all():
             if np.isnan([lift, front, rear]).all(axis=1).any():
                 raise RunError(file, "has no values of pitch_deg, and lacks values of lift_m, front_radius_m or "
                                "rear_radius_m", "measure pitch or lift in every row")
-            pitch[rows] = compute_pitch(lift, front, rear, job.vehicle.wheelbase)
-        elif np.isnan(pitch[rows]).any():
+            pitch[mask] = compute_pitch(lift, front, rear, job.vehicle.wheelbase)
+        elif np.isnan(pitch[mask]).any():
             raise RunError(file, "a row has no pitch", "fill that cell, or remove the row")
     masses = set(columns["car_mass"][np.isfinite(columns["car_mass"])].tolist())
     if len(masses) > 1:
@@ -146,11 +146,11 @@ def draw_height(outcome: Identification, output: FigureOutput) -> PageFigure:
     figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.2))
     grid = np.linspace(0.0, data["pitch"].max(), 60)
     for k, (name, intercept) in enumerate(data["intercepts"].items()):
-        rows = lifts == name
+        mask = lifts == name
         marker = "os^Dv<>P"[k % 8]
-        left.plot(pitch[rows], data["rear_load"][rows], marker, color=TEXT_COLOUR, ms=4.5, mfc="none", label=name)
+        left.plot(pitch[mask], data["rear_load"][mask], marker, color=TEXT_COLOUR, ms=4.5, mfc="none", label=name)
         left.plot(np.degrees(grid), intercept + data["slope"] * np.tan(grid), color=MODEL_COLOUR["augmented"], lw=1.0)
-        right.plot(pitch[rows], data["height_per_row"][rows], marker, color=TEXT_COLOUR, ms=4.5, mfc="none")
+        right.plot(pitch[mask], data["height_per_row"][mask], marker, color=TEXT_COLOUR, ms=4.5, mfc="none")
     left.set(xlabel="pitch, deg", ylabel="load on the rear wheels, kg")
     left.legend(title="lift", fontsize=8)
     right.axhspan(*estimate.interval95, color=MODEL_COLOUR["augmented"], alpha=0.2, lw=0, label="95 % interval")
@@ -191,8 +191,8 @@ def read_tyre_tables(files: Sequence[Path]) -> list[FlatPlank]:
             raise RunError(file, f"tyre is {word[:40]!r} in row {row}", "write front or rear")
     tyres = np.array([f"tyre_{word.lower().removeprefix('tyre_')}" for word in table.texts["tyre"]])
     names, (load, slip, force) = np.array([file.name for file, _ in table.rows]), table.numbers.values()
-    return [FlatPlank(tyre, load[rows], slip[rows], force[rows], ", ".join(dict.fromkeys(names[rows].tolist())))
-            for tyre in TYRES if (rows := tyres == tyre).any()]
+    return [FlatPlank(tyre, load[mask], slip[mask], force[mask], ", ".join(dict.fromkeys(names[mask].tolist())))
+            for tyre in TYRES if (mask := tyres == tyre).any()]
 
 
 def draw_tyre(outcome: Identification, output: FigureOutput) -> PageFigure:
@@ -201,10 +201,10 @@ def draw_tyre(outcome: Identification, output: FigureOutput) -> PageFigure:
     slip = np.degrees(data["slip"])
     figure, (left, middle, right) = plt.subplots(1, 3, figsize=(WIDTH, 3.2), width_ratios=(1.4, 1.0, 1.0))
     for k, load in enumerate(data["levels"]):
-        rows, colour = data["level"] == k, LOAD_COLOURS[k % len(LOAD_COLOURS)]
-        left.plot(slip[rows], data["force"][rows], "o", color=colour, ms=3)
+        mask, colour = data["level"] == k, LOAD_COLOURS[k % len(LOAD_COLOURS)]
+        left.plot(slip[mask], data["force"][mask], "o", color=colour, ms=3)
         left.plot(np.degrees(data["grid"]), data["curves"][k], color=colour, label=f"{load:.0f} N")
-        middle.plot(slip[rows], data["residuals"][rows], "o", color=colour, ms=3)
+        middle.plot(slip[mask], data["residuals"][mask], "o", color=colour, ms=3)
         value, uncertainty = np.abs(data["stiffness"][k])
         right.errorbar(load, value / 1e3, Z95 * uncertainty / 1e3, fmt="o", color=colour, ms=4)
     left.set(xlabel="slip angle, deg (positive: slides to the left)", ylabel="lateral force, N")
