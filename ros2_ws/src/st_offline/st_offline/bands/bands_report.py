@@ -105,14 +105,12 @@ def sum_band_scores(band: Band, conditions: np.ndarray, errors: np.ndarray) -> S
     largest_ratio = by_point.max(axis=1, initial=0.0)
     is_inside = {f"{level:g}": largest_ratio <= band.factors[level] for level in levels}
     sums: Sums = {"starts": len(errors), "coverage": {}, "axes": {}, "interval_score": {}, "half_width": {},
-                  "conditions": {}, "cells": {},
+                  "conditions": {}, "cells": {}, "crps": {},
                   "reliability": {f"{level:g}": int((largest_ratio <= c).sum()) for level, c in band.factors.items()}}
-    crps = np.zeros(len(AXES))  # of the symmetric distribution with the quantiles of the band
-    for axis, ratios in enumerate(band.ratios):
-        quantiles = scale[:, at_seconds, axis, None] * np.concatenate([-ratios[::-1], [0.0], ratios])
-        score = scoringrules.crps_quantile(errors[:, at_seconds, axis], quantiles, _PROBABILITIES, backend="numpy")
-        crps[axis] = score.mean(axis=1).sum() if score.size else 0.0
-    sums["crps"] = _name_axes(crps)
+    for k, (axis, ratios) in enumerate(zip(AXES, band.ratios, strict=True)):  # a symmetric distribution is assumed
+        quantiles = scale[:, at_seconds, k, None] * np.concatenate([-ratios[::-1], [0.0], ratios])
+        score = scoringrules.crps_quantile(errors[:, at_seconds, k], quantiles, _PROBABILITIES, backend="numpy")
+        sums["crps"][axis] = float(score.mean(axis=1).sum()) if score.size else 0.0
     for level in levels:
         key, c = f"{level:g}", band.factors[level]
         sums["coverage"][key] = int(is_inside[key].sum())

@@ -259,13 +259,7 @@ def _make_tables(discovery: Discovery, content: Mapping[str, Any]) -> dict[str, 
             error.base, error.augmented, error.floor, error.worst, *error.interval))
         channels.append((f"{quantities.label_channel(name)}, {unit}", before, after, f"{low} to {high}", floor,
                          f"{error.worst_run} {worst}" if error.worst_run else "", ", ".join(error.worse_runs)))
-    changes = []
-    for key, change in content["files"]["vehicle.yaml"]["changes"].items():
-        unit, limits = get_unit_symbol(ENTRIES[key].si_unit), (ENTRIES[key].minimum, ENTRIES[key].maximum)
-        at_limit = any(math.isclose(change["after"], limit, rel_tol=1e-4) for limit in limits)
-        changes.append((f"{key}, {unit}" if unit else key, f"{change['before']:.5g}",
-                        f"{change['after']:.5g}{' (limit of the file)' if at_limit else ''}",
-                        f"{change['interval'][0]:.5g} to {change['interval'][1]:.5g}"))
+    changes = [_make_change_row(key, change) for key, change in content["files"]["vehicle.yaml"]["changes"].items()]
     parts = [(b.part, f"{metres(b.added_last)}, {100 * b.share_added_last:.0f} %",
               f"{metres(b.added_first)}, {100 * b.share_added_first:.0f} %", f"{100 * b.loss_added_last:.0f} %",
               f"{100 * b.loss_added_first:.0f} %") for b in sorted(discovery.budget, key=lambda b: -b.added_last)]
@@ -296,6 +290,14 @@ def _make_tables(discovery: Discovery, content: Mapping[str, Any]) -> dict[str, 
               ("combination", "value", "95 % interval", "vehicle file"), combinations))
     return {"narrow": [table for table in narrow if table.rows],
             "wide": [table for table in _make_wide_tables(discovery) if table.rows]}
+
+
+def _make_change_row(key: str, change: Mapping[str, Any]) -> tuple[str, str, str, str]:
+    unit, limits = get_unit_symbol(ENTRIES[key].si_unit), (ENTRIES[key].minimum, ENTRIES[key].maximum)
+    at_limit = any(math.isclose(change["after"], limit, rel_tol=1e-4) for limit in limits)
+    return (f"{key}, {unit}" if unit else key, f"{change['before']:.5g}",
+            f"{change['after']:.5g}{' (limit of the file)' if at_limit else ''}",
+            f"{change['interval'][0]:.5g} to {change['interval'][1]:.5g}")
 
 
 def _make_wide_tables(discovery: Discovery) -> list[Table]:
