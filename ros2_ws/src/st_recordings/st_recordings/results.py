@@ -115,7 +115,7 @@ class Results:
     scores: dict[tuple[str, str], MeanErrors]  # by model and mode
     segments: dict[tuple[str, int], Segment]  # by model and start [ns, UTC]; at most MAX_DRAWN_STARTS
     ticks: dict[str, Any]  # numbers of the predictor's ticks: due, predicted, skipped, and skipped by reason
-    configuration_hash: str
+    configuration_hash: str  # of the last score of one model and mode; "" without scores
     bands: list[Any] = field(default_factory=list)  # statistics of st_msgs/ErrorSummary with n_bands > 0
 
     def models(self) -> list[str]:
@@ -191,11 +191,16 @@ def read_messages(bags: Sequence[Path], type_name: str, topic_end: str = "") -> 
 def read_results(folder: Path) -> Results:
     """Reads bag/ and errors/ of a run folder; errors over time only for drawn predictions. Raises RunError."""
     bag, errors = open_bag(folder / "bag"), open_bag(folder / "errors")
-    scores, configuration_hash = _read_scores(folder / "errors")
+    columns = _collect_columns(
+        read_messages([folder / "errors"], ERROR_TYPE), lambda message: (message.model, message.mode),
+        lambda message: (message.complete, message.longitudinal_mean, message.lateral_mean, message.yaw_mean,
+                         message.configuration_hash))
+    scores = {key: MeanErrors(*parts[:-1]) for key, parts in columns.items()}
+    hashes = [str(parts[-1][-1]) for parts in columns.values()]
     summary = _read_last_message(errors, SUMMARY_TOPIC, "st_msgs/msg/ErrorSummary")
     bands = [row for row in summary.statistics if row.n_bands] if summary else []
-    return Results(_read_track(bag), scores, _read_segments(folder / "errors", scores),
-                   _read_ticks(bag), configuration_hash, bands)
+    return Results(_read_track(bag), scores, _read_segments(folder / "errors", scores), _read_ticks(bag),
+                   hashes[-1] if hashes else "", bands)
 
 
 def _read_track(bag: Storage) -> Track:
@@ -220,16 +225,6 @@ def _read_ticks(bag: Storage) -> dict[str, Any]:
     skip_counts = {"stale": status.skipped_stale, "overrun": status.skipped_overrun, "slow": status.skipped_slow}
     return {"due": status.due, "predicted": status.predicted, "skipped": sum(skip_counts.values()),
             "skipped_by_reason": skip_counts}
-
-
-def _read_scores(errors: Path) -> tuple[dict[tuple[str, str], MeanErrors], str]:
-    """(scores by model and mode, configuration hash of the last score of one of them, "" without scores)."""
-    columns = _collect_columns(
-        read_messages([errors], ERROR_TYPE), lambda message: (message.model, message.mode),
-        lambda message: (message.complete, message.longitudinal_mean, message.lateral_mean, message.yaw_mean,
-                         message.configuration_hash))
-    hashes = [str(parts[-1][-1]) for parts in columns.values()]
-    return {key: MeanErrors(*parts[:-1]) for key, parts in columns.items()}, hashes[-1] if hashes else ""
 
 
 def _read_segments(errors: Path, scores: dict[tuple[str, str], MeanErrors]) -> dict[tuple[str, int], Segment]:

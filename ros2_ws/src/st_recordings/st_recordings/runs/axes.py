@@ -1,4 +1,4 @@
-"""Finds the units of recorded angles and the axes of velocities; rotates those over ground into body axes."""
+"""Finds the units of recorded angles and the axes of velocities; rotates velocities over ground into body axes."""
 
 import re
 from collections.abc import Mapping
@@ -36,19 +36,15 @@ MIN_COURSE_SPREAD = 0.03
 lateral velocities differ by less than 3 % of the speed, and both are valid."""
 
 
-def find_words(frame_id: str) -> set[str]:
-    return {*re.split("[^a-z]+", frame_id.lower())}
-
-
 def convert_odometry(values: dict[str, np.ndarray], frame_id: str) -> list[str]:
     """Converts INS channels of odometry messages to a map with x to the east and to body axes with y to the left;
     changes `values` and returns warnings.
 
     If a word of frame_id is ned, x is north, y east and yaw a compass heading. Whether z of the body axes also points
-    down then follows from the sign of the yaw rate, or else of the sideways motion. If neither is clear, it is assumed,
-    unless the velocities are over ground: the sign of velocity_y is then known.
+    down then follows from the sign of the yaw rate, or else of the sideways motion. If neither is significant, z is
+    assumed to point down, unless the velocities are over ground: the sign of velocity_y is then known.
     """
-    notes, is_ned = [], "ned" in find_words(frame_id)
+    notes, is_ned = [], "ned" in re.split("[^a-z]+", frame_id.lower())
     if is_ned:
         values["x"], values["y"], values["yaw"] = values["y"], values["x"], np.pi / 2 - values["yaw"]
         notes.append(f"frame_id is {frame_id!r}: x, y and yaw were converted from north, east and compass heading")
@@ -91,7 +87,7 @@ def rotate_to_body_axes(columns: dict[str, np.ndarray], frame_id: str = "") -> s
     moving, yaw = velocity[rows], columns["yaw"][rows] + (np.pi if _moves_backward(columns) else 0.0)
     body_angle, *map_angles = (float(np.median(np.abs(wrap_angle(np.angle(direction) - yaw)))) for direction in (
         moving * np.exp(1j * columns["yaw"][rows]), moving, 1j * moving.conj()))
-    frame_is_map = is_map = not MAP_FRAMES.isdisjoint(find_words(frame_id))
+    frame_is_map = is_map = not MAP_FRAMES.isdisjoint(re.split("[^a-z]+", frame_id.lower()))
     if min(body_angle, *map_angles) < MAX_AGREEING_ANGLE < abs(body_angle - min(map_angles)):
         is_map = min(map_angles) < body_angle
     elif min(body_angle, *map_angles) < MAX_AGREEING_ANGLE and columns.keys() >= {"x", "y"}:
@@ -198,7 +194,7 @@ def _find_motion(table: Table, use_positions: bool) -> tuple[np.ndarray, np.ndar
 
 def compute_steps(table: Table, x: np.ndarray, y: np.ndarray, is_geographic: bool
                   ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(First and last row of steps of a second, velocities [m/s] x + iy); empty for few rows with a position.
+    """(First and last rows of one-second steps, velocities [m/s] x + iy); empty for few rows with a position.
 
     is_geographic: x and y are longitude and latitude [rad].
     """

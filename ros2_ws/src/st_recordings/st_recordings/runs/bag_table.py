@@ -70,15 +70,15 @@ def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: S
 def _read_topics(storage: Storage, ins_topics: str | None) -> list[tuple[str, np.ndarray, dict[str, np.ndarray]]]:
     """(topic, stamps [ns], columns) of the topics with channels. Raises RunError for a named topic without them."""
     # If an INS is named, there may be odometry of another source.
-    topics, taken = [topic for topic in storage.topics if topic.type_name != ODOMETRY], set[str]()
+    topics, ins_channels = [topic for topic in storage.topics if topic.type_name != ODOMETRY], set[str]()
     for name in ins_topics.split(",") if ins_topics else ():
         channels = {channel for topic in topics if topic.is_in(name) for channel in _find_fields(storage, topic)[1]}
         if channels <= {*STEERING_ANGLES}:
             raise RunError(storage.path, f"--odometry-topic: {name} has no messages with channels of an INS",
                            f"topics: {', '.join(sorted(topic.name for topic in topics))}")
-        taken |= channels
+        ins_channels |= channels
     return [(topic.name, *part) for topic in topics if (
-        part := _read_columns(storage, topic, () if ins_topics and topic.is_in(ins_topics) else taken))[1]]
+        part := _read_columns(storage, topic, () if ins_topics and topic.is_in(ins_topics) else ins_channels))[1]]
 
 
 def has_ins_channels(path: Path) -> bool:

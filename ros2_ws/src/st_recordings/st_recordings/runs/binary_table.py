@@ -31,7 +31,7 @@ _NO_DELIMITERS = str.maketrans(',"\n', "   ")
 
 
 class Signal(NamedTuple):
-    """Samples of a signal.
+    """One vector of samples in a file.
 
     path: names of the structs that contain it, and its own name. time: (name, times (n,)) from the innermost struct
     that has a time vector of this length; None if there is none.
@@ -103,7 +103,7 @@ def _join_signals(file: Path, signals: list[Signal]) -> Any:
     if not signals:
         raise RunError(file, "it contains no vectors", "save the samples as vectors or fields of a struct")
     own_names = Counter(signal.path[-1] for signal in signals)
-    rasters: dict[bytes, tuple[str, np.ndarray, dict[str, np.ndarray]]] = {}  # by times: (name, times, columns)
+    time_bases: dict[bytes, tuple[str, np.ndarray, dict[str, np.ndarray]]] = {}  # by times: (name, times, columns)
     length = Counter(len(signal.samples) for signal in signals).most_common(1)[0][0]
     untimed_columns: dict[str, np.ndarray] = {}
     for signal in signals:
@@ -114,17 +114,17 @@ def _join_signals(file: Path, signals: list[Signal]) -> Any:
                 untimed_columns[name] = signal.samples
             continue
         time_name, times = signal.time
-        _, _, columns = rasters.setdefault(times.tobytes(), (time_name, times, {}))
+        _, _, columns = time_bases.setdefault(times.tobytes(), (time_name, times, {}))
         if not np.array_equal(signal.samples, times):
             columns[name] = signal.samples
-    used_rasters = [raster for raster in rasters.values() if raster[2]] or list(rasters.values())
-    if not used_rasters:
+    used_bases = [base for base in time_bases.values() if base[2]] or list(time_bases.values())
+    if not used_bases:
         return pd.DataFrame(untimed_columns)
-    if len(used_rasters) == 1:
-        ((time_name, times, columns),) = used_rasters
+    if len(used_bases) == 1:
+        ((time_name, times, columns),) = used_bases
         return pd.DataFrame({time_name: times, **columns})
     parts = []
-    for time_name, times, columns in used_rasters:
+    for time_name, times, columns in used_bases:
         factor = find_columns(Path(), [time_name], Layout())["t"].factor
         parts.append(pd.DataFrame(columns, index=np.round(times * factor, 6)))  # rounding errors depend on the unit
     merged = pd.concat([part[~part.index.duplicated()] for part in parts], axis=1, sort=True)

@@ -60,10 +60,10 @@ _LINES = (
 _COMMENT = re.compile(r"[#\t]|.*(ERRORFRAME|ERROR FRAME +\d+)\s*$|\*\*\*|\d+\.\d+ \d*C[A-Z]{2} |"
                       r"\s*([A-Z][a-z]|CAN |\w+: |\)|=|[\d.]+ +Trigger)")
 """Lines without data: explanations (candump -e, cantools decode), headers of BUSMASTER and Kvaser, comments."""
-_ERROR_FLAG = 1 << 29  # of the identifier of an error frame
+_ERROR_FLAG = 1 << 29  # bit of the identifier that marks an error frame
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # colour codes of candump -c
 _UNSTAMPED_LINE = re.compile(rb"^\s+\S+\s+[0-9A-F]{3,8}\s+\[\d+\]\s", re.MULTILINE)
-"""A line of candump without -l and without -t."""
+"""A line that candump writes without -l and -t."""
 _ASC_LINE = re.compile(rb"^\s*\d+[.,]\d+\s+\d+\s+[0-9A-Fa-f]+x?\s+[RT]x\s+[dr]\s", re.MULTILINE)
 _TRC_LINE = re.compile(rb"^\s*\d+\)\s", re.MULTILINE)
 _ASC_DATE = re.compile(rb"(?i)date \S+ \S+ +\d+ +\d")  # not "Date Time;x;y" of a table
@@ -306,7 +306,7 @@ def _make_csv_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
         notes.append(f"its times were read in {unit}")
     factor = UNITS["time"][stated or unit][0]
     n_columns = _count_byte_columns(names)
-    networks: dict[str, int] = {}  # names of buses, in the order of their first frames
+    networks: dict[str, int] = {}  # name of a bus -> its number, in the order of the first frames
 
     def parse(line: str) -> Any:
         if not line.strip() or _FURTHER_HEADER.match(line):
@@ -314,7 +314,7 @@ def _make_csv_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
         row = split_row(line, delimiter)
         cells = dict(zip(names, row, strict=False))
         data = _read_csv_data(cells, row, names[roles["data"]], roles, byte_base, n_columns)
-        identifier, is_extended = int(row[roles["id"]], id_base or 16), _is_marked(cells, *_EXTENDED_COLUMNS)
+        identifier, is_extended = int(row[roles["id"]], id_base or 16), _read_flag(cells, *_EXTENDED_COLUMNS)
         if identifier > STANDARD_IDS and (is_extended is False or ("xtd" in cells and not is_extended)):
             raise ValueError(f"standard identifier {identifier:x}")  # or a J1939 row, with other columns
         bus = cells.get("bus") or cells.get("buschannel") or cells.get("network", "")
@@ -324,19 +324,19 @@ def _make_csv_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
             timestamp=stamp[0] if stamp else float(time.replace(",", ".")) * factor, arbitration_id=identifier,
             data=data, is_fd=len(data) > 8,
             is_extended_id=identifier > STANDARD_IDS if is_extended is None else is_extended,
-            is_remote_frame=_is_marked(cells, "remote", "rtr"), is_error_frame=_is_marked(cells, "error", "er"),
-            is_rx=not _is_marked(cells, "dir", "tx"),
+            is_remote_frame=_read_flag(cells, "remote", "rtr"), is_error_frame=_read_flag(cells, "error", "er"),
+            is_rx=not _read_flag(cells, "dir", "tx"),
             channel=int(bus) - ("buschannel" in cells) if bus.isdigit() else (
                 networks.setdefault(bus, len(networks)) if bus else None))
 
     return parse
 
 
-def _is_marked(cells: Mapping[str, str], *names: str) -> bool | None:
-    """Whether the first of these columns that is not blank is set; None if all are blank, or for an unknown text."""
-    mark = next(filter(None, map(cells.get, names)), "").lower()
-    is_marked = mark in ("1", "t", "true", "yes", "tx") or mark.startswith("ext")
-    return is_marked if is_marked or mark in ("0", "f", "false", "no") or mark.startswith("std") else None
+def _read_flag(cells: Mapping[str, str], *names: str) -> bool | None:
+    """The flag in the first of these columns that is not blank; None if all are blank or its text is unknown."""
+    text = next(filter(None, map(cells.get, names)), "").lower()
+    is_set = text in ("1", "t", "true", "yes", "tx") or text.startswith("ext")
+    return is_set if is_set or text in ("0", "f", "false", "no") or text.startswith("std") else None
 
 
 def _find_number_formats(file: Path, names: Sequence[str], delimiter: str, roles: Mapping[str, int]
@@ -352,7 +352,7 @@ def _find_number_formats(file: Path, names: Sequence[str], delimiter: str, roles
             if len(row) <= max(roles.values()):
                 continue
             identifier = row[roles["id"]]
-            flag = _is_marked(dict(zip(names, row, strict=False)), *_EXTENDED_COLUMNS)
+            flag = _read_flag(dict(zip(names, row, strict=False)), *_EXTENDED_COLUMNS)
             is_extended = len(identifier) >= EXTENDED_DIGITS if flag is None else flag
             limit = EXTENDED_IDS if is_extended else STANDARD_IDS
             ids.append((identifier, -1 if names[roles["id"]] in _DECIMAL_IDS else limit))
@@ -407,7 +407,7 @@ def _read_csv_data(cells: Mapping[str, str], row: Sequence[str], name: str, role
         data = b64decode(row[roles["data"]], validate=True)
     else:
         data = bytes.fromhex(digits)
-    if length not in (None, len(data)) and not _is_marked(cells, "remote", "rtr"):
+    if length not in (None, len(data)) and not _read_flag(cells, "remote", "rtr"):
         raise ValueError(f"{len(data)} bytes instead of {length}")
     return data
 

@@ -25,7 +25,8 @@ from .table_times import count_rollovers
 _BAG_FIELDS = ("header.stamp", "id", "is_rtr", "is_extended", "is_error", "dlc", "data")  # of can_msgs/Frame
 BLOCK_SIZE = 65536  # messages converted to columns at a time
 MAX_TIME_JUMPS_NS = 60 * 10**9, 86400 * 10**9
-"""A time further than this from the median of itself and its neighbours is damaged: within a log, at its ends."""
+"""Largest deviation of a time from the median of itself and its neighbours: within a log, and at its ends. A time that
+deviates more is wrong."""
 FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times are relative to the start of the log
 MIN_DECREASING_FRACTION = 0.2
 """Times of a text log that begin at 0 are time steps between frames if a larger fraction of the other times is lower
@@ -35,7 +36,7 @@ than the previous one, or if these are all equal."""
 def read_can_logs(files: Sequence[Path], known_ids: Collection[int] = ()) -> CanLog:
     """Reads the files of one run (splits of a session, or several buses) and merges their frames by time.
 
-    known_ids: of the DBC; they show whether the identifiers of a CSV are decimal or hexadecimal, if both are possible.
+    known_ids: identifiers in the DBC; they show whether those of a CSV are decimal or hexadecimal if both are possible.
     Raises RunError if no file can be used, or only some have UTC times. Other unusable files only cause warnings.
     """
     logs: list[CanLog] = []
@@ -71,8 +72,8 @@ def _read_log(file: Path) -> CanLog:
     reject_unreadable(file, head)
     if is_mdf(head):
         return read_mf4(file)
-    kind = next((f for f in FORMATS if f.matches(head)), None)
-    if kind is None:
+    log_format = next((f for f in FORMATS if f.matches(head)), None)
+    if log_format is None:
         if file.suffix.lower() in MF4_EXTENSIONS:
             raise RunError(file, "this is not an MF4 file (it does not start with MDF)",
                            "correct its extension, or remove it from the command")
@@ -81,9 +82,9 @@ def _read_log(file: Path) -> CanLog:
         raise RunError(file, f"this is not a CAN log of a known format ({formats})",
                        "remove it from the command, or convert it")
     notes: list[str] = []
-    if file.suffix.lower() not in kind.extensions:
-        notes.append(f"is a {kind.name} log with the extension {file.suffix or '(none)'}; it was read as such")
-    return _read_with_python_can(file, kind, notes)
+    if file.suffix.lower() not in log_format.extensions:
+        notes.append(f"is a {log_format.name} log with the extension {file.suffix or '(none)'}; it was read as such")
+    return _read_with_python_can(file, log_format, notes)
 
 
 def _choose_id_base(log: CanLog, known_ids: Collection[int]) -> CanLog:
@@ -132,11 +133,11 @@ def _read_bag(path: Path) -> CanLog:
     return can_frames.build_log(path, parts, notes)
 
 
-def _read_with_python_can(file: Path, kind: Format, notes: Sequence[str]) -> CanLog:
+def _read_with_python_can(file: Path, log_format: Format, notes: Sequence[str]) -> CanLog:
     """Reads a log. notes: listed before those of the reader. Raises RunError if no frame is usable."""
     parts, format_notes, n_untimed, n_too_long = list[Frames](), list[str](), 0, 0
     try:
-        messages = kind.messages(file, format_notes)
+        messages = log_format.messages(file, format_notes)
         while block := list(itertools.islice(messages, BLOCK_SIZE)):
             timed_messages = [message for message in block if 0.0 <= message.timestamp <= LATEST_TIME]
             n_untimed += len(block) - len(timed_messages)
@@ -145,8 +146,8 @@ def _read_with_python_can(file: Path, kind: Format, notes: Sequence[str]) -> Can
             if usable_messages:
                 parts.append(_build_frames(usable_messages))
     except Exception as error:  # any, from the parsers
-        raise RunError(file, f"cannot be read as a {kind.name} log ({shorten(error)})", "copy or export it again"
-                       ) from None
+        raise RunError(file, f"cannot be read as a {log_format.name} log ({shorten(error)})",
+                       "copy or export it again") from None
     frames = can_frames.concatenate(parts) if parts else can_frames.empty_frames()
     if len(frames) > 1:
         limit = np.full(len(frames), MAX_TIME_JUMPS_NS[0])
@@ -160,13 +161,13 @@ def _read_with_python_can(file: Path, kind: Format, notes: Sequence[str]) -> Can
     if not len(frames):
         reasons = f"no usable frames ({'; '.join(format_notes)})" if format_notes else "no frames"
         raise RunError(file, f"it contains {reasons}", "export its times in seconds, and identifiers and bytes as "
-                       "hexadecimal numbers" if kind.name != "Vector BLF" else "copy or export it again")
+                       "hexadecimal numbers" if log_format.name != "Vector BLF" else "copy or export it again")
     period, min_jump = find_clock(read_head(file))
     if frames.time_ns.max() <= period * 1e9:  # times of a day continue past midnight
         rollovers = count_rollovers(frames.time_ns * 1e-9, min_jump)
         frames = replace(frames, time_ns=frames.time_ns + rollovers * round(period * 1e9))
     steps = np.diff(frames.time_ns[1:])
-    if kind.name == LINE_FORMAT and frames.time_ns[0] == 0 and len(steps) and (
+    if log_format.name == LINE_FORMAT and frames.time_ns[0] == 0 and len(steps) and (
             (steps < 0).mean() > MIN_DECREASING_FRACTION or not steps.any()):
         frames = replace(frames, time_ns=np.cumsum(frames.time_ns))
         format_notes.append("its times are relative to the previous frame; they were summed")

@@ -6,12 +6,12 @@ of each number then follows from the definition and one example, so no Python ob
 
 import os
 import struct
-from collections import deque
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 from io import BytesIO
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -237,25 +237,15 @@ def read_blocks(path: Path, summary: Summary, channels: Collection[int]) -> Iter
     """Yields (channel, block of its messages in one chunk), chunk by chunk in file order. Raises one of READ_ERRORS."""
     chunks = [chunk for chunk in sorted(summary.chunk_indexes, key=lambda c: c.chunk_start_offset)
               if not chunk.message_index_offsets.keys().isdisjoint(channels)]
-    with path.open("rb") as stream:
-        for chunk, content in _decompress_chunks(stream, chunks):
-            buffer = np.frombuffer(content, np.uint8)
+    with path.open("rb") as stream, ThreadPoolExecutor(1) as pool:
+        # A thread decompresses the next chunk while this one is read; decompression releases the GIL.
+        pending = [pool.submit(_read_chunk, stream, chunk) for chunk in chunks[:1]]
+        for chunk, next_chunk in zip_longest(chunks, chunks[1:]):
+            buffer = np.frombuffer(pending.pop().result(), np.uint8)
+            pending += [pool.submit(_read_chunk, stream, next_chunk)] if next_chunk else []
             for channel in channels:
                 if channel in chunk.message_index_offsets:
                     yield channel, _read_block(stream, chunk, channel, buffer)
-
-
-def _decompress_chunks(stream: BinaryIO, chunks: Sequence[ChunkIndex]) -> Iterator[tuple[ChunkIndex, bytes]]:
-    """Yields chunks with their content while a thread decompresses the next one; decompression releases the GIL."""
-    with ThreadPoolExecutor(1) as pool:
-        pending: deque[tuple[ChunkIndex, Future[bytes]]] = deque()
-        for chunk in chunks:
-            pending.append((chunk, pool.submit(_read_chunk, stream, chunk)))
-            if len(pending) > 1:
-                first, content = pending.popleft()
-                yield first, content.result()
-        for last, content in pending:
-            yield last, content.result()
 
 
 def _read_block(stream: BinaryIO, chunk: ChunkIndex, channel: int, buffer: np.ndarray) -> Block:

@@ -14,7 +14,7 @@ EXTENDED = 0x8000_0000  # flag of a 29-bit id, as in canedge_bridge.extraction a
 SENT, REMOTE, ERROR, FD = 1, 2, 4, 8  # bits of Frames.flags
 MIN_CLOCK_STEP = 0.005  # s; a smaller step back is jitter of the time stamps
 MAX_EARLY_FRAMES = 5
-"""Number of frames directly before a frame that may be later than it (jitter); if more are, the clock was set back."""
+"""If more frames than this directly before a frame have later times, the clock was set back; otherwise it is jitter."""
 FRAME_HEAD_LENGTH = 20  # bytes in st_msgs/CanFrames before the data of a frame: stamp, id, four flags, length
 MAX_DATA_LENGTH = 64
 _FRAME_ID_OFFSET = 12  # byte of st_msgs/CanFrames at which the length of header.frame_id begins
@@ -126,24 +126,26 @@ def remove_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]],
 def _find_opposite_step(time_ns: np.ndarray, row: int, start: int, end: int, median_step: int) -> int | None:
     """Row of the forward step, among those from `start` to `end`, that reverses the backward step after `row`.
 
-    None if no step or several are more than half as large, or if the time between the two steps clearly differs from
-    that on the clock. It may be longer for up to MAX_EARLY_FRAMES frames between them, or nearly equal times.
+    None if no step or more than one is larger than half of it, or if the duration between the two steps differs between
+    the correct times around them and the wrong times within. It may be longer by the correct times if at most
+    MAX_EARLY_FRAMES frames, or nearly equal times, are within.
     """
     steps = np.diff(time_ns[start:end + 1])
     large_steps = start + np.flatnonzero(steps > (time_ns[row] - time_ns[row + 1]) / 2)
     if len(large_steps) != 1:
         return None
     first, last = sorted((row, int(large_steps[0])))
-    elapsed, shown = time_ns[last + 1] - time_ns[first], time_ns[last] - time_ns[first + 1]
+    correct, wrong = time_ns[last + 1] - time_ns[first], time_ns[last] - time_ns[first + 1]
     tolerance, count = 2 * median_step + MIN_CLOCK_STEP * 1e9, last - first
-    usual = np.median(time_ns[count:] - time_ns[:-count])  # duration of as many frames
-    max_elapsed = tolerance + (shown if shown > usual / 2 else 2 * usual)
-    is_short = count <= MAX_EARLY_FRAMES and elapsed >= 0
-    return int(large_steps[0]) if is_short or shown - tolerance <= elapsed <= max_elapsed else None
+    median_duration = np.median(time_ns[count:] - time_ns[:-count])  # of as many frames
+    max_correct = tolerance + (wrong if wrong > median_duration / 2 else 2 * median_duration)
+    is_short = count <= MAX_EARLY_FRAMES and correct >= 0
+    return int(large_steps[0]) if is_short or wrong - tolerance <= correct <= max_correct else None
 
 
 def build_log(file: Path, parts: Sequence[Frames], warnings: Sequence[str], start_ns: int | None = None) -> CanLog:
-    """Log of one file without clock steps. parts: each in the order of writing. start_ns: None: time of the first."""
+    """The log of one file, clock steps removed. parts: frames, each part in the order of writing. start_ns: start of
+    the session; None: time of the first frame."""
     corrected_parts, steps_of_parts, notes = zip(*map(remove_clock_steps, parts), strict=True)
     frames, steps = merge_by_time(corrected_parts), tuple(chain.from_iterable(steps_of_parts))
     warnings = [*warnings, *chain.from_iterable(notes)]

@@ -109,7 +109,8 @@ def decode_status_channel(columns: Columns, channel: int, names: tuple[str, ...]
 
 
 def select_latest_values(source_packets: np.ndarray, values: np.ndarray, packets: np.ndarray) -> np.ndarray:
-    """(n, k) latest of the `values` that `source_packets` contain, at ascending packets (n,); NaN before the first."""
+    """Latest values (n, k) up to each of the ascending `packets` (n,); NaN before the first. values: (m, k), sent in
+    `source_packets` (m,)."""
     if not len(source_packets):
         return np.full((len(packets), values.shape[1]), np.nan)
     latest = np.searchsorted(source_packets, packets, side="right") - 1

@@ -41,7 +41,7 @@ def read_run_file(path: Path) -> list[RunSource]:
 
 
 def find_described_run(file: Path) -> RunSource | None:
-    """The run of a recording in its own run.yaml, unless that lists further parts, or in one with `each` in its folder;
+    """The run that consists of a recording alone: described by its own run.yaml, or by one with `each` in its folder;
     None if there is none. The error of an invalid run.yaml is the `problem` of the result."""
     own_run = _read_own_run_file(file.parent, file)
     if own_run and own_run.problem:

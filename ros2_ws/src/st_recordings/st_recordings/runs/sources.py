@@ -23,13 +23,13 @@ from .run_file import find_described_files, find_described_run, find_logs, is_ru
 from .run_types import RunSource
 
 GENERIC_NAMES = ("run", "bag")
-"""Names that do not identify a run (run.ncom with run.mf4, bag/ of st live); it is named after its folder instead."""
+"""Names that do not identify a run (run.ncom with run.mf4, bag/ of st live); the folder's name is used instead."""
 DOCUMENT_EXTENSIONS = (".md", ".txt", ".rst", ".pdf", ".html", ".png", ".jpg", ".json", ".yaml", ".yml", "")
 """Extensions of documents such as README and LICENSE, which are ignored among recordings."""
 MAX_SPLIT_GAP = 5.0  # longest gap or overlap [s] between the end of one file of a split bag and the start of the next
 TABLE_EXTENSIONS = (".lvm", ".xls", ".xlsx", ".ods", ".tdms", ".json", ".erg", ".ld", ".pos")
 """Extensions of tables of other programs. Some of these files are text, which can be read with the extension .csv."""
-TEXT_EXPORTS = (".txt", ".tsv", ".dat")  # of text tables that programs often export in addition to their own files
+TEXT_EXPORTS = (".txt", ".tsv", ".dat")  # extensions of tables that programs often export alongside their own files
 UNKNOWN_ADVICE = {
     **dict.fromkeys((".dbc", ".kcd", ".sym", ".arxml"), "give a DBC with --dbc, or put it into the folder of --car"),
     ".rd": "this is raw data of an OxTS unit: convert it to NCOM with the software of the unit",

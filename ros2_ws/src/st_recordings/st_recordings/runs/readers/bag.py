@@ -35,14 +35,14 @@ _STEERING_TYPES: dict[str, tuple[str, Literal["road", "wheel"], Literal["rad", "
 
 def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
     steering, warning = settings.steering if settings.steering and settings.steering.topic else None, ""
-    found = _find_steering(source.path, source.files) if steering is None and vehicle is not None else None
+    report = _find_steering(source.path, source.files) if steering is None and vehicle is not None else None
     if steering is None and bag.may_need_can_frames(source.path, source.files):
         from ..raw import read_raw_run
 
-        with suppress(RunError) if found else nullcontext():
+        with suppress(RunError) if report else nullcontext():
             return read_raw_run(source, vehicle, settings)
-    if found is not None:
-        steering, warning = found, _describe(found)
+    if report is not None:
+        steering, warning = report, _describe(report)
     elif steering is not None and _is_command(steering):
         warning = (f"the name of {steering.topic} or of its field {steering.field} is that of a command, which the car "
                    "follows with a delay; name a measured steering angle with --steering-topic")
@@ -66,8 +66,8 @@ def _describe(steering: SteeringField) -> str:
 
 
 def _find_steering(path: Path, files: Sequence[Path] = ()) -> SteeringField | None:
-    """The steering angle of the only measured topic of a type in _STEERING_TYPES; None without or with several such
-    topics, and if the bag contains st_msgs/Steering or CAN frames or cannot be read."""
+    """The steering angle in the only topic with a type in _STEERING_TYPES that is not a command; None without or with
+    several such topics, and if the bag contains st_msgs/Steering or CAN frames or cannot be read."""
     with suppress(RunError):
         storage = open_bag(path, files)
         known_types = _STEERING_TYPES.keys() & {*storage.store.fielddefs, *storage.definitions()}
