@@ -202,26 +202,22 @@ def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
 
 
 def _reduce_dbc(text: str, names: frozenset[str]) -> str:
-    """Text of a DBC with only the named messages and their float and multiplexing attributes; empty without them."""
-    blocks = [block for block in _MESSAGE.finditer(text) if block["name"] in names]
-    ids = {block["id"] for block in blocks}
-    lines = [block[0] for block in blocks]
-    lines += ["", *(line[0] for line in _SIGNAL_ATTRIBUTE.finditer(text) if line["id"] in ids), ""]
-    return 'VERSION ""\n\nBS_:\n\nBU_: X\n\n' + _correct_dbc("\n".join(lines)) if blocks else ""
+    """DBC with only the named messages and their float and multiplexing attributes; empty if it has none of them.
 
-
-def _correct_dbc(text: str) -> str:
-    """DBC text with 29-bit identifiers, signal names and numbers as cantools requires them.
-
-    Public DBC files write 0x12f8bfa7 without the extended flag, signals like 0_COUNTER and factors like .25.
+    Corrected for cantools: identifiers of 29 bits without the extended flag, signals like 0_COUNTER, factors like .25.
     """
     def add_flag(match: re.Match[str]) -> str:
         number = int(match[2])
         return f"{match[1]}{number | EXTENDED if MAX_STANDARD_ID < number <= MAX_EXTENDED_ID else number}"
 
-    text = re.sub(r"^((?:BO_|SIG_VALTYPE_|SG_MUL_VAL_) +)(\d+)", add_flag, text, flags=re.MULTILINE)
-    text = re.sub(r"^([ \t]+SG_ +|(?:SIG_VALTYPE_|SG_MUL_VAL_) +\d+ +)(?=\d)", r"\1_", text, flags=re.MULTILINE)
-    return re.sub(r"(?<=[(\[,|])(-?)(?=\.\d)", r"\g<1>0", text)
+    blocks = [block for block in _MESSAGE.finditer(text) if block["name"] in names]
+    ids = {block["id"] for block in blocks}
+    attributes = [line[0] for line in _SIGNAL_ATTRIBUTE.finditer(text) if line["id"] in ids]
+    reduced = "\n".join([*(block[0] for block in blocks), "", *attributes, ""])
+    reduced = re.sub(r"^((?:BO_|SIG_VALTYPE_|SG_MUL_VAL_) +)(\d+)", add_flag, reduced, flags=re.MULTILINE)
+    reduced = re.sub(r"^([ \t]+SG_ +|(?:SIG_VALTYPE_|SG_MUL_VAL_) +\d+ +)(?=\d)", r"\1_", reduced, flags=re.MULTILINE)
+    reduced = re.sub(r"(?<=[(\[,|])(-?)(?=\.\d)", r"\g<1>0", reduced)
+    return f'VERSION ""\n\nBS_:\n\nBU_: X\n\n{reduced}' if blocks else ""
 
 
 def _read_message(entry: Entry, dbc: DbcMessage, dbc_path: Path, is_needed: bool) -> MessageSpec:

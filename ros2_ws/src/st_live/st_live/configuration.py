@@ -138,13 +138,23 @@ def set_bands_and_course(parameters: Parameters, bands: Path | None, course: Pat
     if adaptive is not None:
         predictor["adaptive_bands"] = adaptive
     if bands:
-        _check_bands(bands, predictor)
+        file = _read_option("--bands", bands, Bands.from_yaml)
+        car = read_vehicle(Path(predictor["vehicle_file"]))
+        hashes = dict.fromkeys(predictor["models"], "")  # hash of the model file by model; "" for a built-in model
+        if name := predictor.get("model_file"):
+            model = read_model_file(name)
+            hashes[model.model().name] = model.hash
+        settings = {name: predictor[name] for name in PredictionSettings.__dataclass_fields__ if name in predictor}
+        try:
+            file.check(car, hashes, EvaluationSettings(PredictionSettings(**settings)))
+        except StCoreError as error:
+            raise SuiteError(f"--bands {bands}: {error}") from None
     if course:
         _read_option("--course", course, Course.from_yaml)
-    for name, file in (("bands_file", bands), ("course_file", course)):
-        if file:
-            predictor[name] = str(file.absolute())
-            recorder["configuration_files"] = [*recorder["configuration_files"], str(file.absolute())]
+    for name, path in (("bands_file", bands), ("course_file", course)):
+        if path:
+            predictor[name] = str(path.absolute())
+            recorder["configuration_files"] = [*recorder["configuration_files"], str(path.absolute())]
     return updated
 
 
@@ -154,20 +164,6 @@ def _read_option(option: str, file: Path, parse: Callable[[str, str], T]) -> T:
         return parse(read_text(file), str(file))
     except StCoreError as error:
         raise SuiteError(f"{option} {error}") from None
-
-
-def _check_bands(bands: Path, predictor: Mapping[str, Any]) -> None:
-    file = _read_option("--bands", bands, Bands.from_yaml)
-    car = read_vehicle(Path(predictor["vehicle_file"]))
-    hashes = dict.fromkeys(predictor["models"], "")  # hash of the model file by model; "" for a built-in model
-    if name := predictor.get("model_file"):
-        model = read_model_file(name)
-        hashes[model.model().name] = model.hash
-    settings = {name: predictor[name] for name in PredictionSettings.__dataclass_fields__ if name in predictor}
-    try:
-        file.check(car, hashes, EvaluationSettings(PredictionSettings(**settings)))
-    except StCoreError as error:
-        raise SuiteError(f"--bands {bands}: {error}") from None
 
 
 def find_bag(path: Path) -> Path:

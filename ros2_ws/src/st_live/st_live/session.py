@@ -34,7 +34,7 @@ NODES = (  # package, executable; subscribers start first, so that they miss no 
 )
 # Except in a replay, the predictor ends while data still arrive, so that its last tick has inputs.
 STOP_ORDER = ("player", "predictor", "evaluator", "virtual_leaf", "oxts_bridge", "canedge_bridge", "recorder")
-END_MARGIN = 0.5  # s by which the run ends before the source
+END_MARGIN = 0.5  # s; the run is stopped this long before its data end
 START_TIMEOUT = 180.0  # s until all nodes publish diagnostics
 DISCOVERY_TIME = 1.5  # s until already running nodes appear in the graph; they announce themselves every second
 UPDATE_PERIOD = 0.25  # s between checks of the nodes and updates of the terminal
@@ -187,7 +187,7 @@ def set_aside(folder: Path) -> Path:
 
 
 def _check_instances(monitor: Monitor, domain: int, max_instances: int) -> None:
-    """Raises SuiteError for more than `max_instances` of a node: measurements of two runs would be mixed."""
+    """Raises SuiteError for more than `max_instances` instances of a node: measurements of two runs would be mixed."""
     counts = Counter(monitor.find_node_names())
     others = [name for _, name in NODES if counts[name] > max_instances]
     if others:

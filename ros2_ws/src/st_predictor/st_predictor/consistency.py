@@ -91,10 +91,10 @@ class ConsistencyMonitor:
 
 
 def select_recent(history: MeasurementHistory) -> tuple[DriveLog | None, float]:
-    """(thinned-out measurements to check, None if they contain too little driving; duration of driving [s])."""
+    """(downsampled measurements to check, None if they contain too little driving; duration of driving [s])."""
     newest_ns = history.ins.newest or 0
     oldest_ns = max(newest_ns - round(HISTORY_SPAN / NANOSECOND), *history.ins.breaks, 0)
-    times, rows = _thin_out(history.ins, oldest_ns)
+    times, rows = _downsample(history.ins, oldest_ns)
     step = np.minimum(np.diff(times, append=newest_ns) * NANOSECOND, MAX_STEP)
     # Duration of driving from each sample to the newest sample [s].
     remaining = np.cumsum((step * (np.abs(rows[:, INS_SIGNALS.index("velocity_x")]) > MIN_SPEED))[::-1])[::-1]
@@ -103,15 +103,15 @@ def select_recent(history: MeasurementHistory) -> tuple[DriveLog | None, float]:
         return None, driving_time
     start_ns = min(newest_ns - round(WINDOW / NANOSECOND), int(times[np.flatnonzero(remaining >= MIN_DRIVING)[-1]]))
     start_ns = max(start_ns, oldest_ns)
-    times, rows = _thin_out(history.ins, start_ns)
+    times, rows = _downsample(history.ins, start_ns)
     columns = dict(zip(INS_SIGNALS, rows.T, strict=False))
-    steering_times, angles = _thin_out(history.steering, start_ns)
+    steering_times, angles = _downsample(history.steering, start_ns)
     log = DriveLog("live", times, **columns | {"yaw": np.unwrap(columns["yaw"])},
                    steering_time_ns=steering_times, road_wheel_angle=angles[:, 0])
     return log, driving_time
 
 
-def _thin_out(series: TimeSeries, start_ns: int) -> tuple[np.ndarray, np.ndarray]:
+def _downsample(series: TimeSeries, start_ns: int) -> tuple[np.ndarray, np.ndarray]:
     """(times, rows) of the first sample in each SAMPLE_PERIOD_NS from `start_ns` on."""
     first = int(np.searchsorted(series.times, start_ns))
     times = series.times[first:]

@@ -88,10 +88,14 @@ def evaluate(
     from st_offline.evaluation.work import check_bands, load_models
     from st_recordings.car import read_text
 
+    try:
+        starts = tuple(map(float, shared.split_names(at)))
+    except ValueError:
+        raise typer.BadParameter(f"--at {at!r}: expected comma-separated seconds") from None
     parsed_bands, parsed_course = (file and (str(file), kind.from_yaml(read_text(file), str(file)))
                                    for file, kind in ((bands, Bands), (course, Course)))
     task, vehicle = prediction_options.make_task(
-        read_options, interval, over=table, force=force, starts=_parse_seconds(at),
+        read_options, interval, over=table, force=force, starts=starts,
         formats=shared.split_names(figures), bands=parsed_bands, adaptive=adaptive, course=parsed_course)
     check_bands(task, load_models(task))
     status = run_command(runs, task, output, workers, scheduler, advise)
@@ -146,10 +150,3 @@ def course(
     vehicle, read_settings = read_options.resolve()
     parameters, _ = shared.load_vehicle_or_default(vehicle)
     return build_course(runs, parameters, read_settings, output)
-
-
-def _parse_seconds(text: str) -> tuple[float, ...]:
-    try:
-        return tuple(float(part) for part in shared.split_names(text))
-    except ValueError:
-        raise typer.BadParameter(f"--at {text!r}: expected comma-separated seconds") from None

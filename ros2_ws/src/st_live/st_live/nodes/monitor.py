@@ -30,8 +30,8 @@ PREDICTION_PERIOD = 0.25  # s between reads of the newest prediction
 TABLE_MODES = ("hindsight", "forecast", "course", "plan")
 AXES, STATISTICS = ("longitudinal", "lateral"), ("mean", "max", "rmse")
 STATUS_TIMEOUT = 5.0  # s without an update until a status counts as silent, or MISSED_REPORTS intervals if longer
-MISSED_REPORTS = 3  # nodes report rarely in a slow replay
-N_INTERVALS = 3  # number of newest reporting intervals; the longest is used, because a change is reported at once
+MISSED_REPORTS = 3  # in a slow replay, nodes publish diagnostics less than once a second
+N_INTERVALS = 3  # newest reporting intervals, of which the longest is used: a change is reported early
 LEVEL_NAMES = ("ok", "warning", "error", "stale")
 
 

@@ -34,11 +34,11 @@ def open_bag(values: SimpleNamespace, records: Mapping[str, Mapping[str, str]]) 
         raise ConfigurationError(f"{values.message_prefix}output_directory: {file}{error.strerror or error}") from None
 
 
-def make_recording_check(bag: BagWriter, stop_reason: str = "", has_resumed: bool = False, outlook: str = "") -> Check:
+def make_recording_check(bag: BagWriter, stop_reason: str = "", has_resumed: bool = False, suffix: str = "") -> Check:
     """Diagnostic check of the recording: message counts, losses and disk errors.
 
     stop_reason: why an earlier bag of the same run ended. has_resumed: whether to warn that a new bag was just opened.
-    outlook: what happens after a write error.
+    suffix: text added to a write error.
     """
     values = {"messages": bag.message_count, "lost": bag.lost_count, "directory": bag.directory}
     if bag.syncer:
@@ -46,7 +46,7 @@ def make_recording_check(bag: BagWriter, stop_reason: str = "", has_resumed: boo
     if stop_reason:
         values["previous bag"] = stop_reason
     if bag.error:
-        return Check("recording", diagnostics.ERROR, f"{bag.error}{outlook}", values)
+        return Check("recording", diagnostics.ERROR, f"{bag.error}{suffix}", values)
     if has_resumed:
         return Check("recording", diagnostics.WARN, f"{stop_reason}; recording resumed in {bag.directory}", values)
     level, text = diagnostics.OK, f"{bag.message_count} messages"

@@ -43,7 +43,7 @@ class TickCounter:
 
     def __init__(self) -> None:
         self._counts = {"predicted": 0, "skipped_stale": 0, "skipped_overrun": 0, "skipped_slow": 0}
-        self._has_counted = False
+        self._has_started = False
         self._next_due_ns: int | None = None
         self._reported_overruns = 0
 
@@ -60,10 +60,10 @@ class TickCounter:
 
         skip_kind: why it made no prediction, "stale" (inputs) or "slow" (below the minimum speed); None if it made one.
         """
-        if self._has_counted or skip_kind != "stale":
-            self._counts["skipped_overrun"] += missed_count if self._has_counted else 0
+        if self._has_started or skip_kind != "stale":
+            self._counts["skipped_overrun"] += missed_count if self._has_started else 0
             self._counts[f"skipped_{skip_kind}" if skip_kind else "predicted"] += 1
-            self._has_counted = True
+            self._has_started = True
 
     def count_new_overruns(self) -> int:
         """Number of overruns since the previous call."""
@@ -100,7 +100,7 @@ class PredictorNode(Node):
         self._reported_jumps = 0
         self._slowest_tick = 0.0
         self._state_age = math.nan  # last published median [s]
-        self._state_ages: list[float] = []  # age of each start state since the last status [s]
+        self._state_ages: list[float] = []  # ages of the start states of the forecasts since the last status [s]
         self._period = 1.0 / values.rate
         # No wait in simulated time, which advances only while the executor runs; times of arrival are host times.
         self._max_wait = 0.0 if self._uses_sim_time else min(values.sample_wait, MAX_WAIT_FRACTION * self._period)

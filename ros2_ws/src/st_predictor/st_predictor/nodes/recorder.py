@@ -162,9 +162,9 @@ class RecorderNode(Node):
             level, text = diagnostics.WARN, "none of the topics has a publisher yet"
         topics = Check("topics", level, text, {"topics": len(self._recorded_topics)})
         has_resumed = time.monotonic() - self._resume_time < RESUME_WARNING_DURATION
-        outlook = (f"; recording resumes when the disk is writable and {RESUME_SPACE / 1e6:.0f} MB are free"
-                   if self._values.number_if_exists else "")
-        return [make_recording_check(self._bag, self._stop_reason, has_resumed, outlook), topics,
+        suffix = (f"; recording resumes when the disk is writable and {RESUME_SPACE / 1e6:.0f} MB are free"
+                  if self._values.number_if_exists else "")
+        return [make_recording_check(self._bag, self._stop_reason, has_resumed, suffix), topics,
                 self._make_publishers_check()]
 
     def _make_publishers_check(self) -> Check:
