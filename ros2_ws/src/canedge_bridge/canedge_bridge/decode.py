@@ -21,10 +21,8 @@ from .signals import WRAPPED_SIGNALS, MessageSpec, SignalSpec, SignalTable, load
 
 @dataclass(frozen=True)
 class DecodedFrame:
-    """One decoded frame, received at time_ns [ns since 1970].
-
-    values: by canonical name, in SI units. valid: false if a counter or checksum in mode `warn` was wrong.
-    """
+    """One decoded frame, received at time_ns [ns since 1970]. values: by canonical name, in SI units. valid: false if a
+    counter or checksum in mode `warn` was wrong."""
 
     message: str
     time_ns: int

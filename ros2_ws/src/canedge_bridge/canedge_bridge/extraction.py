@@ -80,10 +80,8 @@ class Field:
 
 
 class Extractor:
-    """Extracts the physical value of one DBC signal: scale * raw value + offset.
-
-    selectors: (field, values) of the multiplexers; the signal is in the frame if each field has one of its values.
-    """
+    """Extracts the physical value of one DBC signal: scale * raw value + offset. selectors: (field, values) of the
+    multiplexers; the signal is in the frame if each field has one of its values."""
 
     def __init__(self, message: DbcMessage, signal: DbcSignal) -> None:
         is_float = signal.conversion.is_float

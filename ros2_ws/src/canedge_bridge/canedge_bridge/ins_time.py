@@ -13,10 +13,8 @@ GPS_SECONDS_PARTS = ("gps_time", "gps_utc_offset")
 
 
 def replace_gps_time(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The signals of a frame, with any parts of GPS time replaced with `ins_unix_time`, UTC [s since 1970].
-
-    values: numbers or arrays by canonical name. The time is NaN where the unit has no valid time yet.
-    """
+    """The signals of a frame, with any parts of GPS time replaced with `ins_unix_time`, UTC [s since 1970], NaN where
+    the unit has no valid time yet. values: numbers or arrays by canonical name."""
     if "gps_time" in values:  # [s since 1980-01-06], 0 if unknown
         gps = np.asarray(values["gps_time"])
         as_unix = np.where(gps > 0, gps + GPS_EPOCH_UNIX, np.nan)

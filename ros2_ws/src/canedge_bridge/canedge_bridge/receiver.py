@@ -132,22 +132,18 @@ class Receiver:
         if frame.is_error_frame:
             self._count_error_frame(frame)
         else:
-            self._count_data_frame(time_ns, now_ns)
+            self._last_frame_at = time.monotonic()
+            with self._lock:
+                self._delays.append(now_ns - time_ns)
+                self._status.frames += 1
+            if self._status.state is not BusState.OK and not self._is_passive():
+                self._set_state(BusState.OK, "")
         try:
             self._on_frame(frame, time_ns)
         except Exception as error:
             with self._lock:
                 self._status.callback_errors += 1
             self._on_error(error)
-
-    def _count_data_frame(self, time_ns: int, now_ns: int) -> None:
-        status = self._status
-        self._last_frame_at = time.monotonic()
-        with self._lock:
-            self._delays.append(now_ns - time_ns)
-            status.frames += 1
-        if status.state is not BusState.OK and not self._is_passive():
-            self._set_state(BusState.OK, "")
 
     def _count_error_frame(self, frame: can.Message) -> None:
         text, state = describe_error_frame(frame)

@@ -57,10 +57,8 @@ def make_bridge_parameters(vehicle: Path, ins: dict[str, Any], can: dict[str, An
 
 def make_live_parameters(folder: Path, vehicle: Path, bridges: Parameters, model: Mapping[str, str] | None = None,
                          record_all: bool = False) -> Parameters:
-    """Parameters of config/nodes.yaml, updated for a live run in `folder`.
-
-    model: result of `make_model_parameters`. record_all: whether to record topics that can be derived from others.
-    """
+    """Parameters of config/nodes.yaml, updated for a live run in `folder`. model: result of `make_model_parameters`.
+    record_all: whether to record topics that can be derived from others."""
     from st_predictor.params import ALL_TOPICS  # needs ROS, which `load_model` does not
 
     common = {"vehicle_file": str(vehicle), **(model or {})}
@@ -79,9 +77,7 @@ def make_live_parameters(folder: Path, vehicle: Path, bridges: Parameters, model
 def make_replay_parameters(folder: Path, vehicle: Path, recorded: RecordedConfiguration,
                            model: Path | None = None) -> dict[str, dict[str, Any]]:
     """Parameters of REPLAY_NODES from config/nodes.yaml, updated with those recorded for predictor and evaluator.
-
-    model: model file to use instead of the one named in the recording, which may have moved or changed.
-    """
+    model: model file to use instead of the one named in the recording, which may have moved or changed."""
     model_file = {"model_file": str(model)} if model else {}
     common = {"vehicle_file": str(vehicle), "use_sim_time": True, **model_file}
     nodes = {node: {**{name: value for name, value in recorded.nodes.get(node, {}).items()

@@ -170,10 +170,8 @@ class LiveView:
     @contextmanager
     def open(self, folder: Path, domain: int | None, predictor: Mapping[str, Any], title: str,
              console: Console) -> Iterator[str]:
-        """Context in which the page is served; prints and yields its address, "" without a page.
-
-        predictor: parameters of that node. Raises SuiteError if the page does not start.
-        """
+        """Context in which the page is served; prints and yields its address, "" without a page. predictor: parameters
+        of that node. Raises SuiteError if the page does not start."""
         if not self._page:
             yield ""
             return
@@ -241,10 +239,8 @@ class _RerunHandler(_Handler):
 
 
 def show_recording(folder: Path, file: Path, console: Console) -> None:
-    """Serve a recording (.rrd), show its address, and wait until Ctrl-C is pressed or Rerun exits.
-
-    folder: for settings and logs. Raises SuiteError if the start fails; call `check_rerun` first.
-    """
+    """Serve a recording (.rrd), show its address, and wait until Ctrl-C is pressed or Rerun exits. folder: for settings
+    and logs. Raises SuiteError if the start fails; call `check_rerun` first."""
     lower_priority(BACKGROUND_NICE)
     page, processes = ThreadingHTTPServer((LOOPBACK, 0), _RerunHandler), Processes(folder)
     recording = f"http://{LOOPBACK}:{page.server_port}{RECORDING_PATH}"

@@ -242,10 +242,8 @@ class Scene:
 
 
 def draw_recording(path: Path, file: Path, vehicle: Path | None = None) -> int:
-    """Draw a bag, or the bag in the folder of a run, into `file` (.rrd); returns the number of frames.
-
-    vehicle: file to use instead of the recorded one, for the outline. Raises RunError, ConfigurationError.
-    """
+    """Draw a bag, or the bag in the folder of a run, into `file` (.rrd); returns the number of frames. vehicle: file to
+    use instead of the recorded one, for the outline. Raises RunError, ConfigurationError."""
     bag = find_bag(path)
     if not any(f"/{topic.name}".endswith("/ins/odometry") for topic in open_bag(bag).topics):
         raise RunError(bag, "it has no topic ins/odometry, which the view requires",

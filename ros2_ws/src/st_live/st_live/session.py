@@ -59,10 +59,8 @@ class _SupervisedNode:
 
 
 class Supervisor:
-    """Restarts nodes that end or hang. Call `update` several times a second.
-
-    nodes: (package, executable), all already running.
-    """
+    """Restarts nodes that end or hang; call `update` several times a second. nodes: (package, executable) of each,
+    all running at the start."""
 
     def __init__(self, suite: Suite, monitor: Monitor, nodes: Sequence[tuple[str, str]]):
         self._suite, self._monitor = suite, monitor
@@ -222,10 +220,8 @@ def _start_nodes(suite: Suite, monitor: Monitor, nodes: Sequence[tuple[str, str]
 
 def _watch(suite: Suite, monitor: Monitor, supervisor: Supervisor | None, console: Console, title: str,
            progress: Progress, stop_requested: Callable[[], bool]) -> str:
-    """Show the progress of the run until it is over or Ctrl-C is pressed; returns a problem that ended it, else "".
-
-    Without a supervisor, the run also ends when a process ends; the problem then names this process.
-    """
+    """Show the progress of the run until it is over or Ctrl-C is pressed. Without a supervisor, the run also ends when
+    a process ends; returns this problem, else ""."""
     last_line = time.monotonic()
     with Live(console=console, refresh_per_second=4, transient=True, auto_refresh=False) as live:
         while not stop_requested():

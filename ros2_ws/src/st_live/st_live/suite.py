@@ -69,10 +69,8 @@ class Child:
 
 
 class Processes(AbstractContextManager):
-    """Processes with their logs in folder/logs; leaving the `with` block ends them.
-
-    realtime: request REALTIME_PRIORITIES. realtime_denied: processes for which this was not permitted.
-    """
+    """Processes with their logs in folder/logs; leaving the `with` block ends them. realtime: request
+    REALTIME_PRIORITIES. realtime_denied: processes for which this was not permitted."""
 
     def __init__(self, folder: Path, domain_id: int | None = None, realtime: bool = False):
         self.folder = folder
@@ -118,10 +116,8 @@ class Processes(AbstractContextManager):
         return child
 
     def stop(self, name: str | None = None, timeout: float = STOP_TIMEOUT) -> dict[str, int]:
-        """End one child, or all in the order of their start; returns the exit statuses.
-
-        timeout [s]: from the interrupt of each child until it is killed.
-        """
+        """End one child, or all in the order of their start; returns the exit statuses. timeout: until each is killed
+        after its interrupt [s]."""
         statuses = {}
         for child in [c for c in self.children if name in (None, c.name)]:
             process = child.process
@@ -169,10 +165,8 @@ def find_executable(package: str, executable: str) -> str:
 
 
 def merge_parameters(base: Path, overrides: Parameters) -> dict[str, dict[str, Any]]:
-    """Node parameters of a file, updated with `overrides`; each section of the file describes one node.
-
-    Raises SuiteError naming the file if it is unreadable, has no such sections or contains a key twice.
-    """
+    """Node parameters of a file, in which each section describes one node, updated with `overrides`. Raises SuiteError
+    naming the file if it is unreadable, has no such sections or contains a key twice."""
     try:
         document = yaml_text.load(base.read_text(encoding="utf-8"))
         merged = {node: dict(section["ros__parameters"]) for node, section in document.items()}

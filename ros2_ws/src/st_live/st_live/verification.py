@@ -73,10 +73,8 @@ class Verification:
 
 def verify(path: Path, vehicle: Path | None = None,
            read_settings: ReadSettings = ReadSettings()) -> Verification | None:
-    """Compare recorded predictions and scores with the library's; None for a recording without predictions.
-
-    vehicle: file to use instead of the recorded vehicle. Raises RunError, ConfigurationError.
-    """
+    """Compare recorded predictions and scores with the library's; None for a recording without predictions. vehicle:
+    file to use instead of the recorded vehicle. Raises RunError, ConfigurationError."""
     bag = find_bag(path)
     errors = bag.parent / "errors"
     score_bag = errors if errors.is_dir() and is_bag(errors) else bag

@@ -54,10 +54,8 @@ class ConsistencyMonitor:
         self._checked_at = self._not_before = -math.inf
 
     def poll(self, history: MeasurementHistory, now: float) -> bool:
-        """Run the checks if they are due; returns whether they were due. now: time of a monotonic clock [s].
-
-        An exception in a check is not raised; it becomes a verdict of severity "warning".
-        """
+        """Run the checks if they are due; returns whether they were due. now: time of a monotonic clock [s]. An
+        exception in a check is not raised; it becomes a verdict of severity "warning"."""
         newest_ns = history.ins.newest
         if self._first_poll is None:
             self._first_poll = now

@@ -79,10 +79,8 @@ class PathBuilder:
 def make_prediction_message(start: Start, model: str, trajectory: Trajectory, vehicle: VehicleParameters,
                             map_frame: str, configuration_hash: str, planned: InputSequence | None = None,
                             plan_ns: int = 0) -> Prediction | PlannedPrediction:
-    """Message of a prediction with held inputs, or with the inputs of a plan or course at half steps.
-
-    plan_ns: stamp of the plan [ns], 0 for a course. The caller sets issued_at, compute_time and bands.
-    """
+    """Message of a prediction with held inputs, or with the inputs of a plan or course at half steps. plan_ns: stamp of
+    the plan [ns], 0 for a course. The caller sets issued_at, compute_time and bands."""
     if planned is None:
         message = Prediction(road_wheel_angle=float(start.inputs.road_wheel_angle),
                              velocity_x_dot=float(start.inputs.velocity_x_dot))

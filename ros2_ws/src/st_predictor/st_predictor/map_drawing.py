@@ -56,10 +56,8 @@ class Ribbon:
 
 def make_ribbon(level: float, poses: tuple[np.ndarray, np.ndarray, np.ndarray], along: np.ndarray,
                 across: np.ndarray) -> Ribbon:
-    """The band around a path of poses x, y [m], yaw [rad] with half-widths along and across [m], all (n,).
-
-    The band extends `along[-1]` beyond the end of the path.
-    """
+    """The band around a path of poses x, y [m], yaw [rad] with half-widths along and across [m], all (n,). It extends
+    `along[-1]` beyond the end of the path."""
     x, y, yaw = poses
     ahead = np.append(np.zeros(len(x)), along[-1])
     half_width, heading = np.append(across, across[-1]), np.append(yaw, yaw[-1])
@@ -71,9 +69,7 @@ def make_ribbon(level: float, poses: tuple[np.ndarray, np.ndarray, np.ndarray], 
 @dataclass(frozen=True, eq=False)
 class Path:
     """A predicted path of the INS point in the map frame: x, y (n,) [m], one point every `step` [s] from start_ns on.
-
-    ribbons: the bands around it, the widest first; empty without bands.
-    """
+    ribbons: the bands around it, the widest first; empty without bands."""
 
     start_ns: int
     step: float

@@ -93,10 +93,8 @@ def load_vehicle(values: SimpleNamespace, parse: Callable[[str, str], VehiclePar
 
 
 def load_model(values: SimpleNamespace, vehicle: VehicleParameters) -> ModelFile | None:
-    """Load the effects in `effects_directory`, then return the model in `model_file`; None without a model file.
-
-    Raises ConfigurationError naming the file and the key, also if the model belongs to a car other than `vehicle`.
-    """
+    """The model in `model_file`, with the effects in `effects_directory`; None without a model file. Raises
+    ConfigurationError naming the file and the key, also if the model belongs to a car other than `vehicle`."""
     if values.effects_directory:
         translate_errors(values, lambda: load_folder(values.effects_directory), "effects_directory: ")
     file = read_file(values, "model_file", ModelFile.from_yaml)
@@ -107,10 +105,8 @@ def load_model(values: SimpleNamespace, vehicle: VehicleParameters) -> ModelFile
 
 
 def read_file(values: SimpleNamespace, parameter: str, parse: Callable[[str, str], T]) -> T | None:
-    """Parsed content of the file that a parameter names; None for an empty name. Raises ConfigurationError naming both.
-
-    parse: function of the text and the name of the file.
-    """
+    """Content of the file that a parameter names; None for an empty name. parse: function of its text and its name.
+    Raises ConfigurationError naming parameter and file."""
     name = getattr(values, parameter)
     if not name:
         return None

@@ -115,9 +115,7 @@ class ReadOptions:
 
     def resolve(self, **others: Any) -> "tuple[Path | None, ReadSettings]":
         """(vehicle file or None, settings for reading), from options and --car. others: further fields of ReadSettings.
-
-        Raises RunError for a car that cannot be read.
-        """
+        Raises RunError for a car that cannot be read."""
         from st_recordings.runs import ReadSettings
         from st_recordings.runs.run_types import SteeringField
 
@@ -244,10 +242,8 @@ def report_default_car(verb: str, given_file: Path | None, file: Path | str) -> 
 
 
 def report_bag(verb: str, path: Path, vehicle: Path | None) -> None:
-    """Report the use of the Leaf's vehicle file, and bags in the folder of a run that are not used.
-
-    Raises RunError for an unreadable bag.
-    """
+    """Report the use of the Leaf's vehicle file, and unused bags in the folder of a run. Raises RunError for an
+    unreadable bag."""
     from st_live.configuration import find_bag
     from st_recordings.results import parse_configuration
     from st_recordings.runs.bag import is_bag, read_metadata_records

@@ -89,10 +89,8 @@ class Monitor(AbstractContextManager):
         return [name for name in self._node.get_node_names() if name != self._node.get_name()]
 
     def wait_for_nodes(self, names: set[str], timeout: float) -> set[str]:
-        """Wait until all nodes have a publisher of diagnostics, at most `timeout` [s]; returns the missing ones.
-
-        The predictor is in the graph seconds earlier, because it first compiles its models.
-        """
+        """Wait until all nodes have a publisher of diagnostics, at most `timeout` [s]; returns the missing nodes. The
+        predictor is in the graph seconds before it has one, because it first compiles its models."""
         end = time.monotonic() + timeout
         while time.monotonic() < end:
             ready = {info.node_name for info in self._node.get_publishers_info_by_topic("/diagnostics")}
@@ -181,9 +179,7 @@ def render_errors(state: SuiteState) -> RenderableType:
 
 def make_error_table(models: Mapping[str, Mapping[str, Any]], title: str | None = None, digits: int = 3) -> Table:
     """Table of mean, largest magnitude and RMS of the horizon means of the errors [m]; the smallest of a mode are bold.
-
-    models: as in summary.json. digits: number of decimal places.
-    """
+    models: as in summary.json. digits: number of decimal places."""
     table = Table(title=title, title_justify="left", title_style="bold", box=None, padding=(0, 1))
     for column in ("mode", "model", "scored", *(f"{axis}, m\nmean | max | RMSE" for axis in AXES)):
         table.add_column(column, justify="left" if column in ("mode", "model") else "right", no_wrap=True)

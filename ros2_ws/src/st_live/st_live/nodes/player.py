@@ -43,10 +43,8 @@ SCORE_DELAY = 1.0  # s; the clock may lead the newest scored start by the horizo
 
 
 class Follower:
-    """Follows the progress of another node by the time stamps in its messages.
-
-    sources: message type, and field with a time stamp, by topic. lead: permitted lead of the clock [s].
-    """
+    """Follows the progress of another node by the time stamps in its messages. sources: message type and time stamp
+    field, by topic. lead: permitted lead of the clock [s]."""
 
     def __init__(self, node: Node, sources: Mapping[str, tuple[type, str]], lead: float):
         self._node, self._lead_ns, qos = node, round(lead * 1e9), QoSProfile(depth=QUEUE_DEPTH)
@@ -171,10 +169,8 @@ class Player:
         return clock_ns
 
     def _report(self, played_time: float, duration: float, wall_time: float = 0.0) -> None:
-        """Print the progress as a line of JSON, at most every STATUS_PERIOD; at once if `wall_time` is given (the end).
-
-        played_time, duration: of the recording; wall_time: taken to play it; all in s.
-        """
+        """Print the progress in the recording [s] as a line of JSON, at most every STATUS_PERIOD, and at the end, for
+        which `wall_time` is given: the time that playing took [s]."""
         now = time.monotonic()
         if wall_time or now - self._reported_at > STATUS_PERIOD:
             self._reported_at = now

@@ -174,17 +174,14 @@ def append_corrections(settings: Mapping[str, Any], corrections: Mapping[str, An
 
         scale = scale2 scale1,  add = scale2 add1 + add2,  earlier = earlier1 + earlier2,  ahead = ahead1 + ahead2
     """
-    result, first = _merge(settings, corrections), settings.get("correct", {})
+    result = _merge(settings, corrections)
     for channel, second in corrections.get("correct", {}).items():
-        result["correct"][channel] = _combine(first.get(channel, {}), second)
+        first, scale = settings.get("correct", {}).get(channel, {}), second.get("scale", 1.0)
+        combined = {"scale": first.get("scale", 1.0) * scale,
+                    "add": scale * first.get("add", 0.0) + second.get("add", 0.0),
+                    **{key: first.get(key, 0.0) + second.get(key, 0.0) for key in ("earlier", "ahead")}}
+        result["correct"][channel].update({key: combined[key] for key in combined.keys() & result["correct"][channel]})
     return result
-
-
-def _combine(first: Mapping[str, float], second: Mapping[str, float]) -> dict[str, float]:
-    scale = second.get("scale", 1.0)
-    combined = {"scale": first.get("scale", 1.0) * scale, "add": scale * first.get("add", 0.0) + second.get("add", 0.0),
-                **{key: first.get(key, 0.0) + second.get(key, 0.0) for key in ("earlier", "ahead")}}
-    return {key: combined.get(key, value) for key, value in {**first, **second}.items()}
 
 
 def _merge(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:

@@ -155,10 +155,8 @@ def find_result(request: Request, base: Model, progress: Progress) -> tuple[Disc
 def make_result_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle: VehicleParameters, base: Model,
                     settings: DiscoverySettings, effects: Mapping[str, str], sensors: Mapping[str, Sequence[float]],
                     clocks: Mapping[str, float]) -> str:
-    """Cache key of a result: a hash of all its inputs and of the code of st_core and of this module.
-
-    effects: sha256 by file. sensors: from `pool_sensor_estimates`. clocks: from `collect_clock_deviations`.
-    """
+    """Cache key of a result: hash of its inputs and of the code of st_core and this module. effects: sha256 by file.
+    sensors: from `pool_sensor_estimates`. clocks: from `collect_clock_deviations`."""
     values = base.values if isinstance(base, AugmentedModel) else {}
     files = sorted(file for folder in st_core.__path__ for file in Path(folder).rglob("*.py"))
     code = hashlib.sha256(b"".join(file.read_bytes() for file in (*files, Path(__file__)))).hexdigest()

@@ -95,10 +95,8 @@ class PredictionBands:
 
 
 class BandMessages:
-    """Band messages, which are reused because constructing them takes ten times as long as filling them.
-
-    half_widths: by model; `fill` copies the current values of the arrays.
-    """
+    """Band messages, which are reused because constructing them takes ten times as long as filling them. half_widths:
+    by model; `fill` copies the current values of the arrays."""
 
     def __init__(self, half_widths: Mapping[str, HalfWidths]):
         self._messages: dict[str, list[Band]] = {}

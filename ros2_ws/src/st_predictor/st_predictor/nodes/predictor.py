@@ -56,10 +56,8 @@ class TickCounter:
         return max(0, round((next_due_ns - previous_ns) / period_ns) - 1)
 
     def count(self, missed_count: int, skip_kind: str | None) -> None:
-        """Count a tick and the `missed_count` ticks dropped before it.
-
-        skip_kind: why it made no prediction, "stale" (inputs) or "slow" (below the minimum speed); None if it made one.
-        """
+        """Count a tick and the `missed_count` ticks dropped before it. skip_kind: why it made no prediction, "stale"
+        (inputs) or "slow" (below the minimum speed); None if it made one."""
         if self._has_started or skip_kind != "stale":
             self._counts["skipped_overrun"] += missed_count if self._has_started else 0
             self._counts[f"skipped_{skip_kind}" if skip_kind else "predicted"] += 1

@@ -56,9 +56,8 @@ class PublisherWatchdog:
             self._node_times.update((status.name.partition(": ")[0], now) for status in message.status)
 
     def find_silent_nodes(self, topics: Iterable[str]) -> dict[str, float]:
-        """Seconds of silence above SILENCE_TIMEOUT, by node, of nodes that are the only publisher of one of `topics`.
-
-        A node without a known name is represented by its topic."""
+        """Seconds of silence above SILENCE_TIMEOUT, by node, of nodes that are the only publisher of one of `topics`. A
+        node without a known name is represented by its topic."""
         now = time.monotonic()
         node_topics: dict[str, list[str]] = {}
         for topic in topics:
@@ -190,10 +189,8 @@ class RecorderNode(Node):
 
 
 def make_metadata(values: SimpleNamespace) -> dict[str, dict[str, str]]:
-    """Metadata records of the bag: start time, configuration files with their common hash, and `metadata_json`.
-
-    Raises ConfigurationError naming the file or the parameter.
-    """
+    """Metadata records of the bag: start time, configuration files with their common hash, and `metadata_json`. Raises
+    ConfigurationError naming the file or the parameter."""
     records: dict[str, dict[str, str]] = {"recording": {"recorder": "st_predictor", "started_ns": str(time.time_ns())}}
     texts: dict[str, str] = {}
     for name, key in name_files(values.configuration_files).items():
