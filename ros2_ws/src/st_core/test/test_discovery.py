@@ -20,6 +20,7 @@ from st_core.discovery.partitions import MIN_RUNS
 from st_core.discovery.result import Reason
 from st_core.discovery.search import Search, SearchState
 from st_core.discovery.space import Space
+from st_core.discovery.windows import Windows
 from st_core.effects import EFFECTS, load_folder
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.log import DriveLog
@@ -499,6 +500,15 @@ def test_run_at_standstill_is_rejected(leaf):
     with pytest.raises(StCoreError, match=r"drive longer, faster than 1\.5 m/s"):
         discover([stationary, replace(stationary, name="2")], leaf, settings=SETTINGS,
                  clocks={log.name: 0.02, "2": 0.02})
+
+
+def test_run_within_one_block_is_rejected(leaf):
+    """Several predictions, but no other block to hold out: no effect could be significant."""
+    log = recorded(leaf, {}, 9, ("step",))[0]
+    log = log.slice(log.start_ns, log.start_ns + 12_000_000_000)
+    assert len(Windows([log], leaf, SETTINGS)) > 3
+    with pytest.raises(StCoreError, match=r"less than two blocks of 10 s: drive longer"):
+        discover([log], leaf, settings=SETTINGS)
 
 
 @pytest.mark.parametrize(("effects", "message"), [(("steering_lagg",), "steering_lag"),

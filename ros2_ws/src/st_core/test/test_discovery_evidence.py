@@ -84,14 +84,14 @@ def test_score_statistic_is_the_squared_sum_divided_by_the_sum_of_squares():
     assert score_statistic(np.ones((7, 1))) == pytest.approx(7.0)
 
 
-def test_p_value_is_the_smaller_of_two_tests():
+def test_p_value_is_twice_the_smaller_of_two_tests():
     scores_of_effect, gain = np.ones((10, 1)), np.linspace(0.5, 1.5, 10)
     exceeded, unequalled = (Scores({}, np.full(SIGN_DRAWS, size), 1.0, {}) for size in (11.0, 9.0))
-    by_ratio = 5 * stats.f.sf(2.0 * 10.0, 1, 9)
+    by_ratio, by_score = 2 * 5 * stats.f.sf(2.0 * 10.0, 1, 9), 2.0 / (1 + SIGN_DRAWS)
     assert library_p_value(scores_of_effect, gain, exceeded, 5) == pytest.approx(by_ratio)
-    assert library_p_value(scores_of_effect, gain, unequalled, 5) == pytest.approx(1.0 / (1 + SIGN_DRAWS))
+    assert library_p_value(scores_of_effect, gain, unequalled, 5) == pytest.approx(by_score)
     ratio_insignificant = replace(unequalled, design_effect=1e9)
-    assert library_p_value(scores_of_effect, gain, ratio_insignificant, 5) == pytest.approx(1.0 / (1 + SIGN_DRAWS))
+    assert library_p_value(scores_of_effect, gain, ratio_insignificant, 5) == pytest.approx(by_score)
     assert library_p_value(scores_of_effect, -gain, ratio_insignificant, 5) > 0.5  # raises the held-out loss
     assert library_p_value(scores_of_effect, gain, replace(exceeded, design_effect=1e9), 5) == 1.0
     assert library_p_value(scores_of_effect[:1], gain[:1], unequalled, 5) == 1.0  # one block only

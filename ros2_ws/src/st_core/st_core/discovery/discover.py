@@ -35,7 +35,6 @@ from .windows import MARGIN_NS, MIN_SPEED, Windows
 
 Progress = Callable[[str, int, int], None]
 SensorEstimates = Mapping[str, tuple[float, float, float]]
-MIN_WINDOWS = 3  # smallest number of predictions with which a search is attempted
 MIN_TURNING_FRACTION = 0.05  # smallest fraction of driving in turns, and of turns to each side, without a warning
 CONTAINED_IN_INPUT = "the measured forward acceleration is an input and already contains it"
 NEVER_TESTABLE = {"drag": CONTAINED_IN_INPUT, "rolling_resistance": CONTAINED_IN_INPUT,
@@ -116,9 +115,9 @@ class _Analysis:
         self.threads = parallel
         self.runs, self.reference = (self._correct_clocks(logs, clocks) for logs in (self.runs, self.reference))
         self.windows = Windows(self.runs, vehicle, settings)
-        if len(self.windows) < MIN_WINDOWS:
-            raise StCoreError(f"only {len(self.windows)} predictions of {settings.horizon:g} s fit into the runs: "
-                              f"drive longer, faster than {MIN_SPEED:g} m/s, without gaps")
+        if len(np.unique(self.windows.block)) < 2:  # no other block to hold out: no effect can be tested
+            raise StCoreError(f"predictions of {settings.horizon:g} s fit into less than two blocks of "
+                              f"{settings.block:g} s: drive longer, faster than {MIN_SPEED:g} m/s, without gaps")
         # Estimates from redundant sensors, keyed by "effect.parameter".
         self.sensors = {f"{effect}.{p.name}": sensor_estimates[p.identity] for effect in self.space.hypotheses
                         for p in get_effect(effect).parameters if p.identity and p.identity in sensor_estimates}

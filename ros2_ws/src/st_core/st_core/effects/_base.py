@@ -51,8 +51,8 @@ class Parameter:
     identity: str = ""  # name of the estimate of `st_core.checks.check` that measures it, with its sign and unit
     theory: float | None = None  # its physical value, if it is the same for every car
     quantity: str = ""  # key of the vehicle file that it is added to, if no hook `vehicle` or `fold` does so
-    # Whether it selects a curve from a family, so that a value at a bound is valid; or the bounds that are physical.
-    shape: bool | tuple[float, ...] = False
+    # Bounds at which only the family of curves ends that it selects from, such as 1 - E of a tyre.
+    family_ends: tuple[float, ...] = ()
     # Standard deviation of values fitted to one car by models with different equations (cars of `bench/strangers`).
     model_error: float = 0.0
     # Prior standard deviation about null of an addition to the measured car, such as a load, in place of the
@@ -75,14 +75,13 @@ class Parameter:
 
     @property
     def hard_bounds(self) -> tuple[float, ...]:
-        """Bounds at which an estimate is invalid: all but null and the theoretical value; none for a shape."""
-        return () if self.shape else self.physical_bounds
+        """Bounds at which an estimate is invalid: `physical_bounds`; none if it selects from a family of curves."""
+        return () if self.family_ends else self.physical_bounds
 
     @property
     def physical_bounds(self) -> tuple[float, ...]:
-        """Bounds that the interval of a named effect does not cross: all but null, theoretical value and `shape`."""
-        valid = self.bounds if self.shape is True else (self.null, self.theory, *(self.shape or ()))
-        return tuple(bound for bound in self.bounds if bound not in valid)
+        """Bounds that the interval of a named effect does not cross: those without a meaning of their own."""
+        return tuple(bound for bound in self.bounds if bound not in (self.null, self.theory, *self.family_ends))
 
     def check(self, value: float, key: str) -> float:
         """The value as a float. Raises ConfigurationError, naming the key, if it is not a number within the bounds."""
