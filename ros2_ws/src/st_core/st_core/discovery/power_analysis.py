@@ -57,7 +57,7 @@ def find_confounding_effect(problem: Problem, fit: Fit, effect: str, scores: Sco
 def _power(problem: Problem, fit: Fit, index: int, size: float, information: float, scores: Scores,
            limits: Limits) -> float:
     """Probability of detecting a change of a parameter by `size` times its scale."""
-    threshold = float(stats.chi2.isf(limits.false_alarm / len(problem.space.hypotheses), 1))
+    threshold = float(stats.chi2.isf(limits.false_alarm / (2 * len(problem.space.hypotheses)), 1))
     sensitivities = problem.all_sensitivities(fit.vector).values[index]
     min_gain = _required_gain(problem, problem.errors.at(fit.vector), size * sensitivities, limits)
     threshold = max(threshold, 2.0 * min_gain * problem.residual_count / scores.design_effect)
