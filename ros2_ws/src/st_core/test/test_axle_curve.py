@@ -42,13 +42,13 @@ def test_combinations_do_not_depend_on_a_steering_offset(leaf):
 
 
 def test_interval_of_a_combination_includes_sets_that_fit_nearly_as_well(leaf, limit_drives):
-    problem = linear_problem(["front_stiffness"], {"front_stiffness": 1.0}, seed=1)
+    problem = linear_problem(["front_stiffness", "load"], {"front_stiffness": 1.0}, seed=1)
     object.__setattr__(problem.errors.windows, "settings", DiscoverySettings())
     fit, first, laden = fit_problem(problem, "front_stiffness"), problem.start.copy(), problem.start.copy()
     index = problem.space.indices("front_stiffness")
     first[index], laden[index] = 1.4, 1.8
     axles = Axles(problem, fit, approximate_joint_fit(problem, fit), limit_drives, leaf, 1.0,
-                  [(("front_stiffness",), first), ((), laden)])
+                  [(("front_stiffness",), first), (("load", "front_stiffness"), laden)])
     front, *_ = axles.combinations(problem.space.at(problem.start))
     assert front.value < 1.2 * front.file and front.interval[1] == pytest.approx(1.4 * front.file, rel=0.02)
 

@@ -231,6 +231,7 @@ def test_load_is_an_alternative_to_softer_rear_tyres(leaf):
     assert rear.name == "rear_stiffness" and rear.alternatives == ("load",)
     assert interval_covers(rear.parameters["factor"], 0.8)
     assert load.parameters["mass"] in (75.0, 250.0)  # not excluded by the drives
+    assert rear.parameters["factor"].interval[1] > 0.95  # with this load, the tyres are stiffer
 
 
 @pytest.mark.slow

@@ -33,7 +33,7 @@ class Axles:
 
     joint_fit: covariance of the values; if None, there are no bands and the intervals have zero width.
     noise_ratio: ratio of residual to noise, by which bands and intervals are widened if it is above 1 [1].
-    near_sets: `SearchState.near_optimal`; bands include all of these fits, intervals only those without a load.
+    near_sets: `SearchState.near_optimal`; bands include all of these fits, combinations only those without a load.
     Raises StCoreError for a base model without tyres, and if the drives are too short or the values too uncertain.
     """
 
@@ -79,7 +79,8 @@ class Axles:
         values, file_values = _combination_values(self.model, self.vehicle), _combination_values(base, self.vehicle)
         draws = np.array([_combination_values(model, self.vehicle) for model in self.draws] or [values])
         low, high = np.quantile(draws, (0.025, 0.975), axis=0)
-        unladen = [self.problem.space.at(vector) for names, vector in self.near_sets if names]
+        space, payloads = self.problem.space, set(self.problem.space.payloads)
+        unladen = [space.at(vector) for names, vector in self.near_sets if payloads.isdisjoint(names)]
         sets = [values, *(_combination_values(model, self.vehicle)
                           for model in axle_forces.select_valid_models(unladen, self.vehicle))]
         low, high = np.min([low, *sets], axis=0).tolist(), np.max([high, *sets], axis=0).tolist()

@@ -39,7 +39,7 @@ class SearchState:
     rejected: dict[str, tuple[Evidence, Reason, Fit]] = field(default_factory=dict)
     rivals: dict[str, list[Rival]] = field(default_factory=dict)  # effects tried in place of each effect of the set
     cached_scores: Scores | None = None  # scores of the effects outside the set
-    # Sets that fit nearly as well (`_find_near_sets`) and, without names, fits with a load (`_add_load_rivals`).
+    # Sets that fit nearly as well (`_find_near_sets`), and fits with a load (`_add_load_rivals`).
     near_optimal: list[NearSet] = field(default_factory=list)
 
     @property
@@ -103,7 +103,7 @@ class Search:
 
         The load is an alternative to each effect whose values it brings nearer to the vehicle file, unless the drives
         exclude it. A load of the prior standard deviation is tried, then one of `limits.min_relative_size` scales.
-        Bands of axle forces include the laden car; intervals do not.
+        Bands of axle forces and intervals of these effects include the laden car; those of combinations do not.
         """
         p, names = self.problem, state.fit.names
         for payload in (n for n in p.space.payloads if names and n not in names and not p.space.overlaps(n, names)):
@@ -122,7 +122,7 @@ class Search:
                     for rival in rivals:
                         others = state.rivals.get(rival.replaces, ())
                         state.rivals[rival.replaces] = [*(r for r in others if r.name != payload), rival]
-                    state.near_optimal.append(((), fit.vector))
+                    state.near_optimal.append(((payload, *(r.replaces for r in rivals)), fit.vector))
                     break
 
     def find_best_rival(self, state: SearchState, name: str) -> Rival:
