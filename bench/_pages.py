@@ -1,24 +1,25 @@
-"""Replaces the parts of pages in docs/ that benchmarks write; each part is between two comments."""
+"""Tables for pages in docs/, and the parts of these pages that benchmarks write; each part is between two comments."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-BEGIN, END = "<!-- {}: written by `./st bench` -->\n", "<!-- end of {} -->\n"
+BEGIN, END = "<!-- st bench: {} -->\n", "<!-- end of {} -->\n"
 
 
 def read_part(page: Path, name: str) -> str:
-    """The current text of a part."""
-    return page.read_text(encoding="utf-8").split(BEGIN.format(name))[1].split(END.format(name))[0]
-
-
-def replace_part(page: Path, name: str, text: str, begin: str = BEGIN, end: str = END) -> None:
-    """Replaces the text of a part; a line break is added at its end. Raises ValueError if the page has no such part."""
-    opening, closing = begin.format(name), end.format(name)
-    before, opened, rest = page.read_text(encoding="utf-8").partition(opening)
-    _, closed, after = rest.partition(closing)
+    """The current text of a part. Raises ValueError if the page has no such part."""
+    _, opened, rest = page.read_text(encoding="utf-8").partition(BEGIN.format(name))
+    text, closed, _ = rest.partition(END.format(name))
     if not opened or not closed:
-        raise ValueError(f"{page}: the comments {opening.strip()} and {closing.strip()} are missing")
-    page.write_text(before + opening + text + "\n" + closing + after, encoding="utf-8")
+        raise ValueError(f"{page}: the comments with `{name}` at begin and end of this part are missing")
+    return text
+
+
+def replace_part(page: Path, name: str, text: str) -> None:
+    """Replaces the text of a part; a line break is added at its end. Raises ValueError if the page has no such part."""
+    old = BEGIN.format(name) + read_part(page, name) + END.format(name)
+    new = BEGIN.format(name) + text + "\n" + END.format(name)
+    page.write_text(page.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
 
 
 def format_row(cells: Iterable[object]) -> str:

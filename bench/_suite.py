@@ -7,12 +7,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from _cars import LEAF_FILE, leaf
-from _random_bands import random_bands
 from st_live.configuration import VirtualCar, make_live_parameters, set_bands_and_course
 from st_live.nodes.monitor import Monitor
 from st_live.session import NODES
 from st_live.suite import Suite, claim_domain
+
+from ._drives import LEAF_FILE, leaf
+from .bands.random_bands import random_bands
 
 
 @contextmanager

@@ -10,10 +10,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import psutil
-from _cars import LEAF_FILE
 from rich.console import Console
 from st_live.page import LiveView
 from st_live.suite import Suite
+
+from ._drives import LEAF_FILE
 
 START_TIME = 3.0  # s from the start of the page until it receives every topic
 

@@ -3,8 +3,6 @@
 from collections.abc import Mapping
 
 import matplotlib.pyplot as plt
-from _cars import OTHER_DRIVES, SOUND_DRIVES, genesis
-from _pages import format_records, replace_part
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 from st_core.log_evaluation import EvaluationSettings
@@ -16,6 +14,9 @@ from st_offline.evaluation.drawing import TEXT_COLOUR, WIDTH, FigureOutput, save
 from st_offline.evaluation.work import Task
 from st_recordings.paths import project_root
 from st_recordings.runs import find_runs
+
+from ._drives import OTHER_DRIVES, SOUND_DRIVES, genesis
+from ._pages import format_records, replace_part
 
 TOLERANCE = 0.3  # m, lateral
 UNSUITABLE_DRIVES = ("wrong_projection", "rear_ref")

@@ -5,10 +5,9 @@ ST_BENCH_TURNS and ST_BENCH_SECONDS set number and duration of the live runs. Th
 
 import os
 
-import latency
-import tick
-from _band_page import PAGE
-from _pages import format_records, replace_part
+from . import latency, tick
+from ._pages import format_records, replace_part
+from .bands.page import PAGE
 
 TURNS, SECONDS = 2, 25
 

@@ -10,15 +10,16 @@ import time
 from pathlib import Path
 
 import numpy as np
-from _cars import leaf
-from _peers import STEP, STEPS, casadi_calls, commonroad_calls, compile_limit, compile_numba_scalar
-from _processor_time import POINTS, measure_alternately, pin_to_core, start_times, weaving_drive
 from st_core.backends import numba_lanes, numpy_batch
 from st_core.batch import LogBatch, plan_blocks
 from st_core.log import LogSignals
 from st_core.models import MODELS, get_model
 from st_core.prediction import predict
 from st_core.types import InputSequence, VehicleState
+
+from ._drives import leaf
+from ._peers import STEP, STEPS, casadi_calls, commonroad_calls, compile_limit, compile_numba_scalar
+from ._processor_time import POINTS, measure_alternately, pin_to_core, start_times, weaving_drive
 
 LAST = np.array([STEPS])
 COUNT = 5760  # predictions; a multiple of 48, 32 and 24 lanes

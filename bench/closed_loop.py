@@ -16,10 +16,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from _cars import LEAF_FILE, leaf
 from mcap.reader import make_reader
 from st_recordings.paths import config, project_root
 from st_recordings.results import read_results
+
+from ._drives import LEAF_FILE, leaf
 
 RATIO_LINE = "steering_ratio: {value: 17.3"
 RATIO_ERROR = 1.08  # factor on the steering ratio in the file

@@ -7,8 +7,9 @@ number of cars.
 import os
 import sys
 
-from _pages import format_records, replace_part
 from st_recordings.paths import project_root
+
+from ._pages import format_records, replace_part
 
 MODEL = "linear"
 PAGE = project_root() / "docs" / "measurements" / "mpc.md"

@@ -7,10 +7,11 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from _pages import format_records, replace_part
 from st_core.models import MODELS
 from st_recordings.paths import project_root
 from st_recordings.results import read_scores
+
+from ._pages import format_records, replace_part
 
 FIRST_DURATION, SECOND_DURATION = 60.0, 420.0  # s of the two drives
 PAGE = project_root() / "docs" / "measurements" / "live_results.md"

@@ -10,13 +10,12 @@ import sys
 import tempfile
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-
-from _pages import format_row, format_table, read_part, replace_part
 from faults.car import Drive, WindingRoad
 from faults.catalogue import DRIVING, FAULTS, LONG, Fault
 from faults.measure import Recorded, Row, evaluate, inject_all
 from faults.rig import running
+
+from ._pages import format_row, format_table, read_part, replace_part
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "measurements" / "reliability.md"
 

@@ -3,11 +3,12 @@
 import time
 
 import numpy as np
-from _cars import leaf
-from _processor_time import POINTS, pin_to_core, start_times, weaving_drive
 from scipy.optimize import least_squares
 from st_core.augmented import augment
 from st_core.batch import LogBatch
+
+from ._drives import leaf
+from ._processor_time import POINTS, pin_to_core, start_times, weaving_drive
 
 
 def run() -> dict:

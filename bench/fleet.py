@@ -10,9 +10,10 @@ import time
 from pathlib import Path
 
 import psutil
-from _cars import LEAF_FILE
 from st_recordings.paths import project_root
 from st_sim.run import main as virtual_leaf
+
+from ._drives import LEAF_FILE
 
 LOGS, SECONDS, DRIVES = 40, 600.0, ("S1", "S6", "S7", "step")
 SAMPLE_PERIOD = 0.5  # s

@@ -12,9 +12,6 @@ import os
 import random
 import sys
 import time
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 import numpy as np
 from fuzz.harness import fuzz, minimise, processor_seconds, save

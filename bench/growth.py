@@ -3,11 +3,12 @@
 from pathlib import Path
 
 import numpy as np
-from _cars import leaf
-from _processor_time import POINTS, measure_alternately, pin_to_core, start_times, weaving_drive
 from st_core.batch import LogBatch
 from st_core.models import MODELS
 from st_recordings.paths import project_root
+
+from ._drives import leaf
+from ._processor_time import POINTS, measure_alternately, pin_to_core, start_times, weaving_drive
 
 MINUTES = (1.0, 3.0, 10.0, 30.0)
 HORIZONS = (1.0, 2.0, 3.0, 5.0, 7.0, 10.0)

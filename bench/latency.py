@@ -13,8 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 import psutil
 import rclpy
-from _suite import run_suite
-from _view import attach_view
 from nav_msgs.msg import Odometry
 from oxts_bridge.file_decoder import decode_file
 from rclpy.node import Node
@@ -22,6 +20,9 @@ from rclpy.qos import QoSProfile
 from st_core.models import MODELS
 from st_msgs.msg import Ncom, Prediction, Steering
 from st_ros.polling import PolledSubscription, to_nanoseconds
+
+from ._suite import run_suite
+from ._view import attach_view
 
 PERIOD = 0.05  # s between two calls of `take`; meanwhile messages wait in the middleware with their time of arrival
 # Name of each hop -> its first and last instant.

@@ -7,7 +7,8 @@ import os
 import time
 
 import psutil
-from _suite import run_suite
+
+from ._suite import run_suite
 
 
 def run() -> dict:

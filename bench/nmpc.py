@@ -12,8 +12,9 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from _pages import format_records, replace_part
 from st_recordings.paths import project_root
+
+from ._pages import format_records, replace_part
 
 PAGE = project_root() / "docs" / "measurements" / "mpc.md"
 EXAMPLE = project_root() / "examples" / "mpc"

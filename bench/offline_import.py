@@ -17,7 +17,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-from _cars import LEAF_FILE, leaf
+from ._drives import LEAF_FILE, leaf
 
 
 def run() -> dict:

@@ -3,10 +3,10 @@
 import tempfile
 from pathlib import Path
 
-from _cars import leaf
-from _virtual import read_runs, write_scenarios
 from st_core.log_evaluation import evaluate_log
 from st_core.models import MODELS
+
+from ._drives import leaf, read_runs, write_scenarios
 
 AXES = ("longitudinal", "lateral")
 # Table 2 of the paper: for each model (mean, max, RMSE) [m] of the longitudinal and of the lateral error.

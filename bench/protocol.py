@@ -5,12 +5,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from _cars import SOUND_DRIVES, genesis, leaf
-from _virtual import read_runs, write_scenarios
 from st_core.log_evaluation import EvaluationSettings, LogEvaluation, evaluate_log
 from st_core.models import MODELS
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
+
+from ._drives import SOUND_DRIVES, genesis, leaf, read_runs, write_scenarios
 
 REFERENCE = EvaluationSettings()
 CHOICES = {

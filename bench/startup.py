@@ -5,7 +5,7 @@ import subprocess
 import sys
 import tempfile
 
-from _cars import LEAF_FILE
+from ._drives import LEAF_FILE
 
 LIVE = """
 from pathlib import Path
@@ -22,8 +22,8 @@ BATCH = """
 from pathlib import Path
 import sys, time
 sys.path.insert(0, sys.argv[2])
-from _cars import leaf
-from _processor_time import start_times, weaving_drive
+from ._drives import leaf
+from ._processor_time import start_times, weaving_drive
 from st_core.batch import LogBatch
 log = weaving_drive(20.0)
 batch = LogBatch(log, start_times(log), backend=sys.argv[3])

@@ -3,13 +3,14 @@
 import time
 
 import numpy as np
-from _cars import leaf
-from _random_bands import random_bands
 from st_core.bands import CalibratedBands, conditions_now
 from st_core.models import MODELS
 from st_core.prediction import PredictionSettings, Predictor, Skip
 from st_core.types import InsSample
 from st_predictor.nodes._bands import BandMessages
+
+from ._drives import leaf
+from .bands.random_bands import random_bands
 
 TICKS = 500
 LAST_NS = 1_990_000_000

@@ -6,9 +6,10 @@ import time
 
 import numpy as np
 import rclpy
-from _suite import run_suite
-from _view import attach_view
-from latency import PERIOD, Listener, collect_ticks, latencies_ms
+
+from ._suite import run_suite
+from ._view import attach_view
+from .latency import PERIOD, Listener, collect_ticks, latencies_ms
 
 PHASES = ("no view", "view", "view that hangs")
 REPETITIONS = 3

@@ -2,7 +2,6 @@
 
 import ast
 import importlib
-import importlib.util
 import json
 import platform
 import sys
@@ -26,31 +25,26 @@ def bench(
 
     Those with options of their own describe them with: st bench NAME -- --help
     """
-    folder = project_root() / "bench"
-    files = {path.stem: path for path in sorted(folder.glob("*.py")) if not path.stem.startswith("_")}
-    # A package has its own options and prints its own result.
-    packages = {path.parent.name: path for path in sorted(folder.glob("*/__init__.py"))}
-    console = Console()
+    console, files = Console(), find_benchmarks()
     if name is None:
         table = Table("name", "what it measures", box=None)
-        for stem, path in sorted({**files, **packages}.items()):
-            table.add_row(stem, _read_first_line(path))
+        for stem, path in files.items():
+            table.add_row(stem, (ast.get_docstring(ast.parse(path.read_text())) or "").partition("\n")[0])
         console.print(table)
         return
-    if name in packages:
+    if name not in files:
+        typer.echo(f"st bench: unknown benchmark {name!r}; use {', '.join(files)}", err=True)
+        raise typer.Exit(2)
+    module = _import_module(files[name])
+    if hasattr(module, "main"):
         if json_file:
             typer.echo(f"st bench {name}: --json is not available; this benchmark writes its own results", err=True)
             raise typer.Exit(2)
-        sys.path.insert(0, str(project_root()))
-        raise typer.Exit(importlib.import_module(f"bench.{name}").main(context.args))
-    if name not in files:
-        names = ", ".join(sorted({**files, **packages}))
-        typer.echo(f"st bench: unknown benchmark {name!r}; use {names}", err=True)
-        raise typer.Exit(2)
+        raise typer.Exit(module.main(context.args))
     if context.args:
         typer.echo(f"st bench {name}: unexpected argument {context.args[0]}", err=True)
         raise typer.Exit(2)
-    result = _load_module(files[name]).run()
+    result = module.run()
     _print_result(console, name, result)
     if json_file:
         machine = {"python": platform.python_version(), "machine": platform.machine(), "cpu": _read_processor_name(),
@@ -58,17 +52,17 @@ def bench(
         json_file.write_text(json.dumps({"bench": name, "machine": machine, "result": result}, indent=2) + "\n")
 
 
-def _read_first_line(path: Path) -> str:
-    return (ast.get_docstring(ast.parse(path.read_text())) or "").strip().splitlines()[0]
+def find_benchmarks() -> dict[str, Path]:
+    """Name -> file of every benchmark: bench/NAME.py, or bench/NAME/command.py."""
+    folder = project_root() / "bench"
+    files = {path.stem: path for path in folder.glob("[!_]*.py")}
+    return dict(sorted((files | {path.parent.name: path for path in folder.glob("*/command.py")}).items()))
 
 
-def _load_module(path: Path) -> ModuleType:
-    sys.path.insert(0, str(path.parent))
-    specification = importlib.util.spec_from_file_location(f"bench_{path.stem}", path)
-    assert specification and specification.loader  # always true for a Python file
-    module = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(module)
-    return module
+def _import_module(path: Path) -> ModuleType:
+    """The module of a benchmark, with `run()`, or `main(arguments)` if it has options of its own."""
+    sys.path += [str(project_root()), str(project_root() / "tests")]  # some use tests/faults and tests/fuzz
+    return importlib.import_module(".".join(path.relative_to(project_root()).with_suffix("").parts))
 
 
 def _print_result(console: Console, name: str, result: dict) -> None:

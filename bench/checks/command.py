@@ -1,20 +1,16 @@
-"""Command line of the corruption matrix."""
+"""Corruption matrix of `st check`: the findings for known faults in real and virtual drives."""
 
 import argparse
-import json
 import time
 from collections.abc import Sequence
-from pathlib import Path
 
 from st_recordings.paths import project_root, source_version
 
-from .._pages import replace_part
-from . import ablation, drives, healthy, real, speed, tables
+from .._cases import map_parallel, wilson
+from .._pages import format_table, replace_part
+from . import drives, measures, score
 from .corruptions import FAULTS
-from .run import run_matrix
-from .score import Drive, Record, check_as_recorded, format_finding, run_check
 
-RESULTS = Path(__file__).with_name("results.json")
 PAGE = project_root() / "docs" / "manual" / "checks.md"
 
 
@@ -37,63 +33,94 @@ def main(arguments: Sequence[str] | None = None) -> int:
                         help="print the scores with each limit halved and doubled instead")
     parser.add_argument("--real", action="store_true", help="print the findings of every real drive instead")
     chosen = parser.parse_args(arguments)
+    status, version = 0, f"ersion {source_version()}, {time.strftime('%Y-%m-%d', time.gmtime())}"
     if chosen.list:
         return _list_faults()
-    if chosen.healthy:
-        text, status = healthy.main(chosen.healthy, chosen.seconds, chosen.jobs)
-        return _write_page("healthy drives", text, chosen.write, status)
-    if chosen.speed:
-        return _write_page("time", speed.main(), chosen.write)
     if chosen.ablation:
-        print(ablation.main(chosen.jobs))
+        print(measures.ablate_limits(chosen.jobs))
         return 0
-    if chosen.real:
-        return _write_page("real drives", real.main(), chosen.write)
-    return _run_matrix(parser, chosen)
-
-
-def _run_matrix(parser: argparse.ArgumentParser, chosen: argparse.Namespace) -> int:
-    set_ = "sealed" if chosen.sealed else "development"
-    available, kinds = drives.list_drives(set_), chosen.kind or list(FAULTS)
-    if unknown := [name for name in chosen.drive or () if name not in available]:
-        parser.error(f"--drive {unknown[0]}: the {set_} set has {', '.join(available)}")
-    if chosen.kind and chosen.drive and len(chosen.drive) == 1:
-        return _print_in_full(set_, chosen.drive[0], kinds)
-    records: list[Record] = []
-    begin = time.monotonic()
-    for part in run_matrix(set_, chosen.drive or available, kinds, chosen.jobs):
-        for record in part:
-            if not record["right"]:
-                print("wrong: " + tables.describe_failure(record), flush=True)
-        records += part
-    version = {"set": set_, "version": source_version(), "date": time.strftime("%Y-%m-%d", time.gmtime())}
-    document = {**version, **tables.summarise(records)}
-    print(f"\n{tables.as_text(document)}\n{len(records)} cases in {time.monotonic() - begin:.0f} s")
+    if chosen.healthy:
+        name, (text, status) = "healthy drives", measures.check_healthy_drives(
+            chosen.healthy, chosen.seconds, chosen.jobs)
+    elif chosen.speed:
+        name, text = "time", measures.measure_time()
+    elif chosen.real:
+        name, text = "real drives", measures.check_real_drives()
+    else:
+        set_ = "sealed" if chosen.sealed else "development"
+        available, kinds = drives.list_drives(set_), chosen.kind or list(FAULTS)
+        if unknown := [drive for drive in chosen.drive or () if drive not in available]:
+            parser.error(f"--drive {unknown[0]}: the {set_} set has {', '.join(available)}")
+        if chosen.kind and chosen.drive and len(chosen.drive) == 1:
+            return _print_in_full(set_, chosen.drive[0], kinds)
+        records = _run_matrix(set_, chosen.drive or available, kinds, chosen.jobs)
+        name, text = f"corruption matrix, {set_}", f"Set {set_}, v{version}: {as_markdown(records)}"
     if chosen.write:
-        _write_results(document, records)
-    return 0
-
-
-def _write_results(document: Record, records: Sequence[Record]) -> None:
-    """Writes the results of a set to results.json, and those of both sets to the page."""
-    results = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
-    results[document["set"]] = {**document, "wrong": [tables.describe_failure(r) for r in records if not r["right"]]}
-    RESULTS.write_text(json.dumps(results, indent=1) + "\n")
-    _write_page("corruption matrix", "\n\n".join(
-        tables.as_markdown(results[name]) for name in ("development", "sealed") if name in results), True)
-
-
-def _write_page(name: str, text: str, write: bool, status: int = 0) -> int:
-    """Writes a part of the page if `write`; returns `status`."""
-    if write:
-        date = f"Version {source_version()}, {time.strftime('%Y-%m-%d', time.gmtime())}."
-        text = text if name == "corruption matrix" else f"{text}\n\n{date}"
-        replace_part(PAGE, name, f"\n{text}\n", "<!-- {} -->\n", "<!-- end -->\n")
+        text = text if name.startswith("corruption") else f"{text}\n\nV{version}."
+        replace_part(PAGE, name, f"\n{text}\n")
     return status
 
 
+def _run_matrix(set_: str, names: Sequence[str], kinds: Sequence[str], jobs: int) -> list[score.Record]:
+    """Runs all cases of a set, drive by drive, and prints the wrong ones and all counts."""
+    records: list[score.Record] = []
+    begin = time.monotonic()
+    for part in map_parallel(score.score_drive, [(set_, name, tuple(kinds)) for name in names], jobs):
+        for record in part:
+            if not record["right"]:
+                print("wrong: " + describe_failure(record), flush=True)
+        records += part
+    for key in ("kind", "drive"):
+        print("", *(as_line(value, rows) for value, rows in _group(records, key).items()), sep="\n")
+    print("", *(f"{which}: {format_accuracy(rows)} of {len(rows)} right" for which, rows in _totals(records).items()),
+          f"{len(records)} cases in {time.monotonic() - begin:.0f} s", sep="\n")
+    return records
+
+
+def _group(records: Sequence[score.Record], key: str) -> dict[str, list[score.Record]]:
+    return {value: [r for r in records if r[key] == value] for value in dict.fromkeys(r[key] for r in records)}
+
+
+def _totals(records: Sequence[score.Record]) -> dict[str, Sequence[score.Record]]:
+    groups = _group(records, "real")
+    return {name: groups[real] for name, real in (("real", True), ("virtual", False)) if real in groups} | {
+        "all": records}
+
+
+def format_accuracy(records: Sequence[score.Record]) -> str:
+    right = sum(r["right"] for r in records)
+    low, high = (100 * end for end in wilson(right, len(records)))
+    return f"{100 * right / max(len(records), 1):.1f} % ({low:.1f} to {high:.1f})"
+
+
+def as_line(name: str, records: Sequence[score.Record]) -> str:
+    """Counts of the cases of a kind or drive, for the console."""
+    named, as_note, inside, right = (sum(r[key] for r in records) for key in ("named", "as_note", "inside", "right"))
+    errors, warnings = (sum(bool(r["new"][severity]) for r in records) for severity in ("error", "warning"))
+    return (f"{name:32} {len(records):4} cases  named {named:4} ({as_note} as a note)  inside {inside:4}  right "
+            f"{right:4}  new errors in {errors}, warnings in {warnings}")
+
+
+def as_markdown(records: Sequence[score.Record]) -> str:
+    """Formats the totals, and the kinds of faults with wrong cases."""
+    kinds = _group(records, "kind")
+    missed = [(kind, len(rows), right) for kind, rows in kinds.items()
+              if (right := sum(r["right"] for r in rows)) < len(rows)]
+    parts = [f"{len(kinds)} kinds, {len(kinds) - len(missed)} of them without a miss.",
+             format_table(("drives", "cases", "right (95 % interval)"), [
+                 (which, len(rows), format_accuracy(rows)) for which, rows in _totals(records).items()])]
+    return "\n\n".join([*parts, format_table(("kind", "cases", "right"), missed)] if missed else parts)
+
+
+def describe_failure(r: score.Record) -> str:
+    others = "; ".join((*r["new"]["error"], *r["new"]["warning"])) or "nothing"
+    truth = "" if r["truth"] is None else f", true {r['truth']:.4g} (from {r['truth_from']})"
+    reported = r["reported"] or "no expected finding"
+    return f"{r['drive']}: {r['kind']} {r['size']}{truth}: reported {reported}; others {others}"
+
+
 def _print_in_full(set_: str, name: str, kinds: Sequence[str]) -> int:
-    drive = Drive(drives.load(name, set_))
+    drive = score.Drive(drives.load(name, set_))
     for fault in map(FAULTS.__getitem__, kinds):
         for size in fault.sizes:
             clean = drive.clean(fault, size)
@@ -103,11 +130,12 @@ def _print_in_full(set_: str, name: str, kinds: Sequence[str]) -> int:
             corrupted, truth = fault.edit(clean, size.value)
             expected = " or ".join(fault.findings)
             print(f"== {fault.name} {size.label}: {fault.operation} {truth:.5g}; expected {expected}")
-            for title, result in (("as recorded", check_as_recorded(clean)), ("corrupted", run_check(corrupted))):
+            for title, result in (("as recorded", score.check_as_recorded(clean)),
+                                  ("corrupted", score.run_check(corrupted))):
                 print(f"-- {title}")
                 for finding in result.findings:
                     advice = finding.advice.line if finding.advice else "-"
-                    print(f"{format_finding(finding)}\n    {finding.text}\n    where {finding.times}; "
+                    print(f"{score.format_finding(finding)}\n    {finding.text}\n    where {finding.times}; "
                           f"correction: {advice}")
     return 0
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from st_core.log import DriveLog
 
-from .._mounting import move_ins, rotate_ins
+from .._drives import move_ins, rotate_ins
 from . import faults as f
 from . import visible as v
 from .recording import (

@@ -5,16 +5,21 @@ recorded is multiplied by the factor, or added to the offset, of the edit. Fract
 the edit, also for real drives.
 """
 
+import zlib
 from dataclasses import replace
 from functools import cache
 from typing import Any
 
+import numpy as np
 from st_core.checks import DriveCheck, Finding, Severity, check
 
-from .corruptions import Fault, Size
+from . import drives
+from .corruptions import FAULTS, Fault, Size
 from .recording import Recording, middle_half
 
 COUNT_TOLERANCE = 1e-6
+MIN_SIZE_FACTOR, MAX_SIZE_FACTOR = 0.7, 1.5
+"""Range of the sizes of the sealed set, relative to those of the development set."""
 Record = dict[str, Any]
 
 
@@ -146,3 +151,19 @@ def scale_size(size: Size, operation: str, factor: float) -> Size:
         return size
     value = 1 + (size.value - 1) * factor if operation == "times" else size.value * factor
     return replace(size, value=value, label=f"{value:.3g} {size.label.partition(' ')[2]}".strip())
+
+
+def score_drive(task: tuple[str, str, tuple[str, ...]]) -> list[Record]:
+    set_, name, kinds = task
+    drive = Drive(drives.load(name, set_))
+    return [record for fault in map(FAULTS.__getitem__, kinds) for size in choose_sizes(fault, name, set_)
+            if (record := score_case(drive, fault, size)) is not None]
+
+
+def choose_sizes(fault: Fault, drive: str, set_: str) -> list[Size]:
+    if set_ == "development":
+        return list(fault.sizes)
+    generator = np.random.default_rng(zlib.crc32(f"{set_} {drive} {fault.name}".encode()))
+    factors = generator.uniform(MIN_SIZE_FACTOR, MAX_SIZE_FACTOR, len(fault.sizes))
+    return [scale_size(size, fault.operation, factor)
+            for size, factor in zip(fault.sizes, factors.tolist(), strict=True)]

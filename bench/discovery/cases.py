@@ -11,8 +11,8 @@ import numpy as np
 from st_core.effects import EFFECTS, find_applicable_effects
 from st_sim.settings import Settings
 
-from . import programmes
-from .cars import LEAF, PLANTS, HealthyCar, has_setting, healthy_car
+from ..plants import programmes
+from ..plants.record import LEAF, PLANTS, HealthyCar, has_setting, healthy_car
 from .effects import BY_NAME, KNOWN, OUTSIDE_LIBRARY, PHYSICS, PLACE_DEPENDENT, SENSORS, InjectedChange, is_similar
 
 SEALED = "single track, discovery, sealed set 11"

@@ -1,15 +1,21 @@
-"""Command line of the blind benchmark."""
+"""Blind benchmark of `st discover`: scores for effects hidden in two plants, and for edits of real drives."""
 
 import argparse
+import json
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import fields
 from functools import partial
+from itertools import product
 from pathlib import Path
 
-from . import ablation, score, tables
-from .cases import COUNTS
-from .run import Record, interleave_cases, read_files, run_all, try_case
+from st_core.discovery.settings import Limits
+
+from .._cases import FACTORS, Record, interleave, multiplied, read_records, run_all
+from . import edits, score, tables
+from .cases import COUNTS, PER_CAR, cases_of
+from .run import AnyCase, try_case
 
 FOLDER = Path(tempfile.gettempdir()) / "st_bench_discovery"
 
@@ -34,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                              "contain a case, the last counts")
     chosen = parser.parse_args(arguments)
     if chosen.tables:
-        records = read_files(chosen.tables)
+        records = read_records(*chosen.tables)
         tables.write(records)
         print(score.as_text(score.score_rows([r for r in records if "limit" not in r])))
         return 0
@@ -43,12 +49,38 @@ def main(arguments: Sequence[str] | None = None) -> int:
     until = None if chosen.until is None else time.time() + 60 * chosen.until
     cases = list(interleave_cases(chosen.set, chosen.counts, chosen.part))
     if chosen.ablation:
-        ablation.run_variants(cases, out, until, _print_record)
+        run_variants(cases, out, until)
         return 0
     records = run_all(cases, out, until, partial(try_case, whole=not chosen.plain), _print_record)
     print(score.as_text(score.score_rows(records)))
     print(f"{len(records)} of {len(cases)} cases, in {out}")
     return 0
+
+
+def interleave_cases(set_: str, counts: dict[str, int], part: tuple[int, int] = (0, 1)) -> Iterator[AnyCase]:
+    """Yields the cases of all blocks in an order in which all blocks advance at the same rate.
+
+    part: (k, n), every n-th group from the k-th on, for one of n processes. Cases with the same reference drives form a
+    group; in block F, the drives as recorded are the first case.
+    """
+    groups = {}
+    for block, count in counts.items():
+        cases = (edits.cases_of(set_, count) if count else []) if block == "F" else cases_of(set_, block, count)
+        size = PER_CAR if block == "D" else 1
+        groups[block] = [cases[i:i + size] for i in range(0, len(cases), size)]
+    first, step = part
+    for group in interleave(groups)[first::step]:
+        yield from group
+
+
+def run_variants(cases: Sequence[AnyCase], out: Path, until: float | None) -> None:
+    """Runs all cases with unchanged limits and with each limit halved and doubled; writes a file of JSON lines for each
+    variant, next to `out`, with the limit in each record."""
+    for name, factor in [("", 1.0), *product([field.name for field in fields(Limits)], FACTORS)]:
+        file, limits = out.with_name(f"{out.stem}_{name or 'unchanged'}_{factor:g}.jsonl"), Limits()
+        with multiplied([(limits, name)] if name else [], factor):
+            records = run_all(cases, file, until, partial(try_case, limits=limits, whole=False), _print_record)
+        file.write_text("".join(json.dumps({**r, "limit": [name, factor]}) + "\n" for r in records))
 
 
 def _counts(text: str) -> dict[str, int]:

@@ -10,12 +10,11 @@ from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 from st_sim.settings import Settings
 
-from .cars import HealthyCar
+from ..plants.record import HealthyCar, RunPlan, record_run, vehicle_of
+from ..plants.resimulated import draw_seed, resimulate
 from .cases import SITE_DISTANCE, Case
 from .effects import Values, null_value, true_values
 from .oracle import Oracle
-from .plants import RunPlan, record_run, vehicle_of
-from .resimulated import draw_seed, resimulate
 
 RUNS, HELD_OUT = 3, 2
 IDENTIFIED = ("front_stiffness", "rear_stiffness", "friction", "steering_ratio", "steering_offset")

@@ -7,13 +7,13 @@ import numpy as np
 from st_core.discovery.result import PARTS, Discovery
 from st_core.effects import get_effect
 
-from .cars import LEAF
+from .._cases import Record
+from ..plants.record import LEAF
 from .cases import Case
 from .drives import Drives, settings_of
 from .effects import PLANT_DIFFERENCES, SCATTER, members
 from .oracle import HeldOutErrors, Oracle, Point, null_model
 
-Record = dict[str, Any]
 DIGITS = 5
 
 

@@ -1,31 +1,27 @@
-"""Runs cases: drives, the answer of `discover`, and its comparison with the truth.
+"""Runs a case: drives, the answer of `discover`, its comparison with the truth, and the suggested drive."""
 
-An interrupted run can be continued.
-"""
-
-import json
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from st_core.checks import check, pool_estimates
 from st_core.discovery import Discovery, DiscoverySettings, discover
 from st_core.discovery.result import FoundEffect
 from st_core.discovery.settings import Limits
-from st_recordings.paths import source_version
 
+from .._cases import Record
+from ..plants import programmes
+from ..plants.record import RunPlan
 from . import baselines, edits
-from .cases import PER_CAR, Case, cases_of
-from .drives import IDENTIFIED, drives_of, settings_of
+from .cases import Case
+from .drives import IDENTIFIED, Drives, drives_of, record_more, settings_of
 from .edits import EditCase
 from .effects import SCATTER
 from .evaluation import evaluate_answer
-from .next_drive import try_suggestion
+from .score import relevant_effects, stratum
 
 BASELINE_INTERVAL = 3  # every third case of blocks A and B is also run with the other methods
-Record = dict[str, Any]
 AnyCase = Case | EditCase
 
 
@@ -95,70 +91,6 @@ def _values(effect: FoundEffect) -> dict[str, list[float]]:
     return {n: [p.value, *p.interval] for n, p in effect.parameters.items()}
 
 
-def interleave_cases(set_: str, counts: dict[str, int], part: tuple[int, int] = (0, 1)) -> Iterator[AnyCase]:
-    """Yields the cases of all blocks in an order in which all blocks advance at the same rate.
-
-    part: (k, n), every n-th group from the k-th on, for one of n processes. Cases with the same reference drives form a
-    group; in block F, the drives as recorded are the first case.
-    """
-    groups = []
-    for block, count in counts.items():
-        if block == "F":
-            cases: list[AnyCase] = list(edits.cases_of(set_, count)) if count else []
-        else:
-            cases = list(cases_of(set_, block, count))
-        size = PER_CAR if block == "D" else 1
-        parts = [cases[i:i + size] for i in range(0, len(cases), size)]
-        groups += [((i + 0.5) / len(parts), block, group) for i, group in enumerate(parts)]
-    first, step = part
-    for _, _, group in sorted(groups, key=lambda g: g[:2])[first::step]:
-        yield from group
-
-
-def key_of(case: Any) -> tuple[str, str, int]:
-    return case.set_, case.block, case.index
-
-
-def read_records(file: Path) -> dict[tuple[str, str, int], Record]:
-    """Records of a file of JSON lines, by set, block and index."""
-    if not file.exists():
-        return {}
-    lines = map(json.loads, file.read_text().splitlines())
-    return {(r["set"], r["block"], r["index"]): r for r in lines}
-
-
-def read_files(files: Iterable[Path]) -> list[Record]:
-    """Records of several files; if several contain a case with the same limit, the last counts."""
-    records = {(*key, *r.get("limit", ())): r for file in files for key, r in read_records(file).items()}
-    return list(records.values())
-
-
-def run_all(cases: Iterable[Any], file: Path, until: float | None, run: Callable[[Any], Record | None],
-            report: Callable[[Record], None]) -> list[Record]:
-    """Records of all cases, which are appended to the file one by one; cases in the file are not run again.
-
-    until: Unix time after which no case starts. run: runs a case; None for a case without a record.
-    """
-    done, records = read_records(file), []
-    file.parent.mkdir(parents=True, exist_ok=True)
-    for case in cases:
-        key = key_of(case)
-        if key not in done:
-            if until is not None and time.time() >= until:
-                break
-            begin = time.process_time()
-            record = run(case)
-            if record is None:
-                continue
-            done[key] = {"set": key[0], "block": key[1], "index": key[2], "version": source_version(), **record,
-                         "case_s": round(time.process_time() - begin, 2)}
-            with file.open("a") as out:
-                out.write(json.dumps(done[key]) + "\n")
-            report(done[key])
-        records.append(done[key])
-    return records
-
-
 def try_case(case: AnyCase, limits: Limits | None = None, whole: bool = True) -> Record:
     """The record of a case; an exception is scored as a wrong answer and does not end the benchmark."""
     try:
@@ -166,3 +98,27 @@ def try_case(case: AnyCase, limits: Limits | None = None, whole: bool = True) ->
     except Exception as error:
         return {**describe_case(case), "outcome": "error", "effects": [], "varying": [], "truth": {}, "scatter": {},
                 "error": f"{type(error).__name__}: {error}"[:300]}
+
+
+def try_suggestion(case: Case, drives: Drives, found: Discovery, settings: DiscoverySettings,
+                   record: Mapping[str, Any]) -> dict[str, Any]:
+    """Result with the suggested drive; the case is settled if the hidden effect is now stated without alternatives.
+
+    {} unless the case has one relevant hidden effect, is not yet settled, and has a suggested drive.
+    record: the record of the case without this result.
+    """
+    suggested = found.next_manoeuvre
+    visible = relevant_effects(record) or stratum(record.get("detectability", 0.0)) != "invisible"
+    if case.kind != "one" or not visible or _is_settled(case, found) or suggested is None:
+        return {}
+    part = programmes.suggested_part(suggested.name)
+    plans = [RunPlan(f"next_{i + 1}", (case.seed, 300 + i), case.settings, (part,))
+             for i in range(suggested.repetitions)]
+    runs = record_more(case, drives.vehicle, plans)
+    again = discover((*drives.suspect, *runs), drives.vehicle, "nonlinear", drives.reference, settings)
+    return {"suggested": suggested.name, "separates": list(suggested.separates), "settled": _is_settled(case, again),
+            "again": [[e.name, *e.alternatives] for e in again.effects]}
+
+
+def _is_settled(case: Case, found: Discovery) -> bool:
+    return any(e.name == case.hidden[0] and not e.alternatives for e in found.effects)

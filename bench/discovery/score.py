@@ -3,17 +3,16 @@
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any
 
 import numpy as np
 from st_core.effects import EFFECTS
 
-from .cars import LEAF
-from .edit_score import compare_edit
+from .._cases import Record, wilson
+from ..plants.record import LEAF
+from .edits import compare_edit
 from .effects import is_similar, members
 from .evaluation import plant_differences
 
-Record = dict[str, Any]
 Row = tuple[str, str, str, Record]
 """Name, required value, goal and result of a score."""
 MIN_LOSS_RATIO = 1.10
@@ -26,19 +25,6 @@ MIN_HIDDEN_LOSS_RATIO = 1.10
 """Block E: minimum ratio of the base model's loss to that for the healthy car, for a relevant hidden effect."""
 STRATA = (("strong", 0.5), ("medium", 0.25), ("weak", 0.1), ("invisible", -math.inf))
 MIN_CASES = 4  # of an effect, for a comparison of its predicted power with the results
-
-
-def wilson(hits: int, count: int, z: float = 1.959964) -> tuple[float, float]:
-    """95 % interval of a proportion: (p + z^2/2n +- z sqrt(p(1-p)/n + z^2/4n^2)) / (1 + z^2/n). (0, 1) for no cases.
-
-    Source: Wilson, JASA 22 (1927).
-    """
-    if not count:
-        return 0.0, 1.0
-    p, square = hits / count, z * z
-    middle = p + square / (2 * count)
-    half = z * math.sqrt(p * (1 - p) / count + square / (4 * count * count))
-    return max(0.0, (middle - half) / (1 + square / count)), min(1.0, (middle + half) / (1 + square / count))
 
 
 def stratum(detectability: float) -> str:

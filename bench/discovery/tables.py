@@ -1,68 +1,48 @@
-"""Writes docs/measurements/discovery_scores.md: scores, plants, effects, other methods, limits and wrong answers."""
+"""Writes the tables of docs/measurements/discovery_scores.md and draws the confusion matrix."""
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from pathlib import Path
 
+import matplotlib
 import numpy as np
 from st_recordings.paths import project_root
 
-from .._pages import format_table
+from .._cases import Record
+from .._pages import format_table, replace_part
+from ..plants.record import LEAF
 from . import score
-from .cars import LEAF
 from .cases import COUNTS
-from .edit_score import compare_edit
+from .edits import compare_edit
 from .effects import KNOWN, PLANT_DIFFERENCES
-from .figures import draw_confusion
+from .evaluation import plant_differences
 from .score import format_result, list_statements, relevant_effects, share_of, share_of_records, value_of
 
-Record = dict[str, Any]
+matplotlib.use("Agg")
+from matplotlib import pyplot as plt
+
 PAGE = project_root() / "docs" / "measurements" / "discovery_scores.md"
 FIGURE = project_root() / "docs" / "images" / "discovery_confusion.png"
 NOT_RUN = "Not run with these records."
-INTRODUCTION = """# Scores of `st discover`
-
-See how often `st discover` is right, by kind of case and by effect ([how it works](../manual/discovery.md)). Written by
-`./st bench discovery --tables FILE ...`; do not edit.
-
-| block | cases |
-|---|---|
-| **A** | one effect is hidden; otherwise the vehicle file is correct |
-| **B** | three to five parameters of the file are wrong; up to two sensor errors and two physical effects are hidden |
-| **C** | nothing is wrong: the base model itself is the car, or the file was identified on other drives |
-| **D** | one effect or none, with healthy reference drives |
-| **E** | effects that vary between places, or begin in the middle of every run, or are unknown to the library |
-| **F** | known changes of nine real drives |
-
-A to C and E are without a reference. A third of A to C is on the multi-body cars of commonroad-vehicle-models, the rest
-on the virtual Leaf. In brackets: cases, and the 95 % Wilson interval."""
+OTHERS = ("several", "unknown", "none")
+"""Columns of the confusion matrix that are not effects."""
 
 
 def write(records: Sequence[Record]) -> None:
+    """Writes the parts of the page and the figure."""
     unchanged = [r for r in records if "limit" not in r]
-    PAGE.write_text(as_markdown(unchanged, [r for r in records if "limit" in r]))
-    FIGURE.parent.mkdir(exist_ok=True)
+    for name, text in {
+        "set and version": _origin(unchanged),
+        "scores": format_table(("score", "measured", "required", "goal"), [
+            (r["name"].strip(), format_result(r), r["required"], r["goal"]) for r in _score_all_plants(unchanged)]),
+        "scores by plant": _plants(unchanged), "scores by effect": _by_effect(unchanged),
+        "other methods": _methods(unchanged), "limits": _ablation([r for r in records if "limit" in r]),
+        "plant differences": format_table(("plant", "effect", "why"), [
+            (plant, name, why) for plant, rows in PLANT_DIFFERENCES.items() for name, why in rows.items()]),
+        "wrong answers": "\n\n".join(_failure_tables(unchanged)),
+    }.items():
+        replace_part(PAGE, name, text)
     draw_confusion(unchanged, FIGURE)
-
-
-def as_markdown(records: Sequence[Record], ablated: Sequence[Record]) -> str:
-    parts = [
-        INTRODUCTION, _origin(records),
-        "## Scores", format_table(("score", "measured", "required", "goal"), [
-            (r["name"].strip(), format_result(r), r["required"], r["goal"]) for r in _score_all_plants(records)]),
-        "## The two plants", "In A and B the multi-body cars may miss a requirement by 6 points, except those of the "
-        "number of effects and of increased errors.", _plants(records),
-        "## By hidden effect", "Relevant hidden effects of blocks A and B: how often they are stated, and how often "
-        "the stated value is correct.", _by_effect(records), f"![confusion](../images/{FIGURE.name})",
-        "## Other methods", "Fraction of the oracle's reduction of the held-out 5 s position error, on the cases of A "
-        "and B that were given to all of them.", _methods(records),
-        "## Limits of the decision", _ablation(ablated),
-        "## True differences between plant and model", "Reporting one of these is correct, whatever is hidden.",
-        format_table(("plant", "effect", "why"), [(plant, name, why) for plant, rows in PLANT_DIFFERENCES.items()
-                                                  for name, why in rows.items()]),
-        "## Wrong answers", *_failure_tables(records),
-    ]
-    return "\n\n".join(parts) + "\n"
 
 
 def _origin(records: Sequence[Record]) -> str:
@@ -226,3 +206,44 @@ def list_failures(r: Record, plain: Record | None) -> list[str]:
     if "position" in r and score.is_worse(r):
         wrong.append("held-out error increased")
     return wrong
+
+
+def count_confusion(records: Sequence[Record]) -> tuple[list[str], list[str], np.ndarray]:
+    """(hidden effects, stated effects, counts) for the cases of block A with a relevant effect.
+
+    If several effects are stated, the hidden one counts if it is among them.
+    """
+    truths = [h.library for h in KNOWN]
+    single = [r for r in records if r["block"] == "A" and relevant_effects(r)]
+    stated = [_stated(r) for r in single]
+    columns = truths + sorted(set(stated) - set(truths) - set(OTHERS)) + list(OTHERS)
+    counts = np.zeros((len(truths), len(columns)), int)
+    for r, name in zip(single, stated, strict=True):
+        counts[truths.index(r["hidden"][0]), columns.index(name)] += 1
+    return truths, columns, counts
+
+
+def _stated(r: Record) -> str:
+    # True differences between plant and model count only if they are hidden.
+    names = [e["name"] for e in r["effects"] if e["name"] in r["hidden"]
+             or e["name"] not in plant_differences(r["plant"])]
+    if r["hidden"][0] in names:
+        return r["hidden"][0]
+    return "several" if len(names) > 1 else names[0] if names else "unknown" if r["outcome"] == "unknown" else "none"
+
+
+def draw_confusion(records: Sequence[Record], file: Path) -> None:
+    truths, columns, counts = count_confusion(records)
+    figure, axes = plt.subplots(figsize=(11, 8.5), layout="constrained")
+    fraction = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    image = axes.imshow(fraction, cmap="Blues", vmin=0, vmax=1, aspect="auto")
+    axes.set_xticks(range(len(columns)), columns, rotation=90)
+    axes.set_yticks(range(len(truths)), [f"{t} ({n})" for t, n in zip(truths, counts.sum(axis=1), strict=True)])
+    for i, j in zip(*np.nonzero(counts), strict=True):
+        axes.text(j, i, counts[i, j], ha="center", va="center", color="white" if fraction[i, j] > 0.6 else "black")
+    axes.axvline(len(columns) - len(OTHERS) - 0.5, color="0.5", lw=0.8)
+    axes.set_xlabel("stated effect")
+    axes.set_ylabel("hidden effect (block A, relevant)")
+    figure.colorbar(image, label="fraction of the row [1]")
+    figure.savefig(file, dpi=110)
+    plt.close(figure)

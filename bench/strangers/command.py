@@ -1,4 +1,4 @@
-"""Command line: runs `st discover` for the cases, and writes the tables."""
+"""Tests `st discover` with cars whose equations differ from those of the project, and scores its statements."""
 
 import argparse
 import csv

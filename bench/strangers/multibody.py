@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 from st_sim.dynamics import STATES, VX, VY, YAW, YAW_RATE, X, Y
 
-from ..discovery.compiled import Programme
-from ..discovery.multibody import drive_multibody
-from ..discovery.multibody_car import nominal_car, vehicle_of
+from ..plants.leaf import Programme
+from ..plants.multibody import drive_multibody
+from ..plants.multibody_car import nominal_car, vehicle_of
 from . import simulation
 from .vehicles import DUGOFF, ROLLING, Car, Parameters
 

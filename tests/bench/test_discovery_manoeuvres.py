@@ -17,7 +17,7 @@ from st_sim.scenarios import load_plan
 from st_sim.settings import read_vehicle, resolve_settings
 from support import LEAF as LEAF_FILE
 
-from bench.discovery import compiled, programmes
+from bench.plants import leaf, programmes
 
 CAR = read_vehicle(LEAF_FILE)
 LEAF = VehicleParameters.from_yaml(LEAF_FILE.read_text())
@@ -64,7 +64,7 @@ def drive_benchmark_car(manoeuvre) -> np.ndarray:
     steps = len(programme.steering_wheel) - before - round(programmes.STRAIGHT / programmes.DT)
     assert steps * programmes.DT == pytest.approx(manoeuvre.duration, abs=0.03)
     end = before + round(compared_duration(manoeuvre) / programmes.DT)
-    rows = compiled.drive(CAR, HEALTHY, programme, SEED).rows[before:end]
+    rows = leaf.drive(CAR, HEALTHY, programme, SEED).rows[before:end]
     return np.column_stack((rows[:, VX], rows[:, VX] * rows[:, YAW_RATE]))
 
 

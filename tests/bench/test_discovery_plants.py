@@ -14,15 +14,15 @@ from vehiclemodels.init_mb import init_mb
 from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
 from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
 
-from bench.discovery import relation_equations
-from bench.discovery.cars import healthy_car
-from bench.discovery.compiled import STEPS_PER_SAMPLE, Programme, drive
-from bench.discovery.multibody import BODY_STATES, drive_multibody, rates
-from bench.discovery.multibody_car import CARS, dynamics, parameters_of, vehicle_of
-from bench.discovery.plants import LEAF, NOMINAL, RunPlan, record_run
-from bench.discovery.plants import vehicle_of as vehicle_of_plant
-from bench.discovery.relation_equations import Relation
-from bench.discovery.sensing import CHANNELS, make_log, make_readings
+from bench.plants import relation_equations
+from bench.plants.leaf import STEPS_PER_SAMPLE, Programme, drive
+from bench.plants.multibody import BODY_STATES, drive_multibody, rates
+from bench.plants.multibody_car import CARS, dynamics, parameters_of, vehicle_of
+from bench.plants.record import LEAF_VEHICLE as LEAF
+from bench.plants.record import NOMINAL, RunPlan, healthy_car, record_run
+from bench.plants.record import vehicle_of as vehicle_of_plant
+from bench.plants.relation_equations import Relation
+from bench.plants.sensing import CHANNELS, make_log, make_readings
 
 FLAT_AND_CALM = (0.0, 0.0, 0.0, 0.0)  # bank, grade [rad], wind [m/s]
 SPEED = 10.0  # m/s

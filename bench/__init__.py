@@ -1,0 +1,1 @@
+"""Benchmarks, run with `./st bench NAME`; README.md lists them with the pages that quote their figures."""
