@@ -1,19 +1,28 @@
-"""Runs the live suite for a measurement: all nodes and the virtual Leaf, in a separate ROS domain."""
+"""Runs the live suite for a measurement: all nodes and the virtual Leaf, in a separate ROS domain, also with a view."""
 
 import os
+import signal
 import sys
 import tempfile
+import threading
+import time
+import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import psutil
+from rich.console import Console
 from st_live.configuration import VirtualCar, make_live_parameters, set_bands_and_course
 from st_live.nodes.monitor import Monitor
+from st_live.page import LiveView
 from st_live.session import NODES
 from st_live.suite import Suite, claim_domain
 
 from ._drives import LEAF_FILE, leaf
-from .bands.random_bands import random_bands
+from .bands.methods import random_bands
+
+VIEW_START_TIME = 3.0  # s from the start of the page until it receives every topic
 
 
 @contextmanager
@@ -48,3 +57,27 @@ def run_suite(duration: float, ncom_rate: int = 250, can_rate: str = "full") -> 
                 suite.start(f"busy_{number}", [sys.executable, "-c", "while True: pass"])
             car.start(suite)
             yield suite
+
+
+@contextmanager
+def attach_view(suite: Suite, hangs: bool) -> Iterator[None]:
+    """Context with an open page. hangs: its process is stopped (SIGSTOP) after VIEW_START_TIME."""
+    page = LiveView(page=True)
+    folder = Path(suite.folder, f"view-{time.monotonic_ns()}")
+    predictor = {"vehicle_file": str(LEAF_FILE), "map_frame": "map"}
+    with page.open(folder, int(os.environ["ROS_DOMAIN_ID"]), predictor, "bench", Console(quiet=True)) as url:
+        (process,) = (p for p in psutil.Process().children(recursive=True) if "st_live.nodes.passenger" in p.cmdline())
+        threading.Thread(target=_read, args=(url,), daemon=True).start()
+        try:
+            time.sleep(VIEW_START_TIME)
+            if hangs:
+                process.send_signal(signal.SIGSTOP)
+            yield
+        finally:
+            process.send_signal(signal.SIGCONT)
+
+
+def _read(url: str) -> None:
+    with urllib.request.urlopen(f"{url}frames") as stream:
+        while stream.readline():
+            pass

@@ -20,7 +20,8 @@ from mcap.reader import make_reader
 from st_recordings.paths import config, project_root
 from st_recordings.results import read_results
 
-from ._drives import LEAF_FILE, leaf
+from ._drives import LEAF_FILE
+from ._pages import format_records, replace_part
 
 RATIO_LINE = "steering_ratio: {value: 17.3"
 RATIO_ERROR = 1.08  # factor on the steering ratio in the file
@@ -31,46 +32,58 @@ RELATION = {"drive_offset": 0.2}  # m; the yaw moment is proportional to the for
 RELATION_DRIVES = ("sweep", "lane_change", "brake_in_turn", "S6", "slalom.yaml", "stop_and_go.yaml")
 RELATION_DURATION, RELATION_NEW_ROAD, RELATION_NEW_ROAD_DURATION = 40.0, "S7", 50.0
 PERIOD = 0.1  # s between starts
-RELATION_HEADING = "## A relation outside the library"
 PAGE = project_root() / "docs" / "measurements" / "closed_loop.md"
 IMAGES = project_root() / "docs" / "images"
 
 
-def run(folder: Path | None = None) -> dict:
-    """Runs both cases; drives that exist in `folder` are not repeated."""
-    if folder is None:
-        with tempfile.TemporaryDirectory(prefix="st-closed-loop-") as name:
-            return run(Path(name))
-    return {"effects": run_effects(folder), "law": run_relation(folder / "law")}
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs both cases, or that of the relation, and prints the results; drives that exist are not repeated."""
+    parser = argparse.ArgumentParser(prog="st bench closed_loop", description=__doc__)
+    parser.add_argument("--folder", type=Path, help="folder for all runs; existing runs are not repeated")
+    parser.add_argument("--relation", action="store_true",
+                        help="only the case of the relation that is not in the library")
+    chosen = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory(prefix="st-closed-loop-") as temporary:
+        folder = chosen.folder or Path(temporary)
+        (folder / "law").mkdir(parents=True, exist_ok=True)
+        cases = {"law": lambda: run_relation(folder / "law")} | ({} if chosen.relation else {
+            "effects": lambda: run_effects(folder)})
+        print(json.dumps({name: case() for name, case in sorted(cases.items())}, indent=1))
+    return 0
 
 
 def run_effects(folder: Path) -> dict:
-    """Effects found, and lateral RMSE [m] over 5 s by model before and after; writes its part of the page."""
+    """Effects found, and lateral RMSE [m] over 5 s by model before and after; writes its parts of the page."""
     vehicle = _write_wrong_file(folder)
     car = ("--plant-vehicle", LEAF_FILE, *_effect_options(HIDDEN))
     discovery = _discover(folder, DRIVES, DURATION, vehicle, car)
     corrected, model = folder / "found" / "vehicle.yaml", folder / "found" / "model.yaml"
     unseen = ("--scenario", NEW_ROAD, "--duration", NEW_ROAD_DURATION, *car, "--seed", 100)
-    _drive(folder / "before", *unseen, "--vehicle", vehicle)
-    _drive(folder / "after", *unseen, "--vehicle", corrected if corrected.exists() else vehicle, "--model", model)
-    before, after = compare_drives(read_scored(folder / "before"), read_scored(folder / "after"))
-    result = {"found": [_statement(e) for e in discovery["effects"]],
-              "kept": [_statement(e) for e in discovery["minor"]], "corrected": corrected.exists(),
-              "position_5s": _position_errors(discovery), "before": before, "after": after}
+    drives = [_drive(folder / "before", *unseen, "--vehicle", vehicle),
+              _drive(folder / "after", *unseen, "--vehicle", corrected if corrected.exists() else vehicle,
+                     "--model", model)]
+    before, after = compare_drives(*map(read_scored, drives))
+    base, augmented = _position_errors(discovery)
+    found = [{"effect": f"`{effect['name']}`", "value, 95 % interval": _describe_values(effect)}
+             for effect in discovery["effects"]]
+    kept = ", ".join(effect["name"] for effect in discovery["minor"]) or "nothing"
+    replace_part(PAGE, "effects found", f"Held-out 5 s position {base:.2f} → {augmented:.2f} m:\n\n"
+                 f"{format_records(found)}\n\nIn the model, but not reported as causes: {kept}.")
+    errors = [{"model": name, "before, m": f"{before['lateral'][name]:.3f}" if name in before["lateral"] else "-",
+               "after, m": f"{now:.3f}"} for name, now in after["lateral"].items()]
+    replace_part(PAGE, "errors with the effects", _format_errors(after["starts"], errors))
     _draw(IMAGES / "closed_loop.png", {name: (before["lateral"].get(name), now) for name, now in
                                        after["lateral"].items()}, ("file and model before",
                                                                    "corrected by st discover"))
-    _write(effects=_effects_page(result))
-    return result
+    return {"found": found, "kept": kept, "corrected": corrected.exists(), "position_5s": [base, augmented],
+            "before": before, "after": after}
 
 
 def run_relation(folder: Path) -> dict:
-    """The proposed relation, and lateral RMSE [m] over 5 s; writes its part of the page.
+    """The proposed relation, and lateral RMSE [m] over 5 s; writes its parts of the page.
 
-    given: nonlinear model with the given vehicle file; library: with the effects of the library; proposed: with the
-    proposed relation.
+    Models: nonlinear with the given vehicle file; augmented with the effects of the library, or with the relation.
     """
-    folder.mkdir(exist_ok=True)
     vehicle, car = LEAF_FILE, _effect_options(RELATION)
     discovery = _discover(folder, RELATION_DRIVES, RELATION_DURATION, vehicle, car, "--propose")
     written = {name: folder / "found" / name for name in ("vehicle.yaml", "model.yaml", "proposed.yaml", "effects")}
@@ -81,21 +94,22 @@ def run_relation(folder: Path) -> dict:
     drives = [_drive(folder / "before", *unseen, "--vehicle", corrected, *model)]
     if written["proposed.yaml"].exists():
         drives.append(_drive(folder / "after", *unseen, "--vehicle", vehicle, "--model", written["proposed.yaml"],
-                              "--effects", written["effects"]))
+                             "--effects", written["effects"]))
     library, *proposed = compare_drives(*map(read_scored, drives))
-    result = {"stated": [e["name"] for e in discovery["effects"]], "kept": [e["name"] for e in discovery["minor"]],
-              "law": discovery["relation"]["proposal"], "why": discovery["relation"]["reason"],
-              "position_5s": _position_errors(discovery),
-              "library": library["lateral"].get("augmented", library["lateral"]["nonlinear"]),
-              "starts": library["starts"]}
+    known = library["lateral"].get("augmented", library["lateral"]["nonlinear"])
+    rows = {"augmented, `model.yaml`: the library": known}
+    for drive in proposed:
+        rows = {"nonlinear, vehicle file as given": drive["lateral"]["nonlinear"], **rows,
+                "augmented, `proposed.yaml`: with the relation": drive["lateral"]["augmented"]}
+    replace_part(PAGE, "relation found", _describe_relation(discovery))
+    replace_part(PAGE, "errors with the relation", _format_errors(
+        library["starts"], [{"model": name, "m": f"{error:.3f}"} for name, error in rows.items()]))
     if proposed:
-        result |= {"given": proposed[0]["lateral"]["nonlinear"], "proposed": proposed[0]["lateral"]["augmented"]}
-        _draw(IMAGES / "closed_loop_law.png", {name: (result["given"], result[key]) for name, key in (
-            ("library", "library"), ("with the relation", "proposed"))},
+        given, _, relation = rows.values()
+        _draw(IMAGES / "closed_loop_law.png", {"library": (given, known), "with the relation": (given, relation)},
               ("nonlinear model", "augmented model"))
         shutil.copy(folder / "found" / "figures" / "relation.png", IMAGES / "closed_loop_law_curve.png")
-    _write(relation=_relation_page(result))
-    return result
+    return {"relation": discovery["relation"], "errors": rows, "starts": library["starts"]}
 
 
 def _discover(folder: Path, drives: Sequence[str], seconds: float, vehicle: Path, car: Sequence[object],
@@ -178,9 +192,34 @@ def _st(*arguments: object) -> None:
     subprocess.run([str(project_root() / "st"), *map(str, arguments)], check=True, env=clean)
 
 
-def _statement(effect: dict) -> dict:
-    return {"name": effect["name"], "alternatives": effect["alternatives"],
-            "values": {name: [p["value"], *p["interval"], p["unit"]] for name, p in effect["parameters"].items()}}
+def _describe_values(effect: dict) -> str:
+    values = ", ".join(f"{name} {p['value']:.4g} [{p['interval'][0]:.4g}, {p['interval'][1]:.4g}] {p['unit']}"
+                       for name, p in effect["parameters"].items())
+    also = f"; not excluded: {', '.join(effect['alternatives'])}" if effect["alternatives"] else ""
+    return values + also
+
+
+def _describe_relation(discovery: dict) -> str:
+    """Effects of the library, the proposal, and their held-out errors."""
+    stated, kept = (", ".join(f"`{e['name']}`" for e in discovery[key]) or "nothing" for key in ("effects", "minor"))
+    text = f"Effects of the library: reported {stated}, in the model only {kept}.\n"
+    relation, (base, library) = discovery["relation"]["proposal"], _position_errors(discovery)
+    if not relation:
+        return f"{text}Nothing is proposed: {discovery['relation']['reason']}."
+    place, quantity = (relation[key].replace("_", " ") for key in ("term", "quantity"))
+    formulas = "; ".join(f"`{r['text']}` ({r['shape']}, {100 * r['retained_fraction']:.0f} %)"
+                         for r in relation["formulas"])
+    others = "; ".join(f"{name.replace('_', ' ')} (cosine {cosine:.2f})" for name, cosine in relation["rivals"].items())
+    return (f"{text}**Proposed: {place} as a function of {quantity}.** Formulas: {formulas or 'no simple shape'}.\n"
+            f"Not distinguishable from it: {others or 'none'}.\n"
+            f"Held-out position error after 5 s of the recorded drives: "
+            f"{base:.3f} (file as given), {library:.3f} (library), {relation['position_5s'][1]:.3f} m "
+            "(with the relation).")
+
+
+def _format_errors(starts: int, rows: Sequence[Mapping[str, str]]) -> str:
+    return (f"Live, lateral error over 5 s in hindsight, RMSE over {starts} starts of both drives:\n\n"
+            f"{format_records(rows)}")
 
 
 def _draw(file: Path, rows: Mapping[str, tuple[float | None, float]], labels: tuple[str, str]) -> None:
@@ -207,91 +246,3 @@ def _draw(file: Path, rows: Mapping[str, tuple[float | None, float]], labels: tu
         axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
         figure.savefig(file)
         plt.close(figure)
-
-
-def _write(effects: str = "", relation: str = "") -> None:
-    """Replaces the given parts of the page."""
-    old, _, rest = PAGE.read_text().partition(RELATION_HEADING)
-    PAGE.write_text((effects or old.rstrip("\n") + "\n") + "\n" + (relation or RELATION_HEADING + rest))
-
-
-def _effects_page(result: dict) -> str:
-    def row(effect: dict) -> str:
-        values = ", ".join(f"{name} {value:.4g} [{low:.4g}, {high:.4g}] {unit}"
-                           for name, (value, low, high, unit) in effect["values"].items())
-        also = f"; not excluded: {', '.join(effect['alternatives'])}" if effect["alternatives"] else ""
-        return f"| `{effect['name']}` | {values}{also} |"
-
-    before, after = result["before"]["lateral"], result["after"]["lateral"]
-    rows = [f"| {name} | {before[name]:.3f} | {now:.3f} |" if name in before else
-            f"| {name}, `model.yaml` | - | {now:.3f} |" for name, now in after.items()]
-    base, augmented = result["position_5s"]
-    hidden = ", ".join(f"`{name}={value:g}`" for name, value in HIDDEN.items())
-    return "\n".join((
-        "# The closed loop, live", "",
-        "See the prediction errors with a wrong vehicle file, and after `st discover` has corrected it.",
-        "Written by `./st bench closed_loop`; do not edit. The virtual Leaf (`realistic`) is driven through bridges",
-        f"and nodes with {hidden}, and a vehicle file whose steering ratio is",
-        f"{100 * (RATIO_ERROR - 1):.0f} % wrong: {len(DRIVES)} drives of {DURATION:g} s ({', '.join(DRIVES)}).",
-        "`st discover` receives only the recorded bags and that file. Then a new road",
-        f"({NEW_ROAD}) is driven live twice: with the wrong file, and with the files of `st discover`.", "",
-        f"Found (the true factor of the ratio is 1/{RATIO_ERROR:g} = {1 / RATIO_ERROR:.3f}); held-out 5 s position "
-        f"{base:.2f} → {augmented:.2f} m:", "",
-        "| effect | value, 95 % interval |", "|---|---|", *(row(e) for e in result["found"]), "",
-        f"In the model, but not reported as causes: {', '.join(e['name'] for e in result['kept']) or 'nothing'}.", "",
-        f"Live, lateral error over 5 s in hindsight, RMSE over {result['after']['starts']} starts of both drives:", "",
-        "| model | before, m | after, m |", "|---|---|---|", *rows, "",
-        "![Errors of the models before and after, live](../images/closed_loop.png)", ""))
-
-
-def _relation_page(result: dict) -> str:
-    relation, (base, library) = result["law"], result["position_5s"]
-    hidden = ", ".join(f"`{name}={value:g}`" for name, value in RELATION.items())
-    car = leaf()
-    truth = RELATION["drive_offset"] * car.mass / car.yaw_inertia
-    relation_lines = [f"Nothing is proposed: {result['why']}."]
-    if relation:
-        others = "; ".join(f"{name.replace('_', ' ')} (cosine {cosine:.2f})"
-                           for name, cosine in relation["rivals"].items())
-        formulas = "; ".join(f"`{r['text']}` ({r['shape']}, {100 * r['retained_fraction']:.0f} %)"
-                         for r in relation["formulas"])
-        relation_lines = [
-            f"**Proposed: {relation['term'].replace('_', ' ')} as a function of "
-            f"{relation['quantity'].replace('_', ' ')}.** "
-            f"Formulas: {formulas or 'no simple shape'}.", f"Not distinguishable from it: {others or 'none'}.",
-            "Held-out position error after 5 s of the recorded drives: "
-            f"{base:.3f} (file as given), {library:.3f} (library), {relation['position_5s'][1]:.3f} m "
-            "(with the relation)."]
-    lines = [RELATION_HEADING, "",
-             f"Hidden in the same car is {hidden}: drive and brakes act at this distance (m) to the right of the",
-             "centreline, a yaw moment that no effect of the library describes. The yaw acceleration is "
-             f"{truth:.3f} rad/s² for each m/s² of",
-             f"drive or brakes. {len(RELATION_DRIVES)} live drives of {RELATION_DURATION:g} s "
-             f"({', '.join(RELATION_DRIVES)})",
-             "are recorded; `st discover --propose` receives the bags and the correct vehicle file. Then a new",
-             f"road ({RELATION_NEW_ROAD}: braking from 16 m/s into a roundabout, and out of it) is driven live twice.",
-             "",
-             "Effects of the library: reported "
-             f"{', '.join(f'`{n}`' for n in result['stated']) or 'nothing'}, in the model only "
-             f"{', '.join(f'`{n}`' for n in result['kept']) or 'nothing'}.", *relation_lines, ""]
-    if "proposed" in result:
-        rows = (("nonlinear, vehicle file as given", "given"), ("augmented, `model.yaml`: the library", "library"),
-                ("augmented, `proposed.yaml`: with the relation", "proposed"))
-        lines += [f"Live, lateral error over 5 s in hindsight, RMSE over {result['starts']} starts of both drives:", "",
-                  "| model | m |", "|---|---|", *(f"| {name} | {result[key]:.3f} |" for name, key in rows), "",
-                  "![Errors with the library and with the proposal, live](../images/closed_loop_law.png)", "",
-                  "![The proposed relation](../images/closed_loop_law_curve.png)", ""]
-    return "\n".join(lines)
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--folder", type=Path, help="folder for all runs; existing runs are not repeated")
-    parser.add_argument("--relation", "--law", action="store_true",
-                        help="only the case of the relation that is not in the library")
-    given = parser.parse_args()
-    if given.folder:
-        given.folder.mkdir(parents=True, exist_ok=True)
-    if given.relation and not given.folder:
-        parser.error("--relation needs a --folder")
-    print(json.dumps(run_relation(given.folder) if given.relation else run(given.folder), indent=1))

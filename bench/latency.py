@@ -21,8 +21,7 @@ from st_core.models import MODELS
 from st_msgs.msg import Ncom, Prediction, Steering
 from st_ros.polling import PolledSubscription, to_nanoseconds
 
-from ._suite import run_suite
-from ._view import attach_view
+from ._suite import attach_view, run_suite
 
 PERIOD = 0.05  # s between two calls of `take`; meanwhile messages wait in the middleware with their time of arrival
 # Name of each hop -> its first and last instant.

@@ -10,7 +10,7 @@ from st_core.types import InsSample
 from st_predictor.nodes._bands import BandMessages
 
 from ._drives import leaf
-from .bands.random_bands import random_bands
+from .bands.methods import random_bands
 
 TICKS = 500
 LAST_NS = 1_990_000_000

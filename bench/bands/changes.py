@@ -15,7 +15,7 @@ from st_core.vehicle import VehicleParameters
 
 from ..plants import programmes
 from ..plants.record import LEAF, RunPlan, healthy_car, record_run, vehicle_of
-from .random_bands import SETTINGS, TIME
+from .methods import SETTINGS, TIME
 
 MODELS, MODES = ("linear", "nonlinear"), ("hindsight", "forecast")
 SEED, CALIBRATION_DRIVES, HEALTHY_DRIVES, CHANGED_DRIVES = 22, 24, 2, 5

@@ -1,6 +1,7 @@
 """Bands on held-out runs: coverage, worst cell, and interval score compared with parametric alternatives.
 
-ST_BANDS=genesis, virtual, manoeuvres, corrected, changes or adaptive runs one part only. Each part replaces its rows in
+ST_BANDS=genesis, virtual, manoeuvres, corrected, changes or adaptive runs one part only; ST_BANDS=cost measures tick
+and live latency with and without bands, on an idle machine. Each part replaces its rows in
 docs/measurements/bands_held_out.csv, or its table in bands.md.
 """
 
@@ -12,11 +13,16 @@ from itertools import product
 import numpy as np
 from st_core.bands import Band, CalibrationDomain, ErrorSamples, calibrate, compute_error_samples
 from st_core.bands.calibration import compute_highest_level, join_runs
+from st_core.bands.error_budget import Intervals
+from st_core.checks import check, pool_estimates
+from st_core.discovery import DiscoverySettings, discover
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
+from st_core.model_file import ModelFile
 from st_core.models import MODELS, Model, get_model
 from st_core.vehicle import VehicleParameters
 from st_offline.bands.bands_report import (
+    collect_intervals,
     make_contribution_rows,
     pool_sums,
     sum_band_scores,
@@ -24,6 +30,10 @@ from st_offline.bands.bands_report import (
     summarise_bands,
     summarise_contributions,
 )
+from st_offline.discovery.discover_command import build_model_file
+from st_offline.discovery.drives import Drive as DiscoveryDrive
+from st_offline.discovery.drives import Request
+from st_offline.discovery.vehicle_update import update_vehicle
 from st_recordings.runs import find_runs, read
 
 from .._drives import OTHER_DRIVES, SOUND_DRIVES
@@ -33,10 +43,8 @@ from ..plants import programmes
 from ..plants.record import LEAF, RunPlan, healthy_car, record_run, vehicle_of
 from .adaptive import Drive, Score, evaluate_drive, join_drives
 from .changes import DELAY, measure_changes
-from .corrected import correct_files
-from .methods import LEVELS, METHODS, SEED
+from .methods import LEVELS, METHODS, SEED, SETTINGS, TIME
 from .page import COVERAGE_50, COVERAGE_90, PAGE, WORST_CELL, write_rows
-from .random_bands import SETTINGS, TIME
 
 MODES = ("hindsight", "forecast")
 # Days of recording, from the web page of the data; for low_speed_f to _h only the campaign is known.
@@ -62,13 +70,13 @@ COLUMNS = (COVERAGE_90, "worst run", COVERAGE_50, WORST_CELL, "interval score", 
 def run() -> dict:
     """Rows of all parts, or of the part chosen by ST_BANDS."""
     parts = {"genesis": score_genesis, "virtual": score_virtual, "manoeuvres": score_manoeuvres,
-             "corrected": score_corrected, "changes": score_changes, "adaptive": score_adaptive}
+             "corrected": score_corrected, "changes": score_changes, "adaptive": score_adaptive, "cost": measure_cost}
     chosen = os.environ.get("ST_BANDS")
     all_rows: dict[str, Row] = {}
     for name, part in parts.items():
-        if chosen in (None, name):
+        if name == chosen or (chosen is None and name != "cost"):
             rows = part()
-            if name not in ("changes", "adaptive") and rows:
+            if name not in ("changes", "adaptive", "cost") and rows:
                 write_rows(rows)
             all_rows |= rows
     return all_rows
@@ -220,6 +228,24 @@ def score_corrected() -> dict[str, Row]:
         | score_transfer("virtual, bands of the uncorrected car on the corrected one", before, renamed, "nonlinear")
 
 
+def correct_files(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[VehicleParameters, Model, Intervals]:
+    """Vehicle, model and 95 % intervals of its parameters, from the files that `st discover` writes for these logs."""
+    sensors = pool_estimates([check(log, vehicle).estimates for log in logs])
+    settings = DiscoverySettings()
+    discovery = discover(logs, vehicle, "nonlinear", (), settings, sensor_estimates=sensors)
+    request = Request("nonlinear", vehicle, "the file", vehicle.to_yaml(), settings,
+                      drives=[DiscoveryDrive(log.name, log, {"files": {}}) for log in logs])
+    files = update_vehicle(discovery, request)
+    if files is None:
+        raise RuntimeError(f"st discover found no model: {discovery.outcome}")
+    car = VehicleParameters.from_yaml(files.text) if files.text else vehicle
+    model = build_model_file(discovery, request, files)
+    if model is None:
+        return car, get_model("nonlinear"), {}
+    file = ModelFile.from_yaml(model.to_yaml())
+    return car, file.model(), next(iter(collect_intervals([file]).values()))
+
+
 def _write_contributions(runs: Sequence[dict]) -> None:
     """Writes the error budget of the corrected car to the page."""
     contributions = summarise_contributions(pool_sums(runs))
@@ -345,3 +371,30 @@ def _genesis_logs() -> tuple[VehicleParameters, dict[str, DriveLog]] | None:
     car = genesis_vehicle()
     sources = [source for source in find_runs(folders) if not source.name.startswith("wrong_projection")]
     return car, {source.name: read(source, car).log for source in sources}
+
+
+def measure_cost() -> dict[str, Row]:
+    """Duration of a tick, and latency and load of live runs, without and with bands."""
+    from .. import latency, tick
+
+    turns = int(os.environ.get("ST_BENCH_TURNS", "2"))
+    os.environ.setdefault("ST_BENCH_SECONDS", "25")
+    ticks, latencies = tick.run(), {"0": [], "1": []}
+    for _ in range(turns):
+        for bands, results in latencies.items():
+            os.environ["ST_BENCH_BANDS"] = bands
+            results.append(latency.run())
+    rows = [_cost_row(name, ticks[f"{key}ms_p50"], ticks[f"{key}ms_p99"], results)
+            for name, key, results in (("no", "", latencies["0"]), ("yes", "with_bands_", latencies["1"]))]
+    replace_part(PAGE, "cost of bands", format_records(rows))
+    return {row["bands"]: row for row in rows}
+
+
+def _cost_row(name: str, median: float, quantile_99: float, results: list[dict]) -> dict[str, str]:
+    """A row of the table, with a latency and a load for each live run."""
+    latencies = [result["samples_to_third_prediction_published_ms"] for result in results]
+    return {"bands": name, "tick p50 | p99, ms": f"{median:.2f} | {quantile_99:.2f}",
+            "latency p50, ms": ", ".join(f"{latency['p50']:.1f}" for latency in latencies),
+            "latency p99, ms": ", ".join(f"{latency['p99']:.1f}" for latency in latencies),
+            **{f"{node}, % of a core": ", ".join(f"{result['cpu_percent'][node]:.1f}" for result in results)
+               for node in ("predictor", "evaluator", "recorder")}}

@@ -1,13 +1,21 @@
-"""Methods to compute bands: conformal, parametric, and scaled to nominal coverage of the calibration runs."""
+"""Bands of the benchmark: conformal, parametric, scaled to nominal coverage of the calibration runs, and random."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy import stats
-from st_core.bands import Band, ErrorSamples
+from st_core.bands import Band, Bands, CalibrationDomain, ErrorSamples, calibrate
+from st_core.bands.file import hash_configuration
 from st_core.bands.scale import Scale, compute_features, make_knots, select_evenly
+from st_core.log_evaluation import MODES, EvaluationSettings
+from st_core.models import MODELS
+from st_core.vehicle import VehicleParameters
 
+SETTINGS = EvaluationSettings()
+TIME = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
+RANDOM_RUNS, RANDOM_STARTS = 12, 4000
+LARGEST_CONDITIONS = (26.0, 8.0, 6.0, 1.0)  # speed, accelerations, steering activity [m/s, m/s^2, m/s^2, rad/s]
 LEVELS = (0.5, 0.9)
 SEED = 21
 
@@ -76,3 +84,18 @@ METHODS: dict[str, Method] = {
     "same everywhere, scaled to nominal coverage": lambda band, runs, model_mode: scale_to_level(
         _unconditional_band(band, runs, model_mode), runs, model_mode),
 }
+
+
+def random_bands(vehicle: VehicleParameters) -> Bands:
+    """Bands calibrated with random errors under random conditions, to measure the cost of bands."""
+    model_mode, runs = ("random", "hindsight"), []
+    for number in range(RANDOM_RUNS):
+        generator = np.random.default_rng([21, number])
+        errors = (0.1 * generator.standard_normal((RANDOM_STARTS, 1, 3)) * TIME[:, None]).astype(np.float32)
+        runs.append(ErrorSamples(f"run {number}", generator.uniform(0.0, LARGEST_CONDITIONS, (RANDOM_STARTS, 4)),
+                                 {model_mode: errors}))
+    band, settings = calibrate(runs, model_mode, TIME), SETTINGS.as_dict()
+    domain = CalibrationDomain.from_runs([run.conditions for run in runs])
+    return Bands(vehicle.name, vehicle.hash, settings, {"random": "0" * 64}, RANDOM_RUNS, domain,
+                 {(model, mode): band for model in MODELS for mode in MODES},
+                 {model: hash_configuration(vehicle, settings, "") for model in MODELS})

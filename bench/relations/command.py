@@ -19,7 +19,7 @@ from ..discovery.effects import SCATTER, members
 from ..discovery.evaluation import plant_differences
 from ..discovery.oracle import Oracle, mean_distance
 from ..plants.leaf import DriveFailed
-from . import baselines, score, tables
+from . import baselines, score
 from .cases import COUNTS, RelationCase, cases_of, drives_of
 
 NOT_IN_ORACLE = ("front_stiffness", "rear_stiffness")
@@ -41,7 +41,7 @@ def main(arguments: Sequence[str]) -> int:
                         help="only write the scores into docs/measurements/proposals.md from these files")
     chosen = parser.parse_args(arguments)
     if chosen.tables:
-        tables.write(read_records(*chosen.tables))
+        score.write(read_records(*chosen.tables))
         return 0
     until = None if chosen.until is None else time.time() + 60 * chosen.until
     cases = [case for case, in interleave({b: [(case,) for case in cases_of(chosen.set, b)] for b in COUNTS})]

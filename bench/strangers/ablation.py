@@ -1,23 +1,18 @@
 """Answers of the discovery with each limit halved and doubled.
 
-    python -m bench.strangers.ablation [--cases NAME ...] [--page]
-
 Development cases only. Each case is driven and searched once; limits that act after the search reuse its result. Limits
 of the error regions are applied to the errors of the model with the given vehicle file. Limits that act only on
 suggested drives are not included. The discovery has no estimates of `st check` for the sensors.
-One JSON line for each case and variant is appended to .st/strangers/ablation.jsonl; --page writes the table of all
-these lines.
+One JSON line for each case and variant is appended to .st/strangers/ablation.jsonl, from which the table is written.
 """
 
-import argparse
 import importlib
 import json
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from copy import copy
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +25,7 @@ from st_recordings.car import read_vehicle
 from st_recordings.paths import project_root
 from st_recordings.runs.csv import read_csv
 
+from .._cases import FACTORS, multiplied
 from .._pages import format_records, replace_part
 from . import score
 from .cases import cases
@@ -40,7 +36,6 @@ PAGE = project_root() / "docs" / "measurements" / "discovery_limits.md"
 LINES = project_root() / ".st" / "strangers" / "ablation.jsonl"
 DIVERSE_CASES = ("light_ev_ratio", "suv_worn_rear", "van_lever", "escort_ratio", "saloon_worn_front",
                  "bmw_320i_gyro_bias", "hatchback_load", "light_ev_load", "estate_healthy")
-FACTORS = (0.5, 2.0)
 LIMITS = ("max_file_deviation", "min_relative_size", "min_peak_force", "unexplained_share", "max_noise_ratio")
 SEARCH, PARTITIONS = sys.modules[Search.__module__], sys.modules[make_partitions.__module__]
 IN_SEARCH: dict[str, Any] = {
@@ -61,24 +56,16 @@ SEARCHED = ("max_file_deviation", "min_relative_size", *IN_SEARCH)
 """Limits that act during the search; all others act after it."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the cases, and writes the page if requested; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m bench.strangers.ablation", description=__doc__.splitlines()[0])
-    parser.add_argument("--cases", nargs="*", default=DIVERSE_CASES, metavar="NAME", help="development cases to run")
-    parser.add_argument("--numbers", nargs="*", default=NUMBERS, choices=NUMBERS, metavar="NUMBER",
-                        help="limits to change")
-    parser.add_argument("--page", action="store_true", help=f"write the table in {PAGE.name}")
-    chosen = parser.parse_args(arguments)
+def run_variants(names: Sequence[str], numbers: Sequence[str], write: bool) -> None:
+    """Runs the cases with each of the limits `numbers` changed; writes the table of all lines if `write`."""
     LINES.parent.mkdir(parents=True, exist_ok=True)
-    for name in chosen.cases:
-        for line in count_variants(name, chosen.numbers):
+    for name in names:
+        for line in count_variants(name, numbers):
             with LINES.open("a") as file:
                 file.write(json.dumps(line) + "\n")
             print(line, flush=True)
-    if chosen.page:
-        lines = [json.loads(line) for line in LINES.read_text().splitlines()]
-        replace_part(PAGE, "ablation", page_table(lines))
-    return 0
+    if write:
+        replace_part(PAGE, "ablation", page_table([json.loads(line) for line in LINES.read_text().splitlines()]))
 
 
 def count_variants(name: str, numbers: Sequence[str]) -> Iterator[dict[str, Any]]:
@@ -89,41 +76,29 @@ def count_variants(name: str, numbers: Sequence[str]) -> Iterator[dict[str, Any]
         vehicle = read_vehicle(folder / "car" / "vehicle.yaml")
         logs = [read_csv(path, vehicle).log for path in sorted((folder / "drives").glob("*.csv"))]
     analysis = Analysis(logs, vehicle, "nonlinear", (), DiscoverySettings(), None, {}, 1, {})
-    searched = _search(analysis)
+    searched, limits = _search(analysis), analysis.limits
     unchanged, regions = _count(analysis, searched, truth), _find_regions(analysis, searched)
     yield {"case": name, "number": "", "factor": 1.0, "changed": False, **unchanged, "regions": len(regions)}
-    for number in numbers:
-        for factor in FACTORS:
-            with _multiply(analysis, number, factor) as other:
-                if number in IN_REGIONS:
-                    changed = _find_regions(other, searched)
-                    yield {"case": name, "number": number, "factor": factor, "changed": changed != regions, **unchanged,
-                           "regions": len(changed)}
-                    continue
-                found = _count(other, _search(other) if number in SEARCHED else searched, truth)
-            yield {"case": name, "number": number, "factor": factor, "changed": found != unchanged, **found,
-                   "regions": len(regions)}
+    for number, factor in product(numbers, FACTORS):
+        found, found_regions = unchanged, regions
+        analysis.limits = replace(limits)  # `searched` keeps the unchanged ones
+        with multiplied(_find_owners(analysis, number), factor):
+            if number in IN_REGIONS:
+                found_regions = _find_regions(analysis, searched)
+            else:
+                found = _count(analysis, _search(analysis) if number in SEARCHED else searched, truth)
+        yield {"case": name, "number": number, "factor": factor,
+               "changed": found != unchanged or found_regions != regions, **found, "regions": len(found_regions)}
 
 
-@contextmanager
-def _multiply(analysis: Any, number: str, factor: float) -> Iterator[Any]:
-    """Context in which one limit is multiplied; yields the analysis that uses it."""
+def _find_owners(analysis: Any, number: str) -> list[tuple[Any, str]]:
+    """(module or object, name) wherever a limit is defined or imported."""
     if number in LIMITS:
-        other = copy(analysis)
-        other.limits = replace(analysis.limits, **{number: factor * getattr(analysis.limits, number)})
-        yield other
-        return
-    modules = CONSTANTS.get(number, ())
-    owners = ([(p, "model_error") for effect in EFFECTS.values() for p in effect.parameters] if number == "model_error"
-              else [(module, number) for module in (modules if isinstance(modules, tuple) else (modules,))])
-    before = [getattr(*one) for one in owners]
-    try:
-        for (owner, key), value in zip(owners, before, strict=True):
-            object.__setattr__(owner, key, type(value)(factor * value))
-        yield analysis
-    finally:
-        for (owner, key), value in zip(owners, before, strict=True):
-            object.__setattr__(owner, key, value)
+        return [(analysis.limits, number)]
+    if number == "model_error":
+        return [(parameter, number) for effect in EFFECTS.values() for parameter in effect.parameters]
+    modules = CONSTANTS[number]
+    return [(module, number) for module in (modules if isinstance(modules, tuple) else (modules,))]
 
 
 def _search(analysis: Any) -> tuple[Any, ...]:
@@ -196,7 +171,3 @@ def _format_unchanged(unchanged: Sequence[tuple[str, float]]) -> str:
     names = [f"`{number}`" + "".join(f" × {factor:g}" for factor in factors if len(factors) < len(FACTORS))
              for number, factors in by_number.items()]
     return f"Without effect on any count: {', '.join(names) or 'none'}."
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -16,7 +16,7 @@ from typing import Any
 from st_recordings.paths import project_root, source_version
 
 from .._pages import format_records, replace_part
-from . import evaluation, score
+from . import ablation, evaluation, score
 from .cases import HALVES, NEW_USER, Case, cases
 from .recordings import write_case
 from .vehicles import CARS, EQUATIONS
@@ -41,8 +41,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--keep", type=Path, help="folder for the recordings and all files of the answers")
     parser.add_argument("--list", action="store_true", help="list the cases and their hidden errors")
     parser.add_argument("--score", action="store_true", help="only score the existing answers, of any version")
-    parser.add_argument("--page", action="store_true", help="also write the tables in docs/measurements/strangers.md")
+    parser.add_argument("--page", action="store_true", help="also write the tables in docs/measurements/strangers.md, "
+                        "or that of --ablation in discovery_limits.md")
+    parser.add_argument("--ablation", action="store_true", help="repeat the decisions of development cases with each "
+                        "limit halved and doubled; --only needs whole names, default are nine diverse cases")
+    parser.add_argument("--limits", nargs="*", default=ablation.NUMBERS, choices=ablation.NUMBERS, metavar="NAME",
+                        help="limits to change with --ablation")
     chosen = parser.parse_args(arguments)
+    if chosen.ablation:
+        ablation.run_variants(chosen.only or ablation.DIVERSE_CASES, chosen.limits, chosen.page)
+        return 0
     known = cases(chosen.cases)
     names = [name for name in known if not chosen.only or any(
         name == text or (text in name and text not in known) for text in chosen.only)]

@@ -1,4 +1,4 @@
-"""Alternative implementations of a prediction, which batch.py compares: C++, scalar numba, CasADi, commonroad."""
+"""Alternative implementations of a prediction, which `command` compares: C++, scalar numba, CasADi, commonroad."""
 
 import ctypes
 import subprocess
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 FLAGS = ["-O3", "-march=native", "-fschedule-insns", "-fno-trapping-math", "-fPIC", "-shared"]
-SOURCE = Path(__file__).parent / "limit" / "limit.cpp"
+SOURCE = Path(__file__).parent / "limit.cpp"
 STEPS, STEP = 100, 0.05
 
 
