@@ -5,9 +5,8 @@ from support import EXAMPLES
 
 from bench.checks import score
 from bench.checks.corruptions import FAULTS
-from bench.checks.drives import real_drive
+from bench.checks.drives import real_drive, virtual_drive
 from bench.checks.score import Drive
-from bench.checks.virtual import virtual_drive
 
 NAMES = ("gaps", "x scaled", "positions late", "yaw in other units", "yaw rate sign", "yaw rate late",
          "velocities in other units", "steering sign")

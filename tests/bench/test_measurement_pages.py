@@ -1,11 +1,11 @@
 """Tables that benchmarks write to the pages of measurements."""
 
 import csv
-import importlib
 
 import pytest
 from support import ROOT
 
+from bench.bands.page import COVERAGE_90, write_rows
 from bench.discovery.tables import ABLATED, format_ablation
 from bench.strangers.ablation import page_table
 from bench.strangers.command import page_tables, write_cases
@@ -50,9 +50,7 @@ def test_page_lists_the_wrong_statements_of_the_cases(half, tmp_path):
     assert (tmp_path / "cases.csv").read_bytes() == file.read_bytes()
 
 
-def test_rows_of_bands_and_their_summary_are_replaced(tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(ROOT / "bench")
-    bands = importlib.import_module("_band_page")
+def test_rows_of_bands_and_their_summary_are_replaced(tmp_path):
     page, file = tmp_path / "bands.md", tmp_path / "bands_held_out.csv"
     for copy in (page, file):
         copy.write_bytes((PAGES / copy.name).read_bytes())
@@ -60,9 +58,9 @@ def test_rows_of_bands_and_their_summary_are_replaced(tmp_path, monkeypatch):
         rows = {row[0]: row[1:] for row in csv.reader(stream)}
     title = "Genesis, linear, by day, hindsight, conformal"
     row = dict(zip(rows["held out"], rows[title], strict=True))
-    bands.write_rows({title: row}, page, file)
+    write_rows({title: row}, page, file)
     assert page.read_bytes() == (PAGES / page.name).read_bytes()
     assert file.read_bytes() == (PAGES / file.name).read_bytes()
-    bands.write_rows({title: {**row, bands.COVERAGE_90: "50.0%"}}, page, file)
+    write_rows({title: {**row, COVERAGE_90: "50.0%"}}, page, file)
     assert "| Genesis, by day: hindsight | **50 to 94 %** |" in page.read_text(encoding="utf-8")
     assert file.read_text(encoding="utf-8").count("50.0%") == (PAGES / file.name).read_text().count("50.0%") + 1
