@@ -192,12 +192,10 @@ def _triple(names: Iterable[str], kind: str, scale: float, unit: str, validity: 
     return [F(name, kind, 2 * i, unit, scale, validity) for i, name in enumerate(names)]
 
 
-def _lever_arm(prefix: str) -> list[Field]:
-    return _triple([f"{prefix}{axis}" for axis in "XYZ"], "i16", 1e-3, "m", B6_ZERO)
-
-
-def _lever_arm_accuracy(prefix: str) -> list[Field]:
-    return _triple([f"{prefix}{axis}Acc" for axis in "XYZ"], "u16", 1e-4, "m", B6_ZERO)
+def _lever_arm(prefix: str, suffix: str = "") -> list[Field]:
+    """Components of a lever arm or, with suffix "Acc", their accuracies."""
+    kind, scale = ("u16", 1e-4) if suffix else ("i16", 1e-3)
+    return _triple([f"{prefix}{axis}{suffix}" for axis in "XYZ"], kind, scale, "m", B6_ZERO)
 
 
 def _angles(prefix: str) -> list[Field]:
@@ -302,9 +300,9 @@ TABLE: dict[int, list[Field]] = {
     32: [*_innovations("InnZeroVelX", "InnZeroVelY", "InnZeroVelZ", "InnNoSlipH", "InnHeadingH", "InnWSpeed"),
          *_innovations("InnClockOffset", "InnClockDrift", first=6)],
     33: _lever_arm("ZeroVelLeverArm"),
-    34: _lever_arm_accuracy("ZeroVelLeverArm"),
+    34: _lever_arm("ZeroVelLeverArm", "Acc"),
     35: _lever_arm("NoSlipLeverArm"),
-    36: _lever_arm_accuracy("NoSlipLeverArm"),
+    36: _lever_arm("NoSlipLeverArm", "Acc"),
     37: [F("HeadingMisAlign", "i16", 0, "deg", degrees(1e-4), B6_NOT_255),
          F("HeadingMisAlignAcc", "u16", 2, "deg", degrees(1e-5), B6_NOT_255), _byte("NumSatsUsedPos", 4),
          _byte("NumSatsUsedVel", 5), _byte("NumSatsUsedAtt", 7)],
@@ -327,7 +325,7 @@ TABLE: dict[int, list[Field]] = {
     45: [F("WSpeedCount", "u32", 0, "pulse"), F("WSpeedMilliseconds", "u16", 4, "ms", validity=WITHIN_MINUTE),
          _byte("WSpeedTimeUnchanged", 6, "s", 0.1), _byte("GadStatus", 7)],
     46: _lever_arm("WSpeedLeverArm"),
-    47: _lever_arm_accuracy("WSpeedLeverArm"),
+    47: _lever_arm("WSpeedLeverArm", "Acc"),
     48: [F("Undulation", "i16", 0, "m", 5e-3, UNDULATION), _byte("HDOP", 2, "1", 0.1), _byte("PDOP", 3, "1", 0.1),
          _byte("OutputDatum", 5), _byte("DatumEllipsoid", 6), _byte("DatumEarthFrame", 7)],
     49: [_word("OmniStarFreq", 0, "Hz", 1000, 1.52e9), _byte("OmniStarSNR", 2, "dB", 0.2),
@@ -374,7 +372,7 @@ TABLE: dict[int, list[Field]] = {
          F("JerkFiltFreq", "f32", 1, "Hz"), F("JerkFiltWindow", "u24", 5, "ms")],
     88: _innovations("InnVerticalSlip"),
     89: [*_lever_arm("VerticalSlipLeverArm"), F("WifiApStatus", "u8", 7, validity=POSITIVE)],
-    90: [*_lever_arm_accuracy("VerticalSlipLeverArm"), F("WifiRegion", "u8", 7)],
+    90: [*_lever_arm("VerticalSlipLeverArm", "Acc"), F("WifiRegion", "u8", 7)],
     91: [F("PitchMisalign", "i16", 0, "deg", degrees(1e-4), B6_ZERO),
          F("PitchMisalignAcc", "u16", 2, "deg", degrees(1e-5), B6_ZERO)],
     93: [*_nibbles(1, "NumGalUsedInPos", "NumBdsUsedInPos"), F("NmeaEnabled", "lo4", 2), F("PtpEpoch", "hi4", 2),

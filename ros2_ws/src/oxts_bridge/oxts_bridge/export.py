@@ -177,7 +177,14 @@ def _derive_columns(columns: Columns, history: Mapping[int, SettingHistory]) -> 
     out["Af"], out["Al"], out["Ad"] = flu_from_frd(level_axes.to_enu(motion.acceleration))
     out["Wf"], out["Wl"], out["Wd"] = np.degrees(level_rate)
     _add_angular_acceleration(out, columns, seconds)
-    _add_filtered_signals(out, columns, seconds, acceleration_filter=history[74], rate_filter=history[63])
+    is_regular = (columns.kind == REGULAR) & ~np.isnan(seconds)
+    for prefix, signal, changes in (("FiltA", columns.acceleration, history[74]),
+                                    ("FiltY", np.array([out["Yx"], out["Yy"], out["Yz"]]), history[63])):
+        series = np.flatnonzero(is_regular & ~np.isnan(signal).any(axis=0))
+        settings = [(int(np.searchsorted(series, index)), setting) for index, setting in changes]
+        for axis, values in zip("xyz", signal, strict=True):
+            out[prefix + axis] = filtered = np.full(len(seconds), np.nan)
+            filtered[series] = filter_low_pass(seconds[series], values[series], settings)
     for prefix, vector in (("IsoVo", motion.body_velocity), ("IsoVh", (out["Vf"], -out["Vl"], up)),
                            ("IsoAo", _compute_ground_acceleration(motion))):
         out[f"{prefix}X"], out[f"{prefix}Y"], out[f"{prefix}Z"] = vector
@@ -249,18 +256,6 @@ def _add_angular_acceleration(out: dict, columns: Columns, seconds: np.ndarray) 
         forward = step > 0
         result[:, series[1:][forward]] = (np.diff(rate[:, series], axis=1)[:, forward]) / step[forward]
     out["Yx"], out["Yy"], out["Yz"] = result
-
-
-def _add_filtered_signals(out: dict, columns: Columns, seconds: np.ndarray, acceleration_filter: SettingHistory,
-                          rate_filter: SettingHistory) -> None:
-    regular = (columns.kind == REGULAR) & ~np.isnan(seconds)
-    for prefix, signal, changes in (("FiltA", columns.acceleration, acceleration_filter),
-                                    ("FiltY", np.array([out["Yx"], out["Yy"], out["Yz"]]), rate_filter)):
-        series = np.flatnonzero(regular & ~np.isnan(signal).any(axis=0))
-        settings = [(int(np.searchsorted(series, index)), setting) for index, setting in changes]
-        for axis, values in zip("xyz", signal, strict=True):
-            out[prefix + axis] = filtered = np.full(len(seconds), np.nan)
-            filtered[series] = filter_low_pass(seconds[series], values[series], settings)
 
 
 def filter_low_pass(seconds: np.ndarray, values: np.ndarray, settings: SettingHistory) -> np.ndarray:

@@ -208,13 +208,12 @@ def encode(packet: Packet) -> bytes:
         raise NcomError(f"batch_s must have 8 bytes, not {len(packet.batch_s)}")
     if packet.navigation_status == STRUCTURE_B:
         raise NcomError("structure B packets (navigation status 11) cannot be encoded")
-    angles = packet.heading, packet.pitch, packet.roll
     try:
         data = bytearray(_LAYOUT.pack(
             packet.milliseconds, _encode_vector(packet.acceleration, ACCELERATION_UNIT),
             _encode_vector(packet.angular_rate, ANGULAR_RATE_UNIT), packet.navigation_status, packet.latitude,
             packet.longitude, packet.altitude, _encode_vector(packet.velocity_ned, VELOCITY_UNIT),
-            _encode_vector(angles, ANGLE_UNIT), packet.channel, packet.batch_s))
+            _encode_vector((packet.heading, packet.pitch, packet.roll), ANGLE_UNIT), packet.channel, packet.batch_s))
     except (struct.error, OverflowError) as error:
         raise NcomError(f"a value is outside the range of its field: {error}") from None
     data[0] = SYNC

@@ -66,7 +66,10 @@ class StatusTracker:
                 fields["BnsLagFilt"] = lag if previous is None else previous * (1 - _LAG_WEIGHT) + lag * _LAG_WEIGHT
             fields["UpTime"] = None if code is None else decode_up_time(code)
         elif "OldRefX" in fields:
-            self._set_legacy_origin(fields, data, position)
+            x, y, heading = (fields.pop(name) for name in ("OldRefX", "OldRefY", "OldRefHeading"))
+            is_valid = None not in (x, y, heading) and data != b"\x80\0\0\0\x80\0\0\0"
+            if is_valid and not self._has_local_frame() and position is not None and all(map(isfinite, position)):
+                fields.update(zip(LOCAL_FRAME, compute_legacy_origin(x, y, heading, *position), strict=True))
         elif "WSpeedCount" in fields:
             self._set_wheel_speed(fields, gps_seconds)
         elif "HDOP" in fields:
@@ -120,14 +123,6 @@ class StatusTracker:
             (count - previous[1]) % (1 << 32) / (time - previous[0]) if previous and time > previous[0] else None)
         self._last_pulses = time, count
         fields["WSpeedTime"] = time
-
-    def _set_legacy_origin(self, fields: dict, data: bytes, position: tuple[float, float, float] | None) -> None:
-        x, y, heading = (fields.pop(name) for name in ("OldRefX", "OldRefY", "OldRefHeading"))
-        is_invalid = None in (x, y, heading) or data == b"\x80\0\0\0\x80\0\0\0"
-        if self._has_local_frame() or is_invalid or position is None or not all(map(isfinite, position)):
-            return
-        origin = compute_legacy_origin(x, y, heading, *position)
-        fields.update(zip(LOCAL_FRAME, origin, strict=True))
 
 
 def compute_legacy_origin(x: float, y: float, heading: float, latitude: float, longitude: float,

@@ -154,8 +154,7 @@ def read_definition(type_name: str) -> str:
 @cache
 def read_type_hash(type_name: str) -> str:
     """Reads the hash (RIHS01_...) of an installed message type. Raises UnknownTypeError."""
-    document = json.loads(_find_interface_file(type_name, ".json").read_text())
-    for entry in document["type_hashes"]:
+    for entry in json.loads(_find_interface_file(type_name, ".json").read_text())["type_hashes"]:
         if entry["type_name"] == type_name:
             return str(entry["hash_string"])
     raise UnknownTypeError(f"message type {type_name}: its description file has no hash")

@@ -75,14 +75,14 @@ def list_remarks(folder: str) -> list[str]:
 
 
 def list_uncertainties(vehicle: VehicleParameters) -> list[str]:
-    """One line for each quantity with a stated or default uncertainty; the last one names others that may be fitted."""
+    """One line for each quantity with a stated or default uncertainty, and one that names others that may be fitted."""
     quantities = {**VEHICLE_QUANTITIES,
                   **{f"{tyre}.{key}": quantity for tyre in TYRES for key, quantity in TYRE_QUANTITIES.items()}}
-    lines, keys_without = [], []
+    lines, keys_without_uncertainty = [], []
     for key, quantity in quantities.items():
         uncertainty = vehicle.uncertainty(key)
         if uncertainty is None:
-            keys_without.append(key)
+            keys_without_uncertainty.append(key)
             continue
         provenance = vehicle.provenance.get(key)
         unit = "" if quantity.si_unit == "1" else f" {quantity.si_unit}"
@@ -92,8 +92,10 @@ def list_uncertainties(vehicle: VehicleParameters) -> list[str]:
         elif default is not None:
             size = f"{100 * default.size:g} %" if default.relative else f"{uncertainty:.3g}{unit}"
             lines.append(f"{key} assumed +/- {size} ({default.source}); give `uncertainty` to change that")
-    fit_keys = [key for key in keys_without if "." not in key and key not in FIXED_QUANTITIES]
-    return [*lines, f"free in st discover unless `uncertainty` is given: {', '.join(fit_keys)}"] if fit_keys else lines
+    fit_keys = [key for key in keys_without_uncertainty if "." not in key and key not in FIXED_QUANTITIES]
+    if fit_keys:
+        lines.append(f"no prior in st discover unless `uncertainty` is given: {', '.join(fit_keys)}")
+    return lines
 
 
 def _find_vehicle_problems(file: Path) -> list[str]:

@@ -80,8 +80,7 @@ def recover(path: Path | str, output: Path | str | None = None) -> RecoveryRepor
             raise RecoveryError(f"{path} does not exist")
         return RecoveryReport([_recover_file(path, target)[0]])
     except OSError as error:
-        name = error.filename or target
-        raise RecoveryError(f"{name}: {error.strerror or error}; this file is unchanged") from error
+        raise RecoveryError(f"{error.filename or target}: {error.strerror or error}; this file is unchanged") from error
 
 
 def _recover_directory(source: Path, target: Path) -> RecoveryReport:
@@ -107,7 +106,17 @@ def _recover_directory(source: Path, target: Path) -> RecoveryReport:
 def _recover_file(source: Path, target: Path) -> tuple[FileReport, Contents]:
     with source.open("rb") as stream:
         size = os.fstat(stream.fileno()).st_size
-        _check_recoverable(stream, source, size)
+        try:
+            fcntl.flock(stream.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise RecoveryError(f"{source} is still being recorded; stop the recorder first") from None
+        except OSError:
+            pass  # a file system without locks
+        if stream.read(len(MAGIC)) != MAGIC:
+            raise RecoveryError(f"{source} is not an MCAP file, or was truncated within its first 8 bytes")
+        first = next(read_records(stream, size), None)
+        if first is None or first.opcode != Opcode.HEADER:
+            raise RecoveryError(f"{source} was truncated before its first record")
         contents, report = Contents(), FileReport(target.name)
         end_of_data = len(MAGIC) + sum(map(len, _read_undamaged_records(stream, size, contents, report)))
         report.is_intact = not report.damaged_records and _is_closed(stream, contents, end_of_data)
@@ -116,20 +125,6 @@ def _recover_file(source: Path, target: Path) -> tuple[FileReport, Contents]:
     report.count = contents.counts().total()
     report.start_ns, report.end_ns = contents.times()
     return report, contents
-
-
-def _check_recoverable(stream: BinaryIO, source: Path, size: int) -> None:
-    try:
-        fcntl.flock(stream.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise RecoveryError(f"{source} is still being recorded; stop the recorder first") from None
-    except OSError:
-        pass  # a file system without locks
-    if stream.read(len(MAGIC)) != MAGIC:
-        raise RecoveryError(f"{source} is not an MCAP file, or was truncated within its first 8 bytes")
-    first = next(read_records(stream, size), None)
-    if first is None or first.opcode != Opcode.HEADER:
-        raise RecoveryError(f"{source} was truncated before its first record")
 
 
 def _is_closed(stream: BinaryIO, contents: Contents, end_of_data: int) -> bool:

@@ -168,24 +168,24 @@ def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
     the same values and stamp have correct stamps. is_external: whether a different system stamped the steering.
     """
     notes = []
-    for kind, topic in topics.items():
-        stamps = columns[kind]["header.stamp"]
+    for type_name, topic in topics.items():
+        stamps = columns[type_name]["header.stamp"]
         repeats = int((np.diff(stamps) == 0).sum())
-        values = [np.nan_to_num(np.asarray(v, float)) for name, v in columns[kind].items() if name != "header.stamp"]
-        has_changed = np.any([np.diff(value) != 0 for value in values], axis=0)
+        fields = [field for name, field in columns[type_name].items() if name != "header.stamp"]
+        has_changed = np.any([np.diff(np.nan_to_num(np.asarray(field, float))) != 0 for field in fields], axis=0)
         are_resent = 2 * int((has_changed & (np.diff(stamps) == 0)).sum()) < int(has_changed.sum())
         if (repeats > MAX_REPEATED_FRACTION * len(stamps) and not are_resent) or (len(stamps) == 2 and repeats):
-            columns[kind]["header.stamp"] = storage.read_log_times(topic, stamps)
+            columns[type_name]["header.stamp"] = storage.read_log_times(topic, stamps)
             problem = (f"all {len(stamps)} stamps of {topic} are {stamps[0] * 1e-9:g} s" if repeats == len(stamps) - 1
                        else f"{format_count(repeats, len(stamps), 'stamps')} of {topic} repeat the previous one")
             notes.append(f"{problem}; the times of reception are used")
     if len(topics) > 1 and not any(topic.endswith(RECONSTRUCTED_SUFFIX) for topic in topics.values()):
-        by_kind = {kind: columns[kind]["header.stamp"] for kind in topics}
-        if min(map(len, by_kind.values())) > 1:
+        by_type = {type_name: columns[type_name]["header.stamp"] for type_name in topics}
+        if min(map(len, by_type.values())) > 1:
             aligned, clock_notes = storage.align_stamps(
-                [(topics[kind], stamps) for kind, stamps in by_kind.items()], is_external)
-            for kind, stamps in zip(topics, aligned, strict=True):
-                columns[kind]["header.stamp"] = stamps
+                [(topics[type_name], stamps) for type_name, stamps in by_type.items()], is_external)
+            for type_name, stamps in zip(topics, aligned, strict=True):
+                columns[type_name]["header.stamp"] = stamps
             notes += clock_notes
     return notes
 
@@ -291,10 +291,11 @@ def _select_usable_messages(time_ns: np.ndarray, is_usable: np.ndarray, noun: st
     time = np.asarray(time_ns, np.int64)
     rows = np.flatnonzero(is_usable & (time != 0))
     notes = []
-    if (lost := len(time) - len(rows)):
+    if n_unusable := len(time) - len(rows):
         reasons = [f"usable value of {', '.join(names)}"] if (names := [k for k, n in missing.items() if n]) else []
         reasons += ["stamp"] if (time == 0).any() else []
-        notes.append(f"{format_count(lost, len(time), noun)} have no {' or no '.join(reasons)}; they were left out")
+        count = format_count(n_unusable, len(time), noun)
+        notes.append(f"{count} have no {' or no '.join(reasons)}; they were left out")
     if are_stored_out_of_order(time[rows]):
         rows = rows[np.argsort(time[rows], kind="stable")]
         notes.append(f"{noun} are stored out of order; they were sorted by their stamps")

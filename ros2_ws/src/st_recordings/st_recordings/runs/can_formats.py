@@ -299,8 +299,7 @@ def _make_csv_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
         notes.append(AMBIGUOUS_IDS if id_base == 0 else DECIMAL_IDS)
     stated = next((source.unit for source in find_times(split_row(header, delimiter))
                    if source.column == roles["time"] and source.has_stated_unit), None)
-    is_gvret = (names[roles["time"]], names[roles["data"]]) == ("timestamp", "d1")
-    if is_gvret:
+    if (names[roles["time"]], names[roles["data"]]) == ("timestamp", "d1"):  # SavvyCAN (GVRET)
         unit = "us" if times_are_whole else "s"
     elif not stated and unit != "s":
         notes.append(f"its times were read in {unit}")

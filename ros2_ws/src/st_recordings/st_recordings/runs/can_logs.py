@@ -200,12 +200,8 @@ def _find_bus_number(channel: Any) -> int:
 
 def _describe_missing_splits(files: Sequence[Path]) -> list[str]:
     sessions: dict[str, set[int]] = {}
-    for file in files:
-        session, split = parse_session(file)
+    for session, split in map(parse_session, files):
         sessions.setdefault(session, set()).add(split)
-    warnings = []
-    for session, splits in sessions.items():
-        if missing := sorted(set(range(min(splits), max(splits) + 1)) - splits):
-            numbers = ", ".join(map(str, missing))
-            warnings.append(f"{session}: the log has a gap because files of the session are missing: {numbers}")
-    return warnings
+    return [f"{session}: the log has a gap because files of the session are missing: {', '.join(map(str, missing))}"
+            for session, splits in sessions.items()
+            if (missing := sorted({*range(min(splits), max(splits) + 1)} - splits))]

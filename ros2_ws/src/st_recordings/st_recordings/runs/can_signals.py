@@ -141,8 +141,8 @@ def _describe_length_fault(spec: MessageSpec, lengths: np.ndarray, n_decoded: in
                      if size != spec.dbc.length]
     if not wrong_lengths:
         return ""
-    lost = len(lengths) - n_decoded
-    consequence = f"{lost} frames are not used" if lost else "the additional bytes are padding and were ignored"
+    n_unused = len(lengths) - n_decoded
+    consequence = f"{n_unused} frames are not used" if n_unused else "the additional bytes are padding and were ignored"
     return f"{', '.join(wrong_lengths)} instead of {spec.dbc.length} as in the DBC; {consequence}"
 
 

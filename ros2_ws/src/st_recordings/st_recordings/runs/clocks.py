@@ -14,7 +14,7 @@ from .ins_log import InsLog
 INS_ON_CAN_DELAY = (0.002, 0.002)  # from the measurement of an INS value to its frame in the log; default
 WHEEL_SPEED_DELAY = (0.015, 0.015)  # wheel pulses are counted over a period before the speed is sent
 # Standard deviation of the ratio of longitudinal slip to acceleration [s^2/m]; slip shifts a wheel speed in time by
-# this ratio times the speed. It is 0.003 for a braked rear axle, 0.007 for a driven one, 0 for one that rolls freely.
+# this ratio times the speed. The ratio is 0.003 for a braked rear axle, 0.007 if it is driven, 0 if it rolls freely.
 SLIP_PER_ACCELERATION_DEVIATION = 0.002
 STEERING_DELAY = (-0.06, 0.06)  # negative, because steering leads the yaw rate by the response time of the car
 
@@ -75,11 +75,11 @@ def pair_shared_signals(ins: InsLog, can: CanSignals,
     """
     speed = can.find_first("ins_velocity_x") or can.find_first("vehicle_speed")
     pairs = []
-    for label, kind, channel in (("forward velocity", "speed", "velocity_x"), ("yaw rate", "rate", "yaw_rate"),
+    for label, quantity, channel in (("forward velocity", "speed", "velocity_x"), ("yaw rate", "rate", "yaw_rate"),
                                  ("yaw", "angle", "yaw")):
         if channel in ins.values:  # an INS may have no yaw
             values = mask_standstill(ins.time_ns, ins.values[channel], ins.time_ns, ins.values["velocity_x"])
-            pairs += [_make_pair(f"{label} ({signal.message})", kind, ins.time_ns, values, signal, speed, latency)
+            pairs += [_make_pair(f"{label} ({signal.message})", quantity, ins.time_ns, values, signal, speed, latency)
                       for signal in can.find_all(f"ins_{channel}")]
     return pairs
 
@@ -198,10 +198,10 @@ def _align_by_checked_time_frame(frames: Signal, pairs: list[SharedSignal], late
     return alignment
 
 
-def _make_pair(name: str, kind: str, time_ns: np.ndarray, values: np.ndarray, signal: Signal, speed: Signal | None,
+def _make_pair(name: str, quantity: str, time_ns: np.ndarray, values: np.ndarray, signal: Signal, speed: Signal | None,
                latency: tuple[float, float]) -> SharedSignal:
     other = signal.values
     if speed is not None:
         other = mask_standstill(signal.time_ns, other, speed.time_ns, speed.values)
-    return SharedSignal(name, time_ns, values, signal.time_ns, other, *latency, MIN_VARIATION[kind],
-                        is_angle=kind == "angle")
+    return SharedSignal(name, time_ns, values, signal.time_ns, other, *latency, MIN_VARIATION[quantity],
+                        is_angle=quantity == "angle")

@@ -72,8 +72,8 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
                 steering: SteeringField | None = None, frame_id: str = "") -> LoadedRun:
     """Builds a drive from a table. Raises RunError.
 
-    A row without a number in an INS channel is left out of the INS samples but not of the steering samples, and vice
-    versa; a missing acceleration becomes NaN. vehicle: required for a table with only the steering wheel angle.
+    A row without a number in an INS channel is excluded from the INS samples but not from the steering samples, and
+    vice versa; a missing acceleration becomes NaN. vehicle: required for a table with only the steering wheel angle.
     yaw_scale: correction factor of yaw, applied before unwrapping. steering: column that an option names, and its sign.
     frame_id: frame of the velocities, if they are from a ROS message.
     """
@@ -163,14 +163,15 @@ def find_missing_channels(sources: Iterable[str], names: Iterable[str], required
     return [name for name in required if name not in channels]
 
 
-def _leave_out_blank_columns(table: Table, required: Sequence[str], kept: Sequence[str] = ()) -> Table:
-    """The table without blank and unfilled (zero) columns, if the required channels can be derived from the others."""
+def _leave_out_blank_columns(table: Table, required: Sequence[str], exempt: Sequence[str] = ()) -> Table:
+    """The table without blank and unfilled (zero) columns, if the required channels can be derived from the others.
+    exempt: channels that are never left out."""
     sources, warnings = dict(table.sources), list(table.warnings)
     for channel, values in table.columns.items():
         is_blank = not np.isfinite(values).any()
         is_unfilled = not is_blank and channel in POSSIBLY_UNFILLED and not np.nan_to_num(values).any()
         derived = [channel] if is_unfilled and channel in INS_SIGNALS else []
-        if channel not in {*OPTIONAL_INS_SIGNALS, *table.texts, *kept} and (is_blank or is_unfilled) and (
+        if channel not in {*OPTIONAL_INS_SIGNALS, *table.texts, *exempt} and (is_blank or is_unfilled) and (
                 not find_missing_channels(sources.keys() - {channel}, table.names, (*required, *derived))):
             name = sources.pop(channel).name
             warnings += [] if is_blank else [f"{table.file}: column {name} is 0 in all rows; it was read as blank"]
@@ -386,8 +387,8 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], wa
         return
     seconds = (table.time_ns[rows] - table.time_ns[rows[0]]) * 1e-9
     resolution = max(float(step[is_new].min()), 1e-9)
-    usual_interval = np.median(np.diff(seconds[1:][is_new], prepend=seconds[0]))
-    is_moving = np.abs(columns["velocity_x"][rows][1:]) * usual_interval > (np.median(step[is_new]) + resolution) / 20
+    median_interval = np.median(np.diff(seconds[1:][is_new], prepend=seconds[0]))
+    is_moving = np.abs(columns["velocity_x"][rows][1:]) * median_interval > (np.median(step[is_new]) + resolution) / 20
     names = ("x", "y") if "x" in table.columns else ("latitude", "longitude")
     is_rounded = all(_is_rounded(columns[name][rows] / table.sources[name].factor) for name in names)
     if is_rounded or (is_moving & ~is_new).sum() <= MAX_HELD_FRACTION * max(is_moving.sum(), 1):
@@ -395,12 +396,12 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], wa
     is_measured = np.concatenate(([True], is_new))
     # The first new position after missing rows may have been measured during the gap, so its time is unknown.
     steps = np.diff(seconds, prepend=seconds[0])
-    usual_step = np.median(steps[1:])
-    has_gap = steps > MIN_GAP_RATIO * usual_step
+    median_step = np.median(steps[1:])
+    has_gap = steps > MIN_GAP_RATIO * median_step
     if (is_measured & has_gap).sum() <= MAX_GAP_FRACTION * is_measured.sum() and (is_measured & ~has_gap).sum() > 2:
         is_measured &= ~has_gap
     # A row is in an outage if the next new position is late; missing rows do not count as an outage.
-    elapsed = np.cumsum(np.where(has_gap, usual_step, steps))
+    elapsed = np.cumsum(np.where(has_gap, median_step, steps))
     intervals = np.diff(elapsed[is_measured], append=elapsed[-1])
     is_long = intervals > max(MIN_FREEZE_TIME, MIN_GAP_RATIO * float(np.median(intervals)))
     is_outage = is_long[np.cumsum(is_measured) - 1]

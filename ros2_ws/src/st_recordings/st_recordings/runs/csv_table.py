@@ -204,8 +204,7 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
     seconds, time = convert_to_seconds(file, seconds, time, warnings)
     has_time, time_ns, is_usable = select_usable_times(file, seconds, time, first.get("t"), warnings)
     columns = {channel: values[has_time] for channel, values in columns.items()}
-    rows_without_time = int((~has_time).sum())
-    return Table(file, tuple(names), {**sources, "t": time}, columns, time_ns, rows_without_time, is_usable,
+    return Table(file, tuple(names), {**sources, "t": time}, columns, time_ns, int((~has_time).sum()), is_usable,
                  tuple(warnings), texts)
 
 
@@ -378,9 +377,9 @@ def _read_cells(file: Path, lines: list[str], delimiter: str, names: list[str], 
     units = {channel: text for channel, cell in first.items() if (text := _split_unit(channel, cell))}
     decimal_mark, thousands_separator = _find_decimal_mark(file, lines, delimiter, units.values())
     time = sources.get("t")
-    used = {number: "" for number, name in enumerate(names) if time is not None and name == time.name}
-    used |= {fraction[1]: ""} if fraction else {}
-    used |= {source.column: channel for channel, source in sources.items()}
+    channels = {number: "" for number, name in enumerate(names) if time is not None and name == time.name}
+    channels |= {fraction[1]: ""} if fraction else {}
+    channels |= {source.column: channel for channel, source in sources.items()}
 
     def make_converter(unit: str) -> Callable[[str], float]:
         if not unit and (decimal_mark, thousands_separator) == (".", ""):
@@ -393,19 +392,19 @@ def _read_cells(file: Path, lines: list[str], delimiter: str, names: list[str], 
 
     numbers = np.full((len(lines), len(names)), np.nan)
     try:
-        numbers[:, list(used)] = np.loadtxt(
-            lines, delimiter=delimiter, ndmin=2, comments=None, quotechar='"', usecols=list(used),
-            converters={number: make_converter(units.get(channel, "")) for number, channel in used.items()})
+        numbers[:, list(channels)] = np.loadtxt(
+            lines, delimiter=delimiter, ndmin=2, comments=None, quotechar='"', usecols=list(channels),
+            converters={number: make_converter(units.get(channel, "")) for number, channel in channels.items()})
     except ValueError as error:
         raise RunError(file, f"a row cannot be read ({shorten(error)})", "correct or remove that row") from None
     if time is not None and np.isnan(numbers[0, time.column]) and (
             seconds := read_stamps(file, read_texts(time.column), warnings)) is not None:
         numbers[:, time.column] = seconds
     cells = dict(enumerate(first_row))
-    places = {sources[channel].column: {*letters, ""} for channel, letters in HEMISPHERES.items() if channel in sources}
+    hemispheres = {sources[name].column: {*letters, ""} for name, letters in HEMISPHERES.items() if name in sources}
     for side in (1, -1):
-        if all(cells.get(column + side, "?").upper() in letters for column, letters in places.items()):
-            for column in places:
+        if all(cells.get(column + side, "?").upper() in letters for column, letters in hemispheres.items()):
+            for column in hemispheres:
                 rows = np.isin([letter.upper() for letter in read_texts(column + side)], ("S", "W"))
                 numbers[rows, column] = -np.abs(numbers[rows, column])
     return numbers, _apply_stated_units(sources, units, layout), first
@@ -417,15 +416,15 @@ def _select_complete_rows(file: Path, lines: list[str], delimiter: str, width: i
     widths = [len(split_row(line, delimiter)) if '"' in line else line.count(delimiter) + 1 for line in lines]
     rows = [line for line, count in zip(lines, widths, strict=True)
             if count == width or (count == width + 1 and line.rstrip(" ").endswith(delimiter))]
-    lost = len(lines) - len(rows)
+    n_incomplete = len(lines) - len(rows)
     if not rows:
         raise RunError(file, f"its rows have {max(widths, key=widths.count)} cells, but its header has {width}",
                        "export it with one delimiter that is not the decimal mark, and one name for each column")
-    problem = f"{format_count(lost, len(lines), 'rows')} do not have as many cells as the header"
-    if 2 * lost >= len(lines):
+    problem = f"{format_count(n_incomplete, len(lines), 'rows')} do not have as many cells as the header"
+    if 2 * n_incomplete >= len(lines):
         raise RunError(file, problem, "export it with a cell for every column in each row")
-    if lost:
-        is_truncated = lost == 1 and widths[-1] < width
+    if n_incomplete:
+        is_truncated = n_incomplete == 1 and widths[-1] < width
         warnings.append(f"{file}: the last row is truncated and was left out" if is_truncated else
                         f"{file}: {problem}; they were left out")
     return rows

@@ -51,12 +51,12 @@ def read_hdf5(file: Path) -> tuple[dict[str, Any], dict[str, str]]:
 
 def reject_objects(file: Path, objects: dict[str, str]) -> NoReturn:
     """Raises RunError for a broken link, or with a MATLAB statement for the first object of each known class."""
-    for name, kind in objects.items():
-        if kind.startswith(LINK):
-            raise RunError(file, f"its {name} is a {kind}, which cannot be opened", LINK_ADVICE)
-    first = {kind: name for name, kind in reversed(objects.items())}
-    statements = [form.format(first[kind]) for kind, form in _MATLAB_ADVICE.items() if kind in first]
-    names = ", ".join(f"{name} ({kind})" for name, kind in objects.items())[:200]
+    for name, class_name in objects.items():
+        if class_name.startswith(LINK):
+            raise RunError(file, f"its {name} is a {class_name}, which cannot be opened", LINK_ADVICE)
+    first = {class_name: name for name, class_name in reversed(objects.items())}
+    statements = [form.format(first[class_name]) for class_name, form in _MATLAB_ADVICE.items() if class_name in first]
+    names = ", ".join(f"{name} ({class_name})" for name, class_name in objects.items())[:200]
     raise RunError(file, f"it contains objects that only MATLAB can read: {names}",
                    "save their samples as vectors or fields of a struct" + (
                        f", for example {'; '.join(statements)}" if statements else ""))
@@ -104,22 +104,22 @@ def _check_samples(dataset: Any) -> None:
 
 def _read_node(node: Any, path: str, objects: dict[str, str], parents: tuple[Any, ...]) -> Any:
     """The value of a group or dataset; None if it is neither a signal nor text. parents: see `_read_group`."""
-    kind = _to_text(node.attrs.get("MATLAB_class"))
+    matlab_class = _to_text(node.attrs.get("MATLAB_class"))
     if node.attrs.get("MATLAB_object_decode") == _OPAQUE:
-        if kind != "string":
-            objects[path] = kind
+        if matlab_class != "string":
+            objects[path] = matlab_class
         return None
     if "MATLAB_empty" in node.attrs or "MATLAB_sparse" in node.attrs:
         return None
     if not hasattr(node, "dtype"):
         return _read_group(node, path, objects, parents)
     if node.dtype.names:
-        return None if kind else _read_table(node)  # not a table: MATLAB stores complex numbers as two fields
+        return None if matlab_class else _read_table(node)  # not a table: MATLAB stores complex numbers as two fields
     if node.dtype.metadata and "ref" in node.dtype.metadata:
         entries = [_read_node(node.file[reference], f"{path}{{{number}}}", objects, parents) if reference else None
                    for number, reference in enumerate(node[()].ravel(), 1)]
         return entries[0] if len(entries) == 1 else entries
-    if kind == "char":
+    if matlab_class == "char":
         return node[()].astype("<u2").tobytes().decode("utf-16-le", "replace")
     if node.shape == () and node.dtype.kind in "OS":
         return _to_text(node[()])
@@ -129,7 +129,7 @@ def _read_node(node: Any, path: str, objects: dict[str, str], parents: tuple[Any
         return None
     _check_samples(node)
     array = np.squeeze(_split_columns(node[()]))
-    return array.T if kind else array  # MATLAB stores transposed arrays
+    return array.T if matlab_class else array  # MATLAB stores transposed arrays
 
 
 def _read_table(dataset: Any) -> dict[str, Any]:
@@ -139,12 +139,12 @@ def _read_table(dataset: Any) -> dict[str, Any]:
     columns = _split_columns(dataset.fields(numeric_names)[()].ravel()) if numeric_names else {}
     table: dict[str, Any] = {}
     for field, column in columns.items():
-        kind, unit = dataset.attrs.get(f"{field}_kind"), _find_unit(dataset.attrs.get(f"{field}_dtype"))
-        names = _list_pickled_texts(kind)
-        if field == "index" and kind is not None:
+        field_kind, unit = dataset.attrs.get(f"{field}_kind"), _find_unit(dataset.attrs.get(f"{field}_dtype"))
+        names = _list_pickled_texts(field_kind)
+        if field == "index" and field_kind is not None:
             texts = _list_pickled_texts(dataset.parent.attrs.get("info"))
             name = texts[texts.index("index_name") + 1] if "index_name" in texts[:-1] else ""
-            table[_name_index(name, kind)] = column
+            table[_name_index(name, field_kind)] = column
         elif names and np.shape(column)[1:] == (len(names),):
             table |= {name + unit: column[:, number] for number, name in enumerate(names)}
         else:
@@ -172,14 +172,14 @@ def _read_frame(group: Any) -> dict[str, np.ndarray]:
     return columns
 
 
-def _name_index(name: str, kind: Any) -> str:
-    unit = _find_unit(kind)
+def _name_index(name: str, time_type: Any) -> str:
+    unit = _find_unit(time_type)
     return (name or ("time" if unit else "index")) + unit
 
 
-def _find_unit(kind: Any) -> str:
+def _find_unit(time_type: Any) -> str:
     """Unit suffix of a time type, such as " [ns]" for datetime64[ns] or, from older pandas, datetime64; else empty."""
-    match = _TIME_KIND.fullmatch(_to_text(kind))
+    match = _TIME_KIND.fullmatch(_to_text(time_type))
     return f" [{match[1] or 'ns'}]" if match else ""
 
 

@@ -169,17 +169,16 @@ class _BlockChecker:
             self._check_channel(block, size, invalidation_size)
             has_variable_length |= self._data[block.content] == VARIABLE_LENGTH
             pending_links.append(block.links[0])
-            if part := block.links[1]:
-                if self._data[part : part + 4] == b"##CA" and not group_flags & _BUS_EVENT:
-                    continue
+            part = block.links[1]
+            if group_flags & _BUS_EVENT or self._data[part : part + 4] != b"##CA":
                 pending_links.append(part)
         return has_variable_length
 
     def _check_channel(self, block: _Block, size: int, invalidation_size: int) -> None:
-        kind, _, data_type, bit, byte, bits, flags, invalidation_bit = struct.unpack_from(
+        channel_type, _, data_type, bit, byte, bits, flags, invalidation_bit = struct.unpack_from(
             "<BBBBIIII", self._data, block.content)
         name = f"channel at byte {block.offset}"
-        if kind in VIRTUAL:
+        if channel_type in VIRTUAL:
             return
         end = byte + (bit + bits + 7) // 8
         if end > size:
@@ -188,12 +187,12 @@ class _BlockChecker:
             raise DamageError(f"the {name} has an invalid start bit {bit} or length of {bits} bits")
         if flags & _USES_INVALIDATION_BIT and 0 < 8 * invalidation_size <= invalidation_bit:
             raise DamageError(f"the invalidation bit of the {name} is outside the record")
-        if kind == VARIABLE_LENGTH:
+        if channel_type == VARIABLE_LENGTH:
             if bits not in (32, 64) or bit or data_type not in _TEXT_AND_BYTE_TYPES:
                 raise DamageError(f"the {name} has an invalid reference to its values")
             if self._data[block.links[5] : block.links[5] + 4] != b"##CG":  # _check_data_group checks channel groups
                 self._measure_records(block.links[5], b"SD")
-        if kind == _MASTER:
+        if channel_type == _MASTER:
             if data_type not in _REAL_TYPES:
                 raise DamageError(f"the time {name} is not numeric")
             if block.links[4]:
@@ -203,15 +202,15 @@ class _BlockChecker:
         # asammdf ignores an invalid conversion and would read microseconds as seconds.
         self._visited.discard(offset)  # groups may share a conversion
         block = self._read_block(offset, (b"##CC",), links=4, content=24)
-        kind, _, _, _, values = struct.unpack_from("<BBHHH", self._data, block.content)
-        if kind not in _LINEAR_CONVERSIONS or (kind and (values != 2 or block.content + 40 > block.end)):
+        conversion, _, _, _, values = struct.unpack_from("<BBHHH", self._data, block.content)
+        if conversion not in _LINEAR_CONVERSIONS or (conversion and (values != 2 or block.content + 40 > block.end)):
             raise DamageError(f"the time conversion at byte {offset} is not linear")
-        if kind:
+        if conversion:
             start, factor = struct.unpack_from("<2d", self._data, block.content + 24)
             if not math.isfinite(start) or not 0 < factor < math.inf:
                 raise DamageError(f"the time conversion at byte {offset} is invalid ({start:g} + {factor:g} x)")
 
-    def _measure_records(self, offset: int, kind: bytes) -> int:
+    def _measure_records(self, offset: int, name: bytes) -> int:
         """Uncompressed size [byte] of the records at an offset, in one block (compressed or not) or in several."""
         size, list_count, pending_links = 0, 0, [offset]
         while pending_links:
@@ -219,9 +218,9 @@ class _BlockChecker:
             if not offset:
                 continue
             is_packed = self._data[offset : offset + 4] == b"##DZ"
-            block = self._read_block(offset, (b"##" + kind, b"##DZ", b"##DL", b"##HL"), content=24 if is_packed else 0)
+            block = self._read_block(offset, (b"##" + name, b"##DZ", b"##DL", b"##HL"), content=24 if is_packed else 0)
             if is_packed:
-                size += self._measure_unpacked_records(block, kind)
+                size += self._measure_unpacked_records(block, name)
             elif block.name == b"##DL":
                 pending_links += block.links
                 list_count += 1
@@ -234,9 +233,9 @@ class _BlockChecker:
             raise DamageError("it was not finalised, and its records are in more than one list")
         return size
 
-    def _measure_unpacked_records(self, block: _Block, kind: bytes) -> int:
+    def _measure_unpacked_records(self, block: _Block, name: bytes) -> int:
         content, method, columns, unpacked_size, packed_size = struct.unpack_from("<2sBxIQQ", self._data, block.content)
-        if content != kind or method > _MAX_COMPRESSION_METHOD or (method % 2 and not columns):
+        if content != name or method > _MAX_COMPRESSION_METHOD or (method % 2 and not columns):
             raise DamageError(f"the block at byte {block.offset} has invalid compression parameters")
         if block.content + 24 + packed_size > block.end or unpacked_size > _MAX_INFLATION * packed_size:
             raise DamageError(f"the block at byte {block.offset} is too short to unpack to {unpacked_size} bytes")

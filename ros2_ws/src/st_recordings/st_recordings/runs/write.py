@@ -258,9 +258,8 @@ def _make_streams(run: RawRun, vehicle: VehicleParameters, settings: ReadSetting
 
 def _make_frame_stream(frames: Frames, frame_ns: np.ndarray, indices: np.ndarray, serialiser: Serialiser) -> Stream:
     """Stream of the frames of one bus. frame_ns: times of all frames [ns]. indices: of the frames of the bus."""
-    name = f"log:can{frames.bus[indices[0]]}"
     return frame_ns[indices], lambda rows: serialiser.serialise_can_frames(
-        frames.select(indices[rows]), frame_ns[indices[rows]], name)
+        frames.select(indices[rows]), frame_ns[indices[rows]], f"log:can{frames.bus[indices[0]]}")
 
 
 def _build_metadata_records(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings,
