@@ -26,8 +26,8 @@ MAX_AGREEING_ANGLE = 0.1
 """[rad]. Two directions agree if their median difference, due to sideslip and noise, is smaller than this. The better
 of two interpretations is accepted if the difference of the other is larger by more than this."""
 MIN_DISAGREEING_ANGLE = 0.3
-"""[rad]. If the difference of heading and course is larger, the heading has a different unit or direction."""
-MAX_UNEXPLAINED = 0.5  # largest ratio of the mean-square deviations from the motion at which the better unit is used
+"""[rad]. If the difference between heading and course is larger, the heading has a different unit or direction."""
+MAX_DEVIATION_RATIO = 0.5  # largest ratio of the mean-square deviations from the motion at which the better unit is used
 MAX_RADIANS = 6.4  # rad; without motion, a heading is in degrees if its first value has a larger magnitude
 HEADING, COURSE = "compass_heading", "course"
 EARTH_RADIUS = 6.37e6  # m
@@ -41,7 +41,7 @@ def convert_odometry(values: dict[str, np.ndarray], frame_id: str) -> list[str]:
     changes `values` and returns warnings.
 
     If a word of frame_id is ned, x is north, y east and yaw a compass heading. Whether z of the body axes also points
-    down then follows from the sign of the yaw rate, or else of the sideways motion. If neither is significant, z is
+    down then follows from the sign of the yaw rate, or else of the lateral motion. If neither is significant, z is
     assumed to point down, unless the velocities are over ground: the sign of velocity_y is then known.
     """
     notes, is_ned = [], "ned" in re.split("[^a-z]+", frame_id.lower())
@@ -52,7 +52,7 @@ def convert_odometry(values: dict[str, np.ndarray], frame_id: str) -> list[str]:
     if is_ned and (values["velocity_y"].any() or values["yaw_rate"].any()):
         products = np.diff(values["yaw"]) * values["yaw_rate"][1:]
         total, deviation = float(np.sum(products)), float(np.sqrt(np.sum(products**2)))
-        sign = total if abs(total) > SIGNIFICANT_DEVIATIONS * deviation else _correlate_sideways(values)
+        sign = total if abs(total) > SIGNIFICANT_DEVIATIONS * deviation else _correlate_lateral_motion(values)
         if sign < 0 or not (sign or rotation):
             changed = ("yaw_rate",) if rotation else ("yaw_rate", "velocity_y")
             values.update({name: -values[name] for name in changed})
@@ -62,13 +62,13 @@ def convert_odometry(values: dict[str, np.ndarray], frame_id: str) -> list[str]:
     return [*notes, rotation] if rotation else notes
 
 
-def _correlate_sideways(values: Mapping[str, np.ndarray]) -> float:
-    """Correlation of velocity_y with the sideways displacement between samples; 0 below MIN_CORRELATION."""
+def _correlate_lateral_motion(values: Mapping[str, np.ndarray]) -> float:
+    """Correlation of velocity_y with the lateral displacement between samples; 0 below MIN_CORRELATION."""
     middle = values["yaw"][1:] - np.diff(values["yaw"]) / 2
-    sideways = ((np.diff(values["x"]) + 1j * np.diff(values["y"])) * np.exp(-1j * middle)).imag
+    lateral = ((np.diff(values["x"]) + 1j * np.diff(values["y"])) * np.exp(-1j * middle)).imag
     velocity = values["velocity_y"][1:]
-    scale = float(np.sqrt(np.sum(sideways**2) * np.sum(velocity**2)))
-    correlation = float(np.sum(sideways * velocity)) / max(scale, 1e-12)
+    scale = float(np.sqrt(np.sum(lateral**2) * np.sum(velocity**2)))
+    correlation = float(np.sum(lateral * velocity)) / max(scale, 1e-12)
     return correlation if abs(correlation) > MIN_CORRELATION else 0.0
 
 
@@ -129,8 +129,8 @@ def _moves_backward(columns: Mapping[str, np.ndarray]) -> bool:
 
 def read_angles(table: Table, use_positions: bool) -> Table:
     """The table with yaw, heading and course in the unit in which they agree with the motion: with the velocities to
-    the east and north, which also distinguish yaw from heading, or else with the steps of the position, apart from a
-    constant angle, because their map may be rotated.
+    the east and north, which also distinguish yaw from heading, or else with the steps of the position (up to a
+    constant angle, because the map may be rotated).
 
     If the motion does not show the unit, angles between -180 and 360 without a stated unit that wrap by 360 or begin
     above 2 pi are in degrees.
@@ -157,25 +157,25 @@ def read_angles(table: Table, use_positions: bool) -> Table:
         names = ("yaw", HEADING) if has_velocities and channel != COURSE else (channel,)
         angles = {(name, unit): columns[channel] / source.factor * UNITS["angle"][unit][0]
                   for unit in ("rad", "deg") for name in names}
-        deviations = {reading: compute_deviation(reading[0], angle) for reading, angle in angles.items()}
-        recorded, reading, text = (channel, source.unit), min(deviations, key=lambda key: deviations[key]), ""
+        deviations = {best: compute_deviation(best[0], angle) for best, angle in angles.items()}
+        recorded, best, text = (channel, source.unit), min(deviations, key=lambda key: deviations[key]), ""
         values = angles[channel, "rad"][np.isfinite(columns[channel])]
         looks_like_degrees = len(values) > 0 and values.min() > -180.5 and values.max() < 360.5 and bool(
             np.abs(np.diff(values)).max(initial=0.0) > 180.0 or abs(values[0]) > MAX_RADIANS)
         # A yaw that drifts during a straight drive is almost constant in degrees: a constant then agrees as well.
         constant, degrees = compute_deviation("yaw", np.zeros(len(columns[channel]))), deviations[channel, "deg"]
-        in_radians = degrees > MIN_COURSE_SPREAD and deviations[recorded] ** 2 < MAX_UNEXPLAINED * degrees ** 2
-        is_shown = looks_like_degrees or deviations[reading] ** 2 < MAX_UNEXPLAINED * constant ** 2
-        if is_shown and deviations[recorded] > max(SIGNIFICANT_DEVIATIONS * deviations[reading], MIN_DISAGREEING_ANGLE):
+        in_radians = degrees > MIN_COURSE_SPREAD and deviations[recorded] ** 2 < MAX_DEVIATION_RATIO * degrees ** 2
+        shows_unit = looks_like_degrees or deviations[best] ** 2 < MAX_DEVIATION_RATIO * constant ** 2
+        if shows_unit and deviations[recorded] > max(SIGNIFICANT_DEVIATIONS * deviations[best], MIN_DISAGREEING_ANGLE):
             motion_name = "velocities to the east and north" if has_velocities else "positions"
-            text = f"agrees with the {motion_name} only as {reading[0]} in {reading[1]}; it was read as such"
+            text = f"agrees with the {motion_name} only as {best[0]} in {best[1]}; it was read as such"
         elif looks_like_degrees and not source.has_stated_unit and not in_radians and not (
                 channel == "yaw" and "yaw_rate" in sources):
-            reading = channel, "deg"
+            best = channel, "deg"
             text = f"has values from {values.min():.4g} to {values.max():.4g}: they were read as degrees"
         if text:
             del columns[channel], sources[channel]
-            columns[reading[0]], sources[reading[0]] = angles[reading], replace(source, unit=reading[1])
+            columns[best[0]], sources[best[0]] = angles[best], replace(source, unit=best[1])
             warnings.append(f"{table.file}: column {source.name} {text}")
     return replace(table, columns=columns, sources=sources, warnings=tuple(warnings))
 

@@ -155,7 +155,7 @@ def _find_signals(value: Any, path: tuple[str, ...] = (), unit: str = "",
 
 
 def _find_own_times(struct: dict[str, Any]) -> tuple[list[tuple[str, np.ndarray]], dict[str, Any]]:
-    """((name, times) of each time vector of a struct, the other fields)."""
+    """((name, times) of each time vector of a struct, the fields of the struct except time axes of ControlDesk)."""
     vectors = [name for name, entry in struct.items() if _is_vector(entry)]
     source, stamp = find_columns(Path(), vectors, Layout()).get("t"), find_stamp_columns(vectors)
     own_times = [(vectors[source.column], struct[vectors[source.column]])] if source else []
@@ -252,8 +252,8 @@ def _list_signals(mdf: Any) -> list[tuple[str, int, int, int]]:
             if name in longest and length <= longest[name][0]:
                 continue
             unit = mdf.get_channel_unit(group=group, index=index)
-            lacks_unit = unit and not name.endswith(f"[{unit}]")
-            longest[name] = length, f"{name} [{unit}]" if lacks_unit else name, group, index
+            name_lacks_unit = unit and not name.endswith(f"[{unit}]")
+            longest[name] = length, f"{name} [{unit}]" if name_lacks_unit else name, group, index
     return [(*signal[1:], occurrences[name]) for name, signal in longest.items()]
 
 

@@ -12,7 +12,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 STANDARD_IDS, EXTENDED_IDS = 0x7FF, 0x1FFFFFFF  # largest identifiers
 EXTENDED = 0x8000_0000  # flag of a 29-bit id, as in canedge_bridge.extraction and in Linux
 SENT, REMOTE, ERROR, FD = 1, 2, 4, 8  # bits of Frames.flags
-MIN_CLOCK_STEP = 0.005  # s; a smaller step back is jitter of the time stamps
+MIN_CLOCK_STEP = 0.005  # s; a smaller backward step is jitter of the time stamps
 MAX_EARLY_FRAMES = 5
 """If more frames than this directly before a frame have later times, the clock was set back; otherwise it is jitter."""
 FRAME_HEAD_LENGTH = 20  # bytes in st_msgs/CanFrames before the data of a frame: stamp, id, four flags, length

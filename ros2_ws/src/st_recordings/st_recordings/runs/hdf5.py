@@ -13,7 +13,7 @@ from .errors import RunError, shorten
 
 EXTENSIONS = (".h5", ".hdf5", ".hdf")
 MAX_MATRIX_COLUMNS = 32
-"""A matrix with more rows and more columns is an image or a map; smaller ones are split into NAME_1, NAME_2, ..."""
+"""A matrix with more rows and more columns than this is an image or a map; others are split into NAME_1, NAME_2, ..."""
 SAMPLE_FIELDS = ("data", "value", "values")
 """Fields of a struct, in lower case, that contain the samples of the signal after which the struct is named."""
 UNIT_FIELDS = ("unit", "units", "Unit", "Units")
