@@ -27,7 +27,7 @@ MAX_AGREEING_ANGLE = 0.1
 of two interpretations is accepted if the difference of the other is larger by more than this."""
 MIN_DISAGREEING_ANGLE = 0.3
 """[rad]. If the difference between heading and course is larger, the heading has a different unit or direction."""
-MAX_DEVIATION_RATIO = 0.5  # largest ratio of the mean-square deviations from the motion at which the better unit is used
+MAX_DEVIATION_RATIO = 0.5  # of two mean-square deviations from the motion; a smaller ratio shows which angle is right
 MAX_RADIANS = 6.4  # rad; without motion, a heading is in degrees if its first value has a larger magnitude
 HEADING, COURSE = "compass_heading", "course"
 EARTH_RADIUS = 6.37e6  # m
