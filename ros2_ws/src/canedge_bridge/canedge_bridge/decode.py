@@ -106,24 +106,19 @@ class Decoder:
             statistics.not_finite += 1
             statistics.bad += reaction is Mode.OFF
             return None
-        if state.plausibility and not self._are_plausible(state, values, time_ns, reaction):
+        plausible = [state.plausibility[name].accepts(value, time_ns) for name, value in values.items()
+                     if name in state.plausibility]
+        if not all(plausible):
+            statistics.implausible += 1
+            statistics.bad += reaction is Mode.OFF
+            return None
+        if any(check.fault for check in state.plausibility.values()):  # then values may be in range by chance
             return None
         statistics.good += 1
         if not values:  # a multiplexed frame without any signal of the table
             return None
         statistics.last_seen_ns = time_ns
         return DecodedFrame(spec.name, time_ns, replace_gps_time(values), reaction is Mode.OFF)
-
-    def _are_plausible(self, state: _MessageState, values: Mapping[str, float], time_ns: int, reaction: Mode) -> bool:
-        """Whether all values are plausible; false also while too many recent values of a signal are implausible,
-        because those in range may then be plausible by chance. reaction: to this frame, from `_check_integrity`."""
-        plausible = [state.plausibility[name].accepts(value, time_ns) for name, value in values.items()
-                     if name in state.plausibility]
-        if not all(plausible):
-            state.statistics.implausible += 1
-            state.statistics.bad += reaction is Mode.OFF
-            return False
-        return not any(check.fault for check in state.plausibility.values())
 
     def plausibility_faults(self) -> list[str]:
         """Faults of the signals with implausible values that currently cause messages to be withheld."""

@@ -26,10 +26,8 @@ def _is_reachable(signal: SignalSpec, message: MessageSpec, value: float, time_n
 
 
 class Plausibility:
-    """Checks the range and the rate of change of one signal, frame by frame.
-
-    Detects, for example, a wrong byte order while the steering wheel turns: a change by 1 becomes a change by 256.
-    """
+    """Checks the range and the rate of change of one signal, frame by frame. It detects, for example, a wrong byte
+    order while the steering wheel turns: a change by 1 becomes a change by 256."""
 
     def __init__(self, signal: SignalSpec, message: MessageSpec):
         self._signal, self._message = signal, message
@@ -38,10 +36,8 @@ class Plausibility:
         self._recent: deque[bool] = deque(maxlen=PLAUSIBILITY_FRAMES)
 
     def accepts(self, value_si: float, time_ns: int) -> bool:
-        """Whether this value [SI] is in range and reachable from the previous value or from the last plausible one.
-
-        A single outlier or a true step therefore invalidates only one frame. Values out of range are never a reference.
-        """
+        """Whether this value [SI] is in range and reachable from the previous value or from the last plausible one. A
+        single outlier or true step therefore invalidates only one frame. Values out of range are never a reference."""
         signal = self._signal
         value = value_si / signal.factor
         in_range = signal.minimum <= value <= signal.maximum

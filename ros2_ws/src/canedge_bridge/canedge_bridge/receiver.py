@@ -36,10 +36,8 @@ class BusState(StrEnum):
 
 @dataclass
 class ReceiverStatus:
-    """Snapshot of the receiver: state, its reason (one line; empty if the state is OK) and counts since the start.
-
-    delay, delay_maximum: from stamp to callback [s], median and maximum of the last 512 data or remote frames, or NaN.
-    """
+    """Snapshot of the receiver: state, its reason (one line; empty if the state is OK), counts since the start, delay
+    from stamp to callback [s]: median and maximum of the last 512 data or remote frames, or NaN."""
 
     state: BusState = BusState.GONE
     reason: str = "not opened yet"

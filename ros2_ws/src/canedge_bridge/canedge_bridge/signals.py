@@ -224,7 +224,15 @@ def _read_message(entry: Entry, dbc: DbcMessage, dbc_path: Path, is_needed: bool
     entry.allow_only("needed", "period", "timeout", "counter", "checksum", "fill", "samples", "signals")
     if dbc.is_container:
         raise ConfigurationError(f"{dbc_path}: {dbc.name} is a container of other messages, which is not supported")
-    _check_layout(dbc, dbc_path)
+    try:
+        dbc.refresh(strict=True)  # rejects signals that overlap or are outside the message
+    except Exception as error:  # any type, as in load_dbc
+        raise ConfigurationError(f"{dbc_path}: {dbc.name}: {to_one_line(error)}") from None
+    for signal in dbc.signals:
+        if signal.start < 0:
+            raise ConfigurationError(f"{dbc_path}: {dbc.name}.{signal.name}: start bit {signal.start} is negative")
+        if not all(abs(number) <= MAX_SCALING for number in (signal.scale, signal.offset)):
+            raise ConfigurationError(f"{dbc_path}: {dbc.name}.{signal.name}: factor or offset beyond {MAX_SCALING:g}")
     signal_entries = entry.entry("signals")
     signals = tuple(_read_signal(signal_entries.entry(name), dbc, _find_signal(dbc, name, dbc_path, entry), dbc_path)
                     for name in signal_entries)
@@ -241,19 +249,6 @@ def _read_message(entry: Entry, dbc: DbcMessage, dbc_path: Path, is_needed: bool
         counter=_read_check(entry, "counter", dbc, dbc_path), checksum=_read_check(entry, "checksum", dbc, dbc_path),
         fill={} if fill is None else {name: fill.integer(
             name, 0, 2 ** _find_signal(dbc, name, dbc_path, entry).length - 1) for name in fill})
-
-
-def _check_layout(dbc: DbcMessage, dbc_path: Path) -> None:
-    """Raises ConfigurationError for overlapping signals, one outside its message, an implausible factor or offset."""
-    try:
-        dbc.refresh(strict=True)
-    except Exception as error:  # any type, as in load_dbc
-        raise ConfigurationError(f"{dbc_path}: {dbc.name}: {to_one_line(error)}") from None
-    for signal in dbc.signals:
-        if signal.start < 0:
-            raise ConfigurationError(f"{dbc_path}: {dbc.name}.{signal.name}: start bit {signal.start} is negative")
-        if not all(abs(number) <= MAX_SCALING for number in (signal.scale, signal.offset)):
-            raise ConfigurationError(f"{dbc_path}: {dbc.name}.{signal.name}: factor or offset beyond {MAX_SCALING:g}")
 
 
 def _find_signal(dbc: DbcMessage, name: str, dbc_path: Path, entry: Entry) -> DbcSignal:

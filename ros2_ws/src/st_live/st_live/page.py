@@ -62,10 +62,8 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 class PageServer(ThreadingHTTPServer):
-    """Serves the passenger's page. Raises OSError if the port is in use or the address does not belong to this host.
-
-    port: 0 selects a free port. settings: constants of the page: title, models with colours, size of the car.
-    """
+    """Serves the passenger's page. port: 0 selects a free port. settings: title, models with colours, size of the car.
+    Raises OSError if the port is in use or the address does not belong to this host."""
 
     daemon_threads = True
 

@@ -102,10 +102,8 @@ def make_grid_lines(pose: Pose, spacing: float, reach: float) -> list[tuple[np.n
 
 
 class Scene:
-    """Collects messages of a run, and draws the newest state when requested: two views, plots and text.
-
-    The views, with north up and with the heading up, use the axes of Rerun's 2D views: x right, y down.
-    """
+    """Collects messages of a run, and draws the newest state when requested: two views, plots and text. The views, with
+    north up and with the heading up, use the axes of Rerun's 2D views: x right, y down."""
 
     def __init__(self, recording: rr.RecordingStream, car: VehicleParameters, map_frame: str):
         self._stream, self._car, self._map_frame = recording, car, map_frame

@@ -29,10 +29,8 @@ _NEVER_NS = 9_223_372_036 * 1_000_000_000  # whole seconds of rmw's value for "n
 
 
 def read_ins_sample(message: Odometry, map_frame: str) -> InsSample | str:
-    """The INS sample of an odometry message (REP 103/105), or the reason why it cannot be used.
-
-    Pose of the INS point in the map frame (ENU), twist in body axes (forward, left, up) at that point.
-    """
+    """The INS sample of an odometry message (REP 103/105), or the reason why it cannot be used: pose of the INS point
+    in the map frame (ENU), twist in body axes (forward, left, up) at that point."""
     if message.header.frame_id != map_frame:
         return f"header.frame_id is {message.header.frame_id!r}, expected {map_frame!r} (parameter map_frame)"
     q, position = message.pose.pose.orientation, message.pose.pose.position

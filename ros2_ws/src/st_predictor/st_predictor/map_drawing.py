@@ -25,10 +25,8 @@ class Pose(NamedTuple):
 
 
 def make_car_outline(pose: Pose, car: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
-    """Map x, y [m] of the closed outline of the car, with a nose that points forward.
-
-    pose: pose of the INS point. Front and rear overhang are assumed equal: the vehicle file contains only the length.
-    """
+    """Map x, y [m] of the closed outline of the car, with a nose that points forward. pose: of the INS point. Front and
+    rear overhang are assumed equal, because the vehicle file contains only the length."""
     overhang = 0.5 * (car.length - car.wheelbase)
     front, rear, side = car.cg_to_front_axle + overhang, -car.cg_to_rear_axle - overhang, 0.5 * car.width
     forward = np.array([rear, 0.6 * front, front, 0.6 * front, rear, rear]) - car.cg_to_ins_x
@@ -87,10 +85,8 @@ class Path:
 
 
 class History:
-    """Measured track and newest predictions; times are UTC. Samples that are not newer than the last are ignored.
-
-    A pose that is older by 1 s or more, as after the restart of a replay, clears the history instead.
-    """
+    """Measured track and newest predictions; times are UTC. Samples that are not newer than the last are ignored; a
+    pose that is older by 1 s or more, as after the restart of a replay, clears the history."""
 
     def __init__(self) -> None:
         self.track: deque[tuple[int, float, float]] = deque()

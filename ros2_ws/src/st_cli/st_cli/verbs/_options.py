@@ -128,10 +128,8 @@ class ReadOptions:
                                              odometry=self.odometry_topic, **options.sensor_settings, **others)
 
     def fill_in_car(self, requires_bus: bool = False) -> "ReadOptions":
-        """The options, with files and steering sensor settings of the car where the user gave none.
-
-        Raises RunError for a car that cannot be read and, if `requires_bus`, for a --car without DBC or signal table.
-        """
+        """The options, with files and steering sensor settings of the car where the user gave none. Raises RunError for
+        a car that cannot be read and, if `requires_bus`, for a --car without DBC or signal table."""
         from st_recordings.car import load_car
         from st_recordings.runs.errors import RunError
 

@@ -140,30 +140,26 @@ class Monitor(AbstractContextManager):
 
 
 def render_progress(state: SuiteState, elapsed: float, duration: float | None, title: str) -> RenderableType:
-    """Terminal view of a run. elapsed, duration [s]; duration None: the run lasts until it is stopped."""
+    """Terminal view of a run, with speed, road-wheel angle and v_x r at the start of the newest prediction. elapsed,
+    duration [s]; duration None: the run lasts until it is stopped."""
     progress = Table.grid(padding=(0, 1))
     if duration:
         bar = ProgressBar(total=duration, completed=min(elapsed, duration), width=40)
         progress.add_row(title, bar, f"{elapsed:4.0f} / {duration:.0f} s")
     else:
         progress.add_row(title, f"{elapsed:4.0f} s", "(Ctrl-C to stop)")
-    return Group(progress, render_motion(state), render_results(state))
+    p, motion = state.prediction, Text("no prediction yet", style="dim")
+    if p is not None and len(p.velocity_x):
+        side, speed = "left" if p.road_wheel_angle > 0 else "right", p.velocity_x[0]
+        motion = Text(f"{speed:.1f} m/s, wheels {abs(math.degrees(p.road_wheel_angle)):.1f} deg {side}, "
+                      f"v_x r {speed * p.yaw_rate[0]:+.1f} m/s², {p.model} took {p.compute_time * 1e3:.1f} ms")
+    return Group(progress, motion, render_results(state))
 
 
 def render_results(state: SuiteState) -> RenderableType:
     """Errors so far, observed coverage of the bands, numbers of predictions, and health."""
     coverage = [Text(text) for text in format_band_lines(state.summary.statistics if state.summary else [])]
     return Group(render_errors(state), *coverage, render_counts(state.predictor_status), render_health(state))
-
-
-def render_motion(state: SuiteState) -> Text:
-    """Speed, road-wheel angle and v_x r at the start of the newest prediction, with its model and computing time."""
-    p = state.prediction
-    if p is None or not len(p.velocity_x):
-        return Text("no prediction yet", style="dim")
-    side = "left" if p.road_wheel_angle > 0 else "right"
-    return Text(f"{p.velocity_x[0]:.1f} m/s, wheels {abs(math.degrees(p.road_wheel_angle)):.1f} deg {side}, "
-                f"v_x r {p.velocity_x[0] * p.yaw_rate[0]:+.1f} m/s², {p.model} took {p.compute_time * 1e3:.1f} ms")
 
 
 def render_errors(state: SuiteState) -> RenderableType:

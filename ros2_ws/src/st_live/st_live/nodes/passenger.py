@@ -50,9 +50,7 @@ FRAME_PERIOD = 0.1  # s
 
 class PassengerFrames:
     """Turns messages of a running suite into frames for the page. Times of receipt [s] are from the monotonic clock.
-
-    `pose` is the pose of the CG in the map; track and paths are in the body axes of this pose: x forward, y left.
-    """
+    `pose` is the pose of the CG in the map; track and paths are in the body axes of this pose: x forward, y left."""
 
     def __init__(self, car: VehicleParameters, map_frame: str):
         self._car, self._map_frame = car, map_frame

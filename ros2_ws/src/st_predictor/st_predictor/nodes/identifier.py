@@ -57,17 +57,14 @@ class IdentifierNode(Node):
         if self._fit is not None and self._fit.done():
             self._core.fit = self._fit.result()
             self._fit = None
-            self._log_changes()
+            for estimate in self._core.make_estimates():
+                if estimate.status != self._statuses.get(estimate.parameter, "unestimated"):
+                    value = f"{estimate.value:.4g} +/- {estimate.deviation:.2g} {estimate.unit}"
+                    text = value if estimate.status == "estimated" else estimate.reason
+                    self.get_logger().info(f"{estimate.parameter} {estimate.status}: {text}")
+                self._statuses[estimate.parameter] = estimate.status
         if self._fit is None and self._core.is_fit_due:
             self._fit = self._pool.submit(fit_recent, *self._core.take_snapshot())
-
-    def _log_changes(self) -> None:
-        for estimate in self._core.make_estimates():
-            if estimate.status != self._statuses.get(estimate.parameter, "unestimated"):
-                value = f"{estimate.value:.4g} +/- {estimate.deviation:.2g} {estimate.unit}"
-                text = value if estimate.status == "estimated" else estimate.reason
-                self.get_logger().info(f"{estimate.parameter} {estimate.status}: {text}")
-            self._statuses[estimate.parameter] = estimate.status
 
     def _publish(self) -> None:
         self._reload_vehicle_file()

@@ -18,7 +18,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from .. import convert, params
-from ..map_drawing import History, Path, Pose, make_car_outline
+from ..map_drawing import History, Pose, make_car_outline
 
 NEWEST_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 SCORE_QOS = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)  # scores of one start arrive together
@@ -76,14 +76,19 @@ class MarkersNode(Node):
                             "#141414", OUTLINE_WIDTH),
         ]
         for number, model in enumerate(self._history.models):
+            colour = get_model_colour(model)
             markers += [self._make_line("ghosts", 10 * number + round(age), now_ns, ghost.x, ghost.y,
-                                        get_model_colour(model), GHOST_WIDTH, GHOST_ALPHA, z=-0.1)
+                                        colour, GHOST_WIDTH, GHOST_ALPHA, z=-0.1)
                         for age, ghost in self._history.find_ghosts(model, now_ns)]
             if point := self._history.find_predicted_position(model, now_ns):
                 markers.append(self._make_line("errors", number, now_ns, [sample.x, point[0]], [sample.y, point[1]],
-                                               get_model_colour(model), ERROR_WIDTH, z=0.1))
+                                               colour, ERROR_WIDTH, z=0.1))
             if path := self._history.find_newest(model, now_ns):
-                markers.append(self._make_label(number, now_ns, model, path))
+                label = self._make_marker(Marker.TEXT_VIEW_FACING, "names", number, now_ns, colour, 1.0)
+                index, position = get_label_index(model, path.step, len(path.x)), label.pose.position
+                position.x, position.y, position.z = float(path.x[index]), float(path.y[index]), 1.0
+                label.scale.z, label.text = TEXT_HEIGHT, model
+                markers.append(label)
         return markers
 
     def _make_ribbons(self, now_ns: int) -> list[Marker]:
@@ -117,14 +122,6 @@ class MarkersNode(Node):
         marker = self._make_marker(Marker.LINE_STRIP, namespace, number, time_ns, colour, alpha)
         marker.scale.x = width
         marker.points = [Point(x=float(px), y=float(py), z=z) for px, py in zip(x, y, strict=True)]
-        return marker
-
-    def _make_label(self, number: int, time_ns: int, model: str, path: Path) -> Marker:
-        marker = self._make_marker(Marker.TEXT_VIEW_FACING, "names", number, time_ns, get_model_colour(model), 1.0)
-        index = get_label_index(model, path.step, len(path.x))
-        marker.pose.position.x, marker.pose.position.y = float(path.x[index]), float(path.y[index])
-        marker.pose.position.z = 1.0
-        marker.scale.z, marker.text = TEXT_HEIGHT, model
         return marker
 
 

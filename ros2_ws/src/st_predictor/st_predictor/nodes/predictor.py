@@ -90,7 +90,13 @@ class PredictorNode(Node):
         self._course = CourseInput(self, course, self._vehicle, settings.horizon, settings.step)
         self._path_builder = convert.PathBuilder(values.map_frame, settings.steps + 1)
         self._uses_sim_time = self.get_parameter("use_sim_time").value
-        self._make_publishers()
+        qos = QoSProfile(depth=REPLAY_DEPTH if self._uses_sim_time else LIVE_DEPTH)
+        topics = convert.list_prediction_topics(self._core.models)
+        self._prediction_publishers = {key: self.create_publisher(kind, topic, qos)
+                                       for key, (topic, kind) in topics.items()}
+        self._path_publishers = {model: self.create_publisher(PathMessage, f"predictor/{model}/path", qos)
+                                 for model in self._core.models}
+        self._status_publisher = self.create_publisher(PredictorStatus, "predictor/status", LATCHED)
         self._counter = TickCounter()
         self._skip: Skip | None = Skip("stale", "INS: nothing received yet")
         self._last_start_ns: int | None = None
@@ -126,15 +132,6 @@ class PredictorNode(Node):
         self._hashes = {model: configuration_hash(self._vehicle, settings, h) for model, h in file_hashes.items()}
         self._bands = PredictionBands(values, self._vehicle, file_hashes, settings, scorer)
         return backend or "interpreted"
-
-    def _make_publishers(self) -> None:
-        qos = QoSProfile(depth=REPLAY_DEPTH if self._uses_sim_time else LIVE_DEPTH)
-        topics = convert.list_prediction_topics(self._core.models)
-        self._prediction_publishers = {key: self.create_publisher(kind, topic, qos)
-                                       for key, (topic, kind) in topics.items()}
-        self._path_publishers = {model: self.create_publisher(PathMessage, f"predictor/{model}/path", qos)
-                                 for model in self._core.models}
-        self._status_publisher = self.create_publisher(PredictorStatus, "predictor/status", LATCHED)
 
     def _tick(self) -> None:
         period_ns = round(self._period / NANOSECOND)

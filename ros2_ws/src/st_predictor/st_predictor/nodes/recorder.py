@@ -6,7 +6,7 @@ import itertools
 import json
 import shutil
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from fnmatch import fnmatchcase
 from pathlib import Path
 from types import SimpleNamespace
@@ -37,10 +37,8 @@ QUEUE_DEPTH = 1000  # queued messages per topic: 4 s at 250 Hz, for a slow disk
 
 
 class PublisherWatchdog:
-    """Finds nodes that publish a recorded topic but whose messages do not arrive.
-
-    DDS may match a publisher with a subscription that never receives its data, so only a message proves a connection.
-    """
+    """Finds nodes that publish a recorded topic but whose messages do not arrive. DDS may match a publisher with a
+    subscription that never receives its data, so only a message proves a connection."""
 
     def __init__(self, node: Node):
         self._node = node
@@ -193,8 +191,12 @@ def make_metadata(values: SimpleNamespace) -> dict[str, dict[str, str]]:
     ConfigurationError naming the file or the parameter."""
     records: dict[str, dict[str, str]] = {"recording": {"recorder": "st_predictor", "started_ns": str(time.time_ns())}}
     texts: dict[str, str] = {}
-    for name, key in name_files(values.configuration_files).items():
-        texts[key] = params.read_text(values, "configuration_files", name)
+    paths = {name: Path(name).absolute() for name in values.configuration_files if name}
+    for name, path in paths.items():
+        # A key is the name of the file, preceded by as many of its parent folders as are required to be unique.
+        others = set(paths.values()) - {path}
+        length = next(n for n in itertools.count(1) if all(o.parts[-n:] != path.parts[-n:] for o in others))
+        texts[Path(*path.parts[-length:]).as_posix()] = params.read_text(values, "configuration_files", name)
     if texts:
         joined_text = "".join(f"{name}\n{text}" for name, text in sorted(texts.items()))
         records["configuration"] = {**texts, "hash": hashlib.sha256(joined_text.encode()).hexdigest()}
@@ -209,17 +211,6 @@ def make_metadata(values: SimpleNamespace) -> dict[str, dict[str, str]]:
             record = records.setdefault(name, {})
             record.update({k: v if isinstance(v, str) else json.dumps(v) for k, v in entries.items()})
     return records
-
-
-def name_files(files: Sequence[str]) -> dict[str, str]:
-    """File -> unique name: its own, preceded by as many parent folders as necessary; empty entries are skipped."""
-    paths = {name: Path(name).absolute() for name in files if name}
-    keys = {}
-    for name, path in paths.items():
-        others = set(paths.values()) - {path}
-        length = next(n for n in itertools.count(1) if all(o.parts[-n:] != path.parts[-n:] for o in others))
-        keys[name] = Path(*path.parts[-length:]).as_posix()
-    return keys
 
 
 def main() -> int:
