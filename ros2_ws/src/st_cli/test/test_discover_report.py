@@ -265,11 +265,11 @@ def test_findings_of_the_recordings_are_in_the_summary(logs):
 
 
 def test_deviating_combination_is_reported_if_none_of_its_effects_is_named(logs):
-    stiffness = Combination("front cornering stiffness over mass", "N/(rad kg)", 36.0, (30.0, 40.0), 45.0,
+    stiffness = Combination("front cornering stiffness over axle load", "1/rad", 36.0, (30.0, 40.0), 45.0,
                             ("front_stiffness", "steering_compliance"))
     understeer = Combination("stability factor K", "s^2/m^2", 0.003, (0.0025, 0.004), 0.002, ("front_stiffness",))
     found = replace(discovery(logs, STEPS, 1.72), combinations=(stiffness, understeer))
-    text = "front cornering stiffness over mass 0.80 (0.67 to 0.89) times the vehicle file value"
+    text = "front cornering stiffness over axle load 0.80 (0.67 to 0.89) times the vehicle file value"
     assert f"{text} or a cause outside the library with the same effect" in report_text.format_title(found)
     assert dict(report_text.summarise(found, None, {}))["only the combination is identifiable"] == (
         f"{text}: front stiffness or steering compliance, which these drives do not separate")
@@ -287,7 +287,7 @@ def test_deviating_combination_is_reported_if_none_of_its_effects_is_named(logs)
     same = replace(found, combinations=(replace(stiffness, interval=(30.0, 44.0)),))
     named = replace(found, combinations=(replace(stiffness, effects=(found.effects[0].name,)),))
     for one in (same, named):
-        assert "over mass" not in report_text.format_title(one)
+        assert "over axle load" not in report_text.format_title(one)
 
 
 def test_meaning_of_a_stiffness_names_the_known_quantities_that_it_depends_on(logs):

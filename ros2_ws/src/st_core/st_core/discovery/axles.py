@@ -33,7 +33,7 @@ class Axles:
 
     joint_fit: covariance of the values; if None, there are no bands and the intervals have zero width.
     noise_ratio: ratio of residual to noise, by which bands and intervals are widened if it is above 1 [1].
-    near_sets: `SearchState.near_optimal`; bands include all of these fits, combinations only those without a load.
+    near_sets: `SearchState.near_optimal`; bands and intervals include all of these fits.
     Raises StCoreError for a base model without tyres, and if the drives are too short or the values too uncertain.
     """
 
@@ -55,8 +55,8 @@ class Axles:
             log = replace(log, road_wheel_angle=angle, steering_wheel_angle=None)
             logs.append(log if self.has_sideslip else replace(log, velocity_y=compute_steady_velocity_y(log, car)))
         self.regressions = axle_forces.fit_axle_regressions(logs, car)
-        self.near_sets = near_sets if joint_fit else ()
-        self.near_models = axle_forces.select_valid_models([problem.space.at(v) for _, v in self.near_sets], vehicle)
+        near_models = [problem.space.at(vector) for _, vector in near_sets if joint_fit]
+        self.near_models = axle_forces.select_valid_models(near_models, vehicle)
         self.draws: list[AugmentedModel] = []
         if joint_fit is not None:
             in_model = joint_fit.indices < len(problem.space) - 1  # the last parameter is the accelerometer gain
@@ -79,10 +79,7 @@ class Axles:
         values, file_values = _combination_values(self.model, self.vehicle), _combination_values(base, self.vehicle)
         draws = np.array([_combination_values(model, self.vehicle) for model in self.draws] or [values])
         low, high = np.quantile(draws, (0.025, 0.975), axis=0)
-        space, payloads = self.problem.space, set(self.problem.space.payloads)
-        unladen = [space.at(vector) for names, vector in self.near_sets if payloads.isdisjoint(names)]
-        sets = [values, *(_combination_values(model, self.vehicle)
-                          for model in axle_forces.select_valid_models(unladen, self.vehicle))]
+        sets = [values, *(_combination_values(model, self.vehicle) for model in self.near_models)]
         low, high = np.min([low, *sets], axis=0).tolist(), np.max([high, *sets], axis=0).tolist()
         effects = {name: tuple(e.name for e in EFFECTS.values() if name in e.combinations) for name in COMBINATIONS}
         return tuple(Combination(name, unit, float(values[i]), (low[i], high[i]), float(file_values[i]), effects[name])
@@ -145,4 +142,5 @@ def _combination_values(model: AugmentedModel, vehicle: VehicleParameters) -> np
     right, left = (model.effective_road_wheel_angle(side / vehicle.steering_ratio, vehicle) for side in (-1.0, 1.0))
     delay = sum(sum(values.values()) for name, values in model.values.items()
                 if TOTAL_DELAY in get_effect(name).combinations)
-    return np.array([front / car.mass, rear / car.mass, understeer, 0.5 * yaw_gain * float(left - right), delay])
+    coefficients = front / (2.0 * car.static_tyre_load_front), rear / (2.0 * car.static_tyre_load_rear)
+    return np.array([*coefficients, understeer, 0.5 * yaw_gain * float(left - right), delay])

@@ -103,7 +103,7 @@ class Search:
 
         The load is an alternative to each effect whose values it brings nearer to the vehicle file, unless the drives
         exclude it. A load of the prior standard deviation is tried, then one of `limits.min_relative_size` scales.
-        Bands of axle forces and intervals of these effects include the laden car; those of combinations do not.
+        Bands of axle forces, and intervals of these effects and of combinations, include the laden car.
         """
         p, names = self.problem, state.fit.names
         for payload in (n for n in p.space.payloads if names and n not in names and not p.space.overlaps(n, names)):

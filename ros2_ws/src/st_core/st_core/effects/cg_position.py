@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from ._base import ANY, Effect, Parameter, register
+from ._base import ANY, FORCE_COMBINATIONS, Effect, Parameter, register
 
 
 @register
@@ -11,7 +11,7 @@ class CgPosition(Effect):
     excited_by = "cornering with measured sideslip, at two speeds"
     kind, slot = "vehicle parameters", "body"
     confounded_with = ("rear_stiffness", "front_stiffness", "sensor_lever_arm")
-    combinations = ("rear cornering stiffness over mass", "stability factor K", "steady-state yaw gain at 20 m/s")
+    combinations = FORCE_COMBINATIONS
     applies_to = ANY
     parameter = Parameter("shift", "m", null=0.0, initial=0.1, bounds=(-0.5, 0.5),
                           meaning="CG further forward than in the file",

@@ -30,7 +30,7 @@ class FrontStiffness(Effect):
     excited_by = "cornering at two speeds, or transients; at one steady speed not separable from a steering gain"
     kind, slot = "vehicle parameters", "front axle"
     confounded_with = ("steering_compliance", "steering_ratio", "roll_steer", "mass", "friction", "tyre_stiffness")
-    combinations = ("front cornering stiffness over mass", "stability factor K", "steady-state yaw gain at 20 m/s")
+    combinations = ("front cornering stiffness over axle load", "stability factor K", "steady-state yaw gain at 20 m/s")
     ratio_to = ("mass", "cg_to_front_axle")
     parameter = make_stiffness_parameter(0.9)
     vehicle = scale_axles("lambda_ky", "front", entry="cornering_stiffness")

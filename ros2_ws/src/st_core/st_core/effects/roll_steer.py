@@ -20,7 +20,7 @@ class RollSteer(Effect):
     excited_by = "sweeps, in which the roll lags; in steady cornering not separable from a softer front axle"
     kind, slot = "physics", "front axle"
     confounded_with = ("steering_compliance", "steering_ratio", "front_stiffness")
-    combinations = ("front cornering stiffness over mass", "stability factor K", "steady-state yaw gain at 20 m/s")
+    combinations = ("front cornering stiffness over axle load", "stability factor K", "steady-state yaw gain at 20 m/s")
     extra_states = ("filtered_lateral_acceleration", "filtered_lateral_acceleration_rate")
     extra_units = ("m/s^2", "m/s^3")
     order = 60

@@ -14,7 +14,7 @@ class SteeringCompliance(Effect):
     excited_by = "cornering near the limit; below 0.4 g not separable from a softer front axle"
     kind, slot = "physics", "front axle"
     confounded_with = ("front_stiffness", "roll_steer", "steering_ratio")
-    combinations = ("front cornering stiffness over mass", "stability factor K", "steady-state yaw gain at 20 m/s")
+    combinations = ("front cornering stiffness over axle load", "stability factor K", "steady-state yaw gain at 20 m/s")
     costly = True
     order = 83  # before steered_drive_force, so that only the tyre force deflects the suspension
     parameter = Parameter("compliance", "rad/N", null=0.0, initial=1.0e-6, bounds=(0.0, 1.0e-5),
