@@ -58,6 +58,14 @@ def test_regression_underestimates_a_saturating_tyre_and_prediction_does_not(lea
     assert [prediction[name].value for name in STIFFNESSES] == pytest.approx(true_stiffnesses(leaf), rel=0.003)
 
 
+def test_drives_determine_stiffness_only_over_the_axle_load(leaf, weaving):
+    """With another mass in the file the stiffnesses are larger in proportion; the result states this assumption."""
+    heavy = replace(leaf, mass=1.1 * leaf.mass, yaw_inertia=1.1 * leaf.yaw_inertia)
+    found = fit_stiffness(weaving, heavy, "linear")
+    assert [found[n].value for n in STIFFNESSES] == pytest.approx([1.1 * v for v in true_stiffnesses(leaf)], rel=0.02)
+    assert any(f"mass {heavy.mass:.5g} kg and cg_to_front_axle" in warning for warning in found.warnings)
+
+
 def test_prediction_fit_recovers_stiffness_from_wrong_start_values(leaf, weaving, start_vehicle):
     found = fit_stiffness(weaving, start_vehicle, "linear")
     for name, value in zip(STIFFNESSES, true_stiffnesses(leaf), strict=True):

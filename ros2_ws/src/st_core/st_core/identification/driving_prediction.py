@@ -225,6 +225,8 @@ def _make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivi
                  "the limit, or gaps)") for name, (used, total) in fit.window_counts.items() if used < total]
     others = [f"Also fitted: {n} {fit.values[i]:.4g} {QUANTITIES[n].unit}, standard uncertainty {uncertainty[i]:.2g}."
               for i, n in enumerate(fit.names) if n not in reported]
+    others.append(f"mass {vehicle.mass:.5g} kg and cg_to_front_axle {vehicle.cg_to_front_axle:.4g} m of the vehicle "
+                  "file are assumed exact: drives determine only stiffness over axle load, and yaw inertia over mass.")
     if RATIO not in fit.names:
         others.append(f"{RATIO} {vehicle.steering_ratio:.4g} of the vehicle file is assumed exact: an error would "
                       "change the front stiffness; st identify steering estimates it from drives at several speeds.")
