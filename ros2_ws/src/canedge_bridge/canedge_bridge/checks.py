@@ -22,18 +22,14 @@ class Mode(StrEnum):
 
 def compute_xor_nibble(data: Sequence[Any], arbitration_id: int) -> Any:
     """The check nibble for which the XOR of all nibbles of the payload is 0; data: payload with this nibble set to 0.
-
-    Source: derived from 1963 recorded frames of 0x002, all at one steering angle.
-    """
+    Source: derived from 1963 recorded frames of 0x002, all at one steering angle."""
     value = reduce(xor, data)
     return (value >> 4) ^ (value & 0xF)
 
 
 def compute_sum8_id(data: Sequence[Any], arbitration_id: int) -> Any:
-    """Low byte of the sum of all bytes and the bytes of the identifier; data: payload with this byte set to 0.
-
-    Source: derived from 3247 recorded frames of 0x284 at up to 100 km/h, and 2035 of 0x284 and 0x285 at rest.
-    """
+    """Low byte of the sum of all bytes and the bytes of the identifier; data: payload with this byte set to 0. Source:
+    derived from 3247 recorded frames of 0x284 at up to 100 km/h, and 2035 of 0x284 and 0x285 at rest."""
     return (sum(data) + (arbitration_id >> 8) + (arbitration_id & 0xFF)) & 0xFF
 
 

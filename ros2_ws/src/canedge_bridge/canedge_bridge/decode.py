@@ -43,7 +43,7 @@ class MessageStatistics:
     implausible: int = 0  # with an implausible value; plausible frames that are withheld do not count
     dropped: int = 0  # failed a check in mode `drop`
     lost: int = 0  # missing according to the counter
-    last_seen_ns: int | None = None  # time of the last good one with values
+    last_seen_ns: int | None = None  # time of the last good frame with values
 
 
 class _MessageState:

@@ -18,7 +18,7 @@ def replace_gps_time(values: Mapping[str, Any]) -> dict[str, Any]:
     if "gps_time" in values:  # [s since 1980-01-06], 0 if unknown
         gps = np.asarray(values["gps_time"])
         as_unix = np.where(gps > 0, gps + GPS_EPOCH_UNIX, np.nan)
-        leap_seconds = np.abs(np.asarray(values["gps_utc_offset"]))  # its sign in real frames is not known
+        leap_seconds = np.abs(np.asarray(values["gps_utc_offset"]))  # 0: unknown; the sign in real frames is not known
         unix = np.where(leap_seconds > 0, as_unix - leap_seconds, _to_utc(as_unix))
     elif "gps_century" in values:
         unix = _from_date_time({name: np.asarray(values[name]) for name in DATE_TIME_PARTS})
@@ -53,7 +53,7 @@ def split_unix_time(unix_time: float, names: frozenset[str]) -> dict[str, float]
         # Sign as in NCOM: UTC - GPS time, which is negative.
         return {"gps_time": unix_time + leap - GPS_EPOCH_UNIX, "gps_utc_offset": float(-leap)}
     hundredths = round((unix_time + leap) * 100)
-    gps = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=hundredths // 100)  # GPS time, read as UTC
+    gps = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=hundredths // 100)  # GPS time, represented as UTC
     century, year = divmod(gps.year, 100)
     values = (year, century, gps.month, gps.day, gps.hour, gps.minute, gps.second, hundredths % 100 / 100)
     return dict(zip(DATE_TIME_PARTS, values, strict=True))

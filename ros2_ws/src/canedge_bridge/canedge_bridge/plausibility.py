@@ -64,10 +64,8 @@ class Plausibility:
 def find_plausible_frames(signal: SignalSpec, message: MessageSpec, time_ns: np.ndarray,
                           values: np.ndarray) -> np.ndarray:
     """Mask (n,) of the frames of a log in range, within the rate limit, and not isolated among implausible frames.
-
-    Unlike in `Plausibility`, later frames are known, so the first plausible frames after implausible ones are accepted
-    as well. time_ns, values [SI]: (n,).
-    """
+    Unlike in `Plausibility`, the first plausible frames after implausible ones are accepted. time_ns, values [SI]:
+    (n,)."""
     physical, frames = values / signal.factor, np.arange(len(values))
     in_range = (physical >= signal.minimum) & (physical <= signal.maximum)
     elapsed_ns = np.diff(time_ns)

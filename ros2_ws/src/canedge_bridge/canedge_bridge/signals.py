@@ -50,7 +50,7 @@ class SignalSpec:
 
     extractor: Extractor
     name: str
-    unit: str  # of its kind of quantity, see UNITS
+    unit: str  # one of those in UNITS for its kind of quantity
     gain: float
     bias: float
     factor: float  # converts this unit to SI
@@ -175,11 +175,8 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Sequence[
 
 
 def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
-    """cantools database of a DBC, KCD, SYM or ARXML file; from an invalid DBC file, only the given messages.
-
-    In public DBC files of real cars, some messages have 29-bit identifiers without the extended flag, or signal names
-    that begin with a digit. Raises ConfigurationError if the file cannot be read, or the messages are invalid too.
-    """
+    """cantools database of a DBC, KCD, SYM or ARXML file; from an invalid DBC, only the given messages, corrected by
+    `_reduce_dbc`. Raises ConfigurationError if the file cannot be read, or the messages are invalid too."""
     try:
         content = path.read_bytes()
         kind = {".kcd": "kcd", ".sym": "sym", ".arxml": "arxml"}.get(path.suffix.lower(), "dbc")
@@ -202,10 +199,8 @@ def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
 
 
 def _reduce_dbc(text: str, names: frozenset[str]) -> str:
-    """DBC with only the named messages and their float and multiplexing attributes; empty if it has none of them.
-
-    Corrected for cantools: identifiers of 29 bits without the extended flag, signals like 0_COUNTER, factors like .25.
-    """
+    """DBC with only the named messages, empty without any. As cantools requires, 29-bit identifiers without the
+    extended flag, signals like 0_COUNTER and factors like .25, which are common in public files, are corrected."""
     def add_flag(match: re.Match[str]) -> str:
         number = int(match[2])
         return f"{match[1]}{number | EXTENDED if MAX_STANDARD_ID < number <= MAX_EXTENDED_ID else number}"

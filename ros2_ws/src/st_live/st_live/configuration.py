@@ -41,11 +41,9 @@ def find_vehicle_name(vehicle: Path) -> str:
 
 def make_bridge_parameters(vehicle: Path, ins: dict[str, Any], can: dict[str, Any], dbc: Path | None = None,
                            signals: Path | None = None) -> dict[str, dict[str, Any]]:
-    """Parameters of both bridges. ins, can: additional parameters of oxts_bridge and canedge_bridge.
-
-    The transform from base_link to ins_link is the lever arm of the vehicle file. The file contains no height, so
-    base_link is the CG projected to the height of the INS.
-    """
+    """Parameters of both bridges, including the additional ones in `ins` and `can`. The transform from base_link to
+    ins_link is the lever arm of the vehicle file, which has no height: base_link is the CG, projected to the height of
+    the INS."""
     car = read_vehicle(vehicle)
     lever_arm = [float(car.cg_to_ins_x), float(car.cg_to_ins_y), 0.0]
     files = {"vehicle_file": str(vehicle), "dbc_file": str((dbc or config("can/leaf_ze0.dbc")).absolute()),
@@ -94,11 +92,8 @@ def make_replay_parameters(folder: Path, vehicle: Path, recorded: RecordedConfig
 
 
 def make_model_parameters(model: Path | None, effects: Path | None, vehicle: Path) -> dict[str, str]:
-    """Parameters that add a model file to the models of predictor and evaluator; empty without a file.
-
-    effects: folder of user-defined effects of the model file. Raises StCoreError for a file that is not a model or
-    belongs to a car other than `vehicle`, and for effects without a model file.
-    """
+    """Parameters that add a model file, with its folder of user-defined effects, to the models of predictor and
+    evaluator; empty without a file. Raises StCoreError like `load_model`."""
     load_model(model, effects, read_vehicle(vehicle), str(vehicle))
     if model is None:
         return {}
@@ -106,11 +101,8 @@ def make_model_parameters(model: Path | None, effects: Path | None, vehicle: Pat
 
 
 def load_model(model: Path | None, effects: Path | None, car: VehicleParameters, origin: str) -> Model:
-    """The model in a model file (.yaml); the nonlinear model if None. effects: folder of its user-defined effects.
-
-    origin: source of `car`, for errors. Raises StCoreError for a file that is not a model or belongs to a different
-    car, and for effects without a model file.
-    """
+    """The model in a model file; the nonlinear model if None. effects: folder of its own effects. origin: source of
+    `car`, for errors. Raises StCoreError for an invalid file, one of another car, and effects without a file."""
     if model is None:
         if effects is not None:
             raise SuiteError(f"--effects {effects}: requires a model file; add --model")
@@ -124,11 +116,8 @@ def load_model(model: Path | None, effects: Path | None, car: VehicleParameters,
 
 def set_bands_and_course(parameters: Parameters, bands: Path | None, course: Path | None,
                          adaptive: bool | None = None) -> dict[str, dict[str, Any]]:
-    """Copy of the parameters in which the predictor uses the given bands file and course; None: unchanged.
-
-    adaptive: whether bands adapt to the errors of the run; None: unchanged. Raises StCoreError for an
-    unreadable or invalid file, and for bands of a different car, model or configuration.
-    """
+    """Copy of the parameters in which the predictor uses these bands, this course, and adaptive bands or not; None:
+    unchanged. Raises StCoreError for an invalid file, or bands of a different car, model or configuration."""
     updated = {node: {**values} for node, values in parameters.items()}
     predictor, recorder = updated["predictor"], updated["recorder"]
     if adaptive is not None:
@@ -168,11 +157,9 @@ def find_bag(path: Path) -> Path:
 
 
 class VirtualCar:
-    """The virtual Leaf on a free UDP port and a CAN multicast group of the loopback interface.
-
-    vehicle: vehicle file of bridges and nodes. options: further arguments of virtual_leaf. simulated_vehicle: vehicle
-    file of the simulated car, by default `vehicle`. Raises ConfigurationError for invalid options.
-    """
+    """The virtual Leaf on a free UDP port and a CAN multicast group of the loopback interface. options: arguments of
+    virtual_leaf. simulated_vehicle: vehicle file of the simulated car, by default that of the nodes, `vehicle`. Raises
+    ConfigurationError for invalid options."""
 
     def __init__(self, vehicle: Path, options: Sequence[str], simulated_vehicle: Path | None = None):
         self.vehicle = vehicle

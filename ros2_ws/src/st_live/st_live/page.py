@@ -36,8 +36,8 @@ PAGE = Path(__file__).with_name("passenger.html")
 PAGE_POLICY = ("default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'; "
                "img-src data:; base-uri 'none'; form-action 'none'")
 MAX_CLIENTS = 16
-CLIENT_TIMEOUT = 10.0  # s until a client that neither requests nor reads anything is dropped
-KEEP_ALIVE_PERIOD = 2.0  # s without a frame until a comment is sent, which fails if the client has left
+CLIENT_TIMEOUT = 10.0  # s after which a client that neither requests nor reads anything is dropped
+KEEP_ALIVE_PERIOD = 2.0  # s without a frame after which a comment is sent, which fails if the client has left
 SEND_BUFFER = 32_768  # bytes, about 0.5 s of frames: a slow client then skips frames instead of showing old ones
 
 REQUEST_TIMEOUT = 30.0  # s until Rerun's server must respond

@@ -38,7 +38,7 @@ PLOTS = {
     "lateral_acceleration": "lateral acceleration v_x r, m/s² (left positive)",
 }
 WHITE = (255, 255, 255)
-RINGS = (10, 20, 30, 40, 50, 60)  # m around the car
+RINGS = (10, 20, 30, 40, 50, 60)  # m, radii around the car
 LIGHT_GREY = (228, 228, 228)
 GHOST_STRENGTH = 0.4  # colour strength of earlier predictions, decreasing with age; 1: full colour, 0: white
 GHOST_STRIDE, TRACK_STRIDE, RIBBON_STRIDE = 5, 2, 2  # every n-th point is drawn
@@ -205,11 +205,9 @@ class Scene:
         self._log_lines(f"{root}/errors", errors, error_colours, THICK_LINE, order=4.5)
 
     def _draw_ribbons(self, entity: str, view: Pose, ribbons: Sequence[Ribbon], model: str, number: int) -> None:
-        """Fill the bands with lines from edge to edge, because Rerun cannot fill areas in 2D.
-
-        Lines are 1.2 times as wide as their spacing, to leave no gaps. The edges of the widest band are
-        drawn above all areas, so that the bands of every model remain visible.
-        """
+        """Fill the bands with lines from edge to edge, because Rerun cannot fill areas in 2D; they are 1.2 times as
+        wide as their spacing, to leave no gaps. The edges of the widest band are above all areas, and so remain
+        visible."""
         edges = [to_screen(view, *side.T) for band in ribbons[:1] for side in (band.left, band.right)]
         self._log_lines(f"{entity}/edges", edges, [rgb(get_model_colour(model), 0.6)], THIN_LINE, order=0.8)
         for level, strength in RIBBON_STRENGTH.items():

@@ -82,11 +82,8 @@ def _print_problems(folder: Path, outcome: session.Outcome, console: Console) ->
 
 
 def draw_paths(results: Results, title: str, file: Path) -> None:
-    """Draw a map of measured and predicted paths of the INS point, and horizon means of the errors versus start time.
-
-    The map shows the hindsight predictions (measured inputs in the horizon, as in the paper). Hindsight and forecast
-    have separate error plots, because their errors differ by an order of magnitude when the driver acts.
-    """
+    """Draw a map of measured and predicted paths (hindsight) of the INS point, and horizon means of the errors versus
+    start time; hindsight and forecast are separate, because their errors differ by an order of magnitude."""
     with plt.rc_context(FIGURE_STYLE):
         figure = plt.figure(figsize=(13, 5.4))
         grid = figure.add_gridspec(2, 3, width_ratios=(1.5, 1, 1))

@@ -35,7 +35,7 @@ NODES = (  # package, executable; subscribers start first, so that they miss no 
 # Except in a replay, the predictor ends while data still arrive, so that its last tick has inputs.
 STOP_ORDER = ("player", "predictor", "evaluator", "virtual_leaf", "oxts_bridge", "canedge_bridge", "recorder")
 END_MARGIN = 0.5  # s; the run is stopped this long before its data end
-START_TIMEOUT = 180.0  # s until all nodes publish diagnostics
+START_TIMEOUT = 180.0  # s within which all nodes must publish diagnostics
 DISCOVERY_TIME = 1.5  # s until already running nodes appear in the graph; they announce themselves every second
 UPDATE_PERIOD = 0.25  # s between checks of the nodes and updates of the terminal
 LOG_PERIOD = 10.0  # s between lines if the output is not a terminal

@@ -211,11 +211,8 @@ def make_loopback_environment(environment: Mapping[str, str]) -> dict[str, str]:
 
 @contextmanager
 def claim_domain(requested: int | None = None) -> Iterator[int]:
-    """Yields the requested ROS domain, by default one of 1 to 101 that no process on this computer uses.
-
-    A default domain is reserved by binding its first discovery port (DDS: 7400 + 250 * domain + 10); participants use
-    the next ports. Raises SuiteError if all are in use.
-    """
+    """Yields the requested ROS domain, by default one of 1 to 101 that no process on this computer uses, reserved by
+    binding its first discovery port (DDS: 7400 + 250 * domain + 10). Raises SuiteError if all are in use."""
     if requested is not None:
         yield requested
         return

@@ -135,10 +135,10 @@ def _compare(model: Model, car: VehicleParameters, signals: LogSignals, forecast
     # The inputs of a plan or course are known only from its recorded predictions; other scores cannot be recomputed.
     scores = {mode: mode_scores.at(planned[mode].starts_ns) if mode in planned else mode_scores
               for mode, mode_scores in scores.items() if mode in MODES or mode in planned}
-    for mode, each in scores.items():  # an evaluator that is ready after the predictor misses the first samples
-        if each.complete.any():
-            has_settled = find_settled_starts(each.starts_ns, each.starts_ns[each.complete], cutoff)
-            scores[mode] = each.at(each.starts_ns[has_settled])
+    for mode, live in scores.items():  # an evaluator that is ready after the predictor misses the first samples
+        if live.complete.any():
+            has_settled = find_settled_starts(live.starts_ns, live.starts_ns[live.complete], cutoff)
+            scores[mode] = live.at(live.starts_ns[has_settled])
     for indices, block in evaluate_blocks([model], car, signals, starts_ns, settings, future_inputs):
         for mode, predictions in recorded.items():
             _compare_paths(result, mode, predictions, starts_ns[indices], block.trajectories[model.name, mode])

@@ -8,7 +8,7 @@ import typer
 
 from . import _options as shared
 
-EXTRA_DRIVING = 2.0  # s by which the drive is longer than the run
+EXTRA_DRIVING = 2.0  # s; the drive is this much longer than the run
 SCENARIOS = ("S1 to S7 of the paper, sweep, step, ramp_to_limit, brake_in_turn, lane_change, slalom, weave, circle, "
              "there_and_back, or a .yaml file")
 

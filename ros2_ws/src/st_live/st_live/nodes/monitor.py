@@ -29,9 +29,9 @@ AGGREGATE_PERIOD = 1.0  # s between messages on /diagnostics_agg
 PREDICTION_PERIOD = 0.25  # s between reads of the newest prediction
 TABLE_MODES = ("hindsight", "forecast", "course", "plan")
 AXES, STATISTICS = ("longitudinal", "lateral"), ("mean", "max", "rmse")
-STATUS_TIMEOUT = 5.0  # s without an update until a status counts as silent, or MISSED_REPORTS intervals if longer
+STATUS_TIMEOUT = 5.0  # s without an update after which a status is silent, or MISSED_REPORTS intervals, if longer
 MISSED_REPORTS = 3  # in a slow replay, nodes publish diagnostics less than once a second
-N_INTERVALS = 3  # newest reporting intervals, of which the longest is used: a change is reported early
+N_INTERVALS = 3  # newest intervals between reports, of which the longest is used: a change causes an extra report
 LEVEL_NAMES = ("ok", "warning", "error", "stale")
 
 
@@ -56,7 +56,7 @@ class SuiteState:
     summary: ErrorSummary | None = None
     predictor_status: PredictorStatus | None = None
     health: dict[str, Status] = field(default_factory=dict)
-    prediction: Prediction | None = None  # the newest one of any model
+    prediction: Prediction | None = None  # the newest, of any model
 
 
 class Monitor(AbstractContextManager):

@@ -173,7 +173,7 @@ def write_result(file: Path, discovery: Discovery) -> None:
         _get_base_name(model), model.values] for name in MODEL_FIELDS}
     with suppress(OSError):
         file.parent.mkdir(parents=True, exist_ok=True)
-        replace_file(file, json.dumps(content, default=dict))  # values are mappings
+        replace_file(file, json.dumps(content, default=dict))  # for Mapping types that json cannot encode
 
 
 def read_result(file: Path) -> Discovery | None:

@@ -45,7 +45,7 @@ def report_relation(search: RelationSearch, discovery: Discovery, vehicle: Vehic
                              )] if terms else []
     if relation is None:
         reason = search.reason
-        for name in sorted(search.statistics, key=len, reverse=True):  # a name may be the start of a longer one
+        for name in sorted(search.statistics, key=len, reverse=True):  # a name may be a prefix of a longer one
             reason = reason.replace(name, quantities.spell_out(name))
         return RelationReport([("proposal", [f"none: {reason}"]), *not_excluded])
     runs = ", ".join(f"{name} ({before:.2f} → {after:.2f} m)" for name, (before, after) in relation.runs.items()
@@ -293,11 +293,9 @@ def _list_hooks(c: Candidate) -> tuple[str, ...]:
 
 def write_files(search: RelationSearch, vehicle: VehicleParameters, runs: Sequence[str], created: str,
                 digests: dict[str, str], folder: Path) -> dict[str, Path]:
-    """Write the effect file and the model file that uses it; returns their paths by kind, empty if none is written.
-
-    A relation that depends on the time in the run is not written, because other drives cannot use it. User-defined
-    effects of the model are copied, because a command accepts only one folder of effects.
-    """
+    """Write the effect file and the model file that uses it; returns their paths by kind, empty for a relation that
+    depends on the time in the run. User-defined effects of the model are copied: a command accepts one folder of
+    effects."""
     relation = search.relation
     if relation is None or relation.candidate.quantity == "run_time":
         return {}

@@ -47,7 +47,7 @@ class VehicleUpdate:
 
     vehicle: VehicleParameters  # updated car, or the original one if vehicle.yaml is not written
     text: str  # content of vehicle.yaml; "" if it is not written
-    # Model for `vehicle`; of a folded effect, the difference between the complete and the named model remains.
+    # Model for `vehicle`; it keeps the part of a folded effect by which the complete model differs from the named one.
     model: AugmentedModel
     folded: tuple[str, ...]  # effects in vehicle.yaml
     # (before, after, low, high) by key [SI]; low, high: 95 % interval.

@@ -12,11 +12,8 @@ T = TypeVar("T")
 
 @contextmanager
 def run_in_background(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
-    """Start `work` in a child process; the yielded function waits for its result, which must be picklable.
-
-    This process does the work itself if it is a Dask worker, which cannot have children, or if the child fails, for
-    example for lack of memory.
-    """
+    """Start `work` in a child process; the yielded function waits for its result, which must be picklable. This process
+    does the work itself if it is a Dask worker, which cannot have children, or if the child fails."""
     if multiprocessing.current_process().daemon:
         yield work
         return

@@ -39,7 +39,7 @@ class Experiment:
 
     name: str  # as on the command line
     description: str
-    required_files: str  # description of the files
+    required_files: str  # the files that it needs, as text
     # Reads the files and computes one or more results; raises StCoreError or RunError.
     identify: Callable[[IdentificationJob], tuple[Identification, ...]]
     draw: Callable[[Identification, FigureOutput], PageFigure] | None = None  # draws the figure of a result
@@ -71,11 +71,8 @@ def format_rounded(value: float, uncertainty: float) -> str:
 
 @dataclass(frozen=True)
 class MeasurementTable:
-    """Rows of one or more CSV files, as columns by name.
-
-    numbers: SI values (n,), NaN for an empty cell or missing column. texts: cells as written, "" for a missing column.
-    rows: file and number of each row.
-    """
+    """Columns of one or more CSV files, by name. numbers: SI values (n,), NaN for an empty cell or missing column.
+    texts: cells as written, "" for a missing column. rows: file and number of each row."""
 
     numbers: Mapping[str, np.ndarray]
     texts: Mapping[str, list[str]]

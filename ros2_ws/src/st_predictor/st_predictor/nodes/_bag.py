@@ -35,11 +35,8 @@ def open_bag(values: SimpleNamespace, records: Mapping[str, Mapping[str, str]]) 
 
 
 def make_recording_check(bag: BagWriter, stop_reason: str = "", has_resumed: bool = False, suffix: str = "") -> Check:
-    """Diagnostic check of the recording: message counts, losses and disk errors.
-
-    stop_reason: why an earlier bag of the same run ended. has_resumed: whether to warn that a new bag was just opened.
-    suffix: text added to a write error.
-    """
+    """Diagnostic check of the recording: message counts, losses and disk errors. stop_reason: why an earlier bag of the
+    run ended. has_resumed: whether to warn about a new bag. suffix: text added to a write error."""
     values = {"messages": bag.message_count, "lost": bag.lost_count, "directory": bag.directory}
     if bag.syncer:
         values["slowest sync [s]"] = round(bag.syncer.longest_call, 3)

@@ -193,7 +193,7 @@ def make_metadata(values: SimpleNamespace) -> dict[str, dict[str, str]]:
     texts: dict[str, str] = {}
     paths = {name: Path(name).absolute() for name in values.configuration_files if name}
     for name, path in paths.items():
-        # A key is the name of the file, preceded by as many of its parent folders as are required to be unique.
+        # Key of a file: its name, preceded by as many parent folders as are needed to make it unique.
         others = set(paths.values()) - {path}
         length = next(n for n in itertools.count(1) if all(o.parts[-n:] != path.parts[-n:] for o in others))
         texts[Path(*path.parts[-length:]).as_posix()] = params.read_text(values, "configuration_files", name)
