@@ -178,17 +178,13 @@ def _write_repaired(stream: BinaryIO, size: int, source: Path, target: Path, rep
             contents.finish(out)
             out.flush()
             os.fsync(out.fileno())
-    except OSError:
-        temporary.unlink(missing_ok=True)
-        raise
-    if target == source:
-        names = (source.with_name(f"{source.name}.cut{number if number > 1 else ''}") for number in count(1))
-        report.original = next(name for name in names if not name.exists())
-        try:
-            os.link(source, report.original)  # so that NAME.mcap exists at all times
-        except OSError:
-            source.rename(report.original)  # no hard links on this file system
-    try:
+        if target == source:
+            names = (source.with_name(f"{source.name}.cut{number if number > 1 else ''}") for number in count(1))
+            report.original = next(name for name in names if not name.exists())
+            try:
+                os.link(source, report.original)  # so that NAME.mcap exists at all times
+            except OSError:
+                source.rename(report.original)  # no hard links on this file system
         temporary.replace(target)
     except OSError:
         temporary.unlink(missing_ok=True)

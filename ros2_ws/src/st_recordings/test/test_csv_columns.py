@@ -59,7 +59,7 @@ def assert_values(log: DriveLog, excluding: Sequence[str] = ()) -> None:
 
 
 def test_every_name_denotes_one_channel() -> None:
-    names = [normalise(name) for channel in COLUMNS.values() for name in channel.names]
+    names = [normalise(name) for channel in COLUMNS.values() for name in channel.names.split()]
     assert len(names) == len(set(names)) and not columns.AMBIGUOUS_STEERING & set(names)
 
 
@@ -135,7 +135,7 @@ def test_every_name_and_unit_of_a_channel(tmp_path: Path, channel: str) -> None:
     names = {c: n for c, n in names.items() if c == channel or (c, channel) not in REPLACED}
     units = UNITS[COLUMNS[channel].kind]
     at = list(names).index(channel)
-    for k, name in enumerate(COLUMNS[channel].names):
+    for k, name in enumerate(COLUMNS[channel].names.split()):
         assert_channel(read_csv(write(tmp_path / "d.csv", {**names, channel: name}), CAR), channel)
         for style, unit in enumerate(units, start=k):
             header = [*names.values()]
@@ -143,7 +143,7 @@ def test_every_name_and_unit_of_a_channel(tmp_path: Path, channel: str) -> None:
             source = find_columns(tmp_path / "d.csv", header, Layout())[channel]
             assert (source.column, source.unit) == (at, unit), header[at]
     for style, unit in enumerate(units):
-        text = spell_with_unit(COLUMNS[channel].names[0], unit, style)
+        text = spell_with_unit(COLUMNS[channel].names.split()[0], unit, style)
         assert_channel(read_csv(write(tmp_path / "d.csv", {**names, channel: text}, {channel: unit}), CAR), channel)
         file = write(tmp_path / "d.csv", {**names, channel: "nameless"}, {channel: unit})
         assert_channel(read_csv(file, CAR, Layout({channel: "nameless"}, {channel: unit})), channel)
@@ -423,7 +423,8 @@ def test_acceleration_named_by_direction_has_priority_over_an_axis_of_a_sensor()
 def test_documentation_lists_every_channel_and_unit() -> None:
     text = (ROOT / "docs/csv_columns.md").read_text()
     for name, channel in COLUMNS.items():
-        row = f"| `{name}` | {next(iter(UNITS[channel.kind]))} | {channel.meaning} | {', '.join(channel.names)} |"
+        names = ", ".join(channel.names.split())
+        row = f"| `{name}` | {next(iter(UNITS[channel.kind]))} | {channel.meaning} | {names} |"
         assert row in text, f"docs/csv_columns.md lacks or differs:\n{row}"
     for kind, units in UNITS.items():
         spelled = [f"{unit} ({', '.join(others)})" if others else unit for unit, (_, others) in units.items()]

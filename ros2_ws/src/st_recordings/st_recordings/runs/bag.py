@@ -191,7 +191,7 @@ def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
 
 
 def read_metadata_records(path: Path) -> dict[str, dict[str, str]]:
-    """Metadata records that the suite wrote to an MCAP recording; empty for SQLite. Raises RunError if damaged."""
+    """Metadata records of an MCAP recording except CLOSING_RECORD; empty for SQLite. Raises RunError if damaged."""
     records = _read_all_metadata_records(path)
     records.pop(CLOSING_RECORD, None)
     return records

@@ -192,7 +192,7 @@ def list_bag_files(directory: Path) -> list[Path]:
 
 
 def describe_missing_files(path: Path) -> list[str]:
-    """A note on missing files: those listed in metadata.yaml or, for one file of a numbered recording, before it."""
+    """A note on missing files: those listed in metadata.yaml or, for one file of a numbered recording, earlier ones."""
     listed_paths = read_information(path).get("relative_file_paths")
     listed_names = [Path(str(file)).name for file in listed_paths] if isinstance(listed_paths, list) else []
     missing_names = [name for name in listed_names if not (path / name).is_file()]

@@ -37,7 +37,7 @@ def read_can_logs(files: Sequence[Path], known_ids: Collection[int] = ()) -> Can
     """Reads the files of one run (splits of a session, or several buses) and merges their frames by time.
 
     known_ids: identifiers in the DBC; they show whether those of a CSV are decimal or hexadecimal if both are possible.
-    Raises RunError if no file can be used, or only some have UTC times. Other unusable files only cause warnings.
+    Raises RunError if no file can be used, or only some have UTC times. If some can be used, the others cause warnings.
     """
     logs: list[CanLog] = []
     errors: list[RunError] = []

@@ -18,87 +18,84 @@ class Channel:
 
     kind: str  # kind of quantity, a key of UNITS
     meaning: str  # description for users
-    names: tuple[str, ...]  # in order of preference; compared by letters and digits only, ignoring case
-
-
-def _split(text: str) -> tuple[str, ...]:
-    return tuple(text.split())
+    names: str  # in order of preference, separated by blanks; compared by letters and digits only, ignoring case
 
 
 MOTION_CHANNELS = frozenset({"velocity_x", "yaw_rate", "yaw"})  # a table with one of them is not a CAN log
 COLUMNS: Mapping[str, Channel] = {
-    "t": Channel("time", "time", _split(
+    "t": Channel("time", "time", (
         "t time t_rt timestamp timestamps stamp time_boot sim_time log_time relative_time elapsed elapsed_time seconds "
         "unix_time utc_time gps_time time_utc time_gps gps_tow tow gps_seconds time_of_week itow datetime epoch "
         "epoch_time time_from_start gps_ins_time utc zeit uhrzeit zeitstempel datum_zeit x_value")),
-    **{axis: Channel("length", f"position of the INS point, {direction} or along the map's {axis}", _split(
+    **{axis: Channel("length", f"position of the INS point, {direction} or along the map's {axis}", (
         f"{axis} pos_{axis} position_{axis} {axis}_pos {axis}_position p{axis} {direction} {direction}ing "
         f"{direction[0]}_pos {axis}_{direction} {axis}_enu {axis}_map local_{axis} utm_{axis} utm_{direction[0]} "
         f"utm_{direction}ing pos_local_{axis} car_t{axis} {axis}o {axis}_absolute location_{axis} pose_{axis} "
         f"pose_position_{axis} pose_pose_position_{axis}")) for axis, direction in (("x", "east"), ("y", "north"))},
-    "latitude": Channel("latitude or longitude", "positive to the north; read if x and y are missing", _split(
+    "latitude": Channel("latitude or longitude", "positive to the north; read if x and y are missing", (
         "latitude lat latitude_deg pos_lat breitengrad")),
-    "longitude": Channel("latitude or longitude", "positive to the east; the first fix is the map origin", _split(
+    "longitude": Channel("latitude or longitude", "positive to the east; the first fix is the map origin", (
         "longitude long lon lng pos_lon laengengrad")),
-    "yaw": Channel("angle", "from east (the map's x), counter-clockwise", _split(
+    "yaw": Channel("angle", "from east (the map's x), counter-clockwise", (
         "yaw yaw_angle yaw_iso yaw_enu heading_enu psi psi_iso theta phi pose_theta gierwinkel")),
     "compass_heading": Channel("angle", "true heading, clockwise from north; read if yaw is missing: yaw = 90° - "
-                               "heading", _split(
+                               "heading", (
         "compass_heading heading heading_angle angle_heading heading_ned heading_north heading_true true_heading "
         "compass azimuth yaw_ned true_head")),
     "course": Channel("angle", "direction of motion over ground, clockwise from north; replaces missing yaw or "
-                      "velocity_y", _split(
+                      "velocity_y", (
         "course course_over_ground course_angle gps_heading gnss_heading cog track track_angle heading_of_motion "
         "bearing angle_track kurs_ueber_grund gcrs")),
-    **{f"orientation_{axis}": Channel("ratio", "quaternion from body to map axes, read if yaw is missing", _split(
+    **{f"orientation_{axis}": Channel("ratio", "quaternion from body to map axes, read if yaw is missing", (
         f"pose_pose_orientation_{axis} pose_orientation_{axis} orientation_{axis} q{axis} quat_{axis}"))
        for axis in "xyzw"},
-    "velocity_x": Channel("speed", "forward, body axes, at the INS point", _split(
+    "velocity_x": Channel("speed", "forward, body axes, at the INS point", (
         "velocity_x vx vel_x velocity_forward vel_forward v_forward forward_velocity forward_vel vel_fwd v_fwd "
         "velocity_longitudinal longitudinal_velocity v_longitudinal v_long vel_long v_lon vel_lon long_vel "
         "long_velocity speed_forward forward_speed longitudinal_speed twist_linear_x twist_twist_linear_x "
         "linear_velocity_x x_velocity linear_vel_x linear_vels_x v_ego laengsgeschwindigkeit speed velocity vel v "
         "ground_speed speed_over_ground gps_speed speed_gps geschwindigkeit spd")),
-    "velocity_y": Channel("speed", "to the left, body axes, at the INS point; if missing, derived, else 0", _split(
+    "velocity_y": Channel("speed", "to the left, body axes, at the INS point; if missing, derived, else 0", (
         "velocity_y vy vel_y velocity_lateral vel_lateral v_lateral lateral_velocity lateral_vel v_lat vel_lat "
         "lat_vel lat_velocity velocity_left vel_left lateral_speed twist_linear_y twist_twist_linear_y "
         "linear_velocity_y y_velocity linear_vel_y linear_vels_y quergeschwindigkeit")),
-    **{f"velocity_{axis}": Channel("speed", meaning, _split(
+    **{f"velocity_{axis}": Channel("speed", meaning, (
         f"velocity_{axis} vel_{axis} v_{axis} {axis}_velocity {axis}_speed velocity_{axis[0]} vel_{axis[0]} "
         f"vel_ned_{axis[0]} v{axis[0]}")) for axis, meaning in (
             ("east", "read with velocity_north and yaw if velocity_y is missing"),
             ("north", "read with velocity_east and yaw if velocity_y is missing"))},
-    "yaw_rate": Channel("angular rate", "positive in left turns; if missing, the derivative of yaw", _split(
+    "yaw_rate": Channel("angular rate", "positive in left turns; if missing, the derivative of yaw", (
         "yaw_rate yaw_rate_iso yaw_velocity yaw_vel yaw_speed yaw_dot psi_dot psi_p d_psi r avz wz omega_z omega "
         "angular_velocity_z angular_rate_z z_angular_rate angle_rate_z ang_vel_z ang_vels_z angular_z rate_z gyro_z "
         "gyr_z twist_angular_z twist_twist_angular_z heading_rate gierrate giergeschwindigkeit")),
-    "acceleration_x": Channel("acceleration", "forward, body axes", _split(
+    "acceleration_x": Channel("acceleration", "forward, body axes", (
         "acceleration_x acceleration_forward acc_forward accel_forward acceleration_longitudinal "
         "longitudinal_acceleration longitudinal_accel longitudinal_acc acc_longitudinal a_longitudinal a_long acc_long "
         "accel_long long_acc long_accel lon_acc lon_accel laengsbeschleunigung linear_acceleration_x ax acc_x accel_x "
         "x_acc x_accel")),
-    "acceleration_y": Channel("acceleration", "to the left, body axes", _split(
+    "acceleration_y": Channel("acceleration", "to the left, body axes", (
         "acceleration_y acceleration_left acceleration_lateral lateral_acceleration lateral_accel lateral_acc "
         "acc_lateral accel_lateral a_lateral a_lat acc_lat accel_lat lat_acc lat_accel querbeschleunigung "
         "linear_acceleration_y ay acc_y accel_y y_acc y_accel")),
-    "road_wheel_angle": Channel("angle", "mean of the front wheels, positive to the left", _split(
+    "road_wheel_angle": Channel("angle", "mean of the front wheels, positive to the left", (
         "road_wheel_angle delta delta_f delta_front df rwa front_wheel_angle front_steering_angle front_steer_angle "
         "steering_angle_front steer_angle_front road_steering_angle steering_angle_road wheel_angle tire_angle "
         "tyre_angle steering_tire_angle ackermann_angle radlenkwinkel")),
-    "steering_wheel_angle": Channel("angle", "steering wheel, positive to the left, offset not removed", _split(
+    "steering_wheel_angle": Channel("angle", "steering wheel, positive to the left, offset not removed", (
         "steering_wheel_angle steering_wheel steering_wheel_position steering_wheel_pos steer_wheel_angle "
         "steering_wheel_angle_iso hand_wheel_angle hand_wheel handwheel_position swa delta_h delta_hand delta_sw "
         "dm_steer_ang steer_whl_ang steer_sw lenkradwinkel")),
-    **{f"wheel_speed_{end}_{side}": Channel("speed", "rolling speed of a wheel; for checks", _split(
+    **{f"wheel_speed_{end}_{side}": Channel("speed", "rolling speed of a wheel; for checks", (
         f"wheel_speed_{end}_{side} wheel_speed_{end[0]}{side[0]} ws_{end[0]}{side[0]} v_{end[0]}{side[0]} "
         f"{end}_{side}_wheel_speed")) for end in ("front", "rear") for side in ("left", "right")},
-    "vehicle_speed": Channel("speed", "speed signal of the car; for checks", _split(
+    "vehicle_speed": Channel("speed", "speed signal of the car; for checks", (
         "vehicle_speed car_speed can_speed speed_can abs_speed odometer_speed wheel_speed wheel_speeds")),
 }
 """All known columns; test_csv_columns.py compares docs/csv_columns.md with this table."""
 
-AMBIGUOUS_STEERING = {normalise(name) for name in _split(
-    "steering_angle steering steer steer_angle steered_angle steering_position steering_pos delta_wheel")}
+AMBIGUOUS_STEERING = {*map(normalise, (
+    "steering_angle", "steering", "steer", "steer_angle", "steered_angle", "steering_position", "steering_pos",
+    "delta_wheel"))}
 """Names that mean the steering wheel in some files and the road wheels in others."""
 
 MAX_NAME_LENGTH = 200  # characters; of a longer name, only the end is used
@@ -121,7 +118,7 @@ _STEERING = "steering"  # angle of the steering wheel or of the road wheels; the
 _KINDS_BY_CHANNEL = {**{channel: definition.kind for channel, definition in COLUMNS.items()}, _STEERING: "angle"}
 _CHANNELS_BY_NAME = {**dict.fromkeys(AMBIGUOUS_STEERING, (_STEERING, 0)),
                      **{normalise(name): (channel, rank) for channel, definition in COLUMNS.items()
-                        for rank, name in enumerate(definition.names)},
+                        for rank, name in enumerate(definition.names.split())},
                      **dict.fromkeys(("theta", "phi"), ("yaw", DOUBTFUL_RANK))}
 
 

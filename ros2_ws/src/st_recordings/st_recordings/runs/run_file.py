@@ -35,9 +35,20 @@ def is_run_file(path: Path) -> bool:
 
 
 def read_run_file(path: Path) -> list[RunSource]:
-    """Reads the run that a run.yaml describes, or the runs under its key `each`. Raises RunError."""
+    """Reads the run that a run.yaml describes, or one run per file under its key `each`, with the CAN logs of the same
+    stem; a run.yaml for that file alone takes priority. Raises RunError."""
     content = _read_content(path)
-    return _parse_each(path, content) if "each" in content else [_parse_single_run(path, content)]
+    if "each" not in content:
+        return [_parse_single_run(path, content)]
+    if keys := [key for key in content if key in _SINGLE_RUN_KEYS]:
+        raise RunError(path, f"key {keys[0]} describes one run, but `each` describes several",
+                       "write a NAME.run.yaml for this run")
+    files = dict.fromkeys(_find_matching_files(path, "each", content["each"]))
+    if not files:
+        raise RunError(path, f"each: no file matches {content['each']!r}",
+                       "patterns are relative to the folder of the run.yaml")
+    drives = [file for file in files if not is_can_log(file)] or files  # *.csv may also match CAN logs
+    return [_read_own_run_file(path, file) or _parse_run_of_each(path, content, file) for file in drives]
 
 
 def find_described_run(file: Path) -> RunSource | None:
@@ -124,19 +135,6 @@ def _parse_single_run(path: Path, content: Mapping[str, Any]) -> RunSource:
         raise RunError(path, f"name: {name[:100]!r} cannot be the name of a folder",
                        "choose a name without slashes and control characters")
     return _build_run(path, content, name, key, files, logs)
-
-
-def _parse_each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
-    """One run per file, with the CAN logs of the same stem. A run.yaml for the file alone takes priority."""
-    if keys := [key for key in content if key in _SINGLE_RUN_KEYS]:
-        raise RunError(path, f"key {keys[0]} describes one run, but `each` describes several",
-                       "write a NAME.run.yaml for this run")
-    files = dict.fromkeys(_find_matching_files(path, "each", content["each"]))
-    if not files:
-        raise RunError(path, f"each: no file matches {content['each']!r}",
-                       "patterns are relative to the folder of the run.yaml")
-    drives = [file for file in files if not is_can_log(file)] or files  # *.csv may also match CAN logs
-    return [_read_own_run_file(path, file) or _parse_run_of_each(path, content, file) for file in drives]
 
 
 def _read_own_run_file(path: Path, file: Path) -> RunSource | None:

@@ -24,8 +24,8 @@ _STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\
 _COMPACT_STAMP = re.compile(r"(\d{4})-?(\d\d)-?(\d\d)[T_ -](\d\d)[:-]?(\d\d)[:-]?(\d\d)(?!\d)")  # 20260504T101112.5
 _UNDERSCORED_STAMP = re.compile(r"(\d{4})_(\d\d?)_(\d\d?)_(\d\d?)_(\d\d)_(\d\d)(?:_(\d+))?")  # 2026_05_04_10_11_12_500
 _NUMERIC_DATE = re.compile(r"(?<!\d)(\d\d?)[/-](\d\d?)[/-](\d{4}|\d\d)(?!\d)")
-# 04-May-2026, as MATLAB writes it, or Mon, 4 May 2026, as in RFC 5322
 _MONTH_FIRST = re.compile(r"([^\W\d]{3,})\.? (\d\d?)[,.]? +(\d{4})(?!\d)")  # May 4, 2026
+# 04-May-2026, as MATLAB writes it, or Mon, 4 May 2026, as in RFC 5322
 _NAMED_MONTH = re.compile(r"(?:[^\W\d]+\.?,? )?(?<!\d)(\d\d?)[- ]([^\W\d]{3,})\.?[- ](\d{4}|\d\d)(?![\d:])")
 # First letters of month names in Danish, Dutch, English, French, German, Italian, Norwegian, Polish, Portuguese,
 # Spanish and Swedish -> number; Vector's tools write month names in the language of the computer.
@@ -50,8 +50,8 @@ def month_number(name: str) -> int | None:
 
 
 def read_stamps(file: Path, cells: list[str], warnings: list[str]) -> np.ndarray | None:
-    """Seconds (n,) of a column of dates and times of day, NaN for other cells; None if the first cell is not a time. A
-    time of day continues past midnight."""
+    """Seconds (n,) of a column of dates and times of day, NaN for other cells; None if the first cell is not a time.
+    Times of day continue past midnight."""
     if (match := _MONTH_FIRST.search(cells[0])) and month_number(match[1]):
         cells = [_MONTH_FIRST.sub(r"\2 \1 \3", cell) for cell in cells]
     if (match := _NAMED_MONTH.search(cells[0])) and month_number(match[2]):
