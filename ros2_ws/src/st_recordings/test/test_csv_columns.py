@@ -334,6 +334,14 @@ def test_blank_cells_of_a_lower_rate_are_not_missing_values(tmp_path: Path) -> N
     assert "1 of 60 rows (1.7 %) have no number" in drive.warnings[0]
 
 
+def test_accelerations_are_read_if_only_the_steering_has_a_higher_rate(tmp_path: Path) -> None:
+    lines = write(tmp_path / "d.csv", PLAIN).read_text().splitlines()
+    steering_rows = [f"{0.02 * k + 0.005 * step:.3f},,,,,,,,,0.1" for k in range(N) for step in (1, 2, 3)]
+    (tmp_path / "d.csv").write_text("\n".join([lines[0], *sorted([*lines[1:], *steering_rows],
+                                                                key=lambda line: float(line.split(",")[0]))]))
+    assert_values(read_csv(tmp_path / "d.csv").log, excluding=["road_wheel_angle"])
+
+
 def test_missing_accelerations_become_nan_and_remove_no_samples(tmp_path: Path) -> None:
     drive = read_csv(replace_cells(write(tmp_path / "d.csv", PLAIN), {(k, 8): "" for k in range(10)}))
     assert np.isnan(drive.log.acceleration_y).sum() == 10
@@ -418,6 +426,17 @@ def test_acceleration_named_by_direction_has_priority_over_an_axis_of_a_sensor()
     names = ["timestamp", "lateral_acc", "longitudinal_acc", "x_acc", "y_acc"]  # of RaceChrono
     sources = find_columns(Path("a.csv"), names, Layout())
     assert (sources["acceleration_x"].name, sources["acceleration_y"].name) == ("longitudinal_acc", "lateral_acc")
+
+
+def test_iso_axes_have_priority_in_a_table_of_oxts() -> None:
+    """Names of the CSV of the OxTS NCOM decoder; its other lateral values are positive to the right."""
+    channels = {"velocity_y": "lateral velocity(m/s)", "acceleration_y": "lateral acceleration(m/s²)",
+                "yaw_rate": "yaw velocity(deg/s)"}
+    names = ["Velocity lateral(m/s)", "Acceleration lateral(m/s²)", "Angular rate Zv(deg/s)", *(
+        f"ISO {axes} {name}" for axes in ("e.f.s.", "i.s.", "v.s.") for name in channels.values())]
+    sources = find_columns(Path(), names, Layout())
+    assert {channel: sources[channel].name for channel in channels} == {
+        channel: f"ISO v.s. {name}" for channel, name in channels.items()}
 
 
 def test_documentation_lists_every_channel_and_unit() -> None:

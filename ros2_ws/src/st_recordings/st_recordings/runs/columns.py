@@ -26,12 +26,14 @@ COLUMNS: Mapping[str, Channel] = {
     "t": Channel("time", "time", (
         "t time t_rt timestamp timestamps stamp time_boot sim_time log_time relative_time elapsed elapsed_time seconds "
         "unix_time utc_time gps_time time_utc time_gps gps_tow tow gps_seconds time_of_week itow datetime epoch "
-        "epoch_time time_from_start gps_ins_time utc zeit uhrzeit zeitstempel datum_zeit x_value")),
+        "epoch_time time_from_start time_since_start_of_day gps_ins_time utc zeit uhrzeit zeitstempel datum_zeit "
+        "x_value")),
     **{axis: Channel("length", f"position of the INS point, {direction} or along the map's {axis}", (
         f"{axis} pos_{axis} position_{axis} {axis}_pos {axis}_position p{axis} {direction} {direction}ing "
-        f"{direction[0]}_pos {axis}_{direction} {axis}_enu {axis}_map local_{axis} utm_{axis} utm_{direction[0]} "
-        f"utm_{direction}ing pos_local_{axis} car_t{axis} {axis}o {axis}_absolute location_{axis} pose_{axis} "
-        f"pose_position_{axis} pose_pose_position_{axis}")) for axis, direction in (("x", "east"), ("y", "north"))},
+        f"{direction[0]}_pos pos_{direction[0]} {axis}_{direction} {axis}_enu {axis}_map local_{axis} utm_{axis} "
+        f"utm_{direction[0]} utm_{direction}ing pos_local_{axis} car_t{axis} {axis}o {axis}_absolute location_{axis} "
+        f"pose_{axis} pose_position_{axis} pose_pose_position_{axis}"))
+        for axis, direction in (("x", "east"), ("y", "north"))},
     "latitude": Channel("latitude or longitude", "positive to the north; read if x and y are missing", (
         "latitude lat latitude_deg pos_lat breitengrad")),
     "longitude": Channel("latitude or longitude", "positive to the east; the first fix is the map origin", (
@@ -50,33 +52,35 @@ COLUMNS: Mapping[str, Channel] = {
         f"pose_pose_orientation_{axis} pose_orientation_{axis} orientation_{axis} q{axis} quat_{axis}"))
        for axis in "xyzw"},
     "velocity_x": Channel("speed", "forward, body axes, at the INS point", (
-        "velocity_x vx vel_x velocity_forward vel_forward v_forward forward_velocity forward_vel vel_fwd v_fwd "
-        "velocity_longitudinal longitudinal_velocity v_longitudinal v_long vel_long v_lon vel_lon long_vel "
-        "long_velocity speed_forward forward_speed longitudinal_speed twist_linear_x twist_twist_linear_x "
-        "linear_velocity_x x_velocity linear_vel_x linear_vels_x v_ego laengsgeschwindigkeit speed velocity vel v "
-        "ground_speed speed_over_ground gps_speed speed_gps geschwindigkeit spd")),
+        "iso_vs_longitudinal_velocity velocity_x vx vel_x velocity_forward vel_forward v_forward forward_velocity "
+        "forward_vel vel_fwd v_fwd velocity_longitudinal longitudinal_velocity v_longitudinal v_long vel_long v_lon "
+        "vel_lon long_vel long_velocity speed_forward forward_speed longitudinal_speed twist_linear_x "
+        "twist_twist_linear_x linear_velocity_x x_velocity linear_vel_x linear_vels_x v_ego v_laengs "
+        "laengsgeschwindigkeit speed velocity vel v ground_speed speed_over_ground gps_speed speed_gps geschwindigkeit "
+        "spd")),
     "velocity_y": Channel("speed", "to the left, body axes, at the INS point; if missing, derived, else 0", (
-        "velocity_y vy vel_y velocity_lateral vel_lateral v_lateral lateral_velocity lateral_vel v_lat vel_lat "
-        "lat_vel lat_velocity velocity_left vel_left lateral_speed twist_linear_y twist_twist_linear_y "
-        "linear_velocity_y y_velocity linear_vel_y linear_vels_y quergeschwindigkeit")),
+        "iso_vs_lateral_velocity velocity_y vy vel_y velocity_lateral vel_lateral v_lateral lateral_velocity "
+        "lateral_vel v_lat vel_lat lat_vel lat_velocity velocity_left vel_left lateral_speed twist_linear_y "
+        "twist_twist_linear_y linear_velocity_y y_velocity linear_vel_y linear_vels_y v_quer quergeschwindigkeit")),
     **{f"velocity_{axis}": Channel("speed", meaning, (
         f"velocity_{axis} vel_{axis} v_{axis} {axis}_velocity {axis}_speed velocity_{axis[0]} vel_{axis[0]} "
         f"vel_ned_{axis[0]} v{axis[0]}")) for axis, meaning in (
             ("east", "read with velocity_north and yaw if velocity_y is missing"),
             ("north", "read with velocity_east and yaw if velocity_y is missing"))},
     "yaw_rate": Channel("angular rate", "positive in left turns; if missing, the derivative of yaw", (
-        "yaw_rate yaw_rate_iso yaw_velocity yaw_vel yaw_speed yaw_dot psi_dot psi_p d_psi r avz wz omega_z omega "
-        "angular_velocity_z angular_rate_z z_angular_rate angle_rate_z ang_vel_z ang_vels_z angular_z rate_z gyro_z "
-        "gyr_z twist_angular_z twist_twist_angular_z heading_rate gierrate giergeschwindigkeit")),
+        "iso_vs_yaw_velocity yaw_rate yaw_rate_iso yaw_velocity yaw_vel yaw_speed yaw_dot psi_dot psi_p d_psi r avz wz "
+        "omega_z omega angular_velocity_z angular_rate_z z_angular_rate angle_rate_z ang_vel_z ang_vels_z "
+        "angular_vel_z angular_z rate_z gyro_z gyr_z twist_angular_z twist_twist_angular_z heading_rate gierrate "
+        "giergeschwindigkeit")),
     "acceleration_x": Channel("acceleration", "forward, body axes", (
-        "acceleration_x acceleration_forward acc_forward accel_forward acceleration_longitudinal "
-        "longitudinal_acceleration longitudinal_accel longitudinal_acc acc_longitudinal a_longitudinal a_long acc_long "
-        "accel_long long_acc long_accel lon_acc lon_accel laengsbeschleunigung linear_acceleration_x ax acc_x accel_x "
-        "x_acc x_accel")),
+        "iso_vs_longitudinal_acceleration acceleration_x acceleration_forward acc_forward accel_forward "
+        "acceleration_longitudinal longitudinal_acceleration longitudinal_accel longitudinal_acc acc_longitudinal "
+        "a_longitudinal a_long acc_long accel_long long_acc long_accel lon_acc lon_accel a_laengs laengsbeschleunigung "
+        "linear_acceleration_x ax acc_x accel_x x_acc x_accel")),
     "acceleration_y": Channel("acceleration", "to the left, body axes", (
-        "acceleration_y acceleration_left acceleration_lateral lateral_acceleration lateral_accel lateral_acc "
-        "acc_lateral accel_lateral a_lateral a_lat acc_lat accel_lat lat_acc lat_accel querbeschleunigung "
-        "linear_acceleration_y ay acc_y accel_y y_acc y_accel")),
+        "iso_vs_lateral_acceleration acceleration_y acceleration_left acceleration_lateral lateral_acceleration "
+        "lateral_accel lateral_acc acc_lateral accel_lateral a_lateral a_lat acc_lat accel_lat lat_acc lat_accel "
+        "a_quer querbeschleunigung linear_acceleration_y ay acc_y accel_y y_acc y_accel")),
     "road_wheel_angle": Channel("angle", "mean of the front wheels, positive to the left", (
         "road_wheel_angle delta delta_f delta_front df rwa front_wheel_angle front_steering_angle front_steer_angle "
         "steering_angle_front steer_angle_front road_steering_angle steering_angle_road wheel_angle tire_angle "
@@ -106,7 +110,7 @@ _OTHER_QUANTITY = re.compile(
     r"max|min|engine|motor|wind|trailer|lead|object|obstacle|radar|fan|traffic|other)")
 """Words in a path which show that the value is not a measured quantity of this car."""
 _SOURCE = (r"(?:gps|gnss|ins|imu|ego|car|veh|vehicle|odom|odometry|can|chassis|pose|state|est|estimated|meas|measured|"
-           r"act|actual|raw|filt|filtered|sensor|iso_vs|iso)")  # where a value comes from, not what it is
+           r"act|actual|raw|filt|filtered|sensor|iso_vs|iso|cg|cog)")  # where a value comes from, not what it is
 _PATH = re.compile(rf"(?i)^{_SOURCE}[ _-]+|[/.]+|::")
 _CAMEL_CASE = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 _SUFFIX = re.compile(rf"(?i)[ _-]+{_SOURCE}$")

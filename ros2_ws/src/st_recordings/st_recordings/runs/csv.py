@@ -19,7 +19,7 @@ from .axes import COURSE, HEADING, MIN_COURSE_SPEED, check_geographic, read_angl
 from .columns import Layout, describe_unknown_units, find_ambiguous, find_ambiguous_steering, find_columns
 from .csv_table import Table, all_finite, differentiate_yaw, read_header, read_table
 from .errors import RunError, format_count
-from .ins_log import SPEEDS, InsLog, compute_car_speed, is_mostly_known, yaw_from_quaternion
+from .ins_log import SPEEDS, InsLog, compute_car_speed, yaw_from_quaternion
 from .run_types import LoadedRun, SteeringField, make_drive_log
 
 MOTION_SIGNALS = ("velocity_x", "yaw_rate")
@@ -91,7 +91,8 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
         _reject_unusable(table, int(has_ins.sum()), missing)
     values = {name: columns[name][has_ins] for name in INS_SIGNALS}
     values["yaw"] = np.unwrap(yaw_scale * values["yaw"])
-    values |= {name: columns[name][has_ins] for name in OPTIONAL_INS_SIGNALS if is_mostly_known(columns.get(name))}
+    values |= {name: columns[name][has_ins] for name in OPTIONAL_INS_SIGNALS
+               if name in columns and 2 * missing.get(name, 0) <= len(table.time_ns) + table.rows_without_time}
     values |= {name: columns[name][has_steering] for name in {ROAD_WHEEL, *steering_channels}}
     log = make_drive_log(table.file, table.file.stem, ins_time_ns=table.time_ns[has_ins],
                          steering_time_ns=table.time_ns[has_steering], **values)

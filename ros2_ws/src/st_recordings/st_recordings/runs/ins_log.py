@@ -69,9 +69,9 @@ def make_series(time_ns: np.ndarray, values: np.ndarray) -> Series | None:
     return Series(time_ns[rows], values[rows])
 
 
-def is_mostly_known(values: np.ndarray | None) -> bool:
+def is_mostly_known(values: np.ndarray) -> bool:
     """Whether an optional channel has a value in at least half of the samples."""
-    return values is not None and len(values) > 0 and bool(np.isfinite(values).mean() >= 0.5)
+    return len(values) > 0 and bool(np.isfinite(values).mean() >= 0.5)
 
 
 def _select_finite(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
