@@ -80,7 +80,7 @@ NOTHING = {"named": [], "rivals": {}, "rejected": [], "noise_ratio": 1.0, "detec
     (replace(SENSOR, gain=0.0, p_value=0.5, null_p_value=0.5, size=0.6), ACCEPTED,
      {}),  # a sensor error, however small its effect on the prediction
     (replace(SENSOR, gain=0.0, p_value=0.5, size=0.4), IRRELEVANT, {"share": 0.0, "position": 0.0}),
-    (replace(SENSOR, gain=0.0, shares={"yaw_rate": (0.05, 3.0)}), ACCEPTED, {}),
+    (replace(SENSOR, gain=0.0, reductions={"yaw_rate": (0.05, 3.0)}), ACCEPTED, {}),
     (replace(SENSOR, gain=0.0, size=0.6, sensors_p_value=0.01), NEGLIGIBLE, {}),  # the sensors disagree
     (replace(SENSOR, gain=0.0, size=0.6, sensors_null_p_value=0.02), NEGLIGIBLE,
      {}),  # zero agrees with the sensors too
@@ -159,10 +159,10 @@ def test_first_failed_rule_is_the_verdict():
 
 
 @pytest.mark.parametrize(("evidence", "rule", "figures"), [
-    (replace(NO_POSITION_GAIN, shares={"yaw": (0.1, 5.0)}), NAMED, {"share": 0.1}),
-    (replace(NO_POSITION_GAIN, shares={"yaw": (0.01, 5.0), "yaw_rate": (0.2, 9.0)}), NAMED, {"share": 0.2}),
-    (replace(NO_POSITION_GAIN, shares={"yaw": (0.1, 1.5)}), MINOR, {"share": 0.0}),  # the channel is mostly noise
-    (replace(NO_POSITION_GAIN, shares={"yaw": (0.01, 5.0)}), MINOR, {"share": 0.01, "position": 0.01}),
+    (replace(NO_POSITION_GAIN, reductions={"yaw": (0.1, 5.0)}), NAMED, {"share": 0.1}),
+    (replace(NO_POSITION_GAIN, reductions={"yaw": (0.01, 5.0), "yaw_rate": (0.2, 9.0)}), NAMED, {"share": 0.2}),
+    (replace(NO_POSITION_GAIN, reductions={"yaw": (0.1, 1.5)}), MINOR, {"share": 0.0}),  # the channel is mostly noise
+    (replace(NO_POSITION_GAIN, reductions={"yaw": (0.01, 5.0)}), MINOR, {"share": 0.01, "position": 0.01}),
     (replace(NO_POSITION_GAIN, position_reduction=0.03), NAMED, {"position": 0.03}),
     (replace(NO_POSITION_GAIN, position_reduction_in_condition=0.03), NAMED, {"position": 0.03}),
     (NO_POSITION_GAIN, MINOR, {"share": 0.0}),
@@ -326,7 +326,7 @@ LIMIT_CASES = [
     ("undecided_p", 1e-9, judge_reporting, replace(CONFIRMED, gain=0.1, noise_ratio=5.0, sensors_p_value=0.01), MINOR,
      NAMED),
     ("relevant", 1e-9, judge, SMALL_EFFECT, IRRELEVANT, ACCEPTED),
-    ("relevant", 1e-9, judge_reporting, replace(NO_POSITION_GAIN, shares={"yaw": (0.01, 5.0)}), MINOR, NAMED),
+    ("relevant", 1e-9, judge_reporting, replace(NO_POSITION_GAIN, reductions={"yaw": (0.01, 5.0)}), MINOR, NAMED),
     ("relevant", 1e-9, varies_relevantly, SMALL_GAIN, False, True),
     ("relevant_position", 1e-9, judge, SMALL_EFFECT, IRRELEVANT, ACCEPTED),
     ("relevant_position", 1e-9, judge_reporting, NO_POSITION_GAIN, MINOR, NAMED),
@@ -340,7 +340,7 @@ LIMIT_CASES = [
     ("unexplained_share", 1e-9, judge_reporting, replace(LOW_GAIN, noise_ratio=5.0), MINOR, NAMED),
     ("max_noise_ratio", 1e9, decide_outcome, NOTHING | dict(noise_ratio=9.0), "unknown", "none"),
     ("max_noise_ratio", 1e9, judge_reporting, replace(LOW_GAIN, noise_ratio=5.0), MINOR, NAMED),
-    ("max_noise_ratio", 1e9, judge_reporting, replace(NO_POSITION_GAIN, shares={"yaw": (0.1, 5.0)}), NAMED, MINOR),
+    ("max_noise_ratio", 1e9, judge_reporting, replace(NO_POSITION_GAIN, reductions={"yaw": (0.1, 5.0)}), NAMED, MINOR),
     ("max_noise_ratio", 1e9, judge_alternative, CLOSE_RIVAL, ALTERNATIVE, EXPLAINS_LESS),
     ("detection_power", 1e-9, decide_outcome, NOTHING | dict(detectable_share=0.1), "not_testable", "none"),
 ]

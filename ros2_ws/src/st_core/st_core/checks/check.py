@@ -41,7 +41,8 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
     The order is: sampling; units, signs and axes; relations valid for any vehicle (position, yaw, velocity,
     accelerations, other speeds); and, with a vehicle, comparison with it and trial of the corrections. Each check uses
     a copy corrected for the faults found before. No content of a recording raises an exception: channels that are too
-    short or too inaccurate are not compared. Faults may begin or grow, so both ends of long drives are also checked.
+    short or too inaccurate are not compared. Since faults may begin or grow during a drive, the first and the last part
+    of a long drive are also checked separately.
     """
     auxiliary = auxiliary or AuxiliaryData()
     start_ns = next(iter(log.ins_time_ns[:1].tolist()), 0) if auxiliary.start_ns is None else auxiliary.start_ns
@@ -52,7 +53,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
         duration = min((last - first) // 2, round(MAX_PART_DURATION / NANOSECOND))
         middle, late = first + duration, last - duration
         times = [tuple((t - start_ns) * NANOSECOND for t in span) for span in ((first, middle), (late, last))]
-        # A change of accelerations alone is not reported. They help to decide which of two other channels has changed.
+        # A change of the accelerations alone is not reported. They show which of two other channels has changed.
         for compared in (replace(log, acceleration_x=None, acceleration_y=None), log):
             parts = [_check_part(compared.slice(*span), vehicle, replace(auxiliary, implausible=()), start_ns)
                      for span in ((log.start_ns, middle - 1), (late, log.end_ns))]
@@ -87,7 +88,7 @@ def _report_changes(whole: DriveCheck, parts: list[DriveCheck], times: list[tupl
             statement = f"{places[k]} of the drive, {finding.statement.removesuffix('?')}{change}"
             ranked.append((rank, replace(
                 finding, statement=statement, advice=advice, times=(times[k],)) if change else finding))
-    in_parts = {finding.name: finding for _, finding in sorted(ranked, key=itemgetter(0))}  # those of the highest rank
+    in_parts = {finding.name: finding for _, finding in sorted(ranked, key=itemgetter(0))}  # by name, the highest rank
     changed = {finding.name for finding in in_parts.values() if finding.times}
     if not changed:
         return whole
@@ -161,14 +162,15 @@ def _check_relations(results: Results, motion: Motion, log: DriveLog, vehicle: V
     recorded = motion
     motion, unit_findings = _correct_units(sampling.drop_frozen_samples(motion, stuck_findings), vehicle)
     unit_findings = [time_unit, *unit_findings] if time_unit else unit_findings
-    coarse_findings = sampling.find_coarse_channels(motion, stuck_findings)
+    held_channels = _list_channels(stuck_findings, "samples_repeated")
+    coarse_findings = sampling.find_coarse_channels(motion, held_channels)
     results.findings += coarse_findings
     coarse_channels = _list_channels(coarse_findings)
     # The derivative of a coarse channel is dominated by rounding.
     motion = replace(motion, acceleration_x=None if "velocity_x" in coarse_channels else motion.acceleration_x,
                      acceleration_y=None if coarse_channels & {"velocity_y", "yaw_rate"} else motion.acceleration_y)
-    motion = sampling.interpolate_held_channels(motion, stuck_findings)
-    if not {"x", "y"} & _list_channels(stuck_findings, "samples_repeated"):  # held positions always step
+    motion = sampling.interpolate_held_channels(motion, held_channels)
+    if not {"x", "y"} & held_channels:  # held positions move in steps
         motion, step_findings = check_position_steps(motion)
         results.findings += step_findings
     speed, yaw_rate, sideslip_measured = motion.velocity_x, motion.yaw_rate, CHANNELS["velocity_y"].is_measured_in(log)
@@ -274,7 +276,13 @@ def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[M
     if lag_findings or find(findings, "yaw_offset", "yaw_wander"):
         yaw_rate = inertial.compare_yaw_rate(motion)
     inertial.check_yaw_rate(results, motion, yaw_rate, removed_factors)
-    results.findings = [_add_yaw_alternative(finding, motion) for finding in results.findings]
+    scale = find(results.findings, "yaw_rate_scale")
+    if scale and scale.value and not units_and_axes.other_yaw_fits_better(
+            replace(motion, yaw=scale.value * motion.yaw), motion):  # positions fit a scale error of yaw equally well
+        alternative = Alternative(f"yaw is {1.0 / scale.value:.3f} times its true value", ("yaw_scale",))
+        advice = Advice("text", "record more accurate positions to distinguish the two")
+        results.findings = [finding.with_alternative(alternative, advice, "yaw") if finding is scale else finding
+                            for finding in results.findings]
     if yaw_rate and yaw_rate.scale.value:  # a constant yaw rate has no scale
         estimates["yaw_scale"] = add_systematic_uncertainty("yaw_scale", yaw_rate.scale.inverse())
     for name in removed_factors.keys() & estimates.keys():  # from corrected to recorded units
@@ -290,16 +298,6 @@ def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[M
     inertial.check_accelerations(results, motion)
     inertial.check_speeds(results, motion)
     return motion, results, yaw_rate_lag
-
-
-def _add_yaw_alternative(finding: Finding, motion: Motion) -> Finding:
-    """The finding; a scale of yaw_rate loses its correction if positions fit a scale error of yaw equally well."""
-    if finding.name != "yaw_rate_scale" or not finding.value or units_and_axes.other_yaw_fits_better(
-            replace(motion, yaw=finding.value * motion.yaw), motion):
-        return finding
-    alternative = Alternative(f"yaw is {1.0 / finding.value:.3f} times its true value", ("yaw_scale",))
-    return finding.with_alternative(
-        alternative, Advice("text", "record more accurate positions to distinguish the two"), "yaw")
 
 
 def _correct_units(motion: Motion, vehicle: VehicleParameters | None) -> tuple[Motion, list[Finding]]:

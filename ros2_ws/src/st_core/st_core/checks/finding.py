@@ -11,7 +11,7 @@ SCHEMA = 3  # version of check.json; within a version, keys are added but never 
 
 
 class Severity(StrEnum):
-    """Effect of a finding on an evaluation: meaningless (error), biased (warning) or hardly affected (note)."""
+    """How a finding affects an evaluation: it is meaningless (error), biased (warning) or hardly affected (note)."""
 
     ERROR = "error"
     WARNING = "warning"

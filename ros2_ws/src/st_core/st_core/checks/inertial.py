@@ -202,7 +202,7 @@ GYRO_BIAS = 0.001  # rad/s; smallest reported bias; twice the bias of a good INS
 ACCELERATION_SCALE_ERROR = 0.35  # smallest reported deviation from 1; roll and pitch of the body cause up to 0.33
 ACCELERATION_LAG = 0.12  # s; smallest reported lag; filters of accelerometers cause delays of up to 0.1 s
 ACCELERATION_TOLERANCE = 1.2  # factor by which the mean of a vertical acceleration may differ from gravity
-MIN_UNRELATED_WINDOWS = 20  # minimum number of windows of 1 s for an acceleration that is unrelated to the motion
+MIN_UNRELATED_WINDOWS = 20  # minimum number of windows of 1 s to report an acceleration as unrelated to the motion
 MIN_ACCELERATION_DEVIATION = 0.25  # m/s^2; minimum spread for a scale; a slope of 2.5 % has this effect
 ACCELEROMETER_ARM = 1.5  # m between accelerometer and INS point
 SEVERE_ACCELERATION_BIAS = 0.3  # m/s^2; a crossfall of 2.5 % causes a bias of 0.25
@@ -238,12 +238,12 @@ class Tolerances:
     severe_bias: float = np.inf  # smallest such bias [unit]
     position_effect: float = 0.0  # position shift at the end of the horizon per unit of error [m]
     min_spread: float = 0.0  # smallest standard deviation of the reference for which a lag is reported [unit]
-    min_correlation: float = LIMITS.min_correlation  # at a lower correlation, only the lag is judged
+    min_correlation: float = LIMITS.min_correlation  # at a lower correlation, only the lag is checked
     unit_questions: Mapping[float, str] = field(default_factory=dict)  # question about the unit, by factor
     bias_question: str = ""  # question about the cause of a bias
 
 
-def judge_agreement(results: Results, agreement: Agreement | None, tolerances: Tolerances, title: str,
+def check_agreement(results: Results, agreement: Agreement | None, tolerances: Tolerances, title: str,
                     removed_scale: float = 1.0, removed_reference_scale: float = 1.0) -> None:
     """Add the result of a comparison. title: of the panel, which shows both series in recorded units. removed_scale,
     removed_reference_scale: factors already divided out of the channel and of the reference."""
@@ -292,7 +292,7 @@ def _make_lag_finding(agreement: Agreement, lag: Estimate, tolerances: Tolerance
     text = (f"{tolerances.channel} {'lags' if lag.value > 0.0 else 'leads'} {tolerances.reference} by "
             f"{abs(lag)} s{format_alternative_lags(agreement)}")
     if abs(agreement.correlation) < tolerances.min_correlation:
-        text += f"; their correlation is only {abs(agreement.correlation):.2f}, so scale and bias are not judged"
+        text += f"; their correlation is only {abs(agreement.correlation):.2f}, so scale and bias are not checked"
     return _make_finding("lag", text, lag, abs(lag.value) * rate, tolerances, lag.value,
                          abs(lag.value) >= tolerances.severe_lag)
 
@@ -345,7 +345,7 @@ def check_yaw_rate(results: Results, motion: Motion, agreement: Agreement | None
     tolerances = Tolerances(
         "yaw_rate", "yaw", "rad/s", LIMITS.lag, GYRO_SCALE_ERROR, GYRO_BIAS, LIMITS.severe_lag, severe_scale=0.03,
         severe_bias=0.01, position_effect=position_effect, min_correlation=GYRO_CORRELATION)
-    judge_agreement(
+    check_agreement(
         results, agreement, tolerances, "yaw rate: sensor versus change of yaw",
         removed_factors.get("yaw_rate_scale", 1.0),
         removed_factors.get("yaw_scale", removed_factors.get("yaw_convention", 1.0)))
@@ -456,12 +456,12 @@ def check_accelerations(results: Results, motion: Motion) -> None:
         if name == "acceleration_y":
             axis, reference = "lateral", "velocity and yaw rate"
             lag = max(ACCELERATION_LAG, ACCELEROMETER_ARM / max(speed, MIN_MOVING_SPEED))
-        judges_scale = agreement is not None and agreement.spread >= MIN_ACCELERATION_DEVIATION
+        checks_scale = agreement is not None and agreement.spread >= MIN_ACCELERATION_DEVIATION
         tolerances = Tolerances(
-            name, reference, "m/s^2", lag, ACCELERATION_SCALE_ERROR if judges_scale else np.inf,
+            name, reference, "m/s^2", lag, ACCELERATION_SCALE_ERROR if checks_scale else np.inf,
             LIMITS.acceleration_bias, severe_bias=SEVERE_ACCELERATION_BIAS, unit_questions=ACCELERATION_UNITS,
             bias_question=": is the sensor mounted at an angle, or is the road not level?")
-        judge_agreement(results, agreement, tolerances, f"{axis} acceleration: sensor versus velocity")
+        check_agreement(results, agreement, tolerances, f"{axis} acceleration: sensor versus velocity")
 
 
 def check_speeds(results: Results, motion: Motion) -> None:
@@ -471,7 +471,7 @@ def check_speeds(results: Results, motion: Motion) -> None:
         tolerances = Tolerances(name, "velocity_x", "m/s", lag, scale, np.inf, min_spread=MIN_SPEED_DEVIATION,
                                 unit_questions=SPEED_UNITS)
         title = f"forward speed: {name.replace('_', ' ')} versus velocity_x"
-        judge_agreement(results, compare_speed(motion, name), tolerances, title)
+        check_agreement(results, compare_speed(motion, name), tolerances, title)
 
 
 def check_position_clock(motion: Motion) -> list[Finding]:

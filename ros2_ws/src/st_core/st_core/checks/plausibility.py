@@ -22,7 +22,7 @@ STEP_MEDIAN_RATIO = 20.0  # minimum ratio of a large step to the median step; no
 HALF_WINDOW = 0.1  # s; half-width of the window that contains a sample's neighbours; at least 2.5 updates
 MIN_SENTINEL_SAMPLES = 3  # minimum number of samples of one value between two large steps
 MIN_ZERO_TIME = 0.2  # s; minimum duration of the value 0 as a sentinel
-SENTINEL_HOLD_RATIO = 3.0  # minimum number of samples of a sentinel 0, divided by the usual number of equal samples
+SENTINEL_HOLD_RATIO = 3.0  # minimum number of samples of a sentinel 0, divided by the 98 % quantile of such runs
 MAX_IMPLAUSIBLE_FRACTION = 0.5  # above it, the channel is unusable, and none of its samples is left out
 MIN_WRAP_RATIO = 0.3  # minimum wrap size divided by the largest plausible step; smaller wraps resemble real changes
 WRAP_SPREAD, WRAP_SYMMETRY = 0.1, 0.2  # tolerances of step and sum of its end values, as fractions of the wrap size
@@ -67,7 +67,7 @@ class _ChannelSamples:
         self.step = np.abs(np.diff(values))  # |change| from each sample to the next, (n - 1,) [unit]
         changes = np.flatnonzero(self.step > 0.0)
         self.median_step = float(np.median(self.step[changes]))  # of the non-zero steps
-        self.update_interval = float(np.median(np.diff(time[changes + 1])))  # s, usual time between changes
+        self.update_interval = float(np.median(np.diff(time[changes + 1])))  # s, median time between changes
         physical = self.limits.max_step * max(1.0, self.spacing / STEP_TIME, self.update_interval / STEP_TIME)
         self.limit = max(physical, STEP_MEDIAN_RATIO * self.median_step)  # largest plausible change [unit]
 
@@ -156,7 +156,7 @@ def _detect_motion(log: DriveLog, instants_ns: np.ndarray) -> np.ndarray:
 
 
 def _find_jumps(channel: _ChannelSamples, large: np.ndarray, implausible: np.ndarray) -> np.ndarray:
-    """Samples after a step much larger than the usual steps, except at implausible samples, held values and gaps."""
+    """Samples after a step much larger than 90 % of the steps, except at implausible samples, held values and gaps."""
     if not large.any():
         return np.zeros(0, np.int64)
     constant = channel.step == 0.0  # a step next to a held value belongs to a frozen channel

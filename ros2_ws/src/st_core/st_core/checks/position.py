@@ -12,7 +12,7 @@ Each cause of a residual contributes a term that is linear in the size of the ca
     yaw drift w           yaw = yaw_true + w (t - start)         as a yaw offset of w (t - start)
     position lag T        p(t) = p_true(t - T)                   -T (V2 - V1),  V = R(yaw) v
     velocity lag T        v(t) = v_true(t - T), body axes        +T integral of R(yaw) dv/dt dt, both axes or only x
-    reference a           p is of a point a distance a ahead     (R(yaw2) - R(yaw1)) (a, 0)
+    reference a           p refers to a point a [m] ahead        (R(yaw2) - R(yaw1)) (a, 0)
     velocity bias b       v = v_true + b, one body axis          -integral of R(yaw) b dt
 """
 
@@ -32,7 +32,8 @@ MIN_WINDOWS = 10
 ITERATIONS = 3
 MAX_RESIDUAL_LAG = 0.5  # largest position lag with the right yaw, divided by that with the wrong one
 MIN_LOSS_RATIO = 1.1  # ratio of the losses of two explanations above which the one with the smaller loss is preferred
-VARIATION_INTERVAL, MAX_VARIATION_INTERVALS = 20.0, 16  # s, number of intervals between instants; limits the memory
+VARIATION_INTERVAL = 20.0  # s between the instants at which the size of a varying cause is fitted
+MAX_VARIATION_INTERVALS = 16  # largest number of such intervals; it limits the memory
 MIN_VARIATION_RATIO = 2.0  # ratio of the losses per degree of freedom above which a cause varies
 MIN_SIGN_GAIN = 0.01  # m; minimum reduction of the misfit by the opposite sign; RTK noise is 1 cm
 MAX_SIGN_MISFIT_RATIO = 1.2  # largest misfit with the opposite sign, divided by that with another cause, if both fit
@@ -465,8 +466,8 @@ def _refine_causes(problem: Regression, causes: dict[str, Estimate], min_values:
     """Refined values of the causes found so far, and further causes. min_values: smallest reported value by cause."""
     excluded = {*causes, *(other for name in causes for other in CONFOUNDED.get(name, ()))}
     candidates = [name for name in min_values if name not in excluded]
-    usual = [name for name in candidates if name not in RARE_CAUSES]
-    best = (*causes, *_find_causes(problem, usual, min_values, tuple(causes)))
+    common = [name for name in candidates if name not in RARE_CAUSES]
+    best = (*causes, *_find_causes(problem, common, min_values, tuple(causes)))
     for rare, confounded in rare_explanations.items():
         is_tried = confounded & {*best[len(causes):]} if rare[0] in CONFOUNDED else len(rare) == 1 or (
             _fits_better(problem, (*best, *(name for name in rare if name not in best)), problem, best))
@@ -478,8 +479,7 @@ def _refine_causes(problem: Regression, causes: dict[str, Estimate], min_values:
                     and all(is_relevant(joint[name], min_values[name]) for name in rare)
                     and (rare[0] in CONFOUNDED or _has_lateral_scale_error(problem, alternative))):
                 best = alternative
-    estimates = problem.estimate(best)
-    return {name: _add_refinement(name, causes, estimate) for name, estimate in estimates.items()}
+    return {name: _add_refinement(name, causes, estimate) for name, estimate in problem.estimate(best).items()}
 
 
 def _has_lateral_scale_error(problem: Regression, causes: tuple[str, ...]) -> bool:
@@ -498,8 +498,7 @@ def _has_lateral_scale_error(problem: Regression, causes: tuple[str, ...]) -> bo
 def _add_refinement(name: str, causes: Mapping[str, Estimate], refinement: Estimate) -> Estimate:
     """Estimate of a cause, from its value so far and a refinement fitted to the corrected motion."""
     value = causes[name].value if name in causes else 0.0
-    factor = 1.0 + value if name in VELOCITY_SCALES else 1.0
-    return refinement.scaled(factor).shifted(value)
+    return refinement.scaled(1.0 + value if name in VELOCITY_SCALES else 1.0).shifted(value)
 
 
 def _find_causes(problem: Regression, candidates: list[str], min_values: dict[str, float],

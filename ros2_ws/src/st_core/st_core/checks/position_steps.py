@@ -15,8 +15,8 @@ from .position import VARYING_FINDINGS
 from .sampling import MIN_MEASURED_STEPS, STAMPED_CHANNELS, estimate_resolution
 
 OUTLIER_SIGMAS = 6.0  # number of robust standard deviations above which a step is not noise
-MIN_DEVIATION_WINDOWS = 20  # minimum number of windows of 1 s in which deviations are judged
-MIN_JUDGED_STEPS = 50  # minimum number of steps for judging jitter, stale samples and noise
+MIN_DEVIATION_WINDOWS = 20  # minimum number of windows of 1 s in which deviations are checked
+MIN_CHECKED_STEPS = 50  # minimum number of steps to check jitter, stale samples and noise
 MIN_NOISE = 0.05  # m per axis; white noise is 2 cm for RTK positions, and far less for INS positions
 MIN_JUMP = 0.2  # m; the distance in 10 ms at 20 m/s
 MAX_LISTED_JUMPS = 50  # largest number of jumps that are listed and left out
@@ -31,7 +31,7 @@ MAX_CROSS_TRACK_FRACTION = 0.3  # largest cross-track component of the step of a
 MAX_BURST_INTERVAL = 0.25  # largest interval within a burst, divided by the mean interval
 MIN_BURST_LENGTH = 2.0  # minimum mean number of samples in a burst
 MAX_STEP_RATIO = 1.5  # largest median step of an angle sent only on change, divided by its smallest step
-MAX_PAUSE_RATIO = 3.0  # longest pause between bursts divided by the usual one; longer ones are gaps
+MAX_PAUSE_RATIO = 3.0  # longest pause between bursts divided by the median one; longer ones are gaps
 
 
 def spread_bursts(log: DriveLog) -> tuple[DriveLog, list[Finding]]:
@@ -73,7 +73,7 @@ def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
     track by v h, and the next new position an equal step forward. Time stamps that jitter are replaced by evenly spaced
     ones, and then nothing else is reported.
     """
-    if len(motion.time) < MIN_JUDGED_STEPS:
+    if len(motion.time) < MIN_CHECKED_STEPS:
         return motion, []
     # d_k, as east + i north [m], and its along-track part divided by the speed [s], NaN at standstill.
     errors = np.diff(motion.position) - np.diff(cumulative_trapezoid(motion.velocity_map, motion.time, initial=0.0))
@@ -86,7 +86,7 @@ def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
     is_stale, findings = _check_stale(motion, errors, along, rounding)
     findings += _check_jumps(motion, errors, along, is_stale, rounding)
     within = np.diff(motion.time) <= MAX_GAP
-    if rounding == 0.0 and within.sum() >= MIN_JUDGED_STEPS:
+    if rounding == 0.0 and within.sum() >= MIN_CHECKED_STEPS:
         # With white noise of positions, |d_k| has a Rayleigh distribution with median 1.665 sigma.
         sigma = float(np.median(np.abs(errors[within]))) / 1.665
         if sigma >= MIN_NOISE:
@@ -102,7 +102,7 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
     """(mask of the steps due to stale samples, the findings). along: see `check_position_steps`."""
     known = np.isfinite(along)
     no_steps = np.zeros(len(along), bool)
-    if known.sum() < MIN_JUDGED_STEPS:
+    if known.sum() < MIN_CHECKED_STEPS:
         return no_steps, []
     step = along - np.median(along[known])  # s, < 0: back along the track
     spacing = float(np.median(np.diff(motion.time)))
@@ -143,11 +143,10 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
 
 def _check_jumps(motion: Motion, errors: np.ndarray, along: np.ndarray, is_stale: np.ndarray,
                  rounding: float) -> list[Finding]:
-    """Finding about large steps. A clock that is set by T during the drive acts like jumps -v T along the track."""
+    """Finding about large steps. A clock set forward by T during the drive acts like jumps -v T along the track."""
     size = np.abs(errors - np.median(errors.real) - 1j * np.median(errors.imag))
-    scale = SIGMA_PER_MAD * float(np.median(size))
     within = (np.diff(motion.time) <= MAX_GAP) & ~is_stale
-    large = within & (size > max(OUTLIER_SIGMAS * scale, MIN_JUMP, 2.0 * rounding))
+    large = within & (size > max(OUTLIER_SIGMAS * SIGMA_PER_MAD * float(np.median(size)), MIN_JUMP, 2.0 * rounding))
     count = int(large.sum())
     if not count:
         return []
@@ -208,13 +207,13 @@ def _check_jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
     spacing = np.diff(motion.time)
     median = float(np.median(spacing))
     inside = (spacing < MAX_GAP) & np.isfinite(along)
-    if inside.sum() < MIN_JUDGED_STEPS:
+    if inside.sum() < MIN_CHECKED_STEPS:
         return []
     uneven = (spacing - median)[inside]
     power, deviation = float(np.sum(uneven**2)), float(np.std(uneven))
     # A few large steps are gaps, or a clock that was set.
-    few_steps = float(np.sort(uneven**2)[-MIN_STALE_SAMPLES:].sum()) > 0.5 * power
-    if deviation < 0.05 * median or power <= 0.0 or few_steps:
+    few_large_steps = float(np.sort(uneven**2)[-MIN_STALE_SAMPLES:].sum()) > 0.5 * power
+    if deviation < 0.05 * median or power <= 0.0 or few_large_steps:
         return []
     slope = float(np.sum(along[inside] * -uneven) / power)  # 1 if the motion is smooth, 0 if the stamps are correct
     effect = deviation * float(np.median(motion.speed[1:][inside]))

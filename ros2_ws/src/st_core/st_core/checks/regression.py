@@ -1,4 +1,4 @@
-"""Robust linear regression of a residual on possible causes of faults.
+"""Robust linear regression of a residual on its possible causes.
 
 Errors of neighbouring samples are correlated, so confidence intervals come from a bootstrap of blocks of driving
 (`st_core.regression`). Causes are found by forward selection: the cause that reduces the loss most is added and all are

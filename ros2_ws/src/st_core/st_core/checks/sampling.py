@@ -17,7 +17,7 @@ UNITS = {"x": "m", "y": "m", "yaw": "rad", "velocity_x": "m/s", "velocity_y": "m
          "acceleration_x": "m/s^2", "acceleration_y": "m/s^2", "road_wheel_angle": "rad"}
 ALL_INS_SIGNALS = "every INS signal"
 STAMPED_CHANNELS = {"INS": ("time",), "steering": ("road_wheel_angle",)}  # channels affected by wrong time stamps
-MIN_HELD_FRACTION = 0.7  # minimum fraction of the samples in sequences of equal values of the usual length
+MIN_HELD_FRACTION = 0.7  # minimum fraction of the samples in sequences of equal values of about the median length
 MIN_HELD_RATE = 15.0  # Hz; at 15 m/s, positions held at this rate lag by up to 1 m, and by 0.5 m on average
 PREDICTION_GAP = PredictionSettings().maximum_gap
 MAX_LONG_FRACTION = 0.05  # fraction of intervals above PREDICTION_GAP; at 10 Hz, 92 % of 5 s horizons then contain one
@@ -26,11 +26,11 @@ MIN_ROWS_PER_SAMPLE = 1.5  # minimum sampling interval, in rows, of a sensor tha
 SPACING_TOLERANCE = 0.05  # largest relative deviation of the sensor's mean sampling interval from the expected one
 MIN_FREEZE_TIME = 1.5  # s; minimum duration of a frozen value
 MIN_CLIP_TIME = 0.3  # s; minimum duration of a clipped value
-MIN_CURVATURE_SPEED = 2.0  # m/s; at lower speeds, the curvature is not judged
+MIN_CURVATURE_SPEED = 2.0  # m/s; at lower speeds, the curvature is not checked
 MIN_CURVATURE_CHANGE = 0.1  # minimum relative change of the curvature while a clipped steering angle is constant
 MIN_FROZEN_CURVATURE_CHANGE = 0.3  # MIN_CURVATURE_CHANGE of a frozen angle; saturating tyres cause 0.2
 CLIP_RATIO = 8.0  # minimum number of samples at a clipped value, divided by the number at each adjacent value
-FREEZE_PAUSE_RATIO = 10.0  # minimum duration of a frozen value, divided by the channel's usual time without a change
+FREEZE_PAUSE_RATIO = 10.0  # minimum duration of a frozen value, divided by the 98 % quantile of all constant spells
 OPTIONAL_CHANNELS = ("velocity_y", "acceleration_x", "acceleration_y")  # not needed to score predicted paths
 MAX_INTERVAL_RATIO = 1.5  # largest ratio of a sampling interval to the median; a longer one contains a lost sample
 MAX_SPEED_NOISE = 0.5  # m/s; reported by a receiver at standstill while the position is constant
@@ -199,9 +199,8 @@ def find_stuck_channels(motion: Motion, channels: Mapping[str, Sampling]) -> lis
     return merge_findings(findings)
 
 
-def find_coarse_channels(motion: Motion, stuck: Sequence[Finding]) -> list[Finding]:
+def find_coarse_channels(motion: Motion, held: set[str]) -> list[Finding]:
     """Findings about channels rounded so coarsely that the initial state has a relevant error, except held channels."""
-    held = {channel for finding in stuck if finding.name == "samples_repeated" for channel in finding.channels}
     speed = float(np.median(motion.speed))
     findings = []
     for name, (distance, grows_with_speed) in POSITION_EFFECT.items():
@@ -269,8 +268,8 @@ def _check_frozen(name: str, time: np.ndarray, values: np.ndarray, motion: Motio
     """Finding about a channel that is constant for `min_time` [s] and much longer than usual while others change."""
     first, last = find_groups(np.diff(values) != 0.0)
     duration = time[last] - time[first]
-    usual_pause = float(np.sort(duration)[max(int(0.98 * len(duration)) - 1, 0)]) if len(duration) > 5 else 0.0
-    frozen = [k for k in np.flatnonzero(duration > max(min_time, FREEZE_PAUSE_RATIO * usual_pause))
+    long_pause = float(np.sort(duration)[max(int(0.98 * len(duration)) - 1, 0)]) if len(duration) > 5 else 0.0
+    frozen = [k for k in np.flatnonzero(duration > max(min_time, FREEZE_PAUSE_RATIO * long_pause))
               if _should_change(name, time[first[k]], time[last[k]], motion, resolution, MIN_FROZEN_CURVATURE_CHANGE)]
     if not frozen:
         return []
@@ -317,8 +316,7 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, resoluti
         residual = curvature - terms @ np.linalg.lstsq(terms, curvature)[0]
         return bool(change > min_change and np.ptp(np.percentile(residual, [5, 95]))
                     > min_curvature_change * np.median(np.abs(curvature)))
-    rounding = ROUNDING_STEPS * resolution if name in CHANNELS_WITH_SAME_UNIT else 0.0
-    return bool(change > max(min_change, rounding))
+    return bool(change > max(min_change, ROUNDING_STEPS * resolution if name in CHANNELS_WITH_SAME_UNIT else 0.0))
 
 
 def _compute_mean_rate(time: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -364,9 +362,8 @@ def drop_frozen_samples(motion: Motion, findings: Sequence[Finding]) -> Motion:
     return motion
 
 
-def interpolate_held_channels(motion: Motion, stuck: Sequence[Finding]) -> Motion:
-    """The motion with held INS channels interpolated between their changes. stuck: from `find_stuck_channels`."""
-    held = {name for finding in stuck if finding.name == "samples_repeated" for name in finding.channels}
+def interpolate_held_channels(motion: Motion, held: set[str]) -> Motion:
+    """The motion with held INS channels interpolated between their changes."""
     signals = {}
     for name in sorted(held & {*INS_SIGNALS, *OPTIONAL_INS_SIGNALS}):
         if (values := getattr(motion, name)) is not None:

@@ -51,7 +51,7 @@ def try_corrections(findings: list[Finding], log: DriveLog, vehicle: VehiclePara
 
     The corrections of all errors are applied together, since one wrong unit may mask another. If none is missing or
     fails, and they are not harmful, the correction of each warning is then tried separately. A warning with a harmful
-    correction becomes a note. Corrections that affect no prediction, and `leave_out`, are applied but not judged.
+    correction becomes a note. Corrections that affect no prediction, and `leave_out`, are applied, but do not decide.
     """
     tried_findings = [finding for finding in findings if _is_tried(finding)]
     if not tried_findings:
@@ -138,8 +138,7 @@ def _apply_advice(run: Run | None, advice: Advice | None) -> Run | None:
             log = replace(log, **{
                 name: start + np.round((getattr(log, name) - start) / TIME_UNITS[unit]).astype(np.int64)
                 for name in ("ins_time_ns", "steering_time_ns")})
-        columns = advice.entry.get("columns", {})
-        log = replace(log, **{name: getattr(log, source) for name, source in columns.items()})
+        log = replace(log, **{name: getattr(log, source) for name, source in advice.entry.get("columns", {}).items()})
         changes = {name: Correction(**values) for name, values in advice.entry.get("correct", {}).items()}
         log = log if log.sideslip_measured else with_course(log)
         log = apply_corrections(log, changes, vehicle, advice.entry.get("leave_out", ()))

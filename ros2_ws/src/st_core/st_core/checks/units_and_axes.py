@@ -23,7 +23,7 @@ from .regression import Estimate, Regression, add_systematic_uncertainty
 
 MIN_YAW_RANGE = 0.2  # rad; minimum range of yaw in the drive
 MAX_CONSISTENT_MISFIT = 0.02  # largest misfit of consistent positions, yaw and velocities, divided by the distance
-MAX_SLOPE = 0.1  # largest usual slope of a road; an altitude changes by at most this fraction of the distance
+MAX_SLOPE = 0.1  # largest slope of ordinary roads; an altitude changes by at most this fraction of the distance
 MIN_AXIS_FRACTION = 0.3  # minimum median motion along an axis, divided by the distance, for a check of this axis alone
 MAX_MAP_MISFIT = 0.1  # largest ratio of the misfit in map axes to the distance, and to the misfit in body axes
 UNIT_TOLERANCE = 1.06  # factor by which a ratio may differ from the factor of its unit
@@ -292,8 +292,7 @@ def _remove_wraps(motion: Motion) -> Motion:
     expected = np.diff(cumulative_trapezoid(motion.yaw_rate, motion.time, initial=0.0))
     error = np.abs(step - expected)
     wrapped = error > max(8.0 * SIGMA_PER_MAD * float(np.median(error)), MIN_WRAP_STEP)
-    change = np.cumsum(np.where(wrapped, expected, step))
-    return replace(motion, yaw=motion.yaw[0] + np.concatenate(([0.0], change)))
+    return replace(motion, yaw=motion.yaw[0] + np.append(0.0, np.cumsum(np.where(wrapped, expected, step))))
 
 
 def _correct_position_axes(motion: Motion) -> MotionAndFinding:
@@ -302,8 +301,7 @@ def _correct_position_axes(motion: Motion) -> MotionAndFinding:
     if not (_matches(ratios.yaw_to_course, -1.0) and _matches(ratios.yaw_to_rate, 1.0)):
         return motion, None
     measured, derived = _compute_displacements(motion, motion.velocity_map)
-    angle = np.angle(np.sum(_direction(measured) * derived))
-    quarter = int(np.round(angle / (np.pi / 2))) % 4
+    quarter = int(np.round(np.angle(np.sum(_direction(measured) * derived)) / (np.pi / 2))) % 4
     # x and y from longitude and latitude can be mirrored (even quarter), but not exchanged.
     signs = _compare_signs(motion)
     if quarter % 2 and (motion.geographic or signs[0] < 0 or sum(signs) < 0):
@@ -456,8 +454,9 @@ def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
         angle = float(np.angle(motion.velocity.sum()))
         quarter = float(np.copysign(np.pi / 2, angle))
         angle = quarter if abs(angle - quarter) < 0.1 else angle
-        text = (f"velocity and track point {abs(angle) * DEG_PER_RAD:.0f} deg to the "
-                f"{'left' if angle > 0 else 'right'} of yaw: does it refer to an axis other than forward, or to north?")
+        side = "left" if angle > 0 else "right"
+        text = (f"velocity and track point {abs(angle) * DEG_PER_RAD:.0f} deg to the {side} of yaw: does yaw refer to "
+                "an axis other than forward, or to north?")
         advice, channels = Advice.correct("heading", add=angle), dict[str, Any](yaw=motion.yaw + angle)
         for x, y in (("velocity_x", "velocity_y"), ("acceleration_x", "acceleration_y")):
             if (along := getattr(motion, x)) is not None and (lateral := getattr(motion, y)) is not None:

@@ -28,8 +28,7 @@ class Rival:
     deficit: float  # gain of the replaced effect minus gain of the rival, per residual [1]
     evidence: Evidence  # of the rival in place of the replaced effect
     values: Mapping[str, float] = field(default_factory=dict)  # of the rival in place of the replaced effect
-    # Whether the rival is in the model together with the effect; `evidence` is then that of the effect.
-    shared: bool = False
+    shared: bool = False  # whether it is in the model together with the effect, to which `evidence` then refers
     added: float = 0.0  # gain of the rival in addition to the replaced effect, divided by the gain of that effect [1]
 
 
@@ -60,14 +59,14 @@ def judge(e: Evidence, limits: Limits) -> Reason:
                       "its value is at a bound, so the best fit is beyond the physical range")
     return _reject_varying(e, limits) or Reason(
         ACCEPTED, e.name, {"gain": e.gain, "p_value": e.p_value, "position": e.position_reduction},
-        f"it reduces the errors by {100 * e.share:.1f} % and {describe_position_reduction(e.position_reduction)} "
+        f"it reduces the errors by {100 * e.reduction:.1f} % and {describe_position_reduction(e.position_reduction)} "
         f"(p = {e.p_value:.2g}), and is consistent between parts of the drives")
 
 
 def judge_correction(e: Evidence, limits: Limits) -> Reason:
     """Verdict on an effective correction, which must be consistent between parts of the drives."""
     return _reject_insignificant(e, limits) or _reject_varying(e, limits) or Reason(
-        ACCEPTED, e.name, {"gain": e.gain, "p_value": e.p_value}, f"it reduces the errors by {100 * e.share:.1f} %")
+        ACCEPTED, e.name, {"gain": e.gain, "p_value": e.p_value}, f"it reduces the errors by {100 * e.reduction:.1f} %")
 
 
 def _reject_varying(e: Evidence, limits: Limits) -> Reason | None:
@@ -91,7 +90,7 @@ def _format_with_unit(number: float, unit: str) -> str:
 def _reject_insignificant(e: Evidence, limits: Limits) -> Reason | None:
     """Reason to reject an effect that is not significant or too small; None otherwise."""
     if e.gain < limits.negligible:
-        text = (f"it reduces the errors by {100 * e.share:.1f} %, less than the limit of "
+        text = (f"it reduces the errors by {100 * e.reduction:.1f} %, less than the limit of "
                 f"{100 * limits.negligible:.1f} %" if e.gain > 0.0 else "it does not reduce the errors")
         return Reason(NEGLIGIBLE, e.name, {"gain": e.gain, "negligible": limits.negligible}, text)
     if e.p_value > limits.false_alarm:
@@ -99,7 +98,7 @@ def _reject_insignificant(e: Evidence, limits: Limits) -> Reason | None:
                       f"it is not significant: p = {e.p_value:.2g}, corrected for the number of effects tested")
     if e.gain < e.gain_between_runs:
         return Reason(GAIN_INSIGNIFICANT, e.name, {"gain": e.gain, "gain_between_runs": e.gain_between_runs},
-                      f"it reduces the errors by {100 * e.share:.1f} %; differences between drives of the healthy "
+                      f"it reduces the errors by {100 * e.reduction:.1f} %; differences between drives of the healthy "
                       f"car alone give a reduction of {100 * relative_reduction(e.gain_between_runs):.1f} %")
     if e.null_p_value > limits.undecided_p:
         return Reason(NULL, e.name, {"null_p_value": e.null_p_value, "undecided_p": limits.undecided_p},
@@ -107,7 +106,7 @@ def _reject_insignificant(e: Evidence, limits: Limits) -> Reason | None:
     if e.gain < limits.relevant and max_position_reduction(e) < limits.relevant_position:
         return Reason(IRRELEVANT, e.name, {"gain": e.gain, "position": max_position_reduction(e),
                                            "relevant": limits.relevant, "relevant_position": limits.relevant_position},
-                      f"it is significant, but reduces the errors by {100 * e.share:.1f} % and "
+                      f"it is significant, but reduces the errors by {100 * e.reduction:.1f} % and "
                       f"{describe_position_reduction(max_position_reduction(e))}; {100 * limits.relevant:.1f} % or "
                       f"{100 * limits.relevant_position:.0f} cm is required")
     return None
@@ -135,7 +134,7 @@ def is_relevant(e: Evidence, limits: Limits) -> bool:
 def find_most_affected(e: Evidence, limits: Limits) -> tuple[str, float]:
     """(name, reduction [1]) of the channel with the largest error reduction relative to its baseline error, among those
     with an error above `Limits.max_noise_ratio` times the noise; ("", 0) if there is none."""
-    share, column = max(((share, column) for column, (share, noise_ratio) in e.shares.items()
+    share, column = max(((share, column) for column, (share, noise_ratio) in e.reductions.items()
                          if noise_ratio > limits.max_noise_ratio), default=(0.0, ""))
     return (CHANNEL_OF_COLUMN[column].name if column else ""), share
 
@@ -172,7 +171,8 @@ def judge_reporting(e: Evidence, limits: Limits, excludes_null: bool = True, par
         return Reason(IMPLAUSIBLE, e.name, {"gain": e.gain}, f"with it the car is implausible: {violation}; "
                       "it improves predictions, but is not reported as a cause")
     if depends_on:
-        return demote(f"its value leaves its interval without the refuted {' and '.join(depends_on).replace('_', ' ')}")
+        refuted = " and ".join(depends_on).replace("_", " ")
+        return demote(f"without the refuted {refuted}, its value is outside its interval")
     if summands:
         return demote(f"only its sum with {' and '.join(summands).replace('_', ' ')} is identifiable")
     if parameter_at_bound:
@@ -185,10 +185,11 @@ def judge_reporting(e: Evidence, limits: Limits, excludes_null: bool = True, par
         return demote(f"without it the held-out position error is {-100 * e.position_reduction:.1f} cm smaller",
                       position=e.position_reduction, relevant_position=limits.relevant_position)
     if e.noise_ratio > limits.max_noise_ratio and e.gain < limits.unexplained_share and not confirmed_by_sensors:
-        return demote(f"it is significant, but reduces the errors by {100 * e.share:.1f} %, and one channel's error "
-                      f"remains {e.noise_ratio:.1f} times the noise; {100 * limits.unexplained_share:.0f} % is needed, "
-                      "as unmodelled effects may cause smaller reductions", gain=e.gain, noise_ratio=e.noise_ratio,
-                      max_noise_ratio=limits.max_noise_ratio, unexplained_share=limits.unexplained_share)
+        return demote(f"it is significant, but reduces the errors by {100 * e.reduction:.1f} %, and one channel's "
+                      f"error remains {e.noise_ratio:.1f} times the noise; {100 * limits.unexplained_share:.0f} % is "
+                      "needed, as unmodelled effects may cause smaller reductions", gain=e.gain,
+                      noise_ratio=e.noise_ratio, max_noise_ratio=limits.max_noise_ratio,
+                      unexplained_share=limits.unexplained_share)
     if not excludes_null and not confirmed_by_sensors:
         return demote("it reduces the errors, but the interval of its value includes the null value")
     channel, share = find_most_affected(e, limits)

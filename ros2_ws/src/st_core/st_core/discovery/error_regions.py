@@ -150,8 +150,22 @@ def find_error_regions(runs: Sequence[DriveLog], model: AugmentedModel, vehicle:
     adjusted_p = stats.false_discovery_control([c.p_value for c in cells], method="bh") if cells else ()
     cells = [c for c, q in zip(cells, adjusted_p, strict=True)
              if q <= FALSE_DISCOVERY_RATE and c.ratio >= MIN_ERROR_RATIO]
-    return tuple(region for channel in samples.squares
-                 for region in _list_channel_regions(channel, bins, segments, cells, samples, expected is not None))
+    regions: list[LargeErrorRegion] = []
+    for channel in samples.squares:
+        channel_bins = [b for b in bins if b.channel == channel]
+        if not any(b.is_significant for b in channel_bins):
+            continue
+        overall = next(b for b in channel_bins if b.range.quantity == EVERYWHERE)
+        ranges = [_make_range_region(group, channel_bins, overall, expected is not None)
+                  for group in _group_neighbours(channel_bins)]
+        # Ranked by the lower bound, because a range with few observations can have a large error by chance.
+        regions += sorted((r for r in ranges if r.interval[0] > 1.0 and r.excess >= MIN_CONTRAST * overall.excess),
+                          key=lambda r: -r.interval[0])[:MAX_RANGES]
+        if overall.is_significant:
+            regions.append(LargeErrorRegion(channel, EVERYWHERE, overall.excess, overall.interval))
+        regions += [_make_segment_region(s, overall, samples) for s in segments if s.channel == channel]
+        regions += _list_place_regions([c for c in cells if c.channel == channel], overall)
+    return tuple(regions)
 
 
 def compute_window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters,
@@ -166,48 +180,25 @@ def compute_window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehic
         channel, square = CHANNEL_OF_COLUMN[column], np.square(errors[:, :, k])
         value = square[:, -1] if channel.accumulates else square[:, short].mean(axis=1)
         squares[channel.name] = squares.get(channel.name, 0.0) + value
-    conditions = _find_conditions(windows)
-    finite = np.isfinite(np.stack([*squares.values(), *conditions.values()])).all(axis=0)
+    # Positions at the starts of the windows, and means over the first SHORT_HORIZON (steering rate: RMS).
+    signals = LogSignals(windows.joined_log, MAX_GAP, 5.0, "zero_phase")
+    offsets = np.arange(0.0, min(SHORT_HORIZON, float(windows.time[-1])) + STEP / 2, STEP)
+    times = windows.starts_ns[:, None] + np.round(offsets / NANOSECOND).astype(np.int64)
+    x, y = signals.ins_at(windows.starts_ns, "x", "y")
+    speed, yaw_rate, acceleration = signals.ins_at(times, "velocity_x", "yaw_rate", "velocity_x_dot")
+    angle = signals.road_wheel_angle_at(times)
+    conditions = {"speed": speed.mean(axis=1), "lateral_acceleration": (speed * yaw_rate).mean(axis=1),
+                  "road_wheel_angle": angle.mean(axis=1),
+                  "steering_rate": np.sqrt(np.square(np.diff(angle, axis=1) / STEP).mean(axis=1)),
+                  "forward_acceleration": acceleration.mean(axis=1)}
+    finite = np.isfinite(np.stack([x, y, *squares.values(), *conditions.values()])).all(axis=0)
     # `Windows.seconds` begins with the later of INS and steering.
     lead = np.array([max(float(log.steering_time_ns[0] - log.ins_time_ns[0]) * NANOSECOND, 0.0) if log.overlap else 0.0
                      for log in runs])
     time = windows.seconds + lead[windows.run]
-    x, y = (conditions.pop(name)[finite] for name in ("x", "y"))
-    return Samples(windows.names, windows.run[finite], time[finite], x, y, windows.block[finite],
+    return Samples(windows.names, windows.run[finite], time[finite], x[finite], y[finite], windows.block[finite],
                    {name: values[finite] for name, values in conditions.items()},
                    {channel: values[finite] for channel, values in squares.items()})
-
-
-def _find_conditions(windows: Windows) -> dict[str, np.ndarray]:
-    """Positions at the starts of the windows, and means over the first SHORT_HORIZON (steering rate: RMS)."""
-    signals = LogSignals(windows.joined_log, MAX_GAP, 5.0, "zero_phase")
-    duration = min(SHORT_HORIZON, float(windows.time[-1]))
-    times = windows.starts_ns[:, None] + np.round(
-        np.arange(0.0, duration + STEP / 2, STEP) / NANOSECOND).astype(np.int64)
-    x, y = signals.ins_at(windows.starts_ns, "x", "y")
-    speed, yaw_rate, acceleration = signals.ins_at(times, "velocity_x", "yaw_rate", "velocity_x_dot")
-    angle = signals.road_wheel_angle_at(times)
-    return {"x": x, "y": y, "speed": speed.mean(axis=1), "lateral_acceleration": (speed * yaw_rate).mean(axis=1),
-            "road_wheel_angle": angle.mean(axis=1),
-            "steering_rate": np.sqrt(np.square(np.diff(angle, axis=1) / STEP).mean(axis=1)),
-            "forward_acceleration": acceleration.mean(axis=1)}
-
-
-def _list_channel_regions(channel: str, bins: Sequence[BinExcess], segments: Sequence[Segment], cells: Sequence[Cell],
-                          samples: Samples, has_reference: bool) -> list[LargeErrorRegion]:
-    """Regions of one channel with large errors; empty without a significant bin."""
-    channel_bins = [b for b in bins if b.channel == channel]
-    if not any(b.is_significant for b in channel_bins):
-        return []
-    overall = next(b for b in channel_bins if b.range.quantity == EVERYWHERE)
-    ranges = [_make_range_region(g, channel_bins, overall, has_reference) for g in _group_neighbours(channel_bins)]
-    # Ranked by the lower bound, because a range with few observations can have a large error by chance.
-    regions = sorted((r for r in ranges if r.interval[0] > 1.0 and r.excess >= MIN_CONTRAST * overall.excess),
-                     key=lambda r: -r.interval[0])[:MAX_RANGES]
-    if overall.is_significant:
-        regions.append(LargeErrorRegion(channel, EVERYWHERE, overall.excess, overall.interval))
-    regions += [_make_segment_region(s, overall, samples) for s in segments if s.channel == channel]
-    return regions + _list_place_regions([c for c in cells if c.channel == channel], overall)
 
 
 def _group_neighbours(bins: Sequence[BinExcess]) -> list[list[BinExcess]]:

@@ -43,10 +43,9 @@ class Evidence:
     gain: float
     p_value: float  # p-value of the gain, corrected for the whole library [1]
     null_p_value: float = 0.0  # p-value of the hypothesis that the effect has its null values [1]
-    shares: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # by column, see `column_reductions` [1]
+    reductions: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # see `column_reductions`
     position_reduction: float = 0.0  # of the mean held-out position error at the end of the horizon [m]
-    # Lower 95 % bound of this reduction in the driving condition where the bound is largest [m].
-    position_reduction_in_condition: float = 0.0
+    position_reduction_in_condition: float = 0.0  # largest of its lower 95 % bounds in the driving conditions [m]
     noise_ratio: float = 1.0  # error with the effect divided by the noise, see `residual_over_noise` [1]
     bound_distance: float = 1.0  # distance to the nearest bound [parameter scales]
     gain_between_runs: float = 0.0  # see `HealthyCar`, 0 without reference drives [1]
@@ -57,7 +56,7 @@ class Evidence:
     agreement: Mapping[str, Agreement] = field(default_factory=dict)  # consistency between parts, by partition
 
     @property
-    def share(self) -> float:
+    def reduction(self) -> float:
         return relative_reduction(self.gain)
 
 
@@ -182,7 +181,7 @@ def collect_evidence(problem: Problem, reduced: Fit, fit: Fit, effect: str, scor
     return Evidence(
         effect, gain=min(float(gain.sum()) / problem.residual_count, problem.held_out_gain(reduced, fit)),
         p_value=library_p_value(block_scores, gain, scores, len(problem.space.hypotheses)),
-        null_p_value=null_p_value(problem, fit, effect), shares=column_reductions(problem, before, after),
+        null_p_value=null_p_value(problem, fit, effect), reductions=column_reductions(problem, before, after),
         position_reduction=mean_reduction, position_reduction_in_condition=reduction_in_condition,
         noise_ratio=residual_over_noise(problem, after), bound_distance=distance_to_bound(problem, fit, effect),
         gain_between_runs=problem.gain_between_runs, size=float(size), sensors_p_value=sensors_p_value,
@@ -362,9 +361,8 @@ def null_p_value(problem: Problem, fit: Fit, effect: str) -> float:
     degrees_of_freedom = problem.blocks - len(indices)
     if degrees_of_freedom < 1:
         return 1.0
-    square = float(d @ np.linalg.pinv(variance) @ d)
-    ratio = square * degrees_of_freedom / (len(indices) * max(problem.blocks - 1, 1))
-    return float(stats.f.sf(ratio, len(indices), degrees_of_freedom))
+    scale = degrees_of_freedom / (len(indices) * max(problem.blocks - 1, 1))
+    return float(stats.f.sf(scale * float(d @ np.linalg.pinv(variance) @ d), len(indices), degrees_of_freedom))
 
 
 def compare_parts(problem: Problem, fit: Fit, effect: str, part: np.ndarray, names: list[str]) -> Agreement:

@@ -45,8 +45,7 @@ def simulate_drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: Vehicle
     start = VehicleState(0.0, 0.0, manoeuvre.speed, 0.0, 0.0, 0.0)
     times_ns = np.round((times + LEAD_TIME) * 1e9).astype(np.int64)
     road_wheel_angle = np.interp(times_ns, *correct_steering(model, times_ns, angle, MAX_GAP))
-    inputs = InputSequence(road_wheel_angle, forward)
-    path = predict(model, vehicle, start, inputs, (lead + steps) * PERIOD, PERIOD)
+    path = predict(model, vehicle, start, InputSequence(road_wheel_angle, forward), (lead + steps) * PERIOD, PERIOD)
     states = tuple(path.states[lead:].T)
     ideal = predict_ideal_readings(model, vehicle, states)
     a_y = np.gradient(ideal.velocity_y, PERIOD) + ideal.velocity_x * ideal.yaw_rate
@@ -137,9 +136,10 @@ def choose_manoeuvre(problem: Problem, fit: Fit, separabilities: Sequence[Separa
         return None
     strength, pair = weakest[name]
     manoeuvre = next(m for m in CATALOGUE if m.name == name)
+    reason = (f"its least separated pair, {pair[0]} and {pair[1]}, is separated better than that of any other "
+              "manoeuvre simulated at these speeds")
     return NextManoeuvre(name, pair, strength, {n: s for n, (s, _) in weakest.items()}, REPETITIONS, manoeuvre.duration,
-                         manoeuvre.speed, "its smallest separation, of "
-                         f"{pair[0]} and {pair[1]}, is the largest of the manoeuvres simulated at these speeds")
+                         manoeuvre.speed, reason)
 
 
 def find_most_informative(problem: Problem, effect: str, curvatures: Curvatures) -> str:

@@ -29,9 +29,8 @@ def predict_power(problem: Problem, fit: Fit, scores: Scores, limits: Limits) ->
     for effect in problem.space.hypotheses:
         names = tuple(n for n in fit.names if not problem.space.overlaps(effect, (n,)))
         information = efficient_score(q, problem, names, effect)[1]
-        indices = problem.space.indices(effect)
         best = int(np.argmax(information))
-        index = indices[best]
+        index = problem.space.indices(effect)[best]
         parameter, scale = problem.space.free[index][1], float(problem.space.scale[index])
         for size in EFFECT_SIZES:
             power = _power(problem, fit, index, size, information[best], scores, limits)

@@ -78,12 +78,9 @@ class FoundEffect:
     parameters: Mapping[str, FittedParameter]
     alternatives: tuple[str, ...]  # names of effects that the data do not separate from it, best first
     position_5s_increase: float  # increase of the mean position error after 5 s if it is removed [m]
-    # By partition (run, site, time, place, condition), its local estimates.
-    agreement: Mapping[str, tuple[LocalEstimate, ...]]
-    # Other effects of the result that cancel it; only the combination of their values is identifiable.
-    joint: tuple[str, ...] = ()
-    # Channel with the largest error reduction relative to its baseline error, "" if no error exceeds twice the noise.
-    channel: str = ""
+    agreement: Mapping[str, tuple[LocalEstimate, ...]]  # by partition (run, site, time, place, condition)
+    joint: tuple[str, ...] = ()  # effects of the result that cancel it, so that only their combination is identifiable
+    channel: str = ""  # with the largest relative error reduction; "" if no error exceeds twice the noise
     share: float = 0.0  # relative error reduction in this channel [1]
 
 
@@ -227,8 +224,7 @@ class NextManoeuvre:
 
     name: str  # in the catalogue, also the name of the scenario of the virtual car
     separates: tuple[str, str]  # the pair of effects with the smallest separation
-    # Separation of this pair [standard deviations] expected after `repetitions` drives of the manoeuvre.
-    strength: float
+    strength: float  # separation of this pair expected after `repetitions` drives [standard deviations]
     options: Mapping[str, float]  # strength by manoeuvre
     repetitions: int
     duration: float  # of one drive [s]
@@ -243,8 +239,7 @@ class Separability:
     first: str
     second: str
     cosine: float  # cosine similarity of the error changes that they cause [1]
-    # Part of the first effect that the second and others do not explain [standard deviations of the noise].
-    strength: float
+    strength: float  # part of the first effect that the other effects do not explain [standard deviations of the noise]
 
 
 @dataclass(frozen=True)
@@ -264,8 +259,7 @@ class Discovery:
 
     outcome: Outcome  # see `decision.decide`
     effects: tuple[FoundEffect, ...]
-    # Effects that are in the model to avoid a bias of the other values, but are not reported as causes.
-    minor: tuple[FoundEffect, ...]
+    minor: tuple[FoundEffect, ...]  # in the model to avoid a bias of the other values, but not reported as causes
     varying: tuple[VaryingEffect, ...]  # significant effects that vary between parts of the drives
     steps: tuple[Step, ...]  # from the base to all effects found
     errors: Mapping[str, ChannelError]  # of the base and the best model, by channel and for `channels.POSITION_5S`
@@ -282,24 +276,18 @@ class Discovery:
     start: Literal["vehicle file", "reference"]  # origin of the values at the start of the search
     base: AugmentedModel  # the fit without the effects found, first model of `steps`
     model: AugmentedModel | None  # the model with all effects, which predicts best; None if no effect was found
-    # The model with named and minor effects only, at the reported values; None if no effect was found.
-    named: AugmentedModel | None = None
-    # Effects that improve predictions without being properties of the car; in the model, never in a vehicle file.
-    effective: tuple[FoundEffect, ...] = ()
-    # As `errors`, before the search for effective corrections.
-    named_errors: Mapping[str, ChannelError] = field(default_factory=dict)
+    named: AugmentedModel | None = None  # with named and minor effects only, at the reported values; None as `model`
+    effective: tuple[FoundEffect, ...] = ()  # in the model, but never in a vehicle file: not properties of the car
+    named_errors: Mapping[str, ChannelError] = field(default_factory=dict)  # `errors` before effective corrections
     axle_curves: tuple[ForceCurve, ...] = ()
     combinations: tuple[Combination, ...] = ()
     assumed: tuple[AssumedQuantity, ...] = ()
     warnings: tuple[str, ...] = ()
     # Values of the effects, by the run left out of the fit.
     leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]] = field(default_factory=dict)
-    # Correction of the steering time stamps [s] by corrected run.
-    clock_errors: Mapping[str, float] = field(default_factory=dict)
-    # Relative excess of the measured lateral specific force over that of the predicted motion, due to body roll [1].
-    acceleration_gain: float = 0.0
-    # Errors of the best model, as in `errors` [SI]; they count as noise in later comparisons.
-    noise: Mapping[str, float] = field(default_factory=dict)
+    clock_errors: Mapping[str, float] = field(default_factory=dict)  # correction of the steering stamps by run [s]
+    acceleration_gain: float = 0.0  # relative excess of the measured lateral specific force, due to body roll [1]
+    noise: Mapping[str, float] = field(default_factory=dict)  # errors of the best model: noise of later comparisons
 
     @property
     def increases_error(self) -> bool:
@@ -322,9 +310,8 @@ def unseparated_combinations(combinations: Sequence[Combination],
     ratios of stiffness to mass or, if there are none, the first of stability factor and yaw gain; the total delay."""
     names = {part for e in named for name in (e.name, *e.alternatives) for part in (name, *get_effect(name).members)}
     unexplained = [c for c in combinations if c.differs and not names.intersection(c.effects)]
-    delay = [c for c in unexplained if c.is_delay]
     others = [c for c in unexplained if not c.is_delay]
-    return (*([c for c in others if "stiffness" in c.name] or others[:1]), *delay)
+    return (*([c for c in others if "stiffness" in c.name] or others[:1]), *(c for c in unexplained if c.is_delay))
 
 
 def plain_data(value: Any) -> Any:

@@ -309,11 +309,10 @@ class Search:
 
     def _step_backward(self, fit: Fit, scores: Scores) -> Fit:
         """The fit without the effects that fail the test once the others are refitted."""
-        p = self.problem
         while len(fit.names) > max(len(self._required), 1):
             rise = {n: self.predict_rise(fit, n) for n in fit.names if n not in self._required}
             weakest = min(rise, key=rise.__getitem__)
-            if rise[weakest] > 3.0 * self.limits.relevant * p.residual_count:
+            if rise[weakest] > 3.0 * self.limits.relevant * self.problem.residual_count:
                 return fit
             without = self._refit_without(fit, weakest)
             if self._judge(self._evidence(without, fit, weakest, scores), self.limits).rule == ACCEPTED:
@@ -385,33 +384,27 @@ class Search:
         return self._drop_rejected(state)
 
     def _drop_rejected(self, state: SearchState, required_gain: float = np.inf) -> SearchState:
-        """Drop the effects that fail the test, weakest first, and fill in the evidence of the others."""
-        while weakest := self._find_weakest_failing(state, required_gain):
-            fit, e = self._rescale(self._refit_without(state.fit, weakest)), state.evidence[weakest]
-            rejected = {**state.rejected, weakest: (e, self._judge(e, self.limits), state.fit)}
-            state = SearchState(fit, rejected=rejected)
-        return state
-
-    def _find_weakest_failing(self, state: SearchState, required_gain: float) -> str:
-        """Fill in `evidence` and `fits_without`, and return the weakest effect that fails the test, or "".
+        """Drop the effects that fail the test, weakest first, and fill in `evidence` and `fits_without` of the others.
 
         An effect counts as significant without a refit if its removal is predicted to raise the loss per residual by
         more than three times `required_gain`; the other criteria still apply.
         """
-        p = self.problem
-        state.cached_scores = state.cached_scores or self._scores(state.fit)
-        state.evidence, state.fits_without = {}, {}
-        for name in (n for n in state.fit.names if n not in self._required):
-            rise = self.predict_rise(state.fit, name) / p.residual_count
-            if rise > 3.0 * required_gain:
-                without = state.fits_without[name] = state.fit
-                e = self._evidence(state.fit, state.fit, name, state.scores)
-                state.evidence[name] = replace(e, gain=rise, p_value=0.0)
-                continue
-            without = state.fits_without[name] = self._refit_without(state.fit, name)
-            state.evidence[name] = self._evidence(without, state.fit, name, state.scores)
-        failing_names = [n for n, e in state.evidence.items() if self._judge(e, self.limits).rule != ACCEPTED]
-        return min(failing_names, key=lambda n: state.evidence[n].gain, default="")
+        while True:
+            state.cached_scores = state.cached_scores or self._scores(state.fit)
+            state.evidence, state.fits_without = {}, {}
+            for name in (n for n in state.fit.names if n not in self._required):
+                rise = self.predict_rise(state.fit, name) / self.problem.residual_count
+                is_certain = rise > 3.0 * required_gain
+                without = state.fits_without[name] = state.fit if is_certain else self._refit_without(state.fit, name)
+                e = self._evidence(without, state.fit, name, state.scores)
+                state.evidence[name] = replace(e, gain=rise, p_value=0.0) if is_certain else e
+            verdicts = {n: self._judge(e, self.limits) for n, e in state.evidence.items()}
+            failing = {n: state.evidence[n].gain for n, verdict in verdicts.items() if verdict.rule != ACCEPTED}
+            if not failing:
+                return state
+            weakest = min(failing, key=failing.__getitem__)
+            rejected = {**state.rejected, weakest: (state.evidence[weakest], verdicts[weakest], state.fit)}
+            state = SearchState(self._rescale(self._refit_without(state.fit, weakest)), rejected=rejected)
 
     def _exchange(self, state: SearchState) -> Fit | None:
         """Fill in `rivals`; return the best significantly better fit with one effect exchanged, or else `_merge`."""
@@ -436,8 +429,7 @@ class Search:
                 state.rivals[name].append(rival)
                 if is_alternative(rival, self.limits):
                     alternatives[other].append(fit)
-                is_better = rival.p_no_worse > 1.0 - self.limits.undecided_p
-                if (is_better and frozenset(fit.names) not in self._visited
+                if (rival.p_no_worse > 1.0 - self.limits.undecided_p and frozenset(fit.names) not in self._visited
                         and self._judge(rival.evidence, self.limits).rule == ACCEPTED
                         and (better_fit is None or fit.held_out.sum() < better_fit.held_out.sum())):
                     better_fit = fit

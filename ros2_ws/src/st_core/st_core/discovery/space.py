@@ -23,7 +23,7 @@ TYPICAL_GAIN, GAIN_BOUNDS = 0.05, (-0.3, 0.5)  # typical: roll gradient of 5 mra
 
 
 class Space:
-    """Parameters of all effects that apply to a base model. not_searched: effects of the model that are not searched.
+    """Parameters of all effects that apply to a base model. not_searched: effects of the model that the search ignores.
     library: names of the effects to choose from, by default all that apply. Raises ConfigurationError if a requested
     effect does not apply, or if no effect remains.
 

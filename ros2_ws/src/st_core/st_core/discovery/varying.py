@@ -98,6 +98,6 @@ def collect_varying_evidence(problem: Problem, fit: Fit, v: VaryingFit,
         corrected[inside] -= np.tensordot(step, sensitivities[:, inside], 1)
     reduction = problem.position_error(rows) - problem.position_error(corrected)
     mean_reduction, reduction_in_condition = error_reductions(reduction, partitions.get("condition"))
-    return Evidence(v.name, v.gain, v.p_value, shares=column_reductions(problem, rows, corrected),
+    return Evidence(v.name, v.gain, v.p_value, reductions=column_reductions(problem, rows, corrected),
                     position_reduction=mean_reduction, position_reduction_in_condition=reduction_in_condition,
                     gain_between_runs=problem.gain_between_runs)

@@ -92,8 +92,7 @@ def estimate_parameters(problem: Problem, fit: Fit, effect: str, partitions: Map
         if len(ratios) > 2:  # 95 % prediction interval for a new part, relative to the value
             values, ratio_deviations = np.array(list(ratios.values())).T
             _, error, between, _ = random_effects(values, np.square(ratio_deviations))
-            ratio_half_width = Z95 * float(np.sqrt(between + error**2))
-            half_widths = np.maximum(half_widths, np.abs(change) * ratio_half_width)
+            half_widths = np.maximum(half_widths, np.abs(change) * Z95 * float(np.sqrt(between + error**2)))
     shifts = np.array([v[indices] for v in (fit.vector, *(vector for names, vector in near_sets if effect in names))])
     shifts -= fit.vector[indices]
     values = space.null[indices] + change  # with reference drives, changes since these drives

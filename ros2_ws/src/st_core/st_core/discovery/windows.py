@@ -139,10 +139,9 @@ class Windows:
         yaw_rate = moving_average(self.joined_log.ins_time_ns, self.joined_log.yaw_rate, YAW_RATE_SMOOTHING_NS)
         initial = replace(self.joined_log, yaw_rate=yaw_rate)
         initial = initial if with_sideslip else replace(initial, velocity_y=compute_steady_velocity_y(initial, vehicle))
-        signals = Signals(initial, MAX_GAP)
         self.run_time = np.concatenate([(run.ins_time_ns - (run.common_span_ns[0] or run.start_ns)) * NANOSECOND
                                         for run in runs])
-        self._batch = Batch(vehicle, self.MIN_SUBSTEPS, signals, starts, steps * STEP, STEP,
+        self._batch = Batch(vehicle, self.MIN_SUBSTEPS, Signals(initial, MAX_GAP), starts, steps * STEP, STEP,
                             points=np.round(stencil * STEP, 6),
                             signals={"run_time": (self.joined_log.ins_time_ns, self.run_time)})
         times = starts[:, None] + np.round(self._points * (STEP / NANOSECOND)).astype(np.int64)
@@ -214,17 +213,11 @@ class Windows:
                 for column, value in zip(c.columns, c.noise_deviations(self.joined_log, step, *signals), strict=True)}
 
     def errors(self, model: AugmentedModel, gain: float = 0.0) -> np.ndarray:
-        """(n, k, c) measured minus predicted [SI]; NaN where unknown. gain [1]: `Discovery.acceleration_gain`."""
-        readings = self._predicted_readings(model, gain)
-        with np.errstate(all="ignore"):  # predictions may diverge
-            parts = [part for channel in self.channels for part in channel.residuals(self._measured, readings)]
-        return np.stack(parts, axis=-1)
-
-    def _predicted_readings(self, model: AugmentedModel, gain: float) -> Measured:
-        """Predicted INS readings at the scored points; acceleration and yaw rate are means over 2 STEP, like the
-        measurements. The gain applies to the true specific force, before the sensor errors."""
+        """(n, k, c) measured minus predicted [SI]; NaN where unknown. gain [1]: `Discovery.acceleration_gain`, applied
+        to the true specific force, before the sensor errors. Predicted acceleration and yaw rate are means over 2 STEP,
+        like the measurements."""
         states = self._batch.predict(model, self.vehicle)
-        with np.errstate(all="ignore"):
+        with np.errstate(all="ignore"):  # predictions may diverge
             readings = predict_ideal_readings(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)))
             before, at_point, after = (Measured(*(value[:, i] for value in readings)) for i in self._stencil_indices)
             centripetal = [e.velocity_x * e.yaw_rate for e in (before, at_point, after)]
@@ -232,21 +225,19 @@ class Windows:
             a_y = (after.velocity_y - before.velocity_y) / (2 * STEP) + (
                 centripetal[0] + 4.0 * centripetal[1] + centripetal[2]) / 6.0
             yaw_rate = (before.yaw_rate + 4.0 * at_point.yaw_rate + after.yaw_rate) / 6.0
-            excess = self._specific_force_excess(model, states[:, self._stencil_indices[1]])
-            return model.observe(at_point._replace(
+            excess: np.ndarray | float = 0.0
+            if any(e.specific_force for e in model.active_effects):
+                recording = self._batch.recording(model)
+                if "points" not in recording.sample_cache:
+                    acceleration, = recording.signals.ins_at(self._times, "velocity_x_dot")
+                    recording.sample_cache["points"] = recording.signals.road_wheel_angle_at(self._times), acceleration
+                at_points = tuple(np.moveaxis(states[:, self._stencil_indices[1]], -1, 0))
+                excess = specific_force_excess(model, self.vehicle, at_points, *recording.sample_cache["points"])
+            observed = model.observe(at_point._replace(
                 yaw_rate=yaw_rate, acceleration_x=0.0 * a_y, acceleration_y=(1.0 + gain) * (a_y + excess),
                 yaw_acceleration=(after.yaw_rate - before.yaw_rate) / (2 * STEP)))
-
-    def _specific_force_excess(self, model: AugmentedModel, states: np.ndarray) -> np.ndarray | float:
-        if not any(e.specific_force for e in model.active_effects):
-            return 0.0
-        recording = self._batch.recording(model)
-        if "points" not in recording.sample_cache:
-            signals = recording.signals
-            acceleration, = signals.ins_at(self._times, "velocity_x_dot")
-            recording.sample_cache["points"] = signals.road_wheel_angle_at(self._times), acceleration
-        return specific_force_excess(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)),
-                                     *recording.sample_cache["points"])
+            parts = [part for channel in self.channels for part in channel.residuals(self._measured, observed)]
+        return np.stack(parts, axis=-1)
 
 
 def specific_force_excess(model: AugmentedModel, vehicle: VehicleParameters, states: tuple, angle: np.ndarray,

@@ -138,26 +138,22 @@ class Effect:
     kind: ClassVar[str]  # one of EFFECT_KINDS
     slot: ClassVar[str]  # one of SLOTS, where it acts
     parameters: ClassVar[tuple[Parameter, ...]]
-    # Effects that are hard to separate from it (one of the two must name the other), judged by the
+    # Effects that are hard to separate from it (one of the two must name the other), according to the
     # sensitivities of a single-track car on circle, step, sweep and ramp_to_limit.
     confounded_with: ClassVar[tuple[str, ...]] = ()
     needs: ClassVar[tuple[str, ...]] = ()  # channels required to observe and separate it
     members: ClassVar[tuple[str, ...]] = ()  # effects that it combines
-    # Keys of COMBINATIONS whose deviation from the vehicle file it may explain.
-    combinations: ClassVar[tuple[str, ...]] = ()
+    combinations: ClassVar[tuple[str, ...]] = ()  # COMBINATIONS in which it may explain a difference from the file
     imitated_by: ClassVar[str] = ""  # causes outside the library that act like it
-    # Keys of the vehicle file; only ratios of the effect's quantity to these are observable.
-    ratio_to: ClassVar[tuple[str, ...]] = ()
+    ratio_to: ClassVar[tuple[str, ...]] = ()  # keys of the file; only ratios of its quantity to these are observable
     at_peak_force: ClassVar[bool] = False  # whether it is observable only near the peak force of an axle
     applies_to: ClassVar[frozenset[str]] = DYNAMIC  # base models that it can be added to
     converts: ClassVar[tuple[str, str] | None] = None  # (from, to) base model, if it turns one into another
-    # Names of the inputs that it requires in addition to steering angle and acceleration.
-    signals: ClassVar[tuple[str, ...]] = ()
+    signals: ClassVar[tuple[str, ...]] = ()  # inputs that it requires in addition to steering angle and acceleration
     prepared: ClassVar[tuple[str, ...]] = ()  # names of the results of `prepare`
     extra_states: ClassVar[tuple[str, ...]] = ()  # names of its states
     extra_units: ClassVar[tuple[str, ...]] = ()  # units of its states
-    # Whether it evaluates the tyres again; at its null values it is then omitted where computing time matters.
-    costly: ClassVar[bool] = False
+    costly: ClassVar[bool] = False  # whether it evaluates the tyres again, and is left out at null values to save time
     # Whether the search adds it only in forward steps: in a fit of the whole library it absorbs parts of other effects.
     forward_only: ClassVar[bool] = False
     order: ClassVar[int] = 50  # rank among the effects with the same hook, lowest first
@@ -191,7 +187,7 @@ def register(effect: type[Effect], registry: dict[str, type[Effect]] = EFFECTS) 
         effect.parameters = (effect.parameter,)
     if existing := EFFECTS.get(name) or UNLISTED_EFFECTS.get(name):
         raise ConfigurationError(f"effect {name}: already registered by {find_source_file(existing)}")
-    for problem in chain(_check_attributes(effect), _check_missing(effect), _check_names(effect)):
+    for problem in chain(_check_declarations(effect), _check_names(effect)):
         raise ConfigurationError(f"effect {name}: {problem}")
     names = [*(p.name for p in effect.parameters), "constants"]
     theta = namedtuple("Theta", names, module=effect.__module__)  # type: ignore[misc]  # names known at run time only
@@ -213,7 +209,7 @@ def _make_correction(effect: type[Effect]) -> Callable:
     return correct
 
 
-def _check_attributes(effect: type[Effect]) -> Iterator[str]:
+def _check_declarations(effect: type[Effect]) -> Iterator[str]:
     for key, value in vars(effect).items():
         if key.startswith("_"):
             continue
@@ -222,9 +218,6 @@ def _check_attributes(effect: type[Effect]) -> Iterator[str]:
             yield f"unknown attribute {key}{suggestion or ': remove it, or look for its new name in CHANGELOG.md'}"
         if key in HOOKS and not (isinstance(value, staticmethod) and isinstance(value.__func__, FunctionType)):
             yield f"{key} must be a @staticmethod"
-
-
-def _check_missing(effect: type[Effect]) -> Iterator[str]:
     for key in ("physics", "excited_by"):
         if not str(getattr(effect, key, "")).strip():
             yield f"{key} is missing"
@@ -275,9 +268,8 @@ def get_effect(name: str) -> type[Effect]:
     if name in UNLISTED_EFFECTS:
         return UNLISTED_EFFECTS[name]
     if name not in EFFECTS:
-        known = ", ".join(sorted(EFFECTS))
         raise ConfigurationError(f"unknown effect {name!r}{suggest_key(name, EFFECTS)}; if it is your own, give the "
-                                 f"folder of its file with --effects; known effects: {known}")
+                                 f"folder of its file with --effects; known effects: {', '.join(sorted(EFFECTS))}")
     return EFFECTS[name]
 
 

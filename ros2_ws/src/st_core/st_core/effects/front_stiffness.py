@@ -9,7 +9,7 @@ def make_stiffness_parameter(initial):
     """Parameter for the factor of a cornering stiffness. initial: its start value in a fit."""
     return Parameter("factor", "1", null=1.0, initial=initial, bounds=(0.3, 3.0),
                      meaning="ratio of true stiffness to the file's", model_error=0.04,
-                     source="tyres of one size differ by a factor of 2; openpilot limits a factor of both to 0.2-5")
+                     source="tyres of one size differ by a factor of 2; openpilot limits a common factor to 0.2-5")
 
 
 def scale_axles(coefficient, *axles, entry=""):

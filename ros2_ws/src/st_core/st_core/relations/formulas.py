@@ -28,8 +28,7 @@ class Formula:
 
     shape: str  # name of the shape
     text: str  # y as a function of the quantity u [SI], with numbers
-    # Fraction of the curve's held-out gain that remains when the formula is simulated in its place [1].
-    retained_fraction: float
+    retained_fraction: float  # of the curve's held-out gain, when the formula is simulated in its place [1]
     causes: str = ""  # possible causes from textbooks
 
 
@@ -156,8 +155,7 @@ def simulate_formulas(fits: RelationFits, fit: RelationFit, base_fit: RelationFi
     candidate, gain = fit.candidate, float((base_fit.held_out - fit.held_out).sum())
     formulas = []
     for shape in fit_shapes(candidate, fit.coefficients, fits.profile(fit), fits.fold):
-        offsets = (False, True) if candidate.parity == NO_PARITY and shape.name != "constant" else (False,)
-        for with_offset in offsets:
+        for with_offset in (False, True) if candidate.parity == NO_PARITY and shape.name != "constant" else (False,):
             shape_gain, offset = _simulate_shape(fits, fit, base_fit, shape, with_offset)
             if shape_gain >= MIN_RETAINED_GAIN * gain:
                 text = shape.text.format(*shape.parameters).replace("+ -", "- ")

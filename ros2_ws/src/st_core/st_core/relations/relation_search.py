@@ -42,11 +42,9 @@ class Relation:
     position_5s: tuple[float, float]  # held-out position error at the end of the horizon (without, with it) [m]
     runs: Mapping[str, tuple[float, float]]  # position_5s by run; without positions, there are none, and errors are 0
     model: AugmentedModel  # the model without the relation, at the values fitted with it
-    # Equally good relations, with the cosine similarity of their effects [1].
-    alternatives: Mapping[str, float] = field(default_factory=dict)
+    alternatives: Mapping[str, float] = field(default_factory=dict)  # equally good relations: cosine similarity [1]
     formulas: Sequence[Formula] = ()  # closed forms that retain the curve's gain in simulation, best first
-    # Consistency of its size across runs.
-    agreement: Agreement = field(default_factory=lambda: Agreement({}, 1.0, 0.0))
+    agreement: Agreement = field(default_factory=lambda: Agreement({}, 1.0, 0.0))  # of its size across runs
     # Effects of the result that the relation replaces, with the residual reduction [1] that each still adds.
     redundant: Mapping[str, float] = field(default_factory=dict)
     next_drives: NextDrives = field(default_factory=NextDrives)  # sparsely driven ranges, and manoeuvres to drive next

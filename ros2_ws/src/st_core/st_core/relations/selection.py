@@ -127,7 +127,7 @@ def describe_unusable_curve(fits: RelationFits, fit: RelationFit) -> str:
     low, high = np.quantile(fits.windows.speeds[np.isfinite(fits.windows.speeds)], [0.05, 0.95])
     slow = max(float(low), vehicle.minimum_slip_speed)
     problem = describe_instability(get_model(model.base), model, vehicle, np.linspace(slow, max(float(high), slow), 4))
-    return f"{name} makes the simulated car unstable, so it cannot be predicted: {problem}" if problem else ""
+    return f"{name} makes the simulated car unstable, so its path cannot be predicted: {problem}" if problem else ""
 
 
 def describe_deterioration(fits: RelationFits, name: str, before: np.ndarray, after: np.ndarray) -> str:
@@ -195,8 +195,7 @@ def find_equally_good(excess_loss: np.ndarray, p: float, seed: int) -> np.ndarra
         return np.zeros(0, bool)
     count = excess_loss.shape[1]
     centred = excess_loss - excess_loss.mean(axis=1, keepdims=True)
-    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, count))
-    drawn = signs @ centred.T / count
+    drawn = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, count)) @ centred.T / count
     standard_errors = np.sqrt(np.maximum(np.square(centred).mean(axis=1) - np.square(drawn), 1e-30) / (count - 1))
     largest = (drawn / standard_errors).max(axis=1)
     t = excess_loss.mean(axis=1) / np.maximum(excess_loss.std(axis=1, ddof=1) / np.sqrt(count), 1e-30)
