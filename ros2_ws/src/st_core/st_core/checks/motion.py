@@ -196,8 +196,8 @@ def estimate_spacing(time: np.ndarray) -> float:
 
 
 def even_out(time: np.ndarray, half: int = SPACING_SAMPLES, max_gap: float = MAX_GAP) -> np.ndarray:
-    """The instants [s] without jitter: evenly spaced ones, shifted by the mean deviation of the 2 `half` recorded ones
-    around each, which should span several bursts. Intervals longer than `max_gap` [s] remain."""
+    """The instants [s] without jitter: evenly spaced, then shifted by the mean deviation of the 2 `half` recorded
+    instants around each, which should span several bursts. Intervals longer than `max_gap` [s] remain."""
     groups = []
     for first, last in zip(*find_groups(np.diff(time) > max_gap), strict=True):
         even = np.linspace(time[first], time[last], last - first + 1)

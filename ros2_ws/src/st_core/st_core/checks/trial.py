@@ -43,7 +43,7 @@ MAX_TRIAL_SUBSTEPS = 50  # steps of 1 ms
 SPEED_COUNT = 40  # number of speeds, from the lowest to the highest of the run, at which the stability is computed
 STEP_DIVISORS = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, MAX_SUBSTEPS)  # most resulting steps have few digits
 MERGE_GAP = 1.0  # s; intervals with a smaller gap are merged
-Run = tuple[DriveLog, VehicleParameters]
+RunAndVehicle = tuple[DriveLog, VehicleParameters]
 
 
 def try_corrections(findings: list[Finding], log: DriveLog, vehicle: VehicleParameters) -> list[Finding]:
@@ -57,7 +57,7 @@ def try_corrections(findings: list[Finding], log: DriveLog, vehicle: VehiclePara
     if not tried_findings:
         return findings
     errors = [finding for finding in findings if finding.severity is Severity.ERROR]
-    corrected: Run | None = (log, vehicle)
+    corrected: RunAndVehicle | None = (log, vehicle)
     before = after = _compute_prediction_error(corrected)
     if errors:
         for finding in errors:
@@ -93,7 +93,7 @@ def _is_worse(before: float, after: float) -> bool:
     return after > MAX_ERROR_RATIO * before + ERROR_NOISE
 
 
-def _compute_prediction_error(run: Run | None) -> float | None:
+def _compute_prediction_error(run: RunAndVehicle | None) -> float | None:
     """RMS prediction error [m], defined in the module docstring; None with fewer than MIN_STARTS predictions."""
     if run is None:
         return None
@@ -123,7 +123,7 @@ def _compute_prediction_error(run: Run | None) -> float | None:
     return float(np.sqrt(2.0 * np.mean(residual**2)))
 
 
-def _apply_advice(run: Run | None, advice: Advice | None) -> Run | None:
+def _apply_advice(run: RunAndVehicle | None, advice: Advice | None) -> RunAndVehicle | None:
     """The run with the correction applied; None without a run or a correction, or if it fails."""
     if run is None or advice is None or not advice.entry:
         return None

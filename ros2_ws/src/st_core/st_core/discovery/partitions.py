@@ -17,13 +17,13 @@ Partition = tuple[np.ndarray, list[str]]
 
 def make_partitions(windows: Windows) -> dict[str, Partition]:
     """Partitions with at least two parts, by name."""
-    site, driving = find_sites(windows), windows.driving
+    site, conditions = find_sites(windows), windows.conditions
     durations = np.zeros(len(windows.names))
     np.maximum.at(durations, windows.run, windows.seconds)
     third = np.minimum((3.0 * windows.seconds / np.maximum(durations[windows.run], 1e-9)).astype(int), 2)
     partitions = {"run": divide_by_run(windows), "site": (site, [f"site {k + 1}" for k in range(int(site.max()) + 1)]),
-                  "time": (third, list(THIRDS)), "place": divide_by_place(driving["x"], driving["y"]),
-                  "condition": divide_by_condition(driving["speed"], driving["lateral_acceleration"])}
+                  "time": (third, list(THIRDS)), "place": divide_by_place(conditions["x"], conditions["y"]),
+                  "condition": divide_by_condition(conditions["speed"], conditions["lateral_acceleration"])}
     if site.max() + 1 == len(windows.names):
         del partitions["site"]  # each run is a site
     return {name: partition for name, partition in partitions.items() if len(np.unique(partition[0])) > 1}
@@ -47,7 +47,7 @@ def divide_by_run(windows: Windows) -> Partition:
 def find_sites(windows: Windows) -> np.ndarray:
     """(n,) site of each window. Runs that share enough places (SAME_SITE_FRACTION), directly or through other runs, are
     at one site. Distances are not used, because the maps of different sites may have different origins."""
-    place = divide_by_place(windows.driving["x"], windows.driving["y"])[0]
+    place = divide_by_place(windows.conditions["x"], windows.conditions["y"])[0]
     places = [set(place[windows.run == run]) for run in range(len(windows.names))]
     same_site = [[len(a & b) > SAME_SITE_FRACTION * max(min(len(a), len(b)), 1) for b in places] for a in places]
     return connected_components(np.array(same_site))[1][windows.run]

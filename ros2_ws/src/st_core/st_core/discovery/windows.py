@@ -197,7 +197,7 @@ class Windows:
         return self._times <= last[:, None]
 
     @cached_property
-    def driving(self) -> dict[str, np.ndarray]:
+    def conditions(self) -> dict[str, np.ndarray]:
         """(n,) x, y at the start [m], mean speed [m/s], mean |lateral acceleration| [m/s^2] of the windows, by name."""
         grid = self.starts_ns[:, None] + np.round(np.linspace(0.0, self._duration, 12) / NANOSECOND).astype(np.int64)
         x, y, rate, speed = self._batch.signals.ins_at(grid, "x", "y", "yaw_rate", "velocity_x")
