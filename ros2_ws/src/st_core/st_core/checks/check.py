@@ -159,10 +159,9 @@ def _check_relations(results: Results, motion: Motion, log: DriveLog, vehicle: V
                      time_unit: Finding | None, stuck_findings: list[Finding], broken_channels: set[str]) -> None:
     """Add the results of comparing the channels with each other and with the vehicle. stuck_findings: from
     `find_stuck_channels`. broken_channels: from `find_broken_channels`."""
-    recorded = motion
+    recorded, held_channels = motion, _list_channels(stuck_findings, "samples_repeated")
     motion, unit_findings = _correct_units(sampling.drop_frozen_samples(motion, stuck_findings), vehicle)
     unit_findings = [time_unit, *unit_findings] if time_unit else unit_findings
-    held_channels = _list_channels(stuck_findings, "samples_repeated")
     coarse_findings = sampling.find_coarse_channels(motion, held_channels)
     results.findings += coarse_findings
     coarse_channels = _list_channels(coarse_findings)

@@ -55,8 +55,7 @@ def check_steering(results: Results, motion: Motion, vehicle: VehicleParameters,
     derived = _derive_angle(motion, vehicle)
     speed = float(np.median(motion.velocity_x[moving])) if moving.any() else MIN_SPEED
     response = compute_response_time(vehicle, speed)
-    agreement = _compare_angles(motion, derived, response)
-    gain = _estimate_steering_gain(motion, derived)
+    agreement, gain = _compare_angles(motion, derived, response), _estimate_steering_gain(motion, derived)
     # Understeer with the stability factor K multiplies the steering angle by 1 + K v^2. The mean of this factor,
     # weighted with the squared angle, is computed for K of the vehicle file (0 or more) and for the largest K of cars.
     weight, expected = np.square(np.nan_to_num(derived)), max(stability_factor(vehicle), 0.0)
@@ -79,12 +78,10 @@ def check_steering(results: Results, motion: Motion, vehicle: VehicleParameters,
     a, b = linear_system(max(speed, MIN_MOVING_SPEED), vehicle)
     lateral_shift = abs(0.5 * speed * float(np.linalg.solve(a, b).ravel()[1])) * HORIZON**2
     # If correlation and gain differ in sign, the driver countersteers (crosswind, bank), and the lag is undetermined.
-    has_lag = agreement.correlation * gain.value >= 0.0
-    clock = _check_clock(motion, vehicle, agreement, derived, response, lateral_shift) if has_lag else None
-    has_lag &= clock is None
-    # Play reduces every turn of the steering by its width, so the gain is too small at small angles.
-    may_be_play = 0.0 < (1.0 - gain.value) * agreement.spread < 0.5 * STEERING_PLAY / vehicle.steering_ratio
-    unit = _make_unit_finding(gain, plausible_gains, vehicle, from_steering_wheel, motion.geographic, may_be_play)
+    same_sign = agreement.correlation * gain.value >= 0.0
+    clock = _check_clock(motion, vehicle, agreement, derived, response, lateral_shift) if same_sign else None
+    has_lag = same_sign and clock is None
+    unit = _make_unit_finding(gain, plausible_gains, vehicle, from_steering_wheel, motion.geographic, agreement.spread)
     correction = unit.advice.entry.get("correct", {}).get("road_wheel_angle", {}) if unit and unit.advice else {}
     results.findings += filter(None, (
         unit, clock, _make_lag_finding(lag, agreement, response, lateral_shift) if has_lag else None,
@@ -171,13 +168,14 @@ def _compute_response_uncertainty(vehicle: VehicleParameters, speed: float) -> f
 
 
 def _make_unit_finding(gain: Estimate | None, plausible_gains: tuple[float, float], vehicle: VehicleParameters,
-                       from_steering_wheel: bool, geographic: bool, may_be_play: bool = False) -> Finding | None:
+                       from_steering_wheel: bool, geographic: bool, spread: float = 0.0) -> Finding | None:
     """Finding about an implausible steering gain, with the wrong unit or sign that explains it; None if plausible.
 
     plausible_gains: the expected and the largest one; 1 is plausible too, since stiffnesses may be inaccurate.
     geographic: whether positions are certain to be east and north; otherwise all INS channels may be mirrored instead,
     and the correction of the steering is valid in both cases.
-    may_be_play: whether play explains a positive gain that no unit matches; steered rear wheels may also explain it.
+    spread: standard deviation of the derived angle [rad], 0 if unknown. Play may explain a gain below 1 that no unit
+    matches, since it reduces every turn of the steering by its width; steered rear wheels may explain it, too.
     """
     (expected, largest), limit = plausible_gains, LIMITS.steering_unit_ratio
     if gain is None or abs(gain.value) < MIN_GAIN or (
@@ -210,6 +208,7 @@ def _make_unit_finding(gain: Estimate | None, plausible_gains: tuple[float, floa
         advice = replace(advice, line=f"{advice.line}  # or, for CAN logs, the opposite steering_sign in car.yaml")
     finding = Finding(name, Severity.ERROR, ("road_wheel_angle",), text, value, "1", gain.interval, advice=advice,
                       alternatives=() if geographic or exact != 1.0 else (MIRRORED,))
+    may_be_play = 0.0 < (1.0 - value) * spread < 0.5 * STEERING_PLAY / ratio
     causes = [PLAY] * may_be_play + [STEERED_REAR_WHEELS] * (gain.interval[1] >= MIN_FOUR_WHEEL_GAIN and value < 1.0)
     for alternative in causes if not reason else ():
         finding = finding.with_alternative(alternative, CHECK_RATIO)

@@ -164,15 +164,14 @@ def judge_reporting(e: Evidence, limits: Limits, excludes_null: bool = True, par
 
     confirmed_by_sensors = is_confirmed(e, limits)
     if worse_axle:
-        return Reason(FORCES, e.name, {"gain": e.gain}, f"the measured forces of the {worse_axle} axle agree "
-                      "less well with it than with the vehicle file: it improves predictions, but is not reported as a "
-                      "cause")
+        return Reason(FORCES, e.name, {"gain": e.gain}, f"the measured forces of the {worse_axle} axle agree less well "
+                      "with it than with the vehicle file: it improves predictions, but is not reported as a cause")
     if violation:
         return Reason(IMPLAUSIBLE, e.name, {"gain": e.gain}, f"with it the car is implausible: {violation}; "
                       "it improves predictions, but is not reported as a cause")
     if depends_on:
-        refuted = " and ".join(depends_on).replace("_", " ")
-        return demote(f"without the refuted {refuted}, its value is outside its interval")
+        return demote(f"without the refuted {' and '.join(depends_on).replace('_', ' ')}, its value is outside its "
+                      "interval")
     if summands:
         return demote(f"only its sum with {' and '.join(summands).replace('_', ' ')} is identifiable")
     if parameter_at_bound:
@@ -193,10 +192,9 @@ def judge_reporting(e: Evidence, limits: Limits, excludes_null: bool = True, par
     if not excludes_null and not confirmed_by_sensors:
         return demote("it reduces the errors, but the interval of its value includes the null value")
     channel, share = find_most_affected(e, limits)
-    channel_part = (f"reduces the baseline {CHANNELS[channel].label} error by {100 * share:.1f} % and " if channel else
-                    "")
+    baseline = f"reduces the baseline {CHANNELS[channel].label} error by {100 * share:.1f} % and " if channel else ""
     scope = " in one driving condition" if max_position_reduction(e) > max(e.position_reduction, 0.0) else ""
-    reduction = f"it {channel_part}{describe_position_reduction(max_position_reduction(e))}{scope}"
+    reduction = f"it {baseline}{describe_position_reduction(max_position_reduction(e))}{scope}"
     if is_relevant(e, limits):
         return Reason(NAMED, e.name, _relevance_values(e, limits), reduction)
     return demote(f"it is significant, but {reduction}; {100 * limits.relevant:.1f} % or "
