@@ -176,10 +176,15 @@ def _derive_columns(columns: Columns, history: Mapping[int, SettingHistory]) -> 
     _add_distances(out, columns, seconds)
     out["Af"], out["Al"], out["Ad"] = flu_from_frd(level_axes.to_enu(motion.acceleration))
     out["Wf"], out["Wl"], out["Wd"] = np.degrees(level_rate)
-    _add_angular_acceleration(out, columns, seconds)
-    is_regular = (columns.kind == REGULAR) & ~np.isnan(seconds)
-    for prefix, signal, changes in (("FiltA", columns.acceleration, history[74]),
-                                    ("FiltY", np.array([out["Yx"], out["Yy"], out["Yz"]]), history[63])):
+    # The angular acceleration [deg/s^2] of regular packets is the backward difference of the angular rate.
+    is_regular, rate = (columns.kind == REGULAR) & ~np.isnan(seconds), np.degrees(columns.angular_rate)
+    series = np.flatnonzero(is_regular & ~np.isnan(rate).any(axis=0))
+    step, angular_acceleration = np.diff(seconds[series]), np.full(rate.shape, np.nan)
+    forward = step > 0
+    angular_acceleration[:, series[1:][forward]] = np.diff(rate[:, series], axis=1)[:, forward] / step[forward]
+    out["Yx"], out["Yy"], out["Yz"] = angular_acceleration
+    for prefix, signal, changes in (
+            ("FiltA", columns.acceleration, history[74]), ("FiltY", angular_acceleration, history[63])):
         series = np.flatnonzero(is_regular & ~np.isnan(signal).any(axis=0))
         settings = [(int(np.searchsorted(series, index)), setting) for index, setting in changes]
         for axis, values in zip("xyz", signal, strict=True):
@@ -244,18 +249,6 @@ def _add_distances(out: dict, columns: Columns, seconds: np.ndarray) -> None:
             elapsed = np.where(columns.kind[rows] == REGULAR, 0.0, seconds[rows] - seconds[last])
             distance[rows] = total[before] + 0.5 * (speed[rows] + speed[last]) * elapsed
         out[name] = distance
-
-
-def _add_angular_acceleration(out: dict, columns: Columns, seconds: np.ndarray) -> None:
-    """Add the backward difference of the angular rate [deg/s^2] for regular packets."""
-    rate = np.degrees(columns.angular_rate)
-    series = np.flatnonzero((columns.kind == REGULAR) & ~np.isnan(seconds) & ~np.isnan(rate).any(axis=0))
-    result = np.full(rate.shape, np.nan)
-    if len(series) > 1:
-        step = np.diff(seconds[series])
-        forward = step > 0
-        result[:, series[1:][forward]] = (np.diff(rate[:, series], axis=1)[:, forward]) / step[forward]
-    out["Yx"], out["Yy"], out["Yz"] = result
 
 
 def filter_low_pass(seconds: np.ndarray, values: np.ndarray, settings: SettingHistory) -> np.ndarray:

@@ -49,8 +49,15 @@ def read_binary_table(file: Path) -> tuple[list[str], str]:
     extension = file.suffix.lower()
     if extension in ARROW_EXTENSIONS:
         frame = _read_arrow(file)
+    elif extension in hdf5.EXTENSIONS or hdf5.is_hdf5(file):
+        structs, objects = hdf5.read_hdf5(file)
+        signals = list(_find_signals(structs))
+        lacks_times = not any(signal.time for signal in signals) and not hdf5.TIME_CLASSES.isdisjoint(objects.values())
+        if objects and (len(signals) < 2 or lacks_times):
+            hdf5.reject_objects(file, objects)
+        frame = _join_signals(file, signals)
     else:
-        frame = _read_hdf5(file) if extension in hdf5.EXTENSIONS or hdf5.is_hdf5(file) else _read_matlab(file)
+        frame = _read_matlab(file)
     return [str(name) for name in frame.columns], frame.to_csv(index=False, header=False, lineterminator="\n")
 
 
@@ -80,15 +87,6 @@ def _read_matlab(file: Path) -> Any:
     if "__function_workspace__" in content and len(signals) < 2:  # none, or only the vector tout of Simulink
         raise RunError(file, "it contains objects such as timeseries or timetables, which only MATLAB can read",
                        "save their samples as vectors or fields of a struct")
-    return _join_signals(file, signals)
-
-
-def _read_hdf5(file: Path) -> Any:
-    structs, objects = hdf5.read_hdf5(file)
-    signals = list(_find_signals(structs))
-    lacks_times = not any(signal.time for signal in signals) and not hdf5.TIME_CLASSES.isdisjoint(objects.values())
-    if objects and (len(signals) < 2 or lacks_times):
-        hdf5.reject_objects(file, objects)
     return _join_signals(file, signals)
 
 

@@ -120,7 +120,12 @@ def _decode_message(frames: Frames, rows: np.ndarray, spec: MessageSpec) -> _Dec
     n_frames, payload, lengths = len(rows), frames.payload[rows], frames.length[rows]
     has_dbc_length = has_length(payload, lengths, spec.dbc.length)
     rows = rows[has_dbc_length]
-    length_fault = _describe_length_fault(spec, lengths, len(rows))
+    n_unused = n_frames - len(rows)
+    consequence = f"{n_unused} frames are not used" if n_unused else "the additional bytes are padding and were ignored"
+    sizes = zip(*np.unique(lengths, return_counts=True), strict=True)
+    wrong_lengths = ", ".join(f"{format_count(int(count), n_frames, 'frames')} have {size} bytes"
+                              for size, count in sizes if size != spec.dbc.length)
+    length_fault = f"{wrong_lengths} instead of {spec.dbc.length} as in the DBC; {consequence}" if wrong_lengths else ""
     if not len(rows):
         return _DecodedMessage((), length_fault, np.zeros(0, np.int64), n_frames)
     data, time_ns = stack_bytes(payload[has_dbc_length], spec.dbc.length), frames.time_ns[rows]
@@ -133,17 +138,6 @@ def _decode_message(frames: Frames, rows: np.ndarray, spec: MessageSpec) -> _Dec
                     if (is_usable := is_kept & np.isfinite(values)).any())
     return _DecodedMessage(signals, "; ".join(filter(None, (length_fault, fault))), rejected_times_ns, n_frames,
                            int((is_kept & valid).sum()))
-
-
-def _describe_length_fault(spec: MessageSpec, lengths: np.ndarray, n_decoded: int) -> str:
-    sizes = zip(*np.unique(lengths, return_counts=True), strict=True)
-    wrong_lengths = [f"{format_count(int(count), len(lengths), 'frames')} have {size} bytes" for size, count in sizes
-                     if size != spec.dbc.length]
-    if not wrong_lengths:
-        return ""
-    n_unused = len(lengths) - n_decoded
-    consequence = f"{n_unused} frames are not used" if n_unused else "the additional bytes are padding and were ignored"
-    return f"{', '.join(wrong_lengths)} instead of {spec.dbc.length} as in the DBC; {consequence}"
 
 
 def find_steering(signals: CanSignals, file: Path | str, table: SignalTable, notes: Sequence[str] = ()) -> Signal:

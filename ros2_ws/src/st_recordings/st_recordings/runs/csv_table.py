@@ -178,8 +178,9 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
         sources = _find_sources(file, names, body, delimiter, layout, warnings)
         sources, body = _read_unit_rows(file, sources, preamble, body, delimiter, layout)
     lines = [line for line in body.splitlines() if line.strip(f' \t"{delimiter}')]
-    # In an ASCII log of NovAtel, every row begins with #.
-    lines = [line for line in lines if not _is_comment(line, delimiter)] or lines
+    # A comment begins with # and a word; in an ASCII log of NovAtel, every row does.
+    lines = [line for line in lines if not (text := line.lstrip()).startswith("#")
+             or text.split(delimiter, 1)[0].strip().lower() in MISSING_MARKS] or lines
     first: dict[str, str] = {}
     try:
         rows = _load_numbers(lines, delimiter, len(names))
@@ -458,11 +459,6 @@ def _find_decimal_mark(file: Path, lines: list[str], delimiter: str, units: Iter
     if len(marks) != 1:  # every cell has at most one mark, and it is decimal
         return ",", ""
     return (".", ",") if marks == {"."} else (",", ".")
-
-
-def _is_comment(line: str, delimiter: str) -> bool:
-    text = line.lstrip()
-    return text.startswith("#") and text.split(delimiter, 1)[0].strip().lower() not in MISSING_MARKS
 
 
 def _parse_number(text: str) -> float:
