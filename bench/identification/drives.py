@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from st_core.identification.result import ParameterEstimate
 from st_core.log import DriveLog
-from st_core.vehicle import VehicleParameters, find_quantity
+from st_core.vehicle import FILE_QUANTITIES, VehicleParameters
 from st_sim.settings import read_vehicle, resolve_settings
 
 from .._drives import LEAF_FILE, leaf
@@ -28,7 +28,7 @@ def with_stiffness(car: VehicleParameters, front: float, rear: float) -> Vehicle
 
 def apply_estimates(car: VehicleParameters, estimates: Iterable[ParameterEstimate]) -> VehicleParameters:
     """The car with the estimates of quantities of the vehicle file and the lambda_ky derived from them."""
-    values = {e.parameter: e.value for e in estimates if find_quantity(e.parameter)}
+    values = {e.parameter: e.value for e in estimates if e.parameter in FILE_QUANTITIES}
     return car.with_values(values).with_derived_scales()
 
 

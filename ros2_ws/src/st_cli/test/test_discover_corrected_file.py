@@ -16,11 +16,11 @@ from st_core.effects import EFFECTS
 from st_core.integrate import required_slip_speed
 from st_core.model_file import ModelFile
 from st_core.prediction import PredictionSettings
-from st_core.vehicle import VehicleParameters, value_of
+from st_core.vehicle import FILE_QUANTITIES, VehicleParameters, value_of
 from st_offline.discovery.discover_command import build_model_file, write_results
 from st_offline.discovery.drives import Drive, Request, read_drive
 from st_offline.discovery.report_text import recommend
-from st_offline.discovery.vehicle_update import ENTRIES, edit_vehicle_text, fold_named_effects, update_vehicle
+from st_offline.discovery.vehicle_update import edit_vehicle_text, fold_named_effects, update_vehicle
 from st_recordings.car import STABILITY_SPEEDS
 from st_recordings.runs import ReadSettings, find_runs
 from support import LEAF
@@ -140,7 +140,7 @@ def test_updated_file_has_the_values_of_the_folded_effect(recorded_drive, name):
     found, update = fold_effects(recorded_drive, (name, values))
     assert update.folded == (name,) and not update.not_folded
     expected = EFFECTS[name].fold(CAR, EFFECTS[name].Theta(**values, constants=()))
-    for key in ENTRIES:
+    for key in FILE_QUANTITIES:
         assert value_of(update.vehicle, key) == pytest.approx(value_of(expected, key), rel=1e-5, abs=1e-9), key
     assert all(low <= high for _, _, low, high in update.changes.values())
     assert build_model_file(found, make_request(recorded_drive), update) is None

@@ -27,7 +27,7 @@ MAX_TIME_FRAME_RESIDUAL = 0.02  # s, largest deviation of the offset of a time f
 GOOD_DEVIATION, USABLE_DEVIATION = 0.005, 0.05  # s, limits of the standard deviation of the offset
 MANUAL_SEARCH, MANUAL_TOLERANCE = 5.0, 0.01  # s, range and smallest tolerance of the check of a given offset
 STEP_SEARCH, WIDE_STEP_SEARCH = 5.0, 40.0  # s, largest step searched for; the second if a signal fits poorly
-STANDSTILL_MARGIN_NS = 2_000_000_000  # ns, from a moving instant to the farthest one that is used
+STANDSTILL_MARGIN_NS = 2_000_000_000  # ns; values this close to a moving instant are used
 WINDOW_DURATION = 30.0  # s, length of a window
 MAX_WINDOWS = 150  # largest number of windows, evenly spaced in a long recording
 MIN_CORRELATION = 0.9  # smallest correlation of the highest peak of a window that is used
@@ -85,20 +85,18 @@ def _resample_signals(signals: Sequence[SharedSignal]) -> _ResampledSignals:
         usable.append(signal)
     if not usable:
         return _ResampledSignals([], [], tuple(reasons or ["the recordings share no signal"]))
-    rows = []
+    coarse, fine = [], []
     reference_ns, other_ns = int(usable[0].reference_time_ns[0]), int(usable[0].other_time_ns[0])
     for signal in usable:
         reference = (signal.reference_time_ns - reference_ns) * 1e-9
         other = (signal.other_time_ns - other_ns) * 1e-9 - signal.latency
-        row = [Pair(signal.name, resample(reference, signal.reference, cutoff, signal.is_angle),
-                    resample(other, signal.other, cutoff, signal.is_angle)) for cutoff in (COARSE_CUTOFF, FINE_CUTOFF)]
-        if all(side.known.any() for pair in row for side in (pair.reference, pair.other)):
-            rows.append(row)
+        pairs = [Pair(signal.name, resample(reference, signal.reference, cutoff, signal.is_angle), resample(
+            other, signal.other, cutoff, signal.is_angle)) for cutoff in (COARSE_CUTOFF, FINE_CUTOFF)]
+        if all(series.known.any() for pair in pairs for series in (pair.reference, pair.other)):
+            coarse.append(pairs[0])
+            fine.append(pairs[1])
         else:  # the low-pass masks 1 s on both sides of a gap
             reasons.append(f"{signal.name} has no 2 s without a gap above {MAX_GAP:g} s in one recording")
-    if not rows:
-        return _ResampledSignals([], [], tuple(reasons))
-    coarse, fine = map(list, zip(*rows, strict=True))
     return _ResampledSignals(coarse, fine, tuple(reasons), reference_ns, other_ns,
                              max(signal.latency_uncertainty for signal in usable))
 
@@ -144,8 +142,8 @@ def align(signals: Sequence[SharedSignal], search: tuple[float, float] | None = 
 
 def _min_overlap(pairs: Sequence[Pair]) -> float:
     """Common time [s] below which a correlation is ignored: 40 % of the shorter recording, at least 10 s."""
-    shorter = min(max(side.known.sum() for side in sides) * STEP
-                  for sides in ([p.reference for p in pairs], [p.other for p in pairs]))
+    shorter = min(max(series.known.sum() for series in recording) * STEP
+                  for recording in ([p.reference for p in pairs], [p.other for p in pairs]))
     return max(0.4 * shorter, 10.0)
 
 
@@ -214,14 +212,12 @@ def _add_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_
                         f"{f'{solution.offset_deviation * 1e3:.0f} ms' if known else 'infinite'}")
     elif solution.offset_deviation > GOOD_DEVIATION:
         doubts.append(f"{cause}: the uncertainty of the offset is {solution.offset_deviation * 1e3:.1f} ms")
-    for row in result.signals:
-        if abs(row.difference) > max(MAX_DISAGREEMENT, 3 * row.deviation):
-            doubts.append(f"the offset from {row.name} alone differs by {row.difference * 1e3:+.1f} ms")
+    for signal in result.signals:
+        if abs(signal.difference) > max(MAX_DISAGREEMENT, 3 * signal.deviation):
+            doubts.append(f"the offset from {signal.name} alone differs by {signal.difference * 1e3:+.1f} ms")
     doubts += _describe_unusual_drift(result)
     search = WIDE_STEP_SEARCH if lowest_correlation < GOOD_CORRELATION else STEP_SEARCH
-    lags = measure_window_lags(pairs, solution.offset, search)
-    step = find_clock_step(lags)
-    if step:
+    if step := find_clock_step(measure_window_lags(pairs, solution.offset, search)):
         reason = describe_step(step.size, other_ns * 1e-9 + step.time - result.at_ns * 1e-9)
         # The other doubts are consequences of the step.
         unusable = abs(step.size) > MAX_CLOCK_STEP or not np.isfinite(solution.offset_deviation)
@@ -309,7 +305,7 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
     second = np.floor(time - time[0]).astype(np.int64)
     edges = np.nonzero(np.diff(second, prepend=second[0] - 1, append=second[-1] + 1))[0]
     if len(edges) - 1 <= 0.5 * len(time):
-        time, offset = (np.array([np.median(row[a:b]) for a, b in pairwise(edges)]) for row in (time, offset))
+        time, offset = (np.array([np.median(v[a:b]) for a, b in pairwise(edges)]) for v in (time, offset))
     middle = float(time[0] + time[-1]) / 2
     solution, residual, scale, covariance = _fit_robust_line(time - middle, offset)
     # Truncation to the resolution does not average out if the frame interval is nearly a multiple of the resolution.
@@ -403,5 +399,5 @@ def _fit_with_drift_prior(design: np.ndarray, value: np.ndarray, deviation: np.n
         solution = np.linalg.lstsq(rows, np.append(value * weight, 0.0), rcond=None)[0]
         scaled_residual = (value - design @ solution) / deviation
         weight = 1 / deviation / np.sqrt(1 + (scaled_residual / OUTLIER_LIMIT) ** 2)
-    drift = solution[1] / TYPICAL_DRIFT
-    return float(np.minimum(scaled_residual**2, OUTLIER_LIMIT**2).sum() + drift**2), solution
+    cost = np.minimum(scaled_residual**2, OUTLIER_LIMIT**2).sum() + (solution[1] / TYPICAL_DRIFT) ** 2
+    return float(cost), solution

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
@@ -53,12 +52,12 @@ class Series:
 
 
 def resample(time: np.ndarray, values: np.ndarray, cutoff: float, is_angle: bool = False) -> Series:
-    """Every fifth point of a signal interpolated to 100 Hz and, if > 0.5 s, filtered (zero-phase Butterworth, order 4).
+    """Every fifth point of a signal interpolated to 100 Hz and, if longer than 0.5 s, low-pass filtered.
 
-    time: [s], strictly increasing. values: NaN where unusable. cutoff: cut-off frequency of the low-pass [Hz], equal
-    for both recordings. is_angle: values are an angle [rad], wrapped or not; the result is its rate [rad/s], because
-    the zero of the angle is unknown. The angle is filtered before it is differentiated: the filter reflects a series
-    about its end samples, which are noisy in a differentiated angle.
+    time: [s], strictly increasing. values: NaN where unusable. cutoff: cut-off frequency [Hz] of the zero-phase
+    Butterworth filter of order 4, equal for both recordings. is_angle: values are an angle [rad], wrapped or not; the
+    result is its rate [rad/s], because the zero of the angle is unknown. The angle is filtered before it is
+    differentiated: the filter reflects a series about its end samples, which are noisy in a differentiated angle.
     """
     finite = np.isfinite(values)
     time, values = time[finite], np.unwrap(values[finite]) if is_angle else values[finite]
@@ -168,26 +167,23 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
         if (np.abs(step) <= np.maximum(MIN_STEP, TOLERANCE * np.sqrt(np.diag(inverse @ normal @ inverse)))).all():
             break
     # Covariance of the total score, from its sums over blocks of time; all signals share the blocks.
-    start = min(float(d.time[0]) for d in details)
-    count = int((max(float(d.time[-1]) for d in details) - start) / BLOCK_DURATION) + 1
+    times, scores, residuals, correlations = zip(*details, strict=True)
+    start = min(float(time[0]) for time in times)
+    count = int((max(float(time[-1]) for time in times) - start) / BLOCK_DURATION) + 1
     sums = np.zeros((count, 2))
-    for detail in details:
-        block = ((detail.time - start) / BLOCK_DURATION).astype(np.int64)
-        sums += np.stack([np.bincount(block, weights=row, minlength=count) for row in detail.score], axis=1)
+    for time, score in zip(times, scores, strict=True):
+        block = ((time - start) / BLOCK_DURATION).astype(np.int64)
+        sums += np.stack([np.bincount(block, weights=row, minlength=count) for row in score], axis=1)
     used_blocks = max(int((np.abs(sums).sum(axis=1) > 0).sum()), 1)
     covariance = inverse @ (sums.T @ sums * (used_blocks / max(used_blocks - 4, 1))) @ inverse
     deviations = np.sqrt(np.maximum(np.diag(covariance), np.diag(inverse))) if is_determined else np.full(2, np.inf)
-    return Fit(float(parameters[0]), float(parameters[1]), float(deviations[0]), float(deviations[1]),
-               tuple(d.residual for d in details), tuple(d.correlation for d in details))
+    return Fit(float(parameters[0]), float(parameters[1]), float(deviations[0]), float(deviations[1]), residuals,
+               correlations)
 
 
-class _SignalFit(NamedTuple):
-    """Fit of one signal; residual and correlation as in `Fit`."""
-
-    time: np.ndarray
-    score: np.ndarray  # (2, n), derivatives orthogonal to gain and bias, times weighted residual
-    residual: float
-    correlation: float
+_SignalFit = tuple[np.ndarray, np.ndarray, float, float]
+"""Fit of one signal: times (n,) of its samples, score (2, n), i.e. derivatives orthogonal to gain and bias, times
+weighted residual, and residual and correlation as in `Fit`."""
 
 
 def _normal_equations(pairs: Sequence[Pair], parameters: np.ndarray, middle: float,
@@ -222,8 +218,8 @@ def _normal_equations(pairs: Sequence[Pair], parameters: np.ndarray, middle: flo
         curvature += 0.5 * (cross + cross.T)
         gradient += score.sum(axis=1)
         deviations = float(reference.std()), float(other.std())
-        details.append(_SignalFit(time, score, float(np.sqrt(np.mean(residual**2)) / max(deviations[0], 1e-12)),
-                                  float(np.corrcoef(reference, other)[0, 1]) if min(deviations) > 0 else 0.0))
+        details.append((time, score, float(np.sqrt(np.mean(residual**2)) / max(deviations[0], 1e-12)),
+                        float(np.corrcoef(reference, other)[0, 1]) if min(deviations) > 0 else 0.0))
     if normal[0, 0] <= 0.0:
         raise ValueError("the shared signals do not vary")
     return normal, curvature, gradient, details
@@ -244,8 +240,8 @@ def _fit_weighted_line(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tupl
 
 def select_common_samples(pair: Pair, parameters: Sequence[float] | np.ndarray,
                           middle: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(rows of `other` at which both series are known, values and slopes of the reference there) at parameters (offset
-    [s], drift)."""
+    """(indices in `other` of the samples known in both series, values and slopes of the reference at these samples),
+    with parameters (offset [s], drift) and middle [s] as in `fit`."""
     known, time = pair.reference.known, pair.other.time
     reference_time = time + parameters[0] + parameters[1] * (time - middle)
     index = np.floor((reference_time - pair.reference.origin) / STEP).astype(np.int64)
@@ -257,13 +253,11 @@ def select_common_samples(pair: Pair, parameters: Sequence[float] | np.ndarray,
 def mean_correlation(pairs: Sequence[Pair], minimum_overlap: float,
                      span: tuple[float, float]) -> tuple[np.ndarray, np.ndarray] | None:
     """(lags [s], mean of the correlations of the signals) within span [s]; None if the span contains no lag."""
-    rows = [masked_correlation(p.reference, p.other, minimum_overlap) for p in pairs]
-    low = max(lags[0] for lags, _ in rows)
-    high = min(lags[-1] for lags, _ in rows)
-    lags = np.arange(max(low, span[0]), min(high, span[1]) + STEP / 2, STEP)
-    if not len(lags):
-        return None
-    return lags, np.mean([np.interp(lags, row_lags, row) for row_lags, row in rows], axis=0)
+    curves = [masked_correlation(p.reference, p.other, minimum_overlap) for p in pairs]
+    low = max(span[0], *(lags[0] for lags, _ in curves))
+    high = min(span[1], *(lags[-1] for lags, _ in curves))
+    lags = np.arange(low, high + STEP / 2, STEP)
+    return (lags, np.mean([np.interp(lags, *curve) for curve in curves], axis=0)) if len(lags) else None
 
 
 def find_peaks(pairs: Sequence[Pair], minimum_overlap: float,
@@ -272,10 +266,7 @@ def find_peaks(pairs: Sequence[Pair], minimum_overlap: float,
 
     The second is beyond a valley and PEAK_DISTANCE from the first, or has correlation 0. None without a positive peak.
     """
-    curve = mean_correlation(pairs, minimum_overlap, span)
-    if curve is None:
-        return None
-    lags, r = curve
+    lags, r = mean_correlation(pairs, minimum_overlap, span) or (np.zeros(1), np.zeros(1))
     best = int(np.argmax(r))
     if r[best] <= 0:
         return None
@@ -289,6 +280,6 @@ def find_peaks(pairs: Sequence[Pair], minimum_overlap: float,
 
 def _find_valley(r: np.ndarray, index: int, direction: int) -> int:
     """Index at which the correlation stops decreasing on one side of a peak."""
-    row = r[index:] if direction > 0 else r[index::-1]
-    rising = np.nonzero(np.diff(row) > 0)[0]
-    return index + direction * int(rising[0] if len(rising) else len(row) - 1)
+    side = r[index:] if direction > 0 else r[index::-1]
+    rising = np.nonzero(np.diff(side) > 0)[0]
+    return index + direction * int(rising[0] if len(rising) else len(side) - 1)

@@ -46,7 +46,7 @@ class Composition:
 
 @dataclass(frozen=True)
 class _Layout:
-    """Place of an effect in p, in w and in the state."""
+    """Indices of an effect in p, in w and in the state."""
 
     effect: type[Effect]
     index: int  # of its theta in p
@@ -77,7 +77,7 @@ def compose(base: Model, effects: tuple[type[Effect], ...]) -> Composition:
     slips = _chain(lambda front, rear, state, instant: (front, rear), _add_slip_angles, layouts, "slip_angles")
     rhs = _make_rhs(geometric_slips, slips, _chain(base_forces, _add_axle_forces, layouts, "axle_forces"), base_rates,
                     _chain(_no_acceleration, _add_acceleration, layouts, "acceleration"),
-                    _chain(_no_rates, _add_rates, layouts, "rates"))
+                    _chain(lambda *_: (), _add_rates, layouts, "rates"))
     if base.axle_forces is None:
         rhs = _blend(base_rhs, rhs, base_begin, _conversion_layout(layouts).index)
     extra_states = tuple(f"{e.name}.{name}" for e in effects for name in e.extra_states)
@@ -249,10 +249,6 @@ def _add_acceleration(previous, layout):
         a_x, a_y, a_yaw = hook(instant, instant.w[begin:end], instant.p.thetas[index])
         return x + a_x, y + a_y, yaw + a_yaw
     return acceleration
-
-
-def _no_rates(*arguments):
-    return ()
 
 
 def _add_rates(previous, layout):

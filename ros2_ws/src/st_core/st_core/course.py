@@ -239,11 +239,9 @@ class CourseForecast:
 _Candidate = tuple[float, np.ndarray]  # d^2; (speed [m/s], curvature [1/m]) every SPACING m ahead, (2, n)
 
 
-class _PendingForecast(NamedTuple):
-    distance: float  # driven before the start [m]
-    start: EgoMotion
-    distances: np.ndarray  # driven over the horizon, by each speed forecast [m]
-    path: np.ndarray  # predicted by the course, (points, 2) [m], SPACING apart
+_PendingForecast = tuple[float, EgoMotion, np.ndarray, np.ndarray]
+"""Distance driven before the start [m], motion at the start, distance driven over the horizon by each speed forecast
+[m], and path predicted by the course, (points, 2) [m], SPACING apart."""
 
 
 class CourseTracker:
@@ -286,8 +284,7 @@ class CourseTracker:
         """The forecast from this start; without inputs, but with the reason, where the course cannot be used."""
         if not all(map(math.isfinite, ego)) or ego.velocity_x < PAUSE_SPEED:
             return CourseForecast(None, reason="course: the motion of the car is unknown, or the car is too slow")
-        elapsed = self._advance(ego)
-        self._score(ego, elapsed)
+        self._score(ego, self._advance(ego))
         near_points = self.course.find_near(ego.x, ego.y, ego.direction)
         candidates = [prediction for point in near_points if (prediction := self._predict_from_pass(point, ego))]
         if not candidates:
@@ -302,17 +299,14 @@ class CourseTracker:
 
     def _advance(self, ego: EgoMotion) -> float:
         """Add a start; return the time since the previous one [s], 0 after a restart."""
-        elapsed_time = 0.0
-        if self._past:
-            last = self._past[-1][1]
-            elapsed_time = (ego.time_ns - last.time_ns) * NANOSECOND
-            distance = 0.5 * (ego.velocity_x + last.velocity_x) * elapsed_time
-            has_jumped = abs(math.hypot(ego.x - last.x, ego.y - last.y) - distance) > MAX_JUMP + 0.1 * distance
-            if not 0.0 < elapsed_time < self._horizon_ns * NANOSECOND or has_jumped:
-                self.restart()
-                elapsed_time = 0.0
-            else:
-                self._distance += distance
+        last = self._past[-1][1] if self._past else ego
+        elapsed_time = (ego.time_ns - last.time_ns) * NANOSECOND
+        distance = 0.5 * (ego.velocity_x + last.velocity_x) * elapsed_time
+        has_jumped = abs(math.hypot(ego.x - last.x, ego.y - last.y) - distance) > MAX_JUMP + 0.1 * distance
+        if has_jumped or not 0.0 < elapsed_time < self._horizon_ns * NANOSECOND:
+            self.restart()
+            distance = elapsed_time = 0.0
+        self._distance += distance
         self._past.append((self._distance, ego))
         while (ego.time_ns - self._past[0][1].time_ns) * NANOSECOND > RECENT_TIME:
             self._past.popleft()
@@ -321,7 +315,7 @@ class CourseTracker:
     def _score(self, ego: EgoMotion, elapsed: float) -> None:
         """Update the mean squared errors with the errors of the forecasts that have ended."""
         new_weight = min(elapsed / FORGETTING_TIME, 1.0)
-        while self._pending and self._pending[0].start.time_ns + self._horizon_ns <= ego.time_ns:
+        while self._pending and self._pending[0][1].time_ns + self._horizon_ns <= ego.time_ns:
             distance, start, distances, path = self._pending.popleft()
             progress = self._distance - distance
             row = min(max(progress / SPACING, 0.0), len(path) - 1.001)
@@ -377,7 +371,7 @@ class CourseTracker:
         positions = np.array([[ego.x, ego.y]]) + integrate(tangents, dx=SPACING, axis=0, initial=0.0)
         curvature_weights, speed_weights = (errors**-2.0 / (errors**-2.0).sum()
                                           for errors in (self._curvature_errors, self._speed_errors))
-        self._pending.append(_PendingForecast(self._distance, ego, distances, positions))
+        self._pending.append((self._distance, ego, distances, positions))
         speed = speed_weights @ speed_forecasts
         distance = integrate(speed, dx=float(t[1]), initial=0.0)
         combined_curvature = (curvature_weights[0] * ego.curvature

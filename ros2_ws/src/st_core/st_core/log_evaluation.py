@@ -2,7 +2,7 @@
 
 The offline counterpart of Predictor and Evaluator, without detection of position jumps: from the same start it gives
 the same trajectory and error, which `st verify` checks. Trajectories of only a few blocks of starts are in memory at a
-time; of each start only mean, mean square and largest error over the horizon and errors at whole seconds are stored.
+time. For each start, only the mean, the mean square, the largest error and the errors at whole seconds are stored.
 """
 
 import math
@@ -227,8 +227,7 @@ def usable_starts(signals: LogSignals, vehicle: VehicleParameters, requested: np
                   minimum_speed: float) -> tuple[np.ndarray, dict[str, int]]:
     """(starts [ns] with known inputs and |v_x| >= minimum_speed [m/s] at the CG, count of others by reason)."""
     speed, yaw_rate, acceleration = signals.ins_at(requested, "velocity_x", "yaw_rate", "velocity_x_dot")
-    angle = signals.road_wheel_angle_at(requested)
-    no_ins, no_steering = np.isnan(speed) | np.isnan(acceleration), np.isnan(angle)
+    no_ins, no_steering = np.isnan(speed) | np.isnan(acceleration), np.isnan(signals.road_wheel_angle_at(requested))
     slow = np.abs(speed + yaw_rate * vehicle.cg_to_ins_y) < minimum_speed
     unusable = {"INS not known": no_ins, "steering not known": no_steering & ~no_ins,
                 f"slower than {minimum_speed:g} m/s": slow & ~no_ins & ~no_steering}

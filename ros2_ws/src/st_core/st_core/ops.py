@@ -17,11 +17,11 @@ NAMES = tuple(_NUMPY)
 _registered: dict[type, Mapping[str, Callable]] = {}
 
 
-def register(kind: type, functions: Mapping[str, Callable]) -> None:
+def register(number_type: type, functions: Mapping[str, Callable]) -> None:
     """Register the functions of an additional number type. Raises KeyError if one of NAMES is missing."""
     for name in NAMES:
         functions[name]
-    _registered[kind] = functions
+    _registered[number_type] = functions
 
 
 def _call_registered(name: str, *arguments: Any):

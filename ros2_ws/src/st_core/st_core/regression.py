@@ -200,9 +200,8 @@ def make_blocks(run_index: Sequence[int] | np.ndarray, time: Sequence[float] | n
         return Blocks(block_index, runs, np.zeros(len(runs), np.int64), f"{len(runs)} runs")
     keys = np.stack((run_index, np.floor(np.asarray(time) / BLOCK_LENGTH).astype(np.int64)), axis=1)
     sections, section_index = np.unique(keys, axis=0, return_inverse=True)
-    plural = "s" if len(runs) > 1 else ""
     return Blocks(section_index.ravel(), sections[:, 0], sections[:, 1],
-                  f"{len(sections)} blocks of {BLOCK_LENGTH:g} s from {len(runs)} run{plural}")
+                  f"{len(sections)} blocks of {BLOCK_LENGTH:g} s from {len(runs)} run{'s' * (len(runs) > 1)}")
 
 
 def random_effects(values: np.ndarray, variances: np.ndarray) -> tuple[float, float, float, float]:

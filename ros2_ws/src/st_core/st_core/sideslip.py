@@ -80,5 +80,4 @@ def _is_course(log: DriveLog, yaw_rate: np.ndarray, is_fast: np.ndarray) -> bool
     difference = wrap_angle(np.arctan2(north, east) - log.yaw)[is_usable]
     rate, speed = yaw_rate[is_usable], log.velocity_x[is_usable]
     regressors = np.stack([rate / speed, rate * speed, np.ones_like(rate)], axis=1)
-    coefficients = np.linalg.lstsq(regressors, difference, rcond=None)[0]
-    return float(np.std(regressors @ coefficients)) < MAX_COURSE_ERROR
+    return float(np.std(regressors @ np.linalg.lstsq(regressors, difference, rcond=None)[0])) < MAX_COURSE_ERROR

@@ -1,7 +1,7 @@
 """States, inputs, samples and trajectories, and the frames they are expressed in: map axes x east, y north; body axes
 x forward, y left; yaw from east counter-clockwise. SI units.
 
-Functions of angles, positions and samples accept floats or arrays and return the same kind.
+Functions of angles, positions and samples accept floats or arrays and return the same type.
 """
 
 import math
@@ -61,8 +61,7 @@ class VehicleState:
 
     def as_tuple(self) -> tuple[float, ...]:
         """The six values as Python floats, in state order."""
-        return (float(self.x), float(self.y), float(self.velocity_x),
-                float(self.velocity_y), float(self.yaw), float(self.yaw_rate))
+        return tuple(float(getattr(self, name)) for name in STATE_NAMES)
 
 
 @dataclass(frozen=True, slots=True)

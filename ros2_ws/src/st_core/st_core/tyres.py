@@ -65,10 +65,9 @@ def magic_formula_coefficients(load, tyre: MagicFormula):
         B = K / (C D),  E = p_ey1 + p_ey2 df,  df = (F_z - F_z0) / F_z0;  F_z >= 1 N
     """
     load = maximum(load, MINIMUM_LOAD)
-    load_increment = load / tyre.nominal_load - 1.0
     peak = magic_formula_peak(load, tyre)
     stiffness_factor = magic_formula_stiffness(load, tyre) / (tyre.p_cy1 * tyre.lambda_cy * peak)
-    return stiffness_factor, peak, tyre.p_ey1 + tyre.p_ey2 * load_increment
+    return stiffness_factor, peak, tyre.p_ey1 + tyre.p_ey2 * (load / tyre.nominal_load - 1.0)
 
 
 def magic_formula_force(slip, stiffness_factor, peak, curvature, tyre: MagicFormula):

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from operator import attrgetter
 from typing import Annotated, Any
 
 from .errors import ConfigurationError
@@ -106,12 +107,13 @@ class VehicleParameters:
     provenance: Mapping[str, Provenance] = field(default_factory=dict, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        _check_limits("", self, VEHICLE_QUANTITIES)
+        for key, quantity in FILE_QUANTITIES.items():
+            value = value_of(self, key)
+            if not quantity.minimum <= value <= quantity.maximum:  # also rejects NaN
+                raise ConfigurationError(f"{key}: {value:g} is outside {quantity.limits}; check value and unit")
         if not self.cg_to_front_axle < self.wheelbase:
             raise ConfigurationError(f"cg_to_front_axle: {self.cg_to_front_axle:g} m is not below wheelbase "
                                      f"{self.wheelbase:g} m; the CG must lie between the axles: correct one of the two")
-        for tyre in TYRES:
-            _check_limits(f"{tyre}.", getattr(self, tyre), TYRE_QUANTITIES)
 
     @property
     def cg_to_rear_axle(self) -> float:
@@ -233,11 +235,12 @@ class VehicleParameters:
         derived = [tyre for tyre in TYRES if self.sources.get(f"{tyre}.lambda_ky") == DERIVED_SOURCE
                    and getattr(self, tyre) == getattr(rederived, tyre)]
         return {"name": self.name,
-                **{key: self._make_entry(key, quantity) for key, quantity in VEHICLE_QUANTITIES.items()},
-                **{tyre: {key: self._make_entry(f"{tyre}.{key}", quantity) for key, quantity in TYRE_QUANTITIES.items()
+                **{key: self._make_entry(key) for key in VEHICLE_QUANTITIES},
+                **{tyre: {key: self._make_entry(f"{tyre}.{key}") for key in TYRE_QUANTITIES
                           if key != "lambda_ky" or tyre not in derived} for tyre in TYRES}}
 
-    def _make_entry(self, key: str, quantity: Quantity) -> dict[str, Any]:
+    def _make_entry(self, key: str) -> dict[str, Any]:
+        quantity = FILE_QUANTITIES[key]
         source = self.sources.get(key, "not stated" if quantity.required else "default")
         return {"value": value_of(self, key), "unit": quantity.si_unit, "source": source,
                 **self.provenance.get(key, Provenance()).to_document()}
@@ -245,26 +248,21 @@ class VehicleParameters:
     @cached_property
     def hash(self) -> str:
         """sha256 (hex) of all values in SI, without name, sources, provenance and OPTIONAL_QUANTITIES at defaults."""
-        values = {key: getattr(self, key) for key in VEHICLE_QUANTITIES
-                  if getattr(self, key) != getattr(VehicleParameters, key, None)}
-        values |= {f"{tyre}.{key}": getattr(getattr(self, tyre), key) for tyre in TYRES for key in TYRE_QUANTITIES}
-        return hash_content({key: float(value).hex() for key, value in values.items()})
+        values = {key: value_of(self, key) for key in FILE_QUANTITIES}
+        return hash_content({key: float(value).hex() for key, value in values.items()
+                             if value != getattr(VehicleParameters, key, None)})
 
 
 VEHICLE_QUANTITIES, TYRE_QUANTITIES = quantities_of(VehicleParameters), quantities_of(MagicFormula)
+FILE_QUANTITIES: Mapping[str, Quantity] = VEHICLE_QUANTITIES | {
+    f"{tyre}.{key}": quantity for tyre in TYRES for key, quantity in TYRE_QUANTITIES.items()}
+"""Units and limits of all values of a vehicle file, by key ("mass", "tyre_rear.p_ky1")."""
 OPTIONAL_QUANTITIES = tuple(key for key, quantity in VEHICLE_QUANTITIES.items() if not quantity.required)
-
-
-def find_quantity(key: str) -> Quantity | None:
-    """Units and limits of a key of the vehicle file ("mass", "tyre_rear.p_ky1"); None for an unknown key."""
-    tyre, _, name = key.rpartition(".")
-    return (TYRE_QUANTITIES if tyre in TYRES else {} if tyre else VEHICLE_QUANTITIES).get(name)
 
 
 def value_of(vehicle: VehicleParameters, key: str) -> float:
     """A value by its key in the vehicle file ("mass", "tyre_front.p_cy1"), SI."""
-    tyre, _, name = key.rpartition(".")
-    return getattr(getattr(vehicle, tyre) if tyre else vehicle, name)
+    return attrgetter(key)(vehicle)
 
 
 def _read_section(prefix: str, section: Mapping[str, Any], quantities: Mapping[str, Quantity],
@@ -323,7 +321,7 @@ def _read_provenance(key: str, entry: Mapping[str, Any], factor: float) -> Prove
 
 
 def _check_scale(car: VehicleParameters) -> None:
-    """Raises ConfigurationError if a value is far too large or small, at least about 15-fold, for the size or mass."""
+    """Raises ConfigurationError for a value too large or too small for the size or mass, about 15-fold or more."""
     for key, low, high, reference, name in (
             ("mass", 3.0, 3000.0, car.wheelbase**3, f"a wheelbase of {car.wheelbase:g} m"),
             ("yaw_inertia", 0.003, 4.0, car.mass * car.wheelbase**2,
@@ -334,10 +332,3 @@ def _check_scale(car: VehicleParameters) -> None:
         if not low * reference <= (value := getattr(car, key)) <= high * reference:
             raise ConfigurationError(f"{key}: {value:g} {unit} does not fit a car with {name} (limit "
                                      f"{low * reference:.2g} to {high * reference:.2g} {unit}); check values and units")
-
-
-def _check_limits(prefix: str, values: Any, quantities: Mapping[str, Quantity]) -> None:
-    for key, quantity in quantities.items():
-        value = getattr(values, key)
-        if not quantity.minimum <= value <= quantity.maximum:  # also rejects NaN
-            raise ConfigurationError(f"{prefix}{key}: {value:g} is outside {quantity.limits}; check value and unit")

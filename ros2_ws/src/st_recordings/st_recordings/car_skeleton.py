@@ -11,14 +11,7 @@ from st_core.errors import ConfigurationError, StCoreError
 from st_core.handling import find_implausible_values
 from st_core.integrate import required_slip_speed
 from st_core.prediction import PredictionSettings
-from st_core.vehicle import (
-    DEFAULT_UNCERTAINTIES,
-    OPTIONAL_QUANTITIES,
-    TYRE_QUANTITIES,
-    TYRES,
-    VEHICLE_QUANTITIES,
-    VehicleParameters,
-)
+from st_core.vehicle import DEFAULT_UNCERTAINTIES, FILE_QUANTITIES, OPTIONAL_QUANTITIES, VehicleParameters
 
 from .car import STABILITY_SPEEDS, Car, load_car, read_vehicle
 from .paths import config
@@ -76,10 +69,8 @@ def list_remarks(folder: str) -> list[str]:
 
 def list_uncertainties(vehicle: VehicleParameters) -> list[str]:
     """One line for each quantity with a stated or default uncertainty, and one that names others that may be fitted."""
-    quantities = {**VEHICLE_QUANTITIES,
-                  **{f"{tyre}.{key}": quantity for tyre in TYRES for key, quantity in TYRE_QUANTITIES.items()}}
     lines, keys_without_uncertainty = [], []
-    for key, quantity in quantities.items():
+    for key, quantity in FILE_QUANTITIES.items():
         uncertainty = vehicle.uncertainty(key)
         if uncertainty is None:
             keys_without_uncertainty.append(key)
@@ -102,9 +93,9 @@ def _find_vehicle_problems(file: Path) -> list[str]:
     try:
         if unfilled_keys := _find_unfilled_keys(read_yaml_mapping(file)):
             entries = {key: "value, source and uncertainty" if key in DEFAULT_UNCERTAINTIES else "value and source"
-                       for key in VEHICLE_QUANTITIES}
+                       for key in FILE_QUANTITIES}
             return [f"{file}: {key}: not filled in"
-                    + (f" ({entries[key]}; {VEHICLE_QUANTITIES[key].limits})" if key in entries else "")
+                    + (f" ({entries[key]}; {FILE_QUANTITIES[key].limits})" if key in entries else "")
                     for key in unfilled_keys]
         vehicle = read_vehicle(file)
     except (RunError, StCoreError) as error:

@@ -56,34 +56,26 @@ class Driver:
 
     def _decide(self, plant: Plant, time: float) -> None:
         s, speed = plant.state, plant.state[VX]
-        self._update_distance(s[X], s[Y], speed)
+        self.distance += speed * SAMPLING_TIME
+        for _ in range(2):  # to the road point nearest to the car
+            road = self.plan.path.pose(self.distance)
+            self.distance += math.cos(road.yaw) * (s[X] - road.x) + math.sin(road.yaw) * (s[Y] - road.y)
         demand = self.plan.make_demand(time, self.distance, speed)
         if callable(demand.steering):
             self._target_angle = float(demand.steering(self.car.wheelbase)) * self.car.steering_ratio
-        elif demand.steering == "path":
-            is_fast_enough = speed > MIN_STEERING_SPEED
-            if self._is_holding and is_fast_enough:
-                # The steering wheel was held: move the road to the car, so that the steering angle does not jump.
-                course = s[YAW] + math.atan2(s[VY], s[VX])
-                self.plan.path.anchor(self.distance, Pose(s[X], s[Y], course))
-                self._offset_integral = 0.0
-            if is_fast_enough:
-                angle = self._steer_along(s, speed) * self.car.steering_ratio
-                self._target_angle = min(max(angle, -MAX_STEERING_WHEEL_ANGLE), MAX_STEERING_WHEEL_ANGLE)
-                self._is_holding = False
-        else:
+        elif demand.steering == "hold":
             self._is_holding = True
+        elif speed > MIN_STEERING_SPEED:
+            if self._is_holding:
+                # The steering wheel was held: move the road to the car, so that the steering angle does not jump.
+                self.plan.path.anchor(self.distance, Pose(s[X], s[Y], s[YAW] + math.atan2(s[VY], s[VX])))
+                self._offset_integral, self._is_holding = 0.0, False
+            angle = self._steer_along(s, speed) * self.car.steering_ratio
+            self._target_angle = min(max(angle, -MAX_STEERING_WHEEL_ANGLE), MAX_STEERING_WHEEL_ANGLE)
         self._control_speed(plant, demand.speed, demand.acceleration)
         if self._tremor_sigma:
             memory = math.exp(-SAMPLING_TIME / TREMOR_TIME)
             self._tremor = memory * self._tremor + self._tremor_sigma * math.sqrt(1 - memory**2) * self._draw()
-
-    def _update_distance(self, x: float, y: float, speed: float) -> None:
-        """Set `distance` to that of the road point nearest to x, y [m]."""
-        self.distance += speed * SAMPLING_TIME
-        for _ in range(2):
-            road = self.plan.path.pose(self.distance)
-            self.distance += math.cos(road.yaw) * (x - road.x) + math.sin(road.yaw) * (y - road.y)
 
     def _steer_along(self, s: tuple[float, ...], speed: float) -> float:
         """Road-wheel angle [rad] to follow the curvature ahead and return to the road within the preview distance."""

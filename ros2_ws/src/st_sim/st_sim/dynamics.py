@@ -176,7 +176,7 @@ def bring_to_rest(s: Sequence[float], step: float) -> tuple[float, ...]:
     return tuple(values)
 
 
-# long: the equations share two dozen symbols, and a call per equation would slow down every time step.
+# One long function, because the equations share two dozen symbols and a call per equation would slow every step.
 def derivative(s: Sequence[float], rack_target: float, drive_force: float, conditions: tuple,  # noqa: PLR0915
                c: Constants) -> tuple[tuple, tuple]:
     """(time derivative of the state; mean front road-wheel angle [rad], and for FL, FR, RL, RR: lateral forces,
@@ -237,12 +237,11 @@ def derivative(s: Sequence[float], rack_target: float, drive_force: float, condi
 
     air_x, air_y = air_force(still_air, drag_area, yaw, vx, vy, wind_x, wind_y)
     resistance = rolling * mass * GRAVITY * normal * min(max(vx / ROLLING_ONSET, -1.0), 1.0)
-    force_x = bx_fl + bx_fr + bx_rl + bx_rr + air_x - resistance
-    force_y = by_fl + by_fr + by_rl + by_rr + air_y
+    specific_x = (bx_fl + bx_fr + bx_rl + bx_rr + air_x - resistance) / mass
+    specific_y = (by_fl + by_fr + by_rl + by_rr + air_y) / mass
     moment = (to_front * (by_fl + by_fr) - to_rear * (by_rl + by_rr) + half_track * (bx_fr - bx_fl + bx_rr - bx_rl)
               + WIND_ARM * air_y + drive_offset * drive_force)
 
-    specific_x, specific_y = force_x / mass, force_y / mass
     vx_dot = specific_x - GRAVITY * sin(grade) + r * vy
     vy_dot = specific_y - GRAVITY * sin(bank) - r * vx
     r_dot = moment / yaw_inertia

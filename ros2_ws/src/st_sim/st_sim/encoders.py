@@ -87,7 +87,10 @@ class NcomEncoder:
         """The 72-byte packet of one epoch. Before INITIALISING, time and position are 0, other missing data invalid."""
         total_ms = round((self._start_gps_ns + round(reading.stamp * 1e9)) / 1_000_000)
         minutes, milliseconds = divmod(total_ms, 60_000)
-        channel, batch_s = self._encode_status(minutes if status >= INITIALISING else None)
+        channel = self._schedule[self._packet_count % CYCLE_LENGTH]
+        self._packet_count += 1
+        batch_s = self._constant_batches.get(channel) or encode_channel(channel, _make_changing_values(
+            self._packet_count / self._rate, minutes if status >= INITIALISING else None)[channel])
         roll_rate, pitch_rate, yaw_rate = reading.rates
         force_x, force_y, force_z = reading.specific_force
         packet = Packet(
@@ -105,15 +108,6 @@ class NcomEncoder:
             packet.heading = math.remainder(math.pi / 2 - reading.yaw, 2 * math.pi)
             packet.pitch, packet.roll = reading.pitch, reading.roll
         return encode(packet)
-
-    def _encode_status(self, gps_minutes: int | None) -> tuple[int, bytes]:
-        """Status channel and its 8 bytes for the next packet. gps_minutes: GPS time in minutes, None while unknown."""
-        channel = self._schedule[self._packet_count % CYCLE_LENGTH]
-        self._packet_count += 1
-        if channel in self._constant_batches:
-            return channel, self._constant_batches[channel]
-        values = _make_changing_values(self._packet_count / self._rate, gps_minutes)
-        return channel, encode_channel(channel, values[channel])
 
 
 CYCLE_LENGTH = 200  # packets after which the sequence of channels repeats
@@ -167,7 +161,7 @@ def make_schedule() -> list[int]:
 
 
 def _make_changing_values(seconds: float, gps_minutes: int | None) -> dict[int, dict[str, float | None]]:
-    """Values of _CHANGING_CHANNELS. seconds: since the start. gps_minutes: None while unknown."""
+    """Values of _CHANGING_CHANNELS. seconds: since the start. gps_minutes: GPS time in minutes; None while unknown."""
     names = ("InnPosX", "InnPosY", "InnPosZ", "InnVelX", "InnVelY", "InnVelZ", "InnPitch", "InnHeading")
     up_time = UP_TIME_AT_START + seconds  # sent in seconds up to 3 h, then in minutes with an offset
     return {
@@ -219,13 +213,10 @@ class CanEncoder:
 
     def encode_wheel_speeds(self, wheel_speeds: Sequence[float], vehicle_speed: float) -> list[can.Message]:
         """The frames with the wheel speeds FL, FR, RL, RR and the vehicle speed [m/s]."""
-        front_left, front_right, rear_left, rear_right = wheel_speeds
-        return [
-            self._encode("Leaf_WheelSpeedFront", {
-                "wheel_speed_front_left": front_left, "wheel_speed_front_right": front_right,
-                "vehicle_speed": vehicle_speed}),
-            self._encode("Leaf_WheelSpeedRear", {
-                "wheel_speed_rear_left": rear_left, "wheel_speed_rear_right": rear_right})]
+        names = [f"wheel_speed_{axle}_{side}" for axle in ("front", "rear") for side in ("left", "right")]
+        values = list(zip(names, wheel_speeds, strict=True))
+        return [self._encode("Leaf_WheelSpeedFront", {**dict(values[:2]), "vehicle_speed": vehicle_speed}),
+                self._encode("Leaf_WheelSpeedRear", dict(values[2:]))]
 
     def encode_gear(self, code: int) -> list[can.Message]:
         return [self._encode("Leaf_Gear", {"GearCode": code})]

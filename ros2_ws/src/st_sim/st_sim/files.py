@@ -42,17 +42,6 @@ TRUTH_SCHEMA = {
         **{name: {"type": "array" if ":" in unit else "number", "description": unit} for name, unit in _UNITS.items()}}}
 
 
-def make_truth_record(truth: Truth) -> dict[str, object]:
-    record = {name: getattr(truth, name) for name in ("time", *_UNITS) if name in Truth.__dataclass_fields__}
-    if truth.load:
-        for axle, wheels in (("front", slice(0, 2)), ("rear", slice(2, 4))):
-            for name in ("lateral_force", "longitudinal_force", "load"):
-                record[f"{name}_{axle}"] = sum(getattr(truth, name)[wheels])
-            record[f"slip_angle_{axle}"] = sum(truth.slip_angle[wheels]) / 2
-    record.update(truth.conditions)
-    return record
-
-
 def choose_truth_file(folder: Path) -> Path:
     """The first of truth.mcap, truth_2.mcap, truth_3.mcap and so on that does not exist in a folder."""
     names = itertools.chain(["truth.mcap"], (f"truth_{number}.mcap" for number in itertools.count(2)))
@@ -81,9 +70,15 @@ class TruthFile:
         """Add a record. A write error, for example on a full disk, ends the file but not the drive."""
         if self.fault:
             return
+        record = {name: getattr(truth, name) for name in ("time", *_UNITS) if name in Truth.__dataclass_fields__}
+        for axle, wheels in (("front", slice(0, 2)), ("rear", slice(2, 4))) if truth.load else ():
+            for name in ("lateral_force", "longitudinal_force", "load"):
+                record[f"{name}_{axle}"] = sum(getattr(truth, name)[wheels])
+            record[f"slip_angle_{axle}"] = sum(truth.slip_angle[wheels]) / 2
         time_ns = self._start_ns + round(truth.time * 1e9)
+        data = json.dumps({**record, **truth.conditions}).encode()
         try:
-            self._writer.add_message(self._channel, time_ns, json.dumps(make_truth_record(truth)).encode(), time_ns)
+            self._writer.add_message(self._channel, time_ns, data, time_ns)
         except OSError as error:
             self.fault = f"{self._name}: {error.strerror}"
 
@@ -125,8 +120,7 @@ class Mf4File:
         from asammdf.blocks.v4_blocks import FileHistory
 
         log = MDF(version="4.11")
-        start = datetime.fromtimestamp(self._start_ns / 1e9, UTC)
-        log.header.start_time = start
+        log.header.start_time = datetime.fromtimestamp(self._start_ns / 1e9, UTC)
         for bus, frames in self._frames.items():
             if frames:
                 log.append([self._make_signal(bus, frames)], comment="virtual Leaf", common_timebase=True)
@@ -153,8 +147,7 @@ class Mf4File:
         times = np.round(time_ns / self.GRID_NS) * (self.GRID_NS / 1e9)
         rows["CAN_DataFrame.BusChannel"] = bus
         rows["CAN_DataFrame.ID"] = [identifier for _, identifier, _ in frames]
-        lengths = [len(data) for _, _, data in frames]
-        rows["CAN_DataFrame.DLC"] = rows["CAN_DataFrame.DataLength"] = lengths
+        rows["CAN_DataFrame.DLC"] = rows["CAN_DataFrame.DataLength"] = [len(data) for _, _, data in frames]
         rows["CAN_DataFrame.DataBytes"] = np.frombuffer(b"".join(d.ljust(8, b"\0") for _, _, d in frames),
                                                         np.uint8).reshape(-1, 8)
         source = Source(name=f"CAN{bus}", path=f"CAN{bus}", comment="", source_type=v4.SOURCE_BUS,

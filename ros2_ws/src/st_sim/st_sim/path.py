@@ -88,7 +88,7 @@ class Path:
                 for rate in (np.cos(yaws), np.sin(yaws)))
         self._poses = [Pose(*row) for row in np.stack([x, y, yaws[::2]], axis=1).tolist()]
         self._anchor = Pose(0.0, 0.0, 0.0)
-        self._lap_starts: dict[int, Pose] = {}
+        self._lap_starts: dict[float, Pose] = {}
 
     def anchor(self, distance: float, pose: Pose) -> None:
         """Move the whole road so that it passes through `pose` at `distance`."""
@@ -102,7 +102,12 @@ class Path:
         fraction = along / self._step - index
         a, b = self._poses[index], self._poses[index + 1]
         local = Pose(a.x + fraction * (b.x - a.x), a.y + fraction * (b.y - a.y), a.yaw + fraction * (b.yaw - a.yaw))
-        return self._find_lap_start(int(lap)).compose(local)
+        if (start := self._lap_starts.get(lap)) is None:
+            start, one_lap = self._anchor, self._poses[-1] if lap > 0 else self._poses[-1].inverse()
+            for _ in range(abs(int(lap))):
+                start = start.compose(one_lap)
+            self._lap_starts[lap] = start
+        return start.compose(local)
 
     def curvature(self, distance: float) -> float:
         """Curvature at a distance [1/m], > 0 in a left turn."""
@@ -117,15 +122,6 @@ class Path:
         """The piece at a distance within a lap, and the distance from its start."""
         index = min(bisect.bisect_right(self._ends, along), len(self.pieces)) - 1
         return self.pieces[index], along - self._ends[index]
-
-    def _find_lap_start(self, lap: int) -> Pose:
-        if lap not in self._lap_starts:
-            one_lap = self._poses[-1] if lap > 0 else self._poses[-1].inverse()
-            pose = self._anchor
-            for _ in range(abs(lap)):
-                pose = pose.compose(one_lap)
-            self._lap_starts[lap] = pose
-        return self._lap_starts[lap]
 
 
 class SpeedProfile:

@@ -193,7 +193,13 @@ class Plant:
         """
         s, dt = self.state, self.time_step
         self.conditions = conditions = self.environment.advance(s[X], s[YAW])
-        target = self._find_rack_target(steering_wheel_angle)
+        if self._delay:
+            self._delay.append(steering_wheel_angle)
+            steering_wheel_angle = self._delay.popleft()
+        if half_play := self._half_play:
+            low, high = steering_wheel_angle - half_play, steering_wheel_angle + half_play
+            self._angle_after_play = steering_wheel_angle = min(max(self._angle_after_play, low), high)
+        target = steering_wheel_angle / self._ratio
         if self.constants.steering_lag == 0.0:
             s = (*s[:RACK], target, *s[RACK + 1 :])
         if self.is_at_rest and drive_force <= 0.0:
@@ -203,8 +209,7 @@ class Plant:
         c = self.constants
         k1, _ = derivative(s, target, drive_force, conditions, c)
         k2, _ = derivative([a + dt * b for a, b in zip(s, k1, strict=True)], target, drive_force, conditions, c)
-        half = dt / 2
-        s = tuple([x + half * (rate_1 + rate_2) for x, rate_1, rate_2 in zip(s, k1, k2, strict=True)])
+        s = tuple([x + 0.5 * dt * (rate_1 + rate_2) for x, rate_1, rate_2 in zip(s, k1, k2, strict=True)])
         self.is_at_rest = s[VX] < STANDSTILL_SPEED and drive_force <= 0.0
         self.state = dynamics.bring_to_rest(s, dt) if self.is_at_rest else s
 
@@ -229,13 +234,3 @@ class Plant:
             pitch=settings["pitch_gradient"] * s[A_X] + conditions.grade_angle, slip_angle=tuple(slip),
             roll_rate=settings["roll_gradient"] * s[A_Y_RATE] if is_moving else 0.0, wheel_speed=tuple(speeds),
             lateral_force=lateral, longitudinal_force=longitudinal, load=load, conditions=conditions._asdict())
-
-    def _find_rack_target(self, angle: float) -> float:
-        """Road-wheel angle that the rack approaches, from the steering-wheel angle after delay and play [rad]."""
-        if self._delay:
-            self._delay.append(angle)
-            angle = self._delay.popleft()
-        if self._half_play:
-            self._angle_after_play = min(max(self._angle_after_play, angle - self._half_play), angle + self._half_play)
-            angle = self._angle_after_play
-        return angle / self._ratio

@@ -27,7 +27,7 @@ from .stream import LiveOutput, Output, Report, Source, Stream, send
 
 DEFAULT_DURATION, MAX_DURATION = 60.0, 1e6  # s
 START_GRID_NS = 20_000_000  # drives start on this UTC grid, a multiple of the periods at 100 and 250 Hz
-LEAD_NS = 20_000_000  # minimum time to the first epoch, for the rest of the preparation
+LEAD_NS = 20_000_000  # minimum time before the start, to prepare the outputs
 FILE_EPOCH_NS = 1_756_900_800_000_000_000  # 2025-09-03 12:00 UTC: start of a drive written to files with seed 0
 DEFAULT_ORIGIN = "51.448,5.49,65.0"  # latitude, longitude [deg], ellipsoidal height [m]
 
@@ -170,8 +170,7 @@ def _run_live(options: argparse.Namespace, stop_requested: Callable[[], bool]) -
         _report(state="sending", start_ns=start_ns, duration=run.duration)
         send(outputs, output.send_ncom, output.send_frame, truth.write if truth else None, stop_requested,
              output.report, start_time)
-    faults = {"fault": truth.fault} if truth and truth.fault else {}
-    _report(state="done", **asdict(output.report), **faults)
+    _report(state="done", **asdict(output.report), **({"fault": truth.fault} if truth and truth.fault else {}))
 
 
 def _write_files(options: argparse.Namespace, stop_requested: Callable[[], bool]) -> None:

@@ -100,8 +100,7 @@ class OpenLoopPlan:
         return self._manoeuvre.speed
 
     def make_demand(self, time: float, distance: float, speed: float) -> Demand:
-        steering = partial(self._manoeuvre.steering, time) if time >= 0 else "path"
-        return Demand(self._manoeuvre.speed, 0.0, steering)
+        return Demand(self._manoeuvre.speed, 0.0, partial(self._manoeuvre.steering, time) if time >= 0 else "path")
 
 
 Plan = RoadPlan | PhasePlan | OpenLoopPlan
@@ -111,19 +110,16 @@ def make_plan(manoeuvre: Manoeuvre) -> Plan:
     """Plan of a manoeuvre, which is a circle with pedal inputs, a road, or open-loop steering."""
     speed, curvature = manoeuvre.speed, manoeuvre.lateral_acceleration / manoeuvre.speed**2
     if manoeuvre.pedals:
-        return PhasePlan(1 / abs(curvature), 1 if curvature > 0 else -1, speed, _make_phases(manoeuvre))
+        # While braking, the steering wheel is held; braking ends at a speed instead of a time.
+        ends = accumulate(seconds for seconds, _ in manoeuvre.pedals)
+        phases = [Phase("hold", acceleration, end_speed=float(manoeuvre.speed_at(end))) if acceleration < 0
+                  else Phase("path", acceleration, duration=seconds)
+                  for (seconds, acceleration), end in zip(manoeuvre.pedals, ends, strict=True)]
+        return PhasePlan(1 / abs(curvature), 1 if curvature > 0 else -1, speed, phases)
     if manoeuvre.closed_loop and isinstance(manoeuvre.profile, PiecewiseLinear):
         return RoadPlan([Piece(length * speed, curvature * first, curvature * last, speed)
                          for length, first, last in manoeuvre.profile.parts])
     return OpenLoopPlan(manoeuvre)
-
-
-def _make_phases(manoeuvre: Manoeuvre) -> list[Phase]:
-    """Phases of the pedals. While braking, the steering wheel is held; braking ends at a speed instead of a time."""
-    ends = accumulate(seconds for seconds, _ in manoeuvre.pedals)
-    return [Phase("hold", acceleration, end_speed=float(manoeuvre.speed_at(end))) if acceleration < 0
-            else Phase("path", acceleration, duration=seconds)
-            for (seconds, acceleration), end in zip(manoeuvre.pedals, ends, strict=True)]
 
 
 def _make_circle(lateral_acceleration: float) -> Plan:

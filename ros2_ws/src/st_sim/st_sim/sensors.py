@@ -91,8 +91,14 @@ class Ins:
             specific_force=(cp * ax + sp * GRAVITY, cr * ay + sr * pitched_up, cr * pitched_up - sr * ay))
         self._add_errors(reading)
         if self._noise:
+            for name in ("x", "y", "z", "velocity_x", "velocity_y", "velocity_z", "yaw", "roll", "pitch"):
+                setattr(reading, name, getattr(reading, name) + self._noise[name]())
             speed_ratio = min(abs(truth.velocity_x) / FULL_VIBRATION_SPEED, 1.0)
-            self._add_noise(reading, REST_VIBRATION + (1.0 - REST_VIBRATION) * speed_ratio)
+            vibration = REST_VIBRATION + (1.0 - REST_VIBRATION) * speed_ratio
+            reading.rates = [rate + self._noise[f"rate_{axis}"](vibration)
+                             for rate, axis in zip(reading.rates, "xyz", strict=True)]
+            reading.specific_force = [force + self._noise[f"force_{axis}"](vibration)
+                                      for force, axis in zip(reading.specific_force, "xyz", strict=True)]
         return reading
 
     def _add_errors(self, r: InsReading) -> None:
@@ -105,14 +111,6 @@ class Ins:
         r.rates = [rate * s["yaw_rate_scale"] for rate in r.rates]
         r.specific_force = force.real, force.imag + s["lateral_acceleration_bias"], fz
 
-    def _add_noise(self, r: InsReading, vibration: float) -> None:
-        noise = self._noise
-        for name in ("x", "y", "z", "velocity_x", "velocity_y", "velocity_z", "yaw", "roll", "pitch"):
-            setattr(r, name, getattr(r, name) + noise[name]())
-        r.rates = [rate + noise[f"rate_{axis}"](vibration) for rate, axis in zip(r.rates, "xyz", strict=True)]
-        r.specific_force = [force + noise[f"force_{axis}"](vibration)
-                            for force, axis in zip(r.specific_force, "xyz", strict=True)]
-
 
 class SteeringSensor:
     """Steering-wheel angle sensor: true angle plus the offset of the vehicle file and noise [rad]."""
@@ -122,18 +120,15 @@ class SteeringSensor:
         self._draw = make_normal_source(np.random.default_rng([seed, 4]), 256)
 
     def read(self, truth: Truth) -> float:
-        noise = self._noise * self._draw() if self._noise else 0.0
-        return truth.steering_wheel_angle + self._offset + noise
+        return truth.steering_wheel_angle + self._offset + (self._noise * self._draw() if self._noise else 0.0)
 
 
 def read_wheel_speeds(truth: Truth, settings: Settings) -> tuple[list[float], float]:
     """Unsigned wheel speeds FL, FR, RL, RR and vehicle speed of the ABS unit [m/s]; 0 below their minimum."""
-    wheels = [_cut_off_low_speed(w * settings["wheel_speed_scale"], MIN_WHEEL_SPEED) for w in truth.wheel_speed]
-    return wheels, _cut_off_low_speed(truth.velocity_x, MIN_VEHICLE_SPEED)
-
-
-def _cut_off_low_speed(speed: float, minimum: float) -> float:
-    return abs(speed) if abs(speed) >= minimum else 0.0
+    speeds = [abs(speed * settings["wheel_speed_scale"]) for speed in truth.wheel_speed]
+    vehicle_speed = abs(truth.velocity_x)
+    return ([speed if speed >= MIN_WHEEL_SPEED else 0.0 for speed in speeds],
+            vehicle_speed if vehicle_speed >= MIN_VEHICLE_SPEED else 0.0)
 
 
 class TransmissionLoss:

@@ -46,8 +46,7 @@ def find_start_up_status(time: float) -> tuple[int, float] | None:
     falling to 0; locked.
     """
     if time < RAW_IMU_END:
-        is_sent = round(time * 1000) % 100 == 0
-        return (NO_DATA if time < NO_DATA_END else RAW_IMU, 0.0) if is_sent else None
+        return (NO_DATA if time < NO_DATA_END else RAW_IMU, 0.0) if round(time * 1000) % 100 == 0 else None
     if time < INITIALISING_START:
         return None
     if time < INITIALISING_END:

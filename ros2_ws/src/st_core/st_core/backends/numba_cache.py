@@ -32,7 +32,12 @@ def enable_cache(kernel, identity: str) -> Path | None:
              *map(str, cpu_target.target_context.codegen().magic_tuple()),
              *(hashlib.sha256(file.read_bytes()).hexdigest() for file in files))
     key = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:32]
-    for base in _list_base_folders():
+    bases = [Path(__file__).parent / "__pycache__" / "kernels"]
+    if numba.config.CACHE_DIR:  # NUMBA_CACHE_DIR, set by the user
+        bases.insert(0, Path(numba.config.CACHE_DIR) / "st_core")
+    with contextlib.suppress(RuntimeError):  # no home
+        bases.append(Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "st_core" / "kernels")
+    for base in bases:
         try:
             folder = base / key
             folder.mkdir(parents=True, exist_ok=True)
@@ -68,14 +73,6 @@ def compile_or_load(kernel, signature) -> None:
             kernel._cache.flush()
         kernel._cache.disable()
         kernel.compile(signature)
-
-
-def _list_base_folders() -> Iterator[Path]:
-    if numba.config.CACHE_DIR:  # NUMBA_CACHE_DIR, set by the user
-        yield Path(numba.config.CACHE_DIR) / "st_core"
-    yield Path(__file__).parent / "__pycache__" / "kernels"
-    with contextlib.suppress(RuntimeError):  # no home
-        yield Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "st_core" / "kernels"
 
 
 def find_reachable_functions(function: FunctionType, excluded: frozenset[str] = frozenset()) -> list[FunctionType]:
@@ -136,9 +133,8 @@ def compute_fingerprint(function: FunctionType, excluded: frozenset[str] = froze
         digest.update(hashlib.sha256(file.read_bytes() if file.is_file() else b"").digest())
     for f in functions:
         referenced = [f"{key}={describe(value)}" for key, value in find_references(f)]
-        defaults = [describe(value) for value in (f.__defaults__ or ())]
         parts = (f.__module__, f.__qualname__, f.__code__.co_code.hex(), _describe_constants(f.__code__), *referenced,
-                 *defaults)
+                 *map(describe, f.__defaults__ or ()))
         digest.update("\x00".join(parts).encode() + b"\x01")
     return digest.hexdigest()
 

@@ -8,15 +8,8 @@ calibrated on errors of recorded drives (`compute_error_samples`, `calibrate`) a
 from .calibration import Band, ErrorSamples, NotFiniteError, calibrate, compute_error_samples
 from .file import Bands
 from .live import AdaptiveBand, AdaptiveBands, BandCoverage, CalibratedBands, CoverageMonitor, conditions_now
-from .scale import (
-    CONDITIONS,
-    CalibrationDomain,
-    activity_instants,
-    compute_conditions,
-    conditions_at,
-    steering_activity,
-)
+from .scale import CalibrationDomain, activity_instants, compute_conditions, conditions_at, steering_activity
 
-__all__ = ["CONDITIONS", "AdaptiveBand", "AdaptiveBands", "Band", "BandCoverage", "Bands", "CalibratedBands",
-           "CalibrationDomain", "CoverageMonitor", "ErrorSamples", "NotFiniteError", "activity_instants", "calibrate",
-           "compute_conditions", "compute_error_samples", "conditions_at", "conditions_now", "steering_activity"]
+__all__ = ["AdaptiveBand", "AdaptiveBands", "Band", "BandCoverage", "Bands", "CalibratedBands", "CalibrationDomain",
+           "CoverageMonitor", "ErrorSamples", "NotFiniteError", "activity_instants", "calibrate", "compute_conditions",
+           "compute_error_samples", "conditions_at", "conditions_now", "steering_activity"]

@@ -39,7 +39,7 @@ Cause = tuple[str, str]  # (PARAMETERS or SENSORS, name)
 
 def sum_squared_contributions(
         model: Model, vehicle: VehicleParameters, signals: LogSignals, settings: EvaluationSettings,
-        intervals: Intervals | None = None) -> tuple[int, np.ndarray, dict[Cause, np.ndarray]]:
+        intervals: Intervals | None) -> tuple[int, np.ndarray, dict[Cause, np.ndarray]]:
     """(number of starts, squared errors, squared contributions by cause) of one run.
 
     Squares are summed over all starts: (seconds, 3) [m^2, m^2, rad^2], along, across and in yaw at 1, 2, ... s ahead.
@@ -63,13 +63,11 @@ def sum_squared_contributions(
     is_complete = np.isfinite(errors).all(axis=(1, 2))
     # Predictions with each cause one standard deviation lower and higher.
     varied_paths: dict[Cause, list[np.ndarray]] = {}
-    for key, cars in _vary_vehicle(vehicle).items():
-        drives = [signals if signals.log.steering_wheel_angle is None
-                  else settings.signals(signals.log.with_steering(car)) for car in cars]
-        pairs = zip(drives, cars, strict=True)
-        varied_paths[PARAMETERS, key] = [predict_path(drive, model, car) for drive, car in pairs]
-    for key, models in _vary_model(model, intervals or {}).items():
-        varied_paths[PARAMETERS, key] = [predict_path(signals, variant, vehicle) for variant in models]
+    for key, variants in _vary_parameters(model, vehicle, intervals or {}).items():
+        drives = [signals if car is vehicle or signals.log.steering_wheel_angle is None
+                  else settings.signals(signals.log.with_steering(car)) for _, car in variants]
+        varied_paths[PARAMETERS, key] = [predict_path(drive, *variant)
+                                         for drive, variant in zip(drives, variants, strict=True)]
     noise = {name: white_noise(getattr(signals.log, name)) if len(signals.log.x) > 3 else 0.0 for name in INS_SIGNALS}
     for name, sigma in noise.items():
         logs = [replace(signals.log, **{name: getattr(signals.log, name) + step}) for step in (-sigma, sigma)]
@@ -87,19 +85,18 @@ def sum_squared_contributions(
     return int(is_complete.sum()), np.square(errors[is_complete]).sum(axis=0), squares
 
 
-def _vary_vehicle(vehicle: VehicleParameters) -> dict[str, list[VehicleParameters]]:
-    """Two cars, with one parameter one standard deviation lower and higher, by parameter; none if one is invalid."""
-    variants = {}
+def _vary_parameters(model: Model, vehicle: VehicleParameters,
+                     intervals: Intervals) -> dict[str, list[tuple[Model, VehicleParameters]]]:
+    """Model and vehicle with one parameter one standard deviation lower, and higher, by parameter.
+
+    Values of effects are limited to their bounds; a parameter of the vehicle with an invalid value is left out.
+    """
+    variants: dict[str, list[tuple[Model, VehicleParameters]]] = {}
     for key, provenance in vehicle.provenance.items():
         if sigma := provenance.uncertainty:
             with contextlib.suppress(ConfigurationError):
-                variants[key] = [vehicle.with_values({key: value_of(vehicle, key) + step}) for step in (-sigma, sigma)]
-    return variants
-
-
-def _vary_model(model: Model, intervals: Intervals) -> dict[str, list[Model]]:
-    """Two models, with one effect parameter one standard deviation lower and higher within bounds, by parameter."""
-    variants: dict[str, list[Model]] = {}
+                variants[key] = [(model, vehicle.with_values({key: value_of(vehicle, key) + step}))
+                                 for step in (-sigma, sigma)]
     if not isinstance(model, AugmentedModel):
         return variants
     for (effect, name), (low, high) in intervals.items():
@@ -107,5 +104,5 @@ def _vary_model(model: Model, intervals: Intervals) -> dict[str, list[Model]]:
         bounds = next(p.bounds for p in get_effect(effect).parameters if p.name == name)
         pair = [float(np.clip(value + side * sigma, *bounds)) for side in (-1.0, 1.0)]
         if pair[0] < pair[1]:
-            variants[f"{effect}.{name}"] = [model.with_values({effect: {name: end}}) for end in pair]
+            variants[f"{effect}.{name}"] = [(model.with_values({effect: {name: end}}), vehicle) for end in pair]
     return variants

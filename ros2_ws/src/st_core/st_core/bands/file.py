@@ -127,8 +127,7 @@ class Bands:
         if (schema := document.get("schema", SCHEMA)) != SCHEMA:
             raise ConfigurationError(f"schema: {schema} is not supported, only {SCHEMA}; run st calibrate again")
         check_keys("", document, keys, required=keys)
-        content = {key: document[key] for key in keys[2:-1]}
-        if hash_content(content) != document["hash"]:
+        if hash_content({key: document[key] for key in keys[2:-1]}) != document["hash"]:
             raise ConfigurationError("hash: the content was edited; run st calibrate again")
         settings = document["settings"]
         time = make_times(settings["horizon"], settings["step"])

@@ -170,12 +170,14 @@ class CalibratedBands:
 
     models: names of the models, which must all be in the bands (see `Bands.check`). domain: conditions with a band.
     levels: the LEVELS that are in the file. half_widths: by model, overwritten by each update inside the domain.
+    scales: (points, 3) along, across [m] and in yaw [rad], of the last such update.
     """
 
     def __init__(self, bands: Bands, models: Iterable[str]):
         self.domain = bands.domain
         pairs = [(model, mode) for model in models for mode in MODES if (model, mode) in bands.bands]
         self._row: dict[ModelMode, int] = {pair: row for row, pair in enumerate(pairs)}
+        self.scales: dict[ModelMode, np.ndarray] = {}
         used_bands = [bands.bands[pair] for pair in pairs]
         self.levels = tuple(level for level in LEVELS if all(level in band.factors for band in used_bands))
         scale = used_bands[0].scale
@@ -201,14 +203,9 @@ class CalibratedBands:
         scale = np.exp(logs.reshape(-1, len(self._interpolation)) @ self._interpolation)
         scale += self._floor
         np.sqrt(scale, out=scale)
-        self._scale = scale
+        self.scales = {pair: scale[3 * row:3 * row + 3].T for pair, row in self._row.items()}
         np.multiply(self._factors, scale.astype(np.float32), out=self._widths_ahead)
         return True
-
-    def get_scale(self, pair: ModelMode) -> np.ndarray | None:
-        """Scale (points, 3) along, across [m] and in yaw [rad] of the last update; None for an uncalibrated pair."""
-        row = self._row.get(pair)
-        return None if row is None else self._scale[3 * row:3 * row + 3].T
 
 
 class AdaptiveBands:
@@ -246,7 +243,7 @@ class AdaptiveBands:
         for model, half_widths in self.half_widths.items():
             for mode in modes:
                 pair = model, mode
-                scale = self._calibrated.get_scale(pair) if self._calibrated and not reason else None
+                scale = self._calibrated.scales.get(pair) if self._calibrated and not reason else None
                 band = self._bands[pair]
                 if reason and band.is_calibrated:
                     continue

@@ -14,7 +14,7 @@ from ..augmented import AugmentedModel, augment, set_effects_to_null
 from ..effects import find_applicable_effects, get_effect
 from ..errors import ConfigurationError
 from ..models import Model, get_model
-from ..vehicle import DEFAULT_UNCERTAINTIES, VehicleParameters, find_quantity, value_of
+from ..vehicle import DEFAULT_UNCERTAINTIES, FILE_QUANTITIES, VehicleParameters, value_of
 from .settings import DiscoverySettings
 
 DIFFERENCE_STEP = 0.02  # step of the difference quotients, as a fraction of the parameter scale
@@ -156,6 +156,6 @@ def _find_changed_quantity(space: Space, vehicle: VehicleParameters, i: int) -> 
 
 def _make_quantity(vehicle: VehicleParameters, key: str, slope: float, without_effect: float) -> FileQuantity | None:
     """The `FileQuantity` of a key of the vehicle file; None if it has no standard deviation."""
-    deviation, entry, quantity = vehicle.uncertainty(key), vehicle.provenance.get(key), find_quantity(key)
+    deviation, entry, quantity = vehicle.uncertainty(key), vehicle.provenance.get(key), FILE_QUANTITIES.get(key)
     return FileQuantity(key, quantity.si_unit if quantity else "1", value_of(vehicle, key), deviation, slope,
                         bool(entry and entry.uncertainty), without_effect) if deviation else None

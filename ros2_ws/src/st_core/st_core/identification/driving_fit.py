@@ -41,7 +41,7 @@ MAX_ITERATIONS, SCALE_TOLERANCE = 6, 0.02
 """Largest number of fits, each with the error scale of the previous one; relative change of the scale below which the
 fits have converged."""
 MAX_CONDITION = 1e12  # condition number of the Hessian above which the drives do not determine the parameters
-MIN_CURVATURE_RATIO = 0.2  # smallest ratio of the curvature of the loss to its Gauss-Newton approximation; usual: 0.7
+MIN_CURVATURE_RATIO = 0.2  # smallest ratio of the curvature of the loss to its Gauss-Newton approximation; typical: 0.7
 Values = Mapping[str, float]
 
 
@@ -52,7 +52,7 @@ class FitQuantity:
     effect: str
     unit: str
     value: Callable[[VehicleParameters, Values], float]  # from the vehicle and values by "effect.parameter"
-    relative: bool = False  # whether it is judged by its relative uncertainty
+    relative: bool = False  # whether the relative uncertainty decides on its status
     max_uncertainty: float = 0.0  # otherwise, largest standard uncertainty of an identified value [unit]
 
 
@@ -156,8 +156,7 @@ def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Seq
     """
     for name in names:
         if name not in QUANTITIES:
-            known = ", ".join(QUANTITIES)
-            raise IdentificationError(f"{name}: not identifiable from driving; choose from {known}")
+            raise IdentificationError(f"{name}: not identifiable from driving; choose from {', '.join(QUANTITIES)}")
     effects = tuple(dict.fromkeys(QUANTITIES[name].effect for name in names))
     model = get_model(base)
     library = {*effects, *(model.values if isinstance(model, AugmentedModel) else ())}

@@ -88,15 +88,15 @@ def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: st
     slip_range_uncertainty = estimate_slip_range_uncertainty(logs, vehicle, base, settings, fit)
     result = _make_identification("stiffness", vehicle, fit, method, (*STIFFNESSES, *additional),
                                   slip_range_uncertainty)
-    kind = ("Secant" if describe_model(base).startswith("linear") else
-            "Slope at zero slip, with the tyre curve of the vehicle file,")
+    definition = ("Secant" if describe_model(base).startswith("linear") else
+                  "Slope at zero slip, with the tyre curve of the vehicle file,")
     estimates = []
     for estimate, slip in zip(result.estimates, find_largest_slip(logs, vehicle, settings), strict=False):
         relative_error = slip_range_uncertainty.get(estimate.parameter, 0.0) / max(abs(estimate.value), 1e-300)
         model_error = (f"a model error of {100.0 * relative_error:.1f} % from its change with the slip range is "
                        "included" if slip_range_uncertainty else
                        "its change with the slip range is unknown: drive at small and large lateral accelerations")
-        verdict = f"{estimate.verdict} {kind} from slip angles up to {np.rad2deg(slip):.1f} deg; {model_error}."
+        verdict = f"{estimate.verdict} {definition} from slip angles up to {np.rad2deg(slip):.1f} deg; {model_error}."
         estimates.append(replace(estimate, verdict=verdict))
     return replace(result, estimates=(*estimates, *result.estimates[len(STIFFNESSES):]), coverage=coverage,
                    warnings=(*notes, *result.warnings))
@@ -219,7 +219,7 @@ def _make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivi
     estimates = tuple(
         ParameterEstimate(fit.names[i], values[i], QUANTITIES[fit.names[i]].unit, uncertainty[i],
                           regression.symmetric_interval(values[i], uncertainty[i], degrees_of_freedom[i]),
-                          method, runs, *_judge_estimate(fit, i, uncertainty[i]))
+                          method, runs, *_grade_estimate(fit, i, uncertainty[i]))
         for i in indices)
     rejected = [(name, f"{total - used} of {total} predictions (speed below the minimum, lateral acceleration above "
                  "the limit, or gaps)") for name, (used, total) in fit.window_counts.items() if used < total]
@@ -237,7 +237,7 @@ def _make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivi
                           regression.correlation_matrix(covariance[np.ix_(indices, indices)]), (), warnings, figure)
 
 
-def _judge_estimate(fit: DrivingFit, index: int, uncertainty: float) -> tuple[str, Status]:
+def _grade_estimate(fit: DrivingFit, index: int, uncertainty: float) -> tuple[str, Status]:
     """(verdict, with uncertainty and number of predictions unless a bound was reached; status)."""
     name, value = fit.names[index], fit.values[index]
     basis = f"{fit.prediction_count} predictions in {fit.spread.basis[index]}"

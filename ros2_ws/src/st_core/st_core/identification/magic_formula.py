@@ -102,8 +102,7 @@ def check_table(data: FlatPlank, levels: np.ndarray, level: np.ndarray, nominal_
         raise IdentificationError(f"{data.tyre}: no load near nominal_load {nominal_load:.0f} N of the vehicle file, "
                                   f"the nearest is {levels[nominal]:.0f} N: test at that load, or change nominal_load "
                                   "in the file")
-    rows = level == nominal
-    angle_count = len(np.unique(np.round(np.degrees(data.slip[rows]), 2)))
+    angle_count = len(np.unique(np.round(np.degrees(data.slip[level == nominal]), 2)))
     if angle_count < MIN_POINTS:
         raise IdentificationError(f"{data.tyre}: {angle_count} different slip angles at {levels[nominal]:.0f} N, at "
                                   f"least {MIN_POINTS} are needed")
@@ -119,9 +118,8 @@ def check_table(data: FlatPlank, levels: np.ndarray, level: np.ndarray, nominal_
 
 def measure_slip_coverage(data: FlatPlank, levels: np.ndarray, level: np.ndarray) -> tuple[Coverage, ...]:
     """Coverage of |slip angle|, one entry per load."""
-    magnitude = np.abs(data.slip)
     return tuple(Coverage(f"slip angle at {load:.0f} N", "deg", np.degrees(SLIP_BINS),
-                          np.histogram(magnitude[level == k], SLIP_BINS)[0], 1, MIN_FILLED_BINS)
+                          np.histogram(np.abs(data.slip[level == k]), SLIP_BINS)[0], 1, MIN_FILLED_BINS)
                  for k, load in enumerate(levels))
 
 

@@ -60,7 +60,7 @@ class OnlineEstimate:
 
 @dataclass
 class DrivingTime:
-    """Duration of the driving so far [s], by kind."""
+    """Time driven so far [s], by type of driving."""
 
     used: float = 0.0  # within the limits of FIT_SETTINGS for speed and lateral acceleration
     straight: float = 0.0  # |L r / v| below a quarter of MIN_BEND_ANGLE
@@ -213,7 +213,7 @@ class OnlineIdentifier:
                                 (times.loaded_right, 3, "s of right bends above 1.5 m/s^2"),
                                 (filled_bins, 2, "speed ranges with 5 s each")],
         }
-        return {name: "; ".join(f"{driven:.0f} of {needed} {kind}" for driven, needed, kind in rows if driven < needed)
+        return {name: "; ".join(f"{driven:.0f} of {needed} {text}" for driven, needed, text in rows if driven < needed)
                 for name, rows in required.items()}
 
     def _describe_implausible_values(self) -> Mapping[str, str]:

@@ -9,13 +9,12 @@ import numpy as np
 
 from ..errors import StCoreError
 from ..regression import Z95
-from ..vehicle import DERIVED_SOURCE, TYRES, Provenance, VehicleParameters, find_quantity, value_of
+from ..vehicle import DERIVED_SOURCE, FILE_QUANTITIES, TYRES, Provenance, VehicleParameters, value_of
 
 if TYPE_CHECKING:  # `checks` takes a second to import, and nodes do not need it
     from ..checks.finding import Finding
 
 Status = Literal["identified", "doubtful", "unidentifiable"]
-
 
 
 class IdentificationError(StCoreError):
@@ -87,7 +86,7 @@ class Identification:
             low, high = estimate.interval95
             if not low <= 0.0 <= high or estimate.status == "unidentifiable" or "." in estimate.parameter:
                 continue
-            quantity = find_quantity(estimate.parameter)
+            quantity = FILE_QUANTITIES.get(estimate.parameter)
             if quantity is not None and quantity.minimum > 0.0:
                 verdict = f"Not identifiable: zero is inside the interval. {estimate.verdict}"
                 estimates[k] = replace(estimate, status="unidentifiable", verdict=verdict)
@@ -148,7 +147,7 @@ def apply_to_vehicle(vehicle: VehicleParameters, identifications: Iterable[Ident
     provenance: dict[str, Provenance] = {}
     for identification in identifications:
         for estimate in identification.estimates:
-            if find_quantity(estimate.parameter) is None or estimate.status == "unidentifiable":
+            if estimate.parameter not in FILE_QUANTITIES or estimate.status == "unidentifiable":
                 continue
             key = estimate.parameter
             values[key] = estimate.value

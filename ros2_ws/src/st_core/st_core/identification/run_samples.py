@@ -116,9 +116,8 @@ def measure_coverage(signal: str, unit: str, edges: np.ndarray, values: Sequence
     if not len(spacing):
         raise IdentificationError(f"nearly all samples are within {FILTER_SETTLING_TIME:g} s of a gap above "
                                   f"{MAXIMUM_GAP:g} s: record INS and steering at more than 10 Hz, without gaps")
-    interval = float(np.median(spacing))
     return Coverage(signal, unit, edges, np.histogram(np.concatenate(values), edges)[0],
-                    max(1, round(min_seconds / interval)), min_filled_bins)
+                    max(1, round(min_seconds / float(np.median(spacing)))), min_filled_bins)
 
 
 def measure_driving_coverage(logs: Sequence[DriveLog], vehicle: VehicleParameters, minimum_speed: float,

@@ -80,8 +80,7 @@ def fit_cubic(x: np.ndarray, line: Line, groups: Sequence[str]) -> tuple[tuple[f
     if degrees_of_freedom < 1 or linear_sum <= 1e-20:
         return (0.0, 0.0), False
     f_ratio = (linear_sum - cubic_sum) / max(cubic_sum / degrees_of_freedom, 1e-20)
-    significant = bool(fisher.sf(f_ratio, 1, degrees_of_freedom) < 0.01)
-    return (float(coefficients[0]), float(coefficients[1])), significant
+    return (float(coefficients[0]), float(coefficients[1])), bool(fisher.sf(f_ratio, 1, degrees_of_freedom) < 0.01)
 
 
 def _group_columns(groups: Sequence[str]) -> dict[str, np.ndarray]:
@@ -134,8 +133,7 @@ def identify_steering_ratio(data: Turntable) -> Identification:
                                  method, used, verdict)
     first, last = data.steering.min() / ANGLE_BIN_WIDTH, data.steering.max() / ANGLE_BIN_WIDTH
     edges = ANGLE_BIN_WIDTH * np.arange(math.floor(first), math.ceil(last) + 1)
-    counts = np.histogram(data.steering, edges)[0]
-    coverage = Coverage("steering-wheel angle", "deg", np.degrees(edges), counts, 1, 2)
+    coverage = Coverage("steering-wheel angle", "deg", np.degrees(edges), np.histogram(data.steering, edges)[0], 1, 2)
     figure = {"steering": data.steering, "left": data.left, "right": data.right, "mean": mean, "sweeps": data.sweeps,
               "slope": line.slope, "intercepts": line.intercepts, "residuals": line.residuals, "cubic": cubic,
               "significant": significant}

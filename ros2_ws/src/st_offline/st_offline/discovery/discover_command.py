@@ -24,6 +24,7 @@ from st_core.effects import load_folder
 from st_core.errors import ConfigurationError
 from st_core.model_file import Interval, ModelFile, ModelProvenance
 from st_core.relations import RelationSearch, find_relation, needs_search
+from st_core.vehicle import FILE_QUANTITIES
 from st_recordings.car import read_model
 from st_recordings.paths import json_text, new_folder
 from st_recordings.results import collect_versions
@@ -38,7 +39,7 @@ from . import quantities, report_text
 from .drives import Drive, Request, find_result, get_logs, read_drives
 from .figures import draw_agreement, draw_axle_curves, draw_maps, draw_relation, draw_waterfall
 from .relation_report import RelationReport, build_relation_document, report_relation, write_files
-from .vehicle_update import ENTRIES, VehicleUpdate, update_vehicle
+from .vehicle_update import VehicleUpdate, update_vehicle
 
 SCHEMA = 4
 MAX_ROWS = 8  # of regions, other effects and undetectable effects; discovery.json contains all
@@ -293,7 +294,8 @@ def _make_tables(discovery: Discovery, content: Mapping[str, Any]) -> dict[str, 
 
 
 def _make_change_row(key: str, change: Mapping[str, Any]) -> tuple[str, str, str, str]:
-    unit, limits = get_unit_symbol(ENTRIES[key].si_unit), (ENTRIES[key].minimum, ENTRIES[key].maximum)
+    quantity = FILE_QUANTITIES[key]
+    unit, limits = get_unit_symbol(quantity.si_unit), (quantity.minimum, quantity.maximum)
     at_limit = any(math.isclose(change["after"], limit, rel_tol=1e-4) for limit in limits)
     return (f"{key}, {unit}" if unit else key, f"{change['before']:.5g}",
             f"{change['after']:.5g}{' (limit of the file)' if at_limit else ''}",

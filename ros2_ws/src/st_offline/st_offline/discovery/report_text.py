@@ -12,12 +12,13 @@ from st_core.discovery.result import PARTS, Discovery
 from st_core.discovery.settings import Limits
 from st_core.effects import EFFECTS, get_effect
 from st_core.regression import Z95
+from st_core.vehicle import FILE_QUANTITIES
 
 from ..checking.check_report import describe_effect, format_estimate, get_unit_symbol, group_findings
 from ..terminal import format_count
 from . import quantities
 from .quantities import format_briefly, format_fitted, format_metres, label_channel, to_words
-from .vehicle_update import ENTRIES, SLIP_SPEED_KEY, VehicleUpdate
+from .vehicle_update import SLIP_SPEED_KEY, VehicleUpdate
 
 MAX_PARTS = 6  # local estimates of a varying effect listed in a sentence
 MAX_UNDETECTABLE = 4  # effects listed in a sentence; the table contains all
@@ -387,7 +388,7 @@ def format_changes(changes: Mapping[str, Sequence[float]]) -> str:
     texts = []
     for key, values in changes.items():
         before, after = (f"{x:.0f}" if abs(x) >= 1000.0 else f"{x:.4g}" for x in values[:2])
-        texts.append(f"{key} {before} → {after} {get_unit_symbol(ENTRIES[key].si_unit)}".rstrip())
+        texts.append(f"{key} {before} → {after} {get_unit_symbol(FILE_QUANTITIES[key].si_unit)}".rstrip())
     return ", ".join(texts)
 
 

@@ -21,7 +21,7 @@ from st_core.log import DriveLog, LogSignals
 from st_core.log_evaluation import regular_starts, usable_starts
 from st_core.prediction import PredictionSettings
 from st_core.regression import Z95
-from st_core.vehicle import TYRE_QUANTITIES, TYRES, VEHICLE_QUANTITIES, Provenance, VehicleParameters, value_of
+from st_core.vehicle import FILE_QUANTITIES, Provenance, VehicleParameters, value_of
 from st_core.yaml_text import dump_flow, format_number
 from st_recordings.car import STABILITY_SPEEDS
 
@@ -37,8 +37,6 @@ SIGNIFICANCE_LEVEL = 0.05  # of a one-sided paired t-test over the predictions o
 SIGNIFICANT_DIGITS = 6  # of a written value
 SCALE_SOURCE = "kept at its value while other entries were corrected"  # of a lambda_ky that the file did not contain
 SLIP_SPEED_KEY = "minimum_slip_speed"
-ENTRIES = {**VEHICLE_QUANTITIES,
-           **{f"{tyre}.{key}": quantity for tyre in TYRES for key, quantity in TYRE_QUANTITIES.items()}}
 
 
 @dataclass(frozen=True)
@@ -184,7 +182,7 @@ def _adapt_model(discovery: Discovery, car: VehicleParameters, folded: Sequence[
 
 def _find_changes(vehicle: VehicleParameters, other: VehicleParameters) -> dict[str, tuple[float, float]]:
     """(before, after) of each key that differs between two vehicles."""
-    pairs = {key: (value_of(vehicle, key), value_of(other, key)) for key in ENTRIES}
+    pairs = {key: (value_of(vehicle, key), value_of(other, key)) for key in FILE_QUANTITIES}
     return {key: pair for key, pair in pairs.items() if not math.isclose(*pair, rel_tol=1e-9, abs_tol=1e-12)}
 
 
@@ -245,7 +243,7 @@ def document_changes(request: Request, car: VehicleParameters, changes: Mapping[
         previous, *ends = (format_number(float(f"{x:.{SIGNIFICANT_DIGITS}g}")) for x in (before, low, high))
         source = (f"stable with steps of {1e3 * PredictionSettings().step:g} ms" if key == SLIP_SPEED_KEY else
                   f"{origin}, 95 % interval {' to '.join(ends)}")
-        sources[key] = f"{source}; previously {previous} {ENTRIES[key].si_unit}".removesuffix(" 1")
+        sources[key] = f"{source}; previously {previous} {FILE_QUANTITIES[key].si_unit}".removesuffix(" 1")
         deviation = float(f"{(high - low) / (2.0 * Z95):.3g}")
         entries[key] = replace(provenance, uncertainty=deviation if deviation > 0.0 else None)
     return replace(car, sources=sources, provenance=entries)
@@ -264,7 +262,7 @@ def edit_vehicle_text(text: str, keys: Iterable[str], car: VehicleParameters, di
             read = VehicleParameters.from_yaml(edited)
         except (ConfigurationError, yaml.YAMLError):
             break
-        wrong_keys = [key for key in ENTRIES if not math.isclose(
+        wrong_keys = [key for key in FILE_QUANTITIES if not math.isclose(
             value_of(read, key), value_of(car, key), rel_tol=tolerance, abs_tol=1e-4 * tolerance)]
         if not wrong_keys:
             return edited
@@ -290,7 +288,7 @@ def _edit_entries(text: str, keys: Iterable[str], car: VehicleParameters, digits
     edits = []  # (start, end, replacement) in the text
     for key in keys:
         tyre, _, name = key.rpartition(".")
-        section, units = _find_entry(root, tyre) if tyre else root, ENTRIES[key].units
+        section, units = _find_entry(root, tyre) if tyre else root, FILE_QUANTITIES[key].units
         assert isinstance(section, yaml.MappingNode)  # already parsed as a vehicle file
         node = _find_entry(section, name)
         unit = next(iter(units)) if node is None else next(v.value for k, v in node.value if k.value == "unit")

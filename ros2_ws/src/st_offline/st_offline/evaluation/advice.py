@@ -10,9 +10,10 @@ from functools import partial
 
 import numpy as np
 from rich.markup import escape
-from st_core.bands import CONDITIONS, ErrorSamples, NotFiniteError, calibrate
+from st_core.bands import ErrorSamples, NotFiniteError, calibrate
 from st_core.bands.calibration import MIN_CALIBRATION_RUNS, compute_error_samples, compute_highest_level
 from st_core.bands.file import make_times
+from st_core.bands.scale import CONDITIONS
 from st_core.batch import LogBatch
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.integrate import StepTooLongWarning

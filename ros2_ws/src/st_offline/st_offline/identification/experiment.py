@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from st_core.identification.result import Identification
 from st_core.models import Model
-from st_core.vehicle import VehicleParameters, find_quantity, value_of
+from st_core.vehicle import FILE_QUANTITIES, VehicleParameters, value_of
 from st_recordings.runs import ReadSettings
 from st_recordings.runs.errors import RunError, check_readable
 
@@ -52,7 +52,7 @@ def make_estimate_rows(outcome: Identification, vehicle: VehicleParameters) -> l
     rows: list[Sequence[str]] = []
     for e in outcome.estimates:
         factor, unit = (180.0 / math.pi, "deg") if e.unit == "rad" else (1.0, e.unit)
-        file_value = "" if find_quantity(e.parameter) is None else f"{value_of(vehicle, e.parameter) * factor:.6g}"
+        file_value = "" if e.parameter not in FILE_QUANTITIES else f"{value_of(vehicle, e.parameter) * factor:.6g}"
         value, uncertainty, low, high = (format_rounded(x * factor, e.standard_uncertainty * factor)
                                          for x in (e.value, e.standard_uncertainty, *e.interval95))
         rows.append((e.parameter, value, uncertainty, f"{low} to {high}", unit, file_value, e.status))

@@ -12,7 +12,7 @@ from rich.markup import escape
 from st_core.checks import Finding
 from st_core.handling import find_implausible_values
 from st_core.identification import result
-from st_core.vehicle import VehicleParameters, find_quantity
+from st_core.vehicle import FILE_QUANTITIES, VehicleParameters
 from st_recordings.paths import json_text, new_folder
 from st_recordings.results import collect_versions
 from st_recordings.runs import find_runs
@@ -100,7 +100,7 @@ def write_results(job: IdentificationJob, outcomes: Sequence[result.Identificati
     figures = [draw(outcome, output) if (draw := EXPERIMENTS[outcome.experiment].draw) else None
                for outcome in outcomes]
     keys = [e.parameter for outcome in outcomes for e in outcome.estimates
-            if find_quantity(e.parameter) is not None and e.status != "unidentifiable"]
+            if e.parameter in FILE_QUANTITIES and e.status != "unidentifiable"]
     vehicle_text = Path(job.vehicle_file).read_text(encoding="utf-8")
     texts = {
         "identification.json": json_text({name: entry for outcome in outcomes
