@@ -100,10 +100,7 @@ def change_inputs(hooks: Iterable[tuple[int, Callable, Sequence[int]]], angle: A
 
 def _make_inputs(base_inputs: Callable[..., tuple], effects: tuple[type[Effect], ...], signals: tuple[str, ...],
                  only_inputs: bool) -> Callable[..., tuple]:
-    """Function inputs(road_wheel_angle, velocity_x_dot, p, *values of the signals) -> w.
-
-    only_inputs: no effect changes the equations, and w is that of the base model.
-    """
+    """inputs(road_wheel_angle, velocity_x_dot, p, *signal values) -> w. only_inputs: w is that of the base model."""
     hooks = [(index, effect.inputs, effect.prepare, [signals.index(name) for name in effect.signals])
              for index, effect in enumerate(effects)]
     input_hooks = [(index, change, rows) for index, change, _, rows in hooks if change]

@@ -39,9 +39,7 @@ def symmetric_interval(value: float, standard_uncertainty: float,
 
 def count_decimals(half_width: float) -> int:
     """Number of decimals, 0 to 6, for two significant digits of the half-width of an interval; 3 for 0 or infinity."""
-    if not 0.0 < half_width < math.inf:
-        return 3
-    return min(max(1 - math.floor(math.log10(half_width) + 1e-6), 0), 6)
+    return min(max(1 - math.floor(math.log10(half_width) + 1e-6), 0), 6) if 0.0 < half_width < math.inf else 3
 
 
 def effective_degrees_of_freedom(estimated_variance: float, total_variance: float, degrees_of_freedom: float) -> float:

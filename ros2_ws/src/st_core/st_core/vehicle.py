@@ -181,15 +181,14 @@ class VehicleParameters:
         sources: dict[str, str] = {}
         provenance: dict[str, Provenance] = {}
         values: dict[str, Any] = _read_section("", document, VEHICLE_QUANTITIES, sources, provenance)
-        tyres: dict[str, Any] = {}
         for tyre in TYRES:
             section = document[tyre]
             if not isinstance(section, dict):
                 raise ConfigurationError(f"{tyre}: not a mapping of `key: {{value, unit, source}}`")
             required = [key for key, quantity in TYRE_QUANTITIES.items() if quantity.required]
             check_keys(f"{tyre}.", section, list(TYRE_QUANTITIES), required)
-            tyres[tyre] = MagicFormula(**_read_section(f"{tyre}.", section, TYRE_QUANTITIES, sources, provenance))
-        vehicle = cls(name=name, **values, **tyres, sources=sources, provenance=provenance)
+            values[tyre] = MagicFormula(**_read_section(f"{tyre}.", section, TYRE_QUANTITIES, sources, provenance))
+        vehicle = cls(name=name, **values, sources=sources, provenance=provenance)
         _check_scale(vehicle)
         return vehicle.with_derived_scales([tyre for tyre in TYRES if "lambda_ky" not in document[tyre]])
 
@@ -298,10 +297,7 @@ def _read_section(prefix: str, section: Mapping[str, Any], quantities: Mapping[s
 
 
 def _read_provenance(key: str, entry: Mapping[str, Any], factor: float) -> Provenance | None:
-    """The provenance of an entry of a vehicle file; None if it has none. factor: converts the unit of the entry to SI.
-
-    Raises ConfigurationError, naming the key, for an invalid uncertainty or a text that is not a string.
-    """
+    """The provenance of an entry of a vehicle file, or None. factor: converts the unit of the entry to SI."""
     if not any(name in entry for name in PROVENANCE_KEYS):
         return None
     uncertainty = entry.get("uncertainty")

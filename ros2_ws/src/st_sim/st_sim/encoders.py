@@ -181,9 +181,9 @@ def _make_changing_values(seconds: float, gps_minutes: int | None) -> dict[int, 
 VEHICLE_BUS, INS_BUS = 1, 2  # CANedge channels of the car and of the INS; on a live bus they share one channel
 
 FRAME_TIME = 0.00025  # s, duration of a frame at 500 kbit/s; frames of one encoder call are sent at this interval
-CAR_CAN_RATE = 1750  # frames per second on the Car-CAN of a Leaf, counted in a recording with 52 identifiers
 
-# Periods [ms] of the most frequent other identifiers in that recording, which `--can-rate full` sends in addition.
+# Periods [ms] of the most frequent other identifiers on the Car-CAN of a Leaf, counted in a recording with 52
+# identifiers and 1750 frames per second; `--can-rate full` sends them in addition.
 _BACKGROUND = {
     **dict.fromkeys((0x174, 0x176, 0x180, 0x182, 0x1CA, 0x1CB, 0x1D5, 0x1D6, 0x215, 0x216, 0x245, 0x260), 10),
     **dict.fromkeys((0x280, 0x292, 0x2DE, 0x300), 20),
@@ -253,7 +253,7 @@ class CanEncoder:
 class BackgroundTraffic:
     """Other frames of the Car-CAN, each with constant random data, for a realistic load on filters and queues.
 
-    It contains 1540 frames per second; with the 217 of CanEncoder, about CAR_CAN_RATE. INS frames are additional.
+    It has 1540 frames per second; with the 217 of CanEncoder, about as many as in a Leaf. INS frames are additional.
     """
 
     def __init__(self, seed: int):

@@ -87,10 +87,7 @@ def sum_squared_contributions(
 
 def _vary_parameters(model: Model, vehicle: VehicleParameters,
                      intervals: Intervals) -> dict[str, list[tuple[Model, VehicleParameters]]]:
-    """Model and vehicle with one parameter one standard deviation lower, and higher, by parameter.
-
-    Values of effects are limited to their bounds; a parameter of the vehicle with an invalid value is left out.
-    """
+    """By parameter, model and vehicle with it one standard deviation lower, and higher; effects within their bounds."""
     variants: dict[str, list[tuple[Model, VehicleParameters]]] = {}
     for key, provenance in vehicle.provenance.items():
         if sigma := provenance.uncertainty:

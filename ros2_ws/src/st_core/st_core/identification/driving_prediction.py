@@ -25,7 +25,6 @@ Checked by: test_identification_driving.py.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from types import MappingProxyType
 
 import numpy as np
 
@@ -87,7 +86,7 @@ def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: st
     method = f"multi-step prediction, {describe_model(base)}"
     slip_range_uncertainty = estimate_slip_range_uncertainty(logs, vehicle, base, settings, fit)
     result = _make_identification("stiffness", vehicle, fit, method, (*STIFFNESSES, *additional),
-                                  slip_range_uncertainty)
+                                  slip_range_uncertainty, {})
     definition = ("Secant" if describe_model(base).startswith("linear") else
                   "Slope at zero slip, with the tyre curve of the vehicle file,")
     estimates = []
@@ -194,7 +193,7 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
 
 def _make_identification(experiment: str, vehicle: VehicleParameters, fit: DrivingFit, method: str,
                          reported: Sequence[str], systematic_uncertainty: Mapping[str, float],
-                         known_uncertainty: Mapping[str, float] = MappingProxyType({})) -> Identification:
+                         known_uncertainty: Mapping[str, float]) -> Identification:
     """Result of an experiment from a fit.
 
     reported: parameters that become estimates. systematic_uncertainty, known_uncertainty: by parameter, estimated from

@@ -92,8 +92,7 @@ class Identification:
                 estimates[k] = replace(estimate, status="unidentifiable", verdict=verdict)
             else:
                 note = f" {estimate.parameter} is not distinguishable from zero."
-                verdict = f"{estimate.verdict.removesuffix(note)}{note}"
-                estimates[k] = replace(estimate, status="doubtful", verdict=verdict)
+                estimates[k] = replace(estimate, status="doubtful", verdict=estimate.verdict.removesuffix(note) + note)
         object.__setattr__(self, "estimates", tuple(estimates))
 
     def __getitem__(self, parameter: str) -> ParameterEstimate:
@@ -176,8 +175,7 @@ def describe_stale_lambda(vehicle: VehicleParameters, identifications: Iterable[
 
 def get_stated_uncertainty(vehicle: VehicleParameters, key: str) -> float:
     """Standard uncertainty of a value [SI] that the vehicle file states; 0 if it states none."""
-    provenance = vehicle.provenance.get(key)
-    return (provenance.uncertainty or 0.0) if provenance else 0.0
+    return vehicle.provenance.get(key, Provenance()).uncertainty or 0.0
 
 
 def compare_with_file(vehicle: VehicleParameters, estimate: ParameterEstimate) -> str:
