@@ -91,7 +91,7 @@ class AugmentedModel(Model):
         return self.select_effects(e for e in self.effects if e in self.active_effects or not e.costly)
 
     def select_effects(self, effects: Iterable[type[Effect]]) -> "AugmentedModel":
-        """The model with only the given effects, which must be among its own."""
+        """The model restricted to the given ones of its effects."""
         selected = tuple(effects)
         return self if len(selected) == len(self.effects) else _compose(self.base, selected, self.values)
 

@@ -1,4 +1,4 @@
-"""Prediction from many starts of a recorded drive at once; the result contains the states at horizon points.
+"""Simultaneous predictions from many starts of a recorded drive, with states at selected points of the horizon.
 
 The results equal those of `prediction.predict` with the inputs of the log, for any backend. Starts are computed in
 blocks. In addition to the result, memory holds the tables of one block and the two inputs of the log on the grid: 16
@@ -58,10 +58,10 @@ class GridBlock:
         return result
 
 
-def plan_blocks(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, share: bool = True) -> Iterator[GridBlock]:
+def plan_blocks(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, shared: bool = True) -> Iterator[GridBlock]:
     """Blocks that cover all starts. starts_ns: increasing [ns]. instants_ns: times after each start, from 0 on [ns].
 
-    lanes: columns that the kernel computes at once. share: False if the values at an instant depend on the start.
+    lanes: columns that the kernel computes at once. shared: False if the values at an instant depend on the start.
     """
     if not len(starts_ns):
         return
@@ -73,7 +73,7 @@ def plan_blocks(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, shar
     column = np.concatenate(([0], np.cumsum(np.where(is_apart, tail + 1, between // (half * spacing)))))
     is_on_grid = np.array_equal(instants_ns, half * np.arange(count)) and not np.any(between[~is_apart] % half)
     width = column[-1] + 1 + tail * (column[-1] // SHARED_BLOCK + 1)  # columns of all tables, each with a tail
-    is_shared = bool(share and is_on_grid and width <= 2 * len(starts_ns) + lanes)
+    is_shared = bool(shared and is_on_grid and width <= 2 * len(starts_ns) + lanes)
     if not is_shared:
         spacing, tail, column = count, 0, np.arange(len(starts_ns))
     size = _round_up(max(min(SEPARATE_BLOCK // spacing, SHARED_BLOCK), 1), lanes)

@@ -110,8 +110,8 @@ def manual_alignment(offset_ns: int, at_ns: int, signals: Sequence[SharedSignal]
     if check.verdict is Verdict.REFUSED:
         return manual
     difference = check.offset_ns * 1e-9 - offset
-    reason = (f"the offset was given by hand; the shared signals differ from it by {difference * 1e3:+.0f} ms in the "
-              "middle of the overlap")
+    reason = (f"the offset was given by hand; that from the shared signals differs by {difference * 1e3:+.0f} ms in "
+              "the middle of the overlap")
     agrees = abs(difference) < max(2 * check.offset_deviation, MANUAL_TOLERANCE)
     return replace(manual, verdict=Verdict.GOOD if agrees else Verdict.DOUBTFUL, reasons=(reason,),
                    signals=check.signals, peak=check.peak, second_peak=check.second_peak, overlap=check.overlap)

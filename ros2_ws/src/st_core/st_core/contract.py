@@ -43,8 +43,8 @@ def check_effect(effect: type[Effect], vehicle: VehicleParameters) -> dict[str, 
                               for base in MODELS.values() if base.name in effect.applies_to)
                 problems[text] = next(filter(None, violations), "")
         except Exception as error:
-            kind = "" if isinstance(error, StCoreError) else f"{type(error).__name__}: "
-            problems[text] = kind + " ".join(str(error).split())
+            prefix = "" if isinstance(error, StCoreError) else f"{type(error).__name__}: "
+            problems[text] = prefix + " ".join(str(error).split())
     return problems
 
 

@@ -74,10 +74,10 @@ def apply_corrections(log: DriveLog, corrections: Mapping[str, Correction], vehi
     log = _correct_ins(log, corrections)
     if angle := corrections.get("heading", Correction()).add:
         changes: dict[str, Any] = {"yaw": log.yaw + angle}
-        for kind in ("velocity", "acceleration"):
-            x, y = getattr(log, f"{kind}_x"), getattr(log, f"{kind}_y")
+        for vector in ("velocity", "acceleration"):
+            x, y = getattr(log, f"{vector}_x"), getattr(log, f"{vector}_y")
             if x is not None and y is not None:
-                changes[f"{kind}_x"], changes[f"{kind}_y"] = map_to_body(x, y, angle)
+                changes[f"{vector}_x"], changes[f"{vector}_y"] = map_to_body(x, y, angle)
         log = replace(log, **changes)
     if ahead := corrections.get("position", Correction()).ahead:
         east, north = body_to_map(ahead, 0.0, log.yaw)

@@ -283,8 +283,8 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
     x, y, yaw, *others = signals.ins_at(instants, "x", "y", "yaw", "velocity_x", "yaw_rate", "velocity_x_dot")
     measured_pose = [values[index[::2]].T for values in (x, y, yaw)]
     speed, yaw_rate, acceleration, angle = (v[index].T for v in (*others, signals.road_wheel_angle_at(instants)))
-    measured_batch, held_batch = (LogBatch(signals, starts_ns, step * steps, step, inputs=kind)
-                                  for kind in ("measured", "held"))
+    measured_batch, held_batch = (LogBatch(signals, starts_ns, step * steps, step, inputs=choice)
+                                  for choice in ("measured", "held"))
     trajectories: dict[tuple[str, Mode], np.ndarray] = {}
     batches: dict[Mode, LogBatch] = {}
     for mode, columns in planned.items():

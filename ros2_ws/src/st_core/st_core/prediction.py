@@ -315,8 +315,8 @@ def compile_models(models: Sequence[Model], vehicle: VehicleParameters,
         try:
             compiled[model.name] = compile_model(model, vehicle, settings)
         except Exception as error:  # numba raises many types of errors; the interpreted model is the fallback
-            kind = "" if isinstance(error, ConfigurationError) else f"{type(error).__name__}: "
-            reasons[model.name] = " ".join(f"{kind}{error}".split())
+            prefix = "" if isinstance(error, ConfigurationError) else f"{type(error).__name__}: "
+            reasons[model.name] = " ".join(f"{prefix}{error}".split())
     parts = [f"compiled and checked: {', '.join(compiled)}"] if compiled else []
     if reasons:
         parts.append(f"not compiled: {', '.join(reasons)} ({'; '.join(dict.fromkeys(reasons.values())):.200})")

@@ -105,8 +105,7 @@ def correct_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveL
     corrected: dict[str, Any] = {}
     if model.has_sensor_effects:
         names = Measured._fields[:-1]
-        missing = find_missing_reading(model, [name for name in names if getattr(log, name) is None])
-        if missing:
+        if missing := find_missing_reading(model, [name for name in names if getattr(log, name) is None]):
             raise StCoreError("{}: effect {} needs {}, which was not recorded".format(log.name, *missing))
         recorded = {name: getattr(log, name) for name in Measured._fields if getattr(log, name) is not None}
         zeros = np.zeros(len(log.ins_time_ns))
@@ -159,8 +158,7 @@ class ModelView:
     """
 
     def __init__(self, model: Model, vehicle: VehicleParameters, shared: MeasurementHistory):
-        missing = find_missing_reading(model, OPTIONAL_INS_SIGNALS)
-        if missing:
+        if missing := find_missing_reading(model, OPTIONAL_INS_SIGNALS):
             raise ConfigurationError("model {}: effect {} needs {}, which is not measured live".format(
                 model.name, *missing))
         self.model = model

@@ -42,9 +42,9 @@ class Quantity:
         return min(max(value, self.minimum), self.maximum)
 
 
-def quantities_of(kind: type) -> dict[str, Quantity]:
+def quantities_of(cls: type) -> dict[str, Quantity]:
     """The quantities of the fields that a class declares as Annotated[float, Quantity(...)], by name."""
-    return {key: hint.__metadata__[0] for key, hint in get_type_hints(kind, include_extras=True).items()
+    return {key: hint.__metadata__[0] for key, hint in get_type_hints(cls, include_extras=True).items()
             if get_origin(hint) is Annotated}
 
 

@@ -181,14 +181,14 @@ def _read_plan(file: FilePath) -> Plan:
 
 def _make_pieces(row: dict[str, Any]) -> list[Piece]:
     values = {key: float(value) for key, value in row.items()}
-    kind = next(key for key in ("straight", "turn", "shift") if key in values)
-    size, speed = values.pop(kind), values.pop("speed")
+    shape = next(key for key in ("straight", "turn", "shift") if key in values)
+    size, speed = values.pop(shape), values.pop("speed")
     if not 0 < speed <= MAX_SPEED:
         raise ValueError(f"speed {speed:g} m/s: must be above 0 and at most {MAX_SPEED:g} m/s")
-    if kind == "turn":
+    if shape == "turn":
         pieces = turn(values.pop("radius"), size, speed, values.pop("blend", 0.0))
     else:
-        pieces = straight(size, speed) if kind == "straight" else lane_shift(size, values.pop("length"), speed)
+        pieces = straight(size, speed) if shape == "straight" else lane_shift(size, values.pop("length"), speed)
     if values:
         raise ValueError(f"unknown key {next(iter(values))}")
     return pieces

@@ -110,8 +110,8 @@ def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1, fre
     six = casadi.SX.sym("x_six", len(STATE_NAMES))
     start = casadi.vertcat(*model.start_state(tuple(casadi.vertsplit(six)), w, symbolic_p))
 
-    def make_function(kind: str, arguments: dict[str, Any], results: dict[str, Any]) -> casadi.Function:
-        return casadi.Function(f"{model.name}_{kind}", [*arguments.values(), *p_argument], [*results.values()],
+    def make_function(name: str, arguments: dict[str, Any], results: dict[str, Any]) -> casadi.Function:
+        return casadi.Function(f"{model.name}_{name}", [*arguments.values(), *p_argument], [*results.values()],
                                [*arguments, *p_name], [*results])
 
     def differentiate(expression: casadi.SX) -> dict[str, casadi.SX]:

@@ -66,7 +66,7 @@ def compile_or_load(kernel, signature) -> None:
         kernel.compile(signature)
     except NumbaError:
         raise
-    except Exception:  # unpickling a truncated file raises many kinds of errors
+    except Exception:  # unpickling a truncated file can raise almost any exception
         if kernel.signatures:
             return  # compiled, but not saved
         with contextlib.suppress(OSError):

@@ -305,9 +305,9 @@ def _make_parameter_reader(type_of_p):
             row = context.make_array(signature.args[0])(context, builder, arguments[0])
             indices = count()
 
-            def build(kind):
-                if isinstance(kind, types.BaseTuple):
-                    return context.make_tuple(builder, kind, [build(k) for k in kind.types])
+            def build(part):
+                if isinstance(part, types.BaseTuple):
+                    return context.make_tuple(builder, part, [build(inner) for inner in part.types])
                 return builder.load(builder.gep(row.data, [context.get_constant(types.intp, next(indices))]))
             return build(type_of_p)
         return type_of_p(values), generate
@@ -371,14 +371,15 @@ def _add(_, first, factor, second):
     return result(first, types.float64, second), generate
 
 
-def _point_to(context, builder, kind, i, table, stride, column):
+def _point_to(context, builder, table_type, i, table, stride, column):
     """Address of element `column` of row i: a row of its own in scratch memory, or `stride` elements apart."""
-    if isinstance(kind, types.BaseTuple):
+    if isinstance(table_type, types.BaseTuple):
         return builder.gep(builder.extract_value(table, i), [column], inbounds=True)
     row = builder.mul(context.get_constant(types.intp, i), stride, flags=("nsw",))
-    data = context.make_array(kind)(context, builder, table).data
+    data = context.make_array(table_type)(context, builder, table).data
     return builder.gep(data, [builder.add(column, row, flags=("nsw",))], inbounds=True)
 
 
-def _extract_values(context, builder, kind, value):
-    return [context.cast(builder, builder.extract_value(value, i), k, types.float64) for i, k in enumerate(kind.types)]
+def _extract_values(context, builder, tuple_type, value):
+    return [context.cast(builder, builder.extract_value(value, i), element, types.float64)
+            for i, element in enumerate(tuple_type.types)]

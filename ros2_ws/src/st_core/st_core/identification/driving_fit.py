@@ -1,7 +1,7 @@
 """Fit of vehicle and sensor parameters to predictions of several drives at once.
 
-Problem, loss and fit are taken from `discovery`: windows of the drives are predicted with the measured inputs, errors
-of yaw rate and lateral velocity at the INS are taken as Student-t distributed, and the effects that represent
+Problem, loss and fit are those of `discovery`: windows of the drives are predicted with the measured inputs, errors of
+yaw rate and lateral velocity at the INS are assumed to follow Student's t distribution, and the effects that represent
 the parameters are fitted together, without a prior. Unlike in a regression of force on slip, noise of the slip angle
 does not attenuate the estimates. Checked by: test_driving_fit.py.
 """
