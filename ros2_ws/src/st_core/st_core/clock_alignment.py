@@ -154,8 +154,7 @@ def _align_with_overlap(series: _ResampledSignals, minimum_overlap: float,
     span = (search[0] - origin_difference, search[1] - origin_difference) if search else (-np.inf, np.inf)
     peaks = find_peaks(fine, minimum_overlap, span)
     if peaks is None:
-        return refused_alignment(*reasons, f"the recordings do not share {minimum_overlap:.0f} s of similar motion at "
-                                           "any offset")
+        return refused_alignment(*reasons, f"the recordings do not share {minimum_overlap:.0f} s of similar motion")
     coarse = peaks[0].offset
     # The estimates of offset and drift are nearly uncorrelated in the middle of the overlap.
     low = max(min(p.other.origin for p in fine), min(p.reference.origin for p in fine) - coarse)

@@ -124,8 +124,7 @@ def describe_instability(base: Model, model: Model, vehicle: VehicleParameters, 
         if base.name != "kinematic":
             before, after = (float(lateral_modes(m, vehicle, speed).real.max()) for m in (base, model))
             if not after <= max(before, 0.0) + MAX_GROWTH_RATE_INCREASE:
-                return (f"a lateral mode grows at {after:.2g} 1/s at {speed:.3g} m/s, without the effect at "
-                        f"{before:.2g} 1/s")
+                return f"a lateral mode grows at {after:.2g} instead of {before:.2g} 1/s at {speed:.3g} m/s"
         factor = growth_factor(model, vehicle, speed, STEP)
         if factor > max(1.0, growth_factor(base, vehicle, speed, STEP)):
             return (f"a mode is too fast for steps of {1e3 * STEP:g} ms at {speed:.3g} m/s: it grows by a factor of "

@@ -90,8 +90,7 @@ def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState,
         columns = [np.asarray(a, float) for a in by_name.values()]
         for name, values in zip(by_name, columns, strict=True):
             if values.shape != (2 * steps + 1,):
-                raise StCoreError(f"{name}: shape {values.shape}, not ({2 * steps + 1},) for the half-step grid of "
-                                  f"{steps} steps")
+                raise StCoreError(f"{name}: shape {values.shape}, not ({2 * steps + 1},) for the half-step grid")
         if substeps > 1:
             fine_grid = np.arange(2 * steps * substeps + 1) / substeps
             columns = [np.interp(fine_grid, np.arange(2 * steps + 1), values) for values in columns]

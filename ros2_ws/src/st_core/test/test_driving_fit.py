@@ -48,7 +48,7 @@ def test_spread_equals_jackknife_of_complete_fits(logs, leaf, fit):
 def test_students_t_does_not_apply_to_errors_of_the_single_track_model(fit, leaf):
     """These are known; a systematic error estimated from the same drives has the interval of Student's t."""
     systematic = {NAMES[0]: 0.5 * leaf.cornering_stiffness_front}
-    found = _make_identification("stiffness", leaf, fit, "", NAMES, systematic)
+    found = _make_identification("stiffness", leaf, fit, "", NAMES, systematic, {})
     factors = [(found[n].interval95[1] - found[n].value) / found[n].standard_uncertainty for n in NAMES]
     student = stats.t.ppf(0.975, fit.spread.degrees_of_freedom)
     assert factors[0] == pytest.approx(student[0], rel=1e-3) and Z95 <= factors[2] < 0.999 * student[2]

@@ -56,7 +56,7 @@ def test_weighings_with_a_different_loading_are_excluded(leaf):
 
 @pytest.mark.parametrize(("change", "message"), [
     (lambda r: r[:, :3], "shape (3, 3): expected four wheels"),
-    (lambda r: np.where(np.arange(4) == 1, np.nan, r), "weighing 1: front_right reads nan kg; all four wheels"),
+    (lambda r: np.where(np.arange(4) == 1, np.nan, r), "weighing 1: front_right reads nan kg; each wheel"),
     (lambda r: r * [1, 1, 1, 0], "weighing 1: rear_right reads 0 kg"),
     (lambda r: r[:, [0, 2, 1, 3]] * [1, 0.7, 1.2, 1], "the front wheels carry"),
     (lambda r: r * [[1.0], [1.0], [1.05]], "the weighings with equal loading differ by "),
@@ -261,7 +261,7 @@ def test_opposite_slip_angle_sign_gives_the_same_tyre(leaf):
     reversed_slip = identify_magic_formula(replace(data, slip=-data.slip), start)
     found = identify_magic_formula(data, start)
     assert [e.value for e in reversed_slip.estimates] == pytest.approx([e.value for e in found.estimates])
-    assert "has the same sign as the slip angle" in reversed_slip.warnings[0]
+    assert "Force and slip angle have equal signs" in reversed_slip.warnings[0]
 
 
 def test_small_slip_angles_do_not_determine_the_peak(leaf):
@@ -277,10 +277,10 @@ def test_small_slip_angles_do_not_determine_the_peak(leaf):
 
 
 @pytest.mark.parametrize(("change", "message"), [
-    (lambda d: replace(d, slip=np.degrees(d.slip)), "at most 40 deg is possible: if the column is in degrees"),
+    (lambda d: replace(d, slip=np.degrees(d.slip)), "limit 40 deg: if the column is in degrees"),
     (lambda d: replace(d, slip=np.radians(d.slip)), "slip angle reaches only 0.209 deg"),
     (lambda d: replace(d, slip=0.0 * d.slip), "slip angle reaches only 0 deg"),
-    (lambda d: replace(d, load=d.force, force=d.load), "are load and lateral force exchanged?"),
+    (lambda d: replace(d, load=d.force, force=d.load), "are load and force exchanged?"),
     (lambda d: replace(d, load=np.abs(d.force) + 1.0, force=d.load), "exchanged?"),
     (lambda d: replace(d, force=d.force / 1000.0), "expected 0.2 to 3 for a tyre"),
     (lambda d: replace(d, force=0.0 * d.force), "reaches 0 times the load"),

@@ -133,8 +133,7 @@ def _resolve_settings(options: argparse.Namespace) -> dict[str, float]:
     settings = resolve_settings("ideal", options.effect)
     for name in find_overrides(settings):
         if SETTINGS[name].group not in ("ins", "can"):
-            raise ConfigurationError(f"--effect {name} cannot be combined with --drive: only sensor effects apply to a "
-                                     "recorded drive")
+            raise ConfigurationError(f"--effect {name} cannot be combined with --drive: only sensor effects apply")
     return settings
 
 
@@ -144,8 +143,7 @@ def _parse_origin(text: str) -> Origin:
     except ValueError:
         raise ConfigurationError(f"--origin {text}: must be latitude,longitude,height in degrees and metres") from None
     if not (abs(latitude) < 89 and abs(longitude) <= 180 and abs(height) < 9000):
-        raise ConfigurationError(f"--origin {text}: latitude must be within +-89 degrees, longitude within +-180 "
-                                 "degrees, height within +-9000 m")
+        raise ConfigurationError(f"--origin {text}: not within latitude +-89 deg, longitude +-180 deg, height +-9000 m")
     return Origin(latitude, longitude, height)
 
 

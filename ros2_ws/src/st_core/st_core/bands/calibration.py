@@ -145,8 +145,7 @@ def check_levels(levels: Sequence[float], runs: int) -> None:
         if level > compute_highest_level(runs) + ROUNDING_TOLERANCE:
             verb = "run supports" if runs == 1 else "runs support"
             raise StCoreError(f"{runs} {verb} levels up to {100 * compute_highest_level(runs):.1f} %, n/(n + 1), "
-                              f"not {100 * level:.6g} %: give {count_required_runs(level)} runs or more, or a lower "
-                              "--level")
+                              f"not {100 * level:.6g} %: give {count_required_runs(level)} runs, or a lower --level")
 
 
 def compute_conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[float]) -> np.ndarray:

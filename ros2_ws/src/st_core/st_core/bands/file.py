@@ -92,8 +92,7 @@ class Bands:
                 raise ConfigurationError(f"bands.{model}: missing; the file has {', '.join(self.models)}; calibrate "
                                          "with that model")
             if hash_configuration(vehicle, self.settings, digest) != self.hashes[model]:
-                raise ConfigurationError(f"bands.{model}: calibrated with a different model of this name; "
-                                         "calibrate with this one")
+                raise ConfigurationError(f"bands.{model}: calibrated with a different model of this name; recalibrate")
 
     def to_yaml(self) -> str:
         """Text of the file, which `from_yaml` reads."""

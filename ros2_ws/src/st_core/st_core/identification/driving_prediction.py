@@ -80,8 +80,7 @@ def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: st
     logs, notes = prepare_drives(logs, vehicle)
     coverage = measure_driving_coverage(logs, vehicle, settings.minimum_speed, speed=(5.0, 2 if RATIO in names else 1),
                                         lateral_acceleration=(2.0, 3))
-    require_coverage(coverage, "Drive left and right turns, at two or more speeds, with a lateral acceleration of 1 to "
-                               "4 m/s^2.")
+    require_coverage(coverage, "Drive left and right turns at two or more speeds, with |a_y| of 1 to 4 m/s^2.")
     fit = fit_driving(logs, vehicle, names, base, settings)
     method = f"multi-step prediction, {describe_model(base)}"
     slip_range_uncertainty = estimate_slip_range_uncertainty(logs, vehicle, base, settings, fit)
@@ -163,8 +162,7 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                                           lateral_acceleration=(1.0, 3)),
                 measure_coverage("yaw acceleration", "rad/s^2", YAW_ACCELERATION_EDGES, fast,
                                  [run.time for run in runs], 0.5, 5))
-    require_coverage(coverage, "Steady-state cornering does not excite the yaw inertia: drive step steers, lane "
-                               "changes or a sine sweep.")
+    require_coverage(coverage, "Steady cornering is not enough: drive step steers, lane changes or a sine sweep.")
     fit = fit_driving(logs, vehicle, INERTIA_NAMES, base, settings)
     # Uncertainty of the dead time, propagated to the inertia; see the module docstring.
     interval = float(np.median(np.concatenate([np.diff(log.steering_time_ns) for log in logs]))) * NANOSECOND

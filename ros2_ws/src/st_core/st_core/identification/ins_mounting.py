@@ -139,5 +139,4 @@ def _compare_rear_slip(slip: float, variance: float, vehicle: VehicleParameters)
     if uncertainty > 0.5 * expected or abs(slip - expected) < 2.0 * uncertainty:
         return ""
     return (f"The rear slip angle per lateral acceleration is {slip:.3g} rad s^2/m (standard uncertainty "
-            f"{uncertainty:.2g}), but the vehicle file gives {expected:.3g}: check its rear stiffness and the load on "
-            "the rear axle.")
+            f"{uncertainty:.2g}), but the vehicle file gives {expected:.3g}: check rear stiffness and rear load.")

@@ -64,8 +64,7 @@ def find_load_levels(data: FlatPlank) -> tuple[np.ndarray, np.ndarray]:
     if len(data.load) < MIN_POINTS or not (np.isfinite(data.load).all() and (data.load > 0.0).all()):
         lowest = float(np.min(data.load)) if len(data.load) else math.nan
         raise IdentificationError(f"{data.tyre}: {len(data.load)} rows with loads from {lowest:.4g} N: "
-                                  f"{MIN_POINTS} rows with loads above 0 are needed; are load and lateral force "
-                                  "exchanged?")
+                                  f"{MIN_POINTS} rows with loads above 0 are needed; are load and force exchanged?")
     loads = np.sort(data.load)
     level = np.searchsorted(loads[1:][np.diff(loads) > LEVEL_GAP * loads[:-1]], data.load, side="right")
     return np.array([data.load[level == k].mean() for k in range(level.max() + 1)]), level
@@ -88,8 +87,7 @@ def check_table(data: FlatPlank, levels: np.ndarray, level: np.ndarray, nominal_
     largest = float(np.abs(data.slip).max())
     if largest > MAX_SLIP:
         raise IdentificationError(f"{data.tyre}: slip angle reaches {largest:.4g} rad = {math.degrees(largest):.0f} "
-                                  "deg, but at most 40 deg is possible: if the column is in degrees, name it "
-                                  "slip_angle_deg")
+                                  "deg, limit 40 deg: if the column is in degrees, name it slip_angle_deg")
     if largest < MIN_SLIP:
         raise IdentificationError(f"{data.tyre}: slip angle reaches only {math.degrees(largest):.3g} deg, at least 3 "
                                   "deg are needed; if the column is in radians, name it slip_angle_rad")
@@ -100,8 +98,7 @@ def check_table(data: FlatPlank, levels: np.ndarray, level: np.ndarray, nominal_
     nominal = int(np.argmin(np.abs(levels - nominal_load)))
     if abs(levels[nominal] - nominal_load) > 0.1 * nominal_load:
         raise IdentificationError(f"{data.tyre}: no load near nominal_load {nominal_load:.0f} N of the vehicle file, "
-                                  f"the nearest is {levels[nominal]:.0f} N: test at that load, or change nominal_load "
-                                  "in the file")
+                                  f"the nearest is {levels[nominal]:.0f} N: test at that load, or change nominal_load")
     angle_count = len(np.unique(np.round(np.degrees(data.slip[level == nominal]), 2)))
     if angle_count < MIN_POINTS:
         raise IdentificationError(f"{data.tyre}: {angle_count} different slip angles at {levels[nominal]:.0f} N, at "
@@ -282,8 +279,7 @@ def _get_bounds(names: Sequence[str]) -> tuple[list[float], list[float]]:
 def _make_warnings(data: FlatPlank, tyre_fit: TyreFit, peak: float) -> list[str]:
     sentences = []
     if tyre_fit.opposite_sign:
-        sentences.append("In the table the force has the same sign as the slip angle (opposite convention): the sign "
-                         "of the slip angle was changed.")
+        sentences.append("Force and slip angle have equal signs in the table: the sign of the slip angle was changed.")
     if (loads := len(tyre_fit.levels)) < 3:
         fixed_parameters = "p_ky4 is" if loads == 2 else "p_dy2, p_ey2, p_ky2 and p_ky4 are"
         sentences.append(f"The table has only {loads} load{'s' * (loads > 1)}: {fixed_parameters} taken from the "

@@ -99,13 +99,11 @@ def identify_mass_and_cg(weighings: Weighings, vehicle: VehicleParameters) -> Id
 def _check_readings(weighings: Weighings) -> np.ndarray:
     readings = np.asarray(weighings.readings, dtype=float)
     if readings.ndim != 2 or readings.shape[1] != len(WHEELS) or not len(readings):
-        raise IdentificationError(f"readings of shape {readings.shape}: expected four wheels per weighing, and at "
-                                  "least one weighing")
+        raise IdentificationError(f"readings of shape {readings.shape}: expected four wheels for at least one weighing")
     for row, name in zip(readings, weighings.names, strict=True):
         for wheel, value in zip(WHEELS, row, strict=True):
             if not (math.isfinite(value) and value > 0.0):
-                raise IdentificationError(f"weighing {name}: {wheel} reads {value:g} kg; all four wheels must stand on "
-                                          "scales")
+                raise IdentificationError(f"weighing {name}: {wheel} reads {value:g} kg; each wheel must be on a scale")
         for axle, (a, b) in (("front", row[:2]), ("rear", row[2:])):
             if abs(a - b) > MAX_SIDE_DIFFERENCE * (a + b):
                 raise IdentificationError(
@@ -113,8 +111,7 @@ def _check_readings(weighings: Weighings) -> np.ndarray:
                     f"a difference of {100 * abs(a - b) / (a + b):.0f} % of the axle load; are two "
                     "columns exchanged, or is a wheel not on its scale?")
     if not (math.isfinite(weighings.scale_uncertainty) and weighings.scale_uncertainty > 0.0):
-        raise IdentificationError(f"scale uncertainty {weighings.scale_uncertainty:g} kg: give the standard "
-                                  "uncertainty of one scale, above 0")
+        raise IdentificationError(f"scale uncertainty {weighings.scale_uncertainty:g} kg: must be above 0")
     return readings
 
 
@@ -124,8 +121,7 @@ def _check_scales(readings: np.ndarray, rejected_count: int, l_f: float, vehicle
     cross_weight = (mean[0] + mean[3]) / mean.sum()
     if abs(cross_weight - 0.5) > 0.02:
         yield (f"The front-left and rear-right wheels carry {100 * cross_weight:.1f} % of the weight: the "
-               "springs are preloaded unequally, or the floor under the scales is uneven; mass and longitudinal CG "
-               "position remain valid.")
+               "springs are preloaded unequally, or the floor under the scales is uneven; both values remain valid.")
     if len(readings) == 1:
         yield ("With one weighing, the interval does not include the scatter between weighings. Roll the car off and "
                "on, and weigh it at least three times.")
@@ -171,8 +167,7 @@ def compute_pitch(lift: np.ndarray, front_radius: np.ndarray, rear_radius: np.nd
     rise = (lift + front_radius - rear_radius) / wheelbase
     if not np.isfinite(rise).all() or np.abs(rise).max() >= math.sin(MAX_PITCH):
         raise IdentificationError(f"lift of {np.nanmax(lift):.3f} m on a wheelbase of {wheelbase:.3f} m: every row "
-                                  "needs both wheel radii and a pitch below 45 deg; are lift and radii in the units "
-                                  "of the header?")
+                                  "needs both wheel radii and a pitch below 45 deg; are the units correct?")
     angle = np.arcsin(rise)
     return angle - angle[0]
 

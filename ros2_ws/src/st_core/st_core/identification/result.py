@@ -58,8 +58,7 @@ class Coverage:
     def describe(self) -> str:
         return (f"{self.signal}: {self.filled_bins} of {len(self.counts)} bins from {self.edges[0]:.4g} to "
                 f"{self.edges[-1]:.4g} {self.unit} have at least {self.min_samples} "
-                f"sample{'s' * (self.min_samples > 1)} "
-                f"(needed: {self.min_filled_bins})")
+                f"sample{'s' * (self.min_samples > 1)} (needed: {self.min_filled_bins})")
 
 
 @dataclass(frozen=True)

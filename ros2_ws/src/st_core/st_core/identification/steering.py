@@ -59,8 +59,7 @@ def fit_line(x: np.ndarray, y: np.ndarray, groups: Sequence[str]) -> Line:
     degrees_of_freedom = len(x) - len(masks) - 1
     square_sum = float(sum(mask @ np.square(x - mask @ x / mask.sum()) for mask in masks.values()))
     if degrees_of_freedom < 1 or square_sum <= MIN_VARIATION**2 * float(x @ x):
-        raise IdentificationError(f"{len(x)} rows in {len(masks)} series do not determine a slope: more rows at "
-                                  "different settings are needed")
+        raise IdentificationError(f"{len(x)} rows in {len(masks)} series do not determine a slope: vary the angle more")
     slope, *intercepts = np.linalg.lstsq(design, y, rcond=None)[0].tolist()
     residuals = y - design @ [slope, *intercepts]
     variance = float(residuals @ residuals) / degrees_of_freedom / square_sum
@@ -151,11 +150,9 @@ def _check_rows(data: Turntable) -> None:
             raise IdentificationError(f"the {name} angle is missing in row {int(np.argmin(np.isfinite(angle))) + 1}")
         if np.abs(angle).max() > largest:
             raise IdentificationError(f"the {name} angle reaches {math.degrees(np.abs(angle).max()):.4g} deg, limit "
-                                      f"{math.degrees(largest):.0f}: is the unit in the header correct, or are two "
-                                      "columns exchanged?")
+                                      f"{math.degrees(largest):.0f}: are the unit and the column correct?")
         if not np.ptp(angle) > 0.0:
-            raise IdentificationError(f"the {name} angle is {math.degrees(angle[0]):.4g} deg in every row: it must "
-                                      "vary")
+            raise IdentificationError(f"the {name} angle is {math.degrees(angle[0]):.4g} deg in every row; vary it")
     if np.ptp(data.steering) < MIN_RANGE:
         raise IdentificationError(f"the steering wheel ranges over {math.degrees(np.ptp(data.steering)):.3g} deg, at "
                                   "least 90 deg are needed; if the column is in radians, name it steering_wheel_rad")
@@ -167,8 +164,7 @@ def _make_warnings(data: Turntable, line: Line) -> list[str]:
     turns = [difference[side * data.steering > ANGLE_BIN_WIDTH] for side in (1.0, -1.0)]
     if all(map(len, turns)) and (inner_excess := np.concatenate(turns).mean()) < -math.radians(0.3):
         sentences.append(f"The outer wheel turns further than the inner one by {math.degrees(-inner_excess):.1f} deg "
-                         "on average: left and right columns may be exchanged. Their mean, and with it the ratio, "
-                         "is not affected.")
+                         "on average: left and right columns may be exchanged. The ratio is not affected.")
     if len(line.intercepts) > 1:
         spread = math.degrees(max(line.intercepts.values()) - min(line.intercepts.values()))
         sentences.append(f"The sweeps differ by up to {spread:.2f} deg at the road wheel. Possible causes are "
