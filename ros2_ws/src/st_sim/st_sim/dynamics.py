@@ -176,7 +176,7 @@ def bring_to_rest(s: Sequence[float], step: float) -> tuple[float, ...]:
     return tuple(values)
 
 
-# One long function, because the equations share two dozen symbols and a call per equation would slow every step.
+# long: the equations share two dozen symbols, and a call per equation would slow down every time step
 def derivative(s: Sequence[float], rack_target: float, drive_force: float, conditions: tuple,  # noqa: PLR0915
                c: Constants) -> tuple[tuple, tuple]:
     """(time derivative of the state; mean front road-wheel angle [rad], and for FL, FR, RL, RR: lateral forces,

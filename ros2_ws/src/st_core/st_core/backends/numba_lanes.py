@@ -247,8 +247,7 @@ _ROW, _INDICES = types.float64[::1], types.int64[::1]
 SIGNATURE = types.void(_ROW, _ROW, types.int64, _ROW, types.int64, _INDICES, types.float64, _INDICES, _ROW)
 
 
-# One long function: separate ones for the two types of step would add reference counting and slow the kinematic
-# model by a fifth.
+# long: a separate function for each type of step adds reference counting, which slows the kinematic model by a fifth
 def _define_kernel(rhs, in_stages, read_parameters, load_w, load_state, allocate):
     @numba.njit(fastmath=set(FLAGS), error_model="numpy", nogil=True)
     def kernel(values, start, columns, w, stride, offsets, step, points, out):
