@@ -233,10 +233,8 @@ def _describe_unusual_drift(result: Alignment) -> list[str]:
 
 
 def correlation_curve(signals: Sequence[SharedSignal]) -> tuple[np.ndarray, np.ndarray]:
-    """Offsets [s], reference minus other clock, and the mean correlation of the signals at each.
-
-    Empty if no signal is usable. The correlation is 0 where the overlap is below 40 % of the shorter recording or 10 s.
-    """
+    """Offsets [s], reference minus other clock, and the mean correlation of the signals at each. Empty if no signal is
+    usable. The correlation is 0 where the overlap is below 40 % of the shorter recording or 10 s."""
     series = _resample_signals(signals)
     curve = mean_correlation(series.fine, _min_overlap(series.fine), (-np.inf, np.inf)) if series.fine else None
     return ((curve[0] + (series.reference_ns - series.other_ns) * 1e-9, curve[1]) if curve
@@ -257,10 +255,8 @@ def residual_lags(signals: Sequence[SharedSignal], alignment: Alignment) -> list
 
 def mask_standstill(time_ns: np.ndarray, values: np.ndarray, speed_time_ns: np.ndarray, speed: np.ndarray,
                     threshold: float = 0.3) -> np.ndarray:
-    """The values, with NaN where no speed above `threshold` [m/s] was recorded within 2 s.
-
-    Standstill contains no information about the offset, but correlates with every other standstill.
-    """
+    """The values, with NaN where no speed above `threshold` [m/s] was recorded within 2 s. Standstill contains no
+    information about the offset, but correlates with every other standstill."""
     moving_ns = speed_time_ns[np.isfinite(speed) & (np.abs(speed) > threshold)]
     if not len(moving_ns):
         return np.full(len(values), np.nan)
@@ -331,10 +327,8 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
 
 
 def measure_window_lags(pairs: Sequence[Pair], offset: float, search: float) -> list[WindowLag]:
-    """Lags of windows of 30 s relative to `offset`, searched within +/- `search` [s].
-
-    Windows with a low or ambiguous correlation or an uncertain lag are left out.
-    """
+    """Lags of windows of 30 s relative to `offset`, searched within +/- `search` [s]. Windows with a low or ambiguous
+    correlation or an uncertain lag are left out."""
     lags = []
     first = min(p.other.origin for p in pairs)
     last = max(p.other.time[-1] for p in pairs)

@@ -262,10 +262,8 @@ def mean_correlation(pairs: Sequence[Pair], minimum_overlap: float,
 
 def find_peaks(pairs: Sequence[Pair], minimum_overlap: float,
                span: tuple[float, float] = (-np.inf, np.inf)) -> tuple[Peak, Peak] | None:
-    """The two highest peaks of the mean correlation of the signals at offsets within span [s].
-
-    The second is beyond a valley and PEAK_DISTANCE from the first, or has correlation 0. None without a positive peak.
-    """
+    """The two highest peaks of the mean correlation of the signals at offsets within span [s]. The second is beyond a
+    valley and PEAK_DISTANCE from the first, or has correlation 0. None without a positive peak."""
     lags, r = mean_correlation(pairs, minimum_overlap, span) or (np.zeros(1), np.zeros(1))
     best = int(np.argmax(r))
     if r[best] <= 0:

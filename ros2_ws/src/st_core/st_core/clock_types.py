@@ -22,10 +22,8 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class SharedSignal:
-    """One quantity in both recordings, each on its own clock; NaN where unusable (standstill, sensor not ready).
-
-    Times are int64 [ns], strictly increasing. The values of both recordings agree up to a gain > 0 and a bias.
-    """
+    """One quantity in both recordings, each on its own clock; NaN where unusable (standstill, sensor not ready). Times
+    are int64 [ns], strictly increasing. The values of both recordings agree up to a gain > 0 and a bias."""
 
     name: str
     reference_time_ns: np.ndarray

@@ -97,10 +97,8 @@ class Course:
         return Course(tuple(p for p in self.passes if not set(p.digests) & set(digests)), self.origin)
 
     def shift(self, east: float, north: float) -> "Course":
-        """The course in a parallel map frame in which its origin is at (east, north) [m]; `origin` is unchanged.
-
-        Raises StCoreError, one line, for a distance beyond MAX_ORIGIN_DISTANCE.
-        """
+        """The course in a parallel map frame in which its origin is at (east, north) [m]; `origin` is unchanged. Raises
+        StCoreError, one line, for a distance beyond MAX_ORIGIN_DISTANCE."""
         if not (distance := math.hypot(east, north)) <= MAX_ORIGIN_DISTANCE:  # also rejects NaN
             raise StCoreError(f"the course was recorded elsewhere: the map origins are {distance / 1000.0:.1f} km "
                               f"apart (limit {MAX_ORIGIN_DISTANCE / 1000.0:g} km)")

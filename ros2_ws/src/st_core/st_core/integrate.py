@@ -72,10 +72,8 @@ class StepTooLongWarning(UserWarning):
 
 
 def lateral_modes(model: str | Model, vehicle: VehicleParameters, speed: float) -> np.ndarray:
-    """Eigenvalues [1/s] of velocity_y, yaw_rate and the extra states about straight driving at a speed [m/s].
-
-    From central differences of the equations. Checked by: test_stability.py, against handling.linear_system.
-    """
+    """Eigenvalues [1/s] of velocity_y, yaw_rate and the extra states about straight driving at a speed [m/s]. From
+    central differences of the equations. Checked by: test_stability.py, against handling.linear_system."""
     model = get_model(model)
     p = model.parameters(vehicle)
     w = model.inputs(0.0, 0.0, p, *(0.0 for _ in model.signals))
@@ -103,9 +101,7 @@ def growth_factor(model: str | Model, vehicle: VehicleParameters, speed: float, 
 
 def lowest_stable_speed(model: str | Model, vehicle: VehicleParameters, step: float) -> float:
     """The speed [m/s] above which a step [s] is stable; 0 if stable down to 0.05 m/s, inf if not at SEARCH_START_SPEED.
-
-    With a low minimum_slip_speed, RK4 at 50 ms needs 2.66 m/s for the Leaf and 3.98 m/s for the Genesis.
-    """
+    With a low minimum_slip_speed, RK4 at 50 ms needs 2.66 m/s for the Leaf and 3.98 m/s for the Genesis."""
     from scipy.optimize import brentq  # imported here: nodes do not need scipy
 
     def compute_excess(speed: float) -> float:

@@ -252,10 +252,8 @@ class Block:
 def evaluate_blocks(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, starts_ns: np.ndarray,
                     settings: EvaluationSettings,
                     future_inputs: Mapping[Mode, FutureInputs] | None = None) -> Iterator[tuple[slice, Block]]:
-    """Yields (rows of `starts_ns`, block) for BLOCK_SIZE starts at a time.
-
-    The next blocks are computed in threads: compiled kernels and array operations release the interpreter lock.
-    """
+    """Yields (rows of `starts_ns`, block) for BLOCK_SIZE starts at a time. The next blocks are computed in threads:
+    compiled kernels and array operations release the interpreter lock."""
     blocks = [slice(first, min(first + BLOCK_SIZE, len(starts_ns))) for first in range(0, len(starts_ns), BLOCK_SIZE)]
     # For all starts at once, in order of time, because a course tracker depends on the previous starts.
     inputs = {mode: function(starts_ns) for mode, function in (future_inputs or {}).items()} if len(starts_ns) else {}

@@ -146,10 +146,8 @@ def brake_in_turn(speed: float, lateral: float, cruise_time: float = 8.0, decele
 
 
 def lane_change(speed: float, lateral: float) -> Manoeuvre:
-    """Double lane change: 40 m straight, 3.5 m to the side, 25 m in the other lane, back, 35 m straight.
-
-    The curvature is 0, k, -k, 0 within the length s of one change: width = 2 k (s / 4)^2 for small angles.
-    """
+    """Double lane change: 40 m straight, 3.5 m to the side, 25 m in the other lane, back, 35 m straight. The curvature
+    is 0, k, -k, 0 within the length s of one change: width = 2 k (s / 4)^2 for small angles."""
     quarter = math.sqrt(3.5 * speed**2 / (2 * abs(lateral)))
     change = ((quarter, 0.0, 1.0), (2 * quarter, 1.0, -1.0), (quarter, -1.0, 0.0))
     return_change = tuple((length, -first, -last) for length, first, last in change)

@@ -94,10 +94,8 @@ class MeasurementHistory:
         self._corrected_histories: list[tuple[MeasurementHistory, Callable[[InsSample], InsSample]]] = []
 
     def make_corrected(self, correct: Callable[[InsSample], InsSample]) -> "MeasurementHistory":
-        """An empty history that receives all later samples of this one, those of the INS corrected by `correct`.
-
-        It shares the position jumps found in this history.
-        """
+        """An empty history that receives all later samples of this one, those of the INS corrected by `correct`. It
+        shares the position jumps found in this history."""
         history = MeasurementHistory(*self._settings)
         history.ins.breaks, history._detects_jumps = self.ins.breaks, False
         self._corrected_histories.append((history, correct))

@@ -175,10 +175,8 @@ class ModelView:
         return span + MEMORY_TIME if any(model.has_steering_dynamics for model in models) else span
 
     def read_start(self, time_ns: int, steps: int, step: float) -> tuple[VehicleState, ControlInput | InputSequence]:
-        """State at the model's CG, and inputs of a forecast with constant steering wheel angle and acceleration.
-
-        With steering dynamics the inputs are a sequence. Raises StCoreError if state or inputs are unknown.
-        """
+        """State at the model's CG, and inputs of a forecast with constant steering wheel angle and acceleration. With
+        steering dynamics the inputs are a sequence. Raises StCoreError if state or inputs are unknown."""
         sample, now = self._history.ins_at(time_ns), self._history.inputs_at(time_ns)
         if sample is None or now is None:
             raise StCoreError(f"model {self.model.name}: state or inputs not known at {time_ns} ns")

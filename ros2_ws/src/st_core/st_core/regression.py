@@ -70,10 +70,8 @@ def robust_deviation(values: np.ndarray) -> float:
 
 
 def white_noise(values: np.ndarray) -> float:
-    """Standard deviation of the white noise in samples (n,), n >= 4 [their unit]; samples may be NaN.
-
-    Third differences suppress the motion of the car: sigma = 1.4826 median |d^3 u| / sqrt(20).
-    """
+    """Standard deviation of the white noise in samples (n,), n >= 4 [their unit]; samples may be NaN. Third differences
+    suppress the motion of the car: sigma = 1.4826 median |d^3 u| / sqrt(20)."""
     return SIGMA_PER_MAD * float(np.nanmedian(np.abs(np.diff(values, 3)))) / math.sqrt(20.0)
 
 

@@ -90,7 +90,5 @@ def tyre_force(slip, load, tyre: MagicFormula):
 
 def stiffness_scale(cornering_stiffness: float, static_load: float, tyre: MagicFormula) -> float:
     """lambda_ky = C / (2 |K|) [1], K at lambda_ky = 1 and the static load of ONE tyre [N]; C of the AXLE [N/rad].
-
-    Paper, eq. of lambda_Ky; for the Leaf 0.423 front, 0.962 rear (paper: 0.959). Checked by: test_tyres.py.
-    """
+    Paper, eq. of lambda_Ky; for the Leaf 0.423 front, 0.962 rear (paper: 0.959). Checked by: test_tyres.py."""
     return cornering_stiffness / (2.0 * abs(magic_formula_stiffness(static_load, tyre._replace(lambda_ky=1.0))))

@@ -70,10 +70,8 @@ def road_wheel_angle(steering_wheel_angle: Number, offset: Number, ratio: Number
 
 @dataclass(frozen=True)
 class VehicleParameters:
-    """One car, in SI units. Raises ConfigurationError, naming the key and the limit, for impossible values.
-
-    The limits are wide, from a 1:16 scale model to a loaded truck; `_check_scale` detects a wrong unit.
-    """
+    """One car, in SI units. Raises ConfigurationError, naming the key and the limit, for impossible values. The limits
+    are wide, from a 1:16 scale model to a loaded truck; `_check_scale` detects a wrong unit."""
 
     name: str
     mass: Annotated[float, Quantity("kg", 1.0, 60000.0)]
@@ -137,10 +135,8 @@ class VehicleParameters:
         return min(1.0, math.sqrt(self.wheelbase / 2.0))
 
     def uncertainty(self, key: str) -> float | None:
-        """Standard deviation [SI] of a value, by its key in the file ("mass", "tyre_front.lambda_muy").
-
-        As stated in the file if > 0, else from DEFAULT_UNCERTAINTIES; None without a default, or if the default is 0.
-        """
+        """Standard deviation [SI] of a value, by its key in the file ("mass", "tyre_front.lambda_muy"). As stated in
+        the file if > 0, else from DEFAULT_UNCERTAINTIES; None without a default, or if the default is 0."""
         if (entry := self.provenance.get(key)) and entry.uncertainty:
             return entry.uncertainty
         if (default := DEFAULT_UNCERTAINTIES.get(key)) is None:
@@ -209,10 +205,8 @@ class VehicleParameters:
         return replace(self, **changes, sources=sources)
 
     def with_values(self, values: Mapping[str, float]) -> "VehicleParameters":
-        """The car with some values (SI) replaced, by their keys in the file ("mass", "tyre_rear.p_cy1").
-
-        A derived lambda_ky not in `values` is recomputed. Raises ConfigurationError for a value outside its limits.
-        """
+        """The car with some values (SI) replaced, by their keys in the file ("mass", "tyre_rear.p_cy1"). A derived
+        lambda_ky not in `values` is recomputed. Raises ConfigurationError for a value outside its limits."""
         fields: dict[str, Any] = {key: value for key, value in values.items() if "." not in key}
         for tyre in TYRES:
             changes = {key.partition(".")[2]: value for key, value in values.items() if key.startswith(f"{tyre}.")}
@@ -226,10 +220,8 @@ class VehicleParameters:
         return dump(self.to_document())
 
     def to_document(self) -> dict[str, Any]:
-        """The content of a vehicle file in SI units.
-
-        A derived lambda_ky is left out, so that it is recomputed after the cornering stiffness in the file is edited.
-        """
+        """The content of a vehicle file in SI units. A derived lambda_ky is left out, so that it is recomputed after
+        the cornering stiffness in the file is edited."""
         rederived = self.with_derived_scales()
         derived = [tyre for tyre in TYRES if self.sources.get(f"{tyre}.lambda_ky") == DERIVED_SOURCE
                    and getattr(self, tyre) == getattr(rederived, tyre)]

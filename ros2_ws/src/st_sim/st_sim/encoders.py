@@ -193,10 +193,8 @@ _BACKGROUND = {
 
 
 class CanEncoder:
-    """Encoder of frames according to a DBC. start_ns: UTC of the start of the drive [ns since 1970].
-
-    The attribute `channel` of a frame is VEHICLE_BUS or INS_BUS.
-    """
+    """Encoder of frames according to a DBC. start_ns: UTC of the start of the drive [ns since 1970]. The attribute
+    `channel` of a frame is VEHICLE_BUS or INS_BUS."""
 
     def __init__(self, codec: Decoder, origin: Origin, start_ns: int):
         self._codec = codec
@@ -204,10 +202,8 @@ class CanEncoder:
         self._counters: Counter[str] = Counter()
 
     def encode_steering(self, angle: float, rate: float) -> list[can.Message]:
-        """The frame with the measured steering-wheel angle [rad, positive to the left] and its rate [rad/s].
-
-        The rate is sent unsigned, as by the car. Its scale on the car is unknown; 4 deg/s per bit is assumed.
-        """
+        """The frame with the measured steering-wheel angle [rad, positive to the left] and its rate [rad/s]. The rate
+        is sent unsigned, as by the car. Its scale on the car is unknown; 4 deg/s per bit is assumed."""
         raw = min(round(abs(math.degrees(rate)) / 4), 255)
         return [self._encode("Leaf_Steering", {"steering_wheel_angle": angle, "SteeringWheelRateRaw": raw})]
 
@@ -251,10 +247,8 @@ class CanEncoder:
 
 
 class BackgroundTraffic:
-    """Other frames of the Car-CAN, each with constant random data, for a realistic load on filters and queues.
-
-    It has 1540 frames per second; with the 217 of CanEncoder, about as many as in a Leaf. INS frames are additional.
-    """
+    """Other frames of the Car-CAN, each with constant random data, for a realistic load on filters and queues. It has
+    1540 frames per second; with the 217 of CanEncoder, about as many as in a Leaf. INS frames are additional."""
 
     def __init__(self, seed: int):
         generator = np.random.default_rng([seed, 6])

@@ -101,9 +101,7 @@ class LogFile(CanutilsLogWriter):
 
 class Mf4File:
     """MDF 4.11 file in the finalised format of a CANedge: one bus-logging group per channel, times on a grid of 50 us.
-
-    CAN1 is the car, CAN2 the INS. Frames are kept in memory until stop(), which imports asammdf (slow to load).
-    """
+    CAN1 is the car, CAN2 the INS. Frames are kept in memory until stop(), which imports asammdf (slow to load)."""
 
     GRID_NS = 50_000
 

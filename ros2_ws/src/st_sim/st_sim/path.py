@@ -44,9 +44,7 @@ def straight(length: float, speed: float) -> list[Piece]:
 
 def turn(radius: float, angle_deg: float, speed: float, blend: float = 0.0) -> list[Piece]:
     """Turn by an angle [deg, > 0: left]; curvature changes linearly to +-1 / radius and back, each over `blend` [m].
-
-    Raises ValueError if the blends alone turn by more than the angle.
-    """
+    Raises ValueError if the blends alone turn by more than the angle."""
     arc = math.radians(abs(angle_deg)) * radius - blend
     if arc < 0:
         raise ValueError(f"a turn of {angle_deg:g} deg at radius {radius:g} m is too short for blends of {blend:g} m")
@@ -56,10 +54,8 @@ def turn(radius: float, angle_deg: float, speed: float, blend: float = 0.0) -> l
 
 
 def lane_shift(offset: float, length: float, speed: float) -> list[Piece]:
-    """Lateral shift by an offset [m, positive to the left] within a length [m], which ends in the initial heading.
-
-    The curvature is piecewise linear with extremes k and -k, and offset = 2 k (length / 4)^2 for small angles.
-    """
+    """Lateral shift by an offset [m, positive to the left] within a length [m], which ends in the initial heading. The
+    curvature is piecewise linear with extremes k and -k, and offset = 2 k (length / 4)^2 for small angles."""
     quarter = length / 4
     k = offset / (2 * quarter**2)
     return [Piece(quarter, 0.0, k, speed), Piece(2 * quarter, k, -k, speed), Piece(quarter, -k, 0.0, speed)]

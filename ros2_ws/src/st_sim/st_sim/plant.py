@@ -140,9 +140,7 @@ class Environment:
 
 def make_normal_source(generator: np.random.Generator, block: int = 4096) -> Callable[[], float]:
     """A function that returns one standard normal number per call; drawing in blocks makes it several times faster.
-
-    Each source of randomness in st_sim has its own generator, seeded with [seed, number of the source].
-    """
+    Each source of randomness in st_sim has its own generator, seeded with [seed, number of the source]."""
     buffer: list[float] = []
 
     def draw() -> float:

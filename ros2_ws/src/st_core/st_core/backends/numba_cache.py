@@ -120,10 +120,8 @@ class UnhashableError(Exception):
 
 
 def compute_fingerprint(function: FunctionType, excluded: frozenset[str] = frozenset()) -> str:
-    """sha256 (hex) of a function, of all functions that it can reach, and of their values and source files.
-
-    It is the same in every process. Raises UnhashableError for a value such as an array, a list, a dict or an instance.
-    """
+    """sha256 (hex) of a function, of all functions that it can reach, and of their values and source files. It is the
+    same in every process. Raises UnhashableError for a value such as an array, a list, a dict or an instance."""
     digest = hashlib.sha256()
     functions = find_reachable_functions(function, excluded)
     numbers = {f: str(i) for i, f in enumerate(functions)}

@@ -62,9 +62,7 @@ def to_predicted_frame(errors: np.ndarray) -> np.ndarray:
 def compute_error_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals,
                           settings: EvaluationSettings) -> ErrorSamples:
     """Error curves of one drive from at most MAX_STARTS_PER_RUN starts with known conditions and a measured horizon.
-
-    Raises NotFiniteError, or another one-line StCoreError for a drive without such a start.
-    """
+    Raises NotFiniteError, or another one-line StCoreError for a drive without such a start."""
     horizon = settings.prediction.horizon
     log = signals.log
     if log.overlap < horizon:

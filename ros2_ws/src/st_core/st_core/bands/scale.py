@@ -215,10 +215,8 @@ def fit_scale(conditions: Sequence[np.ndarray], errors: Sequence[np.ndarray], ti
 
 
 def _fit_gamma_regression(phi: np.ndarray, weights: np.ndarray, squares: np.ndarray) -> np.ndarray:
-    """C (features, m) that minimises the loss of the squares (n, m): gamma regression with log link, by Newton steps.
-
-    A hundredth of the expected Hessian is added to the actual Hessian, which vanishes where sigma is too large.
-    """
+    """C (features, m) that minimises the loss of the squares (n, m): gamma regression with log link, by Newton steps. A
+    hundredth of the expected Hessian is added to the actual Hessian, which vanishes where sigma is too large."""
     ridge = np.full((phi.shape[1], 1), RIDGE)
     ridge[0] = 0.0
     regularisation = 0.02 * phi.T @ (weights[:, None] * phi) + 2.0 * np.diag(ridge[:, 0]) + 1.0e-9 * np.eye(len(ridge))

@@ -134,10 +134,8 @@ def find_largest_slip(logs: Sequence[DriveLog], vehicle: VehicleParameters, sett
 
 def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                       base: str | Model = "nonlinear") -> Identification:
-    """Steering ratio and offset with their uncertainty, and the stiffnesses fitted with them.
-
-    Raises IdentificationError for unusable drives and too little excitation, such as a single speed.
-    """
+    """Steering ratio and offset with their uncertainty, and the stiffnesses fitted with them. Raises
+    IdentificationError for unusable drives and too little excitation, such as a single speed."""
     result = fit_stiffness(logs, vehicle, base, additional=(RATIO, OFFSET),
                            nuisance=(*NUISANCE_PARAMETERS, DELAY, RELAXATION))
     names = [estimate.parameter for estimate in result.estimates]
@@ -150,10 +148,8 @@ def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters,
 
 def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                          base: str | Model = "nonlinear") -> Identification:
-    """Yaw inertia with its uncertainty; stiffnesses and steering delay are reported too.
-
-    Raises IdentificationError for unusable drives and too little excitation, such as steady-state cornering only.
-    """
+    """Yaw inertia with its uncertainty; stiffnesses and steering delay are reported too. Raises IdentificationError for
+    unusable drives and too little excitation, such as steady-state cornering only."""
     settings = TRANSIENT_SETTINGS.for_car(vehicle)
     logs, notes = prepare_drives(logs, vehicle)
     runs = [sample_run(log, vehicle, cutoff=5.0) for log in logs]

@@ -63,11 +63,8 @@ class Coverage:
 
 @dataclass(frozen=True)
 class Identification:
-    """Result of one experiment.
-
-    An estimate with zero inside its 95 % interval is doubtful, or unidentifiable if only positive values are possible.
-    Parameters of the Magic Formula are exempt, because zero is a valid value for them.
-    """
+    """Result of one experiment. An estimate with zero inside its 95 % interval is doubtful, or unidentifiable if only
+    positive values are possible. Parameters of the Magic Formula are exempt, because zero is a valid value for them."""
 
     experiment: str  # its name in `st identify`
     estimates: tuple[ParameterEstimate, ...]
@@ -99,9 +96,7 @@ class Identification:
 
     def to_document(self) -> dict[str, dict[str, Any]]:
         """Body of identification.json: {parameter: {value, unit, standard_uncertainty, interval95, method, runs, ...}}.
-
-        A number that is not finite becomes None, because JSON has neither infinity nor NaN.
-        """
+        A number that is not finite becomes None, because JSON has neither infinity nor NaN."""
         return {e.parameter: {
             "value": _finite_or_none(e.value), "unit": e.unit,
             "standard_uncertainty": _finite_or_none(e.standard_uncertainty),
@@ -137,9 +132,7 @@ def _finite_or_none(number: float) -> float | None:
 def apply_to_vehicle(vehicle: VehicleParameters, identifications: Iterable[Identification],
                      date: str) -> VehicleParameters:
     """The vehicle with all identified and doubtful values, and with derived lambda_ky recomputed. date: YYYY-MM-DD.
-
-    Raises ConfigurationError, naming the key and the limit, for a value outside the limits of a vehicle file.
-    """
+    Raises ConfigurationError, naming the key and the limit, for a value outside the limits of a vehicle file."""
     values: dict[str, float] = {}
     sources: dict[str, str] = {}
     provenance: dict[str, Provenance] = {}
