@@ -177,7 +177,7 @@ class VirtualCar:
         return make_bridge_parameters(self.vehicle, {"udp_port": self.port, "bind_address": "127.0.0.1"}, can)
 
     def start(self, suite: Suite) -> float:
-        """Start the car and wait until it sends; returns the duration of the drive [s]. Raises SuiteError."""
+        """Start the car and wait until it transmits; returns the duration of the drive [s]. Raises SuiteError."""
         arguments = [*self._arguments, "--output", str(suite.folder / "truth")]
         leaf = suite.start("virtual_leaf", [find_executable("st_sim", "virtual_leaf"), *arguments])
         if line := leaf.wait_for('"sending"', LEAF_TIMEOUT):

@@ -49,7 +49,7 @@ RECORDING_PATH = "/recording.rrd"
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Request handler without a log."""
+    """Request handler that logs nothing."""
 
     def send_head(self, headers: Mapping[str, str], status: int = 200) -> None:
         self.send_response(status)
@@ -84,7 +84,7 @@ class PageServer(ThreadingHTTPServer):
             self.condition.notify_all()
 
     def wait_for_frame(self, after: int) -> tuple[bytes, int]:
-        """Wait for a frame newer than `after`, or a stop: (frame, number); after KEEP_ALIVE_PERIOD (comment, after)."""
+        """(frame, its number) newer than `after`; (comment, `after`) if KEEP_ALIVE_PERIOD passes without one."""
         with self.condition:
             if self.condition.wait_for(lambda: self._frame_number > after or self.is_stopped, KEEP_ALIVE_PERIOD):
                 return self._frame, self._frame_number

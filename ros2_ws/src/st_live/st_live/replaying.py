@@ -76,7 +76,7 @@ def describe_omissions(bag: Path, unknown: Sequence[str]) -> list[str]:
 
 
 def _play(suite: Suite, settings: Mapping[str, Any]) -> session.Progress:
-    """Start the player; the progress is in recording time."""
+    """Start the player; returns its progress, in recording time."""
     command = [sys.executable, "-m", "st_live.nodes.player", json.dumps(settings)]
     player = suite.start("player", command, may_end=True)
 

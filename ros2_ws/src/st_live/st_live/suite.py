@@ -116,8 +116,8 @@ class Processes(AbstractContextManager):
         return child
 
     def stop(self, name: str | None = None, timeout: float = STOP_TIMEOUT) -> dict[str, int]:
-        """End one child, or all in the order of their start; returns the exit statuses. timeout: until each is killed
-        after its interrupt [s]."""
+        """End one child, or all in the order of their start; returns the exit statuses. timeout [s]: between
+        interrupting and killing each child."""
         statuses = {}
         for child in [c for c in self.children if name in (None, c.name)]:
             process = child.process

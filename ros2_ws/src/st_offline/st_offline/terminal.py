@@ -50,7 +50,7 @@ def check_is_new(file: Path) -> None:
 
 
 def write_file(file: Path, text: str) -> None:
-    """Write a text in UTF-8, and the folder of the file if necessary. Raises OutputError if that is not possible."""
+    """Write a text in UTF-8; create the folder of the file if necessary. Raises OutputError if that is not possible."""
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text, encoding="utf-8")

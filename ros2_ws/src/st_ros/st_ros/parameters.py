@@ -20,7 +20,7 @@ class ConfigurationError(ValueError):
 
 @dataclass(frozen=True)
 class Parameter:
-    """One node parameter."""
+    """Declaration of a node parameter."""
 
     name: str  # as in the YAML file
     default: Any  # also defines the type; a float accepts integers

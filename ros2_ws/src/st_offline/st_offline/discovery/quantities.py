@@ -44,7 +44,7 @@ SIGNS = {"acceleration_x": " (derivative of the forward speed, so cornering drag
 
 
 def get_display_unit(unit: str) -> tuple[float, str]:
-    """(factor from an SI unit, unit) in reports."""
+    """(factor from an SI unit, display unit)."""
     return DISPLAY_UNITS.get(unit, (1.0, unit.replace("^2", "²")))
 
 
@@ -59,13 +59,13 @@ def to_words(name: str) -> str:
 
 
 def append_unit(number: str, unit: str) -> str:
-    """A number with the report unit that corresponds to an SI unit."""
+    """A number followed by the display unit of an SI unit."""
     text = "" if unit == "1" else get_display_unit(unit)[1]
     return f"{number}{'' if not text or text.startswith('°') else ' '}{text}"
 
 
 def format_value(value: float, unit: str) -> str:
-    """A value [SI] with its report unit."""
+    """A value [SI] as text in its display unit."""
     return append_unit(f"{value * get_display_unit(unit)[0]:.3g}", unit)
 
 

@@ -122,8 +122,8 @@ def measure_accuracy(runs: Sequence[ErrorSamples], model: str, settings: Evaluat
 
 def make_choice_rows(costs: Mapping[ModelStep, Cost], accuracies: Mapping[ModelStep, Accuracy],
                      tolerance: float) -> list[dict[str, str]]:
-    """Table row of each speed bin, with the model and step of the least processor time and a lateral error within the
-    tolerance [m] in REQUIRED_FRACTION of the starts, by second ahead; "none" if no model and step achieves this."""
+    """Table row of each speed bin: by second ahead, the model and step with the least processor time among those with a
+    lateral error within the tolerance [m] in REQUIRED_FRACTION of the starts; "none" if there are none."""
     order = sorted(accuracies, key=lambda key: costs[key].get("compiled", costs[key]["interpreted"]))
     seconds = max((accuracy.seconds for accuracy in accuracies.values()), default=())
     rows = []

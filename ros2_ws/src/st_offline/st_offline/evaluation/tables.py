@@ -39,7 +39,7 @@ def summarise_errors(errors: ModelErrors, rows: np.ndarray | slice = ALL_ROWS) -
 
 
 def summarise_by_model(evaluation: LogEvaluation, rows: np.ndarray | slice = ALL_ROWS) -> dict[str, dict[str, Entry]]:
-    """{model: {mode: entry}} for the selected starts (rows)."""
+    """{model: {mode: entry}} for the starts that `rows` selects."""
     return {model: {mode: summarise_errors(evaluation.errors[model, mode], rows) for mode in evaluation.modes}
             for model in evaluation.models}
 

@@ -35,7 +35,7 @@ class IdentificationJob:
 
 @dataclass(frozen=True)
 class Experiment:
-    """An experiment of `st identify`."""
+    """An experiment: its files, its computation and its figure."""
 
     name: str  # as on the command line
     description: str

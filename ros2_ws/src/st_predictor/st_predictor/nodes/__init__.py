@@ -1,1 +1,1 @@
-"""The nodes of the package: thin shells around st_core and st_recordings."""
+"""The nodes of the package: thin wrappers around st_core and st_recordings."""

@@ -116,7 +116,7 @@ class BandMessages:
 
 
 def read_bands(message: Prediction) -> HalfWidths:
-    """(mode, level) -> half-widths (n, 3): along, across [m], yaw [rad]; without bands of another number of points."""
+    """(mode, level) -> half-widths (n, 3): along, across [m], yaw [rad]; bands of a different length are left out."""
     points = len(message.x)
     columns = {(band.mode, band.level): [getattr(band, axis) for axis in AXES] for band in message.bands}
     return {key: np.array(widths, float).T for key, widths in columns.items()

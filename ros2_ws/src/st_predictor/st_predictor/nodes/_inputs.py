@@ -139,7 +139,7 @@ class _Input:
 
 
 class Inputs:
-    """Adds samples to `core`. on_change: called when the warning about competing publishers changes."""
+    """Receives both inputs for `core`. on_change: called when the warning about competing publishers changes."""
 
     def __init__(self, node: Node, map_frame: str, core: Predictor | Evaluator, on_change: Callable[[], None]):
         self._node, self._map_frame, self._core = node, map_frame, core

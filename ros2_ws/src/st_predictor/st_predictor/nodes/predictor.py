@@ -39,7 +39,7 @@ BUSY_TICK_FRACTION = 0.5  # fraction of the period; a longer tick causes a warni
 
 
 class TickCounter:
-    """Counts ticks from the first one with inputs. rclpy's timer keeps its time grid and drops missed ticks."""
+    """Counts ticks from the first one with inputs. rclpy's timer keeps its schedule and drops missed ticks."""
 
     def __init__(self) -> None:
         self._counts = {"predicted": 0, "skipped_stale": 0, "skipped_overrun": 0, "skipped_slow": 0}
