@@ -122,8 +122,7 @@ class LoopbackMulticastBus(can.BusABC):
         data, timestamp = datagram
         if data is None:
             return None, True
-        message = self._unpack(data, timestamp)
-        return message, self._accepted_ids is not None
+        return self._unpack(data, timestamp), self._accepted_ids is not None
 
     def _read(self) -> tuple[bytes | None, float] | None:
         """(datagram, kernel receive time [s since 1970]); (None, 0) if this object sent it; None if none is waiting."""

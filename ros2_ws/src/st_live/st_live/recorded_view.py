@@ -218,8 +218,7 @@ class Scene:
                 strips = np.stack([left, right], axis=1)
                 radii = 0.6 * np.hypot(*np.gradient(middle, axis=0).T)
             order = 0.2 + 0.1 * number - 0.05 * level
-            colours = [rgb(get_model_colour(model), strength)]
-            self._log_lines(f"{entity}/{level:.0%}", strips, colours, radii, order=order)
+            self._log_lines(f"{entity}/{level:.0%}", strips, [rgb(get_model_colour(model), strength)], radii, order)
 
     def _log_name(self, model: str) -> None:
         """Show colour and name of a model in the lower left corner; next to the paths, names would overlap."""

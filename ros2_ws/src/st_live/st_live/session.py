@@ -240,8 +240,8 @@ def _watch(suite: Suite, monitor: Monitor, supervisor: Supervisor | None, consol
                 live.update(render_progress(monitor.state, elapsed, duration, title), refresh=True)
             elif time.monotonic() - last_line >= LOG_PERIOD:
                 state, last_line = monitor.state, time.monotonic()
-                counts = render_counts(state.predictor_status)
-                console.print(Text(f"{title}: {elapsed:.0f} s; {counts}"), soft_wrap=True)
+                line = Text(f"{title}: {elapsed:.0f} s; {render_counts(state.predictor_status)}")
+                console.print(line, soft_wrap=True)
                 if problems := render_health(state).plain.rstrip():
                     console.print(Text(problems), soft_wrap=True)
     return ""

@@ -48,6 +48,5 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, read_settings
         print_line(f"[yellow]warning: {escape(', '.join(without_origin))}: without a map origin, and therefore "
                    "not shifted; valid only if recorded in the map frame of the first run with an origin[/yellow]")
     write_file(output, Course(tuple(passes), origin).to_yaml())
-    drives = format_count(len({part.recording for part in passes}), "drive")
-    print_line(f"{escape(str(output))}: course of {drives}")
+    print_line(f"{escape(str(output))}: course of {format_count(len({part.recording for part in passes}), 'drive')}")
     return 1 if failed else 0

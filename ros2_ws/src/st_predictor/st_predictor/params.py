@@ -110,8 +110,7 @@ def read_file(values: SimpleNamespace, parameter: str, parse: Callable[[str, str
     name = getattr(values, parameter)
     if not name:
         return None
-    text = read_text(values, parameter, name)
-    return translate_errors(values, lambda: parse(text, name), f"{parameter}: ")
+    return translate_errors(values, lambda: parse(read_text(values, parameter, name), name), f"{parameter}: ")
 
 
 def read_text(values: SimpleNamespace, parameter: str, name: str) -> str:

@@ -118,9 +118,8 @@ def identify(
         vehicle, read_settings = read_options.resolve()
         parameters, file = shared.load_vehicle_or_default(vehicle)
         folder = new_folder(output, f"identify-{experiment}", create=False)
-        base = load_model(model, effects, parameters, str(file))
         job = IdentificationJob(EXPERIMENTS[experiment], tuple(files or ()), parameters, str(file), folder,
-                                read_settings, force, base)
+                                read_settings, force, load_model(model, effects, parameters, str(file)))
         status = run_command(job)
     shared.report_default_car("identify", vehicle, file)
     return status

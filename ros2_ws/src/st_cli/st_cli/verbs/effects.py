@@ -129,8 +129,7 @@ def export(
         parsed_bands = None if bands is None else Bands.from_yaml(read_text(bands), str(bands))
         if parsed_bands is not None:
             parsed_bands.check(model_vehicle, {exported.name: "" if model in MODELS else read_model_file(model).hash})
-        folder = new_folder(output, "export")
-        paths = export_model(exported, model_vehicle, folder, kind, substeps, free, parsed_bands)
+        paths = export_model(exported, model_vehicle, new_folder(output, "export"), kind, substeps, free, parsed_bands)
     if model_vehicle is parameters:
         shared.report_default_car("export", given_file, file)
     for path in paths:

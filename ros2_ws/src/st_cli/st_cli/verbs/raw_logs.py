@@ -167,8 +167,7 @@ def import_(
     for run in runs:
         try:
             bag = output / run.name if output and len(runs) > 1 else output
-            folder = new_folder(bag, f"import-{run.name}", create=False)
-            _import_run(run, parameters, folder, settings, force)
+            _import_run(run, parameters, new_folder(bag, f"import-{run.name}", create=False), settings, force)
             written += 1
         except (RunError, OutputError) as error:
             typer.echo(f"st import: {error}", err=True)

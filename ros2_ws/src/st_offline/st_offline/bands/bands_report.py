@@ -175,9 +175,8 @@ def _summarise_scores(sums: Sums) -> dict[str, Any]:
     level = max(sums["coverage"], key=float)
     cells = [{"coverage": cell["coverage"][level] / cell["starts"], "cell": name, "starts": cell["starts"]}
              for name, cell in sums["cells"].items() if cell["starts"] >= MIN_STARTS]
-    worst_cell = min(cells, key=lambda cell: tuple(cell.values()), default=None)
     return {"starts": count, "without_band": sums["without_band"], **means, "conditions": conditions,
-            "worst_cell": worst_cell}
+            "worst_cell": min(cells, key=lambda cell: tuple(cell.values()), default=None)}
 
 
 def _divide(value: Any, count: int) -> Any:

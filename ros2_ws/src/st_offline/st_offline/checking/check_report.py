@@ -93,8 +93,7 @@ def format_estimate(value: float | None, interval: Sequence[float] | None = None
 
 def format_quantity(name: str, value: Sequence[float]) -> str:
     """Text of an estimate (value, low, high). name: name of the estimate, such as yaw_rate_lag; determines the unit."""
-    kind = name.rpartition("_")[2]
-    unit = QUANTITY_UNITS.get(name, "s" if kind == "lag" else "1")
+    unit = QUANTITY_UNITS.get(name, "s" if name.endswith("_lag") else "1")
     return format_estimate(value[0], value[1:], unit)
 
 

@@ -101,8 +101,7 @@ def draw_axle_curves(discovery: Discovery, output: FigureOutput) -> PageFigure |
         below.set_xlabel("slip angle, °")
     panels[0][0].set_ylabel("lateral force, kN")
     panels[1][0].set_ylabel("samples, %")
-    title = "Axle force versus slip angle, in the range of the drives"
-    return save_figure(figure, output, "axle_curves", title,
+    return save_figure(figure, output, "axle_curves", "Axle force versus slip angle, in the range of the drives",
                        "The band includes the uncertainty of the other vehicle parameters.")
 
 
@@ -143,8 +142,7 @@ def draw_maps(discovery: Discovery, runs: Sequence[DriveLog], before: Samples, a
         axes.set_title(name, fontsize=9)
         axes.set_xlabel("east, m")
     panels[0][0].set_ylabel("north, m")
-    bar = figure.colorbar(points, ax=list(panels[0]))
-    bar.set_label(f"{quantities.label_channel(channel)} error, {unit}")
+    figure.colorbar(points, ax=list(panels[0]), label=f"{quantities.label_channel(channel)} error, {unit}")
     title = f"{log.name}: {quantities.label_channel(channel)} error on the map"
     caption = "Each point is the start of a prediction, coloured by its error. All panels have the same colour scale."
     return save_figure(figure, output, "map", title, caption)

@@ -102,8 +102,7 @@ def _describe_errors(discovery: Discovery) -> str:
         name = next(n for n in LABELS if n in discovery.errors)
         error = discovery.errors[name]
         before, after = (quantities.format_value(value, error.unit) for value in (error.base, error.augmented))
-        change = 100.0 * (error.augmented / error.base - 1.0)
-        return f"{label_channel(name)} error {before} to {after} ({change:+.0f} %)"
+        return f"{label_channel(name)} error {before} to {after} ({100 * (error.augmented / error.base - 1.0):+.0f} %)"
     named = discovery.named_errors["position_5s"].augmented if discovery.effective else position.augmented
     corrections_help = named - position.augmented > LIMITS.relevant_position
     after = "" if discovery.model is None else f" → {format_metres(named if corrections_help else position.augmented)}"

@@ -99,8 +99,7 @@ def fold_named_effects(discovery: Discovery, request: Request) -> VehicleUpdate 
                for a, b in zip(errors, expected, strict=True)):
             folded = candidate
         else:
-            values = discovery.named.values[effect.name]
-            not_folded[effect.name] = find_changed_entries(request.vehicle, effect, values)
+            not_folded[effect.name] = find_changed_entries(request.vehicle, effect, discovery.named.values[effect.name])
     if not folded:
         return _keep_original_file(request.vehicle, discovery.model, not_folded)
     car = fold_effects(request.vehicle, folded, discovery.named.values)

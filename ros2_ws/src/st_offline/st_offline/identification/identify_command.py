@@ -101,12 +101,11 @@ def write_results(job: IdentificationJob, outcomes: Sequence[result.Identificati
                for outcome in outcomes]
     keys = [e.parameter for outcome in outcomes for e in outcome.estimates
             if e.parameter in FILE_QUANTITIES and e.status != "unidentifiable"]
-    vehicle_text = Path(job.vehicle_file).read_text(encoding="utf-8")
     texts = {
         "identification.json": json_text({name: entry for outcome in outcomes
                                           for name, entry in outcome.to_document().items()}),
         "details.json": json_text(provenance | {"experiments": list(map(make_experiment_details, outcomes))}),
-        "vehicle.yaml": edit_vehicle_text(vehicle_text, keys, updated_vehicle),
+        "vehicle.yaml": edit_vehicle_text(Path(job.vehicle_file).read_text(encoding="utf-8"), keys, updated_vehicle),
         "report.html": render_page(outcomes, figures, job.vehicle, provenance),
     }
     for name, text in texts.items():

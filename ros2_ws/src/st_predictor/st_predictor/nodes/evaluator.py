@@ -62,8 +62,8 @@ class EvaluatorNode(Node):
         qos = QoSProfile(depth=QUEUE_DEPTH)
         topics = convert.list_prediction_topics(self._models)
         self._predictions = {key: PolledSubscription(self, kind, topic, qos) for key, (topic, kind) in topics.items()}
-        error_qos = QoSProfile(depth=ERROR_DEPTH)
-        self._error_publisher = self.create_publisher(PredictionError, "evaluator/errors", error_qos)
+        qos = QoSProfile(depth=ERROR_DEPTH)
+        self._error_publisher = self.create_publisher(PredictionError, "evaluator/errors", qos)
         self._summary_publisher = self.create_publisher(ErrorSummary, "evaluator/summary", LATCHED)
         # Steady clock: messages must be processed and written even while a replay's clock is paused.
         create_steady_timer(self, WORK_PERIOD, self._process_messages)

@@ -97,9 +97,8 @@ class MarkersNode(Node):
         for number, model in enumerate(self._history.models):
             path = self._history.find_newest(model, now_ns)
             for ribbon in path.ribbons if path else ():
-                alpha = RIBBON_ALPHA.get(ribbon.level, RIBBON_ALPHA[0.9])
                 marker = self._make_marker(Marker.TRIANGLE_LIST, model, round(100 * ribbon.level), now_ns,
-                                           get_model_colour(model), alpha)
+                                           get_model_colour(model), RIBBON_ALPHA.get(ribbon.level, RIBBON_ALPHA[0.9]))
                 marker.scale.x = marker.scale.y = marker.scale.z = 1.0
                 # Below the paths, at different heights, which set the drawing order.
                 z = -0.3 - 0.02 * number - 0.2 * ribbon.level

@@ -146,8 +146,7 @@ class RecorderNode(Node):
             self._next_attempt = float("inf")
             self._stop_reason, self._bag, self._resume_time = self._bag.error, bag, now
             for topic, (subscription, _, message_type, qos) in self._recorded_topics.items():
-                channel = bag.add_topic(topic, message_type, qos)
-                self._recorded_topics[topic] = subscription, channel, message_type, qos
+                self._recorded_topics[topic] = subscription, bag.add_topic(topic, message_type, qos), message_type, qos
             self.get_logger().warning(f"{self._stop_reason}; recording resumed in {bag.directory}")
 
     def _make_checks(self) -> list[Check]:
