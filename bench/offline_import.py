@@ -88,14 +88,14 @@ def _time_parts(seconds: dict[str, float], wall: float) -> dict[str, float]:
 
 
 def measure_import(logs: Path, output: Path) -> dict:
-    from st_offline.checking.gate import check_for_use
+    from st_offline.checking.gate import check_before_use
     from st_recordings.runs import ReadSettings, find_runs, write
 
     (source,), vehicle = find_runs([logs]), leaf()
     seconds = _time_functions(_reading_functions())
     start = time.perf_counter()
     done = write.import_run(source, vehicle, output, ReadSettings(),
-                            lambda run: check_for_use(source.path, run, vehicle, False))
+                            lambda run: check_before_use(source.path, run, vehicle, False))
     total = time.perf_counter() - start
     return {"minutes": done.span / 60, "ncom_packets": done.counts["/ins/ncom"], "can_frames": len(done.run.can.frames),
             "verdict": str(done.run.alignment.verdict), "times_real_time": done.span / total,

@@ -198,8 +198,8 @@ def expand_options(group: type, *names: str, **annotations: Any) -> Callable[[Ca
     used_fields = [f for f in fields(group) if not names or f.name in names]
 
     def decorate(verb: Callable[..., Any]) -> Callable[..., Any]:
-        own = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in inspect.signature(verb).parameters.values()]
-        position = next(k for k, p in enumerate(own) if p.annotation is group)
+        declared = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in inspect.signature(verb).parameters.values()]
+        position = next(k for k, p in enumerate(declared) if p.annotation is group)
 
         @wraps(verb)
         def call(**arguments: Any) -> Any:
@@ -207,11 +207,11 @@ def expand_options(group: type, *names: str, **annotations: Any) -> Callable[[Ca
 
             options = {f.name: arguments.pop(f.name) for f in used_fields}
             with report_errors(verb.__name__.rstrip("_")), group_similar_warnings():
-                raise typer.Exit(verb(**arguments, **{own[position].name: group(**options)}) or 0)
+                raise typer.Exit(verb(**arguments, **{declared[position].name: group(**options)}) or 0)
 
         options = [inspect.Parameter(f.name, inspect.Parameter.KEYWORD_ONLY, default=f.default,
                                      annotation=annotations.get(f.name, f.type)) for f in used_fields]
-        parameters = [*own[:position], *options, *own[position + 1 :]]
+        parameters = [*declared[:position], *options, *declared[position + 1 :]]
         call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         call.__annotations__ = {p.name: p.annotation for p in parameters}
         return call

@@ -180,7 +180,7 @@ def _import_run(source: "RunSource", car: "VehicleParameters", folder: Path, set
                 force: bool) -> None:
     from st_offline.alignment_figure import draw_alignment
     from st_offline.checking.check_report import print_findings
-    from st_offline.checking.gate import check_for_use
+    from st_offline.checking.gate import check_before_use
     from st_offline.terminal import list_files, make_progress_bars, print_line
     from st_recordings.runs.write import import_run
 
@@ -188,7 +188,7 @@ def _import_run(source: "RunSource", car: "VehicleParameters", folder: Path, set
     with make_progress_bars() as progress:
         task = progress.add_task(f"{source.name}: reading and aligning", total=None)
         imported = import_run(source, car, folder, settings,
-                              lambda run: check_for_use(source.path, run, car, force),
+                              lambda run: check_before_use(source.path, run, car, force),
                               lambda fraction: progress.update(task, description=f"{source.name}: writing, %",
                                                                total=100, completed=round(100 * fraction)))
     duration = time.perf_counter() - started

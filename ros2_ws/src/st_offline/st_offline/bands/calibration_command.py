@@ -12,7 +12,7 @@ from st_core.vehicle import VehicleParameters
 from st_recordings.results import parse_configuration
 from st_recordings.runs import LoadedRun, RunError, RunSource, find_runs, read
 
-from ..checking.gate import RUN_ERRORS, check_for_use, describe_problem
+from ..checking.gate import RUN_ERRORS, check_before_use, describe_problem
 from ..evaluation.work import Task, collect_model_hashes, load_models
 from ..terminal import check_is_new, console, print_line, report_problem, write_file
 
@@ -65,7 +65,7 @@ def collect_errors(sources: Sequence[RunSource], task: Task, models: Sequence[Mo
                         raise RunError(source.path, f"has the same content as {names_by_digest[digest]}",
                                        "give each recording once")
                 _check_recorded_car(source, run, task.vehicle)
-                check_for_use(source.path, run, task.vehicle, task.force, models, task.settings.prediction.step)
+                check_before_use(source.path, run, task.vehicle, task.force, models, task.settings.prediction.step)
                 signals = task.settings.signals(run.log)
                 samples.append(calibration.compute_error_samples(models, task.vehicle, signals, task.settings))
         except RUN_ERRORS as error:

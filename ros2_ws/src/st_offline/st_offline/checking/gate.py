@@ -80,7 +80,7 @@ def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettin
     return list(findings)
 
 
-def check_for_use(source: Path | str, run: LoadedRun, vehicle: VehicleParameters, force: bool,
+def check_before_use(source: Path | str, run: LoadedRun, vehicle: VehicleParameters, force: bool,
                   models: Sequence[str | Model] = (), step: float = STEP) -> tuple[Finding, ...]:
     """Check a drive; returns its findings. Raises RejectedRunError for errors, unless forced."""
     findings = check_log(run.log, vehicle, run.auxiliary, models, step).findings
