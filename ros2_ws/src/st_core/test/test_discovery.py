@@ -508,7 +508,7 @@ def test_run_within_one_block_is_rejected(leaf):
     log = recorded(leaf, {}, 9, ("step",))[0]
     log = log.slice(log.start_ns, log.start_ns + 12_000_000_000)
     assert len(Windows([log], leaf, SETTINGS)) > 3
-    with pytest.raises(StCoreError, match=r"less than two blocks of 10 s: drive longer"):
+    with pytest.raises(StCoreError, match=r"fewer than two blocks of 10 s contain a prediction of 5 s: drive longer"):
         discover([log], leaf, settings=SETTINGS)
 
 

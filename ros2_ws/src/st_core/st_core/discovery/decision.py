@@ -70,15 +70,15 @@ def judge_correction(e: Evidence, limits: Limits) -> Reason:
 
 
 def _reject_varying(e: Evidence, limits: Limits) -> Reason | None:
-    """Reason to reject an effect that varies between parts of the drives and may be absent in a new one, or None."""
+    """Reason to reject an effect that varies between parts of the drives and may be absent in new driving, or None."""
     partition = varying_partition(e, limits)
     if not partition:
         return None
     a = e.agreement[partition]
     return Reason(VARIES, e.name, {"p_equal": a.p_equal, "p_absent": a.p_absent, "undecided_p": limits.undecided_p,
                                    "false_alarm": limits.false_alarm},
-                  f"it varies between {PARTITION_NAMES[partition]} (p = {a.p_equal:.1g} for a constant value); in a "
-                  f"new one it is absent or of opposite sign with probability {a.p_absent:.2g}")
+                  f"it varies between {PARTITION_NAMES[partition]} (p = {a.p_equal:.1g} for a constant value); in "
+                  f"new driving it is absent or of opposite sign with probability {a.p_absent:.2g}")
 
 
 def _format_with_unit(number: float, unit: str) -> str:

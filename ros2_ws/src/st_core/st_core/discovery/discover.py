@@ -116,8 +116,8 @@ class _Analysis:
         self.runs, self.reference = (self._correct_clocks(logs, clocks) for logs in (self.runs, self.reference))
         self.windows = Windows(self.runs, vehicle, settings)
         if len(np.unique(self.windows.block)) < 2:  # no other block to hold out: no effect can be tested
-            raise StCoreError(f"predictions of {settings.horizon:g} s fit into less than two blocks of "
-                              f"{settings.block:g} s: drive longer, faster than {MIN_SPEED:g} m/s, without gaps")
+            raise StCoreError(f"fewer than two blocks of {settings.block:g} s contain a prediction of "
+                              f"{settings.horizon:g} s: drive longer, faster than {MIN_SPEED:g} m/s, without gaps")
         # Estimates from redundant sensors, keyed by "effect.parameter".
         self.sensors = {f"{effect}.{p.name}": sensor_estimates[p.identity] for effect in self.space.hypotheses
                         for p in get_effect(effect).parameters if p.identity and p.identity in sensor_estimates}
@@ -291,9 +291,8 @@ class _Analysis:
         if not find_sites(self.windows).any():
             self.warnings.append("all driving is at one site: effects of the site, such as banked roads and wind, "
                                  "cannot be separated from properties of the car")
-        if self.problem.blocks < 10:
-            count = f"{self.problem.blocks} block{'' if self.problem.blocks == 1 else 's'}"
-            self.warnings.append(f"only {count} of {self.settings.block:g} s: tests have little power")
+        if (blocks := self.problem.blocks) < 10:
+            self.warnings.append(f"only {blocks} blocks of {self.settings.block:g} s: tests have little power")
         lateral_acceleration = self.windows.joined_log.yaw_rate * self.windows.joined_log.velocity_x
         left, right = ((side * lateral_acceleration > MIN_TURNING_ACCELERATION).mean() for side in (1.0, -1.0))
         if left + right < MIN_TURNING_FRACTION:
@@ -302,9 +301,8 @@ class _Analysis:
             self.warnings.append("nearly all turns are to one side: offsets of sensors and steering are not separable "
                                  "from changes of the car")
 
-    def _analyse_axles(
-            self, state: SearchState, joint_fit: JointFit | None, noise_ratio: float,
-            ) -> tuple[Axles | None, tuple[ForceCurve, ...], tuple[result.Combination, ...]]:
+    def _analyse_axles(self, state: SearchState, joint_fit: JointFit | None, noise_ratio: float) -> tuple[
+            Axles | None, tuple[ForceCurve, ...], tuple[result.Combination, ...]]:
         """(axle forces of the final model, force curves, combinations); (None, (), ()) for a base model without tyres,
         for driving without slip, and for values so uncertain that they exceed the limits of a vehicle file. With
         reference drives there are no combinations, because these are compared with the vehicle file."""
@@ -344,7 +342,7 @@ class _Analysis:
             summands=tuple(n for n in delays if n != e.name) if e.name in delays else ()) for e in effects}
 
     def _find_dependent(self, fit: Fit, effects: Sequence[result.FoundEffect], refuted: Sequence[str]) -> list[str]:
-        """Effects with a value that leaves its interval if the refuted ones are removed and all others refitted."""
+        """Effects with a value that leaves its interval if the refuted effects are removed and all others refitted."""
         names = tuple(n for n in fit.names if n not in refuted)
         without = self.problem.refit(self.problem.fit(names, self.problem.all_sensitivities(fit.vector)))
         return [e.name for e in effects if e.name in names and any(

@@ -51,8 +51,7 @@ class Parameter:
     identity: str = ""  # name of the estimate of `st_core.checks.check` that measures it, with its sign and unit
     theory: float | None = None  # its physical value, if it is the same for every car
     quantity: str = ""  # key of the vehicle file that it is added to, if no hook `vehicle` or `fold` does so
-    # Bounds at which only the family of curves ends that it selects from, such as 1 - E of a tyre.
-    family_ends: tuple[float, ...] = ()
+    family_ends: tuple[float, ...] = ()  # bounds that only end the family of curves it selects from (1 - E of a tyre)
     # Standard deviation of values fitted to one car by models with different equations (cars of `bench/strangers`).
     model_error: float = 0.0
     # Prior standard deviation about null of an addition to the measured car, such as a load, in place of the
@@ -80,7 +79,7 @@ class Parameter:
 
     @property
     def physical_bounds(self) -> tuple[float, ...]:
-        """Bounds that the interval of a named effect does not cross: those without a meaning of their own."""
+        """Bounds that the interval of a named effect does not cross: all but null, theory and `family_ends`."""
         return tuple(bound for bound in self.bounds if bound not in (self.null, self.theory, *self.family_ends))
 
     def check(self, value: float, key: str) -> float:
