@@ -29,7 +29,7 @@ from .windows import MIN_SPEED, Windows
 
 MAX_FITS, FINAL_STEP = 8, 0.02  # maximum number of fits; largest step at convergence [parameter scales]
 FIXED_CURVATURE = 1e6  # fixes a parameter; keeps the term that `inverse` adds, 1e-9 of the mean diagonal, below 1e-3
-MAX_CLOCK_DEVIATION = 0.01  # s, largest standard deviation of a clock that counts as exact; steering delays are 0.04
+MAX_CLOCK_DEVIATION = 0.01  # s, largest standard deviation of a clock that counts as exact; steering delays: about 0.04
 CLOCK_FITS = 3  # number of joint fits for the correction of clocks, each with the time stamps corrected so far
 
 

@@ -276,7 +276,7 @@ class Discovery:
     start: Literal["vehicle file", "reference"]  # origin of the values at the start of the search
     base: AugmentedModel  # the fit without the effects found, first model of `steps`
     model: AugmentedModel | None  # the model with all effects, which predicts best; None if no effect was found
-    named: AugmentedModel | None = None  # with named and minor effects only, at the reported values; None as `model`
+    named: AugmentedModel | None = None  # the model with named and minor effects only, at the reported values
     effective: tuple[FoundEffect, ...] = ()  # in the model, but never in a vehicle file: not properties of the car
     named_errors: Mapping[str, ChannelError] = field(default_factory=dict)  # `errors` before effective corrections
     axle_curves: tuple[ForceCurve, ...] = ()
@@ -287,7 +287,7 @@ class Discovery:
     leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]] = field(default_factory=dict)
     clock_errors: Mapping[str, float] = field(default_factory=dict)  # correction of the steering stamps by run [s]
     acceleration_gain: float = 0.0  # relative excess of the measured lateral specific force, due to body roll [1]
-    noise: Mapping[str, float] = field(default_factory=dict)  # errors of the best model: noise of later comparisons
+    noise: Mapping[str, float] = field(default_factory=dict)  # errors of the best model [SI]: noise of later drives
 
     @property
     def increases_error(self) -> bool:
