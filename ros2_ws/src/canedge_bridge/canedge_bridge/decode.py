@@ -226,7 +226,7 @@ class SteeringCalibration:
     steering_ratio: float
 
     def convert(self, sensor: Number) -> tuple[Number, Number]:
-        """(steering wheel angle without offset correction, mean road wheel angle of the front axle) [rad], left > 0."""
+        """(steering-wheel angle without offset correction, mean road-wheel angle of the front axle) [rad], left > 0."""
         angle = self.steering_sign * sensor
         return angle, vehicle.road_wheel_angle(angle, self.steering_wheel_offset, self.steering_ratio)
 

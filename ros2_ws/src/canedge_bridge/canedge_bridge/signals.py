@@ -34,7 +34,7 @@ CANONICAL_SIGNALS = {
 UNCONVERTED_UNITS = {"gps_hour": "h", "gps_minute": "min"}  # signal -> its only unit, which is not converted to SI
 WRAPPED_SIGNALS = frozenset({"ins_yaw"})
 MAX_SCALING = 1e12  # largest plausible factor or offset of a DBC signal
-# Range of the steering wheel angle to either side [rad] if the table gives none; the signal must reach half this range.
+# Range of the steering-wheel angle to either side [rad] if the table gives none; the signal must reach half this range.
 DEFAULT_STEERING_RANGE = math.radians(180)
 
 _BYTE_ORDER_MARKS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16", b"\xef\xbb\xbf": "utf-8-sig"}
@@ -133,7 +133,7 @@ class SignalTable:
         return tuple(m for m in self.messages.values() if m.is_needed)
 
     def find_steering(self) -> tuple[MessageSpec, SignalSpec] | None:
-        """Message and signal of the steering wheel angle, preferably in a needed message; None if there is none."""
+        """Message and signal of the steering-wheel angle, preferably in a needed message; None if there is none."""
         messages = sorted(self.messages.values(), key=lambda m: not m.is_needed)
         return next(((m, s) for m in messages for s in m.signals if s.name == "steering_wheel_angle"), None)
 

@@ -33,7 +33,7 @@ MAP_RANGE, GRID_SPACING = 50.0, 20.0  # m shown around the car on the map, and b
 PLOTS = {
     "lateral": "mean lateral error over the last horizon, m (positive: predicted left)",
     "longitudinal": "mean longitudinal error, m (positive: predicted ahead)",
-    "steering": "road wheel angle, deg (left positive)",
+    "steering": "road-wheel angle, deg (left positive)",
     "speed": "speed, m/s",
     "lateral_acceleration": "lateral acceleration v_x r, m/s² (left positive)",
 }
@@ -122,7 +122,7 @@ class Scene:
         recording.log("ahead/ring_names", rr.Points2D(
             [(0.7 * r, -0.7 * r) for r in RINGS[1::2]], radii=THIN_LINE, colors=[(120, 120, 120)],
             labels=[f"{r} m" for r in RINGS[1::2]], show_labels=True), static=True)
-        for name, series in (("steering", "road wheel angle"), ("speed", "speed"), ("lateral_acceleration", "v_x r")):
+        for name, series in (("steering", "road-wheel angle"), ("speed", "speed"), ("lateral_acceleration", "v_x r")):
             self._add_series(f"plots/{name}/measured", series, MEASURED_COLOUR)
 
     def _add_series(self, entity: str, name: str, colour: str) -> None:

@@ -134,7 +134,7 @@ def run(folder: Path, parameters: Parameters, title: str, console: Console, view
     """Start the nodes and the source, show progress until the run is over or Ctrl-C, and stop everything in order.
 
     source: function that starts the source of the data, if it is not the real car, and returns its `Progress`.
-    default_domain: ROS domain unless ROS_DOMAIN_ID is set; None: a free one, isolated from other runs. supervised:
+    default_domain: ROS domain unless ROS_DOMAIN_ID is set; None: an unused one, isolated from other runs. supervised:
     restart nodes that end or hang, instead of ending the run. realtime: real-time scheduling for bridges and predictor.
     Raises SuiteError if a node or the page does not start, or if a node is already running.
     """

@@ -168,7 +168,7 @@ def _compare_paths(result: Comparison, mode: Mode, recorded: Predictions, starts
 def _compare_scores(result: Comparison, mode: Mode, scores: Scores, starts_ns: np.ndarray, errors: np.ndarray,
                     last_ns: int) -> None:
     """Compare recorded scores with errors (n, points, 3) for the starts (n,). last_ns: last start that is recorded in
-    full; a recorder that was killed before the evaluator leaves complete scores of later ones."""
+    full; a recorder that was killed before the evaluator leaves complete scores of later starts."""
     starts_ns, computed, recorded = np.intersect1d(starts_ns, scores.starts_ns, return_indices=True)
     complete, complete_live = np.isfinite(errors[computed]).all(axis=(1, 2)), scores.complete[recorded]
     one_sided = complete != complete_live

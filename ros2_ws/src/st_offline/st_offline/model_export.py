@@ -100,7 +100,7 @@ def _format_readme(description: dict[str, Any], kind: Format) -> str:
         f"Base model {description['base']}; effects: {', '.join(description['effects']) or 'none'}. st_core "
         f"{description['version']}, vehicle hash {description['vehicle']['hash'][:12]}. SI units. Frame: "
         f"{description['frame']}.",
-        f"States x: {states}. Inputs u: {inputs}. Parameters p: {parameters}. The road wheel angle is positive to the "
+        f"States x: {states}. Inputs u: {inputs}. Parameters p: {parameters}. The road-wheel angle is positive to the "
         "left. velocity_x_dot is the derivative of velocity_x; the longitudinal acceleration is velocity_x_dot - "
         "velocity_y * yaw_rate. Bounds, and the arguments and results of each function, are in model.json; use the "
         "bounds, or narrower ones, as constraints.",
@@ -121,7 +121,7 @@ def make_half_width_function(band: Band, level: float, vehicle: VehicleParameter
     """CasADi function that returns the half-widths of a band, (points of the horizon, 3): along, across [m], yaw [rad].
 
     Its arguments are x: the six states at the CG; u: road_wheel_angle [rad], velocity_x_dot [m/s^2]; steering_activity
-    [rad/s]: root mean square rate of the road wheel angle in the last second. Its values equal `Band.half_widths`; the
+    [rad/s]: root mean square rate of the road-wheel angle in the last second. Its values equal `Band.half_widths`; the
     calibration domain is not checked. Raises ConfigurationError for a level without a band.
     """
     if level not in band.factors:

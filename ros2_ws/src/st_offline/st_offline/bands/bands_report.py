@@ -34,7 +34,7 @@ class Scorer:
 
     bands: calibrated bands, or None. adaptive: whether to count the coverage of adaptive bands, which start from
     `bands`. files: sha256 of each file of the run, by path. `sums` has an entry for each block, model and mode, and
-    one with known_recordings, the files of the run that were used in the calibration; add them with `pool_sums`.
+    one with known_recordings, the files of the run that the calibration used; `pool_sums` adds all entries.
     """
 
     ADAPTATION_TIME = 120.0  # s; coverage of adaptive bands is also counted without the starts in this initial time
@@ -86,11 +86,11 @@ def summarise_adaptive(sums: Sums) -> dict[str, Any]:
 def sum_band_scores(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sums:
     """Scores of a band, summed over starts. conditions: (n, 4). errors: (n, points, 3) [m, m, rad], predicted frame.
 
-    Counts by level: coverage: paths entirely inside; axes: the same for each axis alone; conditions: as coverage, by a
-    single driving condition; seconds: paths inside throughout each second; cells: the same by speed, lateral
-    acceleration and second; reliability: as coverage, but for every level of the band. The other counts are for the
-    LEVELS that the band has, and for its highest level up to LEVELS[-1]. By axis [m, m, rad]: interval_score: mean
-    over the horizon; crps: mean over the whole seconds; half_width: at each whole second.
+    Counts for those of LEVELS that the band has, and for its highest level up to LEVELS[-1]. coverage: paths entirely
+    inside. axes: the same for each axis alone. conditions: as coverage, by driving condition. seconds: paths inside
+    throughout each second. cells: the same, by speed, lateral acceleration and second. reliability: as coverage, but
+    for every level of the band. Values by axis [m, m, rad]. interval_score: mean over the horizon. crps: mean over the whole
+    seconds. half_width: at each whole second.
     """
     import scoringrules  # slow to import, and needed only where bands are scored
 

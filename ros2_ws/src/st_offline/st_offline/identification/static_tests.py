@@ -94,7 +94,7 @@ def draw_ratio(outcome: Identification, output: FigureOutput) -> PageFigure:
     intercept = float(np.degrees(np.mean(list(data["intercepts"].values()))))
     left.plot(ends, intercept + data["slope"] * ends, color=MODEL_COLOUR["augmented"],
               label=f"steering wheel / {estimate.value:.2f}")
-    left.set(xlabel="steering wheel angle, deg (positive to the left)", ylabel="wheel angle, deg")
+    left.set(xlabel="steering-wheel angle, deg (positive to the left)", ylabel="wheel angle, deg")
     for k, name in enumerate(dict.fromkeys(data["sweeps"])):
         mask = sweeps == name
         right.plot(steering[mask], np.degrees(data["residuals"][mask]), "os^Dv<>P"[k % 8], color=TEXT_COLOUR, ms=4.5,
@@ -105,7 +105,7 @@ def draw_ratio(outcome: Identification, output: FigureOutput) -> PageFigure:
         curve = data["cubic"][0] * grid + data["cubic"][1] * grid**3
         right.plot(np.degrees(grid), np.degrees(curve), color=MODEL_COLOUR["nonlinear"], label="cubic")
     right.axhline(0.0, color=MODEL_COLOUR["augmented"])
-    right.set(xlabel="steering wheel angle, deg (positive to the left)", ylabel="mean minus line, deg")
+    right.set(xlabel="steering-wheel angle, deg (positive to the left)", ylabel="mean minus line, deg")
     low, high = estimate.interval95
     title = f"Steering ratio {estimate.value:.2f}, 95 % interval {low:.2f} to {high:.2f}"
     return save_figure(figure, output, "steering-ratio", title,

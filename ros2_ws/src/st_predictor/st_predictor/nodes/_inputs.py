@@ -28,9 +28,9 @@ class PublisherLock:
     """Accepts only messages of the first publisher of an input, so that measurements of two cars are never mixed.
 
     A message does not name its publisher, but each publisher numbers its messages consecutively: they form a chain.
-    No message is used if nodes with different names publish before one is accepted, or if two chains reach the same
-    number. A killed node stays in the graph for a while. Its successor has the same node name and numbers its messages
-    from 1; a chain that began before the last accepted message belongs to another node.
+    No message is used if nodes with different names publish before the first is accepted, or if two chains reach the
+    same number. A killed node stays in the graph for a while. Its successor has the same node name and numbers its
+    messages from 1; a chain that began before the last accepted message belongs to another node.
 
     names: full node names of all publishers at the last `update`. rejected_count: number of messages rejected so far.
     """
