@@ -89,8 +89,8 @@ def sum_band_scores(band: Band, conditions: np.ndarray, errors: np.ndarray) -> S
     Counts for those of LEVELS that the band has, and for its highest level up to LEVELS[-1]. coverage: paths entirely
     inside. axes: the same for each axis alone. conditions: as coverage, by driving condition. seconds: paths inside
     throughout each second. cells: the same, by speed, lateral acceleration and second. reliability: as coverage, but
-    for every level of the band. Values by axis [m, m, rad]. interval_score: mean over the horizon. crps: mean over the whole
-    seconds. half_width: at each whole second.
+    for every level of the band. Values by axis [m, m, rad]. interval_score: mean over the horizon. crps: mean over
+    the whole seconds. half_width: at each whole second.
     """
     import scoringrules  # slow to import, and needed only where bands are scored
 
