@@ -233,7 +233,7 @@ def test_cars_of_the_configuration_have_no_problems(name):
 
 def test_car_new_overwrites_nothing(skeleton):
     result = st("car", "new", skeleton)
-    assert result.exit_code == 2 and result.stderr.count("\n") == 1 and "nothing is overwritten" in result.stderr
+    assert result.exit_code == 2 and result.stderr.count("\n") == 1 and "is not overwritten" in result.stderr
     shutil.rmtree(skeleton)
     assert st("car", "check", skeleton).exit_code == 2
     skeleton.write_text("a file")

@@ -33,7 +33,7 @@ def write_skeleton(folder: Path) -> list[Path]:
     """
     try:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise RunError(folder, "exists already, and nothing is overwritten", "name a new folder")
+            raise RunError(folder, "already exists and is not overwritten", "name a new folder")
         folder.mkdir(parents=True, exist_ok=True)
         return [Path(shutil.copyfile(config("new_car") / name, folder / name)) for name in TEMPLATE_FILES]
     except OSError as error:

@@ -351,7 +351,7 @@ def test_layout_serialises_like_rosbags() -> None:
 @pytest.mark.parametrize(("names", "path", "reason"), [
     (("drive.csv",), "drive.csv", "this is not a bag"),
     (("notes.md",), "", "contains no storage file of a bag"),
-    (("a.mcap", "b.db3"), "", "storage files of both kinds"),
+    (("a.mcap", "b.db3"), "", "storage files in two formats"),
 ])
 def test_paths_without_a_bag_are_rejected_with_the_reason(tmp_path: Path, names: tuple[str, ...], path: str,
                                                          reason: str) -> None:

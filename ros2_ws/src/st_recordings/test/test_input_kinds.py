@@ -441,7 +441,7 @@ def test_parts_of_a_table_are_one_run(tmp_path: Path, drive_log: DriveLog, kind:
     (lambda log: geographic(log).replace(",5", ",520"),
      r"latitude \(column latitude\) is about 520\d[.\d]* deg, which is impossible; export"),
     (lambda log: re.sub(r",5\d\.(\d*)", r",3125.\1", geographic(log)),
-     r"deg, which is .*: \{latitude: min\}; or interchange"),
+     r"deg, which is .*: \{latitude: min\}; or swap"),
     (lambda log: re.sub(r"(?m)^(\d[^,]*),[^,]*,[^,]*", r"\1,0.0,0", geographic(log)),
      "latitude and longitude are 0 or empty in all rows, so the receiver had no fix; export x and y"),
     (lambda log: re.sub(r"(?m)^(\d[^,]*,[^,]*,[^,]*),[^,]*(.*)", r"\1\2,0,0,0,0", csv(rows(log), header())).replace(
@@ -468,7 +468,7 @@ def test_parts_of_a_table_are_one_run(tmp_path: Path, drive_log: DriveLog, kind:
     (lambda log: "# CL2000\nTimestamp;Type;ID;Data\n04T101112001;0;2;0102\n", "in an unknown format; export it"),
     (lambda log: csv([[f"2026-05-04 {clock(NOON)}", *row[1:]] for row in rows(log)], " ".join(NAMES), " "),
      "its rows have 9 cells, but its header has 8"),
-    (lambda log: geographic(log).replace("latitude,longitude", "longitude,latitude"), "are interchanged: they agree"),
+    (lambda log: geographic(log).replace("latitude,longitude", "longitude,latitude"), "are swapped: they agree"),
     (lambda log: positions_in_radians(geographic(log)),
      r"are in radians: if read as degrees, they give 1/\d\d of the driven"),
     (with_ambiguous_thousands, r"1,234 may be a number with a decimal mark or with a thousands separator"),

@@ -77,7 +77,7 @@ def test_run_yaml_restores_the_original_drive(tmp_path: Path, true_log: DriveLog
 
 def test_corrections_are_reported_in_checks_provenance_and_warnings(tmp_path: Path) -> None:
     run = load(tmp_path, "correct: {yaw_rate: {scale: 0.01745}}\nleave_out: [[2, 3.5]]")
-    phrases = ("yaw_rate x 0.01745", "INS left out from 2 to 3.5 s")
+    phrases = ("yaw_rate x 0.01745", "INS samples left out from 2 to 3.5 s")
     assert run.auxiliary.corrections == phrases and run.provenance["corrected"] == list(phrases)
     assert any(w.endswith("corrected by its run.yaml: " + "; ".join(phrases)) for w in run.warnings)
     plain = load(tmp_path, "")

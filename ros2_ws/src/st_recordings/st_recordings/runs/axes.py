@@ -212,10 +212,10 @@ def compute_steps(table: Table, x: np.ndarray, y: np.ndarray, is_geographic: boo
 
 def check_geographic(table: Table, columns: Mapping[str, np.ndarray], latitude: np.ndarray,
                      longitude: np.ndarray) -> None:
-    """Raises RunError if latitude and longitude are in radians without a stated unit, or interchanged.
+    """Raises RunError if latitude and longitude are in radians without a stated unit, or swapped.
 
-    They are interchanged if they agree with the integrated speed and the heading only the other way round. Distances
-    are compared over steps of one second, so that they are large relative to the noise of the receiver.
+    They are swapped if they agree with the integrated speed and the heading only the other way round. Distances are
+    compared over steps of one second, so that they are large relative to the noise of the receiver.
     """
     unknown = np.full(len(latitude), np.nan)
     speed, yaw = np.abs(columns.get("velocity_x", unknown)), columns.get("yaw", unknown)
@@ -239,6 +239,6 @@ def check_geographic(table: Table, columns: Mapping[str, np.ndarray], latitude: 
     if abs(ratio - 1.0) > 0.05 and angle > MIN_DISAGREEING_ANGLE and np.nanmax(np.abs(longitude)) < np.pi / 2:
         ratio, angle = compare(longitude, latitude)
         if abs(ratio - 1.0) < 0.02 and angle < MAX_AGREEING_ANGLE:
-            raise RunError(table.file, f"{names[0]} and {names[1]} are interchanged: they agree with the driven "
-                           "distance and the heading only the other way round", "interchange them in a run.yaml, as "
+            raise RunError(table.file, f"{names[0]} and {names[1]} are swapped: they agree with the driven distance "
+                           "and the heading only the other way round", "swap them in a run.yaml, as "
                            f"columns: {{latitude: '{names[1]}', longitude: '{names[0]}'}}")

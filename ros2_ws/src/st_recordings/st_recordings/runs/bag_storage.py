@@ -178,8 +178,8 @@ def open_bag(path: Path, files: Sequence[Path] = ()) -> Storage:
     if suffixes == {".db3"}:
         return SqliteStorage(path, files)
     if suffixes == {*EXTENSIONS}:
-        raise RunError(path, "this folder has storage files of both kinds (.mcap, .db3)",
-                       "move one kind into another folder")
+        raise RunError(path, "this folder has storage files in two formats (.mcap, .db3)",
+                       "move those of one format into another folder")
     problem = "this is not a bag" if path.is_file() else "this folder contains no storage file of a bag (.mcap, .db3)"
     raise RunError(path, problem, "give the folder that `ros2 bag record` or the recorder wrote")
 

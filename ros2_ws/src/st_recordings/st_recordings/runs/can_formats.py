@@ -442,7 +442,7 @@ def _read_blf(file: Path, notes: list[str]) -> Iterator[Any]:
             unread = start
             try:
                 if start not in starts or end > next_start < size:
-                    raise ValueError(f"the container at byte {start} has a wrong head or length")
+                    raise ValueError(f"the container at byte {start} has an invalid header or length")
                 data, reader._tail = _unpack_blf_container(content[start:end], reader._tail), b""
                 for message in reader._parse_container(data):
                     count += 1

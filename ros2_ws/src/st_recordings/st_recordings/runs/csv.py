@@ -278,7 +278,7 @@ def _derive_channels(table: Table, warnings: list[str], frame_id: str = ""
                 raise RunError(table.file, f"{name} (column {table.sources[name].name}) is about {median:.6g} deg, "
                                "which is impossible", "export decimal degrees, not degrees and minutes such as "
                                f"5206.123; or declare the unit in a run.yaml, as units: {{{name}: "
-                               f"{'min' if median < 60 * limit else '1e-7 deg'}}}; or interchange the two")
+                               f"{'min' if median < 60 * limit else '1e-7 deg'}}}; or swap the two")
         has_fix = (latitude != 0.0) | (longitude != 0.0)  # loggers write zeros before the first fix
         if not has_fix.all():
             count_text = format_count(int((~has_fix).sum()), len(has_fix), "rows")

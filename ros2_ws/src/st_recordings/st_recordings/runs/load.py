@@ -94,7 +94,7 @@ def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters
         notes.append(f"{source.path}: its reader has changed the sign of yaw_rate, so the scale in its run.yaml is "
                      "applied without its sign")
     phrases = (*describe_corrections(corrections),
-               *(f"INS left out from {start:g} to {end:g} s" for start, end in excluded_intervals))
+               *(f"INS samples left out from {start:g} to {end:g} s" for start, end in excluded_intervals))
     if not phrases:
         return replace(run, warnings=(*run.warnings, *notes))
     if "yaw" in corrections and READERS[source.kind].is_table:
