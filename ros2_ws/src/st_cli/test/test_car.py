@@ -237,7 +237,7 @@ def test_car_new_overwrites_nothing(skeleton):
     shutil.rmtree(skeleton)
     assert st("car", "check", skeleton).exit_code == 2
     skeleton.write_text("a file")
-    with pytest.raises(RunError, match="exists already"):
+    with pytest.raises(RunError, match="already exists"):
         write_skeleton(skeleton)
 
 
