@@ -6,9 +6,7 @@ process on the same machine; the predictor receives it at about the same time.
 
 import os
 import time
-from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 
 import numpy as np
 import psutil
@@ -37,80 +35,18 @@ HOPS = {
     "all: both in the kernel -> last prediction received": ("both_in_kernel", "received"),
 }
 SETTLING_TIME_NS = 1_000_000_000  # a new subscription receives its first messages late and all at once
-COMPUTE = "of which in the models"
-
-
-@dataclass(frozen=True)
-class Stream:
-    """Samples of one input in order. stamp: measurement time; kernel, written, received: later stamps; all [ns]."""
-
-    stamp: np.ndarray
-    kernel: np.ndarray
-    written: np.ndarray
-    received: np.ndarray
-
-    def first_from(self, start: int) -> int | None:
-        """Row of the first sample measured at `start` or later; None after the last sample and in the settling time."""
-        row = int(np.searchsorted(self.stamp, start))
-        return row if row < len(self.stamp) and start >= self.stamp[0] + SETTLING_TIME_NS else None
-
-
-@dataclass(frozen=True)
-class IssuedPrediction:
-    """A prediction: when it was issued, written and received, and the processor time of its model; all [ns]."""
-
-    issued: int
-    written: int
-    received: int
-    compute: int
-
-
-def collect_instants(start: int, odometry: Stream, steering: Stream,
-                     predictions: Sequence[IssuedPrediction]) -> dict[str, int] | None:
-    """Instants of a tick and processor time of its models [ns]; None if one of its samples was not received.
-
-    start: time of the predicted state, the newest at which both inputs were known.
-    """
-    ins, angle = odometry.first_from(start), steering.first_from(start)
-    if ins is None or angle is None:
-        return None
-    last = max(predictions, key=lambda prediction: prediction.issued)
-    instants = {
-        "packet": int(odometry.kernel[ins]), "odometry_written": int(odometry.written[ins]),
-        "odometry_received": int(odometry.received[ins]), "frame": int(steering.kernel[angle]),
-        "steering_written": int(steering.written[angle]), "steering_received": int(steering.received[angle]),
-        "first_model_started": min(prediction.issued - prediction.compute for prediction in predictions),
-        "issued": last.issued, "written": last.written,
-        "received": max(prediction.received for prediction in predictions),
-        "compute": sum(prediction.compute for prediction in predictions),
-    }
-    return instants | {"both_in_kernel": max(instants["packet"], instants["frame"]),
-                       "both_received": max(instants["odometry_received"], instants["steering_received"])}
-
-
-def hop_durations(ticks: Sequence[Mapping[str, int]]) -> dict[str, dict[str, float]]:
-    """Name of each hop, in the order of the path -> median, 99 % quantile and maximum of its duration [ms]."""
-    rows: dict[str, dict[str, float]] = {}
-    for name, (begin, end) in HOPS.items():
-        rows[name] = percentiles([(tick[end] - tick[begin]) * 1e-6 for tick in ticks])
-        if end == "issued":
-            rows[COMPUTE] = percentiles([tick["compute"] * 1e-6 for tick in ticks])
-    return rows
-
-
-def percentiles(values: object) -> dict[str, float]:
-    return {f"p{q}": float(np.percentile(values, q)) for q in (50, 99)} | {"max": float(np.max(values))}
 
 
 class Listener(Node):
-    """Records when samples reached the host and were published, and when predictions were published."""
+    """Records when samples reached the host and were published, and when predictions were published, in rows of ns."""
 
     def __init__(self) -> None:
         super().__init__("latency_listener")
-        self.packets: list[tuple[int, bytes]] = []  # (received [ns], as sent)
-        self.predictions: dict[int, list[IssuedPrediction]] = {}  # by start
-        self.odometry: list[tuple[int, int, int]] = []  # (stamp, written, received) [ns]
-        self.angles: list[tuple[int, int, int]] = []  # (stamp, written, received) [ns]
+        self.packets: list[tuple[int, bytes]] = []  # (received, as sent)
+        self.odometry: list[tuple[int, int, int]] = []  # (stamp, written, received)
+        self.angles: list[tuple[int, int, int]] = []  # (stamp, written, received)
+        # (start, issued, written, received, processor time of the model).
+        self.predictions: list[tuple[int, int, int, int, int]] = []
         qos = QoSProfile(depth=1000)
         self._packets = PolledSubscription(self, Ncom, "ins/ncom", qos)
         self._odometry = PolledSubscription(self, Odometry, "ins/odometry", qos)
@@ -120,15 +56,13 @@ class Listener(Node):
     def take(self) -> None:
         self.packets += [(to_nanoseconds(message.header.stamp), bytes(message.raw_packet))
                          for message, _, _ in self._packets.take()]
-        self.odometry += [(to_nanoseconds(message.header.stamp), sent, received)
-                          for message, received, sent in self._odometry.take()]
-        self.angles += [(to_nanoseconds(message.header.stamp), sent, received)
-                        for message, received, sent in self._steering.take()]
+        for rows, subscription in ((self.odometry, self._odometry), (self.angles, self._steering)):
+            rows += [(to_nanoseconds(message.header.stamp), sent, received)
+                     for message, received, sent in subscription.take()]
         for subscription in self._models:
-            for message, received, sent in subscription.take():
-                start, issued = to_nanoseconds(message.header.stamp), to_nanoseconds(message.issued_at)
-                prediction = IssuedPrediction(issued, sent, received, round(message.compute_time * 1e9))
-                self.predictions.setdefault(start, []).append(prediction)
+            self.predictions += [
+                (to_nanoseconds(message.header.stamp), to_nanoseconds(message.issued_at), sent, received,
+                 round(message.compute_time * 1e9)) for message, received, sent in subscription.take()]
 
 
 def run() -> dict:
@@ -164,32 +98,48 @@ def processor_time(pid: int) -> float:
     return times.user + times.system
 
 
-def collect_ticks(node: Listener) -> list[dict[str, int]]:
-    """Instants of the ticks for which all samples and predictions were received; see `collect_instants`."""
+def collect_ticks(node: Listener) -> dict[str, np.ndarray]:
+    """Instants of the ticks for which all samples and predictions were received, and processor time of their models;
+    all [ns].
+
+    A tick predicts from the newest instant at which both inputs were known: its samples are the first from then on.
+    """
     packets = decode_file(b"".join(raw for _, raw in node.packets))
     kernel = dict(zip(packets.utc_ns.tolist(), (stamp for stamp, _ in node.packets), strict=True))
-    rows = [(stamp, kernel[stamp], *later) for stamp, *later in sorted(node.odometry) if stamp in kernel]
-    ins = Stream(*np.array(rows, np.int64).reshape(-1, 4).T)
+    ins = np.array([(stamp, kernel[stamp], *later) for stamp, *later in sorted(node.odometry) if stamp in kernel])
     # The steering latency of the virtual car is zero, so that the stamp of an angle is that of the kernel.
-    rows = [(stamp, stamp, *later) for stamp, *later in sorted(node.angles)]
-    steering = Stream(*np.array(rows, np.int64).reshape(-1, 4).T)
-    ticks = [collect_instants(start, ins, steering, predictions) for start, predictions in node.predictions.items()
-             if len(predictions) == len(MODELS)]
-    return [tick for tick in ticks if tick is not None]
+    steering = np.array([(stamp, stamp, *later) for stamp, *later in sorted(node.angles)])
+    predictions = np.array(sorted(node.predictions))
+    starts, first, counts = np.unique(predictions[:, 0], return_index=True, return_counts=True)
+    chosen = (counts == len(MODELS)) & (starts >= max(ins[0, 0], steering[0, 0]) + SETTLING_TIME_NS)
+    chosen &= starts <= min(ins[-1, 0], steering[-1, 0])
+    ins, steering = (rows[np.searchsorted(rows[:, 0], starts[chosen])] for rows in (ins, steering))
+    rows = predictions[first[chosen][:, None] + np.arange(len(MODELS))]  # (ticks, models, 5), in the order of issue
+    ticks = {"packet": ins[:, 1], "odometry_written": ins[:, 2], "odometry_received": ins[:, 3],
+             "frame": steering[:, 1], "steering_written": steering[:, 2], "steering_received": steering[:, 3],
+             "first_model_started": (rows[:, :, 1] - rows[:, :, 4]).min(axis=1), "issued": rows[:, -1, 1],
+             "written": rows[:, -1, 2], "received": rows[:, :, 3].max(axis=1), "compute": rows[:, :, 4].sum(axis=1)}
+    return ticks | {"both_in_kernel": np.maximum(ticks["packet"], ticks["frame"]),
+                    "both_received": np.maximum(ticks["odometry_received"], ticks["steering_received"])}
 
 
-def latencies_ms(ticks: list[dict[str, int]], end: str = "issued") -> list[float]:
-    """Time from the arrival of both samples of a tick to the instant `end` of its last prediction."""
-    return [(tick[end] - tick["both_in_kernel"]) * 1e-6 for tick in ticks]
+def percentiles(duration_ns: np.ndarray) -> dict[str, float]:
+    """Median, 99 % quantile and maximum [ms]."""
+    return {f"p{q}": float(np.percentile(duration_ns, q)) * 1e-6 for q in (50, 99)} | {
+        "max": float(np.max(duration_ns)) * 1e-6}
 
 
 def _evaluate(node: Listener) -> dict:
-    ticks = collect_ticks(node)
+    ticks, hops = collect_ticks(node), {}
+    for name, (begin, end) in HOPS.items():
+        hops[name] = percentiles(ticks[end] - ticks[begin])
+        if end == "issued":
+            hops["of which in the models"] = percentiles(ticks["compute"])
     return {
         "packets_received": len(node.packets),
-        "ticks_with_three_predictions": len(ticks),
-        "samples_to_third_prediction_published_ms": percentiles(latencies_ms(ticks)),
-        "samples_to_third_prediction_received_ms": percentiles(latencies_ms(ticks, "received")),
-        "between_packets_ms": percentiles(np.diff([stamp for stamp, _ in node.packets]) * 1e-6),
-        "hops_ms": hop_durations(ticks),
+        "ticks_with_three_predictions": len(ticks["issued"]),
+        "samples_to_third_prediction_published_ms": percentiles(ticks["issued"] - ticks["both_in_kernel"]),
+        "samples_to_third_prediction_received_ms": percentiles(ticks["received"] - ticks["both_in_kernel"]),
+        "between_packets_ms": percentiles(np.diff([stamp for stamp, _ in node.packets])),
+        "hops_ms": hops,
     }
