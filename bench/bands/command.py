@@ -313,14 +313,8 @@ def score_held_out(title: str, runs: Runs, groups: Mapping, model: str,
 
 def score_transfer(title: str, runs: Runs, others: Runs, model: str) -> dict[str, Row]:
     """Tests bands of `runs` on runs of another car or mounting, for which the coverage is not guaranteed."""
-    rows = {}
-    for mode in MODES:
-        calibration_runs = list(runs.values())
-        band = calibrate(calibration_runs, (model, mode), TIME, LEVELS)
-        rows[f"{title}, {mode}, conformal"] = format_cells(sum_scores(band, calibration_runs, list(others.values()),
-                                                                      (model, mode)), [])
-        print(title, mode, rows[f"{title}, {mode}, conformal"], flush=True)
-    return rows
+    tested = {f"tested {name}": run for name, run in others.items()}
+    return score_held_out(title, {**runs, **tested}, {"tested": tuple(tested)}, model)
 
 
 def sum_scores(band: Band, calibration_runs: Sequence[ErrorSamples], tested_runs: Sequence[ErrorSamples],

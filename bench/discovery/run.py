@@ -65,25 +65,17 @@ def _discover(suspect, vehicle, reference, settings: DiscoverySettings) -> tuple
 
 def describe_answer(found: Discovery) -> Record:
     """The part of a record that describes the answer."""
-    errors = found.errors.get("position_5s")
     return {
         "outcome": found.outcome,
         "effects": [*({"name": e.name, "kind": e.kind, "alternatives": list(e.alternatives),
                        "position_5s": round(e.position_5s_increase, 4), "values": _values(e)} for e in found.effects),
                     *({"name": c.effects[0], "kind": "combination", "alternatives": list(c.effects[1:]),
                        "position_5s": 0.0, "values": {}} for c in found.unseparated_combinations)],
-        "kept": {e.name: _values(e) for e in found.minor},
         "on_top": {c.name: dict(c.parameters) for c in found.candidates},
         "varying": [[b.resembles, b.varies_with] for b in found.varying],
         "unexplained": bool(found.signature),
-        "steps": [[s.effect, round(s.position_5s.base, 4), round(s.position_5s.augmented, 4)]
-                  for s in found.steps],
         "budget": {b.part: [round(v, 4) for v in (b.share_added_last, b.share_added_first)] for b in found.budget},
-        "errors": None if errors is None else [round(errors.base, 4), round(errors.augmented, 4)],
         "powers": [[p.effect, p.parameter, p.size, p.probability] for p in found.power_analysis.powers],
-        "not_testable": [n.name for n in found.not_testable],
-        "refused": [[c.name, round(c.gain, 4), c.verdict] for c in found.candidates[:5]
-                    if c.verdict not in ("named", "alternative")],
     }
 
 

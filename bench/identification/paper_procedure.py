@@ -1,15 +1,15 @@
 """The procedure of the paper with virtual drives S1 to S7: steering offset, cornering stiffnesses, evaluation."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from st_core.batch import LogBatch
 from st_core.identification.axle_forces import identify_stiffness
 from st_core.identification.driving_prediction import fit_stiffness
 from st_core.identification.result import Identification
 from st_core.identification.steering import identify_steering_offset
-from st_core.log import LogSignals
-from st_core.log_evaluation import regular_starts, usable_starts
+from st_core.log import DriveLog
+from st_core.log_evaluation import evaluate_log
 from st_core.models import MODELS
 from st_core.vehicle import VehicleParameters
 
@@ -40,24 +40,17 @@ def run_procedure() -> dict:
     return {"found": estimates, "errors": {name: prediction_errors(logs, file) for name, file in files.items()}}
 
 
-def prediction_errors(logs: list, car: VehicleParameters) -> dict:
+def prediction_errors(logs: Sequence[DriveLog], car: VehicleParameters) -> dict:
     """RMS of the horizon means in hindsight, longitudinal / lateral [m], by model and scenario, as in st evaluate."""
-    table: dict[str, dict[str, str]] = {model: {} for model in MODELS}
-    total: dict[str, list] = {model: [] for model in MODELS}
-    for log in logs:
-        own = log.with_steering(car)
-        starts, _ = usable_starts(LogSignals(own, 0.1, 5.0), car, regular_starts(own, 0.1), 0.5)
-        batch = LogBatch(own, starts)
-        for model in MODELS:
-            mean = batch.errors(model, car)[:, :, :2].mean(axis=1)
-            mean = mean[np.isfinite(mean).all(axis=1)]
-            table[model][log.name] = _rms(mean)
-            total[model].append(mean)
-    return {model: {**table[model], "all": _rms(np.concatenate(total[model]))} for model in MODELS}
-
-
-def _rms(values: np.ndarray) -> str:
-    return " / ".join(f"{value:.2f}" for value in np.sqrt(np.square(values).mean(axis=0)))
+    evaluations = [evaluate_log(tuple(MODELS), car, log.with_steering(car)) for log in logs]
+    table = {}
+    for model in MODELS:
+        errors = [evaluation.errors[model, "hindsight"] for evaluation in evaluations]
+        squares = np.square([[one.statistics(axis)[2] for axis in ("longitudinal", "lateral")] for one in errors])
+        pooled = np.average(squares, axis=0, weights=[one.n_starts for one in errors])
+        table[model] = {name: " / ".join(f"{value:.2f}" for value in np.sqrt(row)) for name, row in zip(
+            [*(log.name for log in logs), "all"], [*squares, pooled], strict=True)}
+    return table
 
 
 def _format_estimates(found: Identification, factor: float = 1.0) -> dict:
