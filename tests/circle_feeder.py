@@ -25,15 +25,20 @@ def pose_at(t: float, radius: float, speed: float) -> tuple[float, float, float]
     return radius * math.sin(angle), radius - radius * math.cos(angle), angle
 
 
-def odometry(stamp_ns: int, t: float, options: argparse.Namespace) -> Odometry:
-    x, y, yaw = pose_at(t, options.radius, options.speed)
+def odometry(stamp_ns: int, x: float, y: float, yaw: float, velocity_x: float, velocity_y: float, yaw_rate: float,
+             frame: str = "map") -> Odometry:
     message = Odometry(child_frame_id="ins_link")
-    message.header.stamp = from_nanoseconds(stamp_ns)
-    message.header.frame_id = options.frame
+    message.header.stamp, message.header.frame_id = from_nanoseconds(stamp_ns), frame
     position, orientation = message.pose.pose.position, message.pose.pose.orientation
     position.x, position.y, orientation.z, orientation.w = x, y, math.sin(yaw / 2), math.cos(yaw / 2)
-    message.twist.twist.linear.x = options.speed
-    message.twist.twist.angular.z = options.speed / options.radius
+    twist = message.twist.twist
+    twist.linear.x, twist.linear.y, twist.angular.z = velocity_x, velocity_y, yaw_rate
+    return message
+
+
+def steering(stamp_ns: int, steering_wheel_angle: float, road_wheel_angle: float, valid: bool = True) -> Steering:
+    message = Steering(steering_wheel_angle=steering_wheel_angle, road_wheel_angle=road_wheel_angle, valid=valid)
+    message.header.stamp = from_nanoseconds(stamp_ns)
     return message
 
 
@@ -47,7 +52,7 @@ def main() -> None:
     node = rclpy.create_node("feeder")
     qos = QoSProfile(depth=1000)  # as in the bridges, for retransmission of messages that UDP has lost
     ins = node.create_publisher(Odometry, "ins/odometry", qos)
-    steering = node.create_publisher(Steering, "vehicle/steering", qos)
+    angles = node.create_publisher(Steering, "vehicle/steering", qos)
     clock = node.create_publisher(Clock, "/clock", qos) if options.loop else None
     subscribers = {"ins/odometry": options.subscribers, "vehicle/steering": options.subscribers}
     subscribers |= {topic: int(count) for topic, _, count in (text.rpartition(":") for text in options.wait_for)}
@@ -66,15 +71,12 @@ def main() -> None:
         if clock:
             clock.publish(Clock(clock=from_nanoseconds(stamp_ns)))
         if not within(t, options.silent_odometry):
-            message = odometry(stamp_ns, t, options)
-            if within(t, options.nan):
-                message.twist.twist.linear.x = math.nan
-            ins.publish(message)
+            speed = math.nan if within(t, options.nan) else options.speed
+            ins.publish(odometry(stamp_ns, *pose_at(t, options.radius, options.speed), speed, 0.0,
+                                 options.speed / options.radius, options.frame))
         if not within(t, options.silent_steering):
-            angle = Steering(road_wheel_angle=options.angle, steering_wheel_angle=17.3 * options.angle)
-            angle.valid = not within(t, options.invalid_steering)
-            angle.header.stamp = from_nanoseconds(stamp_ns)
-            steering.publish(angle)
+            angles.publish(steering(stamp_ns, 17.3 * options.angle, options.angle,
+                                    not within(t, options.invalid_steering)))
     spin.flush(node)
     node.destroy_node()
     rclpy.shutdown()

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import rclpy
+from circle_feeder import odometry, steering
 from nav_msgs.msg import Odometry
 from rclpy.qos import QoSProfile
 from st_core.vehicle import VehicleParameters
@@ -59,7 +60,7 @@ def main() -> None:
     rclpy.init()
     node = rclpy.create_node("feeder")
     qos = QoSProfile(depth=1000)
-    ins, steering, plans = (node.create_publisher(kind, name, qos) for kind, name in (
+    ins, angles, plans = (node.create_publisher(kind, name, qos) for kind, name in (
         (Odometry, "ins/odometry"), (Steering, "vehicle/steering"), (InputPlan, "plan/inputs")))
     expected = {"ins/odometry": 3, "vehicle/steering": 3, "plan/inputs": 2}
     for model in ("kinematic", "linear", "nonlinear"):
@@ -73,16 +74,8 @@ def main() -> None:
         t, x, y, yaw, v_x, v_y, rate, steering_wheel = drive[k].tolist()
         time.sleep(max(0.0, began + t - time.monotonic()))
         stamp_ns = zero_ns + round(t * 1e9)
-        message = Odometry(child_frame_id="ins_link")
-        message.header.stamp, message.header.frame_id = from_nanoseconds(stamp_ns), "map"
-        message.pose.pose.position.x, message.pose.pose.position.y = x, y
-        message.pose.pose.orientation.z, message.pose.pose.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
-        twist = message.twist.twist
-        twist.linear.x, twist.linear.y, twist.angular.z = v_x, v_y, rate
-        ins.publish(message)
-        measured = Steering(steering_wheel_angle=steering_wheel, road_wheel_angle=float(angle[k]), valid=True)
-        measured.header.stamp = message.header.stamp
-        steering.publish(measured)
+        ins.publish(odometry(stamp_ns, x, y, yaw, v_x, v_y, rate))
+        angles.publish(steering(stamp_ns, steering_wheel, float(angle[k])))
         fault = faults[int((t - options.good) / options.faulty)] if t >= options.good else ""
         if k % 10 == 0 and fault != "none":
             plans.publish(plan_message(drive, angle, k, stamp_ns, fault, options.path, car))

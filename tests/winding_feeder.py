@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import rclpy
+from circle_feeder import odometry, steering
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -18,7 +19,6 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from st_core.vehicle import VehicleParameters
 from st_msgs.msg import Steering, TrackedParameters
 from st_ros import spin
-from st_ros.polling import from_nanoseconds
 from winding_road import Truth, winding_road
 
 PROGRESS_TIMEOUT = 30.0  # s without progress of the node
@@ -34,25 +34,17 @@ def main() -> None:
     node = rclpy.create_node("feeder")
     qos = QoSProfile(depth=1000)
     ins = node.create_publisher(Odometry, "ins/odometry", qos)
-    steering = node.create_publisher(Steering, "vehicle/steering", qos)
+    angles = node.create_publisher(Steering, "vehicle/steering", qos)
     progress = Progress(node)
-    while not (progress.received and is_subscribed(node, ins) and is_subscribed(node, steering)):
+    while not (progress.received and is_subscribed(node, ins) and is_subscribed(node, angles)):
         rclpy.spin_once(node, timeout_sec=0.1)
     zero = time.time_ns()
     print("feeding", flush=True)
     for t, x, y, yaw, v_x, v_y, rate, angle in drive.tolist():
         progress.wait_for(t - MAX_BACKLOG)
-        message = Odometry(child_frame_id="ins_link")
-        message.header.stamp, message.header.frame_id = from_nanoseconds(zero + round(t * 1e9)), "map"
-        position, orientation = message.pose.pose.position, message.pose.pose.orientation
-        position.x, position.y = x, y
-        orientation.z, orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
-        twist = message.twist.twist
-        twist.linear.x, twist.linear.y, twist.angular.z = v_x, v_y, rate
-        ins.publish(message)
-        measured = Steering(steering_wheel_angle=angle, road_wheel_angle=car.road_wheel_angle(angle), valid=True)
-        measured.header.stamp = message.header.stamp
-        steering.publish(measured)
+        stamp_ns = zero + round(t * 1e9)
+        ins.publish(odometry(stamp_ns, x, y, yaw, v_x, v_y, rate))
+        angles.publish(steering(stamp_ns, angle, car.road_wheel_angle(angle)))
     progress.wait_for(options.seconds - 1.0)
     spin.flush(node)
     node.destroy_node()

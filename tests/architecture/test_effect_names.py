@@ -27,12 +27,6 @@ def is_checked(path) -> bool:
             and not CHECK_FOLDERS & set(path.parts))
 
 
-def test_names_are_found_in_literals_and_not_in_sentences():
-    source = 'table = {"friction": 1}\nif name == "mass.factor": pass\n"friction, as a word in a sentence"'
-    assert effect_names(source) == {"friction", "mass.factor"}
-    assert effect_names((SOURCES / EFFECTS_FOLDER / "friction.py").read_text()) >= {"front_stiffness", "rear_stiffness"}
-
-
 def test_effects_are_named_only_in_their_own_files():
     found = {path.as_posix(): sorted(effect_names((SOURCES / path).read_text()) - OTHER_MEANINGS)
              for path in (p.relative_to(SOURCES) for p in SOURCES.rglob("*.py")) if is_checked(path)}

@@ -4,7 +4,7 @@ import random
 import struct
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 
 from canedge_bridge.decode import Decoder
@@ -34,79 +34,78 @@ def signed(packet: bytearray) -> bytes:
     return bytes(packet)
 
 
-def position_mode(mode: int) -> Change:
-    """Sets the position mode in status channel 0."""
+def edited(edit: Callable[[bytearray], None]) -> Change:
+    """Edits every packet in place and updates its checksums."""
 
     def change(data: bytes) -> Sequence[bytes]:
         packet = bytearray(data)
-        if packet[62] == 0:
-            packet[63 + 5] = mode
+        edit(packet)
         return (signed(packet),)
 
     return change
+
+
+def position_mode(mode: int) -> Change:
+    """Sets the position mode in status channel 0."""
+
+    def edit(packet: bytearray) -> None:
+        if packet[62] == 0:
+            packet[63 + 5] = mode
+
+    return edited(edit)
 
 
 def moved(latitude: float) -> Change:
     """Moves the position to the north [rad]."""
 
-    def change(data: bytes) -> Sequence[bytes]:
-        packet = bytearray(data)
+    def edit(packet: bytearray) -> None:
         packet[23:31] = struct.pack("<d", struct.unpack_from("<d", packet, 23)[0] + latitude)
-        return (signed(packet),)
 
-    return change
+    return edited(edit)
 
 
 def at_latitude(latitude: float) -> Change:
     """Sets the latitude [rad], which may be impossible."""
 
-    def change(data: bytes) -> Sequence[bytes]:
-        packet = bytearray(data)
+    def edit(packet: bytearray) -> None:
         packet[23:31] = struct.pack("<d", latitude)
-        return (signed(packet),)
 
-    return change
+    return edited(edit)
 
 
 YAW_RATE = slice(18, 21)  # 24 bits, little endian, right turn +
 
 
 def yaw_rate_times(factor: float) -> Change:
-    def change(data: bytes) -> Sequence[bytes]:
-        packet = bytearray(data)
+    def edit(packet: bytearray) -> None:
         value = int.from_bytes(packet[YAW_RATE], "little", signed=True)
         packet[YAW_RATE] = round(factor * value).to_bytes(3, "little", signed=True)
-        return (signed(packet),)
 
-    return change
+    return edited(edit)
 
 
 def yaw_rate_late(packets: int) -> Change:
     """Delays the yaw rate by a number of packets; the first packets get the first value."""
     rates: deque[bytes] = deque(maxlen=packets + 1)
 
-    def change(data: bytes) -> Sequence[bytes]:
-        packet = bytearray(data)
+    def edit(packet: bytearray) -> None:
         rates.append(bytes(packet[YAW_RATE]))
         packet[YAW_RATE] = rates[0]
-        return (signed(packet),)
 
-    return change
+    return edited(edit)
 
 
 def shifted(milliseconds: int) -> Change:
     """Shifts the GPS time of every packet, including the minutes in status channel 0."""
 
-    def change(data: bytes) -> Sequence[bytes]:
-        packet = bytearray(data)
+    def edit(packet: bytearray) -> None:
         before = struct.unpack_from("<H", packet, 1)[0]
         minutes, after = divmod(before + milliseconds, _MINUTE_MS)
         packet[1:3] = struct.pack("<H", after)
         if packet[62] == 0:
             packet[63:67] = struct.pack("<i", struct.unpack_from("<i", packet, 63)[0] + minutes)
-        return (signed(packet),)
 
-    return change
+    return edited(edit)
 
 
 class Restart:

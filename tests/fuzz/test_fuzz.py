@@ -12,15 +12,8 @@ from fuzz.targets import TARGETS
 
 MAX_INPUTS, MAX_SECONDS = 40, 5.0  # per target
 
-# Known findings that are not corrected yet: input in corpus/ -> description.
-OPEN: dict[str, str] = {}
-WITHOUT_OPEN_FINDINGS = sorted(set(TARGETS) - {name.partition("/")[0] for name in OPEN})
-
-
-def _corpus() -> list:
-    marks = {name: pytest.mark.xfail(reason=reason, raises=Finding) for name, reason in OPEN.items()}
-    names = {f"{target.name}/{path.name}": (target, path) for target in TARGETS.values() for path in target.corpus}
-    return [pytest.param(*each, id=name, marks=marks.get(name, ())) for name, each in names.items()]
+CORPUS = [pytest.param(target, path, id=f"{target.name}/{path.name}") for target in TARGETS.values()
+          for path in target.corpus]
 
 
 @pytest.mark.parametrize("name", TARGETS)
@@ -29,22 +22,18 @@ def test_valid_inputs_are_accepted(name, capfd):
         check(TARGETS[name], seed)
 
 
-@pytest.mark.parametrize(("target", "path"), _corpus())
+@pytest.mark.parametrize(("target", "path"), CORPUS)
 def test_input_of_an_earlier_finding_passes(target, path):
     check(target, path.read_bytes())
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", WITHOUT_OPEN_FINDINGS)
+@pytest.mark.parametrize("name", sorted(TARGETS))
 def test_mutated_inputs_give_no_finding(name):
     """The inputs are the same in every run."""
     tally = harness.fuzz(TARGETS[name], 1, MAX_SECONDS, MAX_INPUTS)
     assert not tally.findings, tally.findings[0]
     assert tally.inputs
-
-
-def _failing(run) -> Target:
-    return Target("failing", lambda: [b"seed"], run)
 
 
 def _hang(data: bytes, folder: Path) -> str:
@@ -73,7 +62,7 @@ def _allocate_and_hang(data: bytes, folder: Path) -> str:
 ])
 def test_harness_reports_hangs_errors_and_memory(run, message):
     with pytest.raises(Finding, match=message):
-        check(_failing(run), b"x")
+        check(Target("failing", lambda: [b"seed"], run), b"x")
 
 
 def test_harness_reports_a_crash_of_a_fragile_target():
@@ -83,26 +72,3 @@ def test_harness_reports_a_crash_of_a_fragile_target():
 
     with pytest.raises(Finding, match="ended with -11"):
         check(Target("crash", lambda: [b""], crash, fragile=True), b"x")
-
-
-def test_input_of_a_finding_is_minimised():
-    def refuse(data: bytes, folder: Path) -> str:
-        assert b"\x7f" not in data
-        return "fine"
-
-    target = _failing(refuse)
-    with pytest.raises(Finding) as finding:
-        check(target, bytes(range(256)))
-    assert harness.minimise(target, finding.value) == b"\x7f"
-
-
-def test_different_findings_are_counted_separately():
-    def run(data: bytes, folder: Path) -> str:
-        if len(data) > 8:
-            raise ValueError("too long")
-        assert data[:1] != b"\xff"
-        return "fine"
-
-    tally = harness.fuzz(_failing(run), 1, 60.0, max_inputs=800)
-    assert {finding.place.split()[0] for finding in tally.findings} == {"ValueError", "AssertionError"}
-    assert tally.outcomes["fine"] > 100
