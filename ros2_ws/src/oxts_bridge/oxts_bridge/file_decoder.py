@@ -182,7 +182,7 @@ def compute_packet_times(ms: np.ndarray, minutes: np.ndarray,
     stops = np.unique(np.concatenate([np.flatnonzero(is_late), with_minute[1:][np.diff(bases) != 0], [len(ms)]]))
     times = np.full(len(ms), -1, np.int64)
     order = np.where(ahead > 0, ncom.NEW, ncom.SAME).astype(np.int8)
-    waiting, clock, start = deque(status_minutes), ncom.GpsClock(), 0
+    pending_minutes, clock, start = deque(status_minutes), ncom.GpsClock(), 0
     while start < len(ms):
         if clock.is_settled:
             base, k = clock.minute - wraps[start - 1], np.searchsorted(with_minute, start)
@@ -194,8 +194,8 @@ def compute_packet_times(ms: np.ndarray, minutes: np.ndarray,
                 clock.minute, clock.milliseconds = divmod(int(times[stop - 1]), ncom.MINUTE_MS)
             start = stop
         for i in range(start, min(start + _SINGLE_STEPS, len(ms))):
-            while waiting and waiting[0][0] <= i:
-                clock.initialise_minute(waiting.popleft()[1])
+            while pending_minutes and pending_minutes[0][0] <= i:
+                clock.initialise_minute(pending_minutes.popleft()[1])
             time, order[i] = clock.step(int(ms[i]), None if minutes[i] < 0 else int(minutes[i]))
             times[i] = -1 if time is None else time
             start = i + 1

@@ -135,12 +135,12 @@ def _find_opposite_step(time_ns: np.ndarray, row: int, start: int, end: int, med
     if len(large_steps) != 1:
         return None
     first, last = sorted((row, int(large_steps[0])))
-    correct, wrong = time_ns[last + 1] - time_ns[first], time_ns[last] - time_ns[first + 1]
+    true_duration, recorded_duration = time_ns[last + 1] - time_ns[first], time_ns[last] - time_ns[first + 1]
     tolerance, count = 2 * median_step + MIN_CLOCK_STEP * 1e9, last - first
     median_duration = np.median(time_ns[count:] - time_ns[:-count])  # of as many frames
-    max_correct = tolerance + (wrong if wrong > median_duration / 2 else 2 * median_duration)
-    is_short = count <= MAX_EARLY_FRAMES and correct >= 0
-    return int(large_steps[0]) if is_short or wrong - tolerance <= correct <= max_correct else None
+    max_duration = tolerance + (recorded_duration if recorded_duration > median_duration / 2 else 2 * median_duration)
+    is_short = count <= MAX_EARLY_FRAMES and true_duration >= 0
+    return int(large_steps[0]) if is_short or recorded_duration - tolerance <= true_duration <= max_duration else None
 
 
 def build_log(file: Path, parts: Sequence[Frames], warnings: Sequence[str], start_ns: int | None = None) -> CanLog:

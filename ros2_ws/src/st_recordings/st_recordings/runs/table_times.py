@@ -158,8 +158,8 @@ def count_rollovers(seconds: np.ndarray, min_jump: float) -> np.ndarray:
     """Number of rollovers before each time. A backward jump that the next jump reverses is a wrong time, such as 0."""
     jumps = np.diff(seconds, prepend=seconds[:1])
     rows = np.flatnonzero(np.abs(jumps) > min_jump)
-    returns = np.append(seconds[rows[1:]], -np.inf) >= seconds[rows - 1]
-    return np.cumsum(np.isin(np.arange(len(seconds)), rows[(jumps[rows] < 0) & ~returns]))
+    is_reversed = np.append(seconds[rows[1:]], -np.inf) >= seconds[rows - 1]
+    return np.cumsum(np.isin(np.arange(len(seconds)), rows[(jumps[rows] < 0) & ~is_reversed]))
 
 
 def is_valid_hhmmss(hhmmss: np.ndarray) -> np.ndarray:
