@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -77,19 +78,18 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
             if spec.is_needed and (fault := _describe_similar_id(frames.id, key)):
                 faults[message] = fault
             continue
-        decoded_message = _decode_message(frames, rows, spec)
-        buses = np.unique(frames.bus[rows])
-        if decoded_message.fault and len(buses) > 1:
-            by_bus = [_decode_message(frames, rows[frames.bus[rows] == bus], spec) for bus in buses.tolist()]
-            best_bus = max(by_bus, key=lambda candidate: candidate.n_valid)
-            if best_bus.n_valid >= decoded_message.n_valid:
-                note = f"{len(rows) - best_bus.n_frames} frames of this identifier on other buses are not used"
-                decoded_message = replace(best_bus, fault="; ".join(filter(None, (best_bus.fault, note))))
-        if decoded_message.fault:
-            faults[message] = decoded_message.fault
-        if len(decoded_message.rejected_times_ns):
-            rejected_times_ns[message] = decoded_message.rejected_times_ns
-        signals |= {(signal.name, message): signal for signal in decoded_message.signals}
+        decoded, n_valid = _decode_message(frames, rows, spec)
+        buses, counts = np.unique(frames.bus[rows], return_counts=True)
+        if decoded.faults and len(buses) > 1:
+            by_bus = [(*_decode_message(frames, rows[frames.bus[rows] == bus], spec), int(count))
+                      for bus, count in zip(buses, counts, strict=True)]
+            on_best_bus, n_best, n_frames = max(by_bus, key=itemgetter(1))
+            if n_best >= n_valid:
+                note = f"{len(rows) - n_frames} frames of this identifier on other buses are not used"
+                decoded = replace(on_best_bus, faults={message: "; ".join((*on_best_bus.faults.values(), note))})
+        signals |= decoded.signals
+        faults |= decoded.faults
+        rejected_times_ns |= decoded.rejected_times_ns
     return CanSignals(signals, faults, rejected_times_ns)
 
 
@@ -107,16 +107,8 @@ def _describe_similar_id(ids: np.ndarray, key: int) -> str:
     return f"the log has {identifiers} instead, which differs only in the J1939 priority and source address"
 
 
-@dataclass(frozen=True)
-class _DecodedMessage:
-    signals: tuple[Signal, ...]  # of one message
-    fault: str  # description of its faults
-    rejected_times_ns: np.ndarray  # log times of rejected frames
-    n_frames: int  # number of its frames
-    n_valid: int = 0  # number of its usable and valid frames
-
-
-def _decode_message(frames: Frames, rows: np.ndarray, spec: MessageSpec) -> _DecodedMessage:
+def _decode_message(frames: Frames, rows: np.ndarray, spec: MessageSpec) -> tuple[CanSignals, int]:
+    """(signals and faults of one message, number of its usable and valid frames)."""
     n_frames, payload, lengths = len(rows), frames.payload[rows], frames.length[rows]
     has_dbc_length = has_length(payload, lengths, spec.dbc.length)
     rows = rows[has_dbc_length]
@@ -125,19 +117,21 @@ def _decode_message(frames: Frames, rows: np.ndarray, spec: MessageSpec) -> _Dec
     sizes = zip(*np.unique(lengths, return_counts=True), strict=True)
     wrong_lengths = ", ".join(f"{format_count(int(count), n_frames, 'frames')} have {size} bytes"
                               for size, count in sizes if size != spec.dbc.length)
-    length_fault = f"{wrong_lengths} instead of {spec.dbc.length} as in the DBC; {consequence}" if wrong_lengths else ""
+    faults = [f"{wrong_lengths} instead of {spec.dbc.length} as in the DBC; {consequence}"] if wrong_lengths else []
     if not len(rows):
-        return _DecodedMessage((), length_fault, np.zeros(0, np.int64), n_frames)
+        return CanSignals({}, {spec.name: faults[0]}), 0
     data, time_ns = stack_bytes(payload[has_dbc_length], spec.dbc.length), frames.time_ns[rows]
     columns = spec.to_si(data)
     is_kept, valid, fault = check_frames(spec, data, time_ns, columns)
+    faults += [fault] if fault else []
     rejected_times_ns = time_ns[~is_kept]
     is_kept &= np.diff(time_ns, prepend=time_ns[0] - 1) > 0
-    signals = tuple(Signal(name, spec.name, time_ns[is_usable], values[is_usable], valid[is_usable], rows[is_usable])
-                    for name, values in replace_gps_time(columns).items()
-                    if (is_usable := is_kept & np.isfinite(values)).any())
-    return _DecodedMessage(signals, "; ".join(filter(None, (length_fault, fault))), rejected_times_ns, n_frames,
-                           int((is_kept & valid).sum()))
+    signals = {(name, spec.name): Signal(name, spec.name, time_ns[is_usable], values[is_usable], valid[is_usable],
+                                         rows[is_usable])
+               for name, values in replace_gps_time(columns).items()
+               if (is_usable := is_kept & np.isfinite(values)).any()}
+    return CanSignals(signals, {spec.name: "; ".join(faults)} if faults else {},
+                      {spec.name: rejected_times_ns} if len(rejected_times_ns) else {}), int((is_kept & valid).sum())
 
 
 def find_steering(signals: CanSignals, file: Path | str, table: SignalTable, notes: Sequence[str] = ()) -> Signal:

@@ -126,9 +126,9 @@ def remove_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]],
 def _find_opposite_step(time_ns: np.ndarray, row: int, start: int, end: int, median_step: int) -> int | None:
     """Row of the forward step, among those from `start` to `end`, that reverses the backward step after `row`.
 
-    None if no step or more than one is larger than half of it, or if the duration between the two steps differs between
-    the correct times around them and the wrong times within. It may be longer by the correct times if at most
-    MAX_EARLY_FRAMES frames, or nearly equal times, are within.
+    None if no step, or more than one, is larger than half of it, or if the true duration between the two steps, by the
+    times before and after them, differs from the recorded one. It may be longer if the recorded times are nearly equal,
+    and is not compared for up to MAX_EARLY_FRAMES frames.
     """
     steps = np.diff(time_ns[start:end + 1])
     large_steps = start + np.flatnonzero(steps > (time_ns[row] - time_ns[row + 1]) / 2)
