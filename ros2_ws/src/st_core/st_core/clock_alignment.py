@@ -54,8 +54,7 @@ class ClockStep(NamedTuple):
 
 
 class _ResampledSignals(NamedTuple):
-    """The usable signals of two recordings, resampled. Float times are relative to the first sample of the first usable
-    signal in each recording."""
+    """The usable signals of two recordings, resampled. Float times are relative to the start of the first one."""
 
     coarse: list[Pair]  # at COARSE_CUTOFF
     fine: list[Pair]  # at FINE_CUTOFF

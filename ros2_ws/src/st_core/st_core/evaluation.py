@@ -61,8 +61,7 @@ class Evaluator:
 
     span [s]: minimum duration of the stored measurements. models: models from files, in addition to
     MODELS. runners: compiled replacements of `predict`, by name of the model, for predictions with these settings
-    (`prediction.compile_model`). At most MAXIMUM_PENDING predictions wait for measurements; beyond that the oldest are
-    scored as incomplete.
+    (`prediction.compile_model`). Of more than MAXIMUM_PENDING pending predictions, the oldest become incomplete.
     """
 
     SIGNAL_TIMEOUT = 1.0  # s after the end of a horizon, by which a late signal must have arrived

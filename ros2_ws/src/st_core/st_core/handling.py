@@ -34,8 +34,7 @@ def rear_slip_coefficient(car: VehicleParameters) -> float:
 def linear_system(speed: float, car: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
     """(A, B) of d/dt (v_y, r) = A (v_y, r) + B delta, linearised about straight driving at `speed` [m/s].
 
-    delta: road wheel angle [rad]. Below minimum_slip_speed the tyre terms use minimum_slip_speed, as in the models.
-    Source: Guiggiani, ch. 6.
+    delta: road wheel angle [rad]. The tyre terms use at least minimum_slip_speed. Source: Guiggiani, ch. 6.
     """
     front, rear = car.cornering_stiffness_front, car.cornering_stiffness_rear
     l_f, l_r, v = car.cg_to_front_axle, car.cg_to_rear_axle, max(speed, car.minimum_slip_speed)

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from . import integrate
-from .batch import LogBatch
+from .batch import Inputs, LogBatch
 from .errors import ConfigurationError
 from .evaluation import Mode
 from .log import DriveLog, FilterMode, LogSignals
@@ -281,24 +281,20 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
     x, y, yaw, *others = signals.ins_at(instants, "x", "y", "yaw", "velocity_x", "yaw_rate", "velocity_x_dot")
     measured_pose = [values[index[::2]].T for values in (x, y, yaw)]
     speed, yaw_rate, acceleration, angle = (v[index].T for v in (*others, signals.road_wheel_angle_at(instants)))
-    measured_batch, held_batch = (LogBatch(signals, starts_ns, step * steps, step, inputs=choice)
-                                  for choice in ("measured", "held"))
-    trajectories: dict[tuple[str, Mode], np.ndarray] = {}
-    batches: dict[Mode, LogBatch] = {}
+    inputs: dict[Mode, Inputs] = {"hindsight": "measured", "forecast": "held"}
     for mode, columns in planned.items():
         is_planned = np.isfinite(np.stack(columns)).all(axis=(0, 2))[:, None]  # at other starts, inputs are held
-        inputs = tuple(np.where(is_planned, values, initial[:, :1])
-                       for values, initial in zip(columns, (angle, acceleration, angle), strict=False))
-        batches[mode] = LogBatch(signals, starts_ns, step * steps, step, inputs=inputs)
-    for model in models:
-        trajectories[model.name, "hindsight"] = (
-            measured_batch.predict(model, vehicle) if settings.inputs == "interpolate"
-            else predict_held_per_step(model, vehicle, signals, starts_ns, times[:, ::2], step))
-        trajectories[model.name, "forecast"] = held_batch.predict(model, vehicle)
-        trajectories |= {(model.name, mode): batch.predict(model, vehicle) for mode, batch in batches.items()}
-    errors: dict[tuple[str, Mode], np.ndarray] = {
-        (model.name, mode): reading_errors(model, vehicle, trajectories[model.name, mode], *measured_pose)
-        for model in models for mode in (*MODES, *planned)}
+        inputs[mode] = tuple(np.where(is_planned, values, initial[:, :1])
+                             for values, initial in zip(columns, (angle, acceleration, angle), strict=False))
+    trajectories: dict[tuple[str, Mode], np.ndarray] = {}
+    for mode, source in inputs.items():
+        batch = LogBatch(signals, starts_ns, step * steps, step, inputs=source)
+        for model in models:
+            trajectories[model.name, mode] = (
+                batch.predict(model, vehicle) if mode != "hindsight" or settings.inputs == "interpolate"
+                else predict_held_per_step(model, vehicle, signals, starts_ns, times[:, ::2], step))
+    errors = {(model.name, mode): reading_errors(model, vehicle, trajectories[model.name, mode], *measured_pose)
+              for model in models for mode in inputs}
     inputs_known = InputSequence(angle, acceleration).is_known_so_far
     for model in models:
         errors[model.name, "hindsight"][~inputs_known[:, ::2]] = np.nan

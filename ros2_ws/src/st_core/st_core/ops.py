@@ -19,9 +19,7 @@ _registered: dict[type, Mapping[str, Callable]] = {}
 
 def register(number_type: type, functions: Mapping[str, Callable]) -> None:
     """Register the functions of an additional number type. Raises KeyError if one of NAMES is missing."""
-    for name in NAMES:
-        functions[name]
-    _registered[number_type] = functions
+    _registered[number_type] = {name: functions[name] for name in NAMES}
 
 
 def _call_registered(name: str, *arguments: Any):

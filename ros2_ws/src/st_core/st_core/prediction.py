@@ -273,8 +273,7 @@ def compile_model(model: Model, vehicle: VehicleParameters, settings: Prediction
         raise ConfigurationError("numba cannot compile the model")
 
     def run(state: VehicleState, inputs: ControlInput | InputSequence) -> Trajectory:
-        # The compiled code advances several predictions (lanes) in parallel; only the first is used here, and the
-        # values in the others do not matter.
+        # The compiled code advances several predictions (lanes) in parallel; only the first is used here.
         angle, acceleration = inputs.road_wheel_angle, inputs.velocity_x_dot
         if isinstance(inputs, ControlInput):
             first = model.inputs(float(angle), float(acceleration), p)

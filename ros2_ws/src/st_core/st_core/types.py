@@ -149,7 +149,7 @@ def pose_errors(predicted_x: Number, predicted_y: Number, predicted_yaw: Number,
 
         (e_lon, e_lat) = R(-yaw_measured) (p_predicted - p_measured),  p at the INS point
 
-    Source: Aertssen et al., AVEC 2026, section on the comparison.
+    Source: paper, section on the comparison.
     """
     longitudinal, lateral = map_to_body(predicted_x - x, predicted_y - y, yaw)
     return longitudinal, lateral, wrap_angle(predicted_yaw - yaw)
@@ -161,8 +161,7 @@ def ins_to_cg(sample: InsSample, cg_to_ins_x: float, cg_to_ins_y: float = 0.0) -
         p_cg = p_ins - R(yaw) d,    v_x,cg = v_x,ins + r d_y,    v_y,cg = v_y,ins - r d_x
 
     d = (cg_to_ins_x, cg_to_ins_y) [m] is the INS point relative to the CG, forward and left; behind the CG d_x < 0.
-    Source: Aertssen et al., AVEC 2026, equation of the sensor offset, in which d has the opposite sign. Checked by:
-    test_frames.py.
+    Source: paper, equation of the sensor offset, in which d has the opposite sign. Checked by: test_frames.py.
     """
     cosine, sine = cos(sample.yaw), sin(sample.yaw)
     return VehicleState(

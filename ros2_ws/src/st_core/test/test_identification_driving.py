@@ -16,7 +16,7 @@ from st_core.identification.driving_prediction import (
 )
 from st_core.identification.ins_mounting import identify_ins_mounting
 from st_core.identification.result import IdentificationError
-from st_core.identification.steering import DIRECT_NAME, PAPER_NAME, identify_steering_offset
+from st_core.identification.steering import DIRECT_OFFSET, OFFSET, identify_steering_offset
 
 SPEEDS = {6.0: 0.10, 9.0: 0.07, 12.0: 0.045, 15.0: 0.035}
 
@@ -117,16 +117,16 @@ def test_steering_ratio_from_slow_and_fast_bends(leaf, weaving, start_vehicle):
 def test_steering_offset_by_both_methods(leaf, start_vehicle):
     logs = [drive(leaf, speed, straight, 40.0, seed=2) for speed in (8.0, 12.0)]
     found = identify_steering_offset(logs, start_vehicle)
-    for name in (PAPER_NAME, DIRECT_NAME):
+    for name in (OFFSET, DIRECT_OFFSET):
         assert found[name].value == pytest.approx(leaf.steering_wheel_offset, abs=np.deg2rad(0.1))
-    assert not found.warnings and found[PAPER_NAME].status == "identified"
+    assert not found.warnings and found[OFFSET].status == "identified"
 
 
 def test_heading_drift_increases_steering_offset_uncertainty(leaf, start_vehicle):
     """The yaw drifts by 0.01 rad/s while the path is straight."""
     log = drive(leaf, 10.0, straight, 60.0, seed=2)
     drifting = replace(log, yaw=log.yaw + 0.01 * np.abs((log.ins_time_ns - log.start_ns) * 1e-9 - 30.0))
-    steady, drifted = (identify_steering_offset([one], start_vehicle)[DIRECT_NAME] for one in (log, drifting))
+    steady, drifted = (identify_steering_offset([one], start_vehicle)[DIRECT_OFFSET] for one in (log, drifting))
     assert drifted.standard_uncertainty > 10 * steady.standard_uncertainty
 
 

@@ -18,7 +18,6 @@ from .encoders import INS_BUS, VEHICLE_BUS
 from .plant import Truth
 from .settings import Settings
 
-TRUTH_TOPIC = "/truth"
 CHUNK_SIZE = 64 * 1024  # bytes, about 1 s of true states; at most this much is lost if the process is killed
 
 _HISTORY = "<FHcomment><TX>created</TX><tool_id>virtual_leaf</tool_id><tool_vendor>st_sim</tool_vendor></FHcomment>"
@@ -62,7 +61,7 @@ class TruthFile:
         self._writer = Writer(self._stream, chunk_size=CHUNK_SIZE)
         self._writer.start(profile="", library="st_sim")
         schema = self._writer.register_schema("st_sim/Truth", "jsonschema", json.dumps(TRUTH_SCHEMA).encode())
-        self._channel = self._writer.register_channel(TRUTH_TOPIC, "json", schema)
+        self._channel = self._writer.register_channel("/truth", "json", schema)
         self._writer.add_metadata("settings", {name: repr(value) for name, value in settings.items()})
         self._writer.add_metadata("run", {name: str(value) for name, value in metadata.items()})
 

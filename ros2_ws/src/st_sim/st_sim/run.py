@@ -29,7 +29,6 @@ DEFAULT_DURATION, MAX_DURATION = 60.0, 1e6  # s
 START_GRID_NS = 20_000_000  # drives start on this UTC grid, a multiple of the periods at 100 and 250 Hz
 LEAD_NS = 20_000_000  # minimum time before the start, to prepare the outputs
 FILE_EPOCH_NS = 1_756_900_800_000_000_000  # 2025-09-03 12:00 UTC: start of a drive written to files with seed 0
-DEFAULT_ORIGIN = "51.448,5.49,65.0"  # latitude, longitude [deg], ellipsoidal height [m]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -218,7 +217,8 @@ def _make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--plant", help="ideal, realistic (default) or FILE.yaml with {preset: ..., name: value}")
     parser.add_argument("--effect", nargs="+", action="extend", default=[], metavar="NAME=VALUE",
                         help="override settings; see --list")
-    parser.add_argument("--origin", default=DEFAULT_ORIGIN, metavar="LAT,LON,HEIGHT", help="map origin [deg, deg, m]")
+    parser.add_argument("--origin", default="51.448,5.49,65.0", metavar="LAT,LON,HEIGHT",
+                        help="map origin [deg, deg, m above the ellipsoid]")
     parser.add_argument("--startup", action="store_true", help="begin with the start-up of the INS, before it locks")
     parser.add_argument("--ncom-host", default="127.0.0.1", help="host to which the NCOM packets are sent")
     parser.add_argument("--ncom-port", type=int, default=3000, help="UDP port of that host")

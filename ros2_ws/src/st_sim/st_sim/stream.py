@@ -42,8 +42,7 @@ class Output(NamedTuple):
 def find_start_up_status(time: float) -> tuple[int, float] | None:
     """Navigation status and delay [s] of the epoch at `time` [s] after power-up; None if no packet is sent.
 
-    The phases: status "nothing valid", then raw IMU, both at 10 Hz; pause; initialising, delay 1 s; locking, delay
-    falling to 0; locked.
+    Phases: nothing valid, then raw IMU, both at 10 Hz; pause; initialising, delay 1 s; locking, delay falling; locked.
     """
     if time < RAW_IMU_END:
         return (NO_DATA if time < NO_DATA_END else RAW_IMU, 0.0) if round(time * 1000) % 100 == 0 else None

@@ -151,8 +151,7 @@ _lock = Lock()
 
 def advance(model: Model, p: Any, start: np.ndarray, w: np.ndarray, offsets: np.ndarray, step: float,
             points: np.ndarray) -> np.ndarray:
-    """States of all columns at the points; see `st_core.backends`. Computed by numpy, with a warning, if numba cannot
-    compile the model."""
+    """States of all columns at the points; see `st_core.backends`. Warns and uses numpy if numba fails."""
     numbers: list[float] = []
     kernel = _get_kernel(model, p, _collect_numbers(p, numbers), len(w), len(start))
     if kernel is None:

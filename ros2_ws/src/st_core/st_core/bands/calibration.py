@@ -209,7 +209,7 @@ def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
     scores, ratios = [], []
     for group in np.array_split(np.arange(len(runs)), min(FOLDS, len(runs))):
         others = [run for number, run in enumerate(runs) if number not in group]
-        scale = _fit_pair_scale(others, pair, time)
+        scale = fit_scale([run.conditions for run in others], [run.errors[pair] for run in others], time)
         domain = CalibrationDomain.from_runs([run.conditions for run in others])
         for number in group:
             run = runs[number]
@@ -229,8 +229,5 @@ def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
     factors = dict(zip(levels, compute_conformal_factors(scores, levels).tolist(), strict=True))
     # Quantiles of the mean distribution function of the runs.
     pooled = np.concatenate([np.quantile(ratio, np.linspace(0.0, 1.0, 201), axis=0) for ratio in ratios])
-    return Band(_fit_pair_scale(runs, pair, time), factors, np.quantile(pooled, RELIABILITY_LEVELS, axis=0).T)
-
-
-def _fit_pair_scale(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray) -> Scale:
-    return fit_scale([run.conditions for run in runs], [run.errors[pair] for run in runs], time)
+    scale = fit_scale([run.conditions for run in runs], [run.errors[pair] for run in runs], time)
+    return Band(scale, factors, np.quantile(pooled, RELIABILITY_LEVELS, axis=0).T)

@@ -62,8 +62,7 @@ class AdaptiveBand:
     tracker: Angelopoulos, Candes and Tibshirani, Conformal PID control for time series prediction, NeurIPS 2023.
     Checked by: test_bands_adaptive.py.
 
-    time: (points,) ahead, without the start [s]. band: calibrated band; None to estimate the band from the errors of
-    the run alone.
+    time: (points,) ahead, without the start [s]. band: calibrated; None: estimated from the errors of the run alone.
     """
 
     def __init__(self, time: np.ndarray, band: Band | None = None):

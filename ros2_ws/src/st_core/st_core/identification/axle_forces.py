@@ -264,7 +264,6 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> 
 EVALUATION_SPEED = 20.0  # m/s, speed at which the curve is evaluated; upper limit of minimum_slip_speed
 MIN_DRAWS = 20  # minimum number of drawn models for a band
 MAX_SECANT_STEPS = 6  # to find the lateral acceleration; with the largest roll steer, the force error is below 0.1 %
-BAND_QUANTILES = (0.05, 0.95)  # of the draws
 
 
 @dataclass(frozen=True)
@@ -344,7 +343,7 @@ def make_axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, m
     slip = np.linspace(0.0, float(np.quantile(abs_slip, SLIP_QUANTILE)), 41)
     force, file = (compute_axle_force(candidate, vehicle, axle, slip) for candidate in (model, original))
     rows = [compute_axle_force(candidate, vehicle, axle, slip) for candidate in draws]
-    low, high = np.quantile(rows, BAND_QUANTILES, axis=0) if rows else (force, force)
+    low, high = np.quantile(rows, (0.05, 0.95), axis=0) if rows else (force, force)
     curves = [force, *(compute_axle_force(candidate, vehicle, axle, slip) for candidate in alternatives)]
     counts = np.histogram(abs_slip, slip)[0]
     return ForceCurve(axle, *(tuple(values.tolist()) for values in (

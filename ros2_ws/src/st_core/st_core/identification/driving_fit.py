@@ -38,8 +38,7 @@ from .result import IdentificationError
 
 MISALIGNMENT, DELAY, RELAXATION = "ins_misalignment", SteeringDelay.name, TyreRelaxation.name
 MAX_ITERATIONS, SCALE_TOLERANCE = 6, 0.02
-"""Largest number of fits, each with the error scale of the previous one; relative change of the scale below which the
-fits have converged."""
+"""Largest number of fits, each with the error scale of the previous one; relative change at which they end."""
 MAX_CONDITION = 1e12  # condition number of the Hessian above which the drives do not determine the parameters
 MIN_CURVATURE_RATIO = 0.2  # smallest ratio of the curvature of the loss to its Gauss-Newton approximation; typical: 0.7
 Values = Mapping[str, float]

@@ -56,9 +56,7 @@ UNCERTAINTY_GRADES: tuple[tuple[float, str, Status], ...] = (
     (5.0 * MAX_RELATIVE_UNCERTAINTY, "Poorly determined", "doubtful"),
     (np.inf, "Not identifiable", "unidentifiable"))
 """(largest relative standard uncertainty of a stiffness, ratio or inertia; beginning of the verdict; status)."""
-INERTIA_NAMES = ("yaw_inertia", *STIFFNESSES, DELAY, RELAXATION, *NUISANCE_PARAMETERS)
 YAW_ACCELERATION_EDGES = np.array([-10.0, -0.3, -0.1, 0.1, 0.3, 10.0])  # rad/s^2, positive to the left
-TRANSIENT_SETTINGS = DrivingFitSettings(interval=0.3)
 SYSTEMATIC_ERRORS = (np.deg2rad(0.05), 0.005, 0.03)
 """Standard uncertainty of steering offset [rad], steering ratio and common scale of the stiffnesses (both relative) due
 to the single-track model: the largest errors on the simulated Leaf."""
@@ -150,7 +148,7 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                          base: str | Model = "nonlinear") -> Identification:
     """Yaw inertia with its uncertainty; stiffnesses and steering delay are reported too. Raises IdentificationError for
     unusable drives and too little excitation, such as steady-state cornering only."""
-    settings = TRANSIENT_SETTINGS.for_car(vehicle)
+    settings = DrivingFitSettings(interval=0.3).for_car(vehicle)
     logs, notes = prepare_drives(logs, vehicle)
     runs = [sample_run(log, vehicle, cutoff=5.0) for log in logs]
     fast = [run.yaw_acceleration[run.velocity_x >= settings.minimum_speed] for run in runs]
@@ -159,7 +157,8 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                 measure_coverage("yaw acceleration", "rad/s^2", YAW_ACCELERATION_EDGES, fast,
                                  [run.time for run in runs], 0.5, 5))
     require_coverage(coverage, "Steady cornering is not enough: drive step steers, lane changes or a sine sweep.")
-    fit = fit_driving(logs, vehicle, INERTIA_NAMES, base, settings)
+    names = ("yaw_inertia", *STIFFNESSES, DELAY, RELAXATION, *NUISANCE_PARAMETERS)
+    fit = fit_driving(logs, vehicle, names, base, settings)
     # Uncertainty of the dead time, propagated to the inertia; see the module docstring.
     interval = float(np.median(np.concatenate([np.diff(log.steering_time_ns) for log in logs]))) * NANOSECOND
     delay_uncertainty = interval / np.sqrt(12.0 * sum(used > 0 for used, _ in fit.window_counts.values()))

@@ -124,7 +124,6 @@ SHIFT = "slip_shift"
 # With p_ky4 < 1 the stiffness never reaches its maximum p_ky1 F_z0; with p_ky4 > 2 it changes its sign at some load.
 FIT_BOUNDS = {SHIFT: (-math.radians(2.0), math.radians(2.0)), "p_ky4": (1.0, 2.0)}
 NOMINAL_PARAMETERS = ("p_cy1", "p_dy1", "p_ey1")
-STIFFNESS_PARAMETERS = ("p_ky1", "p_ky2", "p_ky4")
 STARTS = ((1.1, -0.5), (1.3, 0.2), (1.6, -0.5), (1.3, -3.0))  # start values (C, E) of the fit at the nominal load
 FITTED_PARAMETERS = {"p_cy1": "Shape", "p_dy1": "Peak friction", "p_dy2": "Load dependence of peak friction",
                      "p_ey1": "Curvature", "p_ey2": "Load dependence of curvature", "p_ky1": "Stiffness",
@@ -148,7 +147,7 @@ class TyreFit:
         value = magic_formula_stiffness(load, self.tyre)
         gradient = np.zeros(len(self.names))
         for k, name in enumerate(self.names):
-            if name in STIFFNESS_PARAMETERS:
+            if name in ("p_ky1", "p_ky2", "p_ky4"):
                 step = 1e-5 * abs(getattr(self.tyre, name))
                 up = self.tyre._replace(**{name: getattr(self.tyre, name) + step})
                 gradient[k] = (magic_formula_stiffness(load, up) - value) / step

@@ -172,7 +172,7 @@ def _make_warnings(data: Turntable, line: Line) -> list[str]:
     return sentences
 
 
-PAPER_NAME, DIRECT_NAME = "steering_wheel_offset", "steering_wheel_offset_direct"
+OFFSET, DIRECT_OFFSET = "steering_wheel_offset", "steering_wheel_offset_direct"
 SETTINGS = DrivingFitSettings(horizon=2.0, maximum_acceleration=0.5, min_windows=40, channels=("yaw_rate",))
 WINDOW = 2.0  # s; length of a window of the direct method
 MIN_RADIUS = 500.0  # m; minimum radius of the path in a window, for a full-size car
@@ -182,7 +182,7 @@ CUTOFF = 1.0  # Hz; of the zero-phase low-pass on the measured yaw rate
 
 
 def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
-    """Offset at the steering wheel [rad], positive to the left, by both methods: parameters PAPER_NAME, DIRECT_NAME.
+    """Offset at the steering wheel [rad], positive to the left, by both methods: parameters OFFSET, DIRECT_OFFSET.
 
     vehicle: its offset is the start value of the fit. Raises IdentificationError for lack of usable straights.
     """
@@ -199,16 +199,16 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
     # Without smoothing, road noise would still cause 0.02 deg of error at the steering wheel after four minutes.
     smoothed_logs = [replace(log, yaw_rate=filtered_derivative(
         log.ins_time_ns, log.yaw_rate, CUTOFF, MAXIMUM_GAP, "zero_phase")[0]) for log in logs]
-    fit = fit_driving(smoothed_logs, vehicle, (PAPER_NAME,), "linear", settings)
+    fit = fit_driving(smoothed_logs, vehicle, (OFFSET,), "linear", settings)
     predicted_runs = tuple(name for name, (count, _) in fit.window_counts.items() if count)
-    paper = _make_estimate(PAPER_NAME, fit.values[0], fit.spread, "predicted versus measured yaw rate (paper)",
+    paper = _make_estimate(OFFSET, fit.values[0], fit.spread, "predicted versus measured yaw rate (paper)",
                            predicted_runs, f"{fit.prediction_count} predictions on straights")
 
     run_index = np.concatenate([np.full(len(w), i) for i, w in enumerate(windows)])
     times = np.concatenate([w[:, 0] for w in windows])
     _, spread, _ = make_blocks(run_index, times).fit_least_squares(np.ones((len(values), 1)), values)
     averaged_runs = tuple(run.name for run, w in zip(runs, windows, strict=True) if len(w))
-    direct = _make_estimate(DIRECT_NAME, float(values.mean()), spread, "mean reading on steady straights",
+    direct = _make_estimate(DIRECT_OFFSET, float(values.mean()), spread, "mean reading on steady straights",
                             averaged_runs, f"{len(values)} windows of {WINDOW:g} s")
     conflict = describe_contradiction(paper, direct.value, direct.standard_uncertainty,
                                       "the mean reading on steady straights")
