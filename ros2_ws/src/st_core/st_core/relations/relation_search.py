@@ -82,7 +82,7 @@ def needs_search(discovery: Discovery) -> bool:
 
 
 def find_relation(discovery: Discovery, runs: Sequence[DriveLog], vehicle: VehicleParameters,
-                  settings: DiscoverySettings | None = None, threads: int = 1, tick: Callable[[], None] = lambda: None,
+                  settings: DiscoverySettings, threads: int = 1, tick: Callable[[], None] = lambda: None,
                   reported: Collection[tuple[str, str]] = ()) -> RelationSearch:
     """Find a relation missing in the model of a discovery, or the reason why none is reported.
 
@@ -95,7 +95,6 @@ def find_relation(discovery: Discovery, runs: Sequence[DriveLog], vehicle: Vehic
     reported: (finding, channel) of `st check`; relations that may imitate a reported sensor fault are rejected.
     Raises StCoreError for a duplicate name, and if no run has both INS and steering.
     """
-    settings = settings or DiscoverySettings()
     measured_channels = tuple(c for c in settings.channels if c in discovery.noise)
     settings = replace(settings, channels=measured_channels or settings.channels)
     model = discovery.model or discovery.base
