@@ -30,7 +30,7 @@ END_REASON = ": ends "  # a signal has no later sample
 MODES = ("forecast", "hindsight")
 MAX_DRAWN_STARTS = 6  # maximum number of start times with drawn hindsight predictions
 ODOMETRY_TOPIC, STATUS_TOPIC, SUMMARY_TOPIC = "/ins/odometry", "/predictor/status", "/evaluator/summary"
-BAND_MODES = ("forecast", "hindsight", "course", "plan")  # in the order of the report
+BAND_MODES = (*MODES, "course", "plan")  # in the order of the report
 Key = TypeVar("Key")
 
 

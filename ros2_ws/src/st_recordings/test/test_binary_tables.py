@@ -146,7 +146,7 @@ def save_time_series_structs(file: Path, columns: Columns) -> None:
 def test_channels_on_different_clocks_are_rejected(columns: Columns, tmp_path: Path) -> None:
     gyro = {"t": columns["t"] + 100.0, "yaw_rate": columns["yaw_rate"]}
     savemat(tmp_path / "a.mat", {"gyro": gyro, "ins": {name: columns[name] for name in columns if name != "yaw_rate"}})
-    with pytest.raises(RunError, match="its channels have numbers at different times; export them on one clock"):
+    with pytest.raises(RunError, match="its channels have no times in common; export them on one clock"):
         load(tmp_path / "a.mat")
 
 

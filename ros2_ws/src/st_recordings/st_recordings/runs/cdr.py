@@ -269,7 +269,7 @@ def _read_chunk(stream: BinaryIO, chunk: ChunkIndex) -> bytes:
     if not 0 < chunk.chunk_length <= len(record) or record[0] != Opcode.CHUNK:
         raise ValueError("a chunk is missing")
     if chunk.compression not in ("", "zstd", "lz4"):
-        raise ValueError(f"compression {chunk.compression!r} is not known")
+        raise ValueError(f"unknown compression {chunk.compression!r}")
     try:
         content, size = get_chunk_data_stream(Chunk.read(ReadDataStream(BytesIO(record[_RECORD_HEAD_LENGTH:]))), True)
     except CRCValidationError:

@@ -221,7 +221,7 @@ def _reject_unusable(table: Table, n_ins: int, missing: Mapping[str, int]) -> No
     _reject_unfilled(table)
     reason, advice = "", "remove it from the command"
     if n_ins < 2 and all(np.isfinite(each[table.is_usable]).sum() > 1 for each in table.columns.values()):
-        reason, advice = ": its channels have numbers at different times", "export them on one clock"
+        reason, advice = ": its channels have no times in common", "export them on one clock"
     elif missing:
         channel = max(missing, key=lambda name: missing[name])
         total = len(table.time_ns) + table.rows_without_time

@@ -29,7 +29,7 @@ from .run_types import LoadedRun, ReadSettings, RunSource, summarise_alignment
 
 TOPICS = {"/ins/odometry": ODOMETRY, "/ins/ncom": NCOM, "/vehicle/steering": STEERING,
           "/vehicle/wheel_speeds": WHEEL_SPEEDS, "/can/frames": CAN_FRAMES}
-BLOCK_NS = 20 * 10**9  # duration [ns] of the part of a run that is serialised at once, to limit the use of memory
+BLOCK_NS = 20 * 10**9  # duration [ns] of the part of a run that is serialised at once, to limit memory use
 TIME_MARGIN_NS = 60 * 10**9
 """A packet that is more than this [ns] before the first or after the last fix has a wrong time."""
 UNKNOWN_VARIANCE = 1e6
@@ -232,7 +232,7 @@ def _make_streams(run: RawRun, vehicle: VehicleParameters, settings: ReadSetting
     assert isinstance(ins, NcomLog) and steering is not None  # import_run accepts only such runs
     columns, covariances = ins.columns, Covariances(ins)
     packets = np.flatnonzero(columns.navigation_status != 11)  # 11: structure B, a packet without navigation data
-    # A packet without a time near the fixes gets the time of the previous packet.
+    # A packet with an unknown time, or one far from the fixes, gets the time of the previous packet.
     utc_ns = columns.utc_ns[packets]
     is_near_fix = (utc_ns >= ins.time_ns[0] - TIME_MARGIN_NS) & (utc_ns <= ins.time_ns[-1] + TIME_MARGIN_NS)
     is_near_fix &= utc_ns != file_decoder.UNKNOWN_TIME
