@@ -51,7 +51,7 @@ def format_qos(qos: list[Qos]) -> str:
 
 
 @dataclass
-class Topic:
+class BagTopic:
     """One topic of a bag. qos: of its publishers. count: number of its messages."""
 
     name: str
@@ -76,7 +76,7 @@ class BagInformation:
     """Content of metadata.yaml."""
 
     files: Sequence[BagFile]
-    topics: list[Topic]
+    topics: list[BagTopic]
     custom: Mapping[str, str] = field(default_factory=dict)
 
     def to_document(self) -> dict[str, Any]:

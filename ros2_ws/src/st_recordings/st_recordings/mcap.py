@@ -21,7 +21,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Header, MessageIndex, Metadata, Schema
 
 from . import bag_metadata
-from .bag_metadata import BagFile, BagInformation, Qos, Topic, collect_custom_data, format_qos, make_qos
+from .bag_metadata import BagFile, BagInformation, BagTopic, Qos, collect_custom_data, format_qos, make_qos
 from .mcap_contents import MAGIC, Contents
 
 CHUNK_SIZE = 1024 * 1024
@@ -60,7 +60,7 @@ class BagWriter:
         self.is_closed = self.was_moved = False
         self.syncer: Syncer | None = None
         self._custom = collect_custom_data(records or {})
-        self._topics: list[Topic] = []
+        self._topics: list[BagTopic] = []
         self._schemas: dict[str, int] = {}
         if self.directory.is_dir() and any(self.directory.iterdir()):
             raise FileExistsError(f"{self.directory} contains files and is not overwritten; choose another directory")
@@ -92,7 +92,7 @@ class BagWriter:
         if type_name not in self._schemas:
             number = self._schemas[type_name] = len(self._schemas) + 1
             new_records.append(Schema(id=number, name=type_name, encoding="ros2msg", data=definition.encode()))
-        self._topics.append(Topic(name, type_name, type_hash, list(qos)))
+        self._topics.append(BagTopic(name, type_name, type_hash, list(qos)))
         metadata = {"offered_qos_profiles": format_qos(list(qos)), "topic_type_hash": type_hash}
         new_records.append(Channel(len(self._topics), name, "cdr", metadata, self._schemas[type_name]))
         if not (self.is_closed or self.error):

@@ -20,7 +20,7 @@ from mcap.opcode import Opcode
 from mcap.records import DataEnd, Footer, Statistics
 from mcap.stream_reader import StreamReader
 
-from .bag_metadata import FILE_NAME, BagFile, BagInformation, Topic, collect_custom_data, read_information
+from .bag_metadata import FILE_NAME, BagFile, BagInformation, BagTopic, collect_custom_data, read_information
 from .mcap_contents import MAGIC, Contents, read_records
 from .paths import natural_sort_key
 
@@ -195,7 +195,7 @@ def _write_repaired(stream: BinaryIO, size: int, source: Path, target: Path, rep
 
 
 def _build_information(files: Sequence[BagFile], contents: list[Contents], source: Path) -> BagInformation:
-    topics: dict[tuple[str, str], Topic] = {}
+    topics: dict[tuple[str, str], BagTopic] = {}
     previous_custom = read_information(source).get("custom_data")
     custom = {str(key): str(text) for key, text in previous_custom.items()} if isinstance(previous_custom, dict) else {}
     for file_contents in contents:
@@ -204,7 +204,7 @@ def _build_information(files: Sequence[BagFile], contents: list[Contents], sourc
         for channel in file_contents.channels.values():
             schema = file_contents.schemas.get(channel.schema_id)
             type_name = schema.name if schema else ""
-            topic = topics.setdefault((channel.topic, type_name), Topic(
+            topic = topics.setdefault((channel.topic, type_name), BagTopic(
                 channel.topic, type_name, channel.metadata.get("topic_type_hash", ""),
                 _parse_qos(channel.metadata.get("offered_qos_profiles", ""))))
             topic.count += counts[channel.id]

@@ -30,7 +30,7 @@ _RAW_FRAMES = re.compile(rb"\0CAN_(Data|Remote|Error)Frame")
 _NO_DELIMITERS = str.maketrans(',"\n', "   ")
 
 
-class Signal(NamedTuple):
+class _Vector(NamedTuple):
     """One vector of samples in a file.
 
     path: names of the structs that contain it, and its own name. time: (name, times (n,)) from the innermost struct
@@ -90,7 +90,7 @@ def _read_matlab(file: Path) -> Any:
     return _join_signals(file, signals)
 
 
-def _join_signals(file: Path, signals: list[Signal]) -> Any:
+def _join_signals(file: Path, signals: list[_Vector]) -> Any:
     """Table of the signals with a time vector.
 
     With several time vectors, each time [s] has a row, in which signals of the other vectors are NaN. Without any, the
@@ -130,7 +130,7 @@ def _join_signals(file: Path, signals: list[Signal]) -> Any:
 
 
 def _find_signals(value: Any, path: tuple[str, ...] = (), unit: str = "",
-                  times: tuple[tuple[str, np.ndarray], ...] = ()) -> Iterator[Signal]:
+                  times: tuple[tuple[str, np.ndarray], ...] = ()) -> Iterator[_Vector]:
     """Yields the signals in structs, arrays of structs and matrices. times: (name, times) of the enclosing structs."""
     if isinstance(value, dict):
         own_times, value = _find_own_times(value)
@@ -145,7 +145,7 @@ def _find_signals(value: Any, path: tuple[str, ...] = (), unit: str = "",
                       if isinstance(entry, dict) and isinstance(label := entry.get(name), str) and label]
             yield from _find_signals(entry, (*path[:-1], labels[0]) if labels else (*path, str(number)), "", times)
     elif _is_vector(value):
-        yield Signal(path, unit, value, next((time for time in times if len(time[1]) == len(value)), None))
+        yield _Vector(path, unit, value, next((time for time in times if len(time[1]) == len(value)), None))
     elif isinstance(value, np.ndarray) and value.ndim == 2 and 1 < min(value.shape) <= hdf5.MAX_MATRIX_COLUMNS:
         # The columns are signals, or the rows if there are too many columns.
         for number, column in enumerate(value.T if value.shape[1] <= hdf5.MAX_MATRIX_COLUMNS else value, 1):
