@@ -376,7 +376,7 @@ def test_log_with_the_wrong_extension_is_read_by_its_content(tmp_path: Path) -> 
     file.write_text(content)
     log = read_can_logs([file])
     assert len(log.frames) == 2
-    assert "is a candump, BUSMASTER, CRTD, CL2000 or Kvaser log with the extension .asc" in log.warnings[0]
+    assert "is a candump, BUSMASTER, CRTD, CL2000, Kvaser or ZLG log with the extension .asc" in log.warnings[0]
     mf4 = write_layout_2(tmp_path / "drive.log", START_NS, make_frames(10))
     assert len(read_can_logs([mf4]).frames) == 10
 

@@ -160,6 +160,20 @@ def move_to_end_of_month(lines: list[str]) -> list[str]:
     return [shift_stamp(line, (datetime(2025, 10, 1, tzinfo=UTC) - start).total_seconds() - 10.0) for line in lines]
 
 
+def zlg(lines: list[str], is_old: bool) -> str:
+    """CSV of ZLG's CANTest. is_old: times in 0.1 ms and the direction of each frame, instead of times in s."""
+    start = split_frame(lines[0])[0] - 600.0
+    out = ["序号,系统时间,时间标识,CAN通道,ID号,帧类型,帧格式,CAN类型,长度,数据"]
+    for number, (time, bus, identifier, data) in enumerate(map(split_frame, lines)):
+        frame_format = "扩展帧" if len(identifier) > 3 else "标准帧"
+        octets = f"x| {bytes.fromhex(data).hex(' ').upper()}"
+        stamp = f"0x{round((time - start) * 1e4):06X}" if is_old else f"{time - start:.6f}"
+        out.append(f'{number:05d},="12:04:59.533{chr(34) * is_old},{stamp},ch{bus + 1},' + (
+            f"接收,0x{identifier.zfill(4)},数据帧,{frame_format},0x{len(data) // 2:02X},{octets} " if is_old else
+            f"0x{identifier.lstrip('0')},数据帧,{frame_format},CAN,{len(data) // 2},{octets}"))
+    return "\r\n".join([*out, ""])
+
+
 def crtd(lines: list[str]) -> str:
     """As OVMS writes it."""
     frames = [f"{time:.6f} {bus + 1}R{29 if len(identifier) > 3 else 11} {identifier} {bytes.fromhex(data).hex(' ')}"
@@ -247,6 +261,8 @@ LOGS = [
     Log("BUSMASTER", "run.log", busmaster),
     Log("CL2000", "run.txt", cl2000),
     Log("CL2000 at the end of a month", "run.txt", lambda lines: cl2000(move_to_end_of_month(lines))),
+    Log("ZLG, 0.1 ms", "run.csv", lambda lines: zlg(lines, is_old=True), encoding="gbk"),
+    Log("ZLG, s", "run.csv", lambda lines: zlg(lines, is_old=False), encoding="utf-8-sig"),
     Log("CRTD", "run.crtd", crtd),
     Log("CRTD as .txt", "run.txt", crtd),
     Log("comment", "run.asc", lambda lines: asc(lines, comment="// Prüfstand"), encoding="cp1252"),

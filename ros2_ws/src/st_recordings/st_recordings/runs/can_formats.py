@@ -32,7 +32,8 @@ _BLF_CONTAINER = re.compile(rb"LOBJ.{8}\x0a\0\0\0", re.DOTALL)  # head of a cont
 _BLF_PADDING = 3  # bytes; largest padding after a container, which the format aligns to four bytes
 _WEEKDAY_MONTH = re.compile(r"(?i)^(date|begin\s+triggerblock)\s+\S+\s+(\S+)(.*)")
 _TABLE_EXTENSIONS = (".csv", ".txt")
-LINE_FORMAT = "candump, BUSMASTER, CRTD, CL2000 or Kvaser"  # formats with one frame per line, parsed by _LINES
+LINE_FORMAT = "candump, BUSMASTER, CRTD, CL2000, Kvaser or ZLG"  # formats with one frame per line, parsed by _LINES
+ZLG_EXTENDED, ZLG_SENT = ("扩展帧", "à©õ¹ö¡"), ("发", "·")  # in Unicode, and in GBK that was read as Windows-1252
 _LINES = (
     # candump -l: "(1436509052.249713) can0 044#2A36", with CAN FD "044##12A36", direction "044#2A36 T"
     re.compile(r"\s*\((?P<time>\S+)\)\s+(?P<bus>\S+)\s+(?P<id>[0-9A-Fa-f]+)#(?P<fd>#[0-9A-Fa-f])?"
@@ -56,8 +57,11 @@ _LINES = (
                r"[ EFBPRW#]+(?P<length>\d+) +(?P<data>(?:[0-9A-F]{2} )*|RTR) +\d+\s*$"),
     # CanKing with hexadecimal numbers: " 0    0000014B         1  00                                1675.570498 T"
     re.compile(r"\s*(?P<index>\d+) +(?P<id>[01][0-9A-F]{7}) +(?P<kind>X?R?) +(?P<length>\d+)  "
-               r"(?P<data>(?:[0-9A-F]{2} +)*) *(?P<time>\d+\.\d+) (?P<direction>[RT])\s*$"))
-_COMMENT = re.compile(r"[#\t]|.*(ERRORFRAME|ERROR FRAME +\d+)\s*$|\*\*\*|\d+\.\d+ \d*C[A-Z]{2} |"
+               r"(?P<data>(?:[0-9A-F]{2} +)*) *(?P<time>\d+\.\d+) (?P<direction>[RT])\s*$"),
+    # CANTest of ZLG: '007,="12:04:59.533",0x592897,ch1,接收,0x0009001C,数据帧,扩展帧,0x08,x| 05 C3', in units of 0.1 ms
+    re.compile(r'\d+,="[\d:.]+"?,(?P<time>0x[0-9A-Fa-f]+|\d+\.\d+),ch(?P<bus>\d+),(?:(?P<direction>[^,0]+),)?'
+               r'0x(?P<id>[0-9A-Fa-f]+),[^,]*,(?P<kind>[^,]+),(?:CAN\w*,)?\w+,x\|(?P<data>(?: [0-9A-Fa-f]{2})*)\s*$'))
+_COMMENT = re.compile(r"[#\t]|[^\x00-\x7f]{2}|.*(ERRORFRAME|ERROR FRAME +\d+)\s*$|\*\*\*|\d+\.\d+ \d*C[A-Z]{2} |"
                       r"\s*([A-Z][a-z]|CAN |\w+: |\)|=|[\d.]+ +Trigger)")
 """Lines without data: explanations (candump -e, cantools decode), headers of BUSMASTER and Kvaser, comments."""
 _ERROR_FLAG = 1 << 29  # bit of the identifier that marks an error frame
@@ -172,7 +176,7 @@ def _make_line_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
             hours, minutes, whole_seconds, fraction = time.split(":")
             seconds = 3600 * int(hours) + 60 * int(minutes) + float(f"{whole_seconds}.{fraction}")
         else:
-            seconds = float(time)
+            seconds = int(time, 16) * 1e-4 if time.startswith("0x") else float(time)
         identifier = int(cells["id"], 16)
         if identifier >= 2 * _ERROR_FLAG:
             raise ValueError("not an identifier")
@@ -186,8 +190,8 @@ def _make_line_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
             int(bus) - (kind != "-") if bus.isdigit() else bus or "can0")
         return make_message(
             timestamp=seconds, arbitration_id=identifier, is_remote_frame=is_remote, channel=channel,
-            is_extended_id=len(digits) > 3 or kind in ("x", "xr", "29", "1", "9"),
-            is_rx=cells["direction"][:1] not in ("T", "t") and kind not in ("8", "9"),
+            is_extended_id=len(digits) > 3 or kind in ("x", "xr", "29", "1", "9", *ZLG_EXTENDED),
+            is_rx=cells["direction"][:1] not in ("T", "t", *ZLG_SENT) and kind not in ("8", "9"),
             is_fd=bool(cells["fd"]) or len(cells["length"]) > 1 or len(octets) > 8,  # two digits for CAN FD
             data=octets[::-1] if "`" in cells["data"] else octets)  # candump -S prints the last byte first
 
@@ -466,29 +470,22 @@ def _is_csv(head: bytes) -> bool:
     return any(map(_is_csv_header, head.decode("utf-8-sig", "ignore").splitlines()[:MAX_HEADER_LINES]))
 
 
-def _is_trc(head: bytes) -> bool:
-    is_old = b"Message Number" in head or (b"Start time:" in head and _TRC_LINE.search(head) is not None)
-    return b";$FILEVERSION" in head or (head.lstrip().startswith(b";") and is_old)
-
-
 def _is_candump(head: bytes) -> bool:
     forms = (re.compile(r"\W*\(\d+\.\d+\) \S+ [0-9A-Fa-f]+#"), *_LINES[1:])
     lines = _COLOUR.sub("", head.decode("latin-1")).splitlines()
     return b"field: DEC" not in head and any(form.match(line) for line in lines for form in forms)
 
 
-def _is_asc(head: bytes) -> bool:
-    text = head.lstrip(b"\xef\xbb\xbf \t\r\n")
-    return any(part in text for part in (b"\nbase hex", b"\nbase dec")) or bool(
-        _ASC_DATE.match(text) or _ASC_LINE.search(text))
-
-
 FORMATS = (
-    Format(LINE_FORMAT, (".log", ".candump", ".crtd", ".txt"), _is_candump, partial(
+    Format(LINE_FORMAT, (".log", ".candump", ".crtd", *_TABLE_EXTENSIONS), _is_candump, partial(
         _read_text, make_parser=_make_line_parser)),
-    Format("Vector ASC", (".asc",), _is_asc, partial(_read_text, make_parser=_AscParser)),
+    Format("Vector ASC", (".asc",), lambda head: b"\nbase hex" in head or b"\nbase dec" in head or bool(
+        _ASC_DATE.match(head.lstrip(b"\xef\xbb\xbf \t\r\n")) or _ASC_LINE.search(head)), partial(
+        _read_text, make_parser=_AscParser)),
     Format("Vector BLF", (".blf",), lambda head: head.startswith(b"LOGG"), _read_blf),
-    Format("PEAK trace", (".trc",), _is_trc, partial(_read_text, make_parser=_make_trc_parser)),
+    Format("PEAK trace", (".trc",), lambda head: b";$FILEVERSION" in head or (head.lstrip().startswith(b";") and (
+        b"Message Number" in head or (b"Start time:" in head and _TRC_LINE.search(head) is not None))), partial(
+        _read_text, make_parser=_make_trc_parser)),
     Format("CSV", _TABLE_EXTENSIONS, _is_csv, partial(_read_text, make_parser=_make_csv_parser)),
 )
 SHARED_EXTENSIONS = (".log", ".asc", "", ".pcap", ".pcapng", ".cap", *_TABLE_EXTENSIONS)
@@ -549,6 +546,6 @@ def is_can_log(file: Path) -> bool:
     except OSError:
         head = b""
     if extension == ".csv":
-        return _is_csv(head)
+        return _is_csv(head) or _is_candump(head)
     return is_mdf(head) or _is_can_capture(head) or any(kind.matches(head) for kind in FORMATS) or (
         extension in (".log", ".asc") and (not head or head.startswith(tuple(COMPRESSED_MAGIC))))

@@ -186,7 +186,7 @@ def _require_columns(table: Table, required: Sequence[str], can: str = "") -> No
     if "yaw" in missing:  # do not list channels that can be computed from yaw
         unknown = find_missing_channels({*table.sources, "yaw"}, table.names, missing)
         missing = [name for name in missing if name == "yaw" or name in unknown]
-    if missing and 2 * sum(bool(re.fullmatch(r"[\d.eE+-]+", name)) for name in table.names) > len(table.names):
+    if missing and 2 * sum(bool(re.fullmatch(r"[\d.:eE+ -]+", name)) for name in table.names) > len(table.names):
         raise RunError(table.file, "its first line contains numbers instead of the names of columns",
                        "add a header line with names from docs/csv_columns.md")
     unknown_units = describe_unknown_units(table.names, table.sources)

@@ -183,7 +183,8 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
              or text.split(delimiter, 1)[0].strip().lower() in MISSING_MARKS] or lines
     first: dict[str, str] = {}
     try:
-        rows = _load_numbers(lines, delimiter, len(names))
+        rows = np.loadtxt(lines, delimiter=delimiter, ndmin=2, comments=None) if lines else np.empty(0)
+        rows = rows.reshape(len(lines), len(names))  # raises ValueError for other numbers of cells
     except ValueError:
         rows, sources, first = _read_cells(file, lines, delimiter, names, sources, layout, warnings)
     time = sources.get("t")
@@ -325,6 +326,7 @@ def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], preamble: Sequ
         kind = COLUMNS[channel].kind
         raise RunError(
             file, f"unit row: {units[channel][:40]!r} of column {sources[channel].name} is not a unit of {kind}",
+            "export decimal degrees" if kind == "latitude or longitude" else
             f"use one of {', '.join(UNITS[kind])}, or set the unit in a run.yaml, as units: {{{channel}: ...}}")
     return _apply_stated_units(sources, units or {}, layout), "\n".join(lines[first:])
 
@@ -352,14 +354,6 @@ def split_row(line: str, delimiter: str) -> list[str]:
     except csv.Error:  # a cell is too long
         row = line.split(delimiter)
     return [cell.strip(" \t\r\n\"'") for cell in row]
-
-
-def _load_numbers(lines: list[str], delimiter: str, width: int) -> np.ndarray:
-    """The cells of the rows (n, width). Raises ValueError if one is not a number, or a row has more or fewer cells."""
-    rows = np.loadtxt(lines, delimiter=delimiter, ndmin=2, comments=None) if lines else np.zeros((0, width))
-    if rows.shape[1] != width:
-        raise ValueError(f"{rows.shape[1]} columns instead of {width}")
-    return rows
 
 
 def _read_cells(file: Path, lines: list[str], delimiter: str, names: list[str], sources: dict[str, ColumnSource],

@@ -27,7 +27,7 @@ GENERIC_NAMES = ("run", "bag")
 DOCUMENT_EXTENSIONS = (".md", ".txt", ".rst", ".pdf", ".html", ".png", ".jpg", ".json", ".yaml", ".yml", "")
 """Extensions of documents such as README and LICENSE, which are ignored among recordings."""
 MAX_SPLIT_GAP = 5.0  # longest gap or overlap [s] between the end of one file of a split bag and the start of the next
-TABLE_EXTENSIONS = (".lvm", ".xls", ".xlsx", ".ods", ".tdms", ".json", ".erg", ".ld", ".pos")
+TABLE_EXTENSIONS = (".lvm", ".xls", ".xlsx", ".ods", ".tdms", ".erg", ".ld", ".pos")
 """Extensions of tables of other programs. Some of these files are text, which can be read with the extension .csv."""
 TEXT_EXPORTS = (".txt", ".tsv", ".dat")  # extensions of tables that programs often export alongside their own files
 UNKNOWN_ADVICE = {
@@ -36,6 +36,7 @@ UNKNOWN_ADVICE = {
     **dict.fromkeys((".nmea", ".gpx", ".ulg"), "export it as .csv with columns as in docs/csv_columns.md"),
     ".active": "the recording was not closed: repair it with `st recover` (.mcap) or `rosbag reindex` (.bag), then "
                "remove .active from its name",
+    **dict.fromkeys((".json", ".jsonl", ".npy", ".pkl"), "write a .csv with a column for each signal, as with pandas"),
     ".vbb": "export it as .vbo with the software of the logger",
     ".bin": "rename it to .ncom if it contains NCOM packets; else export a .csv",
     **dict.fromkeys((".gz", ".zip", ".7z", ".bz2", ".xz", ".zst", ".zstd"), "unpack it first"),
@@ -79,6 +80,9 @@ def _report_folder_without_runs(folder: Path) -> list[RunSource]:
     """Problems of the files in a folder without runs; if there are none, a problem of the folder."""
     bag = READERS["bag"]
     files = sorted(folder.rglob("*"))
+    if any(f.name == "timestamps.txt" and f.absolute().parent.name == "oxts" for f in files):
+        return [_report_problem(folder, "recordings of KITTI contain no steering angle", "write a .csv of the files in "
+                                "oxts/data with a column for it and names as in docs/csv_columns.md")]
     bags = [f for f in files if bag.accepts(f) and not any(bag.accepts(parent) for parent in f.parents)]
     unknown_files = [f for f in files if f.suffix.lower() in UNKNOWN_ADVICE.keys() - {*DOCUMENT_EXTENSIONS}]
     tables = [f for f in files if f.suffix.lower() in (*BINARY_EXTENSIONS, *MF4_EXTENSIONS, ".csv", ".tsv")]

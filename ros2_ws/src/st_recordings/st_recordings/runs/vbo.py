@@ -5,7 +5,6 @@ Source: Racelogic, VBO file format. Latitude and longitude (positive west) are i
 
 import re
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ from .columns import ColumnSource, Layout, apply_units, find_columns
 from .csv import find_missing_channels
 from .csv_table import Table, differentiate_yaw, parse_table, read_text, split_words
 from .errors import RunError, check_readable
-from .table_times import HHMMSS
+from .table_times import HHMMSS, parse_stamp
 
 YAW_RATE_REVERSED = "the yaw rate is positive in right turns; its sign was changed"
 _SECTION = re.compile(r"^\[([^\]]*)\][ \t]*\n", re.MULTILINE)
@@ -52,7 +51,8 @@ def read_vbo(file: Path, layout: Layout) -> Table:
     if "t" not in sources:
         raise RunError(file, f"[column names] has no time, only {', '.join(names)[:200]}", "export the time as well")
     table = parse_table(file, names, sections["data"], " ", layout, warnings, sources)
-    midnight = _read_midnight(text) if table.sources["t"].unit == HHMMSS else 0.0
+    date = _CREATION_DATE.search(text[:2000]) if table.sources["t"].unit == HHMMSS else None
+    midnight, _ = (parse_stamp("{}.{}.{} 0:00:00".format(*date.groups())) if date else None) or (0.0, 0.0)
     return _correct_signs(replace(table, time_ns=table.time_ns + round(midnight * 1e9)))
 
 
@@ -106,16 +106,6 @@ def _read_units(names: list[str], sections: dict[str, str]) -> dict[str, str]:
         if line.strip().startswith("velocity "):
             units["velocity"] = line.split(None, 1)[1].strip()
     return units
-
-
-def _read_midnight(text: str) -> float:
-    """Unix time [s] of the start of the day on which the file was created; 0 if the file does not state the day."""
-    match = _CREATION_DATE.search(text[:2000])
-    try:
-        day, month, year = map(int, match.groups()) if match else (1, 1, 1970)
-        return datetime(year, month, day, tzinfo=UTC).timestamp()
-    except ValueError:
-        return 0.0
 
 
 def _correct_signs(table: Table) -> Table:
