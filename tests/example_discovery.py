@@ -58,7 +58,7 @@ def discovery(runs: Sequence[DriveLog], steps: Sequence[tuple[str, Mapping[str, 
         agreement = {"run": tuple(LocalEstimate(n, 1.0 + 0.05 * (-1) ** k, 0.1) for k, n in enumerate(names)),
                      "site": (LocalEstimate("site 1", 1.0, 0.05), LocalEstimate("site 2", 0.97, 0.08))}
         effects.append(FoundEffect(name, kind, fitted(name, values), (alternatives or {}).get(name, ()),
-                                   0.9 * (before - after), agreement))
+                                   0.9 * (before - after), agreement, other_causes=get_effect(name).imitated_by))
     parts = {part: sum(b - a for (n, _, a), b in zip(steps, totals, strict=False) if get_effect(n).kind == part)
              for part in ("sensors", "vehicle parameters", "physics", "environment")}
     parts |= {"place or time": sum(b.position_5s_reduction for b in varying), "unexplained": totals[-1]}

@@ -140,9 +140,7 @@ def test_causes_outside_the_library_are_listed_for_a_named_effect(logs):
     assert "or a cause outside the library with the same effect" in report_text.format_title(found)
     mass = discovery(logs, (("mass", {"factor": 0.94}, 0.5),), 1.7)
     assert "outside the library" not in report_text.format_title(mass)
-    changed = replace(found, start="reference")
-    assert "outside the library" not in report_text.format_title(changed)
-    assert not any("a wrong wheelbase" in text for text in report_text.recommend(changed, None))
+    assert not any("outside the library" in text for text in report_text.recommend(mass, None))
 
 
 def test_correction_of_recordings_is_advised_only_if_one_exists(logs):

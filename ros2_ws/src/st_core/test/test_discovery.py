@@ -117,6 +117,7 @@ def test_hidden_effect_is_named_with_its_value(leaf, name, parameter, value, dri
     verdicts = {c.name: c.verdict for c in found.candidates}
     assert verdicts[name] == "named" and set(verdicts) == set(Space("nonlinear", SETTINGS).hypotheses)
     assert all(c.reason for c in found.candidates)
+    assert ("rear-wheel steering" in effect.other_causes) == (name == "steering_ratio")
 
 
 @pytest.mark.slow

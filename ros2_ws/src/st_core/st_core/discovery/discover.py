@@ -189,7 +189,8 @@ class _Analysis:
                 name, get_effect(name).kind,
                 {n: replace_interval(p, sensors.get(f"{name}.{n}")) for n, p in values.items()},
                 (), evidence.position_reduction, _local_estimates(evidence),
-                search.find_cancelling_effects(state.fit, name), *decision.find_most_affected(evidence, self.limits)))
+                search.find_cancelling_effects(state.fit, name), *decision.find_most_affected(evidence, self.limits),
+                "" if self.reference else get_effect(name).imitated_by))
         leave_one_out = waterfall.leave_one_out(problem, state.fit)
         axles, curves, combinations = self._analyse_axles(state, joint_fit, noise_ratio)
         verdicts = self._decide_reporting(state, effects, axles, leave_one_out)

@@ -69,10 +69,10 @@ def format_title(discovery: Discovery) -> str:
     """The result in one line."""
     if discovery.outcome == "not_testable":
         return "These drives have too little excitation for a result"
-    effects = [name_with_alternatives(discovery, e) + (OTHER_CAUSE if _list_other_causes(discovery, e.name) else "")
+    effects = [name_with_alternatives(discovery, e) + (OTHER_CAUSE if e.other_causes else "")
                for e in sort_by_size(discovery.effects)]
     # A cause outside the library that acts like a named effect may change the combinations as well.
-    other_cause = OTHER_CAUSE if any(_list_other_causes(discovery, e.name) for e in discovery.effects) else ""
+    other_cause = OTHER_CAUSE if any(e.other_causes for e in discovery.effects) else ""
     combinations = [format_combination(c) + other_cause for c in discovery.unseparated_combinations]
     position = discovery.errors.get("position_5s")
     one_dominates = position is None or any(e.position_5s_increase > 0.5 * (position.base - position.augmented)
@@ -333,17 +333,11 @@ def _list_vehicle_recommendations(discovery: Discovery, update: VehicleUpdate | 
     return lines
 
 
-def _list_other_causes(discovery: Discovery, name: str) -> str:
-    """Causes outside the library with the same effect; "" with reference drives, which they affect equally."""
-    return "" if discovery.start == "reference" else get_effect(name).imitated_by
-
-
 def recommend(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
     """Recommendations, the most important first; ["nothing"] if there are none."""
     lines = _list_vehicle_recommendations(discovery, update)
     lines += [f"measure {to_words(e.name)} on the car, and check causes that have the same effect but are not in the "
-              f"library: {causes}"
-              for e in discovery.effects if (causes := _list_other_causes(discovery, e.name))]
+              f"library: {e.other_causes}" for e in discovery.effects if e.other_causes]
     is_written = discovery.model is not None and not discovery.increases_error
     if discovery.increases_error:
         position = discovery.errors["position_5s"]
