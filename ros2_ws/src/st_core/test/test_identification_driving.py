@@ -17,6 +17,7 @@ from st_core.identification.driving_prediction import (
 from st_core.identification.ins_mounting import identify_ins_mounting
 from st_core.identification.result import IdentificationError
 from st_core.identification.steering import DIRECT_OFFSET, OFFSET, identify_steering_offset
+from st_core.readings import correct_log
 
 SPEEDS = {6.0: 0.10, 9.0: 0.07, 12.0: 0.045, 15.0: 0.035}
 
@@ -172,6 +173,19 @@ def test_tyre_relaxation_does_not_bias_yaw_inertia(leaf):
     assert inertia.interval95[0] < leaf.yaw_inertia < inertia.interval95[1]
     assert inertia.standard_uncertainty > 0.005 * leaf.yaw_inertia
     assert any(warning.startswith("Also fitted: tyre_relaxation 0.") for warning in found.warnings)
+
+
+@pytest.mark.parametrize("measured", [True, False])
+def test_ins_that_rolls_with_the_body_does_not_bias_yaw_inertia(leaf, measured):
+    """Without lateral velocity, in which the roll appears, it is not fitted."""
+    opposite = augment("linear", {"sensor_roll": {"shift": -0.005}})  # its correction moves the INS outwards
+    logs = [drive(leaf, speed, weave(angle, 3.0), 30.0, sensors=Sensors(yaw_rate=5e-4), seed=5)
+            for speed, angle in ((9.0, 0.07), (12.0, 0.045), (15.0, 0.035))]
+    logs = [correct_log(opposite, correct_log(opposite, log)) for log in logs]
+    logs = logs if measured else [replace(log, velocity_y=0.0 * log.velocity_y) for log in logs]
+    inertia = identify_yaw_inertia(logs, leaf, "linear")["yaw_inertia"]
+    assert inertia.interval95[0] < leaf.yaw_inertia < inertia.interval95[1]
+    assert inertia.value == pytest.approx(leaf.yaw_inertia, rel=0.015 if measured else 0.03)
 
 
 def test_implausible_yaw_inertia_is_unidentifiable(leaf):

@@ -23,6 +23,7 @@ from ..effects.front_stiffness import FrontStiffness
 from ..effects.heading_misalignment import HeadingMisalignment
 from ..effects.rear_stiffness import RearStiffness
 from ..effects.sensor_lever_arm import SensorLeverArm
+from ..effects.sensor_roll import SensorRoll
 from ..effects.steering_delay import SteeringDelay
 from ..effects.steering_offset import SteeringOffset
 from ..effects.steering_ratio import SteeringRatio
@@ -36,7 +37,7 @@ from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
 from .result import IdentificationError
 
-MISALIGNMENT, DELAY, RELAXATION = "ins_misalignment", SteeringDelay.name, TyreRelaxation.name
+MISALIGNMENT, DELAY, RELAXATION, ROLL = "ins_misalignment", SteeringDelay.name, TyreRelaxation.name, SensorRoll.name
 MAX_ITERATIONS, SCALE_TOLERANCE = 6, 0.02
 """Largest number of fits, each with the error scale of the previous one; relative change at which they end."""
 MAX_CONDITION = 1e12  # condition number of the Hessian above which the drives do not determine the parameters
@@ -77,6 +78,8 @@ QUANTITIES: Mapping[str, FitQuantity] = {
     DELAY: FitQuantity(DELAY, "s", lambda car, values: values[f"{DELAY}.time"], max_uncertainty=0.02),
     # Distance rolled until the force reaches 63 % of its final value after a step of the slip angle.
     RELAXATION: FitQuantity(RELAXATION, "m", lambda car, values: values[f"{RELAXATION}.length"], max_uncertainty=0.1),
+    # Outward shift of the INS per lateral acceleration.
+    ROLL: FitQuantity(ROLL, "s^2", lambda car, values: values[f"{ROLL}.shift"], max_uncertainty=0.01),
 }
 
 

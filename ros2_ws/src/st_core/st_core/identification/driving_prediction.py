@@ -16,9 +16,10 @@ Yaw inertia, from transients:
 
     I_z r_dot = l_f F_f cos(delta) - l_r F_r
 
-Steering dynamics, wrong time stamps and tyre relaxation delay the response as inertia does, so dead time and relaxation
-length are fitted too. The delay between an angle and its time stamp, up to one sampling interval T, differs between the
-N drives, which adds T / sqrt(12 N) to the uncertainty of their common dead time, and thereby to that of the inertia.
+Steering dynamics, wrong time stamps and tyre relaxation delay the response as inertia does, and the lateral velocity of
+an INS that rolls with the body has another phase, so dead time, relaxation length and this roll are fitted too. The
+delay between an angle and its time stamp, up to one sampling interval T, differs between the N drives, which adds
+T / sqrt(12 N) to the uncertainty of their common dead time, and thereby to that of the inertia.
 Checked by: test_identification_driving.py.
 """
 
@@ -30,6 +31,7 @@ import numpy as np
 
 from .. import regression
 from ..augmented import AugmentedModel
+from ..channels import CHANNELS
 from ..effects import get_effect
 from ..handling import find_implausible_values
 from ..log import DriveLog
@@ -37,7 +39,7 @@ from ..models import Model, get_model
 from ..timeseries import NANOSECOND
 from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
 from .axle_forces import MAX_RANGE_RATIO, MAX_RELATIVE_UNCERTAINTY, SLIP_QUANTILE, compute_slip_angles
-from .driving_fit import DELAY, MISALIGNMENT, QUANTITIES, RELAXATION, DrivingFit, DrivingFitSettings, fit_driving
+from .driving_fit import DELAY, MISALIGNMENT, QUANTITIES, RELAXATION, ROLL, DrivingFit, DrivingFitSettings, fit_driving
 from .result import (
     Identification,
     IdentificationError,
@@ -157,7 +159,8 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                 measure_coverage("yaw acceleration", "rad/s^2", YAW_ACCELERATION_EDGES, fast,
                                  [run.time for run in runs], 0.5, 5))
     require_coverage(coverage, "Steady cornering is not enough: drive step steers, lane changes or a sine sweep.")
-    names = ("yaw_inertia", *STIFFNESSES, DELAY, RELAXATION, *NUISANCE_PARAMETERS)
+    roll = (ROLL,) if all(CHANNELS["velocity_y"].is_measured_in(log) for log in logs) else ()
+    names = ("yaw_inertia", *STIFFNESSES, DELAY, RELAXATION, *roll, *NUISANCE_PARAMETERS)
     fit = fit_driving(logs, vehicle, names, base, settings)
     # Uncertainty of the dead time, propagated to the inertia; see the module docstring.
     interval = float(np.median(np.concatenate([np.diff(log.steering_time_ns) for log in logs]))) * NANOSECOND
