@@ -106,7 +106,7 @@ def evaluate_all(sources: Sequence[RunSource], task: Task, workers: int, schedul
 
 def _evaluate_in_workers(sources: Sequence[RunSource], task: Task, workers: int,
                          scheduler: str | None) -> Iterator[RunReport]:
-    """Yield the report of each run in the order of completion. scheduler: address of a Dask scheduler, whose workers
+    """Yield the report of each run in the order of completion. scheduler: address of a Dask scheduler; its workers
     read the files under the same paths. Raises ConfigurationError if the workers are not available."""
     try:
         from distributed import Client, LocalCluster, as_completed
