@@ -82,8 +82,12 @@ class ModelFile:
         if self.vehicle_hash and vehicle.hash != self.vehicle_hash:
             expected, given = (f"{name!r} {digest[:12]}" for name, digest in (
                 (self.vehicle_name, self.vehicle_hash), (vehicle.name, vehicle.hash)))
-            differences = _describe_differences(self.vehicle, vehicle) if self.vehicle else ""
-            remark = f" (they differ in {differences})" if differences else ""
+            differences = [f"{key}: {a:g}, {b:g} {quantity.si_unit}".removesuffix(" 1")
+                           for key, quantity in VEHICLE_QUANTITIES.items()
+                           if self.vehicle and (a := getattr(self.vehicle, key)) != (b := getattr(vehicle, key))]
+            omitted = len(differences) - MAX_LISTED_DIFFERENCES
+            listed = "; ".join(differences[:MAX_LISTED_DIFFERENCES]) + (f"; {omitted} more" if omitted > 0 else "")
+            remark = f" (they differ in {listed})" if listed else ""
             raise ConfigurationError(f"{prefix}vehicle.hash: the values are valid for {expected}, but {origin} is "
                                      f"{given}{remark}; use the vehicle file with which they were identified")
 
@@ -195,12 +199,3 @@ def _check_text(path: str, value: Any) -> str:
     if isinstance(value, bool | int | float | list | dict) or value is None:
         raise ConfigurationError(f"{path}: {value!r} is not a string; put it in quotes")
     return str(value)
-
-
-def _describe_differences(first: VehicleParameters, second: VehicleParameters) -> str:
-    """Differences between two cars except tyres, such as "mass: 1590, 1700 kg", and the number omitted; "" if none."""
-    values = {key: (getattr(first, key), getattr(second, key)) for key in VEHICLE_QUANTITIES}
-    differences = [f"{key}: {a:g}, {b:g} {VEHICLE_QUANTITIES[key].si_unit}".removesuffix(" 1")
-                   for key, (a, b) in values.items() if a != b]
-    omitted = len(differences) - MAX_LISTED_DIFFERENCES
-    return "; ".join(differences[:MAX_LISTED_DIFFERENCES]) + (f"; {omitted} more" if omitted > 0 else "")

@@ -83,10 +83,16 @@ class _Run:
                 raise ConfigurationError(f"{option} {value}: not within {low} to {high}")
         self._options, self._car = options, read_vehicle(options.vehicle)
         self._codec = Decoder(*_find_can_tables(options))
-        self.settings = _resolve_settings(options)
         if options.drive:
+            if options.plant:
+                raise ConfigurationError("--plant cannot be combined with --drive: a recorded drive has no plant")
+            self.settings = resolve_settings("ideal", options.effect)
+            for name in find_overrides(self.settings):
+                if SETTINGS[name].group not in ("ins", "can"):
+                    raise ConfigurationError(f"--effect {name} cannot be combined with --drive: not a sensor effect")
             self._source: Source = RecordedDrive(options.drive, self._car)
         else:
+            self.settings = resolve_settings(options.plant or "realistic", options.effect)
             self._source = SimulatedCar(self._car, self.settings, load_plan(options.scenario), options.seed)
         drive_duration = self._source.duration
         self.duration = options.duration if options.duration is not None else drive_duration or DEFAULT_DURATION
@@ -122,18 +128,6 @@ def _find_can_tables(options: argparse.Namespace) -> tuple[Path, Path]:
             return dbc, signals
     raise ConfigurationError(f"--config {options.config or 'is missing'}: can/leaf_ze0.dbc and can/leaf_ze0.yaml, the "
                              "CAN tables of the virtual car, were not found; give the folder config/ of the project")
-
-
-def _resolve_settings(options: argparse.Namespace) -> dict[str, float]:
-    if not options.drive:
-        return resolve_settings(options.plant or "realistic", options.effect)
-    if options.plant:
-        raise ConfigurationError("--plant cannot be combined with --drive: a recorded drive has no plant")
-    settings = resolve_settings("ideal", options.effect)
-    for name in find_overrides(settings):
-        if SETTINGS[name].group not in ("ins", "can"):
-            raise ConfigurationError(f"--effect {name} cannot be combined with --drive: only sensor effects apply")
-    return settings
 
 
 def _parse_origin(text: str) -> Origin:

@@ -21,7 +21,7 @@ cancel in K. Source: paper, equation of lambda_Ky. Checked by: test_identificati
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -275,26 +275,22 @@ def _get_bounds(names: Sequence[str]) -> tuple[list[float], list[float]]:
     return [low for low, _ in limits], [high for _, high in limits]
 
 
-def _make_warnings(data: FlatPlank, tyre_fit: TyreFit, peak: float) -> list[str]:
-    sentences = []
+def _make_warnings(data: FlatPlank, tyre_fit: TyreFit, peak: float) -> Iterator[str]:
     if tyre_fit.opposite_sign:
-        sentences.append("Force and slip angle have equal signs in the table: the sign of the slip angle was changed.")
+        yield "Force and slip angle have equal signs in the table: the sign of the slip angle was changed."
     if (loads := len(tyre_fit.levels)) < 3:
         fixed_parameters = "p_ky4 is" if loads == 2 else "p_dy2, p_ey2, p_ky2 and p_ky4 are"
-        sentences.append(f"The table has only {loads} load{'s' * (loads > 1)}: {fixed_parameters} taken from the "
-                         "vehicle file.")
+        yield f"The table has only {loads} load{'s' * (loads > 1)}: {fixed_parameters} taken from the vehicle file."
     shift, uncertainty = tyre_fit.fit.values[-1], tyre_fit.fit.standard_errors[-1]
     if abs(shift) > 3.0 * uncertainty and abs(shift) > math.radians(0.02):
-        sentences.append(f"The curves are shifted by {math.degrees(shift):+.2f} deg of slip angle (conicity, "
-                         "plysteer, or a wrong zero of the wheel angle); the models' tyre is symmetric.")
+        yield (f"The curves are shifted by {math.degrees(shift):+.2f} deg of slip angle (conicity, plysteer, or a "
+               "wrong zero of the wheel angle); the models' tyre is symmetric.")
     grid = np.linspace(data.slip.min(), data.slip.max(), 61)
     largest = max(float(np.abs(tyre_force(grid, load, tyre_fit.two_stage_tyre)
                                - tyre_force(grid, load, tyre_fit.tyre)).max()) for load in tyre_fit.levels)
     if largest > 0.01 * peak:
-        sentences.append(f"The two-stage and the simultaneous fit differ by up to {largest:.0f} N, "
-                         f"{100 * largest / peak:.1f} % of the largest force: the load dependence of the formula does "
-                         "not fit all loads equally well.")
-    return sentences
+        yield (f"The two-stage and the simultaneous fit differ by up to {largest:.0f} N, {100 * largest / peak:.1f} % "
+               "of the largest force: the load dependence of the formula does not fit all loads equally well.")
 
 
 LOAD_STEP = 1e-4  # relative step of F_z in the numerical derivative of K

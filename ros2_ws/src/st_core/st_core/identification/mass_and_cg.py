@@ -209,7 +209,7 @@ def identify_cg_height(data: LiftRows, vehicle: VehicleParameters, weighed_mass:
         f"of the heights computed at each pitch angle is {average:.3f} m.{deflection_note}")
     edges = np.arange(0.0, data.pitch.max() + PITCH_BIN_WIDTH, PITCH_BIN_WIDTH)
     coverage = Coverage("pitch", "deg", np.degrees(edges), np.histogram(data.pitch, edges)[0], 1, 2)
-    warnings = _check_lifts(data, mass, rear_fraction)
+    warnings = list(_check_lifts(data, mass, rear_fraction))
     if abs(average - height) > 2.0 * uncertainty:
         warnings.append(f"The average over the pitch angles, {average:.3f} m, differs from the fit, {height:.3f} m, by "
                         "more than twice the uncertainty of the fit: the average weights all pitch angles equally.")
@@ -267,19 +267,17 @@ def _compute_load_transfers(data: LiftRows, line: Line) -> np.ndarray:
     return transfers
 
 
-def _check_lifts(data: LiftRows, mass: float, rear_fraction: float) -> list[str]:
-    sentences = []
+def _check_lifts(data: LiftRows, mass: float, rear_fraction: float) -> Iterator[str]:
     for name in dict.fromkeys(data.lifts):
         pitch = np.degrees(data.pitch[np.asarray(data.lifts) == name])
         falling_rows = np.flatnonzero(np.diff(pitch) < -0.05)
         if len(falling_rows):
             k = int(falling_rows[0])
-            sentences.append(f"Lift {name}: pitch falls from {pitch[k]:.1f} to {pitch[k + 1]:.1f} deg at row {k + 2} "
-                             "of the lift. The order does not affect the fit, but friction changes the load on the "
-                             "way down: enter such rows as a separate lift.")
+            yield (f"Lift {name}: pitch falls from {pitch[k]:.1f} to {pitch[k + 1]:.1f} deg at row {k + 2} of it. The "
+                   "order does not affect the fit, but friction changes the load on the way down: enter such rows as "
+                   "a separate lift.")
     measured, expected = float(data.rear_load[data.is_level].mean()), mass * rear_fraction
     if abs(measured - expected) > MAX_LOAD_DIFFERENCE * mass:
-        sentences.append(f"With the car level, the rear wheels carry {measured:.1f} kg, but a mass of {mass:.1f} kg "
-                         f"and the CG position of the vehicle file give {expected:.1f} kg: the car was loaded "
-                         "differently. The height applies to the car as lifted, and only if it had this mass.")
-    return sentences
+        yield (f"With the car level, the rear wheels carry {measured:.1f} kg, but a mass of {mass:.1f} kg and the CG "
+               f"position of the vehicle file give {expected:.1f} kg: the car was loaded differently. The height "
+               "applies to the car as lifted, and only if it had this mass.")

@@ -23,7 +23,7 @@ A crowned road, crosswind or worn tyres bias both results. Checked by: test_iden
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -158,18 +158,16 @@ def _check_rows(data: Turntable) -> None:
                                   "least 90 deg are needed; if the column is in radians, name it steering_wheel_rad")
 
 
-def _make_warnings(data: Turntable, line: Line) -> list[str]:
-    sentences = []
+def _make_warnings(data: Turntable, line: Line) -> Iterator[str]:
     difference = data.left - data.right - np.median(data.left - data.right)
     turns = [difference[side * data.steering > ANGLE_BIN_WIDTH] for side in (1.0, -1.0)]
     if all(map(len, turns)) and (inner_excess := np.concatenate(turns).mean()) < -math.radians(0.3):
-        sentences.append(f"The outer wheel turns further than the inner one by {math.degrees(-inner_excess):.1f} deg "
-                         "on average: left and right columns may be exchanged. The ratio is not affected.")
+        yield (f"The outer wheel turns further than the inner one by {math.degrees(-inner_excess):.1f} deg on average: "
+               "left and right columns may be exchanged. The ratio is not affected.")
     if len(line.intercepts) > 1:
         spread = math.degrees(max(line.intercepts.values()) - min(line.intercepts.values()))
-        sentences.append(f"The sweeps differ by up to {spread:.2f} deg at the road wheel. Possible causes are "
-                         "play, friction, and turntables zeroed between the sweeps.")
-    return sentences
+        yield (f"The sweeps differ by up to {spread:.2f} deg at the road wheel. Possible causes are play, friction, "
+               "and turntables zeroed between the sweeps.")
 
 
 OFFSET, DIRECT_OFFSET = "steering_wheel_offset", "steering_wheel_offset_direct"
