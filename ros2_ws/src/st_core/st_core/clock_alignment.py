@@ -164,11 +164,10 @@ def _align_with_overlap(series: _ResampledSignals, minimum_overlap: float,
         solution = fit(fine, solution.offset, middle, solution.drift)
     except ValueError as error:
         return refused_alignment(*reasons, str(error))
-    lags = []  # fit of each signal alone
-    for pair, residual, correlation in zip(fine, solution.residual, solution.correlation, strict=True):
-        signal_fit = fit([pair], solution.offset, middle, solution.drift, free_drift=False)
-        difference = signal_fit.offset - solution.offset
-        lags.append(SignalLag(pair.name, difference, signal_fit.offset_deviation, residual, correlation))
+    single_fits = [fit([pair], solution.offset, middle, solution.drift, free_drift=False) for pair in fine]
+    lags = [SignalLag(pair.name, single.offset - solution.offset, single.offset_deviation, residual, correlation)
+            for pair, single, residual, correlation in zip(fine, single_fits, solution.residual, solution.correlation,
+                                                           strict=True)]
     excess = 0.0  # variance between the signals in excess of their uncertainties [s^2]
     weights = np.array([s.deviation**-2 for s in lags])
     if (count := np.count_nonzero(weights)) > 1:

@@ -131,9 +131,8 @@ class Bands:
         settings = document["settings"]
         time = make_times(settings["horizon"], settings["step"])
         bands: dict[ModelMode, Band] = {}
-        hashes = {}
+        hashes = {model: str(entry["configuration_hash"]) for model, entry in document["bands"].items()}
         for model, entry in document["bands"].items():
-            hashes[model] = str(entry["configuration_hash"])
             for mode in (m for m in MODES if m in entry):
                 mode_entry = entry[mode]
                 coefficients = np.array(mode_entry["coefficients"], float)
