@@ -135,11 +135,9 @@ def budget_errors(r: Record) -> list[float]:
     return [abs(r["budget"].get(part, [0.0])[0] - last) for part, (last, _) in r.get("shares", {}).items()]
 
 
-def share_of_records(rows: Sequence[Record], test: Callable[[Record], bool]) -> Record:
-    return share_of([test(r) for r in rows])
-
-
-def share_of(hits: Sequence[bool]) -> Record:
+def share_of(cases: Iterable[bool]) -> Record:
+    """Number and fraction of the true values, with the interval of the fraction."""
+    hits = list(cases)
     low, high = wilson(sum(hits), len(hits))
     return {"hits": sum(hits), "of": len(hits), "share": sum(hits) / len(hits) if hits else None, "low": low,
             "high": high}
@@ -164,15 +162,15 @@ def _score_blocks(records: Sequence[Record]) -> Iterator[Row]:
     yield from _score_healthy(blocks["C"], "")
     yield from _score_with_reference(blocks["D"])
     relevant = [r for r in blocks["E"] if r.get("loss_ratio", 0.0) >= MIN_HIDDEN_LOSS_RATIO]
-    yield ("E: reported as varying or unknown, not named", "80 %", "92 %", share_of_records(relevant, is_reported))
+    yield ("E: reported as varying or unknown, not named", "80 %", "92 %", share_of(map(is_reported, relevant)))
     for kind in ("place", "time", "unknown"):
-        yield (f"  {kind}", "", "", share_of_records([r for r in relevant if r["kind"] == kind], is_reported))
+        yield (f"  {kind}", "", "", share_of(is_reported(r) for r in relevant if r["kind"] == kind))
     yield from _score_edits(blocks["F"])
     away = {b: [r for r in blocks[b] if r["plant"] != LEAF] for b in "ABC"}
     yield from _score_found_effects([*away["A"], *away["B"]], "multi-body, ")
     yield from _score_healthy(away["C"], "multi-body, ")
     yield ("suggested drive settles the case", "60 %", "85 %",
-           share_of_records([r for r in records if "settled" in r], lambda r: r["settled"]))
+           share_of(r["settled"] for r in records if "settled" in r))
     judged = [r for r in (*blocks["A"], *blocks["B"]) if r.get("shares")]
     yield ("error budget against truth, mean difference", "≤ 12 %", "≤ 6 %",
            {**value_of([m for r in judged for m in budget_errors(r)]), "percent": True})
@@ -181,14 +179,14 @@ def _score_blocks(records: Sequence[Record]) -> Iterator[Row]:
     everything = [r["cpu_s"] for r in records if "cpu_s" in r]
     yield ("processor time of discover per case [s], median", "≤ 20", "≤ 5", value_of(everything, np.median))
     yield ("processor time of discover per case [s], largest", "≤ 20", "≤ 5", value_of(everything, np.max))
-    yield ("exceptions", "0", "0", share_of_records(records, lambda r: r["outcome"] == "error"))
+    yield ("exceptions", "0", "0", share_of(r["outcome"] == "error" for r in records))
 
 
 def _score_found_effects(rows: list[Record], prefix: str) -> Iterator[Row]:
     """Rows of blocks A and B. prefix: of their names."""
     slack = "within 6 points of " if prefix else ""
     yield (f"{prefix}A and B: relevant effects stated, alone or with alternatives", slack + "90 %", "97 %",
-           share_of([is_stated(r, n) for r in rows for n in relevant_effects(r)]))
+           share_of(is_stated(r, n) for r in rows for n in relevant_effects(r)))
     yield (f"{prefix}A and B: false statements", slack + "≤ 4 %", "≤ 1 %",
            share_of([is_false(r, e) for r in rows for e in r["effects"]]))
     yield (f"{prefix}A and B: mean number of effects per statement", "≤ 1.6", "≤ 1.25",
@@ -200,7 +198,7 @@ def _score_found_effects(rows: list[Record], prefix: str) -> Iterator[Row]:
         yield (f"{prefix}A and B: held-out 5 s position error reduced, relative to the oracle, {name}",
                slack + required, goal, {**value_of(fractions, lambda v, q=q: np.quantile(v, q)), "percent": True})
     yield (f"{prefix}A and B: held-out error increased", "≤ 1 %", "0",
-           share_of_records([r for r in rows if "position" in r], is_worse))
+           share_of(is_worse(r) for r in rows if "position" in r))
 
 
 def _score_healthy(rows: list[Record], prefix: str) -> Iterator[Row]:
@@ -209,28 +207,27 @@ def _score_healthy(rows: list[Record], prefix: str) -> Iterator[Row]:
     yield (f"{prefix}C: false statements", "≤ 3 %", "≤ 1 %",
            share_of([*(bool(r["effects"]) for r in base), *(bool(list_false(r)) for r in identified)]))
     yield (f"  {prefix}car equal to the base model: anything stated", "", "",
-           share_of_records(base, lambda r: bool(r["effects"])))
-    yield (f"  {prefix}file identified: false statements", "", "", share_of_records(
-        identified, lambda r: bool(list_false(r))))
+           share_of(bool(r["effects"]) for r in base))
+    yield (f"  {prefix}file identified: false statements", "", "", share_of(bool(list_false(r)) for r in identified))
     yield (f"  {prefix}file identified: anything stated", "", "",
-           share_of_records(identified, lambda r: bool(r["effects"])))
+           share_of(bool(r["effects"]) for r in identified))
     yield (f"  {prefix}C: held-out error increased", "≤ 1 %", "0",
-           share_of_records([r for r in rows if "position" in r], is_worse))
+           share_of(is_worse(r) for r in rows if "position" in r))
 
 
 def _score_with_reference(rows: list[Record]) -> Iterator[Row]:
     single = [r for r in rows if r["kind"] == "one" and "detectability" in r]
     for level, required, goal in (("strong", "95 %", "98 %"), ("medium", "85 %", "94 %"), ("weak", "70 %", "85 %")):
-        yield (f"D: exact name, {level}, with v_y", required, goal, share_of_records(
-            [r for r in single if r["with_vy"] and stratum(r["detectability"]) == level], is_exact))
-    yield ("  exact name, strong and medium, without v_y", "", "", share_of_records(
-        [r for r in single if not r["with_vy"] and stratum(r["detectability"]) in ("strong", "medium")], is_exact))
+        yield (f"D: exact name, {level}, with v_y", required, goal, share_of(
+            is_exact(r) for r in single if r["with_vy"] and stratum(r["detectability"]) == level))
+    yield ("  exact name, strong and medium, without v_y", "", "", share_of(
+        is_exact(r) for r in single if not r["with_vy"] and stratum(r["detectability"]) in ("strong", "medium")))
     healthy = [r for r in rows if r["kind"] == "healthy"]
     for name, shifted, required, goal in (("same", False, "≤ 2 %", "≤ 1 %"), ("shifted", True, "≤ 4 %", "≤ 2 %")):
-        yield (f"D: alarms, {name} conditions", required, goal, share_of_records(
-            [r for r in healthy if r["shifted"] == shifted], lambda r: r["outcome"] not in ("none", "not_testable")))
+        yield (f"D: alarms, {name} conditions", required, goal, share_of(
+            r["outcome"] not in ("none", "not_testable") for r in healthy if r["shifted"] == shifted))
     yield ("  D: held-out error increased", "≤ 1 %", "0",
-           share_of_records([r for r in rows if "position" in r], is_worse))
+           share_of(is_worse(r) for r in rows if "position" in r))
 
 
 def _score_edits(rows: list[Record]) -> Iterator[Row]:

@@ -16,7 +16,7 @@ from .cases import COUNTS
 from .edits import compare_edit
 from .effects import KNOWN, PLANT_DIFFERENCES
 from .evaluation import plant_differences
-from .score import format_result, list_statements, relevant_effects, share_of, share_of_records, value_of
+from .score import format_result, list_statements, relevant_effects, share_of, value_of
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
@@ -99,7 +99,7 @@ def _methods(records: Sequence[Record]) -> str:
     def row(name: str, position: Callable[[Record], float]) -> tuple[str, ...]:
         shares = [(r["position"]["base"] - position(r)) / (r["position"]["base"] - r["position"]["oracle"])
                   for r in compared]
-        worse = share_of_records(compared, lambda r: position(r) > score.WORSE * r["position"]["base"])
+        worse = share_of(position(r) > score.WORSE * r["position"]["base"] for r in compared)
         return (name, *(format_result({**value_of(shares, lambda v, q=q: np.quantile(v, q)), "name": "",
                                        "percent": True})
                         for q in (0.5, 0.1)), format_result(worse))
@@ -109,9 +109,8 @@ def _methods(records: Sequence[Record]) -> str:
             row("discover", lambda r: r["position"]["found"]),
             row("oracle: the true effects fitted", lambda r: r["position"]["oracle"])]
     regressed = [r for r in compared if "regression" in r["baselines"]]
-    named = share_of_records(regressed, lambda r: bool(set(r["baselines"]["regression"]["names"]) & set(r["hidden"])))
-    residuals = [r["baselines"]["regression"] for r in regressed]
-    worse = share_of_records(residuals, lambda residual: residual["after"] > residual["before"])
+    named = share_of(bool(set(r["baselines"]["regression"]["names"]) & set(r["hidden"])) for r in regressed)
+    worse = share_of(r["baselines"]["regression"]["after"] > r["baselines"]["regression"]["before"] for r in regressed)
     text = ("Sparse regression of the residual accelerations predicts no positions. Its largest term names a hidden "
             f"effect in {format_result(named)}; the residual on held-out drives grows in {format_result(worse)}.")
     return format_table(("method", "median", "10th percentile", "error increased"), rows) + "\n\n" + text

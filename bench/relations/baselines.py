@@ -1,7 +1,7 @@
 """Other methods, for comparison with a proposal: regressions of the residual accelerations.
 
-A sparse regression (`regression`) or a Gaussian process predicts the residual accelerations. They are added to those of
-the model in the simulation of the held-out drives.
+A sparse regression (that of `discovery.baselines`) or a Gaussian process predicts the residual accelerations. They are
+added to those of the model in the simulation of the held-out drives.
 """
 
 import warnings
@@ -19,8 +19,8 @@ from st_core.log import DriveLog
 from st_core.types import cg_to_ins_position
 from st_core.vehicle import VehicleParameters
 
+from ..discovery.baselines import TERMS, Regression, make_library
 from ..discovery.oracle import mean_distance
-from ..discovery.regression import TERMS, Regression, make_library
 
 HORIZON = 5.0  # s
 SAMPLES, SEED = 250, 5

@@ -16,7 +16,7 @@ from typing import Any
 from st_recordings.paths import project_root, source_version
 
 from .._pages import format_records, replace_part
-from . import ablation, evaluation, score
+from . import ablation, score
 from .cases import HALVES, NEW_USER, Case, cases
 from .recordings import write_case
 from .vehicles import CARS, EQUATIONS
@@ -96,8 +96,8 @@ def run_case(case: Case, keep: Path | None = None) -> dict[str, Any]:
             return result | {"failed": done.stderr[-2000:]}
         answer = json.loads((output / "discovery.json").read_text())
         result["answer"] = {key: answer[key] for key in STORED_KEYS if key in answer}
-        result["held_out"] = evaluation.held_out_errors(folder, output)
-        result["forces"] = evaluation.implied_forces(result["truth"], folder, output, answer)
+        result["held_out"] = score.held_out_errors(folder, output)
+        result["forces"] = score.implied_forces(result["truth"], folder, output, answer)
     return result
 
 
