@@ -57,7 +57,13 @@ def read_can_logs(files: Sequence[Path], known_ids: Collection[int] = ()) -> Can
     frames, n_repeated = can_frames.remove_duplicates(can_frames.merge_by_time([log.frames for log in logs]))
     if n_repeated:
         warnings.append(f"{used_files[0]}: frames that are in the logs more than once: {n_repeated}; each is used once")
-    warnings += [str(error) for error in errors] + _describe_missing_splits(used_files)
+    sessions: dict[str, set[int]] = {}
+    for session, split in map(parse_session, used_files):
+        sessions.setdefault(session, set()).add(split)
+    warnings += [*map(str, errors), *(
+        f"{session}: the log has a gap because files of the session are missing: {', '.join(map(str, missing))}"
+        for session, splits in sessions.items()
+        if (missing := sorted({*range(min(splits), max(splits) + 1)} - splits)))]
     spans = tuple((int(log.frames.time_ns.min()), int(log.frames.time_ns.max())) for log in logs)
     return CanLog(frames, used_files, min(log.start_ns for log in logs), logs[0].is_utc, tuple(warnings), spans,
                   tuple(step for log in logs for step in log.steps))
@@ -196,12 +202,3 @@ def _find_bus_number(channel: Any) -> int:
         return (channel + 1) % 256
     digits = re.search(r"\d+$", str(channel or ""))
     return (int(digits[0]) + 1) % 256 if digits else 0
-
-
-def _describe_missing_splits(files: Sequence[Path]) -> list[str]:
-    sessions: dict[str, set[int]] = {}
-    for session, split in map(parse_session, files):
-        sessions.setdefault(session, set()).add(split)
-    return [f"{session}: the log has a gap because files of the session are missing: {', '.join(map(str, missing))}"
-            for session, splits in sessions.items()
-            if (missing := sorted({*range(min(splits), max(splits) + 1)} - splits))]

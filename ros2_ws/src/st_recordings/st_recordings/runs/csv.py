@@ -134,12 +134,6 @@ def build_ins_log(table: Table, required: Sequence[str], yaw_scale: float = 1.0)
     return InsLog(table.file, time_ns, values, time_ns, origin, None, tuple(warnings), table.is_utc)
 
 
-def looks_like_a_drive(file: Path) -> bool:
-    """Whether the header names a position and lacks at most one INS channel."""
-    missing = find_missing_in_header(file, INS_SIGNALS, with_derived_motion=False)
-    return len(missing) <= 1 and not {"x", "y"} & set(missing)
-
-
 def find_missing_in_header(file: Path, required: Sequence[str] = ("t", *INS_SIGNALS, ROAD_WHEEL),
                             with_derived_motion: bool = True) -> list[str]:
     """The required channels that have no column in the header and cannot be derived."""

@@ -78,7 +78,12 @@ def _split_sections(text: str) -> dict[str, str]:
 
 def _find_sources(file: Path, names: list[str], sections: dict[str, str], layout: Layout) -> dict[str, ColumnSource]:
     """Finds the standard channels, and further channels by the column names that are known for CSV files."""
-    units = _read_units(names, sections)
+    # [channel units] lists the last columns only; the unit of velocity may be in [header].
+    lines = [line.strip() for line in sections.get("channel units", sections.get("units", "")).rstrip().splitlines()]
+    units = dict(zip(names[-len(lines) :], lines, strict=False)) if lines and len(lines) <= len(names) else {}
+    for line in sections.get("header", "").lower().splitlines():
+        if line.strip().startswith("velocity "):
+            units["velocity"] = line.split(None, 1)[1].strip()
     named = dict(layout.columns)
     for name in names:
         channel = "compass_heading" if normalise(name) in TRUE_HEADING_NAMES else _STANDARD_CHANNELS.get(name.lower())
@@ -96,16 +101,6 @@ def _find_sources(file: Path, names: list[str], sections: dict[str, str], layout
     if "yaw" in sources and "course" in sources and "yaw" not in layout.columns:
         sources.pop("yaw")
     return apply_units(file, sources, layout)
-
-
-def _read_units(names: list[str], sections: dict[str, str]) -> dict[str, str]:
-    """Column -> unit, from [channel units], which lists the last columns only, and from velocity in [header]."""
-    lines = [line.strip() for line in sections.get("channel units", sections.get("units", "")).rstrip().splitlines()]
-    units = dict(zip(names[-len(lines) :], lines, strict=False)) if lines and len(lines) <= len(names) else {}
-    for line in sections.get("header", "").lower().splitlines():
-        if line.strip().startswith("velocity "):
-            units["velocity"] = line.split(None, 1)[1].strip()
-    return units
 
 
 def _correct_signs(table: Table) -> Table:

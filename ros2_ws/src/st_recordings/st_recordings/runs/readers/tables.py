@@ -44,6 +44,9 @@ def register_table(kind: str, extensions: tuple[str, ...], read_file: Callable[[
 
 
 register_table("csv", (".csv", ".tsv", ".txt", ".dat", *MF4_EXTENSIONS, *BINARY_EXTENSIONS), read_table,
-               has_drive=lambda file: not csv.find_missing_in_header(file), is_incomplete=csv.looks_like_a_drive,
+               has_drive=lambda file: not csv.find_missing_in_header(file),
+               # It contains a position, and lacks at most one INS channel.
+               is_incomplete=lambda file: not {"x", "y"} & {*(missing := csv.find_missing_in_header(
+                   file, INS_SIGNALS, with_derived_motion=False))} and len(missing) <= 1,
                lacks_steering=lambda file: csv.find_missing_in_header(file) == [csv.ROAD_WHEEL])
 register_table("vbo", (".vbo",), read_vbo, lacks_steering=lacks_steering)
