@@ -150,8 +150,6 @@ def library_p_value(block_scores: np.ndarray, block_gain: np.ndarray, scores: Sc
     (b,). effect_count: number of effects in the library.
     """
     blocks, values = block_scores.shape
-    if blocks < 2:
-        return 1.0
     p_score = (1 + int((scores.largest >= score_statistic(block_scores)).sum())) / (1 + len(scores.largest))
     ratio = 2.0 * max(float(block_gain.sum()), 0.0) / scores.design_effect
     p_ratio = effect_count * float(stats.f.sf(ratio / values, values, blocks - 1))

@@ -82,8 +82,7 @@ class FoundEffect:
     joint: tuple[str, ...] = ()  # effects of the result that cancel it, so that only their combination is identifiable
     channel: str = ""  # with the largest relative error reduction; "" if no error exceeds twice the noise
     share: float = 0.0  # relative error reduction in this channel [1]
-    # Causes outside the library with the same effect; "" with reference drives, which they affect equally.
-    other_causes: str = ""
+    other_causes: str = ""  # outside the library, with the same effect; "" with reference drives
 
 
 @dataclass(frozen=True)
