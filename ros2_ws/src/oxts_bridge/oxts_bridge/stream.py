@@ -96,9 +96,14 @@ class NcomParser:
         elif rule.has_time:
             gps_ns, order = self._compute_time(packet, raw, minute, received_ns)
         elif kind == "trigger":
-            gps_ns, order = self._compute_event_time(packet, raw)
+            counters.triggers += 1
+            gps_ns = channels.decode_event_time(packet.channel, packet.batch_s)
             if gps_ns is None:
                 kind = "empty"
+            elif raw == self._last_trigger:
+                order = DUPLICATE
+                counters.duplicates += 1
+            self._last_trigger = raw
         elif not rule.is_defined:
             counters.unknown_statuses += 1
         counters.impossible_positions += _mask_invalid(packet, rule, kind)
@@ -129,16 +134,6 @@ class NcomParser:
                 self.clock.initialise_minute(ncom.compute_host_minute(received_ns, packet.milliseconds))
                 self.minute_from_host = True
         return None, order
-
-    def _compute_event_time(self, packet: Packet, raw: bytes) -> tuple[int | None, int]:
-        """GPS time [ns] of an event, None if the packet contains none, and order of the packet."""
-        self.counters.triggers += 1
-        previous, self._last_trigger = self._last_trigger, raw
-        gps_ns = channels.decode_event_time(packet.channel, packet.batch_s)
-        if gps_ns is None or raw != previous:
-            return gps_ns, NEW
-        self.counters.duplicates += 1
-        return gps_ns, DUPLICATE
 
     def _detect_event(self, channel: int, data: bytes, is_trigger: bool) -> int | None:
         """GPS time [ns] of an event that no earlier packet reported, else None.

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from io import BytesIO
 from itertools import count
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import yaml
 from mcap.opcode import Opcode
@@ -204,19 +204,15 @@ def _build_information(files: Sequence[BagFile], contents: list[Contents], sourc
         for channel in file_contents.channels.values():
             schema = file_contents.schemas.get(channel.schema_id)
             type_name = schema.name if schema else ""
+            try:
+                qos = yaml.safe_load(channel.metadata.get("offered_qos_profiles", ""))
+            except yaml.YAMLError:
+                qos = None
             topic = topics.setdefault((channel.topic, type_name), BagTopic(
                 channel.topic, type_name, channel.metadata.get("topic_type_hash", ""),
-                _parse_qos(channel.metadata.get("offered_qos_profiles", ""))))
+                qos if isinstance(qos, list) else []))
             topic.count += counts[channel.id]
     return BagInformation(files, list(topics.values()), custom)
-
-
-def _parse_qos(text: str) -> list[Any]:
-    try:
-        entries = yaml.safe_load(text)
-    except yaml.YAMLError:
-        return []
-    return entries if isinstance(entries, list) else []
 
 
 def _metadata_matches(folder: Path, information: BagInformation) -> bool:

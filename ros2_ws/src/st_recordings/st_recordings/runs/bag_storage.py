@@ -8,7 +8,7 @@ import sqlite3
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -354,7 +354,12 @@ class SqliteStorage(Storage):
         text = ("SELECT messages.timestamp, messages.data FROM messages JOIN topics ON messages.topic_id = topics.id "
                 "WHERE topics.name = ? ORDER BY messages.timestamp")
         for file in self._files:
-            yield from ((log_ns, _decompress(data)) for log_ns, data in _query(file, text, topic))
+            for log_ns, data in _query(file, text, topic):
+                message = data
+                if data[:4] == ZSTD_MAGIC:  # metadata.yaml, which states the compression, may be missing
+                    with suppress(zstandard.ZstdError):  # the reader of the message reports the damage
+                        message = zstandard.decompress(data)
+                yield log_ns, message
 
     def definitions(self) -> dict[str, tuple[str, str]]:
         definitions: dict[str, tuple[str, str]] = {}
@@ -363,16 +368,6 @@ class SqliteStorage(Storage):
                 rows = _query(file, "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions")
                 definitions |= {str(name): (str(encoding), str(text)) for name, encoding, text in rows}
         return definitions
-
-
-def _decompress(data: bytes) -> bytes:
-    """Decompresses a message if its first bytes are those of zstd; metadata.yaml, which states this, may be missing."""
-    if data[:4] != ZSTD_MAGIC:
-        return data
-    try:
-        return zstandard.decompress(data)
-    except zstandard.ZstdError:
-        return data  # its reader reports the damage
 
 
 class RosbagsStorage(Storage):

@@ -220,7 +220,13 @@ class _BlockChecker:
             is_packed = self._data[offset : offset + 4] == b"##DZ"
             block = self._read_block(offset, (b"##" + name, b"##DZ", b"##DL", b"##HL"), content=24 if is_packed else 0)
             if is_packed:
-                size += self._measure_unpacked_records(block, name)
+                content, method, columns, unpacked_size, packed_size = struct.unpack_from(
+                    "<2sBxIQQ", self._data, block.content)
+                if content != name or method > _MAX_COMPRESSION_METHOD or (method % 2 and not columns):
+                    raise DamageError(f"the block at byte {offset} has invalid compression parameters")
+                if block.content + 24 + packed_size > block.end or unpacked_size > _MAX_INFLATION * packed_size:
+                    raise DamageError(f"the block at byte {offset} is too short to unpack to {unpacked_size} bytes")
+                size += unpacked_size
             elif block.name == b"##DL":
                 pending_links += block.links
                 list_count += 1
@@ -232,14 +238,6 @@ class _BlockChecker:
             # asammdf would look for the end of the lists forever.
             raise DamageError("it was not finalised, and its records are in more than one list")
         return size
-
-    def _measure_unpacked_records(self, block: _Block, name: bytes) -> int:
-        content, method, columns, unpacked_size, packed_size = struct.unpack_from("<2sBxIQQ", self._data, block.content)
-        if content != name or method > _MAX_COMPRESSION_METHOD or (method % 2 and not columns):
-            raise DamageError(f"the block at byte {block.offset} has invalid compression parameters")
-        if block.content + 24 + packed_size > block.end or unpacked_size > _MAX_INFLATION * packed_size:
-            raise DamageError(f"the block at byte {block.offset} is too short to unpack to {unpacked_size} bytes")
-        return unpacked_size
 
 
 def find_end_of_last_frame(data: Buffer, layout: RecordLayout) -> int | None:

@@ -158,6 +158,12 @@ def build_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSet
         **{name: values for name, values in ins.values.items() if name in INS_SIGNALS or is_mostly_known(values)},
         steering_time_ns=steering_ns[is_usable], steering_wheel_angle=wheel_angle,
         road_wheel_angle=vehicle.road_wheel_angle(wheel_angle))
+    implausible: tuple[Finding, ...] = ()
+    if steering.message in run.signals.rejected_times_ns and len(ins.time_ns):
+        rejected_ns = move_to_ins_clock(run, settings, run.signals.rejected_times_ns[steering.message])
+        implausible = (make_rejected_frames_finding(
+            (rejected_ns - ins.time_ns[0]) * 1e-9, len(rejected_ns) + len(steering.time_ns),
+            run.signals.faults[steering.message]),)
     provenance = {"reader": f"{source.kind} and CAN log", **({"origin": list(ins.origin)} if ins.origin else {}),
                   "alignment": summarise_alignment(run.alignment),
                   "settings": {"steering_sign": settings.steering_sign, "steering_latency": settings.steering_latency,
@@ -165,19 +171,8 @@ def build_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSet
     auxiliary = AuxiliaryData({"INS": ins.stamps_ns, "steering": steering_ns},
                               {name: count for name, count in missing.items() if count},
                               *collect_speeds(run.signals, run.alignment.to_reference_ns), ins.quality,
-                              implausible=_describe_rejected_steering(run, settings), geographic=ins.origin is not None)
+                              implausible=implausible, geographic=ins.origin is not None)
     return LoadedRun(log, provenance, source.labels, tuple(warnings), run.alignment, auxiliary)
-
-
-def _describe_rejected_steering(run: RawRun, settings: ReadSettings) -> tuple[Finding, ...]:
-    """A finding about steering frames that the decoder rejected; empty if there are none, or no INS samples."""
-    assert run.steering is not None
-    message = run.steering.message
-    if message not in run.signals.rejected_times_ns or not len(run.ins.time_ns):
-        return ()
-    time_ns = move_to_ins_clock(run, settings, run.signals.rejected_times_ns[message])
-    return (make_rejected_frames_finding(
-        (time_ns - run.ins.time_ns[0]) * 1e-9, len(time_ns) + len(run.steering.time_ns), run.signals.faults[message]),)
 
 
 def move_to_ins_clock(run: RawRun, settings: ReadSettings, time_ns: np.ndarray) -> np.ndarray:
