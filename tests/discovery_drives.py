@@ -1,6 +1,6 @@
 """Drives of the model itself with some effects and sensor noise, and synthetic fit problems.
 
-bench/discovery has an independent plant and sealed cases.
+bench/plants has independent plants, bench/discovery sealed cases.
 """
 
 from collections.abc import Callable, Mapping, Sequence

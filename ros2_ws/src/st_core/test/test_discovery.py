@@ -1,6 +1,6 @@
 """Discovery on drives simulated with the models themselves, plus sensor noise: tests the arithmetic of the search.
 
-An independent plant, the sealed cases and raw files are in bench/discovery and st_cli/test.
+Independent plants, the sealed cases and raw files are in bench/plants, bench/discovery and st_cli/test.
 """
 
 import json

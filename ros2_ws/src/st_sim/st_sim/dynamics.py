@@ -1,4 +1,4 @@
-"""Equations of motion and tyre forces of the virtual car as pure functions, which bench/discovery compiles with numba.
+"""Equations of motion and tyre forces of the virtual car as pure functions, which bench/plants compiles with numba.
 
 Axes, signs and equations: see `plant`. Checked by: test_plant.py, test_tyres.py.
 """
