@@ -199,6 +199,9 @@ VARIATIONS = {
         u - 0.3 / log.duration * np.clip(10.0 - 50.0 * np.abs(u - 0.5), 0.0, 1.0), u, getattr(log, name))
         for name in ("x", "y")}),
     "velocity_scale": lambda log, u: replace(log, velocity_x=log.velocity_x * (1.0 + 0.06 * u)),
+    "yaw_wander of iron near a compass": lambda log, _: replace(
+        log, yaw=log.yaw + 0.05 * np.sin(log.yaw) + 0.03 * np.cos(2.0 * log.yaw + 0.3)),
+    "yaw_wander of soft iron": lambda log, _: replace(log, yaw=log.yaw + 0.03 * np.sin(2.0 * log.yaw)),
 }
 
 
@@ -208,8 +211,98 @@ def test_fault_that_varies_during_a_real_drive_is_named_alone(name, drive):
     log, car = read_real_drive(drive), read_car("hyundai_genesis")
     wrong = VARIATIONS[name](log, seconds_of(log) / log.duration)
     before, after = ({f.name: f for f in check(each, car).with_severity(Severity.WARNING)} for each in (log, wrong))
-    assert after.keys() - before.keys() == {name} and after[name].advice.kind == "text" and not after[name].interval
+    assert after.keys() - before.keys() == {finding := name.split()[0]}
+    assert after[finding].advice.kind == "text" and not after[finding].interval
+    assert ("heading" in after[finding].text) is ("iron" in name)
     assert not check(wrong, car).with_severity(Severity.ERROR)
+
+
+def driven_back(log):
+    """The path of a drive, of which the car drives back a part in the middle; it stops for 0.5 s before and after."""
+    step, ramp = 0.02, 0.5 - 0.5 * np.cos(np.pi * np.arange(100) / 100)
+    speed = np.concatenate([sign * np.concatenate([ramp, np.ones(round(share * log.duration / step)), ramp[::-1],
+                                                   np.zeros(25)]) for sign, share in ((1, 0.6), (-1, 0.2), (1, 0.3))])
+    instants = np.cumsum(speed) * step
+    time = log.ins_time_ns[0] + (np.arange(len(speed)) * step * 1e9).astype(np.int64)
+    at = {name: np.interp(instants, seconds_of(log), values) for name in log.__dataclass_fields__
+          if isinstance(values := getattr(log, name), np.ndarray) and "time" not in name}
+    at |= {name: speed * at[name] for name in ("velocity_x", "velocity_y", "yaw_rate")}
+    at |= {"acceleration_x": None, "acceleration_y": None}
+    return replace(log, **at, ins_time_ns=time, steering_time_ns=time)
+
+
+@pytest.mark.parametrize("drive", ["cpg_lap_medium", "rfs_turn_b"])
+def test_speed_without_a_sign_in_reverse_is_named_alone(drive):
+    log, car = driven_back(read_real_drive(drive)), read_car("hyundai_genesis")
+    signed = findings_by_name(log, car)
+    found = findings_by_name(replace(log, velocity_x=np.abs(log.velocity_x)), car)
+    assert found.keys() - signed.keys() == {"velocity_x_scale"}
+    ((first, last),) = found["velocity_x_scale"].times
+    reverse = seconds_of(log)[log.velocity_x < 0.0]
+    assert (first, last) == pytest.approx((reverse[0], reverse[-1]), abs=0.6)
+    assert found["velocity_x_scale"].advice.entry["leave_out"] == [[round(first, 1), round(last, 1)]]
+
+
+@pytest.mark.parametrize(("change", "name"), [
+    (lambda angle: angle, None), (lambda angle: -angle, "steering_sign"), (np.rad2deg, "steering_scale"),
+    (lambda angle: angle + 0.05, "steering_offset")])
+def test_steering_is_checked_in_reverse(change, name):
+    log, car = read_real_drive("cpg_low_speed_a"), read_car("hyundai_genesis")
+    reverse = {key: -getattr(log, key)[::-1] for key in ("velocity_x", "velocity_y", "yaw_rate")}
+    log = replace(log, **{key: getattr(log, key)[::-1] for key in ("x", "y", "yaw")}, **reverse, acceleration_x=None,
+                  acceleration_y=None, road_wheel_angle=change(log.road_wheel_angle[::-1]))
+    found = {f.name for f in check(log, car).findings if f.severity is not Severity.NOTE}
+    assert {each for each in found if each.startswith("steering")} == ({name} if name else set())
+
+
+@pytest.mark.parametrize(("name", "other"), [("x", "y"), ("y", "x")])
+@pytest.mark.parametrize("offset", [0.5 * np.pi, -0.5 * np.pi, 0.5])
+def test_wrong_yaw_on_a_straight_along_an_axis_is_no_constant_position(leaf, name, other, offset):
+    log = exact_drive(leaf, 60.0, turning=Sines(0.0, ()))
+    distance = np.hypot(log.x - log.x[0], log.y - log.y[0])
+    heading = {"x": 0.0, "y": 0.5 * np.pi}[name]
+    log = replace(log, **{name: distance, other: 0.0 * distance}, yaw=log.yaw - log.yaw[0] + heading + offset)
+    (finding,) = check(log, leaf).findings
+    assert finding.name == "yaw_offset" and finding.value == pytest.approx(offset, abs=0.001)
+
+
+@pytest.mark.parametrize(("side", "drive"), [(0.6, "cpg_lap_medium"), (-1.0, "cpg_low_speed_a")])
+def test_antenna_to_the_side_of_the_ins_is_measured(side, drive):
+    log, car = read_real_drive(drive), read_car("hyundai_genesis")
+    wrong = replace(log, x=log.x - side * np.sin(log.yaw), y=log.y + side * np.cos(log.yaw))
+    before, after = ({f.name: f for f in check(each, car).findings if f.severity is not Severity.NOTE}
+                     for each in (log, wrong))
+    assert after.keys() - before.keys() == {"position_side"}
+    assert after["position_side"].value == pytest.approx(side, abs=0.05)
+
+
+@pytest.mark.parametrize("first_y", [0.0, 4.5e6])
+@pytest.mark.parametrize("with_accelerations", [True, False])
+def test_positions_in_web_mercator_are_named_from_the_accelerations_or_from_y(first_y, with_accelerations):
+    log, car = read_real_drive("cpg_lap_medium"), read_car("hyundai_genesis")
+    known = findings_by_name(log, car).keys()
+    scale = np.cosh(4.5e6 / 6378137.0)
+    log = replace(log, x=scale * log.x, y=first_y + scale * (log.y - log.y[0]))
+    if not with_accelerations:
+        log = replace(log, acceleration_x=None, acceleration_y=None)
+    found = findings_by_name(log, car)
+    name = "position_scale" if first_y or with_accelerations else "velocity_scale"
+    assert found.keys() - known == {name}
+    value = scale if name == "position_scale" else 1.0 / scale
+    assert found[name].value == pytest.approx(value, rel=0.005)
+    assert ("web Mercator, at a latitude of 37 deg" in found[name].text) is (name == "position_scale")
+
+
+def test_samples_at_10_hz_in_bursts_of_a_second_give_no_other_finding():
+    log, car = read_real_drive("cpg_lap_medium"), read_car("hyundai_genesis")
+    log = log.slice(log.start_ns + 120 * 10**9, log.start_ns + 180 * 10**9)
+    log = log.select_ins(np.arange(len(log.x)) % round(0.1 * len(log.x) / log.duration) == 0)
+    k = np.arange(len(log.x))
+    last = np.minimum(k // 10 * 10 + 9, len(k) - 1)
+    wrong = replace(log, ins_time_ns=log.ins_time_ns[last] + (k - last) * 1_000_000)
+    before, after = ({f.name for f in check(each, car).findings if f.severity is not Severity.NOTE}
+                     for each in (log, wrong))
+    assert after - before == {"time_jitter"}
 
 
 @pytest.mark.parametrize("drive", ["cpg_lap_fast_controlled", "cpg_low_speed_a", "rfs_turn_c"])

@@ -302,6 +302,7 @@ def test_quantity_has_the_unit_of_its_finding():
     assert check_report.format_quantity("yaw_rate_bias", (0.004, 0.003, 0.005)) == "0.0040 ± 0.0010 rad/s"
     assert check_report.format_quantity("acceleration_y_bias", (-0.6, -0.8, -0.4)) == "-0.60 ± 0.20 m/s²"
     assert check_report.format_quantity("velocity_x_bias", (-0.6, -0.8, -0.4)) == "-0.60 ± 0.20 m/s"
+    assert check_report.format_quantity("yaw_drift", (0.0004, 0.0003, 0.0005)) == "0.00040 ± 0.00010 rad/s"
     assert check_report.format_quantity("x_scale", (0.97, 0.96, 0.98)) == "0.970 ± 0.010"
 
 

@@ -27,8 +27,8 @@ MAX_REAR_COMPLIANCE = 0.01  # rad s^2/m; rear cornering compliance (slip angle p
 MIN_PART_DURATION = 40.0  # s; shortest first and last part of a drive that are compared: 8 blocks of the bootstrap
 MAX_PART_DURATION = 300.0  # s; longest; it limits the computing time
 MIN_CHANGE = 0.5  # fraction of the deviation; if the parts differ by less, one correction removes at least half of it
-NOT_COMPARED = (  # between parts: the first two are constant, the others vary with the driving
-    "measuring_point", "position_reference", "heading_misaligned", "steering_unrelated")
+NOT_COMPARED = (  # between parts: the first three are constant, the others vary with the driving
+    "measuring_point", "position_reference", "position_side", "heading_misaligned", "steering_unrelated")
 UNKNOWN = 0.0, -np.inf, np.inf  # estimate: value and interval
 CAUSED_BY_DRIFT = ("yaw_drift", "yaw_offset", "velocity_y_scale", "velocity_y_bias")  # findings in a part
 MIN_INS_SAMPLES = 50  # with fewer samples, only implausible samples and time stamps are reported
@@ -47,6 +47,8 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
     auxiliary = auxiliary or AuxiliaryData()
     start_ns = next(iter(log.ins_time_ns[:1].tolist()), 0) if auxiliary.start_ns is None else auxiliary.start_ns
     log, burst_findings = spread_bursts(log)
+    log, sign_findings = (inertial.restore_speed_sign(log, start_ns)
+                          if len(log.ins_time_ns) >= MIN_INS_SAMPLES else (log, []))
     result = _check_part(log, vehicle, auxiliary, start_ns)
     if log.duration >= 2.0 * MIN_PART_DURATION:
         first, last = log.ins_time_ns[[0, -1]].tolist()
@@ -62,7 +64,9 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
                 break
         result = with_changes
     # Within each severity, accelerations are last, since no prediction depends on them.
-    findings = sorted((*burst_findings, *result.findings), key=lambda finding: (
+    in_bursts = {finding.channels for finding in burst_findings}  # their rate is a matter of the stamps
+    findings = [f for f in result.findings if f.name != "time_gaps" or f.times or f.channels not in in_bursts]
+    findings = sorted((*burst_findings, *sign_findings, *findings), key=lambda finding: (
         [*Severity].index(finding.severity), finding.concerns_only_acceleration, -(finding.effect or np.inf)))
     ambiguous = {name for f in findings for a in f.alternatives for name in (f.name, *a.findings)}
     ambiguous |= {"steering_sign"} if "steering_scale" in ambiguous else set()  # both name the same estimate
@@ -159,7 +163,7 @@ def _check_relations(results: Results, motion: Motion, log: DriveLog, vehicle: V
                      time_unit: Finding | None, stuck_findings: list[Finding], broken_channels: set[str]) -> None:
     """Add the results of comparing the channels with each other and with the vehicle. stuck_findings: from
     `find_stuck_channels`. broken_channels: from `find_broken_channels`."""
-    recorded, held_channels = motion, _list_channels(stuck_findings, "samples_repeated")
+    held_channels = _list_channels(stuck_findings, "samples_repeated")
     motion, unit_findings = _correct_units(sampling.drop_frozen_samples(motion, stuck_findings), vehicle)
     unit_findings = [time_unit, *unit_findings] if time_unit else unit_findings
     coarse_findings = sampling.find_coarse_channels(motion, held_channels)
@@ -181,7 +185,7 @@ def _check_relations(results: Results, motion: Motion, log: DriveLog, vehicle: V
         corrected, sensors, yaw_rate_lag = _check_sensors(motion.with_time_divided(wrong_rate.value), removed_factors)
     findings = _merge_findings_of_units(unit_findings, sensors.findings, sensors.estimates)
     corrected, findings = position.attribute_scale_to_velocity_x(corrected, findings, sensors.estimates)
-    results.findings += position.add_sign_alternative(findings, recorded, corrected)
+    results.findings += findings
     results.findings += check_position_deviations(corrected, results.findings) if sideslip_measured else []
     results.estimates, results.panels = sensors.estimates, sensors.panels
     if vehicle is not None:
@@ -262,13 +266,11 @@ def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[M
     """(corrected motion, results) of the relations valid for any vehicle, and the lag of the yaw rate [s], None unless
     an opposite lag of yaw fits as well. removed_factors: see `_find_removed_factors`."""
     distance_panel = position.make_distance_panel(motion, removed_factors)
-    motion, sign_findings = position.check_lateral_sign(motion)
     yaw_rate = inertial.compare_yaw_rate(motion)
     recorded, lag_findings, yaw_rate_lag = _check_yaw_lag(motion, yaw_rate)
     motion, findings, estimates = position.check_positions(recorded)
-    findings = position.merge_lateral_sign(sign_findings, findings, estimates)
     motion, findings = position.attribute_scale_to_positions(
-        motion, findings, estimates, inertial.confirm_velocity(recorded, find(findings, "velocity_scale")))
+        motion, findings, estimates, lambda factor: inertial.confirm_velocity(recorded, factor))
     results = Results([*lag_findings, *findings], estimates, [distance_panel])
     if yaw_rate and yaw_rate.determines_lag:
         estimates["yaw_lag"] = add_systematic_uncertainty("yaw_lag", yaw_rate.lag.scaled(-1.0))

@@ -248,7 +248,7 @@ SYSTEMATIC_UNCERTAINTY = {
     "acceleration_x_scale": 0.01, "acceleration_y_scale": 0.01, "wheel_speed_scale": 0.005, "ins_speed_scale": 0.002,
     "steering_scale": 0.05, "steering_sign": 0.05, "yaw_rate_bias": 0.0002, "acceleration_x_bias": 0.01,
     "acceleration_y_bias": 0.01, "yaw_offset": 0.001, "heading_misaligned": 0.001, "steering_offset": 0.001,
-    "position_reference": 0.02, "measuring_point": 0.05,
+    "position_reference": 0.02, "position_side": 0.02, "measuring_point": 0.05,
     "yaw_drift": 2e-5, "map_shear": 0.001, "velocity_x_bias": 0.02, "velocity_y_bias": 0.02,
 }
 """Systematic uncertainty of an estimate, half-width of a 95 % interval, in the finding's unit (scales: fraction of the

@@ -7,7 +7,8 @@ a bias of a_y. If the accelerometer is at a distance d behind the INS point, its
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.special import fdtri
@@ -15,10 +16,12 @@ from scipy.special import fdtri
 from ..clock_fit import STEP, Fit, Pair, fit, mean_correlation, rate_noise, resample, select_common_samples
 from ..clock_types import MAX_SPAN
 from ..leap_seconds import LEAP_SECONDS
+from ..log import DriveLog
 from ..regression import symmetric_interval, white_noise
+from ..timeseries import NANOSECOND
 from ..tyres import STANDARD_GRAVITY
 from .finding import HORIZON, LIMITS, WHEEL_SCALE_TOLERANCE, Advice, Comparison, Finding, Severity
-from .motion import MIN_MOVING_SPEED, Motion, correlate, is_near
+from .motion import MIN_COHERENCE, MIN_MOVING_SPEED, Motion, correlate, find_spans, is_near
 from .position import MIN_LOSS_RATIO
 from .regression import Estimate, Regression, add_systematic_uncertainty
 
@@ -200,6 +203,7 @@ GYRO_CORRELATION = 0.9  # minimum correlation of yaw rate and change of yaw; it 
 GYRO_SCALE_ERROR = 0.02  # smallest reported deviation from 1; the scale of a gyroscope is accurate to 1 %
 GYRO_BIAS = 0.001  # rad/s; smallest reported bias; twice the bias of a good INS
 ACCELERATION_SCALE_ERROR = 0.35  # smallest reported deviation from 1; roll and pitch of the body cause up to 0.33
+MIN_ACCELERATION_SCALE = 0.9  # smallest ratio to the derivative of velocity; a mounting angle of 25 deg reduces it so
 ACCELERATION_LAG = 0.12  # s; smallest reported lag; filters of accelerometers cause delays of up to 0.1 s
 ACCELERATION_TOLERANCE = 1.2  # factor by which the mean of a vertical acceleration may differ from gravity
 MIN_UNRELATED_WINDOWS = 20  # minimum number of windows of 1 s to report an acceleration as unrelated to the motion
@@ -378,30 +382,32 @@ def _make_unrelated_finding(motion: Motion, name: str, measured: np.ndarray) -> 
     return Finding("acceleration_unrelated", Severity.WARNING, (name,), text, correlation, advice=advice)
 
 
-def confirm_velocity(motion: Motion, scale: Finding | None) -> str:
-    """Measurement that agrees with the recorded velocity and refutes the finding of its scale; "" if there is none."""
-    if scale is None or not scale.value:
-        return ""
+def confirm_velocity(motion: Motion, factor: float) -> str:
+    """Measurement that agrees with the velocity as it is, but not with the velocity divided by a factor, and a question
+    about the positions; "" if there is none."""
     wheel = compare_speed(motion, "wheel_speed") if "wheel_speed" in motion.speeds else None
-    if wheel and abs(scale.value - 1.0) >= max(2.0 * abs(wheel.scale.value - 1.0), WHEEL_SCALE_TOLERANCE):
-        return "the wheel speed"
-    return "the accelerations" if accelerations_confirm_velocity(motion, scale.value) else ""
+    ratios = {"the wheel speed": wheel.scale.value if wheel else np.nan,
+              "the scale of web Mercator at this y": factor * motion.mercator_scale}
+    scales = [] if motion.moves_sideways else compute_acceleration_scales(motion)
+
+    def accelerations_agree(factor: float) -> bool:  # roll and pitch of the body increase them
+        return all(abs(factor * scale.value - 1.0) < ACCELERATION_SCALE_ERROR
+                   and factor * scale.interval[1] >= MIN_ACCELERATION_SCALE for scale in scales)
+
+    confirmed_by = next((name for name, ratio in ratios.items() if abs(factor - 1.0) >= max(
+        2.0 * abs(ratio - 1.0), WHEEL_SCALE_TOLERANCE)), "the accelerations")
+    if confirmed_by not in ratios and (not accelerations_agree(1.0) or accelerations_agree(factor)):
+        return ""
+    latitude = float(np.rad2deg(np.arccos(min(factor, 1.0))))
+    return (f"{confirmed_by}: are they in web Mercator, at a latitude of {latitude:.0f} deg?"
+            if factor < 1.0 else f"{confirmed_by}: is the scale of the projection wrong?")
 
 
-def accelerations_confirm_velocity(motion: Motion, factor: float) -> bool:
-    """Whether accelerations agree with the velocity as it is, but not with the velocity divided by a factor."""
-    if motion.moves_sideways:
-        return False
-    scales = np.array(compute_acceleration_scales(motion))
-    return bool((np.abs(scales - 1.0) < ACCELERATION_SCALE_ERROR).all()
-                and (np.abs(factor * scales - 1.0) >= ACCELERATION_SCALE_ERROR).any())
-
-
-def compute_acceleration_scales(motion: Motion) -> list[float]:
+def compute_acceleration_scales(motion: Motion) -> list[Estimate]:
     """Ratio of each measured acceleration that correlates with the derivative of velocity to that derivative."""
     agreements = [_compare_acceleration(motion, name, values) for name in ACCELERATIONS
                   if (values := getattr(motion, name)) is not None]
-    return [agreement.scale.value for agreement in agreements if agreement and agreement.correlates]
+    return [agreement.scale for agreement in agreements if agreement and agreement.correlates]
 
 
 def _find_exchanged_accelerations(motion: Motion, measured: Mapping[str, np.ndarray]) -> Finding | None:
@@ -472,6 +478,28 @@ def check_speeds(results: Results, motion: Motion) -> None:
                                 unit_questions=SPEED_UNITS)
         title = f"forward speed: {name.replace('_', ' ')} versus velocity_x"
         check_agreement(results, compare_speed(motion, name), tolerances, title)
+
+
+def restore_speed_sign(log: DriveLog, start_ns: int) -> tuple[DriveLog, list[Finding]]:
+    """(the drive with a negative velocity_x in reverse, the finding), if velocity_x opposes the motion of the positions
+    along yaw between some stops and agrees with it between the others. start_ns: zero of the times [ns]."""
+    time, position = (log.ins_time_ns - start_ns) * NANOSECOND, log.x + 1j * log.y
+    begin, end = (np.clip(time + side, time[0], time[-1]) for side in (-0.5, 0.5))
+    velocity = (np.interp(end, time, position) - np.interp(begin, time, position)) / (end - begin)
+    moves = find_spans(np.maximum(np.abs(velocity), np.abs(log.velocity_x)) > MIN_MOVING_SPEED)
+    stops = [last + int(np.argmin(np.abs(log.velocity_x[last:first]))) for (_, last), (first, _) in pairwise(moves)]
+    product = log.velocity_x * velocity * np.exp(-1j * log.yaw)
+    bounds = np.array([0, *stops, len(time)])  # of the parts between stops
+    distances, sizes = (np.add.reduceat(values, bounds[:-1]) for values in (product.real, np.abs(product)))
+    if not distances.min() < 0.0 < distances.sum() or (np.abs(distances) < MIN_COHERENCE * sizes).any():
+        return log, []
+    sign = np.repeat(np.where(distances < 0.0, -1.0, 1.0), np.diff(bounds))
+    times = tuple((float(time[first]), float(time[last])) for first, last in find_spans(sign < 0.0))
+    text = (f"velocity_x has the opposite sign for {sum(last - first for first, last in times):.0f} s (forward is "
+            "positive): is it a speed without a sign while the car moves backwards?")
+    advice = Advice.for_run_yaml({"leave_out": [[round(first, 1), round(last, 1)] for first, last in times]})
+    finding = Finding("velocity_x_scale", Severity.ERROR, ("velocity_x",), text, times=times, advice=advice)
+    return replace(log, velocity_x=sign * log.velocity_x), [finding]
 
 
 def check_position_clock(motion: Motion) -> list[Finding]:

@@ -26,6 +26,7 @@ MAX_MEDIAN_TURN, MIN_HALVED_LENGTH = 1.0, 0.2  # rad, s; longer windows with a l
 MIN_RATIO = 1e-10  # smallest ratio of two varying channels; nanoseconds read as seconds cause a ratio of 1e-9
 SAME_RATIO_FACTOR = 1.2  # ratios that differ by less than this factor are taken as equal
 SPACING_SAMPLES = 50  # number of intervals in a mean interval: several bursts, a few seconds at most
+EQUATORIAL_RADIUS = 6378137.0  # m, of WGS 84 and web Mercator
 SLOPE_ITERATIONS = 8  # number of iterations of the robust fit of a slope
 
 
@@ -47,6 +48,7 @@ class Motion:
     # (time [s], values [m/s]) of other sources of the forward speed, by name
     speeds: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
     geographic: bool = False  # see `AuxiliaryData`
+    mercator_scale: float = 1.0  # scale of web Mercator, 1 / cos(latitude), at the recorded y
 
     @classmethod
     def from_log(cls, log: DriveLog, start_ns: int, auxiliary: AuxiliaryData) -> "Motion":
@@ -56,7 +58,8 @@ class Motion:
                   for name, signal in series.items() if signal and len(signal.time_ns) > 1}
         return cls((log.ins_time_ns - start_ns) * NANOSECOND, log.x - log.x[:1], log.y - log.y[:1], log.yaw,
                    log.velocity_x, log.velocity_y, log.yaw_rate, (log.steering_time_ns - start_ns) * NANOSECOND,
-                   log.road_wheel_angle, log.acceleration_x, log.acceleration_y, speeds, auxiliary.geographic)
+                   log.road_wheel_angle, log.acceleration_x, log.acceleration_y, speeds, auxiliary.geographic,
+                   float(np.cosh(np.clip(log.y[:1].sum() / EQUATORIAL_RADIUS, -10.0, 10.0))))
 
     def with_time_divided(self, factor: float) -> "Motion":
         """The motion with all times divided by a factor."""

@@ -12,11 +12,11 @@ Each cause of a residual contributes a term that is linear in the size of the ca
     yaw drift w           yaw = yaw_true + w (t - start)         as a yaw offset of w (t - start)
     position lag T        p(t) = p_true(t - T)                   -T (V2 - V1),  V = R(yaw) v
     velocity lag T        v(t) = v_true(t - T), body axes        +T integral of R(yaw) dv/dt dt, both axes or only x
-    reference a           p refers to a point a [m] ahead        (R(yaw2) - R(yaw1)) (a, 0)
+    reference a, side b   p refers to a [m] ahead, b to the left (R(yaw2) - R(yaw1)) (a, b)
     velocity bias b       v = v_true + b, one body axis          -integral of R(yaw) b dt
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -36,7 +36,6 @@ VARIATION_INTERVAL = 20.0  # s between the instants at which the size of a varyi
 MAX_VARIATION_INTERVALS = 16  # largest number of such intervals; it limits the memory
 MIN_VARIATION_RATIO = 2.0  # ratio of the losses per degree of freedom above which a cause varies
 MIN_SIGN_GAIN = 0.01  # m; minimum reduction of the misfit by the opposite sign; RTK noise is 1 cm
-MAX_SIGN_MISFIT_RATIO = 1.2  # largest misfit with the opposite sign, divided by that with another cause, if both fit
 MIN_LATERAL_VELOCITY = 0.02  # m/s, root mean square
 MAX_WHEEL_SLIP = 0.02  # s^2/m; slip of a wheel per acceleration; 0.01 for a longitudinal stiffness of 10 Fz
 SPHERICAL_EARTH_SCALE = 0.005  # largest scale error per axis of a projection on a spherical earth
@@ -53,13 +52,14 @@ BIASES = {"velocity_x_bias": {*AXIS_SCALES, "velocity_scale"}, "velocity_y_bias"
 CONFOUNDED = {"velocity_scale": {*AXIS_SCALES, "velocity_x_bias"}, "yaw_offset": {"velocity_y_bias"}, **BIASES,
               "velocity_lag": {"velocity_x_lag"}, "velocity_x_lag": {"velocity_lag"},
               **{axis: {"velocity_scale", "velocity_x_bias"} for axis in AXIS_SCALES}}
-RARE_CAUSES = {*BIASES, *LAG_OF_VELOCITY_X, "velocity_y_scale"}
+RARE_CAUSES = {*BIASES, *LAG_OF_VELOCITY_X, "velocity_y_scale", "position_side"}
 # Rare causes, fitted together, and the causes that are not selected with them. They are preferred to other causes if
 # their loss is clearly smaller, or if they are fewer and their loss is not clearly larger.
 RARE_EXPLANATIONS: Mapping[tuple[str, ...], set[str]] = {
     **{(name,): confounded for name, confounded in (BIASES | LAG_OF_VELOCITY_X).items()},
     ("velocity_y_scale",): {"position_reference", "yaw_offset"},
     ("velocity_y_scale", "position_reference"): {"yaw_offset"},
+    ("position_side",): set(),
 }
 MIN_REPORTED_VALUES = {"s": LIMITS.lag, "m": LIMITS.ins_position, "m/s": MIN_VELOCITY_BIAS,
                        "velocity_y_scale": MIN_LATERAL_SCALE_ERROR}
@@ -111,22 +111,28 @@ CAUSES = {
                             "velocity_x, unlike velocity_y, {lag}s positions and yaw by {size:.3f} ± {half:.3f} s"),
     "position_reference": Cause(("x", "y"), "position", "ahead", "m", "positions refer to a point {size:.2f} ± "
                                 "{half:.2f} m {ahead} the point of the velocities"),
+    "position_side": Cause(("x", "y"), "", "set the lever arm of the antenna in the INS: no correction exists", "m",
+                           "positions refer to a point {size:.2f} ± {half:.2f} m to the {side} of the point of the "
+                           "velocities"),
     "velocity_x_bias": Cause(("velocity_x",), "velocity_x", "add", "m/s", "velocity_x is {size:.2f} ± {half:.2f} m/s "
                              "too {high} compared with positions, at every speed"),
     "velocity_y_bias": Cause(("velocity_y",), "velocity_y", "add", "m/s", "velocity_y is {size:.2f} ± {half:.2f} m/s "
                              "too {high} compared with positions and yaw, at every speed"),
 }
-VARYING_CAUSES = {  # smallest reported standard deviation, name of the finding, statement, advice
-    "yaw_offset": (LIMITS.heading_misalignment, "yaw_wander", "yaw wanders by up to {size:.3f} rad ({degrees:.1f} deg) "
-                   "during the drive according to positions and velocities", CAUSES["yaw_drift"].key),
-    "position_lag": (LIMITS.severe_lag, "position_lag", "the lag of positions behind velocity and yaw varies by up to "
-                     "{size:.2f} s during the drive", "stamp positions with the time of their measurement: no constant "
-                     "correction exists"),
-    "velocity_scale": (SPHERICAL_EARTH_SCALE, "velocity_scale", "the ratio of velocity to the rate of change of "
-                       "positions varies by up to {size:.3f} during the drive", "check the source of the velocity: no "
-                       "constant correction exists"),
-}
-VARYING_FINDINGS = tuple(name for _, name, *_ in VARYING_CAUSES.values())
+VARYING_CAUSES = (  # cause, what it varies with, smallest reported standard deviation, finding, statement, advice
+    ("yaw_offset", "time", LIMITS.heading_misalignment, "yaw_wander", "yaw wanders by up to {size:.3f} rad "
+     "({degrees:.1f} deg) during the drive according to positions and velocities", CAUSES["yaw_drift"].key),
+    ("yaw_offset", "heading", LIMITS.heading_misalignment, "yaw_wander", "the error of yaw depends on the heading and "
+     "varies by up to {size:.3f} rad ({degrees:.1f} deg): is it a compass near iron?",
+     "calibrate the compass in the car, or use an INS with two antennas: no constant correction exists"),
+    ("position_lag", "time", LIMITS.severe_lag, "position_lag", "the lag of positions behind velocity and yaw varies "
+     "by up to {size:.2f} s during the drive",
+     "stamp positions with the time of their measurement: no constant correction exists"),
+    ("velocity_scale", "time", SPHERICAL_EARTH_SCALE, "velocity_scale", "the ratio of velocity to the rate of change "
+     "of positions varies by up to {size:.3f} during the drive",
+     "check the source of the velocity: no constant correction exists"),
+)
+VARYING_FINDINGS = tuple(name for *_, name, _, _ in VARYING_CAUSES)
 SPHERE_TEXT = "{axis} is {value:.4f} ± {half:.4f} times the integrated velocity: projected on a spherical earth?"
 
 
@@ -144,7 +150,7 @@ def make_residual_regression(motion: Motion) -> Regression:
         "yaw_drift": -1j * displacement * (windows.time + 0.5 * WINDOW - motion.time[0]),
         "velocity_lag": velocity_change - windows.integral(1j * motion.yaw_rate * velocity),
         "velocity_x_lag": windows.change(forward) - windows.integral(1j * motion.yaw_rate * forward),
-        "position_reference": windows.change(heading),
+        "position_reference": windows.change(heading), "position_side": 1j * windows.change(heading),
         "velocity_x_bias": -windows.integral(heading), "velocity_y_bias": -1j * windows.integral(heading),
     }
     residual = windows.change(motion.position) - displacement
@@ -168,7 +174,8 @@ def _explain_residual(motion: Motion, rare_explanations: Mapping[tuple[str, ...]
         min_values = {name: max(LIMITS.min_reported_effect / max(effect, 1e-9),
                                 MIN_REPORTED_VALUES.get(name, MIN_REPORTED_VALUES.get(CAUSES[name].unit, 0.0)))
                       for name, effect in effects.items()}
-        explanations = rare_explanations if has_varying_speed(motion.velocity_x) else {}
+        explanations = {names: confounded for names, confounded in rare_explanations.items()
+                        if names == ("position_side",) or has_varying_speed(motion.velocity_x)}
         refined = _refine_causes(problem, causes, min_values, explanations)
         for name in ALTERNATIVE_LAGS.keys() & refined.keys():  # at constant acceleration, a bias acts like a lag
             lag = problem.estimate(tuple(dict.fromkeys((*refined, "velocity_x_bias"))))[name]
@@ -235,30 +242,44 @@ def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Es
     return corrected, findings, estimates
 
 
+def _make_heading_terms(motion: Motion, time: np.ndarray) -> np.ndarray:
+    """(n, 5) constant, first and second harmonic of the heading at these times [s]: hard and soft iron of a compass."""
+    yaw = np.interp(time, motion.time, motion.yaw)
+    return np.stack([np.ones(len(time)), *(f(k * yaw) for k in (1, 2) for f in (np.sin, np.cos))], axis=1)
+
+
 def _find_varying_cause(motion: Motion, explanation: _Explanation) -> tuple[_Explanation, list[Finding]]:
-    """(explanation, finding) with a cause that varies slowly, linearly between instants at equal intervals, if it
-    explains the positions far better than constant causes; otherwise, and without v_y, (explanation as given, [])."""
+    """(explanation, finding) with a cause that varies with time, linearly between instants at equal intervals, or with
+    the heading, if it explains the positions far better than constant causes; otherwise, and without v_y, (explanation
+    as given, [])."""
     problem, corrected = make_residual_regression(motion), make_residual_regression(explanation.corrected)
     middle = problem.time + 0.5 * WINDOW
     count = int(np.clip(np.ptp(middle) / VARIATION_INTERVAL, 2, MAX_VARIATION_INTERVALS)) + 1
-    instants, step = np.linspace(middle[0], middle[-1], count, retstep=True)
-    hats = {str(t): np.maximum(1.0 - np.abs(middle - t) / step, 0.0)[:, None] for t in instants}
-    fits, names = {}, (*hats, *dict.fromkeys((*AXIS_SCALES, *explanation.causes)))
-    for name in VARYING_CAUSES:
-        columns = {label: problem.columns[name] * hat for label, hat in hats.items()}
+    instants = np.linspace(middle[0], middle[-1], count)
+
+    def make_terms(quantity: str, time: np.ndarray) -> np.ndarray:  # (n, number of terms)
+        if quantity == "time":
+            return np.stack([np.interp(time, instants, row) for row in np.eye(count)], axis=1)
+        return _make_heading_terms(motion, time)
+
+    fits: list[tuple[float, np.ndarray]] = []
+    for cause, quantity, *_ in VARYING_CAUSES:
+        terms = make_terms(quantity, middle)
+        columns = {str(k): problem.columns[cause] * term[:, None] for k, term in enumerate(terms.T)}
         varying = Regression(problem.time, problem.y, {**problem.columns, **columns})
-        theta, scale, _ = varying.fit(names)
+        names = (*columns, *dict.fromkeys((*AXIS_SCALES, *explanation.causes)))
+        values, scale, _ = varying.fit(names)
         loss, constant_loss = varying.compute_loss(names, scale), corrected.compute_loss((*explanation.causes,), scale)
-        fits[name] = loss / max(constant_loss, 1e-300), [theta[label] for label in hats]
-    cause = min(fits, key=lambda name: fits[name][0])
-    ratio, values = fits[cause]
-    smallest, name, statement, advice = VARYING_CAUSES[cause]
-    # Fraction of the degrees of freedom, two per block of windows, that the values at `count` instants leave.
-    remaining = 1.0 - count * BLOCK_LENGTH / (2.0 * np.ptp(middle))
-    if not motion.velocity_y.any() or ratio * MIN_VARIATION_RATIO > remaining or np.std(values) < smallest:
+        # Fraction of the degrees of freedom, two per block of windows, that the values leave.
+        remaining = 1.0 - len(columns) * BLOCK_LENGTH / (2.0 * np.ptp(middle))
+        fits.append((loss / max(remaining * constant_loss, 1e-300), np.array([values[label] for label in columns])))
+    best = min(range(len(fits)), key=lambda k: fits[k][0])
+    (ratio, theta), (cause, quantity, smallest, name, statement, advice) = fits[best], VARYING_CAUSES[best]
+    value = make_terms(quantity, motion.time) @ theta
+    if not motion.velocity_y.any() or not 0.0 < ratio * MIN_VARIATION_RATIO <= 1.0 or np.std(value) < smallest:
         return explanation, []
-    value, size = np.interp(motion.time, instants, values), float(np.ptp(values))
-    value -= value.mean() if cause == "yaw_offset" else 0.0  # the mean is an offset
+    size = float(np.ptp(value))
+    value -= theta[0] if quantity == "heading" else value.mean() if cause == "yaw_offset" else 0.0  # the offset
     effect = float(np.std(value)) * problem.compute_effect(cause, HORIZON_WINDOWS)
     finding = Finding(name, LIMITS.severity(effect), CAUSES[cause].channels, statement.format(
         size=size, degrees=np.rad2deg(size)), size if name not in CAUSES else None, CAUSES[cause].unit, effect=effect,
@@ -268,15 +289,15 @@ def _find_varying_cause(motion: Motion, explanation: _Explanation) -> tuple[_Exp
 
 
 def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estimates: dict[str, Estimate],
-                                 confirmed_by: str) -> tuple[Motion, list[Finding]]:
-    """(motion, findings) with a scale error of the velocity attributed to the positions instead. confirmed_by: other
-    measurements with which the recorded velocity agrees; "" if there are none."""
+                                 confirm: Callable[[float], str]) -> tuple[Motion, list[Finding]]:
+    """(motion, findings) with a scale error of the velocity attributed to the positions instead, if other measurements
+    confirm the recorded velocity. confirm: `inertial.confirm_velocity` of the drive."""
     velocity_scale = find(findings, "velocity_scale")
-    if velocity_scale is None or not velocity_scale.value or not confirmed_by:
+    if velocity_scale is None or not velocity_scale.value or not (confirmed_by := confirm(velocity_scale.value)):
         return motion, findings
     scale = estimates["position_scale"]
     text = (f"x and y are {scale.value:.4g} ± {scale.half_width:.4f} times the integrated velocity, which agrees with "
-            f"{confirmed_by}: is the scale of the projection wrong?")
+            f"{confirmed_by}")
     advice = Advice.correct("position", scale=float(f"{1.0 / scale.value:.5g}"))
     attributed = replace(velocity_scale, name="position_scale", channels=("x", "y"), statement=text,
                          value=scale.value, interval=scale.interval, advice=advice)
@@ -306,6 +327,14 @@ def compute_scaled_misfit(motion: Motion, *causes: str) -> float:
     """Median misfit of positions and velocity per second [m]; axis scales and `causes` are fitted. inf if too short."""
     problem = make_residual_regression(motion)
     return problem.fit((*AXIS_SCALES, *causes))[1] if len(problem.time) >= MIN_WINDOWS else np.inf
+
+
+def compute_compass_misfit(motion: Motion) -> float:
+    """`compute_scaled_misfit` with an error of yaw that depends on the heading."""
+    problem = make_residual_regression(motion)
+    terms = _make_heading_terms(motion, problem.time + 0.5 * WINDOW).T
+    columns = {str(k): problem.columns["yaw_offset"] * term[:, None] for k, term in enumerate(terms)}
+    return Regression(problem.time, problem.y, {**problem.columns, **columns}).fit((*AXIS_SCALES, *columns))[1]
 
 
 def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> bool | None:
@@ -345,11 +374,11 @@ def _has_clearly_smaller_lag(recorded: Regression, corrected: Regression, causes
     return smaller is lags[1]
 
 
-def check_lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """(motion, findings), with velocity_y of opposite sign if no common cause explains the positions as well."""
+def correct_lateral_sign(motion: Motion) -> tuple[Motion, Finding | None]:
+    """Correct a velocity_y of opposite sign, if no common cause explains the positions as well."""
     problem, mirrored = make_residual_regression(motion), replace(motion, velocity_y=-motion.velocity_y)
     if len(problem.time) < MIN_WINDOWS or float(np.sqrt(np.mean(motion.velocity_y**2))) < MIN_LATERAL_VELOCITY:
-        return motion, []
+        return motion, None
     yaw_rate = motion.yaw_rate
     reference = -2.0 * float(motion.velocity_y @ yaw_rate) / max(float(yaw_rate @ yaw_rate), 1e-12)  # m
     misfits = []
@@ -360,33 +389,14 @@ def check_lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
         if name != "position_reference" or not 0.75 * expected < fitted < 1.33 * expected:
             misfits.append(misfit)
     if not compute_scaled_misfit(mirrored) < min(0.8 * min(misfits), min(misfits) - MIN_SIGN_GAIN):
-        return motion, []
-    return mirrored, [make_lateral_sign_finding()]
+        return motion, None
+    return mirrored, make_lateral_sign_finding()
 
 
 def make_lateral_sign_finding() -> Finding:
     """Finding about a velocity_y with the opposite sign."""
     return Finding("velocity_y_scale", Severity.ERROR, ("velocity_y",), OPPOSITE_LATERAL_SIGN, -1.0,
                    advice=Advice.correct("velocity_y", scale=-1.0))
-
-
-def merge_lateral_sign(sign: list[Finding], findings: list[Finding],
-                       estimates: dict[str, Estimate]) -> list[Finding]:
-    """All findings; significant errors of both sign and scale of velocity_y become one finding.
-
-    sign: from `check_lateral_sign`. findings, estimates: for the motion with the sign corrected; the estimate gets the
-    sign of the recorded velocity_y.
-    """
-    name = "velocity_y_scale"
-    if not sign or name not in estimates:
-        return [*sign, *findings]
-    scale = estimates[name] = estimates[name].scaled(-1.0)
-    if not any(finding.name == name and finding.advice and finding.advice.kind != "text" for finding in findings):
-        return [*sign, *findings]
-    text = f"velocity_y is {scale} times its value from positions, yaw and velocity_x: it has the opposite sign"
-    advice = Advice.correct("velocity_y", scale=float(f"{1.0 / scale.value:.5g}"))
-    return [replace(finding, severity=Severity.ERROR, statement=text, value=scale.value, interval=scale.interval,
-                    advice=advice) if finding.name == name else finding for finding in findings]
 
 
 def _add_lateral_alternative(findings: list[Finding], problem: Regression,
@@ -403,12 +413,13 @@ def _add_lateral_alternative(findings: list[Finding], problem: Regression,
     text = "the reference point of the positions and the yaw offset are wrong"
     if "velocity_y_scale" in others:
         factor = 1.0 / (1.0 + values["velocity_y_scale"])
-        if is_near(factor, -1.0, LIMITS.unit_ratio):  # see `add_sign_alternative`
-            return findings
-        text = f"velocity_y is {factor:.2f} times its true value"
+        text = (OPPOSITE_LATERAL_SIGN if is_near(factor, -1.0, LIMITS.unit_ratio) else
+                f"velocity_y is {factor:.2f} times its true value")
         if "position_reference" in others:
             text += f" and positions refer to a point {values['position_reference']:+.2f} m ahead"
-    return _add_alternative(findings, found, Alternative(text, others))
+    alternative = Alternative(text, others)
+    return [finding.with_alternative(alternative, VARY_BENDS, "velocity_y") if finding.name in found else finding
+            for finding in findings]
 
 
 def _add_lag_alternative(findings: list[Finding], problem: Regression,
@@ -443,24 +454,6 @@ def _find_equivalent(problem: Regression, causes: dict[str, Estimate], found: Na
     return others, recorded.fit((*alongside, *others))[0]
 
 
-def _add_alternative(findings: list[Finding], names: Collection[str], alternative: Alternative) -> list[Finding]:
-    """The findings; an alternative that involves velocity_y is added to those with these names."""
-    return [finding.with_alternative(alternative, VARY_BENDS, "velocity_y") if finding.name in names else finding
-            for finding in findings]
-
-
-def add_sign_alternative(findings: list[Finding], recorded: Motion, corrected: Motion) -> list[Finding]:
-    """The findings; those that a wrong sign of velocity_y also explains, as on a circle, lose their correction."""
-    names = ("yaw_offset", "position_reference", "velocity_y_bias")
-    if not find(findings, *names):
-        return findings
-    mirrored = compute_scaled_misfit(replace(recorded, velocity_y=-recorded.velocity_y))
-    if not mirrored < min(MAX_SIGN_MISFIT_RATIO * compute_scaled_misfit(corrected),
-                          0.5 * compute_scaled_misfit(recorded)):
-        return findings
-    return _add_alternative(findings, names, Alternative(OPPOSITE_LATERAL_SIGN, ("velocity_y_scale",)))
-
-
 def _refine_causes(problem: Regression, causes: dict[str, Estimate], min_values: dict[str, float],
                    rare_explanations: Mapping[tuple[str, ...], set[str]]) -> dict[str, Estimate]:
     """Refined values of the causes found so far, and further causes. min_values: smallest reported value by cause."""
@@ -469,7 +462,7 @@ def _refine_causes(problem: Regression, causes: dict[str, Estimate], min_values:
     common = [name for name in candidates if name not in RARE_CAUSES]
     best = (*causes, *_find_causes(problem, common, min_values, tuple(causes)))
     for rare, confounded in rare_explanations.items():
-        is_tried = confounded & {*best[len(causes):]} if rare[0] in CONFOUNDED else len(rare) == 1 or (
+        is_tried = confounded & {*best[len(causes):]} if rare[0] in CONFOUNDED else rare == ("velocity_y_scale",) or (
             _fits_better(problem, (*best, *(name for name in rare if name not in best)), problem, best))
         if {*rare} <= {*candidates} and is_tried:
             others = [name for name in candidates if name not in {*confounded, *RARE_CAUSES, *rare}]
@@ -477,7 +470,7 @@ def _refine_causes(problem: Regression, causes: dict[str, Estimate], min_values:
             joint = problem.estimate(alternative)
             if (_fits_better(problem, alternative, problem, best)
                     and all(is_relevant(joint[name], min_values[name]) for name in rare)
-                    and (rare[0] in CONFOUNDED or _has_lateral_scale_error(problem, alternative))):
+                    and ("velocity_y_scale" not in rare or _has_lateral_scale_error(problem, alternative))):
                 best = alternative
     return {name: _add_refinement(name, causes, estimate) for name, estimate in problem.estimate(best).items()}
 
@@ -555,11 +548,12 @@ def _convert_to_reported(name: str, cause: Estimate) -> Estimate:
 def _correct_causes(motion: Motion, causes: Mapping[str, Any]) -> Motion:
     """The motion corrected for causes, each constant or with one value per INS sample."""
     values = {**dict.fromkeys(CAUSES, 0.0), **causes}
-    ahead, scale = values["position_reference"], 1.0 + values["velocity_scale"]
+    scale = 1.0 + values["velocity_scale"]
+    arm = (values["position_reference"] + 1j * values["position_side"]) * np.exp(1j * motion.yaw)
     lateral_scale = scale * (1.0 + values["velocity_y_scale"])
     y = motion.y / (1.0 + values["y_scale"])
     x = motion.x / (1.0 + values["x_scale"]) - values["map_shear"] * y
-    motion = replace(motion, x=x - ahead * np.cos(motion.yaw), y=y - ahead * np.sin(motion.yaw),
+    motion = replace(motion, x=x - arm.real, y=y - arm.imag,
                      yaw=motion.yaw - values["yaw_offset"] - values["yaw_drift"] * (motion.time - motion.time[0]),
                      velocity_x=motion.velocity_x * scale - values["velocity_x_bias"],
                      velocity_y=motion.velocity_y * lateral_scale - values["velocity_y_bias"])

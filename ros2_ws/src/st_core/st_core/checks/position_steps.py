@@ -52,7 +52,10 @@ def spread_bursts(log: DriveLog) -> tuple[DriveLog, list[Finding]]:
         if count < MIN_BURST_LENGTH or is_sent_on_change or (  # or the car moves on in the pauses, which are gaps
                 MAX_BURST_INTERVAL * steps[is_pause & (spacing <= max_gap)].mean() > steps[~is_pause].mean()):
             continue
-        even = even_out(time, round(MAX_PAUSE_RATIO * count), max_gap)
+        # The last sample of a burst is the least late one.
+        k, ends = np.arange(len(time)), np.append(np.flatnonzero(is_pause), len(time) - 1)
+        end = ends[np.searchsorted(ends, k)]
+        even = even_out(time[end] - (end - k) * estimate_spacing(time), round(MAX_PAUSE_RATIO * count), max_gap)
         deviation = float(np.std(time - even))
         log = replace(log, **{name: stamps[0] + np.round(even / NANOSECOND).astype(np.int64)})
         effect = deviation * float(np.median(np.abs(log.velocity_x))) if signal == "INS" else None

@@ -33,6 +33,7 @@ CLIP_RATIO = 8.0  # minimum number of samples at a clipped value, divided by the
 FREEZE_PAUSE_RATIO = 10.0  # minimum duration of a frozen value, divided by the 98 % quantile of constant intervals
 OPTIONAL_CHANNELS = ("velocity_y", "acceleration_x", "acceleration_y")  # not needed to score predicted paths
 MAX_INTERVAL_RATIO = 1.5  # largest ratio of a sampling interval to the median; a longer one contains a lost sample
+MAX_AXIS_SHARE = 0.9  # share of the speed along one axis above which the other may be constant; 26 deg from the axis
 MAX_SPEED_NOISE = 0.5  # m/s; reported by a receiver at standstill while the position is constant
 MAX_GYRO_BIAS = 0.02  # rad/s; a constant yaw counts as frozen only at a larger yaw rate
 LOCKED_STATUS = 4  # NCOM byte 21
@@ -298,7 +299,7 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, resoluti
     """
     in_interval = (motion.time >= begin) & (motion.time <= end)
     if name == "road_wheel_angle":
-        in_interval &= motion.velocity_x > MIN_CURVATURE_SPEED
+        in_interval &= np.abs(motion.velocity_x) > MIN_CURVATURE_SPEED
     if in_interval.sum() < 3:
         return False
     if name in RATES:
@@ -326,6 +327,12 @@ def _compute_mean_rate(time: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.concatenate([rate, np.full(len(time) - len(rate), rate[-1] if len(rate) else 0.0)])
 
 
+def _compute_rate_along_axis(motion: Motion, velocity: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Velocity along an axis of the map; 0 where the positions along the other axis account for the speed, so that yaw
+    may be wrong."""
+    return np.where(np.abs(_compute_mean_rate(motion.time, other)) < MAX_AXIS_SHARE * motion.speed, velocity, 0.0)
+
+
 # Position error [m] at the end of the horizon per unit of error of the initial state; whether the speed multiplies it.
 POSITION_EFFECT = {
     "x": (1.0, False), "y": (1.0, False), "yaw": (HORIZON, True), "velocity_x": (HORIZON, False),
@@ -333,8 +340,8 @@ POSITION_EFFECT = {
 # By channel: its rate of change from other channels, the largest bias of that rate, and the smallest expected change.
 RATES: Mapping[str, tuple[Callable[[Motion], np.ndarray], float, float]] = {
     ALL_INS_SIGNALS: (lambda m: m.speed, MAX_SPEED_NOISE, 1.0),
-    "x": (lambda m: m.velocity_map.real, MAX_SPEED_NOISE, 1.0),
-    "y": (lambda m: m.velocity_map.imag, MAX_SPEED_NOISE, 1.0),
+    "x": (lambda m: _compute_rate_along_axis(m, m.velocity_map.real, m.y), MAX_SPEED_NOISE, 1.0),
+    "y": (lambda m: _compute_rate_along_axis(m, m.velocity_map.imag, m.x), MAX_SPEED_NOISE, 1.0),
     "yaw": (lambda m: m.yaw_rate, MAX_GYRO_BIAS, 0.05)}
 # By channel: a quantity derived from other channels, and its range [SI] above which the channel cannot be constant.
 RELATED_QUANTITIES: Mapping[str, tuple[Callable[[Motion], np.ndarray], float]] = {

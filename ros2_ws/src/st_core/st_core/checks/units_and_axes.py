@@ -18,7 +18,7 @@ from ..regression import SIGMA_PER_MAD
 from . import inertial
 from .finding import HORIZON, LIMITS, Advice, Alternative, Finding, Severity, find
 from .motion import MIN_DISTANCE, MIN_WINDOWS, Motion, compute_ratios, correlate, is_driven, is_near
-from .position import compute_scaled_misfit
+from .position import compute_compass_misfit, compute_scaled_misfit, correct_lateral_sign
 from .regression import Estimate, Regression, add_systematic_uncertainty
 
 MIN_YAW_RANGE = 0.2  # rad; minimum range of yaw in the drive
@@ -61,7 +61,7 @@ def correct_units(motion: Motion) -> tuple[Motion, list[Finding]]:
     findings: list[Finding] = []
     for step in (correct_length_unit, _correct_velocity_axes, _correct_rate_in_unit_of_yaw, _correct_north_east,
                  _correct_one_axis, _correct_yaw_or_rate, _correct_position_axes, _correct_distance,
-                 _correct_velocity_axes, _correct_yaw_offset):
+                 _correct_velocity_axes, _correct_yaw_offset, correct_lateral_sign):
         motion, finding = step(motion)
         findings += [finding] if finding else []
     by_name = {finding.name: finding for finding in findings}
@@ -177,7 +177,8 @@ def _correct_yaw_scale(motion: Motion, ratio: float) -> MotionAndFinding:
     if low <= 1.0 <= high or abs(factor - ratio) > abs(factor - 1.0):
         return motion, None
     misfits = [compute_scaled_misfit(each, "yaw_offset") for each in (motion, corrected)]
-    if not misfits[1] < CLEAR_MISFIT_RATIO * misfits[0]:
+    if not misfits[1] < CLEAR_MISFIT_RATIO * misfits[0] or (
+            compute_compass_misfit(motion) < CLEAR_MISFIT_RATIO * misfits[1]):
         return motion, None
     effect = abs(factor - 1.0) * float(np.std(motion.yaw)) * float(np.median(motion.speed)) * HORIZON
     return corrected, replace(finding, severity=LIMITS.severity(effect), effect=effect)
@@ -359,7 +360,7 @@ def correct_length_unit(motion: Motion) -> MotionAndFinding:
     """Correct positions and velocities in the same wrong unit of length, by comparison with the accelerations."""
     ratio = compute_ratios(motion).position_to_speed  # NaN for kilometres, in which all motion seems too small
     is_consistent = not np.isfinite(ratio) or _matches(ratio, 1.0)
-    scales = np.array(inertial.compute_acceleration_scales(motion) if is_consistent else [])
+    scales = np.array([s.value for s in inertial.compute_acceleration_scales(motion)] if is_consistent else [])
     if not len(scales) or not (scales > 0.0).all():
         return motion, None
     scale = float(np.exp(np.log(scales).mean()))
@@ -390,9 +391,8 @@ def _correct_distance(motion: Motion) -> MotionAndFinding:
         return _correct(metres, "position_scale", ("x", "y"), text, ratio,
                         Advice("text", "project latitude and longitude to east and north"))
     velocity_ratio = 1.0 / ratio
-    if not speed and inertial.accelerations_confirm_velocity(motion, velocity_ratio):
-        text = (f"x and y are {ratio:.4g} times the integrated velocity, which agrees with the accelerations: is the "
-                "scale of the projection wrong?")
+    if confirmed_by := "" if speed else inertial.confirm_velocity(motion, velocity_ratio):
+        text = f"x and y are {ratio:.4g} times the integrated velocity, which agrees with {confirmed_by}"
         return _correct(motion, "position_scale", ("x", "y"), text, ratio,
                         Advice.correct("position", scale=float(f"{velocity_ratio:.5g}")))
     scale = 1.0 / (speed or velocity_ratio)

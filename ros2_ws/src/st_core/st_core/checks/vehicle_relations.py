@@ -43,6 +43,7 @@ STEERING_PLAY = 0.07  # rad of the steering wheel; play of ordinary cars, which 
 MIRRORED = Alternative("do x, y, yaw and all lateral channels have axes with z down (x north, y east, right positive)",
                        ("position_axes",))
 PLAY, STEERED_REAR_WHEELS = Alternative("the steering has play"), Alternative("the rear wheels also steer")
+REVERSED_INS = Alternative("the INS points backwards"), Advice("text", "check the forward axis of the INS")
 TIGHTER_BENDS = Advice("text", "drive tighter bends to distinguish the two")
 CHECK_RATIO = Advice("text", "drive tighter bends, and check steering_ratio and wheelbase in the vehicle file")
 MIN_FOUR_WHEEL_GAIN = 0.5  # smallest gain with rear-wheel steering: rear angle opposite and equal to the front angle
@@ -51,9 +52,8 @@ MIN_GAIN = 1e-6  # ratio of measured to derived angle below which the steering i
 
 def check_steering(results: Results, motion: Motion, vehicle: VehicleParameters, from_steering_wheel: bool) -> None:
     """Compare steering with curvature. from_steering_wheel: whether a steering wheel angle was recorded."""
-    moving = motion.velocity_x > MIN_SPEED
-    derived = _derive_angle(motion, vehicle)
-    speed = float(np.median(motion.velocity_x[moving])) if moving.any() else MIN_SPEED
+    derived, speeds = _derive_angle(motion, vehicle), np.abs(motion.velocity_x)
+    speed = float(np.median(speeds[np.isfinite(derived)])) if np.isfinite(derived).any() else MIN_SPEED
     response = compute_response_time(vehicle, speed)
     agreement, gain = _compare_angles(motion, derived, response), _estimate_steering_gain(motion, derived)
     # Understeer with the stability factor K multiplies the steering angle by 1 + K v^2. The mean of this factor,
@@ -64,7 +64,7 @@ def check_steering(results: Results, motion: Motion, vehicle: VehicleParameters,
     plausible_gains = 1.0 + expected * mean_square, 1.0 + largest * mean_square
     if agreement is None or not agreement.correlates:
         results.findings += filter(None, [_make_unrelated_finding(motion, derived) or _make_unit_finding(
-            gain, plausible_gains, vehicle, from_steering_wheel, motion.geographic)])
+            gain, plausible_gains, vehicle, from_steering_wheel, motion)])
         return
     # In one long bend, gain and offset are confounded; in a slalom, the opposite sign and a lag of half a period.
     if gain is not None and (agreement.scale.standard_error > 0.2 * abs(agreement.scale.value)
@@ -81,7 +81,7 @@ def check_steering(results: Results, motion: Motion, vehicle: VehicleParameters,
     same_sign = agreement.correlation * gain.value >= 0.0
     clock = _check_clock(motion, vehicle, agreement, derived, response, lateral_shift) if same_sign else None
     has_lag = same_sign and clock is None
-    unit = _make_unit_finding(gain, plausible_gains, vehicle, from_steering_wheel, motion.geographic, agreement.spread)
+    unit = _make_unit_finding(gain, plausible_gains, vehicle, from_steering_wheel, motion, agreement.spread)
     correction = unit.advice.entry.get("correct", {}).get("road_wheel_angle", {}) if unit and unit.advice else {}
     results.findings += filter(None, (
         unit, clock, _make_lag_finding(lag, agreement, response, lateral_shift) if has_lag else None,
@@ -96,8 +96,8 @@ def check_steering(results: Results, motion: Motion, vehicle: VehicleParameters,
 
 
 def _derive_angle(motion: Motion, vehicle: VehicleParameters) -> np.ndarray:
-    """Road wheel angle of a car without slip, from its curvature [rad]; NaN below MIN_SPEED."""
-    forward = np.where(motion.velocity_x > MIN_SPEED, motion.velocity_x, np.nan)
+    """Road wheel angle of a car without slip, from its curvature, also in reverse [rad]; NaN below MIN_SPEED."""
+    forward = np.where(np.abs(motion.velocity_x) > MIN_SPEED, motion.velocity_x, np.nan)
     return np.arctan(vehicle.wheelbase * motion.yaw_rate / forward)
 
 
@@ -168,12 +168,12 @@ def _compute_response_uncertainty(vehicle: VehicleParameters, speed: float) -> f
 
 
 def _make_unit_finding(gain: Estimate | None, plausible_gains: tuple[float, float], vehicle: VehicleParameters,
-                       from_steering_wheel: bool, geographic: bool, spread: float = 0.0) -> Finding | None:
+                       from_steering_wheel: bool, motion: Motion, spread: float = 0.0) -> Finding | None:
     """Finding about an implausible steering gain, with the wrong unit or sign that explains it; None if plausible.
 
     plausible_gains: the expected and the largest one; 1 is plausible too, since stiffnesses may be inaccurate.
-    geographic: whether positions are certain to be east and north; otherwise all INS channels may be mirrored instead,
-    and the correction of the steering is valid in both cases.
+    motion: unless its positions are certain to be east and north, all INS channels may be mirrored instead, and the
+    correction of the steering is valid in both cases; with a negative velocity, the INS may point backwards instead.
     spread: standard deviation of the derived angle [rad], 0 if unknown. Play may explain a gain below 1 that no unit
     matches, since it reduces every turn of the steering by its width; steered rear wheels may explain it, too.
     """
@@ -207,7 +207,9 @@ def _make_unit_finding(gain: Estimate | None, plausible_gains: tuple[float, floa
         name = "steering_sign"
         advice = replace(advice, line=f"{advice.line}  # or, for CAN logs, the opposite steering_sign in car.yaml")
     finding = Finding(name, Severity.ERROR, ("road_wheel_angle",), text, value, "1", gain.interval, advice=advice,
-                      alternatives=() if geographic or exact != 1.0 else (MIRRORED,))
+                      alternatives=() if motion.geographic or exact != 1.0 else (MIRRORED,))
+    if value < 0.0 and np.median(motion.velocity_x) < 0.0:
+        return finding.with_alternative(*REVERSED_INS)
     may_be_play = 0.0 < (1.0 - value) * spread < 0.5 * STEERING_PLAY / ratio
     causes = [PLAY] * may_be_play + [STEERED_REAR_WHEELS] * (gain.interval[1] >= MIN_FOUR_WHEEL_GAIN and value < 1.0)
     for alternative in causes if not reason else ():
@@ -222,7 +224,7 @@ def _check_clock(motion: Motion, vehicle: VehicleParameters, agreement: Agreemen
     `_compare_angles`."""
     drift, change = agreement.drift, agreement.drift.scaled(float(np.ptp(agreement.time)))  # 1, s
     first, second = (compute_response_time(vehicle, max(float(np.median(half)), MIN_SPEED))
-                     for half in np.array_split(motion.velocity_x, 2))
+                     for half in np.array_split(np.abs(motion.velocity_x), 2))
     if abs(change.value) < LIMITS.steering_lag or not add_systematic_uncertainty(
             "steering_lag", change).widened(abs(second - first)).is_significant:
         return None

@@ -11,6 +11,7 @@ import numpy as np
 from rich.markup import escape
 from st_core.checks import Advice, Comparison, DriveCheck, Finding, Severity, compare_runs
 from st_core.checks.finding import SCHEMA
+from st_core.checks.position import CAUSES
 from st_core.checks.sampling import UNITS as CHANNEL_UNITS
 from st_core.regression import count_decimals
 from st_core.vehicle import VehicleParameters
@@ -27,8 +28,8 @@ SEVERITY_ORDER = (Severity.ERROR, Severity.WARNING, Severity.NOTE)
 MEANING = {Severity.ERROR: "an evaluation would be meaningless", Severity.WARNING: "an evaluation would be biased",
            Severity.NOTE: "negligible here"}
 QUANTITY_UNITS = {**{f"{channel}_bias": unit for channel, unit in CHANNEL_UNITS.items()},
-                  **dict.fromkeys(("yaw_offset", "heading_misaligned", "steering_offset"), "rad"),
-                  **dict.fromkeys(("position_reference", "measuring_point"), "m")}
+                  **{name: cause.unit for name, cause in CAUSES.items()},
+                  "heading_misaligned": "rad", "steering_offset": "rad", "measuring_point": "m"}
 ADVICE_PLACE = {"run.yaml": "in a run.yaml: ", "vehicle": "in the vehicle file: ", "option": "with the option ",
                 "text": ""}
 SEVERITY_STYLE = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: "dim"}
