@@ -328,7 +328,7 @@ def test_table_of_can_frames_is_not_a_can_log(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("name", "error"), [
     ("a.zip", "unpack it first"), ("a.tdms", "export one"), ("a.csv", "the file is empty"),
     ("a.bag.active", "the recording was not closed: repair it"), ("notes.txt", "this folder contains no recording"),
-    ("oxts/timestamps.txt", "recordings of KITTI contain no steering angle"), ("a.json", "contains no recording")])
+    ("oxts/timestamps.txt", "KITTI recordings contain no steering angle"), ("a.json", "contains no recording")])
 def test_folder_without_a_run_is_rejected_with_advice_on_its_recordings(tmp_path: Path, name: str, error: str) -> None:
     touch(tmp_path, "README.md", f"sub/{name}")
     (run,) = find_runs([tmp_path])

@@ -178,7 +178,7 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
         sources = _find_sources(file, names, body, delimiter, layout, warnings)
         sources, body = _read_unit_rows(file, sources, preamble, body, delimiter, layout)
     lines = [line for line in body.splitlines() if line.strip(f' \t"{delimiter}')]
-    # A row that begins with # is a comment, unless this is a mark such as #N/A, or all rows do (ASCII logs of NovAtel).
+    # A row that begins with # is a comment unless its first cell is #N/A, or every row does (ASCII log of NovAtel).
     lines = [line for line in lines if not (text := line.lstrip()).startswith("#")
              or text.split(delimiter, 1)[0].strip().lower() in MISSING_MARKS] or lines
     first: dict[str, str] = {}

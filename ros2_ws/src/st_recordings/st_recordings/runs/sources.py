@@ -36,7 +36,7 @@ UNKNOWN_ADVICE = {
     **dict.fromkeys((".nmea", ".gpx", ".ulg"), "export it as .csv with columns as in docs/csv_columns.md"),
     ".active": "the recording was not closed: repair it with `st recover` (.mcap) or `rosbag reindex` (.bag), then "
                "remove .active from its name",
-    **dict.fromkeys((".json", ".jsonl", ".npy", ".pkl"), "write a .csv with a column for each signal, as with pandas"),
+    **dict.fromkeys((".json", ".jsonl", ".npy", ".pkl"), "write a .csv with a column for each signal"),
     ".vbb": "export it as .vbo with the software of the logger",
     ".bin": "rename it to .ncom if it contains NCOM packets; else export a .csv",
     **dict.fromkeys((".gz", ".zip", ".7z", ".bz2", ".xz", ".zst", ".zstd"), "unpack it first"),
@@ -81,7 +81,7 @@ def _report_folder_without_runs(folder: Path) -> list[RunSource]:
     bag = READERS["bag"]
     files = sorted(folder.rglob("*"))
     if any(f.name == "timestamps.txt" and f.absolute().parent.name == "oxts" for f in files):
-        return [_report_problem(folder, "recordings of KITTI contain no steering angle", "write a .csv of the files in "
+        return [_report_problem(folder, "KITTI recordings contain no steering angle", "write a .csv of the files in "
                                 "oxts/data with a column for it and names as in docs/csv_columns.md")]
     bags = [f for f in files if bag.accepts(f) and not any(bag.accepts(parent) for parent in f.parents)]
     unknown_files = [f for f in files if f.suffix.lower() in UNKNOWN_ADVICE.keys() - {*DOCUMENT_EXTENSIONS}]
