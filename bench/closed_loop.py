@@ -69,12 +69,13 @@ def run_effects(folder: Path) -> dict:
     kept = ", ".join(effect["name"] for effect in discovery["minor"]) or "nothing"
     replace_part(PAGE, "effects found", f"Held-out 5 s position {base:.2f} → {augmented:.2f} m:\n\n"
                  f"{format_records(found)}\n\nIn the model, but not reported as causes: {kept}.")
-    errors = [{"model": name, "before, m": f"{before['lateral'][name]:.3f}" if name in before["lateral"] else "-",
-               "after, m": f"{now:.3f}"} for name, now in after["lateral"].items()]
+    known = before["lateral"]
+    errors = [{"model": name if name in known else f"{name}, `model.yaml`",
+               "before, m": f"{known[name]:.3f}" if name in known else "-", "after, m": f"{now:.3f}"}
+              for name, now in after["lateral"].items()]
     replace_part(PAGE, "errors with the effects", _format_errors(after["starts"], errors))
-    _draw(IMAGES / "closed_loop.png", {name: (before["lateral"].get(name), now) for name, now in
-                                       after["lateral"].items()}, ("file and model before",
-                                                                   "corrected by st discover"))
+    _draw(IMAGES / "closed_loop.png", {name: (known.get(name), now) for name, now in after["lateral"].items()},
+          ("file and model before", "corrected by st discover"))
     return {"found": found, "kept": kept, "corrected": corrected.exists(), "position_5s": [base, augmented],
             "before": before, "after": after}
 

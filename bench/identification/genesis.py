@@ -16,9 +16,8 @@ from st_core.log import DriveLog, LogSignals
 from st_core.log_evaluation import regular_starts, usable_starts
 from st_core.regression import make_blocks
 from st_core.vehicle import VehicleParameters
-from st_recordings.runs import find_runs, read
 
-from .._drives import SOUND_DRIVES, rotate_ins
+from .._drives import SOUND_DRIVES, read_runs, rotate_ins
 from .._drives import genesis as genesis_vehicle
 from .drives import apply_estimates
 
@@ -30,7 +29,7 @@ PREDICTION_TIME = 5  # s
 def identify_genesis() -> dict:
     """Estimates from the TRAINING_DRIVES, and position errors with them on all drives."""
     car = genesis_vehicle()
-    logs = {source.name: read(source, car).log for source in find_runs([SOUND_DRIVES])}
+    logs = read_runs(SOUND_DRIVES, car)
     # The recordings contain the road wheel angle; it is converted to the steering wheel angle, so that the ratio can
     # be changed.
     logs = {name: replace(log, steering_wheel_angle=car.steering_wheel_angle(log.road_wheel_angle))
