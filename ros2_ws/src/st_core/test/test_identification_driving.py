@@ -188,6 +188,16 @@ def test_ins_that_rolls_with_the_body_does_not_bias_yaw_inertia(leaf, measured):
     assert inertia.value == pytest.approx(leaf.yaw_inertia, rel=0.015 if measured else 0.03)
 
 
+def test_stiffness_of_yaw_inertia_includes_its_change_with_the_slip_range(leaf, monkeypatch):
+    """As of a car with other tyres than in its file, whose stiffness from gentle driving differs."""
+    monkeypatch.setattr("st_core.identification.driving_prediction.estimate_slip_range_uncertainty",
+                        lambda *_: {"cornering_stiffness_rear": 9000.0})
+    logs = [drive(leaf, speed, steps(angle), 30.0, seed=8) for speed, angle in ((9.0, 0.05), (14.0, 0.03))]
+    found = identify_yaw_inertia(logs, leaf, "linear")
+    assert found["cornering_stiffness_rear"].standard_uncertainty > 9000.0
+    assert found["yaw_inertia"].standard_uncertainty < 0.1 * leaf.yaw_inertia
+
+
 def test_implausible_yaw_inertia_is_unidentifiable(leaf):
     heavy = replace(leaf, yaw_inertia=9000.0)
     logs = [drive(heavy, speed, steps(angle), 30.0, seed=9) for speed, angle in ((9.0, 0.05), (14.0, 0.03))]

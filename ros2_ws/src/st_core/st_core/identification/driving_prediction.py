@@ -170,8 +170,9 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     inertia_per_delay = abs(float(fit.noise_covariance[row, delay] / fit.noise_covariance[delay, delay]))
     known_uncertainty = {DELAY: delay_uncertainty, "yaw_inertia": inertia_per_delay * delay_uncertainty}
     method = f"multi-step prediction of transients, {describe_model(base)}"
+    slip_range_uncertainty = estimate_slip_range_uncertainty(logs, vehicle, base, settings, fit)
     result = _make_identification("yaw-inertia", vehicle, fit, method, ("yaw_inertia", *STIFFNESSES, DELAY),
-                                  {}, known_uncertainty)
+                                  slip_range_uncertainty, known_uncertainty)
     estimate = result["yaw_inertia"]
     warnings = [*notes, *result.warnings]
     inertia = VEHICLE_QUANTITIES["yaw_inertia"].clip(estimate.value)
