@@ -320,6 +320,19 @@ def test_unused_search_is_reported(drive_folder: Path, settings: ReadSettings, r
     assert notes == ([f"--search is not used: {reason}"] if reason else [])
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("shift", [7200.0, 18.0 - 315964800.0])  # s, of a time zone, and of GPS time since 1980
+def test_table_with_a_different_clock_is_aligned_by_its_signals(drive_folder: Path, drive_log: DriveLog,
+                                                                tmp_path: Path, shift: float) -> None:
+    cells = [[f"{float(row[0]) + shift:.3f}", *row[1:-1]] for row in rows(drive_log)]
+    (tmp_path / "run.csv").write_text(csv(cells, ",".join(NAMES[:-1])))
+    (tmp_path / "run.log").write_bytes((drive_folder / "run.log").read_bytes())
+    alignment, expected = (read(find_runs([folder])[0], CAR).alignment for folder in (tmp_path, drive_folder))
+    assert alignment is not None and expected is not None and "in GPS time?" in alignment.reasons[-1]
+    difference = alignment.offset_at_ns(expected.at_ns) - expected.offset_at_ns(expected.at_ns)
+    assert alignment.verdict == "doubtful" and abs(difference * 1e-9 - shift) < 0.005
+
+
 @pytest.mark.parametrize("head", [
     b'x"y\rz\nid,length,data\n', b't,"a\rb",c',
     b"id,length,payload,time,x,y,yaw,vx,vy,yaw_rate,delta\n1,4.5,1,0,0,0,0,5,0,0,0\n"])

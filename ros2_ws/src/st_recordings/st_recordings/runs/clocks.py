@@ -19,6 +19,8 @@ SLIP_PER_ACCELERATION_DEVIATION = 0.002
 STEERING_DELAY = (-0.06, 0.06)  # negative, because steering leads the yaw rate by the response time of the car
 
 NO_INS_FRAMES = "the DBC describes no INS frames of this log (RT_..., as in the rt.dbc that `st car new` writes)"
+OTHER_CLOCK = ("the INS time in the CAN log does not overlap the times of the INS recording: is it of a different "
+               "drive, in a different time zone, or in GPS time?")
 
 MIN_VARIATION = {"speed": 0.3, "rate": 0.01, "angle": 0.05, "curvature": 0.001}
 """Minimum standard deviation [m/s, rad/s, rad, 1/m] of a signal that is used for alignment."""
@@ -50,10 +52,14 @@ def align_clocks(ins: InsLog, can: CanSignals, offset: float | None = None, sear
     if not pairs:
         pairs, warning = pair_substitute_signals(ins, can, steering_sign)
     time_frames = [signal for signal in can.find_all("ins_unix_time") if np.isfinite(signal.values).sum() > 1]
+    # The recording may be in a different time zone, or in GPS time.
+    is_other_clock = ins.is_utc and len(time_frames) > 0 and not any(
+        np.nanmin(frame.values) * 1e9 < ins.time_ns[-1] and np.nanmax(frame.values) * 1e9 > ins.time_ns[0]
+        for frame in time_frames)
     if offset is not None:
         at_ns = int(pairs[0].other_time_ns[0]) if pairs else 0
         alignment = manual_alignment(round(offset * 1e9), at_ns, pairs)
-    elif ins.is_utc and time_frames:
+    elif ins.is_utc and time_frames and not is_other_clock:
         finest_frame = min(time_frames, key=lambda s: TIME_FRAME_RESOLUTION.get(s.message, 1.0))
         alignment = _align_by_checked_time_frame(finest_frame, pairs if not warning else [], latency)
     elif not pairs:
@@ -62,8 +68,16 @@ def align_clocks(ins: InsLog, can: CanSignals, offset: float | None = None, sear
     else:
         alignment = align(pairs, search=search)
         if alignment.is_ambiguous and search is None and ins.is_utc:
-            alignment = _prefer_logger_clock(pairs, alignment)
+            near_zero = align(pairs, search=(-MAX_CLOCK_ERROR, MAX_CLOCK_ERROR))
+            if near_zero.verdict is not Verdict.REFUSED and near_zero.peak and alignment.peak and (
+                    near_zero.peak.correlation >= MIN_RELATIVE_PEAK * alignment.peak.correlation):
+                alignment = near_zero.with_doubts("several offsets fit equally well because laps or manoeuvres repeat; "
+                                                  f"the one within {MAX_CLOCK_ERROR:.0f} s of the logger's own clock "
+                                                  "is used")
         alignment = alignment.with_doubts(*filter(None, (warning, _describe_opposite_sign(pairs, alignment, search))))
+        if is_other_clock:
+            alignment = alignment.with_doubts(OTHER_CLOCK) if alignment.verdict is Verdict.GOOD else refused_alignment(
+                OTHER_CLOCK, *alignment.reasons)
     return replace(alignment, reasons=(*notes, *alignment.reasons)), pairs
 
 
@@ -165,16 +179,6 @@ def _describe_opposite_sign(pairs: list[SharedSignal], alignment: Alignment, sea
         f"{mirrored_alignment.signals[0].correlation:.2f}")
 
 
-def _prefer_logger_clock(pairs: list[SharedSignal], alignment: Alignment) -> Alignment:
-    """Selects the offset near the clock of the logger if it is one of several that fit equally well."""
-    near_zero = align(pairs, search=(-MAX_CLOCK_ERROR, MAX_CLOCK_ERROR))
-    if near_zero.verdict is Verdict.REFUSED or not near_zero.peak or not alignment.peak or (
-            near_zero.peak.correlation < MIN_RELATIVE_PEAK * alignment.peak.correlation):
-        return alignment
-    return near_zero.with_doubts("several offsets fit equally well because laps or manoeuvres repeat; the one within "
-                                 f"{MAX_CLOCK_ERROR:.0f} s of the logger's own clock is used")
-
-
 def _align_by_checked_time_frame(frames: Signal, pairs: list[SharedSignal], latency: tuple[float, float]) -> Alignment:
     is_finite = np.isfinite(frames.values)
     ins_time_ns = np.round(frames.values[is_finite] * 1e6).astype(np.int64) * 1000
@@ -185,10 +189,8 @@ def _align_by_checked_time_frame(frames: Signal, pairs: list[SharedSignal], late
     # Search only near the offset from the INS time, because repeated laps fit at several offsets.
     offset = alignment.offset_at_ns(alignment.at_ns) * 1e-9
     # One message each for velocity, yaw rate and yaw, because a second one adds no information.
-    distinct_pairs: dict[str, SharedSignal] = {}
-    for pair in pairs:
-        distinct_pairs.setdefault(pair.name.partition(" (")[0], pair)
-    check = align(list(distinct_pairs.values()), search=(offset - CHECK_SEARCH, offset + CHECK_SEARCH))
+    distinct_pairs = {pair.name.partition(" (")[0]: pair for pair in reversed(pairs)}
+    check = align([*distinct_pairs.values()][::-1], search=(offset - CHECK_SEARCH, offset + CHECK_SEARCH))
     if check.verdict is Verdict.REFUSED:
         return alignment.with_doubts(f"the shared signals do not confirm the offset: {check.reasons[-1]}")
     difference = (check.offset_at_ns(check.at_ns) - alignment.offset_at_ns(check.at_ns)) * 1e-9
@@ -200,8 +202,7 @@ def _align_by_checked_time_frame(frames: Signal, pairs: list[SharedSignal], late
 
 def _make_pair(name: str, quantity: str, time_ns: np.ndarray, values: np.ndarray, signal: Signal, speed: Signal | None,
                latency: tuple[float, float]) -> SharedSignal:
-    other = signal.values
-    if speed is not None:
-        other = mask_standstill(signal.time_ns, other, speed.time_ns, speed.values)
+    other = signal.values if speed is None else mask_standstill(
+        signal.time_ns, signal.values, speed.time_ns, speed.values)
     return SharedSignal(name, time_ns, values, signal.time_ns, other, *latency, MIN_VARIATION[quantity],
                         is_angle=quantity == "angle")
