@@ -64,7 +64,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
                 break
         result = with_changes
     # Within each severity, accelerations are last, since no prediction depends on them.
-    in_bursts = {finding.channels for finding in burst_findings}  # their rate is a matter of the stamps
+    in_bursts = {finding.channels for finding in burst_findings}  # their gaps are due to the time stamps
     findings = [f for f in result.findings if f.name != "time_gaps" or f.times or f.channels not in in_bursts]
     findings = sorted((*burst_findings, *sign_findings, *findings), key=lambda finding: (
         [*Severity].index(finding.severity), finding.concerns_only_acceleration, -(finding.effect or np.inf)))
@@ -120,8 +120,7 @@ def _describe_change(finding: Finding, other: DriveCheck, place: str, whole: Dri
         return "" if name in {f.name for f in (*other.findings, *whole.findings)} else f", but not {place}"
     there = other.estimates.get(name) or next(
         ((f.value, *f.interval) for f in other.findings if f.name == name and f.value is not None and f.interval), None)
-    if (there is None or _agree((value, *interval), there)
-            or abs(there[0] - value) <= MIN_CHANGE * finding.deviation):
+    if there is None or _agree((value, *interval), there) or abs(there[0] - value) <= MIN_CHANGE * finding.deviation:
         return ""
     unit = "" if finding.unit == "1" else f" {finding.unit}"
     return f"; {place}, the value is {there[0]:.3g} ({there[1]:.3g} to {there[2]:.3g}){unit}"

@@ -203,7 +203,7 @@ GYRO_CORRELATION = 0.9  # minimum correlation of yaw rate and change of yaw; it 
 GYRO_SCALE_ERROR = 0.02  # smallest reported deviation from 1; the scale of a gyroscope is accurate to 1 %
 GYRO_BIAS = 0.001  # rad/s; smallest reported bias; twice the bias of a good INS
 ACCELERATION_SCALE_ERROR = 0.35  # smallest reported deviation from 1; roll and pitch of the body cause up to 0.33
-MIN_ACCELERATION_SCALE = 0.9  # smallest ratio to the derivative of velocity; a mounting angle of 25 deg reduces it so
+MIN_ACCELERATION_SCALE = 0.9  # smallest ratio to the derivative of velocity; a mounting angle of 25 deg causes this
 ACCELERATION_LAG = 0.12  # s; smallest reported lag; filters of accelerometers cause delays of up to 0.1 s
 ACCELERATION_TOLERANCE = 1.2  # factor by which the mean of a vertical acceleration may differ from gravity
 MIN_UNRELATED_WINDOWS = 20  # minimum number of windows of 1 s to report an acceleration as unrelated to the motion
@@ -390,7 +390,7 @@ def confirm_velocity(motion: Motion, factor: float) -> str:
               "the scale of web Mercator at this y": factor * motion.mercator_scale}
     scales = [] if motion.moves_sideways else compute_acceleration_scales(motion)
 
-    def accelerations_agree(factor: float) -> bool:  # roll and pitch of the body increase them
+    def accelerations_agree(factor: float) -> bool:  # roll and pitch of the body increase accelerations
         return all(abs(factor * scale.value - 1.0) < ACCELERATION_SCALE_ERROR
                    and factor * scale.interval[1] >= MIN_ACCELERATION_SCALE for scale in scales)
 
@@ -496,7 +496,7 @@ def restore_speed_sign(log: DriveLog, start_ns: int) -> tuple[DriveLog, list[Fin
     sign = np.repeat(np.where(distances < 0.0, -1.0, 1.0), np.diff(bounds))
     times = tuple((float(time[first]), float(time[last])) for first, last in find_spans(sign < 0.0))
     text = (f"velocity_x has the opposite sign for {sum(last - first for first, last in times):.0f} s (forward is "
-            "positive): is it a speed without a sign while the car moves backwards?")
+            "positive): is it a speed without a sign, recorded in reverse?")
     advice = Advice.for_run_yaml({"leave_out": [[round(first, 1), round(last, 1)] for first, last in times]})
     finding = Finding("velocity_x_scale", Severity.ERROR, ("velocity_x",), text, times=times, advice=advice)
     return replace(log, velocity_x=sign * log.velocity_x), [finding]

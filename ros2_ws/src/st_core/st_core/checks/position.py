@@ -123,7 +123,7 @@ VARYING_CAUSES = (  # cause, what it varies with, smallest reported standard dev
     ("yaw_offset", "time", LIMITS.heading_misalignment, "yaw_wander", "yaw wanders by up to {size:.3f} rad "
      "({degrees:.1f} deg) during the drive according to positions and velocities", CAUSES["yaw_drift"].key),
     ("yaw_offset", "heading", LIMITS.heading_misalignment, "yaw_wander", "the error of yaw depends on the heading and "
-     "varies by up to {size:.3f} rad ({degrees:.1f} deg): is it a compass near iron?",
+     "varies by up to {size:.3f} rad ({degrees:.1f} deg): is yaw from a compass near iron?",
      "calibrate the compass in the car, or use an INS with two antennas: no constant correction exists"),
     ("position_lag", "time", LIMITS.severe_lag, "position_lag", "the lag of positions behind velocity and yaw varies "
      "by up to {size:.2f} s during the drive",
@@ -279,7 +279,7 @@ def _find_varying_cause(motion: Motion, explanation: _Explanation) -> tuple[_Exp
     if not motion.velocity_y.any() or not 0.0 < ratio * MIN_VARIATION_RATIO <= 1.0 or np.std(value) < smallest:
         return explanation, []
     size = float(np.ptp(value))
-    value -= theta[0] if quantity == "heading" else value.mean() if cause == "yaw_offset" else 0.0  # the offset
+    value -= theta[0] if quantity == "heading" else value.mean() if cause == "yaw_offset" else 0.0  # mean: an offset
     effect = float(np.std(value)) * problem.compute_effect(cause, HORIZON_WINDOWS)
     finding = Finding(name, LIMITS.severity(effect), CAUSES[cause].channels, statement.format(
         size=size, degrees=np.rad2deg(size)), size if name not in CAUSES else None, CAUSES[cause].unit, effect=effect,
@@ -422,8 +422,7 @@ def _add_lateral_alternative(findings: list[Finding], problem: Regression,
             for finding in findings]
 
 
-def _add_lag_alternative(findings: list[Finding], problem: Regression,
-                         causes: dict[str, Estimate]) -> list[Finding]:
+def _add_lag_alternative(findings: list[Finding], problem: Regression, causes: dict[str, Estimate]) -> list[Finding]:
     """The findings; if a lag of both velocities fits as well as a lag of velocity_x, they name both and correct only
     velocity_x, which lags in both cases. problem: regression for the motion corrected for the causes."""
     found = tuple(name for name in ALTERNATIVE_LAGS if name in causes)

@@ -52,7 +52,7 @@ def spread_bursts(log: DriveLog) -> tuple[DriveLog, list[Finding]]:
         if count < MIN_BURST_LENGTH or is_sent_on_change or (  # or the car moves on in the pauses, which are gaps
                 MAX_BURST_INTERVAL * steps[is_pause & (spacing <= max_gap)].mean() > steps[~is_pause].mean()):
             continue
-        # The last sample of a burst is the least late one.
+        # The last sample of a burst has the smallest delay.
         k, ends = np.arange(len(time)), np.append(np.flatnonzero(is_pause), len(time) - 1)
         end = ends[np.searchsorted(ends, k)]
         even = even_out(time[end] - (end - k) * estimate_spacing(time), round(MAX_PAUSE_RATIO * count), max_gap)
@@ -180,8 +180,7 @@ def check_position_deviations(motion: Motion, findings: list[Finding]) -> list[F
     by far more than in most of the drive. findings: so far. motion: corrected for them."""
     windows, count = motion.make_windows(1.0), round(HORIZON)
     # The residual of a corrected varying cause is not a separate fault.
-    if len(windows) < MIN_DEVIATION_WINDOWS or any(
-            f.name in VARYING_FINDINGS and f.interval is None for f in findings):
+    if len(windows) < MIN_DEVIATION_WINDOWS or any(f.name in VARYING_FINDINGS and f.interval is None for f in findings):
         return []
     jumps = [time for finding in findings if finding.name == "position_jumps" for time in finding.times]
     errors = windows.change(motion.position) - windows.integral(motion.velocity_map)
