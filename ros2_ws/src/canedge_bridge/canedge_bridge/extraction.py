@@ -44,7 +44,7 @@ def stack_bytes(payload: np.ndarray, length: int) -> np.ndarray:
 
 
 def raw_range(signal: DbcSignal) -> tuple[int, int]:
-    """Smallest and largest integer that a signal can contain."""
+    """Smallest and largest integer that a signal can hold."""
     lowest = -(1 << signal.length - 1) if signal.is_signed else 0
     return lowest, lowest + (1 << signal.length) - 1
 

@@ -12,7 +12,7 @@ from .types import Quantity
 
 GRAVITY = 9.81  # m/s^2, the value in the paper
 STANDARD_GRAVITY = 9.80665  # m/s^2, the unit g
-MINIMUM_LOAD = 1.0  # N, of one tyre; the load is a divisor, and a jump of the speed can imply a lifted axle
+MINIMUM_LOAD = 1.0  # N, of one tyre; the load is a divisor, and a jump in speed can imply a lifted axle
 
 
 class MagicFormula(NamedTuple):

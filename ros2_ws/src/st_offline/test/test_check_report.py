@@ -165,6 +165,8 @@ def test_clock_offsets_of_many_runs_are_summarised_in_one_sentence():
         "; set: INS minus steering clock: -0.100 s, set by hand")
     found["2"] = found["2"] | {"offset_deviation_s": None}
     assert "standard deviation up to 3.0 ms (unknown in 1 of them)" in check_report.describe_clocks(found)
+    unknown = {name: alignment | {"offset_deviation_s": None} for name, alignment in found.items()}
+    assert "standard deviation unknown, 1 of them doubtful" in check_report.describe_clocks(unknown)
     del found["3"]
     assert check_report.describe_clocks(found).count("steering clock:") == 2
 

@@ -24,8 +24,8 @@ from st_ros.polling import from_nanoseconds, to_nanoseconds
 
 from .map_drawing import BAND_MODE, Path, make_ribbon
 
-QUATERNION_TOLERANCE = 0.01  # error of the squared length; float32 rounding causes 1e-7, an unset orientation 1
-_NEVER_NS = 9_223_372_036 * 1_000_000_000  # whole seconds of rmw's value for "never"; rclpy returns this or more
+QUATERNION_TOLERANCE = 0.01  # error of the squared length; float32 rounding causes 1e-7, all zeros 1
+_NEVER_NS = 9_223_372_036 * 1_000_000_000  # rmw's "infinite", rounded down to seconds; rclpy returns this or more
 
 
 def read_ins_sample(message: Odometry, map_frame: str) -> InsSample | str:

@@ -59,9 +59,9 @@ EVALUATOR = (
     _NUMBER_IF_EXISTS,
 )
 
-# Raw packets and frames, topics that cannot be derived from them, and topics that external viewers and tools expect.
 _COMMON_TOPICS = ["plan/inputs", "predictor/*", "evaluator/*", "identifier/*", "/tf", "/tf_static", "/diagnostics",
                   "/rosout"]
+# Raw packets and frames, topics that cannot be derived from them, and topics that external viewers and tools expect.
 TOPICS = ["ins/ncom", "ins/odometry", "ins/status", "ins/trigger", "ins/origin", "vehicle/steering", "can/frames",
           *_COMMON_TOPICS]
 ALL_TOPICS = ["ins/*", "vehicle/*", "can/*", *_COMMON_TOPICS]

@@ -26,7 +26,7 @@ from .windows import Windows
 
 NU = 4.0  # degrees of freedom; residuals beyond two scales have decreasing influence
 DIFFERENCE_STEP = 0.1  # step of the difference quotients, as a fraction of the parameter scale
-CENTRAL_STEP = 0.03  # DIFFERENCE_STEP of central quotients
+CENTRAL_STEP = 0.03  # likewise, for central quotients
 MAX_SCALED_ERROR = 100.0  # scales; clip limit of the residuals, and value for a diverged prediction
 ERROR_CACHE_SIZE = 64  # number of parameter vectors
 
@@ -105,7 +105,7 @@ class Errors:
 
 class Loss:
     """Robust loss, initially with the scale of the residuals at `vector`. known: (n, m) whether a residual is measured,
-    in a window that can be predicted at `vector`; residual_count: number of True. scale: (m,) of the residuals [SI].
+    in a window that can be predicted at `vector`; residual_count: their number. scale: (m,) of the residuals [SI].
     central: use central difference quotients, which need twice as many simulations."""
 
     def __init__(self, errors: Errors, vector: np.ndarray, central: bool = False):
@@ -139,9 +139,9 @@ class Loss:
         return float(self.window_losses(vector).sum())
 
     def sensitivities(self, vector: np.ndarray, indices: np.ndarray) -> np.ndarray:
-        """(a, n, m) sensitivities: reduction of the residuals [SI] per parameter scale of the parameters `indices`, by
-        difference quotients on one side that respects bounds and limits of a vehicle file or, if `central`, on both; 0
-        where a prediction diverges. A step is at most a third of the range, so that one side is within the bounds."""
+        """(a, n, m) reduction of the residuals [SI] per parameter scale of the parameters `indices`, by one-sided
+        difference quotients (two-sided if `central`) within the bounds and the limits of a vehicle file; 0 where a
+        prediction diverges. A step is at most a third of the range, so that one side is within the bounds."""
         space, size = self.space, CENTRAL_STEP if self.central else DIFFERENCE_STEP
         shape, before, after = (len(indices), *self.errors.at(vector).shape), [], []
         for i in indices:

@@ -2,7 +2,7 @@
 
 v is at least minimum_slip_speed, which makes the force decay at standstill. A time constant tau = length / v
 below 25 ms would be too stiff for steps of 50 ms. The state then has a time constant of 25 ms and a weight of
-tau / 25 ms, which results in the delay tau at low frequency. The initial state is steady at the initial slip. Source:
+tau / 25 ms, which results in the delay tau at low frequency. The states start at the initial slip angles. Source:
 Pacejka, Tire and Vehicle Dynamics, ch. 7, single-point contact.
 """
 
@@ -22,7 +22,7 @@ class TyreRelaxation(Effect):
     extra_units = ("rad", "rad")
     order = 40
     parameter = Parameter("length", "m", null=0.0, initial=0.4, bounds=(0.0, 1.5),
-                          meaning="distance rolled until 63 % of the force after a step of slip",
+                          meaning="distance rolled to 63 % of the force after a step of slip",
                           source="passenger-car tyres 0.2-0.8 m, more at high load", model_error=0.35)
 
     @staticmethod

@@ -12,7 +12,7 @@ class YawRateBias(Effect):
     confounded_with = ("steering_offset", "crosswind")
     order = 60
     parameter = Parameter("bias", "rad/s", null=0.0, initial=0.005, bounds=(-0.1, 0.1), odd=True,
-                          meaning="bias of the reading, positive in left turns",
+                          meaning="bias of the reading, positive to the left",
                           source="automotive yaw rate sensors: 0.5-3 deg/s over temperature", identity="yaw_rate_bias")
 
     @staticmethod

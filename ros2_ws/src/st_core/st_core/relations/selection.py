@@ -33,7 +33,7 @@ class ScreenedCandidate:
     information: np.ndarray  # (SPLINES, SPLINES) for the coefficients, with the other parameters projected out
 
     def compute_detection_limit(self, p_value: float, blocks: int) -> float:
-        """Smallest value of a linear relation at the end of its range [unit of the curve] that reaches a p-value."""
+        """Value at the end of its range of the smallest linear relation that reaches a p-value [unit of the curve]."""
         c = self.candidate
         points = np.linspace(c.low, c.high, POINTS)
         line = np.linalg.lstsq(c.compute_splines(points).T, points / max(abs(c.low), abs(c.high)), rcond=1e-6)[0]
@@ -233,15 +233,15 @@ def compute_position_errors(fits: RelationFits, fit: RelationFit) -> np.ndarray:
 
 def compute_cosine(fits: RelationFits, first: RelationFit, second: RelationFit) -> float:
     """Cosine similarity of two relations' effects on the predictions, all other parameters projected out."""
-    effects = []
+    changes = []
     for fit in (first, second):
         change = np.einsum("p,pnm->nm", fit.coefficients, fit.sensitivities[-SPLINES:]) / fits.loss.scale
         # An explicit shape, because `others` may be empty (no effect and no accelerometer).
         others = (fit.sensitivities[:-SPLINES] / fits.loss.scale).reshape(len(fit.sensitivities) - SPLINES, change.size)
         change = np.where(fits.loss.known, change, 0.0).ravel()
         others = np.nan_to_num(others * fits.loss.known.ravel())
-        effects.append(change - np.linalg.lstsq(others.T, change, rcond=None)[0] @ others)
-    return float(effects[0] @ effects[1] / max(np.linalg.norm(effects[0]) * np.linalg.norm(effects[1]), 1e-30))
+        changes.append(change - np.linalg.lstsq(others.T, change, rcond=None)[0] @ others)
+    return float(changes[0] @ changes[1] / max(np.linalg.norm(changes[0]) * np.linalg.norm(changes[1]), 1e-30))
 
 
 def find_redundant_effects(fits: RelationFits, fit: RelationFit, base_fit: RelationFit,

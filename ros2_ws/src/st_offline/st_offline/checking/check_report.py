@@ -20,7 +20,7 @@ from st_recordings.results import collect_versions
 
 from ..terminal import format_count, print_line
 
-MAX_ZONE_DIFFERENCE = 120.0  # s; an offset this close to a multiple of half an hour is due to time zones
+ZONE_TOLERANCE = 120.0  # s; an offset this close to a multiple of half an hour is due to time zones
 MAX_INTERVALS = 4  # time intervals of a finding that are listed
 MAX_LISTED = 3  # findings in a headline
 MAX_RUNS = 8  # runs that are printed one by one; with more runs, each error and warning is printed once
@@ -145,11 +145,11 @@ def describe_clocks(alignments: Mapping[str, Mapping[str, Any]]) -> str:
     offsets = sorted(alignment["offset_s"] for alignment in estimated)
     deviations = [alignment["offset_deviation_s"] for alignment in estimated]
     finite = [deviation for deviation in deviations if deviation is not None]
-    unknown = f" (unknown in {len(deviations) - len(finite)} of them)" if len(finite) < len(deviations) else ""
+    unknown = f" (unknown in {len(deviations) - len(finite)} of them)" if 0 < len(finite) < len(deviations) else ""
     doubtful_count = sum(alignment["verdict"] != "good" for alignment in estimated)
     summary = (f"INS minus steering clock of {len(estimated)} runs: {offsets[0]:+.3f} to {offsets[-1]:+.3f} s"
-               f"{_note_time_zone(offsets[0])}, estimated from the data, standard deviation up to "
-               f"{_describe_deviation(max(finite, default=None))}{unknown}, "
+               f"{_note_time_zone(offsets[0])}, estimated from the data, standard deviation "
+               f"{'up to ' if finite else ''}{_describe_deviation(max(finite, default=None))}{unknown}, "
                f"{doubtful_count or 'none'} of them doubtful")
     return "; ".join([summary, *texts])
 
@@ -172,7 +172,7 @@ def _describe_deviation(deviation: float | None) -> str:
 def _note_time_zone(offset: float) -> str:
     """Note on an offset [s] that is close to a difference between time zones; empty for other offsets."""
     half_hours = round(offset / 1800.0)
-    if not 0 < abs(half_hours) <= 28 or abs(offset - 1800.0 * half_hours) > MAX_ZONE_DIFFERENCE:
+    if not 0 < abs(half_hours) <= 28 or abs(offset - 1800.0 * half_hours) > ZONE_TOLERANCE:
         return ""
     return f" (about {0.5 * half_hours:+g} h: one of the two clocks shows local time)"
 

@@ -36,9 +36,9 @@ def segment_drive(log: DriveLog, labels: Sequence[Label] = ()) -> list[DrivePart
         return []
     time = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
     if labels:
-        edges = [np.interp((part.start, part.end), time, log.yaw) for part in labels]
-        return [DrivePart(part.name, part.start, part.end, float(yaw[1] - yaw[0]))
-                for part, yaw in zip(labels, edges, strict=True)]
+        end_yaws = [np.interp((part.start, part.end), time, log.yaw).tolist() for part in labels]
+        return [DrivePart(part.name, part.start, part.end, last - first)
+                for part, (first, last) in zip(labels, end_yaws, strict=True)]
     grid = np.arange(0.0, time[-1] + 0.5 * GRID_STEP, GRID_STEP)
     speed, yaw_rate, yaw = (np.interp(grid, time, v) for v in (log.velocity_x, log.yaw_rate, log.yaw))
     width = 2 * round(0.5 * SMOOTHING_TIME / GRID_STEP) + 1
@@ -81,8 +81,8 @@ def _merge_short_intervals(states: np.ndarray, shortest: int) -> list[tuple[int,
         if len(sizes) == 1 or sizes[i] >= shortest:
             # The last point of an interval is the first of the next, so that heading changes add up.
             return [(a, min(b, len(states) - 1)) for a, b in itertools.pairwise(edges)]
-        longest_neighbour = max((j for j in (i - 1, i + 1) if 0 <= j < len(sizes)), key=lambda j: sizes[j])
-        states[edges[i]:edges[i + 1]] = states[edges[longest_neighbour]]
+        longer_neighbour = max((j for j in (i - 1, i + 1) if 0 <= j < len(sizes)), key=lambda j: sizes[j])
+        states[edges[i]:edges[i + 1]] = states[edges[longer_neighbour]]
 
 
 def _name_part(state: int, heading_change: float, acceleration: float) -> str:

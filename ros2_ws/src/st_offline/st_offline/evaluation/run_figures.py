@@ -72,12 +72,12 @@ def draw_segments(data: FigureData) -> PageFigure | None:
     indices = choose_starts(evaluation, data.starts)
     if not len(indices):
         return None
-    starts, length = evaluation.starts_ns[indices], float(evaluation.horizon[-1])
+    starts, duration = evaluation.starts_ns[indices], float(evaluation.horizon[-1])
     _, block = next(evaluate_blocks(data.models, data.vehicle, data.signals, starts, evaluation.settings))
     figure, grid = plt.subplots(3, len(indices), figsize=(WIDTH, 5.9), height_ratios=(1.75, 1, 1), squeeze=False)
     for column, (index, start_ns) in enumerate(zip(indices, starts, strict=True)):
         path, *profiles = grid[:, column]
-        _draw_measured_path(path, data, start_ns, length)
+        _draw_measured_path(path, data, start_ns, duration)
         speed = evaluation.conditions["speed"][index]
         path.set_title(f"$t_0$ = {evaluation.time[index]:.1f} s, {speed:.1f} m/s", fontsize=9)
         path.set(xlabel="east, m", ylabel="" if column else "north, m")
@@ -85,7 +85,7 @@ def draw_segments(data: FigureData) -> PageFigure | None:
             if column:
                 axes.sharey(first)
             axes.axhline(0, color=TEXT_COLOUR, lw=0.6)
-            axes.set(xlim=(0, length), ylabel="" if column else f"{axis}, m\n(positive: {side})")
+            axes.set(xlim=(0, duration), ylabel="" if column else f"{axis}, m\n(positive: {side})")
             axes.tick_params(labelleft=not column)
         profiles[-1].set_xlabel("horizon, s")
         for model in data.models:
@@ -99,14 +99,14 @@ def draw_segments(data: FigureData) -> PageFigure | None:
                   for m in data.models}
     largest = ", ".join(f"{model} {value:.2f} m" for model, value in end_errors.items())
     starts_text = "these starts" if len(indices) > 1 else "this start"
-    title = f"{evaluation.name}: largest position error {length:g} s after {starts_text}: {largest}"
+    title = f"{evaluation.name}: largest position error {duration:g} s after {starts_text}: {largest}"
     caption = ("Predictions with the measured inputs (hindsight) from selected starts, and their errors over the "
                "horizon, along and across the measured heading.")
     return save_figure(figure, data.output, "segments", title, caption)
 
 
-def _draw_measured_path(axes: plt.Axes, data: FigureData, start_ns: int, length: float) -> None:
-    log, span = data.signals.log, round(length * 1e9)
+def _draw_measured_path(axes: plt.Axes, data: FigureData, start_ns: int, duration: float) -> None:
+    log, span = data.signals.log, round(duration * 1e9)
     horizon = slice(*np.searchsorted(log.ins_time_ns, (start_ns, start_ns + span)))
     context = slice(*np.searchsorted(log.ins_time_ns, (start_ns - span, start_ns + 2 * span)))
     x, y = log.x[horizon], log.y[horizon]
@@ -205,7 +205,7 @@ def draw_slip_and_forces(data: FigureData) -> PageFigure | None:
         return None
     lateral = np.where(find_complete_starts(evaluation), np.abs(evaluation.conditions["lateral_acceleration"]), -1.0)
     index = int(indices[0] if len(data.starts) == 1 else lateral.argmax())
-    start = evaluation.starts_ns[index : index + 1]
+    start, begin = evaluation.starts_ns[index : index + 1], evaluation.time[index]
     _, block = next(evaluate_blocks(models, vehicle, signals, start, evaluation.settings))
     horizon, times = evaluation.horizon, start[0] + np.round(evaluation.horizon * 1e9).astype(np.int64)
     angle, acceleration = signals.road_wheel_angle_at(times), signals.ins_at(times, "velocity_x_dot")[0]
@@ -230,7 +230,7 @@ def draw_slip_and_forces(data: FigureData) -> PageFigure | None:
     grid[1, 0].set_xlim(0, horizon[-1])
     grid[0, 0].set_ylabel("slip angle, °\n(positive: slides to the left)")
     grid[1, 0].set_ylabel("lateral force of the axle, kN\n(positive to the left)")
-    title = (f"{evaluation.name}: largest slip angle in the {horizon[-1]:g} s from {evaluation.time[index]:.1f} s: "
+    title = (f"{evaluation.name}: largest slip angle from {begin:.1f} to {begin + horizon[-1]:.1f} s: "
              f"{', '.join(f'{source} {np.degrees(angle):.1f}°' for source, angle in largest_slips.items())}")
     start_text = "requested start" if len(data.starts) == 1 else "start with the largest mean lateral acceleration"
     caption = f"Slip angles and forces that the models predict with the measured inputs, from the {start_text}."

@@ -23,7 +23,7 @@ from .binary_table import is_signal_table
 from .columns import MOTION_CHANNELS, Layout, find_columns, find_times
 from .csv_table import split_row
 from .errors import COMPRESSED_MAGIC, CP1252_FALLBACK, RunError, find_utf16, format_count, shorten
-from .frames import EXTENDED_IDS, STANDARD_IDS
+from .frames import MAX_EXTENDED_ID, MAX_STANDARD_ID
 from .mf4 import FD_LENGTHS, MF4_EXTENSIONS, VENDOR_EXTENSIONS, is_mdf
 from .table_times import DAY, PLAUSIBLE_EPOCH, ROLLOVER_STEP, month_number, parse_stamp
 
@@ -250,7 +250,7 @@ def _make_trc_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
                 return self._parse_cols_v1_3((*columns[:5], "-", *columns[5:]))
             message = super()._parse_msg_v1_0(columns)
             if message is not None:  # version 1.0 may write every identifier with eight digits
-                message.is_extended_id = message.arbitration_id > STANDARD_IDS
+                message.is_extended_id = message.arbitration_id > MAX_STANDARD_ID
             return message
 
     reader = Reader(lines)
@@ -318,7 +318,7 @@ def _make_csv_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
         cells = dict(zip(names, row, strict=False))
         data = _read_csv_data(cells, row, names[roles["data"]], roles, byte_base, n_columns)
         identifier, is_extended = int(row[roles["id"]], id_base or 16), _read_flag(cells, *_EXTENDED_COLUMNS)
-        if identifier > STANDARD_IDS and (is_extended is False or ("xtd" in cells and not is_extended)):
+        if identifier > MAX_STANDARD_ID and (is_extended is False or ("xtd" in cells and not is_extended)):
             raise ValueError(f"standard identifier {identifier:x}")  # or a J1939 row, with other columns
         bus = cells.get("bus") or cells.get("buschannel") or cells.get("network", "")
         time = row[roles["time"]]
@@ -326,7 +326,7 @@ def _make_csv_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
         return make_message(
             timestamp=stamp[0] if stamp else float(time.replace(",", ".")) * factor, arbitration_id=identifier,
             data=data, is_fd=len(data) > 8,
-            is_extended_id=identifier > STANDARD_IDS if is_extended is None else is_extended,
+            is_extended_id=identifier > MAX_STANDARD_ID if is_extended is None else is_extended,
             is_remote_frame=_read_flag(cells, "remote", "rtr"), is_error_frame=_read_flag(cells, "error", "er"),
             is_rx=not _read_flag(cells, "dir", "tx"),
             channel=int(bus) - ("buschannel" in cells) if bus.isdigit() else (
@@ -357,7 +357,7 @@ def _find_number_formats(file: Path, names: Sequence[str], delimiter: str, roles
             identifier = row[roles["id"]]
             flag = _read_flag(dict(zip(names, row, strict=False)), *_EXTENDED_COLUMNS)
             is_extended = len(identifier) >= EXTENDED_DIGITS if flag is None else flag
-            limit = EXTENDED_IDS if is_extended else STANDARD_IDS
+            limit = MAX_EXTENDED_ID if is_extended else MAX_STANDARD_ID
             ids.append((identifier, -1 if names[roles["id"]] in _DECIMAL_IDS else limit))
             length = row[roles["length"]] if "length" in roles else str(_count_byte_columns(names))
             data += [(cell, 0xFF) for cell in row[roles["data"]:][:int(length) if length.isdecimal() else 0] if cell]

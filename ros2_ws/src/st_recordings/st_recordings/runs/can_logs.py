@@ -17,7 +17,7 @@ from .bag_storage import open_bag
 from .can_formats import AMBIGUOUS_IDS, DECIMAL_IDS, FORMATS, LINE_FORMAT, Format, check_format, find_clock, read_head
 from .cdr import CAN_MSGS_FRAME
 from .errors import RunError, check_readable, shorten
-from .frames import ERROR, EXTENDED, FD, MAX_DATA_LENGTH, REMOTE, SENT, STANDARD_IDS, CanLog, Frames
+from .frames import ERROR, EXTENDED, FD, MAX_DATA_LENGTH, MAX_STANDARD_ID, REMOTE, SENT, CanLog, Frames
 from .ins_log import LATEST_TIME
 from .mf4 import MF4_EXTENSIONS, is_mdf, parse_session, read_mf4, reject_unreadable
 from .table_times import count_rollovers
@@ -106,7 +106,7 @@ def _choose_id_base(log: CanLog, known_ids: Collection[int]) -> CanLog:
     n_hexadecimal, n_decimal = (np.isin(each, list(known_ids)).sum() for each in (ids, decimal_ids))
     if n_decimal > n_hexadecimal:
         # If the log does not mark extended identifiers, they were identified by their hexadecimal values.
-        extended = np.where((ids > STANDARD_IDS) & (decimal_ids <= STANDARD_IDS), 0, EXTENDED).astype(np.uint32)
+        extended = np.where((ids > MAX_STANDARD_ID) & (decimal_ids <= MAX_STANDARD_ID), 0, EXTENDED).astype(np.uint32)
         frames = replace(log.frames, id=decimal_ids[rows] | (log.frames.id & extended[rows]))
         return replace(log, frames=frames, warnings=(*notes, DECIMAL_IDS))
     return log if n_decimal == n_hexadecimal else replace(log, warnings=notes)

@@ -9,7 +9,7 @@ from struct import Struct
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-STANDARD_IDS, EXTENDED_IDS = 0x7FF, 0x1FFFFFFF  # largest identifiers
+MAX_STANDARD_ID, MAX_EXTENDED_ID = 0x7FF, 0x1FFFFFFF
 EXTENDED = 0x8000_0000  # flag of a 29-bit id, as in canedge_bridge.extraction and in Linux
 SENT, REMOTE, ERROR, FD = 1, 2, 4, 8  # bits of Frames.flags
 MIN_CLOCK_STEP = 0.005  # s; a smaller backward step is jitter of the time stamps
@@ -89,7 +89,7 @@ def remove_duplicates(frames: Frames) -> tuple[Frames, int]:
 
 
 def remove_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]], list[str]]:
-    """Moves the times after each backward step of the logger's clock forward, or those between two opposite steps.
+    """Removes backward steps of the logger's clock, and the forward steps that reverse them, from the times.
 
     A logger writes frames as they arrive, so a step back in time (see MAX_EARLY_FRAMES) means that its clock was set.
     The true interval across the step is lost (a millisecond on a busy bus); the median interval replaces it. Returns
@@ -162,23 +162,23 @@ def read_frames(messages: Iterable[bytes]) -> Frames:
 
     The k-th frames of all messages are read at once: their offsets follow from the lengths of the frames before them.
     """
-    parts = list(messages)
-    firsts, counts = zip(*map(_locate_first_frame, parts), strict=True) if parts else ((), ())
-    sizes = np.array([len(part) for part in parts], np.int64)
+    serialised = list(messages)
+    firsts, counts = zip(*map(_locate_first_frame, serialised), strict=True) if serialised else ((), ())
+    sizes = np.array([len(message) for message in serialised], np.int64)
     ends = np.cumsum(sizes)
-    buffer = np.frombuffer(b"".join(parts) + bytes(FRAME_HEAD_LENGTH + MAX_DATA_LENGTH), np.uint8)
+    buffer = np.frombuffer(b"".join(serialised) + bytes(FRAME_HEAD_LENGTH + MAX_DATA_LENGTH), np.uint8)
     offsets, remaining = np.array(firsts, np.int64) + ends - sizes, np.array(counts, np.int64)
     heads = sliding_window_view(buffer, FRAME_HEAD_LENGTH)
     frame_offsets: list[np.ndarray] = []
     message_numbers: list[np.ndarray] = []
-    message = np.arange(len(parts))
+    numbers = np.arange(len(serialised))
     while (has_more := remaining > 0).any():
-        offsets, remaining, message = offsets[has_more], remaining[has_more], message[has_more]
+        offsets, remaining, numbers = offsets[has_more], remaining[has_more], numbers[has_more]
         length = heads[offsets, 16:20].copy().view("<u4")[:, 0].astype(np.int64)
-        if (length > MAX_DATA_LENGTH).any() or (offsets + FRAME_HEAD_LENGTH + length > ends[message]).any():
+        if (length > MAX_DATA_LENGTH).any() or (offsets + FRAME_HEAD_LENGTH + length > ends[numbers]).any():
             raise ValueError("a frame extends beyond its message")
         frame_offsets.append(offsets)
-        message_numbers.append(message)
+        message_numbers.append(numbers)
         offsets, remaining = offsets + FRAME_HEAD_LENGTH + (length + 3) // 4 * 4, remaining - 1
     if not frame_offsets:
         return empty_frames()

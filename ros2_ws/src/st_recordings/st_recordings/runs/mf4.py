@@ -265,7 +265,7 @@ def _build_frames(name: str, signal: Any, bus: int, start_ns: int, channels: Map
         width = 8 if payload.shape[1] < 8 else 64
         payload = np.pad(payload[:, :width], ((0, 0), (0, max(width - payload.shape[1], 0))))
     identifier = get_column("ID").astype(np.uint32)
-    is_extended = get_column("IDE").astype(bool) | (identifier > frames.STANDARD_IDS)
+    is_extended = get_column("IDE").astype(bool) | (identifier > frames.MAX_STANDARD_ID)
     length = _convert_lengths(get_column("DataLength"), channels["DataLength"]) if "DataLength" in members else \
         FD_LENGTHS[get_column("DLC", 8) & 15]
     flags = np.full(n, _KIND_FLAGS[name], np.uint8)
@@ -273,7 +273,7 @@ def _build_frames(name: str, signal: Any, bus: int, start_ns: int, channels: Map
     flags[get_column("EDL").astype(bool)] |= frames.FD
     return frames.Frames(
         time_ns=start_ns + np.round(seconds * 1e9).astype(np.int64),
-        id=identifier & frames.EXTENDED_IDS | np.where(is_extended, np.uint32(frames.EXTENDED), np.uint32(0)),
+        id=identifier & frames.MAX_EXTENDED_ID | np.where(is_extended, np.uint32(frames.EXTENDED), np.uint32(0)),
         payload=np.ascontiguousarray(payload), bus=get_column("BusChannel", bus).astype(np.uint8), flags=flags,
         length=np.minimum(length, payload.shape[1]).astype(np.uint8),  # codes 9 to 15 of a classic frame also mean 8
     )

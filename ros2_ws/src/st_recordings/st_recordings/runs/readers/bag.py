@@ -53,7 +53,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
 def add_steering(path: Path, settings: ReadSettings) -> ReadSettings:
     """The settings of a replay, with the steering report that `_find_steering` selects, and a logged warning about it.
 
-    Unchanged if they name a steering topic, or the bag may need its CAN frames (see `read`)."""
+    Unchanged if they name a steering topic or field, or the bag may need its CAN frames (see `read`)."""
     if settings.steering is not None or bag.may_need_can_frames(path) or (steering := _find_steering(path)) is None:
         return settings
     log_warnings([f"{path}: {_describe(steering)}"])
@@ -66,8 +66,8 @@ def _describe(steering: SteeringField) -> str:
 
 
 def _find_steering(path: Path, files: Sequence[Path] = ()) -> SteeringField | None:
-    """The steering angle in the only topic with a type in _STEERING_TYPES that is not a command; None without or with
-    several such topics, and if the bag contains st_msgs/Steering or CAN frames or cannot be read."""
+    """The steering angle in the only topic with a type in _STEERING_TYPES that is not a command; None if there is not
+    exactly one, or if the bag contains st_msgs/Steering or CAN frames or cannot be read."""
     with suppress(RunError):
         storage = open_bag(path, files)
         known_types = _STEERING_TYPES.keys() & {*storage.store.fielddefs, *storage.definitions()}
