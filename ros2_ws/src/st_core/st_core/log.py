@@ -143,17 +143,17 @@ class LogSignals:
     """Measurements of a DriveLog interpolated at any instant; NaN in gaps. The vectorised counterpart of
     `MeasurementHistory`: causal results are identical, but position jumps are not detected. Checked by: test_batch.py.
 
-    maximum_gap [s], filter_cutoff [Hz], acceleration: as maximum_gap, cutoff, mode of `timeseries.filtered_derivative`.
+    maximum_gap [s], filter_cutoff [Hz], mode: as maximum_gap, cutoff, mode of `timeseries.filtered_derivative`.
     """
 
     def __init__(self, log: DriveLog, maximum_gap: float = 0.1, filter_cutoff: float = 5.0,
-                 acceleration: FilterMode = "causal"):
+                 mode: FilterMode = "causal"):
         self.log = log
         self.maximum_gap = maximum_gap
         self._gap_ns = round(maximum_gap / NANOSECOND)
-        self._filter: tuple[float, FilterMode] = (filter_cutoff, acceleration)
+        self._filter: tuple[float, FilterMode] = (filter_cutoff, mode)
         _, self.velocity_x_dot = filtered_derivative(
-            log.ins_time_ns, log.velocity_x, filter_cutoff, maximum_gap, acceleration)
+            log.ins_time_ns, log.velocity_x, filter_cutoff, maximum_gap, mode)
 
     def for_log(self, log: DriveLog) -> "LogSignals":
         """The signals of another drive with the same settings; they share the derivative if the speed is the same."""

@@ -201,7 +201,7 @@ class Contents:
             offset += len(part)
 
     def drop_last_chunk(self) -> int | None:
-        """Removes the newest chunk, and the metadata after it, from the inventory.
+        """Removes the newest chunk, and the index entries of metadata after it, from the inventory.
 
         Returns its position in the file; None without a chunk, or after MAX_DROPPED_CHUNKS have been dropped.
         """

@@ -152,7 +152,7 @@ class ReadOptions:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Options of a run of the nodes, as given by the user; one field per option."""
+    """Options for running the nodes, as given by the user; one field per option."""
 
     model: Annotated[Path | None, typer.Option(
         help="Model file (model.yaml of `st discover`), run alongside kinematic, linear and nonlinear.", **FILE)] = None
@@ -177,7 +177,7 @@ class RunOptions:
         help="After the run, save its view to this file (.rrd), for `st view`.")] = None
 
     def make_view(self) -> "LiveView":
-        """The view of the run. Raises SuiteError for an invalid port or a file that cannot be used."""
+        """The view of the run. Raises SuiteError for an address or a file that cannot be used."""
         from st_live.page import LiveView
 
         return LiveView(self.view, self.view_address, self.view_save)

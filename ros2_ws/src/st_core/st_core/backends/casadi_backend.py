@@ -1,7 +1,7 @@
 """Symbolic functions of a Model for optimisation, linearisation and export. Needs casadi.
 
 `model.inputs`, `model.rhs` and `integrate.rk4_step` are called with symbols. Importing this module registers the number
-types of CasADi in `st_core.ops`. Unlike with floats, `maximum` and `minimum` do not propagate NaN, which would take
+types of CasADi in `st_core.ops`. Unlike with floats, `maximum` and `minimum` do not propagate NaN, as that would take
 five times as many instructions. Checked by: test_casadi_backend.py.
 """
 

@@ -223,7 +223,7 @@ def _check_rear_axle(results: Results, motion: Motion, vehicle: VehicleParameter
 
 
 def _list_channels(findings: list[Finding], name: str = "", min_value: float = 0.0) -> set[str]:
-    """Channels affected by the findings of this name, or any if none is given, with at least this value."""
+    """Channels affected by the findings of this name (default: any) with at least this value."""
     return {channel for finding in findings if name in ("", finding.name) and (finding.value or 0.0) >= min_value
             for channel in finding.channels}
 
@@ -263,7 +263,7 @@ def _remove_consequences(findings: list[Finding], log: DriveLog, motion: Motion)
 
 def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[Motion, Results, float | None]:
     """(corrected motion, results) of the relations valid for any vehicle, and the lag of the yaw rate [s], None unless
-    an opposite lag of yaw fits as well. removed_factors: see `_find_removed_factors`."""
+    an opposite lag of yaw fits too. removed_factors: see `_find_removed_factors`."""
     distance_panel = position.make_distance_panel(motion, removed_factors)
     yaw_rate = inertial.compare_yaw_rate(motion)
     recorded, lag_findings, yaw_rate_lag = _check_yaw_lag(motion, yaw_rate)
@@ -313,7 +313,7 @@ def _correct_units(motion: Motion, vehicle: VehicleParameters | None) -> tuple[M
 def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
     """Result of `correct_units`, without a severe lag between yaw and yaw rate, which would change their ratio."""
     agreement = inertial.compare_yaw_rate(motion, inertial.ACCELERATION_CUTOFF)
-    # A yaw rate with the opposite sign also correlates at a lag of half a period, but as much without a lag.
+    # A yaw rate with the opposite sign also correlates at a lag of half a period, but no better than without.
     if (agreement is None or not agreement.has_lag or abs(agreement.lag.value) < LIMITS.severe_lag
             or agreement.correlation < LIMITS.min_correlation
             or abs(agreement.correlation_without_lag) >= agreement.correlation - 0.05):
@@ -327,7 +327,7 @@ def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 def _add_yaw_lag_alternative(findings: list[Finding], motion: Motion, lag: float | None) -> list[Finding]:
     """The findings, with a lag of yaw as an alternative cause of those that it mostly explains. lag: of the yaw rate
-    [s]; None unless an opposite lag of yaw fits as well."""
+    [s]; None unless an opposite lag of yaw fits too."""
     if lag is None:
         return findings
     alternative = Alternative(f"yaw {'lags' if lag < 0.0 else 'leads'} by {abs(lag):.3f} s", ("yaw_lag",))

@@ -28,7 +28,7 @@ class Rival:
     deficit: float  # gain of the replaced effect minus gain of the rival, per residual [1]
     evidence: Evidence  # of the rival in place of the replaced effect
     values: Mapping[str, float] = field(default_factory=dict)  # of the rival in place of the replaced effect
-    shared: bool = False  # whether it is in the model together with the effect, to which `evidence` then refers
+    shared: bool = False  # whether it is in the model together with the effect; `evidence` is then that of the effect
     added: float = 0.0  # gain of the rival in addition to the replaced effect, divided by the gain of that effect [1]
 
 
@@ -88,7 +88,7 @@ def _format_with_unit(number: float, unit: str) -> str:
 
 
 def _reject_insignificant(e: Evidence, limits: Limits) -> Reason | None:
-    """Reason to reject an effect that is not significant or too small; None otherwise."""
+    """Reason to reject an effect that is insignificant or too small; None otherwise."""
     if e.gain < limits.negligible:
         text = (f"it reduces the errors by {100 * e.reduction:.1f} %, less than the limit of "
                 f"{100 * limits.negligible:.1f} %" if e.gain > 0.0 else "it does not reduce the errors")
@@ -151,8 +151,8 @@ def judge_reporting(e: Evidence, limits: Limits, excludes_null: bool = True, par
 
     excludes_null: whether an interval excludes the null.
     parameter_at_bound: parameter with an interval that crosses its bound, or "".
-    peak_force_share: largest force in the drives divided by the peak force [1], the larger of the axles that the effect
-        acts on; 1 if it does not act on the peak, or with reference drives; NaN if the forces are unknown.
+    peak_force_share: largest force in the drives divided by the peak force [1], the larger ratio if the effect acts on
+        both axles; 1 if it does not act on the peak, or with reference drives; NaN if the forces are unknown.
     worse_axle: axle on which the effect acts and where measured forces agree better with the vehicle file, or "".
     summands: other effects of the model that are identifiable only as a sum with this effect.
     violation: range that the car would violate with this effect (`handling.find_implausible_values`), or "".
@@ -227,7 +227,7 @@ def judge_alternative(rival: Rival, limits: Limits) -> Reason:
     if rival.share - rival.added < limits.min_rival_gain or explains_less(rival, limits):
         return Reason(EXPLAINS_LESS, rival.name, figures, f"{gain}; {test_result}")
     if rival.shared:
-        gain = f"together with {replaced_name} it reduces the errors no more than that effect alone"
+        gain = f"together with {replaced_name} it reduces the errors about as much as that effect alone"
     elif (verdict := judge(rival.evidence, limits)).rule not in (ACCEPTED, IRRELEVANT):
         return verdict
     if rival.p_no_worse < limits.undecided_p:

@@ -169,8 +169,8 @@ class Player:
         return clock_ns
 
     def _report(self, played_time: float, duration: float, wall_time: float = 0.0) -> None:
-        """Print the progress in the recording [s] as a line of JSON, at most every STATUS_PERIOD, and at the end, for
-        which `wall_time` is given: the time that playing took [s]."""
+        """Print the progress in the recording [s] as a line of JSON, at most once per STATUS_PERIOD, and at the end.
+        Only then is `wall_time` given: the time that playing took [s]."""
         now = time.monotonic()
         if wall_time or now - self._reported_at > STATUS_PERIOD:
             self._reported_at = now

@@ -79,7 +79,7 @@ def collect_errors(sources: Sequence[RunSource], task: Task, models: Sequence[Mo
 
 
 def _check_recorded_car(source: RunSource, run: LoadedRun, vehicle: VehicleParameters) -> None:
-    """Raise RunError if the recorded car has a different name (its values may differ), StCoreError if it is invalid."""
+    """Raise RunError if the recorded car has another name (its values are not compared), StCoreError if invalid."""
     text = parse_configuration(run.provenance.get("recorded", {})).vehicle
     if text is None:
         return

@@ -36,7 +36,7 @@ from ..evaluation.drawing import FigureOutput, PageFigure, check_formats
 from ..pages import Table, load_template
 from ..terminal import console, list_files, make_progress_bars, make_table, report_problem
 from . import quantities, report_text
-from .drives import Drive, Request, find_result, get_logs, read_drives
+from .drives import Drive, Request, get_logs, read_drives, read_or_discover
 from .figures import draw_agreement, draw_axle_curves, draw_maps, draw_relation, draw_waterfall
 from .relation_report import RelationReport, build_relation_document, report_relation, write_files
 from .vehicle_update import VehicleUpdate, update_vehicle
@@ -70,7 +70,7 @@ def run_command(request: Request) -> int:
         drives, reference = _read_runs(request, progress)
         request = replace(request, drives=drives, reference_drives=reference, effect_hashes=effect_hashes)
         times.append(time.perf_counter())
-        discovery, from_cache = find_result(request, base, progress)
+        discovery, from_cache = read_or_discover(request, base, progress)
         request = replace(request, drives=[
             replace(d, log=apply_clock_corrections([d.log], discovery.clock_errors)[0]) if d.log else d
             for d in drives])

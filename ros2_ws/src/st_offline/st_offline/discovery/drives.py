@@ -131,7 +131,7 @@ def collect_clock_deviations(drives: Sequence[Drive]) -> dict[str, float]:
     return {d.name: s for d in drives if d.log is not None and (s := d.metadata.get("clock_deviation_s"))}
 
 
-def find_result(request: Request, base: Model, progress: Progress) -> tuple[Discovery, bool]:
+def read_or_discover(request: Request, base: Model, progress: Progress) -> tuple[Discovery, bool]:
     """(discovery, whether it was read from the cache)."""
     bar = progress.add_task("", total=None)
     logs, reference = get_logs(request.drives), get_logs(request.reference_drives)

@@ -111,7 +111,7 @@ class _Input:
     def take_accepted(self) -> Iterator[Any]:
         """Queued messages of the accepted publisher."""
         previous_warning, count = self.lock.describe_conflict(_read_utc()), self.subscription.count_publishers()
-        # Add new publishers before reading, and remove those that ended only afterwards: their messages may be queued.
+        # Add new publishers before reading, and remove ended ones only afterwards: their messages may be queued.
         if count > len(self.lock.names):
             self.lock.update(self.subscription.find_publisher_names())
         for message, arrival_ns, number in self.subscription.take(QUEUE_DEPTH, "publication_sequence_number"):
@@ -164,7 +164,7 @@ class Inputs:
             self._ins.count(problem)
         for message in self._steering.take_accepted():
             if not message.valid:
-                self._steering.count("marked invalid by the bridge (counter or checksum)")
+                self._steering.count("marked invalid by its source (counter, checksum or angle not finite)")
             else:
                 accepted = self._core.add_steering(to_nanoseconds(message.header.stamp), message.road_wheel_angle)
                 self._steering.count("" if accepted else UNUSABLE_SAMPLE)

@@ -99,8 +99,8 @@ def pair_shared_signals(ins: InsLog, can: CanSignals,
 
 
 def pair_substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1) -> tuple[list[SharedSignal], str]:
-    """Pairs INS speed with vehicle or rear wheel speed, or else curvature with steering wheel angle, for a log without
-    INS frames. Returns ([pair], warning), or ([], "") if the log has neither speed nor steering.
+    """Pairs INS speed with vehicle, mean rear or left rear wheel speed, or else curvature with steering wheel angle,
+    for a log without INS frames. Returns ([pair], warning), or ([], "") if the log has neither speed nor steering.
 
     steering_sign: +1 if the decoded angle is positive to the left.
     """

@@ -28,7 +28,7 @@ _GROUPED_POINTS = re.compile(r"\.(?<=\d.)\d{3}\.\d{3}(?!\d)")  # 1.234.567; fast
 _NUMBER = re.compile(r'[\s"]*[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?[\s"]*')
 _NUMBER_WITH_UNIT = re.compile(r"([+-]?\d[\d.,]*(?:[eE][+-]?\d+)?)\s*([^\d\s.,+-].*)")  # 0.02 sec, 12 km/h
 _FORTRAN_EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[+-]\d\d)")  # 1.5D-03
-_SEPARATOR = re.compile(r"sep=.\s*$", re.MULTILINE)  # how a spreadsheet marks its delimiter
+_SEPARATOR = re.compile(r"sep=.\s*$", re.MULTILINE)  # as spreadsheets state the delimiter
 _LINE_END_IN_CELL = re.compile(r'"[^",;|\t]{0,80}\n[^",;|\t]{1,80}"(?=[,;|\t\n])')
 _QUOTED_ROW = re.compile(r'^"((?:[^"\n]|"")*)"$', re.MULTILINE)  # a row that was exported as one cell
 _RACECAPTURE_NAME = re.compile(r'"([^"|\n]*)"\|"([^"|\n]*)"(?:\|[-\d.]+)+')  # "AccelX"|"G"|-3.0|3.0|25
@@ -273,7 +273,7 @@ def _find_header_line(lines: list[str], layout: Layout | None = None) -> int:
 
 def _split_header(header: str) -> tuple[list[str], str]:
     """(names of the columns, delimiter)."""
-    # Names with units, as in "speed, m/s;yaw, deg", add one comma. Of equal counts, the first mark is used.
+    # Names with units, as in "speed, m/s;yaw, deg", have one comma more than delimiters. At a tie, the first mark wins.
     text = re.sub('"[^"]*"', "", header)
     delimiter = max(";\t|,", key=lambda mark: text.count(mark) - (mark == "," and ", " in text))
     if delimiter not in header and len(header.split()) > 2:
@@ -360,20 +360,20 @@ def _read_cells(file: Path, lines: list[str], delimiter: str, names: list[str], 
                 layout: Layout, warnings: list[str]) -> tuple[np.ndarray, dict[str, ColumnSource], dict[str, str]]:
     """(numbers (n, width), sources, channel -> first cell) of rows with blanks or text; NaN where a number is missing.
 
-    A unit after the numbers is that of the source, unless the layout states one. Latitudes and longitudes with S or W
-    in the columns after or before both become negative, dates and times become seconds. Raises RunError.
+    A unit after the numbers is that of the source, unless the layout states one. Latitudes and longitudes become
+    negative where the column after (or before) each has S or W; dates and times become seconds. Raises RunError.
     """
     text = re.sub(rf'{re.escape(delimiter)} +"', f'{delimiter}"', "\n".join(lines))  # numpy needs quotes at the start
     text = _THOUSANDS_SPACES.sub("", text)
     lines = [line.replace('"', "") if line.count('"') % 2 else line for line in text.split("\n")]
     lines = _select_complete_rows(file, lines, delimiter, len(names), warnings)
-    first_row, fraction = split_row(lines[0], delimiter), find_stamp_columns(names)
+    first_row, pair = split_row(lines[0], delimiter), find_stamp_columns(names)
     first = {channel: first_row[source.column] for channel, source in sources.items()}
     units = {channel: text for channel, cell in first.items() if (text := _split_unit(channel, cell))}
     decimal_mark, thousands_separator = _find_decimal_mark(file, lines, delimiter, units.values())
     time = sources.get("t")
     channels = {number: "" for number, name in enumerate(names) if time is not None and name == time.name}
-    channels |= {fraction[1]: ""} if fraction else {}
+    channels |= {pair[1]: ""} if pair else {}
     channels |= {source.column: channel for channel, source in sources.items()}
 
     def make_converter(unit: str) -> Callable[[str], float]:
@@ -450,7 +450,7 @@ def _find_decimal_mark(file: Path, lines: list[str], delimiter: str, units: Iter
         reason = "the file has decimal commas and decimal points" if marks else "no other cell shows which"
         raise RunError(file, f"{ambiguous_cells[0]} may be a number with a decimal mark or with a thousands separator: "
                        f"{reason}", "export it without thousands separators")
-    if len(marks) != 1:  # every cell has at most one mark, and it is decimal
+    if len(marks) != 1:  # no decimal mark, or both; a cell that contains both becomes NaN
         return ",", ""
     return (".", ",") if marks == {"."} else (",", ".")
 

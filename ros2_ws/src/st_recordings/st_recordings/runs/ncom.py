@@ -36,7 +36,7 @@ class NcomLog(InsLog):
 
 
 def read_ncom(file: Path) -> NcomLog:
-    """Reads the packets with a fix; the first is the map origin. Raises RunError without valid packets, fix or time."""
+    """Reads packets with a fix; the first is at the map origin. Raises RunError without valid packets, fix or time."""
     check_readable(file)
     try:
         columns = file_decoder.decode_file(file)
@@ -55,7 +55,7 @@ def read_ncom(file: Path) -> NcomLog:
     has_time = has_fix & (columns.utc_ns != file_decoder.UNKNOWN_TIME)
     if not has_time.any():
         raise RunError(file, "no packet has the GPS minute (status channel 0 is missing)",
-                       "record for more than a few seconds; the unit sends it at least every 200 packets")
+                       "record for more than a few seconds; the unit sends it at least once in 200 packets")
     samples, total = np.flatnonzero(has_time), int(is_regular.sum())
     if (lost := total - len(samples)) > MAX_LOST_FRACTION * total:
         warnings.append(f"{file}: {format_count(lost, total, 'packets')} have no fix, no time or an invalid value; "
@@ -92,8 +92,8 @@ def _describe_damage(columns: Columns, file: Path) -> list[str]:
     is_out_of_order = is_regular & np.isin(columns.order, (SAME, LATE))
     if is_out_of_order.sum() > MAX_LOST_FRACTION * is_regular.sum():
         count = format_count(int(is_out_of_order.sum()), int(is_regular.sum()), "packets")
-        warnings.append(f"{file}: {count} are out of order or have the time of an earlier packet with other content; "
-                        "they were left out; if two units were recorded, export the packets of one "
+        warnings.append(f"{file}: {count} are out of order or have the time of an earlier packet but different "
+                        "content; they were left out; if two units were recorded, export the packets of one "
                         "(tshark -Y 'ip.src == ADDRESS')")
     return warnings
 
