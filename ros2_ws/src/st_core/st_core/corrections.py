@@ -82,17 +82,8 @@ def apply_corrections(log: DriveLog, corrections: Mapping[str, Correction], vehi
     if ahead := corrections.get("position", Correction()).ahead:
         east, north = body_to_map(ahead, 0.0, log.yaw)
         log = replace(log, x=log.x + east, y=log.y + north)
-    for correction in (corrections[name] for name in STEERING if name in corrections):
-        if delay_ns := round(correction.earlier / NANOSECOND):
-            log = replace(log, steering_time_ns=log.steering_time_ns - delay_ns)
-        if correction.scale != 1.0 or correction.add:
-            steering_wheel_angle = None
-            if log.steering_wheel_angle is not None and vehicle is not None:
-                offset = vehicle.steering_wheel_offset
-                steering_wheel_angle = (offset + correction.scale * (log.steering_wheel_angle - offset)
-                                        + correction.add * vehicle.steering_ratio)
-            log = replace(log, road_wheel_angle=correction.scale * log.road_wheel_angle + correction.add,
-                          steering_wheel_angle=steering_wheel_angle)
+    for name in STEERING:
+        log = _correct_steering(log, corrections.get(name, Correction()), vehicle)
     if is_used.any() and not len(log.ins_time_ns):
         raise StCoreError(f"{log.name}: the corrections leave no INS sample")
     return log
@@ -150,3 +141,17 @@ def _correct_ins(log: DriveLog, corrections: Mapping[str, Correction]) -> DriveL
         return log
     known = np.all([np.isfinite(changes.get(name, getattr(log, name))) for name in INS_SIGNALS], axis=0)
     return replace(log.select_ins(known), **{name: values[known] for name, values in changes.items()})
+
+
+def _correct_steering(log: DriveLog, correction: Correction, vehicle: VehicleParameters | None) -> DriveLog:
+    if delay_ns := round(correction.earlier / NANOSECOND):
+        log = replace(log, steering_time_ns=log.steering_time_ns - delay_ns)
+    if correction.scale == 1.0 and not correction.add:
+        return log
+    steering_wheel_angle = None
+    if log.steering_wheel_angle is not None and vehicle is not None:
+        offset = vehicle.steering_wheel_offset
+        steering_wheel_angle = (offset + correction.scale * (log.steering_wheel_angle - offset)
+                                + correction.add * vehicle.steering_ratio)
+    return replace(log, road_wheel_angle=correction.scale * log.road_wheel_angle + correction.add,
+                   steering_wheel_angle=steering_wheel_angle)

@@ -125,9 +125,7 @@ def step(speed: float, lateral: float, hold: float = 4.0, pause: float = 3.0) ->
 
 def ramp_to_limit(speed: float, lateral: float, rise: float = 25.0, fall: float = 2.0, pause: float = 4.0) -> Manoeuvre:
     """Ramp steer within `rise` [s], back within `fall` [s], straight for `pause` [s]; then the same to the other side.
-
-    lateral [m/s^2]: more than the tyres can reach.
-    """
+    lateral [m/s^2]: more than the tyres can reach."""
     profile = _both_sides((rise, 0.0, 1.0), (fall, 1.0, 0.0), (pause, 0.0, 0.0))
     return Manoeuvre("ramp_to_limit", speed, lateral, profile, profile.duration,
                      description=f"steering slowly increased to the limit at {speed:g} m/s")

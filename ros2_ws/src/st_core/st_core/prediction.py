@@ -58,10 +58,8 @@ class PredictionSettings:
 
 
 def configuration_hash(vehicle: VehicleParameters, settings: PredictionSettings, model_hash: str = "") -> str:
-    """sha256 (hex) of everything that a prediction depends on except its inputs: vehicle values and settings.
-
-    model_hash: hash of the model file, for a model from a file.
-    """
+    """sha256 (hex) of everything that a prediction depends on except its inputs: vehicle values and settings, and
+    model_hash, the hash of the model file, for a model from a file."""
     values = {key: float(value).hex() for key, value in asdict(settings).items()}
     return hash_content([vehicle.hash, values, *([model_hash] if model_hash else [])])
 

@@ -350,8 +350,14 @@ def test_velocity_scale_is_not_a_scale_of_both_axes_if_they_differ_only_by_noise
 
 
 def test_sign_and_scale_of_the_lateral_velocity_are_a_single_finding(log, leaf):
-    low, high = findings_by_name(scaled(-2.0, "velocity_y")(log), leaf)["velocity_y_scale"].interval
-    assert low <= -2.0 <= high
+    finding = findings_by_name(scaled(-2.0, "velocity_y")(log), leaf)["velocity_y_scale"]
+    assert finding.interval[0] <= -2.0 <= finding.interval[1]
+    assert "has the opposite sign" in finding.text and ": it is -2.0" in finding.text
+
+
+def test_positions_five_times_too_large_are_not_in_web_mercator(log, leaf):
+    text = findings_by_name(scaled(5.0, *POSITION)(log), leaf)["position_scale"].text
+    assert text.endswith("which agrees with the accelerations: is the scale of the projection wrong?")
 
 
 @pytest.mark.parametrize("ahead", [1.5, -1.5])

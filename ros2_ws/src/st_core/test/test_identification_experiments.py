@@ -182,7 +182,7 @@ def test_sweeps_at_one_angle_each_do_not_determine_a_slope(size):
     rng = np.random.default_rng(1)
     x = np.repeat([0.0, 1.7], 10) + size * rng.standard_normal(20)
     y = x / 17.0 + 1e-4 * rng.standard_normal(20)
-    with pytest.raises(IdentificationError, match="20 rows in 2 series do not determine a slope"):
+    with pytest.raises(IdentificationError, match="20 rows in 2 series determine no slope: add rows at other angles"):
         fit_line(x, y, ["a"] * 10 + ["b"] * 10)
 
 

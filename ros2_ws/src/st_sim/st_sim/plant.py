@@ -185,10 +185,8 @@ class Plant:
         return self.state[RACK] * self._ratio
 
     def step(self, steering_wheel_angle: float, drive_force: float) -> None:
-        """Advance by one time step.
-
-        steering_wheel_angle: true [rad], positive to the left; drive_force: sum of all wheels, < 0: braking [N].
-        """
+        """Advance by one time step. steering_wheel_angle: true [rad], positive to the left. drive_force: sum of all
+        wheels, < 0: braking [N]."""
         s, dt = self.state, self.time_step
         self.conditions = conditions = self.environment.advance(s[X], s[YAW])
         if self._delay:

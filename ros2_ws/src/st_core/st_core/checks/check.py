@@ -375,7 +375,7 @@ def _merge_findings_of_units(unit_findings: list[Finding], sensor_findings: list
     sensor_names = {finding.name for finding in sensor_findings}
     findings = []
     for finding in unit_findings:
-        estimate, advice = estimates.get(finding.name), finding.advice
+        estimate, statement, advice = estimates.get(finding.name), finding.statement, finding.advice
         if finding.value is not None and finding.interval is not None:  # a scale of yaw, estimated from positions
             half_width = finding.value - finding.interval[0]
             estimates[finding.name] = Estimate(finding.value, 0.5 * half_width, half_width)
@@ -387,6 +387,9 @@ def _merge_findings_of_units(unit_findings: list[Finding], sensor_findings: list
             (channel, (key,)), = advice.entry["correct"].items()
             correction = 1.0 / estimate.value if key == "scale" else -estimate.value
             advice = Advice.correct(channel, **{key: float(f"{correction:.6g}")})
-        findings.append(replace(finding, value=estimate.value, interval=estimate.interval, advice=advice))
+            if finding.name == "velocity_y_scale":  # the other statements contain the value
+                statement += f": it is {estimate} times its value from positions, yaw and velocity_x"
+        findings.append(replace(finding, statement=statement, value=estimate.value, interval=estimate.interval,
+                                advice=advice))
     unit_names = {finding.name for finding in unit_findings}
     return findings + [finding for finding in sensor_findings if finding.name not in unit_names]

@@ -206,6 +206,7 @@ ACCELERATION_SCALE_ERROR = 0.35  # smallest reported deviation from 1; roll and 
 MIN_ACCELERATION_SCALE = 0.9  # smallest ratio to the derivative of velocity; a mounting angle of 25 deg causes this
 ACCELERATION_LAG = 0.12  # s; smallest reported lag; filters of accelerometers cause delays of up to 0.1 s
 ACCELERATION_TOLERANCE = 1.2  # factor by which the mean of a vertical acceleration may differ from gravity
+MAX_LATITUDE = 72.0  # deg, of a road in web Mercator; the northernmost roads of Europe are at 71
 MIN_UNRELATED_WINDOWS = 20  # minimum number of windows of 1 s to report an acceleration as unrelated to the motion
 MIN_ACCELERATION_DEVIATION = 0.25  # m/s^2; minimum spread for a scale; a slope of 2.5 % has this effect
 ACCELEROMETER_ARM = 1.5  # m between accelerometer and INS point
@@ -398,9 +399,9 @@ def confirm_velocity(motion: Motion, factor: float) -> str:
         2.0 * abs(ratio - 1.0), WHEEL_SCALE_TOLERANCE)), "the accelerations")
     if confirmed_by not in ratios and (not accelerations_agree(1.0) or accelerations_agree(factor)):
         return ""
-    latitude = float(np.rad2deg(np.arccos(min(factor, 1.0))))
+    latitude = float(np.rad2deg(np.arccos(np.clip(factor, 0.0, 1.0))))
     return (f"{confirmed_by}: are they in web Mercator, at a latitude of {latitude:.0f} deg?"
-            if factor < 1.0 else f"{confirmed_by}: is the scale of the projection wrong?")
+            if 0.0 < latitude < MAX_LATITUDE else f"{confirmed_by}: is the scale of the projection wrong?")
 
 
 def compute_acceleration_scales(motion: Motion) -> list[Estimate]:

@@ -181,8 +181,7 @@ def _make_unit_finding(gain: Estimate | None, plausible_gains: tuple[float, floa
     if gain is None or abs(gain.value) < MIN_GAIN or (
             gain.interval[1] > 1.0 / limit and gain.interval[0] < limit * largest):
         return None
-    value = gain.value
-    ratio, offset = vehicle.steering_ratio, vehicle.steering_wheel_offset
+    value, ratio, offset = gain.value, vehicle.steering_ratio, vehicle.steering_wheel_offset
     source = f"steering ratio {ratio:g} of the vehicle file"
     reasons = {DEG_PER_RAD: "is it in degrees", ratio: f"is it the angle of the steering wheel ({source})",
                DEG_PER_RAD * ratio: f"is it the angle of the steering wheel in degrees ({source})",
@@ -195,8 +194,7 @@ def _make_unit_finding(gain: Estimate | None, plausible_gains: tuple[float, floa
     exact = nearest if 1.0 / limit < size / nearest < limit else size
     opposite = "does it have the opposite sign (left is positive)" if value < 0.0 else ""
     reason = " and ".join(filter(None, (reasons.get(exact, ""), opposite)))
-    text = (f"road_wheel_angle is {value:.3g} times the angle from yaw rate and speed"
-            + (f": {reason}?" if reason else ""))
+    text = f"road_wheel_angle is {value:.3g} times the angle from yaw rate and speed: {reason}?".removesuffix(": ?")
     scale = float(f"{1.0 / np.copysign(exact, value):.6g}")
     # The offset, subtracted before this correction, applies after it, unless a road wheel angle was recorded.
     add = float(f"{(scale - (exact != 1.0 / ratio)) * offset / ratio:.5g}")

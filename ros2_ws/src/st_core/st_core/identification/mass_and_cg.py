@@ -111,7 +111,7 @@ def _check_readings(weighings: Weighings) -> np.ndarray:
                     f"a difference of {100 * abs(a - b) / (a + b):.0f} % of the axle load; are two "
                     "columns exchanged, or is a wheel not on its scale?")
     if not (math.isfinite(weighings.scale_uncertainty) and weighings.scale_uncertainty > 0.0):
-        raise IdentificationError(f"scale uncertainty {weighings.scale_uncertainty:g} kg: must be above 0")
+        raise IdentificationError(f"scale uncertainty {weighings.scale_uncertainty:g} kg: give that of one scale, > 0")
     return readings
 
 

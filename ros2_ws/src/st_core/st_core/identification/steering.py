@@ -59,7 +59,7 @@ def fit_line(x: np.ndarray, y: np.ndarray, groups: Sequence[str]) -> Line:
     degrees_of_freedom = len(x) - len(masks) - 1
     square_sum = float(sum(mask @ np.square(x - mask @ x / mask.sum()) for mask in masks.values()))
     if degrees_of_freedom < 1 or square_sum <= MIN_VARIATION**2 * float(x @ x):
-        raise IdentificationError(f"{len(x)} rows in {len(masks)} series do not determine a slope: vary the angle more")
+        raise IdentificationError(f"{len(x)} rows in {len(masks)} series determine no slope: add rows at other angles")
     slope, *intercepts = np.linalg.lstsq(design, y, rcond=None)[0].tolist()
     residuals = y - design @ [slope, *intercepts]
     variance = float(residuals @ residuals) / degrees_of_freedom / square_sum
