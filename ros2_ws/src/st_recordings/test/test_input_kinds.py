@@ -245,6 +245,7 @@ TABLES = [
     Table("month_first_two_digits.csv", lambda log: with_times(log, lambda s: f"04/25/26 {clock(NOON + s)}")),
     Table("german_two_digits.csv", lambda log: with_times(log, lambda s: f"25.04.26 {clock(NOON + s)}")),
     Table("named_month_two_digits.csv", lambda log: with_times(log, lambda s: f"25-Apr-26 {clock(NOON + s)}")),
+    Table("dashes.csv", lambda log: with_times(log, lambda s: f"2026-05-25-{clock(NOON + s).replace(':', '-')}")),
     Table("time_zone.csv", lambda log: with_times(log, lambda s: f"2026-05-04 {clock(NOON + s)} CEST")),
     Table("colon_before_fraction.csv", lambda log: with_times(log, lambda s: clock(NOON + s)[:12].replace(".", ":"))),
     Table("hhmmss.csv", lambda log: with_times(log, lambda s: clock(43190 + s).replace(":", "")),

@@ -57,9 +57,9 @@ def read_stamps(file: Path, cells: list[str], warnings: list[str]) -> np.ndarray
     if (match := _NAMED_MONTH.search(cells[0])) and month_number(match[2]):
         cells = [_NAMED_MONTH.sub(lambda named: f"{_read_year(named[3])}-{month_number(named[2]) or 0:02d}-{named[1]}",
                                   cell) for cell in cells]
-    if not parse_stamp(cells[0]):
+    if not (stamp := parse_stamp(cells[0])):
         return None
-    if _NUMERIC_DATE.search(cells[0]):
+    if stamp[1] and _NUMERIC_DATE.search(cells[0]):  # without a date so far; 10-25-30 may also be a time
         cells = _order_dates(file, "\n".join(cells), warnings).split("\n")
     seconds, periods = np.array([parse_stamp(cell) or (np.nan, 0.0) for cell in cells]).T
     for period in {DAY, HOUR}.intersection(periods):
