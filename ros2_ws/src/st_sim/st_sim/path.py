@@ -99,7 +99,8 @@ class Path:
         a, b = self._poses[index], self._poses[index + 1]
         local = Pose(a.x + fraction * (b.x - a.x), a.y + fraction * (b.y - a.y), a.yaw + fraction * (b.yaw - a.yaw))
         if (start := self._lap_starts.get(lap)) is None:
-            start, one_lap = self._anchor, self._poses[-1] if lap > 0 else self._poses[-1].inverse()
+            start = self._anchor
+            one_lap = self._poses[-1] if lap > 0 else self._poses[-1].inverse()
             for _ in range(abs(int(lap))):
                 start = start.compose(one_lap)
             self._lap_starts[lap] = start

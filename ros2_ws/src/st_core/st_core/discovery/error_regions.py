@@ -204,14 +204,14 @@ def compute_window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehic
 def _group_neighbours(bins: Sequence[BinExcess]) -> list[list[BinExcess]]:
     """Group significant neighbouring ranges of the same quantity with similar excess."""
     groups: list[list[BinExcess]] = []
-    for b in (b for b in bins if b.is_significant and b.range.quantity != EVERYWHERE):
-        a = groups[-1][-1] if groups else None
-        if (a is not None and a.range.quantity == b.range.quantity and a.range.high is not None
-                and a.range.high == b.range.low
-                and max(a.excess, b.excess) <= MAX_EXCESS_RATIO * min(a.excess, b.excess)):
-            groups[-1].append(b)
+    for current in (b for b in bins if b.is_significant and b.range.quantity != EVERYWHERE):
+        last = groups[-1][-1] if groups else None
+        if (last is not None and last.range.quantity == current.range.quantity
+                and last.range.high is not None and last.range.high == current.range.low
+                and max(last.excess, current.excess) <= MAX_EXCESS_RATIO * min(last.excess, current.excess)):
+            groups[-1].append(current)
         else:
-            groups.append([b])
+            groups.append([current])
     return groups
 
 

@@ -146,8 +146,8 @@ def library_p_value(block_scores: np.ndarray, block_gain: np.ndarray, scores: Sc
     Sign-flip test: the score statistic is compared with the largest of the library under random signs of the blocks,
     and the mean gain of the blocks is tested against zero; the larger p-value is used. Likelihood-ratio test: twice the
     gain divided by the design effect, with a Bonferroni correction; it detects effects that act in few blocks. Its null
-    distribution is F instead of chi-square, because the design effect is estimated. block_scores: (b, k). block_gain:
-    (b,). effect_count: number of effects in the library.
+    distribution is F instead of chi-square, because the design effect is estimated. block_scores: (b, k), b >= 2.
+    block_gain: (b,). effect_count: number of effects in the library.
     """
     blocks, values = block_scores.shape
     p_score = (1 + int((scores.largest >= score_statistic(block_scores)).sum())) / (1 + len(scores.largest))
