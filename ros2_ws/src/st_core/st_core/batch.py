@@ -116,7 +116,7 @@ class LogBatch:
     planned road wheel angles [rad], velocity_x_dot [m/s^2] and, for a path, slip-free angles [rad], each
     (n, 2 * steps + 1) on the half-step grid.
     points [s]: times in the horizon, multiples of step; None: 0, step, ... horizon. substeps: integration steps per
-    step; auto = the smallest number <= 64 stable at the lowest and highest speed. Warns once if a given one is not.
+    step; auto = the smallest number <= 64 stable at the lowest and highest speed. Warns once if a given number is not.
     backend: lanes or numpy; None: the fastest available. signals: (time [ns], values), by name, of the signals that a
     model needs in addition to its inputs; their values at the start are held, unless inputs = measured.
     Raises ConfigurationError for a horizon or points that are not whole numbers of steps, a missing signal, invalid

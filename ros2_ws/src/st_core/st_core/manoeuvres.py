@@ -2,7 +2,7 @@
 
 A manoeuvre is defined by its speed and its target lateral acceleration, so that any car can drive it:
 
-    curvature(t) = lateral profile(t) / speed^2            profile: -1 to 1
+    curvature(t) = lateral * profile(t) / speed^2          profile: -1 to 1
     road wheel angle(t) = (L + K speed^2) curvature(t)     L: wheelbase, K: understeer gradient
 
 Left is positive everywhere; a negative lateral acceleration mirrors the manoeuvre. Checked by: test_manoeuvres.py,

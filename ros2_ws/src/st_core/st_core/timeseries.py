@@ -8,9 +8,9 @@ that is linear between its samples. It uses the actual spacing dt, so uneven spa
     y_dot_k = (y_k - y_{k-1}) / dt
 
 With uniform 100 Hz sampling the results agree with scipy.signal.butter(1, 5, fs=100) within 0.2 % up to 1 Hz. The
-backward difference belongs to the middle of the last interval, so slow changes are delayed by tau + dt / 2: at 5 Hz and
-100 Hz 31.8 + 5 = 37 ms. The filter restarts at the first sample and after every gap with y = u and derivative NaN.
-Source: paper, section on the models' inputs. Checked by: test_filtering.py, test_timeseries.py.
+backward difference belongs to the middle of the last interval, so slow changes are delayed by tau + dt / 2: for f_c =
+5 Hz at 100 Hz, 31.8 + 5 = 37 ms. The filter restarts at the first sample and after every gap, with y = u and derivative
+NaN. Source: paper, section on the models' inputs. Checked by: test_filtering.py, test_timeseries.py.
 """
 
 import math

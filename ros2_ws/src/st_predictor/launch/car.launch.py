@@ -48,12 +48,12 @@ def override_text(node, name, *value):
     return ["-p", [f"{node}:{name}:='", *value, "'"]]
 
 
-def override_number(node, name, value):
+def override_value(node, name, value):
     return ["-p", [f"{node}:{name}:=", value]]
 
 
 def suite_node(package, executable, *overrides, **options):
-    clock = override_number(executable, "use_sim_time", LaunchConfiguration("use_sim_time"))
+    clock = override_value(executable, "use_sim_time", LaunchConfiguration("use_sim_time"))
     arguments = ["--params-file", PARAMETERS, *(part for override in (clock, *overrides) for part in override)]
     return Node(
         package=package, executable=executable, name=executable, exec_name=executable, output="screen",
@@ -87,9 +87,9 @@ def ins_bridge(context):
     x, y = (float(vehicle.get(name, {}).get("value", 0.0)) for name in ("cg_to_ins_x", "cg_to_ins_y"))
     return [suite_node(
         "oxts_bridge", "oxts_bridge",
-        override_number("oxts_bridge", "udp_port", LaunchConfiguration("ncom_port")),
+        override_value("oxts_bridge", "udp_port", LaunchConfiguration("ncom_port")),
         override_text("oxts_bridge", "bind_address", LaunchConfiguration("ncom_address")),
-        override_number("oxts_bridge", "base_to_ins", f"[{x}, {y}, 0.0]"),
+        override_value("oxts_bridge", "base_to_ins", f"[{x}, {y}, 0.0]"),
     )]
 
 
@@ -101,7 +101,7 @@ def can_bridge(context):
         override_text("canedge_bridge", "vehicle_file", VEHICLE),
         override_text("canedge_bridge", "dbc_file", DBC),
         override_text("canedge_bridge", "signals_file", SIGNALS),
-        *(override_number("canedge_bridge", name, value) for name, value in steering_parameters(context).items()),
+        *(override_value("canedge_bridge", name, value) for name, value in steering_parameters(context).items()),
     )]
 
 
@@ -124,7 +124,7 @@ def generate_launch_description():
         declare("dbc", "DBC of the car's bus", CarFile("can.dbc")),
         declare("signals", "table that maps DBC signals to canonical names, signs and units", CarFile("signals.yaml")),
         declare("steering_sign", "1: left is positive, -1: right is positive; empty: from car.yaml or parameters", ""),
-        declare("steering_latency", "s, delay from motion to stamp of the frame; empty: as steering_sign", ""),
+        declare("steering_latency", "s, delay from motion to stamp of the frame; empty: as for steering_sign", ""),
         declare("can_interface", "python-can interface", "socketcan"),
         declare("can_channel", "channel of that interface", "can0"),
         declare("ncom_port", "UDP port the INS sends NCOM to", "3000"),
@@ -140,11 +140,11 @@ def generate_launch_description():
         declare("use_sim_time", "true: follow /clock", "false"),
         suite_node("st_predictor", "recorder",
                    override_text("recorder", "output_directory", PathJoinSubstitution([OUTPUT, "bag"])),
-                   override_number("recorder", "number_if_exists", LaunchConfiguration("respawn")),
+                   override_value("recorder", "number_if_exists", LaunchConfiguration("respawn")),
                    ["-p", ["recorder:configuration_files:=['", VEHICLE, "', '", PARAMETERS, "']"]]),
         suite_node("st_predictor", "evaluator", override_text("evaluator", "vehicle_file", VEHICLE),
                    override_text("evaluator", "output_directory", PathJoinSubstitution([OUTPUT, "errors"])),
-                   override_number("evaluator", "number_if_exists", LaunchConfiguration("respawn"))),
+                   override_value("evaluator", "number_if_exists", LaunchConfiguration("respawn"))),
         suite_node("st_predictor", "predictor", override_text("predictor", "vehicle_file", VEHICLE),
                    override_text("predictor", "bands_file", LaunchConfiguration("bands")),
                    override_text("predictor", "course_file", LaunchConfiguration("course"))),

@@ -93,7 +93,7 @@ def test_launched_nodes_are_installed_and_their_parameters_exist() -> None:
     for package, executable in nodes:
         setup = (ROOT / "ros2_ws" / "src" / package / "setup.py").read_text()
         assert re.search(rf"'{executable} = {package}\.", setup), f"{package} installs no {executable}"
-    functions = "override_text", "override_number"
+    functions = "override_text", "override_value"
     overrides = [[a.value for a in call.args[:2]] for call in find_calls(LAUNCH / "car.launch.py", *functions)
                  if all(isinstance(a, ast.Constant) for a in call.args[:2])]
     assert len(overrides) >= 10

@@ -115,7 +115,7 @@ class Results:
     scores: dict[tuple[str, str], MeanErrors]  # by model and mode
     segments: dict[tuple[str, int], Segment]  # by model and start [ns, UTC]; at most MAX_DRAWN_STARTS
     ticks: dict[str, Any]  # numbers of the predictor's ticks: due, predicted, skipped, and skipped by reason
-    configuration_hash: str  # of the last score of one model and mode; "" without scores
+    configuration_hash: str  # of one of the last scores; "" without scores
     bands: list[Any] = field(default_factory=list)  # statistics of st_msgs/ErrorSummary with n_bands > 0
 
     def models(self) -> list[str]:

@@ -341,7 +341,7 @@ def test_folder_without_a_run_is_rejected_with_advice_on_its_recordings(tmp_path
     ("each: '*.csv'\nleave_out: [[1, 2]]\n", "key leave_out describes one run"),
     ("each: '*.tdms'\n", r"no file matches '\*.tdms'"),
     ("each: '*.doc'\n", "a.doc is not a recording"),
-    ("each: '*.ncom'\ncolumns: {x: East}\n", "no CAN log in the folder has the name a, for a.ncom"),
+    ("each: '*.ncom'\ncolumns: {x: East}\n", "the folder contains no CAN log with the name a for a.ncom"),
 ])
 def test_invalid_each_is_rejected(tmp_path: Path, text: str, error: str) -> None:
     touch(tmp_path, "a.csv", "a.ncom", "a.doc")

@@ -65,8 +65,8 @@ def _power(problem: Problem, fit: Fit, index: int, size: float, information: flo
 
 def _required_gain(problem: Problem, rows: np.ndarray, change: np.ndarray, limits: Limits) -> float:
     """Smallest gain per residual for reporting an effect that changes `rows`, the residuals of the final fit."""
-    before, after = problem.position_error(rows), problem.position_error(rows + change)
-    reduction = float(np.nanmean(after - before)) if np.isfinite(before).any() else 0.0  # by adding the effect [m]
+    modelled, unmodelled = problem.position_error(rows), problem.position_error(rows + change)
+    reduction = float(np.nanmean(unmodelled - modelled)) if np.isfinite(modelled).any() else 0.0  # [m]
     min_gain = limits.negligible if reduction > limits.relevant_position else limits.relevant
     has_unexplained_residual = residual_over_noise(problem, rows) > limits.max_noise_ratio
     return max(min_gain, limits.unexplained_share) if has_unexplained_residual else min_gain

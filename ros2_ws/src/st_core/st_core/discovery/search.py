@@ -19,7 +19,7 @@ from .result import Reason
 from .settings import Limits
 
 CONTENDERS = 4  # maximum number of effects refitted in a step, plus members of composites; half as many in an exchange
-CONTENDER_FRACTION = 0.5  # fraction of the best gain that a contender must reach; squared before the refits
+CONTENDER_FRACTION = 0.5  # fraction of the best gain that a contender must reach; squared for gains before a refit
 FIXED_CURVATURE = 1e9  # prior curvature that fixes a parameter
 MAX_JOINT_FITS, JOINT_TOLERANCE = 4, 0.1  # maximum number of joint fits; largest step at convergence [parameter scales]
 MAX_EXCHANGES = 3
@@ -55,7 +55,7 @@ class SearchState:
 class Search:
     """A search from several starts, for the set of effects that predicts held-out driving best.
 
-    partitions: of the drives. sensors: `evidence.Sensors`. seed: of the random signs. tick: called at every refit.
+    partitions: of the drives. sensors: `evidence.Sensors`. seed: of the random signs. tick: called to show progress.
     """
 
     def __init__(self, problem: Problem, limits: Limits, partitions: Mapping[str, Partition], sensors: Mapping,
@@ -154,7 +154,7 @@ class Search:
                      deficit / self.problem.residual_count, evidence, self.problem.space.values(other, fit.vector))
 
     def add_corrections(self, fit: Fit) -> Fit:
-        """The best fit with further effects and all effects of `fit`, a fit of a different problem."""
+        """The best fit that keeps all effects of `fit`, a fit of a different problem, and adds others."""
         self._required = frozenset(fit.names)
         p = self.problem
         state = self._step_from(p.fit(fit.names, p.all_sensitivities(fit.vector), fit.vector))
@@ -407,7 +407,7 @@ class Search:
             state = SearchState(self._rescale(self._refit_without(state.fit, weakest)), rejected=rejected)
 
     def _exchange(self, state: SearchState) -> Fit | None:
-        """Fill in `rivals`; return the best significantly better fit with one effect exchanged, or else `_merge`."""
+        """Fill in `rivals`; return the best significantly better fit with one effect exchanged, or that of `_merge`."""
         p, better_fit = self.problem, None
         sensitivities = p.all_sensitivities(state.fit.vector)
         q, to_start = p.full_quadratic(state.fit.vector), -p.distance(state.fit.vector)

@@ -10,7 +10,7 @@ class HeadingMisalignment(Effect):
     excited_by = "straight driving: v_y of the INS is -angle v_x"
     kind, slot = "sensors", "heading"
     confounded_with = ("steering_offset", "sensor_lever_arm")
-    needs = ("velocity_y",)  # without it, yaw may be the course, which hides the misalignment
+    needs = ("velocity_y",)  # without it, yaw may be the direction of motion, which hides the misalignment
     applies_to = ANY
     order = 10
     parameter = Parameter("angle", "rad", null=0.0, initial=0.005, bounds=(-0.1, 0.1), odd=True,

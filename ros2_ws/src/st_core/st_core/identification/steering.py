@@ -113,7 +113,7 @@ def identify_steering_ratio(data: Turntable) -> Identification:
     ratio = 1.0 / line.slope if line.slope else math.inf
     if not (limits.minimum <= ratio <= limits.maximum):
         hint = ("steering wheel and road wheels have opposite signs: left is positive in every column"
-                if ratio < 0.0 else "are steering-wheel and road-wheel columns exchanged, or their units?")
+                if ratio < 0.0 else "are steering-wheel and road-wheel columns exchanged, or is a unit wrong?")
         raise IdentificationError(f"the steering wheel turns {ratio:.3g} times as far as the road wheels, not "
                                   f"{limits.minimum:g} to {limits.maximum:g}: {hint}")
     low, high = symmetric_interval(line.slope, line.uncertainty, line.degrees_of_freedom)

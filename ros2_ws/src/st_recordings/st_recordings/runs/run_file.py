@@ -36,7 +36,7 @@ def is_run_file(path: Path) -> bool:
 
 def read_run_file(path: Path) -> list[RunSource]:
     """Reads the run that a run.yaml describes, or one run per file under its key `each`, with the CAN logs of the same
-    stem; a run.yaml for that file alone takes priority. Raises RunError."""
+    stem; a file's own run.yaml takes priority. Raises RunError."""
     content = _read_content(path)
     if "each" not in content:
         return [_parse_single_run(path, content)]
@@ -159,7 +159,7 @@ def _parse_run_of_each(path: Path, content: Mapping[str, Any], file: Path) -> Ru
     is_complete = reader.kind == "csv" and reader.has_drive(file)
     logs = [] if is_complete else [log for log in find_logs(file, sorted(file.parent.iterdir())) if is_can_log(log)]
     if reader.needs_can and not logs:
-        raise RunError(path, f"each: no CAN log in the folder has the name {file.stem}, for {file.name}",
+        raise RunError(path, f"each: the folder contains no CAN log with the name {file.stem} for {file.name}",
                        "list the files of each run in a run.yaml")
     return _build_run(path, content, file.name if file.is_dir() else file.stem, reader.key, (file,), logs)
 

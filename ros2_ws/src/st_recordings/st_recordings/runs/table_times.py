@@ -69,7 +69,7 @@ def read_stamps(file: Path, cells: list[str], warnings: list[str]) -> np.ndarray
 
 def _order_dates(file: Path, body: str, warnings: list[str]) -> str:
     """Converts dates such as 25/04/2026, 25-04-2026 or 04/25/26 to 2026-04-25 if one shows which number is the day, or
-    warns. In 25/04/26, the year may also be first."""
+    warns. 25/04/26 is ambiguous: its year may be first."""
     dates = {(int(a), int(b), int(year)) for a, b, year in _NUMERIC_DATE.findall(body) if int(a) <= 31 and int(b) <= 31}
     day_first, month_first = any(a > 12 for a, _, _ in dates), any(b > 12 for _, b, _ in dates)
     if day_first != month_first and (month_first or all(year > 99 for _, _, year in dates)):
@@ -117,7 +117,7 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
     1970. A column declared as HHMMSS that contains other times is read as seconds, as if it had no stated unit."""
     finite = times[np.isfinite(times)]
     if source.unit == HHMMSS and not _is_mostly_hhmmss(finite):
-        warnings.append(f"{file}: its times are not HHMMSS; they were read as numbers")
+        warnings.append(f"{file}: its times are not HHMMSS; they were read as if no unit were stated")
         source = replace(source, unit="s", has_stated_unit=False)
     median, steps = np.median(np.abs(finite)) if len(finite) else 0.0, np.abs(np.diff(finite))
     steps = steps[steps > 0.0]  # a coarse clock repeats its times
@@ -140,8 +140,8 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
             return (times - origin) * factor, source
     step = float(np.median(steps)) if len(steps) else 0.0
     if step >= MIN_UNUSABLE_STEP and not source.has_stated_unit and (unit := _guess_time_unit(times)):
-        warnings.append(f"{file}: its times, {step:g} apart, were read in {unit}; if they are not, declare their unit "
-                        "in a run.yaml, as units: {t: s}")
+        warnings.append(f"{file}: its times, {step:g} apart, were read in {unit}; if that is wrong, declare their "
+                        "unit in a run.yaml, as units: {t: s}")
         source = replace(source, unit=unit)
     seconds = times * source.factor
     known_rows = np.flatnonzero(np.isfinite(seconds))
@@ -149,7 +149,7 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
     for period, longest_step in ((60.0, 1.0), (HOUR, 1.0), (2**32 * 1e-6, 1.0), (2**32 * 1e-3, 1.0),
                                  (DAY, ROLLOVER_STEP), (7 * DAY, ROLLOVER_STEP)):
         if len(known_rows) and seconds[known_rows].min() >= 0.0 and seconds[known_rows].max() <= period + 1.0 and (
-                period > 60.0 or seconds[known_rows[0]] >= 1.0):  # times from 0 may be joined drives of a minute
+                period > 60.0 or seconds[known_rows[0]] >= 1.0):  # from 0, they may be joined one-minute drives
             seconds[known_rows] += period * count_rollovers(seconds[known_rows], period - longest_step)
     return seconds, source
 
