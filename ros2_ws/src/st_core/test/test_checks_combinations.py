@@ -243,6 +243,22 @@ def test_speed_without_a_sign_in_reverse_is_named_alone(drive):
     assert found["velocity_x_scale"].advice.entry["leave_out"] == [[round(first, 1), round(last, 1)]]
 
 
+def test_positions_that_jump_back_at_a_stop_are_no_speed_with_the_wrong_sign():
+    """A bias of the speed of 1 cm/s has the opposite sign of the jump."""
+    log, car = driven_back(read_real_drive("rfs_turn_b")), read_car("hyundai_genesis")
+    direction, speed = np.sign(log.velocity_x), np.abs(log.velocity_x)
+    last = int(np.flatnonzero(direction < 0.0)[0])  # the car waits for 3 s, instead of driving back
+    rows = np.concatenate([np.arange(last), np.full(300, last - 1), np.arange(last)[::-1]])
+    heading = np.exp(1j * log.yaw[last - 1]) * np.where(np.arange(len(rows)) < last + 150, 0.0, -3.0)
+    time = log.ins_time_ns[0] + np.arange(len(rows)) * 20_000_000
+    turn = np.where(np.arange(len(rows)) < last + 300, 1.0, -1.0)
+    wrong = replace(log, ins_time_ns=time, steering_time_ns=time, x=log.x[rows] + heading.real,
+                    y=log.y[rows] + heading.imag, yaw=log.yaw[rows], velocity_x=turn * speed[rows] + 0.01,
+                    velocity_y=turn * log.velocity_y[rows], yaw_rate=turn * log.yaw_rate[rows],
+                    road_wheel_angle=log.road_wheel_angle[rows])
+    assert "velocity_x_scale" not in findings_by_name(wrong, car)
+
+
 @pytest.mark.parametrize(("change", "name"), [
     (lambda angle: angle, None), (lambda angle: -angle, "steering_sign"), (np.rad2deg, "steering_scale"),
     (lambda angle: angle + 0.05, "steering_offset")])

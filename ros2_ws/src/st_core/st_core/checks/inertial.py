@@ -487,7 +487,7 @@ def restore_speed_sign(log: DriveLog, start_ns: int) -> tuple[DriveLog, list[Fin
     time, position = (log.ins_time_ns - start_ns) * NANOSECOND, log.x + 1j * log.y
     begin, end = (np.clip(time + side, time[0], time[-1]) for side in (-0.5, 0.5))
     velocity = (np.interp(end, time, position) - np.interp(begin, time, position)) / (end - begin)
-    moves = find_spans(np.maximum(np.abs(velocity), np.abs(log.velocity_x)) > MIN_MOVING_SPEED)
+    moves = find_spans(np.minimum(np.abs(velocity), np.abs(log.velocity_x)) > MIN_MOVING_SPEED)
     stops = [last + int(np.argmin(np.abs(log.velocity_x[last:first]))) for (_, last), (first, _) in pairwise(moves)]
     product = log.velocity_x * velocity * np.exp(-1j * log.yaw)
     bounds = np.array([0, *stops, len(time)])  # of the parts between stops
