@@ -175,7 +175,7 @@ def set_aside_on_failure(folder: Path) -> Iterator[None]:
 
 
 def set_aside(folder: Path) -> Path:
-    """Rename the folder of a run that did not start, so that its name can be used again; returns the new path."""
+    """Rename the folder of a run that did not start, so that its name can be used again; returns its path."""
     names = (f"{folder.name}_failed_{number}" for number in itertools.count(1))
     unused = next(path for path in map(folder.with_name, names) if not path.exists())
     try:
