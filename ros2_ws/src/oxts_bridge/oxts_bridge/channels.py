@@ -33,7 +33,7 @@ _INTEGER_FORMATS = {"shifted": "i8", "digits6": "i24", "lo4": "bits0+4", "hi4": 
 class Validity:
     """Condition under which a field is valid."""
 
-    text: str  # the condition in words, for error messages
+    text: str  # the condition, for error messages
     accepts: Callable[[int, bytes], bool]  # tests the field's raw number and the channel's 8 bytes
     # Raw number written for an invalid value; None if only flag_byte declares it invalid.
     invalid_raw: int | None = None
@@ -104,7 +104,7 @@ class Field:
         return (raw >> 1 if kind == "shifted" else raw) * self.scale + self.offset
 
     def encode(self, buffer: bytearray, value: Value) -> None:
-        """Write a value into the 8 bytes, but not its flag byte. None: write an invalid code, 0 if there is none.
+        """Write a value into the 8 bytes, but not its flag byte. None: write the code for "invalid", or else 0.
 
         A scaled or "shifted" quantity and a text are clipped to their format; other numbers out of range raise
         NcomError. None is not written if only the flag byte declares the field invalid.
@@ -148,24 +148,24 @@ class Field:
 
 
 F = Field  # abbreviation in the table
-FRESH = Validity("b6 < 150", lambda raw, data: data[6] < 150, flag_byte=6)
-B6_ZERO = Validity("b6 = 0", lambda raw, data: data[6] == 0, flag_byte=6)
-B6_NOT_255 = Validity("b6 < 255", lambda raw, data: data[6] < 255, flag_byte=6)
+FRESH = Validity("byte 6 < 150", lambda raw, data: data[6] < 150, flag_byte=6)
+B6_ZERO = Validity("byte 6 = 0", lambda raw, data: data[6] == 0, flag_byte=6)
+B6_NOT_255 = Validity("byte 6 < 255", lambda raw, data: data[6] < 255, flag_byte=6)
 HIGH_BIT_CLEAR = Validity("bit 7 = 0", lambda raw, data: raw < 0x80, invalid_raw=0xFF)
 NOT_NEGATIVE = Validity(">= 0", lambda raw, data: raw >= 0, -1)
 POSITIVE = Validity("> 0", lambda raw, data: raw > 0, invalid_raw=0)
 BIT0_SET = Validity("bit 0 = 1", lambda raw, data: bool(raw & 1), invalid_raw=0)
 WITHIN_MINUTE = Validity("< 60000", lambda raw, data: raw < 60000, invalid_raw=0xFFFF)
 GPS_MINUTE = Validity(">= 1000", lambda raw, data: raw >= 1000, invalid_raw=0)
-OMNISTAR_STATUS = Validity("b4 < 255", lambda raw, data: data[4] < 255, flag_byte=4)
-B6_BIT7_CLEAR = Validity("bit 7 of b6 = 0", lambda raw, data: data[6] < 0x80, flag_byte=6, flag_valid=0x7F)
-B7_BIT7_CLEAR = Validity("bit 7 of b7 = 0", lambda raw, data: data[7] < 0x80, flag_byte=7, flag_valid=0x7F)
-LONG_RANGE = Validity("b6 < 150 and b7 > 0", lambda raw, data: data[6] < 150 and data[7] != 0, flag_byte=6)
+OMNISTAR_STATUS = Validity("byte 4 < 255", lambda raw, data: data[4] < 255, flag_byte=4)
+B6_BIT7_CLEAR = Validity("bit 7 of byte 6 = 0", lambda raw, data: data[6] < 0x80, flag_byte=6, flag_valid=0x7F)
+B7_BIT7_CLEAR = Validity("bit 7 of byte 7 = 0", lambda raw, data: data[7] < 0x80, flag_byte=7, flag_valid=0x7F)
+LONG_RANGE = Validity("byte 6 < 150 and byte 7 > 0", lambda raw, data: data[6] < 150 and data[7] != 0, flag_byte=6)
 
 
 def valid_unless(*codes: int, fresh: bool = False) -> Validity:
-    """Valid unless the raw number is a code; the first code is written for None. fresh: b6 must also be below 150."""
-    text = "b6 < 150 and " * fresh + f"not {', '.join(map(str, codes))}"
+    """Valid unless the raw number is a code; the first is written for None. fresh: byte 6 must also be below 150."""
+    text = "byte 6 < 150 and " * fresh + f"not {', '.join(map(str, codes))}"
     return Validity(text, lambda raw, data: raw not in codes and (not fresh or data[6] < 150), codes[0],
                     flag_byte=6 if fresh else None)
 

@@ -38,7 +38,7 @@ def compute_variances(standard_deviations: Vector) -> Vector | None:
 
 @dataclass(slots=True)
 class Motion:
-    """Motion of the INS point in ROS axes, at one instant or in columns."""
+    """Motion of the INS point in ROS axes, at one instant, or as arrays over time."""
 
     latitude: Number  # as sent [rad]
     longitude: Number  # as sent [rad]

@@ -1,7 +1,7 @@
 """Elementary functions for the equations of motion, for every number type.
 
-They use `math` for Python floats and numpy for its arrays and scalars. Symbolic types are added with `register`; numba
-has its own versions (`numba_lanes`). With floats, a function outside its domain returns NaN, as in numpy.
+They use `math` for Python floats and numpy for numpy arrays and scalars. Symbolic types are added with `register`;
+numba has its own versions (`numba_lanes`). With floats, a function outside its domain returns NaN, as in numpy.
 """
 
 import math

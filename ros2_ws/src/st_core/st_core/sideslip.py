@@ -1,7 +1,7 @@
 """Steady-state sideslip for drives without measured sideslip, whose yaw is the course over ground of a GNSS receiver.
 
-The heading of a car differs from its course by the sideslip angle at the antenna, by which each prediction would be
-rotated. Therefore the sideslip of steady cornering is computed with the vehicle file:
+The heading of a car differs from its course by the sideslip angle at the antenna, which would rotate each
+prediction. Therefore the sideslip of steady cornering is computed with the vehicle file:
 
     v_y = r (l_r - m l_f v_x^2 / (l C_r) + d_x),    beta = atan(v_y / v_x),    heading = course - beta
 
@@ -51,7 +51,7 @@ def with_steady_sideslip(log: DriveLog, vehicle: VehicleParameters) -> DriveLog:
 
 
 def with_course(log: DriveLog) -> DriveLog:
-    """The drive before `with_steady_sideslip`: yaw is the course."""
+    """The drive before `with_steady_sideslip`, but for a derived yaw rate: yaw is the course."""
     return replace(log, yaw=log.yaw + np.arctan2(log.velocity_y, log.velocity_x), sideslip_measured=True,
                    velocity_x=np.hypot(log.velocity_x, log.velocity_y), velocity_y=np.zeros_like(log.velocity_y))
 

@@ -35,7 +35,7 @@ def enable_cache(kernel, identity: str) -> Path | None:
     bases = [Path(__file__).parent / "__pycache__" / "kernels"]
     if numba.config.CACHE_DIR:  # NUMBA_CACHE_DIR, set by the user
         bases.insert(0, Path(numba.config.CACHE_DIR) / "st_core")
-    with contextlib.suppress(RuntimeError):  # no home
+    with contextlib.suppress(RuntimeError):  # no home directory
         bases.append(Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "st_core" / "kernels")
     for base in bases:
         try:
@@ -120,8 +120,8 @@ class UnhashableError(Exception):
 
 
 def compute_fingerprint(function: FunctionType, excluded: frozenset[str] = frozenset()) -> str:
-    """sha256 (hex) of a function, of all functions that it can reach, and of their values and source files. It is the
-    same in every process. Raises UnhashableError for a value such as an array, a list, a dict or an instance."""
+    """sha256 (hex) of a function, of all functions that it can reach, and of the values and source files they
+    use. It is the same in every process. Raises UnhashableError for a value such as an array, a list or an instance."""
     digest = hashlib.sha256()
     functions = find_reachable_functions(function, excluded)
     numbers = {f: str(i) for i, f in enumerate(functions)}

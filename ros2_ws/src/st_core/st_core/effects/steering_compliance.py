@@ -1,7 +1,7 @@
 """Compliance of the front suspension under lateral force: delta = delta_measured - compliance F_f.
 
-The slip angle a' solves a' = a + compliance F_f(a'), in two Newton steps from a' = a with the slope at zero slip. It is
-exact for a linear tyre. At the limit of adhesion its error is below 1e-4 rad for a compliance of
+a' = a + compliance F_f(a') is solved for the slip angle a' in two Newton steps from a' = a with the slope at zero slip;
+this is exact for a linear tyre. At the limit of adhesion the error is below 1e-4 rad for a compliance of
 1e-6 rad/N, and 1e-3 rad for 3.5e-6 rad/N.
 """
 

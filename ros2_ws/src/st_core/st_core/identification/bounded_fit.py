@@ -18,7 +18,7 @@ from scipy.stats import f as fisher
 Residuals = Callable[[np.ndarray], np.ndarray]  # from parameters (k,) to residuals (n,)
 END_TOLERANCE = 0.03  # relative tolerance of the distance from the value to an end of its interval
 MAX_END_STEPS = 8  # largest number of secant steps to an end
-BOUND_TOLERANCE = 1e-6  # a value this close to a bound counts as at it; fraction of the range between both bounds
+BOUND_TOLERANCE = 1e-6  # a value this close to a bound counts as being at it; fraction of the range between both bounds
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ Checked by: test_identification_experiments.py.
 
 The height of the CG follows from the rear load versus pitch with the front axle lifted. The car rests on free-rolling
 wheels with locked suspension, so each ground force is vertical and passes through the centre of its wheel. The moments
-about the front wheel centres give, with pitch theta (nose up), wheelbase l, and the height r, at the CG of the level
-car, of the line between the wheel centres:
+about the front wheel centres give, with pitch theta (nose up), wheelbase l, and the height r of the line between the
+wheel centres at the CG of the level car:
 
     m_r(theta) = m_r(0) + m (h - r) / l tan(theta)
     one pitch:   h = r + l (m_r(theta) - m_r(0)) / (m tan(theta))          (ISO 10392)

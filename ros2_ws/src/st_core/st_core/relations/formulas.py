@@ -205,8 +205,8 @@ def _simulate_shape(fits: RelationFits, fit: RelationFit, base_fit: RelationFit,
         held_out[in_fold] = np.bincount(fits.block, loss.window_losses(vector), fits.blocks)[in_fold]
         windows = in_fold[fits.block]
         position_error[windows] = fits.problem.position_error(loss.errors.at(vector))[windows]
-    baseline_error = fits.problem.position_error(base_fit.residuals)
-    if np.isfinite(position_error).any() and np.nanmean(position_error) > np.nanmean(baseline_error):
+    base_error = fits.problem.position_error(base_fit.residuals)
+    if np.isfinite(position_error).any() and np.nanmean(position_error) > np.nanmean(base_error):
         return -np.inf, offset
     return float((base_fit.held_out - held_out).sum()), offset
 

@@ -176,7 +176,7 @@ def _make_value_tables(relation: Relation, discovery: Discovery, vehicle: Vehicl
     return [Table("Values without and with the relation",
                   "Two fits to the same drives. The values without the relation are those of vehicle.yaml and "
                   "model.yaml; the values with it are for proposed.yaml only, and differ because the relation explains "
-                  "a part of the errors. A factor and the vehicle-file entry listed after it are two forms of one "
+                  "part of the errors. A factor and the vehicle-file entry listed after it are two forms of one "
                   "correction.",
                   ("quantity", "without the relation", "with the relation"), rows)] if rows else []
 

@@ -176,7 +176,7 @@ class PredictorNode(Node):
         predictions["forecast"] = self._publish_predictions(start, "forecast", bands=self._bands.make_messages(
             self._core.history, start.time_ns, ("forecast", "hindsight", *predictions)))
         # Paths are published last: only viewers read them, and filling one takes longer than running all models.
-        # Viewers cannot draw a path that is not finite; the evaluator scores it incomplete.
+        # Viewers cannot draw a path that is not finite; the evaluator scores it as incomplete.
         finite = {model: t for model, t in predictions["forecast"].items() if np.isfinite(t.states).all()}
         self._diverged_models = predictions["forecast"].keys() - finite.keys()
         for model, trajectory in finite.items():

@@ -18,7 +18,7 @@ MAX_WHEEL_GAP_NS = 100_000_000  # longest gap across which the speed of a wheel 
 LATEST_TIME = 9.0e9  # s since 1970, in the year 2255; int64 nanoseconds end in the year 2262
 MAX_LOST_FRACTION = 0.01  # of the rows; if more are out of order in time, the clock may have been set back
 MAX_UNEVEN_FRACTION = 0.3
-"""If sorted times have fewer short steps than this fraction of the rows out of order, only the order is wrong."""
+"""Largest ratio of short steps, once the times are sorted, to rows out of order at which only the order is wrong."""
 MAX_END_STEP_RATIO = 10.0
 """Multiple of the 95th percentile of the steps; a longer first or last time step means a wrong first or last time."""
 
@@ -33,7 +33,7 @@ class InsLog:
     file: Path
     time_ns: np.ndarray  # measurement times, strictly increasing
     values: Mapping[str, np.ndarray]
-    stamps_ns: np.ndarray  # time_ns or, of NCOM packets, the times of all packets, with or without a fix
+    stamps_ns: np.ndarray  # time_ns or, for NCOM, the times of all packets, with or without a fix
     origin: tuple[float, float, float] | None = None  # latitude, longitude [rad], altitude [m]; None if unknown
     quality: InsQuality | None = None  # as reported by the unit
     warnings: tuple[str, ...] = ()
@@ -80,8 +80,8 @@ def _select_finite(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray,
 
 
 def are_stored_out_of_order(time_ns: np.ndarray) -> bool:
-    """Whether the times (n,) are evenly spaced after sorting. They are not if the clock was set back: two parts then
-    overlap, and the steps in the overlap are at most half as long, far below 3/4 of the median."""
+    """Whether times (n,) are out of order, but evenly spaced once sorted. They are not if the clock was set back: two
+    parts then overlap, and every other step in the overlap is at most half as long, below 3/4 of the median."""
     lost_fraction = 1.0 - np.mean(find_ascending(time_ns)) if len(time_ns) else 0.0
     steps = np.diff(np.sort(time_ns))
     return bool(lost_fraction > MAX_LOST_FRACTION
