@@ -54,8 +54,8 @@ class SignalSpec:
     gain: float
     bias: float
     factor: float  # converts this unit to SI
-    minimum: float  # of the value in `unit`, after conversion
-    maximum: float  # of the value in `unit`, after conversion
+    minimum: float  # [unit], with sign, scale and offset applied
+    maximum: float  # [unit], with sign, scale and offset applied
     max_rate: float  # largest possible rate of change [unit/s]
     # If the sensor sends magnitude and sign separately: extractor of the sign; positive if it is 0 or not in the frame.
     sign: Extractor | None = None
@@ -199,8 +199,8 @@ def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
 
 
 def _reduce_dbc(text: str, names: frozenset[str]) -> str:
-    """DBC with only the named messages, empty without any. As cantools requires, 29-bit identifiers without the
-    extended flag, signals like 0_COUNTER and factors like .25, which are common in public files, are corrected."""
+    """DBC with only the named messages; "" if it has none. As cantools requires, 29-bit identifiers without the
+    extended flag, names like 0_COUNTER and factors like .25, which are common in public files, are corrected."""
     def add_flag(match: re.Match[str]) -> str:
         number = int(match[2])
         return f"{match[1]}{number | EXTENDED if MAX_STANDARD_ID < number <= MAX_EXTENDED_ID else number}"
@@ -287,7 +287,7 @@ def _read_unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> tuple
 
 
 def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
-    """Raises ConfigurationError if the signal cannot reach half of its range to both sides (an unsigned angle)."""
+    """Raises ConfigurationError if the signal cannot reach half of its range to both sides (as an unsigned angle)."""
     low, high, expectation = spec.minimum, spec.maximum, f"{entry.origin} ({entry.path}.range) expects"
     if not math.isfinite(high) and spec.name == "steering_wheel_angle":
         low, high = -DEFAULT_STEERING_RANGE / spec.factor, DEFAULT_STEERING_RANGE / spec.factor

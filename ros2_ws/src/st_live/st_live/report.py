@@ -42,7 +42,7 @@ def report_results(folder: Path, outcome: session.Outcome, extra: dict[str, Any]
             results = read_results(folder)
         except RunError as error:
             console.out(error, style="red", highlight=False)
-            console.print("errors that the evaluator published since its last start:")
+            console.print("errors published by the evaluator since its last start:")
             console.print(render_errors(outcome.state), render_counts(outcome.state.predictor_status), sep="\n")
             return 1
         summary = summarise(results, {**extra, "exit_statuses": outcome.statuses})

@@ -67,13 +67,13 @@ class AdaptiveBand:
 
     def __init__(self, time: np.ndarray, band: Band | None = None):
         self._time, self._band, self.is_calibrated = np.asarray(time, float), band, band is not None
-        self._logs = {}  # logarithm of the factor, by level
+        self._log_factors = {}  # by level
         calibrated_factors = {} if band is None else band.factors
         for level in LEVELS:
             # A level without a factor gets that of the nearest level, scaled by the ratio of the default factors.
             nearest = min(calibrated_factors, key=lambda other: abs(other - level), default=level)
             default, reference = np.interp((level, nearest), list(DEFAULT_FACTORS), list(DEFAULT_FACTORS.values()))
-            self._logs[level] = math.log(calibrated_factors.get(nearest, default) * default / reference)
+            self._log_factors[level] = math.log(calibrated_factors.get(nearest, default) * default / reference)
         self._squares = np.square(np.outer(self._time**2, DEFAULT_SCALE))
         self._weight = self._elapsed = 0.0
         self._last_ns: int | None = None
@@ -88,8 +88,8 @@ class AdaptiveBand:
     @property
     def factors(self) -> dict[float, float]:
         """Factor by level, not decreasing with the level."""
-        values = np.maximum.accumulate([math.exp(log) for log in self._logs.values()])
-        return dict(zip(self._logs, values.tolist(), strict=True))
+        values = np.maximum.accumulate([math.exp(log) for log in self._log_factors.values()])
+        return dict(zip(self._log_factors, values.tolist(), strict=True))
 
     def issue(self, start_ns: int, scale: np.ndarray | None = None) -> dict[float, np.ndarray]:
         """Half-widths (points, 3) [m, m, rad] by level for a prediction from start_ns, stored until it is scored.
@@ -122,8 +122,8 @@ class AdaptiveBand:
         self._elapsed += weight
         score = float((np.abs(errors) / scale).max())
         for level, factor in factors.items():
-            updated = self._logs[level] + gain * weight * (float(score > factor) - (1.0 - level))
-            self._logs[level] = min(max(updated, math.log(MIN_FACTOR)), math.log(MAX_FACTOR))
+            updated = self._log_factors[level] + gain * weight * (float(score > factor) - (1.0 - level))
+            self._log_factors[level] = min(max(updated, math.log(MIN_FACTOR)), math.log(MAX_FACTOR))
         if self._band is None:  # exponentially weighted mean square of the errors
             self._weight = min(self._weight + weight, SCALE_FORGETTING)
             fraction = weight / (self._weight + PRIOR_WEIGHT)
@@ -139,7 +139,7 @@ class AdaptiveBand:
         """
         calibrated = None if self._band is None else self._band.scale(conditions)
         horizon_ns = round(float(self._time[-1]) / NANOSECOND)
-        factors: dict[float, list[float]] = {level: [] for level in self._logs}
+        factors: dict[float, list[float]] = {level: [] for level in self._log_factors}
         scales = np.empty(errors.shape)
         for k, start in enumerate(starts_ns.tolist()):
             while self._pending_errors and self._pending_errors[0][0] + horizon_ns <= start:

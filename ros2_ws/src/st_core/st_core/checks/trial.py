@@ -51,7 +51,7 @@ def try_corrections(findings: list[Finding], log: DriveLog, vehicle: VehiclePara
 
     The corrections of all errors are applied together, since one wrong unit may mask another. If none is missing or
     fails, and they are not harmful, the correction of each warning is then tried separately. A warning with a harmful
-    correction becomes a note. Corrections that affect no prediction, and `leave_out`, are applied but not tested.
+    correction becomes a note. Corrections of errors that affect no prediction, and `leave_out`, are applied untested.
     """
     tried_findings = [finding for finding in findings if _is_tried(finding)]
     if not tried_findings:

@@ -1,4 +1,4 @@
-"""Reduction of the held-out error by each effect and kind of cause, by channel; values of effects with intervals."""
+"""Reduction of the held-out error per channel by each effect and kind of cause; values of effects with intervals."""
 
 import math
 from collections.abc import Mapping, Sequence

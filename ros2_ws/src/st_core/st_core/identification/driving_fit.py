@@ -52,7 +52,7 @@ class FitQuantity:
     effect: str
     unit: str
     value: Callable[[VehicleParameters, Values], float]  # from the vehicle and values by "effect.parameter"
-    relative: bool = False  # whether the relative uncertainty decides on its status
+    relative: bool = False  # whether the relative uncertainty determines its status
     max_uncertainty: float = 0.0  # otherwise, largest standard uncertainty of an identified value [unit]
 
 

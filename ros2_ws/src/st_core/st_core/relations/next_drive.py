@@ -117,7 +117,7 @@ def _make_loss(fits: RelationFits, windows: Windows, fit: RelationFit) -> Loss:
 
 def _compute_joint_curvature(loss: Loss, residuals: np.ndarray, sensitivities: np.ndarray,
                              other_sensitivities: np.ndarray, fit: RelationFit) -> np.ndarray:
-    """Curvature of the loss in the other parameters, the coefficients of an alternative and the relation's scale."""
+    """Curvature of the loss in the effect parameters, the coefficients of an alternative and the relation's scale."""
     scale_sensitivity = np.einsum("p,pnm->nm", fit.coefficients, sensitivities[-SPLINES:])
     all_sensitivities = np.concatenate([sensitivities[:-SPLINES], other_sensitivities, scale_sensitivity[None]])
     return loss.quadratic(residuals, all_sensitivities).hessian.sum(axis=0)
@@ -125,9 +125,9 @@ def _compute_joint_curvature(loss: Loss, residuals: np.ndarray, sensitivities: n
 
 def _compute_separation(h: np.ndarray, fit: RelationFit, other: RelationFit, design_effect: float) -> float:
     """Separation of a relation from an alternative, in standard deviations. h: result of `_compute_joint_curvature`."""
-    other_count = len(fit.indices) - SPLINES
+    effect_count = len(fit.indices) - SPLINES
     penalty = np.zeros((len(h) - 1, len(h) - 1))
-    penalty[other_count:, other_count:] = other.penalty[-SPLINES:, -SPLINES:]
+    penalty[effect_count:, effect_count:] = other.penalty[-SPLINES:, -SPLINES:]
     unexplained = float(h[-1, -1] - h[-1, :-1] @ np.linalg.solve(add_ridge(h[:-1, :-1] + penalty), h[:-1, -1]))
     return float(np.sqrt(max(2.0 * unexplained / design_effect, 0.0)))
 

@@ -32,7 +32,7 @@ class PredictionBands:
 
     def __init__(self, values: SimpleNamespace, vehicle: VehicleParameters, file_hashes: Mapping[str, str],
                  settings: PredictionSettings, scorer: Evaluator | None):
-        self._reason, self._calibration_note = "", ""  # why bands are missing; origin of the bands file
+        self._reason, self._calibration_note = "", ""  # why bands are missing; runs of the calibration
         self._calibrated: CalibratedBands | None = None
         self._adaptive: AdaptiveBands | None = None
         file = params.read_file(values, "bands_file", Bands.from_yaml)

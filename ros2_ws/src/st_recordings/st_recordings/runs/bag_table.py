@@ -69,7 +69,7 @@ def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: S
 
 def _read_topics(storage: Storage, ins_topics: str | None) -> list[tuple[str, np.ndarray, dict[str, np.ndarray]]]:
     """(topic, stamps [ns], columns) of the topics with channels. Raises RunError for a named topic without them."""
-    # If an INS is named, there may be odometry of another source.
+    # Odometry in a bag with named INS topics is from another source, and is left out.
     topics, ins_channels = [topic for topic in storage.topics if topic.type_name != ODOMETRY], set[str]()
     for name in ins_topics.split(",") if ins_topics else ():
         channels = {channel for topic in topics if topic.is_in(name) for channel in _find_fields(storage, topic)[1]}
