@@ -108,10 +108,10 @@ def lowest_stable_speed(model: str | Model, vehicle: VehicleParameters, step: fl
         return growth_factor(model, vehicle, speed, step) - 1.0
 
     speeds = np.geomspace(SEARCH_START_SPEED, 0.05, 200)
-    unstable = next((k for k, v in enumerate(speeds) if compute_excess(v) > 0.0), None)
-    if not unstable:
-        return 0.0 if unstable is None else np.inf
-    return float(brentq(compute_excess, speeds[unstable], speeds[unstable - 1], xtol=1e-6))
+    index = next((k for k, v in enumerate(speeds) if compute_excess(v) > 0.0), None)
+    if not index:
+        return 0.0 if index is None else np.inf
+    return float(brentq(compute_excess, speeds[index], speeds[index - 1], xtol=1e-6))
 
 
 def are_stable(models: Sequence[str | Model], vehicle: VehicleParameters, speeds: Iterable[float], step: float) -> bool:
@@ -127,7 +127,7 @@ def required_substeps(model: str | Model, vehicle: VehicleParameters, speeds: It
 
 
 def required_slip_speed(models: Sequence[str | Model], vehicle: VehicleParameters, speeds: Iterable[float],
-                      step: float) -> float | None:
+                        step: float) -> float | None:
     """Smallest minimum_slip_speed [m/s] for stability at all speeds [m/s]: a multiple of 0.1, not below the vehicle's.
 
     It exceeds `lowest_stable_speed`: below minimum_slip_speed the damping is constant, but the coupling v r of the two

@@ -173,8 +173,8 @@ def ins_to_cg(sample: InsSample, cg_to_ins_x: float, cg_to_ins_y: float = 0.0) -
 def cg_to_ins_position(x: Number, y: Number, yaw: Number, cg_to_ins_x: Number,
                        cg_to_ins_y: Number = 0.0) -> tuple[Number, Number]:
     """Position (x, y) of the INS point in the map frame [m], from the position of the CG [m] and yaw [rad]."""
-    forward, left = body_to_map(cg_to_ins_x, cg_to_ins_y, yaw)
-    return x + forward, y + left
+    east, north = body_to_map(cg_to_ins_x, cg_to_ins_y, yaw)
+    return x + east, y + north
 
 
 def ins_to_cg_acceleration(acceleration_x: Number, acceleration_y: Number, yaw_rate: Number, yaw_acceleration: Number,

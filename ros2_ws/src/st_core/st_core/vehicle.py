@@ -309,7 +309,7 @@ def _read_provenance(key: str, entry: Mapping[str, Any], factor: float) -> Prove
 
 def _check_scale(car: VehicleParameters) -> None:
     """Raises ConfigurationError for a value too large or too small for the size or mass, about 15-fold or more."""
-    for key, low, high, reference, name in (
+    for key, low, high, reference, basis in (
             ("mass", 3.0, 3000.0, car.wheelbase**3, f"a wheelbase of {car.wheelbase:g} m"),
             ("yaw_inertia", 0.003, 4.0, car.mass * car.wheelbase**2,
              f"{car.mass:g} kg and a wheelbase of {car.wheelbase:g} m"),
@@ -317,5 +317,5 @@ def _check_scale(car: VehicleParameters) -> None:
               for axle in ("front", "rear"))):
         unit = VEHICLE_QUANTITIES[key].si_unit
         if not low * reference <= (value := getattr(car, key)) <= high * reference:
-            raise ConfigurationError(f"{key}: {value:g} {unit} does not fit a car with {name} (limit "
+            raise ConfigurationError(f"{key}: {value:g} {unit} does not fit a car with {basis} (limit "
                                      f"{low * reference:.2g} to {high * reference:.2g} {unit}); check values and units")

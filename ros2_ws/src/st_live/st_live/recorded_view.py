@@ -46,7 +46,7 @@ RIBBON_STRENGTH = {0.9: 0.13, 0.5: 0.28}  # colour strength by level of the band
 # Half the line width in screen points, the same at every zoom.
 THIN_LINE, THICK_LINE, TRACK_LINE = (rr.Radius.ui_points(points) for points in (0.6, 1.8, 4.0))
 # Each model's path is narrower than the previous one and drawn above it, so all are visible where they coincide.
-MODEL_WIDTHS = tuple(rr.Radius.ui_points(points) for points in (3.2, 2.0, 1.0, 0.6))
+MODEL_RADII = tuple(rr.Radius.ui_points(points) for points in (3.2, 2.0, 1.0, 0.6))
 FRAME_PERIOD_NS = 100_000_000
 FLUSH_PERIOD = 5.0  # s between writes; few large chunks load quickly
 TEXT_PERIOD_NS = 1_000_000_000
@@ -191,7 +191,7 @@ class Scene:
             self._log_name(model)
             path = history.find_newest(model, now_ns)
             self._log_lines(f"{root}/paths/{model}", [to_screen(view, path.x, path.y)] if path else [],
-                            [rgb(get_model_colour(model))], MODEL_WIDTHS[min(number, len(MODEL_WIDTHS) - 1)],
+                            [rgb(get_model_colour(model))], MODEL_RADII[min(number, len(MODEL_RADII) - 1)],
                             order=3.0 + 0.1 * number)
             self._draw_ribbons(f"{root}/bands/{model}", view, path.ribbons if path else (), model, number)
             for age, ghost in history.find_ghosts(model, now_ns):
@@ -229,8 +229,8 @@ class Scene:
                 [corner], colors=[rgb(get_model_colour(model))], radii=rr.Radius.ui_points(5.0), labels=[model],
                 show_labels=True), static=True)
 
-    def _log_lines(self, entity: str, strips: Any, colours: list, width: Any, order: float) -> None:
-        self._stream.log(entity, rr.LineStrips2D(strips, colors=colours, radii=width, draw_order=order))
+    def _log_lines(self, entity: str, strips: Any, colours: list, radii: Any, order: float) -> None:
+        self._stream.log(entity, rr.LineStrips2D(strips, colors=colours, radii=radii, draw_order=order))
 
     def _set_time(self, time_ns: int) -> None:
         self._stream.set_time(TIMELINE, timestamp=np.datetime64(time_ns, "ns"))

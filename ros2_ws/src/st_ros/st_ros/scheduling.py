@@ -41,7 +41,7 @@ def describe_scheduling(values: Mapping[str, Any]) -> str:
 
 def lower_priority(nice: int) -> None:
     """Raise the nice value of this process to at least `nice`, and set its autogroup to `nice` if it leads the session.
-    nice: 5 gives a third of the CPU time of a process at 0, 10 a tenth. `read_scheduling` shows if it succeeded."""
+    nice: 5 gives a third of the CPU time of a process at 0, 10 a tenth. `read_scheduling` shows the result."""
     with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, max(nice, os.getpriority(os.PRIO_PROCESS, 0)))
     if os.getsid(0) != os.getpid():

@@ -82,13 +82,13 @@ class Ins:
         x, y, vx, vy = truth.motion_at(*self._lever_arm)
         ax, ay = truth.acceleration_at(*self._lever_arm)
         cp, sp, cr, sr = math.cos(truth.pitch), math.sin(truth.pitch), math.cos(truth.roll), math.sin(truth.roll)
-        pitched_up = cp * GRAVITY - sp * ax
+        pitched_z = cp * GRAVITY - sp * ax
         reading = InsReading(
             stamp=truth.time + self._settings["ins_time_error"], x=x, y=y, z=truth.z, velocity_x=vx, velocity_y=vy,
             velocity_z=truth.velocity_z, yaw=truth.yaw, roll=truth.roll, pitch=truth.pitch,
             # Axes of the tilted body; the pitch angle is constant, the acceleration (ax, ay, 0) horizontal.
             rates=(truth.roll_rate + truth.yaw_rate * sp, truth.yaw_rate * sr * cp, truth.yaw_rate * cr * cp),
-            specific_force=(cp * ax + sp * GRAVITY, cr * ay + sr * pitched_up, cr * pitched_up - sr * ay))
+            specific_force=(cp * ax + sp * GRAVITY, cr * ay + sr * pitched_z, cr * pitched_z - sr * ay))
         self._add_errors(reading)
         if self._noise:
             for name in ("x", "y", "z", "velocity_x", "velocity_y", "velocity_z", "yaw", "roll", "pitch"):

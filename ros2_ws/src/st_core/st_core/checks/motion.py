@@ -25,7 +25,7 @@ MAX_TURN = 1.5  # rad; largest change of the course between adjacent windows tha
 MAX_MEDIAN_TURN, MIN_HALVED_LENGTH = 1.0, 0.2  # rad, s; longer windows with a larger median turn are halved
 MIN_RATIO = 1e-10  # smallest ratio of two varying channels; nanoseconds read as seconds cause a ratio of 1e-9
 SAME_RATIO_FACTOR = 1.2  # ratios that differ by less than this factor are taken as equal
-SPACING_SAMPLES = 50  # number of intervals in a mean interval: several bursts, a few seconds at most
+SPACING_SAMPLES = 50  # number of averaged intervals: several bursts, a few seconds at most
 EQUATORIAL_RADIUS = 6378137.0  # m, of WGS 84 and web Mercator
 SLOPE_ITERATIONS = 8  # number of iterations of the robust fit of a slope
 
@@ -52,7 +52,7 @@ class Motion:
 
     @classmethod
     def from_log(cls, log: DriveLog, start_ns: int, auxiliary: AuxiliaryData) -> "Motion":
-        """The motion as recorded. start_ns: zero of the times [ns]."""
+        """The motion as recorded, with positions relative to the first. start_ns: zero of the times [ns]."""
         series = {"wheel_speed": auxiliary.wheel_speed, "ins_speed": auxiliary.ins_speed}
         speeds = {name: ((signal.time_ns - start_ns) * NANOSECOND, signal.values)
                   for name, signal in series.items() if signal and len(signal.time_ns) > 1}
@@ -193,7 +193,7 @@ class Windows:
 
 
 def estimate_spacing(time: np.ndarray) -> float:
-    """Median of the mean of SPACING_SAMPLES intervals [s], which bursts do not change. time: at least two instants."""
+    """Median of the means of SPACING_SAMPLES intervals [s], robust to bursts. time: at least two instants."""
     count = min(SPACING_SAMPLES, len(time) - 1)
     return float(np.median(time[count:] - time[:-count])) / count
 
@@ -278,7 +278,7 @@ def _reject_constant(ratio: float) -> float:
 
 def _fit_slope(y: np.ndarray, x: np.ndarray) -> float:
     """Robust slope of turns y versus turns x [rad], with a small intercept that absorbs a bias of the yaw rate; NaN
-    with fewer than MIN_WINDOWS turns, if both are small, or if one is only bias or noise."""
+    with fewer than MIN_WINDOWS turns, if both are small, or if one is small and the other mainly a bias."""
     if len(y) < MIN_WINDOWS:
         return float("nan")
     (small_size, _), (large_size, larger) = sorted(

@@ -27,7 +27,7 @@ MAX_SLOPE = 0.1  # largest slope of ordinary roads; an altitude changes by at mo
 MIN_AXIS_FRACTION = 0.3  # minimum median motion along an axis, divided by the distance, for a check of this axis alone
 MAX_MAP_MISFIT = 0.1  # largest ratio of the misfit in map axes to the distance, and to the misfit in body axes
 UNIT_TOLERANCE = 1.06  # factor by which a ratio may differ from the factor of its unit
-COURSE_TOLERANCE = 1.2  # UNIT_TOLERANCE of a ratio to the course, which one short bend determines to 10 %
+COURSE_TOLERANCE = 1.2  # the same for a ratio to the course, which one short bend determines to 10 %
 MIN_YAW_OFFSET = 0.35  # rad; smaller angles are sideslip, or an offset that `position` estimates
 MAX_SCALE_ERROR = 0.005  # largest relative scale error of a gyroscope or projection without a fault
 MIN_RATE_ERROR = 0.005  # smallest reported relative error of the sampling rate; a crystal is accurate to 0.0001
@@ -188,7 +188,7 @@ def _scale_yaw(motion: Motion, ratio: float) -> tuple[Motion, Finding]:
     """Divide yaw by its scale, estimated near `ratio`, which is yaw / integrated yaw rate; the true yaw is the
     direction of travel minus the sideslip angle."""
     rescaled = _remove_wraps(replace(motion, yaw=motion.yaw / ratio))
-    windows = rescaled.make_windows(1.0, 0.5)  # as for the ratio, which is known, so there are some
+    windows = rescaled.make_windows(1.0, 0.5)  # not empty, since `ratio` is from such windows
     product = windows.change(rescaled.position) * np.conj(windows.integral(rescaled.velocity_map))
     yaw = windows.mean(rescaled.yaw)
     error, weight = np.angle(product * np.conj(product.sum())), np.sqrt(np.abs(product))  # rad, m
@@ -288,7 +288,7 @@ def _round_to_angle_unit(factor: float, tolerance: float = UNIT_TOLERANCE) -> fl
 
 
 def _remove_wraps(motion: Motion) -> Motion:
-    """The motion with the yaw rate in place of yaw steps that remain if a different unit was unwrapped as rad."""
+    """The motion with the yaw rate integrated in place of yaw steps left by unwrapping another unit as rad."""
     step = np.diff(motion.yaw)
     expected = np.diff(cumulative_trapezoid(motion.yaw_rate, motion.time, initial=0.0))
     error = np.abs(step - expected)
@@ -368,8 +368,8 @@ def correct_length_unit(motion: Motion) -> MotionAndFinding:
                  and (unit < 1.0) != np.isfinite(ratio)), None)
     if unit is None or not all(is_near(each, 1.0 / unit, LIMITS.channel_unit_ratio) for each in scales.tolist()):
         return motion, None
-    text = (f"accelerations are {scale:.4g} times the derivative of velocity: is {LENGTH_UNITS[unit]} the unit of "
-            "length of positions and velocities?")
+    text = (f"accelerations are {scale:.4g} times the derivative of velocity: do positions and "
+            f"velocities use {LENGTH_UNITS[unit]}?")
     advice = Advice.for_run_yaml({"correct": {name: {"scale": 1.0 / unit} for name in ("position", "velocity")}})
     corrected, finding = _correct(motion, "position_scale", LENGTH_CHANNELS, text, unit, advice)
     return (corrected, finding) if is_driven(corrected) else (motion, None)  # else the accelerations have another unit

@@ -2,7 +2,7 @@
 
 The healthy car is fitted to the reference drives; the fit gives the initial vector and a prior of the search.
 
-The steering in a CAN log has its own clock, which is aligned to the INS in each run with an error of some milliseconds.
+The steering in a CAN log has its own clock, aligned to the INS in each run with an error of a few milliseconds.
 One delay for all runs cannot represent different errors; the fit would change yaw inertia or tyre relaxation instead.
 The clock of each run is therefore corrected first.
 """
@@ -40,7 +40,7 @@ class HealthyCar:
     vector: np.ndarray  # (p,) values of the whole library
     covariance: np.ndarray  # (p, p) of the vector [parameter scales]
     prior: np.ndarray  # (p, p) curvature of the prior about the vector
-    residual_scale: np.ndarray  # (c,) `Loss.scale_of` the errors of each column at the end of the horizon [SI]
+    residual_scale: np.ndarray  # (c,) error scale (`Loss.scale_of`) of each column at the end of the horizon [SI]
     position_error: float  # mean position error there, in the worst run [m]
     gain_between_runs: float  # largest gain per residual of an effect in one run, with a prior from the other runs [1]
 
@@ -52,7 +52,7 @@ def fit_healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space:
     The covariance V of the vector combines S, from the drives, with their design effects, and F, of the weak prior and
     the vehicle file: V^-1 = S^-1 + F^-1. The prior P, times the design effect of a new drive (`Problem`), is the
     predictive distribution for that drive: 2 P = (2 S)^-1 + F^-1. S is doubled because both reference and new drive are
-    uncertain; F is not, because it is common to all drives of the car. Raises StCoreError if no window fits."""
+    uncertain; F is not, because it is common to all drives of the car. Raises StCoreError if there is no window."""
     windows = Windows(runs, vehicle, settings)
     if not len(windows):
         raise StCoreError(f"no prediction of {settings.horizon:g} s fits into the reference drives: drive longer, "

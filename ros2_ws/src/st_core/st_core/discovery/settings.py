@@ -13,9 +13,9 @@ from ..errors import ConfigurationError
 class Limits:
     """Thresholds of the decisions of a discovery, all above 0. Raises ConfigurationError naming one that is not."""
 
-    # Significance level for an effect, corrected for the whole library, for its variation between subsets of the data,
-    # for the rejection of the null by redundant sensors, for the path improvement by a relation and, at its default
-    # value, for combinations that differ from the vehicle file (`unseparated_combinations`) [1].
+    # Significance level of an effect (corrected for the whole library), of its variation between subsets of the data,
+    # of the rejection of the null by redundant sensors, of the path improvement by a relation and, at its default
+    # value, of combinations that differ from the vehicle file (`unseparated_combinations`) [1].
     false_alarm: float = 0.01
     # p-value above which a difference is undecided (between two effects, from the null, or from redundant sensors), and
     # above which a varying effect may be absent in new data; also the error probability of one-sided confidence bounds,
@@ -36,13 +36,13 @@ class Limits:
     min_rival_gain: float = 0.5
     # Largest accepted deviation of a value from the vehicle file, in standard deviations [1].
     max_file_deviation: float = 3.0
-    # Fraction of the peak force of an axle that the drives must reach for an effect on it to be reported [1].
+    # Fraction of the peak force of an axle that the drives must reach for an effect on the peak to be reported [1].
     min_peak_force: float = 0.98
     # Distance to a bound, in parameter scales, below which a value counts as being at the bound [1].
     at_bound: float = 0.05
     # With a residual above `max_noise_ratio`, the fraction by which an effect must reduce it to be reported as a cause,
     # and by which it must explain more than a rival to exclude that as an alternative, because smaller differences may
-    # be due to unmodelled effects. Intervals include the values of effect sets with a loss higher by less [1].
+    # be due to unmodelled effects. Intervals include the values of effect sets that increase the loss by less [1].
     unexplained_share: float = 0.2
     max_noise_ratio: float = 2.0  # ratio of residual to noise above which the residual is reported as unexplained [1]
     detection_power: float = 0.8  # minimum power at which a size counts as detectable [1]

@@ -255,7 +255,7 @@ def make_adaptive_rows(content: Mapping[str, Any]) -> list[dict[str, str]]:
 
 
 def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool) -> None:
-    """Print the tables for all runs pooled. sums: by run. tested, adaptive: whether (adaptive) bands were scored."""
+    """Print the tables for all runs pooled. sums: by run. tested, adaptive: which bands were scored."""
     pooled = pool_sums(sums)
     if tested:
         content = summarise_bands(pooled)

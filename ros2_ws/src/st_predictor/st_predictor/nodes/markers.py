@@ -1,6 +1,6 @@
-"""Node markers: publishes track, car, paths, bands and errors as markers for RViz and Foxglove, and errors to plot.
+"""Node markers: publishes track, car, earlier paths, bands and errors for RViz and Foxglove, and errors to plot.
 
-It subscribes with best-effort reliability and short queues, so that no publisher waits for this node.
+It subscribes with best-effort reliability, so that no publisher waits for this node.
 """
 
 import numpy as np

@@ -108,7 +108,7 @@ DOUBTFUL_RANK = 500  # of theta and phi, which may be pitch and roll; read as ya
 _OTHER_QUANTITY = re.compile(
     r"(?i)(^|[^a-z])(ref|target|desired|set|cmd|command|request|control|goal|limit|plan|pred|std|(?<!with.)cov|var|err|"
     r"max|min|engine|motor|wind|trailer|lead|object|obstacle|radar|fan|traffic|other)")
-"""Words in a path which show that the value is not a measured quantity of this car."""
+"""Words which show that a name with a path or a source is not a measured quantity of this car."""
 _SOURCE = (r"(?:gps|gnss|ins|imu|ego|car|veh|vehicle|odom|odometry|can|chassis|pose|state|est|estimated|meas|measured|"
            r"act|actual|raw|filt|filtered|sensor|iso_vs|iso|cg|cog)")  # where a value comes from, not what it is
 _PATH = re.compile(rf"(?i)^{_SOURCE}[ _-]+|[/.]+|::")

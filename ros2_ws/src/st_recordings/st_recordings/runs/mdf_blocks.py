@@ -20,7 +20,7 @@ _VARIABLE_LENGTH_GROUP, _BUS_EVENT, _REMOTE_MASTER = 1, 2, 8  # flags of a chann
 VARIABLE_LENGTH, _MASTER, VIRTUAL = 1, 2, (3, 6)  # channel types; a master channel contains the time
 _INTEGER_TYPES, _REAL_TYPES = range(4), range(6)  # data types: integers; integers and floating-point numbers
 _TEXT_AND_BYTE_TYPES = range(6, 13)  # data types of variable length
-_USES_INVALIDATION_BIT = 3  # channel flags: all values are invalid, or an invalidation bit of the record decides
+_INVALIDATION_FLAGS = 3  # channel flags: all values are invalid, or an invalidation bit of the record decides
 _LINEAR_CONVERSIONS = (0, 1)  # conversion types: none; offset and factor
 
 
@@ -40,7 +40,7 @@ class _Block(NamedTuple):
 
 @dataclass
 class RecordLayout:
-    """Layout of the records in an unsorted data group."""
+    """Layout of the records in a data group."""
 
     start: int  # offset of the first record
     size: int  # of all records [bytes]
@@ -185,7 +185,7 @@ class _BlockChecker:
             raise DamageError(f"the {name} ends at byte {end} of a record of {size} bytes")
         if bit > 7 or (data_type in _INTEGER_TYPES and not 0 < bits <= 64):
             raise DamageError(f"the {name} has an invalid start bit {bit} or length of {bits} bits")
-        if flags & _USES_INVALIDATION_BIT and 0 < 8 * invalidation_size <= invalidation_bit:
+        if flags & _INVALIDATION_FLAGS and 0 < 8 * invalidation_size <= invalidation_bit:
             raise DamageError(f"the invalidation bit of the {name} is outside the record")
         if channel_type == VARIABLE_LENGTH:
             if bits not in (32, 64) or bit or data_type not in _TEXT_AND_BYTE_TYPES:

@@ -31,7 +31,7 @@ TOPICS = {"/ins/odometry": ODOMETRY, "/ins/ncom": NCOM, "/vehicle/steering": STE
           "/vehicle/wheel_speeds": WHEEL_SPEEDS, "/can/frames": CAN_FRAMES}
 BLOCK_NS = 20 * 10**9  # duration [ns] of the part of a run that is serialised at once, to limit memory use
 TIME_MARGIN_NS = 60 * 10**9
-"""A packet that is more than this [ns] before the first or after the last fix has a wrong time."""
+"""A packet time more than this [ns] before the first or after the last fix is considered wrong."""
 UNKNOWN_VARIANCE = 1e6
 """Variance [SI], as in oxts_bridge.convert: so large that filters ignore the value, but finite, so they do not fail."""
 MAP_FRAME, INS_FRAME = "map", "ins_link"
@@ -40,7 +40,7 @@ CAN_PERIOD_NS = 20_000_000  # time span of one can/frames message [ns]; 0.1 s in
 Message = tuple[int, str, bytes]
 """(log time [ns], topic, serialised message)."""
 Stream = tuple[np.ndarray, Callable[[slice], list[Message]]]
-"""(times [ns] of the entries of a stream, function that serialises some of the entries)."""
+"""(times [ns] of the entries of a stream, function that serialises a slice of them)."""
 
 
 @dataclass(frozen=True)
