@@ -278,7 +278,8 @@ def _read_section(prefix: str, section: Mapping[str, Any], quantities: Mapping[s
         if unit not in quantity.units:
             raise ConfigurationError(f"{key}: unit {unit!r} is not {units}; convert the value and write unit: {units}")
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ConfigurationError(f"{key}: {value!r} is not a number (write 1.0e+3, not 1e3)")
+            raise ConfigurationError(f"{key}: {value!r} is not a number (write 1.0e+3, not 1e3); limit "
+                                     f"{quantity.limits}")
         if not isinstance(source, str) or not source.strip():
             raise ConfigurationError(f"{key}: source {source!r} is not a string; state where the value comes from")
         values[name], sources[key] = float(value) * quantity.units[unit], source

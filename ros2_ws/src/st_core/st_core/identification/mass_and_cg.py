@@ -121,7 +121,8 @@ def _check_scales(readings: np.ndarray, rejected_count: int, l_f: float, vehicle
     cross_weight = (mean[0] + mean[3]) / mean.sum()
     if abs(cross_weight - 0.5) > 0.02:
         yield (f"The front-left and rear-right wheels carry {100 * cross_weight:.1f} % of the weight: the "
-               "springs are preloaded unequally, or the floor under the scales is uneven; both values remain valid.")
+               "springs are preloaded unequally, or the floor under the scales is uneven; mass and CG position "
+               "remain valid.")
     if len(readings) == 1:
         yield ("With one weighing, the interval does not include the scatter between weighings. Roll the car off and "
                "on, and weigh it at least three times.")
