@@ -91,7 +91,7 @@ class AugmentedModel(Model):
         return self.select_effects(e for e in self.effects if e in self.active_effects or not e.costly)
 
     def select_effects(self, effects: Iterable[type[Effect]]) -> "AugmentedModel":
-        """The model restricted to the given ones of its effects."""
+        """The model restricted to some of its effects."""
         selected = tuple(effects)
         return self if len(selected) == len(self.effects) else _compose(self.base, selected, self.values)
 
@@ -106,8 +106,8 @@ class AugmentedModel(Model):
         return time, angle
 
     def effective_road_wheel_angle(self, angle: Any, vehicle: VehicleParameters) -> Any:
-        """Road wheel angle [rad] in the equations for a recorded angle (float or array): with the effects of ratio,
-        offset and map, but without those that need signals or act in `steering`."""
+        """Road wheel angle [rad] that the equations use for a recorded angle (float or array): with the effects of
+        ratio, offset and map, but without those that need signals or act in `steering`."""
         effects = compose(self.base, self.effects).effects
         hooks = [(index, e.inputs, ()) for index, e in enumerate(effects) if e.inputs and not e.signals]
         return change_inputs(hooks, angle, 0.0 * angle, (), self.parameters(vehicle).thetas)[0] if hooks else angle

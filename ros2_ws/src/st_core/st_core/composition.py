@@ -198,9 +198,9 @@ def _make_rhs(geometric_slips, changed_slips, forces, base_rates, acceleration, 
         geometric = geometric_slips(instant)
         slip_front, slip_rear = changed_slips(geometric[0], geometric[1], state, instant)
         axle = forces(slip_front, slip_rear, instant)
-        x, y, velocity_x, velocity_y, yaw, yaw_rate = base_rates(axle[0], axle[1], instant)
+        dx, dy, dv_x, dv_y, dyaw, dyaw_rate = base_rates(axle[0], axle[1], instant)
         a_x, a_y, a_yaw = acceleration(instant)
-        return x, y, velocity_x + a_x, velocity_y + a_y, yaw, yaw_rate + a_yaw, *rates(state, geometric, axle, instant)
+        return dx, dy, dv_x + a_x, dv_y + a_y, dyaw, dyaw_rate + a_yaw, *rates(state, geometric, axle, instant)
     return rhs
 
 

@@ -195,7 +195,7 @@ DECAY_TIME = 0.7  # s, time constant of the decaying acceleration: pedals change
 FORGETTING_TIME = 10.0  # s, time constant of the mean squared errors E: two horizons
 INITIAL_CURVATURE_ERRORS, INITIAL_SPEED_ERRORS = (1.0, 0.2), (1.0, 1.0, 0.5, 0.3)
 """Initial E [m^2], in the order of the forecasts of `CourseTracker`, from leave-one-out errors of real laps."""
-SQUARED_ERROR_LIMITS = (0.01, 9.0)  # m^2: the accuracy of the INS, and the largest influence of one error
+SQUARED_ERROR_LIMITS = (0.01, 9.0)  # m^2: the accuracy of the INS, and a limit on the influence of one error
 MAX_JUMP = 2.0  # m; the tracker restarts if displacement and distance driven differ by more than this + 10 %
 MIN_COVERAGE, MAX_COVERAGE = 1.2, 2.0  # minimum length of a pass ahead of the car and maximum length used [horizons]
 

@@ -106,8 +106,8 @@ def test_incomplete_effect_is_rejected(attributes, message):
 @pytest.mark.parametrize(("change", "message"), [
     ({"null": 3.0}, "null is outside the bounds"), ({"initial": -1.0}, "initial is outside the bounds"),
     ({"theory": 3.0}, "theory is outside the bounds"), ({"initial": 0.0}, "initial equals null"),
-    ({"bounds": (1.0, 0.0)}, "not two increasing numbers"),
-    ({"bounds": (0.0, np.inf)}, "not two increasing numbers"), ({"source": " "}, "source is empty"),
+    ({"bounds": (1.0, 0.0)}, "not finite and increasing"),
+    ({"bounds": (0.0, np.inf)}, "not finite and increasing"), ({"source": " "}, "source is empty"),
     ({"unit": ""}, "unit is empty"),
 ])
 def test_contradictory_parameter_is_rejected(change, message):

@@ -84,7 +84,7 @@ class PageServer(ThreadingHTTPServer):
             self.condition.notify_all()
 
     def wait_for_frame(self, after: int) -> tuple[bytes, int]:
-        """(frame, its number) newer than `after`; (comment, `after`) if KEEP_ALIVE_PERIOD passes without one."""
+        """(frame newer than `after`, its number), any frame if stopped; (comment, `after`) after KEEP_ALIVE_PERIOD."""
         with self.condition:
             if self.condition.wait_for(lambda: self._frame_number > after or self.is_stopped, KEEP_ALIVE_PERIOD):
                 return self._frame, self._frame_number

@@ -12,7 +12,7 @@ Each cause of a residual contributes a term that is linear in the size of the ca
     yaw drift w           yaw = yaw_true + w (t - start)         as a yaw offset of w (t - start)
     position lag T        p(t) = p_true(t - T)                   -T (V2 - V1),  V = R(yaw) v
     velocity lag T        v(t) = v_true(t - T), body axes        +T integral of R(yaw) dv/dt dt, both axes or only x
-    reference a, side b   p refers to a [m] ahead, b to the left (R(yaw2) - R(yaw1)) (a, b)
+    reference a, side b   p at a point a [m] ahead, b left     (R(yaw2) - R(yaw1)) (a, b)
     velocity bias b       v = v_true + b, one body axis          -integral of R(yaw) b dt
 """
 
@@ -270,7 +270,7 @@ def _find_varying_cause(motion: Motion, explanation: _Explanation) -> tuple[_Exp
         names = (*columns, *dict.fromkeys((*AXIS_SCALES, *explanation.causes)))
         values, scale, _ = varying.fit(names)
         loss, constant_loss = varying.compute_loss(names, scale), corrected.compute_loss((*explanation.causes,), scale)
-        # Fraction of the degrees of freedom, two per block of windows, that the values leave.
+        # Fraction of the degrees of freedom, two per block of windows, that remains after fitting the values.
         remaining = 1.0 - len(columns) * BLOCK_LENGTH / (2.0 * np.ptp(middle))
         fits.append((loss / max(remaining * constant_loss, 1e-300), np.array([values[label] for label in columns])))
     best = min(range(len(fits)), key=lambda k: fits[k][0])
@@ -279,7 +279,7 @@ def _find_varying_cause(motion: Motion, explanation: _Explanation) -> tuple[_Exp
     if not motion.velocity_y.any() or not 0.0 < ratio * MIN_VARIATION_RATIO <= 1.0 or np.std(value) < smallest:
         return explanation, []
     size = float(np.ptp(value))
-    value -= theta[0] if quantity == "heading" else value.mean() if cause == "yaw_offset" else 0.0  # mean: an offset
+    value -= theta[0] if quantity == "heading" else value.mean() if cause == "yaw_offset" else 0.0  # without offset
     effect = float(np.std(value)) * problem.compute_effect(cause, HORIZON_WINDOWS)
     finding = Finding(name, LIMITS.severity(effect), CAUSES[cause].channels, statement.format(
         size=size, degrees=np.rad2deg(size)), size if name not in CAUSES else None, CAUSES[cause].unit, effect=effect,
@@ -342,7 +342,7 @@ def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> 
 
     At constant speed v, a lag T of yaw, a lag -T of the positions, and a reference point v T ahead have the same
     effect. The yaw for which the fitted position lag is smaller is correct, whatever the reference point. If the drive
-    does not determine this lag, the reference point is assumed to be that of the velocities.
+    does not determine this lag, the reference point is assumed to be that of the velocities. False if too short.
     """
     problems = make_residual_regression(motion), make_residual_regression(corrected)
     if len(problems[0].time) < MIN_WINDOWS:
@@ -439,10 +439,10 @@ def _add_lag_alternative(findings: list[Finding], problem: Regression, causes: d
 
 def _find_equivalent(problem: Regression, causes: dict[str, Estimate], found: Names, candidates: Sequence[Names],
                      alongside: Names) -> tuple[Names, dict[str, float]]:
-    """(causes among the candidates that explain the effects of those found as well, their values); ((), {}) if there
-    are none. problem: for the corrected motion. alongside: causes that are also fitted."""
+    """(candidates that explain the effects of the causes found equally well, their values); ((), {}) if there are
+    none. problem: for the corrected motion. alongside: causes that are also fitted."""
     sizes = {name: causes[name].value for name in found}
-    if "velocity_y_scale" in sizes:  # the column has the corrected velocity_y
+    if "velocity_y_scale" in sizes:  # its column is that of the corrected velocity_y
         sizes = {name: value / (1.0 + value) for name, value in sizes.items()}
     recorded = Regression(problem.time, 2.0 * problem.y - problem.compute_residual(sizes), problem.columns)
     _, scale, _ = recorded.fit((*alongside, *found))
@@ -562,7 +562,7 @@ def _correct_causes(motion: Motion, causes: Mapping[str, Any]) -> Motion:
 
 
 def make_distance_panel(motion: Motion, factors: Mapping[str, float]) -> Comparison:
-    """Distance per second in the recorded units, for a figure. factors: already divided out, by name of the finding."""
+    """Distance per second in the recorded units, for a figure. factors: scale errors already corrected, by finding."""
     windows = motion.make_windows(WINDOW)
     measured, derived = np.abs(windows.change(motion.position)), np.abs(windows.integral(motion.velocity_map))
     return Comparison("position", "distance per second: positions versus velocity", "m", "from x, y",

@@ -51,7 +51,7 @@ class Parameter:
     identity: str = ""  # name of the estimate of `st_core.checks.check` that measures it, with its sign and unit
     theory: float | None = None  # its physical value, if it is the same for every car
     quantity: str = ""  # key of the vehicle file that it is added to, if no hook `vehicle` or `fold` does so
-    family_ends: tuple[float, ...] = ()  # bounds that only end the family of curves it selects from (1 - E of a tyre)
+    family_ends: tuple[float, ...] = ()  # bounds that are only the ends of a family of curves (1 - E of a tyre)
     # Standard deviation of values fitted to one car by models with different equations (cars of `bench/strangers`).
     model_error: float = 0.0
     # Prior standard deviation about null of an addition to the measured car, such as a load, in place of the
@@ -61,7 +61,7 @@ class Parameter:
     def __post_init__(self):
         low, high = self.bounds
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
-            raise ConfigurationError(f"parameter {self.name}: bounds {self.bounds} are not two increasing numbers")
+            raise ConfigurationError(f"parameter {self.name}: bounds {self.bounds} are not finite and increasing")
         for key in ("null", "initial", "theory"):
             value = getattr(self, key)
             if value is not None and not low <= value <= high:
@@ -126,7 +126,7 @@ class Effect:
             geometric slip angles [rad] and axle forces [N], (front, rear) each
         specific_force(instant, prepared, theta) -> (a_x, a_y) [m/s^2] that an accelerometer at the CG reads in
             addition to the acceleration of the car
-        observe(measured, theta) -> the readings that result from the true ones; correct(measured, theta): the inverse,
+        observe(measured, theta) -> the readings that result from true values; correct(measured, theta): the inverse,
             default `observe` with -value for parameters whose null is 0, and 1 / value for the others
     """
 
@@ -180,8 +180,8 @@ def register(effect: type[Effect], registry: dict[str, type[Effect]] = EFFECTS) 
         raise ConfigurationError(f"{effect.__qualname__}: must be a subclass of Effect with a name of a-z, 0-9 and _; "
                                  "the default name is that of its file")
     effect.name = name
-    if effect.__dict__.get("kind") == "surroundings":
-        effect.kind = "environment"  # in files of earlier versions
+    if effect.__dict__.get("kind") == "surroundings":  # its name in earlier versions
+        effect.kind = "environment"
     if "parameter" in effect.__dict__:
         effect.parameters = (effect.parameter,)
     if existing := EFFECTS.get(name) or UNLISTED_EFFECTS.get(name):

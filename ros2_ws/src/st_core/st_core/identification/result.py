@@ -113,7 +113,7 @@ def describe_contradiction(estimate: ParameterEstimate, value: float, standard_u
     difference = estimate.value - value
     if not math.isfinite(uncertainty) or abs(difference) <= Z95 * uncertainty:
         return ""
-    ratio = f"is {abs(difference) / uncertainty:.1f} times the" if uncertainty > 0.0 else "has no"
+    ratio = f"is {abs(difference) / uncertainty:.1f} times the" if uncertainty > 0.0 else "exceeds the zero"
     return (f"{estimate.parameter} {estimate.value:.5g} contradicts {value:.5g} {estimate.unit} of {origin}: the "
             f"difference {difference:+.3g} {ratio} combined uncertainty.")
 

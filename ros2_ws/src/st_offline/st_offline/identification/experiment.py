@@ -30,7 +30,7 @@ class IdentificationJob:
     folder: Path
     read_settings: ReadSettings
     force: bool  # whether to use drives in which the checks find errors
-    model: Model  # base model of fits by prediction
+    model: Model  # base model of fits to drives
 
 
 @dataclass(frozen=True)
@@ -85,14 +85,14 @@ def read_tables(files: Sequence[Path], required: Mapping[str, Sequence[str]],
     units by name. Raises RunError naming the file and the column or row."""
     units = {**required, **(optional or {})}
     numbers: dict[str, list[float]] = {name: [] for name in units}
-    words: dict[str, list[str]] = {name: [] for name in texts}
+    text_columns: dict[str, list[str]] = {name: [] for name in texts}
     rows = []
     for file in files:
         check_readable(file)
         try:
             content = file.read_text(encoding="utf-8-sig")
         except UnicodeDecodeError:
-            raise RunError(file, "this is not a text in UTF-8", "save the table as CSV in UTF-8") from None
+            raise RunError(file, "this is not UTF-8 text", "save the table as CSV in UTF-8") from None
         lines = [line for line in content.splitlines() if line.strip() and line[0] != "#"]
         delimiter = ";" if lines and ";" in lines[0] else ","
         header, *body = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=delimiter)] or [[]]
@@ -107,10 +107,10 @@ def read_tables(files: Sequence[Path], required: Mapping[str, Sequence[str]],
                 values.append(_parse_number(file, titles[name], number, cells[name]) if cells.get(name) else math.nan)
                 if name in required and math.isnan(values[-1]):
                     raise RunError(file, f"row {number} has no {name}", "fill that cell, or remove the row")
-            for name, column in words.items():
+            for name, column in text_columns.items():
                 column.append(cells.get(name, ""))
             rows.append((file, number))
-    return MeasurementTable({name: np.array(values) for name, values in numbers.items()}, words, rows)
+    return MeasurementTable({name: np.array(values) for name, values in numbers.items()}, text_columns, rows)
 
 
 def _find_titles(file: Path, header: Sequence[str], units: Mapping[str, Sequence[str]], required: Collection[str],
