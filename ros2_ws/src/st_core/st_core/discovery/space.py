@@ -27,8 +27,8 @@ class Space:
     library: names of the effects to choose from, by default all that apply. Raises ConfigurationError if a requested
     effect does not apply, or if no effect remains.
 
-    hypotheses: names of the searched effects. without_signal: names of effects that need a further signal, which no
-    drive has. free: (effect name, parameter) of all parameters but the last, the gain. null: (p,) vector of the base
+    hypotheses: names of the searched effects. without_signal: names of effects that need a signal that no drive
+    has. free: (effect name, parameter) of all parameters but the last, the gain. null: (p,) vector of the base
     model. scale: (p,) typical deviations from the null > 0, which are the units of steps and distances. sign: (p,) sign
     of initial - null. low, high: (p,) bounds. payloads: names of the effects that add a load to the measured car.
     deviation: (p,) prior standard deviation of their parameters [parameter scales]; inf for all others."""
@@ -88,7 +88,7 @@ class Space:
 
 
 def typical_size(effect: str, unit: str) -> float:
-    """Scale of the parameters of an effect with this unit, such as two wind speeds: their largest |initial - null|."""
+    """Scale of an effect's parameters of one unit, such as two wind speeds: their largest |initial - null|."""
     return max(abs(p.initial - p.null) for p in get_effect(effect).parameters if p.fit and p.unit == unit)
 
 
