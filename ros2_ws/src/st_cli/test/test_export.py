@@ -105,7 +105,7 @@ def test_content_of_the_model_description(tmp_path, augmented):
     assert arguments == {"x": [8, 1], "u": [2, 1], "h": [1, 1], "p": [1, 1]}
     assert sorted(description["files"]) == sorted(f.name for f in out.iterdir() if f.suffix == ".casadi")
     readme = (out / "README.md").read_text()
-    assert "road wheel angle is positive to the left. velocity_x_dot is the derivative of velocity_x" in readme
+    assert "road-wheel angle is positive to the left. velocity_x_dot is the derivative of velocity_x" in readme
     assert "augmented_step.casadi" in readme and "Not in the equations: steering_delay" in readme
 
 
