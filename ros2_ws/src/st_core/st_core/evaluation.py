@@ -25,7 +25,7 @@ from a motion planner; course = from earlier drives at the same place."""
 class Score:
     """Error of one prediction, predicted minus measured, at the INS point, along and across the measured heading.
 
-    NaN after a position jump, where no position was measured, and, in hindsight, after an unknown input.
+    NaN where no position was measured, after a position jump, and, in hindsight, after an unknown input.
     *_mean: mean over all points of the horizon, the start included; NaN unless complete.
     """
 
@@ -59,8 +59,8 @@ _PendingPrediction = tuple[str, Mode, Trajectory]  # (model, mode, trajectory) t
 class Evaluator:
     """Scores every prediction once the measurements cover its horizon.
 
-    span [s]: minimum duration of the stored measurements. models: models from files, in addition to
-    MODELS. runners: compiled replacements of `predict`, by name of the model, for predictions with these settings
+    span [s]: minimum duration of the stored measurements. models: models from files, in addition to MODELS. runners:
+    compiled replacements of `predict`, by name of the model, for predictions with these settings
     (`prediction.compile_model`). Of more than MAXIMUM_PENDING pending predictions, the oldest become incomplete.
     """
 
@@ -167,8 +167,8 @@ class Evaluator:
             if given_mode == "forecast":
                 start = VehicleState(*original.states[0].tolist())
                 model_inputs = view.read_inputs(times) if view.is_augmented else inputs
-                is_compiled = (steps, step) == (self.settings.steps, self.settings.step)
-                runner = self._runners.get(model) if is_compiled else None
+                has_runner_settings = (steps, step) == (self.settings.steps, self.settings.step)
+                runner = self._runners.get(model) if has_runner_settings else None
                 hindsight_trajectory = (runner(start, model_inputs) if runner
                                         else predict(view.model, self.vehicle, start, model_inputs, steps * step, step))
                 variants.append(("hindsight", hindsight_trajectory, before_jump & is_scorable, jump or no_inputs))

@@ -38,9 +38,9 @@ def find_missing_reading(model: Model, missing: Sequence[str]) -> tuple[str, str
     velocity or yaw rate; None if no effect does."""
     if not isinstance(model, AugmentedModel):
         return None
-    known_missing = [name for name in missing if name in Measured._fields]
+    missing_readings = [name for name in missing if name in Measured._fields]
     for effect in model.active_effects:
-        for reading in known_missing if effect.correct else ():
+        for reading in missing_readings if effect.correct else ():
             example = Measured(1.0, 2.0, 0.1, 10.0, 0.2, 0.3, 0.4, 3.0)._replace(**{reading: np.nan})
             reduced = model.select_effects(e for e in model.effects if e.converts or e is effect)
             if np.isnan(reduced.correct(example)[:6]).any():
@@ -190,7 +190,7 @@ class ModelView:
         return state, InputSequence(angle, np.full(len(grid), now.velocity_x_dot))
 
     def read_inputs(self, times_ns: np.ndarray) -> InputSequence:
-        """Measured inputs at increasing times [ns]; NaN where unknown."""
+        """Measured inputs, as corrected by the model, at increasing times [ns]; NaN where unknown."""
         acceleration = self._history.ins.sample(times_ns)[:, DERIVATIVE]
         if not self.has_steering_dynamics:
             return InputSequence(self._history.steering.sample(times_ns)[:, 0], acceleration)

@@ -30,7 +30,7 @@ from ..vehicle import VehicleParameters
 from .scale import CalibrationDomain, Scale, conditions_at, fit_scale, select_evenly
 
 MAX_STARTS_PER_RUN = 1000  # more predictions overlap more; each needs 1.2 kB per model and mode
-ModelMode = tuple[str, str]  # (model, mode); only errors of forecasts include those of the assumed future inputs
+ModelMode = tuple[str, str]  # (model, mode); forecast errors include those of the assumed future inputs
 
 
 class NotFiniteError(StCoreError):
@@ -73,20 +73,20 @@ def compute_error_samples(models: Sequence[Model], vehicle: VehicleParameters, s
     conditions = conditions_at(signals, starts)
     starts = starts[np.isfinite(conditions).all(axis=1) & _is_measured(models, signals, starts, settings)]
     starts = starts[select_evenly(len(starts), MAX_STARTS_PER_RUN)]
-    scored: list[np.ndarray] = []
+    start_blocks: list[np.ndarray] = []
     curves_by_pair: dict[ModelMode, list[np.ndarray]] = {}
     for rows, block in evaluate_blocks(models, vehicle, signals, starts, settings):
         complete = np.isfinite(block.conditions["speed"])  # finite only if the whole horizon was measured
-        scored.append(starts[rows][complete])
+        start_blocks.append(starts[rows][complete])
         for pair, errors in block.errors.items():
             curves = errors[complete]
             is_invalid = ~np.isfinite(curves).all(axis=(1, 2))
             if is_invalid.any():
-                first = (scored[-1][is_invalid][0] - log.start_ns) * NANOSECOND
+                first = (start_blocks[-1][is_invalid][0] - log.start_ns) * NANOSECOND
                 raise NotFiniteError(f"errors of {pair[0]} are not finite, first for the start at {first:.1f} s, "
                                      "though all inputs were measured: correct the model or use a shorter --step")
             curves_by_pair.setdefault(pair, []).append(to_predicted_frame(curves[:, 1:]).astype(np.float32))
-    scored_starts = np.concatenate([starts[:0], *scored])
+    scored_starts = np.concatenate([starts[:0], *start_blocks])
     if not len(scored_starts):
         raise StCoreError(f"no prediction has a completely measured horizon of {horizon:g} s; leave the run out")
     return ErrorSamples(log.name, conditions_at(signals, scored_starts),
@@ -141,8 +141,8 @@ def check_levels(levels: Sequence[float], runs: int) -> None:
     check_level_range(levels)
     for level in levels:
         if level > compute_highest_level(runs) + ROUNDING_TOLERANCE:
-            verb = "run supports" if runs == 1 else "runs support"
-            raise StCoreError(f"{runs} {verb} levels up to {100 * compute_highest_level(runs):.1f} %, n/(n + 1), "
+            clause = "run supports" if runs == 1 else "runs support"
+            raise StCoreError(f"{runs} {clause} levels up to {100 * compute_highest_level(runs):.1f} %, n/(n + 1), "
                               f"not {100 * level:.6g} %: give {count_required_runs(level)} runs, or a lower --level")
 
 

@@ -1,4 +1,4 @@
-"""Checks of the steps between successive samples: bursts, and jumps, stale samples, noise and jitter of positions."""
+"""Checks of time stamps for bursts and jitter, and of positions for jumps, stale samples, noise and deviations."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ MAX_PAUSE_RATIO = 3.0  # longest pause between bursts divided by the median one;
 
 
 def spread_bursts(log: DriveLog) -> tuple[DriveLog, list[Finding]]:
-    """(the drive with even stamps of a signal with samples that arrive in bursts, the findings)."""
+    """(the drive, with evenly spaced time stamps of each signal that arrives in bursts; the findings)."""
     findings = []
     for signal, name, values in (("INS", "ins_time_ns", log.x + 1j * log.y),
                                  ("steering", "steering_time_ns", log.road_wheel_angle)):
@@ -49,7 +49,7 @@ def spread_bursts(log: DriveLog) -> tuple[DriveLog, list[Finding]]:
         max_gap = max(MAX_PAUSE_RATIO * period, MAX_GAP)
         # An angle sent only on change never repeats, and mostly changes by one step of its resolution.
         is_sent_on_change = signal == "steering" and np.median(steps) < MAX_STEP_RATIO * steps.min()
-        if count < MIN_BURST_LENGTH or is_sent_on_change or (  # or the car moves on in the pauses, which are gaps
+        if count < MIN_BURST_LENGTH or is_sent_on_change or (  # or the car moves far in the pauses: they are gaps
                 MAX_BURST_INTERVAL * steps[is_pause & (spacing <= max_gap)].mean() > steps[~is_pause].mean()):
             continue
         # The last sample of a burst has the smallest delay.
@@ -177,7 +177,7 @@ def _check_jumps(motion: Motion, errors: np.ndarray, along: np.ndarray, is_stale
 
 def check_position_deviations(motion: Motion, findings: list[Finding]) -> list[Finding]:
     """Finding about times, except those of jumps, at which positions deviate from velocity and yaw within the horizon
-    by far more than in most of the drive. findings: so far. motion: corrected for them."""
+    by far more than in most of the drive. findings: those so far, for which `motion` is corrected."""
     windows, count = motion.make_windows(1.0), round(HORIZON)
     # The residual of a corrected varying cause is not a separate fault.
     if len(windows) < MIN_DEVIATION_WINDOWS or any(f.name in VARYING_FINDINGS and f.interval is None for f in findings):
@@ -213,7 +213,7 @@ def _check_jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
         return []
     uneven = (spacing - median)[inside]
     power, deviation = float(np.sum(uneven**2)), float(np.std(uneven))
-    # A few large steps are gaps, or a clock that was set.
+    # A few large steps are gaps or changes of the clock.
     few_large_steps = float(np.sort(uneven**2)[-MIN_STALE_SAMPLES:].sum()) > 0.5 * power
     if deviation < 0.05 * median or power <= 0.0 or few_large_steps:
         return []

@@ -192,7 +192,7 @@ def compute_window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehic
                   "steering_rate": np.sqrt(np.square(np.diff(angle, axis=1) / STEP).mean(axis=1)),
                   "forward_acceleration": acceleration.mean(axis=1)}
     finite = np.isfinite(np.stack([x, y, *squares.values(), *conditions.values()])).all(axis=0)
-    # `Windows.seconds` begins with the later of INS and steering.
+    # `Windows.seconds` begins at the later first sample of INS and steering.
     lead = np.array([max(float(log.steering_time_ns[0] - log.ins_time_ns[0]) * NANOSECOND, 0.0) if log.overlap else 0.0
                      for log in runs])
     time = windows.seconds + lead[windows.run]
@@ -346,8 +346,8 @@ def compute_log_residuals(samples: Samples, channel: str, noise: float) -> np.nd
 def find_segments(samples: Samples, channel: str, residual: np.ndarray, block: float, seed: int) -> list[Segment]:
     """Segments with larger errors than the rest of their run, by binary segmentation.
 
-    A change point is significant if the cumulative sum of `residual`, the `compute_log_residuals` of the channel, is
-    larger than with shuffled blocks. block: duration of a block [s].
+    A change point is significant if the cumulative sum of `residual` is larger than with shuffled blocks.
+    residual: `compute_log_residuals` of the channel. block: duration of a block [s].
     """
     rng = np.random.default_rng((seed, 17))
     segments = []
@@ -386,7 +386,7 @@ def _find_change_points(values: np.ndarray, first: int, last: int, block: int, r
 
 
 def _cusum(rows: np.ndarray) -> np.ndarray:
-    """|sum of the deviations from the mean before each element|, divided by standard deviation and sqrt(length)."""
+    """|sum of x - mean(x) over the elements before each one|, divided by the standard deviation and sqrt(length)."""
     centred = rows - rows.mean(axis=1, keepdims=True)
     sums = np.cumsum(centred, axis=1) - centred
     return np.abs(sums) / (rows.std(axis=1, keepdims=True) * math.sqrt(rows.shape[1]) + 1e-12)

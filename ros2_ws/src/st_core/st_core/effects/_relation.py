@@ -7,9 +7,9 @@ f is added to a term with a weight `to_`; for steering and body terms it may be 
 parity: -1 odd, +1 even, 0 neither. All weights, the range and the parity are constants, so that all relations of a kind
 share a compiled function.
 There are three kinds: `relation` is a function of current quantities, `relation_lagged` of a quantity q after a
-first-order lag, s, or of its rate s_dot,
+first-order lag, s, or of its rate s_dot, or of a current quantity with this rate as the factor,
 
-    s_dot = (q - s) / tau,   s = q at the start;   u = s, or u = (q - s) / tau
+    s_dot = (q - s) / tau,   s = q at the start;   u or factor = s_dot, or u = s
 
 and `relation_timed` of the time in the run, a signal that only recordings have.
 """
@@ -122,8 +122,8 @@ def _make_parameters(*constants: Parameter) -> tuple[Parameter, ...]:
 
 
 def fix_curve(kind: type[Effect], odd: bool = False, **values: float) -> tuple[Parameter, ...]:
-    """Parameters of an effect with a fixed curve, of which only `share` is fitted. kind: relation with the hooks of
-    the effect. odd: as for Parameter. values: values of parameters of `kind`, by name."""
+    """Parameters of an effect with a fixed curve, of which only `share` is fitted. kind: relation that provides the
+    hooks of the effect. odd: see `Parameter`. values: values of parameters of `kind`, by name."""
     share = Parameter("share", "1", null=0.0, initial=1.0, bounds=(-3.0, 3.0), meaning="fraction of the fitted curve",
                       source="st discover --propose", odd=odd)
     return share, *(_make_constant(p.name, p.meaning, values.get(p.name, p.null))

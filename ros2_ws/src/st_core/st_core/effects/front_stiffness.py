@@ -13,8 +13,8 @@ def make_stiffness_parameter(initial):
 
 
 def scale_axles(coefficient, *axles, entry=""):
-    """The hook `vehicle` that multiplies a coefficient of the tyres of axles, "front" or "rear", and an entry of the
-    vehicle file by the parameter `factor`."""
+    """The hook `vehicle` that multiplies by the parameter `factor`, for each of the axles "front" and "rear" given, a
+    coefficient of its tyres and, if `entry` is given, the vehicle parameter <entry>_<axle>."""
     def scale(vehicle, theta):
         changes = {f"{entry}_{axle}": getattr(vehicle, f"{entry}_{axle}") * theta.factor for axle in axles if entry}
         for name in (f"tyre_{axle}" for axle in axles):

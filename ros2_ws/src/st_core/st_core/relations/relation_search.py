@@ -40,7 +40,7 @@ class Relation:
     gain: float  # reduction of the held-out loss per residual [1]
     p_value: float  # of the hypothesis of no gain, corrected for multiple testing [1]
     position_5s: tuple[float, float]  # held-out position error at the end of the horizon (without, with it) [m]
-    runs: Mapping[str, tuple[float, float]]  # position_5s by run; without positions, there are none, and errors are 0
+    runs: Mapping[str, tuple[float, float]]  # position_5s by run; without positions, empty, and position_5s is (0, 0)
     model: AugmentedModel  # the model without the relation, at the values fitted with it
     alternatives: Mapping[str, float] = field(default_factory=dict)  # equally good relations: cosine similarity [1]
     formulas: Sequence[Formula] = ()  # closed forms that retain the curve's gain in simulation, best first

@@ -87,7 +87,7 @@ def add_definitions(store: Typestore, definitions: Mapping[str, tuple[str, str]]
     merged_store = get_typestore(Stores.EMPTY)
     try:
         merged_store.register({**store.fielddefs, **recorded_types})
-    except Exception:  # any, from rosbags: a definition contradicts itself
+    except Exception:  # any, from rosbags: the definitions contradict each other
         return store
     return merged_store
 
