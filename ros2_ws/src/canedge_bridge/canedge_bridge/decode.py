@@ -65,7 +65,7 @@ class Decoder:
 
     def __init__(self, dbc_file: str | Path, signals_file: str | Path, needed: Sequence[str] = (),
                  checks: Mapping[str, str] | None = None):
-        """checks: instead of the table's; `MESSAGE`, `MESSAGE.counter` or `MESSAGE.checksum` -> off, warn or drop."""
+        """checks: overrides of the table, `MESSAGE`, `MESSAGE.counter` or `MESSAGE.checksum` -> off, warn or drop."""
         self.table = _override_checks(load_table(dbc_file, signals_file, needed), checks or {})
         self.skipped: Counter[str] = Counter()
         self._states = {spec.key: _MessageState(spec) for spec in self.table.messages.values()}

@@ -28,7 +28,7 @@ from .transport import check_channel, make_id_filters, open_bus
 
 FRAMES_PERIOD = 0.1  # s; raw frames are not time-critical
 
-_LITTLE_ENDIAN = b"\0\1\0\0"  # header of a CDR message
+_CDR_HEADER = b"\0\1\0\0"  # little-endian
 _FRAME = struct.Struct("<iII4?I")  # stamp (8 bytes), identifier, flags, data length
 _STAMP_SIZE = 8
 # Signal -> field of st_msgs/WheelSpeeds or st_msgs/InsOnCan.
@@ -183,7 +183,7 @@ def serialise_frames(frames: list[bytes], bus: str) -> bytes:
     """st_msgs/CanFrames as CDR, with the first frame's stamp. frames: one or more from `serialise_frame`, in order."""
     name = bus.encode() + b"\0"
     head = frames[0][:_STAMP_SIZE] + struct.pack("<I", len(name)) + name + bytes(-len(name) % 4)
-    return b"".join((_LITTLE_ENDIAN, head, struct.pack("<I", len(frames)), *frames))
+    return b"".join((_CDR_HEADER, head, struct.pack("<I", len(frames)), *frames))
 
 
 def _header(time_ns: int) -> Header:

@@ -211,7 +211,7 @@ def compute_gps_seconds(columns: Columns) -> np.ndarray:
 def _add_speed_and_slip(out: dict, motion: Motion, yaw_rate: np.ndarray, velocity_accuracy: SettingHistory) -> None:
     """Add speeds, track, slip (track minus heading) and curvature. yaw_rate: clockwise, in level axes [rad/s].
 
-    Track, slip and curvature are NaN up to a speed of 2 sqrt(VnAcc^2 + VeAcc^2) [m/s], the velocity accuracies.
+    Track, slip and curvature are NaN up to twice the velocity accuracy sqrt(VnAcc^2 + VeAcc^2) [m/s].
     """
     east, north, up = motion.velocity
     speed = np.hypot(north, east)

@@ -22,7 +22,7 @@ DRIFT_PRIOR_PPM = 100.0  # standard deviation of the drift; two quartz clocks di
 PEAK_DISTANCE = 2.0  # s, minimum distance of the second peak of the correlation from the first
 BLOCK_DURATION = 5.0  # s; residuals further apart than this count as independent
 ITERATIONS = 12
-# The iteration ends with a step below MIN_STEP [s, s/s] or this fraction of the deviation for independent residuals.
+# The iteration ends with a step below MIN_STEP [s, s/s] or TOLERANCE standard errors for independent residuals.
 TOLERANCE, MIN_STEP = 0.003, (1e-6, 1e-9)
 MAX_OFFSET_STEP = 0.3  # s, largest change of the offset in one iteration
 
@@ -139,7 +139,7 @@ class Fit:
     drift: float  # s/s
     offset_deviation: float  # standard deviation [s]; inf if the signals have no motion in common
     drift_deviation: float  # standard deviation [s/s]; inf like offset_deviation
-    residual: tuple[float, ...]  # RMS residual of each signal, divided by the standard deviation of the signal
+    residual: tuple[float, ...]  # RMS residual of each signal, divided by the standard deviation of its reference
     correlation: tuple[float, ...]  # of each signal
 
 
@@ -182,8 +182,8 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
 
 
 _SignalFit = tuple[np.ndarray, np.ndarray, float, float]
-"""Fit of one signal: times (n,) of its samples, score (2, n), i.e. derivatives orthogonal to gain and bias, times
-weighted residual, and residual and correlation as in `Fit`."""
+"""Fit of one signal: time (n,) of its samples; score (2, n), the product of the weighted residual and its derivatives,
+orthogonal to gain and bias; residual and correlation as in `Fit`."""
 
 
 def _normal_equations(pairs: Sequence[Pair], parameters: np.ndarray, middle: float,
@@ -200,7 +200,7 @@ def _normal_equations(pairs: Sequence[Pair], parameters: np.ndarray, middle: flo
         if len(time) * STEP < 2.0:
             raise ValueError(f"{pair.name}: less than 2 s with usable values in both recordings")
         _, other_slope = pair.other.interpolate(time)
-        weight = np.ones(len(time))  # soft-L1 weights of the squares
+        weight = np.ones(len(time))  # of the squared residuals, for the soft-L1 loss
         for _ in range(2):
             gain, bias = _fit_weighted_line(other, reference, weight)
             residual = reference - gain * other - bias

@@ -26,7 +26,7 @@ from .vehicle import VehicleParameters
 
 POSITION_TOLERANCE = 0.3  # m, unexplained displacement allowed at any distance; RTK positions have 2 cm of noise
 DISTANCE_TOLERANCE = 0.1  # fraction of the distance driven, added for errors of velocity scale and heading
-MAX_ACCELERATION = 10.0  # m/s^2, limit of the tyres, which bounds the error of the trapezoidal rule over longer steps
+MAX_ACCELERATION = 10.0  # m/s^2, limit of the tyres, which bounds the error of the trapezoidal rule over long steps
 MAX_EXAMINED_GAP = 10.0  # s; the motion within longer gaps is unknown
 # Positions may be noisier than RTK positions: |d| of a jump must also exceed MAX_NOISE [m], or NOISE_FACTOR times the
 # median |d| of the previous NOISE_STEPS steps, of which there must be at least MIN_NOISE_STEPS.
@@ -206,7 +206,7 @@ class FrozenSteeringDetector:
             return
         self._filtered_angle += (angle - self._filtered_angle) * spacing / FROZEN_TIME_CONSTANT
         time_constant_ns = FROZEN_TIME_CONSTANT / NANOSECOND
-        # Before, low-pass and tyres still respond to the earlier steering; after, the sensor is silent, not frozen.
+        # Earlier, low-pass and tyres still respond to the previous angle; later, the sensor is silent, not frozen.
         if self._since_ns + 3.0 * time_constant_ns < sample.time_ns < self._newest_ns + time_constant_ns:
             self._low, self._high = min(self._low, self._filtered_angle), max(self._high, self._filtered_angle)
 

@@ -18,7 +18,7 @@ OUTLIER_RATIO = 3.0  # windows with a residual above this multiple of the median
 HUBER_ITERATIONS = 6
 DRAWS, SEED = 200, 0  # number of draws and random seed of the bootstrap
 BLOCK_LENGTH = 5.0  # s, as in the alignment of clocks; correlation between neighbouring blocks widens the interval
-MIN_DEGREES_OF_FREEDOM = 4.0  # minimum number for Student's t distribution
+MIN_DEGREES_OF_FREEDOM = 4.0  # lower limit for Student's t distribution
 RIDGE = 1e-6  # fraction of the normal matrix added to it, so that draws without excitation have a solution
 
 
@@ -133,7 +133,7 @@ class Regression:
                 for name, *row in zip(names, errors.tolist(), half_widths.tolist(), strict=True)}
 
     def compute_effect(self, name: str, count: int) -> float:
-        """RMS change of y in `count` <= n successive windows, per unit of a cause."""
+        """RMS change of y over `count` <= n successive windows, per unit of a cause."""
         column = self.columns[name]
         sums = np.cumsum(np.vstack([np.zeros((1, column.shape[1])), column]), axis=0)
         return float(np.sqrt(np.square(sums[count:] - sums[:-count]).sum(axis=1).mean()))

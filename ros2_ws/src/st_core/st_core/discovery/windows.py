@@ -117,7 +117,7 @@ class Windows:
     run_time: time of each sample of `joined_log`, counted like `seconds` [s]; also a signal for models.
     """
 
-    MIN_SUBSTEPS = 1  # integration steps per STEP
+    MIN_SUBSTEPS = 1  # substeps per STEP
 
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DiscoverySettings):
         self.vehicle, self.settings = vehicle, settings
@@ -244,7 +244,7 @@ def specific_force_excess(model: AugmentedModel, vehicle: VehicleParameters, sta
                           acceleration: np.ndarray) -> np.ndarray | float:
     """Lateral specific force minus lateral acceleration at the CG [m/s^2]. states: six arrays with the shape of the
     road wheel angle [rad] and the forward acceleration [m/s^2]."""
-    # Only effects that act on the accelerometer, change the inputs or change the base model.
+    # Keep only effects that act on the accelerometer, change the inputs or convert the base model.
     model = model.select_effects(e for e in model.effects
                                  if e.converts or (e in model.active_effects and (e.specific_force or e.inputs)))
     excess = compose(model.base, model.effects).specific_force

@@ -8,7 +8,7 @@ from ._base import ANY, TOTAL_DELAY, Effect, Parameter, register
 
 @register
 class SteeringDelay(Effect):
-    physics = "delta(t) = delta_measured(t - time): dead time, or time stamps of two clocks"
+    physics = "delta(t) = delta_measured(t - time): dead time, or an error of the time stamps"
     excited_by = "sweeps to 2.5 Hz and step steers; frequencies above 1 / (2 pi time) separate it from a lag"
     kind, slot = "physics", "steering"
     confounded_with = ("steering_lag", "tyre_relaxation", "yaw_inertia")

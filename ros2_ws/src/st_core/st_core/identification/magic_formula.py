@@ -168,7 +168,7 @@ def fit_tyre(data: FlatPlank, start: MagicFormula) -> TyreFit:
     names: tuple[str, ...] = (*NOMINAL_PARAMETERS, "p_ky1", SHIFT)
     if len(levels) > 1:
         free = ("p_dy2", "p_ey2", "p_ky2") + (("p_ky4",) if len(levels) > 2 else ())
-        two_stage_tyre = _fit_load_dependency(data, two_stage_tyre, free)
+        two_stage_tyre = _fit_load_dependence(data, two_stage_tyre, free)
         names = (*(name for name in FITTED_PARAMETERS if name in (*NOMINAL_PARAMETERS, "p_ky1", *free)), SHIFT)
     # Shape and curvature are confounded, and the stages may end in a local minimum.
     others = [two_stage_tyre._replace(p_cy1=shape, p_ey1=curvature, p_ey2=-1.0) for shape, curvature in STARTS]
@@ -234,7 +234,7 @@ def _fit_nominal_load(data: FlatPlank, base: MagicFormula) -> MagicFormula:
     return _with_values(base, names, _fit(data, starts, names).values.tolist())
 
 
-def _fit_load_dependency(data: FlatPlank, nominal_tyre: MagicFormula, names: Sequence[str]) -> MagicFormula:
+def _fit_load_dependence(data: FlatPlank, nominal_tyre: MagicFormula, names: Sequence[str]) -> MagicFormula:
     """The tyre after stage 2. K at the nominal load is fixed, which determines p_ky1 from p_ky2 and p_ky4."""
     stiffness = float(magic_formula_stiffness(nominal_tyre.nominal_load, nominal_tyre))
 

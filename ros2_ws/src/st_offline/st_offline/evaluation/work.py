@@ -181,7 +181,7 @@ def collect_model_hashes(task: Task, models: Sequence[Model]) -> dict[str, str]:
 
 
 def to_file_name(name: str) -> str:
-    """The name with characters other than ASCII letters, digits, dot, dash and underscore replaced by underscores."""
+    """The name with "_" for each group of characters other than ASCII letters, digits, dot, dash and underscore."""
     return re.sub(r"[^\w.-]+", "_", name, flags=re.ASCII).strip(".") or "run"
 
 
@@ -239,7 +239,7 @@ def _read_planned_columns(files: Mapping[str, str],
                            "write numbers with a decimal point, separated by commas") from None
         seconds, first, second = np.atleast_2d(rows).T
         if not np.isfinite(seconds).all() or (np.diff(seconds) <= 0.0).any():
-            raise ConfigurationError(f"{file}: planned columns need a t that increases in each row; correct or sort it")
+            raise ConfigurationError(f"{file}: in planned columns, t must increase in each row; correct or sort it")
         time_ns = np.round(seconds * 1e6).astype(np.int64) * 1000
         if kind == PLANNED_INPUTS:
             return time_ns, (first, second)

@@ -48,7 +48,7 @@ def make_recording_check(bag: BagWriter, stop_reason: str = "", has_resumed: boo
         return Check("recording", diagnostics.WARN, f"{stop_reason}; recording resumed in {bag.directory}", values)
     level, text = diagnostics.OK, f"{bag.message_count} messages"
     if bag.syncer and bag.syncer.error:
-        # The recording continues: most data may still reach the disk, and a new bag would be on the same one.
+        # The recording continues: most data may still reach the disk, and a new bag would be on the same disk.
         level, text = diagnostics.ERROR, (f"writing to the disk failed: {bag.syncer.error} ({bag.path}); recorded data "
                                           "may be missing: use another disk")
     elif bag.syncer and (delay := bag.syncer.delay) > MAX_SYNC_DELAY:
