@@ -243,7 +243,7 @@ def _set_vector(message: Any, vector: Vector) -> None:
 
 def _set_block(covariance: Any, first: int, rotate: Callable[[Vector], tuple[float, ...]],
                standard_deviations: Vector) -> None:
-    """Set a 3 x 3 block of a 6 x 6 covariance matrix, of which `first` is the index of the first element.
+    """Set a 3 x 3 block of a 6 x 6 covariance matrix; `first` is the index of the first element of the block.
 
     rotate: variances -> elements of the block, row by row. Unknown standard deviations: UNKNOWN_VARIANCE.
     """

@@ -138,7 +138,7 @@ class NcomParser:
     def _detect_event(self, channel: int, data: bytes, is_trigger: bool) -> int | None:
         """GPS time [ns] of an event that no earlier packet reported, else None.
 
-        Units repeat events in regular packets, so a first count in a regular packet belongs to an old event.
+        Units repeat events in regular packets, so the first count seen in a regular packet is of an old event.
         """
         gps_ns = channels.decode_event_time(channel, data)
         if gps_ns is None:

@@ -80,7 +80,7 @@ def recover(path: Path | str, output: Path | str | None = None) -> RecoveryRepor
             raise RecoveryError(f"{path} does not exist")
         return RecoveryReport([_recover_file(path, target)[0]])
     except OSError as error:
-        raise RecoveryError(f"{error.filename or target}: {error.strerror or error}; this file is unchanged") from error
+        raise RecoveryError(f"{error.filename or target}: {error.strerror or error}; nothing was deleted") from error
 
 
 def _recover_directory(source: Path, target: Path) -> RecoveryReport:
@@ -136,7 +136,7 @@ def _is_closed(stream: BinaryIO, contents: Contents, end_of_data: int) -> bool:
     tail = BytesIO(stream.read())
     try:
         data_end, *summary, footer = StreamReader(tail, skip_magic=True).records
-    except Exception:  # any, because the library does not check the bytes
+    except Exception:  # any type, because the library does not validate its input
         return False
     crc = zlib.crc32(tail.getvalue()[DATA_END_LENGTH : -len(MAGIC) - 4])
     return (isinstance(data_end, DataEnd) and isinstance(footer, Footer) and not tail.read()

@@ -33,7 +33,7 @@ SCHEMA = 3
 HEADER = "# Prediction bands by model and mode. Written by `st calibrate`.\n"
 UNITS = "floor: m, m, rad; coefficients: natural logarithm of m, m, rad; factors, ratios: 1; upper_limits: m/s^2, rad/s"
 CHECKED_SETTINGS = ("horizon", "step", "minimum_speed", "maximum_gap", "filter_cutoff", "acceleration", "inputs")
-"""Settings that affect the errors; the others only select starts."""
+"""Settings that affect the errors or limit the speed of the starts; the others (interval, stale_after) do neither."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ class Bands:
 
     @property
     def time(self) -> np.ndarray:
-        """Times (points,) of the half-widths [s ahead], without the start at 0."""
+        """Times (points,) of the half-widths [s], without the start at 0."""
         return make_times(self.settings["horizon"], self.settings["step"])
 
     def half_widths(self, model: str, mode: str, conditions: np.ndarray, level: float) -> np.ndarray:

@@ -33,7 +33,7 @@ LAG_TEST_SHIFT = 0.3  # s; a drive determines a lag if lags smaller and larger b
 BIAS_RESIDUAL_RATIO = 1.25  # ratio of the residuals with a scale and with a bias above which a bias is reported
 MIN_SCALE_CORRELATION = 0.98  # at a higher correlation, noise reduces a scale by less than 4 %
 MIN_RESIDUAL_FRACTION = 1e-4  # minimum of 1 - r^2; interpolation and filters leave a residual of 1 % of the signal
-GRID_ERROR = 0.1  # fraction of the variance by which the residual at a lag of the grid exceeds the minimum nearby
+GRID_ERROR = 0.1  # fraction of the variance by which the residual at a grid point exceeds the minimum nearby
 DECORRELATION_TIME = 10.0  # s between independent values of the lag
 
 
@@ -152,7 +152,7 @@ def _find_best_offsets(pair: Pair, cutoff: float, min_lag: float, max_lag: float
 
 
 def _compute_f_limit(samples: float, cutoff: float, level: float = 0.975) -> float:
-    """Quantile, at probability `level`, of the ratio of two estimates of one variance. samples: number in each."""
+    """Quantile, at probability `level`, of the ratio of two estimates of one variance. samples: number per estimate."""
     degrees_of_freedom = max(2.0 * cutoff * STEP * samples, 1.0)
     return float(fdtri(degrees_of_freedom, degrees_of_freedom, level))
 
@@ -161,7 +161,7 @@ def _compute_residual_fractions(pair: Pair, offsets: Sequence[float], cutoff: fl
     """(1 - r^2 at each offset, number of samples), from the samples common to all offsets. With different samples the
     comparison would be biased, since a filtered derivative is least accurate at its ends.
 
-    Both series u are whitened, as any lag may fit slow errors such as the slope of the road: u(t) - rho u(t - delay),
+    Both series u are whitened, because a wrong lag may fit slow errors such as road slope: u(t) - rho u(t - delay),
     delay = 1 / (2 cutoff), rho: autocorrelation of the smallest residual at this delay."""
     series = [select_common_samples(pair, (offset, 0.0))[:2] for offset in offsets]
     common = np.flatnonzero(np.bincount(np.concatenate([rows for rows, _ in series])) == len(series))
@@ -205,7 +205,7 @@ GYRO_BIAS = 0.001  # rad/s; smallest reported bias; twice the bias of a good INS
 ACCELERATION_SCALE_ERROR = 0.35  # smallest reported deviation from 1; roll and pitch of the body cause up to 0.33
 MIN_ACCELERATION_SCALE = 0.9  # smallest ratio to the derivative of velocity; a mounting angle of 25 deg causes this
 ACCELERATION_LAG = 0.12  # s; smallest reported lag; filters of accelerometers cause delays of up to 0.1 s
-ACCELERATION_TOLERANCE = 1.2  # factor by which the mean of a vertical acceleration may differ from gravity
+MAX_GRAVITY_RATIO = 1.2  # factor by which the mean of a vertical acceleration may differ from gravity
 MAX_LATITUDE = 72.0  # deg, of a road in web Mercator; the northernmost roads of Europe are at 71
 MIN_UNRELATED_WINDOWS = 20  # minimum number of windows of 1 s to report an acceleration as unrelated to the motion
 MIN_ACCELERATION_DEVIATION = 0.25  # m/s^2; minimum spread for a scale; a slope of 2.5 % has this effect
@@ -372,7 +372,7 @@ def _make_unrelated_finding(motion: Motion, name: str, measured: np.ndarray) -> 
     derived, values = (windows.mean(series) for series in (_derive_acceleration(motion, name), measured))
     known = np.isfinite(values)
     correlation, mean = correlate(derived[known], values[known]), float(np.mean(values[known])) if known.any() else 0.0
-    is_vertical = is_near(abs(mean), STANDARD_GRAVITY, ACCELERATION_TOLERANCE)
+    is_vertical = is_near(abs(mean), STANDARD_GRAVITY, MAX_GRAVITY_RATIO)
     if abs(correlation) >= LIMITS.min_correlation or known.sum() < MIN_UNRELATED_WINDOWS or not np.ptp(measured) or (
             not is_vertical and np.std(derived[known]) < MIN_ACCELERATION_DEVIATION):
         return None
@@ -384,8 +384,8 @@ def _make_unrelated_finding(motion: Motion, name: str, measured: np.ndarray) -> 
 
 
 def confirm_velocity(motion: Motion, factor: float) -> str:
-    """Measurement that agrees with the velocity as it is, but not with the velocity divided by a factor, and a question
-    about the positions; "" if there is none."""
+    """Name of a measurement that agrees with the recorded velocity, but not with the velocity divided by `factor`,
+    followed by a question about the positions; "" if there is none."""
     wheel = compare_speed(motion, "wheel_speed") if "wheel_speed" in motion.speeds else None
     ratios = {"the wheel speed": wheel.scale.value if wheel else np.nan,
               "the scale of web Mercator at this y": factor * motion.mercator_scale}
@@ -438,9 +438,9 @@ def _find_exchanged_accelerations(motion: Motion, measured: Mapping[str, np.ndar
     return Finding("acceleration_axes", Severity.WARNING, (*measured,), text, advice=Advice.for_run_yaml(entry))
 
 
-def _find_nearest_factor(scale: float, sizes: Iterable[float]) -> float:
-    """The size that is nearest to the scale in ratio, with the sign of the scale."""
-    return float(np.copysign(min(sizes, key=lambda size: abs(np.log(abs(scale) / size))), scale))
+def _find_nearest_factor(scale: float, factors: Iterable[float]) -> float:
+    """The factor nearest to the scale in ratio, with the sign of the scale."""
+    return float(np.copysign(min(factors, key=lambda factor: abs(np.log(abs(scale) / factor))), scale))
 
 
 def check_accelerations(results: Results, motion: Motion) -> None:
@@ -482,7 +482,7 @@ def check_speeds(results: Results, motion: Motion) -> None:
 
 
 def restore_speed_sign(log: DriveLog, start_ns: int) -> tuple[DriveLog, list[Finding]]:
-    """(the drive with a negative velocity_x in reverse, the finding), if velocity_x opposes the motion of the positions
+    """(the drive with a negative velocity_x in reverse, findings), if velocity_x opposes the motion of the positions
     along yaw between some stops and agrees with it between the others. start_ns: zero of the times [ns]."""
     time, position = (log.ins_time_ns - start_ns) * NANOSECOND, log.x + 1j * log.y
     begin, end = (np.clip(time + side, time[0], time[-1]) for side in (-0.5, 0.5))

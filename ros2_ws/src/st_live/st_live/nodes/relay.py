@@ -52,7 +52,7 @@ class RelayNode(Node):
         if qos.durability == DurabilityPolicy.VOLATILE:
             qos.reliability = ReliabilityPolicy.BEST_EFFORT
         schema = Schema(name=type_name, encoding="ros2msg", data=definition.encode())
-        print(f"{topic} ({type_name})", flush=True)
+        print(f"relaying {topic} ({type_name})", flush=True)
         return (PolledSubscription(self, message_type, topic, qos, raw=True),
                 Channel(topic, message_encoding="cdr", schema=schema))
 
@@ -65,7 +65,7 @@ def main() -> int:
     try:
         server = foxglove.start_server(name="single-track predictor suite", host=options.host, port=options.port)
     except (OSError, RuntimeError) as error:
-        print(f"{options.host}:{options.port}: {error}", file=sys.stderr)
+        print(f"cannot serve on {options.host}:{options.port}: {error}", file=sys.stderr)
         return 2
     print(f"serving on {options.host}:{server.port}", flush=True)
     status = spin.run(RelayNode)

@@ -152,13 +152,13 @@ class EvaluatorNode(Node):
         incomplete = sum(s.n_incomplete for s in self._statistics.values())
         pending = self._core.pending_count
         values = {"scores complete": complete, "scores incomplete": incomplete, "pending predictions": pending}
-        models = sorted({model for (_, model), mismatch in self._configuration_mismatch.items() if mismatch})
+        mismatched = sorted({model for (_, model), mismatch in self._configuration_mismatch.items() if mismatch})
         level, text = diagnostics.OK, "scoring" if complete or incomplete or pending else "no prediction yet"
         if self._rejection:
             level, text = diagnostics.WARN, self._rejection
-        elif models:
+        elif mismatched:
             level, text = diagnostics.WARN, (
-                f"predictions of {', '.join(models)} were made with a different vehicle or model than this node "
+                f"predictions of {', '.join(mismatched)} were made with a different vehicle or model than this node "
                 "uses: set the same vehicle_file and model_file in predictor and evaluator")
         recording = (make_recording_check(self._bag) if self._bag else
                      Check("recording", diagnostics.OK, "off (output_directory is empty)"))

@@ -48,7 +48,7 @@ def is_bag(path: Path) -> bool:
 
 
 def has_odometry(path: Path) -> bool:
-    """Whether a bag contains odometry, or INS packets and steering to reconstruct a drive; True if this is unclear."""
+    """Whether a bag contains odometry, or INS packets and steering to reconstruct a drive; True if unknown."""
     if path.is_dir() and (path / "metadata.yaml").is_file():
         information = read_information(path)
         try:
@@ -84,7 +84,7 @@ def may_need_can_frames(path: Path, files: Sequence[Path] = ()) -> bool:
 
 
 def may_carry_steering(topic: Topic) -> bool:
-    """Whether --steering-topic may name a topic: not odometry, CAN frames or text, nor a topic of the suite or ROS."""
+    """Whether a topic is a candidate for --steering-topic: not odometry, CAN frames, text, or of the suite or ROS."""
     return not topic.name.startswith(KNOWN_TOPIC_PREFIXES) and not topic.type_name.startswith("st_msgs/") and (
         topic.type_name not in (ODOMETRY, CAN_MSGS_FRAME, "std_msgs/msg/String"))
 
@@ -228,8 +228,8 @@ def _find_topic(storage: Storage, type_name: str, name: str | None = None) -> To
                        f"topics of type {type_name}: {', '.join(sorted(t.name for t in candidates)) or 'none'}")
     if not candidates:
         topics = ", ".join(sorted(f"{t.name} ({t.type_name})" for t in storage.topics))[:300] or "nothing"
-        has_other = type_name == STEERING and any(map(may_carry_steering, storage.topics))
-        option = ", or name the topic of the steering angle with --steering-topic" if has_other else ""
+        has_candidates = type_name == STEERING and any(map(may_carry_steering, storage.topics))
+        option = ", or name the topic of the steering angle with --steering-topic" if has_candidates else ""
         raise RunError(path, f"it contains no message of type {type_name}; recorded: {topics}",
                        f"also record the topic {PREFERRED_TOPICS[type_name]}, or another of this type{option}")
     preferred_topics = [t for t in candidates if t.name.endswith(PREFERRED_TOPICS[type_name])] or candidates
@@ -249,7 +249,7 @@ def _read_frame_id(storage: Storage, topic: str) -> str:
 
 def _select_odometry(odometry: Mapping[str, np.ndarray], frame_id: str) -> tuple[
         np.ndarray, dict[str, np.ndarray], dict[str, int], list[str], list[str]]:
-    """(times [ns] and INS channels of the usable messages, channel -> number without a value, notes, conversions)."""
+    """(times [ns] and INS channels of the usable messages, channel -> messages without a value, notes, conversions)."""
     x, y, *quaternion, velocity_x, velocity_y, yaw_rate = (odometry[field] for field in _ODOMETRY_FIELDS[1:])
     values = {"x": x, "y": y, "yaw": yaw_from_quaternion(*quaternion), "velocity_x": velocity_x,
               "velocity_y": velocity_y, "yaw_rate": yaw_rate}

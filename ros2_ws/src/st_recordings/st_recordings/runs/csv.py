@@ -36,7 +36,7 @@ ALTERNATIVES = {ROAD_WHEEL: STEERING_WHEEL, "x": "longitude", "y": "latitude", "
 QUATERNION_CHANNELS = [f"orientation_{axis}" for axis in "xyzw"]
 POSSIBLY_UNFILLED = ("x", "y", "yaw", "orientation_z", "yaw_rate", STEERING_WHEEL)  # often 0 if not measured
 MAX_HELD_FRACTION = 0.3
-"""Positions have a lower rate than the rows if more than this fraction of the rows with a moving car repeat them."""
+"""If positions repeat in more than this fraction of the rows with a moving car, their rate is lower than the rows'."""
 MIN_INTERVAL_RATIO = 1.5
 """A channel has a lower rate than another if the ratio of their median sample intervals exceeds this value."""
 MIN_SIMILAR_RATE = 0.9  # two channels have similar rates if one has more than this fraction of the samples of the other
@@ -55,7 +55,7 @@ def read_csv(file: Path, vehicle: VehicleParameters | None = None, layout: Layou
 
 
 def add_steering_column(layout: Layout, steering: SteeringField | None) -> Layout:
-    """Adds the steering column that an option names to the layout; an option that names a topic changes nothing."""
+    """Adds the steering column named by an option to the layout; an option that names a topic changes nothing."""
     if steering is None or steering.topic:
         return layout
     channel = _get_channel(steering)
@@ -74,11 +74,11 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
 
     A row without a number in an INS channel is excluded from the INS samples but not from the steering samples, and
     vice versa; a missing acceleration becomes NaN. vehicle: required for a table with only the steering wheel angle.
-    yaw_scale: correction factor of yaw, applied before unwrapping. steering: column that an option names, and its sign.
+    yaw_scale: correction factor of yaw, applied before unwrapping. steering: column named by an option, and its sign.
     frame_id: frame of the velocities, if they are from a ROS message.
     """
-    named_channel = [_get_channel(steering)] if steering is not None and not steering.topic else []
-    table = _leave_out_blank_columns(table, (*INS_SIGNALS, ROAD_WHEEL), named_channel)
+    named_channels = [_get_channel(steering)] if steering is not None and not steering.topic else []
+    table = _leave_out_blank_columns(table, (*INS_SIGNALS, ROAD_WHEEL), named_channels)
     _require_columns(table, (*INS_SIGNALS, ROAD_WHEEL))
     table = read_angles(table, use_positions=yaw_scale == 1.0)
     warnings = list(table.warnings)
@@ -178,8 +178,8 @@ def _require_columns(table: Table, required: Sequence[str], can: str = "") -> No
     """Raises RunError for missing or ambiguous columns. can: line of a run.yaml for CAN logs, as part of the advice."""
     missing = find_missing_channels(table.sources, table.names, ("t", *required))
     if "yaw" in missing:  # do not list channels that can be computed from yaw
-        unknown = find_missing_channels({*table.sources, "yaw"}, table.names, missing)
-        missing = [name for name in missing if name == "yaw" or name in unknown]
+        still_missing = find_missing_channels({*table.sources, "yaw"}, table.names, missing)
+        missing = [name for name in missing if name == "yaw" or name in still_missing]
     if missing and 2 * sum(bool(re.fullmatch(r"[\d.:eE+ -]+", name)) for name in table.names) > len(table.names):
         raise RunError(table.file, "its first line contains numbers instead of the names of columns",
                        "add a header line with names from docs/csv_columns.md")
@@ -230,7 +230,7 @@ def _reject_unusable(table: Table, n_ins: int, missing: Mapping[str, int]) -> No
 
 
 def _reject_unfilled(table: Table) -> None:
-    """Raises RunError if the only position or orientation is a latitude and longitude or a quaternion of zeros."""
+    """Raises RunError if the only position (latitude and longitude) or orientation (quaternion) is zero or blank."""
     for names, others, problem, advice in (
             (("latitude", "longitude"), {"x", "y"}, "latitude and longitude are 0 or empty in all rows, so the "
              "receiver had no fix", "export x and y, or a part with a fix"),
@@ -289,7 +289,7 @@ def _derive_channels(table: Table, warnings: list[str], frame_id: str = ""
 
 def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], warnings: list[str]) -> None:
     """Interpolates INS channels with a lower rate or separate stamps at the rows of a reference channel: the one with
-    the highest rate or, of several with a similar rate, the one with numbers of the most channels in its rows.
+    the highest rate or, of several with a similar rate, the one with the most channels filled in its rows.
 
     Loggers leave the other cells blank. Missing numbers in the reference channel and gaps in the others are not filled.
     """
@@ -450,7 +450,7 @@ def _choose_steering(table: Table, columns: dict[str, np.ndarray], vehicle: Vehi
 
 def _count_missing(table: Table, columns: Mapping[str, np.ndarray], steering: tuple[str, ...],
                    warnings: list[str]) -> dict[str, int]:
-    """Channel -> number of used rows in which it has no number ("time": of all rows); adds a warning about each."""
+    """Channel -> number of usable rows without a number ("time": rows without a time); adds a warning about each."""
     channels = [name for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, *steering) if name in columns]
     counts = {"time": table.rows_without_time,
               **{name: _count_missing_samples(table.time_ns[table.is_usable], columns[name][table.is_usable])

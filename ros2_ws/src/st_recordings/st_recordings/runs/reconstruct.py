@@ -154,7 +154,7 @@ class Reconstruction:
                              quality)
 
     def _read_reported_quality(self) -> InsQuality | None:
-        """INS quality from st_msgs/InsStatus, which has a layout that varies with its texts; None if unavailable."""
+        """INS quality from st_msgs/InsStatus, in which offsets vary with the text lengths; None if unavailable."""
         if INS_STATUS not in self._by_type:
             return None
         try:

@@ -23,7 +23,7 @@ class SteeringField:
     topic: str  # name of a topic in a bag, "" for a table
     field: str = "data"  # path to a number in a message, such as "drive.steering_angle", or name of a column
     quantity: Literal["road", "wheel"] = "road"  # mean road wheel angle, or uncorrected steering wheel angle
-    unit: Literal["rad", "deg"] | None = None  # None: the unit that a table or the name of the field states, or rad
+    unit: Literal["rad", "deg"] | None = None  # None: as stated in the table or the field name, else rad
     sign: int = 1  # 1 if left is positive in the recording, else -1
 
     @property
@@ -83,7 +83,7 @@ class ReadSettings:
     # (delay of INS values on CAN, standard deviation) [s]; None: as in the run.yaml, or else clocks.INS_ON_CAN_DELAY.
     ins_can_latency: tuple[float, float] | None = None
     accept_doubtful: bool = True  # whether a doubtful alignment is used, with a warning; a refused one never is
-    for_alignment: bool = False  # whether neither a steering angle nor, in a table, a position is required
+    for_alignment: bool = False  # whether the steering angle and, in a table, positions are optional
     steering: SteeringField | None = None  # for tables, and for bags without st_msgs/Steering
     odometry: str | None = None  # topic to read from a bag with several nav_msgs/Odometry topics
 
