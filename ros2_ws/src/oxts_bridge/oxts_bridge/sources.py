@@ -66,7 +66,7 @@ class SourceStatus:
     is_done: bool = False  # a replay has reached its end
     sender: str = ""  # address in use
     datagrams: int = 0  # received datagrams, or packets of a replay
-    # Count from up to 16 senders, by address, or by address and port for the address in use.
+    # Number from each of up to 16 senders, by address, or by address and port for the address in use.
     ignored_datagrams: dict[str, int] = field(default_factory=dict)
     ignored_from_other_ports: int = 0  # count from other ports of the sender in use
     progress: float = 0.0  # fraction of the file replayed

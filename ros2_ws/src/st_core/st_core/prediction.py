@@ -58,8 +58,8 @@ class PredictionSettings:
 
 
 def configuration_hash(vehicle: VehicleParameters, settings: PredictionSettings, model_hash: str = "") -> str:
-    """sha256 (hex) of everything that a prediction depends on except its inputs: vehicle values and settings, and
-    model_hash, the hash of the model file, for a model from a file."""
+    """sha256 (hex) of everything that a prediction depends on except its inputs: vehicle values, settings and,
+    for a model from a file, model_hash, the hash of that file."""
     values = {key: float(value).hex() for key, value in asdict(settings).items()}
     return hash_content([vehicle.hash, values, *([model_hash] if model_hash else [])])
 
@@ -260,7 +260,7 @@ def compile_model(model: Model, vehicle: VehicleParameters, settings: Prediction
     Three models over 5 s take 0.2 ms instead of 1.3 ms; with an additional model of three effects 0.6 ms instead of
     4.1 ms. Inputs are constant, or 2 * steps + 1 values on the half-step grid without further signals; NaN inputs give
     NaN states. Raises ConfigurationError if numba is not installed or cannot compile the model, or if the results
-    differ, and errors of numba. Checked by: test_compiled.py.
+    differ; errors of numba are passed on. Checked by: test_compiled.py.
     """
     if not has_numba():
         raise ConfigurationError("numba is not installed")
@@ -298,7 +298,7 @@ def compile_model(model: Model, vehicle: VehicleParameters, settings: Prediction
             # Both must be finite at the same points (a spin with a long step diverges), and agree there.
             if not np.array_equal(finite, np.isfinite(compiled)) or (difference[finite] > TOLERANCE).any():
                 worst = float(difference[finite & np.isfinite(compiled)].max(initial=0.0))
-                raise ConfigurationError(f"the compiled {model.name} differs from predict by {worst:.1e} where finite")
+                raise ConfigurationError(f"the compiled {model.name} differs from predict, by {worst:.1e} where finite")
     return run
 
 

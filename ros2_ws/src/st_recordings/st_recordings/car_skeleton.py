@@ -147,9 +147,9 @@ def _list_bus_remarks(car: Car) -> list[str]:
     names = [f"{message.name}.{signal.name}" for message in table.database.messages for signal in message.signals
               if "speed" in signal.name.lower() and find_unit("speed", signal.unit or "") and
               not message.name.startswith("RT_")]
-    return [*remarks, f"{car.signals}: it maps no speed signal, but {car.dbc.name} has {', '.join(names[:4])}: map one "
-            "to vehicle_speed (or wheel_speed_rear_left, ...); it aligns the clocks of INS and CAN log better than the "
-            "steering"] if names else remarks
+    return [*remarks, f"{car.signals}: no speed signal is mapped, but {car.dbc.name} has {', '.join(names[:4])}: map "
+            "one to vehicle_speed (or wheel_speed_rear_left, ...); a speed aligns the clocks of INS and CAN log better "
+            "than the steering"] if names else remarks
 
 
 def _find_unfilled_keys(document: Mapping[str, Any]) -> list[str]:

@@ -179,7 +179,7 @@ def bring_to_rest(s: Sequence[float], step: float) -> tuple[float, ...]:
 # long: the equations share two dozen symbols, and a call per equation would slow down every time step
 def derivative(s: Sequence[float], rack_target: float, drive_force: float, conditions: tuple,  # noqa: PLR0915
                c: Constants) -> tuple[tuple, tuple]:
-    """(time derivative of the state; mean front road-wheel angle [rad], and for FL, FR, RL, RR: lateral forces,
+    """(time derivative of the state; mean front road-wheel angle [rad] and, for FL, FR, RL, RR, lateral forces,
     longitudinal forces, loads [N], velocities across and along the wheel plane [m/s]).
 
     rack_target: [rad]. drive_force: of all wheels [N], < 0: braking. conditions: fields of `plant.Conditions`.

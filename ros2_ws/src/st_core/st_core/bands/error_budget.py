@@ -87,7 +87,7 @@ def sum_squared_contributions(
 
 def _vary_parameters(model: Model, vehicle: VehicleParameters,
                      intervals: Intervals) -> dict[str, list[tuple[Model, VehicleParameters]]]:
-    """By parameter, model and vehicle with it one standard deviation lower, and higher; effects within their bounds."""
+    """Model and vehicle with one parameter a standard deviation lower and higher, by parameter; effects in bounds."""
     variants: dict[str, list[tuple[Model, VehicleParameters]]] = {}
     for key, provenance in vehicle.provenance.items():
         if sigma := provenance.uncertainty:

@@ -69,15 +69,15 @@ class Finding:
     times: tuple[tuple[float, float], ...] = ()  # [s since the first INS measurement]; empty: the whole run
     effect: float | None = None  # approximate shift of the position at the end of the horizon [m]
     advice: Advice | None = None
-    tried: tuple[float, float] | None = None  # prediction error [m] without and with the correction, if tried
-    alternatives: tuple[Alternative, ...] = ()  # a correction in `advice` fits them too, except for mirrored drives
+    tried: tuple[float, float] | None = None  # prediction error [m] without and with correction (errors: all at once)
+    alternatives: tuple[Alternative, ...] = ()  # a correction in `advice` is valid for these too, or mirrors the drive
 
     @property
     def text(self) -> str:
         """One sentence, with the alternatives."""
         others = "".join(f", or {alternative.text}" for alternative in self.alternatives)
-        count = "both" if len(self.alternatives) == 1 else "all"
-        return f"{self.statement.removesuffix('?')}{others}: {count} fit this drive" if others else self.statement
+        quantifier = "both" if len(self.alternatives) == 1 else "all"
+        return f"{self.statement.removesuffix('?')}{others}: {quantifier} fit this drive" if others else self.statement
 
     def with_alternative(self, alternative: Alternative, advice: Advice, *channels: str) -> "Finding":
         """The finding with an alternative, which may affect further channels, and this advice; at most a warning."""

@@ -17,7 +17,7 @@ UNITS = {"x": "m", "y": "m", "yaw": "rad", "velocity_x": "m/s", "velocity_y": "m
          "acceleration_x": "m/s^2", "acceleration_y": "m/s^2", "road_wheel_angle": "rad"}
 ALL_INS_SIGNALS = "every INS signal"
 STAMPED_CHANNELS = {"INS": ("time",), "steering": ("road_wheel_angle",)}  # channels affected by wrong time stamps
-MIN_HELD_FRACTION = 0.7  # minimum fraction of the samples in sequences of equal values of about the median length
+MIN_HELD_FRACTION = 0.7  # minimum fraction of the samples that are in runs of equal values, of about median length
 MIN_HELD_RATE = 15.0  # Hz; at 15 m/s, positions held at this rate lag by up to 1 m, and by 0.5 m on average
 PREDICTION_GAP = PredictionSettings().maximum_gap
 MAX_LONG_FRACTION = 0.05  # fraction of intervals above PREDICTION_GAP; at 10 Hz, 92 % of 5 s horizons then contain one
@@ -269,8 +269,8 @@ def _check_frozen(name: str, time: np.ndarray, values: np.ndarray, motion: Motio
     """Finding about a channel that is constant for `min_time` [s] and much longer than usual while others change."""
     first, last = find_groups(np.diff(values) != 0.0)
     duration = time[last] - time[first]
-    long_pause = float(np.sort(duration)[max(int(0.98 * len(duration)) - 1, 0)]) if len(duration) > 5 else 0.0
-    frozen = [k for k in np.flatnonzero(duration > max(min_time, FREEZE_PAUSE_RATIO * long_pause))
+    usual_duration = float(np.sort(duration)[max(int(0.98 * len(duration)) - 1, 0)]) if len(duration) > 5 else 0.0
+    frozen = [k for k in np.flatnonzero(duration > max(min_time, FREEZE_PAUSE_RATIO * usual_duration))
               if _should_change(name, time[first[k]], time[last[k]], motion, resolution, MIN_FROZEN_CURVATURE_CHANGE)]
     if not frozen:
         return []
@@ -305,7 +305,7 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, resoluti
     if name in RATES:
         rate, bias, min_change = RATES[name]
         rises = [cumulative_trapezoid(sign * rate(motion)[in_interval] - bias, motion.time[in_interval], initial=0.0)
-                 for sign in (1.0, -1.0)]  # at any time, since a lap ends where it begins
+                 for sign in (1.0, -1.0)]  # between any two times, since a lap ends where it begins
         change = max(float((rise - np.minimum.accumulate(rise)).max()) for rise in rises)
         return change > max(ROUNDING_STEPS * resolution, min_change)
     related, min_change = RELATED_QUANTITIES[name]
@@ -328,8 +328,8 @@ def _compute_mean_rate(time: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def _compute_rate_along_axis(motion: Motion, velocity: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Velocity along an axis of the map; 0 where the positions along the other axis account for the speed, so that yaw
-    may be wrong."""
+    """Velocity along an axis of the map; 0 where the positions along the other axis account for the speed, since a
+    wrong yaw may then cause it."""
     return np.where(np.abs(_compute_mean_rate(motion.time, other)) < MAX_AXIS_FRACTION * motion.speed, velocity, 0.0)
 
 

@@ -196,7 +196,7 @@ def _make_unit_finding(gain: Estimate | None, plausible_gains: tuple[float, floa
     reason = " and ".join(filter(None, (reasons.get(exact, ""), opposite)))
     text = f"road_wheel_angle is {value:.3g} times the angle from yaw rate and speed: {reason}?".removesuffix(": ?")
     scale = float(f"{1.0 / np.copysign(exact, value):.6g}")
-    # The offset, subtracted before this correction, applies after it, unless a road wheel angle was recorded.
+    # The offset was subtracted before scaling: `add` restores it and, if the ratio was not applied twice, subtracts it.
     add = float(f"{(scale - (exact != 1.0 / ratio)) * offset / ratio:.5g}")
     has_offset = from_steering_wheel and reason and add
     advice = Advice.correct("road_wheel_angle", scale=scale, **({"add": add} if has_offset else {}))
@@ -244,8 +244,8 @@ def _check_clock(motion: Motion, vehicle: VehicleParameters, agreement: Agreemen
 
 
 def steering_confirms_length(motion: Motion, vehicle: VehicleParameters, unit: float) -> bool:
-    """Whether the steering angle from curvature and wheelbase is nearer to the measured one with positions and velocity
-    in metres than with `unit` per metre."""
+    """Whether the measured steering angle fits positions and velocity in metres better than in another unit of length.
+    unit: number of these units in a metre."""
     gain = _estimate_steering_gain(motion, _derive_angle(motion, vehicle))
     return gain is not None and gain.value > 0.0 and abs(np.log(gain.value)) < 0.5 * abs(np.log(unit))
 

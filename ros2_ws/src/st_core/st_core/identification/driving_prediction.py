@@ -17,7 +17,7 @@ Yaw inertia, from transients:
     I_z r_dot = l_f F_f cos(delta) - l_r F_r
 
 Steering dynamics, wrong time stamps and tyre relaxation delay the response as inertia does, and the lateral velocity of
-an INS that rolls with the body has another phase, so dead time, relaxation length and this roll are fitted too. The
+an INS that rolls with the body has a different phase, so dead time, relaxation length and this roll are fitted too. The
 delay between an angle and its time stamp, up to one sampling interval T, differs between the N drives, which adds
 T / sqrt(12 N) to the uncertainty of their common dead time, and thereby to that of the inertia.
 Checked by: test_identification_driving.py.

@@ -201,8 +201,8 @@ def build_document(discovery: Discovery, request: Request, update: VehicleUpdate
 def build_model_file(discovery: Discovery, request: Request, update: VehicleUpdate) -> ModelFile | None:
     """Model file with the effects of `update.model` that are not at their null values; None without any.
 
-    Intervals of changes relative to the reference drives are shifted to the total values. An effect with a value
-    that is not reported, or outside the reported interval, and a folded effect are marked as effective corrections.
+    Intervals of changes relative to the reference drives are shifted to the total values. A folded effect,
+    and one with a value that is not reported or outside the reported interval, are marked as effective corrections.
     """
     intervals: dict[tuple[str, str], Interval] = {}
     for named_effect in discovery.effects:

@@ -27,7 +27,7 @@ MAX_SEPARATION = 10.0  # standard deviations; larger separations are outside the
 MAX_RATIO = 1000.0  # of an error to the expected error; with larger errors, predictions have diverged
 LIMITS = Limits()
 OTHER_CAUSE = " or a cause outside the library with the same effect"
-DRIVEN_RANGE = "; use it only up to the slip angles of these drives, which do not determine the peak tyre force"
+SLIP_CAUTION = "; use it only up to the slip angles of these drives, which do not determine the peak tyre force"
 EFFECT_HEAD = ("effect", "value (95 % interval)", "5 s position error without it", "largest reduction",
                "significant in")
 EFFECT_NOTE = ("Errors are those of the complete model on held-out driving; \"without it\" means that this effect is "
@@ -280,10 +280,10 @@ def describe_next_drive(discovery: Discovery) -> str:
     if drive is None:
         return ""
     first, second = map(to_words, drive.separates)
-    now = next((p.strength for p in discovery.separability if {p.first, p.second} == set(drive.separates)), 0.0)
+    current = next((p.strength for p in discovery.separability if {p.first, p.second} == set(drive.separates)), 0.0)
     return (f"next drive: {drive.name}, {drive.repetitions} times {drive.duration:.0f} s at {drive.speed:.1f} m/s, to "
             f"separate {first} and {second} by {format_separation(drive.strength)} σ of the noise (these drives: "
-            f"{format_separation(now)} σ; required: {MIN_SEPARATION:g} σ)")
+            f"{format_separation(current)} σ; required: {MIN_SEPARATION:g} σ)")
 
 
 def describe_effective_corrections(discovery: Discovery) -> str:
@@ -345,8 +345,8 @@ def recommend(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
                      f"from {format_metres(position.base)} to {format_metres(position.augmented)} on held-out driving")
     for name, changes in (update.not_folded if update is not None and is_written else {}).items():
         lines.append(f"{to_words(name)} is in model.yaml, because no entry of the vehicle file can correct it: these "
-                     "recordings contain the road-wheel angle, or play in the steering acts before the ratio; for "
-                     f"recordings of the steering-wheel angle, set {format_changes(changes)}")
+                     "recordings contain the road-wheel angle, or the model applies steering play before the ratio; "
+                     f"for recordings of the steering-wheel angle, set {format_changes(changes)}")
     not_in_file = [e for e in discovery.effects if is_written and (update is None or e.name not in update.folded)]
     if sensors := [to_words(e.name) for e in not_in_file if e.kind == "sensors"]:
         lines.append(f"{', '.join(sensors)}: either use model.yaml, or correct the sensors or the recordings "
@@ -371,8 +371,8 @@ def recommend(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
         minor = ", ".join(name_with_alternatives(discovery, e) if discovery.effects else to_words(e.name)
                           for e in discovery.minor)
         start = "model.yaml also contains" if discovery.effects else "predict with model.yaml, which contains"
-        limit = DRIVEN_RANGE * any(get_effect(e.name).at_peak_force for e in (*discovery.minor, *discovery.effective))
-        lines.append(f"{start} {minor}: part of the fit, but not reported as properties of the car{limit}")
+        caution = SLIP_CAUTION * any(get_effect(e.name).at_peak_force for e in (*discovery.minor, *discovery.effective))
+        lines.append(f"{start} {minor}: part of the fit, but not reported as properties of the car{caution}")
     return lines or ["nothing"]
 
 

@@ -141,14 +141,14 @@ def _read_bag(path: Path) -> CanLog:
 
 def _read_with_python_can(file: Path, log_format: Format, notes: Sequence[str]) -> CanLog:
     """Reads a log. notes: listed before those of the reader. Raises RunError if no frame is usable."""
-    parts, format_notes, n_untimed, n_too_long = list[Frames](), list[str](), 0, 0
+    parts, format_notes, n_mistimed, n_too_long = list[Frames](), list[str](), 0, 0
     try:
         messages = log_format.messages(file, format_notes)
         while block := list(itertools.islice(messages, BLOCK_SIZE)):
-            timed_messages = [message for message in block if 0.0 <= message.timestamp <= LATEST_TIME]
-            n_untimed += len(block) - len(timed_messages)
-            usable_messages = [message for message in timed_messages if len(message.data) <= MAX_DATA_LENGTH]
-            n_too_long += len(timed_messages) - len(usable_messages)
+            valid_messages = [message for message in block if 0.0 <= message.timestamp <= LATEST_TIME]
+            n_mistimed += len(block) - len(valid_messages)
+            usable_messages = [message for message in valid_messages if len(message.data) <= MAX_DATA_LENGTH]
+            n_too_long += len(valid_messages) - len(usable_messages)
             if usable_messages:
                 parts.append(_build_frames(usable_messages))
     except Exception as error:  # any, from the parsers
@@ -159,9 +159,9 @@ def _read_with_python_can(file: Path, log_format: Format, notes: Sequence[str]) 
         limit = np.full(len(frames), MAX_TIME_JUMPS_NS[0])
         limit[[0, -1]] = MAX_TIME_JUMPS_NS[1]
         is_outlier = np.abs(frames.time_ns - median_filter(frames.time_ns, 3, mode="mirror")) > limit
-        frames, n_untimed = frames.select(~is_outlier), n_untimed + int(is_outlier.sum())
-    if n_untimed:
-        format_notes.append(f"frames with an impossible time were skipped: {n_untimed}")
+        frames, n_mistimed = frames.select(~is_outlier), n_mistimed + int(is_outlier.sum())
+    if n_mistimed:
+        format_notes.append(f"frames with an impossible time were skipped: {n_mistimed}")
     if n_too_long:
         format_notes.append(f"frames with more than {MAX_DATA_LENGTH} bytes were skipped: {n_too_long}")
     if not len(frames):
@@ -169,7 +169,7 @@ def _read_with_python_can(file: Path, log_format: Format, notes: Sequence[str]) 
         raise RunError(file, f"it contains {reasons}", "export its times in seconds, and identifiers and bytes as "
                        "hexadecimal numbers" if log_format.name != "Vector BLF" else "copy or export it again")
     period, min_jump = find_clock(read_head(file))
-    if frames.time_ns.max() <= period * 1e9:  # times of a day continue past midnight
+    if frames.time_ns.max() <= period * 1e9:  # times that restart at midnight or at the full hour
         rollovers = count_rollovers(frames.time_ns * 1e-9, min_jump)
         frames = replace(frames, time_ns=frames.time_ns + rollovers * round(period * 1e9))
     steps = np.diff(frames.time_ns[1:])
