@@ -18,7 +18,7 @@ STANDSTILL_SPEED = 0.5  # m/s; a car that is never faster counts as stationary
 class Channel:
     """One measured quantity.
 
-    errors(measured, predicted): measured minus predicted, by column; None: the difference of the only signal.
+    errors(measured, predicted): measured minus predicted, by column; None: the plain difference, for a single signal.
     noise(log, step, x, y, yaw, v_x, v_y, r): standard deviation, by column, of the errors at the end of windows due to
     noise alone, from redundant measurements. x to r have the shape (windows, instants), with instants `step` [s] apart.
     None: the noise is white and is estimated from third differences, to which a car's motion hardly contributes.
@@ -102,7 +102,7 @@ CHANNELS: Mapping[str, Channel] = {channel.name: channel for channel in (
 
 CHANNEL_OF_COLUMN = {column: channel for channel in CHANNELS.values() for column in channel.columns}
 POSITION_5S = "position_5s"
-"""Mean position error at the end of the horizon, the main quantity in reports. Name and label are those of the default,
+"""Mean position error at the end of the horizon, the main quantity in reports. Name and label assume the default,
 5 s; without velocity_y it is after 5.75 s, because scoring then begins `windows.SIDESLIP_SETTLING_TIME` later."""
 UNITS = {POSITION_5S: "m"} | {name: channel.unit for name, channel in CHANNELS.items()}
 LABELS = {POSITION_5S: "position after 5 s"} | {name: channel.label for name, channel in CHANNELS.items()}

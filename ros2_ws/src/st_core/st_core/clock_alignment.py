@@ -27,7 +27,7 @@ MAX_TIME_FRAME_RESIDUAL = 0.02  # s, largest deviation of the offset of a time f
 GOOD_DEVIATION, USABLE_DEVIATION = 0.005, 0.05  # s, limits of the standard deviation of the offset
 MANUAL_SEARCH, MANUAL_TOLERANCE = 5.0, 0.01  # s, range and smallest tolerance of the check of a given offset
 STEP_SEARCH, WIDE_STEP_SEARCH = 5.0, 40.0  # s, largest step searched for; the second if a signal fits poorly
-STANDSTILL_MARGIN_NS = 2_000_000_000  # ns; values this close to a moving instant are used
+STANDSTILL_MARGIN_NS = 2_000_000_000  # ns; values this close to an instant of motion are used
 WINDOW_DURATION = 30.0  # s, length of a window
 MAX_WINDOWS = 150  # largest number of windows, evenly spaced in a long recording
 MIN_CORRELATION = 0.9  # smallest correlation of the highest peak of a window that is used
@@ -54,7 +54,7 @@ class ClockStep(NamedTuple):
 
 
 class _ResampledSignals(NamedTuple):
-    """The usable signals of two recordings, resampled. Float times are relative to the start of the first one."""
+    """The usable signals of two recordings, resampled. Float times are relative to reference_ns and other_ns."""
 
     coarse: list[Pair]  # at COARSE_CUTOFF
     fine: list[Pair]  # at FINE_CUTOFF
@@ -95,7 +95,7 @@ def _resample_signals(signals: Sequence[SharedSignal]) -> _ResampledSignals:
             coarse.append(pairs[0])
             fine.append(pairs[1])
         else:  # the low-pass masks 1 s on both sides of a gap
-            reasons.append(f"{signal.name} has no 2 s without a gap above {MAX_GAP:g} s in one recording")
+            reasons.append(f"{signal.name} has no 2 s stretch without a gap above {MAX_GAP:g} s in one recording")
     return _ResampledSignals(coarse, fine, tuple(reasons), reference_ns, other_ns,
                              max(signal.latency_uncertainty for signal in usable))
 
@@ -120,7 +120,7 @@ def align(signals: Sequence[SharedSignal], search: tuple[float, float] | None = 
     """Alignment by the signals of both recordings.
 
     Coarse: masked normalised cross-correlation at all lags, averaged over the signals. Fine: robust joint fit of offset
-    and drift (`clock_fit.fit`). The verdict depends on the height of the peak, a similar second peak, the uncertainty
+    and drift (`clock_fit.fit`). The verdict depends on the fitted correlations, a similar second peak, the uncertainty
     of the offset, the agreement of the signals, the drift, and steps of a clock. The recordings must overlap by 40 % of
     the shorter one and at least 10 s, or by 20 s if no such offset fits. search: range of the offset [s].
 
@@ -240,7 +240,7 @@ def correlation_curve(signals: Sequence[SharedSignal]) -> tuple[np.ndarray, np.n
 
 
 def residual_lags(signals: Sequence[SharedSignal], alignment: Alignment) -> list[WindowLag]:
-    """Residual offsets in windows of 30 s after an alignment, searched within +/- 2 s; times since `at_ns` [s]."""
+    """Residual offsets from an alignment in windows of 30 s, searched within +/- 2 s; times since `at_ns` [s]."""
     series = _resample_signals(signals)
     if not series.fine:
         return []

@@ -267,8 +267,8 @@ def evaluate_blocks(models: Sequence[Model], vehicle: VehicleParameters, signals
         for rows in blocks:
             pending.append((rows, pool.submit(evaluate, rows)))
             if len(pending) > PREFETCHED_BLOCKS:
-                first, block = pending.popleft()
-                yield first, block.result()
+                ready_rows, block = pending.popleft()
+                yield ready_rows, block.result()
         for rows, block in pending:
             yield rows, block.result()
 
@@ -317,8 +317,8 @@ def _merge_instants(starts_ns: np.ndarray, after_ns: np.ndarray) -> tuple[np.nda
     """(instants [ns], index): instants[index[k, i]] is start i plus after_ns[k]; overlapping horizons share them."""
     half, span = int(after_ns[1]), int(starts_ns[-1] - starts_ns[0] + after_ns[-1])
     from_first = starts_ns - starts_ns[0]
-    grid = np.array_equal(after_ns, half * np.arange(len(after_ns))) and not np.any(from_first % half)
-    if not grid or span > half * len(starts_ns) * len(after_ns):
+    is_regular = np.array_equal(after_ns, half * np.arange(len(after_ns))) and not np.any(from_first % half)
+    if not is_regular or span > half * len(starts_ns) * len(after_ns):
         separate = starts_ns + after_ns[:, None]
         return separate.ravel(), np.arange(separate.size).reshape(separate.shape)
     return starts_ns[0] + half * np.arange(span // half + 1), np.arange(len(after_ns))[:, None] + from_first // half
@@ -332,10 +332,10 @@ def predict_held_per_step(model: Model, vehicle: VehicleParameters, signals: Log
     states = corrected.states_at(starts_ns, model.effective_vehicle(vehicle))
     p = model.parameters(vehicle)
     with np.errstate(all="ignore"):
-        grid = [model.inputs(a, b, p) for a, b in zip(angle.T, acceleration.T, strict=True)]
-        state = model.start_state(tuple(np.ascontiguousarray(states.T)), grid[0], p)
+        inputs = [model.inputs(a, b, p) for a, b in zip(angle.T, acceleration.T, strict=True)]
+        state = model.start_state(tuple(np.ascontiguousarray(states.T)), inputs[0], p)
         columns = [state]
-        for w in grid[:-1]:
+        for w in inputs[:-1]:
             state = integrate.rk4_step(model.rhs, state, w, w, w, p, step)
             columns.append(state)
     return np.array([c[:len(STATE_NAMES)] for c in columns]).transpose(2, 0, 1)

@@ -18,7 +18,7 @@ from .errors import ConfigurationError
 MAX_CHARACTERS = 1 << 20
 MAX_NESTING = 40
 LARGEST_INTEGER = 2**63  # a larger integer is a mistake and could overflow a float
-_PLAIN_KEY = re.compile(r"(?!(?:y|n|yes|no|on|off|true|false|null)$)[a-z]\w*", re.IGNORECASE)  # no other value in YAML
+_PLAIN_KEY = re.compile(r"(?!(?:y|n|yes|no|on|off|true|false|null)$)[a-z]\w*", re.IGNORECASE)  # PyYAML reads it as text
 
 
 class _Loader(yaml.SafeLoader):

@@ -197,7 +197,7 @@ def test_speed_that_rises_steadily_does_not_determine_an_offset() -> None:
 def test_signal_with_long_gaps_throughout_is_named() -> None:
     speed, yaw_rate = recorded(Drive(10, 300), 300, 1.0, 0)
     slow = replace(speed, reference_time_ns=speed.reference_time_ns[::20], reference=speed.reference[::20])  # 5 Hz
-    reason = "speed has no 2 s without a gap above 0.15 s in one recording"
+    reason = "speed has no 2 s stretch without a gap above 0.15 s in one recording"
     assert align([slow]).reasons == (reason,)
     result = align([slow, yaw_rate])
     assert result.reasons == (reason,) and [s.name for s in result.signals] == ["yaw rate"]

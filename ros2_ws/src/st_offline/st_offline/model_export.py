@@ -118,7 +118,7 @@ def _format_readme(description: dict[str, Any], kind: Format) -> str:
 
 def make_half_width_function(band: Band, level: float, vehicle: VehicleParameters,
                              name: str = "half_widths") -> casadi.Function:
-    """CasADi function that returns the half-widths of a band, (points of the horizon, 3): along, across [m], yaw [rad].
+    """CasADi function of the half-widths of a band, (points after the start, 3): along, across [m], yaw [rad].
 
     Its arguments are x: the six states at the CG; u: road_wheel_angle [rad], velocity_x_dot [m/s^2]; steering_activity
     [rad/s]: root mean square rate of the road-wheel angle in the last second. Its values equal `Band.half_widths`; the

@@ -36,8 +36,8 @@ def make_columns(head: Sequence[str], rows: Iterable[Sequence[Any]],
         texts = [str(cell) for cell in cells]
         if any(text not in ("", "-") for text in texts):
             is_text = k < text_columns or any(text[:1].isalpha() for text in texts)
-            kind = "words" if max(map(len, texts)) > MAX_UNWRAPPED else "name" if is_text else ""
-            result.append((title, kind, cells))
+            css_class = "words" if max(map(len, texts)) > MAX_UNWRAPPED else "name" if is_text else ""
+            result.append((title, css_class, cells))
     return result
 
 

@@ -21,7 +21,7 @@ OpenLoopSteering = Callable[[float], Any]  # wheelbase of the car [m] -> road-wh
 
 LONGEST_ROAD = 20_000.0  # m, longest lap of a road from a file
 MAX_SPEED = 100.0  # m/s
-PEDAL_LEAD = 0.15  # s; the pedals move this much before the target speed changes
+PEDAL_LEAD = 0.15  # s; the pedals move this long before the target speed changes
 SPEED_SLACK = 0.15  # m/s; while braking, the target speed is at most this much below the speed
 
 
@@ -110,7 +110,7 @@ def make_plan(manoeuvre: Manoeuvre) -> Plan:
     """Plan of a manoeuvre, which is a circle with pedal inputs, a road, or open-loop steering."""
     speed, curvature = manoeuvre.speed, manoeuvre.lateral_acceleration / manoeuvre.speed**2
     if manoeuvre.pedals:
-        # While braking, the steering wheel is held; braking ends at a speed instead of a time.
+        # While braking, the steering wheel is held; braking ends at a speed, not after a time.
         ends = accumulate(seconds for seconds, _ in manoeuvre.pedals)
         phases = [Phase("hold", acceleration, end_speed=float(manoeuvre.speed_at(end))) if acceleration < 0
                   else Phase("path", acceleration, duration=seconds)

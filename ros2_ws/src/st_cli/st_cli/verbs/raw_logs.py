@@ -94,18 +94,18 @@ def print_alignment(pair: "RawRun") -> None:
             ins_time = _format_seconds(int(alignment.to_reference_ns(start_ns)))
             table.add_row("INS time", f"{ins_time} s", "at the start of the CAN log")
         if alignment.method != "by hand":
-            span = "overlap" if alignment.method == "shared signals" else "time span of the INS time messages"
+            overlap_label = "overlap" if alignment.method == "shared signals" else "time span of the INS time messages"
             if any(signal.name.startswith(("forward velocity", "yaw")) for signal in pair.shared_signals):
                 table.add_row("delay of INS frames on CAN", pair.latency, "after the measurement")
             table.add_row("INS minus CAN clock", f"{_format_seconds(alignment.offset_ns)} s",
-                          f"{middle:.1f} s later, in the middle of the {span}")
+                          f"{middle:.1f} s later, in the middle of the {overlap_label}")
             without_latency = _format_deviation(estimation_deviation * 1e3, "ms")
             table.add_row("  standard deviation", _format_deviation(alignment.offset_deviation * 1e3, "ms"),
                           f"{without_latency} without the uncertainty of the latency")
             table.add_row("drift", f"{alignment.drift_ppm:+.2f} ppm",
                           "INS relative to CAN clock; standard deviation "
                           f"{_format_deviation(alignment.drift_deviation, 'ppm')}")
-            table.add_row(span, f"{alignment.overlap:.1f} s", "")
+            table.add_row(overlap_label, f"{alignment.overlap:.1f} s", "")
         console.print(table)
     for reason in alignment.reasons:
         print_line(f"  [{style}]·[/{style}] {escape(reason)}")
@@ -161,7 +161,7 @@ def import_(
     runs = [run for run in find_runs(paths) if run.kind == "ncom" or run.problem is not None]
     if not runs:
         raise ConfigurationError(
-            f"{', '.join(map(str, paths))}: no NCOM file with CAN logs found, and only these are imported; "
+            f"{', '.join(map(str, paths))}: no NCOM file with CAN logs found, and only these can be imported; "
             "st check, evaluate and discover read other recordings directly")
     written = 0
     for run in runs:

@@ -288,7 +288,7 @@ class Discovery:
     leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]] = field(default_factory=dict)
     clock_errors: Mapping[str, float] = field(default_factory=dict)  # correction of the steering stamps by run [s]
     acceleration_gain: float = 0.0  # relative excess of the measured lateral specific force, due to body roll [1]
-    noise: Mapping[str, float] = field(default_factory=dict)  # errors of the best model [SI]: noise of later drives
+    noise: Mapping[str, float] = field(default_factory=dict)  # remaining held-out error by channel [SI]
 
     @property
     def increases_error(self) -> bool:

@@ -5,7 +5,7 @@ ahead of the CG and rotated by gamma to the left,
 
     v_y = -gamma v_x + (l_r + d_x) r - s v_x^2 r - e v_x dr/dt,    s = m l_f / (L C_r)
 
-with v_x, v_y at the INS. Straights determine gamma, bends d_x, bends at two speeds s [rad s^2/m], the magnitude of the
+v_x, v_y: at the INS. Straights determine gamma; bends, d_x; bends at two speeds, s [rad s^2/m], the magnitude of the
 rear slip angle per lateral acceleration. The term e [s^2] is the lateral motion of an INS above the roll axis as the
 body rolls. An INS at d_y to the left of the CG is slower than the CG in left bends and faster in right bends:
 
@@ -39,7 +39,7 @@ SAMPLE_INTERVAL = 0.1  # s; filtered samples at shorter intervals are redundant
 def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
     """Estimates of cg_to_ins_x [m], ins_misalignment [rad, positive to the left], and with tight bends cg_to_ins_y [m].
 
-    vehicle: its lengths are used, its lever arm is not. Raises IdentificationError for too few or unusable drives.
+    The lever arm of `vehicle` only affects sample selection. Raises IdentificationError for too few or unusable drives.
     """
     logs, notes = prepare_drives(logs, vehicle, "velocity_y")
     runs = [sample_run(log, vehicle) for log in logs]
@@ -61,7 +61,7 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
     misalignment, rear_axle_to_ins, slip = -theta[0], theta[1], -theta[2]
     estimates = [
         _make_estimate("cg_to_ins_x", rear_axle_to_ins - vehicle.cg_to_rear_axle, spread, 1, 1.0, used_runs,
-                       f"{rear_axle_to_ins:.3f} m ahead of the rear axle, if this does not steer", 0.1),
+                       f"{rear_axle_to_ins:.3f} m ahead of the rear axle, if that does not steer", 0.1),
         _make_estimate(MISALIGNMENT, misalignment, spread, 0, 1.0, used_runs,
                        f"{np.rad2deg(misalignment):+.2f} deg, reported heading minus the car's heading", 0.005)]
     correlation = correlation_matrix(spread.covariance[np.ix_([1, 0], [1, 0])] * np.array([[1, -1], [-1, 1]]))

@@ -35,7 +35,7 @@ def identify_scales(job: IdentificationJob) -> tuple[Identification, ...]:
     uncertainties = set(np.nan_to_num(table.numbers["scale_uncertainty"], nan=mass_and_cg.SCALE_UNCERTAINTY).tolist())
     if len(uncertainties) > 1:
         raise RunError(job.files[0], f"scale_uncertainty_kg has several values: {sorted(uncertainties)}",
-                       "use one set of scales")
+                       "give the same value in every row")
     readings = np.stack([table.numbers[wheel] for wheel in mass_and_cg.WHEELS], axis=1)
     weighings = mass_and_cg.Weighings(readings, tuple(names), tuple(loads), uncertainties.pop())
     return (mass_and_cg.identify_mass_and_cg(weighings, job.vehicle),)
@@ -127,7 +127,7 @@ def identify_height(job: IdentificationJob) -> tuple[Identification, ...]:
         if np.isnan(pitch[mask]).all():
             if np.isnan([lift, front, rear]).all(axis=1).any():
                 raise RunError(file, "has no values of pitch_deg, and lacks values of lift_m, front_radius_m or "
-                               "rear_radius_m", "measure pitch or lift in every row")
+                               "rear_radius_m", "give pitch, or lift and both radii, in every row")
             pitch[mask] = compute_pitch(lift, front, rear, job.vehicle.wheelbase)
         elif np.isnan(pitch[mask]).any():
             raise RunError(file, "a row has no pitch", "fill that cell, or remove the row")
@@ -184,12 +184,12 @@ def identify_lambda(job: IdentificationJob) -> tuple[Identification, ...]:
 def read_tyre_tables(files: Sequence[Path]) -> list[FlatPlank]:
     """One table for each tyre, from the rows of all files; the column `tyre` contains front or rear."""
     table = read_tables(files, TYRE_COLUMNS, texts=("tyre",))
-    for (file, row), word in zip(table.rows, table.texts["tyre"], strict=True):
-        if not word:
+    for (file, row), axle in zip(table.rows, table.texts["tyre"], strict=True):
+        if not axle:
             raise RunError(file, f"has no column tyre, or no tyre in row {row}", "write front or rear in each row")
-        if f"tyre_{word.lower().removeprefix('tyre_')}" not in TYRES:
-            raise RunError(file, f"tyre is {word[:40]!r} in row {row}", "write front or rear")
-    tyres = np.array([f"tyre_{word.lower().removeprefix('tyre_')}" for word in table.texts["tyre"]])
+        if f"tyre_{axle.lower().removeprefix('tyre_')}" not in TYRES:
+            raise RunError(file, f"tyre is {axle[:40]!r} in row {row}", "write front or rear")
+    tyres = np.array([f"tyre_{axle.lower().removeprefix('tyre_')}" for axle in table.texts["tyre"]])
     names, (load, slip, force) = np.array([file.name for file, _ in table.rows]), table.numbers.values()
     return [FlatPlank(tyre, load[mask], slip[mask], force[mask], ", ".join(dict.fromkeys(names[mask].tolist())))
             for tyre in TYRES if (mask := tyres == tyre).any()]

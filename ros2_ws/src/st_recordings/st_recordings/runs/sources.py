@@ -28,7 +28,7 @@ DOCUMENT_EXTENSIONS = (".md", ".txt", ".rst", ".pdf", ".html", ".png", ".jpg", "
 """Extensions of documents such as README and LICENSE, which are ignored among recordings."""
 MAX_SPLIT_GAP = 5.0  # longest gap or overlap [s] between the end of one file of a split bag and the start of the next
 TABLE_EXTENSIONS = (".lvm", ".xls", ".xlsx", ".ods", ".tdms", ".erg", ".ld", ".pos")
-"""Extensions of tables of other programs. Some of these files are text, which can be read with the extension .csv."""
+"""Extensions of tables of other programs. Some of these files are text, which can be read after renaming to .csv."""
 TEXT_EXPORTS = (".txt", ".tsv", ".dat")  # extensions of tables that programs often export alongside their own files
 UNKNOWN_ADVICE = {
     **dict.fromkeys((".dbc", ".kcd", ".sym", ".arxml"), "give a DBC with --dbc, or put it into the folder of --car"),
@@ -86,7 +86,7 @@ def _report_folder_without_runs(folder: Path) -> list[RunSource]:
     bags = [f for f in files if bag.accepts(f) and not any(bag.accepts(parent) for parent in f.parents)]
     unknown_files = [f for f in files if f.suffix.lower() in UNKNOWN_ADVICE.keys() - {*DOCUMENT_EXTENSIONS}]
     tables = [f for f in files if f.suffix.lower() in (*BINARY_EXTENSIONS, *MF4_EXTENSIONS, ".csv", ".tsv")]
-    # The problems of bags and tables are found by reading.
+    # The problems of bags and tables are reported when they are read.
     return [*(_make_single_run(f, bag) for f in bags), *(_make_single_run(f, READERS["csv"]) for f in tables),
             *map(_report_unknown_file, unknown_files)] or [_report_problem(
         folder, "this folder contains no recording", "give a folder with .ncom and CAN logs, bags, CSV or VBO files")]
@@ -189,7 +189,7 @@ def _find_partners(recordings: Sequence[Path], logs: Sequence[Path], paired: set
     """CAN logs of each INS recording: those in the outermost folder around it without another INS recording, or only
     those of them with its stem (or STEM_1, STEM_2, ...), if any; without logs there, those with its stem in other
     folders. A stem counts only if no other recording has it. Empty if stems and folders disagree, if two recordings
-    would share a log, or, next to pairs of the same stem (in the folders `paired`), for logs of several sessions."""
+    would share a log, or if its folder has pairs of the same stem (`paired`) and the logs are of several sessions."""
     candidates: dict[Path, tuple[Path, ...]] = {}
     contradictory = set[Path]()
     for file in recordings:
@@ -261,8 +261,8 @@ def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
 
 
 def _group_split_bags(files: Sequence[Path]) -> list[list[Path]]:
-    """Groups of two or more bag files drive_0, drive_1, ..., each of which begins when the previous one ends, in order
-    of time. No number between those of two consecutive files is missing."""
+    """Groups of two or more bag files drive_0, drive_1, ..., in order of time, each of which begins when the
+    previous one ends. No number between those of two consecutive files is missing."""
     series: dict[tuple[Path, str, str], dict[int, Path]] = {}
     for file in files:
         stem, _, digits = file.stem.rpartition("_")
@@ -276,7 +276,7 @@ def _group_split_bags(files: Sequence[Path]) -> list[list[Path]]:
         for previous, number in pairwise(numbers):
             part, between = parts[number], range(min(previous, number), max(previous, number))
             gap = abs(spans[number][0] - spans[previous][1]) * 1e-9  # s
-            if gap < MAX_SPLIT_GAP and all(k in parts for k in between):  # numbers may be times: a huge range
+            if gap < MAX_SPLIT_GAP and all(k in parts for k in between):  # stops early in a huge range of time stamps
                 groups[-1].append(part)
             else:
                 groups.append([part])
