@@ -30,7 +30,7 @@ from .table_times import DAY, PLAUSIBLE_EPOCH, ROLLOVER_STEP, month_number, pars
 _BLF_HEAD_LENGTH = 16  # bytes: "LOBJ", header size, header version, object size, object type
 _BLF_CONTAINER = re.compile(rb"LOBJ.{8}\x0a\0\0\0", re.DOTALL)  # head of a container
 _BLF_PADDING = 3  # bytes; largest padding after a container, which the format aligns to four bytes
-_WEEKDAY_MONTH = re.compile(r"(?i)^(date|begin\s+triggerblock)\s+\S+\s+(\S+)(.*)")
+_ASC_DATE_LINE = re.compile(r"(?i)^(date|begin\s+triggerblock)\s+\S+\s+(\S+)(.*)")
 _TABLE_EXTENSIONS = (".csv", ".txt")
 LINE_FORMAT = "candump, BUSMASTER, CRTD, CL2000, Kvaser or ZLG"  # formats with one frame per line, parsed by _LINES
 ZLG_EXTENDED, ZLG_SENT = ("扩展帧", "à©õ¹ö¡"), ("发", "·")  # in Unicode, and in GBK that was read as Windows-1252
@@ -86,10 +86,10 @@ MAX_HEADER_LINES = 30  # lines at the start of a file searched for the names of 
 EXTENDED_DIGITS = 8  # hexadecimal digits of an extended identifier
 DECIMAL_IDS = "its identifiers were read as decimal numbers"
 AMBIGUOUS_IDS = "its identifiers may be decimal or hexadecimal numbers; they were read as hexadecimal"
-MAX_SCANNED_ROWS = 5000  # rows that show the unit of times, and whether identifiers and bytes are decimal
+MAX_SCANNED_ROWS = 5000  # rows searched for the unit of times and the base of identifiers and bytes
 MIN_STEPS = 50  # minimum number of positive time steps from which the unit of the times is inferred
 MAX_STEPS = {"s": 0.15, "ms": 50.0}
-"""Below a median step of 0.15, times since the start are in s (7 frames/s), below 50 in ms (20/s), otherwise in us."""
+"""Times since the start are in s if their median step is below 0.15 (7 frames/s), in ms below 50 (20/s), else in us."""
 MIN_FRAME_DURATION = 40.0  # us; every frame takes longer at 1 Mbit/s
 
 
@@ -144,7 +144,7 @@ def _read_text(file: Path, notes: list[str], make_parser: Callable[[Lines, list[
 
 
 def _complete_date(time: str, previous: str) -> str:
-    """The time of a CL1000 to CL3000, as 20260504 101112.500, with the day or the date before T. previous: date of the
+    """A time of a CL1000 to CL3000, with the day or the date before T, as "20260504 101112.500". previous: date of the
     previous line, which is at most 15 days earlier or later."""
     day, clock = re.sub("[^0-9T]", "", time).split("T")
     if len(day) == 2 and abs(step := int(day) - int(previous[6:])) > 15:  # in the next or the previous month
@@ -154,13 +154,13 @@ def _complete_date(time: str, previous: str) -> str:
 
 def _make_line_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
     make_message = import_module("can").Message
-    start = "20000101"  # date of a CL1000, which has no clock
+    date = "20000101"  # of the previous line; at first that of a CL1000, which has no clock
 
     def parse(line: str) -> Any:
-        nonlocal start
+        nonlocal date
         line = _COLOUR.sub("", line)
         if not line.strip() or _COMMENT.match(line):
-            start = line[8:16] if line.startswith("# Time: ") else start
+            date = line[8:16] if line.startswith("# Time: ") else date
             return None
         match = next(filter(None, (form.match(line) for form in _LINES)), None)
         if match is None:
@@ -168,8 +168,8 @@ def _make_line_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
         cells = {"kind": "-", "length": "", "fd": "", "bus": "", "index": "", "direction": "", **match.groupdict("")}
         time, kind, bus, data = cells["time"], cells["kind"].lower(), cells["bus"], cells["data"].replace("`", " ")
         if "T" in time:
-            time = _complete_date(time, start)
-            start = time[:8]
+            time = _complete_date(time, date)
+            date = time[:8]
         if " " in time:
             seconds = datetime.fromisoformat(time).replace(tzinfo=UTC).timestamp()
         elif ":" in time:
@@ -203,7 +203,7 @@ class _AscParser:
 
     def __init__(self, lines: Lines, notes: list[str]):
         self._reader: Any = import_module("can.io.asc").ASCReader(lines)
-        self._notes, self._are_relative = notes, False  # whether times are relative to the previous line
+        self._notes, self._are_relative = notes, False  # are_relative: times are relative to the previous line
         self._start = self._seconds = 0.0  # time of the start; last time since the start
 
     def __call__(self, line: str) -> Any:
@@ -224,7 +224,7 @@ class _AscParser:
         if base := re.match(r"(?i)base\s+(hex|dec)", line):
             self._reader._converted_base = 16 if base[1].lower() == "hex" else 10
             self._are_relative = "timestamps relative" in line.lower()
-        if (match := _WEEKDAY_MONTH.match(line)) is None:
+        if (match := _ASC_DATE_LINE.match(line)) is None:
             return
         key, month, day_and_time = match.groups()
         if key.lower().startswith("begin"):
@@ -287,10 +287,10 @@ def _split_csv_header(line: str) -> tuple[list[str], str, dict[str, int]]:
 
 
 def _is_csv_header(line: str) -> bool:
-    """Whether a line is the header of a CAN log in CSV. Without a length, the bytes must be known to be hexadecimal."""
+    """Whether a line is the header of a CAN log in CSV. Without a length, other names must be typical of a CAN log."""
     names, _, roles = _split_csv_header(line)
-    has_length = "length" in roles or not {"addr", "datahex", "b0", "b1"}.isdisjoint(names)
-    return (has_length and roles.keys() >= {"time", "id", "data"}
+    is_typical = "length" in roles or not {"addr", "datahex", "b0", "b1"}.isdisjoint(names)
+    return (is_typical and roles.keys() >= {"time", "id", "data"}
             and MOTION_CHANNELS.isdisjoint(find_columns(Path(), names, Layout())))
 
 
@@ -319,7 +319,7 @@ def _make_csv_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
         data = _read_csv_data(cells, row, names[roles["data"]], roles, byte_base, n_columns)
         identifier, is_extended = int(row[roles["id"]], id_base or 16), _read_flag(cells, *_EXTENDED_COLUMNS)
         if identifier > MAX_STANDARD_ID and (is_extended is False or ("xtd" in cells and not is_extended)):
-            raise ValueError(f"standard identifier {identifier:x}")  # or a J1939 row, with other columns
+            raise ValueError(f"standard identifier {identifier:x}")  # a fault, or a row of J1939, whose columns differ
         bus = cells.get("bus") or cells.get("buschannel") or cells.get("network", "")
         time = row[roles["time"]]
         stamp = parse_stamp(time) if ":" in time else None
@@ -453,7 +453,7 @@ def _read_blf(file: Path, notes: list[str]) -> Iterator[Any]:
                     yield message
                 unread = end
                 if next_start - end > _BLF_PADDING:
-                    raise ValueError(f"no container is at byte {end}")
+                    raise ValueError(f"no container at byte {end}")
             except Exception as error:  # any, from python-can
                 damage = damage or f"is damaged after frame {count} ({shorten(error)})"
                 lost += next_start - unread
@@ -470,14 +470,14 @@ def _is_csv(head: bytes) -> bool:
     return any(map(_is_csv_header, head.decode("utf-8-sig", "ignore").splitlines()[:MAX_HEADER_LINES]))
 
 
-def _is_candump(head: bytes) -> bool:
+def _has_line_format(head: bytes) -> bool:
     forms = (re.compile(r"\W*\(\d+\.\d+\) \S+ [0-9A-Fa-f]+#"), *_LINES[1:])
     lines = _COLOUR.sub("", head.decode("latin-1")).splitlines()
     return b"field: DEC" not in head and any(form.match(line) for line in lines for form in forms)
 
 
 FORMATS = (
-    Format(LINE_FORMAT, (".log", ".candump", ".crtd", *_TABLE_EXTENSIONS), _is_candump, partial(
+    Format(LINE_FORMAT, (".log", ".candump", ".crtd", *_TABLE_EXTENSIONS), _has_line_format, partial(
         _read_text, make_parser=_make_line_parser)),
     Format("Vector ASC", (".asc",), lambda head: b"\nbase hex" in head or b"\nbase dec" in head or bool(
         _ASC_DATE.match(head.lstrip(b"\xef\xbb\xbf \t\r\n")) or _ASC_LINE.search(head)), partial(
@@ -546,6 +546,6 @@ def is_can_log(file: Path) -> bool:
     except OSError:
         head = b""
     if extension == ".csv":
-        return _is_csv(head) or _is_candump(head)
+        return _is_csv(head) or _has_line_format(head)
     return is_mdf(head) or _is_can_capture(head) or any(kind.matches(head) for kind in FORMATS) or (
         extension in (".log", ".asc") and (not head or head.startswith(tuple(COMPRESSED_MAGIC))))
