@@ -128,7 +128,7 @@ class Receiver:
             time_ns = now_ns
         self._back_off = BACK_OFF_FIRST
         if frame.is_error_frame:
-            self._count_error_frame(frame)
+            self._handle_error_frame(frame)
         else:
             self._last_frame_at = time.monotonic()
             with self._lock:
@@ -143,7 +143,7 @@ class Receiver:
                 self._status.callback_errors += 1
             self._on_error(error)
 
-    def _count_error_frame(self, frame: can.Message) -> None:
+    def _handle_error_frame(self, frame: can.Message) -> None:
         text, state = describe_error_frame(frame)
         self._last_error_frame_at = time.monotonic()
         with self._lock:

@@ -227,9 +227,9 @@ def _mask_invalid(columns: Columns) -> None:
     for names, is_invalid in ((("acceleration", "angular_rate"), no_imu),
                               (("velocity_ned", "heading", "pitch", "roll"), no_navigation),
                               (("latitude", "longitude", "altitude"), no_navigation | impossible)):
-        packets = np.flatnonzero(is_invalid)
+        rows = np.flatnonzero(is_invalid)
         for name in names:
-            getattr(columns, name)[..., packets] = np.nan
+            getattr(columns, name)[..., rows] = np.nan
 
 
 def _describe_missing_packet(name: str, data: bytes) -> str:

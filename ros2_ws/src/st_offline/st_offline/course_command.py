@@ -40,7 +40,7 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, read_settings
             report_problem(source.name, describe_problem(error, source))
             continue
         passes += run_passes
-        length = 1e-3 * SPACING * sum(len(part.points) for part in run_passes)  # km
+        length = 1e-3 * SPACING * sum(len(pass_.points) for pass_ in run_passes)  # km
         print_line(f"{escape(source.name)}: {length:.2f} km in {format_count(len(run_passes), 'part')}")
     if not passes:
         raise ConfigurationError("no run can be used for a course, for the reasons above")
@@ -48,5 +48,5 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, read_settings
         print_line(f"[yellow]warning: {escape(', '.join(without_origin))}: without a map origin, and therefore "
                    "not shifted; valid only if recorded in the map frame of the first run with an origin[/yellow]")
     write_file(output, Course(tuple(passes), origin).to_yaml())
-    print_line(f"{escape(str(output))}: course of {format_count(len({part.recording for part in passes}), 'drive')}")
+    print_line(f"{escape(str(output))}: course of {format_count(len({pass_.recording for pass_ in passes}), 'drive')}")
     return 1 if failed else 0

@@ -34,14 +34,14 @@ class Origin:
         self.latitude_deg, self.longitude_deg, self.height = latitude_deg, longitude_deg, height
         latitude, longitude = math.radians(latitude_deg), math.radians(longitude_deg)
         self._rotation = math.sin(latitude), math.cos(latitude), math.sin(longitude), math.cos(longitude)
-        self._centre = to_ecef(latitude, longitude, height)
+        self._ecef = to_ecef(latitude, longitude, height)
 
     def to_geodetic(self, x: float, y: float, z: float) -> tuple[float, float, float]:
         """Latitude, longitude [rad] and ellipsoidal height [m] of a map point [m]."""
         s_lat, c_lat, s_lon, c_lon = self._rotation
         outward = c_lat * z - s_lat * y
-        cx, cy, cz = self._centre
-        return from_ecef(cx - s_lon * x + c_lon * outward, cy + c_lon * x + s_lon * outward, cz + c_lat * y + s_lat * z)
+        x0, y0, z0 = self._ecef
+        return from_ecef(x0 - s_lon * x + c_lon * outward, y0 + c_lon * x + s_lon * outward, z0 + c_lat * y + s_lat * z)
 
 
 def to_ecef(latitude: float, longitude: float, height: float) -> tuple[float, float, float]:

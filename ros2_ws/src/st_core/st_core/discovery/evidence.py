@@ -149,10 +149,10 @@ def library_p_value(block_scores: np.ndarray, block_gain: np.ndarray, scores: Sc
     distribution is F instead of chi-square, because the design effect is estimated. block_scores: (b, k), b >= 2.
     block_gain: (b,). effect_count: number of effects in the library.
     """
-    blocks, values = block_scores.shape
+    b, k = block_scores.shape
     p_score = (1 + int((scores.largest >= score_statistic(block_scores)).sum())) / (1 + len(scores.largest))
     ratio = 2.0 * max(float(block_gain.sum()), 0.0) / scores.design_effect
-    p_ratio = effect_count * float(stats.f.sf(ratio / values, values, blocks - 1))
+    p_ratio = effect_count * float(stats.f.sf(ratio / k, k, b - 1))
     return min(2.0 * max(p_score, p_no_worse(block_gain)), 2.0 * p_ratio, 1.0)
 
 
@@ -206,7 +206,7 @@ def column_reductions(problem: Problem, reduced: np.ndarray, full: np.ndarray) -
 
 
 def efficient_score_at_fit(problem: Problem, fit: Fit, effect: str, sensitivities: Sensitivities) -> np.ndarray:
-    """(b, k) efficient scores of an effect that is not in the fit. sensitivities: to both, near its vector."""
+    """(b, k) efficient scores of an effect outside the fit. sensitivities: to it and to the fit, near its vector."""
     indices = np.union1d(fit.indices, problem.space.indices(effect))
     rows = problem.errors.at(fit.vector)
     q = problem.loss.quadratic(rows, sensitivities.select(indices)).sum_groups(problem.block, problem.blocks)
@@ -295,7 +295,7 @@ def covariance(problem: Problem, fit: Fit) -> np.ndarray:
     """(a, a) sandwich covariance H^-1 (S + C V C) H^-1 of the fitted values minus the start [parameter scales]; S is
     the scatter matrix of the block scores, C half the second derivative of the loss, H = C plus the curvature of the
     prior, V the covariance of the start; without V, the variance of the prior gradient replaces C V C. An error v of
-    the start changes the difference by -H^-1 C v: their shared error cancels. Source: White, Econometrica 50 (1982)."""
+    the start changes the difference by -H^-1 C v: shared errors cancel. Source: White, Econometrica 50 (1982)."""
     q = fit.quadratic.sum_groups(problem.block, problem.blocks)
     curvature = problem.loss.curvature(problem.errors.at(fit.vector), fit.sensitivities.select(fit.indices))
     if len(curvature):  # raised in every direction to at least MIN_CURVATURE times that of the reweighted least squares
@@ -327,8 +327,8 @@ class JointFit:
 
 
 def approximate_joint_fit(problem: Problem, fit: Fit) -> JointFit:
-    """Quadratic approximation of a fit with the other effects that do not overlap it free, with a prior standard
-    deviation of UNSELECTED_DEVIATION, and with the uncertainties of the vehicle file as priors.
+    """Quadratic approximation of a fit in which the other effects that do not overlap it are free, with a prior
+    standard deviation of UNSELECTED_DEVIATION, and with the uncertainties of the vehicle file as priors.
 
         covariance = (D / 2) (H + K)^-1,   H, K: curvature of the loss and of the priors,   D: design effect
 

@@ -15,7 +15,7 @@ class YawRateDelay(Effect):
     order = 20  # before scale and bias; as both are constant, the reading does not depend on the order
     parameter = Parameter("time", "s", null=0.0, initial=0.03, bounds=(-0.1, 0.2), identity="yaw_rate_lag",
                           meaning="delay of the yaw rate, positive for a lag",
-                          source="filters of yaw rate sensors, 10-50 Hz: 5-30 ms; time stamps on arrival add as much")
+                          source="filters of yaw rate sensors, 10-50 Hz: 5-30 ms; stamping on arrival adds as much")
 
     @staticmethod
     def observe(measured, theta):

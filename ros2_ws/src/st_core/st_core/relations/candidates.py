@@ -167,7 +167,7 @@ def split_name(name: str) -> tuple[str, str, str]:
 
 def compute_quantities(windows: Windows) -> dict[str, np.ndarray]:
     """Each quantity at the INS samples above MIN_SPEED, by name; slip angles in small-angle approximation, from the
-    measured velocity. A lag is approximated by a moving average over twice its time constant."""
+    measured velocity. The smoothing of a lag is approximated by a centred average over twice its time constant."""
     log, vehicle = windows.joined_log, windows.vehicle
     is_moving = log.velocity_x > MIN_SPEED
     stamps, speed, rate = log.ins_time_ns, log.velocity_x, log.yaw_rate
@@ -182,8 +182,8 @@ def compute_quantities(windows: Windows) -> dict[str, np.ndarray]:
                       "speed": speed, "yaw_rate": rate, "north": np.sin(log.yaw), "east": np.cos(log.yaw),
                       "position_x": log.x, "position_y": log.y, "run_time": windows.run_time}
         for name, (source, kind, tau) in FILTERED_QUANTITIES.items():
-            lagging = moving_average(stamps, quantities[source], round(2.0 * tau / NANOSECOND))
-            quantities[name] = np.gradient(lagging, time * NANOSECOND) if kind == "rate" else lagging
+            smoothed = moving_average(stamps, quantities[source], round(2.0 * tau / NANOSECOND))
+            quantities[name] = np.gradient(smoothed, time * NANOSECOND) if kind == "rate" else smoothed
     return {name: values[is_moving] for name, values in quantities.items()}
 
 

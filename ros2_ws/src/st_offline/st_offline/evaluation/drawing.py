@@ -141,5 +141,5 @@ def reduce_points(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.
 
 def cut_at_gaps(time: np.ndarray, values: np.ndarray, gap: float) -> tuple[np.ndarray, np.ndarray]:
     """Insert a NaN, which interrupts a line, between points that are more than `gap` [s] apart."""
-    ends = np.flatnonzero(np.diff(time) > gap) + 1
-    return np.insert(time.astype(float), ends, np.nan), np.insert(values.astype(float), ends, np.nan)
+    starts = np.flatnonzero(np.diff(time) > gap) + 1
+    return np.insert(time.astype(float), starts, np.nan), np.insert(values.astype(float), starts, np.nan)

@@ -19,7 +19,7 @@ MIN_COMPARED_SAMPLES = 20
 """Minimum number of samples for comparing positions with the integrated speed, or yaw with the course over ground."""
 MAX_COMPARED_SAMPLES = 10_000
 MIN_CORRELATION = 0.5
-"""Minimum magnitude of the correlation, or mean cosine, between displacement and velocity for its sign to be used."""
+"""Minimum magnitude of a correlation or mean cosine of displacement and velocity or heading for its sign to be used."""
 SIGNIFICANT_DEVIATIONS = 3.0
 """Minimum ratio of a sum to its standard deviation (p = 0.003), or of two standard deviations, to be significant."""
 MAX_AGREEING_ANGLE = 0.1
@@ -28,7 +28,7 @@ of two interpretations is accepted if the difference of the other is larger by m
 MIN_DISAGREEING_ANGLE = 0.3
 """[rad]. If the difference between heading and course is larger, the heading has a different unit or direction."""
 MAX_DEVIATION_RATIO = 0.5  # of two mean-square deviations from the motion; a smaller ratio shows which angle is right
-MAX_RADIANS = 6.4  # rad; without motion, a heading is in degrees if its first value has a larger magnitude
+MAX_RADIANS = 6.4  # rad; without motion, an angle is in degrees if its first value has a larger magnitude
 HEADING, COURSE = "compass_heading", "course"
 EARTH_RADIUS = 6.37e6  # m
 MIN_COURSE_SPREAD = 0.03
@@ -48,18 +48,18 @@ def convert_odometry(values: dict[str, np.ndarray], frame_id: str) -> list[str]:
     if is_ned:
         values["x"], values["y"], values["yaw"] = values["y"], values["x"], np.pi / 2 - values["yaw"]
         notes.append(f"frame_id is {frame_id!r}: x, y and yaw were converted from north, east and compass heading")
-    rotation = rotate_to_body_axes(values)  # a warning if the velocities are over ground
+    rotation_warning = rotate_to_body_axes(values)  # "" unless the velocities are over ground
     if is_ned and (values["velocity_y"].any() or values["yaw_rate"].any()):
         products = np.diff(values["yaw"]) * values["yaw_rate"][1:]
         total, deviation = float(np.sum(products)), float(np.sqrt(np.sum(products**2)))
         sign = total if abs(total) > SIGNIFICANT_DEVIATIONS * deviation else _correlate_lateral_motion(values)
-        if sign < 0 or not (sign or rotation):
-            changed = ("yaw_rate",) if rotation else ("yaw_rate", "velocity_y")
+        if sign < 0 or not (sign or rotation_warning):
+            changed = ("yaw_rate",) if rotation_warning else ("yaw_rate", "velocity_y")
             values.update({name: -values[name] for name in changed})
             notes.append(f"z of the body axes points down: the sign of {' and '.join(changed)} was changed" if sign else
                          "the sign of yaw_rate and velocity_y was changed: the data do not show whether z of the body "
                          "axes points down, which was assumed")
-    return [*notes, rotation] if rotation else notes
+    return [*notes, rotation_warning] if rotation_warning else notes
 
 
 def _correlate_lateral_motion(values: Mapping[str, np.ndarray]) -> float:
@@ -133,7 +133,7 @@ def read_angles(table: Table, use_positions: bool) -> Table:
     constant angle, because the map may be rotated).
 
     If the motion does not show the unit, angles between -180 and 360 without a stated unit that wrap by 360 or begin
-    above 2 pi are in degrees.
+    above MAX_RADIANS are in degrees.
     """
     columns, sources, warnings = dict(table.columns), dict(table.sources), list(table.warnings)
     has_velocities = columns.keys() >= {"velocity_east", "velocity_north"}
@@ -157,12 +157,12 @@ def read_angles(table: Table, use_positions: bool) -> Table:
         names = ("yaw", HEADING) if has_velocities and channel != COURSE else (channel,)
         angles = {(name, unit): columns[channel] / source.factor * UNITS["angle"][unit][0]
                   for unit in ("rad", "deg") for name in names}
-        deviations = {best: compute_deviation(best[0], angle) for best, angle in angles.items()}
+        deviations = {key: compute_deviation(key[0], angle) for key, angle in angles.items()}
         recorded, best, text = (channel, source.unit), min(deviations, key=lambda key: deviations[key]), ""
         values = angles[channel, "rad"][np.isfinite(columns[channel])]
         looks_like_degrees = len(values) > 0 and values.min() > -180.5 and values.max() < 360.5 and bool(
             np.abs(np.diff(values)).max(initial=0.0) > 180.0 or abs(values[0]) > MAX_RADIANS)
-        # A yaw that drifts during a straight drive is almost constant in degrees: a constant then agrees as well.
+        # Read as degrees, a yaw that drifts on a straight road is almost constant: a constant then agrees as well.
         constant, degrees = compute_deviation("yaw", np.zeros(len(columns[channel]))), deviations[channel, "deg"]
         in_radians = degrees > MIN_COURSE_SPREAD and deviations[recorded] ** 2 < MAX_DEVIATION_RATIO * degrees ** 2
         shows_unit = looks_like_degrees or deviations[best] ** 2 < MAX_DEVIATION_RATIO * constant ** 2

@@ -44,14 +44,14 @@ class CanSignals:
 
     def select_interval(self, start_ns: int, end_ns: int) -> "CanSignals":
         """The signals with start_ns <= time < end_ns."""
-        parts = {}
+        selected = {}
         for key, signal in self.signals.items():
             rows = slice(*np.searchsorted(signal.time_ns, (start_ns, end_ns)).tolist())
             if rows.start < rows.stop:
-                parts[key] = replace(signal, **{name: getattr(signal, name)[rows]
-                                                for name in ("time_ns", "values", "valid", "rows")})
+                selected[key] = replace(signal, **{name: getattr(signal, name)[rows]
+                                                   for name in ("time_ns", "values", "valid", "rows")})
         rejected_times_ns = {name: t[(t >= start_ns) & (t < end_ns)] for name, t in self.rejected_times_ns.items()}
-        return CanSignals(parts, self.faults, rejected_times_ns)
+        return CanSignals(selected, self.faults, rejected_times_ns)
 
     def find_first(self, name: str) -> Signal | None:
         return next(iter(self.find_all(name)), None)
@@ -104,7 +104,7 @@ def _describe_similar_id(ids: np.ndarray, key: int) -> str:
         return ""
     identifiers = ", ".join(f"0x{other & ~EXTENDED:X} ({count} frames)" for other, count in
                             zip(same_group.tolist(), counts.tolist(), strict=True))
-    return f"the log has {identifiers} instead, which differs only in the J1939 priority and source address"
+    return f"the log has {identifiers} instead, where only the J1939 priority and source address differ"
 
 
 def _decode_message(frames: Frames, rows: np.ndarray, spec: MessageSpec) -> tuple[CanSignals, int]:

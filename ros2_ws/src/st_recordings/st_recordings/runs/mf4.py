@@ -76,7 +76,7 @@ def read_mf4(path: Path) -> frames.CanLog:
     """
     warnings: list[str] = []
     decoded_signals: list[str] = []
-    advice = "copy it again from the card of the logger"
+    advice = "copy it again from the logger's SD card"
     with open_mdf(path, lambda: _open_readable_part(path, warnings), advice) as log:
         start_ns = int(log.header.start_time.timestamp()) * 10**9 + int(log.header.abs_time) % 10**9
         if not 0 <= start_ns < LATEST_START * 10**9:
@@ -222,7 +222,7 @@ def _read_group_frames(log: Any, group: int, start_ns: int) -> Iterator[frames.F
         raise DamageError("its records have no time channel")
     count = content.channel_group.cycles_nr
     for first in range(0, count, MAX_RECORDS_PER_READ):
-        # asammdf allocates as many records as are requested. Invalid times only warn here; _build_frames rejects them.
+        # asammdf allocates as many records as requested. Invalid times only cause warnings; _build_frames rejects them.
         with np.errstate(all="ignore"):
             signal = log.get(name, group=group, raw=True, ignore_invalidation_bits=False, record_offset=first,
                              record_count=min(MAX_RECORDS_PER_READ, count - first))
