@@ -79,7 +79,7 @@ def test_clock_that_is_set_is_an_alternative_to_a_jump_of_the_positions(leaf, se
     rows = np.append(True, np.diff(np.maximum.accumulate(stamps)) > 0)  # the reader leaves out the others
     found = findings_by_name(replace(log.select_ins(rows), ins_time_ns=stamps[rows]))
     jumps = found.pop("position_jumps")
-    assert not found and jumps.text.endswith(f", or the clock was set by {seconds:+.2f} s: both fit this drive")
+    assert not found and jumps.text.endswith(f", or the clock jumped by {seconds:+.2f} s: both fit this drive")
     sideways = replace(log, y=log.y + np.where(seconds_of(log) > 30.0, 2.0, 0.0))
     assert findings_by_name(sideways)["position_jumps"].alternatives == ()
 

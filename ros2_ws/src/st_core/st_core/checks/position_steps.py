@@ -170,7 +170,7 @@ def _check_jumps(motion: Motion, errors: np.ndarray, along: np.ndarray, is_stale
     across = np.sqrt(np.maximum(1.0 - (along * motion.speed[1:] / np.abs(errors)) ** 2, 0.0))[large]
     if np.all(across < MAX_CROSS_TRACK_FRACTION):  # the advice is also valid for a clock step
         seconds = -float(along[large][np.argmax(np.abs(along[large]))])
-        clock = Alternative(f"the clock was set by {'up to ' if count > 1 else ''}{seconds:+.2f} s")
+        clock = Alternative(f"the clock jumped by {'up to ' if count > 1 else ''}{seconds:+.2f} s")
         finding = replace(finding, channels=("x", "y", "time"), alternatives=(clock,))
     return [finding]
 

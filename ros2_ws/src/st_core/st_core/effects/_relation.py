@@ -172,7 +172,7 @@ class RelationEffect(_Relation):
 @_register
 class LaggedRelationEffect(_Relation):
     name = "relation_lagged"
-    physics = "a smooth curve of a lagged quantity or of its rate, added to the steering of an axle"
+    physics = "a smooth curve of a lagged quantity or its rate, or times this rate, added to the steering of an axle"
     excited_by = "transients that cover the range of the quantity"
     extra_states = ("lagging",)
     parameters = _make_parameters(
