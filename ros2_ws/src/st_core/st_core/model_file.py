@@ -116,7 +116,7 @@ class ModelFile:
     def from_yaml(cls, text: str, origin: str = "model") -> "ModelFile":
         """The content of a model file. origin: name shown in errors, usually the path.
 
-        User-defined effects must be loaded first (`effects.load_folder`). Raises ConfigurationError, with one line.
+        User-defined effects must be loaded first (`effects.load_folder`). Raises a one-line ConfigurationError.
         """
         try:
             return cls._from_document(load(text))

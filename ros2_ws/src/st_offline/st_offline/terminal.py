@@ -1,4 +1,4 @@
-"""The console of the commands, and what they print on it: progress, tables, single lines, lists of written files."""
+"""Console output of the commands (progress, tables, lines, lists of files), and writing of text files."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -131,7 +131,7 @@ def _find_best_offsets(pair: Pair, cutoff: float, min_lag: float, max_lag: float
     residual = 1.0 - np.maximum(correlation, 0.0) ** 2
     best = int(np.argmin(residual))
     if abs(lags[best]) < min_lag:
-        raise ValueError("the lag is smaller than the range searched")
+        raise ValueError("the lag is below min_lag")
     peaks = 1 + np.flatnonzero((residual[1:-1] < residual[:-2]) & (residual[1:-1] <= residual[2:]))
     known_count = min(float(side.known.sum()) for side in (pair.reference, pair.other))
     fits: list[Fit] = []
@@ -230,7 +230,7 @@ class Results:
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Largest errors of a channel that are regarded as agreement with a reference."""
+    """Limits of the errors of a channel relative to a reference."""
 
     channel: str
     reference: str

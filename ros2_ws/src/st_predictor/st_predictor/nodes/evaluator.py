@@ -113,7 +113,7 @@ class EvaluatorNode(Node):
         self._core.add_prediction(model, start_ns, trajectory, mode)
 
     def _check_configuration(self, model: str, message: Prediction, trajectory: Trajectory) -> None:
-        """Recompute one forecast of each configuration: hindsight must use the same vehicle and model as forecasts."""
+        """Recompute one forecast per configuration, to check that the predictor uses this vehicle and model."""
         key, view = (message.configuration_hash, model), self._core.view(model)
         if key in self._configuration_mismatch:
             return

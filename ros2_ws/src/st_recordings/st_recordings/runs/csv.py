@@ -46,7 +46,7 @@ MAX_GAP_FRACTION = 0.1
 MAX_ROUNDING_RATIO = 1.01
 """A change of position equals one unit of the last decimal if their ratio, larger to smaller, is at most this."""
 MIN_REGULAR_FRACTION = 0.9
-"""If a larger fraction of the intervals between samples of a channel is regular, its blanks are due to a lower rate."""
+"""A channel has a lower rate if more than this fraction of its intervals are regular; also for rounded positions."""
 
 
 def read_csv(file: Path, vehicle: VehicleParameters | None = None, layout: Layout | None = None) -> LoadedRun:
@@ -135,7 +135,7 @@ def build_ins_log(table: Table, required: Sequence[str], yaw_scale: float = 1.0)
 
 
 def find_missing_in_header(file: Path, required: Sequence[str] = ("t", *INS_SIGNALS, ROAD_WHEEL),
-                            with_derived_motion: bool = True) -> list[str]:
+                           with_derived_motion: bool = True) -> list[str]:
     """The required channels that have no column in the header and cannot be derived."""
     names = read_header(file)
     return find_missing_channels(find_columns(file, names, Layout()), names, required, with_derived_motion)
