@@ -33,7 +33,7 @@ from .scale import select_evenly
 PARAMETERS, SENSORS = "parameters", "sensors and start"
 MAX_STARTS = 200  # largest number of starts of a run; neighbouring starts are redundant
 
-Intervals = Mapping[tuple[str, str], tuple[float, float]]  # 95 % interval by effect and parameter, of a model file
+Intervals = Mapping[tuple[str, str], tuple[float, float]]  # 95 % intervals of a model file, by effect and parameter
 Cause = tuple[str, str]  # (PARAMETERS or SENSORS, name)
 
 

@@ -33,7 +33,7 @@ CLIP_RATIO = 8.0  # minimum number of samples at a clipped value, divided by the
 FREEZE_PAUSE_RATIO = 10.0  # minimum duration of a frozen value, divided by the 98 % quantile of constant intervals
 OPTIONAL_CHANNELS = ("velocity_y", "acceleration_x", "acceleration_y")  # not needed to score predicted paths
 MAX_INTERVAL_RATIO = 1.5  # largest ratio of a sampling interval to the median; a longer one contains a lost sample
-MAX_AXIS_FRACTION = 0.9  # fraction of the speed along one axis above which the other position may be constant
+MAX_AXIS_FRACTION = 0.9  # fraction of the speed along one axis above which the other coordinate may be constant
 MAX_SPEED_NOISE = 0.5  # m/s; reported by a receiver at standstill while the position is constant
 MAX_GYRO_BIAS = 0.02  # rad/s; a constant yaw counts as frozen only at a larger yaw rate
 LOCKED_STATUS = 4  # NCOM byte 21
@@ -333,7 +333,7 @@ def _compute_rate_along_axis(motion: Motion, velocity: np.ndarray, other: np.nda
     return np.where(np.abs(_compute_mean_rate(motion.time, other)) < MAX_AXIS_FRACTION * motion.speed, velocity, 0.0)
 
 
-# Position error [m] at the end of the horizon per unit of error of the initial state; whether the speed multiplies it.
+# Position error [m] at the end of the horizon per unit of initial error; whether it is proportional to the speed.
 POSITION_EFFECT = {
     "x": (1.0, False), "y": (1.0, False), "yaw": (HORIZON, True), "velocity_x": (HORIZON, False),
     "velocity_y": (LIMITS.yaw_settling_time * HORIZON, False), "yaw_rate": (LIMITS.yaw_settling_time * HORIZON, True)}

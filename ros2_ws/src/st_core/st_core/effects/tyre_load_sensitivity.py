@@ -1,6 +1,6 @@
 """Load dependence of the cornering stiffness of both axles; the stiffness at static load is as in the vehicle file.
 
-    K(F_z) = K_0 sin(p_ky4 atan(F_z / (factor p_ky2 F_z0))),   K_0 keeps K at the static load of one tyre unchanged
+    K(F_z) = K_0 sin(p_ky4 atan(F_z / (factor p_ky2 F_z0))),   K_0 such that K at static tyre load is unchanged
 
 With factor > 1 the maximum of K is at a higher load, so K is more nearly proportional to load. Source: paper, appendix.
 """
