@@ -42,8 +42,7 @@ def find_vehicle_name(vehicle: Path) -> str:
 def make_bridge_parameters(vehicle: Path, ins: dict[str, Any], can: dict[str, Any], dbc: Path | None = None,
                            signals: Path | None = None) -> dict[str, dict[str, Any]]:
     """Parameters of both bridges, including the additional ones in `ins` and `can`. The transform from base_link to
-    ins_link is the lever arm of the vehicle file, which has no height: base_link is the CG, projected to the height of
-    the INS."""
+    ins_link is the lever arm of the vehicle file, without a height: base_link is the CG, at the height of the INS."""
     car = read_vehicle(vehicle)
     lever_arm = [float(car.cg_to_ins_x), float(car.cg_to_ins_y), 0.0]
     files = {"vehicle_file": str(vehicle), "dbc_file": str((dbc or config("can/leaf_ze0.dbc")).absolute()),
@@ -123,15 +122,15 @@ def set_bands_and_course(parameters: Parameters, bands: Path | None, course: Pat
     if adaptive is not None:
         predictor["adaptive_bands"] = adaptive
     if bands:
-        file = _read_option("--bands", bands, Bands.from_yaml)
+        loaded_bands = _read_option("--bands", bands, Bands.from_yaml)
         car = read_vehicle(Path(predictor["vehicle_file"]))
         hashes = dict.fromkeys(predictor["models"], "")  # hash of the model file by model; "" for a built-in model
         if name := predictor.get("model_file"):
-            model = read_model_file(name)
-            hashes[model.model().name] = model.hash
+            model_file = read_model_file(name)
+            hashes[model_file.model().name] = model_file.hash
         settings = {name: predictor[name] for name in PredictionSettings.__dataclass_fields__ if name in predictor}
         try:
-            file.check(car, hashes, EvaluationSettings(PredictionSettings(**settings)))
+            loaded_bands.check(car, hashes, EvaluationSettings(PredictionSettings(**settings)))
         except StCoreError as error:
             raise SuiteError(f"--bands {bands}: {error}") from None
     if course:

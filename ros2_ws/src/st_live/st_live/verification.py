@@ -150,8 +150,9 @@ def _compare(model: Model, car: VehicleParameters, signals: LogSignals, forecast
 def _compare_paths(result: Comparison, mode: Mode, recorded: Predictions, starts_ns: np.ndarray,
                    states: np.ndarray) -> None:
     """Compare recorded predictions with recomputed ones; states: (n, points, 6), for the starts (n,)."""
-    starts_ns, computed, common = np.intersect1d(starts_ns, recorded.starts_ns, assume_unique=True, return_indices=True)
-    difference = states[computed] - recorded.states[common]
+    starts_ns, rows, recorded_rows = np.intersect1d(starts_ns, recorded.starts_ns, assume_unique=True,
+                                                    return_indices=True)
+    difference = states[rows] - recorded.states[recorded_rows]
     is_finite = np.isfinite(difference).all(axis=(1, 2))
     difference, starts_ns = difference[is_finite], starts_ns[is_finite]
     result.n_predictions[mode] += len(difference)
@@ -169,16 +170,16 @@ def _compare_scores(result: Comparison, mode: Mode, scores: Scores, starts_ns: n
                     last_ns: int) -> None:
     """Compare recorded scores with errors (n, points, 3) for the starts (n,). last_ns: last start that is recorded in
     full; a recorder that was killed before the evaluator leaves complete scores of later starts."""
-    starts_ns, computed, recorded = np.intersect1d(starts_ns, scores.starts_ns, return_indices=True)
-    complete, complete_live = np.isfinite(errors[computed]).all(axis=(1, 2)), scores.complete[recorded]
+    starts_ns, rows, score_rows = np.intersect1d(starts_ns, scores.starts_ns, return_indices=True)
+    complete, complete_live = np.isfinite(errors[rows]).all(axis=(1, 2)), scores.complete[score_rows]
     one_sided = complete != complete_live
-    truncated = one_sided & np.where(complete, scores.signal_ends[recorded], starts_ns > last_ns)
+    truncated = one_sided & np.where(complete, scores.signal_ends[score_rows], starts_ns > last_ns)
     result.n_truncated += int(truncated.sum())
     # The evaluator does not score across a position jump; the library does, unless the jump is excluded from the run.
-    result.n_one_sided += int((one_sided & ~truncated & ~scores.has_jump[recorded]).sum())
+    result.n_one_sided += int((one_sided & ~truncated & ~scores.has_jump[score_rows]).sum())
     both = complete & complete_live
     result.n_scores[mode] += int(both.sum())
-    difference = np.abs(errors[computed][both][..., :2] - scores.errors[recorded][both][..., :2])
+    difference = np.abs(errors[rows][both][..., :2] - scores.errors[score_rows][both][..., :2])
     result.score_difference[mode] = max(result.score_difference[mode], float(difference.max(initial=0.0)))
 
 

@@ -45,7 +45,7 @@ class VehicleUpdate:
 
     vehicle: VehicleParameters  # updated car, or the original one if vehicle.yaml is not written
     text: str  # content of vehicle.yaml; "" if it is not written
-    # Model for `vehicle`; it keeps the part of a folded effect by which the complete model differs from the named one.
+    # Model for `vehicle`; of a folded effect, it keeps the difference between `Discovery.model` and `Discovery.named`.
     model: AugmentedModel
     folded: tuple[str, ...]  # effects in vehicle.yaml
     # (before, after, low, high) by key [SI]; low, high: 95 % interval.
@@ -78,9 +78,9 @@ def fold_named_effects(discovery: Discovery, request: Request) -> VehicleUpdate 
     """Fold the reported effects into the vehicle file, even if this does not improve predictions; None without a model.
 
     Effects that an entry can express are folded in the order in which they act. An effect is skipped if its values
-    exceed the limits of the file or if predictions would change: the steering ratio has no influence if the road-wheel
-    angle was recorded, and some effects do not commute with earlier ones (steering play). Minor and effective
-    corrections are not folded.
+    exceed the limits of the file or if predictions would change, because the entry has no influence (steering ratio,
+    if the road-wheel angle was recorded) or the effect does not commute with earlier ones (steering play). Minor
+    effects and effective corrections are not folded.
     """
     if discovery.model is None or discovery.named is None:
         return None

@@ -95,8 +95,8 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
 
 def _warn_about_unused_logs(can: CanLog, ins: InsLog, alignment: Alignment) -> list[str]:
     """A warning that names the CAN logs that do not overlap the INS recording in time, if others do."""
-    edges_ns = [alignment.to_reference_ns(np.array(span)) for span in can.spans]
-    unused = [file.name for file, (first, last) in zip(can.files, edges_ns, strict=False)
+    spans_ns = [alignment.to_reference_ns(np.array(span)) for span in can.spans]
+    unused = [file.name for file, (first, last) in zip(can.files, spans_ns, strict=False)
               if last < ins.time_ns[0] or first > ins.time_ns[-1]]
     if not 0 < len(unused) < len(can.files) or alignment.verdict is Verdict.REFUSED:
         return []
@@ -147,7 +147,7 @@ def build_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSet
     assert steering is not None
     steering_ns = move_to_ins_clock(run, settings, steering.time_ns)
     is_usable = steering.valid & (np.diff(steering_ns, prepend=steering_ns[0] - 1) > 0)
-    wheel_angle = settings.steering_sign * steering.values[is_usable]
+    steering_wheel_angle = settings.steering_sign * steering.values[is_usable]
     missing = {name: int(np.isnan(ins.values[name]).sum()) for name in OPTIONAL_INS_SIGNALS if name in ins.values}
     warnings += [f"{source.path}: {name}: {format_count(count, len(ins.time_ns), 'samples')} have no value; "
                  f"it is {'unknown there' if is_mostly_known(ins.values[name]) else 'not used'}"
@@ -156,8 +156,8 @@ def build_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSet
     log = make_drive_log(
         source.path, source.name, ins_time_ns=ins.time_ns,
         **{name: values for name, values in ins.values.items() if name in INS_SIGNALS or is_mostly_known(values)},
-        steering_time_ns=steering_ns[is_usable], steering_wheel_angle=wheel_angle,
-        road_wheel_angle=vehicle.road_wheel_angle(wheel_angle))
+        steering_time_ns=steering_ns[is_usable], steering_wheel_angle=steering_wheel_angle,
+        road_wheel_angle=vehicle.road_wheel_angle(steering_wheel_angle))
     implausible: tuple[Finding, ...] = ()
     if steering.message in run.signals.rejected_times_ns and len(ins.time_ns):
         rejected_ns = move_to_ins_clock(run, settings, run.signals.rejected_times_ns[steering.message])
