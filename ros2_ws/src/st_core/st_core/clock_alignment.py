@@ -332,17 +332,17 @@ def measure_window_lags(pairs: Sequence[Pair], offset: float, search: float) -> 
     last = max(p.other.time[-1] for p in pairs)
     for start in np.arange(first, last - WINDOW_DURATION / 2, max(WINDOW_DURATION, (last - first) / MAX_WINDOWS)):
         middle = start + WINDOW_DURATION / 2
-        windows = [Pair(p.name, _cut(p.reference, start + offset - search, start + offset + WINDOW_DURATION + search),
-                        _cut(p.other, start, start + WINDOW_DURATION)) for p in pairs]
-        windows = [p for p in windows if p.other.known.sum() * STEP > WINDOW_DURATION / 3 and p.reference.known.any()]
-        peaks = find_peaks(windows, WINDOW_DURATION / 3) if windows else None
+        segments = [Pair(p.name, _cut(p.reference, start + offset - search, start + offset + WINDOW_DURATION + search),
+                         _cut(p.other, start, start + WINDOW_DURATION)) for p in pairs]
+        segments = [p for p in segments if p.other.known.sum() * STEP > WINDOW_DURATION / 3 and p.reference.known.any()]
+        peaks = find_peaks(segments, WINDOW_DURATION / 3) if segments else None
         if peaks is None:
             continue
         best, second = peaks
         if best.correlation < MIN_CORRELATION or second.correlation > MAX_PEAK_RATIO * best.correlation:
             continue
         try:
-            fine = fit(windows, best.offset, middle, free_drift=False)
+            fine = fit(segments, best.offset, middle, free_drift=False)
         except ValueError:
             continue
         if fine.offset_deviation < MAX_LAG_DEVIATION and abs(fine.offset - offset) <= search + 1.0:

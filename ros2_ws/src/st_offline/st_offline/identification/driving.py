@@ -28,7 +28,7 @@ MAX_POINTS = 4000  # in a scatter plot; more points would only overlap
 PAPER_COLOUR, FIT_COLOUR = MODEL_COLOUR["linear"], MODEL_COLOUR["augmented"]
 DEG = np.rad2deg(1.0)
 DISPLAY_UNITS = {"rad": (DEG, "deg"), "N/rad": (1e-3, "kN/rad")}
-MAX_DISAGREEMENT = 0.15  # between two stiffness estimates, as a fraction of that by the regression of the paper
+MAX_DISAGREEMENT = 0.15  # between two stiffness estimates, relative to that from the regression of the paper
 STIFFNESS_ADVICE = "Steering ratio or lever arm may be wrong: run `st identify steering` and `st identify ins` first."
 
 
