@@ -487,8 +487,9 @@ def restore_speed_sign(log: DriveLog, start_ns: int) -> tuple[DriveLog, list[Fin
     time, position = (log.ins_time_ns - start_ns) * NANOSECOND, log.x + 1j * log.y
     begin, end = (np.clip(time + side, time[0], time[-1]) for side in (-0.5, 0.5))
     velocity = (np.interp(end, time, position) - np.interp(begin, time, position)) / (end - begin)
-    moves = find_spans(np.minimum(np.abs(velocity), np.abs(log.velocity_x)) > MIN_MOVING_SPEED)
-    stops = [last + int(np.argmin(np.abs(log.velocity_x[last:first]))) for (_, last), (first, _) in pairwise(moves)]
+    slower, faster = np.sort([np.abs(velocity), np.abs(log.velocity_x)], axis=0)  # positions may jump at a stop
+    pauses = [(last, first) for (_, last), (first, _) in pairwise(find_spans(slower > MIN_MOVING_SPEED))]
+    stops = [i + int(np.argmin(faster[i:k])) for i, k in pauses if faster[i:k].min() <= MIN_MOVING_SPEED]
     product = log.velocity_x * velocity * np.exp(-1j * log.yaw)
     bounds = np.array([0, *stops, len(time)])  # of the parts between stops
     distances, sizes = (np.add.reduceat(values, bounds[:-1]) for values in (product.real, np.abs(product)))
