@@ -123,7 +123,7 @@ _FIX_STATUS = {
     **dict.fromkeys((7, 8, 9, 17, 18, 30, 31), SBAS_FIX),
     **dict.fromkeys((4, 5, 6, 14, 15, 16, 22, 23, 24, 27, 28, 29), GBAS_FIX),
 }
-# Live modes in ascending order of accuracy; SBAS (7) lies between SPS (3) and differential (4).
+# Modes 0 to 7 in ascending order of accuracy; SBAS (7) lies between SPS (3) and differential (4).
 _MODES_BY_ACCURACY = (0, 1, 2, 3, 7, 4, 5, 6)
 
 
@@ -133,7 +133,7 @@ def describe_mode(mode: int | None) -> str:
 
 
 def rank_mode(mode: int | None) -> int:
-    """Accuracy rank of a live GNSS mode, 0 (none) to 7 (RTK integer); -1 for any other mode and for None."""
+    """Accuracy rank of the GNSS modes 0 to 7, from 0 (none) to 7 (RTK integer); -1 for any other mode and for None."""
     return _MODES_BY_ACCURACY.index(mode) if mode in _MODES_BY_ACCURACY else -1
 
 

@@ -314,7 +314,7 @@ def covariance(problem: Problem, fit: Fit) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class JointFit:
-    """A fit in which the other effects that can be combined with it are free as well."""
+    """A given fit, extended by every other effect that can be combined with it."""
 
     indices: np.ndarray  # (a,) free parameters
     covariance: np.ndarray  # (a, a) [parameter scales]
@@ -327,7 +327,7 @@ class JointFit:
 
 
 def approximate_joint_fit(problem: Problem, fit: Fit) -> JointFit:
-    """Quadratic approximation of a fit in which the other effects that do not overlap it are free, with a prior
+    """Quadratic approximation of `fit`, extended by every other effect that does not overlap it, with a prior
     standard deviation of UNSELECTED_DEVIATION, and with the uncertainties of the vehicle file as priors.
 
         covariance = (D / 2) (H + K)^-1,   H, K: curvature of the loss and of the priors,   D: design effect

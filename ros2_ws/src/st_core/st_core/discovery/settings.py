@@ -14,8 +14,8 @@ class Limits:
     """Thresholds of the decisions of a discovery, all above 0. Raises ConfigurationError naming one that is not."""
 
     # Significance level of an effect (corrected for the whole library), of its variation between subsets of the data,
-    # of the rejection of the null by redundant sensors, of the path improvement by a relation and, at its default
-    # value, of combinations that differ from the vehicle file (`unseparated_combinations`) [1].
+    # of the rejection of the null by redundant sensors, and of the path improvement by a relation; differences of
+    # combinations from the vehicle file (`unseparated_combinations`) are always tested at the default [1].
     false_alarm: float = 0.01
     # p-value above which a difference is undecided (between two effects, from the null, or from redundant sensors), and
     # above which a varying effect may be absent in new data; also the error probability of one-sided confidence bounds,
@@ -31,8 +31,8 @@ class Limits:
     min_relative_size: float = 0.5
     # Relative reduction of the errors below which an effect is ignored, however significant [1].
     negligible: float = 0.01
-    # Fraction of an effect's gain that a rival must reach in its place to be an alternative, after subtracting the gain
-    # of the rival in addition to it [1].
+    # Fraction of an effect's gain that a rival must reach in its place to be an alternative, after subtracting
+    # what the rival gains when added to the effect [1].
     min_rival_gain: float = 0.5
     # Largest accepted deviation of a value from the vehicle file, in standard deviations [1].
     max_file_deviation: float = 3.0

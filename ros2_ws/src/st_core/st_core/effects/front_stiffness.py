@@ -13,7 +13,7 @@ def make_stiffness_parameter(initial):
 
 
 def scale_axles(coefficient, *axles, entry=""):
-    """The hook `vehicle` that multiplies by the parameter `factor`, for each of the axles "front" and "rear" given, a
+    """The hook `vehicle` that multiplies by the parameter `factor`, for each given axle ("front", "rear"), a
     coefficient of its tyres and, if `entry` is given, the vehicle parameter <entry>_<axle>."""
     def scale(vehicle, theta):
         changes = {f"{entry}_{axle}": getattr(vehicle, f"{entry}_{axle}") * theta.factor for axle in axles if entry}
