@@ -117,7 +117,7 @@ def test_every_set_of_effects_has_its_own_kernel(install):
     ("models/_base.py", "slip_angle(velocity_y - p.", "slip_angle(velocity_y - 1.1 * p."),
     ("tyres.py", "GRAVITY = 9.81", "GRAVITY = 9.0"),  # a constant used by the effect in another file
     ("effects/road_bank.py", "zero - GRAVITY * sin(", "zero - 2.0 * GRAVITY * sin("),
-    ("composition.py", "velocity_y + a_y", "velocity_y - a_y"),
+    ("composition.py", "dv_y + a_y", "dv_y - a_y"),
     ("backends/numba_lanes.py", "S2, S3 = -0.16666666666666666, ", "S2, S3 = -0.15, "),
 ], ids=["tyre force", "slip angle", "constant", "effect", "composition", "compiled sine"])
 def test_edited_equation_or_effect_recompiles_the_kernel(first_run, file, old, new):
