@@ -37,8 +37,9 @@ def run() -> dict:
 
 
 def _run_separately(command: str, source: Path, output: Path) -> dict:
-    done = subprocess.run([sys.executable, __file__, command, str(source), str(output)], check=True, text=True,
-                          capture_output=True)
+    arguments = [command, str(source.resolve()), str(output)]
+    done = subprocess.run([sys.executable, "-m", "bench.offline_import", *arguments], check=True, text=True,
+                          stdout=subprocess.PIPE, cwd=Path(__file__).parents[1])
     return json.loads(done.stdout.splitlines()[-1])
 
 
