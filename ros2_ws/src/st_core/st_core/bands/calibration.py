@@ -39,7 +39,7 @@ class NotFiniteError(StCoreError):
 
 @dataclass(frozen=True, eq=False)
 class ErrorSamples:
-    """Errors of the predictions from the starts of one run, without the point at time 0, where they are 0."""
+    """Errors of the predictions of one run at all points but the start, where they are 0."""
 
     name: str
     conditions: np.ndarray  # (n, 4) as `scale.CONDITIONS`
@@ -170,7 +170,7 @@ def compute_conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[flo
 
 
 LEVELS = (0.5, 0.9)
-RELIABILITY_LEVELS = tuple(round(0.05 * k, 2) for k in range(1, 20))  # of `Band.ratios` and the reliability diagram
+RELIABILITY_LEVELS = tuple(round(0.05 * k, 2) for k in range(1, 20))  # for `Band.ratios` and the reliability diagram
 FOLDS = 5  # largest number of groups of runs for cross-fitting
 MIN_CALIBRATION_RUNS = 3  # the calibration domain of a scored run requires two other runs
 

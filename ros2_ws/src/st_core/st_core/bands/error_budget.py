@@ -1,5 +1,4 @@
-"""Decomposition of the mean squared error of a model into parts due to parameters, sensors and initial state,
-and a residual.
+"""Contributions of parameters, sensors and initial state to the mean squared error of a model, and the residual.
 
     mean e_a(t)^2 = sum_p mean( (de_a(t)/dp sigma_p)^2 ) + sum_s mean( (de_a(t)/ds sigma_s)^2 ) + residual
 
@@ -87,7 +86,8 @@ def sum_squared_contributions(
 
 def _vary_parameters(model: Model, vehicle: VehicleParameters,
                      intervals: Intervals) -> dict[str, list[tuple[Model, VehicleParameters]]]:
-    """Model and vehicle with one parameter a standard deviation lower and higher, by parameter; effects in bounds."""
+    """By parameter, two pairs (model, vehicle): with this parameter one standard deviation lower, and higher.
+    Parameters of effects are limited to their bounds."""
     variants: dict[str, list[tuple[Model, VehicleParameters]]] = {}
     for key, provenance in vehicle.provenance.items():
         if sigma := provenance.uncertainty:

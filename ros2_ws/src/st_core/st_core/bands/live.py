@@ -6,9 +6,9 @@ Each scored window contributes its log likelihood ratio:
     l = log((1 - q) / (1 - p))  if the path left the band,   log(q / p)  if it stayed inside
     S <- max(0, S + w l),     warning if S >= log(FALSE_WARNING_TIME)
 
-Overlapping windows are not independent, so the weight w of a window is the fraction of a horizon by which it starts
-later than the previous one, at most 1. S is then a mean over all sequences of windows spaced by a whole horizon, which
-does not exceed the log of their mean likelihood ratio (Jensen's inequality): the test is an e-detector. If every window
+Overlapping windows are not independent, so the weight w of a window is the time between the starts of the previous
+window and this window, divided by the horizon, at most 1. S is then at most the log of a likelihood ratio averaged over
+all sequences of windows spaced by a whole horizon (Jensen's inequality), so the test is an e-detector: if every path
 stays inside with probability p or more given the past, the mean time to a false warning is at least FALSE_WARNING_TIME.
 Source: Shin, Ramdas and Rinaldo, E-detectors, New England Journal of Statistics in Data Science 2023 (CUSUM type).
 Checked by: test_bands_live.py. Measured false warnings and delays: docs/manual/bands.md.
@@ -30,7 +30,7 @@ from .calibration import LEVELS, Band, ModelMode, to_predicted_frame
 from .file import Bands
 from .scale import MAX_LOG_SCALE, activity_instants, compute_magnitudes, compute_scalar_features, steering_activity
 
-GAIN, START_GAIN, SETTLING_TIME = 0.1, 0.3, 30.0  # 1/s, 1/s, s; bands are 5 % wider than with the best constant factor
+GAIN, START_GAIN, SETTLING_TIME = 0.1, 0.3, 30.0  # 1/s, 1/s, s; widens bands by 5 % over the best constant factor
 MIN_FACTOR, MAX_FACTOR = 0.05, 100.0  # 1; far below and far above any calibrated factor
 DEFAULT_FACTORS = {0.5: 1.6, 0.9: 3.0}  # median and 90 % quantile of the largest of 300 correlated normal errors
 SCALE_FORGETTING = 120.0  # s; averaging time of the squared errors; long enough for most manoeuvres on a road
@@ -62,7 +62,8 @@ class AdaptiveBand:
     tracker: Angelopoulos, Candes and Tibshirani, Conformal PID control for time series prediction, NeurIPS 2023.
     Checked by: test_bands_adaptive.py.
 
-    time: (points,) ahead, without the start [s]. band: calibrated; None: estimated from the errors of the run alone.
+    time: (points,) ahead, without the start [s]. band: the calibrated band; if None, the errors of the run alone
+    determine the half-widths.
     """
 
     def __init__(self, time: np.ndarray, band: Band | None = None):
@@ -167,9 +168,9 @@ def conditions_now(history: MeasurementHistory, time_ns: int) -> tuple[float, ..
 class CalibratedBands:
     """Half-widths as in `Bands.half_widths`, computed for all models, modes and levels at once.
 
-    models: names of the models, which must all be in the bands (see `Bands.check`). domain: conditions with a band.
+    models: names of the models, which must all be in the bands (see `Bands.check`). domain: the calibration domain.
     levels: the LEVELS that are in the file. half_widths: by model, overwritten by each update inside the domain.
-    scales: (points, 3) along, across [m] and in yaw [rad], of the last such update.
+    scales: (points, 3) along, across [m] and in yaw [rad] at the last such update, by model and mode.
     """
 
     def __init__(self, bands: Bands, models: Iterable[str]):
@@ -312,7 +313,7 @@ class CoverageMonitor:
             del self._waiting[next(iter(self._waiting))]
 
     def add_score(self, score: Score) -> None:
-        """Count the score of a prediction with a band unless it is incomplete."""
+        """Count a complete score of a prediction that was published with a band."""
         by_level = self._waiting.pop((score.model, score.mode, score.start_ns), None)
         if by_level is None or not score.complete:
             return

@@ -1,4 +1,4 @@
-"""Empirical relations beyond the library of effects: smooth curves in one term of the model, fitted by simulation."""
+"""Empirical relations that no effect of the library describes: smooth curves added to one term of the model."""
 
 from .candidates import Candidate, find_candidates
 from .formulas import Formula

@@ -188,8 +188,9 @@ def compute_quantities(windows: Windows) -> dict[str, np.ndarray]:
 
 
 def find_candidates(windows: Windows) -> list[Candidate]:
-    """Candidates that these drives excite. Quantities and factors must vary by more than MIN_RANGES; sensor terms need
-    measured channels, and positions a single site, because maps of several sites may have different origins."""
+    """Candidates that these drives excite. Quantities and factors must vary by more than MIN_RANGES, and the channel of
+    a sensor term must be measured. Relations that depend on position need drives at a single site, because the maps of
+    different sites may have different origins."""
     values, candidates = compute_quantities(windows), []
     is_single_site = int(find_sites(windows).max()) == 0
     for term, quantity, factor in RELATIONS:

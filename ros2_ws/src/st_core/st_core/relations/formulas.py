@@ -14,8 +14,8 @@ from .relation_fit import RelationFit, RelationFits
 MAX_FORMULAS, POINTS = 3, 61  # largest number of formulas; number of points in the range of a curve
 MIN_EXPLAINED_FRACTION = 0.5  # minimum fraction of the curve's gain (quadratic approximation) that a shape must explain
 MIN_EXPLAINED_INCREASE = 1e-3  # minimum increase of this fraction over any shape with fewer parameters
-EQUAL_GAIN = 0.98  # fraction of the gain of the best shape: a simpler shape that explains more is preferred
-SIMILAR_GAIN = 0.9  # fraction that suffices if the held-out loss of the simpler shape is not significantly higher
+EQUAL_GAIN = 0.98  # fraction of the gain of the best shape that a simpler shape must explain to be preferred
+SIMILAR_GAIN = 0.9  # the same fraction if the held-out loss of the simpler shape is not significantly higher
 MIN_RETAINED_GAIN = 0.9  # minimum fraction of the held-out gain of the curve that a formula must retain in simulation
 MAX_VALUE_RATIO = 2.0  # maximum ratio of the largest value of a formula to that of the curve, within its range
 
@@ -147,9 +147,10 @@ def simulate_formulas(fits: RelationFits, fit: RelationFit, base_fit: RelationFi
 
     Each fold is simulated with the formula fitted to the other folds, after one refitting step of the parameters of the
     discovered model. A curve without odd symmetry may be determined only up to a constant, which a parameter of the
-    vehicle file can imitate; its formula gets an additional constant if it fails without one. Within the driven range,
-    it must mostly have the sign of the curve, and stay below MAX_VALUE_RATIO times the curve's largest magnitude. Its
-    held-out position error must not exceed the in-sample error of the discovered model.
+    vehicle file can imitate; a formula for such a curve gets an additional constant if it fails without one. Within the
+    driven range, a formula must correlate positively with the curve, and its magnitude must not exceed MAX_VALUE_RATIO
+    times the largest magnitude of the curve. Its held-out position error must not exceed the in-sample error of the
+    discovered model.
     """
     assert fit.candidate is not None
     candidate, gain = fit.candidate, float((base_fit.held_out - fit.held_out).sum())
@@ -170,8 +171,7 @@ def simulate_formulas(fits: RelationFits, fit: RelationFit, base_fit: RelationFi
 
 def _simulate_shape(fits: RelationFits, fit: RelationFit, base_fit: RelationFit, shape: FittedShape,
                     with_offset: bool) -> tuple[float, float]:
-    """(held-out gain of a shape, its offset); the gain is -inf if the sign of the shape is opposite to the
-    curve's, its magnitude exceeds MAX_VALUE_RATIO, or its position error exceeds that of the discovered model."""
+    """(held-out gain of a shape, its offset); the gain is -inf for a shape that `simulate_formulas` excludes."""
     candidate = fit.candidate
     assert candidate is not None
     points = np.linspace(candidate.low, candidate.high, POINTS)

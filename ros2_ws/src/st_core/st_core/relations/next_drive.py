@@ -32,7 +32,7 @@ class Option:
 
 @dataclass(frozen=True, eq=False)
 class NextDrives:
-    """Simulated further drives."""
+    """Results of simulated further drives."""
 
     sparse_ranges: Sequence[Range] = ()  # ranges that the runs hardly cover
     current_separation: Mapping[str, float] = field(default_factory=dict)  # from each alternative, in the runs
@@ -117,7 +117,8 @@ def _make_loss(fits: RelationFits, windows: Windows, fit: RelationFit) -> Loss:
 
 def _compute_joint_curvature(loss: Loss, residuals: np.ndarray, sensitivities: np.ndarray,
                              other_sensitivities: np.ndarray, fit: RelationFit) -> np.ndarray:
-    """Curvature of the loss in the effect parameters, the coefficients of an alternative and the relation's scale."""
+    """Curvature of the loss in the effect parameters, the coefficients of an alternative, and a factor that multiplies
+    the relation."""
     scale_sensitivity = np.einsum("p,pnm->nm", fit.coefficients, sensitivities[-SPLINES:])
     all_sensitivities = np.concatenate([sensitivities[:-SPLINES], other_sensitivities, scale_sensitivity[None]])
     return loss.quadratic(residuals, all_sensitivities).hessian.sum(axis=0)

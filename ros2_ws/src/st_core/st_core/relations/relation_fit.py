@@ -37,7 +37,7 @@ class RelationFit:
     residuals: np.ndarray  # (n, m) [SI], by window
     indices: np.ndarray  # (a,) free parameters, the coefficients last
     sensitivities: np.ndarray  # (a, n, m), reduction of the residuals per parameter scale
-    penalty: np.ndarray  # (a, a)
+    penalty: np.ndarray  # (a, a), see `RelationFits.make_penalty`
     quadratic: Quadratic  # approximation of the loss, by block
     held_out: np.ndarray  # (b,) loss of each block at values fitted without its fold
     steps: dict[int, np.ndarray]  # by fold, step to the values fitted without it [parameter scales]
@@ -61,9 +61,9 @@ def profile_coefficients(h: np.ndarray) -> np.ndarray:
 
 
 class RelationFits:
-    """Fits of candidate relations in addition to one discovered model.
+    """Fits of candidate relations in addition to a discovered model.
 
-    model, effect_names: this model and its effects. All fits use its residual scale.
+    model: the discovered model, with its residual scale in all fits. effect_names: its effects.
     acceleration_gain: as in `Discovery`.
     fold: (b,) `Problem.held_out_groups`.
     refitted_indices: parameters fitted together with a relation.
@@ -116,7 +116,8 @@ class RelationFits:
         return loss.quadratic(residuals, sensitivities).sum_groups(self.block, self.blocks)
 
     def make_penalty(self, candidate: Candidate | None, hessian: np.ndarray, smoothing: float) -> np.ndarray:
-        """(a, a) penalty on all free parameters, the coefficients last. hessian: (a, a) curvature of the loss."""
+        """(a, a) penalty matrix, zero except for the coefficients, which are the last SPLINES of the free parameters.
+        hessian: (a, a) curvature of the loss."""
         penalty = np.zeros(hessian.shape)
         if candidate:
             curvature = float(np.trace(hessian[-SPLINES:, -SPLINES:])) / SPLINES

@@ -21,7 +21,7 @@ from .selection import ScreenedCandidate
 
 MAX_FITTED_CANDIDATES = 10  # largest number of candidates fitted by simulation
 MIN_BLOCKS = 10  # minimum number of blocks for a curve with eight coefficients
-MAX_DETECTION_LIMIT = 3.0  # typical magnitudes; a model term with only higher detection limits counts as not examined
+MAX_DETECTION_LIMIT = 3.0  # typical magnitudes; a model term counts as not examined if all its limits are higher
 STEERING_TIMING = ("steering_rate", "lagging_steering")
 """Quantities with which a relation of the front steering can imitate a delayed or advanced steering signal."""
 FitByCandidate = dict[ScreenedCandidate, RelationFit]
@@ -40,7 +40,7 @@ class Relation:
     gain: float  # reduction of the held-out loss per residual [1]
     p_value: float  # of the hypothesis of no gain, corrected for multiple testing [1]
     position_5s: tuple[float, float]  # held-out position error at the end of the horizon (without, with it) [m]
-    runs: Mapping[str, tuple[float, float]]  # position_5s by run; without positions, empty, and position_5s is (0, 0)
+    runs: Mapping[str, tuple[float, float]]  # position_5s by run; empty without positions: position_5s is then (0, 0)
     model: AugmentedModel  # the model without the relation, at the values fitted with it
     alternatives: Mapping[str, float] = field(default_factory=dict)  # equally good relations: cosine similarity [1]
     formulas: Sequence[Formula] = ()  # closed forms that retain the curve's gain in simulation, best first
@@ -49,9 +49,9 @@ class Relation:
     redundant: Mapping[str, float] = field(default_factory=dict)
     next_drives: NextDrives = field(default_factory=NextDrives)  # sparsely driven ranges, and manoeuvres to drive next
 
-    def describe_errors(self, form: str) -> str:
-        """The text `form` with both errors of `position_5s`; "" without positions."""
-        return form.format(*self.position_5s) if self.runs else ""
+    def describe_errors(self, template: str) -> str:
+        """The template with both errors of `position_5s` filled in; "" without positions."""
+        return template.format(*self.position_5s) if self.runs else ""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class RelationSearch:
     """Result of a search."""
 
     relation: Relation | None  # None if none is significant and large enough
-    reason: str  # why it is None, or the gain of the relation
+    reason: str  # text on the gain of the relation, or why there is none
     # Held-out gain per residual [1] and p-value [1] of each candidate, best first.
     statistics: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     # By candidate, smallest detectable linear relation, at the end of its range [unit of the curve].

@@ -17,7 +17,7 @@ from .relation_fit import PENALTIES, RelationFit, RelationFits, profile_coeffici
 DRAWS = 999  # number of draws of random block signs
 POINTS = 41  # number of points at which a curve is evaluated
 BOUND_MARGIN = 0.02  # fraction of the bound of the coefficients; a curve closer to the bound counts as reaching it
-MIN_INFORMATION = 0.02  # fraction of the information on the relation; a run with less gets no separate estimate
+MIN_INFORMATION = 0.02  # minimum fraction of the information on the relation that a run needs for its own estimate
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,14 +26,15 @@ class ScreenedCandidate:
 
     candidate: Candidate
     statistic: float  # score statistic, divided by its mean over random signs of the blocks
-    null_statistics: np.ndarray  # (DRAWS,) this statistic for each draw of the signs
+    null_statistics: np.ndarray  # (DRAWS,) the same statistic for each draw of random block signs
     degrees_of_freedom: float  # effective number for the curve
     design_effect: float  # factor by which dependent windows increase the variance of the residual scores, at least 1
     gain: float  # reduction of the held-out loss
     information: np.ndarray  # (SPLINES, SPLINES) for the coefficients, with the other parameters projected out
 
     def compute_detection_limit(self, p_value: float, blocks: int) -> float:
-        """Value at the end of its range of the smallest linear relation that reaches a p-value [unit of the curve]."""
+        """Largest value, within the range, of the smallest linear relation that reaches `p_value` [unit of the curve].
+        blocks: number of blocks of the drives."""
         c = self.candidate
         points = np.linspace(c.low, c.high, POINTS)
         line = np.linalg.lstsq(c.compute_splines(points).T, points / max(abs(c.low), abs(c.high)), rcond=1e-6)[0]
@@ -60,7 +61,7 @@ def compute_p_values(screened: Sequence[ScreenedCandidate], blocks: int) -> dict
     """p-value of each candidate, corrected for the number of candidates and of tests: twice the smaller p-value of two
     tests. Sign flips: the statistic is compared with the largest of all candidates under random block signs. Likelihood
     ratio (F test): twice the held-out gain divided by the design effect (at least the median of all) and by the degrees
-    of freedom, with a Bonferroni correction; it detects relations that act in few blocks."""
+    of freedom, with a Bonferroni correction; this test detects relations that act in few blocks."""
     largest = np.max([s.null_statistics for s in screened], axis=0)
     median = float(np.median([s.design_effect for s in screened]))
     p_values = {}
@@ -117,7 +118,8 @@ def average_by_block(fits: RelationFits, values: np.ndarray) -> np.ndarray:
 
 
 def describe_unusable_curve(fits: RelationFits, fit: RelationFit) -> str:
-    """Reason to reject a curve regardless of its gain, or "": it reaches its limit, or it makes the car unstable."""
+    """Reason to reject a curve regardless of its gain: a coefficient reaches its limit, or the simulated car becomes
+    unstable; "" if neither applies."""
     assert fit.candidate is not None
     name, vehicle = fit.candidate.name, fits.windows.vehicle
     if np.abs(fit.coefficients).max() > (1.0 - BOUND_MARGIN) * MAX_COEFFICIENT:
@@ -248,8 +250,8 @@ def find_redundant_effects(fits: RelationFits, fit: RelationFit, base_fit: Relat
                            names: Sequence[str]) -> dict[str, float]:
     """Effects of the result that the relation makes redundant, with the residual reduction [1] that each still adds.
 
-    An effect is redundant if its held-out gain in addition to the relation is too small or not significant, and the
-    relation without it explains significantly more than the result without the relation.
+    An effect is redundant if its held-out gain in addition to the relation is too small or not significant, and a fit
+    with the relation instead of the effect has a significantly lower held-out loss than the result of the discovery.
     """
     redundant, limits = {}, fits.limits
     errors_with_both = compute_position_errors(fits, fit)
