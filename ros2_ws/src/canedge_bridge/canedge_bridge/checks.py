@@ -91,11 +91,11 @@ class CounterCheck:
 
 def find_counter_faults(field: Field, data: np.ndarray, time_ns: np.ndarray, wrong_checksum: np.ndarray,
                         restart_after_ns: int) -> np.ndarray:
-    """Mask (n,) of the frames with a correct checksum and a counter that does not follow the previous one.
+    """Mask (n,) of the frames that have a correct checksum, but not the next value of the counter.
 
     data: all frames of a log, from `stack_bytes`. time_ns: their times (n,). wrong_checksum: mask (n,) of the frames
     with a wrong checksum, which are assumed to have the next counter value, as in CounterCheck.skip.
-    restart_after_ns: gap [ns] after which any counter value is accepted, as after a step back in time.
+    restart_after_ns: after a longer gap [ns], or a step back in time, any counter value is accepted.
     """
     value = field.read(data).astype(np.int64)
     index = np.arange(len(value))

@@ -112,7 +112,7 @@ class Decoder:
             statistics.implausible += 1
             statistics.bad += reaction is Mode.OFF
             return None
-        if any(check.fault for check in state.plausibility.values()):  # then values may be in range by chance
+        if any(check.fault for check in state.plausibility.values()):  # then a value may be in range by chance
             return None
         statistics.good += 1
         if not values:  # a multiplexed frame without any signal of the table
@@ -126,7 +126,7 @@ class Decoder:
                 if check.fault]
 
     def _check_integrity(self, state: _MessageState, data: bytes, time_ns: int) -> Mode:
-        """Mode of the check that the frame fails, the checksum before the counter; OFF if it fails neither."""
+        """Mode of the first check that the frame fails, in the order checksum, counter; OFF if it passes both."""
         spec, statistics = state.spec, state.statistics
         checksum, counter = spec.checksum, spec.counter
         if checksum and checksum.mode is not Mode.OFF and not checksum.is_correct(data, spec.dbc.frame_id):
@@ -147,7 +147,7 @@ class Decoder:
 
         message: any message of the DBC. values: by canonical name in SI units, or by DBC name in the DBC's unit; a
         message with GPS time takes `ins_unix_time`. Other signals get the `fill` value of the table, or raw 0. A value
-        outside the range of its integer is clipped, as by a sensor; WRAPPED_SIGNALS are wrapped into the DBC's range.
+        outside the range of its signal is clipped, as by a sensor; WRAPPED_SIGNALS are wrapped into the DBC's range.
         Raises KeyError for an unknown message or signal, ValueError for a value that is not finite.
         """
         dbc = self.table.database.get_message_by_name(message)
@@ -226,7 +226,7 @@ class SteeringCalibration:
     steering_ratio: float
 
     def convert(self, sensor: Number) -> tuple[Number, Number]:
-        """(steering-wheel angle without offset correction, mean road-wheel angle of the front axle) [rad], left > 0."""
+        """(steering-wheel angle with offset, mean road-wheel angle of the front axle) [rad], positive to the left."""
         angle = self.steering_sign * sensor
         return angle, vehicle.road_wheel_angle(angle, self.steering_wheel_offset, self.steering_ratio)
 

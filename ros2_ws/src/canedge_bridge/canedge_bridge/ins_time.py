@@ -13,12 +13,12 @@ GPS_SECONDS_PARTS = ("gps_time", "gps_utc_offset")
 
 
 def replace_gps_time(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The signals of a frame, with any parts of GPS time replaced with `ins_unix_time`, UTC [s since 1970], NaN where
-    the unit has no valid time yet. values: numbers or arrays by canonical name."""
+    """The values, with any parts of GPS time replaced by `ins_unix_time`: UTC [s since 1970], NaN while the unit has no
+    valid time. values: number or array of each signal of a message, by canonical name."""
     if "gps_time" in values:  # [s since 1980-01-06], 0 if unknown
         gps = np.asarray(values["gps_time"])
         as_unix = np.where(gps > 0, gps + GPS_EPOCH_UNIX, np.nan)
-        leap_seconds = np.abs(np.asarray(values["gps_utc_offset"]))  # 0: unknown; the sign in real frames is not known
+        leap_seconds = np.abs(np.asarray(values["gps_utc_offset"]))  # 0: unknown; the sign that units send is uncertain
         unix = np.where(leap_seconds > 0, as_unix - leap_seconds, _to_utc(as_unix))
     elif "gps_century" in values:
         unix = _from_date_time({name: np.asarray(values[name]) for name in DATE_TIME_PARTS})

@@ -8,7 +8,7 @@ import numpy as np
 from .signals import MessageSpec, SignalSpec
 
 # If more than MAX_IMPLAUSIBLE of the last PLAUSIBILITY_FRAMES values of a signal (1 s at 100 Hz) are implausible, even
-# plausible ones are withheld until MAX_IMPLAUSIBLE in a row are plausible: a wrong DBC also yields some by chance.
+# plausible values are withheld until MAX_IMPLAUSIBLE in a row are plausible: a wrong DBC also yields some of these.
 PLAUSIBILITY_FRAMES, MAX_IMPLAUSIBLE = 100, 10
 
 Reference = tuple[int, float]  # (time [ns], value in the unit of the signal) of an earlier frame
@@ -63,9 +63,9 @@ class Plausibility:
 
 def find_plausible_frames(signal: SignalSpec, message: MessageSpec, time_ns: np.ndarray,
                           values: np.ndarray) -> np.ndarray:
-    """Mask (n,) of the frames of a log in range, within the rate limit, and not isolated among implausible frames.
-    Unlike in `Plausibility`, the first plausible frames after implausible ones are accepted. time_ns, values [SI]:
-    (n,)."""
+    """Mask (n,) of the frames with a value in range and within the rate limit, without those that are isolated among
+    implausible frames. Unlike in `Plausibility`, the first plausible frames after implausible ones are accepted.
+    time_ns, values [SI]: (n,), of the frames of a log that contain the signal."""
     physical, frames = values / signal.factor, np.arange(len(values))
     in_range = (physical >= signal.minimum) & (physical <= signal.maximum)
     elapsed_ns = np.diff(time_ns)
@@ -79,7 +79,7 @@ def find_plausible_frames(signal: SignalSpec, message: MessageSpec, time_ns: np.
         references = [(int(time_ns[k]), float(physical[k])) for k in earlier if k >= 0]
         if _is_reachable(signal, message, float(physical[frame]), int(time_ns[frame]), references):
             plausible[frame], last_accepted = True, frame
-    count = np.concatenate(([0], np.cumsum(~plausible)))  # number of implausible frames before each
+    count = np.concatenate(([0], np.cumsum(~plausible)))  # number of implausible frames before each frame
     recent = count[1:] - count[np.maximum(frames + 1 - PLAUSIBILITY_FRAMES, 0)]
     _, run, lengths = np.unique(count[1:][plausible], return_inverse=True, return_counts=True)
     isolated = np.zeros(len(values), dtype=bool)

@@ -19,7 +19,7 @@ from .transport import link_is_up
 BACK_OFF_FIRST, BACK_OFF_LAST = 0.1, 5.0  # delay before the bus is reopened [s], doubled after each failure
 _RECEIVE_TIMEOUT = 0.2  # timeout of recv [s]; stop(), silence and a removed interface are detected within this time
 _ERROR_PASSIVE_TIMEOUT = 5.0  # s without an error frame; some controllers do not report leaving error-passive
-# Some adapters stamp frames with the time since power-on; the host's time replaces a stamp that differs by more.
+# The host's time replaces a stamp that differs from it by more than this: some adapters count from power-on.
 _MAX_STAMP_OFFSET_NS = 86_400 * 10**9
 
 
@@ -27,17 +27,17 @@ class BusState(StrEnum):
     """State of the bus as seen by the receiver."""
 
     OK = "ok"                        # frames are received
-    SILENT = "silent"                # open and without error, but no recent data frame
+    SILENT = "silent"                # open and without error, but no recent data or remote frame
     ERROR_PASSIVE = "error-passive"  # after many errors, the controller no longer sends active error flags
     BUS_OFF = "bus-off"              # the controller has disconnected from the bus
     DOWN = "down"                    # the interface exists but is switched off
-    GONE = "gone"                    # the bus is not open: opening or reading it failed, or was not tried yet
+    GONE = "gone"                    # the bus is not open: not opened yet, or opening or reading it has failed
 
 
 @dataclass
 class ReceiverStatus:
-    """Snapshot of the receiver: state, its reason (one line; empty if the state is OK), counts since the start, delay
-    from stamp to callback [s]: median and maximum of the last 512 data or remote frames, or NaN."""
+    """State of the receiver, and counts since its start. reason: of the state, one line; empty if the state is OK.
+    delay, delay_maximum: median and maximum delay [s] from stamp to receipt of the last 512 data or remote frames."""
 
     state: BusState = BusState.GONE
     reason: str = "not opened yet"
@@ -60,7 +60,7 @@ class Receiver:
     silence: seconds without a data or remote frame after which an open bus counts as silent.
     network_interface: checked while no frame arrives, because not every socket reports that its interface is down or
     removed; empty for a bus without a network interface.
-    on_error: called with every exception raised by `on_frame`, `on_state` or by closing the bus; none ends the thread.
+    on_error: called with every exception raised by `on_frame`, `on_state` or by closing the bus; the thread continues.
     """
 
     def __init__(self, open_bus: Callable[[], can.BusABC], on_frame: Callable[[can.Message, int], None], *,

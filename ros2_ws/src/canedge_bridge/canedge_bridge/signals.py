@@ -57,7 +57,7 @@ class SignalSpec:
     minimum: float  # [unit], with sign, scale and offset applied
     maximum: float  # [unit], with sign, scale and offset applied
     max_rate: float  # largest possible rate of change [unit/s]
-    # If the sensor sends magnitude and sign separately: extractor of the sign; positive if it is 0 or not in the frame.
+    # Extractor of the sign, if the sensor sends it separately. A sign that is 0 or not in the frame is positive.
     sign: Extractor | None = None
 
     @property
@@ -199,8 +199,8 @@ def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
 
 
 def _reduce_dbc(text: str, names: frozenset[str]) -> str:
-    """DBC with only the named messages; "" if it has none. As cantools requires, 29-bit identifiers without the
-    extended flag, names like 0_COUNTER and factors like .25, which are common in public files, are corrected."""
+    """Text of a DBC with only the named messages; "" if it has none of them. Corrects errors, common in public files,
+    that cantools rejects: 29-bit identifiers without the extended flag, names like 0_COUNTER, factors like .25."""
     def add_flag(match: re.Match[str]) -> str:
         number = int(match[2])
         return f"{match[1]}{number | EXTENDED if MAX_STANDARD_ID < number <= MAX_EXTENDED_ID else number}"
@@ -287,7 +287,7 @@ def _read_unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> tuple
 
 
 def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
-    """Raises ConfigurationError if the signal cannot reach half of its range on each side, for example if unsigned."""
+    """Raises ConfigurationError if the signal, for example unsigned, cannot reach half of its range on each side."""
     low, high, expectation = spec.minimum, spec.maximum, f"{entry.origin} ({entry.path}.range) expects"
     if not math.isfinite(high) and spec.name == "steering_wheel_angle":
         low, high = -DEFAULT_STEERING_RANGE / spec.factor, DEFAULT_STEERING_RANGE / spec.factor
@@ -308,9 +308,9 @@ def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
             f"factor {spec.dbc.scale:g}) or, if another signal contains the sign, name that one as sign_signal")
 
 
-def _read_check(row: Entry, key: str, dbc: DbcMessage, dbc_path: Path) -> CheckSpec | None:
+def _read_check(message: Entry, key: str, dbc: DbcMessage, dbc_path: Path) -> CheckSpec | None:
     """The "counter" or "checksum" of a message; None if the table gives none."""
-    entry = row.optional(key)
+    entry = message.optional(key)
     if entry is None:
         return None
     entry.allow_only(*(("signal", "rule", "check") if key == "checksum" else ("signal", "check")))

@@ -66,8 +66,8 @@ def link_is_up(name: str) -> bool | None:
 class LoopbackMulticastBus(can.BusABC):
     """Bus between processes of this machine on one multicast group; no datagram leaves the machine.
 
-    The datagrams have the format of python-can. Its own class is not used: it joins the group on the interface given by
-    the routing table, receives every group with the same port, returns frames to their sender, and filters slowly.
+    The datagrams have the format of python-can. The class of python-can is not used, because it joins the group on the
+    interface given by the routing table, receives all groups of the port, returns frames to their sender, and is slow.
     """
 
     def __init__(self, channel: str, can_filters: Any = None, **kwargs: Any):

@@ -55,12 +55,12 @@ _BASE_UNITS = {**_UNITS_BY_SPELLING["length"], **_UNITS_BY_SPELLING["angle"], **
 
 
 def find_unit(kind: str, text: str) -> str | None:
-    """The unit in a text such as "in degrees per sec"; None if not of this kind, "" for a clock or time format."""
+    """The unit named by a text such as "in degrees per sec"; "" for a clock or time format, None for other texts."""
     text = text.translate(_SPELLINGS).replace("_", " ")
     if kind == "time":
         words = set(re.findall("[a-z]+", text.lower())) - {"start", "time", "in"}
         text = _CLOCK.sub("", text)
-        if words and not normalise(text):  # a count of days or weeks is not a clock
+        if words and not normalise(text):  # days or weeks alone are a duration, not a clock
             return None if words & {"day", "week"} and "of" not in words else ""
     text = re.sub(r"(?i)^\W*in (?=.)", "", text)
     terms = (re.fullmatch(r"[^\w°]*(.*?)[^\w°]*([2²]|squared)?[^\w°]*", term) for term in re.split(

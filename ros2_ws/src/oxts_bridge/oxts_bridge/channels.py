@@ -1,7 +1,6 @@
 """Layout, decoding and encoding of the NCOM status channels: byte 62 is the channel number, batch S its 8 bytes.
 
-Fields have the vendor's names, where there are any (tests/golden/data/ncom), and angles are in degrees, as in the
-vendor's tools.
+Fields have the vendor's names (tests/golden/data/ncom), if it names them; angles are in degrees, as in its tools.
 Source: NCOM manual 260702 and the behaviour of the vendor's public decoder. Checked by:
 tests/golden/test_ncom_vectors.py (every channel), test_channels.py (round trips).
 """
@@ -104,10 +103,11 @@ class Field:
         return (raw >> 1 if kind == "shifted" else raw) * self.scale + self.offset
 
     def encode(self, buffer: bytearray, value: Value) -> None:
-        """Write a value into the 8 bytes, but not its flag byte. None: write the code for "invalid", or else 0.
+        """Write a value into the 8 bytes, but not its flag byte.
 
-        A scaled or "shifted" quantity and a text are clipped to their format; other numbers out of range raise
-        NcomError. None is not written if only the flag byte declares the field invalid.
+        None: write the code for "invalid", or 0 if there is no code; write nothing if only the flag byte can declare
+        the field invalid. A scaled or "shifted" number is limited to the range of its format, and a text to its length;
+        another number out of range raises NcomError.
         """
         if self.kind.startswith("text"):
             size = int(self.kind[4:])

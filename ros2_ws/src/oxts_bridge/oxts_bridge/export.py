@@ -39,7 +39,7 @@ _DERIVATION_FIELDS = {4: ("VnAcc", "VeAcc"), 60: ("Ned2SurfHeading", "Ned2SurfPi
 _SURFACE_ANGLES = ("Surf2OutHeading", "Surf2OutPitch", "Surf2OutRoll")
 _ROWS_PER_WRITE = 1 << 12
 EARTH_RATE = 7.2921151467e-5  # rad/s
-MIN_TRACK_SPEED = 0.14  # m/s; while the velocity accuracy is unknown, the track is computed above this speed
+MIN_TRACK_SPEED = 0.14  # m/s; lowest speed with a track while the velocity accuracy is unknown
 # Distance is not integrated across a time step that is negative or longer than this [s], as in joined files.
 LONGEST_STEP = 10.0
 _STEP_TOLERANCE = 0.01  # two successive steps give the sampling rate if they differ by less than this fraction
@@ -211,7 +211,8 @@ def compute_gps_seconds(columns: Columns) -> np.ndarray:
 def _add_speed_and_slip(out: dict, motion: Motion, yaw_rate: np.ndarray, velocity_accuracy: SettingHistory) -> None:
     """Add speeds, track, slip (track minus heading) and curvature. yaw_rate: clockwise, in level axes [rad/s].
 
-    Track, slip and curvature are NaN up to twice the velocity accuracy sqrt(VnAcc^2 + VeAcc^2) [m/s].
+    Track, slip and curvature are NaN at speeds up to twice the velocity accuracy sqrt(VnAcc^2 + VeAcc^2) [m/s], or up
+    to MIN_TRACK_SPEED while it is unknown.
     """
     east, north, up = motion.velocity
     speed = np.hypot(north, east)

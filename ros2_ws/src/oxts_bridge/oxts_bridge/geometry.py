@@ -25,7 +25,7 @@ SEMI_MAJOR_AXIS = 6_378_137.0  # m
 FLATTENING = 1 / 298.257223563
 ECCENTRICITY_SQUARED = FLATTENING * (2 - FLATTENING)
 
-# For single values, attitudes and positions take a quarter of the time with the functions of `math`.
+# For single values, the functions of `math` compute attitudes and positions in a quarter of the time.
 _FLOAT_FUNCTIONS, _ARRAY_FUNCTIONS = (math.sin, math.cos, math.sqrt), (np.sin, np.cos, np.sqrt)
 
 
@@ -115,11 +115,10 @@ def compute_radii(latitude: Number) -> tuple[Number, Number]:
 
 def to_ecef(latitude: Number, longitude: Number, height: Number) -> Vector:
     """Earth-centred x, y, z [m] from latitude, longitude [rad] and height above the ellipsoid [m]."""
-    sin, cos, sqrt = _get_functions(latitude)
-    sine = sin(latitude)
-    normal = SEMI_MAJOR_AXIS / sqrt(1 - ECCENTRICITY_SQUARED * sine**2)
+    sin, cos, _ = _get_functions(latitude)
+    _, normal = compute_radii(latitude)
     axis_distance = (normal + height) * cos(latitude)
-    z = (normal * (1 - ECCENTRICITY_SQUARED) + height) * sine
+    z = (normal * (1 - ECCENTRICITY_SQUARED) + height) * sin(latitude)
     return axis_distance * cos(longitude), axis_distance * sin(longitude), z
 
 

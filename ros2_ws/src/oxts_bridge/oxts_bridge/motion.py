@@ -115,7 +115,7 @@ class Origin:
 def reconstruct_odometry(packets: Iterable[tuple[int, bytes]], origin: Origin, live: bool = True,
                          by_receive_time: bool = False) -> Iterator[tuple[int, Vector, Motion]]:
     """Yields (header stamp [ns since 1970], ENU position relative to the origin [m], motion) of every odometry message
-    that the node publishes for these packets, bit for bit.
+    that the node would publish for these packets, with equal numbers.
 
     packets: (time of receipt [ns since 1970], 72 bytes), in order of receipt. origin: as configured in the node.
     live: the packets came from a unit, not from a replayed file. by_receive_time: stamp_source was "receive".

@@ -56,7 +56,7 @@ HALF_MINUTE_MS = 30_000
 # After more than this many consecutive late packets in ascending order, the clock is assumed to have been set back.
 MAX_LATE_RUN = 10
 LONGEST_GAP_NS = 30_000_000_000  # longest pause on the receive clock after which the minute count continues
-# Within this time of a minute change [ms], a channel 0 that differs by one minute must be confirmed by the next one.
+# Within this time of a minute change [ms], a sent minute that differs from the count by one must be sent twice.
 CONFIRMATION_MS = 1_000
 # A step of the packet time that exceeds the pause on the receive clock by more than this is a jump [ns].
 MAX_STEP_EXCESS_NS = 1_000_000_000
@@ -306,8 +306,8 @@ class GpsClock:
     """Tracks the GPS time of packets: all contain milliseconds of the minute, and some the minute (channel 0).
 
     The clock counts a minute whenever the milliseconds wrap; a sent minute takes precedence over the count.
-    minute, milliseconds: time of the newest packet, None until known. jumps: number of steps that go back, exceed the
-    pause on the receive clock (0 in a file) by more than 1 s, or lead to a sent minute that differs from the count.
+    minute, milliseconds: time of the newest packet, None until known. jumps: number of time steps that go back, exceed
+    the pause on the receive clock (0 in a file) by more than 1 s, or end at a sent minute that differs from the count.
     """
 
     def __init__(self) -> None:
@@ -317,8 +317,8 @@ class GpsClock:
         self._received_ns: int | None = None
         self._unconfirmed_difference: int | None = None  # difference of the last sent minute from the count
         self._late_count = 0  # length of the current run of late packets
-        self._late_ms = 0  # milliseconds of its newest packet
-        self._late_minute: int | None = None  # minute of its newest packet
+        self._late_ms = 0  # milliseconds of the newest late packet
+        self._late_minute: int | None = None  # minute of the newest late packet
 
     @property
     def is_settled(self) -> bool:
@@ -336,10 +336,8 @@ class GpsClock:
         ms: milliseconds of the minute. minute: sent in channel 0, None if the packet has none. received_ns: host time
         of receipt, None for packets from a file.
         """
-        pause = 0
-        if received_ns is not None:
-            pause = received_ns - (received_ns if self._received_ns is None else self._received_ns)
-            self._received_ns = received_ns
+        pause = 0 if received_ns is None or self._received_ns is None else received_ns - self._received_ns
+        self._received_ns = received_ns
         if self.milliseconds is None:
             return self._restart(ms, self.minute if minute is None else minute), NEW
         if pause > LONGEST_GAP_NS:
@@ -351,10 +349,8 @@ class GpsClock:
         if self.minute is not None and ms < self.milliseconds:
             self.minute += 1
         self.milliseconds, self._late_count = ms, 0
-        if minute is not None and minute != self.minute:
+        if minute is not None:
             jumped |= self._correct_minute(ms, minute)
-        elif minute is not None:
-            self._unconfirmed_difference = None
         self.jumps += jumped
         return self._compute_time(), NEW if ahead else SAME
 
@@ -365,17 +361,17 @@ class GpsClock:
         return self.minute * MINUTE_MS + self.milliseconds
 
     def _correct_minute(self, ms: int, minute: int) -> bool:
-        """Replace the counted minute with a different, confirmed one that was sent; returns whether time jumps."""
+        """Replace the counted minute by a sent minute, unless this must be confirmed; returns whether time jumps."""
         difference = None if self.minute is None else minute - self.minute
         is_near_change = ms < CONFIRMATION_MS or ms >= MINUTE_MS - CONFIRMATION_MS
         if is_near_change and difference in (-1, 1) and self._unconfirmed_difference != difference:
             self._unconfirmed_difference = difference
             return False
         self.minute, self._unconfirmed_difference = minute, None
-        return difference is not None
+        return bool(difference)
 
     def _step_back(self, ms: int, minute: int | None, behind: int) -> tuple[int | None, int]:
-        """(GPS time [ms], order) of a packet that seems late by `behind` [ms]; order NEW if the clock was set."""
+        """(GPS time [ms], order) of a packet that seems late by `behind` [ms]; order NEW if the clock was set back."""
         now = self._compute_time()
         if minute is not None and now is not None and minute * MINUTE_MS + ms > now:  # a later minute was sent
             self.jumps += 1

@@ -98,8 +98,6 @@ class OxtsBridge(LifecycleNode):
         self._reported_state: tuple | None = None
         self._reported_at = self._clock_at = float("-inf")
 
-    # Lifecycle
-
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._reset()
         try:

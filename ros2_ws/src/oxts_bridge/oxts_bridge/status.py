@@ -33,7 +33,7 @@ class StatusTracker:
         self.raw: dict[int, bytes] = {}
         self._raw_counts: dict[str, int] = {}  # newest count of every counter, as sent
         self._local_frame: dict[str, Value] = {}
-        self._last_pulses: tuple[float, int] | None = None
+        self._last_pulses: tuple[float, int] | None = None  # time [s] and count of the newest wheel pulses
 
     def restart(self) -> None:
         """Prepare for a new stream: counters begin with its first counts; other values are kept."""
@@ -129,8 +129,8 @@ def compute_legacy_origin(x: float, y: float, heading: float, latitude: float, l
                           altitude: float) -> tuple[float, float, float, float]:
     """Local frame of old firmware: latitude, longitude [deg], altitude [m] of its origin, heading [deg] of its x axis.
 
-    x, y (left of x): current position in the local frame [m]. heading: of the x axis, clockwise from north [deg].
-    latitude, longitude [rad], altitude [m]: current position. Iterates because the radii depend on the origin.
+    x, y: current position in the local frame [m], y to the left of x. heading: of the x axis, clockwise from north
+    [deg]. latitude, longitude [rad], altitude [m]: current position. Iterates because the radii depend on the origin.
     """
     s, c = sin(radians(heading)), cos(radians(heading))
     north, east = x * c + y * s, x * s - y * c

@@ -25,8 +25,8 @@ class ReceivedPacket:
     gps_ns: int | None  # GPS time of the measurement or event [ns since 1980-01-06], None while unknown
     utc_ns: int | None  # the same time in UTC [ns since 1970]
     order: int  # relative to the newest packet: NEW (newer), SAME (equal time), DUPLICATE (equal bytes), LATE (older)
-    # GPS time of an edge of an event input or output that this packet is the first to report, else None; the status
-    # channel identifies the input or output and its edge, and byte 7 of batch S counts its events.
+    # GPS time of an event (edge of an input or output), if this packet is the first to report it, else None. The status
+    # channel identifies the input or output and its edge; byte 7 of batch S counts the events.
     event_ns: int | None
     received_ns: int | None  # host time of receipt [ns since 1970], None if unknown
 
@@ -151,7 +151,7 @@ class NcomParser:
         return gps_ns if data[7] != count and (is_trigger or gps_ns > last_ns) else None
 
     def _read_status(self, packet: Packet) -> int | None:
-        """Count an unknown status channel; set the UTC offset or return the GPS minute if the channel contains one."""
+        """GPS minute in channel 0, else None. Also sets the UTC offset from channel 16, and counts unknown channels."""
         channel, status, data = packet.channel, packet.navigation_status, packet.batch_s
         self.counters.unknown_channels += channel not in channels.FIELDS
         if channel not in (0, channels.UTC_CHANNEL) or status not in ncom.MINUTE_STATUSES:
