@@ -18,7 +18,7 @@ from rich.console import Console
 from st_cli.cli import app
 from st_cli.verbs.raw_logs import _make_signal_table, describe_alignment
 from st_core.clock_alignment import align, manual_alignment
-from st_core.clock_types import Alignment, SignalLag, Verdict
+from st_core.clock_types import Alignment, SignalAgreement, Verdict
 from st_recordings.runs.can_logs import read_can_logs
 from st_recordings.runs.can_signals import CanSignals, decode_signals, load_signal_table
 from st_recordings.runs.clocks import INS_ON_CAN_DELAY, align_clocks, pair_shared_signals
@@ -180,7 +180,7 @@ def test_infinite_deviations_are_unknown(pair: Pair) -> None:
 
 def test_name_of_a_signal_is_complete_in_a_narrow_terminal() -> None:
     name = "yaw_(RT_HeadingPitchRoll)"
-    table = _make_signal_table(Alignment(signals=(SignalLag(name, 0.0, 0.0007, 0.11, 0.99),)))
+    table = _make_signal_table(Alignment(signals=(SignalAgreement(name, 0.0, 0.0007, 0.11, 0.99),)))
     narrow = Console(width=80, file=io.StringIO())
     narrow.print(table)
     assert name in "".join(line[:26].strip() for line in narrow.file.getvalue().splitlines())

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .clock_fit import DRIFT_PRIOR_PPM, MAX_GAP, STEP, Fit, Pair, Series, find_peaks, fit, mean_correlation, resample
-from .clock_types import MAX_SPAN, Alignment, SharedSignal, SignalLag, Verdict, describe_step, refused_alignment
+from .clock_types import MAX_SPAN, Alignment, SharedSignal, SignalAgreement, Verdict, describe_step, refused_alignment
 from .regression import SIGMA_PER_MAD
 
 COARSE_CUTOFF, FINE_CUTOFF = 0.5, 4.0  # Hz, of the low-pass while the drift is unknown, and in the final fit
@@ -165,13 +165,14 @@ def _align_with_overlap(series: _ResampledSignals, minimum_overlap: float,
     except ValueError as error:
         return refused_alignment(*reasons, str(error))
     single_fits = [fit([pair], solution.offset, middle, solution.drift, free_drift=False) for pair in fine]
-    lags = [SignalLag(pair.name, single.offset - solution.offset, single.offset_deviation, residual, correlation)
-            for pair, single, residual, correlation in zip(fine, single_fits, solution.residual, solution.correlation,
-                                                           strict=True)]
+    agreements = [
+        SignalAgreement(pair.name, single.offset - solution.offset, single.offset_deviation, residual, correlation)
+        for pair, single, residual, correlation in zip(fine, single_fits, solution.residual, solution.correlation,
+                                                       strict=True)]
     excess = 0.0  # variance between the signals in excess of their uncertainties [s^2]
-    weights = np.array([s.deviation**-2 for s in lags])
+    weights = np.array([s.deviation**-2 for s in agreements])
     if (count := np.count_nonzero(weights)) > 1:
-        variance = float((weights * np.array([s.difference for s in lags]) ** 2).sum() / weights.sum())
+        variance = float((weights * np.array([s.difference for s in agreements]) ** 2).sum() / weights.sum())
         excess = max(variance - float(count / weights.sum()), 0.0)
     offset_deviation = float(np.sqrt(solution.offset_deviation**2 + excess + series.latency_uncertainty**2
                                      + STAMP_RESOLUTION**2 / 12))
@@ -181,7 +182,7 @@ def _align_with_overlap(series: _ResampledSignals, minimum_overlap: float,
     result = Alignment(
         series.other_ns + round(middle * 1e9),
         series.reference_ns - series.other_ns + round(solution.offset * 1e9), solution.drift * 1e6,
-        offset_deviation, drift_deviation, "shared signals", Verdict.GOOD, reasons, tuple(lags), peak,
+        offset_deviation, drift_deviation, "shared signals", Verdict.GOOD, reasons, tuple(agreements), peak,
         second_peak, max(high - low, 0.0))
     return _add_verdict(result, solution, fine, series.other_ns)
 

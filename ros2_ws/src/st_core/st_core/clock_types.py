@@ -44,7 +44,7 @@ class Peak(NamedTuple):
 
 
 @dataclass(frozen=True)
-class SignalLag:
+class SignalAgreement:
     """Agreement of one signal with the alignment by all signals."""
 
     name: str
@@ -66,7 +66,7 @@ class Alignment:
     method: str = "none"  # "time frame", "shared signals", "by hand" or "none"
     verdict: Verdict = Verdict.NOT_NEEDED
     reasons: tuple[str, ...] = ()
-    signals: tuple[SignalLag, ...] = ()
+    signals: tuple[SignalAgreement, ...] = ()
     peak: Peak | None = None  # of the coarse search; None if it was not run
     second_peak: Peak | None = None
     overlap: float = 0.0  # duration of the overlap [s]

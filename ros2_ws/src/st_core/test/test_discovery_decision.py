@@ -55,7 +55,7 @@ NO_POSITION_GAIN = replace(GOOD, position_reduction=0.01, position_reduction_in_
 MASS = FileQuantity("mass", "kg", 1600.0, 40.0, slope=1600.0, stated=True, without_effect=1600.0)
 FILE_DISAGREES = replace(GOOD, file_comparison=(MASS, 0.25))
 VARYING = replace(GOOD, agreement={"run": AGREEING, "place": DISAGREEING})
-EQUAL_RIVAL = Rival("rear_stiffness", "mass", share=0.9, p_no_worse=0.4, deficit=0.02,
+EQUAL_RIVAL = Rival("rear_stiffness", "mass", gain_ratio=0.9, p_no_worse=0.4, deficit=0.02,
               evidence=replace(GOOD, name="rear_stiffness"))
 LOW_GAIN = replace(GOOD, gain=0.1)
 SENSOR = Evidence("yaw_rate_scale", gain=0.0, p_value=1.0, sensors_p_value=0.6, sensors_null_p_value=0.001)
@@ -182,7 +182,7 @@ def test_accepted_effect_is_named_or_minor(evidence, rule, figures):
 @pytest.mark.parametrize(("evidence", "checks", "rule"), [
     (GOOD, {}, NAMED), (GOOD, dict(excludes_null=False), MINOR),
     (CONFIRMED, dict(excludes_null=False), NAMED),
-    (GOOD, dict(parameter_at_bound="factor"), MINOR), (GOOD, dict(peak_force_share=0.5), MINOR),
+    (GOOD, dict(parameter_at_bound="factor"), MINOR), (GOOD, dict(peak_force_ratio=0.5), MINOR),
     (GOOD, dict(worse_axle="rear"), FORCES), (GOOD, dict(summands=("steering_lag",)), MINOR),
     (GOOD, dict(depends_on=("front_stiffness",)), MINOR),
     (CONFIRMED, dict(violation="yaw_inertia: dynamic index k^2 / (l_f l_r) 0.5 is outside 0.6 to 1.4"), IMPLAUSIBLE),
@@ -237,7 +237,7 @@ def test_verdict_of_a_varying_effect_names_the_partition():
 
 @pytest.mark.parametrize(("rival", "rule"), [
     (EQUAL_RIVAL, ALTERNATIVE),
-    (replace(EQUAL_RIVAL, share=0.4), EXPLAINS_LESS),
+    (replace(EQUAL_RIVAL, gain_ratio=0.4), EXPLAINS_LESS),
     (replace(EQUAL_RIVAL, added=0.3), ALTERNATIVE),
     (replace(EQUAL_RIVAL, added=0.5), EXPLAINS_LESS),  # explains other errors: most of its gain is in addition
     (WORSE_RIVAL, EXPLAINS_LESS),
@@ -247,12 +247,12 @@ def test_verdict_of_a_varying_effect_names_the_partition():
     (replace(EQUAL_RIVAL, evidence=NEGLIGIBLE_GAIN), NEGLIGIBLE),
     (replace(EQUAL_RIVAL, evidence=INSIGNIFICANT), GAIN_INSIGNIFICANT),
     (replace(EQUAL_RIVAL, evidence=NULL_POSSIBLE), NULL),
-    (replace(EQUAL_RIVAL, evidence=NULL_POSSIBLE, shared=True), ALTERNATIVE),  # the drives do not exclude it
-    (replace(WORSE_RIVAL, evidence=NULL_POSSIBLE, shared=True), EXPLAINS_LESS),
+    (replace(EQUAL_RIVAL, evidence=NULL_POSSIBLE, with_effect=True), ALTERNATIVE),  # the drives do not exclude it
+    (replace(WORSE_RIVAL, evidence=NULL_POSSIBLE, with_effect=True), EXPLAINS_LESS),
     (replace(EQUAL_RIVAL, evidence=SENSORS_DISAGREE), SENSORS),
     (replace(EQUAL_RIVAL, evidence=AT_BOUND), BOUND),
     (replace(EQUAL_RIVAL, evidence=VARYING), VARIES),
-    (replace(EQUAL_RIVAL, share=0.4, evidence=AT_BOUND), EXPLAINS_LESS),  # the first rule
+    (replace(EQUAL_RIVAL, gain_ratio=0.4, evidence=AT_BOUND), EXPLAINS_LESS),  # the first rule
 ])
 def test_rival_is_an_alternative_or_rejected_by_a_rule(rival, rule):
     assert judge_alternative(rival, LIMITS).rule == rule
@@ -279,7 +279,7 @@ def test_text_of_an_alternative_names_the_effect_it_replaces():
     (NOTHING | dict(named=[GOOD, replace(GOOD, name="friction")], rivals={"mass": [EQUAL_RIVAL]}), "several",
      {"effects": 2}),
     (NOTHING | dict(named=[GOOD]), "named", {}),
-    (NOTHING | dict(named=[GOOD], rivals={"mass": [replace(EQUAL_RIVAL, share=0.1)]}), "named", {}),
+    (NOTHING | dict(named=[GOOD], rivals={"mass": [replace(EQUAL_RIVAL, gain_ratio=0.1)]}), "named", {}),
     (NOTHING | dict(named=[GOOD], rivals={"friction": [EQUAL_RIVAL]}), "named", {}),  # a rival of another effect
     (NOTHING | dict(named=[GOOD], rivals={"mass": [EQUAL_RIVAL]}), "ambiguous", {"names": 2}),
     (NOTHING | dict(named=[GOOD], rejected=[VARYING], noise_ratio=9.0, detectable_share=0.1), "named", {}),
@@ -308,7 +308,7 @@ def test_outcome_of_a_search_result(answer, outcome, figures):
 
 
 def judge_low_peak_force(evidence, limits):
-    return judge_reporting(evidence, limits, peak_force_share=0.5)
+    return judge_reporting(evidence, limits, peak_force_ratio=0.5)
 
 
 def decide_outcome(result, limits):
@@ -332,12 +332,12 @@ LIMIT_CASES = [
     ("relevant_position", 1e-9, judge_reporting, NO_POSITION_GAIN, MINOR, NAMED),
     ("min_relative_size", 1e-9, judge, replace(SENSOR, size=0.4), IRRELEVANT, ACCEPTED),
     ("negligible", 1e-9, judge, NEGLIGIBLE_GAIN, NEGLIGIBLE, ACCEPTED),
-    ("min_rival_gain", 1e-9, judge_alternative, replace(EQUAL_RIVAL, share=0.4), EXPLAINS_LESS, ALTERNATIVE),
+    ("min_rival_gain", 1e-9, judge_alternative, replace(EQUAL_RIVAL, gain_ratio=0.4), EXPLAINS_LESS, ALTERNATIVE),
     ("min_peak_force", 1e-9, judge_low_peak_force, GOOD, MINOR, NAMED),
     ("max_file_deviation", 1e9, judge, FILE_DISAGREES, FILE, ACCEPTED),
     ("at_bound", 1e-9, judge, replace(AT_BOUND, bound_distance=0.001), BOUND, ACCEPTED),
-    ("unexplained_share", 1e-9, judge_alternative, CLOSE_RIVAL, ALTERNATIVE, EXPLAINS_LESS),
-    ("unexplained_share", 1e-9, judge_reporting, replace(LOW_GAIN, noise_ratio=5.0), MINOR, NAMED),
+    ("max_unmodelled_gain", 1e-9, judge_alternative, CLOSE_RIVAL, ALTERNATIVE, EXPLAINS_LESS),
+    ("max_unmodelled_gain", 1e-9, judge_reporting, replace(LOW_GAIN, noise_ratio=5.0), MINOR, NAMED),
     ("max_noise_ratio", 1e9, decide_outcome, NOTHING | dict(noise_ratio=9.0), "unknown", "none"),
     ("max_noise_ratio", 1e9, judge_reporting, replace(LOW_GAIN, noise_ratio=5.0), MINOR, NAMED),
     ("max_noise_ratio", 1e9, judge_reporting, replace(NO_POSITION_GAIN, reductions={"yaw": (0.1, 5.0)}), NAMED, MINOR),

@@ -100,7 +100,7 @@ def test_values_that_the_reference_drives_do_not_determine_are_as_uncertain_as_i
 @pytest.mark.slow
 def test_second_start_of_the_fit_is_at_the_theoretical_values():
     space = Space("nonlinear", DiscoverySettings())
-    changed = {(space.free[i][0], space.free[i][1].name): theoretical_values(space)[i]
+    changed = {(space.parameters[i][0], space.parameters[i][1].name): theoretical_values(space)[i]
              for i in np.flatnonzero(theoretical_values(space) != space.null)}
     assert changed == {("combined_slip", "share"): 1.0}
 

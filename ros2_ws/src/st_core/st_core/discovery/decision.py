@@ -23,12 +23,12 @@ class Rival:
 
     name: str
     replaces: str
-    share: float  # ratio of its gain to the gain of the replaced effect [1]
+    gain_ratio: float  # its gain divided by the gain of the replaced effect [1]
     p_no_worse: float  # p-value of the hypothesis that it is as good [1]
     deficit: float  # gain of the replaced effect minus gain of the rival, per residual [1]
     evidence: Evidence  # of the rival in place of the replaced effect
     values: Mapping[str, float] = field(default_factory=dict)  # of the rival in place of the replaced effect
-    shared: bool = False  # whether it is in the model together with the effect; `evidence` is then that of the effect
+    with_effect: bool = False  # whether the model contains both; `evidence` is then that of the effect `replaces`
     added: float = 0.0  # gain of the rival in addition to the replaced effect, divided by the gain of that effect [1]
 
 
@@ -134,9 +134,9 @@ def is_relevant(e: Evidence, limits: Limits) -> bool:
 def find_most_affected(e: Evidence, limits: Limits) -> tuple[str, float]:
     """(name, reduction [1]) of the channel with the largest error reduction relative to its baseline error, among those
     with an error above `Limits.max_noise_ratio` times the noise; ("", 0) if there is none."""
-    share, column = max(((share, column) for column, (share, noise_ratio) in e.reductions.items()
-                         if noise_ratio > limits.max_noise_ratio), default=(0.0, ""))
-    return (CHANNEL_OF_COLUMN[column].name if column else ""), share
+    reduction, column = max(((reduction, column) for column, (reduction, noise_ratio) in e.reductions.items()
+                             if noise_ratio > limits.max_noise_ratio), default=(0.0, ""))
+    return (CHANNEL_OF_COLUMN[column].name if column else ""), reduction
 
 
 def _relevance_values(e: Evidence, limits: Limits) -> dict[str, float]:
@@ -145,13 +145,13 @@ def _relevance_values(e: Evidence, limits: Limits) -> dict[str, float]:
 
 
 def judge_reporting(e: Evidence, limits: Limits, excludes_null: bool = True, parameter_at_bound: str = "",
-                    peak_force_share: float = 1.0, worse_axle: str = "", summands: Sequence[str] = (),
+                    peak_force_ratio: float = 1.0, worse_axle: str = "", summands: Sequence[str] = (),
                     violation: str = "", depends_on: Sequence[str] = ()) -> Reason:
     """Verdict on whether an accepted effect is reported as a cause, or only kept to avoid a bias of other values.
 
     excludes_null: whether an interval excludes the null.
     parameter_at_bound: parameter with an interval that crosses its bound, or "".
-    peak_force_share: largest force in the drives divided by the peak force [1], the larger ratio if the effect acts on
+    peak_force_ratio: largest force in the drives divided by the peak force [1], the larger ratio if the effect acts on
         both axles; 1 if it does not act on the peak, or with reference drives; NaN if the forces are unknown.
     worse_axle: axle on which the effect acts and where measured forces agree better with the vehicle file, or "".
     summands: other effects of the model that are identifiable only as a sum with this effect.
@@ -176,28 +176,28 @@ def judge_reporting(e: Evidence, limits: Limits, excludes_null: bool = True, par
         return demote(f"only its sum with {' and '.join(summands).replace('_', ' ')} is identifiable")
     if parameter_at_bound:
         return demote(f"the interval of its {parameter_at_bound.replace('_', ' ')} extends beyond the physical range")
-    if not peak_force_share >= limits.min_peak_force:
-        reached = f"the drives reach only {100 * peak_force_share:.1f} % of the peak force"
-        return demote(reached if peak_force_share >= 0.0 else "the axle forces, and so their peaks, are unknown",
-                      peak_force_share=peak_force_share, min_peak_force=limits.min_peak_force)
+    if not peak_force_ratio >= limits.min_peak_force:
+        reached = f"the drives reach only {100 * peak_force_ratio:.1f} % of the peak force"
+        return demote(reached if peak_force_ratio >= 0.0 else "the axle forces, and so their peaks, are unknown",
+                      peak_force_share=peak_force_ratio, min_peak_force=limits.min_peak_force)
     if e.position_reduction < -limits.relevant_position and not confirmed_by_sensors:
         return demote(f"without it the held-out position error is {-100 * e.position_reduction:.1f} cm smaller",
                       position=e.position_reduction, relevant_position=limits.relevant_position)
-    if e.noise_ratio > limits.max_noise_ratio and e.gain < limits.unexplained_share and not confirmed_by_sensors:
+    if e.noise_ratio > limits.max_noise_ratio and e.gain < limits.max_unmodelled_gain and not confirmed_by_sensors:
         return demote(f"it is significant, but reduces the errors by {100 * e.reduction:.1f} %, and one channel's "
-                      f"error remains {e.noise_ratio:.1f} times the noise; {100 * limits.unexplained_share:.0f} % is "
+                      f"error remains {e.noise_ratio:.1f} times the noise; {100 * limits.max_unmodelled_gain:.0f} % is "
                       "needed, as unmodelled effects may cause smaller reductions", gain=e.gain,
                       noise_ratio=e.noise_ratio, max_noise_ratio=limits.max_noise_ratio,
-                      unexplained_share=limits.unexplained_share)
+                      unexplained_share=limits.max_unmodelled_gain)
     if not excludes_null and not confirmed_by_sensors:
         return demote("it reduces the errors, but the interval of its value includes the null value")
-    channel, share = find_most_affected(e, limits)
-    baseline = f"reduces the baseline {CHANNELS[channel].label} error by {100 * share:.1f} % and " if channel else ""
+    channel, reduction = find_most_affected(e, limits)
+    clause = f"reduces the baseline {CHANNELS[channel].label} error by {100 * reduction:.1f} % and " if channel else ""
     scope = " in one driving condition" if max_position_reduction(e) > max(e.position_reduction, 0.0) else ""
-    reduction = f"it {baseline}{describe_position_reduction(max_position_reduction(e))}{scope}"
+    text = f"it {clause}{describe_position_reduction(max_position_reduction(e))}{scope}"
     if is_relevant(e, limits):
-        return Reason(NAMED, e.name, _relevance_values(e, limits), reduction)
-    return demote(f"it is significant, but {reduction}; {100 * limits.relevant:.1f} % or "
+        return Reason(NAMED, e.name, _relevance_values(e, limits), text)
+    return demote(f"it is significant, but {text}; {100 * limits.relevant:.1f} % or "
                   f"{100 * limits.relevant_position:.0f} cm is required", **_relevance_values(e, limits))
 
 
@@ -217,16 +217,16 @@ def varies_relevantly(e: Evidence, limits: Limits) -> bool:
 
 def judge_alternative(rival: Rival, limits: Limits) -> Reason:
     """Verdict on a rival as an alternative to an effect of the final model."""
-    figures = {"share": rival.share, "added": rival.added, "p_no_worse": rival.p_no_worse, "deficit": rival.deficit,
-               "min_rival_gain": limits.min_rival_gain, "undecided_p": limits.undecided_p,
-               "unexplained_share": limits.unexplained_share}
+    figures = {"share": rival.gain_ratio, "added": rival.added, "p_no_worse": rival.p_no_worse,
+               "deficit": rival.deficit, "min_rival_gain": limits.min_rival_gain, "undecided_p": limits.undecided_p,
+               "unexplained_share": limits.max_unmodelled_gain}
     replaced_name = rival.replaces.replace("_", " ")
-    gain = f"in place of {replaced_name} it achieves {100 * rival.share:.0f} % of that effect's error reduction"
+    gain = f"in place of {replaced_name} it achieves {100 * rival.gain_ratio:.0f} % of that effect's error reduction"
     gain += f", and in addition to it {100 * rival.added:.0f} %" if rival.added >= 0.005 else ""
     test_result = f"p = {rival.p_no_worse:.2g} for the hypothesis that it is as good"
-    if rival.share - rival.added < limits.min_rival_gain or explains_less(rival, limits):
+    if rival.gain_ratio - rival.added < limits.min_rival_gain or explains_less(rival, limits):
         return Reason(EXPLAINS_LESS, rival.name, figures, f"{gain}; {test_result}")
-    if rival.shared:
+    if rival.with_effect:
         gain = f"together with {replaced_name} it reduces the errors about as much as that effect alone"
     elif (verdict := judge(rival.evidence, limits)).rule not in (ACCEPTED, IRRELEVANT):
         return verdict
@@ -238,7 +238,7 @@ def judge_alternative(rival: Rival, limits: Limits) -> Reason:
 
 def explains_less(rival: Rival, limits: Limits) -> bool:
     """Whether errors are significantly larger with the rival, and by more than unmodelled effects may cause."""
-    is_unexplained = rival.evidence.noise_ratio > limits.max_noise_ratio and rival.deficit < limits.unexplained_share
+    is_unexplained = rival.evidence.noise_ratio > limits.max_noise_ratio and rival.deficit < limits.max_unmodelled_gain
     return rival.p_no_worse < limits.undecided_p and not is_unexplained
 
 
@@ -258,7 +258,7 @@ def is_alternative(rival: Rival, limits: Limits) -> bool:
 
 def list_alternatives(rivals: Sequence[Rival], limits: Limits) -> tuple[str, ...]:
     """Names of the rivals that are alternatives, best first."""
-    return tuple(r.name for r in sorted(rivals, key=lambda r: -r.share) if is_alternative(r, limits))
+    return tuple(r.name for r in sorted(rivals, key=lambda r: -r.gain_ratio) if is_alternative(r, limits))
 
 
 def decide(limits: Limits, named: Sequence[Evidence], rivals: Mapping[str, Sequence[Rival]],
@@ -267,6 +267,8 @@ def decide(limits: Limits, named: Sequence[Evidence], rivals: Mapping[str, Seque
            base_noise_ratio: float = 1.0) -> tuple[Outcome, Reason]:
     """The outcome and its reason.
 
+    named, rejected: evidence for the effects reported as causes, and for those that the search rejected.
+    rivals: by name of the effect that they may replace.
     noise_ratio: ratio of the residual position error to the noise, NaN without positions [1].
     detectable_share: fraction of the library reported, or detectable at sizes up to one parameter scale [1].
     n_varying: number of effects that vary between parts of the drives.

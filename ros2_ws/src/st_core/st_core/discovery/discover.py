@@ -79,7 +79,7 @@ def fit_effects(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str 
 
 
 class _JudgedEffects(NamedTuple):
-    """The effects of the final fit; other fields as in `Discovery`."""
+    """The effects of the final fit by verdict, and results that depend on the verdicts."""
 
     named: tuple[result.FoundEffect, ...]
     minor: tuple[result.FoundEffect, ...]  # in the model, but not reported as causes
@@ -208,7 +208,8 @@ class _Analysis:
     def _decide_outcome(self, state: SearchState, judged: _JudgedEffects, untestable: Sequence[result.UntestableEffect],
                         noise_ratios: tuple[float, float], n_varying: int,
                         ) -> tuple[result.Outcome, tuple[result.Reason, ...]]:
-        """Outcome, and the reasons for it and for each effect. noise_ratios: position error / noise, before, after."""
+        """(outcome, the reasons for it and for each effect). noise_ratios: position error divided by noise, with the
+        base model and with the final model."""
         hypotheses = self.space.hypotheses
         detectable = 1.0 - sum(n.name in hypotheses for n in untestable) / len(hypotheses)
         combinations = result.unseparated_combinations(judged.combinations, judged.named)
@@ -322,7 +323,7 @@ class _Analysis:
         force_ratios = dict.fromkeys(("front", "rear"), np.nan) if axles is None else axles.compute_force_ratios()
         names = [e.name for e in effects]
         at_peak = [] if self.reference else [get_effect(name) for name in names if get_effect(name).at_peak_force]
-        peak_force_shares = {effect.name: max((ratio for axle, ratio in force_ratios.items() if effect.slot in (
+        peak_force_ratios = {effect.name: max((ratio for axle, ratio in force_ratios.items() if effect.slot in (
             f"{axle} axle", "both axles")), default=1.0) for effect in at_peak}
         if axles is not None and not self.reference:
             for axle in axles.find_worse_axles(self.space.at(self.space.null), leave_one_out):
@@ -338,7 +339,7 @@ class _Analysis:
         return {e.name: decision.judge_reporting(
             state.evidence[e.name], self.limits, excludes_null=excludes_null(e),
             parameter_at_bound="" if self.reference else find_parameter_across_bound(e),
-            peak_force_share=peak_force_shares.get(e.name, 1.0), worse_axle=worse_axles.get(e.name, ""),
+            peak_force_ratio=peak_force_ratios.get(e.name, 1.0), worse_axle=worse_axles.get(e.name, ""),
             violation=violations.get(e.name, ""), depends_on=refuted if e.name in dependent else (),
             summands=tuple(n for n in delays if n != e.name) if e.name in delays else ()) for e in effects}
 
@@ -390,7 +391,7 @@ class _Analysis:
         problem, space, candidates = self.problem, self.space, []
         # An effect that was tried in place of several others is listed with the one that it replaces best.
         rivals = {r.name: r for r in sorted(state.all_rivals, key=lambda r: (decision.is_alternative(r, self.limits),
-                                                                            r.share))}
+                                                                            r.gain_ratio))}
         for name in space.hypotheses:
             values: Mapping[str, float] = space.values(name, state.fit.vector)
             if name in state.evidence:
@@ -491,8 +492,8 @@ def complete_delay(delay: result.Combination, effects: Sequence[result.FoundEffe
 
 
 def describe_varying(v: VaryingFit, space: Space, position_reduction: float) -> result.VaryingEffect:
-    """Result for an effect with separate values in the parts; ratios are relative to the value furthest from null."""
-    parameter, null = space.free[v.index][1], float(space.null[v.index])
+    """Result for an effect with a separate value in each part; ratios are relative to the value furthest from null."""
+    parameter, null = space.parameters[v.index][1], float(space.null[v.index])
     value, deviation = max(v.values.values(), key=lambda estimate: abs(estimate[0] - null))
     change = value - null or float(space.scale[v.index])
     ratios = tuple(result.LocalEstimate(part, (x - null) / change, s / abs(change))
@@ -514,8 +515,9 @@ def excludes_null(effect: result.FoundEffect) -> bool:
 
 def replace_interval(fitted: result.FittedParameter,
                      sensors: tuple[float, float, float] | None) -> result.FittedParameter:
-    """The fitted value with a symmetric interval just wide enough to contain the sensors' interval. Unchanged if it
-    would include the null value, or if the fitted one excludes that value or does not overlap the sensors' interval."""
+    """The fitted value with the smallest symmetric interval that contains the sensors' interval. `fitted` is returned
+    unchanged if this interval would include the null value, or if the fitted interval excludes the null value or does
+    not overlap the sensors' interval."""
     value, (_, low, high) = fitted.value, sensors or (0.0, -np.inf, np.inf)
     half_width = max(high - value, value - low)
     contains_null = fitted.interval[0] <= fitted.null <= fitted.interval[1]

@@ -192,7 +192,7 @@ def compute_window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehic
                   "steering_rate": np.sqrt(np.square(np.diff(angle, axis=1) / STEP).mean(axis=1)),
                   "forward_acceleration": acceleration.mean(axis=1)}
     finite = np.isfinite(np.stack([x, y, *squares.values(), *conditions.values()])).all(axis=0)
-    # `Windows.seconds` begins at the later first sample of INS and steering.
+    # `Windows.seconds` counts from the first instant with both INS and steering.
     lead = np.array([max(float(log.steering_time_ns[0] - log.ins_time_ns[0]) * NANOSECOND, 0.0) if log.overlap else 0.0
                      for log in runs])
     time = windows.seconds + lead[windows.run]

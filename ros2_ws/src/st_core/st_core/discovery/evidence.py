@@ -164,7 +164,7 @@ def p_no_worse(difference: np.ndarray) -> float:
 
 def collect_evidence(problem: Problem, reduced: Fit, fit: Fit, effect: str, scores: Scores,
                      partitions: Mapping[str, Partition], sensors: Sensors) -> Evidence:
-    """Evidence for an effect of `fit`, compared with the fit `reduced`, without it. scores: those at `reduced`."""
+    """Evidence for an effect, from `fit` with this effect and `reduced` without it. scores: those at `reduced`."""
     gain = reduced.held_out - fit.held_out
     block_scores = scores.by_effect.get(effect)
     if block_scores is None:
@@ -206,7 +206,8 @@ def column_reductions(problem: Problem, reduced: np.ndarray, full: np.ndarray) -
 
 
 def efficient_score_at_fit(problem: Problem, fit: Fit, effect: str, sensitivities: Sensitivities) -> np.ndarray:
-    """(b, k) efficient scores of an effect outside the fit. sensitivities: to it and to the fit, near its vector."""
+    """(b, k) efficient scores of an effect outside the fit. sensitivities: to the parameters of the effect and of the
+    fit, at or near the vector of the fit."""
     indices = np.union1d(fit.indices, problem.space.indices(effect))
     rows = problem.errors.at(fit.vector)
     q = problem.loss.quadratic(rows, sensitivities.select(indices)).sum_groups(problem.block, problem.blocks)
@@ -235,7 +236,7 @@ def distance_to_bound(problem: Problem, fit: Fit, effect: str) -> float:
     """Smallest distance of a value of the effect to one of its `Parameter.hard_bounds` [parameter scales]."""
     space = problem.space
     return min((float(abs(fit.vector[i] - edge) / space.scale[i]) for i in space.indices(effect)
-                for edge in space.free[i][1].hard_bounds), default=np.inf)
+                for edge in space.parameters[i][1].hard_bounds), default=np.inf)
 
 
 def compare_with_file(problem: Problem, fit: Fit, effect: str) -> tuple[FileQuantity, float] | None:
@@ -264,7 +265,7 @@ def sensors_null_p_value(space: Space, effect: str, sensors: Sensors) -> float |
 
 def _sensor_estimates(space: Space, effect: str, sensors: Sensors) -> list[tuple[int, float, float]]:
     """(index, value, standard deviation) of the parameters that redundant sensors measure."""
-    keys = {i: f"{effect}.{space.free[i][1].name}" for i in space.indices(effect)}
+    keys = {i: f"{effect}.{space.parameters[i][1].name}" for i in space.indices(effect)}
     measured = [(i, *sensors[key]) for i, key in keys.items() if key in sensors]
     return [(i, value, (high - low) / (2.0 * Z95)) for i, value, low, high in measured]
 

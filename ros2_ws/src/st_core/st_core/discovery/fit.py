@@ -88,8 +88,8 @@ class Problem:
 
     start: (p,) initial vector of a search.
     block: (n,) number of the block of each window.
-    prior: (p, p) curvature about `start`, divided by design_effect, from reference drives, for effects outside the
-        fitted set; None: they keep their start values, except the accelerometer gain, free if acceleration is measured.
+    prior: (p, p) curvature about `start`, divided by design_effect, from reference drives, for parameters outside the
+        fitted set; if None, these keep their start values, except the accelerometer gain if acceleration_y is measured.
     noise: (c,) error of each column due to noise alone [SI].
     gain_between_runs, start_covariance: those of the `HealthyCar`; without a covariance, the start is exact.
 
@@ -328,8 +328,8 @@ class Problem:
         return self.leave_out(q, fit.names, fit.vector, fit.indices, groups, at_optimum=True)
 
     def held_out_loss(self, fit: Fit, groups: np.ndarray) -> np.ndarray:
-        """(b,) loss of each block at values fitted without its group, from the quadratic approximation; if this is much
-        larger than the loss of the fit, the smaller of it and the simulated loss. groups: (b,) group of each block."""
+        """(b,) loss of each block at values fitted without its group. groups: (b,) group of each block. Calculated from
+        the quadratic approximation; where this is much larger than the loss of the fit, a simulated loss limits it."""
         steps, held_out = self.leave_out_groups(fit, groups)
         if held_out.sum() - fit.quadratic.cost.sum() < MAX_QUADRATIC_RISE * self.residual_count:
             return held_out

@@ -49,10 +49,11 @@ def fit_healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space:
                     threads: int, tick: Callable[[], None]) -> HealthyCar:
     """Fit the healthy car to its drives; central difference quotients refine the result of one-sided ones.
 
-    The covariance V of the vector combines S, from the drives, with their design effects, and F, of the weak prior and
-    the vehicle file: V^-1 = S^-1 + F^-1. The prior P, times the design effect of a new drive (`Problem`), is the
-    predictive distribution for that drive: 2 P = (2 S)^-1 + F^-1. S is doubled because both reference and new drive are
-    uncertain; F is not, because it is common to all drives of the car. Raises StCoreError if there is no window."""
+    The covariance V of the vector follows from the covariance S of a fit to the drives alone, with their design
+    effects, and the covariance F of the weak prior and the vehicle file: V^-1 = S^-1 + F^-1. The prior P, times the
+    design effect of a new drive (`Problem`), is the predictive distribution for that drive: 2 P = (2 S)^-1 + F^-1.
+    S is doubled because reference and new drive are both uncertain; F is not, because it is common to all drives of the
+    car. Raises StCoreError if there is no window."""
     windows = Windows(runs, vehicle, settings)
     if not len(windows):
         raise StCoreError(f"no prediction of {settings.horizon:g} s fits into the reference drives: drive longer, "
@@ -122,7 +123,7 @@ def _minimum_loss(h: np.ndarray, g: np.ndarray, centre: np.ndarray, prior: np.nd
 
 def theoretical_values(space: Space) -> np.ndarray:
     """(p,) theoretical values; null values where they are unknown, and for effects that convert the base model."""
-    theory = [None if get_effect(effect).converts else parameter.theory for effect, parameter in space.free]
+    theory = [None if get_effect(effect).converts else parameter.theory for effect, parameter in space.parameters]
     return np.array([n if t is None else t for n, t in zip(space.null, [*theory, None], strict=True)])
 
 

@@ -136,8 +136,8 @@ def choose_manoeuvre(problem: Problem, fit: Fit, separabilities: Sequence[Separa
         return None
     strength, pair = weakest[name]
     manoeuvre = next(m for m in CATALOGUE if m.name == name)
-    reason = (f"its least separated pair, {pair[0]} and {pair[1]}, is separated better than that of any other "
-              "manoeuvre simulated at these speeds")
+    reason = ("of all manoeuvres simulated at these speeds, it has the largest separation of the least separated pair, "
+              f"here {pair[0]} and {pair[1]}")
     return NextManoeuvre(name, pair, strength, {n: s for n, (s, _) in weakest.items()}, REPETITIONS, manoeuvre.duration,
                          manoeuvre.speed, reason)
 

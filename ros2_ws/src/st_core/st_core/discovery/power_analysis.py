@@ -31,7 +31,7 @@ def predict_power(problem: Problem, fit: Fit, scores: Scores, limits: Limits) ->
         information = efficient_score(q, problem, names, effect)[1]
         best = int(np.argmax(information))
         index = problem.space.indices(effect)[best]
-        parameter, scale = problem.space.free[index][1], float(problem.space.scale[index])
+        parameter, scale = problem.space.parameters[index][1], float(problem.space.scale[index])
         for size in EFFECT_SIZES:
             power = _power(problem, fit, index, size, information[best], scores, limits)
             powers.append(Power(effect, parameter.name, parameter.unit, size * scale, power, 0))
@@ -69,7 +69,7 @@ def _required_gain(problem: Problem, rows: np.ndarray, change: np.ndarray, limit
     reduction = float(np.nanmean(unmodelled - modelled)) if np.isfinite(modelled).any() else 0.0  # [m]
     min_gain = limits.negligible if reduction > limits.relevant_position else limits.relevant
     has_unexplained_residual = residual_over_noise(problem, rows) > limits.max_noise_ratio
-    return max(min_gain, limits.unexplained_share) if has_unexplained_residual else min_gain
+    return max(min_gain, limits.max_unmodelled_gain) if has_unexplained_residual else min_gain
 
 
 def measure_power(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callable[[], None]) -> PowerAnalysis:
@@ -81,7 +81,7 @@ def measure_power(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: C
     for effect in problem.space.hypotheses:
         indices = problem.space.indices(effect)
         index = indices[int(np.argmax(np.square(sensitivities[indices] / problem.loss.scale).sum(axis=(1, 2))))]
-        parameter, scale = problem.space.free[index][1], float(problem.space.scale[index])
+        parameter, scale = problem.space.parameters[index][1], float(problem.space.scale[index])
         for size in EFFECT_SIZES:
             vector = problem.take_step(fit.vector, np.array([index]), size * problem.space.sign[[index]])
             change = rows - np.nan_to_num(problem.errors.at(vector))

@@ -82,7 +82,7 @@ class FoundEffect:
     joint: tuple[str, ...] = ()  # effects of the result that cancel it, so that only their combination is identifiable
     channel: str = ""  # with the largest relative error reduction; "" if no error exceeds twice the noise
     share: float = 0.0  # relative error reduction in this channel [1]
-    other_causes: str = ""  # outside the library, with the same effect; "" with reference drives
+    other_causes: str = ""  # causes outside the library that act in the same way; "" with reference drives
 
 
 @dataclass(frozen=True)
@@ -307,8 +307,9 @@ class Discovery:
 
 def unseparated_combinations(combinations: Sequence[Combination],
                              named: Sequence[FoundEffect]) -> tuple[Combination, ...]:
-    """Combinations that differ significantly from the vehicle file and that no named effect or alternative changes: all
-    ratios of stiffness to mass or, if there are none, the first of stability factor and yaw gain; the total delay."""
+    """Combinations that differ significantly from the vehicle file and that no named effect or alternative changes. If
+    a ratio of stiffness to axle load is among them, stability factor and yaw gain are left out; else only the first of
+    these two is listed. The total delay may be listed in addition."""
     names = {part for e in named for name in (e.name, *e.alternatives) for part in (name, *get_effect(name).members)}
     unexplained = [c for c in combinations if c.differs and not names.intersection(c.effects)]
     others = [c for c in unexplained if not c.is_delay]

@@ -29,7 +29,7 @@ NearSet = tuple[tuple[str, ...], np.ndarray]  # (names of the effects in a set, 
 
 @dataclass
 class SearchState:
-    """State of the search."""
+    """The current set of effects, with evidence for each of them and the other effects tried."""
 
     fit: Fit  # fit of the current set
     order: tuple[str, ...] = ()  # after the search: names by decreasing gain
@@ -70,8 +70,8 @@ class Search:
     def run(self) -> SearchState:
         """The best set from three starts.
 
-        These are the empty set, the set found from it plus all physical effects, and the library without composites.
-        The effects added to the last two include no payload and no `forward_only` effect.
+        These are the empty set; the set found from it, extended by all physical effects; and the library without
+        composite effects. Payloads and `forward_only` effects are not added to the second and third start.
         """
         p = self.problem
         p.update_design_effect(p.start)
@@ -116,8 +116,8 @@ class Search:
                 fit = laden_problem.refit(laden_problem.fit(names, laden_problem.all_sensitivities(vector), vector))
                 indices = p.space.indices(*(n for n in names if n in find_confounded_effects(payload)))
                 nearer = indices[np.abs(fit.vector - p.start)[indices] < np.abs(state.fit.vector - p.start)[indices]]
-                rivals = [replace(self._make_rival(payload, name, fit, state, state.evidence[name]), share=1.0,
-                                  shared=True) for name in sorted({p.space.free[i][0] for i in nearer})]
+                rivals = [replace(self._make_rival(payload, name, fit, state, state.evidence[name]), gain_ratio=1.0,
+                                  with_effect=True) for name in sorted({p.space.parameters[i][0] for i in nearer})]
                 if rivals and is_alternative(rivals[0], self.limits):
                     for rival in rivals:
                         others = state.rivals.get(rival.replaces, ())
@@ -126,8 +126,8 @@ class Search:
                     break
 
     def find_best_rival(self, state: SearchState, name: str) -> Rival:
-        """The best set without an effect and its alternatives, found from the final set, as a rival of this effect. A
-        single effect that is an alternative is added to `state.rivals`, and the search repeated without it."""
+        """A rival of the effect `name`: the best set without this effect and its alternatives. If one single effect
+        replaces it and is an alternative, this is added to `state.rivals`, and the search is repeated without it."""
         other, p, rivals = copy(self), copy(self.problem), state.rivals.setdefault(name, [])
         other.problem, p.loss, p.space = p, copy(p.loss), copy(p.space)
         excluded = [name, *(r.name for r in rivals if is_alternative(r, self.limits))]
@@ -163,11 +163,11 @@ class Search:
 
     def _find_near_sets(self, state: SearchState) -> list[NearSet]:
         """Sets fitted at the final residual scale whose held-out loss per residual exceeds that of the final set by
-        less than `limits.unexplained_share`, or is lower; none if the residual is near the noise."""
+        less than `limits.max_unmodelled_gain`, or is lower; none if the residual is near the noise."""
         p, limits = self.problem, self.limits
         if max((e.noise_ratio for e in state.evidence.values()), default=0.0) <= limits.max_noise_ratio:
             return []
-        limit = state.fit.held_out.sum() + limits.unexplained_share * p.residual_count
+        limit = state.fit.held_out.sum() + limits.max_unmodelled_gain * p.residual_count
         return [near for scale, near, loss in self._fits_tried if scale is p.loss.scale and loss < limit]
 
     def _step_from(self, fit: Fit, revisit: bool = False) -> SearchState | None:
@@ -407,7 +407,8 @@ class Search:
             state = SearchState(self._rescale(self._refit_without(state.fit, weakest)), rejected=rejected)
 
     def _exchange(self, state: SearchState) -> Fit | None:
-        """Fill in `rivals`; return the best significantly better fit with one effect exchanged, or that of `_merge`."""
+        """The best fit of those that exchange one effect and are significantly better; if there is none, the result of
+        `_merge`. Fills in `state.rivals`."""
         p, better_fit = self.problem, None
         sensitivities = p.all_sensitivities(state.fit.vector)
         q, to_start = p.full_quadratic(state.fit.vector), -p.distance(state.fit.vector)

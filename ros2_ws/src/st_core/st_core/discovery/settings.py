@@ -21,8 +21,8 @@ class Limits:
     # above which a varying effect may be absent in new data; also the error probability of one-sided confidence bounds,
     # and the relative difference below which two gains count as equal [1].
     undecided_p: float = 0.05
-    # Relative error reduction required of an effect: over all channels, relative to the errors without it, to be kept;
-    # in one channel, relative to the baseline error, to be reported as a cause [1].
+    # Minimum relative error reduction by an effect [1]: it stays in the model only if it reduces the errors of all
+    # channels together by this fraction, and is a cause only if it reduces the baseline error of one channel by it.
     relevant: float = 0.025
     # Reduction of the mean position error, overall or in one condition, that suffices instead of `relevant` [m].
     relevant_position: float = 0.02
@@ -40,10 +40,10 @@ class Limits:
     min_peak_force: float = 0.98
     # Distance to a bound, in parameter scales, below which a value counts as being at the bound [1].
     at_bound: float = 0.05
-    # With a residual above `max_noise_ratio`, the fraction by which an effect must reduce it to be reported as a cause,
-    # and by which it must explain more than a rival to exclude that as an alternative, because smaller differences may
-    # be due to unmodelled effects. Intervals include the values of effect sets that increase the loss by less [1].
-    unexplained_share: float = 0.2
+    # Largest gain that unmodelled effects may cause, if the residual exceeds `max_noise_ratio` times the noise [1]. An
+    # effect must gain more to be reported as a cause. A rival that gains less than an effect by up to this amount
+    # remains an alternative, and intervals include the values of effect sets that increase the loss by up to it.
+    max_unmodelled_gain: float = 0.2
     max_noise_ratio: float = 2.0  # ratio of residual to noise above which the residual is reported as unexplained [1]
     detection_power: float = 0.8  # minimum power at which a size counts as detectable [1]
     max_effects: int = 16  # largest number of effects in a model
@@ -63,11 +63,11 @@ class DiscoverySettings:
     seed: int = 0  # of all random numbers
     horizon: float = 5.0  # of a prediction [s]
     windows: int = 400  # approximate largest number of predictions
-    interval: float = 1.0  # shortest time between their starts [s]; closer ones add little with a horizon of 5 s
+    interval: float = 1.0  # shortest time between their starts [s]; closer starts add little with a horizon of 5 s
     block: float = 10.0  # duration of a block of driving [s]; blocks count as independent
     effects: tuple[str, ...] | None = None  # names to choose from; None for all that apply
     limits: Limits = field(default_factory=Limits)  # thresholds of the decisions
-    simulate_power: bool = False  # measure the power by a search step on simulated drives instead of predicting it
+    simulate_power: bool = False  # measure the power with a search step on simulated drives instead of predicting it
     locate_errors: bool = True  # report the conditions, times and places of the largest errors
 
     def __post_init__(self) -> None:

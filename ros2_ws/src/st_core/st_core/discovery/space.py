@@ -27,11 +27,11 @@ class Space:
     library: names of the effects to choose from, by default all that apply. Raises ConfigurationError if a requested
     effect does not apply, or if no effect remains.
 
-    hypotheses: names of the searched effects. without_signal: names of effects that need a signal that no drive
-    has. free: (effect name, parameter) of all parameters but the last, the gain. null: (p,) vector of the base
-    model. scale: (p,) typical deviations from the null > 0, which are the units of steps and distances. sign: (p,) sign
-    of initial - null. low, high: (p,) bounds. payloads: names of the effects that add a load to the measured car.
-    deviation: (p,) prior standard deviation of their parameters [parameter scales]; inf for all others."""
+    hypotheses: names of the effects that the search may add. without_signal: names of effects that need a signal that
+    no drive has. parameters: (effect name, parameter) of each component of the vector but the last, the accelerometer
+    gain. null: (p,) vector of the base model. scale: (p,) typical deviations from the null > 0, the units of steps and
+    distances. sign: (p,) sign of initial - null. low, high: (p,) bounds. payloads: names of the effects that add a load
+    to the car. deviation: (p,) prior standard deviation of the loads [parameter scales]; inf for other parameters."""
 
     def __init__(self, base: str | Model, settings: DiscoverySettings, not_searched: Sequence[str] = (),
                  library: Collection[str] | None = None):
@@ -53,14 +53,14 @@ class Space:
         values = {n: dict(v) for n, v in base.values.items()} if isinstance(base, AugmentedModel) else {}
         self.model = set_effects_to_null(augment(equations, [*usable, *not_searched])).with_values(values)
         self.null = np.append(self.model.vector, 0.0)
-        self.free = self.model.free_parameters
-        self.scale = np.array([*(typical_size(e, p.unit) for e, p in self.free), TYPICAL_GAIN])
-        self.sign = np.array([*(1.0 if p.initial > p.null else -1.0 for _, p in self.free), 1.0])
-        self.low, self.high = np.array([*(p.bounds for _, p in self.free), GAIN_BOUNDS]).T
-        self.deviation = np.array([*(p.deviation for _, p in self.free), np.inf]) / self.scale
+        self.parameters = self.model.free_parameters
+        self.scale = np.array([*(typical_size(e, p.unit) for e, p in self.parameters), TYPICAL_GAIN])
+        self.sign = np.array([*(1.0 if p.initial > p.null else -1.0 for _, p in self.parameters), 1.0])
+        self.low, self.high = np.array([*(p.bounds for _, p in self.parameters), GAIN_BOUNDS]).T
+        self.deviation = np.array([*(p.deviation for _, p in self.parameters), np.inf]) / self.scale
         self.payloads = tuple(n for n in self.hypotheses
                               if any(p.deviation < math.inf for p in get_effect(n).parameters))
-        self.effect_names = np.array([*(e for e, _ in self.free), ACCELEROMETER_GAIN])
+        self.effect_names = np.array([*(e for e, _ in self.parameters), ACCELEROMETER_GAIN])
         self._indices = {name: np.flatnonzero(self.effect_names == name).tolist() for name in {*self.effect_names}}
 
     def __len__(self) -> int:
@@ -79,7 +79,7 @@ class Space:
 
     def values(self, name: str, vector: np.ndarray) -> dict[str, float]:
         """Values of an effect in a vector, by parameter."""
-        return {self.free[i][1].name: float(vector[i]) for i in self.indices(name)}
+        return {self.parameters[i][1].name: float(vector[i]) for i in self.indices(name)}
 
     def overlaps(self, name: str, names: Sequence[str]) -> bool:
         """Whether an effect or one of its members is one of `names` or a member of one."""
@@ -88,7 +88,7 @@ class Space:
 
 
 def typical_size(effect: str, unit: str) -> float:
-    """Scale of an effect's parameters of one unit, such as two wind speeds: their largest |initial - null|."""
+    """Scale of all parameters of an effect with this unit, such as two wind speeds: the largest |initial - null|."""
     return max(abs(p.initial - p.null) for p in get_effect(effect).parameters if p.fit and p.unit == unit)
 
 
@@ -119,18 +119,18 @@ Quantities = tuple[FileQuantity | None, ...]
 
 def find_file_quantities(space: Space, vehicle: VehicleParameters) -> Quantities:
     """(p,) quantity of the vehicle file that each parameter changes most, in standard deviations, or None."""
-    return (*(_find_changed_quantity(space, vehicle, i) for i in range(len(space.free))), None)
+    return (*(_find_changed_quantity(space, vehicle, i) for i in range(len(space.parameters))), None)
 
 
 def prior_deviations(quantities: Quantities, scale: np.ndarray) -> np.ndarray:
-    """(p,) prior standard deviation of each parameter [`scale`]; inf without a quantity in the base model."""
+    """(p,) prior standard deviation of each parameter [`scale`]; inf if the base model contains no such quantity."""
     return np.array([np.inf if q is None or q.without_effect != q.value else q.deviation / abs(q.slope) / s
                      for q, s in zip(quantities, scale, strict=True)])
 
 
 def _find_changed_quantity(space: Space, vehicle: VehicleParameters, i: int) -> FileQuantity | None:
     """Quantity that parameter i changes: the declared one, or the one that the `fold` of its effect changes most."""
-    (name, parameter), at_null = space.free[i], float(space.null[i])
+    (name, parameter), at_null = space.parameters[i], float(space.null[i])
     effect = get_effect(name)
     if parameter.quantity:
         # Equations that do not contain the quantity treat it as 0.

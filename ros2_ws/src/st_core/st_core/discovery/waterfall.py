@@ -98,7 +98,7 @@ def estimate_parameters(problem: Problem, fit: Fit, effect: str, partitions: Map
     values = space.null[indices] + change  # with reference drives, changes since these drives
     low, high = values + shifts.min(axis=0) - half_widths, values + shifts.max(axis=0) + half_widths
     for k, i in enumerate(indices):
-        parameter, interval = space.free[i][1], (float(low[k]), float(high[k]))
+        parameter, interval = space.parameters[i][1], (float(low[k]), float(high[k]))
         result[parameter.name] = FittedParameter(float(values[k]), parameter.unit, interval, float(space.null[i]))
     return result
 

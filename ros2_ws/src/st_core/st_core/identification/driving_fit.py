@@ -215,7 +215,7 @@ def _make_fit(problem: Problem, windows: _LimitedWindows, vector: np.ndarray, ef
     change = np.stack([(to_quantities(vector + step * space.scale * unit) - values) / step
                        for unit in np.eye(len(space))[indices]], axis=1)
     margin = 1e-3 * (space.high - space.low)  # a value closer to a bound counts as being at it
-    effects_at_bound = {space.free[i][0] for i in indices
+    effects_at_bound = {space.parameters[i][0] for i in indices
                         if not space.low[i] + margin[i] < vector[i] < space.high[i] - margin[i]}
     points = len(windows.time)
     residuals = dict(zip(windows.columns, -rows[used].reshape(-1, len(windows.columns)).T, strict=True))

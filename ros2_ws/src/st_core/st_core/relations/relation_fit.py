@@ -170,7 +170,7 @@ class RelationFits:
         """The fit without an effect of the discovered model; its other effects and the relation are refitted."""
         removed = self.space.indices(name)
         vector, others = fit.vector.copy(), np.setdiff1d(fit.indices[:-SPLINES], removed)
-        vector[removed] = [self.space.free[i][1].null for i in removed]
+        vector[removed] = [self.space.parameters[i][1].null for i in removed]
         assert fit.candidate is not None
         loss, indices = self.make_loss(fit.candidate), np.concatenate([others, self.relation_indices])
         return self._fit(fit.candidate, loss, indices, fit.smoothing, loss.sensitivities(vector, indices), vector)
