@@ -2,12 +2,12 @@
 
 The results equal those of `prediction.predict` with the inputs of the log, for any backend. Starts are computed in
 blocks. In addition to the result, memory holds the tables of one block and the two inputs of the log on the grid: 16
-bytes per half step, 32 for a model that corrects the measurements.
+bytes per half step, or 32 for a model that corrects the measurements.
 
-5 s horizons of starts 0.1 s apart overlap fifty-fold. If the starts are multiples of half an integration step apart,
-they share the instants of one grid, in which point index * q + phase is stored at [phase, index]; q is the number of
-half steps between starts. At every instant, neighbouring starts are thus adjacent in memory, and nothing is copied.
-Other starts have separate instants in the same layout.
+Horizons of 5 s that start every 0.1 s overlap fifty-fold. If the starts are multiples of half an integration step
+apart, they share the instants of one grid: with q half steps between starts, instant number index * q + phase is stored
+at [phase, index]. Neighbouring starts are then adjacent in memory at every instant, and nothing is copied. Starts at
+other times have separate instants in the same layout.
 """
 
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
@@ -41,9 +41,9 @@ class GridBlock:
     start_columns: np.ndarray  # (starts,), column of each start
     starts_ns: np.ndarray  # (count,), start time of each column
     times_ns: np.ndarray  # instants to sample (m,), in the order of the table
-    offsets: np.ndarray  # instant k of column i is element `offsets[k] + i` of a row of the table
+    offsets: np.ndarray  # instant k of the horizon of column i is element `offsets[k] + i` of a row of the table
     columns: int  # count, rounded up to a multiple of the lanes
-    spacing: int  # instants per column of the table
+    spacing: int  # instants stored for each column of the table
     is_shared: bool  # whether the starts share instants
 
     @property
@@ -109,11 +109,11 @@ class Recording:
 class LogBatch:
     """Predictions from many starts in one drive, with any models, cars and parameters; inputs are sampled only once.
 
-    log: a drive, or its LogSignals with settings other than the default. starts_ns: any instants [ns]. Starts that are
-    multiples of half an integration step apart are predicted fastest: quantities that depend only on inputs are then
-    computed once for the log, not for each start.
+    log: a drive, or its LogSignals for settings other than the default. starts_ns: any instants [ns]. Starts that are
+    multiples of half an integration step apart are predicted fastest, because quantities that depend only on inputs are
+    then computed once for the log and not for each start.
     horizon, step [s]. inputs: measured = inputs of the log over the horizon (hindsight); held = inputs at the start; or
-    planned road wheel angles [rad], velocity_x_dot [m/s^2] and, for a path, slip-free angles [rad], each
+    planned road wheel angles [rad], velocity_x_dot [m/s^2] and, if a path was planned, slip-free angles [rad], each
     (n, 2 * steps + 1) on the half-step grid.
     points [s]: times in the horizon, multiples of step; None: 0, step, ... horizon. substeps: integration steps per
     step; auto = the smallest number <= 64 stable at the lowest and highest speed. Warns once if a given number is not.
@@ -165,9 +165,9 @@ class LogBatch:
         return numbers
 
     def predict(self, model: str | Model, vehicle: VehicleParameters) -> np.ndarray:
-        """States of one model at the CG, (n, k, 6), columns as STATE_NAMES; NaN from the first unknown input on.
+        """States of one model at the CG, (n, k, 6), for n starts and k points of the horizon; last axis: STATE_NAMES.
 
-        n: starts; all NaN where the measured state at the start is unknown. k: points of the horizon.
+        NaN from the first unknown input on, and at all points if the measured state at the start is unknown.
         """
         model = get_model(model)
         for name in model.signals:
@@ -195,7 +195,7 @@ class LogBatch:
         return reading_errors(model, vehicle, self.predict(model, vehicle), *measured)
 
     def _count_substeps(self, model: Model, vehicle: VehicleParameters) -> int:
-        """Integration steps per step; overridden in `discovery.windows.Batch`, without a check of stability."""
+        """Number of substeps; `discovery.windows.Batch` overrides this without a check of stability."""
         if self._substeps == "auto":
             return integrate.required_substeps(model, vehicle, self._speeds, self.step)
         integrate.warn_if_step_too_long(model, vehicle, self._speeds, self.step / self._substeps)

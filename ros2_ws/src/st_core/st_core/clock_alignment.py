@@ -1,6 +1,6 @@
 """Aligns the clocks of two recordings by the signals that both contain.
 
-    t_reference = t_other + offset + drift (t_other - t_0)
+    t_reference = t_other + offset + drift (t_other - t_0),    t_0: `Alignment.at_ns`
 
 `reference` is the INS recording, `other` the CAN log. An alignment has an uncertainty and a verdict with reasons.
 """
@@ -19,24 +19,25 @@ from .regression import SIGMA_PER_MAD
 COARSE_CUTOFF, FINE_CUTOFF = 0.5, 4.0  # Hz, of the low-pass while the drift is unknown, and in the final fit
 STAMP_RESOLUTION = 50e-6  # s, of logger time stamps; their rounding error is part of the uncertainty
 GOOD_CORRELATION, USABLE_CORRELATION = 0.95, 0.80  # doubtful: one signal below GOOD; refused: all below USABLE
-MIN_OVERLAP = 20.0  # s, required overlap if no offset fits with an overlap of 40 % of the shorter recording
+MIN_OVERLAP = 20.0  # s, minimum overlap in the second search, after one with 40 % of the shorter recording has failed
 ATYPICAL_DRIFT_PPM = 200.0  # two quartz clocks differ by less
 MAX_CLOCK_STEP = 0.05  # s; an alignment with a larger clock step is refused
-MAX_DISAGREEMENT = 0.005  # s, largest difference of the offset of a single signal from the common offset
-MAX_TIME_FRAME_RESIDUAL = 0.02  # s, largest deviation of the offset of a time frame from the fitted line
-GOOD_DEVIATION, USABLE_DEVIATION = 0.005, 0.05  # s, limits of the standard deviation of the offset
-MANUAL_SEARCH, MANUAL_TOLERANCE = 5.0, 0.01  # s, range and smallest tolerance of the check of a given offset
-STEP_SEARCH, WIDE_STEP_SEARCH = 5.0, 40.0  # s, largest step searched for; the second if a signal fits poorly
-STANDSTILL_MARGIN_NS = 2_000_000_000  # ns; values this close to an instant of motion are used
+MAX_DISAGREEMENT = 0.005  # s; doubtful: the offset from a single signal differs from the common offset by more
+MAX_TIME_FRAME_RESIDUAL = 0.02  # s; doubtful: the offset from a time frame differs from the fitted line by more
+GOOD_DEVIATION, USABLE_DEVIATION = 0.005, 0.05  # s, of the offset; doubtful above GOOD, refused above USABLE
+MANUAL_SEARCH, MANUAL_TOLERANCE = 5.0, 0.01  # s; search range and smallest tolerance when checking a manual offset
+STEP_SEARCH, WIDE_STEP_SEARCH = 5.0, 40.0  # s, search range for clock steps; WIDE if a signal fits poorly
+STANDSTILL_MARGIN_NS = 2_000_000_000  # ns; standstill is used up to this time before and after motion
 WINDOW_DURATION = 30.0  # s, length of a window
 MAX_WINDOWS = 150  # largest number of windows, evenly spaced in a long recording
-MIN_CORRELATION = 0.9  # smallest correlation of the highest peak of a window that is used
-MAX_PEAK_RATIO = 0.97  # largest ratio of the second peak to the highest one, in a window that is used
-MAX_LAG_DEVIATION = 0.05  # s, largest standard deviation of the lag of a window that is used
+# A window is used if its highest correlation peak and the standard deviation of its lag are within these limits.
+MIN_CORRELATION = 0.9  # of the highest peak
+MAX_PEAK_RATIO = 0.97  # second peak / highest peak
+MAX_LAG_DEVIATION = 0.05  # s
 MIN_CLOCK_STEP = 0.01  # s, smallest step reported
 TYPICAL_DRIFT = 50e-6  # s/s, standard deviation of the prior of the drift
 MIN_STEP_COST_REDUCTION = 30.0  # minimum reduction of the normalised sum of squares by a step
-OUTLIER_LIMIT = 5.0  # standard deviations: scale of the robust weight of a window, and cap of its normalised residual
+OUTLIER_LIMIT = 5.0  # residual / standard deviation of a window: scale of its robust weight, and largest value counted
 
 
 @dataclass(frozen=True)
@@ -54,18 +55,18 @@ class ClockStep(NamedTuple):
 
 
 class _ResampledSignals(NamedTuple):
-    """The usable signals of two recordings, resampled. Float times are relative to reference_ns and other_ns."""
+    """The usable signals of two recordings, resampled and low-pass filtered."""
 
     coarse: list[Pair]  # at COARSE_CUTOFF
     fine: list[Pair]  # at FINE_CUTOFF
     reasons: tuple[str, ...]  # why signals are left out; not empty if there are no pairs
-    reference_ns: int = 0  # origin of reference times
-    other_ns: int = 0  # origin of other times
+    reference_ns: int = 0  # origin of the times of the reference
+    other_ns: int = 0  # origin of the times of the other recording
     latency_uncertainty: float = 0.0  # largest of the signals [s]
 
 
 def _resample_signals(signals: Sequence[SharedSignal]) -> _ResampledSignals:
-    """The signals that vary and are known in both recordings, resampled."""
+    """Resample the signals that are known in both recordings and vary."""
     usable, reasons = [], []
     for signal in signals:
         known = [np.isfinite(v) for v in (signal.reference, signal.other)]
@@ -101,7 +102,7 @@ def _resample_signals(signals: Sequence[SharedSignal]) -> _ResampledSignals:
 
 
 def manual_alignment(offset_ns: int, at_ns: int, signals: Sequence[SharedSignal] = ()) -> Alignment:
-    """Alignment with an offset [ns] at the log time at_ns, of unknown uncertainty, checked against the signals."""
+    """Alignment by an offset given by hand [ns], valid at the log time at_ns [ns], and checked against the signals."""
     offset = offset_ns * 1e-9
     check = align(signals, search=(offset - MANUAL_SEARCH, offset + MANUAL_SEARCH)) if signals else refused_alignment()
     manual = Alignment(at_ns, offset_ns, 0.0, float("nan"), float("nan"), "by hand", Verdict.DOUBTFUL,
@@ -124,7 +125,7 @@ def align(signals: Sequence[SharedSignal], search: tuple[float, float] | None = 
     of the offset, the agreement of the signals, the drift, and steps of a clock. The recordings must overlap by 40 % of
     the shorter one and at least 10 s, or by 20 s if no such offset fits. search: range of the offset [s].
 
-    Unusable recordings raise no exception: a refused alignment states its reasons. Valid for drifts of a few
+    For unusable recordings the alignment is refused, with reasons; no exception is raised. Valid for drifts of a few
     hundred ppm and recordings of up to two days. Checked by: tests/golden/test_alignment.py, test_clock_alignment.py.
     """
     series = _resample_signals(signals)
@@ -140,7 +141,7 @@ def align(signals: Sequence[SharedSignal], search: tuple[float, float] | None = 
 
 
 def _min_overlap(pairs: Sequence[Pair]) -> float:
-    """Common time [s] below which a correlation is ignored: 40 % of the shorter recording, at least 10 s."""
+    """Minimum overlap of the recordings [s]: 40 % of the shorter one, at least 10 s."""
     shorter = min(max(series.known.sum() for series in recording) * STEP
                   for recording in ([p.reference for p in pairs], [p.other for p in pairs]))
     return max(0.4 * shorter, 10.0)
@@ -155,7 +156,7 @@ def _align_with_overlap(series: _ResampledSignals, minimum_overlap: float,
     if peaks is None:
         return refused_alignment(*reasons, f"the recordings do not share {minimum_overlap:.0f} s of similar motion")
     coarse = peaks[0].offset
-    # The estimates of offset and drift are nearly uncorrelated in the middle of the overlap.
+    # The offset is fitted in the middle of the overlap, where its estimate is nearly uncorrelated with the drift.
     low = max(min(p.other.origin for p in fine), min(p.reference.origin for p in fine) - coarse)
     high = min(max(p.other.time[-1] for p in fine), max(p.reference.time[-1] for p in fine) - coarse)
     middle = (low + high) / 2
@@ -232,8 +233,8 @@ def _describe_unusual_drift(result: Alignment) -> list[str]:
 
 
 def correlation_curve(signals: Sequence[SharedSignal]) -> tuple[np.ndarray, np.ndarray]:
-    """Offsets [s], reference minus other clock, and the mean correlation of the signals at each. Empty if no signal is
-    usable. The correlation is 0 where the overlap is below 40 % of the shorter recording or 10 s."""
+    """(offsets [s], reference minus other clock; mean correlation of the signals at each); empty if no signal is
+    usable. The correlation is 0 where the overlap is below 40 % of the shorter recording or below 10 s."""
     series = _resample_signals(signals)
     curve = mean_correlation(series.fine, _min_overlap(series.fine), (-np.inf, np.inf)) if series.fine else None
     return ((curve[0] + (series.reference_ns - series.other_ns) * 1e-9, curve[1]) if curve
@@ -241,7 +242,7 @@ def correlation_curve(signals: Sequence[SharedSignal]) -> tuple[np.ndarray, np.n
 
 
 def residual_lags(signals: Sequence[SharedSignal], alignment: Alignment) -> list[WindowLag]:
-    """Residual offsets from an alignment in windows of 30 s, searched within +/- 2 s; times since `at_ns` [s]."""
+    """Offsets measured in windows of 30 s, within +/- 2 s, minus the offset of the alignment; times since at_ns [s]."""
     series = _resample_signals(signals)
     if not series.fine:
         return []
@@ -259,7 +260,8 @@ def mask_standstill(time_ns: np.ndarray, values: np.ndarray, speed_time_ns: np.n
     moving_ns = speed_time_ns[np.isfinite(speed) & (np.abs(speed) > threshold)]
     if not len(moving_ns):
         return np.full(len(values), np.nan)
-    last = np.flatnonzero(np.append(np.diff(moving_ns) > 2 * STANDSTILL_MARGIN_NS, True))  # of each group
+    # First and last sample of each interval of motion.
+    last = np.flatnonzero(np.append(np.diff(moving_ns) > 2 * STANDSTILL_MARGIN_NS, True))
     first = np.append(0, last[:-1] + 1)
     index = np.searchsorted(moving_ns[first] - STANDSTILL_MARGIN_NS, time_ns, side="right") - 1
     moves_nearby = (index >= 0) & (time_ns <= moving_ns[last[index]] + STANDSTILL_MARGIN_NS)
@@ -267,7 +269,7 @@ def mask_standstill(time_ns: np.ndarray, values: np.ndarray, speed_time_ns: np.n
 
 
 def _fit_robust_line(time: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
-    """((offset [s], drift), residuals [s], their scale [s], covariance of offset and drift), by a reweighted fit."""
+    """((offset [s], drift), residuals [s], scale of the residuals [s], covariance of offset and drift)."""
     design = np.stack([np.ones_like(time), time], axis=1)
     weight = np.ones_like(time)
     for _ in range(20):
@@ -285,9 +287,9 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
     """Alignment by CAN frames that contain the time of the INS: a robust line (soft L1) through their offsets, or
     through the median offset of each second if there are two or more frames per second.
 
-    other_time_ns: log stamp of each frame with a time; without GNSS lock, frames have none. reference_time_ns: time in
-    the frame, UTC. resolution: of the time in the frame [s]. latency: delay from the time in a frame to its stamp in
-    the log [s], with standard deviation latency_uncertainty [s].
+    other_time_ns: log stamps [ns] of the frames that contain a time, which they do not before GNSS lock.
+    reference_time_ns: UTC in these frames [ns], with a resolution [s]. latency: delay from the time in a frame to its
+    log stamp [s], with standard deviation latency_uncertainty [s].
     """
     if len(other_time_ns) < 2:
         return refused_alignment("fewer than two time frames contain a time (did the INS have no GNSS lock?)")
@@ -302,14 +304,14 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
         time, offset = (np.array([np.median(v[a:b]) for a, b in pairwise(edges)]) for v in (time, offset))
     middle = float(time[0] + time[-1]) / 2
     solution, residual, scale, covariance = _fit_robust_line(time - middle, offset)
-    # Truncation to the resolution does not average out if the frame interval is nearly a multiple of the resolution.
+    # The truncation error does not average out if the frame interval is nearly a multiple of the resolution.
     rounding = resolution / np.sqrt(12)
     result = Alignment(
         other_ns + round(middle * 1e9), reference_ns - other_ns + round(float(solution[0]) * 1e9),
         float(solution[1]) * 1e6,
         float(np.sqrt(covariance[0, 0] + rounding**2 + latency_uncertainty**2)),
         float(np.sqrt(covariance[1, 1])) * 1e6, "time frame", Verdict.GOOD, overlap=float(time[-1] - time[0]))
-    # A step changes the slope of the fitted line as well, so the offsets are examined, not the residuals.
+    # The offsets are searched for a step, not the residuals, because a step also changes the slope of the fitted line.
     median, edges = np.median(offset), np.linspace(0, len(time), min(len(time), MAX_WINDOWS) + 1).astype(int)
     lags = [WindowLag(float(np.median(time[a:b])) - middle, float(np.median(offset[a:b]) - median), scale)
             for a, b in pairwise(edges)]
@@ -326,7 +328,7 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
 
 
 def measure_window_lags(pairs: Sequence[Pair], offset: float, search: float) -> list[WindowLag]:
-    """Lags of windows of 30 s relative to `offset`, searched within +/- `search` [s]. Windows with a low or ambiguous
+    """Lags of windows of 30 s, relative to `offset` [s] and within +/- `search` [s]. Windows with a low or ambiguous
     correlation or an uncertain lag are left out."""
     lags = []
     first = min(p.other.origin for p in pairs)

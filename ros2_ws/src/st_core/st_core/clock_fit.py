@@ -14,7 +14,7 @@ from .clock_types import Peak
 from .regression import robust_deviation
 
 RATE = 100.0  # Hz, sampling rate at which signals are filtered
-DECIMATION = 5  # filtered signals contain nothing above a few hertz, so 20 Hz is enough for the fit
+DECIMATION = 5  # to 20 Hz, which is enough because the filtered signals contain only a few hertz
 STEP = DECIMATION / RATE  # s, between the samples of a resampled signal
 MAX_GAP = 0.15  # s, longest gap that is interpolated
 FILTER_SETTLING_PERIODS = 0.5  # periods of the cut-off frequency, masked on both sides of a gap
@@ -22,7 +22,8 @@ DRIFT_PRIOR_PPM = 100.0  # standard deviation of the drift; two quartz clocks di
 PEAK_DISTANCE = 2.0  # s, minimum distance of the second peak of the correlation from the first
 BLOCK_DURATION = 5.0  # s; residuals further apart than this count as independent
 ITERATIONS = 12
-# The iteration ends with a step below MIN_STEP [s, s/s] or TOLERANCE standard errors for independent residuals.
+# The iteration ends when the step is below MIN_STEP [s, s/s] or below TOLERANCE times the standard error for
+# independent residuals.
 TOLERANCE, MIN_STEP = 0.003, (1e-6, 1e-9)
 MAX_OFFSET_STEP = 0.3  # s, largest change of the offset in one iteration
 
@@ -52,12 +53,12 @@ class Series:
 
 
 def resample(time: np.ndarray, values: np.ndarray, cutoff: float, is_angle: bool = False) -> Series:
-    """Every fifth point of a signal interpolated to 100 Hz and, if longer than 0.5 s, low-pass filtered.
+    """Interpolate a signal to 100 Hz, low-pass filter it if longer than 0.5 s, and reduce it to every fifth sample.
 
     time: [s], strictly increasing. values: NaN where unusable. cutoff: cut-off frequency [Hz] of the zero-phase
     Butterworth filter of order 4, equal for both recordings. is_angle: values are an angle [rad], wrapped or not; the
     result is its rate [rad/s], because the zero of the angle is unknown. The angle is filtered before it is
-    differentiated: the filter reflects a series about its end samples, which are noisy in a differentiated angle.
+    differentiated, because the filter reflects a signal about its end samples, which are noisy in a rate.
     """
     finite = np.isfinite(values)
     time, values = time[finite], np.unwrap(values[finite]) if is_angle else values[finite]
@@ -80,8 +81,8 @@ def resample(time: np.ndarray, values: np.ndarray, cutoff: float, is_angle: bool
 
 
 def rate_noise(interval: float, cutoff: float) -> float:
-    """Standard deviation [1/s] of the rate from `resample` for an angle with white noise of standard deviation 1 in
-    samples `interval` [s] apart: from the gain of interpolation, both passes of the filter and the difference."""
+    """Standard deviation [1/s] of the rate from `resample`, for an angle with white noise of standard deviation 1 in
+    samples `interval` [s] apart: from the gains of interpolation, both passes of the filter and differentiation."""
     interval = max(interval, 1.0 / RATE)
     frequency, response = sosfreqz(butter(4, cutoff, fs=RATE, output="sos"), 4096, fs=RATE)
     gain = np.square(np.abs(response) * np.sinc(frequency * interval)) * np.sin(2.0 * np.pi * frequency / RATE) * RATE
@@ -97,7 +98,7 @@ def masked_correlation(reference: Series, other: Series, minimum_overlap: float)
     Source: Padfield, Masked object registration in the Fourier domain, IEEE Trans. Image Processing 21 (2012).
     """
     mask_f, mask_g = reference.known.astype(float), other.known.astype(float)
-    # Removing the mean first keeps the rounding errors of the transforms far below the sums.
+    # The mean is removed first, so that the rounding errors of the transforms stay far below the sums.
     f, g = (np.where(s.known, s.values - (s.values[s.known].mean() if s.known.any() else 0.0), 0.0)
             for s in (reference, other))
     size = next_fast_len(len(f) + len(g) - 1, real=True)
@@ -113,7 +114,7 @@ def masked_correlation(reference: Series, other: Series, minimum_overlap: float)
     covariance = transform_back(f_hat * g_hat) - sum_f * sum_g / n
     variance_f = transform_back(rfft(f * f, size) * mask_g_hat) - sum_f**2 / n
     variance_g = transform_back(mask_f_hat * np.conj(rfft(g * g, size))) - sum_g**2 / n
-    # Overlaps with almost no variation correlate with anything: require a fraction of the largest variance.
+    # An overlap with almost no variation correlates with anything, so a fraction of the largest variance is required.
     floor_f, floor_g = (1e-3 * v.max(initial=0.0) + 1e-12 for v in (variance_f, variance_g))
     usable = (n * STEP >= minimum_overlap) & (variance_f > floor_f) & (variance_g > floor_g)
     r = np.zeros(len(n))
@@ -150,10 +151,10 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
 
     middle: instant on the other clock at which the offset applies [s]. offset, drift: initial values.
     The gain absorbs the scale of a wheel speed, the bias a gyro offset; scale_k is a robust standard deviation. The
-    uncertainty is a sandwich estimate from blocks of 5 s, since residuals are autocorrelated, but not less than for
-    independent residuals and a noise-free reference. The curvature is the product of the slopes of both recordings,
-    in which their independent noise averages out. A weak prior (100 ppm) limits the drift. Raises ValueError if a
-    signal has less than 2 s in common, or if the signals do not vary.
+    uncertainty is a sandwich estimate from blocks of 5 s, since residuals are autocorrelated, but not below that for
+    independent residuals and a noise-free reference. The curvature is the product of the slopes of both recordings, in
+    which their independent noise averages out. A weak prior (100 ppm) limits the drift. Raises ValueError if the two
+    recordings of a signal overlap by less than 2 s, or if the signals do not vary.
     """
     parameters = np.array([offset, drift])
     for _ in range(ITERATIONS):
@@ -161,12 +162,12 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
         is_determined = bool(curvature[0, 0] > 0.0 and np.linalg.det(curvature) > 0.0)
         inverse = np.linalg.inv(curvature if is_determined else normal)
         step = -inverse @ gradient
-        # Outside the width of the correlation peak the linear model is not valid: approach the peak in several steps.
+        # The linear model is valid only near the correlation peak, which is therefore approached in several steps.
         step *= MAX_OFFSET_STEP / max(abs(step[0]), MAX_OFFSET_STEP)
         parameters += step
         if (np.abs(step) <= np.maximum(MIN_STEP, TOLERANCE * np.sqrt(np.diag(inverse @ normal @ inverse)))).all():
             break
-    # Covariance of the total score, from its sums over blocks of time; all signals share the blocks.
+    # Covariance of the total score, from its sums over blocks of time, which are the same for all signals.
     times, scores, residuals, correlations = zip(*details, strict=True)
     start = min(float(time[0]) for time in times)
     count = int((max(float(time[-1]) for time in times) - start) / BLOCK_DURATION) + 1
@@ -188,8 +189,8 @@ orthogonal to gain and bias; residual and correlation as in `Fit`."""
 
 def _normal_equations(pairs: Sequence[Pair], parameters: np.ndarray, middle: float,
                       free_drift: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[_SignalFit]]:
-    """(normal matrix, curvature, gradient, fit of each signal) at parameters = (offset [s], drift). The normal matrix
-    also contains the noise of the reference, the curvature only common motion."""
+    """(normal matrix, curvature, gradient, fit of each signal) at parameters = (offset [s], drift). Noise of the
+    reference increases the normal matrix, but not the curvature."""
     normal = np.diag([0.0, (DRIFT_PRIOR_PPM * 1e-6) ** -2])
     curvature = normal.copy()
     gradient = np.array([0.0, normal[1, 1] * parameters[1] if free_drift else 0.0])
@@ -227,7 +228,7 @@ def _normal_equations(pairs: Sequence[Pair], parameters: np.ndarray, middle: flo
 
 def _fit_weighted_line(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
     """(gain, bias) of the weighted least squares line y = gain x + bias; gain 0 if x does not vary."""
-    # Sums instead of dot products, which would start linear algebra threads for each of these short rows.
+    # Sums are used, because dot products would start linear algebra threads for each of these short rows.
     total = float(weight.sum())
     weighted_x = weight * x
     mean_x, mean_y = float(weighted_x.sum()) / total, float((weight * y).sum()) / total
@@ -262,8 +263,8 @@ def mean_correlation(pairs: Sequence[Pair], minimum_overlap: float,
 
 def find_peaks(pairs: Sequence[Pair], minimum_overlap: float,
                span: tuple[float, float] = (-np.inf, np.inf)) -> tuple[Peak, Peak] | None:
-    """The two highest peaks of the mean correlation of the signals at offsets within span [s]. The second is beyond a
-    valley and PEAK_DISTANCE from the first, or has correlation 0. None without a positive peak."""
+    """The two highest peaks of the mean correlation of the signals at offsets within span [s]; None without a positive
+    peak. The second peak is beyond a valley and PEAK_DISTANCE from the first; correlation 0 if there is none."""
     lags, r = mean_correlation(pairs, minimum_overlap, span) or (np.zeros(1), np.zeros(1))
     best = int(np.argmax(r))
     if r[best] <= 0:

@@ -1,10 +1,10 @@
 """Composes a base model with effects into plain functions, usable with floats, arrays, compilers and CasADi.
 
-The functions are created once per base and set of effects. Values occur only in the parameters p, so a fit never
-recreates, retraces or recompiles the functions. Layout of a composed model:
+The functions are created once per base model and set of effects. Values occur only in the parameters p, so the
+functions are not created or compiled again in a fit. Layout of a composed model:
 
     p     = AugmentedParameters: parameters of the base model, theta of each effect that changes inputs or equations;
-            p of the base model alone if none does
+            p of the base model alone without such effects
     w     = (road_wheel_angle, velocity_x_dot, prepared quantities of each effect ..., w of the base model);
             w of the base model alone if no effect changes the equations
     state = the six states of the base model, then the extra states of each effect
@@ -35,7 +35,7 @@ class AugmentedParameters(NamedTuple):
 class Composition:
     """Functions of an augmented model."""
 
-    effects: tuple[type[Effect], ...]  # those with a theta in p
+    effects: tuple[type[Effect], ...]  # effects with a theta in p, in its order
     inputs: Callable[..., tuple]
     rhs: Callable[[tuple, tuple, Any], tuple]
     start: Callable[[tuple, tuple, Any], tuple] | None = None  # initial extra states
@@ -56,7 +56,7 @@ class _Layout:
 
 @cache
 def compose(base: Model, effects: tuple[type[Effect], ...]) -> Composition:
-    """The functions of a base model with effects, which are given in the order in which they act; cached."""
+    """The functions of a base model with effects; cached. effects: in the order in which they act."""
     effects = tuple(e for e in effects if e.converts or any(getattr(e, hook) for hook in ("inputs", *EQUATION_HOOKS)))
     if not effects:
         return Composition((), base.inputs, base.rhs)
@@ -153,8 +153,8 @@ def _conversion_layout(layouts: list[_Layout]) -> _Layout:
     return next(layout for layout in layouts if layout.effect.converts and layout.effect.converts[0] == "kinematic")
 
 
-# Equations: the functions below return functions that refer only to plain functions and integers, which compilers can
-# inline. For each hook, there is the function without effects and a wrapper that adds one effect.
+# Equations. The functions below return functions that refer only to plain functions and integers, so that compilers can
+# inline them. Each _add_ function wraps a function of the model, `previous`, and adds one effect to it.
 
 def _make_instant(state, w, p):
     return Instant(state[0], state[1], state[2], state[3], state[4], state[5], w[0], w[1], w, p)

@@ -27,9 +27,9 @@ from .yaml_text import check_keys, load
 
 SPACING = 1.0  # m between points along the path: 8 points in a right-angle turn of the smallest radius, 5 m
 SMOOTHING_LENGTH = 3.0  # m, moving average of curvature and direction: about one wheelbase
-MAX_DISTANCE = 4.0  # m, largest distance of a pass from the car: one lane and its neighbour
-MAX_DIRECTION_DIFFERENCE = 0.5  # rad, between course angles of car and pass; above it, the pass is oncoming or crosses
-PAUSE_SPEED = 0.5  # m/s; a course excludes slower driving, and is not used for it: curvature is undefined at standstill
+MAX_DISTANCE = 4.0  # m, largest distance from the car to a pass: includes passes in the neighbouring lane
+MAX_DIRECTION_DIFFERENCE = 0.5  # rad, between the course angles of car and pass; beyond it, the pass crosses or opposes
+PAUSE_SPEED = 0.5  # m/s; slower driving is excluded, because the curvature is undefined at standstill
 MAX_GAP = 0.1  # s, maximum time between samples of a pass
 MIN_LENGTH = 20.0  # m, minimum length of a pass; above 4 m/s, a shorter pass ends within the horizon of 5 s
 MAX_ORIGIN_DISTANCE = 5000.0  # m between map origins; beyond it the axes differ by 1 mrad at latitude 50 deg
@@ -46,8 +46,8 @@ class Pass:
     from east, counter-clockwise positive [rad], curvature yaw_rate/v_x [1/m], positive to the left, v_x [m/s].
     """
 
-    recording: str  # name of the recording
-    digests: tuple[str, ...]  # sha256 of its files
+    recording: str  # name
+    digests: tuple[str, ...]  # sha256 of the files of the recording
     points: np.ndarray
 
 
@@ -75,7 +75,7 @@ class Course:
                 np.concatenate([np.arange(size) for size in sizes]))
 
     def find_near(self, x: float, y: float, direction: float) -> list[NearPoint]:
-        """Nearest point of each lap within MAX_DISTANCE that runs in the direction of the car, the nearest lap first.
+        """Nearest point of each lap that is within MAX_DISTANCE and in the direction of the car; the nearest lap first.
 
         x, y: INS point in the map frame [m]. direction: course angle from east, counter-clockwise positive [rad].
         """
@@ -86,7 +86,7 @@ class Course:
         near = near[np.abs(wrap_angle(points[near, 2] - direction)) < MAX_DIRECTION_DIFFERENCE]
         index, row = index[near], row[near]
         distance = np.hypot(points[near, 0] - x, points[near, 1] - y)
-        # Points of one lap are consecutive; the next lap of the same pass begins with a jump of the row.
+        # The points of one lap have consecutive rows; the row jumps at the next lap of the same pass.
         starts = np.flatnonzero((np.diff(index, prepend=-1) != 0) | (np.diff(row, prepend=-9) > 1))
         nearest = [lap[distance[lap].argmin()] for lap in np.split(np.arange(len(near)), starts)[1:]]
         return [NearPoint(int(index[k]), int(row[k]), float(distance[k]))
@@ -97,8 +97,8 @@ class Course:
         return Course(tuple(p for p in self.passes if not set(p.digests) & set(digests)), self.origin)
 
     def shift(self, east: float, north: float) -> "Course":
-        """The course in a parallel map frame in which its origin is at (east, north) [m]; `origin` is unchanged. Raises
-        StCoreError, one line, for a distance beyond MAX_ORIGIN_DISTANCE."""
+        """The course in a parallel map frame, in which all points lie (east, north) [m] further; `origin` is unchanged.
+        Raises StCoreError, one line, for a distance beyond MAX_ORIGIN_DISTANCE."""
         if not (distance := math.hypot(east, north)) <= MAX_ORIGIN_DISTANCE:  # also rejects NaN
             raise StCoreError(f"the course was recorded elsewhere: the map origins are {distance / 1000.0:.1f} km "
                               f"apart (limit {MAX_ORIGIN_DISTANCE / 1000.0:g} km)")
@@ -106,7 +106,7 @@ class Course:
         return replace(self, passes=tuple(replace(pass_, points=pass_.points + offset) for pass_ in self.passes))
 
     def to_yaml(self) -> str:
-        """The text of a file that `from_yaml` reads: a header, then the points of all passes, to the centimetre."""
+        """The text of a course file: a header, then the points of all passes, with positions rounded to 1 cm."""
         passes = [{"recording": pass_.recording, "digests": list(pass_.digests), "rows": len(pass_.points)}
                   for pass_ in self.passes]
         header = {"schema": SCHEMA, "spacing": SPACING, "columns": list(COLUMNS),
@@ -158,7 +158,8 @@ def _digest(text: str) -> str:
 
 
 def split_into_passes(log: DriveLog, digests: Sequence[str]) -> list[Pass]:
-    """The passes of a drive, at least MIN_LENGTH each, split at pauses, gaps and jumps. Raises StCoreError if none."""
+    """The passes of a drive, split at pauses, gaps and position jumps; shorter ones than MIN_LENGTH are left out.
+    Raises StCoreError if none is left."""
     time = (log.ins_time_ns - log.ins_time_ns[:1]) * 1e-9
     intervals = np.diff(time)
     displacement = np.hypot(np.diff(log.x), np.diff(log.y))
@@ -188,16 +189,17 @@ def split_into_passes(log: DriveLog, digests: Sequence[str]) -> list[Pass]:
 RETURN_LENGTHS = (40.0, 100.0)  # l_1 and l_2 [m]: at 15 m/s a third of an offset remains after 10 s
 DIFFERENCE_SCALES = {"position": 2.0, "direction": 0.1, "speed": 0.1, "curvature": 0.01}
 """Typical differences between drives of one driver on one course [m, rad, fraction of the speed, 1/m]."""
-MAX_DIFFERENCE = 7.0  # largest d of the best candidate for which the course is used
+MAX_DIFFERENCE = 7.0  # the course is not used if d exceeds this for every candidate
 RECENT_TIME = 2.0  # s, length of the past driving that is compared with a candidate
-BLEND_TIME = 0.3  # s, time constant of the transition from measured to predicted inputs: the lag of a driver
-DECAY_TIME = 0.7  # s, time constant of the decaying acceleration: pedals change about once a second
+BLEND_TIME = 0.3  # s, time constant of the transition from measured to predicted inputs: reaction lag of a driver
+DECAY_TIME = 0.7  # s, time constant of the decaying acceleration: drivers move the pedals about once a second
 FORGETTING_TIME = 10.0  # s, time constant of the mean squared errors E: two horizons
 INITIAL_CURVATURE_ERRORS, INITIAL_SPEED_ERRORS = (1.0, 0.2), (1.0, 1.0, 0.5, 0.3)
 """Initial E [m^2], in the order of the forecasts of `CourseTracker`, from leave-one-out errors of real laps."""
-SQUARED_ERROR_LIMITS = (0.01, 9.0)  # m^2: the accuracy of the INS, and a limit on the influence of one error
+SQUARED_ERROR_LIMITS = (0.01, 9.0)  # m^2; lower: accuracy of the INS, upper: limits the influence of a single error
 MAX_JUMP = 2.0  # m; the tracker restarts if displacement and distance driven differ by more than this + 10 %
-MIN_COVERAGE, MAX_COVERAGE = 1.2, 2.0  # minimum length of a pass ahead of the car and maximum length used [horizons]
+# Driving time of a pass ahead of the car, in horizons: minimum for a candidate, and maximum that is used.
+MIN_COVERAGE, MAX_COVERAGE = 1.2, 2.0
 
 
 class EgoMotion(NamedTuple):
@@ -238,8 +240,8 @@ _Candidate = tuple[float, np.ndarray]  # d^2; (speed [m/s], curvature [1/m]) eve
 
 
 _PendingForecast = tuple[float, EgoMotion, np.ndarray, np.ndarray]
-"""Distance driven before the start [m], motion at the start, distance driven over the horizon by each speed forecast
-[m], and path predicted by the course, (points, 2) [m], SPACING apart."""
+"""Distance driven before the start [m], motion at the start, length of the horizon according to each speed forecast
+[m], and path according to the course, (points, 2) [m], SPACING apart."""
 
 
 class CourseTracker:
@@ -250,19 +252,19 @@ class CourseTracker:
         v(s) = v_pass(s) v_now / v_pass(0),     k(s) = k_pass(s) + e''(s),    e(s) = A exp(-s / l_1) + B exp(-s / l_2)
 
     e: lateral offset from the pass, which a driver reduces to 0; A and B follow from the current offset and direction.
-    The weight of a candidate is exp(-d^2 / 2), with d^2 the sum of squared differences in position, direction, recent
-    speed and recent curvature, each divided by its scale. The weighted mean of the candidates, "course" below, is
-    combined with other forecasts:
+    A candidate has the weight exp(-d^2 / 2). d^2 is the sum of the squared differences between the car and the pass in
+    position, direction, recent speed and recent curvature, each divided by its scale. The weighted mean of the
+    candidates, "course" below, is combined with other forecasts:
 
         curvature: held, course        speed: acceleration held, zero, decaying with DECAY_TIME, course
         weight of each ~ E^-2,    E: mean squared error of past forecasts, with exponential forgetting (FORGETTING_TIME)
 
-    A forecast of curvature is scored by the position after the distance driven, a forecast of speed by the distance
-    driven. Source: Bates and Granger, The combination of forecasts, 1969. Checked by: test_course.py. Measured errors:
-    docs/manual/forecast.md.
+    The error of a curvature forecast is that of the position after the distance actually driven, the error of a speed
+    forecast that of the distance. Source: Bates and Granger, The combination of forecasts, 1969. Checked by:
+    test_course.py. Measured errors: docs/manual/forecast.md.
 
-    `update` is called at every start, in order of time. The tracker restarts when time runs backward or pauses for
-    longer than a horizon, and when the position jumps. horizon, step [s].
+    `update` is called at every start, in order of time. The tracker restarts if time runs backward or pauses for a
+    horizon or longer, and if the position jumps. horizon, step [s].
     """
 
     def __init__(self, course: Course, vehicle: VehicleParameters, horizon: float = 5.0, step: float = 0.05):
@@ -279,7 +281,7 @@ class CourseTracker:
         self._curvature_errors, self._speed_errors = np.array(INITIAL_CURVATURE_ERRORS), np.array(INITIAL_SPEED_ERRORS)
 
     def update(self, ego: EgoMotion) -> CourseForecast:
-        """The forecast from this start; without inputs, but with the reason, where the course cannot be used."""
+        """The forecast from this start. If the course cannot be used, it has a reason and no inputs."""
         if not all(map(math.isfinite, ego)) or ego.velocity_x < PAUSE_SPEED:
             return CourseForecast(None, reason="course: the motion of the car is unknown, or the car is too slow")
         self._score(ego, self._advance(ego))
@@ -318,7 +320,7 @@ class CourseTracker:
             progress = self._distance - distance
             row = min(max(progress / SPACING, 0.0), len(path) - 1.001)
             before, after = path[int(row)], path[int(row) + 1]
-            # With the held curvature, the car would have driven on an arc.
+            # The forecast with the held curvature is an arc.
             turn = start.curvature * progress
             chord_angle, length = start.direction + 0.5 * turn, progress * float(np.sinc(0.5 * turn / math.pi))
             arc_end = start.x + length * math.cos(chord_angle), start.y + length * math.sin(chord_angle)
@@ -329,7 +331,7 @@ class CourseTracker:
                 for errors, new in zip((self._curvature_errors, self._speed_errors), squares, strict=True))
 
     def _predict_from_pass(self, point: NearPoint, ego: EgoMotion) -> _Candidate | None:
-        """The prediction from a pass; None if the pass ends too soon ahead of the car."""
+        """The prediction from a pass; None if the pass ends less than MIN_COVERAGE horizons ahead of the car."""
         points = self.course.passes[point.pass_index].points
         x, y, direction, curvature, speed = points[point.row:].T
         speed = speed * (ego.velocity_x / speed[0])

@@ -1,8 +1,8 @@
 """Evaluates models on a recorded drive: predictions from many starts are compared with the measured motion.
 
-The offline counterpart of Predictor and Evaluator, without detection of position jumps: from the same start it gives
-the same trajectory and error, which `st verify` checks. Trajectories of only a few blocks of starts are in memory at a
-time. For each start, only the mean, the mean square, the largest error and the errors at whole seconds are stored.
+This is the offline counterpart of Predictor and Evaluator. Trajectories and errors from the same start are equal, which
+`st verify` checks; position jumps are detected only live. Only a few blocks of starts are in memory at a time. For each
+start, only the mean, the mean square, the largest error and the errors at whole seconds are stored.
 """
 
 import math
@@ -43,16 +43,16 @@ Progress = Callable[[int, int], None]  # (starts evaluated, all starts)
 BlockCallback = Callable[[np.ndarray, "Block"], None]
 FutureInputs = Callable[[np.ndarray], tuple[np.ndarray, ...]]
 """Function of all starts of an evaluation (n,) [ns], increasing, called once. It returns road wheel angle [rad],
-velocity_x_dot [m/s^2] and, for a path, `SLIP_FREE_ANGLE` [rad] over the horizon, each (n, 2 * steps + 1) on the
-half-step grid; NaN where unknown."""
+velocity_x_dot [m/s^2] and, if a path was planned, `SLIP_FREE_ANGLE` [rad] over the horizon, each (n, 2 * steps + 1) on
+the half-step grid; NaN where unknown."""
 
 
 @dataclass(frozen=True)
 class EvaluationSettings:
     """Settings of an evaluation. Raises ConfigurationError naming the key and the limit.
 
-    inputs: measured inputs used in an integration step: interpolate = at its start, middle and end; hold = at its start
-    only. The paper does not specify which.
+    inputs: interpolate = an integration step uses the inputs measured at its start, middle and end; hold = only those
+    at its start. The paper does not specify which.
     """
 
     prediction: PredictionSettings = field(default_factory=PredictionSettings)  # stale_after is not used
@@ -96,7 +96,7 @@ class ModelErrors:
         return cls(np.zeros(count, bool), mean, square, largest, at_seconds, np.zeros((len(horizon), 3)))
 
     def add(self, rows: slice, errors: np.ndarray, horizon: np.ndarray) -> None:
-        """Add the errors (n, points, 3) of the starts `rows`; those of incomplete starts are ignored."""
+        """Add the errors (n, points, 3) of the starts `rows`; incomplete starts are ignored."""
         complete = np.isfinite(errors).all(axis=(1, 2))
         scored = np.arange(rows.start, rows.stop)[complete]
         if not len(scored):
@@ -106,7 +106,7 @@ class ModelErrors:
         self.complete[scored] = True
         square = np.square(errors)
         self.mean[scored], self.mean_square[scored] = errors.mean(axis=1), square.mean(axis=1)
-        # Grid points nearest to whole seconds, because a second need not be a multiple of the step.
+        # The grid points nearest to whole seconds, because one second may not be a multiple of the step.
         points = [int(np.abs(horizon - second).argmin()) for second in range(1, self.at_seconds.shape[1] + 1)]
         self.largest[scored], self.at_seconds[scored] = np.abs(errors).max(axis=1), errors[:, points]
         self.profile_squares[:] += square.sum(axis=0)
@@ -130,8 +130,8 @@ class ModelErrors:
                            select: np.ndarray | slice = ALL_ROWS) -> dict[str, tuple[float, float, float]]:
         """{axis: (mean, largest magnitude, root mean square)} of the selected complete starts [m or rad].
 
-        over: means = statistics of the means over each horizon, as in the paper's table; samples = statistics of all
-        points. select: rows. NaN if no selected start is complete.
+        over: means = statistics of the mean error of each horizon, as in the paper's table; samples = statistics of the
+        errors at all points. select: rows of starts. NaN if no selected start is complete.
         """
         complete = self.complete[select]
         if not complete.any():
@@ -147,7 +147,7 @@ class ModelErrors:
 class LogEvaluation:
     """Evaluation of all models on one drive.
 
-    conditions: (n,) each, measured over the horizon, NaN if it is incomplete: mean speed [m/s], mean
+    conditions: (n,) each, measured over the horizon; NaN if a measurement is missing: mean speed [m/s], mean
     lateral_acceleration v_x r [m/s^2], mean velocity_x_dot [m/s^2], RMS steering_rate of the road wheels [rad/s],
     heading_change [rad]; positive to the left.
     """
@@ -182,11 +182,10 @@ def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log:
                  future_inputs: Mapping[Mode, FutureInputs] | None = None) -> LogEvaluation:
     """Predict with every model from every start, and score the predictions.
 
-    log: a drive, or its precomputed signals. starts_ns: increasing; default: every `interval` of the drive from its
-    first INS sample; starts that cannot be predicted are skipped and counted. progress(done, total): called after each
-    block of starts. on_block(starts_ns, block): called with the errors of each block. future_inputs: for the modes plan
-    and course; starts with unknown inputs are predicted with held inputs. Source: paper, comparison.
-    Checked by: test_log_evaluation.py.
+    log: a drive, or its precomputed signals. starts_ns: increasing; default: `regular_starts`. Starts without a usable
+    state or inputs are skipped and counted. progress(done, total): called after each block of starts.
+    on_block(starts_ns, block): called with each block. future_inputs: inputs of the modes plan and course; where they
+    are unknown, the inputs are held. Source: paper, comparison. Checked by: test_log_evaluation.py.
     """
     settings = settings or EvaluationSettings()
     model_list = [get_model(model) for model in models]
@@ -235,7 +234,6 @@ def usable_starts(signals: LogSignals, vehicle: VehicleParameters, requested: np
 
 
 def _count_reasons(masks: Mapping[str, np.ndarray]) -> dict[str, int]:
-    """Number of starts by reason; reasons without a start are left out."""
     return {reason: int(mask.sum()) for reason, mask in masks.items() if mask.any()}
 
 
@@ -255,7 +253,7 @@ def evaluate_blocks(models: Sequence[Model], vehicle: VehicleParameters, signals
     """Yields (rows of `starts_ns`, block) for BLOCK_SIZE starts at a time. The next blocks are computed in threads:
     compiled kernels and array operations release the interpreter lock."""
     blocks = [slice(first, min(first + BLOCK_SIZE, len(starts_ns))) for first in range(0, len(starts_ns), BLOCK_SIZE)]
-    # For all starts at once, in order of time, because a course tracker depends on the previous starts.
+    # Called for all starts at once, in order of time, because a course tracker depends on the previous starts.
     inputs = {mode: function(starts_ns) for mode, function in (future_inputs or {}).items()} if len(starts_ns) else {}
 
     def evaluate(rows: slice) -> Block:
@@ -314,7 +312,7 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
 
 
 def _merge_instants(starts_ns: np.ndarray, after_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(instants [ns], index): instants[index[k, i]] is start i plus after_ns[k]; overlapping horizons share them."""
+    """(instants [ns], index): instants[index[k, i]] is start i + after_ns[k]; overlapping horizons share instants."""
     half, span = int(after_ns[1]), int(starts_ns[-1] - starts_ns[0] + after_ns[-1])
     from_first = starts_ns - starts_ns[0]
     is_regular = np.array_equal(after_ns, half * np.arange(len(after_ns))) and not np.any(from_first % half)
@@ -353,7 +351,7 @@ class Bin:
 
 
 def bin_starts(evaluation: LogEvaluation) -> list[Bin]:
-    """The non-empty bins. Starts with unknown conditions (NaN) are in no bin, starts in reverse in no speed bin."""
+    """The non-empty bins. Starts with unknown conditions are in no bin, and those in reverse are in no speed bin."""
     conditions, turn = evaluation.conditions, evaluation.conditions["heading_change"]
     lateral_acceleration = np.abs(conditions["lateral_acceleration"])
     bins = [

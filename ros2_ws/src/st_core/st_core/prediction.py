@@ -21,7 +21,7 @@ from .yaml_text import hash_content
 
 
 def step_count(horizon: float, step: float) -> int:
-    """Number of steps in a horizon, times in s. Raises ConfigurationError unless it is whole, above 0 and below 1e6."""
+    """Number of steps [s] in a horizon [s]. Raises ConfigurationError if it is not a whole number from 1 to 1e6."""
     if not (step > 0.0 and 0.0 < horizon < 1.0e6 * step):
         raise ConfigurationError(f"horizon: {horizon:g} s with steps of {step:g} s; both must be above 0, and the "
                                  "horizon below 1e6 steps")
@@ -58,8 +58,8 @@ class PredictionSettings:
 
 
 def configuration_hash(vehicle: VehicleParameters, settings: PredictionSettings, model_hash: str = "") -> str:
-    """sha256 (hex) of everything that a prediction depends on except its inputs: vehicle values, settings and,
-    for a model from a file, model_hash, the hash of that file."""
+    """sha256 (hex) of what a prediction depends on in addition to its start and inputs: vehicle, settings and, for a
+    model from a file, `model_hash` of that file."""
     values = {key: float(value).hex() for key, value in asdict(settings).items()}
     return hash_content([vehicle.hash, values, *([model_hash] if model_hash else [])])
 
@@ -125,10 +125,10 @@ Runner = Callable[[VehicleState, ControlInput | InputSequence], Trajectory]  # f
 class Predictor:
     """Stores the newest measurements and predicts trajectories from them.
 
-    models: names, or models from model files. runners: compiled replacements of `predict`, by name of the model, with
-    the same results (see `compile_model`). history: that of an `Evaluator` with these settings, to store measurements
-    only once; None: a new one. Raises ConfigurationError without a model, for an unknown model, and for a model that
-    requires a signal not measured live.
+    models: names, or models from model files. runners: compiled replacements of `predict`, by name of the model
+    (`compile_model`). history: shared with an `Evaluator` with these settings, so that measurements are stored once;
+    None: a new one. Raises ConfigurationError without a model, for an unknown model, and for a model that requires a
+    signal that is not measured live.
     """
 
     SPAN = 2.0  # s, minimum length of the history, for late samples and the settling of the filter
@@ -157,7 +157,7 @@ class Predictor:
         return tuple(self._views)
 
     def car(self, model: str) -> VehicleParameters:
-        """The vehicle parameters of a model, with the lever arm from its CG to the INS."""
+        """The vehicle parameters that a model uses, with the effects of the model applied."""
         return self._views[model].car
 
     def select_inputs(self, model: str, planned: InputSequence) -> InputSequence:
@@ -199,7 +199,7 @@ class Predictor:
         newest = min(int(series.times[-1]) for series in self._series.values())
         time_ns: int | None = newest
         previous_ns: int | None = None
-        while time_ns is not None and time_ns != previous_ns:  # until both are known at the same instant
+        while time_ns is not None and time_ns != previous_ns:  # until both signals are known at this instant
             previous_ns, time_ns = time_ns, self.history.ins.newest_known_time(time_ns)
             time_ns = None if time_ns is None else self.history.steering.newest_known_time(time_ns)
         if time_ns is None or (now_ns - time_ns) * NANOSECOND > limit:
@@ -228,9 +228,10 @@ class Predictor:
         return problem or plan.sequence(start.time_ns, settings.steps, settings.step)
 
     def run(self, start: Start, model: str, future_inputs: InputSequence | None = None) -> Trajectory:
-        """The trajectory of a configured model (else ConfigurationError) from a start, at the CG of the model (`car`).
+        """The trajectory of a model from a start, at the CG of the model (`car`).
 
         future_inputs: on the half-step grid of the horizon, from a plan (`plan_inputs`) or a course; None: constant.
+        Raises ConfigurationError if the model is not configured.
         """
         if model not in self._views:
             raise ConfigurationError(f"model {model!r} is not configured; the models are {', '.join(self._views)}")
@@ -254,8 +255,8 @@ _SAMPLES = ((1.0, 0.0, 0.05, 0.1, 0.3), (8.0, 0.1, -0.25, -0.08, 0.0), (15.0, -0
 
 
 def compile_model(model: Model, vehicle: VehicleParameters, settings: PredictionSettings) -> Runner:
-    """Compiled `predict` for one model, car and horizon: the same results, six times faster; from the compiler or its
-    cache, and verified against the interpreted model.
+    """A compiled replacement of `predict` for one model, car and horizon; six times faster. Its results are compared
+    with those of `predict` before it is returned.
 
     Three models over 5 s take 0.2 ms instead of 1.3 ms; with an additional model of three effects 0.6 ms instead of
     4.1 ms. Inputs are constant, or 2 * steps + 1 values on the half-step grid without further signals; NaN inputs give
@@ -295,7 +296,7 @@ def compile_model(model: Model, vehicle: VehicleParameters, settings: Prediction
             compiled, finite = run(state, inputs).states, np.isfinite(expected)
             with np.errstate(all="ignore"):
                 difference = np.abs(compiled - expected) / np.maximum(1.0, np.abs(expected))
-            # Both must be finite at the same points (a spin with a long step diverges), and agree there.
+            # The states may diverge in a spin with a long step: both must then be finite at the same points.
             if not np.array_equal(finite, np.isfinite(compiled)) or (difference[finite] > TOLERANCE).any():
                 worst = float(difference[finite & np.isfinite(compiled)].max(initial=0.0))
                 raise ConfigurationError(f"the compiled {model.name} differs from predict, by {worst:.1e} where finite")
@@ -304,7 +305,7 @@ def compile_model(model: Model, vehicle: VehicleParameters, settings: Prediction
 
 def compile_models(models: Sequence[Model], vehicle: VehicleParameters,
                    settings: PredictionSettings) -> tuple[dict[str, Runner], str]:
-    """(compiled models by name, line for the log: their names, and why the others are not compiled)."""
+    """(compiled models by name; one line for the log, with their names and the reasons why others are not compiled)."""
     compiled: dict[str, Runner] = {}
     reasons: dict[str, str] = {}
     for model in models:

@@ -1,7 +1,7 @@
 """Time series: samples sorted by time, interpolation except in gaps, and forward acceleration from speed.
 
 The acceleration is the derivative of the speed u after a first-order Butterworth low-pass, solved exactly for a speed
-that is linear between its samples. It uses the actual spacing dt, so uneven spacing adds no noise:
+that is linear between its samples. The actual spacing dt of the samples is used, so uneven spacing adds no noise:
 
     tau y_dot = u - y,   tau = 1 / (2 pi f_c)
     x = dt / tau,  e = exp(-x),  g = (1 - e) / x,   y_k = e y_{k-1} + (g - e) u_{k-1} + (1 - g) u_k
@@ -24,20 +24,21 @@ from .errors import StCoreError
 from .types import wrap_angle
 
 NANOSECOND = 1.0e-9
-REORDER_WINDOW_NS = 500_000_000  # samples that are older than the newest one by more than this are rejected as late
-SETBACK_SAMPLES = 5  # after this many late samples in ascending order the clock is considered set back
+REORDER_WINDOW_NS = 500_000_000  # a sample that is older than the newest one by more than this is rejected as late
+SETBACK_SAMPLES = 5  # number of late samples, in ascending order, after which the clock is considered set back
 MAXIMUM_SAMPLES = 200_000
-MIN_RECOVERED_FRACTION = 0.01  # fraction of the samples that the longest ascending subsequence must recover
+MIN_RECOVERED_FRACTION = 0.01  # fraction of samples that `find_ascending` must recover to use a subsequence
 
 
 class TimeSeries:
     """The last `span` seconds of a signal: rows of numbers by time in integer nanoseconds.
 
-    columns: names, in row order. An added row may be shorter; the remaining columns are NaN until the owner sets them.
+    columns: names, in row order. An added row may be shorter; the remaining columns are NaN until the caller sets them.
     angles: columns interpolated along the shorter arc. span [s]: at least one second is kept. maximum_gap [s]: the
     signal is unknown between samples further apart. The number of samples is limited to MAXIMUM_SAMPLES.
 
-    breaks: reason why the signal is unknown before a sample, by sample time [ns]; set by the owner.
+    breaks: reason why the signal is unknown between a sample and the previous one, by time of the sample [ns]; set by
+    the caller.
     """
 
     def __init__(self, columns: Sequence[str], span: float, maximum_gap: float, angles: Sequence[str] = ()):
@@ -76,10 +77,10 @@ class TimeSeries:
         return int(self._times[self._end - 1]) if len(self) else None
 
     def add(self, time_ns: int, row: Sequence[float]) -> tuple[int | None, bool]:
-        """Add a sample; returns (its position in `rows`, or None if it was rejected; whether the clock was set back).
+        """Add a sample; returns (its index in `rows`, or None if it was rejected; whether the clock was set back).
 
         Non-finite rows, repeated times and samples older than the newest by more than REORDER_WINDOW_NS are rejected.
-        If the clock was set back, the series restarts from the SETBACK_SAMPLES late samples, and the position is 0.
+        If the clock was set back, the series restarts with the SETBACK_SAMPLES late samples, and the index is 0.
         """
         if not np.isfinite(row).all():
             return None, False
@@ -203,12 +204,12 @@ def find_neighbours(times: np.ndarray, instants: np.ndarray, gap_ns: int) -> Nei
 
 
 def find_ascending(times: np.ndarray) -> np.ndarray:
-    """Mask (n,) of strictly ascending times: those that are later than all previous ones, or the longest ascending
-    subsequence if it is longer by MIN_RECOVERED_FRACTION, as after a single time far in the future."""
+    """Mask (n,) of strictly ascending times: the times later than all previous ones. If the longest ascending
+    subsequence is longer by MIN_RECOVERED_FRACTION, as after a single time far in the future, it is used instead."""
     is_newer = np.diff(np.maximum.accumulate(times), prepend=times[:1] - 1) > 0
     if is_newer.sum() >= (1.0 - MIN_RECOVERED_FRACTION) * len(times):
         return is_newer
-    # Patience sorting: the last time, and its row, of the best subsequence of each length so far.
+    # Patience sorting: for each length, the earliest last time of a subsequence so far, and the row of this time.
     last_times, last_rows, previous_rows = list[int](), list[int](), list[int]()
     for row, time in enumerate(times.tolist()):
         length = bisect_left(last_times, time)
@@ -245,9 +246,9 @@ def filtered_derivative(times_ns: np.ndarray, values: np.ndarray, cutoff: float,
                         mode: Literal["causal", "zero_phase"] = "causal") -> tuple[np.ndarray, np.ndarray]:
     """(filtered values, derivative) of a whole log, each of the size of `values`.
 
-    causal: the same numbers as from `low_pass_step` in live use. zero_phase: the filter is applied forward and backward
-    between gaps, then central differences are taken: no delay, twice the attenuation in dB. cutoff [Hz].
-    maximum_gap [s]. Raises StCoreError if times_ns [ns] is not increasing, and for an unknown mode.
+    causal: the results are those of `low_pass_step` in live use. zero_phase: the filter is applied forward and backward
+    between gaps, and central differences are taken; there is no delay, and the attenuation in dB is doubled.
+    cutoff [Hz]. maximum_gap [s]. Raises StCoreError if times_ns [ns] is not increasing, and for an unknown mode.
     """
     times_ns, values = np.asarray(times_ns, np.int64), np.asarray(values, float)
     if np.any(np.diff(times_ns) <= 0):
@@ -269,7 +270,7 @@ def filtered_derivative(times_ns: np.ndarray, values: np.ndarray, cutoff: float,
 
 def _filter_causally(times_ns: np.ndarray, values: np.ndarray, cutoff: float,
                      maximum_gap: float) -> tuple[np.ndarray, np.ndarray]:
-    """The same results as repeated `low_pass_step`, bit for bit; only the recursion itself is not vectorised."""
+    """Bit-identical results to repeated `low_pass_step`, vectorised except for the recursion."""
     spacings_ns = np.diff(times_ns)
     distinct_ns, spacing_index = np.unique(spacings_ns, return_inverse=True)
     x = 2.0 * math.pi * cutoff * (distinct_ns * NANOSECOND)

@@ -90,16 +90,17 @@ class VehicleParameters:
     minimum_slip_speed: Annotated[float, Quantity("m/s", 0.1, 20.0)]
     length: Annotated[float, Quantity("m", 0.1, 30.0)]  # of the body, for drawing
     width: Annotated[float, Quantity("m", 0.03, 4.0)]  # of the body, for drawing
-    tyre_front: MagicFormula  # one tyre, lambda_ky filled in
-    tyre_rear: MagicFormula  # one tyre, lambda_ky filled in
-    # Optional, needed only by some effects, with defaults of a front-wheel-drive car.
+    tyre_front: MagicFormula  # of one tyre; its lambda_ky may be derived, see `from_yaml`
+    tyre_rear: MagicFormula  # of one tyre
+    # Optional values, which only some effects use; the defaults are those of a front-wheel-drive car.
     track_width: Annotated[float, Quantity("m", 0.03, 4.0, required=False)] = 1.54  # of both axles
     # Front fractions of drive force, brake force and lateral load transfer; rear-wheel drive: drive_front 0.
     drive_front: Annotated[float, Quantity("1", 0.0, 1.0, required=False)] = 1.0
     brake_front: Annotated[float, Quantity("1", 0.0, 1.0, required=False)] = 0.65
     load_transfer_front: Annotated[float, Quantity("1", 0.0, 1.0, required=False)] = 0.55
-    side_area: Annotated[float, Quantity("m^2", 1.0e-3, 60.0, required=False)] = 2.5  # C_y A, coefficient times area
-    side_force_arm: Annotated[float, Quantity("m", -5.0, 5.0, required=False)] = 0.25  # of the force ahead of the CG
+    side_area: Annotated[float, Quantity("m^2", 1.0e-3, 60.0, required=False)] = 2.5  # side force coefficient x area
+    # Distance of the side force of the wind ahead of the CG.
+    side_force_arm: Annotated[float, Quantity("m", -5.0, 5.0, required=False)] = 0.25
     # By key in the file, such as "tyre_front.p_cy1".
     sources: Mapping[str, str] = field(default_factory=dict, compare=False, repr=False)
     provenance: Mapping[str, Provenance] = field(default_factory=dict, compare=False, repr=False)
@@ -130,13 +131,13 @@ class VehicleParameters:
 
     @property
     def speed_scale(self) -> float:
-        """Factor for speed thresholds of small cars, sqrt(wheelbase / 2 m), at most 1 [1]; its square is the factor for
-        radii. At scaled speeds, bends with the same radius in wheelbases have the same lateral acceleration."""
+        """Factor for speed limits of small cars, sqrt(wheelbase / 2 m), at most 1 [1]; its square is the factor for
+        radii. If both are scaled, the lateral acceleration v^2 / R at the limits does not depend on the size."""
         return min(1.0, math.sqrt(self.wheelbase / 2.0))
 
     def uncertainty(self, key: str) -> float | None:
-        """Standard deviation [SI] of a value, by its key in the file ("mass", "tyre_front.lambda_muy"). As stated in
-        the file if > 0, else from DEFAULT_UNCERTAINTIES; None without a default, or if the default is 0."""
+        """Standard deviation [SI] of a value, by its key in the file ("mass", "tyre_front.lambda_muy"): that of the
+        file if > 0, else that of DEFAULT_UNCERTAINTIES; None if there is no default or if it is 0."""
         if (entry := self.provenance.get(key)) and entry.uncertainty:
             return entry.uncertainty
         if (default := DEFAULT_UNCERTAINTIES.get(key)) is None:
@@ -216,12 +217,12 @@ class VehicleParameters:
         return replace(self, **fields).with_derived_scales(derived)
 
     def to_yaml(self) -> str:
-        """A vehicle file in SI units, which `from_yaml` reads back to the same parameters and hash."""
+        """The text of a vehicle file in SI units; `from_yaml` returns the same parameters and hash."""
         return dump(self.to_document())
 
     def to_document(self) -> dict[str, Any]:
-        """The content of a vehicle file in SI units. A derived lambda_ky is left out, so that it is recomputed after
-        the cornering stiffness in the file is edited."""
+        """The content of a vehicle file in SI units. A derived lambda_ky is left out, so that it follows later changes
+        of the cornering stiffness in the file."""
         rederived = self.with_derived_scales()
         derived = [tyre for tyre in TYRES if self.sources.get(f"{tyre}.lambda_ky") == DERIVED_SOURCE
                    and getattr(self, tyre) == getattr(rederived, tyre)]
@@ -238,7 +239,7 @@ class VehicleParameters:
 
     @cached_property
     def hash(self) -> str:
-        """sha256 (hex) of all values in SI, without name, sources, provenance and OPTIONAL_QUANTITIES at defaults."""
+        """sha256 (hex) of all values in SI, except optional ones at their defaults; without name and provenance."""
         values = {key: value_of(self, key) for key in FILE_QUANTITIES}
         return hash_content({key: float(value).hex() for key, value in values.items()
                              if value != getattr(VehicleParameters, key, None)})
@@ -258,7 +259,7 @@ def value_of(vehicle: VehicleParameters, key: str) -> float:
 
 def _read_section(prefix: str, section: Mapping[str, Any], quantities: Mapping[str, Quantity],
                   sources: dict[str, str], provenance: dict[str, Provenance]) -> dict[str, float]:
-    """The values of a section in SI, by key; adds their sources and provenance, by prefix and key."""
+    """The values of a section in SI, by key. Their sources and provenance are added to the given dicts."""
     values = {}
     for name, quantity in quantities.items():
         if name not in section:
@@ -309,7 +310,7 @@ def _read_provenance(key: str, entry: Mapping[str, Any], factor: float) -> Prove
 
 
 def _check_scale(car: VehicleParameters) -> None:
-    """Raises ConfigurationError for a value too large or too small for the size or mass, about 15-fold or more."""
+    """Raises ConfigurationError for a value that does not fit the size of the car, by a factor of about 15 or more."""
     for key, low, high, reference, basis in (
             ("mass", 3.0, 3000.0, car.wheelbase**3, f"a wheelbase of {car.wheelbase:g} m"),
             ("yaw_inertia", 0.003, 4.0, car.mass * car.wheelbase**2,

@@ -1,15 +1,15 @@
 """Backend that numba compiles from the functions of a model; vector registers hold several predictions (lanes).
 
-All functions of a model are inlined into one loop over lanes, which LLVM vectorises. With tyres it contains one stage
-of a Runge-Kutta step, since compiling all four takes more than twice as long. The kinematic model, whose equations are
-short, is faster with all four. Three vectors are interleaved, because each operation within a vector waits for the
-previous one. Measurements: docs/measurements/performance.md.
+All functions of a model are inlined into one loop over lanes, which LLVM vectorises. For a model with tyres the loop
+computes one stage of a Runge-Kutta step, since compiling all four stages takes more than twice as long. For the
+kinematic model, whose equations are short, one loop over all four stages is faster. Three vectors are interleaved,
+because each operation on a vector waits for the previous one. Measurements: docs/measurements/performance.md.
 
 The functions of `st_core.ops` have versions without branches. Sine, cosine: x = n pi/2 + r with |r| <= pi/4. pi/2 is
 split into two parts, the first with 33 bits, so that its product with n is exact up to |n| = 2^20 or 1.6e6 rad. Arc
-tangent: in each of four ranges atan x = base + atan t, one division, |t| <= tan(pi/12). The polynomials interpolate at
-Chebyshev nodes in r^2 or t^2, with relative errors < 6e-17. They are evaluated by Estrin's scheme, since the longest
-chain of operations limits the speed. The arc tangent of an infinite number is NaN here. Checked by: test_backends.py.
+tangent: in each of four ranges atan x = base + atan t, with one division and |t| <= tan(pi/12). The polynomials
+interpolate at Chebyshev nodes in r^2 or t^2, with relative errors < 6e-17. They are evaluated by Estrin's scheme, since
+the longest chain of operations limits the speed. The arc tangent of infinity is NaN. Checked by: test_backends.py.
 """
 
 import logging
@@ -61,30 +61,28 @@ PI_6, PI_3, HALF_PI = 0.5235987755982989, 1.0471975511965979, 1.5707963267948966
 
 
 def inline(function, implementation=None):
-    """Register a plain function, or another implementation, for inlining in compiled code; returns the function."""
+    """Register a plain function for inlining in compiled code, with another implementation if one is given."""
     @overload(function, jit_options=OPTIONS, strict=False)
     def implement(*args, **kwargs):
         return implementation or function
     return function
 
 
-@intrinsic
-def _to_bits(_, x):
-    def generate(context, builder, signature, arguments):
-        return builder.bitcast(arguments[0], context.get_value_type(types.int64))
-    return types.int64(types.float64), generate
+def _make_bitcast(source, target):
+    @intrinsic
+    def bitcast(_, x):
+        def generate(context, builder, signature, arguments):
+            return builder.bitcast(arguments[0], context.get_value_type(target))
+        return target(source), generate
+    return bitcast
 
 
-@intrinsic
-def _from_bits(_, x):
-    def generate(context, builder, signature, arguments):
-        return builder.bitcast(arguments[0], context.get_value_type(types.float64))
-    return types.float64(types.int64), generate
+_to_bits, _from_bits = _make_bitcast(types.float64, types.int64), _make_bitcast(types.int64, types.float64)
 
 
 @inline
 def _sine_cosine(x):
-    """Sine and cosine of r, and an integer with n in its low bits. LLVM merges calls with the same x."""
+    """(sine of r, cosine of r, integer with n in its low bits). LLVM merges calls with the same x."""
     shifted = x * TWO_OVER_PI + ROUNDING_OFFSET
     n = shifted - ROUNDING_OFFSET
     r = (x - n * HALF_PI_HIGH) - n * HALF_PI_LOW
@@ -137,8 +135,8 @@ for _function, _implementation in {
     inline(_function, _implementation)
 
 
-# A multiple of three vectors of 8 (AVX-512) or 4 (AVX2) numbers. With fewer than 16 lanes LLVM does not vectorise the
-# loop and it is seven times slower; with 32 to 96 lanes and 2 to 4 vectors the speed differs by less than 15 %.
+# Number of lanes, a multiple of three vectors of 8 (AVX-512) or 4 (AVX2) numbers. With fewer than 16 lanes LLVM does
+# not vectorise the loop, which is seven times slower; for 32 to 96 lanes and 2 to 4 vectors the speed varies by < 15 %.
 LANES = 48
 INTERLEAVED_VECTORS = 3
 CACHE_LINE = 64  # bytes
@@ -165,7 +163,7 @@ def advance(model: Model, p: Any, start: np.ndarray, w: np.ndarray, offsets: np.
 
 
 def can_compile(model: Model, p: Any, fields: int, states: int) -> bool:
-    """Whether numba can compile the kernel for these numbers of fields in w and of states; compiles or loads it."""
+    """Compile the kernel or load it from the cache; False if numba fails. fields, states: lengths of w and state."""
     return _get_kernel(model, p, _collect_numbers(p, []), fields, states) is not None
 
 
@@ -246,7 +244,7 @@ _ROW, _INDICES = types.float64[::1], types.int64[::1]
 SIGNATURE = types.void(_ROW, _ROW, types.int64, _ROW, types.int64, _INDICES, types.float64, _INDICES, _ROW)
 
 
-# long: a separate function for each type of step adds reference counting, which slows the kinematic model by a fifth
+# long: separate functions for the two types of step add reference counting, which slows the kinematic model by a fifth
 def _define_kernel(rhs, in_stages, read_parameters, load_w, load_state, allocate):
     @numba.njit(fastmath=set(FLAGS), error_model="numpy", nogil=True)
     def kernel(values, start, columns, w, stride, offsets, step, points, out):
@@ -293,12 +291,12 @@ def _define_kernel(rhs, in_stages, read_parameters, load_w, load_state, allocate
     return kernel
 
 
-# The functions below move tuples of states and fields, whose size is known at compile time, for one lane each.
+# The functions below load and store the state or the inputs w of one lane, as tuples with a size known to the compiler.
 
 def _make_parameter_reader(type_of_p):
     @intrinsic
     def read_parameters(_, values):
-        """The parameters p, nested, from a row of their numbers."""
+        """The nested parameters p, from a row of their numbers in depth-first order."""
         def generate(context, builder, signature, arguments):
             row = context.make_array(signature.args[0])(context, builder, arguments[0])
             indices = count()
@@ -315,8 +313,8 @@ def _make_parameter_reader(type_of_p):
 def _make_scratch(size: int):
     @intrinsic
     def allocate(_):
-        """Stack memory for `size` rows of LANES numbers, aligned to cache lines. This aligns the stack as well:
-        otherwise a spilled vector may occupy two cache lines, and the speed varies by a third between processes."""
+        """Stack memory for `size` rows of LANES numbers, aligned to cache lines. The stack is then aligned as well.
+        Otherwise a spilled vector may occupy two cache lines, and the speed varies by a third between processes."""
         def generate(context, builder, signature, arguments):
             rows = []
             for _ in range(size):
@@ -370,7 +368,7 @@ def _add(_, first, factor, second):
 
 
 def _point_to(context, builder, table_type, i, table, stride, column):
-    """Address of element `column` of row i: a row of its own in scratch memory, or `stride` elements apart."""
+    """Address of element `column` of row i of a table, whose rows are separate arrays or `stride` elements apart."""
     if isinstance(table_type, types.BaseTuple):
         return builder.gep(builder.extract_value(table, i), [column], inbounds=True)
     row = builder.mul(context.get_constant(types.intp, i), stride, flags=("nsw",))

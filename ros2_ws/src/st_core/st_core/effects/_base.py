@@ -22,13 +22,13 @@ ANY = frozenset(BASE_MODELS)
 EFFECT_KINDS = ("sensors", "vehicle parameters", "physics", "environment")
 SLOTS = ("steering", "front axle", "rear axle", "both axles", "body",
          "position", "velocity", "heading", "yaw rate", "acceleration")
-TOTAL_DELAY = "total delay of the steering"  # dead time plus lag; how a fit divides this sum depends on the model
+TOTAL_DELAY = "total delay of the steering"  # dead time plus lag; a fit divides the sum depending on the model
 COMBINATIONS = {"front cornering stiffness over axle load": "1/rad", "rear cornering stiffness over axle load": "1/rad",
                 "stability factor K": "s^2/m^2", "steady-state yaw gain at 20 m/s": "1/s",
                 TOTAL_DELAY: "s"}
 """Combinations of vehicle parameters that predictions depend on, with their units; the parameters in one combination
-are not separable. Yaw inertia over mass is left out, because delays and relaxation have a similar influence: four of
-six intervals for cars with other dynamics did not contain the true value."""
+are not separable. Yaw inertia over mass is left out, because delays and relaxation have a similar influence: for cars
+with other dynamics, four of six estimated intervals did not contain the true value."""
 FORCE_COMBINATIONS = tuple(name for name in COMBINATIONS if name != TOTAL_DELAY)
 
 
@@ -47,15 +47,15 @@ class Parameter:
     source: str  # origin of initial and bounds
     meaning: str  # short text, with the sign
     odd: bool = False  # whether it changes sign if left and right are exchanged
-    fit: bool = True  # False: a constant of the car, with null as its default
-    identity: str = ""  # name of the estimate of `st_core.checks.check` that measures it, with its sign and unit
-    theory: float | None = None  # its physical value, if it is the same for every car
-    quantity: str = ""  # key of the vehicle file that it is added to, if no hook `vehicle` or `fold` does so
-    family_ends: tuple[float, ...] = ()  # bounds that are only the ends of a family of curves (1 - E of a tyre)
-    # Standard deviation of values fitted to one car by models with different equations (cars of `bench/strangers`).
+    fit: bool = True  # False: a constant of the car, which is `null` if no value is given
+    identity: str = ""  # name of the estimate of the same quantity by `st_core.checks.check`, in the same unit and sign
+    theory: float | None = None  # physical value, if it is the same for every car
+    quantity: str = ""  # key of the vehicle file to which the value is added, if no hook `vehicle` or `fold` does so
+    family_ends: tuple[float, ...] = ()  # bounds that only limit a family of curves (1 - E of a tyre)
+    # Standard deviation of the values that models with different equations give for one car (`bench/strangers`).
     model_error: float = 0.0
-    # Prior standard deviation about null of an addition to the measured car, such as a load, in place of the
-    # uncertainties of the vehicle file; inf for other parameters.
+    # Standard deviation of a prior about null, for an addition to the car of the vehicle file, such as a load. For such
+    # a parameter the uncertainties of the file are not used. inf: no such prior.
     deviation: float = math.inf
 
     def __post_init__(self):
@@ -74,12 +74,12 @@ class Parameter:
 
     @property
     def hard_bounds(self) -> tuple[float, ...]:
-        """Bounds at which an estimate is invalid: `physical_bounds`; none if it selects from a family of curves."""
+        """Bounds at which an estimate is invalid: `physical_bounds`; none for a parameter with `family_ends`."""
         return () if self.family_ends else self.physical_bounds
 
     @property
     def physical_bounds(self) -> tuple[float, ...]:
-        """Bounds that the interval of a named effect does not cross: all but null, theory and `family_ends`."""
+        """Bounds that the interval of a named effect must not reach: all but null, theory and `family_ends`."""
         return tuple(bound for bound in self.bounds if bound not in (self.null, self.theory, *self.family_ends))
 
     def check(self, value: float, key: str) -> float:
@@ -103,10 +103,10 @@ Measured.__doc__ = """Readings of the INS: position in the map frame [m], yaw [r
 
 
 class Effect:
-    """One physical effect: its description, its parameters, and hooks at the places of a model where it acts.
+    """One physical effect: its description, its parameters, and hooks, functions by which it changes a model.
 
     Every hook is an optional @staticmethod. `theta` has the parameters by name, and the result of `constants` as
-    `theta.constants`. The hooks from `inputs` on are also called with arrays and symbols, or compiled: they use only
+    `theta.constants`. The hooks from `inputs` on are also compiled, and called with arrays and symbols. They use only
     arithmetic and `st_core.ops`, do not branch on a value, and return tuples. `instant`: an Instant. `prepared`: the
     result of `prepare`, or the declared `signals` if there is no `prepare`.
 
@@ -137,13 +137,13 @@ class Effect:
     kind: ClassVar[str]  # one of EFFECT_KINDS
     slot: ClassVar[str]  # one of SLOTS, where it acts
     parameters: ClassVar[tuple[Parameter, ...]]
-    # Effects that are hard to separate from it (one of the two must name the other), according to the
-    # sensitivities of a single-track car on circle, step, sweep and ramp_to_limit.
+    # Effects that are hard to separate from this one, according to the sensitivities of a single-track car on circle,
+    # step, sweep and ramp_to_limit. It is enough that one of the two names the other.
     confounded_with: ClassVar[tuple[str, ...]] = ()
-    needs: ClassVar[tuple[str, ...]] = ()  # channels required to observe and separate it
+    needs: ClassVar[tuple[str, ...]] = ()  # channels required to observe the effect and separate it from others
     members: ClassVar[tuple[str, ...]] = ()  # effects that it combines
-    combinations: ClassVar[tuple[str, ...]] = ()  # COMBINATIONS in which it may explain a difference from the file
-    imitated_by: ClassVar[str] = ""  # causes outside the library that act like it
+    combinations: ClassVar[tuple[str, ...]] = ()  # COMBINATIONS that the effect changes
+    imitated_by: ClassVar[str] = ""  # causes outside the library that have the same influence
     ratio_to: ClassVar[tuple[str, ...]] = ()  # keys of the file; only ratios of its quantity to these are observable
     at_peak_force: ClassVar[bool] = False  # whether it is observable only near the peak force of an axle
     applies_to: ClassVar[frozenset[str]] = DYNAMIC  # base models that it can be added to
@@ -152,10 +152,10 @@ class Effect:
     prepared: ClassVar[tuple[str, ...]] = ()  # names of the results of `prepare`
     extra_states: ClassVar[tuple[str, ...]] = ()  # names of its states
     extra_units: ClassVar[tuple[str, ...]] = ()  # units of its states
-    costly: ClassVar[bool] = False  # whether it evaluates the tyres again, and is left out at null values to save time
-    # Whether the search adds it only in forward steps: in a fit of the whole library it absorbs parts of other effects.
+    costly: ClassVar[bool] = False  # whether it evaluates the tyres once more; left out at null values to save time
+    # Whether the search adds it only in forward steps: in a joint fit of all effects it would absorb parts of others.
     forward_only: ClassVar[bool] = False
-    order: ClassVar[int] = 50  # rank among the effects with the same hook, lowest first
+    order: ClassVar[int] = 50  # effects with the same hook act in ascending order
     Theta: ClassVar[Callable[..., Any]]
 
     constants = vehicle = fold = steering = inputs = prepare = slip_angles = axle_forces = NO_HOOK
@@ -169,8 +169,8 @@ def scale_entry(key):
 
 HOOKS = tuple(name for name, value in vars(Effect).items() if value is NO_HOOK and name != "converts")
 EQUATION_HOOKS = ("slip_angles", "axle_forces", "acceleration", "rates", "specific_force")
-EFFECTS: dict[str, type[Effect]] = {}  # library of a search
-UNLISTED_EFFECTS: dict[str, type[Effect]] = {}  # effects that only `get_effect` finds
+EFFECTS: dict[str, type[Effect]] = {}  # the library, from which a search selects
+UNLISTED_EFFECTS: dict[str, type[Effect]] = {}  # effects that a search does not select; only `get_effect` finds them
 
 
 def register(effect: type[Effect], registry: dict[str, type[Effect]] = EFFECTS) -> type[Effect]:
@@ -180,7 +180,7 @@ def register(effect: type[Effect], registry: dict[str, type[Effect]] = EFFECTS) 
         raise ConfigurationError(f"{effect.__qualname__}: must be a subclass of Effect with a name of a-z, 0-9 and _; "
                                  "the default name is that of its file")
     effect.name = name
-    if effect.__dict__.get("kind") == "surroundings":  # its name in earlier versions
+    if effect.__dict__.get("kind") == "surroundings":  # the former name, still accepted
         effect.kind = "environment"
     if "parameter" in effect.__dict__:
         effect.parameters = (effect.parameter,)
@@ -273,7 +273,7 @@ def get_effect(name: str) -> type[Effect]:
 
 
 def find_confounded_effects(name: str) -> set[str]:
-    """Names of the effects that are hard to separate from this one: those that it lists, and those that list it."""
+    """Names of the effects in `confounded_with` of this effect, and of those that name it in theirs."""
     others = {other for other, effect in EFFECTS.items() if name in effect.confounded_with}
     return others.union(get_effect(name).confounded_with)
 

@@ -1,6 +1,6 @@
 """Axle forces versus slip angle: cornering stiffness by regression, and force curves of a model.
 
-The cornering stiffness is the slope of measured axle force versus slip angle. The forces
+The cornering stiffness is the slope of measured axle force versus slip angle, with opposite sign. The forces
 
     F_f cos(delta) = (l_r m a_y + I_z r_dot) / L,    F_r = (l_f m a_y - I_z r_dot) / L
 
@@ -8,13 +8,13 @@ follow from the force and moment balance of the single-track car, with a_y at th
 velocity at each axle. An intercept absorbs offsets of steering and INS. Slow and nearly straight driving, |a_y| above
 4 m/s^2 and slip angles above 2 deg are excluded.
 
-The slope is a mean over the slip range: it is below the stiffness at zero slip if the tyre saturates in that range, or
+The slope is a mean over the slip range. It is below the stiffness at zero slip if the tyre saturates in that range, or
 if the slip angle is noisy. `AxleRegression.model_error` is the resulting standard uncertainty of the stiffness at zero
 slip, from a second regression in the lower half of the slip range (`regression.extrapolation_uncertainty`). Source:
 paper, section on parameter identification.
 
-The force curve is the axle force in the model's equations of motion with equal slip of both axles and v_y_dot = 0,
-without forward acceleration and steering effects. Offsets cancel in
+The force curve is computed from the equations of motion of a model, in a turn with equal slip of both axles,
+v_y_dot = 0 and no forward acceleration, without the effects of the steering. Offsets cancel in
 
     F(alpha) = (F_model(-alpha) - F_model(alpha)) / 2,   alpha >= 0
 
@@ -45,7 +45,7 @@ MIN_SPEED, MAX_RADIUS, MAX_ACCELERATION = 3.0, 300.0, 4.0  # m/s, m, m/s^2
 MAX_SLIP = np.deg2rad(2.0)
 MIN_AXLE_SAMPLES = 500  # minimum number of samples in a regression
 SLIP_BIN_COUNT = 12
-MAX_RANGE_RATIO = 0.8  # mean slip of the lower / full range; if larger, extrapolation multiplies errors by over 5
+MAX_RANGE_RATIO = 0.8  # mean slip of the lower / full range; above it, extrapolation multiplies errors by over 5
 MAX_RELATIVE_UNCERTAINTY = 0.1  # ratio of standard uncertainty to stiffness above which the stiffness is doubtful
 SLIP_QUANTILE = 0.995  # quantile of |slip angle| that counts as the largest slip angle of the drives
 
@@ -54,9 +54,9 @@ class Slope(NamedTuple):
     """Slope of the force of an axle versus its slip angle."""
 
     stiffness: float  # C [N/rad]
-    spread: Spread  # of (C, intercept)
-    blocks: np.ndarray  # (k,) identifier of each block: its run and its number in the run
-    influence: np.ndarray  # (k,) of each block on C
+    spread: Spread  # uncertainty of (C, intercept)
+    blocks: np.ndarray  # (k,) identifier of each block, from its run and its number in the run
+    influence: np.ndarray  # (k,) influence of each block on C, see `Blocks.compute_influence`
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +73,8 @@ class AxleSamples:
     def bin_forces(self) -> tuple[np.ndarray, np.ndarray]:
         """(mean slip, mean force opposing it) in each bin of |slip|, (b,) each.
 
-        The slip at zero force, which is due to offsets of steering and INS, is subtracted first. Bins are omitted
-        if they have fewer than 5 samples, or less than 1 % of the number expected for a uniform distribution.
+        The slip at zero force, which offsets of steering and INS cause, is subtracted first. A bin is omitted if it has
+        fewer than 5 samples, or less than 1 % of the samples that it would have in a uniform distribution.
         """
         slip = self.slip - self.find_zero_force_slip()
         size, force = np.abs(slip), -self.force * np.sign(slip)
@@ -95,12 +95,12 @@ class AxleRegression:
     """Result of the regression of one axle; NaN if the fit failed."""
 
     axle: str
-    stiffness: float  # [N/rad]
-    standard_error: float  # [N/rad]
-    interval95: tuple[float, float]  # [N/rad]
     samples: AxleSamples  # all samples above the minimum speed
     reasons: tuple[str, ...]  # why the value is rejected; empty for a usable value
     basis: str  # text on the number of samples and blocks
+    stiffness: float = float("nan")  # [N/rad]
+    standard_error: float = float("nan")  # [N/rad]
+    interval95: tuple[float, float] = (float("nan"), float("nan"))  # [N/rad]
     model_error: float = float("nan")  # standard uncertainty at zero slip [N/rad]; NaN if unknown
 
     @property
@@ -113,7 +113,7 @@ class AxleRegression:
         return float(np.hypot(self.standard_error, np.nan_to_num(self.model_error)))
 
     def estimate(self, runs: tuple[str, ...]) -> ParameterEstimate:
-        """Estimate of the stiffness at zero slip; its interval uses the Student quantile of interval95."""
+        """Estimate of the stiffness at zero slip; its interval is interval95, widened by uncertainty/standard_error."""
         half = 0.5 * (self.interval95[1] - self.interval95[0]) * self.uncertainty / max(self.standard_error, 1e-300)
         status: Status = "identified" if self.uncertainty < MAX_RELATIVE_UNCERTAINTY * self.stiffness else "doubtful"
         if self.reasons:
@@ -219,31 +219,30 @@ def _estimate_model_error(samples: AxleSamples, slope: Slope) -> float:
 
 
 def _make_regression(samples: AxleSamples, slope: Slope | None, reasons: Sequence[str]) -> AxleRegression:
-    nan, count = float("nan"), int(samples.used.sum())
-    reasons = [*reasons, *([] if count >= MIN_AXLE_SAMPLES else [
-        f"too few samples: {count} of the {samples.axle} axle meet the limits of speed, radius, |a_y| and slip angle "
-        f"({np.rad2deg(MAX_SLIP):g} deg), but {MIN_AXLE_SAMPLES} are needed; also check the steering offset "
-        "and the INS lever arm"])]
-    failed_fields = (samples.axle, nan, nan, (nan, nan), samples)
+    count = int(samples.used.sum())
+    if count < MIN_AXLE_SAMPLES:
+        reasons = [*reasons, f"too few samples: {count} of the {samples.axle} axle meet the limits of speed, radius, "
+                   f"|a_y| and slip angle ({np.rad2deg(MAX_SLIP):g} deg), but {MIN_AXLE_SAMPLES} are needed; also "
+                   "check the steering offset and the INS lever arm"]
     if slope is None:
-        return AxleRegression(*failed_fields, tuple(reasons), f"{count} samples")
+        return AxleRegression(samples.axle, samples, tuple(reasons), f"{count} samples")
     value, spread = slope.stiffness, slope.spread
-    error = float(spread.standard_errors[0])
+    error, interval = float(spread.standard_errors[0]), spread.interval(0, value)
     basis = f"{count} samples, {spread.basis[0]}"
-    interval = spread.interval(0, value)
     if not interval[0] > 0.0:
         reason = (f"the fit failed: the force of the {samples.axle} axle does not follow its slip angle, slope "
                   f"{value:.0f} N/rad (standard uncertainty {error:.0f}); offset or sign of the steering, misalignment "
                   "or lever arm of the INS may be wrong, or the drive has too little sideslip")
-        return AxleRegression(*failed_fields, (*reasons, reason), basis)
-    return AxleRegression(samples.axle, value, error, interval, samples, tuple(reasons), basis,
+        return AxleRegression(samples.axle, samples, (*reasons, reason), basis)
+    return AxleRegression(samples.axle, samples, tuple(reasons), basis, value, error, interval,
                           _estimate_model_error(samples, slope))
 
 
 def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
-    """Both stiffnesses by regression; covariance from the variation between runs or, with few runs, between blocks.
+    """Both stiffnesses by regression; uncertainty from the variation between runs or, with few runs, between blocks.
 
-    A stiffness whose interval is not above 0 is NaN and unidentifiable. Raises IdentificationError for unusable drives.
+    A stiffness is NaN and unidentifiable if its interval is not above 0. Raises IdentificationError for unusable
+    drives.
     """
     logs, notes = prepare_drives(logs, vehicle, "velocity_y")
     runs = [sample_run(log, vehicle) for log in logs]
@@ -273,17 +272,17 @@ class ForceCurve:
     axle: str
     slip: tuple[float, ...]  # slip angle, >= 0 [rad]
     force: tuple[float, ...]  # positive if it opposes the slip [N]
-    low: tuple[float, ...]  # lower end of its 90 % band [N]
-    high: tuple[float, ...]  # upper end of its 90 % band [N]
-    file: tuple[float, ...]  # force of the model before the search, from vehicle file or reference [N]
+    low: tuple[float, ...]  # lower end of the 90 % band of the force [N]
+    high: tuple[float, ...]  # upper end of the 90 % band of the force [N]
+    file: tuple[float, ...]  # force before the search, with the vehicle file or the fit of a reference [N]
     density: tuple[float, ...]  # fraction of the samples between neighbouring values of slip
 
 
 def compute_axle_forces(model: str | Model, vehicle: VehicleParameters,
                         slip: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Forces of the front and the rear axle that oppose slip angles >= 0 [rad], (n,) each [N].
+    """Forces of the (front, rear) axle [N], (n,) each, at slip angles >= 0 [rad]; positive if they oppose the slip.
 
-        v_y = l_r r + v tan(slip),   delta = atan((v_y + l_f r) / v) - slip,   r = a_y / v
+        v_y = l_r r + v tan(slip),   delta = atan((v_y + l_f r) / v) - slip,   r = a_y / v,   v: EVALUATION_SPEED
         F_f cos(delta) = (l_r m a_y + I_z r_dot) / L,   F_r = (l_f m a_y - I_z r_dot) / L
 
     Raises StCoreError for a model without tyres.
@@ -298,7 +297,7 @@ def compute_axle_forces(model: str | Model, vehicle: VehicleParameters,
     zero = np.zeros_like(slip)
 
     def compute_accelerations(a_y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(v_y_dot + v_x r [m/s^2], r_dot [rad/s^2], road wheel angle [rad]) of the model in a turn with this a_y."""
+        """(v_y_dot + v_x r [m/s^2], r_dot [rad/s^2], road wheel angle [rad]) of the model in a turn with r = a_y/v."""
         r = a_y / EVALUATION_SPEED
         v_y = car.cg_to_rear_axle * r + EVALUATION_SPEED * np.tan(slip)
         angle = np.arctan((v_y + car.cg_to_front_axle * r) / EVALUATION_SPEED) - slip
@@ -332,31 +331,32 @@ def make_axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, m
                     alternatives: Iterable[Model] = ()) -> ForceCurve:
     """The force curve of one axle with its band, at 41 slip angles up to the largest slip of the drives.
 
-    measured_slip: (n,) slip angles of the axle [rad], either sign. draws: models from `draw_models`; the band is their
-    central 90 % at each slip, extended to include the curve and those of `alternatives`, other models consistent with
-    the drives. original: model before the search. Raises StCoreError for fewer than two slip angles or only zeros.
+    measured_slip: (n,) slip angles of the axle [rad], either sign. original: model before the search. draws: models
+    from `draw_models`. alternatives: other models that are consistent with the drives. The band contains the central
+    90 % of the draws at each slip, the curve and the alternatives. Raises StCoreError for fewer than two slip angles,
+    and if all are 0.
     """
     abs_slip = np.abs(np.asarray(measured_slip, float))
     abs_slip = abs_slip[np.isfinite(abs_slip)]
     if len(abs_slip) < 2 or not abs_slip.max() > 0.0:
         raise StCoreError(f"{axle} axle: {len(abs_slip)} measured slip angles; two are needed, not all 0")
     slip = np.linspace(0.0, float(np.quantile(abs_slip, SLIP_QUANTILE)), 41)
-    force, file = (compute_axle_force(candidate, vehicle, axle, slip) for candidate in (model, original))
-    rows = [compute_axle_force(candidate, vehicle, axle, slip) for candidate in draws]
-    low, high = np.quantile(rows, (0.05, 0.95), axis=0) if rows else (force, force)
+    force, original_force = (compute_axle_force(candidate, vehicle, axle, slip) for candidate in (model, original))
+    drawn = [compute_axle_force(candidate, vehicle, axle, slip) for candidate in draws]
+    low, high = np.quantile(drawn, (0.05, 0.95), axis=0) if drawn else (force, force)
     curves = [force, *(compute_axle_force(candidate, vehicle, axle, slip) for candidate in alternatives)]
     counts = np.histogram(abs_slip, slip)[0]
     return ForceCurve(axle, *(tuple(values.tolist()) for values in (
-        slip, force, np.min([low, *curves], axis=0), np.max([high, *curves], axis=0), file,
+        slip, force, np.min([low, *curves], axis=0), np.max([high, *curves], axis=0), original_force,
         counts / max(int(counts.sum()), 1))))
 
 
 def draw_models(model: AugmentedModel, covariance: np.ndarray, vehicle: VehicleParameters,
                 count: int) -> list[AugmentedModel]:
-    """Models with values drawn from a normal distribution about those of `model`, within the bounds of each parameter.
+    """Models whose values are drawn from a normal distribution about those of `model` and clipped to their bounds.
 
-    covariance: (p, p) of `model.vector` [SI]; zero for values that are not varied. vehicle: draws that take its
-    values beyond the limits of a vehicle file are dropped. Raises StCoreError if fewer than MIN_DRAWS draws are left.
+    covariance: (p, p) of `model.vector` [SI]; zero for values that are not varied. Draws that take a value of `vehicle`
+    beyond the limits of a vehicle file are dropped. Raises StCoreError if fewer than MIN_DRAWS draws are left.
     """
     low, high = np.array([p.bounds for _, p in model.free_parameters]).T.reshape(2, -1)
     values = np.random.default_rng(0).multivariate_normal(model.vector, covariance, count, method="eigh")
@@ -368,7 +368,7 @@ def draw_models(model: AugmentedModel, covariance: np.ndarray, vehicle: VehicleP
 
 
 def select_valid_models(models: Iterable[AugmentedModel], vehicle: VehicleParameters) -> list[AugmentedModel]:
-    """The models with values within the limits of a vehicle file."""
+    """The models with which all values of the vehicle are within the limits of a vehicle file."""
     valid = []
     for candidate in models:
         with suppress(ConfigurationError):
@@ -382,7 +382,7 @@ def compute_force_error(model: str | Model, vehicle: VehicleParameters, samples:
 
         sqrt(mean over bins of (F_model(alpha) - mean F)^2) / max (mean F),    mean F: mean measured force of a bin
 
-    The bins of `AxleSamples.bin_forces` are equally wide in |slip|, so that straights do not outweigh bends.
+    The bins are those of `AxleSamples.bin_forces`, equally wide in |slip|, so that straights do not outweigh bends.
     """
     slip, force = samples.bin_forces()
     return float(np.sqrt(np.mean((compute_axle_force(model, vehicle, samples.axle, slip) - force) ** 2)) / force.max())

@@ -3,10 +3,10 @@
 The equations are in `tyres.py`, with scale factors lambda of 1 and p_ey3 from the vehicle file (0 in the paper). A
 shift added to the slip angle, common to all loads, absorbs conicity and plysteer and is then dropped.
 
-Stage 1, at the load nearest to nominal_load, fits p_cy1, p_dy1, p_ey1 and the stiffness K. Stage 2 fixes these and fits
-their load dependence p_dy2, p_ey2, p_ky2, p_ky4 (p_ky1 follows from K), as in the paper. Stage 2 treats the values of
-stage 1 as exact, so the values and intervals come from a simultaneous fit, started from the result of the stages and
-from STARTS. With two loads, p_ky4 is taken from the vehicle file; with one load, so are p_dy2, p_ey2 and p_ky2.
+As in the paper, stage 1 fits p_cy1, p_dy1, p_ey1 and the stiffness K at the load nearest to nominal_load, and stage 2
+their load dependence p_dy2, p_ey2, p_ky2, p_ky4 (p_ky1 follows from K). Stage 2 treats the values of stage 1 as exact.
+Therefore the reported values and intervals are from a simultaneous fit, started from the result of stage 2 and from
+STARTS. With two loads, p_ky4 is taken from the vehicle file; with one load, p_dy2, p_ey2 and p_ky2 as well.
 
 Slip angle [rad] and force [N] of one tyre in steady state may have either sign convention (`check_table`). Source:
 paper, parameter identification and appendix. Checked by: test_identification_experiments.py.
@@ -140,7 +140,7 @@ class TyreFit:
     two_stage_tyre: MagicFormula  # the tyre after the paper's two stages, or after stage 1 with one load
     levels: np.ndarray  # mean load of each level [N]
     level: np.ndarray  # index of the level of each row
-    opposite_sign: bool  # whether the fit uses the opposite sign of the slip angle
+    opposite_sign: bool  # whether the sign of the slip angles of the table was changed for the fit
 
     def compute_stiffness(self, load: float) -> tuple[float, float]:
         """K [N/rad], < 0, of one tyre at a load [N], and its standard uncertainty from the covariance of the fit."""

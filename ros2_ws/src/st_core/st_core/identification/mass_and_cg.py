@@ -4,15 +4,15 @@
     u(m)^2   = s_m^2 / n + 4 u_s^2
     u(l_f)^2 = s_l^2 / n + 2 u_s^2 (l_f^2 + l_r^2) / m^2 + (l_f / l)^2 u(l)^2
 
-s: standard deviation of the n weighings of the same car, rolled off and on again, due to friction in tyres and
-suspension; u_s: standard uncertainty of one scale, whose error repeats in every weighing; l: wheelbase. Student's t for
-the interval has the degrees of freedom of Welch and Satterthwaite. Source: paper, parameter identification.
-Checked by: test_identification_experiments.py.
+s: standard deviation of the n weighings, between which the car is rolled off the scales and on again; the scatter is
+due to friction in tyres and suspension. u_s: standard uncertainty of one scale, whose error is the same in every
+weighing. l: wheelbase. Student's t for the interval has the degrees of freedom of Welch and Satterthwaite. Source:
+paper, parameter identification. Checked by: test_identification_experiments.py.
 
-The height of the CG follows from the rear load versus pitch with the front axle lifted. The car rests on free-rolling
+The height h of the CG follows from the rear load versus pitch with the front axle lifted. The car rests on free-rolling
 wheels with locked suspension, so each ground force is vertical and passes through the centre of its wheel. The moments
-about the front wheel centres give, with pitch theta (nose up), wheelbase l, and the height r of the line between the
-wheel centres at the CG of the level car:
+about the front wheel centres give, with pitch theta (nose up), wheelbase l, and height r of the line between front and
+rear wheel centres, measured at the CG of the level car:
 
     m_r(theta) = m_r(0) + m (h - r) / l tan(theta)
     one pitch:   h = r + l (m_r(theta) - m_r(0)) / (m tan(theta))          (ISO 10392)
@@ -40,7 +40,7 @@ from .steering import Line, fit_line
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 SCALE_UNCERTAINTY = 0.5  # kg; standard uncertainty of one scale: class III wheel pads with a resolution of 0.5 kg
 MAX_SIDE_DIFFERENCE = 0.2  # left-right difference divided by the axle load; below 0.12 with one person in the car
-MAX_MASS_RANGE = 0.02  # largest relative range of the mass over weighings with equal loading
+MAX_MASS_RANGE = 0.02  # largest difference between weighings with equal loading, divided by the mass
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ class Weighings:
 def identify_mass_and_cg(weighings: Weighings, vehicle: VehicleParameters) -> Identification:
     """Estimates of mass [kg] and cg_to_front_axle [m] for the most frequent loading (the first one in a tie).
 
-    vehicle: its wheelbase, with uncertainty, is used; its CG position is only compared with the estimate. Raises
-    IdentificationError for impossible or missing readings.
+    vehicle: its wheelbase and the uncertainty of the wheelbase are used; its CG position is only compared with the
+    estimate. Raises IdentificationError for impossible or missing readings.
     """
     readings = _check_readings(weighings)
     load = max(weighings.loads, key=weighings.loads.count)
@@ -116,7 +116,7 @@ def _check_readings(weighings: Weighings) -> np.ndarray:
 
 
 def _check_scales(readings: np.ndarray, rejected_count: int, l_f: float, vehicle: VehicleParameters) -> Iterator[str]:
-    """Warnings on the weighings used. readings: (n, 4). rejected_count: number of unused weighings. l_f [m]."""
+    """Warnings on the weighings. readings: those used, (n, 4) [kg]. rejected_count: weighings not used. l_f [m]."""
     mean = readings.mean(axis=0)
     cross_weight = (mean[0] + mean[3]) / mean.sum()
     if abs(cross_weight - 0.5) > 0.02:
@@ -176,8 +176,8 @@ def compute_pitch(lift: np.ndarray, front_radius: np.ndarray, rear_radius: np.nd
 def identify_cg_height(data: LiftRows, vehicle: VehicleParameters, weighed_mass: float | None = None) -> Identification:
     """Estimate of cg_height [m]. Raises IdentificationError for unusable rows.
 
-    vehicle: its wheelbase and CG position, with the uncertainty of the wheelbase. weighed_mass: exact mass of the
-    lifted car [kg]; None: mass of the vehicle, with its uncertainty.
+    vehicle: its wheelbase, the uncertainty of the wheelbase, and its CG position are used. weighed_mass: mass of the
+    lifted car, assumed exact [kg]; None: mass of the vehicle, with its uncertainty.
     """
     _check_rows(data)
     line = fit_line(np.tan(data.pitch), data.rear_load, data.lifts)
@@ -198,7 +198,7 @@ def identify_cg_height(data: LiftRows, vehicle: VehicleParameters, weighed_mass:
         RADIUS_UNCERTAINTY * math.hypot(1.0 - rear_fraction, rear_fraction))
     heights = radius + wheelbase * (_compute_load_transfers(data, line) / mass) / np.tan(data.pitch)
     average = float(heights[np.isfinite(heights)].mean())
-    # Only the uncertainty of the slope was estimated from a few rows; the other uncertainties are known.
+    # Of all uncertainties, only that of the slope was estimated from a few rows.
     interval = symmetric_interval(height, uncertainty, effective_degrees_of_freedom(
         slope_uncertainty**2, uncertainty**2, line.degrees_of_freedom))
     lifts = tuple(dict.fromkeys(data.lifts))
@@ -241,7 +241,7 @@ def _check_rows(data: LiftRows) -> None:
 
 
 def _compute_radii(data: LiftRows, rear_fraction: float) -> tuple[float, str]:
-    """(height of the line between the wheel centres at the CG [m], sentence on the deflection of the rear tyres)."""
+    """(height r of the module docstring [m], sentence on the deflection of the rear tyres)."""
     front, rear = (radius[data.is_level & np.isfinite(radius)] for radius in (data.front_radius, data.rear_radius))
     if not len(front) or not len(rear):
         raise IdentificationError("the level rows have no wheel radius: measure the height of the front and rear wheel "
@@ -257,8 +257,9 @@ def _compute_radii(data: LiftRows, rear_fraction: float) -> tuple[float, str]:
 
 
 def _compute_load_transfers(data: LiftRows, line: Line) -> np.ndarray:
-    """Rear load minus the level rear load of the same lift, (n,) [kg]; NaN at a pitch below MIN_PITCH_RANGE, or below
-    the largest pitch if that is smaller. The level load is the mean of the level rows, or else the intercept."""
+    """Rear load minus that of the level car in the same lift, (n,) [kg]; NaN at a pitch below MIN_PITCH_RANGE, or below
+    the largest pitch if that is smaller. The load of the level car is the mean of its rows or, without any, the
+    intercept of the lift."""
     is_usable = data.pitch >= min(MIN_PITCH_RANGE, data.pitch.max())
     transfers = np.full(len(data.pitch), np.nan)
     for name, intercept in line.intercepts.items():
