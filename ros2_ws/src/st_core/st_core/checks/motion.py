@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -95,22 +96,22 @@ class Motion:
         first, last = first[is_complete], last[is_complete]
         return Windows(first, last, time)
 
-    @property
+    @cached_property
     def position(self) -> np.ndarray:
         """Position in the map frame as a complex number, x + i y = east + i north [m]."""
         return self.x + 1j * self.y
 
-    @property
+    @cached_property
     def velocity(self) -> np.ndarray:
         """Velocity in body axes as a complex number, forward + i left [m/s]."""
         return self.velocity_x + 1j * self.velocity_y
 
-    @property
+    @cached_property
     def velocity_map(self) -> np.ndarray:
         """Velocity in the map frame, R(yaw) v = v exp(i yaw), as east + i north [m/s]."""
         return self.velocity * np.exp(1j * self.yaw)
 
-    @property
+    @cached_property
     def speed(self) -> np.ndarray:
         """Speed over ground [m/s]."""
         return np.abs(self.velocity)
@@ -171,13 +172,19 @@ class Windows:
         """Start of each window [s]."""
         return self.sample_times[self.first]
 
+    @cached_property
+    def half_intervals(self) -> np.ndarray:
+        """Half of the time between adjacent samples [s]."""
+        return 0.5 * np.diff(self.sample_times)
+
     def change(self, values: np.ndarray) -> np.ndarray:
         """Change from start to end of each window."""
         return values[self.last] - values[self.first]
 
     def integral(self, values: np.ndarray) -> np.ndarray:
         """Integral over the time of each window."""
-        return self.change(cumulative_trapezoid(values, self.sample_times, initial=0.0))
+        areas = self.half_intervals * (values[1:] + values[:-1])
+        return self.change(np.concatenate(([0.0], np.cumsum(areas))))
 
     def mean(self, values: np.ndarray) -> np.ndarray:
         """Time average in each window."""

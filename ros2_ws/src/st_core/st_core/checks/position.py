@@ -142,7 +142,7 @@ def make_residual_regression(motion: Motion) -> Regression:
     # Vectors in the map frame are complex: east + i north.
     velocity, heading = motion.velocity_map, np.exp(1j * motion.yaw)
     displacement, velocity_change = windows.integral(velocity), windows.change(velocity)
-    forward = motion.velocity_x * heading
+    forward, integrated_heading = motion.velocity_x * heading, windows.integral(heading)
     columns = {
         "x_scale": displacement.real, "y_scale": 1j * displacement.imag, "map_shear": displacement.imag,
         "velocity_scale": displacement, "velocity_y_scale": windows.integral(1j * motion.velocity_y * heading),
@@ -151,7 +151,7 @@ def make_residual_regression(motion: Motion) -> Regression:
         "velocity_lag": velocity_change - windows.integral(1j * motion.yaw_rate * velocity),
         "velocity_x_lag": windows.change(forward) - windows.integral(1j * motion.yaw_rate * forward),
         "position_reference": windows.change(heading), "position_side": 1j * windows.change(heading),
-        "velocity_x_bias": -windows.integral(heading), "velocity_y_bias": -1j * windows.integral(heading),
+        "velocity_x_bias": -integrated_heading, "velocity_y_bias": -1j * integrated_heading,
     }
     residual = windows.change(motion.position) - displacement
     return Regression(windows.time, np.stack((residual.real, residual.imag), axis=1),
