@@ -4,9 +4,19 @@ from pathlib import Path
 
 import numpy as np
 from st_core.log import DriveLog
+from st_core.vehicle import VehicleParameters
+from st_recordings.runs import LoadedRun
+from st_recordings.runs.columns import Layout
+from st_recordings.runs.csv import build_drive
+from st_recordings.runs.csv_table import read_table
 
 T0 = 1_700_000_000_000_000_000
 COLUMNS = "t,x,y,yaw,vx,vy,yaw_rate,ax,ay,delta"
+
+
+def read_csv(file: Path, vehicle: VehicleParameters | None = None, layout: Layout | None = None) -> LoadedRun:
+    """The drive in a CSV file, before implausible samples are removed."""
+    return build_drive(read_table(file, layout or Layout()), vehicle)
 
 
 def weave(seconds: float = 14.0, speed: float = 8.0, curvature: float = 0.03) -> np.ndarray:

@@ -12,7 +12,9 @@ from pathlib import Path
 import numpy as np
 from st_core.checks import AuxiliaryData, Series
 from st_recordings.paths import config
-from st_recordings.runs.csv import read_csv
+from st_recordings.runs.columns import Layout
+from st_recordings.runs.csv import build_drive
+from st_recordings.runs.csv_table import read_table
 from st_sim.driver import SimulatedCar
 from st_sim.dynamics import GRAVITY
 from st_sim.scenarios import load_plan
@@ -52,7 +54,7 @@ def load(name: str, set_: str) -> Recording:
 
 
 def real_drive(file: Path) -> Recording:
-    return Recording(read_csv(file).log, genesis(), True)
+    return Recording(build_drive(read_table(file, Layout())).log, genesis(), True)
 
 
 def list_real_files() -> list[Path]:

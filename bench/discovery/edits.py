@@ -12,7 +12,9 @@ from pathlib import Path
 import numpy as np
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
-from st_recordings.runs.csv import read_csv
+from st_recordings.runs.columns import Layout
+from st_recordings.runs.csv import build_drive
+from st_recordings.runs.csv_table import read_table
 
 from .._cases import Record
 from .._drives import SOUND_DRIVES, genesis, move_ins, rotate_ins
@@ -113,7 +115,7 @@ def recorded_drives(folder: Path) -> tuple[DriveLog, ...]:
     files = sorted(folder.glob("*.csv"))
     if not files:
         raise FileNotFoundError(f"{folder}: the folder of the recorded drives is empty or missing")
-    return tuple(read_csv(file).log for file in files)
+    return tuple(build_drive(read_table(file, Layout())).log for file in files)
 
 
 @dataclass(frozen=True)

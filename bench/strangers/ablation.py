@@ -23,7 +23,9 @@ from st_core.discovery.settings import DiscoverySettings
 from st_core.effects import EFFECTS
 from st_recordings.car import read_vehicle
 from st_recordings.paths import project_root
-from st_recordings.runs.csv import read_csv
+from st_recordings.runs.columns import Layout
+from st_recordings.runs.csv import build_drive
+from st_recordings.runs.csv_table import read_table
 
 from .._cases import FACTORS, multiplied
 from .._pages import format_records, replace_part
@@ -74,7 +76,8 @@ def count_variants(name: str, numbers: Sequence[str]) -> Iterator[dict[str, Any]
         folder = Path(temporary)
         truth = write_case(cases("development")[name], folder)
         vehicle = read_vehicle(folder / "car" / "vehicle.yaml")
-        logs = [read_csv(path, vehicle).log for path in sorted((folder / "drives").glob("*.csv"))]
+        tables = [read_table(path, Layout()) for path in sorted((folder / "drives").glob("*.csv"))]
+    logs = [build_drive(table, vehicle).log for table in tables]
     analysis = Analysis(logs, vehicle, "nonlinear", (), DiscoverySettings(), None, {}, 1, {})
     searched, limits = _search(analysis), analysis.limits
     unchanged, regions = _count(analysis, searched, truth), _find_regions(analysis, searched)

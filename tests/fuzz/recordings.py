@@ -9,7 +9,7 @@ import can
 import numpy as np
 from bags import DEFINITION, TYPE, TYPE_HASH, numbered, read_numbers
 from can.io import ASCWriter, BLFWriter, CanutilsLogWriter, TRCWriter
-from drives import weave, write_drive
+from drives import read_csv, weave, write_drive
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 from mdf_files import LogFrame, write_layout_2
@@ -194,7 +194,7 @@ def _csv(data: bytes, folder: Path) -> str:
     file.write_bytes(data)
     csv.find_missing_in_header(file)
     try:
-        warnings = csv.read_csv(file).warnings
+        warnings = read_csv(file).warnings
     except RunError as error:
         return one_line(error, data)
     return f"read, {len(warnings)} warnings"

@@ -40,16 +40,15 @@ print(predictions.hexdigest(), errors.hexdigest(), count)
 
 BATCH = """
 import hashlib
-from drives import weave, write_drive
+from drives import read_csv, weave, write_drive
 from pathlib import Path
 import tempfile
 from st_core.log_evaluation import evaluate_log
-from st_recordings.runs import csv
 from support import read_car
 
 vehicle = read_car("leaf")
 with tempfile.TemporaryDirectory() as name:
-    log = csv.read_csv(write_drive(Path(name) / "drive.csv", weave(14.0))).log
+    log = read_csv(write_drive(Path(name) / "drive.csv", weave(14.0))).log
 found = evaluate_log(["kinematic", "linear", "nonlinear"], vehicle, log)
 content = hashlib.sha256()
 for key in sorted(found.errors):

@@ -146,7 +146,7 @@ class CanedgeBridge(Node):
 
     def _log_start(self) -> None:
         logger, table = self.get_logger(), self._decoder.table
-        needed = ", ".join(m.name for m in table.needed_messages) or "nothing"
+        needed = ", ".join(m.name for m in table.messages.values() if m.is_needed) or "nothing"
         absent = f"; not in the DBC: {', '.join(table.absent_messages)}" if table.absent_messages else ""
         logger.info(f"bus {self._bus_name}, {table.dbc_file} with {table.signals_file}: "
                     f"decodes {len(table.messages)} messages, requires {needed}{absent}")

@@ -128,10 +128,6 @@ class SignalTable:
     messages: Mapping[str, MessageSpec]
     absent_messages: tuple[str, ...]
 
-    @property
-    def needed_messages(self) -> tuple[MessageSpec, ...]:
-        return tuple(m for m in self.messages.values() if m.is_needed)
-
     def find_steering(self) -> tuple[MessageSpec, SignalSpec] | None:
         """Message and signal of the steering-wheel angle, preferably in a needed message; None if there is none."""
         messages = sorted(self.messages.values(), key=lambda m: not m.is_needed)

@@ -15,7 +15,7 @@ def test_leaf_table_and_dbc_agree(dbc_file, signals_file):
         "Leaf_Steering": 0x002, "Leaf_WheelSpeedFront": 0x284, "Leaf_WheelSpeedRear": 0x285, "RT_DateTime": 0x600,
         "RT_MilliTime": 0x630, "RT_VelocityLevel": 0x604, "RT_HeadingPitchRoll": 0x607, "RT_RateVehicle": 0x608,
         "RT_IsoOrientation": 0x633, "RT_IsoVsVelocity": 0x634, "RT_IsoVsAngularVelocity": 0x636}
-    assert [m.name for m in table.needed_messages] == ["Leaf_Steering"]
+    assert [m.name for m in table.messages.values() if m.is_needed] == ["Leaf_Steering"]
 
 
 def set_key(path, value):
@@ -134,7 +134,7 @@ def test_dbc_without_an_optional_message_is_accepted(edit_dbc, signals_file):
 
 def test_needed_messages_can_be_replaced(dbc_file, signals_file):
     table = load_table(dbc_file, signals_file, ["RT_VelocityLevel"])
-    assert [m.name for m in table.needed_messages] == ["RT_VelocityLevel"]
+    assert [m.name for m in table.messages.values() if m.is_needed] == ["RT_VelocityLevel"]
     with pytest.raises(ConfigurationError, match="needed message Unknown is not in the table"):
         load_table(dbc_file, signals_file, ["Unknown"])
 

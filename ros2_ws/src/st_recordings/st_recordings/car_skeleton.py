@@ -68,7 +68,7 @@ def list_remarks(folder: str) -> list[str]:
 
 
 def list_uncertainties(vehicle: VehicleParameters) -> list[str]:
-    """One line for each quantity with a stated or default uncertainty, and one that names others that may be fitted."""
+    """One line for each quantity with a stated or default uncertainty, and one that names others that can be fitted."""
     lines, keys_without_uncertainty = [], []
     for key, quantity in FILE_QUANTITIES.items():
         uncertainty = vehicle.uncertainty(key)

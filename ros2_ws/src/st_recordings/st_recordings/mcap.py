@@ -25,11 +25,11 @@ from .bag_metadata import BagFile, BagInformation, BagTopic, Qos, collect_custom
 from .mcap_contents import MAGIC, Contents
 
 CHUNK_SIZE = 1024 * 1024
-"""Bytes that are compressed together; at high data rates a chunk is full before FLUSH_PERIOD has passed."""
+"""Size [bytes] at which a chunk is compressed and written, even before FLUSH_PERIOD has passed."""
 FLUSH_PERIOD = 0.5
-"""Period [s] of writes. A killed process loses up to 1 s of data: this period plus that of flush_when_due calls."""
+"""Period [s] of writes. A killed process loses up to 1 s of data: this period and that between flush_when_due calls."""
 DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""If writing the index fails with one of these errors, the newest chunks are dropped until it fits."""
+"""If writing the index fails with one of these errors, the newest chunks are dropped until the index fits."""
 MIN_SYNC_PERIOD = 0.25
 """Minimum time [s] between the starts of two synchronisations, so that frequent writes do not occupy the disk."""
 _MESSAGE_RECORD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
@@ -108,9 +108,7 @@ class BagWriter:
         if self.is_closed or self.error:
             self.lost_count += 1
             return
-        if topic not in self._messages:
-            self._messages[topic] = MessageIndex(topic, [])
-        self._messages[topic].records.append((log_time_ns, self._chunk.count))
+        self._messages.setdefault(topic, MessageIndex(topic, [])).records.append((log_time_ns, self._chunk.count))
         publish_time_ns = log_time_ns if publish_time_ns is None else publish_time_ns
         length = _MESSAGE_HEAD_LENGTH + len(data)
         self._chunk.write(_MESSAGE_RECORD.pack(Opcode.MESSAGE, length, topic, 0, log_time_ns, publish_time_ns))

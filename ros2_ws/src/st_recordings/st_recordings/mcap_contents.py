@@ -119,7 +119,7 @@ class Contents:
         return True
 
     def _add(self, record: McapRecord, offset: int, length: int, messages: Mapping[int, MessageIndex]) -> None:
-        """Adds a parsed record. messages: message indexes of a chunk, if they may be missing in the file."""
+        """Adds a parsed record. messages: for a chunk, message indexes to be written if the file lacks them."""
         match record:
             case Chunk():
                 self._add_chunk(record, messages, offset, length)
@@ -173,7 +173,7 @@ class Contents:
 
     def _add_chunk(self, chunk: Chunk, messages: Mapping[int, MessageIndex], offset: int, length: int) -> None:
         if self._chunks:
-            self._chunks[-1].messages = {}  # its index is in the file; only the newest chunk may lack one
+            self._chunks[-1].messages = {}  # only the newest chunk may lack its message indexes in the file
         index = ChunkIndex(
             chunk_length=length, chunk_start_offset=offset,
             compression=chunk.compression, compressed_size=len(chunk.data),

@@ -22,7 +22,7 @@ MIN_FREE_SPACE = 10_000_000  # bytes, enough for the shortest run
 
 
 def project_root() -> Path:
-    """Checkout set by ./st, else share/ of the wheel, else the one containing the current folder. Raises SystemExit."""
+    """Checkout set by ./st, else share/ of the wheel, else the checkout of the current folder. Raises SystemExit."""
     if "ST_ENVIRONMENT" in os.environ:
         return Path(os.environ["ST_ENVIRONMENT"])
     for folder in (INSTALLED_FILES, Path.cwd(), *Path.cwd().parents):

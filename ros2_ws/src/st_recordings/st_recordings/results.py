@@ -113,7 +113,7 @@ class Results:
 
     track: Track
     scores: dict[tuple[str, str], MeanErrors]  # by model and mode
-    segments: dict[tuple[str, int], Segment]  # by model and start [ns, UTC]; at most MAX_DRAWN_STARTS
+    segments: dict[tuple[str, int], Segment]  # by model and start [ns, UTC]; for at most MAX_DRAWN_STARTS starts
     ticks: dict[str, Any]  # numbers of the predictor's ticks: due, predicted, skipped, and skipped by reason
     configuration_hash: str  # of one of the last scores; "" without scores
     bands: list[Any] = field(default_factory=list)  # statistics of st_msgs/ErrorSummary with n_bands > 0
@@ -159,7 +159,7 @@ def read_predictions(bag: Path, mode: str = "") -> dict[str, Predictions]:
 
 def _collect_columns(messages: Iterable[Any], get_key: Callable[[Any], Key],
                      get_values: Callable[[Any], Sequence[Any]]) -> dict[Key, list[np.ndarray]]:
-    """Key -> [start times (n,) [ns] ascending, *columns (n, ...)]; of several with one start, the last is used."""
+    """Key -> [ascending start times (n,) [ns], *columns (n, ...)]; of several with one start, the last is used."""
     rows = defaultdict[Key, dict[int, Sequence[Any]]](dict)
     for message in messages:
         rows[get_key(message)][get_field(message, "header.stamp")] = get_values(message)
@@ -228,7 +228,7 @@ def _read_ticks(bag: Storage) -> dict[str, Any]:
 
 
 def _read_segments(errors: Path, scores: dict[tuple[str, str], MeanErrors]) -> dict[tuple[str, int], Segment]:
-    """Reads the segments of evenly spaced starts at which the hindsight scores of all models are complete."""
+    """Segments of evenly spaced starts, among those at which the hindsight scores of all models are complete."""
     complete_starts = [set(s.start_ns[s.complete].tolist()) for (_, mode), s in scores.items() if mode == "hindsight"]
     common_starts = sorted(set.intersection(*complete_starts)) if complete_starts else []
     if not common_starts:

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from canedge_bridge.units import UNITS, normalise
 from drive_kinds import CAR
+from drives import read_csv
 from st_core.log import INS_SIGNALS, DriveLog
 from st_recordings.runs import LoadedRun, RunError, columns, find_runs, read
 from st_recordings.runs.columns import COLUMNS, Layout, find_columns
-from st_recordings.runs.csv import find_missing_in_header, read_csv
+from st_recordings.runs.csv import find_missing_in_header
 from support import ROOT
 
 N = 60

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from drives import read_csv
 from scipy.spatial.transform import Rotation
 from st_recordings.runs import find_runs, read
 from st_recordings.runs.columns import Layout
@@ -14,7 +15,6 @@ from st_recordings.runs.csv import (
     _is_rounded,
     build_ins_log,
     find_missing_in_header,
-    read_csv,
 )
 from st_recordings.runs.csv_table import read_table, read_text
 from st_recordings.runs.errors import RunError

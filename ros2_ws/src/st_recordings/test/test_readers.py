@@ -19,7 +19,9 @@ def another_ins() -> Iterator[Reader]:
     def read_ins(source, settings):
         return read_ncom(source.path)
 
-    yield register(Reader("another", "ins", (".other",), None, read_ins))
+    reader = Reader("another", "ins", (".other",), None, read_ins)
+    register(reader)
+    yield reader
     del READERS["another"]
 
 

@@ -19,12 +19,12 @@ MIN_COMPARED_SAMPLES = 20
 """Minimum number of samples for comparing positions with the integrated speed, or yaw with the course over ground."""
 MAX_COMPARED_SAMPLES = 10_000
 MIN_CORRELATION = 0.5
-"""Minimum magnitude of a correlation or mean cosine of displacement and velocity or heading for its sign to be used."""
+"""The sign of a correlation, or of the mean cosine between motion and heading, is used only above this magnitude."""
 SIGNIFICANT_DEVIATIONS = 3.0
 """Minimum ratio of a sum to its standard deviation (p = 0.003), or of two standard deviations, to be significant."""
 MAX_AGREEING_ANGLE = 0.1
-"""[rad]. Two directions agree if their median difference, due to sideslip and noise, is smaller than this. The better
-of two interpretations is accepted if the difference of the other is larger by more than this."""
+"""[rad]. Two directions agree if their median difference, caused by sideslip and noise, is smaller than this. Of two
+interpretations, the one with the smaller difference is accepted if that of the other is larger by more than this."""
 MIN_DISAGREEING_ANGLE = 0.3
 """[rad]. If the difference between heading and course is larger, the heading has a different unit or direction."""
 MAX_DEVIATION_RATIO = 0.5  # of two mean-square deviations from the motion; a smaller ratio shows which angle is right

@@ -66,7 +66,7 @@ def has_odometry(path: Path) -> bool:
 
 
 def lacks_odometry(path: Path, files: Sequence[Path] = (), topics: str | None = None) -> bool:
-    """Whether a bag contains messages (of these topics), but no odometry or INS packets. files: see `open_bag`."""
+    """Whether a bag has messages (of these topics), but neither odometry nor INS packets. files: see `open_bag`."""
     types = _read_types(path, files, topics)
     return bool(types) and not types & {ODOMETRY, NCOM}
 
@@ -217,7 +217,7 @@ def _read_all_metadata_records(path: Path) -> dict[str, dict[str, str]]:
 
 
 def _find_topic(storage: Storage, type_name: str, name: str | None = None) -> Topic:
-    """The topic of a type: the one with the given name, or else the preferred one. Raises RunError."""
+    """The topic of a type with the given name, or else the preferred topic of the type. Raises RunError."""
     path, candidates = storage.path, [t for t in storage.topics if t.type_name == type_name]
     if name is not None:
         named_topic = next((t for t in storage.topics if t.name.lstrip("/") == name.lstrip("/")), None)

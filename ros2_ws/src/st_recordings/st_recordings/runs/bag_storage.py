@@ -43,7 +43,7 @@ class Topic:
     count: int
 
     def is_in(self, names: str) -> bool:
-        """Whether a comma-separated list contains its name, with or without a leading slash."""
+        """Whether a comma-separated list contains the topic's name, with or without a leading slash."""
         return self.name.lstrip("/") in (name.strip().lstrip("/") for name in names.split(","))
 
 
@@ -135,8 +135,9 @@ class Storage(ABC):
         """(times of each topic [ns] on one clock, notes). The times are the stamps if they share a clock; the times of
         reception if only these overlap; else the stamps, shifted to the clock of the first topic.
 
-        An INS may stamp with GPS time, 18 s ahead of UTC. Stamps are not changed if neither overlap, or if the delay
-        from stamp to reception varies (computed topics). compares_clocks: False if overlapping stamps share a clock.
+        An INS may stamp with GPS time, 18 s ahead of UTC. Stamps are not changed if neither they nor the times of
+        reception overlap, or if the delay from stamp to reception varies, as in computed topics. compares_clocks: False
+        assumes that overlapping stamps share a clock.
         """
         series, topics = [times for _, times in stamps], " and ".join(topic for topic, _ in stamps)
         is_common = _overlap(series)

@@ -1,7 +1,7 @@
 """Reads tables from MDF files of measured signals (version 3 or 4, as ETAS INCA, Vector CANape and asammdf write them),
 and from files of MATLAB (.mat), HDF5 (.h5, .hdf5, .hdf), Apache Parquet (.parquet) and Feather (.feather).
 
-They become text like that of a CSV file, so that names, units, times and rates are handled in the same way.
+The tables are converted to the text of a CSV file, so that names, units, times and rates are handled in the same way.
 """
 
 import mmap

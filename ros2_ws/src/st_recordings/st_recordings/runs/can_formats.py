@@ -89,7 +89,7 @@ AMBIGUOUS_IDS = "its identifiers may be decimal or hexadecimal numbers; they wer
 MAX_SCANNED_ROWS = 5000  # rows searched for the unit of times and the base of identifiers and bytes
 MIN_STEPS = 50  # minimum number of positive time steps from which the unit of the times is inferred
 MAX_STEPS = {"s": 0.15, "ms": 50.0}
-"""Times since the start are in s if their median step is below 0.15 (7 frames/s), in ms below 50 (20/s), else in us."""
+"""Unit of times since the start -> upper limit of their median step (7 frames/s, 20 frames/s); above both, it is us."""
 MIN_FRAME_DURATION = 40.0  # us; every frame takes longer at 1 Mbit/s
 
 
@@ -144,8 +144,8 @@ def _read_text(file: Path, notes: list[str], make_parser: Callable[[Lines, list[
 
 
 def _complete_date(time: str, previous: str) -> str:
-    """A time of a CL1000 to CL3000, with the day or the date before T, as "20260504 101112.500". previous: date of the
-    previous line, which is at most 15 days earlier or later."""
+    """Converts a time of a CL1000, CL2000 or CL3000, with the day or the date before T, to a form such as
+    "20260504 101112.500". previous: date of the previous line, which is at most 15 days earlier or later."""
     day, clock = re.sub("[^0-9T]", "", time).split("T")
     if len(day) == 2 and abs(step := int(day) - int(previous[6:])) > 15:  # in the next or the previous month
         previous = f"{datetime.strptime(previous[:6], '%Y%m') + timedelta(45 if step < 0 else -15):%Y%m}"
@@ -154,7 +154,7 @@ def _complete_date(time: str, previous: str) -> str:
 
 def _make_line_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
     make_message = import_module("can").Message
-    date = "20000101"  # of the previous line; at first that of a CL1000, which has no clock
+    date = "20000101"  # of the previous line; the first date of a CL1000, which has no clock
 
     def parse(line: str) -> Any:
         nonlocal date
@@ -204,7 +204,7 @@ class _AscParser:
     def __init__(self, lines: Lines, notes: list[str]):
         self._reader: Any = import_module("can.io.asc").ASCReader(lines)
         self._notes, self._are_relative = notes, False  # are_relative: times are relative to the previous line
-        self._start = self._seconds = 0.0  # time of the start; last time since the start
+        self._start = self._seconds = 0.0  # start [s since 1970]; time of the newest line [s since the start]
 
     def __call__(self, line: str) -> Any:
         if (stamp := _ASC_STAMP.match(line)) is None:
@@ -309,7 +309,7 @@ def _make_csv_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
         notes.append(f"its times were read in {unit}")
     factor = UNITS["time"][stated or unit][0]
     n_columns = _count_byte_columns(names)
-    networks: dict[str, int] = {}  # name of a bus -> its number, in the order of the first frames
+    networks: dict[str, int] = {}  # name of a bus -> its number, in order of appearance
 
     def parse(line: str) -> Any:
         if not line.strip() or _FURTHER_HEADER.match(line):
@@ -391,7 +391,7 @@ def _find_base(cells: Sequence[tuple[str, int]]) -> int:
 
 
 def _count_byte_columns(names: Sequence[str]) -> int:
-    """Number of columns B0, B1, ...; without a length, as in Vehicle Spy, other columns may follow them."""
+    """Number of columns B0, B1, ...: the maximum length of a frame if no column gives the length, as in Vehicle Spy."""
     return sum(re.fullmatch(r"b\d+", name) is not None for name in names)
 
 

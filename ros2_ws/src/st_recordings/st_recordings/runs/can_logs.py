@@ -29,8 +29,8 @@ MAX_TIME_JUMPS_NS = 60 * 10**9, 86400 * 10**9
 deviates more is wrong."""
 FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times are relative to the start of the log
 MIN_DECREASING_FRACTION = 0.2
-"""Times of a text log that begin at 0 are time steps between frames if a larger fraction of the other times is lower
-than the previous one, or if these are all equal."""
+"""If the first time of a text log is 0, and more than this fraction of the later times is lower than the previous time,
+or all later times are equal, the times are steps between frames."""
 
 
 def read_can_logs(files: Sequence[Path], known_ids: Collection[int] = ()) -> CanLog:

@@ -150,9 +150,9 @@ class ColumnSource:
         return UNITS[self.kind][self.unit][0]
 
 
-class _Meaning(NamedTuple):
+class _ColumnName(NamedTuple):
     channel: str  # a key of COLUMNS, or _STEERING
-    rank: int  # of the name among the names of the channel
+    rank: int  # position among the names of the channel, plus PATH_RANK after a path
     unit: str | None  # as stated in the name
     path: str  # text before the name of the channel
 
@@ -175,7 +175,7 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
         sources[channel] = _make_source(column, names[column], channel, unit)
     time, pair = sources.get("t"), find_stamp_columns(names)
     is_time_stated = "t" in layout.columns or "t" in layout.units
-    # A stamp in two columns replaces the column of its fraction, and a time in minutes or hours.
+    # A stamp in two columns is preferred to a time that is only its fraction, or is in minutes or hours.
     if pair and (time is None or (not is_time_stated and (time.column == pair[1] or time.factor > 1.0))):
         sources["t"] = _make_source(pair[0], names[pair[0]], "t", "s")
     if "compass_heading" in layout.columns and "yaw" not in layout.columns:
@@ -185,14 +185,14 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
 
 def _find_best_columns(names: Sequence[str]) -> dict[str, list[ColumnSource]]:
     """Channel -> its column with the best name; several if equally good names differ in their paths or are doubtful."""
-    paths = {meaning.path for name in names if (meaning := _identify_channel(name))} - {""}
+    paths = {parsed.path for name in names if (parsed := _identify_channel(name))} - {""}
     columns: dict[str, list[ColumnSource]] = {}
     ranks: dict[str, int] = {}
     for number, name in enumerate(names):
-        meaning = _identify_channel(name, paths)
-        if meaning is None or meaning.channel == _STEERING:
+        parsed = _identify_channel(name, paths)
+        if parsed is None or parsed.channel == _STEERING:
             continue
-        channel, rank, unit, _ = meaning
+        channel, rank, unit, _ = parsed
         if rank < ranks.get(channel, 2 * PATH_RANK):
             columns[channel], ranks[channel] = [], rank
         if not columns[channel] or (rank == ranks[channel] >= DOUBTFUL_RANK and name != columns[channel][-1].name):
@@ -210,8 +210,8 @@ def _find_best_columns(names: Sequence[str]) -> dict[str, list[ColumnSource]]:
 
 def find_times(names: Sequence[str]) -> list[ColumnSource]:
     """Finds all columns with times."""
-    return [_make_source(number, name, "t", meaning.unit) for number, name in enumerate(names)
-            if (meaning := _identify_channel(name)) and meaning.channel == "t"]
+    return [_make_source(number, name, "t", parsed.unit) for number, name in enumerate(names)
+            if (parsed := _identify_channel(name)) and parsed.channel == "t"]
 
 
 def find_ambiguous(names: Sequence[str]) -> dict[str, list[str]]:
@@ -259,7 +259,7 @@ def apply_units(file: Path, sources: dict[str, ColumnSource], layout: Layout) ->
 
 def find_ambiguous_steering(names: Sequence[str]) -> str | None:
     """Finds the first column that may be the steering wheel or the road wheel angle; None if there is none."""
-    return next((name for name in names if (meaning := _identify_channel(name)) and meaning.channel == _STEERING), None)
+    return next((name for name in names if (parsed := _identify_channel(name)) and parsed.channel == _STEERING), None)
 
 
 def _make_source(number: int, name: str, channel: str, unit: str | None) -> ColumnSource:
@@ -267,7 +267,7 @@ def _make_source(number: int, name: str, channel: str, unit: str | None) -> Colu
     return ColumnSource(number, name, kind, unit or next(iter(UNITS[kind])), unit is not None)
 
 
-def _identify_channel(name: str, paths: Collection[str] = ()) -> _Meaning | None:
+def _identify_channel(name: str, paths: Collection[str] = ()) -> _ColumnName | None:
     """Identifies the channel of a column; None for other columns. A single letter after a path denotes a channel only
     if the path is one of `paths`: state.x is a position if there is a state.yaw, acceleration.x is not."""
     # "%time" and "field.x" from `rostopic echo -p`, "vx\\CCP:1" from ETAS, "Speed (m/s) *gps" from RaceChrono
@@ -281,10 +281,10 @@ def _identify_channel(name: str, paths: Collection[str] = ()) -> _Meaning | None
                 if not channel or (unit and known_unit is None):
                     continue
                 if start == 0 and form == base:
-                    return _Meaning(channel, rank, known_unit or None, "")
+                    return _ColumnName(channel, rank, known_unit or None, "")
                 if channel != "t" and (len(normalise(form)) > 1 or name[:start] in paths) and not (
                         _OTHER_QUANTITY.search(name)):
-                    return _Meaning(channel, rank + PATH_RANK, known_unit or None, name[:start])
+                    return _ColumnName(channel, rank + PATH_RANK, known_unit or None, name[:start])
     return None
 
 

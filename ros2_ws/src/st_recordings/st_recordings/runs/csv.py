@@ -17,7 +17,7 @@ from st_core.vehicle import VehicleParameters
 
 from .axes import COURSE, HEADING, MIN_COURSE_SPEED, check_geographic, read_angles, rotate_to_body_axes
 from .columns import Layout, describe_unknown_units, find_ambiguous, find_ambiguous_steering, find_columns
-from .csv_table import Table, all_finite, differentiate_yaw, read_header, read_table
+from .csv_table import Table, all_finite, differentiate_yaw, read_header
 from .errors import RunError, format_count
 from .ins_log import SPEEDS, InsLog, compute_car_speed, yaw_from_quaternion
 from .run_types import LoadedRun, SteeringField, make_drive_log
@@ -36,22 +36,17 @@ ALTERNATIVES = {ROAD_WHEEL: STEERING_WHEEL, "x": "longitude", "y": "latitude", "
 QUATERNION_CHANNELS = [f"orientation_{axis}" for axis in "xyzw"]
 POSSIBLY_UNFILLED = ("x", "y", "yaw", "orientation_z", "yaw_rate", STEERING_WHEEL)  # often 0 if not measured
 MAX_HELD_FRACTION = 0.3
-"""If positions repeat in more than this fraction of the rows with a moving car, their rate is lower than the rows'."""
+"""Positions have a lower rate than the rows if they repeat in more than this fraction of the rows of the moving car."""
 MIN_INTERVAL_RATIO = 1.5
 """A channel has a lower rate than another if the ratio of their median sample intervals exceeds this value."""
 MIN_SIMILAR_RATE = 0.9  # two channels have similar rates if one has more than this fraction of the samples of the other
 MIN_GAP_RATIO = 2.5  # rows are missing between two rows if their time difference exceeds this multiple of the median
 MAX_GAP_FRACTION = 0.1
-"""If a larger fraction of new positions follows missing rows, the time stamps jitter and no row is missing."""
+"""If a larger fraction of the new positions follows such a gap, the time stamps jitter and no row is missing."""
 MAX_ROUNDING_RATIO = 1.01
 """A change of position equals one unit of the last decimal if their ratio, larger to smaller, is at most this."""
 MIN_REGULAR_FRACTION = 0.9
-"""A channel has a lower rate if more than this fraction of its intervals are regular; also for rounded positions."""
-
-
-def read_csv(file: Path, vehicle: VehicleParameters | None = None, layout: Layout | None = None) -> LoadedRun:
-    """Reads the drive in a CSV file (`build_drive`). Raises RunError."""
-    return build_drive(read_table(file, layout or Layout()), vehicle)
+"""Minimum fraction of regular intervals in a channel of lower rate, and of one-digit changes in rounded positions."""
 
 
 def add_steering_column(layout: Layout, steering: SteeringField | None) -> Layout:
@@ -159,8 +154,8 @@ def find_missing_channels(sources: Iterable[str], names: Iterable[str], required
 
 
 def _leave_out_blank_columns(table: Table, required: Sequence[str], exempt: Sequence[str] = ()) -> Table:
-    """The table without blank and unfilled (zero) columns, if the required channels can be derived from the others.
-    exempt: channels that are never left out."""
+    """The table without those blank or unfilled (all zero) columns that the required channels do not need. exempt:
+    channels that are never left out."""
     sources, warnings = dict(table.sources), list(table.warnings)
     for channel, values in table.columns.items():
         is_blank = not np.isfinite(values).any()
@@ -291,7 +286,8 @@ def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], warni
     """Interpolates INS channels with a lower rate or separate stamps at the rows of a reference channel: the one with
     the highest rate or, of several with a similar rate, the one with the most channels filled in its rows.
 
-    Loggers leave the other cells blank. Missing numbers in the reference channel and gaps in the others are not filled.
+    Loggers leave the cells between the samples of a channel blank. Missing numbers in the reference channel and gaps in
+    the other channels are not filled.
     """
     fixes = [np.isfinite(columns[name]) for name in ("latitude", "longitude") if name in columns]
     are_separate = len(fixes) == 2 and 2 * (fixes[0] & fixes[1]).sum() < fixes[0].sum()  # in different messages

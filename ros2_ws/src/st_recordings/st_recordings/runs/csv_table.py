@@ -165,7 +165,7 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
                 sources: dict[str, ColumnSource] | None = None, preamble: Sequence[str] = ()) -> Table:
     """Parses rows of text into a table. Raises RunError.
 
-    sources: column of each channel; None: found from the names, the first rows and `preamble`, the lines above them.
+    sources: column of each channel; None: found from `names`, first rows and `preamble`, the lines above the header.
     """
     if delimiter == " ":
         body = "\n".join(" ".join(line.split()) for line in body.split("\n"))
@@ -178,7 +178,7 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
         sources = _find_sources(file, names, body, delimiter, layout, warnings)
         sources, body = _read_unit_rows(file, sources, preamble, body, delimiter, layout)
     lines = [line for line in body.splitlines() if line.strip(f' \t"{delimiter}')]
-    # A row that begins with # is a comment unless its first cell is #N/A, or every row does (ASCII log of NovAtel).
+    # Rows that begin with # are comments, unless their first cell is #N/A, or all rows do (ASCII log of NovAtel).
     lines = [line for line in lines if not (text := line.lstrip()).startswith("#")
              or text.split(delimiter, 1)[0].strip().lower() in MISSING_MARKS] or lines
     first: dict[str, str] = {}
@@ -360,7 +360,7 @@ def _read_cells(file: Path, lines: list[str], delimiter: str, names: list[str], 
                 layout: Layout, warnings: list[str]) -> tuple[np.ndarray, dict[str, ColumnSource], dict[str, str]]:
     """(numbers (n, width), sources, channel -> first cell) of rows with blanks or text; NaN where a number is missing.
 
-    A unit after the numbers is that of the source, unless the layout states one. Latitudes and longitudes become
+    A unit after the numbers becomes the unit of the source, unless the layout states one. Latitudes and longitudes are
     negative where the column after (or before) each has S or W; dates and times become seconds. Raises RunError.
     """
     text = re.sub(rf'{re.escape(delimiter)} +"', f'{delimiter}"', "\n".join(lines))  # numpy needs quotes at the start

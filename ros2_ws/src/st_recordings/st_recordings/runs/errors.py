@@ -72,8 +72,8 @@ def log_warnings(warnings: Iterable[str]) -> None:
 
 @contextmanager
 def group_similar_warnings() -> Iterator[None]:
-    """Context that abbreviates warnings that differ only in file and numbers: the first MAX_SIMILAR_WARNINGS are logged
-    in full; on exit, one more warning per kind gives the number of further ones and lists at most 10 of their files."""
+    """Context that groups warnings that differ only in file and numbers. The first MAX_SIMILAR_WARNINGS of a group are
+    logged in full; on exit, one more warning gives the number of the others and at most 10 of their files."""
     groups: dict[str, list[str]] = {}
     token = _groups.set(groups)
     try:

@@ -124,11 +124,11 @@ def remove_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]],
 
 
 def _find_opposite_step(time_ns: np.ndarray, row: int, start: int, end: int, median_step: int) -> int | None:
-    """Row of the forward step, among those from `start` to `end`, that reverses the backward step after `row`.
+    """Row of the forward step, among those from `start` to `end`, that reverses the backward step after `row`; or None.
 
-    None if no step, or more than one, is larger than half of it, or if the true duration between the two steps, by the
-    times before and after them, differs from the recorded one. It may be longer if the recorded times are nearly equal,
-    and is not compared for up to MAX_EARLY_FRAMES frames.
+    It must be the only step larger than half of the backward step. Unless at most MAX_EARLY_FRAMES frames are between
+    the two, the true duration between them, from the times before and after, must equal the recorded duration; if the
+    recorded times are nearly equal, it may be longer.
     """
     steps = np.diff(time_ns[start:end + 1])
     large_steps = start + np.flatnonzero(steps > (time_ns[row] - time_ns[row + 1]) / 2)
@@ -137,7 +137,7 @@ def _find_opposite_step(time_ns: np.ndarray, row: int, start: int, end: int, med
     first, last = sorted((row, int(large_steps[0])))
     true_duration, recorded_duration = time_ns[last + 1] - time_ns[first], time_ns[last] - time_ns[first + 1]
     tolerance, count = 2 * median_step + MIN_CLOCK_STEP * 1e9, last - first
-    median_duration = np.median(time_ns[count:] - time_ns[:-count])  # of as many frames
+    median_duration = np.median(time_ns[count:] - time_ns[:-count])  # of `count` frames
     max_duration = tolerance + (recorded_duration if recorded_duration > median_duration / 2 else 2 * median_duration)
     is_short = count <= MAX_EARLY_FRAMES and true_duration >= 0
     return int(large_steps[0]) if is_short or recorded_duration - tolerance <= true_duration <= max_duration else None

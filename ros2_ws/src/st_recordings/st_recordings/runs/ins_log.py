@@ -80,8 +80,8 @@ def _select_finite(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray,
 
 
 def are_stored_out_of_order(time_ns: np.ndarray) -> bool:
-    """Whether times (n,) are out of order, but evenly spaced once sorted. They are not if the clock was set back: two
-    parts then overlap, and every other step in the overlap is at most half as long, below 3/4 of the median."""
+    """Whether times (n,) are out of order, but evenly spaced once sorted. If the clock was set back, sorted times are
+    uneven: two parts overlap, and every other step in the overlap is at most half as long, below 3/4 of the median."""
     lost_fraction = 1.0 - np.mean(find_ascending(time_ns)) if len(time_ns) else 0.0
     steps = np.diff(np.sort(time_ns))
     return bool(lost_fraction > MAX_LOST_FRACTION
@@ -93,7 +93,7 @@ def select_usable_rows(time_ns: np.ndarray, noun: str) -> tuple[np.ndarray, list
 
     Rows are left out as in `find_ascending`. If their fraction exceeds MAX_LOST_FRACTION, and the longest part without
     a backward step has about as many rows as would remain, the clock was set back while recording, and only this part
-    is used. If there are more than 10 rows, a first or last one with a time far from its neighbour's is left out.
+    is used. Of more than 10 rows, the first or the last is left out if its time is far from that of its neighbour.
 
     time_ns: (n,) int64, in the order of the recording. noun: plural name of the rows, for the warnings.
     """

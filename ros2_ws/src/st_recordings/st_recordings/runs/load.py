@@ -64,7 +64,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
 
 
 def _list_unused_options(source: RunSource, settings: ReadSettings) -> list[str]:
-    """Warnings about options that do not apply to this recording; another one of the same command may need them."""
+    """Warnings about options that do not apply to this recording; other recordings of the command may need them."""
     steering, reader = settings.steering, READERS[source.kind]
     unused = [f"{option} {topic}, because it is not a bag" for option, topic in (
         ("--steering-topic", steering.topic if steering else ""), ("--odometry-topic", settings.odometry))

@@ -28,7 +28,7 @@ from .ncom import collect_quality
 from .run_types import SteeringField
 
 ORIGIN_TOPIC, ORIGIN_TYPE = "ins/origin", "sensor_msgs/msg/NavSatFix"
-RECONSTRUCTED_SUFFIX = " (reconstructed)"  # added to the name of a topic with raw data that are decoded
+RECONSTRUCTED_SUFFIX = " (reconstructed)"  # added to the name of the topic of raw data from which values are computed
 _AUXILIARY_FIELDS = {WHEEL_SPEEDS: ("header.stamp", *WHEEL_FIELDS.values(), "valid"),
                      INS_ON_CAN: ("header.stamp", "velocity_x"), NCOM: ("raw_packet",)}
 _STATUS_FIELDS = ("header.stamp", "navigation_status", "position_mode", "position_accuracy_north",
@@ -154,7 +154,7 @@ class Reconstruction:
                              quality)
 
     def _read_reported_quality(self) -> InsQuality | None:
-        """INS quality from st_msgs/InsStatus, in which offsets vary with the text lengths; None if unavailable."""
+        """INS quality from st_msgs/InsStatus, read one by one because its texts vary in length; None if unavailable."""
         if INS_STATUS not in self._by_type:
             return None
         try:

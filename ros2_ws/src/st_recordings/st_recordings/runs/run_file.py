@@ -52,8 +52,8 @@ def read_run_file(path: Path) -> list[RunSource]:
 
 
 def find_described_run(file: Path) -> RunSource | None:
-    """The run that consists of a recording alone: described by its own run.yaml, or by one with `each` in its folder;
-    None if there is none. The error of an invalid run.yaml is the `problem` of the result."""
+    """The run of a single recording, as its own run.yaml or a run.yaml with `each` in its folder describes it; None if
+    none does. If that run.yaml is invalid, its error is the `problem` of the result."""
     own_run = _read_own_run_file(file.parent, file)
     if own_run and own_run.problem:
         return RunSource(file.name, "", (file,), problem=own_run.problem)

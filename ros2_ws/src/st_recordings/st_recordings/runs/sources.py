@@ -186,10 +186,14 @@ def _group_files(files: Sequence[Path], named_by_user: bool) -> list[RunSource]:
 
 
 def _find_partners(recordings: Sequence[Path], logs: Sequence[Path], paired: set[Path]) -> dict[Path, tuple[Path, ...]]:
-    """CAN logs of each INS recording: those in the outermost folder around it without another INS recording, or only
-    those of them with its stem (or STEM_1, STEM_2, ...), if any; without logs there, those with its stem in other
-    folders. A stem counts only if no other recording has it. Empty if stems and folders disagree, if two recordings
-    would share a log, or if its folder has pairs of the same stem (`paired`) and the logs are of several sessions."""
+    """CAN logs of each INS recording; empty if they are uncertain.
+
+    The logs of a recording are in the outermost folder around it that contains no other INS recording; if some of these
+    have its stem (or STEM_1, STEM_2, ...), only they are used. If the folder has no logs, those with its stem in other
+    folders are used. A stem counts only if no other recording has it. The logs are uncertain if stems and folders
+    disagree, if two recordings would share a log, or if the logs are of several sessions and do not all have its stem,
+    although its folder contains pairs with the same stem (folders of pairs: `paired`).
+    """
     candidates: dict[Path, tuple[Path, ...]] = {}
     contradictory = set[Path]()
     for file in recordings:

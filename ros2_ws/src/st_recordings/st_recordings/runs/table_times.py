@@ -59,7 +59,7 @@ def read_stamps(file: Path, cells: list[str], warnings: list[str]) -> np.ndarray
                                   cell) for cell in cells]
     if not (stamp := parse_stamp(cells[0])):
         return None
-    if stamp[1] and _NUMERIC_DATE.search(cells[0]):  # without a date so far; 10-25-30 may also be a time
+    if stamp[1] and _NUMERIC_DATE.search(cells[0]):  # no date was recognised; 10-25-30 may also be a time
         cells = _order_dates(file, "\n".join(cells), warnings).split("\n")
     seconds, periods = np.array([parse_stamp(cell) or (np.nan, 0.0) for cell in cells]).T
     for period in {DAY, HOUR}.intersection(periods):
@@ -121,7 +121,7 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
         source = replace(source, unit="s", has_stated_unit=False)
     median, steps = np.median(np.abs(finite)) if len(finite) else 0.0, np.abs(np.diff(finite))
     steps = steps[steps > 0.0]  # a coarse clock repeats its times
-    meanings: list[tuple[float, float, str]] = []
+    scales: list[tuple[float, float, str]] = []  # (origin, factor to s, description)
     if source.unit == HHMMSS or (not source.has_stated_unit and _is_hhmmss(finite)):
         if source.unit != HHMMSS:
             warnings.append(f"{file}: times of column {source.name} were read as HHMMSS, a time of day")
@@ -131,12 +131,12 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
         seconds[known_rows] += DAY * count_rollovers(seconds[known_rows], DAY / 2)
         return seconds, source
     if median > LATEST_TIME:
-        meanings = [(0.0, UNITS["time"][unit][0], f"{unit} since 1970") for unit in ("ms", "us", "ns")]
+        scales = [(0.0, UNITS["time"][unit][0], f"{unit} since 1970") for unit in ("ms", "us", "ns")]
     elif len(steps) and np.median(steps) < 2e-5:  # steps too short for seconds
-        meanings = [(origin, DAY, f"{scale} (UTC)") for origin, scale in _DAY_COUNTS]
-    for origin, factor, meaning in meanings if not source.has_stated_unit else ():
+        scales = [(origin, DAY, f"{name} (UTC)") for origin, name in _DAY_COUNTS]
+    for origin, factor, description in scales if not source.has_stated_unit else ():
         if PLAUSIBLE_EPOCH[0] <= (median - origin) * factor <= PLAUSIBLE_EPOCH[1]:
-            warnings.append(f"{file}: times of column {source.name} were read as {meaning}")
+            warnings.append(f"{file}: times of column {source.name} were read as {description}")
             return (times - origin) * factor, source
     step = float(np.median(steps)) if len(steps) else 0.0
     if step >= MIN_UNUSABLE_STEP and not source.has_stated_unit and (unit := _guess_time_unit(times)):

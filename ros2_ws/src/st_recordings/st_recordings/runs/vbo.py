@@ -31,8 +31,8 @@ TRUE_HEADING_NAMES = ("trueheading", "truehead", "headingtrue", "heading2", "dua
 MIN_HEADING_AGREEMENT = 0.5
 """A yaw rate channel is not used if its cosine similarity with the derivative of the heading is lower in magnitude."""
 MIN_TURN_RATE = 0.01
-"""[rad/s]. The yaw rate is replaced only if the median magnitude of the derivative of the heading is higher; its sign
-is changed only if the largest magnitude is. A heading noise of 0.1 deg at 5 Hz has about this derivative."""
+"""[rad/s]. The yaw rate is replaced only if the median magnitude of the derivative of the heading is higher, and its
+sign is changed only if the largest magnitude is higher. Heading noise of 0.1 deg at 5 Hz has about this derivative."""
 
 
 def read_vbo(file: Path, layout: Layout) -> Table:

@@ -55,7 +55,7 @@ class ImportResult:
 
 
 class Covariances:
-    """Covariances of odometry, from the accuracies that the INS reports. Each is valid until the next one is sent."""
+    """Covariances of odometry from the accuracies that the INS reports; each is valid until it is sent again."""
 
     def __init__(self, ins: NcomLog):
         self._ins, self._accuracies = ins, dict[int, tuple[np.ndarray, np.ndarray]]()

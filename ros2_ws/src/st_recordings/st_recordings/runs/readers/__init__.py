@@ -55,12 +55,11 @@ class Reader:
 READERS: dict[str, Reader] = {}
 
 
-def register(reader: Reader) -> Reader:
+def register(reader: Reader) -> None:
     """Adds a kind of recording. Raises ValueError if its name is already used."""
     if reader.kind in READERS:
         raise ValueError(f"{reader.kind}: two readers have this name")
     READERS[reader.kind] = reader
-    return reader
 
 
 def find_reader(path: Path, key: str | None = None) -> Reader | None:
