@@ -1,4 +1,4 @@
-"""The program `st`: registers the commands in verbs/, which import their libraries only when called, and runs them."""
+"""The program `st`: runs the commands in verbs/. A command imports its libraries only when it is called."""
 
 import errno
 import os
@@ -42,13 +42,13 @@ def main() -> None:
     except OSError as error:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EROFS):
             raise
-        print(f"st: {error.filename or 'output'}: {error.strerror}; choose another --output or free some space",
-              file=sys.stderr)
+        advice = "write to" if error.errno == errno.EROFS else "free some space, or write to"
+        print(f"st: {error.filename or 'output'}: {error.strerror}; {advice} another file system", file=sys.stderr)
         sys.exit(1)
 
 
 def _ensure_log_directory() -> None:
-    """Make sure that ROS, which does not start without a log directory, can write into one."""
+    """Set ROS_LOG_DIR to a temporary folder if ~/.ros/log cannot be created; ROS needs a log folder."""
     if not {"ROS_LOG_DIR", "ROS_HOME"} & os.environ.keys():
         try:
             Path(os.environ["HOME"], ".ros", "log").mkdir(parents=True, exist_ok=True)

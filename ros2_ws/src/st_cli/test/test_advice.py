@@ -83,6 +83,14 @@ def test_costs_are_relative_to_the_lowest_and_missing_values_are_dashes():
     assert second["batch, µs (x)"] == "10 (1.0)" and second["band 5 s, m"] == "-"
 
 
+def test_title_states_why_there_are_no_bands():
+    costs = {("linear", 0.05): dict.fromkeys(COST_KINDS, 1e-4)}
+    two_runs = {("linear", 0.05): measure_accuracy(make_error_samples(2, 0.1), "linear", SETTINGS)}
+    for accuracies, reason in ((two_runs, "(no bands: fewer than 3 runs)"), ({}, "(none could be measured)")):
+        _, title = split_rows(make_advice_rows(costs, accuracies), accuracies)
+        assert title == f"Lateral RMS error with measured inputs, m {reason}"
+
+
 def test_tables_of_advice_fit_into_80_columns():
     console = Console(width=80, record=True, file=io.StringIO())
     costs = {("nonlinear", 0.025): dict.fromkeys(COST_KINDS, 1.23e-2),

@@ -1,5 +1,7 @@
 """The folder of a car, the options that override parts of it, and the commands st car new and st car check."""
 
+import errno
+import os
 import re
 import shutil
 
@@ -7,6 +9,7 @@ import pytest
 import yaml
 from canedge_bridge.signals import load_table
 from command_line import st
+from st_cli import cli
 from st_cli.cli import app
 from st_cli.verbs._options import LEAF, ReadOptions, report_default_car
 from st_core.vehicle import VehicleParameters
@@ -254,3 +257,16 @@ def test_car_check_prints_effective_uncertainties_and_unusual_values(skeleton):
     assert result.exit_code == 0 and "yaw_inertia +/- 100 kg m^2 (from the file)" in result.stdout
     assert ("yaw_inertia: dynamic index k^2 / (l_f l_r) 0.526 is outside the range of road cars, 0.6 to 1.4"
             in result.stdout)
+
+
+@pytest.mark.parametrize(("number", "advice"), [
+    (errno.ENOSPC, "No space left on device; free some space, or write to another file system"),
+    (errno.EROFS, "Read-only file system; write to another file system")])
+def test_failed_write_is_reported_with_its_cause(number, advice, monkeypatch, capsys):
+    def fail(prog_name):
+        raise OSError(number, os.strerror(number), "/out/bag")
+
+    monkeypatch.setattr(cli, "app", fail)
+    with pytest.raises(SystemExit) as stopped:
+        cli.main()
+    assert stopped.value.code == 1 and capsys.readouterr().err == f"st: /out/bag: {advice}\n"

@@ -100,8 +100,8 @@ def make_model_parameters(model: Path | None, effects: Path | None, vehicle: Pat
 
 
 def load_model(model: Path | None, effects: Path | None, car: VehicleParameters, origin: str) -> Model:
-    """The model in a model file; the nonlinear model if None. effects: folder of its own effects. origin: source of
-    `car`, for errors. Raises StCoreError for an invalid file, one of another car, and effects without a file."""
+    """The model in a model file, without a file the nonlinear model. effects: folder of user-defined effects. origin:
+    file of `car`. Raises StCoreError for a file that is invalid or of a different car, and for `effects` alone."""
     if model is None:
         if effects is not None:
             raise SuiteError(f"--effects {effects}: requires a model file; add --model")
@@ -115,8 +115,8 @@ def load_model(model: Path | None, effects: Path | None, car: VehicleParameters,
 
 def set_bands_and_course(parameters: Parameters, bands: Path | None, course: Path | None,
                          adaptive: bool | None = None) -> dict[str, dict[str, Any]]:
-    """Copy of the parameters in which the predictor uses these bands, this course, and adaptive bands or not; None:
-    unchanged. Raises StCoreError for an invalid file, or bands of a different car, model or configuration."""
+    """Copy of the parameters with other values of bands_file, course_file and adaptive_bands; None: unchanged. Raises
+    StCoreError for an invalid file, and for bands of a different car, model or configuration."""
     updated = {node: {**values} for node, values in parameters.items()}
     predictor, recorder = updated["predictor"], updated["recorder"]
     if adaptive is not None:

@@ -84,7 +84,7 @@ class PageServer(ThreadingHTTPServer):
             self.condition.notify_all()
 
     def wait_for_frame(self, after: int) -> tuple[bytes, int]:
-        """(frame newer than `after`, its number), any frame if stopped; (comment, `after`) after KEEP_ALIVE_PERIOD."""
+        """(newest frame, its number) once the number exceeds `after`; after KEEP_ALIVE_PERIOD (comment, `after`)."""
         with self.condition:
             if self.condition.wait_for(lambda: self._frame_number > after or self.is_stopped, KEEP_ALIVE_PERIOD):
                 return self._frame, self._frame_number
@@ -169,7 +169,7 @@ class LiveView:
     def open(self, folder: Path, domain: int | None, predictor: Mapping[str, Any], title: str,
              console: Console) -> Iterator[str]:
         """Context in which the page is served; prints and yields its address, "" without a page. predictor: parameters
-        of that node. Raises SuiteError if the page does not start."""
+        of the node predictor. Raises SuiteError if the page does not start."""
         if not self._page:
             yield ""
             return
@@ -190,7 +190,7 @@ class LiveView:
 
     def finish(self, folder: Path, console: Console) -> None:
         """Write the Rerun file of --view-save from the recording of the run."""
-        if self._save and folder.exists():  # it was set aside if the run did not start
+        if self._save and folder.exists():  # a run that did not start has no folder: `set_aside` renamed it
             from .recorded_view import draw_recording
 
             draw_recording(folder, self._save)
@@ -237,8 +237,8 @@ class _RerunHandler(_Handler):
 
 
 def show_recording(folder: Path, file: Path, console: Console) -> None:
-    """Serve a recording (.rrd), show its address, and wait until Ctrl-C is pressed or Rerun exits. folder: for settings
-    and logs. Raises SuiteError if the start fails; call `check_rerun` first."""
+    """Serve a recording (.rrd), show its address, and wait until Ctrl-C is pressed or Rerun exits. folder: folder for
+    settings and logs. Raises SuiteError if Rerun does not start; call `check_rerun` first."""
     lower_priority(BACKGROUND_NICE)
     page, processes = ThreadingHTTPServer((LOOPBACK, 0), _RerunHandler), Processes(folder)
     recording = f"http://{LOOPBACK}:{page.server_port}{RECORDING_PATH}"
@@ -279,7 +279,7 @@ def _start_rerun(processes: Processes, recording: str) -> tuple[Child, int]:
 def check_rerun(prefix: str = "") -> None:
     """Raises SuiteError if rerun-sdk is not installed. prefix: start of the message."""
     if importlib.util.find_spec("rerun") is None:
-        raise SuiteError(f"{prefix}rerun-sdk is not installed (its numpy 2 conflicts with a sourced ROS); "
+        raise SuiteError(f"{prefix}rerun-sdk is not installed (it needs numpy 2; a sourced ROS has numpy 1); "
                          "RViz, Foxglove and PlotJuggler show the same data, see docs/manual/viewing.md")
 
 

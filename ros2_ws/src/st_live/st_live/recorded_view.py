@@ -52,7 +52,7 @@ FLUSH_PERIOD = 5.0  # s between writes; few large chunks load quickly
 TEXT_PERIOD_NS = 1_000_000_000
 TEXT_WIDTH = 72  # characters, of the table of errors
 TOPICS = {  # kind of message by topic
-    "predictor/status": "status", "ins/odometry": "odometry", "vehicle/steering": "steering",
+    "predictor/status": "predictor_status", "ins/odometry": "odometry", "vehicle/steering": "steering",
     **{f"predictor/{model}/prediction": "prediction" for model in MODEL_COLOUR},
     "evaluator/errors": "error", "evaluator/summary": "summary", "/diagnostics": "diagnostics",
 }
@@ -102,8 +102,8 @@ def make_grid_lines(pose: Pose, spacing: float, reach: float) -> list[tuple[np.n
 
 
 class Scene:
-    """Collects messages of a run, and draws the newest state when requested: two views, plots and text. The views, with
-    north up and with the heading up, use the axes of Rerun's 2D views: x right, y down."""
+    """Collects the messages of a run, and draws the newest state when `draw` is called: plots, text, and two views, one
+    with north up and one with the heading up. Axes of the views, as in Rerun: x right, y down."""
 
     def __init__(self, recording: rr.RecordingStream, car: VehicleParameters, map_frame: str):
         self._stream, self._car, self._map_frame = recording, car, map_frame
@@ -139,10 +139,8 @@ class Scene:
             self._history.add_path(message.model, convert.read_ins_path(message))
         elif kind == "error" and message.complete and message.mode == "forecast":
             self._draw_error(message)
-        elif kind == "summary":
-            self._state.summary = message
-        elif kind == "status":
-            self._state.predictor_status = message
+        elif kind in ("summary", "predictor_status"):
+            setattr(self._state, kind, message)
         elif kind == "diagnostics":
             self._state.health |= {s.name: Status(s.name, s.level, s.message, math.inf) for s in message.status}
 
@@ -205,9 +203,8 @@ class Scene:
         self._log_lines(f"{root}/errors", errors, error_colours, THICK_LINE, order=4.5)
 
     def _draw_ribbons(self, entity: str, view: Pose, ribbons: Sequence[Ribbon], model: str, number: int) -> None:
-        """Fill the bands with lines from edge to edge, because Rerun cannot fill areas in 2D; they are 1.2 times as
-        wide as their spacing, to leave no gaps. The edges of the widest band are above all areas, and so remain
-        visible."""
+        """Fill the bands with lines from edge to edge, because Rerun cannot fill areas in 2D. The lines are 1.2 times
+        as wide as their spacing, which leaves no gaps. The edges of the widest band are drawn above all areas."""
         edges = [to_screen(view, *side.T) for band in ribbons[:1] for side in (band.left, band.right)]
         self._log_lines(f"{entity}/edges", edges, [rgb(get_model_colour(model), 0.6)], THIN_LINE, order=0.8)
         for level, strength in RIBBON_STRENGTH.items():
@@ -237,8 +234,8 @@ class Scene:
 
 
 def draw_recording(path: Path, file: Path, vehicle: Path | None = None) -> int:
-    """Draw a bag, or the bag in the folder of a run, into `file` (.rrd); returns the number of frames. vehicle: file to
-    use instead of the recorded one, for the outline. Raises RunError, ConfigurationError."""
+    """Draw a bag, or the bag in the folder of a run, into `file` (.rrd); returns the number of frames. vehicle: vehicle
+    file for the outline, instead of the recorded vehicle. Raises RunError, ConfigurationError."""
     bag = find_bag(path)
     if not any(f"/{topic.name}".endswith("/ins/odometry") for topic in open_bag(bag).topics):
         raise RunError(bag, "it has no topic ins/odometry, which the view requires",

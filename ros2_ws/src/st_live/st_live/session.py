@@ -59,8 +59,7 @@ class _SupervisedNode:
 
 
 class Supervisor:
-    """Restarts nodes that end or hang; call `update` several times a second. nodes: (package, executable) of each,
-    all running at the start."""
+    """Restarts nodes that end or hang; call `update` several times a second. nodes: (package, executable), running."""
 
     def __init__(self, suite: Suite, monitor: Monitor, nodes: Sequence[tuple[str, str]]):
         self._suite, self._monitor = suite, monitor
@@ -70,7 +69,7 @@ class Supervisor:
 
     @property
     def restarts(self) -> dict[str, int]:
-        """Number of restarts by node, including one that is still due; only of nodes that failed."""
+        """Number of restarts, including one that is still due, of each node that failed."""
         return {node.name: node.restarts for node in self._nodes if node.restarts}
 
     def update(self) -> None:
@@ -167,7 +166,7 @@ def run(folder: Path, parameters: Parameters, title: str, console: Console, view
 
 @contextmanager
 def set_aside_on_failure(folder: Path) -> Iterator[None]:
-    """Context of a run; a SuiteError in it sets its folder aside, and paths in the message are changed accordingly."""
+    """Context of a run; after a SuiteError, `set_aside` renames the folder of the run, also in the error message."""
     try:
         yield
     except SuiteError as error:
@@ -221,7 +220,7 @@ def _start_nodes(suite: Suite, monitor: Monitor, nodes: Sequence[tuple[str, str]
 def _watch(suite: Suite, monitor: Monitor, supervisor: Supervisor | None, console: Console, title: str,
            progress: Progress, stop_requested: Callable[[], bool]) -> str:
     """Show the progress of the run until it is over or Ctrl-C is pressed. Without a supervisor, the run also ends when
-    a process ends; returns this problem, else ""."""
+    a process ends; the result is then the problem, else empty."""
     last_line = time.monotonic()
     with Live(console=console, refresh_per_second=4, transient=True, auto_refresh=False) as live:
         while not stop_requested():

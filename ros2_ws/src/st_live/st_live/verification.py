@@ -53,7 +53,7 @@ class Comparison:
 
     @property
     def largest_difference(self) -> float:
-        """The largest difference of a position or an error [m]."""
+        """Largest difference of a position or an error [m]."""
         return max(self.path_difference, *self.score_difference.values())
 
 
@@ -168,8 +168,8 @@ def _compare_paths(result: Comparison, mode: Mode, recorded: Predictions, starts
 
 def _compare_scores(result: Comparison, mode: Mode, scores: Scores, starts_ns: np.ndarray, errors: np.ndarray,
                     last_ns: int) -> None:
-    """Compare recorded scores with errors (n, points, 3) for the starts (n,). last_ns: last start that is recorded in
-    full; a recorder that was killed before the evaluator leaves complete scores of later starts."""
+    """Compare recorded scores with errors (n, points, 3) for the starts (n,). last_ns: last start for which the whole
+    horizon is recorded; if the recorder was killed before the evaluator, later starts also have complete scores."""
     starts_ns, rows, score_rows = np.intersect1d(starts_ns, scores.starts_ns, return_indices=True)
     complete, complete_live = np.isfinite(errors[rows]).all(axis=(1, 2)), scores.complete[score_rows]
     one_sided = complete != complete_live

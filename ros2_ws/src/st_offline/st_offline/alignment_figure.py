@@ -17,8 +17,8 @@ MAX_POINTS = 4000  # per line
 
 
 def draw_alignment(signals: Sequence[SharedSignal], alignment: Alignment, title: str, folder: Path) -> None:
-    """Draw into alignment.png: speed and, where it varies most, yaw rate (or the first signal in place of a missing
-    one), correlation, and lags."""
+    """Draw alignment.png: speed over the whole run, yaw rate in the section where it varies most (the first signal in
+    place of a missing one), correlation, and residual lags."""
     candidates = [s for s in signals if not s.is_angle] or list(signals)
     speed = next((s for s in candidates if "velocity" in s.name or "speed" in s.name), candidates[0])
     rate = next((s for s in candidates if "rate" in s.name), candidates[0])

@@ -58,7 +58,7 @@ def export_model(model: Model, vehicle: VehicleParameters, folder: Path, kind: F
 
 def make_description(symbolic: SymbolicModel, model: Model, vehicle: VehicleParameters,
                      files: list[str]) -> dict[str, Any]:
-    """Content of model.json; missing limits and values are null."""
+    """Content of model.json; null: no limit or no value."""
     effects: Mapping[str, Mapping[str, float]] = getattr(model, "values", {})
     return {
         "model": symbolic.name,

@@ -49,8 +49,8 @@ def _mark_commands(value: Any) -> Any:
 
 
 def load_template(name: str) -> jinja2.Template:
-    """Load a template, by its path in this package. Commands in backquotes become <code>. Filters: `drawing` inserts an
-    SVG unescaped, `cells` gives the values of a row."""
+    """Load a template by its path in this package. Text in backquotes becomes <code>. Filters: `drawing` inserts an SVG
+    unescaped, `cells` returns the values of a row."""
     environment = jinja2.Environment(loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True,
                                      undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
                                      finalize=_mark_commands)

@@ -237,5 +237,5 @@ def test_run_with_much_larger_errors_is_in_the_first_line():
     runs = {"lap": (0.8, 0.5), "rain": (0.20, 0.26)}
     relation = replace(make_relation("rear_steer", "acceleration_y", -1.0), runs=runs)
     report = report_relation(RelationSearch(relation, "", {}), DISCOVERY, CAR, "out")
-    assert "ERRORS LARGER by 25 % or more in rain (0.20 → 0.26 m)" in report.headline
-    assert report.groups[0][1][0].startswith("ERRORS LARGER by 25 % or more in rain")
+    assert "LARGER ERRORS, by 25 % or more, in rain (0.20 → 0.26 m)" in report.headline
+    assert report.groups[0][1][0].startswith("LARGER ERRORS, by 25 % or more, in rain")

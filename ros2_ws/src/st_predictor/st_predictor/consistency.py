@@ -18,7 +18,7 @@ MIN_DRIVING, MIN_SPEED = 20.0, 1.0  # a verdict requires this duration [s] of dr
 MAX_STEP = 0.25  # s; a longer interval between samples counts as this much driving
 SAMPLE_PERIOD_NS = 20_000_000  # 20 ms: only the first sample of each such period is used
 CHECK_PERIOD = 10.0  # s of measurements between checks
-MAX_CPU_FRACTION = 0.018  # of a core, maximum of all checks since the first poll; if exceeded, checks are delayed
+MAX_CPU_FRACTION = 0.018  # of a core, for all checks since the first poll; if exceeded, the next check is delayed
 # Findings not reported live: a single bend does not distinguish a heading error from a wrong INS lever arm. Gaps and
 # implausible samples are reported by the bridges; here they would persist for WINDOW.
 NOT_REPORTED_LIVE = ("heading_misaligned", "measuring_point", "time_gaps", "sample_spikes", "sentinel_values",
@@ -27,7 +27,7 @@ NOT_REPORTED_LIVE = ("heading_misaligned", "measuring_point", "time_gaps", "samp
 
 @dataclass(frozen=True)
 class Verdict:
-    """Result of a check. severity: of the worst confirmed fault or a failed check, else "note" for findings, or ""."""
+    """Result of a check. severity: of the worst confirmed fault or a failed check; "note" for other findings, or ""."""
 
     severity: str
     message: str

@@ -24,7 +24,7 @@ from st_ros.polling import from_nanoseconds, to_nanoseconds
 
 from .map_drawing import BAND_MODE, Path, make_ribbon
 
-QUATERNION_TOLERANCE = 0.01  # error of the squared length; float32 rounding causes 1e-7, all zeros 1
+QUATERNION_TOLERANCE = 0.01  # largest error of the squared length; rounding to float32 causes 1e-7, all zeros 1
 _NEVER_NS = 9_223_372_036 * 1_000_000_000  # rmw's "infinite", rounded down to seconds; rclpy returns this or more
 
 
@@ -117,7 +117,7 @@ def read_planned_inputs(message: InputPlan, base_frame: str, vehicle: VehiclePar
 
 
 def read_trajectory(message: Prediction | PlannedPrediction) -> tuple[int, Trajectory] | str:
-    """(start_ns, trajectory) of a prediction message, or why it cannot be used. Only the start state must be finite."""
+    """(start_ns, trajectory) of a prediction message, or why it cannot be used. Later states may be NaN or infinite."""
     columns = [message.x, message.y, message.velocity_x, message.velocity_y, message.yaw, message.yaw_rate]
     if len({len(c) for c in columns}) != 1 or len(message.x) < 2:
         return "its arrays differ in length or have fewer than two points"

@@ -105,7 +105,7 @@ def load_model(values: SimpleNamespace, vehicle: VehicleParameters) -> ModelFile
 
 
 def read_file(values: SimpleNamespace, parameter: str, parse: Callable[[str, str], T]) -> T | None:
-    """Content of the file that a parameter names; None for an empty name. parse: function of its text and its name.
+    """Parsed content of the file that a parameter names; None for an empty name. parse: called with text and name.
     Raises ConfigurationError naming parameter and file."""
     name = getattr(values, parameter)
     if not name:

@@ -1,8 +1,8 @@
 """Tools for topics at high rates: polled subscriptions, publishers on demand, and stamps in nanoseconds.
 
-The node itself reads a polled subscription, usually from a timer, and the executor does not wake up for each message:
-rclpy rebuilds its wait set at every wake-up, which at 250 Hz on several topics takes longer than processing the
-messages. The middleware queues the messages in order until they are read, each with its time of arrival.
+The node itself reads a polled subscription, usually from a timer, so that the executor does not wake up for each
+message: rclpy rebuilds its wait set at every wake-up, which at 250 Hz on several topics takes longer than processing
+the messages. The middleware queues the messages in order until they are read, each with its time of arrival.
 """
 
 import importlib

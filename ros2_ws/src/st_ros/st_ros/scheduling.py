@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 BACKGROUND_NICE = 5
-"""Nice value of recorder, evaluator and browser views; a third of the CPU time of a competing process at nice 0."""
+"""Nice value of recorder, evaluator and browser views. They get a third of the CPU time of a process at nice 0."""
 _POLICIES = {os.SCHED_OTHER: "normal", os.SCHED_BATCH: "batch", os.SCHED_IDLE: "idle", os.SCHED_FIFO: "FIFO",
              os.SCHED_RR: "round robin"}
 _REALTIME = (os.SCHED_FIFO, os.SCHED_RR)
@@ -22,8 +22,7 @@ _MAX_ATTEMPTS, _PAUSE = 5, 0.11  # count, s; the kernel accepts one change of an
 
 
 def read_scheduling() -> dict[str, Any]:
-    """Scheduling of this process: policy, priority (0 unless the policy is real time), nice, and the nice value of its
-    autogroup, if it has one."""
+    """Policy, priority (0 unless real time) and nice value of this process, and the nice value of any autogroup."""
     policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
     values = {"policy": _POLICIES.get(policy, f"policy {policy}"),
               "priority": os.sched_getparam(0).sched_priority if policy in _REALTIME else 0,

@@ -17,8 +17,8 @@ from . import scheduling
 from .parameters import ConfigurationError
 
 WAKE_PERIOD = 0.1  # s, longest time until a stop signal ends the spinning
-# Longest wait at the end of a node until its subscribers have acknowledged all messages [s]. Fast DDS detects messages
-# lost over UDP with its heartbeat every 3 s; ros2 launch kills a node after 5 s.
+# s, longest wait of a closing node until its subscribers have acknowledged all messages: longer than the 3 s between
+# heartbeats, with which Fast DDS detects messages lost over UDP, and shorter than the 5 s until ros2 launch kills it.
 FLUSH_TIMEOUT = 4.0
 
 
@@ -77,7 +77,7 @@ def flush(node: Node) -> None:
 
 
 def catch_stop_signals() -> Callable[[], bool]:
-    """Prevent SIGINT and SIGTERM from interrupting the closing of a node; the result checks whether one has arrived."""
+    """Record SIGINT and SIGTERM instead of ending the process; returns a function that checks whether one arrived."""
     received: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, _: received.append(number))

@@ -1,4 +1,4 @@
-"""Driver model that steers with preview along the road and controls the speed, and the virtual car that it drives."""
+"""A driver model, which steers along the road with preview and controls the speed, and the car that it drives."""
 
 import math
 

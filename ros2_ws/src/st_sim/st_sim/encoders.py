@@ -1,6 +1,6 @@
 """Encodes sensor readings as NCOM packets of an RT3000 with RTK and two antennas, and as CAN frames of Leaf and INS.
 
-Positions are WGS84, axes NED and FRD; the status channels of NCOM correspond to a converged filter.
+The packets contain WGS84 positions, velocities in NED and body axes FRD, and the status of a converged filter.
 """
 
 import math
@@ -67,10 +67,8 @@ def from_ecef(x: float, y: float, z: float) -> tuple[float, float, float]:
 
 
 class NcomEncoder:
-    """Encoder of the packets of one INS.
-
-    start_ns: UTC of the start [ns since 1970], in whole milliseconds as NCOM requires. rate: packets per second.
-    """
+    """Encoder of the packets of one INS. start_ns: UTC of the start [ns since 1970], in whole milliseconds, as NCOM
+    requires. rate: packets per second."""
 
     def __init__(self, origin: Origin, start_ns: int, rate: int):
         self._origin, self._rate = origin, rate
@@ -84,7 +82,7 @@ class NcomEncoder:
                                   for channel, values in {**_CONSTANT_CHANNELS, **map_origin}.items()}
 
     def encode_packet(self, reading: InsReading, status: int = LOCKED) -> bytes:
-        """The 72-byte packet of one epoch. Before INITIALISING, time and position are 0, other missing data invalid."""
+        """The 72-byte packet of an epoch. Data that `status` excludes are 0 (time, position) or invalid (others)."""
         total_ms = round((self._start_gps_ns + round(reading.stamp * 1e9)) / 1_000_000)
         minutes, milliseconds = divmod(total_ms, 60_000)
         channel = self._schedule[self._packet_count % CYCLE_LENGTH]
@@ -247,8 +245,8 @@ class CanEncoder:
 
 
 class BackgroundTraffic:
-    """Other frames of the Car-CAN, each with constant random data, for a realistic load on filters and queues. It has
-    1540 frames per second; with the 217 of CanEncoder, about as many as in a Leaf. INS frames are additional."""
+    """Other frames of the Car-CAN, each with constant random data, for a realistic load on filters and queues: 1540
+    frames per second. Together with the 217 of CanEncoder, these are about as many as in a Leaf, without INS frames."""
 
     def __init__(self, seed: int):
         generator = np.random.default_rng([seed, 6])

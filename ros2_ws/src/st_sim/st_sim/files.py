@@ -42,17 +42,14 @@ TRUTH_SCHEMA = {
 
 
 def choose_truth_file(folder: Path) -> Path:
-    """The first of truth.mcap, truth_2.mcap, truth_3.mcap and so on that does not exist in a folder."""
+    """The first of truth.mcap, truth_2.mcap, truth_3.mcap, ... that does not exist in a folder yet."""
     names = itertools.chain(["truth.mcap"], (f"truth_{number}.mcap" for number in itertools.count(2)))
     return next(folder / name for name in names if not (folder / name).is_file())
 
 
 class TruthFile:
-    """A file with the true states, for scoring.
-
-    Channel /truth with JSON messages, logged at the UTC of the true state. metadata: content of the record `run`.
-    fault: why the file is incomplete; empty if it is complete.
-    """
+    """MCAP file with the true states, as JSON messages on /truth logged at the UTC of the state. metadata: content of
+    the record `run`. fault: why the file is incomplete; empty if it is complete."""
 
     def __init__(self, path: Path, start_ns: int, settings: Settings, metadata: Mapping[str, object]):
         self._start_ns, self._name = start_ns, path.name
@@ -100,7 +97,7 @@ class LogFile(CanutilsLogWriter):
 
 class Mf4File:
     """MDF 4.11 file in the finalised format of a CANedge: one bus-logging group per channel, times on a grid of 50 us.
-    CAN1 is the car, CAN2 the INS. Frames are kept in memory until stop(), which imports asammdf (slow to load)."""
+    CAN1 is the car, CAN2 the INS. stop() writes the file; until then, the frames are kept in memory."""
 
     GRID_NS = 50_000
 

@@ -169,7 +169,7 @@ class Plant:
         self._wheel_slip_compliance = settings["wheel_slip_compliance"]
 
     def place(self, x: float, y: float, yaw: float, speed: float, curvature: float = 0.0) -> None:
-        """Set position [m], yaw [rad], speed [m/s] and path curvature [1/m], positive to the left; no tyre slip."""
+        """Set position [m], yaw [rad], speed [m/s] and path curvature [1/m, positive: left], without tyre slip."""
         values = [0.0] * STATES
         values[X], values[Y], values[YAW], values[VX], values[YAW_RATE] = x, y, yaw, speed, speed * curvature
         values[VY] = speed * curvature * self.to_rear
@@ -185,8 +185,7 @@ class Plant:
         return self.state[RACK] * self._ratio
 
     def step(self, steering_wheel_angle: float, drive_force: float) -> None:
-        """Advance by one time step. steering_wheel_angle: true [rad], positive to the left. drive_force: sum of all
-        wheels, < 0: braking [N]."""
+        """Advance by a time step. steering_wheel_angle: true [rad, > 0: left]. drive_force: all wheels [N]."""
         s, dt = self.state, self.time_step
         self.conditions = conditions = self.environment.advance(s[X], s[YAW])
         if self._delay:

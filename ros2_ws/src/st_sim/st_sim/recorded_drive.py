@@ -1,4 +1,4 @@
-"""Provides a recorded drive from a CSV file as the source of sensor data instead of the simulation.
+"""Reads a recorded drive from a CSV file; it replaces the simulated car as the source of the sensor data.
 
 Columns, at the CG and in SI units: t, x (east), y (north), yaw (from east), vx (forward), vy (left), yaw_rate, ax, ay,
 and delta, the road-wheel angle, positive to the left. Values are interpolated linearly, without smoothing. The

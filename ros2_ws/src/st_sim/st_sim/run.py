@@ -117,8 +117,8 @@ class _Run:
 def _find_can_tables(options: argparse.Namespace) -> tuple[Path, Path]:
     """Find the DBC and signal table of the Leaf, whose messages the virtual car sends with every vehicle file.
 
-    They are searched for in --config; without it, in the folder above that of the vehicle file, and in config/ of the
-    checkout and of the current folder and its parents.
+    They are expected in --config; by default in the parent of the folder of the vehicle file, or in config/ of the
+    checkout, of the current folder or of its parents.
     """
     roots = [Path(os.environ.get("ST_ENVIRONMENT") or Path.cwd()), Path.cwd(), *Path.cwd().parents]
     defaults = [options.vehicle.absolute().parent.parent, *(root / "config" for root in roots)]

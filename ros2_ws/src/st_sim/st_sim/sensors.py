@@ -86,7 +86,7 @@ class Ins:
         reading = InsReading(
             stamp=truth.time + self._settings["ins_time_error"], x=x, y=y, z=truth.z, velocity_x=vx, velocity_y=vy,
             velocity_z=truth.velocity_z, yaw=truth.yaw, roll=truth.roll, pitch=truth.pitch,
-            # Axes of the tilted body; the pitch angle is constant, the acceleration (ax, ay, 0) horizontal.
+            # In the axes of the tilted body, for a constant pitch angle and a horizontal acceleration (ax, ay, 0).
             rates=(truth.roll_rate + truth.yaw_rate * sp, truth.yaw_rate * sr * cp, truth.yaw_rate * cr * cp),
             specific_force=(cp * ax + sp * GRAVITY, cr * ay + sr * pitched_z, cr * pitched_z - sr * ay))
         self._add_errors(reading)

@@ -60,8 +60,7 @@ def _is_due(now_ms: int, schedule: tuple[int, int]) -> bool:
 
 
 class Stream:
-    """Outputs of a source in order of time; the source advances as they are consumed. ins_rate: INS epochs per second.
-    background: whether to add BackgroundTraffic. start_up: whether time 0 is the power-up of the INS."""
+    """Generator of outputs. ins_rate: INS epochs per second. start_up: whether time 0 is the power-up of the INS."""
 
     def __init__(self, source: Source, settings: Settings, ins: Ins, steering: SteeringSensor, ncom: NcomEncoder,
                  can: CanEncoder, ins_rate: int, seed: int, background: bool = False, start_up: bool = False):
@@ -76,7 +75,7 @@ class Stream:
         self._output_count = 0
 
     def generate_outputs(self, duration: float) -> Iterator[Output]:
-        """Yield the outputs of the measurements in [0, duration) in the order of `due`."""
+        """Yield the outputs of the measurements in [0, duration) in the order of `due`, while the source advances."""
         for now_ms in range(0, round(duration * 1000), TICK_MS):
             time = now_ms / 1000
             self._source.advance(time)

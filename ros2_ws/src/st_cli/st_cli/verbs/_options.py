@@ -92,30 +92,29 @@ class ReadOptions:
     signals: Annotated[Path | None, typer.Option(
         help="Signal table of the DBC; default: from --car, else from run.yaml, else that of the Leaf.", **FILE)] = None
     steering_sign: Annotated[int | None, typer.Option(
-        callback=_check_sign, help="1 if the sensor, as decoded with DBC and signal table or as recorded in a topic or "
-        "table, is positive to the left, -1 if to the right. Default: from --car (CAN only), else 1; live: else from "
-        "config/nodes.yaml.")] = None
+        callback=_check_sign, help="1 if the decoded or recorded steering angle is positive to the left, -1 if it is "
+        "positive to the right. Default: from --car (CAN only), else 1 (in st live: from config/nodes.yaml).")] = None
     steering_latency: Annotated[float | None, typer.Option(
-        callback=in_range(0.0, "s", 1.0), help="Delay from steering wheel motion to the stamp of its frame, s. "
-        "Default: from --car, else 0; live: else from config/nodes.yaml.")] = None
+        callback=in_range(0.0, "s", 1.0), help="Delay from the motion of the steering wheel to the stamp of the CAN "
+        "frame, s. Default: from --car, else 0 (in st live: from config/nodes.yaml).")] = None
     steering_topic: Annotated[str | None, typer.Option(
-        help="Bags of other recorders: topic with the steering angle, of any type defined in the bag. Default: that "
-        "of type st_msgs/Steering, else the only steering report of a known type.")] = None
+        help="Bags of other recorders: topic with the steering angle, of any message type that the bag defines. "
+        "Default: the topic of type st_msgs/Steering, else the only one of a known type of steering report.")] = None
     steering_field: Annotated[str | None, typer.Option(
         help="Message field with the steering angle: data (default), drive.steering_angle, ... Without "
         "--steering-topic: column of a CSV or VBO file.")] = None
     steering_is: Annotated[Literal["road", "wheel"], typer.Option(
-        help="Meaning of the steering angle in the bag or table: road wheel angle (road) or steering wheel angle "
-        "(wheel), which is converted with ratio and offset of the vehicle file.")] = "road"
+        help="Meaning of the steering angle in the bag or table: road-wheel angle (road), or steering-wheel angle "
+        "(wheel), which is converted with the ratio and the offset of the vehicle file.")] = "road"
     steering_unit: Annotated[Literal["rad", "deg"] | None, typer.Option(
         help="Unit of the steering angle; default: the unit in the name of the field or column, else rad.")] = None
     odometry_topic: Annotated[str | None, typer.Option(
-        help="Bags with several INS: the topic of type nav_msgs/Odometry, or those of types such as NavSatFix and Imu, "
-        "separated by commas.")] = None
+        help="Bags with several INS: the topic to use, of type nav_msgs/Odometry, or several topics of types such as "
+        "NavSatFix and Imu, separated by commas.")] = None
 
     def resolve(self, **others: Any) -> "tuple[Path | None, ReadSettings]":
-        """(vehicle file or None, settings for reading), from options and --car. others: further fields of ReadSettings.
-        Raises RunError for a car that cannot be read."""
+        """The vehicle file (None without --vehicle and --car) and the settings for reading. others: further fields of
+        ReadSettings. Raises RunError for a car that cannot be read."""
         from st_recordings.runs import ReadSettings
         from st_recordings.runs.run_types import SteeringField
 
@@ -128,8 +127,8 @@ class ReadOptions:
                                              odometry=self.odometry_topic, **options.sensor_settings, **others)
 
     def fill_in_car(self, requires_bus: bool = False) -> "ReadOptions":
-        """The options, with files and steering sensor settings of the car where the user gave none. Raises RunError for
-        a car that cannot be read and, if `requires_bus`, for a --car without DBC or signal table."""
+        """The options; files and sensor settings that the user did not give are those of --car. Raises RunError for a
+        car that cannot be read and, if `requires_bus`, for a --car without DBC or signal table."""
         from st_recordings.car import load_car
         from st_recordings.runs.errors import RunError
 
@@ -191,9 +190,9 @@ BAG_INPUTS = ("car", "vehicle", "steering_sign", "steering_topic", "steering_fie
 def expand_options(group: type, *names: str, **annotations: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Decorator that replaces a command's parameter of type `group`, a dataclass, with one option per field.
 
-    names: fields to use, default all. annotations: by field, if they differ from those in `group`. The decorated
-    command also groups similar warnings, reports errors in its inputs (`report_errors`), and ends with the status that
-    the function returns.
+    names: fields to use; default: all. annotations: replacements, by field, for those in `group`. The decorated command
+    also groups similar warnings, reports errors in its inputs (`report_errors`), and exits with the status that the
+    function returns.
     """
     used_fields = [f for f in fields(group) if not names or f.name in names]
 
@@ -240,8 +239,7 @@ def report_default_car(verb: str, given_file: Path | None, file: Path | str) -> 
 
 
 def report_bag(verb: str, path: Path, vehicle: Path | None) -> None:
-    """Report the use of the Leaf's vehicle file, and unused bags in the folder of a run. Raises RunError for an
-    unreadable bag."""
+    """Report the use of the Leaf's vehicle file, and unused bags of the run. Raises RunError for an unreadable bag."""
     from st_live.configuration import find_bag
     from st_recordings.results import parse_configuration
     from st_recordings.runs.bag import is_bag, read_metadata_records

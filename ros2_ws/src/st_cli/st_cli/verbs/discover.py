@@ -52,15 +52,15 @@ def discover(
     channels: str = typer.Option(",".join(CHANNELS), help="Measurements to use, separated by commas."),
     effects: Path | None = typer.Option(None, help="Folder of your own effects to include.", **shared.FOLDER),
     simulate_power: bool = typer.Option(
-        False, "--simulate-power", help="Measure power and false-alarm rate: one search step on simulated drives, with "
-        "known effects and without effects; otherwise the power is predicted. Takes minutes."),
+        False, "--simulate-power", help="Measure power and false-alarm rate with one search step on simulated drives, "
+        "with known effects and without effects; by default, the power is predicted. Takes minutes."),
     propose: bool | None = typer.Option(
         None, "--propose/--no-propose", help="Search for a relation that is not in the effect library, and write it as "
         "an effect file to keep or delete; default: if the unexplained residual is large. Takes a minute."),
     seed: int = typer.Option(0, help="Seed of all random draws."),
     jobs: int = typer.Option(1, help="Number of parallel processes.", min=1),
     figures: str = typer.Option("png", help="Formats of the figure files: png, pdf, svg; empty: none."),
-    report: bool = typer.Option(True, help="Draw figures and write a report; otherwise only numbers, model, vehicle."),
+    report: bool = typer.Option(True, help="Draw figures and write report.html."),
     force: bool = typer.Option(False, "--force", help="Also use runs in which `st check` finds an error."),
     fresh: bool = typer.Option(False, "--fresh", help="Search again, even if the same inputs have a cached result."),
     read_options: shared.ReadOptions = shared.ReadOptions(),

@@ -30,9 +30,9 @@ def effects(
 ) -> None:
     """List the effects (kind, what they act on, confounded effects, channels needed), or check your own effect files.
 
-    check: with its null values an effect must not change the base model; within its bounds it must be finite, stable,
-    left-right symmetric, and give equal results with floats, arrays, compiled code and CasADi. Exit status: 0 all
-    requirements met, 1 some not, 2 a file cannot be loaded.
+    check: with its null values an effect must not change the base model; within its bounds its results must be finite,
+    stable, left-right symmetric, and equal for floats, arrays, compiled code and CasADi. Exit status: 0 all
+    requirements met, 1 a requirement violated, 2 a file cannot be loaded.
     """
     from st_core.effects import load_folder
 

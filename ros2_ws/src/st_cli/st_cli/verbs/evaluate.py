@@ -19,7 +19,7 @@ class PredictionOptions:
     """Options for predictions from recordings, as given by the user; one field per option."""
 
     model: Annotated[list[str], typer.Option(
-        help="kinematic, linear, nonlinear, or a model file (augmented); repeatable.")] = MODELS
+        help="kinematic, linear, nonlinear, or a model file (.yaml); repeatable.")] = MODELS
     effects: shared.ModelEffects = None
     acceleration: Annotated[Literal["causal", "zero-phase"], typer.Option(
         help="Filter of the forward speed before it is differentiated; live, only causal is possible.")] = "causal"
@@ -31,7 +31,7 @@ class PredictionOptions:
 
     def make_task(self, read_options: shared.ReadOptions, interval: float = 0.1,
                   **others: Any) -> "tuple[Task, Path | None]":
-        """(task, vehicle file that the user named or None). interval: between starts [s]. others: fields of Task."""
+        """(task, vehicle file of the options, None without one). interval: between predictions [s]. others: of Task."""
         from st_core.effects import load_folder
         from st_core.log_evaluation import EvaluationSettings
         from st_core.prediction import PredictionSettings
@@ -58,10 +58,10 @@ def evaluate(
     runs: shared.Runs,
     prediction_options: PredictionOptions = PredictionOptions(),
     output: Path | None = typer.Option(None, help="Folder for the results; default runs/evaluate-<time>."),
-    at: str = typer.Option("", help="Starts of predictions to draw in detail, s, e.g. 1,10,19; default: four starts."),
+    at: str = typer.Option("", help="Starts of the predictions to draw in detail, s, such as 1,10,19; default: four."),
     table: Literal["means", "samples"] = typer.Option(
         "means", help="Error statistics over the mean errors of the predictions, or over all samples."),
-    interval: float = typer.Option(0.1, help="Time between starts, s."),
+    interval: float = typer.Option(0.1, help="Time between the starts of predictions, s."),
     figures: str = typer.Option("png,pdf", help="Formats of the figure files; empty: none."),
     bands: Path | None = typer.Option(
         None, help="Bands of `st calibrate` to test on these runs: coverage, scores, reliability.", **shared.FILE),
@@ -80,7 +80,7 @@ def evaluate(
 ) -> int:
     """Predict with each model every --interval seconds, score the predictions, and write tables and figures.
 
-    Unusable runs are reported and skipped. Exit status: 0 all runs evaluated, 1 some not, 2 none.
+    Unusable runs are reported and skipped. Exit status: 0 all runs evaluated, 1 some runs skipped, 2 no run evaluated.
     """
     from st_core.bands import Bands
     from st_core.course import Course
@@ -115,14 +115,15 @@ def calibrate(
         [0.5, 0.9], "--level", help="Fraction of measured paths entirely inside the band; repeatable. n runs allow at "
         "most n/(n + 1): 9 runs for 0.9."),
     together: bool = typer.Option(
-        False, "--together", help="Recordings of one argument (one day or site) are dependent and count as one run."),
+        False, "--together", help="Count the recordings of one argument, for example of one day, as one run, because "
+        "they are dependent."),
     force: bool = typer.Option(False, "--force", help="Also use runs in which `st check` finds an error."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> int:
     """Calibrate bands around the predicted path that contain the measured path of a new drive with a given probability.
 
     Each model gets bands for measured inputs (hindsight) and held inputs (forecast). Test them on other drives with
-    `st evaluate --bands`. Exit status: 0 all runs used, 1 some not, 2 no bands could be calibrated.
+    `st evaluate --bands`. Exit status: 0 all runs used, 1 some runs not used, 2 no bands could be calibrated.
     """
     from st_offline.bands.calibration_command import run_command
 
@@ -143,7 +144,7 @@ def course(
 ) -> int:
     """Build a course: speed and curvature along recorded paths, which may contain laps, both directions and branches.
 
-    Use it with `st evaluate --course`. Exit status: 0 all runs used, 1 some not, 2 no course could be built.
+    Use it with `st evaluate --course`. Exit status: 0 all runs used, 1 some runs not used, 2 no course could be built.
     """
     from st_offline.course_command import build_course
 

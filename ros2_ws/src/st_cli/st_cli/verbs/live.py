@@ -67,7 +67,7 @@ def live(
         None, callback=shared.in_range(1.0, "s"),
         help="Stop after this many seconds, at least 1; default: until Ctrl-C."),
     realtime: bool = typer.Option(
-        False, "--realtime", help="Real-time scheduling for bridges and predictor; permission: docs/manual/live.md."),
+        False, "--realtime", help="Real-time scheduling of bridges and predictor; to permit it: docs/manual/live.md."),
     run_options: shared.RunOptions = shared.RunOptions(),
     output: Path | None = typer.Option(None, help="Folder for the run; default runs/live-<time>."),
 ) -> int:
@@ -90,8 +90,8 @@ def _run(name: str, summary: dict[str, Any], vehicle: Path, bridges: Mapping[str
     """Run the suite and report the results; returns the exit status.
 
     name: start of the name of the default output folder. summary: entries of summary.json. bridges: parameters of the
-    bridges. reports_default_car: whether to report the use of the Leaf's file. arguments: others of `session.run`.
-    Raises StCoreError, RunError and OutputError.
+    bridges. reports_default_car: whether to report the use of the Leaf's file. arguments: further arguments of
+    `session.run`. Raises StCoreError, RunError and OutputError.
     """
     from st_live import configuration, report, session
     from st_recordings.paths import new_folder

@@ -33,7 +33,7 @@ def align(
 ) -> int:
     """Find offset and drift between the clocks of INS and CAN log, report their uncertainty, and draw the signals.
 
-    Exit status 0: good or doubtful (see the reasons). 1: no usable alignment. 2: files that cannot be read.
+    Exit status: 0 good or doubtful alignment (the reasons are printed), 1 no usable alignment, 2 a file cannot be read.
     """
     from st_offline.alignment_figure import draw_alignment
     from st_offline.terminal import list_files, print_line
@@ -148,8 +148,8 @@ def import_(
 ) -> int:
     """Write INS recording and CAN logs as one rosbag2 MCAP, aligned to one time base, with raw packets and frames.
 
-    `ros2 bag play` sends it to the live nodes; `st check`, `evaluate`, `discover` and others read it. Exit status: 0
-    all runs written, 1 some not, 2 none.
+    `ros2 bag play` sends the bag to the live nodes; `st check`, `evaluate`, `discover` and others read it. Exit status:
+    0 all runs written, 1 some runs not written, 2 no run written.
     """
     from st_core.errors import ConfigurationError
     from st_recordings.paths import OutputError, new_folder

@@ -52,7 +52,7 @@ def replay(
 def verify(
     bag: Path = typer.Argument(..., help="A recording, or the folder of a run.", exists=True),
     tolerance: float = typer.Option(
-        0.001, callback=shared.in_range(0.0, "m"), help="Largest accepted difference, m; for yaw angles, rad."),
+        0.001, callback=shared.in_range(0.0, "m"), help="Largest accepted difference, m or, for yaw angles, rad."),
     through_nodes: bool = typer.Option(False, "--replay", help="Play the recording through the nodes and compare."),
     force: bool = typer.Option(False, "--force", help="Use the recording even if `st check` finds an error in it."),
     output: Path | None = typer.Option(None, help="Folder for the replay; default runs/verify-<time>."),
@@ -60,8 +60,8 @@ def verify(
 ) -> int:
     """Compare predictions and scores of the nodes with those computed offline from the same measurements.
 
-    A recording without predictions is first played through the nodes. Exit status: 0 all within the tolerance, 1 some
-    not, 2 nothing to compare.
+    A recording without predictions is first played through the nodes. Exit status: 0 no difference exceeds the
+    tolerance, 1 at least one difference does, 2 nothing to compare.
     """
     from st_live.configuration import find_bag
     from st_live.verification import verify_command

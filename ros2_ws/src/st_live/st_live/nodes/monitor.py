@@ -29,9 +29,8 @@ AGGREGATE_PERIOD = 1.0  # s between messages on /diagnostics_agg
 PREDICTION_PERIOD = 0.25  # s between reads of the newest prediction
 TABLE_MODES = ("hindsight", "forecast", "course", "plan")
 AXES, STATISTICS = ("longitudinal", "lateral"), ("mean", "max", "rmse")
-STATUS_TIMEOUT = 5.0  # s without an update after which a status is silent, or MISSED_REPORTS intervals, if longer
-MISSED_REPORTS = 3  # in a slow replay, nodes publish diagnostics less than once a second
-N_INTERVALS = 3  # newest intervals between reports, of which the longest is used: a change causes an extra report
+STATUS_TIMEOUT, MISSED_REPORTS = 5.0, 3  # s, count of intervals; a status without an update for both is silent
+N_INTERVALS = 3  # number of intervals between reports; the longest counts, because a change causes an extra report
 LEVEL_NAMES = ("ok", "warning", "error", "stale")
 
 
@@ -174,8 +173,8 @@ def render_errors(state: SuiteState) -> RenderableType:
 
 
 def make_error_table(models: Mapping[str, Mapping[str, Any]], title: str | None = None, digits: int = 3) -> Table:
-    """Table of mean, largest magnitude and RMS of the horizon means of the errors [m]; the smallest of a mode are bold.
-    models: as in summary.json. digits: number of decimal places."""
+    """Table of mean, largest magnitude and RMS of the horizon means of the errors [m]; the smallest value of each mode
+    is bold. models: as in summary.json. digits: number of decimal places."""
     table = Table(title=title, title_justify="left", title_style="bold", box=None, padding=(0, 1))
     for column in ("mode", "model", "scored", *(f"{axis}, m\nmean | max | RMSE" for axis in AXES)):
         table.add_column(column, justify="left" if column in ("mode", "model") else "right", no_wrap=True)

@@ -1,7 +1,7 @@
 """Node passenger: serves the passenger's page of a running suite.
 
-It runs in its own process and subscribes with best-effort reliability and short queues. Publishers neither wait for it
-nor resend, so it can be slow, stopped or killed without delaying a prediction.
+The node has its own process, and subscribes with best-effort reliability and short queues. Publishers neither wait for
+it nor send messages again, so it can be slow, stopped or killed without delaying a prediction.
 """
 
 import json

@@ -43,8 +43,8 @@ SCORE_DELAY = 1.0  # s; the clock may lead the newest scored start by the horizo
 
 
 class Follower:
-    """Follows the progress of another node by the time stamps in its messages. sources: message type and time stamp
-    field, by topic. lead: permitted lead of the clock [s]."""
+    """Follows the progress of a node by the stamps in its messages. sources: message type and stamp field, by topic.
+    lead: permitted lead of the clock [s]."""
 
     def __init__(self, node: Node, sources: Mapping[str, tuple[type, str]], lead: float):
         self._node, self._lead_ns, qos = node, round(lead * 1e9), QoSProfile(depth=QUEUE_DEPTH)
@@ -169,8 +169,7 @@ class Player:
         return clock_ns
 
     def _report(self, played_time: float, duration: float, wall_time: float = 0.0) -> None:
-        """Print the progress in the recording [s] as a line of JSON, at most once per STATUS_PERIOD, and at the end.
-        Only then is `wall_time` given: the time that playing took [s]."""
+        """Print the progress [s] as JSON, at most once per STATUS_PERIOD, and at the end, then with `wall_time` [s]."""
         now = time.monotonic()
         if wall_time or now - self._reported_at > STATUS_PERIOD:
             self._reported_at = now

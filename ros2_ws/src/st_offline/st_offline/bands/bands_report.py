@@ -86,11 +86,11 @@ def summarise_adaptive(sums: Sums) -> dict[str, Any]:
 def sum_band_scores(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sums:
     """Scores of a band, summed over starts. conditions: (n, 4). errors: (n, points, 3) [m, m, rad], predicted frame.
 
-    Counts for those of LEVELS that the band has, and for its highest level up to LEVELS[-1]. coverage: paths entirely
-    inside. axes: the same for each axis alone. conditions: as coverage, by driving condition. seconds: paths inside
-    throughout each second. cells: the same, by speed, lateral acceleration and second. reliability: as coverage, but
-    for every level of the band. Values by axis [m, m, rad]. interval_score: mean over the horizon. crps: mean over
-    the whole seconds. half_width: at each whole second.
+    Counts for those of LEVELS that the band has, and for its highest level up to LEVELS[-1]: paths entirely inside
+    (coverage), the same for each axis alone (axes) and by driving condition (conditions), paths inside throughout each
+    second (seconds), the same by speed and lateral acceleration (cells). reliability: coverage for all levels of the
+    band. By axis [m, m, rad]: mean over the horizon (interval_score), mean over the whole seconds (crps), half-width
+    at each whole second (half_width).
     """
     import scoringrules  # slow to import, and needed only where bands are scored
 
@@ -159,7 +159,7 @@ def pool_sums(entries: Sequence[Mapping[str, Any]]) -> Sums:
 
 
 def summarise_bands(sums: Sums) -> dict[str, Any]:
-    """models: coverages and mean scores by model and mode, None without starts. known_recordings: see `Scorer`."""
+    """{known_recordings, models: {model: {mode: coverages and mean scores}}}; a value is None without starts."""
     return {"known_recordings": sums.get("known_recordings", []),
             "models": {model: {mode: _summarise_scores(scores) for mode, scores in modes.items()}
                        for model, modes in sums.get("models", {}).items()}}
@@ -215,8 +215,7 @@ def draw_bands(content: Mapping[str, Any], output: FigureOutput) -> list[PageFig
 
 
 def make_band_rows(content: Mapping[str, Any]) -> list[dict[str, str]]:
-    """Table row of each model and mode in the result of `summarise_bands`, by column title; half-widths at the last
-    whole second."""
+    """Table row of each model and mode in the result of `summarise_bands`, by column title."""
     rows, top = [], _find_top_level(content)
     for model, modes in content.get("models", {}).items():
         for mode, scores in modes.items():
@@ -313,9 +312,9 @@ def _name_seconds(values: np.ndarray) -> dict[str, dict[str, float]]:
 
 
 def summarise_contributions(sums: Sums) -> dict[str, Any]:
-    """By model: number of starts, RMS of the error and of the contribution of each cause [m, m, rad], and the
-    fractions of the mean squared error due to parameters, sensors and the residual, which add up to 1. stated:
-    parameters with a stated uncertainty."""
+    """By model: number of starts; RMS of the error and of the contribution of each cause [m, m, rad]; parameters with a
+    stated uncertainty (stated); fractions of the mean squared error due to parameters, sensors and the residual, which
+    add up to 1 (share)."""
     summary = {}
     for model, sums_of_model in sums.get("shares", {}).items():
         count, total, causes = sums_of_model["starts"], sums_of_model["total"], sums_of_model["causes"]

@@ -18,12 +18,9 @@ from ..terminal import check_is_new, console, print_line, report_problem, write_
 
 
 def run_command(runs: Sequence[Path], task: Task, output: Path, levels: Sequence[float], together: bool) -> int:
-    """Run the command; returns the exit status: 0 if every run was used, else 1.
-
-    task: car, models and settings of the predictions. levels: nominal coverages. together: whether the recordings in
-    one entry of `runs` are dependent and count as one run. Raises StCoreError or OutputError if no bands can be
-    calibrated or written.
-    """
+    """Run the command; returns the exit status: 0 if every run was used, else 1. levels: nominal coverages. together:
+    whether the recordings in one entry of `runs` are dependent and count as one run. Raises StCoreError or OutputError
+    if no bands can be calibrated or written."""
     check_is_new(output)
     calibration.check_level_range(levels)
     models = load_models(task)

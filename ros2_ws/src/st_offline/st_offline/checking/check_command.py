@@ -1,5 +1,4 @@
-"""The command `st check`: checks runs, prints and writes the findings, a page with figures of comparisons, and a
-run.yaml with the corrections."""
+"""The command `st check`: checks runs, prints the findings, and writes check.json, a page and a run.yaml."""
 
 import os
 import textwrap
@@ -126,8 +125,8 @@ def check_file_name(file: Path) -> None:
 def make_run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read_settings: ReadSettings) -> str:
     """Text of a run.yaml: comments with the findings, the run as it was read, and its corrections.
 
-    A correction is only a comment if it belongs elsewhere (vehicle file, option), is negligible, conflicts with an
-    earlier finding, or concerns the columns of a run without a table. Paths are relative to `file`.
+    A correction is written only as a comment if it belongs in the vehicle file or an option, is negligible, conflicts
+    with an earlier finding, or concerns the columns of a run without a table. Paths are relative to `file`.
     """
     corrections: dict[str, Any] = {}
     lines = ["# Proposed by st check. Every command that reads this file lists its corrections.\n"]
@@ -185,7 +184,7 @@ def append_corrections(settings: Mapping[str, Any], corrections: Mapping[str, An
 
 
 def _merge(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
-    """Both mappings, nested ones merged and lists joined without repetition; of two other values, the second."""
+    """Both mappings; for a key in both: mappings merged, lists joined without repetition, else the second value."""
     joined = {**first}
     for key, value in second.items():
         if isinstance(value, list):

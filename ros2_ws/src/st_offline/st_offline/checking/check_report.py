@@ -63,13 +63,13 @@ def describe_meaning(findings: Sequence[Finding]) -> str:
 
 
 def format_headline(result: DriveCheck) -> str:
-    """Number of findings of a run by severity, with the texts of the most severe; the verdict without findings."""
+    """Number of findings of a run by severity, and the texts of the most severe; `format_verdict` without findings."""
     if not result.findings:
         return format_verdict(result)
     worst = min(result.findings, key=rank_severity).severity
     texts = [finding.text for finding in result.findings if finding.severity is worst]
     more = f"; and {len(texts) - MAX_LISTED} more" if len(texts) > MAX_LISTED else ""
-    if len(texts) > 1:  # a list reads better without the questions about causes at the end of the sentences
+    if len(texts) > 1:  # in a list, the questions about causes at the end of the texts are left out
         texts = [re.sub(r"(: [^:]*\?)+$", "", text) for text in texts]
     return f"{count_by_severity(result.findings)}: {'; '.join(texts[:MAX_LISTED])}{more}"
 
@@ -136,7 +136,7 @@ def advise_steering_sign(findings: Iterable[Finding], source: str = "RUN", is_ca
 
 
 def describe_clocks(alignments: Mapping[str, Mapping[str, Any]]) -> str:
-    """Text on the steering clock of each run; the range of the offsets, if more than two are estimated."""
+    """Text on the steering clock of each run; if more than two offsets are estimated, their range."""
     estimated = [alignment for alignment in alignments.values() if alignment["method"] not in ("none", "by hand")]
     texts = [f"{name}: {text}" for name, alignment in alignments.items() if (text := describe_clock(alignment))
              and (len(estimated) <= 2 or alignment["method"] == "by hand")]
@@ -262,8 +262,8 @@ def print_runs(runs: Sequence[CheckedRun]) -> None:
 
 
 def group_findings(runs: Mapping[str, Sequence[Finding]]) -> list[tuple[Finding, list[str]]]:
-    """Findings grouped by name, channels and sign of the value: (the most severe finding, or among equally severe ones
-    that with the largest effect; names of the runs). The most severe group is first."""
+    """Findings grouped by name, channels and sign of the value, the most severe group first. For each group: its most
+    severe finding (of equally severe ones, that with the largest effect), and the names of its runs."""
     by_key: dict[tuple[str, tuple[str, ...], bool], list[tuple[Finding, str]]] = {}
     for name, findings in runs.items():
         for finding in findings:

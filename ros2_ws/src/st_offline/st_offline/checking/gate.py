@@ -20,7 +20,7 @@ from st_recordings.runs.cdr import CAN_MSGS_FRAME, ODOMETRY
 from . import check_report
 
 STEP = PredictionSettings().step
-RUN_ERRORS = (RunError, StCoreError, MemoryError, OSError)  # concern a single run; the others are still processed
+RUN_ERRORS = (RunError, StCoreError, MemoryError, OSError)  # errors of one run; the other runs are still processed
 ADVICE = "follow the advice of `st check`, or use the recording anyway with --force"
 
 
@@ -81,7 +81,7 @@ def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettin
 
 
 def check_before_use(source: Path | str, run: LoadedRun, vehicle: VehicleParameters, force: bool,
-                  models: Sequence[str | Model] = (), step: float = STEP) -> tuple[Finding, ...]:
+                     models: Sequence[str | Model] = (), step: float = STEP) -> tuple[Finding, ...]:
     """Check a drive; returns its findings. Raises RejectedRunError for errors, unless forced."""
     findings = check_log(run.log, vehicle, run.auxiliary, models, step).findings
     raise_for_errors(source, findings, force)

@@ -1,5 +1,4 @@
-"""The command `st discover`: reads recordings, identifies effects, prints the results and writes discovery.json
-(docs/manual/discovery.md), model.yaml and page."""
+"""The command `st discover`: reads recordings, identifies effects, prints the results, and writes them into files."""
 
 import hashlib
 import math
@@ -201,8 +200,8 @@ def build_document(discovery: Discovery, request: Request, update: VehicleUpdate
 def build_model_file(discovery: Discovery, request: Request, update: VehicleUpdate) -> ModelFile | None:
     """Model file with the effects of `update.model` that are not at their null values; None without any.
 
-    Intervals of changes relative to the reference drives are shifted to the total values. A folded effect,
-    and one with a value that is not reported or outside the reported interval, are marked as effective corrections.
+    Intervals of changes relative to reference drives are shifted to the total values. An effect is marked as effective
+    correction if it is folded, or if its value is not reported or outside the reported interval.
     """
     intervals: dict[tuple[str, str], Interval] = {}
     for named_effect in discovery.effects:
@@ -240,8 +239,7 @@ def build_model_file(discovery: Discovery, request: Request, update: VehicleUpda
 
 def write_page(file: Path, discovery: Discovery, update: VehicleUpdate | None, recordings: Sequence[Drive],
                content: dict[str, Any], figures: Sequence[PageFigure], relation: RelationReport | None = None) -> None:
-    """Write the page. recordings: all runs, including those that cannot be used. content: content of discovery.json.
-    relation: report of the search for a relation beyond the library."""
+    """Write the page. recordings: all runs, also those that cannot be used. content: content of discovery.json."""
     findings = {drive.name: drive.findings for drive in recordings}
     text = load_template("discovery/discovery.html.jinja").render(
         title=report_text.format_title(discovery), discovery=discovery, content=content, figures=figures,
@@ -303,12 +301,12 @@ def _make_change_row(key: str, change: Mapping[str, Any]) -> tuple[str, str, str
 
 
 def _make_wide_tables(discovery: Discovery) -> list[Table]:
-    plain = quantities.to_words
     tested = [c for c in discovery.candidates if c.name not in {e.name for e in (*discovery.effects, *discovery.minor)}]
     candidates = [
-        (plain(c.name), quantities.format_fitted(c.name, c.parameters), f"{100 * c.gain:.1f}", c.verdict, c.reason)
+        (quantities.to_words(c.name), quantities.format_fitted(c.name, c.parameters), f"{100 * c.gain:.1f}", c.verdict,
+         c.reason)
         for c in sorted(tested, key=lambda c: (c.verdict not in ("alternative", "varies"), -c.gain))[:MAX_ROWS]]
-    undetectable = [(plain(n.name), n.reason, n.manoeuvre) for n in sorted(
+    undetectable = [(quantities.to_words(n.name), n.reason, n.manoeuvre) for n in sorted(
         discovery.not_testable, key=lambda n: report_text.rank_by_kind(n.name))[:MAX_ROWS]]
     options = discovery.next_manoeuvre.options if discovery.next_manoeuvre else {}
     separations = ", ".join(f"{name} {report_text.format_separation(strength)}"
@@ -316,7 +314,7 @@ def _make_wide_tables(discovery: Discovery) -> list[Table]:
     return [
         Table("Effects that are not separable", "Separation: the part of the effect that the alternative and the "
               "other effects cannot reproduce." + (
-                  f" After each possible next drive, for the pair that it separates least: {separations}."
+                  f" Smallest separation of these pairs after each possible next drive: {separations}."
                   if separations else ""), report_text.PAIR_HEAD, report_text.list_pair_rows(discovery)),
         Table("Other effects that were tried", "Improvement: reduction of the errors over all channels by this effect "
               "when it is added to the model. An alternative is fitted in place of the reported effect.",
@@ -328,8 +326,7 @@ def _make_wide_tables(discovery: Discovery) -> list[Table]:
 
 def print_result(discovery: Discovery, update: VehicleUpdate | None, recordings: Sequence[Drive],
                  files: Mapping[str, Path], from_cache: bool, relation: RelationReport | None = None) -> None:
-    """Print the result, the values of its effects, recommendations, and the files. recordings: all runs, including
-    those that cannot be used."""
+    """Print the result, its effects, the recommendations and the files. recordings: as for `write_page`."""
     def print_entry(name: str, text: str) -> None:
         console.print(f"[bold]{name}[/bold]: {escape(text)}", highlight=False)
 

@@ -78,7 +78,7 @@ def format_metres(value: float, sign: str = "") -> str:
 
 
 def format_decimal(number: float, decimals: int) -> str:
-    """Text of a number with the given decimals; to the same precision in format `g` for more than MAX_DECIMALS, and
+    """Text of a number with the given decimals: in format `g`, to the same precision, for more than MAX_DECIMALS, and
     with one significant digit if it would be rounded to 0."""
     if decimals <= MAX_DECIMALS:
         text = f"{number:.{decimals}f}"
@@ -135,10 +135,10 @@ def format_deviation(deviation: float, unit: str) -> str:
 
 
 def make_axis_label(c: Candidate) -> str:
-    """Label of the vertical axis, with the divisor of relative values and the positive direction."""
+    """Label of the vertical axis of a relation, with its divisor and its positive direction."""
     divisor = {"front_force": " divided by its static load", "rear_force": " divided by its static load",
                "yaw_moment": " divided by the yaw inertia", "side_force": " divided by the mass"}.get(c.term, "")
-    sign = (", positive: measured too far to the left" if c.is_sensor_error else
+    sign = (", positive: measured value too far to the left" if c.is_sensor_error else
             ", positive: more force" if c.term.endswith("grip") else f"{divisor}, positive to the left")
     return f"{TERM_NAMES[c.term]}{sign}{f', per unit of {QUANTITY_NAMES[c.factor]}' if c.factor else ''}"
 

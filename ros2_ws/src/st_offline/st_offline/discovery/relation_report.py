@@ -1,5 +1,4 @@
-"""Reports a proposed relation: a headline for the terminal, sentences and tables for the page, an entry of
-discovery.json, and an effect file with a model file that uses it."""
+"""Reports a proposed relation in the terminal, on the page and in discovery.json, and writes it as an effect file."""
 
 import shutil
 from collections.abc import Sequence
@@ -38,7 +37,7 @@ class RelationReport:
 
 def report_relation(search: RelationSearch, discovery: Discovery, vehicle: VehicleParameters,
                     folder: str) -> RelationReport:
-    """Report of a search for a relation. folder: folder of the results, named in the commands of the report."""
+    """Report of a search for a relation. folder: folder of the results, for the commands in the report."""
     relation = search.relation
     terms = ", ".join(quantities.TERM_NAMES[name] for name in search.find_unexamined_terms())
     not_excluded: Groups = [("not excluded", [f"a relation for a term that these drives do not excite enough: {terms}"]
@@ -50,7 +49,7 @@ def report_relation(search: RelationSearch, discovery: Discovery, vehicle: Vehic
         return RelationReport([("proposal", [f"none: {reason}"]), *not_excluded])
     runs = ", ".join(f"{name} ({before:.2f} → {after:.2f} m)" for name, (before, after) in relation.runs.items()
                      if after >= MIN_REPORTED_RATIO * before)
-    worse = f"ERRORS LARGER by 25 % or more in {runs}"
+    worse = f"LARGER ERRORS, by 25 % or more, in {runs}"
     causes = relation.formulas[0].causes if relation.formulas else ""
     title = quantities.describe_relation(relation)
     proposal = [f"{f'{worse}. ' if runs else ''}{title}. This is not an established effect: try "
@@ -91,7 +90,7 @@ def _describe_formulas(relation: Relation, vehicle: VehicleParameters) -> list[s
 
 
 def _describe_uncertainty(relation: Relation) -> list[str]:
-    """Sentences on the range of the quantity, the widest interval, sparse ranges and the variation between runs."""
+    """Sentences on the driven range, the widest interval, sparsely driven ranges and the variation between runs."""
     c, widest = relation.candidate, int(relation.deviation.argmax())
     (y_scale, unit), (x_scale, x_unit) = map(quantities.get_curve_unit, (c.unit, QUANTITIES[c.quantity]))
     lines = [f"driven range: {quantities.QUANTITY_NAMES[c.quantity]} from {x_scale * c.low:.3g} to "
@@ -127,7 +126,7 @@ def _list_alternatives(relation: Relation) -> list[str]:
 
 
 def _describe_files(relation: Relation, has_model: bool, folder: str) -> list[str]:
-    """Sentences on the files and their use. has_model: whether the result without the relation also has files."""
+    """Sentences on the files and their use. has_model: whether there are also files without the relation."""
     if relation.candidate.quantity == "run_time":
         return ["no effect file is written: a relation that depends on time in the run does not apply to other drives"]
     lines = [f"with the relation: the original vehicle file, proposed.yaml and effects/{name_effect(relation)}.py. To "
@@ -256,7 +255,7 @@ def _describe_with_causes(relation: Relation) -> str:
 
 
 def make_effect_code(relation: Relation, runs: Sequence[str], created: str) -> str:
-    """Source code of the effect file: the fitted curve as constants, and the hooks of its kind of relation."""
+    """Source code of the effect file: the constants of the fitted curve, and the hooks through which it acts."""
     c = relation.candidate
     kind = get_effect(c.effect)
     meaning = ALL_TERMS[c.term][1] + (f", for each {QUANTITIES[c.factor]} of {quantities.QUANTITY_NAMES[c.factor]}"

@@ -36,14 +36,14 @@ EFFECT_NOTE = ("Errors are those of the complete model on held-out driving; \"wi
                f"over all driving or in one condition, by at least {LIMITS.relevant_position:g} m. A sensor error that "
                f"redundant sensors confirm is also reported, if it is at least {LIMITS.min_relative_size:g} times its "
                "typical size")
-PAIR_HEAD = ("effect", "alternative", f"fraction of the gain (limit {100 * LIMITS.min_rival_gain:.0f} %)",
+PAIR_HEAD = ("effect", "alternative", f"fraction of the improvement (limit {100 * LIMITS.min_rival_gain:.0f} %)",
              f"increase of the residual (limit {100 * LIMITS.max_unmodelled_gain:.0f} %)",
              f"p (limit {LIMITS.undecided_p:g})", "cosine", "separation, σ of the noise")
 
 
 def name_with_alternatives(discovery: Discovery, effect: result.FoundEffect, first: str = "") -> str:
-    """An effect and its alternatives with their values. first: text for the effect itself, by default its name and
-    value. The value of an alternative with a prior, such as an added load, is reported as an upper limit."""
+    """An effect and its alternatives with their values. first: text for the effect itself; default: its name and value.
+    The value of an alternative with a prior, such as an added load, is reported as an upper limit."""
     fitted = {c.name: c.parameters for c in discovery.candidates}
     texts = [first or f"{to_words(effect.name)} {format_briefly(effect.name, effect.parameters)}"]
     for name in effect.alternatives:
@@ -114,8 +114,8 @@ def _describe_errors(discovery: Discovery) -> str:
 
 def summarise(discovery: Discovery, update: VehicleUpdate | None,
               findings: Mapping[str, Sequence[Finding]]) -> list[tuple[str, str]]:
-    """(heading, text) pairs: combinations; residual and effects that are not separable or detectable; recordings;
-    recommendations. findings: those of the checks, by recording."""
+    """(heading, text) of each paragraph: combinations; residual, and effects that are not separable or detectable;
+    recordings; recommendations. findings: findings of the checks, by recording."""
     inseparable = [" or ".join(map(to_words, (e.name, *e.alternatives))) for e in discovery.effects if e.alternatives]
     inseparable += [f"{to_words(e.name)} with {', '.join(map(to_words, e.joint))} (they compensate for each other)"
                     for e in discovery.effects if e.joint]
@@ -185,7 +185,7 @@ def describe_varying(effect: result.VaryingEffect) -> str:
     name = f"{to_words(effect.resembles)} {format_briefly(effect.resembles, effect.parameters)}"
     return (f"an effect that resembles {name} reduces the error by {format_metres(effect.position_5s_reduction)}, but "
             f"varies between {PARTITION_NAMES[effect.varies_with]}, so it is not a property of the car; local values "
-            f"relative to this one: {ratios}{more}")
+            f"divided by this overall value: {ratios}{more}")
 
 
 def describe_agreement(effect: result.FoundEffect) -> str:
@@ -200,7 +200,7 @@ def describe_agreement(effect: result.FoundEffect) -> str:
 
 
 def describe_residual(discovery: Discovery) -> str:
-    """Residual position error, noise level, worst run and runs with increased errors; "" without position errors."""
+    """Sentence on residual position error, noise level and runs with large errors; "" without position errors."""
     position = discovery.errors.get("position_5s")
     if position is None:
         return ""

@@ -1,4 +1,4 @@
-"""Folds the reported effects of a discovery into the user's vehicle file: they become corrections of its entries."""
+"""Folds the reported effects of a discovery into the user's vehicle file, as corrections of its entries."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -61,7 +61,7 @@ class VehicleUpdate:
 
     @property
     def improves(self) -> bool:
-        """Whether the mean error is unknown or not above that of the original, and no drive is significantly worse."""
+        """Whether the updated file is not worse: mean error unknown or not larger, and no drive significantly worse."""
         return not (self.error[1] > self.error[0] or self.worse_drives)
 
 
@@ -212,7 +212,7 @@ def _compute_errors(model: AugmentedModel, vehicle: VehicleParameters, drives: S
 
 def _compute_interval(discovery: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
                       key: str) -> tuple[float, float]:
-    """95 % interval of an entry of the file, from the intervals of the folded effects, assumed to be independent."""
+    """95 % interval of an entry of the file, from those of the folded effects, which are assumed independent."""
     assert discovery.named is not None  # because there are reported effects
     values = {name: dict(entry) for name, entry in discovery.named.values.items()}
     centre = value_of(fold_effects(vehicle, folded, values), key)
@@ -233,7 +233,7 @@ def _compute_interval(discovery: Discovery, vehicle: VehicleParameters, folded: 
 
 def document_changes(request: Request, car: VehicleParameters, changes: Mapping[str, tuple[float, float, float, float]],
                      runs: Sequence[Run], effects: str) -> VehicleParameters:
-    """The car with the source and the provenance of each changed entry. runs, effects: sources of the values."""
+    """The car with source and provenance of each changed entry. runs, effects: data and effects of the discovery."""
     date, seconds = f"{datetime.now(UTC):%Y-%m-%d}", sum(run.seconds for run in runs)
     origin = f"st discover, {date}, {format_count(len(runs), 'run')}, {seconds:.0f} s: {effects}"
     provenance = Provenance(None, "st discover", ", ".join(run.name for run in runs), date)

@@ -37,8 +37,8 @@ BAND_LEVELS = (0.9, 0.5)
 REQUIRED_FRACTION = 0.9  # fraction of the starts that must be within the tolerance
 MIN_STARTS = 100  # in a speed bin; 10 s of driving at 10 starts per second
 ModelStep = tuple[str, float]  # (name of the model, step [s])
-Cost = dict[str, float]  # processor time per prediction [s], for those of COST_KINDS that are possible
-COST_KINDS = ("interpreted", "compiled", "batch")  # one prediction without numba, one with numba; mean of a batch
+Cost = dict[str, float]  # processor time per prediction [s], by one of COST_KINDS
+COST_KINDS = ("interpreted", "compiled", "batch")  # without numba, with numba (if installed), mean of a batch
 STEP_MULTIPLES = (1, 2, 4)  # of the integration step of the task
 
 
@@ -66,7 +66,7 @@ def measure_costs(models: Sequence[Model], vehicle: VehicleParameters, signals: 
     for call, _ in calls.values():
         call()  # warm-up
     durations = np.zeros((REPETITIONS, len(calls)))
-    for row in durations:  # each with all calls, so that a busy period does not affect only one of them
+    for row in durations:  # each row measures all calls, so that a busy period does not affect only one of them
         for column, (call, predictions) in enumerate(calls.values()):
             count, begin = 0, time.process_time()
             while not count or time.process_time() - begin < MIN_MEASUREMENT_TIME:
@@ -228,11 +228,12 @@ def make_advice_rows(costs: Mapping[ModelStep, Cost], accuracies: Mapping[ModelS
 
 def split_rows(rows: Sequence[Mapping[str, str]],
                accuracies: Mapping[ModelStep, Accuracy]) -> dict[str, list[dict[str, str]]]:
-    """Title -> rows of the tables for the terminal, which is too narrow for all columns of `make_advice_rows`."""
+    """Rows by title of the tables for the terminal, which is too narrow for all columns of `make_advice_rows`."""
     level = next((accuracy.level for accuracy in accuracies.values()), None)
+    missing = f"no bands: fewer than {MIN_CALIBRATION_RUNS} runs" if accuracies else "none could be measured"
+    note = "" if level else f" ({missing})"
     patterns = {"Processor time per prediction, µs (multiple of the lowest)": r"(.*), µs \(x\)",
-                f"Lateral RMS error with measured inputs, m{'' if level else ' (no bands: fewer than 3 runs)'}":
-                    r"error (.*), m"}
+                f"Lateral RMS error with measured inputs, m{note}": r"error (.*), m"}
     if level is not None:
         patterns[f"Mean lateral half-width of the simultaneous {100 * level:.0f} % band, m; calibrated on these "
                  "runs"] = r"band (.*), m"

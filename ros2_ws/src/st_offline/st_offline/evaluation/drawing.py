@@ -1,5 +1,4 @@
-"""Sets the style of all figures of this process, saves them as PNG, PDF or SVG files, and makes SVG in the colours
-of the HTML page, light or dark."""
+"""Sets the style of all figures, saves figures as files, and converts them to SVG in the colours of the HTML page."""
 
 import io
 import itertools
@@ -35,7 +34,7 @@ plt.rcParams.update({
 FORMATS = ("png", "pdf", "svg")
 WIDTH = 9.0  # inch; the page scales figures to its own width
 TITLE_CHARACTERS = 104  # per line of a title, at WIDTH
-LEGEND_LINE_CHARACTERS = 7  # width of a line or marker in the legend with its margins; its text is smaller than a title
+LEGEND_LINE_CHARACTERS = 7  # width of a line or marker with its margins in the legend
 HALF_TICK_LABEL_HEIGHT = 0.09  # inch
 PAGE_DPI = 110  # of raster images inside an SVG
 MAX_POINTS = 900  # per line; more cannot be distinguished at WIDTH
@@ -68,8 +67,8 @@ def check_formats(formats: Sequence[str]) -> None:
 
 
 def save_figure(figure: Figure, output: FigureOutput, key: str, title: str, caption: str) -> PageFigure:
-    """Save a figure as files with its title, and as an SVG without it for the page; close the figure. A legend below
-    the figure lists each label once, unless one of the axes has its own legend."""
+    """Save a figure as files with its title, and as an SVG for the page without its title; close the figure. A legend
+    below the figure lists each label once, unless one of the axes has a legend."""
     entries = {label: handle for axes in figure.axes
                for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
     characters = round(TITLE_CHARACTERS * figure.get_figwidth() / WIDTH)
@@ -102,7 +101,7 @@ def save_figure(figure: Figure, output: FigureOutput, key: str, title: str, capt
 
 
 def make_page_svg(svg: str, prefix: str) -> str:
-    """The <svg> element for a page, with CSS colour variables, the fonts of the page, unique ids and short numbers."""
+    """The <svg> element for a page, with CSS colour variables, the page's fonts, unique ids and rounded numbers."""
     svg = svg[svg.index("<svg"):]
     svg = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", svg, flags=re.S)
     for colour, variable in _CSS_VARIABLES.items():

@@ -1,5 +1,4 @@
-"""The command `st evaluate`: evaluates runs in this process or in Dask workers; prints the results and writes
-evaluation.json (docs/manual/evaluation.md), tables and page."""
+"""The command `st evaluate`: evaluates runs, prints the results, and writes evaluation.json, tables and a page."""
 
 import contextlib
 import math

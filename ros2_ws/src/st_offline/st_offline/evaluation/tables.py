@@ -22,7 +22,6 @@ Entry = dict[str, Any]
 DECIMALS = 2  # centimetres, as in the paper
 MIN_FORECAST_WIDTH = 100  # characters; a narrower terminal shows no forecasts
 REPORTED_AXES = ("longitudinal", "lateral")
-TABLE_NOTE = "mean | max | RMSE over {over}, m; bold: smallest magnitude of each run"
 OVER_LABELS = {"means": "the horizon means", "samples": "all samples of all horizons"}
 Models = Mapping[str, Any]  # {model: {mode: entry}}
 
@@ -164,7 +163,8 @@ def make_terminal_table(reports: Sequence[Any], over: str, title: str, width: in
     is_wide = width >= MIN_FORECAST_WIDTH
     forecast_modes = list(dict.fromkeys(mode for r in reports for modes in r.models.values() for mode in modes
                                         if mode != "hindsight"))
-    heading = Text(f"{title}\n{TABLE_NOTE.format(over=OVER_LABELS[over])}", style="bold")
+    note = f"mean | max | RMSE over {OVER_LABELS[over]}, m; bold: smallest magnitude of each run"
+    heading = Text(f"{title}\n{note}", style="bold")
     table = Table(title=heading, title_justify="left", box=None, padding=(0, 1))
     table.add_column("run", overflow="fold")
     table.add_column("model", no_wrap=True)

@@ -47,7 +47,7 @@ class Task:
     """Settings of an evaluation."""
 
     vehicle: VehicleParameters
-    models: Mapping[str, ModelFile | None]  # file name -> model file, and name -> None for each built-in model
+    models: Mapping[str, ModelFile | None]  # by file name, or by name of a built-in model (None)
     settings: EvaluationSettings = field(default_factory=EvaluationSettings)
     read_settings: ReadSettings = field(default_factory=ReadSettings)
     vehicle_file: str = ""  # source of `vehicle`
@@ -72,7 +72,7 @@ class RunReport:
 
     name: str
     problem: str = ""  # why the run was not evaluated; then only `findings` of the checks are set
-    ranking: str = ""  # the models by lateral RMSE, in one sentence
+    ranking: str = ""  # sentence with the lateral RMSE of each model
     metadata: dict[str, Any] = field(default_factory=dict)  # provenance, counts, alignment, warnings
     models: dict[str, Any] = field(default_factory=dict)
     seconds_ahead: dict[str, Any] = field(default_factory=dict)
@@ -108,7 +108,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
             future_inputs = make_future_inputs(run, signals, task)
             evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress,
                                       on_block=scorer.add, future_inputs=future_inputs)
-        finally:  # a finding of the checks explains a fault better than the exception that it causes here
+        finally:  # a finding of the checks explains a fault better than an exception of the evaluation
             findings, parts = wait_for_checks()
             raise_for_errors(source.path, findings, task.force)
     times.append(time.perf_counter())
@@ -239,7 +239,7 @@ def _read_planned_columns(files: Mapping[str, str],
                            "write numbers with a decimal point, separated by commas") from None
         seconds, first, second = np.atleast_2d(rows).T
         if not np.isfinite(seconds).all() or (np.diff(seconds) <= 0.0).any():
-            raise ConfigurationError(f"{file}: in planned columns, t must increase in each row; correct or sort it")
+            raise ConfigurationError(f"{file}: t must be finite and increase in each row, for the planned columns")
         time_ns = np.round(seconds * 1e6).astype(np.int64) * 1000
         if kind == PLANNED_INPUTS:
             return time_ns, (first, second)

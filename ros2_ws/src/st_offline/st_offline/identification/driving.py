@@ -52,7 +52,7 @@ def draw_offset(outcome: Identification, output: FigureOutput) -> PageFigure:
 
 
 def draw_mounting(outcome: Identification, output: FigureOutput) -> PageFigure:
-    """Draw v_y / v_x, corrected for slip, versus curvature (slope: INS distance ahead of rear axle), and residuals."""
+    """Draw v_y / v_x without the contribution of slip versus curvature, and the residuals of the fitted line."""
     data = outcome.figure
     figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
     subset = _thin_rows(len(data["curvature"]))
@@ -77,7 +77,7 @@ def draw_mounting(outcome: Identification, output: FigureOutput) -> PageFigure:
 
 
 def draw_stiffness(outcome: Identification, output: FigureOutput) -> PageFigure:
-    """Draw axle force versus slip angle as in the paper; for a fit by prediction, also the joint 95 % region."""
+    """Draw axle force versus slip angle, as in the paper, and, for a fit by prediction, the joint 95 % region."""
     paper = outcome.figure.get("paper")
     values = ", ".join(f"{axle} {_format_value(outcome[f'cornering_stiffness_{axle}'])}" for axle in ("front", "rear"))
     if outcome.experiment == "stiffness-paper":

@@ -60,7 +60,7 @@ def make_estimate_rows(outcome: Identification, vehicle: VehicleParameters) -> l
 
 
 def format_rounded(value: float, uncertainty: float) -> str:
-    """A value to two significant digits of its uncertainty, or to five digits without one; "unknown" if not finite."""
+    """A value to two significant digits of its uncertainty; without one, to five digits; "unknown" if not finite."""
     if not math.isfinite(value):
         return "unknown"
     if not math.isfinite(uncertainty) or uncertainty <= 0.0:
@@ -81,8 +81,8 @@ class MeasurementTable:
 
 def read_tables(files: Sequence[Path], required: Mapping[str, Sequence[str]],
                 optional: Mapping[str, Sequence[str]] | None = None, texts: Sequence[str] = ()) -> MeasurementTable:
-    """Read CSV tables: columns with a number in every row (`required`), or only in some. required, optional: permitted
-    units by name. Raises RunError naming the file and the column or row."""
+    """Read CSV tables. required: permitted units of the columns with a number in every row, by name. optional: those of
+    other columns with numbers. texts: names of text columns. Raises RunError naming the file and the column or row."""
     units = {**required, **(optional or {})}
     numbers: dict[str, list[float]] = {name: [] for name in units}
     text_columns: dict[str, list[str]] = {name: [] for name in texts}

@@ -52,8 +52,8 @@ class PredictionBands:
 
     def make_messages(self, history: MeasurementHistory, time_ns: int,
                       modes: Sequence[Mode]) -> Mapping[str, list[Band]]:
-        """Bands by model for predictions of these modes that start at `time_ns`; empty without bands. Without
-        adaptation: those of the bands file, which has no planned modes. The next call overwrites them."""
+        """Bands by model for predictions of these modes that start at `time_ns`; empty without bands. A bands file has
+        no planned modes; only adaptive bands have them. The next call overwrites the messages."""
         if self._adaptive:
             condition = conditions_now(history, time_ns) if self._calibration_note else ()  # only a bands file needs it
             issued, self._reason = self._adaptive.issue(time_ns, condition, modes)

@@ -70,7 +70,7 @@ class PlanInput:
 
 class CourseInput:
     """Predicts inputs from a recorded course (None: no `course_file`). horizon, step: of a prediction [s]. If both map
-    origins are known (ins/origin), it is shifted into the map frame of this run, or not used if at another site."""
+    origins are known, the course is shifted into the map of this run; a course of a different site is not used."""
 
     def __init__(self, node: Node, course: Course | None, vehicle: VehicleParameters, horizon: float, step: float):
         self._course, self._tracker = course, None

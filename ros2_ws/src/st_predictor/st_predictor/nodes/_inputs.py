@@ -28,9 +28,9 @@ class PublisherLock:
     """Accepts only messages of the first publisher of an input, so that measurements of two cars are never mixed.
 
     A message does not name its publisher, but each publisher numbers its messages consecutively: they form a chain.
-    No message is used if nodes with different names publish before the first is accepted, or if two chains reach the
-    same number. A killed node stays in the graph for a while. Its successor has the same node name and numbers its
-    messages from 1; a chain that began before the last accepted message belongs to another node.
+    No message is used if nodes with different names publish before the first message is accepted, or if two chains
+    reach the same number. A killed node stays in the graph for a while. The node that replaces it has the same name and
+    numbers its messages from 1; a chain that began before the last accepted message belongs to a different node.
 
     names: full node names of all publishers at the last `update`. rejected_count: number of messages rejected so far.
     """
@@ -170,7 +170,7 @@ class Inputs:
                 self._steering.count("" if accepted else UNUSABLE_SAMPLE)
 
     def explain(self, reason: str) -> str:
-        """`reason` for a missing prediction, with the problem of the newest message of the input that it names."""
+        """The reason for a missing prediction, with the problem of the newest message if `reason` names that input."""
         for entry in self._inputs:
             if entry.problem and reason.startswith(entry.signal):
                 return f"{reason}; messages arrive but are unusable: {entry.problem}"

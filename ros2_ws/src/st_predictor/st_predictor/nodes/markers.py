@@ -1,6 +1,6 @@
 """Node markers: publishes track, car, earlier paths, bands and errors for RViz and Foxglove, and errors to plot.
 
-It subscribes with best-effort reliability, so that no publisher waits for this node.
+The node subscribes with best-effort reliability, so that no publisher waits for it.
 """
 
 import numpy as np
