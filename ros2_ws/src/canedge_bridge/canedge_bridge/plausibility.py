@@ -16,7 +16,7 @@ Reference = tuple[int, float]  # (time [ns], value in the unit of the signal) of
 
 def _is_reachable(signal: SignalSpec, message: MessageSpec, value: float, time_ns: int,
                   references: Iterable[Reference | None]) -> bool:
-    """Whether the rate limit permits the change from a reference; True if none is within the timeout."""
+    """Whether the rate limit permits the change from any reference; True if no reference is within the timeout."""
     recent = [(last_ns, last) for last_ns, last in filter(None, references)
               if 0 < time_ns - last_ns <= message.timeout_ns]
     # An elapsed time of at least one period is assumed, because frames can arrive closer together than they were sent.

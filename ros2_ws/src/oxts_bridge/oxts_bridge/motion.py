@@ -92,7 +92,7 @@ class Origin:
     def update(self, motion: Motion, status: StatusTracker, now_ns: int) -> LocalFrame | None:
         """The map frame; chosen in this call if it was not before. None while waiting for the unit's local frame.
 
-        now_ns: current time [ns], always of the same clock; the wait also ends if the clock is set back to before it.
+        now_ns: time of one clock [ns]; the wait also ends if this clock is set back to before the start of the wait.
         """
         if self.frame is not None:
             return self.frame

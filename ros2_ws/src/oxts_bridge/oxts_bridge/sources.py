@@ -229,7 +229,7 @@ class ReplaySource(Source):
 def _compute_due_times(gps_ns: np.ndarray, start_offset: float) -> np.ndarray:
     """Time to send each packet at normal speed [ns after the start], negative before the start offset [s].
 
-    A packet without a time is sent with the previous one; before the first time, with the first packet that has one.
+    A packet without a time is sent with the previous packet; before the first time, with the first timed packet.
     """
     timed = np.flatnonzero(gps_ns != UNKNOWN_TIME)
     if not len(timed):

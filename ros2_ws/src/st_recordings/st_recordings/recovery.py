@@ -28,7 +28,7 @@ DATA_END_LENGTH = 13  # bytes of the record that ends the data section
 
 
 class RecoveryError(ValueError):
-    """One-line reason why a file cannot be recovered; it is unchanged, but earlier files of its bag may be repaired."""
+    """A file cannot be recovered and is unchanged; earlier files of its bag may be repaired. The text is one line."""
 
 
 @dataclass

@@ -51,7 +51,7 @@ def align(
         shared.report_default_car("align", read_options.dbc, pair.dbc)
     alignment = pair.alignment
     print_alignment(pair)
-    content = {**summarise_alignment(alignment), "ins_can_latency": pair.latency}
+    content = {**summarise_alignment(alignment), "ins_can_latency": pair.latency_text}
     (folder / "alignment.json").write_text(json_text(content), encoding="utf-8")
     results = {folder / "alignment.json": "offset and drift, with uncertainty"}
     if pair.shared_signals and alignment.method != "none":
@@ -96,7 +96,7 @@ def print_alignment(pair: "RawRun") -> None:
         if alignment.method != "by hand":
             overlap_label = "overlap" if alignment.method == "shared signals" else "time span of the INS time messages"
             if any(signal.name.startswith(("forward velocity", "yaw")) for signal in pair.shared_signals):
-                table.add_row("delay of INS frames on CAN", pair.latency, "after the measurement")
+                table.add_row("delay of INS frames on CAN", pair.latency_text, "after the measurement")
             table.add_row("INS minus CAN clock", f"{_format_seconds(alignment.offset_ns)} s",
                           f"{middle:.1f} s later, in the middle of the {overlap_label}")
             without_latency = _format_deviation(estimation_deviation * 1e3, "ms")

@@ -194,7 +194,7 @@ def _find_motion(table: Table, use_positions: bool) -> tuple[np.ndarray, np.ndar
 
 def compute_steps(table: Table, x: np.ndarray, y: np.ndarray, is_geographic: bool
                   ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(First and last rows of one-second steps, velocities [m/s] x + iy); empty for few rows with a position.
+    """(first rows, last rows, velocities x + iy [m/s]) of steps of one second; empty for few rows with a position.
 
     is_geographic: x and y are longitude and latitude [rad].
     """

@@ -26,7 +26,7 @@ KNOWN_TOPIC_PREFIXES = ("/ins/", "/can/", "/predictor/", "/evaluator/", "/identi
 SUITE_RECORDS = {"recording", "configuration"}  # metadata records that the recorder and the evaluator write first
 CLOSING_RECORD = "rosbag2"  # metadata record that a recorder writes when it closes a recording
 PREFERRED_TOPICS = {ODOMETRY: "ins/odometry", STEERING: "vehicle/steering"}  # type -> preferred end of the topic name
-MAX_REPEATED_FRACTION = 0.75  # largest fraction of stamps that repeat the previous one; above it, all are meaningless
+MAX_REPEATED_FRACTION = 0.75  # largest fraction of repeated stamps; above it, all stamps are meaningless
 _ODOMETRY_FIELDS = ("header.stamp", "pose.pose.position.x", "pose.pose.position.y", "pose.pose.orientation.x",
                     "pose.pose.orientation.y", "pose.pose.orientation.z", "pose.pose.orientation.w",
                     "twist.twist.linear.x", "twist.twist.linear.y", "twist.twist.angular.z")
@@ -249,7 +249,8 @@ def _read_frame_id(storage: Storage, topic: str) -> str:
 
 def _select_odometry(odometry: Mapping[str, np.ndarray], frame_id: str) -> tuple[
         np.ndarray, dict[str, np.ndarray], dict[str, int], list[str], list[str]]:
-    """(times [ns] and INS channels of the usable messages, channel -> messages without a value, notes, conversions)."""
+    """(times [ns], INS channels of the usable messages, channel -> number of messages without a value, notes, notes on
+    conversions)."""
     x, y, *quaternion, velocity_x, velocity_y, yaw_rate = (odometry[field] for field in _ODOMETRY_FIELDS[1:])
     values = {"x": x, "y": y, "yaw": yaw_from_quaternion(*quaternion), "velocity_x": velocity_x,
               "velocity_y": velocity_y, "yaw_rate": yaw_rate}

@@ -93,8 +93,8 @@ def _read_matlab(file: Path) -> Any:
 def _join_signals(file: Path, signals: list[_Vector]) -> Any:
     """Table of the signals with a time vector.
 
-    With several time vectors, each time [s] has a row, in which signals of the other vectors are NaN. Without any, the
-    table has the signals of the most frequent length. Raises RunError without signals.
+    With several time vectors, each time [s] has a row, in which signals of the other vectors are NaN. Without a
+    time vector, the table has the signals of the most frequent length. Raises RunError without signals.
     """
     import pandas as pd
 

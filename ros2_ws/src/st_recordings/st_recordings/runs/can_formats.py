@@ -86,7 +86,7 @@ MAX_HEADER_LINES = 30  # lines at the start of a file searched for the names of 
 EXTENDED_DIGITS = 8  # hexadecimal digits of an extended identifier
 DECIMAL_IDS = "its identifiers were read as decimal numbers"
 AMBIGUOUS_IDS = "its identifiers may be decimal or hexadecimal numbers; they were read as hexadecimal"
-MAX_SCANNED_ROWS = 5000  # rows searched for the unit of times and the base of identifiers and bytes
+MAX_SCANNED_ROWS = 5000  # rows from which the unit of times and the base of identifiers and bytes are inferred
 MIN_STEPS = 50  # minimum number of positive time steps from which the unit of the times is inferred
 MAX_STEPS = {"s": 0.15, "ms": 50.0}
 """Unit of times since the start -> upper limit of their median step (7 frames/s, 20 frames/s); above both, it is us."""
@@ -112,7 +112,7 @@ class Lines(io.TextIOWrapper):
 
 @dataclass(frozen=True)
 class Format:
-    """A log format. messages: yields python-can messages in the order of the file, and appends notes on the file."""
+    """A log format. messages(file, notes): yields python-can messages in file order, and appends notes on the file."""
 
     name: str
     extensions: tuple[str, ...]  # lower case
@@ -287,7 +287,7 @@ def _split_csv_header(line: str) -> tuple[list[str], str, dict[str, int]]:
 
 
 def _is_csv_header(line: str) -> bool:
-    """Whether a line is the header of a CAN log in CSV. Without a length, other names must be typical of a CAN log."""
+    """Whether a line is the header of a CAN log in CSV. Without a length, another name must be typical of a CAN log."""
     names, _, roles = _split_csv_header(line)
     is_typical = "length" in roles or not {"addr", "datahex", "b0", "b1"}.isdisjoint(names)
     return (is_typical and roles.keys() >= {"time", "id", "data"}
@@ -384,7 +384,7 @@ def _find_time_unit(times: np.ndarray) -> str:
 
 
 def _find_base(cells: Sequence[tuple[str, int]]) -> int:
-    """10 if all texts are decimal and one exceeds its limit when read as hexadecimal; else 16. cells: (text, limit)."""
+    """10 if all texts are decimal and one exceeds its limit read as hexadecimal; else 16. cells: (text, limit)."""
     cells = [cell for cell in cells if cell[0]]
     is_decimal = all(text.isdecimal() for text, _ in cells) and any(int(text, 16) > limit for text, limit in cells)
     return 10 if is_decimal else 16

@@ -127,8 +127,8 @@ def read_table(file: Path, layout: Layout) -> Table:
 
 
 def _is_last_cell_truncated(body: str, delimiter: str) -> bool:
-    """Whether the last cell of a table has fewer decimals than the others of its column, which all have equally many.
-    The file is then truncated, if its last line has no line end."""
+    """Whether the last cell of a table has fewer decimals than the other cells of its column, which all have as many as
+    each other. A file with such a cell and without a final line end is truncated."""
     lines = body.rstrip("\n").split("\n")
     cells = (line[line.rfind(delimiter) + 1:] for line in lines)
     points = ((cell, max(cell.rfind("."), cell.rfind(","))) for cell in cells)

@@ -14,7 +14,7 @@ EXTENDED = 0x8000_0000  # flag of a 29-bit id, as in canedge_bridge.extraction a
 SENT, REMOTE, ERROR, FD = 1, 2, 4, 8  # bits of Frames.flags
 MIN_CLOCK_STEP = 0.005  # s; a smaller backward step is jitter of the time stamps
 MAX_EARLY_FRAMES = 5
-"""If more frames than this directly before a frame have later times, the clock was set back; otherwise it is jitter."""
+"""If more frames than this directly before a frame have later times, the clock was set back; else its stamps jitter."""
 FRAME_HEAD_LENGTH = 20  # bytes in st_msgs/CanFrames before the data of a frame: stamp, id, four flags, length
 MAX_DATA_LENGTH = 64
 _FRAME_ID_OFFSET = 12  # byte of st_msgs/CanFrames at which the length of header.frame_id begins

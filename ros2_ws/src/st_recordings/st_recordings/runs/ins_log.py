@@ -61,7 +61,7 @@ def compute_car_speed(speeds: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> Se
 
 
 def make_series(time_ns: np.ndarray, values: np.ndarray) -> Series | None:
-    """Selects the finite samples of a signal with strictly ascending times; None if there are none."""
+    """Finite samples of a signal, without those that are out of order in time; None if there are none."""
     time_ns, values = _select_finite(np.asarray(time_ns, np.int64), values)
     if not len(time_ns):
         return None

@@ -59,8 +59,8 @@ def describe_truncation(head: bytes, size: int) -> str:
 
 
 def check_blocks(data: Buffer) -> RecordLayout | None:
-    """Checks all blocks that lead to the frames; returns the layout of the last unsorted records, None if there are
-    none. Raises DamageError if a block is missing or invalid.
+    """Layout of the last data group with unsorted records, or None; checks all blocks that lead to the frames.
+    Raises DamageError if a block is missing or invalid.
 
     asammdf does not validate these blocks: it crashes on a channel outside its record, allocates a record of a
     gigabyte, and follows circular links forever. Names, comments and sources may be missing. The data block of an

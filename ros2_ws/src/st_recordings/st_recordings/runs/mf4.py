@@ -71,8 +71,8 @@ def read_mf4(path: Path) -> frames.CanLog:
     """Reads the valid CAN frames of an MDF 4 file in order of time. The warnings do not name the file.
 
     A file that ends in the middle of a record, as is usual when the ignition is switched off, is read up to that
-    record, with a warning if that is the separate payload of a frame (layout 1). Raises RunError for a file without CAN
-    frames, with invalid blocks, or invalid times.
+    record, with a warning if the record is the separate payload of a frame (layout 1). Raises RunError for a file
+    without CAN frames, with invalid blocks, or invalid times.
     """
     warnings: list[str] = []
     decoded_signals: list[str] = []

@@ -41,8 +41,8 @@ class RawRun:
     signals: CanSignals
     steering: Signal | None  # None for `st align`
     alignment: Alignment
-    shared_signals: list[SharedSignal]  # signals that both contain, for the alignment and its check
-    latency: str  # description of the delay of INS frames on CAN
+    shared_signals: list[SharedSignal]  # signals that both recordings contain, for the alignment and its check
+    latency_text: str  # description of the delay of INS frames on CAN
     warnings: tuple[str, ...]
 
 
@@ -86,15 +86,15 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
     steering = None if settings.for_alignment else find_steering(signals, can.files[0], table, can.warnings)
     latency_source = "given" if settings.ins_can_latency or source.settings.get("ins_can_latency") else "assumed"
     delay, deviation = (1e3 * value for value in options["latency"])
-    latency = f"{delay:g} ms (standard deviation {deviation:g} ms), {latency_source}"
+    latency_text = f"{delay:g} ms (standard deviation {deviation:g} ms), {latency_source}"
     faults = [f"{can.files[0]}: {message}: {fault}" for message, fault in signals.faults.items()]
-    return RawRun(source.name, dbc, ins, can, signals, steering, alignment, shared_signals, latency,
+    return RawRun(source.name, dbc, ins, can, signals, steering, alignment, shared_signals, latency_text,
                   (*source.notes, *ins.warnings, *can.warnings, *faults, *warnings,
                    *_warn_about_unused_logs(can, ins, alignment)))
 
 
 def _warn_about_unused_logs(can: CanLog, ins: InsLog, alignment: Alignment) -> list[str]:
-    """A warning that names the CAN logs that do not overlap the INS recording in time, if others do."""
+    """A warning that names the CAN logs that do not overlap the INS recording in time, if other logs do."""
     spans_ns = [alignment.to_reference_ns(np.array(span)) for span in can.spans]
     unused = [file.name for file, (first, last) in zip(can.files, spans_ns, strict=False)
               if last < ins.time_ns[0] or first > ins.time_ns[-1]]
@@ -167,7 +167,7 @@ def build_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSet
     provenance = {"reader": f"{source.kind} and CAN log", **({"origin": list(ins.origin)} if ins.origin else {}),
                   "alignment": summarise_alignment(run.alignment),
                   "settings": {"steering_sign": settings.steering_sign, "steering_latency": settings.steering_latency,
-                               "ins_can_latency": run.latency}}
+                               "ins_can_latency": run.latency_text}}
     auxiliary = AuxiliaryData({"INS": ins.stamps_ns, "steering": steering_ns},
                               {name: count for name, count in missing.items() if count},
                               *collect_speeds(run.signals, run.alignment.to_reference_ns), ins.quality,

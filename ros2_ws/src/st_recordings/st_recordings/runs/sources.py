@@ -77,7 +77,7 @@ def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
 
 
 def _report_folder_without_runs(folder: Path) -> list[RunSource]:
-    """Problems of the files in a folder without runs; if there are none, a problem of the folder."""
+    """Sources that report why the files in a folder are not runs; without such files, one that reports the folder."""
     bag = READERS["bag"]
     files = sorted(folder.rglob("*"))
     if any(f.name == "timestamps.txt" and f.absolute().parent.name == "oxts" for f in files):
@@ -191,8 +191,8 @@ def _find_partners(recordings: Sequence[Path], logs: Sequence[Path], paired: set
     The logs of a recording are in the outermost folder around it that contains no other INS recording; if some of these
     have its stem (or STEM_1, STEM_2, ...), only they are used. If the folder has no logs, those with its stem in other
     folders are used. A stem counts only if no other recording has it. The logs are uncertain if stems and folders
-    disagree, if two recordings would share a log, or if the logs are of several sessions and do not all have its stem,
-    although its folder contains pairs with the same stem (folders of pairs: `paired`).
+    disagree, if two recordings would share a log, or if the logs are of several sessions and not all have its stem,
+    while its folder contains pairs with equal stems. paired: folders with such pairs.
     """
     candidates: dict[Path, tuple[Path, ...]] = {}
     contradictory = set[Path]()

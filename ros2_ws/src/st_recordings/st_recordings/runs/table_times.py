@@ -38,7 +38,7 @@ ROLLOVER_STEP = 60.0  # s, longest step of numeric times across midnight or the 
 _DAY_COUNTS = ((719529.0, "MATLAB date numbers"), (25569.0, "spreadsheet date numbers"), (2440587.5, "Julian dates"))
 PLAUSIBLE_EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
 DAY, HOUR = 86400.0, 3600.0  # s
-MIN_UNUSABLE_STEP = 5.0  # s, duration of a prediction; numbers with larger steps are not times in seconds
+MIN_UNUSABLE_STEP = 5.0  # s, duration of a prediction; numbers with larger steps are probably not seconds
 HHMMSS = "HHMMSS"  # unit of a time column that contains times of day as numbers HHMMSS.ss
 MAX_DAMAGED_FRACTION = 0.01  # up to this fraction of the times in a column of unit HHMMSS may be invalid
 
@@ -149,7 +149,7 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
     for period, longest_step in ((60.0, 1.0), (HOUR, 1.0), (2**32 * 1e-6, 1.0), (2**32 * 1e-3, 1.0),
                                  (DAY, ROLLOVER_STEP), (7 * DAY, ROLLOVER_STEP)):
         if len(known_rows) and seconds[known_rows].min() >= 0.0 and seconds[known_rows].max() <= period + 1.0 and (
-                period > 60.0 or seconds[known_rows[0]] >= 1.0):  # from 0, they may be joined one-minute drives
+                period > 60.0 or seconds[known_rows[0]] >= 1.0):  # if they begin at 0, one-minute drives may be joined
             seconds[known_rows] += period * count_rollovers(seconds[known_rows], period - longest_step)
     return seconds, source
 

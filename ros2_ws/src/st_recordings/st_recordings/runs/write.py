@@ -272,7 +272,7 @@ def _build_metadata_records(source: RunSource, vehicle: VehicleParameters, setti
             "map_origin": json.dumps({"latitude_deg": np.degrees(latitude), "longitude_deg": np.degrees(longitude),
                                       "altitude_m": altitude}),
             "steering_sign": str(settings.steering_sign), "steering_latency_s": str(settings.steering_latency),
-            "ins_can_latency": run.latency,
+            "ins_can_latency": run.latency_text,
             "vehicle": vehicle.name, "vehicle_hash": vehicle.hash,
             "labels": json.dumps([[entry.name, entry.start, entry.end] for entry in source.labels])},
         "alignment": alignment,
