@@ -27,10 +27,9 @@ MAX_REAR_COMPLIANCE = 0.01  # rad s^2/m; rear cornering compliance (slip angle p
 MIN_PART_DURATION = 40.0  # s; shortest first and last part of a drive that are compared: 8 blocks of the bootstrap
 MAX_PART_DURATION = 300.0  # s; longest; it limits the computing time
 MIN_CHANGE = 0.5  # fraction of the deviation; if the parts differ by less, one correction removes at least half of it
-NOT_COMPARED = (  # between parts: the first three are constant, the others vary with the driving
+NOT_COMPARED = (  # between parts of a drive: the first three are constant, the other estimates depend on the driving
     "measuring_point", "position_reference", "position_side", "heading_misaligned", "steering_unrelated")
-UNKNOWN = 0.0, -np.inf, np.inf  # estimate: value and interval
-CAUSED_BY_DRIFT = ("yaw_drift", "yaw_offset", "velocity_y_scale", "velocity_y_bias")  # findings in a part
+CAUSED_BY_DRIFT = ("yaw_drift", "yaw_offset", "velocity_y_scale", "velocity_y_bias")  # what a part shows of a yaw drift
 MIN_INS_SAMPLES = 50  # with fewer samples, only implausible samples and time stamps are reported
 
 
@@ -55,7 +54,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
         duration = min((last - first) // 2, round(MAX_PART_DURATION / NANOSECOND))
         middle, late = first + duration, last - duration
         times = [tuple((t - start_ns) * NANOSECOND for t in span) for span in ((first, middle), (late, last))]
-        # A change of the accelerations alone is not reported. They show which of two other channels has changed.
+        # A change of the accelerations alone is not reported, but they may show which of two other channels changed.
         for compared in (replace(log, acceleration_x=None, acceleration_y=None), log):
             parts = [_check_part(compared.slice(*span), vehicle, replace(auxiliary, implausible=()), start_ns)
                      for span in ((log.start_ns, middle - 1), (late, log.end_ns))]
@@ -69,7 +68,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
     findings = sorted((*burst_findings, *sign_findings, *findings), key=lambda finding: (
         [*Severity].index(finding.severity), finding.concerns_only_acceleration, -(finding.effect or np.inf)))
     ambiguous = {name for f in findings for a in f.alternatives for name in (f.name, *a.findings)}
-    ambiguous |= {"steering_sign"} if "steering_scale" in ambiguous else set()  # both name the same estimate
+    ambiguous |= {"steering_sign"} if "steering_scale" in ambiguous else set()  # the same estimate by another name
     return replace(result, findings=tuple(findings), estimates={
         name: values for name, values in result.estimates.items() if name not in ambiguous})
 
@@ -79,7 +78,7 @@ def _report_changes(whole: DriveCheck, parts: list[DriveCheck], times: list[tupl
     findings with an interval are taken from the parts, because the change may cause false ones in the whole drive, and
     estimates that differ from those of a part are left out. times: start and end of each part [s]."""
     places = [f"in the {name} {end - start:.0f} s" for name, (start, end) in zip(("first", "last"), times, strict=True)]
-    drift, *drifts = (each.estimates.get("yaw_drift", UNKNOWN) for each in (whole, *parts))
+    drift, *drifts = (each.estimates.get("yaw_drift", (0.0, -np.inf, np.inf)) for each in (whole, *parts))
     drifts_evenly = find(whole.findings, "yaw_drift") and all(_agree(drift, d) for d in drifts)
     wanders = find(whole.findings, "yaw_wander") and any(find(part.findings, "yaw_wander") for part in parts)
     ignored = CAUSED_BY_DRIFT if drifts_evenly or wanders else ()
@@ -206,8 +205,8 @@ def _check_relations(results: Results, motion: Motion, log: DriveLog, vehicle: V
 
 
 def _check_rear_axle(results: Results, motion: Motion, vehicle: VehicleParameters, findings: list[Finding]) -> None:
-    """Add the results of `check_rear_axle`. motion: corrected for a scale of the velocity. The scale of the positions
-    may be wrong instead, so a finding must also exist at the recorded velocity; the lower severity applies."""
+    """Add the results of `check_rear_axle`. motion: corrected for a scale error of the velocity. Since positions may be
+    wrong instead, a finding must also result from the recorded velocity; the lower of both severities is used."""
     rear = vehicle_relations.check_rear_axle(motion, vehicle)
     scale, found = find(findings, "velocity_scale"), rear.findings
     if found and scale is not None and scale.value and not units_and_axes.match_unit(scale.value):
@@ -262,8 +261,8 @@ def _remove_consequences(findings: list[Finding], log: DriveLog, motion: Motion)
 
 
 def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[Motion, Results, float | None]:
-    """(corrected motion, results) of the relations valid for any vehicle, and the lag of the yaw rate [s], None unless
-    an opposite lag of yaw fits too. removed_factors: see `_find_removed_factors`."""
+    """(corrected motion, results of the relations valid for any vehicle, lag of the yaw rate [s]). The lag is None
+    unless a lag of yaw of opposite sign fits equally well. removed_factors: see `_find_removed_factors`."""
     distance_panel = position.make_distance_panel(motion, removed_factors)
     yaw_rate = inertial.compare_yaw_rate(motion)
     recorded, lag_findings, yaw_rate_lag = _check_yaw_lag(motion, yaw_rate)
@@ -311,7 +310,8 @@ def _correct_units(motion: Motion, vehicle: VehicleParameters | None) -> tuple[M
 
 
 def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """Result of `correct_units`, without a severe lag between yaw and yaw rate, which would change their ratio."""
+    """Result of `correct_units` if a severe lag between yaw and yaw rate, which would change their ratio, is removed
+    first and restored afterwards."""
     agreement = inertial.compare_yaw_rate(motion, inertial.ACCELERATION_CUTOFF)
     # A yaw rate with the opposite sign also correlates at a lag of half a period, but no better than without.
     if (agreement is None or not agreement.has_lag or abs(agreement.lag.value) < LIMITS.severe_lag
@@ -327,7 +327,7 @@ def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 def _add_yaw_lag_alternative(findings: list[Finding], motion: Motion, lag: float | None) -> list[Finding]:
     """The findings, with a lag of yaw as an alternative cause of those that it mostly explains. lag: of the yaw rate
-    [s]; None unless an opposite lag of yaw fits too."""
+    [s]; None unless a lag of yaw of opposite sign fits equally well."""
     if lag is None:
         return findings
     alternative = Alternative(f"yaw {'lags' if lag < 0.0 else 'leads'} by {abs(lag):.3f} s", ("yaw_lag",))
@@ -340,14 +340,14 @@ def _add_yaw_lag_alternative(findings: list[Finding], motion: Motion, lag: float
 
 def _check_yaw_lag(motion: Motion, agreement: Agreement | None) -> tuple[Motion, list[Finding], float | None]:
     """(corrected motion, finding, None) if yaw lags or leads the yaw rate and positions confirm that yaw is wrong;
-    (motion, [], lag of the yaw rate [s]) if they fit both; else (motion, [], None)."""
+    (motion, [], lag of the yaw rate [s]) if either may be wrong according to positions; else (motion, [], None)."""
     if (agreement is None or not agreement.has_lag or not agreement.correlates
             or abs(agreement.lag.value) < LIMITS.lag):
         return motion, [], None
     lag = add_systematic_uncertainty("yaw_lag", agreement.lag.scaled(-1.0))
     corrected = motion.shifted_earlier(lag.value, "yaw")
     is_confirmed = position.positions_confirm_yaw_lag(motion, corrected, lag.value)
-    if not is_confirmed:  # False, or None if they fit both
+    if not is_confirmed:  # False, or None if positions fit both
         return motion, [], agreement.lag.value if is_confirmed is None else None
     effect = abs(lag.value) * float(np.std(motion.yaw_rate)) * float(np.median(motion.speed)) * HORIZON
     severity = LIMITS.severity(effect, abs(lag.value) >= LIMITS.severe_lag)

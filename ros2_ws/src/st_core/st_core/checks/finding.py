@@ -11,7 +11,7 @@ SCHEMA = 3  # version of check.json; within a version, keys are added but never 
 
 
 class Severity(StrEnum):
-    """How a finding affects an evaluation: it is meaningless (error), biased (warning) or hardly affected (note)."""
+    """Effect of a finding on an evaluation: meaningless results (error), biased results (warning), or almost none."""
 
     ERROR = "error"
     WARNING = "warning"
@@ -69,8 +69,9 @@ class Finding:
     times: tuple[tuple[float, float], ...] = ()  # [s since the first INS measurement]; empty: the whole run
     effect: float | None = None  # approximate shift of the position at the end of the horizon [m]
     advice: Advice | None = None
-    tried: tuple[float, float] | None = None  # prediction error [m] without and with correction (errors: all at once)
-    alternatives: tuple[Alternative, ...] = ()  # a correction in `advice` is valid for these too, or mirrors the drive
+    # Prediction error [m] without and with the correction; for an error, with the corrections of all errors.
+    tried: tuple[float, float] | None = None
+    alternatives: tuple[Alternative, ...] = ()  # other causes; `advice` is valid for these too, or mirrors the drive
 
     @property
     def text(self) -> str:
@@ -220,7 +221,7 @@ class Limits:
     warning_effect: float = 0.25  # m; the best models have errors of 0.4 m over such horizons
     error_effect: float = 5.0  # m; error of a model that goes straight on in a bend of radius 250 m at 10 m/s
     unit_ratio: float = 1.33  # factor above which a ratio is due to a wrong unit, sign or axis, not to calibration
-    channel_unit_ratio: float = 2.0  # unit_ratio of accelerometers (body roll) and wheel speeds (tyre radius)
+    channel_unit_ratio: float = 2.0  # unit_ratio for accelerations (error: body roll) and wheel speeds (tyre radius)
     yaw_settling_time: float = 0.2  # s; time constant with which a model's initial yaw rate error decays
     lag: float = 0.015  # s; smaller lags are due to filters inside a sensor
     severe_lag: float = 0.05  # s; larger lags would be mistaken for a steering delay
@@ -232,7 +233,7 @@ class Limits:
     steering_offset: float = 0.02  # rad, at the road wheels
     ins_position: float = 0.25  # m; accuracy of a rough measurement of the INS position
     heading_misalignment: float = 0.002  # rad; 0.1 deg, accuracy of a dual-antenna INS
-    max_note_fraction: float = 0.01  # largest fraction of faulty samples that is reported as a note only
+    max_note_fraction: float = 0.01  # largest fraction of faulty samples that is reported as a note
 
     def severity(self, effect: float, severe: bool = False) -> Severity:
         """Severity of an effect [m]; at least a warning if `severe`."""

@@ -33,7 +33,7 @@ LAG_TEST_SHIFT = 0.3  # s; a drive determines a lag if lags smaller and larger b
 BIAS_RESIDUAL_RATIO = 1.25  # ratio of the residuals with a scale and with a bias above which a bias is reported
 MIN_SCALE_CORRELATION = 0.98  # at a higher correlation, noise reduces a scale by less than 4 %
 MIN_RESIDUAL_FRACTION = 1e-4  # minimum of 1 - r^2; interpolation and filters leave a residual of 1 % of the signal
-GRID_ERROR = 0.1  # fraction of the variance by which the residual at a grid point exceeds the minimum nearby
+GRID_ERROR = 0.1  # fraction of the variance by which the residual at a grid point may exceed a minimum between points
 DECORRELATION_TIME = 10.0  # s between independent values of the lag
 
 
@@ -70,7 +70,7 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
                    cutoff: float, *, derived_is_angle: bool = False, fit_bias: bool = True,
                    fit_drift: bool = False, expected_lag: float = 0.0,
                    min_lag: float = 0.0, max_lag: float = MAX_LAG, max_fitted_lag: float = MAX_LAG) -> Agreement | None:
-    """Agreement of two estimates of a quantity. None if `derived` is constant, if they overlap by less than
+    """Agreement of two time series of a quantity. None if `derived` is constant, if the series overlap by less than
     MIN_COMMON_TIME, if one of them spans more than MAX_SPAN, if they correlate most at a lag below min_lag, if the fit
     fails, or if |lag| exceeds max_fitted_lag.
 
@@ -505,7 +505,7 @@ def restore_speed_sign(log: DriveLog, start_ns: int) -> tuple[DriveLog, list[Fin
 
 
 def check_position_clock(motion: Motion) -> list[Finding]:
-    """Finding about positions stamped by a different clock: they agree with velocity and yaw at a large lag only."""
+    """Finding about positions stamped by a different clock, which agree with velocity and yaw only at a large lag."""
     speed = np.abs(np.gradient(motion.position, motion.time))
     agreement = compare_series(motion.time, motion.speed, motion.time, speed, SPEED_CUTOFF, min_lag=MAX_LAG,
                                max_lag=MAX_CLOCK_OFFSET, max_fitted_lag=MAX_CLOCK_OFFSET)

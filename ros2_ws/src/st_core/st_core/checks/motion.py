@@ -253,8 +253,8 @@ def is_near(value: float, target: float, factor: float = SAME_RATIO_FACTOR) -> b
 
 
 def compute_ratios(motion: Motion, length: float = 1.0, min_distance: float = MIN_DISTANCE) -> Ratios:
-    """Ratios of channels in windows of `length` [s], halved repeatedly for a small car whose path in a window would be
-    much longer than the chord. min_distance: smallest motion in a window that is used [m]."""
+    """Ratios of channels in windows of `length` [s], halved until the path in a window is not much longer than the
+    chord, as that of a small car may be. min_distance: smallest motion in a window that is used [m]."""
     windows = motion.make_windows(length, max(MAX_GAP, 0.5 * length))
     displacement = windows.change(motion.position)
     distance, integrated_speed = np.abs(displacement), windows.integral(motion.speed)

@@ -53,7 +53,7 @@ CONFOUNDED = {"velocity_scale": {*AXIS_SCALES, "velocity_x_bias"}, "yaw_offset":
               "velocity_lag": {"velocity_x_lag"}, "velocity_x_lag": {"velocity_lag"},
               **{axis: {"velocity_scale", "velocity_x_bias"} for axis in AXIS_SCALES}}
 RARE_CAUSES = {*BIASES, *LAG_OF_VELOCITY_X, "velocity_y_scale", "position_side"}
-# Rare causes, fitted together, and the causes that are not selected with them. They are preferred to other causes if
+# By rare causes that are fitted together: the causes that are then not fitted. Rare causes are preferred to others if
 # their loss is clearly smaller, or if they are fewer and their loss is not clearly larger.
 RARE_EXPLANATIONS: Mapping[tuple[str, ...], set[str]] = {
     **{(name,): confounded for name, confounded in (BIASES | LAG_OF_VELOCITY_X).items()},
@@ -77,8 +77,8 @@ VARY_BENDS = Advice("text", "drive bends at different speeds and radii to distin
 
 
 class Cause(NamedTuple):
-    """A cause of a residual. channels, unit, text: of its finding. corrected_channel, key: of its correction; without a
-    channel, key is the advice."""
+    """A cause of a residual. channels, unit, text: of its finding. corrected_channel, key: of its entry in run.yaml; if
+    corrected_channel is "", no correction exists, and key is the text of the advice."""
 
     channels: tuple[str, ...]
     corrected_channel: str
@@ -205,7 +205,7 @@ def _is_wheel_slip(problem: Regression, lag: str, causes: Names) -> bool:
 
 
 def _fits_better(problem: Regression, causes: Names, other_problem: Regression, other_causes: Names) -> bool:
-    """Whether the loss of the causes is clearly smaller than that of others, or, if fewer, not clearly larger."""
+    """Whether `causes` have a clearly smaller loss than `other_causes`, or are fewer without a clearly larger loss."""
     _, scale, _ = other_problem.fit(other_causes)
     ratio = MIN_LOSS_RATIO if len(causes) >= len(other_causes) else 1.0 / MIN_LOSS_RATIO
     return ratio * problem.compute_loss(causes, scale) < other_problem.compute_loss(other_causes, scale)
@@ -308,8 +308,8 @@ def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estima
 
 def attribute_scale_to_velocity_x(motion: Motion, findings: list[Finding],
                                   estimates: dict[str, Estimate]) -> tuple[Motion, list[Finding]]:
-    """(motion, findings) with a scale error of both velocities attributed to velocity_x, if a further one of velocity_y
-    cancels it, so that the recorded velocity_y is correct."""
+    """(motion, findings) with a scale error of both velocities attributed to velocity_x alone, if the findings also
+    contain a scale error of velocity_y that cancels it, so that the recorded velocity_y is correct."""
     both, lateral = find(findings, "velocity_scale"), find(findings, "velocity_y_scale")
     if both is None or lateral is None or not both.value or not both.advice or "correct" not in both.advice.entry or (
             abs(both.value * (lateral.value or 0.0) - 1.0) >= MIN_LATERAL_SCALE_ERROR):
@@ -342,7 +342,7 @@ def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> 
 
     At constant speed v, a lag T of yaw, a lag -T of the positions, and a reference point v T ahead have the same
     effect. The yaw for which the fitted position lag is smaller is correct, whatever the reference point. If the drive
-    does not determine this lag, the reference point is assumed to be that of the velocities. False if too short.
+    does not determine this lag, the reference point is assumed to be that of the velocities. False for a short drive.
     """
     problems = make_residual_regression(motion), make_residual_regression(corrected)
     if len(problems[0].time) < MIN_WINDOWS:
@@ -478,7 +478,7 @@ def _has_lateral_scale_error(problem: Regression, causes: tuple[str, ...]) -> bo
     """Whether the error of velocity_y is a scale error, rather than noise or drift.
 
     Errors in variables: noise in velocity_y biases the regression of the displacements from positions on those from
-    velocity_y, but not the reverse regression, whose slope is the scale and must differ from 1 as well.
+    velocity_y, but not the reverse regression. The slope of the latter is the scale and must differ from 1 as well.
     """
     name = "velocity_y_scale"
     columns = {other: problem.columns[other] for other in (*AXIS_SCALES, *causes) if other != name}

@@ -30,7 +30,7 @@ MIN_CURVATURE_SPEED = 2.0  # m/s; at lower speeds, the curvature is not checked
 MIN_CURVATURE_CHANGE = 0.1  # minimum relative change of the curvature while a clipped steering angle is constant
 MIN_FROZEN_CURVATURE_CHANGE = 0.3  # MIN_CURVATURE_CHANGE of a frozen angle; saturating tyres cause 0.2
 CLIP_RATIO = 8.0  # minimum number of samples at a clipped value, divided by the number at each adjacent value
-FREEZE_PAUSE_RATIO = 10.0  # minimum duration of a frozen value, divided by the 98 % quantile of constant intervals
+FREEZE_PAUSE_RATIO = 10.0  # minimum ratio of the duration of a frozen value to the 98 % quantile of all such durations
 OPTIONAL_CHANNELS = ("velocity_y", "acceleration_x", "acceleration_y")  # not needed to score predicted paths
 MAX_INTERVAL_RATIO = 1.5  # largest ratio of a sampling interval to the median; a longer one contains a lost sample
 MAX_AXIS_FRACTION = 0.9  # fraction of the speed along one axis above which the other coordinate may be constant
@@ -86,8 +86,8 @@ def estimate_resolution(time: np.ndarray, values: np.ndarray) -> float:
 
 def check_timing(motion: Motion, auxiliary: AuxiliaryData, excluded: Sequence[Finding],
                  start_ns: int) -> Iterator[Finding]:
-    """Findings about time stamps, gaps and missing values. excluded: findings about left-out samples, whose times
-    are not reported as gaps. start_ns: zero of the times in the findings."""
+    """Findings about time stamps, gaps and missing values. excluded: findings about samples that were left out; their
+    times are not reported as gaps. start_ns: zero of the times in the findings."""
     for signal, stamps in auxiliary.stamps.items():
         yield from _check_stamps(signal, np.asarray(stamps, np.int64), start_ns)
     for signal, time in (("INS", motion.time), ("steering", motion.steering_time)):

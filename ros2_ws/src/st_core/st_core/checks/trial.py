@@ -151,8 +151,9 @@ def check_step_length(models: Sequence[str | Model], vehicle: VehicleParameters,
                       step: float) -> Finding | None:
     """Finding `step_too_long`: a step [s] too long for at least one model; None if the step is short enough.
 
-    The value of the finding is the minimum_slip_speed [m/s] that makes the step stable, else the longest stable step
-    [s], else None. For a scale-model car, no value above the median speed is proposed: it would lower most tyre forces.
+    The value of the finding is the minimum_slip_speed [m/s] at which the step is stable; if there is none, the longest
+    stable step [s]; without either, None. For a scale-model car, a minimum_slip_speed above the median speed is not
+    proposed, because it would lower most tyre forces.
     """
     resolved = [get_model(model) for model in models]
     speed = np.abs(log.velocity_x)

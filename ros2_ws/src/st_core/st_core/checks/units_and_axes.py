@@ -40,7 +40,7 @@ LENGTH_UNITS = {1000.0: "millimetres", 100.0: "centimetres", 3.28084: "feet", 0.
 LENGTH_CHANNELS = ("x", "y", "velocity_x", "velocity_y")
 MAX_DEGREE_RATIO = 1e-4  # ratio to the distance below which positions are angles: a degree of latitude is 111 km
 TIME_UNITS = {1e3: ("milliseconds", "ms"), 1e6: ("microseconds", "us"), 1e9: ("nanoseconds", "ns")}
-MIN_WRAP_STEP = 0.01  # rad; smallest step that counts as a wrap; 360 deg unwrapped as rad leaves 1.86 deg
+MIN_WRAP_STEP = 0.01  # rad; smallest step that counts as a wrap; a wrap by 360 deg, unwrapped as rad, leaves 1.86 deg
 EXCHANGE_X_Y = {"x": "y", "y": "x"}  # columns of run.yaml
 MIRROR, COMPASS_TO_YAW = {"scale": -1.0}, {"scale": -1.0, "add": np.pi / 2}  # corrections in run.yaml
 MotionAndFinding = tuple[Motion, Finding | None]
@@ -239,7 +239,7 @@ def _add_mirrored_channels(motion: Motion, correct: Mapping[str, Any], columns: 
 
 
 def _find_lateral_sign(motion: Motion) -> int:
-    """Sign of velocity_y with which positions agree clearly better; 0 if neither."""
+    """1 if positions agree clearly better with velocity_y as given, -1 if with the opposite sign, else 0."""
     original, mirrored = _compute_misfit(motion), _compute_misfit(replace(motion, velocity_y=-motion.velocity_y))
     return int(original < CLEAR_MISFIT_RATIO * mirrored) - int(mirrored < CLEAR_MISFIT_RATIO * original)
 
@@ -270,7 +270,7 @@ def _positions_follow_yaw(motion: Motion) -> bool:
 
 
 def _scale_yaw_rate(motion: Motion, factor: float, reference: str = "yaw", size: float = 0.0) -> tuple[Motion, Finding]:
-    """Divide the yaw rate by a factor. size: its exact magnitude; 0: rounded to that of an angle unit."""
+    """Divide the yaw rate by a factor. size: exact magnitude of the factor; 0: that of the nearest angle unit."""
     size = size or _round_to_angle_unit(factor)
     exact = float(np.copysign(size, factor))
     reason = (f": is its unit {ANGLE_UNITS[size].replace('degrees', 'deg')}/s?" if size in ANGLE_UNITS else

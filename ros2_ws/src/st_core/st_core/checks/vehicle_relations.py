@@ -47,7 +47,7 @@ REVERSED_INS = Alternative("the INS points backwards"), Advice("text", "check th
 TIGHTER_BENDS = Advice("text", "drive tighter bends to distinguish the two")
 CHECK_RATIO = Advice("text", "drive tighter bends, and check steering_ratio and wheelbase in the vehicle file")
 MIN_FOUR_WHEEL_GAIN = 0.5  # smallest gain with rear-wheel steering: rear angle opposite and equal to the front angle
-MIN_GAIN = 1e-6  # ratio of measured to derived angle below which the steering is constant and reported as frozen
+MIN_GAIN = 1e-6  # ratio of measured to derived angle below which the steering is constant: `channel_frozen` reports it
 
 
 def check_steering(results: Results, motion: Motion, vehicle: VehicleParameters, from_steering_wheel: bool) -> None:
@@ -313,7 +313,7 @@ def _make_finding(name: str, channels: tuple[str, ...], text: str, estimate: Est
 
 
 def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> Results:
-    """Results of comparing heading alignment and INS position with the motion of the rear axle."""
+    """Results on the alignment of the heading and the position of the INS, from the motion of the rear axle."""
     results = Results()
     windows = motion.make_windows(WINDOW)
     means = [windows.mean(values) for values in (motion.velocity_x, motion.velocity_y, motion.yaw_rate)]
@@ -373,7 +373,8 @@ def _fit_rear_axle(problem: Regression, vehicle: VehicleParameters, speed_varies
 
 
 def _make_point_finding(point: Estimate, slip: Estimate, motion: Motion, vehicle: VehicleParameters) -> Finding | None:
-    """Finding about a displaced INS point; None if small or uncertain. slip: of the rear axle, see `_fit_rear_axle`.
+    """Finding about an INS point that is not where the vehicle file has it; None if the distance is small or uncertain.
+    point: that distance, > 0 ahead [m]. slip: of the rear axle, see `_fit_rear_axle`.
 
     Rear wheels steered by k times the front angle act like a point k / (1 - k) wheelbases further ahead. A k that
     depends on speed changes the slip too, so there is no correction if the slip does not agree with the vehicle file.

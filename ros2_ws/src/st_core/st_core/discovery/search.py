@@ -101,8 +101,8 @@ class Search:
     def _add_load_rivals(self, state: SearchState) -> None:
         """Add a load as a rival of lower tyre stiffness, since drives show only the ratio of stiffness to mass.
 
-        The load is an alternative to each effect whose values it brings nearer to the vehicle file, unless the drives
-        exclude it. A load of the prior standard deviation is tried, then one of `limits.min_relative_size` scales.
+        The load is an alternative to each effect with values that it brings nearer to the vehicle file, unless the
+        drives exclude it. The prior standard deviation is tried as the load, then `limits.min_relative_size` scales.
         Bands of axle forces, and intervals of these effects and of combinations, include the laden car.
         """
         p, names = self.problem, state.fit.names
