@@ -105,16 +105,14 @@ class AdaptiveBand:
             self._issued_bands.popleft()
         return {level: factor * scale for level, factor in factors.items()}
 
-    def observe(self, start_ns: int, errors: np.ndarray) -> dict[float, bool]:
-        """Whether the whole path was inside, by level; empty for non-finite errors, or without a band for this start.
-
-        Updates the factors, and the scale if it is estimated from the run. Call in order of time. errors: (points, 3)
-        [m, m, rad] in the predicted frame.
-        """
+    def observe(self, start_ns: int, errors: np.ndarray) -> None:
+        """Update the factors, and the scale if it is estimated from the run, by the errors (points, 3) [m, m, rad] of a
+        prediction in the predicted frame. Non-finite errors, and errors of a start without a band, are ignored. Call in
+        order of time."""
         while self._issued_bands and self._issued_bands[0][0] < start_ns:
             self._issued_bands.popleft()
         if not self._issued_bands or self._issued_bands[0][0] != start_ns or not np.isfinite(errors).all():
-            return {}
+            return
         _, scale, factors = self._issued_bands.popleft()
         interval = MAX_WEIGHT if self._last_ns is None else (start_ns - self._last_ns) * NANOSECOND
         weight = min(max(interval, 0.0), MAX_WEIGHT)
@@ -129,7 +127,6 @@ class AdaptiveBand:
             self._weight = min(self._weight + weight, SCALE_FORGETTING)
             fraction = weight / (self._weight + PRIOR_WEIGHT)
             self._squares += fraction * (np.maximum(np.square(errors), MIN_SQUARED_ERROR) - self._squares)
-        return {level: score <= factor for level, factor in factors.items()}
 
     def replay(self, starts_ns: np.ndarray, conditions: np.ndarray,
                errors: np.ndarray) -> tuple[dict[float, np.ndarray], np.ndarray]:
@@ -323,7 +320,7 @@ class CoverageMonitor:
         coverage.add(score.start_ns, float(score.horizon[-1]), inside)
 
     def describe_warnings(self) -> str:
-        """One-line text for all bands whose `has_warning` is true; empty if there are none."""
+        """One-line text for all bands with `has_warning`; empty if there are none."""
         pairs = []
         for (model, mode), coverage in self.by_pair.items():
             if coverage.has_warning:

@@ -244,7 +244,7 @@ def _fit_gamma_regression(phi: np.ndarray, weights: np.ndarray, squares: np.ndar
             fraction = np.where(worse, 0.5 * fraction, fraction)
         c, value, slope, ratio = c - fraction * step, new_value, new_slope, new_ratio
     raise StCoreError(f"the scale of the errors cannot be fitted: no convergence after {MAX_NEWTON_STEPS} steps; look "
-                      "for starts whose errors are larger by orders of magnitude")
+                      "for starts with errors that are larger by orders of magnitude")
 
 
 def select_evenly(count: int, limit: int = MAX_FIT_STARTS) -> np.ndarray:

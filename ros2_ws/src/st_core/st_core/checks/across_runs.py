@@ -10,7 +10,7 @@ from scipy.stats import binom, chi2
 from ..regression import Z95, count_decimals, random_effects, symmetric_interval
 from .finding import DriveCheck, neutral_value
 
-MIN_COMPARED_RUNS = 3  # minimum number of runs whose estimates of a quantity are compared
+MIN_COMPARED_RUNS = 3  # minimum number of runs with an estimate of a quantity to compare it
 CONFIDENCE = 0.95  # confidence level of the tests of consistency
 PROJECTION_FINDINGS = ("x_scale", "y_scale", "position_scale", "map_shear")  # may be due to a wrong projection
 MAX_RELATIVE_SPREAD = 0.25  # largest standard deviation between consistent runs, divided by |mean - neutral value|

@@ -25,11 +25,11 @@ EXPLAINED_BY_YAW_LAG = ("yaw_rate_lag", "position_lag", "position_reference", "s
 MAX_INS_DISTANCE = 3.0  # m; largest distance of the INS ahead of the rear axle
 MAX_REAR_COMPLIANCE = 0.01  # rad s^2/m; rear cornering compliance (slip angle per a_y): road cars 0.003 to 0.008
 MIN_PART_DURATION = 40.0  # s; shortest first and last part of a drive that are compared: 8 blocks of the bootstrap
-MAX_PART_DURATION = 300.0  # s; longest; it limits the computing time
+MAX_PART_DURATION = 300.0  # s; longest such part; it limits the computing time
 MIN_CHANGE = 0.5  # fraction of the deviation; if the parts differ by less, one correction removes at least half of it
 NOT_COMPARED = (  # between parts of a drive: the first three are constant, the other estimates depend on the driving
     "measuring_point", "position_reference", "position_side", "heading_misaligned", "steering_unrelated")
-CAUSED_BY_DRIFT = ("yaw_drift", "yaw_offset", "velocity_y_scale", "velocity_y_bias")  # what a part shows of a yaw drift
+CAUSED_BY_DRIFT = ("yaw_drift", "yaw_offset", "velocity_y_scale", "velocity_y_bias")  # findings of a drift in one part
 MIN_INS_SAMPLES = 50  # with fewer samples, only implausible samples and time stamps are reported
 
 

@@ -71,7 +71,8 @@ class Finding:
     advice: Advice | None = None
     # Prediction error [m] without and with the correction; for an error, with the corrections of all errors.
     tried: tuple[float, float] | None = None
-    alternatives: tuple[Alternative, ...] = ()  # other causes; `advice` is valid for these too, or mirrors the drive
+    # Other possible causes; a correction in `advice` is valid for these too, or results in a mirror image of the drive.
+    alternatives: tuple[Alternative, ...] = ()
 
     @property
     def text(self) -> str:

@@ -51,7 +51,7 @@ class Agreement:
     derived: np.ndarray  # (n,) [unit]
     other_lags: tuple[float, ...] = ()  # lags [s] that fit equally well, because the motion is periodic
     expected_lag_rejected: bool = True  # whether the lag expected without a fault fits significantly worse
-    correlation_without_lag: float = 0.0  # at zero lag
+    correlation_without_lag: float = 0.0
     determines_lag: bool = True  # whether lags that differ by LAG_TEST_SHIFT fit significantly worse
     drift: Estimate = UNKNOWN  # increase of the lag per second [1]
 

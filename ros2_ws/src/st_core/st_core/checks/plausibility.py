@@ -76,8 +76,8 @@ def drop_implausible(log: DriveLog, start_ns: int) -> tuple[DriveLog, list[Findi
     """(the drive without implausible samples, findings for each kind and channel, equal ones merged).
 
     An INS row with an implausible sample of INS_SIGNALS is left out, an optional signal becomes NaN, and a steering
-    sample is left out of the steering only. If more than half of its samples are implausible, a channel is unchanged
-    and its findings are errors. start_ns: zero of the times in the findings.
+    sample is left out of the steering only. A channel in which more than half of the samples are implausible is not
+    changed, and its findings are errors. start_ns: zero of the times in the findings.
     """
     masks: dict[str, np.ndarray] = {}  # of the implausible samples, by channel
     findings: list[Finding] = []

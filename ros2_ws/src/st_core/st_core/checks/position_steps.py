@@ -49,7 +49,7 @@ def spread_bursts(log: DriveLog) -> tuple[DriveLog, list[Finding]]:
         max_gap = max(MAX_PAUSE_RATIO * period, MAX_GAP)
         # An angle sent only on change never repeats, and mostly changes by one step of its resolution.
         is_sent_on_change = signal == "steering" and np.median(steps) < MAX_STEP_RATIO * steps.min()
-        if count < MIN_BURST_LENGTH or is_sent_on_change or (  # or the car moves far in the pauses: they are gaps
+        if count < MIN_BURST_LENGTH or is_sent_on_change or (  # or the car moves far in the pauses, which are then gaps
                 MAX_BURST_INTERVAL * steps[is_pause & (spacing <= max_gap)].mean() > steps[~is_pause].mean()):
             continue
         # The last sample of a burst has the smallest delay.

@@ -203,13 +203,13 @@ def _scale_yaw(motion: Motion, ratio: float) -> tuple[Motion, Finding]:
 
 
 def _correct_north_east(motion: Motion) -> MotionAndFinding:
-    """Correct x north, y east and a compass heading, which turn in the opposite direction to steering,
-    acceleration_y and velocity_y; the yaw rate may have either sign."""
+    """Correct positions with x to the north and y to the east, and a compass heading. They turn in the opposite
+    direction to steering, acceleration_y and velocity_y; the yaw rate may have either sign."""
     ratios, votes = compute_ratios(motion), sum(_compare_signs(motion))
     if motion.geographic or not _matches(ratios.yaw_to_course, 1.0):
         return motion, None
     measured, derived = _compute_displacements(motion, motion.velocity_map)
-    is_forward = np.sum(derived * np.conj(_direction(measured))).real > 0.0  # else velocity_x has the opposite sign
+    is_forward = np.sum(derived * np.conj(np.sign(measured))).real > 0.0  # else velocity_x has the opposite sign
     alternatives: tuple[Alternative, ...] = ()
     if _matches(ratios.yaw_to_rate, 1.0) and votes == -2 and is_forward:
         text = ("x, y, yaw and yaw_rate turn in the opposite direction to acceleration_y and steering: x is north, "
@@ -302,7 +302,7 @@ def _correct_position_axes(motion: Motion) -> MotionAndFinding:
     if not (_matches(ratios.yaw_to_course, -1.0) and _matches(ratios.yaw_to_rate, 1.0)):
         return motion, None
     measured, derived = _compute_displacements(motion, motion.velocity_map)
-    quarter = int(np.round(np.angle(np.sum(_direction(measured) * derived)) / (np.pi / 2))) % 4
+    quarter = int(np.round(np.angle(np.sum(np.sign(measured) * derived)) / (np.pi / 2))) % 4
     # x and y from longitude and latitude can be mirrored (even quarter), but not exchanged.
     signs = _compare_signs(motion)
     if quarter % 2 and (motion.geographic or signs[0] < 0 or sum(signs) < 0):
@@ -406,13 +406,9 @@ def _correct_distance(motion: Motion) -> MotionAndFinding:
     return _correct(motion, "velocity_scale", ("velocity_x", "velocity_y"), text, velocity_ratio, both)
 
 
-def _direction(displacements: np.ndarray) -> np.ndarray:
-    """Unit vectors, in which a jump of the positions has no more weight than other displacements; 0 at rest."""
-    return displacements / np.maximum(np.abs(displacements), 1e-300)
-
-
 def _compute_displacements(motion: Motion, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(change of position, integrated velocity) in windows of one second, as east + i north [m]."""
+    """(change of position, integrated velocity) in windows of one second, as east + i north [m]. np.sign() of a change
+    is its unit vector, in which a jump of the positions has no more weight than other changes."""
     windows = motion.make_windows(1.0)
     return windows.change(motion.position), windows.integral(velocity)
 
@@ -422,7 +418,7 @@ def _compute_misfit(motion: Motion, rotated: bool = True) -> float:
     measured, derived = _compute_displacements(motion, motion.velocity_map)
     if not len(measured):
         return 0.0
-    rotation = np.sum(_direction(measured) * np.conj(derived)) if rotated else 1.0
+    rotation = np.sum(np.sign(measured) * np.conj(derived)) if rotated else 1.0
     return float(np.median(np.abs(measured - derived * rotation / max(abs(rotation), 1e-300))))
 
 
@@ -471,7 +467,7 @@ def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
 def _correct_yaw_offset(motion: Motion) -> MotionAndFinding:
     """Correct a yaw measured from a wrong axis, or a reversed yaw or velocity_x, by the direction of travel."""
     measured, derived = _compute_displacements(motion, motion.velocity_map)
-    turned = derived * np.conj(_direction(measured))
+    turned = derived * np.conj(np.sign(measured))
     total, size = turned.sum(), float(np.abs(turned).sum())
     angle = float(np.angle(total))
     if len(measured) < MIN_WINDOWS or size < MIN_DISTANCE or abs(total) < 0.5 * size or abs(angle) < MIN_YAW_OFFSET:

@@ -119,7 +119,7 @@ def is_confirmed(e: Evidence, limits: Limits) -> bool:
 
 
 def max_position_reduction(e: Evidence) -> float:
-    """Reduction of the position error, overall or in one driving condition; the larger of the two [m]."""
+    """The larger of the reductions of the position error overall and in one driving condition [m]."""
     return max(e.position_reduction, e.position_reduction_in_condition)
 
 

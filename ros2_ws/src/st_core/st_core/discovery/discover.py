@@ -479,8 +479,9 @@ def _local_estimates(evidence: Evidence) -> dict[str, tuple[result.LocalEstimate
 
 
 def complete_delay(delay: result.Combination, effects: Sequence[result.FoundEffect]) -> result.Combination:
-    """The total delay; its `effects` also list the alternatives to those found, such as tyre relaxation. If only one
-    effect of the model contributes, the interval also covers that of this effect. Other combinations are unchanged."""
+    """The total delay, with alternatives of the effects found, such as tyre relaxation, added to its `effects`. If only
+    one effect of the model contributes, the interval is extended to include the interval of this effect. Combinations
+    other than the total delay are returned unchanged."""
     if not delay.is_delay:
         return delay
     contributors = [e for e in effects if e.name in delay.effects]

@@ -20,7 +20,7 @@ SIGN_DRAWS = 400  # draws of random signs of the blocks, enough to resolve a p-v
 MIN_CURVATURE = 0.3  # minimum ratio of the curvature of the robust loss to that of the reweighted least squares
 PART_PRIOR = 0.05  # prior curvature of the other parameters in one part, divided by the mean curvature of all parts
 UNSELECTED_DEVIATION = 0.5  # prior standard deviation of effects outside the set, for intervals [parameter scales]
-MIN_INFORMATION_FRACTION = 0.02  # fraction of the information in all driving; a part with less is ignored
+MIN_INFORMATION_FRACTION = 0.02  # minimum fraction of the information in all driving that a part needs to be used
 Sensors = Mapping[str, tuple[float, float, float]]  # by "effect.parameter": (value, ends of its 95 % interval)
 
 
@@ -141,7 +141,8 @@ def score_effects(problem: Problem, q: Quadratic, fit: Fit, effects: Sequence[st
 
 
 def library_p_value(block_scores: np.ndarray, block_gain: np.ndarray, scores: Scores, effect_count: int) -> float:
-    """p-value of the gain of the best effect of the library: twice the smaller p-value of two tests (Bonferroni).
+    """p-value of the gain of an effect, corrected for its selection from the library and for two tests: twice the
+    smaller p-value of the two (Bonferroni).
 
     Sign-flip test: the score statistic is compared with the largest of the library under random signs of the blocks,
     and the mean gain of the blocks is tested against zero; the larger p-value is used. Likelihood-ratio test: twice the

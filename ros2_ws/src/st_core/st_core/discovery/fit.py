@@ -368,7 +368,6 @@ class Problem:
         columns = self.errors.windows.columns
         if "position_lateral" not in columns:
             return np.full(len(rows), np.nan)
-        last = len(columns) * (len(self.errors.windows.time) - 1)
-        ends = [last + columns.index(f"position_{axis}") for axis in ("lateral", "longitudinal")]
+        ends = [columns.index(f"position_{axis}") - len(columns) for axis in ("lateral", "longitudinal")]
         error = np.minimum(np.nan_to_num(np.hypot(*rows[:, ends].T), nan=DIVERGED_ERROR), DIVERGED_ERROR)
         return np.where(self.loss.known[:, ends].all(axis=1), error, np.nan)

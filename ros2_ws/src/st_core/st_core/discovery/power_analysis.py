@@ -39,8 +39,8 @@ def predict_power(problem: Problem, fit: Fit, scores: Scores, limits: Limits) ->
 
 
 def find_confounding_effect(problem: Problem, fit: Fit, effect: str, scores: Scores, limits: Limits) -> str:
-    """Name of the effect of the fit that masks `effect` most, "" if there is none: with its values known, the power of
-    detecting a change of `effect` by one parameter scale is largest, and at least `limits.detection_power`."""
+    """Name of the effect of the fit that masks `effect` most: if its values were known, a change of `effect` by one
+    parameter scale would be detected with the highest power; "" if no power reaches `limits.detection_power`."""
     q = problem.full_quadratic(fit.vector).sum_groups(problem.block, problem.blocks)
     names = [n for n in fit.names if not problem.space.overlaps(effect, (n,))]
     indices, masking_effect, largest_power = problem.space.indices(effect), "", limits.detection_power
@@ -64,7 +64,7 @@ def _power(problem: Problem, fit: Fit, index: int, size: float, information: flo
 
 
 def _required_gain(problem: Problem, rows: np.ndarray, change: np.ndarray, limits: Limits) -> float:
-    """Smallest gain per residual for reporting an effect that changes `rows`, the residuals of the final fit."""
+    """Gain per residual above which an effect that causes `change` is reported. rows: residuals of the final fit."""
     modelled, unmodelled = problem.position_error(rows), problem.position_error(rows + change)
     reduction = float(np.nanmean(unmodelled - modelled)) if np.isfinite(modelled).any() else 0.0  # [m]
     min_gain = limits.negligible if reduction > limits.relevant_position else limits.relevant

@@ -136,7 +136,7 @@ class Reason:
 
     rule: str  # the rule of `decision` that applied
     subject: str  # an effect, or "outcome"
-    figures: Mapping[str, float]  # the compared numbers, by names of quantities in `settings`, `evidence` or `decision`
+    figures: Mapping[str, float]  # the compared numbers, by name of the quantity or limit
     text: str
 
 
@@ -182,7 +182,7 @@ class PowerAnalysis:
     """Power of the tests on these drives."""
 
     powers: tuple[Power, ...]  # for three sizes of each effect
-    alarms: int  # number of drives simulated without an effect in which one was reported
+    alarms: int  # number of drives, simulated without an effect, in which an effect was reported
     simulated_drives: int  # number of drives simulated without an effect; 0 if not measured
     measured: bool  # on simulated drives (--simulate-power); False: predicted from the curvature of the loss
 

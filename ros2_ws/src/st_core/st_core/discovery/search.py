@@ -19,7 +19,7 @@ from .result import Reason
 from .settings import Limits
 
 CONTENDERS = 4  # maximum number of effects refitted in a step, plus members of composites; half as many in an exchange
-CONTENDER_FRACTION = 0.5  # fraction of the best gain that a contender must reach; squared for gains before a refit
+CONTENDER_FRACTION = 0.5  # fraction of the best gain that a contender must reach; before a refit, its square suffices
 FIXED_CURVATURE = 1e9  # prior curvature that fixes a parameter
 MAX_JOINT_FITS, JOINT_TOLERANCE = 4, 0.1  # maximum number of joint fits; largest step at convergence [parameter scales]
 MAX_EXCHANGES = 3
@@ -137,8 +137,8 @@ class Search:
         fit = self.problem.refit(self.problem.fit(found.fit.names, found.fit.sensitivities))
         names = [n for n in fit.names if n not in state.fit.names]
         rival = self._make_rival(" and ".join(names), name, fit, state, state.evidence[name])
-        # A signed-rank test as well, because in few blocks a mean is uncertain even if all of them are worse. Twice the
-        # smaller p-value: Bonferroni correction for two tests.
+        # A signed-rank test is also made, because the mean of few blocks is uncertain even if all blocks are worse. The
+        # smaller p-value is doubled (Bonferroni correction for two tests).
         test = stats.wilcoxon(fit.held_out, state.fit.held_out, zero_method="zsplit", alternative="greater")
         rival = replace(rival, p_no_worse=min(2.0 * min(rival.p_no_worse, float(test.pvalue)), 1.0))
         if len(names) != 1 or not is_alternative(rival, self.limits):
@@ -154,7 +154,7 @@ class Search:
                      deficit / self.problem.residual_count, evidence, self.problem.space.values(other, fit.vector))
 
     def add_corrections(self, fit: Fit) -> Fit:
-        """The best fit that keeps all effects of `fit`, a fit of a different problem, and adds others."""
+        """The best fit that contains all effects of `fit`, and others. `fit` may be that of a different problem."""
         self._required = frozenset(fit.names)
         p = self.problem
         state = self._step_from(p.fit(fit.names, p.all_sensitivities(fit.vector), fit.vector))
@@ -162,8 +162,8 @@ class Search:
         return self._drop_rejected(state).fit
 
     def _find_near_sets(self, state: SearchState) -> list[NearSet]:
-        """Sets fitted at the final residual scale whose held-out loss per residual exceeds that of the final set by
-        less than `limits.max_unmodelled_gain`, or is lower; none if the residual is near the noise."""
+        """Sets fitted at the final residual scale with a held-out loss per residual that is lower than that of the
+        final set, or higher by less than `limits.max_unmodelled_gain`; none if the residual is near the noise."""
         p, limits = self.problem, self.limits
         if max((e.noise_ratio for e in state.evidence.values()), default=0.0) <= limits.max_noise_ratio:
             return []
@@ -212,7 +212,7 @@ class Search:
     def _select(self, candidates: list[SearchState]) -> SearchState:
         """The set with the lowest held-out loss plus a penalty of `limits.negligible` per effect and residual.
 
-        All are compared at the residual scale and the design effect of the set with the smallest errors.
+        All sets are compared at the residual scale and the design effect of the set with the smallest errors.
         """
         p = self.problem
         if len(candidates) > 1:
@@ -330,8 +330,9 @@ class Search:
         return _constrained_step(p, fit.quadratic, fit.vector, fit.indices, step, is_free)[0]
 
     def find_cancelling_effects(self, fit: Fit, name: str) -> tuple[str, ...]:
-        """Effects of a fit that cancel `name`, so that the drives show only the sum: without both, the loss increases
-        by less than `limits.min_rival_gain` times the smaller increase without one of them, with the other fixed."""
+        """Effects of a fit that cancel `name`, so that only the sum of both is identifiable: if both are removed, the
+        loss increases by less than `limits.min_rival_gain` times the smaller increase if one of them is removed and the
+        other fixed."""
         cancelling_names = []
         for other in (n for n in fit.names if n != name):
             alone = min(self.predict_rise(fit, name, fixed=(other,)), self.predict_rise(fit, other, fixed=(name,)))

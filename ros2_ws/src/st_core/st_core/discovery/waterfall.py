@@ -29,14 +29,12 @@ class HorizonErrors:
 
     def by_channel(self, fit: Fit) -> dict[str, np.ndarray]:
         """(n,) squared errors by channel, and position errors as position_5s; clipped at DIVERGED_ERROR."""
-        p = self.problem
-        rows = p.held_out_rows(fit)
-        last = rows.reshape(len(rows), len(p.errors.windows.time), -1)[:, -1]
-        known = p.loss.known.reshape(len(rows), len(p.errors.windows.time), -1)[:, -1]
-        last = np.clip(np.nan_to_num(last, nan=DIVERGED_ERROR), -DIVERGED_ERROR, DIVERGED_ERROR)
-        last = np.where(known, last, np.nan)
+        columns = self.problem.errors.windows.columns
+        last = np.nan_to_num(self.problem.held_out_rows(fit)[:, -len(columns):], nan=DIVERGED_ERROR)
+        last = np.clip(last, -DIVERGED_ERROR, DIVERGED_ERROR)
+        last = np.where(self.problem.loss.known[:, -len(columns):], last, np.nan)
         result: dict[str, np.ndarray] = {}
-        for column, values in zip(p.errors.windows.columns, last.T, strict=True):
+        for column, values in zip(columns, last.T, strict=True):
             channel = CHANNEL_OF_COLUMN[column].name
             result[channel] = result.get(channel, 0.0) + np.square(values)
         if "position" in result:
@@ -71,10 +69,10 @@ def estimate_parameters(problem: Problem, fit: Fit, effect: str, partitions: Map
     """Fitted values of an effect with 95 % intervals, by parameter.
 
     The half-width is the largest of three estimates: (1) from blocks taken as independent; (2) from the scatter between
-    at least three parts of a partition, such as runs or sites, but not map cells; (3) from the deviation and shift in
-    `joint_fit`, in quadrature, with all other parameters free, multiplied by `noise_ratio`, the ratio of residual to
-    noise (Birge, Phys. Rev. 40, 1932), plus the model error in quadrature. To allow for errors of the model equations,
-    the interval is extended by the distance to the values in `near_sets`, sets of effects that fit nearly as well.
+    at least three parts of a partition, such as runs or sites, but not map cells; (3) from `joint_fit`, where all other
+    parameters are free: deviation and shift in quadrature, multiplied by `noise_ratio` (Birge, Phys. Rev. 40, 1932),
+    and the model error in quadrature. To allow for errors of the model equations, both ends are shifted by the largest
+    distances to the values in `near_sets`, effect sets that fit nearly as well. noise_ratio: residual / noise [1].
     """
     space, result = problem.space, {}
     indices = space.indices(effect)

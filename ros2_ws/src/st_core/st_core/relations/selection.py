@@ -237,11 +237,8 @@ def compute_cosine(fits: RelationFits, first: RelationFit, second: RelationFit) 
     """Cosine similarity of two relations' effects on the predictions, all other parameters projected out."""
     changes = []
     for fit in (first, second):
-        change = np.einsum("p,pnm->nm", fit.coefficients, fit.sensitivities[-SPLINES:]) / fits.loss.scale
-        # An explicit shape, because `others` may be empty (no effect and no accelerometer).
-        others = (fit.sensitivities[:-SPLINES] / fits.loss.scale).reshape(len(fit.sensitivities) - SPLINES, change.size)
-        change = np.where(fits.loss.known, change, 0.0).ravel()
-        others = np.nan_to_num(others * fits.loss.known.ravel())
+        rows = np.where(fits.loss.known, fit.sensitivities / fits.loss.scale, 0.0).reshape(len(fit.sensitivities), -1)
+        others, change = rows[:-SPLINES], fit.coefficients @ rows[-SPLINES:]
         changes.append(change - np.linalg.lstsq(others.T, change, rcond=None)[0] @ others)
     return float(changes[0] @ changes[1] / max(np.linalg.norm(changes[0]) * np.linalg.norm(changes[1]), 1e-30))
 
