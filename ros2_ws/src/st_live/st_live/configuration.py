@@ -91,8 +91,7 @@ def make_replay_parameters(folder: Path, vehicle: Path, recorded: RecordedConfig
 
 
 def make_model_parameters(model: Path | None, effects: Path | None, vehicle: Path) -> dict[str, str]:
-    """Parameters that add a model file, with its folder of user-defined effects, to the models of predictor and
-    evaluator; empty without a file. Raises StCoreError like `load_model`."""
+    """Parameters that add a model file to predictor and evaluator; empty without one. Raises as `load_model`."""
     load_model(model, effects, read_vehicle(vehicle), str(vehicle))
     if model is None:
         return {}

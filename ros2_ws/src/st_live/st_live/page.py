@@ -36,7 +36,7 @@ PAGE = Path(__file__).with_name("passenger.html")
 PAGE_POLICY = ("default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'; "
                "img-src data:; base-uri 'none'; form-action 'none'")
 MAX_CLIENTS = 16
-CLIENT_TIMEOUT = 10.0  # s after which a client that neither requests nor reads anything is dropped
+CLIENT_TIMEOUT = 10.0  # s after which a client is disconnected that neither requests nor reads anything
 KEEP_ALIVE_PERIOD = 2.0  # s without a frame after which a comment is sent, which fails if the client has left
 SEND_BUFFER = 32_768  # bytes, about 0.5 s of frames: a slow client then skips frames instead of showing old ones
 
@@ -49,8 +49,6 @@ RECORDING_PATH = "/recording.rrd"
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Request handler that logs nothing."""
-
     def send_head(self, headers: Mapping[str, str], status: int = 200) -> None:
         self.send_response(status)
         for name, value in headers.items():
@@ -203,7 +201,7 @@ def _find_reachable_address(host: str) -> str:
     if host != ALL_ADDRESSES:
         return host
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):
-        probe.connect(("192.0.2.1", 9))  # a documentation address; no packet is sent
+        probe.connect(("192.0.2.1", 9))  # an address reserved for documentation; no packet is sent
         return probe.getsockname()[0]
     return LOOPBACK
 

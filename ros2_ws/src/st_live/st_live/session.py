@@ -46,7 +46,7 @@ Progress = Callable[[], tuple[float, float | None, bool]]
 
 @dataclass
 class _SupervisedNode:
-    """State of one node; times are monotonic [s]. restart_at: None while it runs. failure: the last one."""
+    """State of one node; times are monotonic [s]. restart_at: None while it runs. failure: reason of the last one."""
 
     package: str
     name: str

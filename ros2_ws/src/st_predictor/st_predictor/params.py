@@ -105,8 +105,7 @@ def load_model(values: SimpleNamespace, vehicle: VehicleParameters) -> ModelFile
 
 
 def read_file(values: SimpleNamespace, parameter: str, parse: Callable[[str, str], T]) -> T | None:
-    """Parsed content of the file that a parameter names; None for an empty name. parse: called with text and name.
-    Raises ConfigurationError naming parameter and file."""
+    """Parsed content of the file that a parameter names; None for an empty name. Raises ConfigurationError."""
     name = getattr(values, parameter)
     if not name:
         return None

@@ -76,7 +76,7 @@ def make_constants(car: VehicleParameters, settings: Settings, step: float) -> C
     to_rear = car.wheelbase - to_front
     values: dict[str, Any] = {name: s[name] for name in Constants._fields if name in s} | dict(
         mass=mass, yaw_inertia=car.yaw_inertia * s["yaw_inertia_factor"], to_front=to_front, to_rear=to_rear,
-        steering_lag=max(s["steering_lag"], step) if s["steering_lag"] else 0.0,  # below half a step, unstable
+        steering_lag=max(s["steering_lag"], step) if s["steering_lag"] else 0.0,  # a lag below half a step is unstable
         ackermann=s["ackermann"] * TRACK_WIDTH / (2 * car.wheelbase), max_relaxation_rate=1.0 / step,
         transfer_x=s["longitudinal_load_transfer"] * mass * car.cg_height / car.wheelbase / 2,
         transfer_y=s["lateral_load_transfer"] * mass * car.cg_height / TRACK_WIDTH,

@@ -38,8 +38,8 @@ class InsReading:
 
 
 # Standard deviations of white and slow noise [SI], and correlation time of the slow noise [s]. About half the specified
-# accuracy of an RT3000 v3 with RTK (0.01 m, 0.014 m/s, 0.1 deg in heading, 0.03 deg in roll and pitch); errors vary
-# slowly because its filter smooths them. The white noise of rates and forces is vibration caused by the road.
+# accuracy of an RT3000 v3 with RTK (0.01 m, 0.014 m/s, 0.1 deg in heading, 0.03 deg in roll and pitch); the filter of
+# the unit makes errors vary slowly. The white noise of rates and forces is vibration caused by the road.
 NOISE = {
     **dict.fromkeys(("x", "y"), (0.001, 0.006, 60.0)), "z": (0.002, 0.012, 60.0),
     **dict.fromkeys(("velocity_x", "velocity_y"), (0.002, 0.005, 20.0)), "velocity_z": (0.003, 0.007, 20.0),

@@ -88,8 +88,8 @@ class Monitor(AbstractContextManager):
         return [name for name in self._node.get_node_names() if name != self._node.get_name()]
 
     def wait_for_nodes(self, names: set[str], timeout: float) -> set[str]:
-        """Wait until all nodes have a publisher of diagnostics, at most `timeout` [s]; returns the missing nodes. The
-        predictor is in the graph seconds before it has one, because it first compiles its models."""
+        """Wait until all nodes publish diagnostics, at most `timeout` [s]; returns the missing nodes. A node may be in
+        the graph for seconds before it publishes them: the predictor first compiles its models."""
         end = time.monotonic() + timeout
         while time.monotonic() < end:
             ready = {info.node_name for info in self._node.get_publishers_info_by_topic("/diagnostics")}
@@ -139,8 +139,7 @@ class Monitor(AbstractContextManager):
 
 
 def render_progress(state: SuiteState, elapsed: float, duration: float | None, title: str) -> RenderableType:
-    """Terminal view of a run, with speed, road-wheel angle and v_x r at the start of the newest prediction. elapsed,
-    duration [s]; duration None: the run lasts until it is stopped."""
+    """Terminal view of a run, with the motion at the newest prediction. elapsed, duration [s]; None: until Ctrl-C."""
     progress = Table.grid(padding=(0, 1))
     if duration:
         bar = ProgressBar(total=duration, completed=min(elapsed, duration), width=40)
@@ -208,7 +207,7 @@ def render_counts(status: PredictorStatus | None) -> Text:
 
 
 def render_health(state: SuiteState) -> Text:
-    """Statuses that are silent or not OK, errors first, then stale ones, or "all nodes OK"; empty before the first."""
+    """Statuses that are silent or not OK, errors first, then stale ones; "all nodes OK" if there are none."""
     now = time.monotonic()
     text = Text()
     for status in sorted(state.health.values(), key=lambda s: ((3, 2, 0, 1)[min(s.level, STALE)], s.name)):

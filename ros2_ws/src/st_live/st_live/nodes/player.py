@@ -169,7 +169,7 @@ class Player:
         return clock_ns
 
     def _report(self, played_time: float, duration: float, wall_time: float = 0.0) -> None:
-        """Print the progress [s] as JSON, at most once per STATUS_PERIOD, and at the end, then with `wall_time` [s]."""
+        """Print the progress [s] as JSON, at most once per STATUS_PERIOD; at the end, with the `wall_time` [s]."""
         now = time.monotonic()
         if wall_time or now - self._reported_at > STATUS_PERIOD:
             self._reported_at = now

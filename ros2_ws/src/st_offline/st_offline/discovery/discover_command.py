@@ -150,7 +150,7 @@ def draw_figures(discovery: Discovery, request: Request, output: FigureOutput) -
 def write_results(discovery: Discovery, request: Request, update: VehicleUpdate | None, folder: Path,
                   figures: Sequence[PageFigure] | None, seconds: dict[str, float],
                   search: RelationSearch | None = None, report: RelationReport | None = None) -> dict[str, Path]:
-    """Write all files; returns their paths by kind. figures: for the page; None: no page. report: of `search`."""
+    """Write all files; returns their paths by kind. figures: for the page; None: no page. report: that of `search`."""
     files = {"discovery.json": folder / "discovery.json"}
     if update is not None:
         model = None if discovery.increases_error else build_model_file(discovery, request, update)

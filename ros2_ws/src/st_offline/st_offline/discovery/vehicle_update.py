@@ -45,8 +45,7 @@ class VehicleUpdate:
 
     vehicle: VehicleParameters  # updated car, or the original one if vehicle.yaml is not written
     text: str  # content of vehicle.yaml; "" if it is not written
-    # Model for `vehicle`; of a folded effect, it keeps the difference between `Discovery.model` and `Discovery.named`.
-    model: AugmentedModel
+    model: AugmentedModel  # for `vehicle`: `Discovery.model` without the values that are folded into the file
     folded: tuple[str, ...]  # effects in vehicle.yaml
     # (before, after, low, high) by key [SI]; low, high: 95 % interval.
     changes: Mapping[str, tuple[float, float, float, float]]
@@ -140,8 +139,8 @@ def _find_required_slip_speed(car: VehicleParameters, model: AugmentedModel) -> 
 
 def _compute_held_out_error(discovery: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
                             drives: Sequence[DriveLog]) -> tuple[tuple[float, float], tuple[str, ...]]:
-    """`error` and `worse_drives` of `VehicleUpdate`; each drive is predicted with values fitted to the other drives, if
-    any. (0, inf) and the drive if these values are outside the limits of a vehicle file."""
+    """`error` and `worse_drives` of `VehicleUpdate`. Each drive is predicted with values fitted to the other drives, if
+    any; if a vehicle file does not permit them, the result is (0, inf) and this drive."""
     assert discovery.named is not None  # because there are reported effects
     errors, worse = [], []
     for drive in drives:

@@ -67,8 +67,8 @@ def check_formats(formats: Sequence[str]) -> None:
 
 
 def save_figure(figure: Figure, output: FigureOutput, key: str, title: str, caption: str) -> PageFigure:
-    """Save a figure as files with its title, and as an SVG for the page without its title; close the figure. A legend
-    below the figure lists each label once, unless one of the axes has a legend."""
+    """Save a figure as files, with its title, and as an SVG for the page, without it; close the figure. A legend below
+    the figure lists each label once, unless one of the axes has a legend."""
     entries = {label: handle for axes in figure.axes
                for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
     characters = round(TITLE_CHARACTERS * figure.get_figwidth() / WIDTH)

@@ -98,8 +98,8 @@ class PublisherLock:
 
 
 class _Input:
-    """One input topic. received_count, unusable_count: messages of the accepted publisher, and those that cannot be
-    used. problem: why the newest one cannot be used, or "". arrival_ns: time of its arrival [ns], host UTC."""
+    """One input topic. received_count, unusable_count: numbers of accepted and of unusable messages. problem: why the
+    newest message cannot be used, or "". arrival_ns: time of its arrival [ns], host UTC."""
 
     def __init__(self, node: Node, signal: str, message_type: type, topic: str, on_change: Callable[[], None]):
         self.signal, self._on_change = signal, on_change
@@ -164,7 +164,7 @@ class Inputs:
             self._ins.count(problem)
         for message in self._steering.take_accepted():
             if not message.valid:
-                self._steering.count("marked invalid by its source (counter, checksum or angle not finite)")
+                self._steering.count("marked invalid by its source (wrong counter or checksum, or angle not finite)")
             else:
                 accepted = self._core.add_steering(to_nanoseconds(message.header.stamp), message.road_wheel_angle)
                 self._steering.count("" if accepted else UNUSABLE_SAMPLE)
