@@ -262,14 +262,15 @@ def test_more_severe_of_two_contradicting_corrections_is_applied(tmp_path):
     assert "#   not applied, an earlier finding proposes a different value: correct:" in text
 
 
-def test_column_corrections_are_proposed_for_csv_and_vbo_only(tmp_path):
+def test_corrections_of_units_are_proposed_for_csv_and_vbo_only(tmp_path):
     exchanged = Finding("position_axes", Severity.ERROR, ("x", "y"), "exchanged",
                         advice=correct_by(columns={"x": "y", "y": "x"}))
-    for kind, applied in (("csv", True), ("vbo", True), ("bag", False)):
+    unit = Finding("time_unit", Severity.ERROR, ("time",), "ms", advice=correct_by(units={"t": "ms"}))
+    for kind, is_table in (("csv", True), ("vbo", True), ("bag", False)):
         source = replace(make_source(tmp_path), kind=kind)
-        text = make_run_yaml(source, [exchanged], tmp_path / "run.yaml", ReadSettings())
-        assert ("columns" in yaml.safe_load(text)) is applied
-        assert ("#   not applied, only csv and vbo files have columns and units: " in text) is not applied
+        text = make_run_yaml(source, [exchanged, unit], tmp_path / "run.yaml", ReadSettings())
+        assert "columns" in yaml.safe_load(text) and ("units" in yaml.safe_load(text)) is is_table
+        assert ("#   not applied, only csv and vbo files have units: " in text) is not is_table
 
 
 def test_time_range_excluded_by_several_findings_is_listed_once(tmp_path):

@@ -184,6 +184,17 @@ def test_axes_of_velocities_follow_from_their_direction(tmp_path: Path, drive_lo
     assert_warned(run.warnings, warning)
 
 
+@pytest.mark.slow
+def test_exchanged_channels_of_a_bag_are_corrected_by_a_run_file(tmp_path: Path, drive_log: DriveLog) -> None:
+    exchanged = replace(drive_log, x=drive_log.y, y=drive_log.x)
+    write(tmp_path / "drive", exchanged, "/odom", "/steer")
+    (tmp_path / "run.yaml").write_text("bag: drive\ncolumns: {x: y, y: x}\n")
+    (source,) = find_runs([tmp_path])
+    run = read(source, CAR, STEER)
+    assert_same(run.log, drive_log, max_lost=0, rotated=False)
+    assert_warned(run.warnings, "corrected by its run.yaml: x from y; y from x")
+
+
 @pytest.mark.parametrize(("frame_id", "yaw", "is_rotated"), [
     ("map", 0.05, True), ("robot/odom", 0.05, True), ("gps_link", 0.05, True), ("", 0.05, False),
     ("base_link", 0.05, False), ("base_link", 0.3, True), ("map", 0.3, True), ("imu_link", -1.6, True)])

@@ -326,6 +326,11 @@ TABLES = [
     Table("gps_week.csv", lambda log: csv([["2300", *row, "99"] for row in rows(log)], ",".join(
         ("Time [week]", "TOW [s]", "x", "y", "yaw", "velocity_mpers", "vy [m⁄s]", "“yaw_rate”", NAMES[7],
          "speed_gps")))),
+    Table("radians.csv", lambda log: positions_in_radians(geographic(log)),
+          "were read in radians: in degrees, they give 1/"),
+    Table("header_ends_with_delimiter.csv", lambda log: csv(rows(log), header() + ",")),
+    Table("labview.lvm", lambda log: "LabVIEW Measurement\t\nDelta_X\t0.02\n***End_of_Header***\t\n" + csv(
+        rows(log), "\t".join(["X_Value", *NAMES[1:], "Comment"]), "\t"), "the header is in line 4"),
     Table("time_utc.csv", lambda log: csv(rows(log), header(t="time_utc"))),
     Table("date_time.txt", lambda log: with_times(log, lambda s: f"2026-05-04 {clock(NOON + s)}").replace(
         "t,", "Date Time,", 1)),
@@ -385,7 +390,8 @@ TABLES = [
 # Days since 1970; 0 where the date is not used.
 DAYS = {"day_first.csv": 20568, "month_first.csv": 20568, "ambiguous_date.csv": 0}
 IN_ANOTHER_MAP = {"geographic.csv", "hemispheres.csv", "hemispheres_before.csv", "mode_after_the_longitude.csv",
-                  "positions_at_20_hz.csv", "unfilled.csv", "unfilled_orientation.csv", "unwrapped_heading.csv"}
+                  "positions_at_20_hz.csv", "radians.csv", "unfilled.csv", "unfilled_orientation.csv",
+                  "unwrapped_heading.csv"}
 
 
 @pytest.mark.parametrize("table", TABLES, ids=[table.name for table in TABLES])
@@ -474,8 +480,6 @@ def test_parts_of_a_table_are_one_run(tmp_path: Path, drive_log: DriveLog, kind:
     (lambda log: csv([[f"2026-05-04 {clock(NOON)}", *row[1:]] for row in rows(log)], " ".join(NAMES), " "),
      "its rows have 9 cells, but its header has 8"),
     (lambda log: geographic(log).replace("latitude,longitude", "longitude,latitude"), "are swapped: they agree"),
-    (lambda log: positions_in_radians(geographic(log)),
-     r"are in radians: if read as degrees, they give 1/\d\d of the driven"),
     (with_ambiguous_thousands, r"1,234 may be a number with a decimal mark or with a thousands separator"),
     (lambda log: csv(rows(log), header() + "\ns,m,m,Grad,m/s,m/s,deg/s,deg"), "unit row: 'Grad' of column yaw"),
 ])

@@ -119,11 +119,11 @@ def test_invalid_columns_units_or_corrections_are_rejected(tmp_path: Path, text:
         load(tmp_path, text)
 
 
-def test_columns_and_units_of_a_bag_are_rejected(tmp_path: Path) -> None:
+def test_names_of_columns_and_units_of_a_bag_are_rejected(tmp_path: Path) -> None:
     (tmp_path / "bag").mkdir()
-    for key in ("columns", "units"):
-        (tmp_path / "run.yaml").write_text(f"bag: bag\n{key}: {{yaw: deg}}\n")
-        with pytest.raises(RunError, match=rf"{key}: only csv and vbo files have columns, .* with `correct:`"):
+    for text in ("columns: {yaw: heading_deg}", "units: {yaw: deg}"):
+        (tmp_path / "run.yaml").write_text(f"bag: bag\n{text}\n")
+        with pytest.raises(RunError, match=r"run\.yaml: only csv and vbo files have columns and units; .* `correct:`"):
             read(find_runs([tmp_path / "run.yaml"])[0])
 
 

@@ -182,7 +182,7 @@ def test_folder_with_runs_of_several_kinds_and_other_files(tmp_path: Path) -> No
     ("missing.ncom", "the file or folder does not exist; looked for in /"),
     ("note.txt", r"the file or folder does not exist; looked for in .*, did you mean notes\.txt\?"),
     ("notes.doc", r"recordings with the extension \.doc are not supported; give files with .*\.ncom"),
-    ("table.lvm", r"recordings with the extension \.lvm are not supported; rename it to \.csv if it is a text"),
+    ("table.xls", r"recordings with the extension \.xls are not supported; rename it to \.csv if it is a text"),
     ("capture.pcap", "no CAN log has the same name"),
     ("unit.bin", r"recordings with the extension \.bin are not supported; rename it to \.ncom if"),
     ("unit.rd", r"recordings with the extension \.rd are not supported; .* convert it to NCOM"),
@@ -191,7 +191,7 @@ def test_folder_with_runs_of_several_kinds_and_other_files(tmp_path: Path) -> No
     ("folder", "this folder contains no recording"),
 ])
 def test_path_that_is_not_a_run_is_rejected(tmp_path: Path, path: str, message: str) -> None:
-    touch(tmp_path, "notes.txt", "folder/notes.txt", "notes.doc", "table.lvm", "capture.pcap", "unit.rd", "unit.bin",
+    touch(tmp_path, "notes.txt", "folder/notes.txt", "notes.doc", "table.xls", "capture.pcap", "unit.rd", "unit.bin",
           "logger.vbb", "car.dbc")
     (run,) = find_runs([tmp_path / path])
     with pytest.raises(RunError, match=message):
@@ -385,6 +385,15 @@ def test_run_yaml_gives_files_and_settings(tmp_path: Path) -> None:
     assert (run.labels[0].name, run.labels[0].end) == ("S3", 20.5)
     (pattern,) = find_runs(touch(tmp_path, "other.run.yaml", content="ins: x.ncom\ncan: logs/*.log\n"))
     assert (pattern.name, len(pattern.can)) == ("other", 2)
+
+
+@pytest.mark.parametrize(("run_file", "content", "is_valid"), [
+    ("run.yaml", "bag: drive_bag\nname: monday\n", True), ("run.yaml", "bag: drive_bag\nnam: monday\n", False),
+    ("results/drive.run.yaml", "bag: ../drive_bag\nname: monday\n", True)])
+def test_described_bag_folder_is_one_run(tmp_path: Path, run_file: str, content: str, is_valid: bool) -> None:
+    touch(tmp_path, "drive_bag/metadata.yaml", "drive_bag/drive_0.mcap", run_file, content=content)
+    (run,) = find_runs([tmp_path])
+    assert (run.problem is None) is is_valid and (run.name == "monday") is is_valid
 
 
 @pytest.mark.parametrize(("content", "message"), [

@@ -126,7 +126,7 @@ def make_run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, re
     """Text of a run.yaml: comments with the findings, the run as it was read, and its corrections.
 
     A correction is written only as a comment if it belongs in the vehicle file or an option, is negligible, conflicts
-    with an earlier finding, or concerns the columns of a run without a table. Paths are relative to `file`.
+    with an earlier finding, or concerns the units of a run without a table. Paths are relative to `file`.
     """
     corrections: dict[str, Any] = {}
     lines = ["# Proposed by st check. Every command that reads this file lists its corrections.\n"]
@@ -139,8 +139,8 @@ def make_run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, re
             comment = check_report.describe_correction(advice)
         elif finding.severity is Severity.NOTE:
             comment = f"not applied, negligible: {advice.line}"
-        elif not READERS[source.kind].is_table and {"columns", "units"} & advice.entry.keys():
-            comment = f"not applied, only {' and '.join(TABLE_KEYS)} files have columns and units: {advice.line}"
+        elif not READERS[source.kind].is_table and "units" in advice.entry:
+            comment = f"not applied, only {' and '.join(TABLE_KEYS)} files have units: {advice.line}"
         else:
             joined = _merge(corrections, as_yaml_values(advice.entry))
             if joined == _merge(joined, corrections):

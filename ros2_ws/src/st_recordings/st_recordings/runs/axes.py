@@ -210,12 +210,12 @@ def compute_steps(table: Table, x: np.ndarray, y: np.ndarray, is_geographic: boo
     return first, last, (dx + 1j * dy) / (seconds[last] - seconds[first])
 
 
-def check_geographic(table: Table, columns: Mapping[str, np.ndarray], latitude: np.ndarray,
-                     longitude: np.ndarray) -> None:
-    """Raises RunError if latitude and longitude are in radians without a stated unit, or swapped.
+def read_geographic(table: Table, columns: Mapping[str, np.ndarray], latitude: np.ndarray, longitude: np.ndarray,
+                    warnings: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Latitude and longitude [rad], which a file without a stated unit may contain in radians. Raises RunError if they
+    are swapped: they agree with the integrated speed and the heading only the other way round.
 
-    They are swapped if they agree with the integrated speed and the heading only the other way round. Distances are
-    compared over steps of one second, so that they are large relative to the noise of the receiver.
+    Distances are compared over steps of one second, so that they are large relative to the noise of the receiver.
     """
     unknown = np.full(len(latitude), np.nan)
     speed, yaw = np.abs(columns.get("velocity_x", unknown)), columns.get("yaw", unknown)
@@ -233,12 +233,13 @@ def check_geographic(table: Table, columns: Mapping[str, np.ndarray], latitude: 
     names = [table.sources[name].name for name in ("latitude", "longitude")]
     ratio, angle = compare(latitude, longitude)
     if not table.sources["latitude"].has_stated_unit and 0.8 < ratio * 180.0 / np.pi < 3.0:
-        raise RunError(table.file, f"{names[0]} and {names[1]} are in radians: if read as degrees, they give 1/"
-                       f"{1.0 / ratio:.0f} of the driven distance",
-                       "declare the unit in a run.yaml, as units: {latitude: rad, longitude: rad}")
+        warnings.append(f"{table.file}: {names[0]} and {names[1]} were read in radians: in degrees, they give 1/"
+                        f"{1.0 / ratio:.0f} of the driven distance")
+        return np.degrees(latitude), np.degrees(longitude)
     if abs(ratio - 1.0) > 0.05 and angle > MIN_DISAGREEING_ANGLE and np.nanmax(np.abs(longitude)) < np.pi / 2:
         ratio, angle = compare(longitude, latitude)
         if abs(ratio - 1.0) < 0.02 and angle < MAX_AGREEING_ANGLE:
             raise RunError(table.file, f"{names[0]} and {names[1]} are swapped: they agree with the driven distance "
                            "and the heading only the other way round", "swap them in a run.yaml, as "
                            f"columns: {{latitude: '{names[1]}', longitude: '{names[0]}'}}")
+    return latitude, longitude

@@ -22,7 +22,8 @@ from .errors import RunError, shorten
 from .mdf_blocks import describe_truncation
 from .mf4 import MDF_OPTIONS, open_mdf
 
-ARROW_EXTENSIONS = (".parquet", ".feather")
+PARQUET_EXTENSIONS = (".parquet", ".pq")
+ARROW_EXTENSIONS = (*PARQUET_EXTENSIONS, ".feather", ".arrow")
 BINARY_EXTENSIONS = (".mat", *hdf5.EXTENSIONS, *ARROW_EXTENSIONS)
 NAME_FIELDS = ("label", "Name", "name")
 _RAW_FRAMES = re.compile(rb"\0CAN_(Data|Remote|Error)Frame")
@@ -65,7 +66,7 @@ def _read_arrow(file: Path) -> Any:
     import pandas as pd
 
     try:
-        frame = (pd.read_parquet if file.suffix.lower() == ".parquet" else pd.read_feather)(file)
+        frame = (pd.read_parquet if file.suffix.lower() in PARQUET_EXTENSIONS else pd.read_feather)(file)
     except ImportError:
         raise RunError(file, "Parquet and Feather files require the package pyarrow", "install it, or export a CSV file"
                        ) from None

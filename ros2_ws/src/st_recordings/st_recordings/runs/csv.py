@@ -15,7 +15,7 @@ from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
 from st_core.types import map_to_body, wrap_angle
 from st_core.vehicle import VehicleParameters
 
-from .axes import COURSE, HEADING, MIN_COURSE_SPEED, check_geographic, read_angles, rotate_to_body_axes
+from .axes import COURSE, HEADING, MIN_COURSE_SPEED, read_angles, read_geographic, rotate_to_body_axes
 from .columns import Layout, describe_unknown_units, find_ambiguous, find_ambiguous_steering, find_columns
 from .csv_table import Table, all_finite, differentiate_yaw, read_header
 from .errors import RunError, format_count
@@ -273,10 +273,10 @@ def _derive_channels(table: Table, warnings: list[str], frame_id: str = ""
             count_text = format_count(int((~has_fix).sum()), len(has_fix), "rows")
             warnings.append(f"{table.file}: {count_text} have latitude and longitude 0, which means no fix")
         latitude, longitude = (np.where(has_fix, values, np.nan) for values in (latitude, longitude))
+        latitude, longitude = read_geographic(table, columns, latitude, longitude, warnings)
         fixes = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude) & table.is_usable)
         origin = (float(latitude[fixes[0]]), float(longitude[fixes[0]]), 0.0) if len(fixes) else None
         columns["x"], columns["y"], _ = LocalFrame(*(origin or (0.0, 0.0, 0.0))).to_enu(latitude, longitude, 0.0)
-        check_geographic(table, columns, latitude, longitude)
     _interpolate_lower_rates(table, columns, warnings)
     _interpolate_held_positions(table, columns, warnings)
     return columns, origin

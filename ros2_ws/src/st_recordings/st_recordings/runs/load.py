@@ -85,6 +85,7 @@ def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters
     Label times are relative to the first INS sample, so they are shifted if the first samples are left out.
     """
     excluded_intervals = source.settings.get("leave_out", ())
+    sources: dict[str, str] = source.settings.get("columns", {})  # of a bag or NCOM file: channel -> another channel
     corrections: dict[str, Correction] = dict(source.settings.get("correct", {}))
     notes = list[str]()
     rate = corrections.get("yaw_rate")
@@ -93,14 +94,15 @@ def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters
         corrections = {name: correction for name, correction in corrections.items() if correction != Correction()}
         notes.append(f"{source.path}: its reader has changed the sign of yaw_rate, so the scale in its run.yaml is "
                      "applied without its sign")
-    phrases = (*describe_corrections(corrections),
+    phrases = (*(f"{name} from {other}" for name, other in sources.items()), *describe_corrections(corrections),
                *(f"INS samples left out from {start:g} to {end:g} s" for start, end in excluded_intervals))
     if not phrases:
         return replace(run, warnings=(*run.warnings, *notes))
     if "yaw" in corrections and READERS[source.kind].is_table:
         corrections["yaw"] = replace(corrections["yaw"], scale=1.0)  # its reader has applied the factor
     try:
-        log = apply_corrections(run.log, corrections, vehicle, excluded_intervals)
+        log = replace(run.log, **{name: getattr(run.log, other) for name, other in sources.items()})
+        log = apply_corrections(log, corrections, vehicle, excluded_intervals)
     except StCoreError as error:
         raise RunError(source.path, str(error)) from None
     shift = (int(log.ins_time_ns[0]) - int(run.log.ins_time_ns[0])) * 1e-9 if len(log.ins_time_ns) else 0.0

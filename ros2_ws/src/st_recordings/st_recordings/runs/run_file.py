@@ -13,6 +13,7 @@ from canedge_bridge.units import UNITS, find_unit
 from st_core import yaml_text
 from st_core.corrections import CHANNELS, Correction, check_corrections
 from st_core.errors import ConfigurationError, StCoreError
+from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
 
 from .can_formats import EXTENSIONS as CAN_EXTENSIONS
 from .can_formats import is_can_log
@@ -84,7 +85,7 @@ def _may_describe(path: Path, file: Path) -> bool:
 
 def find_described_files(path: Path) -> list[Path]:
     """Files in the folder that an invalid run.yaml may describe; all for a plain run.yaml that names no recording."""
-    files = [f for f in path.parent.iterdir() if f.is_file()]
+    files = [f for f in path.parent.iterdir() if f.is_file() or find_reader(f)]
     named_files = [f for f in files if _may_describe(path, f)]
     return files if path.name == RUN_FILE and not any(map(find_reader, named_files)) else named_files
 
@@ -170,15 +171,16 @@ def _build_run(path: Path, content: Mapping[str, Any], name: str, key: str, file
     assert reader is not None  # _FILE_KEYS are the keys of the readers
     if reader.needs_can and not logs:
         raise RunError(path, "can: no CAN log is listed", "list the logs, a folder that contains them, or a pattern")
-    for setting in ("columns", "units"):
-        if setting in content and not reader.is_table:
-            raise RunError(path, f"{setting}: only {' and '.join(TABLE_KEYS)} files have columns, and other files have "
-                           "fixed units", "change values of other recordings with `correct:`")
+    columns, units = content.get("columns", {}), content.get("units", {})
+    layout = Layout(_parse_columns(path, columns), _parse_units(path, units), path)
+    exchanged = {*layout.columns, *layout.columns.values()}
+    if not reader.is_table and (layout.units or not exchanged <= {*INS_SIGNALS, *OPTIONAL_INS_SIGNALS}):
+        raise RunError(path, f"only {' and '.join(TABLE_KEYS)} files have columns and units; `columns` of another "
+                       "recording can only exchange its channels, as {x: y, y: x}", "change its values with `correct:`")
     settings = {setting: parse(path, setting, content[setting]) for setting, parse in _SETTINGS.items()
                 if setting in content and (setting != "offset" or content[setting] is not None)}
-    if "columns" in content or "units" in content:
-        settings["layout"] = Layout(_parse_columns(path, content.get("columns", {})),
-                                    _parse_units(path, content.get("units", {})), path)
+    if layout.columns or layout.units:
+        settings |= {"layout": layout} if reader.is_table else {"columns": layout.columns}
     return RunSource(name, reader.kind, files, tuple(logs), _parse_labels(path, content.get("labels", [])), settings,
                      run_file=path)
 

@@ -27,7 +27,7 @@ GENERIC_NAMES = ("run", "bag")
 DOCUMENT_EXTENSIONS = (".md", ".txt", ".rst", ".pdf", ".html", ".png", ".jpg", ".json", ".yaml", ".yml", "")
 """Extensions of documents such as README and LICENSE, which are ignored among recordings."""
 MAX_SPLIT_GAP = 5.0  # longest gap or overlap [s] between the end of one file of a split bag and the start of the next
-TABLE_EXTENSIONS = (".lvm", ".xls", ".xlsx", ".ods", ".tdms", ".erg", ".ld", ".pos")
+TABLE_EXTENSIONS = (".xls", ".xlsx", ".ods", ".tdms", ".erg", ".ld", ".pos")
 """Extensions of tables of other programs. Some of these files are text, which can be read after renaming to .csv."""
 TEXT_EXPORTS = (".txt", ".tsv", ".dat")  # extensions of tables that programs often export alongside their own files
 UNKNOWN_ADVICE = {
@@ -85,7 +85,7 @@ def _report_folder_without_runs(folder: Path) -> list[RunSource]:
                                 "oxts/data with a column for it and names as in docs/csv_columns.md")]
     bags = [f for f in files if bag.accepts(f) and not any(bag.accepts(parent) for parent in f.parents)]
     unknown_files = [f for f in files if f.suffix.lower() in UNKNOWN_ADVICE.keys() - {*DOCUMENT_EXTENSIONS}]
-    tables = [f for f in files if f.suffix.lower() in (*BINARY_EXTENSIONS, *MF4_EXTENSIONS, ".csv", ".tsv")]
+    tables = [f for f in files if f.suffix.lower() in (*BINARY_EXTENSIONS, *MF4_EXTENSIONS, ".csv", ".tsv", ".lvm")]
     # The problems of bags and tables are reported when they are read.
     return [*(_make_single_run(f, bag) for f in bags), *(_make_single_run(f, READERS["csv"]) for f in tables),
             *map(_report_unknown_file, unknown_files)] or [_report_problem(
@@ -95,28 +95,29 @@ def _report_folder_without_runs(folder: Path) -> list[RunSource]:
 def _search_folder(folder: Path) -> list[RunSource]:
     runs: list[RunSource] = []
     used_files: set[Path] = set()
+    bag_folders: set[Path] = set()
     files: list[Path] = []
     for path in sorted(folder.rglob("*")):
         is_hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
-        if is_hidden or any(parent in used_files for parent in path.parents):
+        if is_hidden or not bag_folders.isdisjoint(path.parents):
             continue
         if path.is_dir():
             if find_reader(path) is not None:
-                used_files.add(path)
+                bag_folders.add(path)
                 files.append(path)
         elif is_run_file(path):
             known_run_files = [run.run_file for run in runs]  # including runs of a run.yaml with `each`
             described_runs = _read_run_file_or_problem(path)
             runs += [run for run in described_runs if run.run_file not in known_run_files]
-            used_files.update(file for run in described_runs for file in (*run.files, *run.can))
+            used_files.update(file.resolve() for run in described_runs for file in (*run.files, *run.can))
             # The files of an invalid run.yaml are not separate runs, so that one mistake is reported once.
             if any(run.problem and run.run_file == path for run in described_runs):
-                used_files.update(find_described_files(path))
+                used_files.update(file.resolve() for file in find_described_files(path))
         else:
             files.append(path)
     # A run of `each` may be a part of a recording that another run.yaml describes.
     runs = [run for run in runs if not any({*run.files} < {*other.files} for other in runs)]
-    single_files = [path for path in files if path not in used_files or path.is_dir()]
+    single_files = [path for path in files if path.resolve() not in used_files]
     usable_files = {path for path in single_files if _may_belong_to_run(path, files)}
     # A file of a split bag may lack odometry, for example if the INS was switched on later.
     bags = [path for path in single_files if path.suffix.lower() in BAG_EXTENSIONS and path.is_file()]

@@ -43,7 +43,7 @@ def register_table(kind: str, extensions: tuple[str, ...], read_file: Callable[[
     register(Reader(kind, kind, extensions, read, read_ins, is_table=True, **tests))
 
 
-register_table("csv", (".csv", ".tsv", ".txt", ".dat", *MF4_EXTENSIONS, *BINARY_EXTENSIONS), read_table,
+register_table("csv", (".csv", ".tsv", ".txt", ".dat", ".lvm", *MF4_EXTENSIONS, *BINARY_EXTENSIONS), read_table,
                has_drive=lambda file: not csv.find_missing_in_header(file),
                # It contains a position, and lacks at most one INS channel.
                is_incomplete=lambda file: not {"x", "y"} & {*(missing := csv.find_missing_in_header(
