@@ -21,9 +21,9 @@ Values = Mapping[str, Mapping[str, float]]
 class AugmentedModel(Model):
     """A base model with effects and the values of their parameters, created by `augment`.
 
-    `effective_vehicle` applies effects to the vehicle parameters, and `steering` applies delay, play and lag to a
-    recorded road wheel angle; `observe` and `correct` convert true values to INS readings and back. Models that differ
-    only in values share their compiled functions.
+    `effective_vehicle` applies the effects to the vehicle parameters, and `steering` to a recorded road wheel angle
+    (delay, play, lag); `observe` and `correct` convert true values to INS readings and back. Models that differ only in
+    values share their compiled functions.
     """
 
     base: Model = field(kw_only=True)  # model without effects
@@ -106,8 +106,8 @@ class AugmentedModel(Model):
         return time, angle
 
     def effective_road_wheel_angle(self, angle: Any, vehicle: VehicleParameters) -> Any:
-        """Road wheel angle [rad] that the equations use for a recorded angle (float or array): with the effects of
-        ratio, offset and map, but without those that need signals or act in `steering`."""
+        """Road wheel angle [rad] in the equations for a recorded angle (float or array): with the effects of ratio,
+        offset and map, but without the effects that need signals or act in `steering`."""
         effects = compose(self.base, self.effects).effects
         hooks = [(index, e.inputs, ()) for index, e in enumerate(effects) if e.inputs and not e.signals]
         return change_inputs(hooks, angle, 0.0 * angle, (), self.parameters(vehicle).thetas)[0] if hooks else angle
@@ -144,9 +144,9 @@ class AugmentedModel(Model):
 def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedModel:
     """The base model with additional effects.
 
-    effects: values by effect and parameter, or names of effects, which get their initial values. A parameter that is
-    not given has its null value if `fit` is false. Raises ConfigurationError, naming effect, parameter and limit, for a
-    value missing or out of bounds, an unknown parameter, and an effect that is unknown, repeated or does not apply.
+    effects: values by effect and parameter; or names of effects, which then have their initial values. Parameters with
+    fit=False are optional, and null by default. Raises ConfigurationError, naming effect, parameter and limit, for a
+    missing value or one out of bounds, an unknown parameter, and an effect that is unknown, repeated or does not apply.
     """
     base = get_model(base)
     if not isinstance(effects, Mapping):
@@ -208,11 +208,11 @@ def _check_all_values(effects: Iterable[type[Effect]], values: Values) -> Values
 
 
 def fold_effects(vehicle: VehicleParameters, effects: Iterable[type[Effect]], values: Values) -> VehicleParameters:
-    """The vehicle with effects folded into its parameters; each effect must define `fold`.
+    """The vehicle with effects folded into its parameters, so that predictions are the same without the effects.
 
-    Its predictions equal those of the vehicle with the effects, for the same readings. If steering ratio or offset
-    change, the road wheel angle must be recomputed (`DriveLog.with_steering`), and the play of steering_backlash
-    divided by the factor of steering_ratio. Raises ConfigurationError for a value outside the limits of a vehicle file.
+    Each effect must define `fold`. If steering ratio or offset change, the road wheel angle must be recomputed
+    (`DriveLog.with_steering`), and the play of steering_backlash divided by the factor of steering_ratio. Raises
+    ConfigurationError for a value outside the limits of a vehicle file.
     """
     for effect in effects:
         assert effect.fold is not None
@@ -221,6 +221,6 @@ def fold_effects(vehicle: VehicleParameters, effects: Iterable[type[Effect]], va
 
 
 def set_effects_to_null(model: AugmentedModel, effects: Iterable[type[Effect]] | None = None) -> AugmentedModel:
-    """The model with the parameters of the given effects, by default all, at their null values: without influence."""
+    """The model with null values for the parameters of the given effects, by default of all."""
     effects = model.effects if effects is None else effects
     return model.with_values({e.name: {p.name: p.null for p in e.parameters} for e in effects})

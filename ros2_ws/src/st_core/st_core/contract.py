@@ -1,7 +1,7 @@
 """Requirements on every effect, which `st effects check` applies to library and user-defined effects.
 
-Each function in `REQUIREMENTS` examines a base model with the effect, and returns one line that describes the
-violation, or "". Checked by: test_contract.py.
+Each function in `REQUIREMENTS` examines a base model with the effect, and returns a description of the violation in one
+line, or "" if there is none. Checked by: test_contract.py.
 """
 
 import importlib.util
@@ -25,14 +25,14 @@ SPEEDS = (4.0, 8.0, 15.0, 25.0)  # m/s
 STANDSTILL_SPEEDS = (-1.0, 0.0, 1e-9, 0.5, 2.0)  # m/s
 ROUNDING = 1e-9  # largest difference between backends, relative to max(1, |value|), and between mirror images
 CORRECTION_RESIDUAL = 0.05  # largest residual after `correct`, as a fraction of the change by `observe`
-MAX_GROWTH_RATE_INCREASE = 0.1  # 1/s; relative to the base model, or to 0 if that is stable
+MAX_GROWTH_RATE_INCREASE = 0.1  # 1/s; above the growth rate of the base model, or above 0 if that is stable
 MIRROR_SIGNS = np.array([1.0, -1.0, 1.0, -1.0, -1.0, -1.0])  # signs of the states under left-right mirroring
 ODD_READINGS = ("y", "yaw", "velocity_y", "yaw_rate", "acceleration_y", "yaw_acceleration")
 READING = Measured(3.0, -2.0, 0.2, 12.0, 0.1, 0.25, 0.4, 2.9, 0.3)
 
 
 def check_effect(effect: type[Effect], vehicle: VehicleParameters) -> dict[str, str]:
-    """Description of the violation of each requirement, "" if it is fulfilled; an exception counts as a violation."""
+    """Description of the violation by requirement, "" if fulfilled; an exception counts as a violation."""
     docstring = effect.__doc__ or sys.modules[effect.__module__].__doc__ or ""
     problems = {"the effect or its file has a docstring":
                 "" if docstring.strip() else "no docstring; write one with the equation, units and signs"}
@@ -190,7 +190,7 @@ def _predict_backend(model: Model, vehicle: VehicleParameters, backend: str) -> 
 
 
 def _predict_casadi(model: Model, vehicle: VehicleParameters) -> np.ndarray:
-    """Last states (speeds, 6), by integration of `dynamics`, because an exported step has constant inputs."""
+    """Last states (speeds, 6), by integration of `dynamics`; `step` would hold the inputs over a step."""
     from .backends.casadi_backend import build  # imported here because casadi is optional
 
     equations = build(model, vehicle)

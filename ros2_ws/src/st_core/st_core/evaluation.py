@@ -26,11 +26,11 @@ class Score:
     """Error of one prediction, predicted minus measured, at the INS point, along and across the measured heading.
 
     NaN where no position was measured, after a position jump, and, in hindsight, after an unknown input.
-    *_mean: mean over all points of the horizon, the start included; NaN unless complete.
+    *_mean: mean over all points of the horizon, including the start; NaN unless complete.
     """
 
     model: str
-    mode: Mode  # hindsight: predicted again with the measured inputs
+    mode: Mode
     start_ns: int
     complete: bool
     incomplete_reason: str
@@ -45,7 +45,7 @@ class Score:
 
 def make_score(model: str, mode: Mode, start_ns: int, step: float, errors: Sequence[np.ndarray],
                reason: str = "") -> Score:
-    """The score of three error series (longitudinal, lateral, yaw); complete if all errors are finite."""
+    """The score of a prediction. errors: (longitudinal, lateral, yaw), (points,) each; complete if all are finite."""
     longitudinal, lateral, yaw = errors
     finite = all(bool(np.isfinite(e).all()) for e in errors)
     means = [float(np.mean(e)) if finite else math.nan for e in errors]
@@ -53,19 +53,19 @@ def make_score(model: str, mode: Mode, start_ns: int, step: float, errors: Seque
                  step * np.arange(len(longitudinal)), longitudinal, lateral, yaw, *means)
 
 
-_PendingPrediction = tuple[str, Mode, Trajectory]  # (model, mode, trajectory) to be scored after its horizon
+_PendingPrediction = tuple[str, Mode, Trajectory]  # (model, mode, trajectory)
 
 
 class Evaluator:
-    """Scores every prediction once the measurements cover its horizon.
+    """Scores each prediction as soon as the measurements cover its horizon.
 
     span [s]: minimum duration of the stored measurements. models: models from files, in addition to MODELS. runners:
-    compiled replacements of `predict`, by name of the model, for predictions with these settings
-    (`prediction.compile_model`). Of more than MAXIMUM_PENDING pending predictions, the oldest become incomplete.
+    compiled replacements of `predict` (`prediction.compile_model`), by name of the model, for predictions with these
+    settings.
     """
 
-    SIGNAL_TIMEOUT = 1.0  # s after the end of a horizon, by which a late signal must have arrived
-    MAXIMUM_PENDING = 3000
+    SIGNAL_TIMEOUT = 1.0  # s after the end of a horizon, within which the signals must arrive
+    MAXIMUM_PENDING = 3000  # predictions that are not scored yet; if there are more, the oldest become incomplete
 
     def __init__(self, vehicle: VehicleParameters, settings: PredictionSettings | None = None, span: float = 30.0,
                  models: Sequence[Model] = (), runners: Mapping[str, Runner] | None = None):
@@ -107,8 +107,8 @@ class Evaluator:
             self._abandon([min(self._pending)], f"more than {self.MAXIMUM_PENDING} predictions were waiting")
 
     def poll(self, newest_ns: int | None = None) -> list[Score]:
-        """Scores of predictions whose horizon is covered by both signals or ended SIGNAL_TIMEOUT before newest_ns, and
-        of abandoned ones.
+        """Scores of the predictions whose horizon both signals cover, or which ended SIGNAL_TIMEOUT before newest_ns,
+        and of those that became incomplete.
 
         newest_ns: current time on the clock of the samples; None: time of the newest INS sample.
         """
@@ -124,7 +124,7 @@ class Evaluator:
         return scores
 
     def flush(self) -> list[Score]:
-        """Scores of all pending predictions, at the end of the data; those that end later are incomplete."""
+        """Scores of all pending predictions, at the end of the data; incomplete if their horizon ends later."""
         return self.poll(-EARLIEST)
 
     def _abandon_after_restart(self) -> None:
@@ -152,7 +152,7 @@ class Evaluator:
         no_position = self._describe_unknown("INS", self.history.ins, times[::2], measured[0], start_ns)
         no_inputs = (self._describe_unknown("INS", self.history.ins, times, ins[:, DERIVATIVE], start_ns)
                      or self._describe_unknown("steering", self.history.steering, times, angle, start_ns))
-        # All models are scored at the same points, although some do not need the input at the last point.
+        # All models are scored at the same points, although some do not use the input at the last one.
         is_scorable = inputs.is_known_so_far[::2]
         breaks = self.history.ins.breaks
         jump_ns = min((time_ns for time_ns in breaks if start_ns < time_ns <= times[-1]), default=int(times[-1]) + 1)

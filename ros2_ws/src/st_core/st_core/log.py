@@ -1,5 +1,4 @@
-"""One recorded drive, ready for evaluation and identification: INS and steering on one clock, in SI, with gaps; and its
-signals interpolated at any instant."""
+"""One recorded drive, with INS and steering on one clock in SI units, and its signals interpolated at any instant."""
 
 from copy import copy
 from dataclasses import dataclass, fields, replace
@@ -17,14 +16,14 @@ INS_SIGNALS = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate")
 OPTIONAL_INS_SIGNALS = ("acceleration_x", "acceleration_y")
 STEERING = ("road_wheel_angle", "steering_wheel_angle")  # signals on the time base of the steering
 FilterMode = Literal["causal", "zero_phase"]
-SLOPE_HALF_WIDTH = 0.025  # s; a longer time would attenuate 2.5 Hz by over 2.5 %, a shorter one would amplify noise
+SLOPE_HALF_WIDTH = 0.025  # s; longer: 2.5 Hz attenuated by over 2.5 %, shorter: more noise
 
 
 @dataclass(frozen=True, eq=False)
 class DriveLog:
     """Measurements of one drive, INS and steering each on its own time base. Arrays are read-only.
 
-    The INS channels are those of the INS point, velocity and acceleration in body axes. Gaps are not filled. Only
+    INS signals are those of the INS point, with velocity and acceleration in body axes. Gaps are not filled. Only
     OPTIONAL_INS_SIGNALS may be NaN. Raises StCoreError, naming log and signal, if an array violates these rules.
     """
 
@@ -39,7 +38,7 @@ class DriveLog:
     steering_time_ns: np.ndarray  # as ins_time_ns, on the clock of the INS
     road_wheel_angle: np.ndarray  # mean of the front axle [rad], positive to the left
     steering_wheel_angle: np.ndarray | None = None  # as measured, with its offset [rad], positive to the left
-    acceleration_x: np.ndarray | None = None  # as the source defines it [m/s^2], NaN at samples without a value
+    acceleration_x: np.ndarray | None = None  # as recorded [m/s^2], NaN at samples without a value
     acceleration_y: np.ndarray | None = None  # as acceleration_x
     sideslip_measured: bool = True  # False: velocity_y and yaw are computed with the vehicle file (`sideslip`)
 
@@ -113,7 +112,7 @@ class DriveLog:
         return replace(self, **{name: getattr(self, name)[rows] for name in names if getattr(self, name) is not None})
 
     def slice(self, start_ns: int, end_ns: int, name: str | None = None) -> "DriveLog":
-        """The measurements with start_ns <= time <= end_ns, of both time bases. name: None leaves it unchanged."""
+        """The measurements with start_ns <= time <= end_ns, of both time bases. name: default: that of this log."""
         span = (start_ns, end_ns + 1)
         ins, steering = (slice(*np.searchsorted(t, span).tolist()) for t in (self.ins_time_ns, self.steering_time_ns))
         slices = dict.fromkeys(("steering_time_ns", *STEERING), steering)
@@ -134,7 +133,7 @@ class DriveLog:
 
 
 def shares_memory(log: DriveLog, other: DriveLog, *names: str) -> bool:
-    """Whether the named arrays of two drives share memory; each drive has its own views of the memory."""
+    """Whether the named arrays of two drives are views of the same memory."""
     pairs = [(getattr(log, name), getattr(other, name)) for name in names]
     return all(a.size == b.size and a.ctypes.data == b.ctypes.data for a, b in pairs)
 

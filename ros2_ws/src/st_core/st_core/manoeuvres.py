@@ -1,6 +1,6 @@
-"""Manoeuvres for the virtual car, for drives that `st discover` suggests, and for the benchmark of discovery.
+"""Manoeuvres of the virtual car, of the drives that `st discover` suggests, and of the benchmark of discovery.
 
-A manoeuvre is defined by its speed and its target lateral acceleration, so that any car can drive it:
+A manoeuvre is defined by speed and target lateral acceleration, so that any car can drive it:
 
     curvature(t) = lateral * profile(t) / speed^2          profile: -1 to 1
     road wheel angle(t) = (L + K speed^2) curvature(t)     L: wheelbase, K: understeer gradient
@@ -58,14 +58,14 @@ class SineSweep:
 class Manoeuvre:
     """Steering and pedal inputs over time.
 
-    closed_loop: the driver follows a road with `curvature`; with pedals the road is a circle, and the steering is held
-    while braking. Otherwise the steering is open loop.
+    closed_loop: the driver follows a road with this `curvature`; otherwise the steering is open loop. A closed-loop
+    manoeuvre with pedals is on a circle, and the steering is held while braking.
     """
 
-    name: str  # also the scenario name
+    name: str  # also that of the scenario
     speed: float  # at the start [m/s]
-    lateral_acceleration: float  # peak target lateral acceleration at the initial speed [m/s^2]
-    profile: Profile  # lateral acceleration divided by its peak, over one period
+    lateral_acceleration: float  # peak target value at the initial speed [m/s^2]
+    profile: Profile  # over one period
     period: float  # time after which the manoeuvre repeats [s]
     repetitions: int = 1  # periods in one drive
     pedals: tuple[tuple[float, float], ...] = ()  # (duration [s], acceleration [m/s^2]) in order; top speed: `speed`
@@ -125,7 +125,7 @@ def step(speed: float, lateral: float, hold: float = 4.0, pause: float = 3.0) ->
 
 def ramp_to_limit(speed: float, lateral: float, rise: float = 25.0, fall: float = 2.0, pause: float = 4.0) -> Manoeuvre:
     """Ramp steer within `rise` [s], back within `fall` [s], straight for `pause` [s]; then the same to the other side.
-    lateral [m/s^2]: more than the tyres can reach."""
+    lateral [m/s^2]: above the limit of the tyres."""
     profile = _both_sides((rise, 0.0, 1.0), (fall, 1.0, 0.0), (pause, 0.0, 0.0))
     return Manoeuvre("ramp_to_limit", speed, lateral, profile, profile.duration,
                      description=f"steering slowly increased to the limit at {speed:g} m/s")
@@ -144,8 +144,8 @@ def brake_in_turn(speed: float, lateral: float, cruise_time: float = 8.0, decele
 
 
 def lane_change(speed: float, lateral: float) -> Manoeuvre:
-    """Double lane change: 40 m straight, 3.5 m to the side, 25 m in the other lane, back, 35 m straight. The curvature
-    is 0, k, -k, 0 within the length s of one change: width = 2 k (s / 4)^2 for small angles."""
+    """Double lane change: 40 m straight, 3.5 m to the side, 25 m in the other lane, back, 35 m straight. Within the
+    length s of one change, the curvature is linear between 0, k, -k and 0: width = 2 k (s / 4)^2 for small angles."""
     quarter = math.sqrt(3.5 * speed**2 / (2 * abs(lateral)))
     change = ((quarter, 0.0, 1.0), (2 * quarter, 1.0, -1.0), (quarter, -1.0, 0.0))
     return_change = tuple((length, -first, -last) for length, first, last in change)

@@ -1,7 +1,7 @@
 """Stores recent INS and steering measurements with filtered forward acceleration, and detects faults in them.
 
-Position jump, for example after loss of RTK or with a new map origin: a large displacement between two samples that the
-integrated velocity does not explain,
+Position jump, for example after loss of RTK or with a new map origin: a large displacement d between two samples that
+the integrated velocity does not explain,
 
     d = p_k - p_{k-1} - dt (v_{k-1} + v_k) / 2,   v = R(yaw) (v_x, v_y)
 
@@ -9,8 +9,8 @@ Frozen steering angle: the sensor repeats one value while the yaw motion changes
 
     delta' = l (1 + K v^2) r / v,   r: yaw rate, v: forward speed, see `handling.steady_state_steering`
 
-is, after a low-pass, nearly constant at any speed if the steering angle is constant. The bounds are wide because bank,
-wind, braking and tyres at their limit also change delta'. Checked by: test_measurement_history.py,
+is nearly constant after a low-pass, at any speed, if the wheels are held at a constant angle. The limits are wide
+because bank, wind, braking and tyres at their limit also change delta'. Checked by: test_measurement_history.py,
 test_position_jumps.py, test_frozen_steering.py.
 """
 
@@ -26,15 +26,15 @@ from .vehicle import VehicleParameters
 
 POSITION_TOLERANCE = 0.3  # m, unexplained displacement allowed at any distance; RTK positions have 2 cm of noise
 DISTANCE_TOLERANCE = 0.1  # fraction of the distance driven, added for errors of velocity scale and heading
-MAX_ACCELERATION = 10.0  # m/s^2, limit of the tyres, which bounds the error of the trapezoidal rule over long steps
-MAX_EXAMINED_GAP = 10.0  # s; the motion within longer gaps is unknown
-# Positions may be noisier than RTK positions: |d| of a jump must also exceed MAX_NOISE [m], or NOISE_FACTOR times the
-# median |d| of the previous NOISE_STEPS steps, of which there must be at least MIN_NOISE_STEPS.
+MAX_ACCELERATION = 10.0  # m/s^2, limit of the tyres; bounds the error of the trapezoidal rule over long steps
+MAX_EXAMINED_GAP = 10.0  # s; jumps in longer gaps are not detected, because the motion is unknown
+# For positions noisier than RTK, |d| of a jump must also exceed MAX_NOISE [m], or NOISE_FACTOR times the median |d| of
+# the previous NOISE_STEPS steps, of which there must be at least MIN_NOISE_STEPS.
 NOISE_STEPS, MIN_NOISE_STEPS, NOISE_FACTOR = 20, 5, 6.0
 MAX_NOISE = 5.0
 
-# A constant angle is frozen if delta' varies by more than the first value [rad], about 20 deg at the steering wheel,
-# plus the second value times the magnitude of the angle.
+# A constant steering angle is frozen if the range of delta' exceeds FROZEN_MIN_VARIATION [rad], about 20 deg at the
+# steering wheel, plus FROZEN_RELATIVE_VARIATION times the magnitude of the angle.
 FROZEN_MIN_VARIATION, FROZEN_RELATIVE_VARIATION = 0.02, 0.3
 FROZEN_MIN_SPEED = 3.0  # m/s; below it the noise of the yaw rate gives large angles
 FROZEN_TIME_CONSTANT = 0.2  # s, of the low-pass on delta'
@@ -45,9 +45,9 @@ X, Y, YAW, VELOCITY_X, VELOCITY_Y, YAW_RATE, FILTERED_VELOCITY, DERIVATIVE = ran
 
 
 def unexplained_displacement(spacing: float, before: Sequence[float], after: Sequence[float]) -> float:
-    """|d| [m] between two samples (see the module docstring); 0 within the tolerance and over gaps > MAX_EXAMINED_GAP.
+    """|d| between two samples [m]; 0 within the tolerance, and over a gap longer than MAX_EXAMINED_GAP.
 
-    spacing: dt [s], > 0. before, after: rows that begin with x, y, yaw, v_x, v_y.
+    d: see the module docstring. spacing: dt [s], > 0. before, after: rows that begin with x, y, yaw, v_x, v_y.
     """
     unexplained, distance = _split_displacement(spacing, before, after)
     tolerance = POSITION_TOLERANCE + DISTANCE_TOLERANCE * distance + 0.25 * MAX_ACCELERATION * spacing**2
@@ -74,11 +74,11 @@ class PositionJump(NamedTuple):
 class MeasurementHistory:
     """INS and steering samples of the last `span` seconds, in order of time.
 
-    Samples out of order are sorted in; samples that are late by over half a second, repeated or not finite are
-    rejected. Within half a second, the order of arrival does not affect the content or the filtered acceleration.
-    When the INS time jumps back (a replay that restarts), both signals restart, and `generation` increases. A signal is
-    unknown between samples further apart than maximum_gap, a signal of the INS also across a position jump. jump_count:
-    number of position jumps since the start. last_jump: the most recent one; None after a restart.
+    Samples that are late by up to half a second are inserted at their time, with the same result as in order. Samples
+    that are later, repeated or not finite are rejected. When the INS time jumps back (a replay that restarts), both
+    signals restart, and `generation` increases. A signal is unknown between samples further apart than maximum_gap; the
+    INS is also unknown across a position jump. jump_count: number of position jumps since the start. last_jump: the
+    most recent one; None after a restart.
 
     span, maximum_gap [s]; filter_cutoff [Hz], see timeseries.py for the definition and delay of velocity_x_dot.
     """
@@ -94,8 +94,8 @@ class MeasurementHistory:
         self._corrected_histories: list[tuple[MeasurementHistory, Callable[[InsSample], InsSample]]] = []
 
     def make_corrected(self, correct: Callable[[InsSample], InsSample]) -> "MeasurementHistory":
-        """An empty history that receives all later samples of this one, those of the INS corrected by `correct`. It
-        shares the position jumps found in this history."""
+        """A history to which all later samples of this one are added, with `correct` applied to those of the INS. Its
+        position jumps are those found in this history."""
         history = MeasurementHistory(*self._settings)
         history.ins.breaks, history._detects_jumps = self.ins.breaks, False
         self._corrected_histories.append((history, correct))
@@ -112,7 +112,7 @@ class MeasurementHistory:
             self.generation += 1
         if index is None:
             return False
-        # Usually only the newest sample is filtered; a late sample changes all later results.
+        # Only the newest sample is filtered, unless a late sample changes the results after it.
         times, rows, (*_, cutoff) = self.ins.times, self.ins.rows, self._settings
         for i in range(index, len(times)):
             spacing_ns = int(times[i] - times[i - 1]) if i else 0
@@ -141,7 +141,7 @@ class MeasurementHistory:
             size = unexplained_displacement((times[1] - times[0]) * NANOSECOND, *rows)
             was_jump = self.ins.breaks.pop(times[1], None) is not None
             is_jump = size > MAX_NOISE
-            if 0.0 < size <= MAX_NOISE and after > MIN_NOISE_STEPS:  # compare with the steps before it
+            if 0.0 < size <= MAX_NOISE and after > MIN_NOISE_STEPS:  # compare with the previous steps
                 before = slice(max(0, after - 1 - NOISE_STEPS), after)
                 times_ns, samples = self.ins.times[before].tolist(), self.ins.rows[before].tolist()
                 noise = [_split_displacement((times_ns[i] - times_ns[i - 1]) * NANOSECOND, *samples[i - 1:i + 1])[0]
@@ -206,7 +206,7 @@ class FrozenSteeringDetector:
             return
         self._filtered_angle += (angle - self._filtered_angle) * spacing / FROZEN_TIME_CONSTANT
         time_constant_ns = FROZEN_TIME_CONSTANT / NANOSECOND
-        # Earlier, low-pass and tyres still respond to the previous angle; later, the sensor is silent, not frozen.
+        # Before this interval, low-pass and tyres still respond to the previous angle; after it, the sensor is silent.
         if self._since_ns + 3.0 * time_constant_ns < sample.time_ns < self._newest_ns + time_constant_ns:
             self._low, self._high = min(self._low, self._filtered_angle), max(self._high, self._filtered_angle)
 

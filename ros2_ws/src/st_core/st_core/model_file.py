@@ -9,8 +9,8 @@
     hash: "..."
 
 The values are valid for one car, identified by `vehicle.hash`. A value with `effective: true` improves the prediction
-but is not a property of the car. An interval is a 95 % confidence interval, null if unknown. The hash covers base,
-values and vehicle: a file that does not match its hash is rejected as edited; a file without one is not checked.
+but is not a property of the car. An interval is a 95 % confidence interval, null if unknown. `hash` is that of base,
+values and vehicle; a file in which it differs is rejected as edited. A file without `hash` is not checked.
 """
 
 from collections.abc import Mapping
@@ -31,7 +31,7 @@ HEADER = "# Model file: base model, its effects (SI units, 95 % intervals), and 
 
 @dataclass(frozen=True)
 class EffectValue:
-    """Value of one parameter of an effect [its unit], with its 95 % interval if known, and its source."""
+    """Value of one parameter of an effect in its unit, 95 % interval if known, and source."""
 
     value: float
     interval: Interval = None
@@ -77,8 +77,8 @@ class ModelFile:
                                    for effect, estimates in self.effects.items()})
 
     def check_vehicle(self, vehicle: VehicleParameters, origin: str, prefix: str = "") -> None:
-        """Raises ConfigurationError, with this prefix in its message, if the values are for a car other than `vehicle`,
-        which was read from `origin`."""
+        """Raises ConfigurationError, with this prefix, if the values are for a different car than `vehicle`, which was
+        read from `origin`."""
         if self.vehicle_hash and vehicle.hash != self.vehicle_hash:
             expected, given = (f"{name!r} {digest[:12]}" for name, digest in (
                 (self.vehicle_name, self.vehicle_hash), (vehicle.name, vehicle.hash)))

@@ -1,7 +1,7 @@
 """Corrects logs and samples for the sensor and steering effects of a model, and predicts INS readings from states.
 
-A model without these effects leaves logs and samples unchanged. `ModelView`: recent measurements as used by one
-model, since sensor effects, a moved INS point and delayed steering change its start state and its inputs.
+A model without these effects leaves logs and samples unchanged. `ModelView` gives start state and inputs of a live
+prediction, which depend on these effects and on the lever arm of the model.
 """
 
 from collections.abc import Sequence
@@ -21,12 +21,12 @@ from .timeseries import NANOSECOND, half_step_grid, interpolate
 from .types import ControlInput, InputSequence, InsSample, VehicleState, cg_to_ins_position, ins_to_cg, pose_errors
 from .vehicle import VehicleParameters
 
-MEMORY_TIME = 5.0  # s, length of the steering history that effects with memory need; a lag of 0.5 s decays to e^-10
+MEMORY_TIME = 5.0  # s, length of the steering history used for delay, play and lag; a lag of 0.5 s decays to e^-10
 MEMORY_NS = round(MEMORY_TIME / NANOSECOND)
 
 
 def correct_sample(model: Model, sample: InsSample) -> InsSample:
-    """The sample as measured by an ideal INS; NaN where a correction needs an acceleration (`find_missing_reading`)."""
+    """The sample that an ideal INS would measure; NaN where its correction needs an acceleration."""
     if not isinstance(model, AugmentedModel) or not model.has_sensor_effects:
         return sample
     ideal = model.correct(Measured(*sample[1:], acceleration_x=np.nan, acceleration_y=np.nan))
@@ -34,8 +34,8 @@ def correct_sample(model: Model, sample: InsSample) -> InsSample:
 
 
 def find_missing_reading(model: Model, missing: Sequence[str]) -> tuple[str, str] | None:
-    """(effect, reading) of the first sensor effect that needs one of the missing accelerations to correct pose,
-    velocity or yaw rate; None if no effect does."""
+    """(effect, reading) of the first sensor effect that needs a missing acceleration to correct pose, velocity or yaw
+    rate; None if there is no such effect."""
     if not isinstance(model, AugmentedModel):
         return None
     missing_readings = [name for name in missing if name in Measured._fields]
@@ -60,7 +60,7 @@ def correct_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray,
     restarts = np.diff(time_ns, prepend=time_ns[0]) > round(maximum_gap / NANOSECOND)
     restarts[0] = True
     wheel_seconds, angle = model.steering(seconds, angle, restarts)
-    # Only the time shift is rounded, so that without a delay the times stay exact.
+    # Only the shift is rounded, so that the times are exact without a delay.
     return time_ns + np.round((wheel_seconds - seconds) / NANOSECOND).astype(np.int64), angle
 
 
@@ -68,14 +68,14 @@ def predict_wheel_angles(model: Model, time_ns: np.ndarray, angle: np.ndarray, g
                          maximum_gap: float) -> np.ndarray:
     """Angle of the wheels [rad] at increasing instants grid_ns (m,) [ns] for a planned road wheel angle (m,) [rad].
 
-    time_ns [ns], angle [rad]: recorded steering; its last MEMORY_TIME [s] before the first instant are used, because
-    delay, play and lag depend on earlier steering. After the last instant the last angle is held. maximum_gap [s].
+    time_ns [ns], angle [rad]: recorded steering, used from MEMORY_TIME before the first instant on, because delay, play
+    and lag depend on earlier steering. After the last instant the last planned angle is held. maximum_gap [s].
     """
     if not model.has_steering_dynamics:
         return planned
     before = slice(*np.searchsorted(time_ns, (grid_ns[0] - MEMORY_NS, grid_ns[0])).tolist())
     gap_ns, spacing = round(maximum_gap / NANOSECOND), int(grid_ns[1] - grid_ns[0])
-    # The samples are at most half of maximum_gap apart, because the effects restart after a gap.
+    # The planned samples must be at most maximum_gap / 2 apart, because the effects restart after a gap.
     substeps = max(1, -(-2 * spacing // gap_ns))
     fine_grid, coarse_grid = np.arange(substeps * (len(planned) - 1) + 1) / substeps, np.arange(len(planned))
     future_ns = grid_ns[0] + np.round(np.interp(fine_grid, coarse_grid, grid_ns - grid_ns[0])).astype(np.int64)
@@ -88,8 +88,8 @@ def predict_wheel_angles(model: Model, time_ns: np.ndarray, angle: np.ndarray, g
 
 
 def required_lookahead_ns(model: Model) -> int:
-    """Time after an instant [ns] for which the steering must be known to compute the wheel angle at the instant; 0
-    unless the time stamps of the steering are late."""
+    """Time after an instant [ns] up to which the steering must be known to compute the wheel angle at the instant; 0
+    unless the delay of the steering is negative."""
     if not isinstance(model, AugmentedModel) or not model.has_steering_dynamics:
         return 0
     time, _ = model.steering(np.zeros(1), np.zeros(1), np.ones(1, bool))
@@ -97,8 +97,8 @@ def required_lookahead_ns(model: Model) -> int:
 
 
 def correct_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveLog:
-    """The drive as recorded by ideal sensors, with delay, play and lag of the steering applied; for a model with these
-    effects, steering_wheel_angle becomes None. maximum_gap [s]. Raises StCoreError if a sensor effect needs an
+    """The drive as ideal sensors would record it, with delay, play and lag of the steering applied to the road wheel
+    angle; steering_wheel_angle is then None. maximum_gap [s]. Raises StCoreError if a sensor effect needs an
     acceleration that was not recorded."""
     if not isinstance(model, AugmentedModel):
         return log
@@ -127,7 +127,7 @@ def predict_ideal_readings(model: Model, vehicle: VehicleParameters, states: tup
     """Readings of an ideal INS in the given states, at the INS point; the accelerations are NaN.
 
     states: (x, y, velocity_x, velocity_y, yaw, yaw_rate, extra states ...) at the CG, floats or arrays of equal shape.
-    The yaw acceleration is 0, so a delay of the yaw rate has no effect. vehicle: as in its file, without effects.
+    The yaw acceleration is 0, so a delay of the yaw rate has no effect. vehicle: without the effects of the model.
     """
     car = model.effective_vehicle(vehicle)
     x, y, velocity_x, velocity_y, yaw, yaw_rate = states[:6]
@@ -145,7 +145,7 @@ def reading_errors(model: Model, vehicle: VehicleParameters, states: np.ndarray,
     """
     with np.errstate(all="ignore"):
         predicted = predict_readings(model, vehicle, tuple(np.moveaxis(states, -1, 0)))
-        # Stacked in the memory order of the trajectories (by point), twice as fast as stacking by start.
+        # The errors are stacked in the memory order of the states, by point; this is twice as fast as by start.
         errors = pose_errors(predicted.x, predicted.y, predicted.yaw, x, y, yaw)
         return np.stack([e.T for e in errors]).transpose(2, 1, 0)
 
@@ -153,8 +153,8 @@ def reading_errors(model: Model, vehicle: VehicleParameters, states: np.ndarray,
 class ModelView:
     """One model's view of a MeasurementHistory that is shared between models.
 
-    A model that corrects the samples of the INS has a history of corrected samples, filled in parallel with the shared
-    one. vehicle: as in its file. Raises ConfigurationError if the model needs a quantity that is not measured live.
+    A model with sensor effects has its own history of corrected samples, to which the shared one adds. vehicle: without
+    the effects of the model. Raises ConfigurationError if the model needs a quantity that is not measured live.
     """
 
     def __init__(self, model: Model, vehicle: VehicleParameters, shared: MeasurementHistory):
@@ -171,7 +171,7 @@ class ModelView:
 
     @staticmethod
     def extend_span(models: Sequence[Model], span: float) -> float:
-        """Length of the history [s] for a time span [s]: MEMORY_TIME longer if a model has steering dynamics."""
+        """Length of the history [s] that covers a time span [s]; longer by MEMORY_TIME for steering dynamics."""
         return span + MEMORY_TIME if any(model.has_steering_dynamics for model in models) else span
 
     def read_start(self, time_ns: int, steps: int, step: float) -> tuple[VehicleState, ControlInput | InputSequence]:

@@ -8,10 +8,11 @@ underestimate the uncertainty considerably. With influence psi_c, Jacobian J_c a
     f = sum_ij rho^|i - j| / k,    i, j: blocks of the same run
 
 Leaving out block c changes the estimate by -psi_c k / (k - 1). The covariance is the limit of a block bootstrap, which
-`Blocks.bootstrap` draws for strongly nonlinear estimators. f accounts for even slower errors within one run: rho is the
-correlation of psi between adjacent blocks, pooled over the runs, corrected for its bias -(1 + 3 rho) / k (Marriott and
-Pope, 1954), limited to 0 to 0.9. Student's t has max(k / f - 1, 1) degrees of freedom. Source: Cameron and Miller, A
-practitioner's guide to cluster-robust inference, 2015 (the jackknife CR3). Checked by: test_blocks.py.
+`Blocks.bootstrap` draws for strongly nonlinear estimators. The factor f accounts for errors that are correlated between
+blocks of one run: rho is the correlation of psi between adjacent blocks, pooled over the runs, corrected for its bias
+-(1 + 3 rho) / k (Marriott and Pope, 1954), and limited to 0 to 0.9. Student's t has max(k / f - 1, 1) degrees of
+freedom. Source: Cameron and Miller, A practitioner's guide to cluster-robust inference, 2015 (the jackknife CR3).
+Checked by: test_blocks.py.
 """
 
 import math
@@ -21,9 +22,9 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-MIN_RUN_BLOCKS = 8  # minimum number of runs for whole runs to be used as blocks
-BLOCK_LENGTH = 10.0  # s, length of a block if there are fewer runs
-WEIGHT_INCREMENT = 1e-4  # increase of a block's weight, for the numerical derivative of an estimator
+MIN_RUN_BLOCKS = 8  # minimum number of runs with which each run is a block
+BLOCK_LENGTH = 10.0  # s, length of a block with fewer runs
+WEIGHT_INCREMENT = 1e-4  # increment of a block's weight for the numerical derivative of an estimator
 Z95 = 1.959963984540054  # 97.5 % quantile of the standard normal distribution
 SIGMA_PER_MAD = 1.4826  # standard deviation / median absolute deviation (MAD) of a normal distribution
 
@@ -38,7 +39,7 @@ def symmetric_interval(value: float, standard_uncertainty: float,
 
 
 def count_decimals(half_width: float) -> int:
-    """Number of decimals, 0 to 6, for two significant digits of the half-width of an interval; 3 for 0 or infinity."""
+    """Number of decimals, 0 to 6, that shows two significant digits of a half-width > 0; 3 if it is 0 or infinite."""
     return min(max(1 - math.floor(math.log10(half_width) + 1e-6), 0), 6) if 0.0 < half_width < math.inf else 3
 
 
@@ -51,7 +52,7 @@ def effective_degrees_of_freedom(estimated_variance: float, total_variance: floa
 
 
 def correlation_matrix(covariance: np.ndarray) -> np.ndarray:
-    """Correlation matrix (n, n) of a covariance matrix (n, n); correlations of a parameter without variance are 0."""
+    """Correlation matrix (n, n) of a covariance matrix (n, n); 0 for a parameter without variance."""
     deviations = np.sqrt(np.diag(covariance))
     scale = np.where(deviations > 0.0, deviations, 1.0)
     matrix = covariance / np.outer(scale, scale)
@@ -60,7 +61,7 @@ def correlation_matrix(covariance: np.ndarray) -> np.ndarray:
 
 
 def add_ridge(h: np.ndarray) -> np.ndarray:
-    """h (n, n) plus a ridge that makes it invertible: a millionth of its mean diagonal element, plus 1e-9."""
+    """h (n, n) with a ridge added to its diagonal, so that it is invertible: 1e-6 of the mean diagonal, plus 1e-9."""
     return h + (1e-6 * np.trace(h) / max(len(h), 1) + 1e-9) * np.eye(len(h))
 
 
@@ -78,7 +79,7 @@ def white_noise(values: np.ndarray) -> float:
 def extrapolation_uncertainty(full: tuple[float, float, float], low: tuple[float, float, float]) -> float:
     """Standard uncertainty [unit of C] of the secant slope C of a curve as an estimate of its slope at zero.
 
-    full, low: (C, its variance, mean range a) of this secant and of a secant in a lower range, a_low < a.
+    full, low: (C, variance of C, mean range a) of this secant and of a secant in a lower range, a_low < a.
 
         C(a) = C_0 - s a,    u = sqrt(max((C_low - C)^2 - max(u_low^2 - u^2, 0), 0)) a / (a - a_low) / sqrt(3)
 
@@ -103,7 +104,7 @@ class Spread:
         return np.sqrt(np.diag(self.covariance))
 
     def interval(self, index: int, value: float, standard_uncertainty: float | None = None) -> tuple[float, float]:
-        """95 % confidence interval of a value. standard_uncertainty: by default from the covariance."""
+        """95 % confidence interval of a value. standard_uncertainty: default: `standard_errors`."""
         uncertainty = self.standard_errors[index] if standard_uncertainty is None else standard_uncertainty
         return symmetric_interval(float(value), float(uncertainty), float(self.degrees_of_freedom[index]))
 
@@ -174,7 +175,7 @@ class Blocks:
 
     def compute_influence(self, squares: np.ndarray, gradient: np.ndarray) -> np.ndarray:
         """Influence psi (k, p) of each block on a least squares estimate, from its A_c (k, p, p) and g_c (k, p)."""
-        # A millionth of the total keeps the system solvable if only one block excites a parameter.
+        # With a millionth of the total, the system is solvable even if only one block excites a parameter.
         others = (1.0 + 1e-6) * squares.sum(axis=0) - squares
         return np.linalg.solve(others, gradient[:, :, None])[:, :, 0] * (len(self) - 1) / len(self)
 

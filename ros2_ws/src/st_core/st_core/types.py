@@ -1,5 +1,5 @@
-"""States, inputs, samples and trajectories, and the frames they are expressed in: map axes x east, y north; body axes
-x forward, y left; yaw from east counter-clockwise. SI units.
+"""States, inputs, samples and trajectories, in SI units. Map frame: x east, y north. Body axes: x forward, y left. Yaw:
+from east counter-clockwise.
 
 Functions of angles, positions and samples accept floats or arrays and return the same type.
 """
@@ -74,9 +74,9 @@ class ControlInput:
 
 @dataclass(frozen=True, slots=True)
 class InputSequence:
-    """Inputs over a horizon on the half-step grid 0, step/2, step, ...: 2 * steps + 1 values each, as ControlInput.
+    """Inputs over a horizon, as in ControlInput, at 0, step/2, step, ... (half-step grid): 2 * steps + 1 values each.
 
-    NaN marks an unknown input; states that depend on it are NaN from there on. signals: further signals that a model
+    NaN: unknown; the states that depend on the input are NaN from this point on. signals: further signals that a model
     needs (`Model.signals`), by name, on the same grid.
     """
 
@@ -86,7 +86,7 @@ class InputSequence:
 
     @property
     def is_known_so_far(self) -> np.ndarray:
-        """Whether both inputs are known at each point and at all points before it."""
+        """Mask: both inputs are known at a point and at all points before it."""
         return np.logical_and.accumulate(np.isfinite(self.road_wheel_angle) & np.isfinite(self.velocity_x_dot), axis=-1)
 
 
@@ -160,7 +160,7 @@ def ins_to_cg(sample: InsSample, cg_to_ins_x: float, cg_to_ins_y: float = 0.0) -
 
         p_cg = p_ins - R(yaw) d,    v_x,cg = v_x,ins + r d_y,    v_y,cg = v_y,ins - r d_x
 
-    d = (cg_to_ins_x, cg_to_ins_y) [m] is the INS point relative to the CG, forward and left; behind the CG d_x < 0.
+    d = (cg_to_ins_x, cg_to_ins_y) [m]: position of the INS point relative to the CG, positive forward and to the left.
     Source: paper, equation of the sensor offset, in which d has the opposite sign. Checked by: test_frames.py.
     """
     cosine, sine = cos(sample.yaw), sin(sample.yaw)

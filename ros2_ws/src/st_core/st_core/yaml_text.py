@@ -22,9 +22,7 @@ _PLAIN_KEY = re.compile(r"(?!(?:y|n|yes|no|on|off|true|false|null)$)[a-z]\w*", r
 
 
 class _Loader(yaml.SafeLoader):
-    def __init__(self, text: str):
-        super().__init__(text)
-        self._levels = 0
+    _levels = 0
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         event = self.peek_event()

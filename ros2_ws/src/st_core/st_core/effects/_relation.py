@@ -3,15 +3,15 @@
     u = sum of in_i quantity_i, limited to low ... low + 5 spacing;   t(u) = (u - low) / spacing
     f(u) = sum over k of c_k (B(t(u) - k) + parity B(t(-u) - k)),   B: cubic B-spline with integer knots, k = -1 ... 6
 
-f is added to a term with a weight `to_`; for steering and body terms it may be multiplied by one `by_` quantity.
-parity: -1 odd, +1 even, 0 neither. All weights, the range and the parity are constants, so that all relations of a kind
-share a compiled function.
-There are three kinds: `relation` is a function of current quantities, `relation_lagged` of a quantity q after a
-first-order lag, s, or of its rate s_dot, or of a current quantity with this rate as the factor,
+The parameters `in_*` are the weights of the quantities in u. f is added to the terms of the model with the weights
+`to_*`; for steering and body terms it may first be multiplied by a factor with the weights `by_*`. parity: -1 odd, +1
+even, 0 neither. Weights, range and parity are constants, so that all relations of a kind share one compiled function.
 
-    s_dot = (q - s) / tau,   s = q at the start;   u or factor = s_dot, or u = s
+There are three kinds. In `relation`, u consists of quantities at the same instant. In `relation_timed`, u is the time
+in the run, a signal that only recordings have. In `relation_lagged`, u may also contain a quantity q after a
+first-order lag, s, or the rate of s, and the factor may contain this rate:
 
-and `relation_timed` of the time in the run, a signal that only recordings have.
+    s_dot = (q - s) / tau,   s = q at the start
 """
 
 from functools import partial
@@ -20,7 +20,7 @@ from typing import NamedTuple
 from ..ops import absolute, cos, maximum, minimum, sin
 from ._base import UNLISTED_EFFECTS, Effect, Parameter, register
 
-SPLINES, INTERVALS = 8, 5.0  # numbers of splines of a curve, and of intervals between its knots
+SPLINES, INTERVALS = 8, 5.0  # numbers of splines of a curve, and of knot intervals in its range
 MAX_COEFFICIENT = 100.0  # dimensionless; the coefficients are scaled by their typical magnitude
 # acceleration_y: velocity_x yaw_rate; north, east: sine and cosine of yaw; position_x, position_y: in the map frame.
 INPUTS = ("slip_front", "slip_rear", "steering", "acceleration_y", "acceleration_x", "speed", "yaw_rate", "north",
@@ -78,7 +78,7 @@ def _basis(t, s, parity, k):
 
 
 def compute_argument(instant, theta):
-    """Argument u without the terms of the slip angles, which not all hooks receive."""
+    """Argument u without the slip angles, which not all hooks receive."""
     return (theta.in_steering * instant.road_wheel_angle
             + theta.in_acceleration_y * instant.velocity_x * instant.yaw_rate
             + theta.in_acceleration_x * instant.velocity_x_dot + theta.in_speed * instant.velocity_x
@@ -109,7 +109,7 @@ def _make_constant(name: str, meaning: str, null: float = 0.0) -> Parameter:
 
 
 def _make_parameters(*constants: Parameter) -> tuple[Parameter, ...]:
-    """Parameters of a kind of relation: coefficients, range, parity, weights, and the additional `constants`."""
+    """Parameters of a kind of relation: coefficients, range, parity, weights, and the given `constants`."""
     return (
         *(Parameter(f"c{k}", "1", null=0.0, initial=1.0, bounds=(-MAX_COEFFICIENT, MAX_COEFFICIENT),
                     meaning=f"coefficient of spline {k}", source="fit of the relation") for k in range(SPLINES)),
@@ -122,8 +122,8 @@ def _make_parameters(*constants: Parameter) -> tuple[Parameter, ...]:
 
 
 def fix_curve(kind: type[Effect], odd: bool = False, **values: float) -> tuple[Parameter, ...]:
-    """Parameters of an effect with a fixed curve, of which only `share` is fitted. kind: relation that provides the
-    hooks of the effect. odd: see `Parameter`. values: values of parameters of `kind`, by name."""
+    """Parameters of an effect with a fixed curve, of which only the factor `share` is fitted. kind: relation that
+    provides the hooks of the effect. odd: of `share`. values: of parameters of `kind`, by name; others are null."""
     share = Parameter("share", "1", null=0.0, initial=1.0, bounds=(-3.0, 3.0), meaning="fraction of the fitted curve",
                       source="st discover --propose", odd=odd)
     return share, *(_make_constant(p.name, p.meaning, values.get(p.name, p.null))
@@ -147,7 +147,7 @@ class RelationEffect(_Relation):
     def slip_angles(slip_front, slip_rear, extra, instant, prepared, theta):
         u = compute_argument(instant, theta) + theta.in_slip_front * slip_front + theta.in_slip_rear * slip_rear
         y = evaluate_curve(u, theta) * compute_factor(instant, theta)
-        # Steering to the left reduces the slip angle, which is positive for a wheel that slides to its left.
+        # Steering to the left reduces the slip angle, which is positive when the wheel slides to its left.
         return slip_front - theta.to_front_steer * y, slip_rear - theta.to_rear_steer * y
 
     @staticmethod

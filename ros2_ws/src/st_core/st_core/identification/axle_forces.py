@@ -174,15 +174,15 @@ def _fit_regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> 
         run_samples.measure_coverage("lateral acceleration", "m/s^2", run_samples.ACCELERATION_EDGES,
                          [run.lateral_acceleration[m] for run, m in zip(runs, masks, strict=True)], times, 1.0, 3))
     insufficient = "; ".join(c.describe() for c in coverage if not c.sufficient)
-    samples = []
-    for index, name in enumerate(AXLES):
-        rows = []
-        for run_index, (run, mask) in enumerate(zip(runs, masks, strict=True)):
-            slip, force = compute_slip_angles(run, vehicle)[index], compute_measured_forces(run, vehicle)[index]
-            fast = np.abs(run.velocity_x) >= MIN_SPEED
-            rows.append([v[fast] for v in (slip, force, np.full(len(run), run_index), run.time,
-                                           mask & (np.abs(slip) <= MAX_SLIP))])
-        samples.append(AxleSamples(name, *(np.concatenate(column) for column in zip(*rows, strict=True))))
+    rows: tuple[list, list] = [], []
+    for run_index, (run, mask) in enumerate(zip(runs, masks, strict=True)):
+        fast = np.abs(run.velocity_x) >= MIN_SPEED
+        slips, forces = compute_slip_angles(run, vehicle), compute_measured_forces(run, vehicle)
+        for axle_rows, slip, force in zip(rows, slips, forces, strict=True):
+            axle_rows.append([v[fast] for v in (slip, force, np.full(len(run), run_index), run.time,
+                                                mask & (np.abs(slip) <= MAX_SLIP))])
+    samples = [AxleSamples(name, *map(np.concatenate, zip(*axle_rows, strict=True)))
+               for name, axle_rows in zip(AXLES, rows, strict=True)]
     slopes = [_fit_slope(axle) if axle.used.sum() >= 10 else None for axle in samples]
     front, rear = (_make_regression(*pair, [f"too little excitation: {insufficient}"] if insufficient else [])
                    for pair in zip(samples, slopes, strict=True))

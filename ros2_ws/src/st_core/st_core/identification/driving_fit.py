@@ -1,7 +1,7 @@
-"""Fit of vehicle and sensor parameters to predictions of several drives at once.
+"""Joint fit of vehicle and sensor parameters to predictions of several drives.
 
-Problem, loss and fit are those of `discovery`: windows of the drives are predicted with the measured inputs, errors of
-yaw rate and lateral velocity at the INS are assumed to follow Student's t distribution, and the effects that represent
+Problem, loss and fit are those of `discovery`. Windows of the drives are predicted with the measured inputs. The errors
+of yaw rate and lateral velocity at the INS are assumed to follow Student's t distribution. The effects that represent
 the parameters are fitted together, without a prior. Unlike in a regression of force on slip, noise of the slip angle
 does not attenuate the estimates. Checked by: test_driving_fit.py.
 """
@@ -39,7 +39,7 @@ from .result import IdentificationError
 
 MISALIGNMENT, DELAY, RELAXATION, ROLL = "ins_misalignment", SteeringDelay.name, TyreRelaxation.name, SensorRoll.name
 MAX_ITERATIONS, SCALE_TOLERANCE = 6, 0.02
-"""Largest number of fits, each with the error scale of the previous one; relative change at which they end."""
+"""Largest number of fits, each with the error scale after the previous one; change of the scale that ends them [1]."""
 MAX_CONDITION = 1e12  # condition number of the Hessian above which the drives do not determine the parameters
 MIN_CURVATURE_RATIO = 0.2  # smallest ratio of the curvature of the loss to its Gauss-Newton approximation; typical: 0.7
 Values = Mapping[str, float]
@@ -52,8 +52,8 @@ class FitQuantity:
     effect: str
     unit: str
     value: Callable[[VehicleParameters, Values], float]  # from the vehicle and values by "effect.parameter"
-    relative: bool = False  # whether the relative uncertainty determines its status
-    max_uncertainty: float = 0.0  # otherwise, largest standard uncertainty of an identified value [unit]
+    relative: bool = False  # whether the relative uncertainty determines the status
+    max_uncertainty: float = 0.0  # largest standard uncertainty of an identified value [unit], if not relative
 
 
 def _make_scaled_quantity(effect: str, key: str, unit: str) -> FitQuantity:
@@ -128,13 +128,13 @@ class _LimitedWindows(Windows):
 
 @dataclass(frozen=True, eq=False)
 class DrivingFit:
-    """Result of a fit: names and values of p quantities [SI]. Means are weighted by (v_x r)^2."""
+    """Result of a fit of p quantities. Means are weighted by (v_x r)^2."""
 
-    names: tuple[str, ...]
-    values: np.ndarray
+    names: tuple[str, ...]  # keys of QUANTITIES
+    values: np.ndarray  # (p,) [SI]
     spread: Spread  # from the variation between blocks of driving
-    at_bound: tuple[str, ...]  # names of values at a bound
-    noise_covariance: np.ndarray  # (p, p) due to independent residuals alone, up to a constant factor
+    at_bound: tuple[str, ...]  # names of quantities at a bound
+    noise_covariance: np.ndarray  # (p, p) for independent residuals, up to a constant factor
     residuals: Mapping[str, np.ndarray]  # (n,) predicted minus measured, by channel [SI]
     run_index: np.ndarray  # (n,) index of the run of each residual
     time: np.ndarray  # (n,) start of the prediction of each residual, as `Windows.seconds` [s]

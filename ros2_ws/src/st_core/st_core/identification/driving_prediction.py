@@ -1,25 +1,26 @@
 """Stiffnesses, steering and yaw inertia from multi-step predictions of several drives at once.
 
-Steering offset and INS misalignment are fitted too, since their errors resemble errors of the tyres.
-Stiffness: the nonlinear model yields the slope at zero slip and static load, given the tyre curve of the vehicle file,
-and the linear model the secant that predicts best in the slip range of the drives. If the true curve differs, the value
-depends on the slip range; the interval allows for this (`estimate_slip_range_uncertainty`).
+Steering offset and INS misalignment are also fitted, since their errors have similar effects as errors of the tyres.
+
+Stiffness: the nonlinear model yields the slope at zero slip and static load, with the tyre curve of the vehicle file.
+The linear model yields the secant that predicts best in the slip range of the drives. If the true curve differs, the
+value depends on the slip range, which the interval allows for (`estimate_slip_range_uncertainty`).
 
 Steering ratio, if no turntables are available:
 
     L kappa + K v^2 kappa = delta,    delta = (delta_h - o) / i
 
-Slow bends determine the ratio i, fast bends the understeer K, straights the offset o. Dead time and relaxation are
-fitted too, since a lag would be mistaken for a different ratio. A wheelbase too large by 1 % makes i too small by 1 %.
+Slow bends determine the ratio i, fast bends the understeer gradient K, straights the offset o. Dead time and relaxation
+are also fitted, since a lag would change the ratio. A wheelbase that is too large by 1 % makes i too small by 1 %.
 
 Yaw inertia, from transients:
 
     I_z r_dot = l_f F_f cos(delta) - l_r F_r
 
-Steering dynamics, wrong time stamps and tyre relaxation delay the response as inertia does, and the lateral velocity of
-an INS that rolls with the body has a different phase, so dead time, relaxation length and this roll are fitted too. The
-delay between an angle and its time stamp, up to one sampling interval T, differs between the N drives, which adds
-T / sqrt(12 N) to the uncertainty of their common dead time, and thereby to that of the inertia.
+Like inertia, steering dynamics, wrong time stamps and tyre relaxation delay the response, and roll of the body shifts
+the phase of the lateral velocity of the INS. Therefore dead time, relaxation length and this roll are also fitted. The
+delay from an angle to its time stamp, at most one sampling interval T, differs between the N drives. This adds the
+standard uncertainty T / sqrt(12 N) to their common dead time, and thereby increases that of the inertia.
 Checked by: test_identification_driving.py.
 """
 
@@ -69,7 +70,7 @@ simulated without noise, the rear stiffness is too small by 4.6 m^2 / R^2, 1.1 %
 
 def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear", *,
                   additional: Sequence[str] = (), nuisance: Sequence[str] = NUISANCE_PARAMETERS) -> Identification:
-    """Both stiffnesses, with an uncertainty from the variation between runs or, with few runs, between blocks.
+    """Both stiffnesses, with their uncertainty from the variation between runs or, with few runs, between blocks.
 
     base: linear, nonlinear, or one of these with known effects (`augment`), such as the drive force on steered wheels.
     additional: further parameters to fit and report, from `driving_fit.QUANTITIES` (steering_ratio needs low and high
@@ -102,10 +103,12 @@ def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: st
 
 def estimate_slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model,
                                     settings: DrivingFitSettings, fit: DrivingFit) -> dict[str, float]:
-    """Standard uncertainty of each stiffness [N/rad] as the slope at zero slip, from a second fit to windows below the
-    median peak acceleration (`regression.extrapolation_uncertainty`); empty if the drives do not cover two slip ranges.
+    """Standard uncertainty of each stiffness as an estimate of the slope at zero slip [N/rad], from a second fit to the
+    windows with less than the median peak acceleration (`regression.extrapolation_uncertainty`); empty if the drives do
+    not cover two slip ranges.
 
-    The slip range is the mean |v_x r| weighted by its square: the secant of a brush tyre falls about linearly with it.
+    The slip range is the mean of |v_x r| weighted by its square: the secant of a brush tyre falls about linearly with
+    this mean.
     """
     low_settings = replace(settings, maximum_acceleration=float(np.median(fit.peak_accelerations)),
                            min_windows=settings.min_windows // 2)
@@ -123,7 +126,7 @@ def estimate_slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehiclePa
 
 
 def find_largest_slip(logs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DrivingFitSettings) -> np.ndarray:
-    """Quantile SLIP_QUANTILE of |slip angle| of the (front, rear) axle [rad], within the limits of the settings."""
+    """Quantile SLIP_QUANTILE of |slip angle| (front, rear) [rad] in driving within the limits of the settings."""
     slips = []
     for run in (sample_run(log, vehicle) for log in logs):
         is_used = ((run.velocity_x >= settings.minimum_speed)
@@ -134,8 +137,8 @@ def find_largest_slip(logs: Sequence[DriveLog], vehicle: VehicleParameters, sett
 
 def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                       base: str | Model = "nonlinear") -> Identification:
-    """Steering ratio and offset with their uncertainty, and the stiffnesses fitted with them. Raises
-    IdentificationError for unusable drives and too little excitation, such as a single speed."""
+    """Steering ratio and offset, and the stiffnesses that are fitted together with them. Raises IdentificationError for
+    unusable drives and too little excitation, such as a single speed."""
     result = fit_stiffness(logs, vehicle, base, additional=(RATIO, OFFSET),
                            nuisance=(*NUISANCE_PARAMETERS, DELAY, RELAXATION))
     names = [estimate.parameter for estimate in result.estimates]
@@ -148,8 +151,8 @@ def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters,
 
 def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                          base: str | Model = "nonlinear") -> Identification:
-    """Yaw inertia with its uncertainty; stiffnesses and steering delay are reported too. Raises IdentificationError for
-    unusable drives and too little excitation, such as steady-state cornering only."""
+    """Yaw inertia, and the stiffnesses and steering delay that are fitted together with it. Raises IdentificationError
+    for unusable drives and too little excitation, such as steady-state cornering only."""
     settings = DrivingFitSettings(interval=0.3).for_car(vehicle)
     logs, notes = prepare_drives(logs, vehicle)
     runs = [sample_run(log, vehicle, cutoff=5.0) for log in logs]
@@ -193,8 +196,8 @@ def _make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivi
                          known_uncertainty: Mapping[str, float]) -> Identification:
     """Result of an experiment from a fit.
 
-    reported: parameters that become estimates. systematic_uncertainty, known_uncertainty: by parameter, estimated from
-    the same drives or known otherwise; both are added in quadrature to that from the variation between drives.
+    reported: parameters that become estimates. systematic_uncertainty, known_uncertainty: further standard
+    uncertainties by parameter, estimated from the same drives or known otherwise; added in quadrature.
     """
     spread = fit.spread
     relative_error = SINGLE_TRACK_ERROR * vehicle.wheelbase**2 * fit.mean_squared_curvature
@@ -234,7 +237,7 @@ def _make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivi
 
 
 def _grade_estimate(fit: DrivingFit, index: int, uncertainty: float) -> tuple[str, Status]:
-    """(verdict, with uncertainty and number of predictions unless a bound was reached; status)."""
+    """(verdict, status)."""
     name, value = fit.names[index], fit.values[index]
     basis = f"{fit.prediction_count} predictions in {fit.spread.basis[index]}"
     if name in fit.at_bound:

@@ -1,11 +1,11 @@
 """Online identification of steering offset, steering ratio and stiffness scale, by `driving_fit` on recent driving.
 
 After every FIT_INTERVAL of usable driving, both stiffnesses, ratio, offset, INS misalignment, dead time of the steering
-and relaxation length of the tyres are fitted together to the stored driving. The standard deviation is
-the quadrature sum of the variation between blocks of driving, converted to a normal distribution with the same 95 %
-interval, and of SYSTEMATIC_ERRORS, due to the single-track model. After sufficient excitation a value has the status
-estimated if its standard deviation is at most MAX_DEVIATIONS, and invalid if it is implausible for the car or at a
-limit of the fit, or if the residual is large. Valid at |a_y| <= 4 m/s^2 on dry level roads. Checked by: test_online.py.
+and relaxation length of the tyres are fitted together to the stored driving. The variance of a value is the sum of two:
+one from the variation between blocks of driving, for a normal distribution with the same 95 % interval, and one from
+SYSTEMATIC_ERRORS of the single-track model. With sufficient excitation the status is estimated if the standard
+deviation is at most MAX_DEVIATIONS, and invalid if the value is implausible for the car or at a limit of the fit, or if
+the residual is large. Valid at |a_y| <= 4 m/s^2 on dry level roads. Checked by: test_online.py.
 """
 
 import math
@@ -31,14 +31,14 @@ NAMES = ("steering_wheel_offset", "steering_ratio", "stiffness_scale")
 UNITS = ("rad", "1", "1")
 FITTED_PARAMETERS = ("steering_wheel_offset", "steering_ratio", *STIFFNESSES, MISALIGNMENT, DELAY, RELAXATION)
 FIT_SETTINGS = DrivingFitSettings(interval=1.0, min_windows=20)
-BUFFER_DURATION, SPACING_NS = 400.0, 19_000_000  # s of driving at this spacing of the stored samples [ns]
+BUFFER_DURATION, SPACING_NS = 400.0, 19_000_000  # stored driving [s], minimum spacing of the stored samples [ns]
 FIT_INTERVAL = 15.0  # s of usable driving
 MIN_SPEED = 2.0  # m/s; slower samples are not stored
 MAX_GAP = 0.1  # s; longer intervals between samples do not count as driving time
-DEVIATIONS_WITHOUT_FIT = (math.radians(30.0), 0.2, 0.5)  # standard deviations, units as SYSTEMATIC_ERRORS
-MAX_DEVIATIONS = (math.radians(0.5), 0.015, 0.06)  # largest with status `estimated`, units as SYSTEMATIC_ERRORS
+DEVIATIONS_WITHOUT_FIT = (math.radians(30.0), 0.2, 0.5)  # standard deviations in the order of NAMES: [rad], relative
+MAX_DEVIATIONS = (math.radians(0.5), 0.015, 0.06)  # largest with status `estimated`: [rad], relative
 MAX_OFFSET = math.radians(45.0)  # of the steering wheel
-PLAUSIBLE_RANGES = ((0.6, 1.6), (0.3, 3.0))  # ratio of the steering ratio to the vehicle file's; stiffness scale
+PLAUSIBLE_RANGES = ((0.6, 1.6), (0.3, 3.0))  # steering ratio / that of the vehicle file; stiffness scale
 MAX_RESIDUAL_RATIO = 0.2  # largest `OnlineFit.residual_ratio`: 96 % of the mean square of the yaw rate is explained
 MIN_YAW_RATE = 0.02  # rad/s; smallest divisor of the residual, for driving with few bends
 SPEED_BINS = (5.0, 7.0, 10.0, 14.0, 20.0)  # m/s; lower edges
@@ -55,7 +55,7 @@ class OnlineEstimate:
     unit: str
     deviation: float  # standard deviation
     status: OnlineStatus
-    reason: str  # why its status is unestimated or invalid; else empty
+    reason: str  # why the status is unestimated or invalid; else empty
 
 
 @dataclass
@@ -84,7 +84,7 @@ class OnlineFit:
 
 
 def fit_recent(log: DriveLog, vehicle: VehicleParameters) -> OnlineFit:
-    """Fit to a snapshot of recent driving; does not raise for unusable driving. May run in a separate thread."""
+    """Fit to a snapshot of recent driving; for unusable driving, with a problem. May run in a separate thread."""
     try:
         logs, _ = prepare_drives([log], vehicle)
         fit = fit_driving(logs, vehicle, FITTED_PARAMETERS, "nonlinear", FIT_SETTINGS)
@@ -95,7 +95,7 @@ def fit_recent(log: DriveLog, vehicle: VehicleParameters) -> OnlineFit:
     rows[0, 0] = rows[1, 1] = 1.0
     rows[2, 2:4] = [0.5 / getattr(vehicle, name) for name in STIFFNESSES]
     values = rows @ fit.values
-    # Standard deviation of a normal distribution with the same 95 % interval, divided by the standard error.
+    # Ratio of the standard deviation of a normal distribution with the same 95 % interval to the standard error.
     half_widths = np.array([fit.spread.interval(k, 0.0)[1] for k in range(len(FITTED_PARAMETERS))])
     widening = half_widths / Z95 / np.maximum(fit.spread.standard_errors, 1e-300)
     covariance = rows @ (fit.spread.covariance * np.outer(widening, widening)) @ rows.T
@@ -114,13 +114,13 @@ def _make_failed_fit(vehicle: VehicleParameters, problem: str) -> OnlineFit:
 
 
 class OnlineIdentifier:
-    """Stores samples in order of time and makes estimates. The caller sets `fit` to `fit_recent` of a snapshot."""
+    """Stores samples in order of time, and makes estimates from `fit`, which the caller sets to a `fit_recent`."""
 
     def __init__(self, vehicle: VehicleParameters):
         self.reset(vehicle)
 
     def reset(self, vehicle: VehicleParameters) -> None:
-        """Discard all stored driving and continue with this vehicle."""
+        """Discard all stored driving and estimates, and continue with this vehicle."""
         self.vehicle = vehicle
         self.driving_time = DrivingTime()
         capacity = round(BUFFER_DURATION / NANOSECOND / SPACING_NS)
@@ -130,7 +130,8 @@ class OnlineIdentifier:
         self.fit = _make_failed_fit(vehicle, "no fit yet")
 
     def add_ins(self, sample: InsSample) -> bool:
-        """Add a sample at the INS point; False if not finite or not newer. A jump back in time by over 1 s: `reset`."""
+        """Add a sample at the INS point; False if it is not finite or not newer. If time jumps back by over 1 s, all
+        driving is discarded."""
         if not all(map(math.isfinite, sample[1:7])):
             return False
         step = (sample.time_ns - self._newest_ns) * NANOSECOND
@@ -199,7 +200,7 @@ class OnlineIdentifier:
         times.speeds[sum(speed >= edge for edge in SPEED_BINS[1:])] += time
 
     def _describe_missing_driving(self) -> Mapping[str, str]:
-        """Text on the driving that is still missing, by parameter; "" if there is enough."""
+        """The driving that each parameter still needs, as text; "" if there is enough."""
         times = self.driving_time
         bends = min(times.left, times.right)
         filled_bins = sum(time >= 5.0 for time in times.speeds)

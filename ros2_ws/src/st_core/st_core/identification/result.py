@@ -18,7 +18,7 @@ Status = Literal["identified", "doubtful", "unidentifiable"]
 
 
 class IdentificationError(StCoreError):
-    """Data do not permit an identification. The message is one line: problem, numbers, remedy."""
+    """The data do not permit an identification. The message is one line: problem, numbers, remedy."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class ParameterEstimate:
 
 @dataclass(frozen=True)
 class Coverage:
-    """Coverage of the range of a signal by samples."""
+    """Number of samples in each bin of the range of a signal, and the required minimum."""
 
     signal: str
     unit: str
@@ -63,10 +63,10 @@ class Coverage:
 
 @dataclass(frozen=True)
 class Identification:
-    """Result of one experiment. An estimate with zero inside its 95 % interval is doubtful, or unidentifiable if only
-    positive values are possible. Parameters of the Magic Formula are exempt, because zero is a valid value for them."""
+    """Result of one experiment. An estimate whose 95 % interval contains zero is doubtful, or unidentifiable if only
+    positive values are possible. This does not apply to parameters of the Magic Formula, for which zero is valid."""
 
-    experiment: str  # its name in `st identify`
+    experiment: str  # name in `st identify`
     estimates: tuple[ParameterEstimate, ...]
     used_data: tuple[str, ...]  # names of the drives or tables
     rejected_data: tuple[tuple[str, str], ...] = ()  # (name of the drive or table, reason)
@@ -95,8 +95,8 @@ class Identification:
         return {estimate.parameter: estimate for estimate in self.estimates}[parameter]
 
     def to_document(self) -> dict[str, dict[str, Any]]:
-        """Body of identification.json: {parameter: {value, unit, standard_uncertainty, interval95, method, runs, ...}}.
-        A number that is not finite becomes None, because JSON has neither infinity nor NaN."""
+        """Body of identification.json: {parameter: {value, unit, standard_uncertainty, interval95, method, runs, ...}};
+        None for a number that is not finite."""
         return {e.parameter: {
             "value": _finite_or_none(e.value), "unit": e.unit,
             "standard_uncertainty": _finite_or_none(e.standard_uncertainty),
@@ -105,7 +105,7 @@ class Identification:
 
 
 def describe_contradiction(estimate: ParameterEstimate, value: float, standard_uncertainty: float, origin: str) -> str:
-    """A sentence if a value from a different source differs significantly (two-sided, 5 %) from an estimate, else "".
+    """A sentence if an estimate differs significantly (two-sided, 5 %) from a value of another origin, else "".
 
         z = (x_1 - x_2) / sqrt(u_1^2 + u_2^2),    reported if |z| > 1.96
     """
@@ -119,7 +119,7 @@ def describe_contradiction(estimate: ParameterEstimate, value: float, standard_u
 
 
 def describe_correlations(names: Sequence[str], correlation: np.ndarray, limit: float = 0.95) -> tuple[str, ...]:
-    """A sentence for each pair of parameters that the data barely separate: |correlation| above a limit."""
+    """A sentence for each pair of parameters with a |correlation| above a limit."""
     return tuple(f"The correlation of {names[i]} and {names[j]} is {correlation[i, j]:+.3f}: the data determine a "
                  "combination of the two better than each of them."
                  for i in range(len(names)) for j in range(i + 1, len(names)) if abs(correlation[i, j]) > limit)
@@ -151,7 +151,7 @@ def apply_to_vehicle(vehicle: VehicleParameters, identifications: Iterable[Ident
 
 
 def describe_stale_lambda(vehicle: VehicleParameters, identifications: Iterable[Identification]) -> tuple[str, ...]:
-    """A sentence for each tyre whose lambda_ky, set in the vehicle file, depends on a changed value."""
+    """A sentence for each tyre whose lambda_ky is stated in the vehicle file, but depends on a changed value."""
     changed = {estimate.parameter for identification in identifications for estimate in identification.estimates
                if estimate.status != "unidentifiable"}
     sentences = []

@@ -9,13 +9,13 @@ All J sweeps have a common slope b; sweep j has the intercept a_j and the mean x
     u(b)^2 = s^2 / sum (x - x_j)^2,    s^2 = sum e^2 / (n - J - 1)
 
 Turntables do not determine the steering-wheel offset, because their zero is not the direction of straight driving. A
-cubic fitted to the residuals describes the nonlinearity of the steering, if it is significant (F test, 1 %). Angles in
-rad, positive to the left. Source: paper, parameter identification. Checked by: test_identification_experiments.py.
+cubic is fitted to the residuals and, if significant (F test, 1 %), reported as the nonlinearity of the steering. Angles
+are in rad, positive to the left. Source: paper, parameter identification. Checked by:
+test_identification_experiments.py.
 
-The offset of the steering wheel sensor is estimated from straight driving, by two methods.
-
-Method of the paper: the offset with which the predicted yaw rate agrees best with the measured one. Direct method: the
-mean reading in windows of nearly constant steering, corrected for the remaining curvature kappa,
+The offset of the steering wheel sensor is estimated from straight driving by two methods. Method of the paper: the
+offset with which the predicted yaw rate agrees best with the measured one. Direct method: the mean reading in windows
+of nearly constant steering, corrected for the remaining curvature kappa,
 
     o = mean(delta_h) - i L kappa (1 + K v_x^2),    kappa = change of heading / distance,    K: stability factor
 
@@ -67,7 +67,7 @@ def fit_line(x: np.ndarray, y: np.ndarray, groups: Sequence[str]) -> Line:
 
 
 def fit_cubic(x: np.ndarray, line: Line, groups: Sequence[str]) -> tuple[tuple[float, float], bool]:
-    """((c_1, c_3) of a cubic fitted to residuals e of a line, whether it is significant). groups: as in `fit_line`.
+    """((c_1, c_3) of a cubic fitted to the residuals e of a line; whether the cubic is significant).
 
         e = a'_j + c_1 x + c_3 x^3 + e_c,    F = (sum e^2 - sum e_c^2) / (sum e_c^2 / (n - J - 2))
     """
@@ -182,7 +182,7 @@ CUTOFF = 1.0  # Hz; of the zero-phase low-pass on the measured yaw rate
 def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
     """Offset at the steering wheel [rad], positive to the left, by both methods: parameters OFFSET, DIRECT_OFFSET.
 
-    vehicle: its offset is the start value of the fit. Raises IdentificationError for lack of usable straights.
+    vehicle: its offset is the start value of the fit. Raises IdentificationError for too little straight driving.
     """
     logs, notes = prepare_drives(logs, vehicle)
     runs = [sample_run(log, vehicle) for log in logs]
@@ -194,7 +194,7 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
             f"too little straight driving: {len(values)} windows of {WINDOW:g} s have a radius above "
             f"{min_radius:.3g} m, a speed above {settings.minimum_speed:.3g} m/s, and constant steering; "
             f"{MIN_WINDOWS} are needed")
-    # Without smoothing, road noise would still cause 0.02 deg of error at the steering wheel after four minutes.
+    # Without smoothing, road noise causes an error of 0.02 deg at the steering wheel even after four minutes.
     smoothed_logs = [replace(log, yaw_rate=filtered_derivative(
         log.ins_time_ns, log.yaw_rate, CUTOFF, MAXIMUM_GAP, "zero_phase")[0]) for log in logs]
     fit = fit_driving(smoothed_logs, vehicle, (OFFSET,), "linear", settings)
