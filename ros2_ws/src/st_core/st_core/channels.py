@@ -18,16 +18,16 @@ STANDSTILL_SPEED = 0.5  # m/s; a car that is never faster counts as stationary
 class Channel:
     """One measured quantity.
 
-    errors(measured, predicted): measured minus predicted, by column; None: the plain difference, for a single signal.
-    noise(log, step, x, y, yaw, v_x, v_y, r): standard deviation, by column, of the errors at the end of windows due to
-    noise alone, from redundant measurements. x to r have the shape (windows, instants), with instants `step` [s] apart.
-    None: the noise is white and is estimated from third differences, to which a car's motion hardly contributes.
+    errors(measured, predicted): measured minus predicted, by column; None: the difference of a single signal.
+    noise(log, step, x, y, yaw, v_x, v_y, r): standard deviation, by column, of the errors that noise alone causes at
+    the end of windows, from redundant measurements. x to r: (windows, instants), `step` [s] apart. None: the noise is
+    white, and is estimated from third differences, to which the motion of a car hardly contributes.
     """
 
     name: str
     label: str  # name in reports
     unit: str  # SI
-    min_residual_scale: float  # lower limit of the scale of residuals [unit], below the noise of an INS
+    min_residual_scale: float  # lower limit of the scale of residuals [unit]; lower than the noise of an INS
     signals: tuple[str, ...] = ()  # DriveLog fields with the measurements; default: name
     columns: tuple[str, ...] = ()  # components of the error; default: name
     errors: Callable[[Mapping[str, np.ndarray], Any], tuple[np.ndarray, ...]] | None = None
@@ -41,7 +41,7 @@ class Channel:
             object.__setattr__(self, field, getattr(self, field) or (self.name,))
 
     def is_measured_in(self, log: Any) -> bool:
-        """Whether a DriveLog contains measurements of the channel. Zeros are valid if the car never moves."""
+        """Whether a DriveLog contains measurements of the channel; only zeros are valid if the car never moves."""
         if self.name == "velocity_y" and not log.sideslip_measured:
             return False
         values = [getattr(log, name) for name in self.signals]
@@ -102,7 +102,7 @@ CHANNELS: Mapping[str, Channel] = {channel.name: channel for channel in (
 
 CHANNEL_OF_COLUMN = {column: channel for channel in CHANNELS.values() for column in channel.columns}
 POSITION_5S = "position_5s"
-"""Mean position error at the end of the horizon, the main quantity in reports. Name and label assume the default,
-5 s; without velocity_y it is after 5.75 s, because scoring then begins `windows.SIDESLIP_SETTLING_TIME` later."""
+"""Mean position error at the end of the horizon, the main quantity in reports. Name and label assume the default
+horizon, 5 s. Without velocity_y the error is after 5.75 s: scoring begins `windows.SIDESLIP_SETTLING_TIME` later."""
 UNITS = {POSITION_5S: "m"} | {name: channel.unit for name, channel in CHANNELS.items()}
 LABELS = {POSITION_5S: "position after 5 s"} | {name: channel.label for name, channel in CHANNELS.items()}

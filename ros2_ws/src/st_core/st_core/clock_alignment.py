@@ -30,10 +30,9 @@ STEP_SEARCH, WIDE_STEP_SEARCH = 5.0, 40.0  # s, search range for clock steps; WI
 STANDSTILL_MARGIN_NS = 2_000_000_000  # ns; standstill is used up to this time before and after motion
 WINDOW_DURATION = 30.0  # s, length of a window
 MAX_WINDOWS = 150  # largest number of windows, evenly spaced in a long recording
-# A window is used if its highest correlation peak and the standard deviation of its lag are within these limits.
-MIN_CORRELATION = 0.9  # of the highest peak
-MAX_PEAK_RATIO = 0.97  # second peak / highest peak
-MAX_LAG_DEVIATION = 0.05  # s
+MIN_CORRELATION = 0.9  # a window is left out if the correlation of its highest peak is lower
+MAX_PEAK_RATIO = 0.97  # a window is left out if its second peak, divided by the highest, is higher
+MAX_LAG_DEVIATION = 0.05  # s; a window is left out if the standard deviation of its lag is larger
 MIN_CLOCK_STEP = 0.01  # s, smallest step reported
 TYPICAL_DRIFT = 50e-6  # s/s, standard deviation of the prior of the drift
 MIN_STEP_COST_REDUCTION = 30.0  # minimum reduction of the normalised sum of squares by a step
@@ -260,8 +259,7 @@ def mask_standstill(time_ns: np.ndarray, values: np.ndarray, speed_time_ns: np.n
     moving_ns = speed_time_ns[np.isfinite(speed) & (np.abs(speed) > threshold)]
     if not len(moving_ns):
         return np.full(len(values), np.nan)
-    # First and last sample of each interval of motion.
-    last = np.flatnonzero(np.append(np.diff(moving_ns) > 2 * STANDSTILL_MARGIN_NS, True))
+    last = np.flatnonzero(np.append(np.diff(moving_ns) > 2 * STANDSTILL_MARGIN_NS, True))  # in each interval
     first = np.append(0, last[:-1] + 1)
     index = np.searchsorted(moving_ns[first] - STANDSTILL_MARGIN_NS, time_ns, side="right") - 1
     moves_nearby = (index >= 0) & (time_ns <= moving_ns[last[index]] + STANDSTILL_MARGIN_NS)

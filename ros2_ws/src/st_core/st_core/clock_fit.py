@@ -22,8 +22,7 @@ DRIFT_PRIOR_PPM = 100.0  # standard deviation of the drift; two quartz clocks di
 PEAK_DISTANCE = 2.0  # s, minimum distance of the second peak of the correlation from the first
 BLOCK_DURATION = 5.0  # s; residuals further apart than this count as independent
 ITERATIONS = 12
-# The iteration ends when the step is below MIN_STEP [s, s/s] or below TOLERANCE times the standard error for
-# independent residuals.
+# The iteration ends with a step below MIN_STEP [s, s/s] or TOLERANCE times the standard error (independent residuals).
 TOLERANCE, MIN_STEP = 0.003, (1e-6, 1e-9)
 MAX_OFFSET_STEP = 0.3  # s, largest change of the offset in one iteration
 

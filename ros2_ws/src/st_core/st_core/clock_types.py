@@ -7,12 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 AMBIGUOUS_PEAK_RATIO = 0.9  # largest second peak of an unambiguous correlation, divided by the first
-MAX_SPAN = 48 * 3600.0  # s, longest duration of a recording; a longer one has a clock that was set while recording
+MAX_SPAN = 48 * 3600.0  # s, longest duration of a recording; if it is longer, its clock was set while recording
 
 
 class Verdict(StrEnum):
-    """Verdict on an alignment. doubtful: the user should check the alignment figure. refused: no usable alignment was
-    found. not needed: all signals were recorded on one clock."""
+    """Verdict on an alignment. doubtful: the user should check its figure. refused: no usable alignment was found. not
+    needed: all signals were recorded on one clock."""
 
     GOOD = "good"
     DOUBTFUL = "doubtful"
@@ -22,8 +22,8 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class SharedSignal:
-    """One quantity in both recordings, each on its own clock; NaN where unusable (standstill, sensor not ready). Times
-    are int64 [ns], strictly increasing. The values of both recordings agree up to a gain > 0 and a bias."""
+    """One quantity in both recordings, each on its own clock. Times are int64 [ns], strictly increasing. Values are NaN
+    where unusable (standstill, sensor not ready); those of the recordings agree up to a gain > 0 and a bias."""
 
     name: str
     reference_time_ns: np.ndarray
@@ -33,7 +33,7 @@ class SharedSignal:
     latency: float = 0.0  # delay from the measurement of a value to its stamp in the other recording [s]
     latency_uncertainty: float = 0.0  # standard deviation [s]
     min_deviation: float = 0.0  # standard deviation at or below which the signal counts as constant
-    is_angle: bool = False  # angle [rad], wrapped or not, with unknown zero in each recording; its rate is compared
+    is_angle: bool = False  # angle [rad], wrapped or not; its rate is compared, because the zeros may differ
 
 
 class Peak(NamedTuple):
@@ -50,13 +50,13 @@ class SignalAgreement:
     name: str
     difference: float  # offset fitted to this signal alone minus the common offset [s]
     deviation: float  # standard deviation of its offset [s]
-    residual: float  # with the common offset: RMS divided by the standard deviation of the signal
+    residual: float  # RMS with the common offset, divided by the standard deviation of the signal
     correlation: float  # with the common offset
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """Conversion of the other clock to the reference clock; by default that of recordings on one clock."""
+    """Conversion of the other clock to the reference clock; the defaults are for recordings on one clock."""
 
     at_ns: int = 0  # instant on the other clock at which `offset_ns` applies
     offset_ns: int = 0
@@ -87,7 +87,7 @@ class Alignment:
                 and self.second_peak.correlation > AMBIGUOUS_PEAK_RATIO * self.peak.correlation)
 
     def with_doubts(self, *reasons: str) -> "Alignment":
-        """The alignment with further reasons; the verdict good becomes doubtful."""
+        """The alignment with further reasons; if there are any, the verdict good becomes doubtful."""
         if not reasons:
             return self
         verdict = Verdict.DOUBTFUL if self.verdict is Verdict.GOOD else self.verdict
@@ -100,6 +100,6 @@ def refused_alignment(*reasons: str) -> Alignment:
 
 
 def describe_step(size: float, time: float) -> str:
-    """Reason for a verdict: the clock difference steps by `size` [s], `time` [s] after the middle of the overlap."""
+    """Reason for a verdict: the offset steps by `size` [s], at `time` [s] after the middle of the overlap."""
     return (f"a clock steps by {size * 1e3:+.0f} ms about {round(time):+d} s from the middle of the overlap: "
             "align the parts before and after it separately")

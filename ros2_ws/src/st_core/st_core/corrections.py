@@ -1,4 +1,4 @@
-"""Corrections of known faults of a recording: scale, bias, delay, reference point, misalignment of the INS.
+"""Corrections of known errors of a recording: scale, bias, delay, reference point, misalignment of the INS.
 
     corrected value = scale * recorded value + add,   corrected time = recorded time - earlier
 
@@ -27,7 +27,7 @@ CHANNELS: Mapping[str, tuple[str, ...]] = {
     "velocity_x": _FIELDS, "velocity_y": _FIELDS, "velocity": ("scale", "earlier"),
     **dict.fromkeys(("yaw_rate", *OPTIONAL_INS_SIGNALS, *STEERING), _FIELDS),
 }
-"""Channels that can be corrected, each with the applicable fields of Correction."""
+"""Fields of Correction that apply, by channel."""
 UNITS: Mapping[str, str] = {
     **dict.fromkeys(("x", "y", "position"), "m"), **dict.fromkeys(("velocity_x", "velocity_y", "velocity"), "m/s"),
     "yaw_rate": "rad/s", **dict.fromkeys(("acceleration_x", "acceleration_y"), "m/s^2"),
@@ -37,8 +37,8 @@ UNITS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Correction:
-    """Correction of one channel. scale [1]. add [unit of the channel]. earlier: delay to subtract from its times [s].
-    ahead: forward shift of the reference point of the position [m], along body x."""
+    """Correction of one channel. scale [1]. add [unit of the channel]. earlier: time subtracted from its times [s].
+    ahead: shift of the position along body x [m], > 0 forward."""
 
     scale: float = 1.0
     add: float = 0.0
@@ -50,16 +50,16 @@ def apply_corrections(log: DriveLog, corrections: Mapping[str, Correction], vehi
                       leave_out: Sequence[tuple[float, float]] = ()) -> DriveLog:
     """The corrected drive.
 
-    Each channel is scaled, then offset, then shifted in time; "position" and "velocity" apply to both components, after
-    corrections of a single component. Then
+    Each channel is scaled, then offset, then shifted in time. Corrections of "position" and "velocity" apply to both
+    components, after those of a single component. Then
 
         heading.add = a:    yaw -> yaw + a,  (v, acceleration)_body -> R(-a) (v, acceleration)_body; R(yaw) v unchanged
         position.ahead = d: (x, y) -> (x, y) + d (cos yaw, sin yaw)
 
     An INS channel that is shifted in time is interpolated at the times of the other channels. Samples without an
-    interpolated value (at the ends, in gaps longer than MAXIMUM_GAP) are removed; missing accelerations are NaN. The
-    times of the steering are shifted. If its angle is scaled or offset, the steering wheel angle is corrected so that
-    ratio and offset of `vehicle` give the corrected road wheel angle; without a vehicle it is removed.
+    interpolated value (at the ends, in gaps longer than MAXIMUM_GAP) are removed; missing accelerations are NaN. For
+    the steering, the times are shifted. If the road wheel angle is scaled or offset, the steering wheel angle is
+    changed so that ratio and offset of `vehicle` give the corrected angle; without a vehicle it is removed.
 
     leave_out: intervals of INS samples to remove, (start, end) [s] after the first recorded sample, both included.
     Raises StCoreError for invalid corrections (`check_corrections`), and if the time shifts leave no sample.
@@ -90,7 +90,7 @@ def apply_corrections(log: DriveLog, corrections: Mapping[str, Correction], vehi
 
 
 def check_corrections(corrections: Mapping[str, Correction]) -> None:
-    """Check corrections. Raises StCoreError for an unknown channel, an invalid value, or both steering channels."""
+    """Raises StCoreError for an unknown channel, an invalid value, and corrections of both steering channels."""
     for channel, correction in corrections.items():
         if channel not in CHANNELS:
             raise StCoreError(f"{channel}: unknown channel; known: {', '.join(CHANNELS)}")

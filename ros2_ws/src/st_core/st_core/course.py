@@ -158,8 +158,7 @@ def _digest(text: str) -> str:
 
 
 def split_into_passes(log: DriveLog, digests: Sequence[str]) -> list[Pass]:
-    """The passes of a drive, split at pauses, gaps and position jumps; shorter ones than MIN_LENGTH are left out.
-    Raises StCoreError if none is left."""
+    """The passes of a drive of at least MIN_LENGTH, split at pauses, gaps and jumps. Raises StCoreError without any."""
     time = (log.ins_time_ns - log.ins_time_ns[:1]) * 1e-9
     intervals = np.diff(time)
     displacement = np.hypot(np.diff(log.x), np.diff(log.y))
@@ -198,8 +197,7 @@ INITIAL_CURVATURE_ERRORS, INITIAL_SPEED_ERRORS = (1.0, 0.2), (1.0, 1.0, 0.5, 0.3
 """Initial E [m^2], in the order of the forecasts of `CourseTracker`, from leave-one-out errors of real laps."""
 SQUARED_ERROR_LIMITS = (0.01, 9.0)  # m^2; lower: accuracy of the INS, upper: limits the influence of a single error
 MAX_JUMP = 2.0  # m; the tracker restarts if displacement and distance driven differ by more than this + 10 %
-# Driving time of a pass ahead of the car, in horizons: minimum for a candidate, and maximum that is used.
-MIN_COVERAGE, MAX_COVERAGE = 1.2, 2.0
+MIN_COVERAGE, MAX_COVERAGE = 1.2, 2.0  # horizons; driving time of a pass ahead of the car: minimum, and maximum used
 
 
 class EgoMotion(NamedTuple):

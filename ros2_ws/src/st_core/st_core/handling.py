@@ -48,7 +48,7 @@ def linear_system(speed: float, car: VehicleParameters) -> tuple[np.ndarray, np.
 class Range:
     """Plausible range of a quantity of road cars, wider than the range published in `source`."""
 
-    key: str  # entries of the vehicle file that mainly determine the quantity
+    key: str  # keys of the vehicle file that mainly determine the quantity
     name: str
     unit: str
     low: float
@@ -89,8 +89,8 @@ PLAUSIBLE_RANGES = (
 
 
 def find_implausible_values(car: VehicleParameters, original: VehicleParameters | None = None) -> tuple[str, ...]:
-    """A sentence for each quantity of the car that is outside its range. original: car of the vehicle file; quantities
-    that are outside their range for this car too are omitted."""
+    """A sentence for each quantity of the car that is outside its range, except those that are also outside for
+    `original`, the car of the vehicle file."""
     omitted = {quantity.name for quantity in PLAUSIBLE_RANGES if original and quantity.describe_violation(original)}
     texts = (quantity.describe_violation(car) for quantity in PLAUSIBLE_RANGES if quantity.name not in omitted)
     return tuple(text for text in texts if text)

@@ -1,11 +1,11 @@
-"""Classical Runge-Kutta integration with a fixed step, for states as tuples of floats or of arrays of equal shape, and
-its stability: whether a step is stable at a speed, and the settings that make it stable.
+"""Classical Runge-Kutta integration (RK4) with a fixed step, and the conditions under which the step is stable.
 
-`derivative(state, w, p)` returns the time derivative of the state for the inputs w at one instant and constants p.
+A state is a tuple of floats or of arrays of equal shape. `derivative(state, w, p)` returns the time derivative of the
+state for the inputs w at one instant and constants p.
 
-The lateral dynamics of a car become stiffer at lower speed: their damping is proportional to C / (m v). Classical
-Runge-Kutta with step h and stability function R does not amplify a mode of eigenvalue s if |R(h s)| <= 1; otherwise a
-prediction oscillates, diverges or converges to a wrong value. Below minimum_slip_speed the damping is constant.
+The lateral dynamics of a car become stiffer at lower speed, because their damping is proportional to C / (m v), down to
+minimum_slip_speed. RK4 with step h and stability function R does not amplify a mode of eigenvalue s if |R(h s)| <= 1;
+otherwise a prediction oscillates, diverges or converges to a wrong value.
 """
 
 import math
@@ -52,7 +52,7 @@ def rk4_step(derivative: Derivative, state: tuple, w_start: Any, w_middle: Any, 
 
 def _rk4_step_six_states(derivative: Derivative, state: tuple, w_start: Any, w_middle: Any, w_end: Any, p: Any,
                          step: float) -> tuple:
-    # rk4_step written out for six states: 1.3 to 3 times as fast on floats, as in the live predictor without numba.
+    # rk4_step written out for six states: 1.3 to 3 times as fast with floats, for the live predictor without numba.
     half, sixth = 0.5 * step, step / 6.0
     s0, s1, s2, s3, s4, s5 = state
     a0, a1, a2, a3, a4, a5 = derivative(state, w_start, p)
@@ -68,12 +68,12 @@ def _rk4_step_six_states(derivative: Derivative, state: tuple, w_start: Any, w_m
 
 
 class StepTooLongWarning(UserWarning):
-    """The integration step is too long for Runge-Kutta to be stable at a speed of the drive."""
+    """The integration step is unstable at a speed of the drive."""
 
 
 def lateral_modes(model: str | Model, vehicle: VehicleParameters, speed: float) -> np.ndarray:
-    """Eigenvalues [1/s] of velocity_y, yaw_rate and the extra states about straight driving at a speed [m/s]. From
-    central differences of the equations. Checked by: test_stability.py, against handling.linear_system."""
+    """Eigenvalues [1/s] of velocity_y, yaw_rate and the extra states in straight driving at a speed [m/s], by central
+    differences of the equations. Checked by: test_stability.py, against handling.linear_system."""
     model = get_model(model)
     p = model.parameters(vehicle)
     w = model.inputs(0.0, 0.0, p, *(0.0 for _ in model.signals))
@@ -90,7 +90,7 @@ def lateral_modes(model: str | Model, vehicle: VehicleParameters, speed: float) 
 
 
 def growth_factor(model: str | Model, vehicle: VehicleParameters, speed: float, step: float) -> float:
-    """Largest growth factor per Runge-Kutta step [1] of the physically damped modes; 0 without any; <= 1: stable.
+    """Largest growth factor per RK4 step [1] of the physically damped modes; 0 if there are none. Stable if <= 1.
 
         |1 + z + z^2/2 + z^3/6 + z^4/24|,  z = step * eigenvalue, real part of the eigenvalue < 0
     """
@@ -100,8 +100,8 @@ def growth_factor(model: str | Model, vehicle: VehicleParameters, speed: float, 
 
 
 def lowest_stable_speed(model: str | Model, vehicle: VehicleParameters, step: float) -> float:
-    """The speed [m/s] above which a step [s] is stable; 0 if stable down to 0.05 m/s, inf if not at SEARCH_START_SPEED.
-    With a low minimum_slip_speed, RK4 at 50 ms needs 2.66 m/s for the Leaf and 3.98 m/s for the Genesis."""
+    """The speed [m/s] above which a step [s] is stable; 0 if below 0.05 m/s, inf if unstable at SEARCH_START_SPEED.
+    With a low minimum_slip_speed, steps of 50 ms need 2.66 m/s for the Leaf and 3.98 m/s for the Genesis."""
     from scipy.optimize import brentq  # imported here: nodes do not need scipy
 
     def compute_excess(speed: float) -> float:
@@ -128,14 +128,14 @@ def required_substeps(model: str | Model, vehicle: VehicleParameters, speeds: It
 
 def required_slip_speed(models: Sequence[str | Model], vehicle: VehicleParameters, speeds: Iterable[float],
                         step: float) -> float | None:
-    """Smallest minimum_slip_speed [m/s] for stability at all speeds [m/s]: a multiple of 0.1, not below the vehicle's.
+    """Smallest minimum_slip_speed [m/s] for stability at all speeds [m/s]: a multiple of 0.1, at least the vehicle's.
 
     It exceeds `lowest_stable_speed`: below minimum_slip_speed the damping is constant, but the coupling v r of the two
-    modes decreases, which makes one of them faster. None if no permitted value suffices, because extra states, for
-    example of tyre relaxation, are stiff at high speed.
+    modes decreases, which makes one of them faster. None if no permitted value suffices, for example because the states
+    of tyre relaxation are stiff at high speed.
     """
     speeds, models = sorted(speeds), [get_model(model) for model in models]
-    speeds = speeds[-1:] + speeds  # an unstable step is usually unstable at the highest speed or at low speeds
+    speeds = speeds[-1:] + speeds  # highest speed first, then in ascending order: an unstable step is found soonest
     candidates = np.arange(math.ceil(10.0 * vehicle.minimum_slip_speed), 10.0 * SLIP_SPEED_LIMIT + 1.0) / 10.0
     return next((v for v in candidates.tolist()
                  if are_stable(models, replace(vehicle, minimum_slip_speed=v), speeds, step)), None)

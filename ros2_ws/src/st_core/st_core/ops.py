@@ -1,7 +1,7 @@
 """Elementary functions for the equations of motion, for every number type.
 
 They use `math` for Python floats and numpy for numpy arrays and scalars. Symbolic types are added with `register`;
-numba has its own versions (`numba_lanes`). With floats, a function outside its domain returns NaN, as in numpy.
+compiled code has its own versions (`numba_lanes`). A float outside the domain of a function gives NaN, as in numpy.
 """
 
 import math
@@ -31,7 +31,7 @@ def _call_registered(name: str, *arguments: Any):
 
 
 def _make_function(name: str) -> Callable:
-    """The function of this name for every number type; NaN where the function of `math` has a domain error."""
+    """The function with this name for every number type; NaN where the function of `math` has a domain error."""
     math_function, nan = getattr(math, name), math.nan
 
     def function(x):

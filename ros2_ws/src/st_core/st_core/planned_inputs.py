@@ -1,7 +1,7 @@
-"""Planned inputs over the horizon, from steering and acceleration or from speed and curvature, and checks before use.
+"""Plans: inputs over the horizon, given as steering and acceleration or as speed and curvature, and their checks.
 
-A plan gives future inputs of the car as functions of time on the measurement clock. It replaces the constant inputs of
-a forecast only if `find_plan_problem` finds no problem; otherwise the problem is reported.
+A plan gives the future inputs of the car as functions of time on the measurement clock. They replace the constant
+inputs of a forecast unless `find_plan_problem` finds a problem, which is then reported.
 Checked by: test_planned_inputs.py, against hindsight.
 """
 
@@ -19,10 +19,10 @@ from .timeseries import NANOSECOND, half_step_grid, interpolate
 from .types import ControlInput, InputSequence, VehicleState
 from .vehicle import VehicleParameters
 
-MAX_AGE = 0.5  # s; planners replan at 10 Hz or faster, so an older plan means that the planner has stopped
-MAX_SPACING = 0.5  # s, maximum time between points: half a period of a driver's fastest steering, 1 Hz
-MAX_ROAD_WHEEL_ANGLE = 0.8  # rad; passenger cars lock at 0.55 to 0.75 rad
-MAX_STEERING_RATE = 1.5  # rad/s at the road wheel: a steering wheel at 24 rad/s; steering robots reach about 20 rad/s
+MAX_AGE = 0.5  # s; planners replan at 10 Hz or faster, so the planner of an older plan has stopped
+MAX_SPACING = 0.5  # s, maximum time between points: half a period of the fastest steering of a driver, 1 Hz
+MAX_ROAD_WHEEL_ANGLE = 0.8  # rad; passenger cars reach 0.55 to 0.75 rad at full lock
+MAX_STEERING_RATE = 1.5  # rad/s at the road wheel, 24 rad/s at the steering wheel; steering robots reach 20 rad/s
 MAX_ACCELERATION = 12.0  # m/s^2, longitudinal and lateral combined: friction coefficient 1.2, sports tyres
 ANGLE_TOLERANCE = 0.05  # rad between planned and measured road wheel angle at the start: 45 deg at the steering wheel
 ACCELERATION_TOLERANCE = 3.0  # m/s^2 between plan and measurement at the start: braking takes 0.3 s to build up
@@ -32,7 +32,7 @@ SLIP_FREE_ANGLE = "slip_free_angle"  # Ackermann angle: road wheel angle without
 
 @dataclass(frozen=True, eq=False)
 class PlannedInputs:
-    """Inputs of one plan, linear between its n points. Raises StCoreError, one line, for arrays of unequal length."""
+    """Inputs of a plan, linear between its n points. Raises StCoreError, one line, for arrays of unequal length."""
 
     issued_ns: int  # time of issue on the measurement clock
     time_ns: np.ndarray  # (n,) instants of the points on the measurement clock
@@ -56,13 +56,13 @@ class PlannedInputs:
 
             delta = L (1 + K v^2) k,    velocity_x_dot = dv/dt
 
-        L: wheelbase, K: `handling.stability_factor`; models without tyres use atan(L k) instead. The steering angle
-        assumes a steady turn: after a fast change of curvature the path lags by the car's response time, about 0.1 s.
+        L: wheelbase, K: `handling.stability_factor`. For models without tyres, delta = atan(L k). The steering angle is
+        that of a steady turn: after a fast change of curvature the path lags by the response time of the car, 0.1 s.
         """
         speed, curvature = np.asarray(speed, float), np.asarray(curvature, float)
         seconds = (np.asarray(time_ns, np.int64) - np.int64(issued_ns)) * NANOSECOND
         if len(seconds) < 2 or not (np.diff(seconds) > 0.0).all() or {speed.shape, curvature.shape} != {seconds.shape}:
-            # No derivative. The constructor rejects wrong shapes, `find_plan_problem` too few or unordered points.
+            # Without derivative: the constructor rejects wrong shapes, `find_plan_problem` few or unordered points.
             return cls(issued_ns, time_ns, curvature, np.zeros_like(speed), speed)
         path = path_inputs(speed, curvature, seconds, vehicle)
         return cls(issued_ns, time_ns, path.road_wheel_angle, path.velocity_x_dot, speed, path.signals[SLIP_FREE_ANGLE])
@@ -99,9 +99,9 @@ def interpolate_plan(time_ns: np.ndarray, columns: Sequence[np.ndarray], steps: 
 
 def find_plan_problem(plan: PlannedInputs, start_ns: int, state: VehicleState, inputs: ControlInput, horizon: float,
                       vehicle: VehicleParameters) -> str:
-    """Reason, in one line, why a plan is not used for a forecast from a start [ns] over a horizon [s]; "" if used.
+    """Reason, in one line, why a plan cannot be used for a forecast from a start [ns] over a horizon [s]; "" if it can.
 
-    state, inputs: measured at the start. Checked, in this order: number of points, times, finite values, age, coverage,
+    state, inputs: measured at the start. Order of the checks: number of points, times, finite values, age, coverage,
     spacing, feasibility, agreement with the measurements.
     """
     return _check_timing(plan, start_ns, horizon) or _check_demand(plan, start_ns, state, inputs, vehicle)
@@ -137,7 +137,7 @@ def _check_demand(plan: PlannedInputs, start_ns: int, state: VehicleState, input
         return f"plan: steering rate of {rate:.2f} rad/s at the road wheel (limit {MAX_STEERING_RATE:g} rad/s)"
     speed = plan.speed
     if speed is None:
-        # Trapezoidal rule without scipy, which the live nodes do not import.
+        # Trapezoidal rule, without scipy because the live nodes do not import it.
         mean = 0.5 * (plan.velocity_x_dot[1:] + plan.velocity_x_dot[:-1])
         speed = state.velocity_x + np.cumsum([0.0, *(mean * seconds)])
     lateral = speed * speed * angle / steady_state_steering(speed, np.ones_like(speed), vehicle)
@@ -157,7 +157,7 @@ def _check_demand(plan: PlannedInputs, start_ns: int, state: VehicleState, input
 
 
 def select_inputs(model: Model, planned: InputSequence) -> InputSequence:
-    """Planned inputs for a model: without tyres the slip-free angle of a path, else the road wheel angle."""
+    """Planned inputs for a model. A model without tyres gets the slip-free angle, if a path was planned."""
     if not model.has_tyres and SLIP_FREE_ANGLE in planned.signals:
         return InputSequence(planned.signals[SLIP_FREE_ANGLE], planned.velocity_x_dot)
     return planned

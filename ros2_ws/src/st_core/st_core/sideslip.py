@@ -1,7 +1,7 @@
 """Steady-state sideslip for drives without measured sideslip, whose yaw is the course over ground of a GNSS receiver.
 
-The heading of a car differs from its course by the sideslip angle at the antenna, which would rotate each
-prediction. Therefore the sideslip of steady cornering is computed with the vehicle file:
+The heading of a car differs from its course by the sideslip angle at the antenna. Without a correction, each prediction
+would be rotated by this angle. Therefore the sideslip of steady cornering is computed with the vehicle file:
 
     v_y = r (l_r - m l_f v_x^2 / (l C_r) + d_x),    beta = atan(v_y / v_x),    heading = course - beta
 
@@ -22,10 +22,10 @@ from .vehicle import VehicleParameters
 MIN_SPEED = 2.0  # m/s; the course of a slower car is mostly noise
 COURSE_TIME = 0.2  # s, over which the displacement defines the course
 RATE_WIDTH_NS = 200_000_000  # averaging time [ns] of the yaw rate, which is noisy if derived from the course
-MAX_DERIVATIVE_ERROR = 1e-6  # rad/s; a gyroscope signal differs by more, because of its noise
+MAX_DERIVATIVE_ERROR = 1e-6  # rad/s between yaw rate and derivative of yaw; a gyroscope differs by more, due to noise
 MAX_COURSE_ERROR = 0.0015
-"""Largest RMS [rad] of the part of (direction of the displacement - yaw) that depends on the yaw rate, for yaw to count
-as a course. It is 0.003 to 0.03 in Genesis drives with the heading of the INS, up to 0.0004 with GNSS courses."""
+"""Largest RMS [rad] of the part of (direction of the displacement - yaw) that depends on the yaw rate, if yaw is a
+course. Genesis drives: 0.003 to 0.03 with the heading of the INS, up to 0.0004 with GNSS courses."""
 
 
 def compute_steady_velocity_y(log: DriveLog, vehicle: VehicleParameters) -> np.ndarray:
@@ -51,7 +51,7 @@ def with_steady_sideslip(log: DriveLog, vehicle: VehicleParameters) -> DriveLog:
 
 
 def with_course(log: DriveLog) -> DriveLog:
-    """The drive before `with_steady_sideslip`, but for a derived yaw rate: yaw is the course."""
+    """The inverse of `with_steady_sideslip`, except for a derived yaw rate: yaw becomes the course."""
     return replace(log, yaw=log.yaw + np.arctan2(log.velocity_y, log.velocity_x), sideslip_measured=True,
                    velocity_x=np.hypot(log.velocity_x, log.velocity_y), velocity_y=np.zeros_like(log.velocity_y))
 
@@ -69,7 +69,7 @@ def has_derived_yaw_rate(log: DriveLog) -> bool:
 
 
 def _is_course(log: DriveLog, yaw_rate: np.ndarray, is_fast: np.ndarray) -> bool:
-    """Whether yaw is the course; a heading differs from it by the sideslip, about a r / v + b r v (constants a, b)."""
+    """Whether yaw is the course: a heading differs from the course by the sideslip, about a r / v + b r v."""
     time = (log.ins_time_ns - log.ins_time_ns[0]) * NANOSECOND
     ends = time - 0.5 * COURSE_TIME, time + 0.5 * COURSE_TIME
     east, north = (np.subtract(*(np.interp(t, time, values) for t in ends[::-1])) for values in (log.x, log.y))

@@ -37,8 +37,7 @@ class TimeSeries:
     angles: columns interpolated along the shorter arc. span [s]: at least one second is kept. maximum_gap [s]: the
     signal is unknown between samples further apart. The number of samples is limited to MAXIMUM_SAMPLES.
 
-    breaks: reason why the signal is unknown between a sample and the previous one, by time of the sample [ns]; set by
-    the caller.
+    breaks: reason why the signal is unknown just before a sample, by sample time [ns]; set by the caller.
     """
 
     def __init__(self, columns: Sequence[str], span: float, maximum_gap: float, angles: Sequence[str] = ()):

@@ -1,8 +1,8 @@
 """Steady-state lateral force of axles and tyres as a function of slip angle and load.
 
 Sign convention of the package: a slip angle is positive when the wheel slides to its left, so the force that opposes it
-is negative. Linear: F_y = -C alpha with C > 0. The Magic Formula table keeps its SAE sign, p_ky1 < 0, which makes
-its stiffness K negative and its force oppose alpha without a further minus sign.
+is negative. Linear: F_y = -C alpha with C > 0. The Magic Formula has p_ky1 < 0 as in SAE axes, so that its stiffness K
+is negative and its force opposes alpha without a further minus sign.
 """
 
 from typing import Annotated, NamedTuple
@@ -16,7 +16,7 @@ MINIMUM_LOAD = 1.0  # N, of one tyre; the load is a divisor, and a jump in speed
 
 
 class MagicFormula(NamedTuple):
-    """Pure lateral slip parameters of one tyre, names as in the paper's table, SAE sign (p_ky1 < 0)."""
+    """Parameters of one tyre for pure lateral slip, named as in the paper's table; p_ky1 < 0 as in SAE axes."""
 
     nominal_load: Annotated[float, Quantity("N", 1.0, 1.0e5)]  # F_z0
     p_cy1: Annotated[float, Quantity("1", 0.5, 3.0)]
@@ -48,7 +48,7 @@ def linear_force(slip, cornering_stiffness):
 
 
 def magic_formula_stiffness(load, tyre: MagicFormula):
-    """K = p_ky1 F_z0 sin(p_ky4 atan(F_z / (p_ky2 F_z0))) lambda_ky [N/rad] of one tyre at load [N]; negative (SAE)."""
+    """K = p_ky1 F_z0 sin(p_ky4 atan(F_z / (p_ky2 F_z0))) lambda_ky [N/rad], < 0, of one tyre at load [N]."""
     return (tyre.p_ky1 * tyre.nominal_load * tyre.lambda_ky
             * sin(tyre.p_ky4 * atan(load / (tyre.p_ky2 * tyre.nominal_load))))
 
@@ -74,8 +74,8 @@ def magic_formula_force(slip, stiffness_factor, peak, curvature, tyre: MagicForm
     """F_y = D sin(C atan(B a - min(E (1 - p_ey3 sgn a), 1) (B a - atan(B a)))) [N], a = slip angle [rad].
 
     Without the limit of 1, the curve would bend back (Pacejka, Tire and Vehicle Dynamics, eq. 4.E24).
-    C = p_cy1 lambda_cy; B, D, E from `magic_formula_coefficients`; twice D gives the force of an axle. With p_ky1 < 0
-    the force opposes the slip angle. Source: paper, appendix. Checked by: test_tyres.py.
+    C = p_cy1 lambda_cy; B, D, E from `magic_formula_coefficients`; for an axle, twice D. With p_ky1 < 0 the force
+    opposes the slip angle. Source: paper, appendix. Checked by: test_tyres.py.
     """
     x = stiffness_factor * slip
     e = minimum(curvature * (1.0 - tyre.p_ey3 * sign(slip)), 1.0)
@@ -90,5 +90,5 @@ def tyre_force(slip, load, tyre: MagicFormula):
 
 def stiffness_scale(cornering_stiffness: float, static_load: float, tyre: MagicFormula) -> float:
     """lambda_ky = C / (2 |K|) [1], K at lambda_ky = 1 and the static load of ONE tyre [N]; C of the AXLE [N/rad].
-    Paper, eq. of lambda_Ky; for the Leaf 0.423 front, 0.962 rear (paper: 0.959). Checked by: test_tyres.py."""
+    Source: paper, lambda_Ky. Leaf: 0.423 front, 0.962 rear (paper: 0.959). Checked by: test_tyres.py."""
     return cornering_stiffness / (2.0 * abs(magic_formula_stiffness(static_load, tyre._replace(lambda_ky=1.0))))

@@ -99,8 +99,7 @@ class VehicleParameters:
     brake_front: Annotated[float, Quantity("1", 0.0, 1.0, required=False)] = 0.65
     load_transfer_front: Annotated[float, Quantity("1", 0.0, 1.0, required=False)] = 0.55
     side_area: Annotated[float, Quantity("m^2", 1.0e-3, 60.0, required=False)] = 2.5  # side force coefficient x area
-    # Distance of the side force of the wind ahead of the CG.
-    side_force_arm: Annotated[float, Quantity("m", -5.0, 5.0, required=False)] = 0.25
+    side_force_arm: Annotated[float, Quantity("m", -5.0, 5.0, required=False)] = 0.25  # side force ahead of the CG
     # By key in the file, such as "tyre_front.p_cy1".
     sources: Mapping[str, str] = field(default_factory=dict, compare=False, repr=False)
     provenance: Mapping[str, Provenance] = field(default_factory=dict, compare=False, repr=False)

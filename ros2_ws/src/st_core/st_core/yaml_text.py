@@ -1,6 +1,6 @@
 """Reads and writes configuration in a safe subset of YAML: mappings with text keys, lists and plain values.
 
-Files may come from other people, so other features of YAML are rejected: references (a few hundred bytes can expand to
+Files may come from others, so further features of YAML are rejected: references (a few hundred bytes can expand to
 billions of values), tags, duplicate keys (PyYAML silently uses the last one), several documents, deep nesting.
 """
 
@@ -57,7 +57,7 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
     def construct_checked_scalar(self, node: yaml.ScalarNode) -> Any:
-        """A number or date; a failed conversion raises ConfigurationError with the line number."""
+        """A number or date. Raises ConfigurationError, with the line, if it cannot be converted or is too large."""
         try:
             value = yaml.SafeLoader.yaml_constructors[node.tag](self, node)
         except (ValueError, OverflowError) as error:
@@ -92,7 +92,7 @@ def _shorten(value: Any) -> str:
 
 
 def check_keys(prefix: str, section: Mapping[Any, Any], known: list[str], required: Iterable[str] = ()) -> None:
-    """Raises ConfigurationError for an unknown or a missing key. prefix: precedes the key in messages."""
+    """Raises ConfigurationError for an unknown or missing key. prefix: text before the key in messages."""
     for key in section:
         if key not in known:
             raise ConfigurationError(
@@ -120,7 +120,7 @@ def hash_content(content: Any) -> str:
 
 
 def dump(content: Mapping[str, Any], indent: str = "") -> str:
-    """Text that `load` reads: mappings that contain mappings with one line per key, everything else in flow style."""
+    """YAML text: mappings that contain mappings have one line per key, everything else is in flow style."""
     lines = []
     for key, value in content.items():
         is_block = isinstance(value, Mapping) and any(isinstance(part, Mapping) for part in value.values())

@@ -40,7 +40,7 @@ class Variable:
     value: float = math.nan  # known value of a parameter; NaN if the caller must supply it
 
 
-# Wide enough for road driving, narrow enough to help a solver: 35 deg of steering, 1 g of braking or acceleration.
+# Limits of road driving, which help a solver: 35 deg of steering, 1 g of braking or acceleration.
 _BOUNDS = {"velocity_x": (0.5, 70.0), "velocity_y": (-10.0, 10.0), "yaw_rate": (-3.0, 3.0)}
 INPUTS = (Variable("road_wheel_angle", "rad", -0.61, 0.61), Variable("velocity_x_dot", "m/s^2", -9.81, 9.81))
 
@@ -55,7 +55,7 @@ class SymbolicModel:
         step_jacobian(x, u, h) -> A, B      d(x_next)/dx and d(x_next)/du
         start(x_six, u) -> x                initial state: six states and extra states
 
-    If `parameters` is not empty, each function has p as last argument: the free parameters, then the signals of the
+    If `parameters` is not empty, each function has the last argument p: the free parameters, then the signals of the
     model. omitted_effects: effects of the model that act on recorded steering or on sensors, not in the equations.
     """
 
@@ -77,10 +77,10 @@ class SymbolicModel:
 
 
 def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1, free: Iterable[str] = ()) -> SymbolicModel:
-    """The functions of a model for one car; their names begin with that of the model.
+    """The functions of a model for one car; the name of each begins with that of the model.
 
-    substeps: RK4 steps within h. free: parameters that remain arguments, such as "road_bank.angle"; possible only for
-    effects in inputs or equations. Raises ConfigurationError for an unknown model or parameter, or substeps < 1.
+    substeps: RK4 steps within h. free: parameters that remain arguments, such as "road_bank.angle", of effects in the
+    inputs or equations. Raises ConfigurationError for an unknown model or parameter, or substeps < 1.
     """
     model = get_model(model)
     if substeps < 1:

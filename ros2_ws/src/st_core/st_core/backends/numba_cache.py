@@ -1,8 +1,8 @@
 """Cache of compiled kernels on disk, shared by all processes.
 
-Each kernel has a folder, named by a hash of all its dependencies: source files and values of its functions, these
-backend modules, numba, numpy, Python and the CPU. The cache of numba checks only the file of the kernel, so it
-would return outdated code after a change in another file.
+Each kernel has a folder, named by a hash of all its dependencies: source files and values of its functions, modules of
+this package, numba, numpy, Python and the CPU. numba's own cache checks only the file of the kernel; it would return
+outdated code after a change in another file.
 """
 
 import contextlib
@@ -22,11 +22,11 @@ import numpy as np
 from numba.core.errors import NumbaError
 from numba.core.registry import cpu_target
 
-KERNEL_LIFETIME = 30 * 86400.0  # s; kernels not used for this long are deleted: each edit of an equation adds one
+KERNEL_LIFETIME = 30 * 86400.0  # s without use after which a kernel is deleted: each edit of an equation adds one
 
 
 def enable_cache(kernel, identity: str) -> Path | None:
-    """Enable the cache of a kernel before compilation, and delete old kernels. Returns its folder, or None."""
+    """Enable the cache of a kernel that is not compiled yet, and delete old kernels. Returns its folder, or None."""
     files = sorted(Path(__file__).parent.glob("*.py"))
     parts = (identity, numba.__version__, np.__version__, platform.python_version(),
              *map(str, cpu_target.target_context.codegen().magic_tuple()),
@@ -78,7 +78,7 @@ def compile_or_load(kernel, signature) -> None:
 def find_reachable_functions(function: FunctionType, excluded: frozenset[str] = frozenset()) -> list[FunctionType]:
     """The function and all plain functions that it can call, directly or indirectly; each once, callees first.
 
-    They are found by the names in code and closures, including attributes of modules. excluded: modules to omit.
+    Functions are found by the names in code and closures, including attributes of modules. excluded: modules to omit.
     """
     functions: list[FunctionType] = []
     visited: set[FunctionType] = set()
@@ -120,14 +120,14 @@ class UnhashableError(Exception):
 
 
 def compute_fingerprint(function: FunctionType, excluded: frozenset[str] = frozenset()) -> str:
-    """sha256 (hex) of a function, of all functions that it can reach, and of the values and source files they
-    use. It is the same in every process. Raises UnhashableError for a value such as an array, a list or an instance."""
+    """sha256 (hex) of a function, of all functions that it can reach, and of the values and source files that they use;
+    the same in every process. Raises UnhashableError for a value such as an array, a list or an instance."""
     digest = hashlib.sha256()
     functions = find_reachable_functions(function, excluded)
     numbers = {f: str(i) for i, f in enumerate(functions)}
     describe = partial(_describe_value, numbers=numbers)
     for file in map(Path, sorted({f.__code__.co_filename for f in functions})):
-        # A function entered at a prompt has no file: only its code and constants are hashed.
+        # Without a file, as for a function entered at a prompt, only code and constants are hashed.
         digest.update(hashlib.sha256(file.read_bytes() if file.is_file() else b"").digest())
     for f in functions:
         referenced = [f"{key}={describe(value)}" for key, value in find_references(f)]

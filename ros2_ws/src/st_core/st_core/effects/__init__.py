@@ -1,4 +1,4 @@
-"""Physical effects as plug-ins: one file per effect, in this folder or in a folder given to `load_folder`."""
+"""Physical effects as plug-ins: one file per effect, in this folder or in a folder that `load_folder` imports."""
 
 import hashlib
 import importlib
@@ -39,9 +39,9 @@ __all__ = ["ANY", "COMBINATIONS", "DYNAMIC", "EFFECTS", "EFFECT_KINDS", "TOTAL_D
 def load_folder(path: str) -> tuple[str, ...]:
     """Import every module of a folder, except names with a leading _, and return the names of its effects, sorted.
 
-    A folder with a module that is already loaded is not read again. Raises ConfigurationError, naming folder or file,
-    for a missing folder or one without modules, a module that fails to import or registers nothing, a name in use, and
-    an unknown name in confounded_with or members. No effect of the folder is then registered.
+    A folder is read only once. Raises ConfigurationError, naming folder or file, for a missing folder or one without
+    modules, a module that fails to import or registers nothing, a name in use, and an unknown name in confounded_with
+    or members. No effect of the folder is then registered.
     """
     folder, package = _find_package(path)
     if package not in sys.modules:
@@ -53,7 +53,7 @@ def load_folder(path: str) -> tuple[str, ...]:
 
 
 def load_file(path: str, name: str) -> tuple[type[Effect], ...]:
-    """Import one module of a folder, if it is new, and return its effects. Raises the errors of `load_folder`."""
+    """Import one module of a folder, if not yet done, and return its effects. Raises the errors of `load_folder`."""
     folder, package = _find_package(path)
     file = f"{folder}/{name}.py"
     if file not in map(find_source_file, EFFECTS.values()):
@@ -75,11 +75,11 @@ def _list_modules(folders: Iterable[str]) -> list[str]:
 
 
 def _find_package(path: str) -> tuple[str, str]:
-    """(absolute path of a folder, name of the package that its modules are imported into)."""
+    """(absolute path of a folder, name of the package for its modules)."""
     finder = pkgutil.get_importer(str(path))
     if not isinstance(finder, FileFinder):
         raise ConfigurationError(f"{path}: not a folder of effects")
-    # The package name depends only on the path, because it is part of the key of kernels cached for later processes.
+    # The package name must be the same in every process, because it is part of the key of cached kernels.
     return finder.path, "st_effects_" + hashlib.sha256(finder.path.encode()).hexdigest()[:12]
 
 
@@ -93,7 +93,7 @@ def _load_modules(folder: str, package: str, names: Sequence[str]) -> None:
     try:
         for name in names:
             _import_module(f"{package}.{name}", f"{folder}/{name}.py")
-        available = {*EFFECTS, *_list_modules([folder])}  # a file not yet imported is known by its name
+        available = {*EFFECTS, *_list_modules([folder])}  # the names of files that are not imported yet count as known
         for name, key in itertools.product(sorted(set(EFFECTS) - before), ("confounded_with", "members")):
             for other in (other for other in getattr(EFFECTS[name], key) if other not in available):
                 raise ConfigurationError(f"{folder}: effect {name}: {key}: unknown effect {other}"

@@ -13,8 +13,8 @@ def make_stiffness_parameter(initial):
 
 
 def scale_axles(coefficient, *axles, entry=""):
-    """The hook `vehicle` that multiplies by the parameter `factor`, for each given axle ("front", "rear"), a
-    coefficient of its tyres and, if `entry` is given, the vehicle parameter <entry>_<axle>."""
+    """The hook `vehicle` that multiplies a tyre coefficient of each given axle ("front", "rear") by the parameter
+    `factor`; also the vehicle parameter <entry>_<axle>, if `entry` is given."""
     def scale(vehicle, theta):
         changes = {f"{entry}_{axle}": getattr(vehicle, f"{entry}_{axle}") * theta.factor for axle in axles if entry}
         for name in (f"tyre_{axle}" for axle in axles):

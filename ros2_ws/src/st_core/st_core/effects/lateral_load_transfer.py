@@ -7,7 +7,7 @@ axle force. The longitudinal components of the two front tyre forces cause a yaw
 
     M_z = -track / 2 sin delta (F_right - F_left),
 
-which the single-track model represents by a pair of opposite axle forces, since it has no width.
+which is modelled by two opposite axle forces, since the single-track model has no width.
 """
 
 from typing import NamedTuple

@@ -1,6 +1,6 @@
 """Slip of the tyres: the dynamic model with linear tyres replaces the kinematic model.
 
-`share` between 0 and 1 has no physical meaning, but a fitted value above 0 shows that the car slips.
+`share` between 0 and 1 has no physical meaning, but a fitted value above 0 shows that the tyres slip.
 """
 
 from ..models.linear_tyre import inputs as linear_inputs

@@ -241,8 +241,7 @@ def _make_regression(samples: AxleSamples, slope: Slope | None, reasons: Sequenc
 def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
     """Both stiffnesses by regression; uncertainty from the variation between runs or, with few runs, between blocks.
 
-    A stiffness is NaN and unidentifiable if its interval is not above 0. Raises IdentificationError for unusable
-    drives.
+    A stiffness with an interval not above 0 is NaN and unidentifiable. Raises IdentificationError for unusable drives.
     """
     logs, notes = prepare_drives(logs, vehicle, "velocity_y")
     runs = [sample_run(log, vehicle) for log in logs]

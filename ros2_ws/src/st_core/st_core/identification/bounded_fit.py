@@ -18,7 +18,7 @@ from scipy.stats import f as fisher
 Residuals = Callable[[np.ndarray], np.ndarray]  # from parameters (k,) to residuals (n,)
 END_TOLERANCE = 0.03  # relative tolerance of the distance from the value to an end of its interval
 MAX_END_STEPS = 8  # largest number of secant steps to an end
-BOUND_TOLERANCE = 1e-6  # a value this close to a bound counts as being at it; fraction of the range between both bounds
+BOUND_TOLERANCE = 1e-6  # largest distance from a bound at which a value is at the bound, divided by the range
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def _is_inside(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.n
 
 def fit_within_bounds(residuals: Residuals, starts: Sequence[Sequence[float]], lower: Sequence[float],
                       upper: Sequence[float]) -> BoundedFit:
-    """Least-squares fit from the best of several starts, with every parameter within its bounds."""
+    """Least-squares fit within bounds, from the best of several starts."""
     low, high = np.asarray(lower, float), np.asarray(upper, float)
     rough = [_solve(residuals, start, low, high, 1e-3, 40) for start in starts] if len(starts) > 1 else []
     best_start = min(rough, key=lambda result: result.cost).x if rough else starts[0]
@@ -71,9 +71,9 @@ def _solve(residuals: Residuals, start: Sequence[float] | np.ndarray, low: np.nd
 
 
 def find_interval_end(residuals: Residuals, fit: BoundedFit, index: int, side: float) -> tuple[float, bool]:
-    """(lower or upper end of the interval of a parameter, whether it is open), by the secant method.
+    """(lower or upper end of the interval of a parameter, whether the end is open). side: -1 lower, 1 upper.
 
-    side: -1 lower, 1 upper. The secant method is applied to the square root of the increase of S.
+    The secant method is applied to the square root of the increase of S.
     """
     threshold = fit.residual_deviation**2 * float(fisher.ppf(0.95, 1, fit.degrees_of_freedom))
     bound = float((fit.upper if side > 0.0 else fit.lower)[index])
@@ -91,7 +91,7 @@ def find_interval_end(residuals: Residuals, fit: BoundedFit, index: int, side: f
         def compute_residuals(free: np.ndarray, fixed: float = value + side * distance) -> np.ndarray:
             return residuals(np.insert(free, index, fixed))
 
-        # At an end of the interval, S exceeds S_min by S_min F / (n - k), 5 % for n - k = 80; 0.01 % is sufficient.
+        # At an end of the interval S exceeds S_min by the fraction F / (n - k), 5 % for n - k = 80; 0.01 % is enough.
         result = _solve(compute_residuals, start, fit.lower[others], fit.upper[others], 1e-4, 60)
         start = result.x
         root = math.sqrt(max(2.0 * result.cost - minimum, 0.0) / threshold)

@@ -1,7 +1,6 @@
 """Stiffnesses, steering and yaw inertia from multi-step predictions of several drives at once.
 
 Steering offset and INS misalignment are also fitted, since their errors have similar effects as errors of the tyres.
-
 Stiffness: the nonlinear model yields the slope at zero slip and static load, with the tyre curve of the vehicle file.
 The linear model yields the secant that predicts best in the slip range of the drives. If the true curve differs, the
 value depends on the slip range, which the interval allows for (`estimate_slip_range_uncertainty`).
@@ -103,13 +102,10 @@ def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: st
 
 def estimate_slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model,
                                     settings: DrivingFitSettings, fit: DrivingFit) -> dict[str, float]:
-    """Standard uncertainty of each stiffness as an estimate of the slope at zero slip [N/rad], from a second fit to the
-    windows with less than the median peak acceleration (`regression.extrapolation_uncertainty`); empty if the drives do
-    not cover two slip ranges.
-
-    The slip range is the mean of |v_x r| weighted by its square: the secant of a brush tyre falls about linearly with
-    this mean.
-    """
+    """Standard uncertainty of each stiffness as the slope at zero slip [N/rad], from a second fit to the windows below
+    the median peak acceleration (`regression.extrapolation_uncertainty`); empty if the slip ranges of both fits are
+    similar. Measure of the slip range: mean |v_x r| weighted by its square, with which the secant of a brush tyre falls
+    about linearly."""
     low_settings = replace(settings, maximum_acceleration=float(np.median(fit.peak_accelerations)),
                            min_windows=settings.min_windows // 2)
     try:
@@ -237,7 +233,6 @@ def _make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivi
 
 
 def _grade_estimate(fit: DrivingFit, index: int, uncertainty: float) -> tuple[str, Status]:
-    """(verdict, status)."""
     name, value = fit.names[index], fit.values[index]
     basis = f"{fit.prediction_count} predictions in {fit.spread.basis[index]}"
     if name in fit.at_bound:

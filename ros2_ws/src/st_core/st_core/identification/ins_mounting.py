@@ -1,18 +1,18 @@
 """Lever arm and misalignment of the INS, from slow driving.
 
-The rear axle of a slow car moves in the direction of its heading, apart from a small slip. For an INS at a distance d_x
-ahead of the CG and rotated by gamma to the left,
+The rear axle of a slow car moves in the direction of the heading, apart from a small slip angle. For an INS at a
+distance d_x ahead of the CG and rotated by gamma to the left,
 
     v_y = -gamma v_x + (l_r + d_x) r - s v_x^2 r - e v_x dr/dt,    s = m l_f / (L C_r)
 
-v_x, v_y: at the INS. Straights determine gamma; bends, d_x; bends at two speeds, s [rad s^2/m], the magnitude of the
-rear slip angle per lateral acceleration. The term e [s^2] is the lateral motion of an INS above the roll axis as the
-body rolls. An INS at d_y to the left of the CG is slower than the CG in left bends and faster in right bends:
+v_x, v_y: at the INS. Straights determine gamma, bends d_x, and bends at two speeds s [rad s^2/m], the magnitude of the
+rear slip angle per lateral acceleration. The term with e [s^2] is due to the lateral motion of an INS above the roll
+axis as the body rolls. An INS at d_y to the left of the CG is slower than the CG in left bends, faster in right bends:
 
     phi + c phi^3 = delta - K v_x r,    phi = atan(L r / (v_x + r d_y))
 
-Also fitted: ratio and offset of the steering, understeer gradient K [rad s^2/m], and the coefficient c of the deviation
-of the mean steering angle from phi in tight bends. Checked by: test_identification_driving.py.
+Ratio and offset of the steering, the understeer gradient K [rad s^2/m] and c are also fitted; the term with c is the
+deviation of the mean road wheel angle from phi in tight bends. Checked by: test_identification_driving.py.
 """
 
 from collections.abc import Sequence
@@ -85,7 +85,7 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
 
 
 def _make_columns(run: RunSamples, mask: np.ndarray, vehicle: VehicleParameters) -> np.ndarray:
-    """(time, v_x, v_y, r, dr/dt, delta) at the INS [SI], (n, 6), for one sample of the mask per SAMPLE_INTERVAL."""
+    """(time, v_x, v_y, r, dr/dt, delta) at the INS [SI], (n, 6): one sample of the mask in each SAMPLE_INTERVAL."""
     rows = np.flatnonzero(mask)
     if len(rows):
         rows = rows[np.unique(np.floor(run.time[rows] / SAMPLE_INTERVAL), return_index=True)[1]]
@@ -119,7 +119,7 @@ def _estimate_lateral_position(speed: np.ndarray, rate: np.ndarray, angle: np.nd
 
 def _make_estimate(name: str, value: float, spread: Spread, index: int, factor: float,
                    used_runs: tuple[str, ...], description: str, max_uncertainty: float) -> ParameterEstimate:
-    """Estimate with the standard uncertainty |factor| times that of regression coefficient `index`."""
+    """Estimate whose standard uncertainty is |factor| times that of regression coefficient `index`."""
     uncertainty = float(abs(factor) * spread.standard_errors[index])
     unit = "rad" if name == MISALIGNMENT else "m"
     text = f"{np.rad2deg(uncertainty):.2g} deg" if name == MISALIGNMENT else f"{uncertainty:.2g} m"

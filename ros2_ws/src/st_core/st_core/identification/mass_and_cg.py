@@ -257,9 +257,8 @@ def _compute_radii(data: LiftRows, rear_fraction: float) -> tuple[float, str]:
 
 
 def _compute_load_transfers(data: LiftRows, line: Line) -> np.ndarray:
-    """Rear load minus that of the level car in the same lift, (n,) [kg]; NaN at a pitch below MIN_PITCH_RANGE, or below
-    the largest pitch if that is smaller. The load of the level car is the mean of its rows or, without any, the
-    intercept of the lift."""
+    """(n,) [kg] rear load minus that of the level car in the same lift (mean of the level rows, or else the intercept);
+    NaN at a pitch below MIN_PITCH_RANGE, or below the largest pitch if that is smaller."""
     is_usable = data.pitch >= min(MIN_PITCH_RANGE, data.pitch.max())
     transfers = np.full(len(data.pitch), np.nan)
     for name, intercept in line.intercepts.items():

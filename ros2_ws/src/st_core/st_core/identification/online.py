@@ -130,8 +130,7 @@ class OnlineIdentifier:
         self.fit = _make_failed_fit(vehicle, "no fit yet")
 
     def add_ins(self, sample: InsSample) -> bool:
-        """Add a sample at the INS point; False if it is not finite or not newer. If time jumps back by over 1 s, all
-        driving is discarded."""
+        """Add a sample at the INS point; False if not finite or not newer. `reset` if time jumps back by over 1 s."""
         if not all(map(math.isfinite, sample[1:7])):
             return False
         step = (sample.time_ns - self._newest_ns) * NANOSECOND

@@ -12,10 +12,10 @@ from ..types import ins_to_cg_acceleration
 from ..vehicle import VehicleParameters
 from .result import Coverage, IdentificationError
 
-FILTER_SETTLING_TIME = 0.2  # s; discarded at both ends of each interval without gaps
+FILTER_SETTLING_TIME = 0.2  # s at both ends of each interval without gaps, in which samples are discarded
 MAXIMUM_GAP = 0.1  # s; longest interval between samples that is interpolated
 MIN_COMMON_TIME, MIN_SAMPLES = 5.0, 50  # time with both INS and steering [s], number of INS samples
-MIN_REPORTED_BIAS = 5.0e-4  # rad/s; above the drift of a good INS; 0.1 deg of steering wheel offset equals it at 15 m/s
+MIN_REPORTED_BIAS = 5.0e-4  # rad/s; larger than the drift of a good INS; 0.1 deg of steering wheel offset at 15 m/s
 SPEED_EDGES = np.array([0.0, 3.0, 6.0, 9.0, 12.0, 15.0, 20.0, 30.0, 60.0])  # m/s
 ACCELERATION_EDGES = np.array([-8.0, -4.0, -3.0, -2.0, -1.0, -0.3, 0.3, 1.0, 2.0, 3.0, 4.0, 8.0])  # m/s^2
 
@@ -40,10 +40,10 @@ class RunSamples:
 
 
 def sample_run(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0) -> RunSamples:
-    """Samples of a drive at the INS sample times at which all signals are available, none if there are many gaps.
+    """Samples of a drive at the INS sample times at which all signals are available; may be empty for many gaps.
 
     log: from `prepare_drives`. Velocity, yaw rate and steering pass the same first-order zero-phase Butterworth filter
-    with `cutoff` [Hz] (`timeseries.filtered_derivative`), so both sides of each equation are attenuated equally. The
+    with `cutoff` [Hz] (`timeseries.filtered_derivative`), so that it attenuates both sides of an equation equally. The
     lateral acceleration is v_y_dot + v_x r, transformed to the CG.
     """
     def smooth(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -71,7 +71,7 @@ def prepare_drives(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                    *required: str) -> tuple[list[DriveLog], tuple[str, ...]]:
     """(drives prepared for an estimator, warnings).
 
-    If the steering wheel angle was recorded, the road wheel angle is computed with this vehicle's ratio and offset. The
+    If the steering wheel angle was recorded, the road wheel angle is computed with ratio and offset of `vehicle`. The
     yaw rate bias of each drive is removed, since it would appear as an offset of the steering. required: channels that
     each drive must have. Raises IdentificationError without drives, and for a duplicate name or an unusable drive.
     """
@@ -101,7 +101,7 @@ def prepare_drives(logs: Sequence[DriveLog], vehicle: VehicleParameters,
 
 
 def estimate_yaw_rate_bias(log: DriveLog) -> float:
-    """Mean of the yaw rate minus the rate of change of yaw, outside gaps [rad/s]."""
+    """Mean difference of the yaw rate from the derivative of yaw, outside gaps [rad/s]."""
     spacing = np.diff(log.ins_time_ns) * NANOSECOND
     is_without_gap = spacing <= MAXIMUM_GAP
     difference = (0.5 * (log.yaw_rate[1:] + log.yaw_rate[:-1]) * spacing - np.diff(log.yaw))[is_without_gap]
@@ -110,8 +110,8 @@ def estimate_yaw_rate_bias(log: DriveLog) -> float:
 
 def measure_coverage(signal: str, unit: str, edges: np.ndarray, values: Sequence[np.ndarray],
                      times: Sequence[np.ndarray], min_seconds: float, min_filled_bins: int) -> Coverage:
-    """Coverage of the range of a signal in all drives. values: (n,) of each drive. times: times of all samples of each
-    drive [s]. min_seconds: minimum time in a filled bin. Raises IdentificationError if no drive has two samples."""
+    """Coverage of the range of a signal in all drives. values: (n,) by drive. times: of all samples, by drive [s].
+    min_seconds: minimum time in a filled bin. Raises IdentificationError if no drive has two samples."""
     spacing = np.concatenate([np.diff(time) for time in times])
     if not len(spacing):
         raise IdentificationError(f"nearly all samples are within {FILTER_SETTLING_TIME:g} s of a gap above "
@@ -123,8 +123,8 @@ def measure_coverage(signal: str, unit: str, edges: np.ndarray, values: Sequence
 def measure_driving_coverage(logs: Sequence[DriveLog], vehicle: VehicleParameters, minimum_speed: float,
                              speed: tuple[float, int],
                              lateral_acceleration: tuple[float, int]) -> tuple[Coverage, Coverage]:
-    """Coverage of speed and lateral acceleration v_x r by all driving above a minimum speed [m/s]. speed,
-    lateral_acceleration: (seconds in a filled bin, number of filled bins) required."""
+    """Coverage of speed and lateral acceleration v_x r in driving above a minimum speed [m/s]. speed,
+    lateral_acceleration: required (seconds in a filled bin, number of filled bins)."""
     edges = SPEED_EDGES * vehicle.speed_scale
     times = [(log.ins_time_ns - log.ins_time_ns[:1]) * NANOSECOND for log in logs]
     is_fast = [log.velocity_x >= minimum_speed for log in logs]

@@ -125,9 +125,8 @@ def identify_steering_ratio(data: Turntable) -> Identification:
     largest = math.degrees(float(np.abs(line.residuals).max()))
     verdict = (f"The steering wheel turns {ratio:.2f} times as far as the mean of the front wheels; the straight line "
                f"deviates by at most {largest:.2f} deg at the road wheel.")
-    on_centre_ratio = 1.0 / (line.slope + cubic[0]) if significant else ratio
     if significant:
-        verdict += f" The ratio is not constant: {on_centre_ratio:.2f} on centre."
+        verdict += f" The ratio is not constant: {1.0 / (line.slope + cubic[0]):.2f} on centre."
     estimate = ParameterEstimate("steering_ratio", ratio, "1", ratio**2 * line.uncertainty, (1.0 / high, 1.0 / low),
                                  method, used, verdict)
     first, last = data.steering.min() / ANGLE_BIN_WIDTH, data.steering.max() / ANGLE_BIN_WIDTH

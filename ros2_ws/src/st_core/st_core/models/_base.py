@@ -15,11 +15,11 @@ AxleForces = Callable[[Any, Any, tuple, Any], tuple]  # (slip_front, slip_rear [
 class Model:
     """One vehicle model. State (x, y, velocity_x, velocity_y, yaw, yaw_rate) at the CG, as in types.VehicleState.
 
-    parameters(vehicle) -> p: a NamedTuple of the numbers the equations need, possibly nested.
+    parameters(vehicle) -> p: a NamedTuple of the numbers in the equations, possibly nested.
     inputs(road_wheel_angle, velocity_x_dot, p, *signals) -> w: a tuple of all quantities that depend only on the
         inputs; computed once per instant, or once per prediction with constant inputs. One argument per signal.
     rhs(state, w, p) -> time derivative of the state: six values and one for each of `extra_states`.
-    start(state, w, p) -> initial extra states of a prediction, from the initial six states and w; None: zeros.
+    start(state, w, p) -> initial extra states of a prediction, from the first six states and w; None: zeros.
     The functions use `st_core.ops` and accept floats, or arrays of equal shape for a batch.
     """
 
@@ -39,7 +39,7 @@ class Model:
 
     @property
     def has_steering_dynamics(self) -> bool:
-        """Whether the road wheel angle depends on earlier steering, which only effects can cause."""
+        """Whether the road wheel angle depends on earlier steering; only effects can cause this."""
         return False
 
     def effective_vehicle(self, vehicle: VehicleParameters) -> VehicleParameters:

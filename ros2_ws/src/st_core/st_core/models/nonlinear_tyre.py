@@ -2,8 +2,7 @@
 
     F_z,f = m / l (g l_r - a_x h),  F_z,r = m / l (g l_f + a_x h),  a_x = v_x_dot (the input)
 
-The formula gives the force of one tyre at half the axle load; the axle force is twice that. Source: paper, dynamic
-model, appendix.
+The axle force is twice the force of one tyre at half the axle load. Source: paper, dynamic model, appendix.
 """
 
 from typing import NamedTuple
