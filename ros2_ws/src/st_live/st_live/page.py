@@ -72,7 +72,7 @@ class PageServer(ThreadingHTTPServer):
         self.is_stopped = False
         self.condition = threading.Condition()
         self._frame, self._frame_number = b"", 0
-        self.clients = 0  # number of open pages, protected by `condition`
+        self.client_count = 0  # number of open pages, protected by `condition`
 
     def publish(self, frame: Mapping[str, Any]) -> None:
         """Send a frame to every client; a client that is slower than the frames receives only the newest."""
@@ -126,8 +126,8 @@ class _PageHandler(_Handler):
     def _send_frames(self) -> None:
         server = self.server
         with server.condition:
-            is_accepted = server.clients < MAX_CLIENTS
-            server.clients += is_accepted
+            is_accepted = server.client_count < MAX_CLIENTS
+            server.client_count += is_accepted
         if not is_accepted:
             self.send_error(503, f"{MAX_CLIENTS} pages are open already")
             return
@@ -142,7 +142,7 @@ class _PageHandler(_Handler):
             pass  # the client has left
         finally:
             with server.condition:
-                server.clients -= 1
+                server.client_count -= 1
 
 
 class LiveView:

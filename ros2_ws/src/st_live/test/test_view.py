@@ -365,7 +365,7 @@ def test_page_is_small_and_loads_no_external_content(server: PageServer) -> None
 
 def test_slow_client_receives_the_newest_frame(server: PageServer) -> None:
     with request(server, "/frames") as stream:
-        while not server.clients:
+        while not server.client_count:
             time.sleep(0.01)
         server.publish({"number": 1})
         assert stream.readline() == b'data: {"number":1}\n'

@@ -60,8 +60,8 @@ def verify(
 ) -> int:
     """Compare predictions and scores of the nodes with those computed offline from the same measurements.
 
-    A recording without predictions is first played through the nodes. Exit status: 0 no difference exceeds the
-    tolerance, 1 at least one difference does, 2 nothing to compare.
+    A recording without predictions is first played through the nodes. Exit status: 0 equal within the tolerance, 1 not
+    equal, 2 nothing to compare.
     """
     from st_live.configuration import find_bag
     from st_live.verification import verify_command

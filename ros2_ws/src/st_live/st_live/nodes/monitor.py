@@ -207,7 +207,7 @@ def render_counts(status: PredictorStatus | None) -> Text:
 
 
 def render_health(state: SuiteState) -> Text:
-    """Statuses that are silent or not OK, errors first, then stale ones; "all nodes OK" if there are none."""
+    """Statuses that are silent or not OK, errors first; "all nodes OK" if there are none; "" before the first."""
     now = time.monotonic()
     text = Text()
     for status in sorted(state.health.values(), key=lambda s: ((3, 2, 0, 1)[min(s.level, STALE)], s.name)):

@@ -187,7 +187,7 @@ class PassengerNode(Node):
             # Subscribe only now, because the player of `st replay` counts the subscribers of its topics at its start.
             self._subscriptions_by_topic |= {topic: self._subscribe(topic) for topic in TOPICS
                                              if topic not in self._subscriptions_by_topic}
-        if self._server.clients:
+        if self._server.client_count:
             self._server.publish(self._frames.make_frame(time.monotonic()))
 
 

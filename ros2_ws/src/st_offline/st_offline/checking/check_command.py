@@ -169,7 +169,7 @@ def _format_steering_options(settings: ReadSettings) -> str:
 
 
 def append_corrections(settings: Mapping[str, Any], corrections: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings of a run.yaml with further corrections (2), which act after its own (1):
+    """Settings of a run.yaml with further corrections (2), which act after the existing ones (1):
 
         scale = scale2 scale1,  add = scale2 add1 + add2,  earlier = earlier1 + earlier2,  ahead = ahead1 + ahead2
     """
@@ -195,7 +195,7 @@ def _merge(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any
 
 
 def _merge_settings(source: RunSource, file: Path, read_settings: ReadSettings) -> dict[str, Any]:
-    """Settings of the run's own run.yaml, overridden by the options of the command line. A run.yaml cannot state the
+    """Settings of the run.yaml of the run, overridden by the options of the command line. A run.yaml cannot state the
     sign of a steering column, so with --steering-sign -1 it does not name the column."""
     # A car whose recordings are tables has neither DBC nor signal table.
     bus = {"dbc": read_settings.dbc, "signals": read_settings.signals}

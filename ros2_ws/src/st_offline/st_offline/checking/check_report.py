@@ -119,7 +119,7 @@ def describe_effect(finding: Finding) -> str:
 
 
 def describe_correction(advice: Advice | None) -> str:
-    """The correction and its place; empty without advice."""
+    """The correction, with where to enter it; empty without advice."""
     return f"{ADVICE_PLACE[advice.kind]}{advice.line}" if advice else ""
 
 
