@@ -261,7 +261,7 @@ def test_rival_is_an_alternative_or_rejected_by_a_rule(rival, rule):
 @pytest.mark.parametrize(("rival", "established"), [
     (EQUAL_RIVAL, False), (WORSE_RIVAL, True), (CLOSE_RIVAL, False), (replace(CLOSE_RIVAL, deficit=0.3), True)])
 def test_effect_is_established_only_if_the_best_model_without_it_explains_less(rival, established):
-    for name, instead in (("rear_stiffness and mass", " with rear stiffness and mass instead"), ("", "")):
+    for name, instead in (("rear_stiffness and mass", ", with rear stiffness and mass instead,"), ("", "")):
         verdict = judge_necessity(replace(rival, name=name, replaces="roll_steer"), LIMITS)
         assert (verdict is None) == established
         if verdict:
@@ -479,7 +479,7 @@ def judge_tyre_stiffness(monkeypatch, verdict, combinations, rival=WORSE_RIVAL, 
     """Result for a fit with only tyre_stiffness, with this verdict before the search without it finds `rival`."""
     monkeypatch.setattr(discover_module.waterfall, "estimate_parameters", lambda *_: {})
     monkeypatch.setattr(discover_module.waterfall, "leave_one_out", lambda *_: {})
-    problem = SimpleNamespace(prior=(), held_out_rows=lambda _: None, position_error=lambda _: np.array([np.nan]))
+    problem = SimpleNamespace(prior=(), held_out_residuals=lambda _: None, position_error=lambda _: np.array([np.nan]))
     analysis = SimpleNamespace(
         problem=problem, reference=[], sensors={}, limits=LIMITS, _analyse_axles=lambda *_: (None, (), combinations),
         _decide_reporting=lambda *_: {"tyre_stiffness": verdict})

@@ -199,8 +199,8 @@ def test_evidence_compares_the_fits_with_and_without_the_effect():
     e = collect_evidence(problem, base, fit, "mass", scores, {}, {})
     by_run = problem.held_out_loss(base, problem.held_out_groups) - problem.held_out_loss(fit, problem.held_out_groups)
     assert e.gain == pytest.approx(min((base.held_out - fit.held_out).sum(), by_run.sum()) / problem.residual_count)
-    decrease = (problem.position_error(problem.held_out_rows(base))
-                - problem.position_error(problem.held_out_rows(fit)))
+    decrease = (problem.position_error(problem.held_out_residuals(base))
+                - problem.position_error(problem.held_out_residuals(fit)))
     assert e.position_reduction == e.position_reduction_in_condition == pytest.approx(decrease.mean())
     assert e.position_reduction > 0.0
     halves = (np.arange(160) % 2, ["even", "odd"])

@@ -373,7 +373,7 @@ def test_held_out_loss_agrees_with_separate_fits_without_each_fold():
 def test_held_out_errors_are_those_at_the_parameters_of_the_fold():
     problem = linear_problem(FEW, {"mass": 1.0}, 15)
     fit = fit_problem(problem, *FEW, iterations=100)
-    rows = problem.held_out_rows(fit)
+    rows = problem.held_out_residuals(fit)
     for group, step in problem.leave_out_groups(fit, problem.held_out_groups)[0].items():
         in_group = problem.held_out_groups[problem.block] == group
         vector = fit.vector.copy()

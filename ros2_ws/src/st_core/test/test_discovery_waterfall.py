@@ -40,7 +40,7 @@ def explained():
 
 def test_horizon_errors_are_those_of_the_last_point(explained):
     problem, final, ends, *_ = explained
-    rows = problem.held_out_rows(final).reshape(320, 4, len(COLUMNS))[:, -1]
+    rows = problem.held_out_residuals(final).reshape(320, 4, len(COLUMNS))[:, -1]
     squares = ends.by_channel(final)
     np.testing.assert_allclose(squares["yaw_rate"], np.square(rows[:, 1]))
     np.testing.assert_allclose(squares["position_5s"], np.hypot(rows[:, 4], rows[:, 5]))

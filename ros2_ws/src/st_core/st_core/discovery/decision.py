@@ -14,7 +14,7 @@ IRRELEVANT, BOUND, VARIES, IMPLAUSIBLE = "not relevant", "on a bound", "varies",
 SENSORS, FILE, FORCES = "refuted by the sensors", "refuted by the vehicle file", "refuted by the axle forces"
 ALTERNATIVE, EXPLAINS_LESS = "alternative", "explains less"
 PARTITION_NAMES = {"run": "runs", "site": "sites", "time": "times within a run", "place": "places",
-                   "condition": "kinds of driving"}
+                   "condition": "driving conditions"}
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,9 @@ def judge(e: Evidence, limits: Limits) -> Reason:
         if rejection := _reject_insignificant(e, limits):
             return rejection
     elif not is_relevant(e, limits):
-        return Reason(IRRELEVANT, e.name, _relevance_values(e, limits), "redundant sensors confirm it, but it "
-                      f"reduces baseline errors above {limits.max_noise_ratio:g} times the noise by at most "
-                      f"{100 * find_most_affected(e, limits)[1]:.1f} %, and "
+        return Reason(IRRELEVANT, e.name, _relevance_values(e, limits), "redundant sensors confirm it, but of the "
+                      f"baseline errors above {limits.max_noise_ratio:g} times the noise, it reduces none by more than "
+                      f"{100 * find_most_affected(e, limits)[1]:.1f} %, and it "
                       f"{describe_position_reduction(max_position_reduction(e))}")
     if e.sensors_p_value is not None and e.sensors_p_value < limits.undecided_p:
         return Reason(SENSORS, e.name, {"sensors_p_value": e.sensors_p_value, "undecided_p": limits.undecided_p},
@@ -246,7 +246,7 @@ def judge_necessity(rival: Rival, limits: Limits) -> Reason | None:
     """Verdict on an effect that the best set without it can replace; None if that set explains less."""
     if explains_less(rival, limits):
         return None
-    instead = f" with {rival.name.replace('_', ' ')} instead" * bool(rival.name)
+    instead = f", with {rival.name.replace('_', ' ')} instead," * bool(rival.name)
     return Reason(MINOR, rival.replaces, {"deficit": rival.deficit, "p_no_worse": rival.p_no_worse},
                   f"the best model without it{instead} changes the errors by only {100 * rival.deficit:+.1f} % (p = "
                   f"{rival.p_no_worse:.2g} for the hypothesis that it is as good): it is not reported as a cause")

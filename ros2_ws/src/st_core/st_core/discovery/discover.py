@@ -174,11 +174,11 @@ class _Analysis:
 
     def _judge_effects(self, search: Search, state: SearchState, partitions: Mapping[str, Partition],
                        channel_noise: Mapping[str, float]) -> _JudgedEffects:
-        """Judge the effects found by the search; add the force curves and the parameter combinations of the axles."""
+        """The effects found by the search, with verdicts, force curves and combinations of vehicle parameters."""
         problem = self.problem
         # All other parameters of the library are free as well, so that intervals include their possible contribution.
         joint_fit = approximate_joint_fit(problem, state.fit) if problem.prior is None else None
-        position_error, _ = error_reductions(problem.position_error(problem.held_out_rows(state.fit)), None)
+        position_error, _ = error_reductions(problem.position_error(problem.held_out_residuals(state.fit)), None)
         noise_ratio = position_error / max(channel_noise.get("position_5s", 0.0), 1e-9)  # 0 without positions
         sensors, effects = {} if self.reference else self.sensors, []
         for name in state.order:
@@ -237,7 +237,7 @@ class _Analysis:
         fit = without_priors.fit_at(fit.names, fit.vector, fit.indices, fit.sensitivities)
         gain = without_priors.held_out_gain(state.fit, fit)
         # Both sums are over the same windows; they are 0 if position is not a channel.
-        before, after = (np.nansum(p.position_error(p.held_out_rows(f)))
+        before, after = (np.nansum(p.position_error(p.held_out_residuals(f)))
                          for p, f in ((problem, state.fit), (without_priors, fit)))
         return (problem, state.fit) if gain < self.limits.relevant or after > before else (without_priors, fit)
 

@@ -171,7 +171,7 @@ def collect_evidence(problem: Problem, reduced: Fit, fit: Fit, effect: str, scor
     if block_scores is None:
         block_scores = efficient_score_at_fit(problem, reduced, effect, fit.sensitivities)
     size = np.abs((fit.vector - problem.space.null) / problem.space.scale)[problem.space.indices(effect)].max()
-    before, after = problem.held_out_rows(reduced), problem.held_out_rows(fit)
+    before, after = problem.held_out_residuals(reduced), problem.held_out_residuals(fit)
     reduction = problem.position_error(before) - problem.position_error(after)
     if problem.prior is not None:  # the other values, known from the healthy car, do not compensate for the effect
         before = problem.errors.at(problem.vector_without(fit, effect))
@@ -188,17 +188,17 @@ def collect_evidence(problem: Problem, reduced: Fit, fit: Fit, effect: str, scor
         agreement={name: compare_parts(problem, fit, effect, *part) for name, part in partitions.items()})
 
 
-def residual_over_noise(problem: Problem, rows: np.ndarray) -> float:
+def residual_over_noise(problem: Problem, residuals: np.ndarray) -> float:
     """Largest ratio of error to noise among the columns; 1 with reference drives, because the healthy car has the same
     residual, which therefore cannot imitate a change since the reference drives."""
     if problem.prior is not None:
         return 1.0
-    return float((problem.column_rms(rows) / np.maximum(problem.noise, 1e-12)).max())
+    return float((problem.column_rms(residuals) / np.maximum(problem.noise, 1e-12)).max())
 
 
 def column_reductions(problem: Problem, reduced: np.ndarray, full: np.ndarray) -> dict[str, tuple[float, float]]:
     """By column, (error reduction divided by the larger of the baseline error and the error without the effect, error
-    without the effect divided by the noise). reduced, full: rows without and with the effect."""
+    without the effect divided by the noise). reduced, full: residuals without and with the effect."""
     before, after = problem.column_rms(reduced), problem.column_rms(full)
     reduction = (before - after) / np.maximum(problem.baseline_rms, before)
     noise_ratio = before / np.maximum(problem.noise, 1e-12)
@@ -210,8 +210,8 @@ def efficient_score_at_fit(problem: Problem, fit: Fit, effect: str, sensitivitie
     """(b, k) efficient scores of an effect outside the fit. sensitivities: to the parameters of the effect and of the
     fit, at or near the vector of the fit."""
     indices = np.union1d(fit.indices, problem.space.indices(effect))
-    rows = problem.errors.at(fit.vector)
-    q = problem.loss.quadratic(rows, sensitivities.select(indices)).sum_groups(problem.block, problem.blocks)
+    residuals = problem.errors.at(fit.vector)
+    q = problem.loss.quadratic(residuals, sensitivities.select(indices)).sum_groups(problem.block, problem.blocks)
     padded = Quadratic(q.cost, np.zeros((problem.blocks, len(problem.space))),
                        np.zeros((problem.blocks, len(problem.space), len(problem.space))))
     padded.gradient[:, indices] = q.gradient

@@ -126,10 +126,10 @@ class Problem:
     def _baseline_scale(self) -> np.ndarray:
         return self.loss.scale_of(self.start)
 
-    def column_rms(self, rows: np.ndarray) -> np.ndarray:
+    def column_rms(self, residuals: np.ndarray) -> np.ndarray:
         """(c,) RMS of the residuals of each column at all points of the horizon, clipped (RMS_CLIP_LIMIT) [SI]."""
         limit = RMS_CLIP_LIMIT * self._baseline_scale
-        square = np.square(np.clip(np.nan_to_num(rows, nan=np.inf), -limit, limit))
+        square = np.square(np.clip(np.nan_to_num(residuals, nan=np.inf), -limit, limit))
         mean = np.where(self.loss.known, square, 0.0).sum(axis=0) / np.maximum(self.loss.known.sum(axis=0), 1)
         return np.sqrt(mean.reshape(len(self.errors.windows.time), -1).mean(axis=0))
 
@@ -346,16 +346,16 @@ class Problem:
         before, after = (self.held_out_loss(f, self.held_out_groups) for f in (without, fit))
         return float((before - after).sum()) / self.residual_count
 
-    def held_out_rows(self, fit: Fit) -> np.ndarray:
+    def held_out_residuals(self, fit: Fit) -> np.ndarray:
         """(n, m) errors of each window at values fitted without its group (`held_out_groups`)."""
         steps, _ = self.leave_out_groups(fit, self.held_out_groups)
         group, sensitivities = self.held_out_groups[self.block], fit.sensitivities.select(fit.indices)
-        rows = self.errors.at(fit.vector)
-        result = rows.copy()
+        residuals = self.errors.at(fit.vector)
+        result = residuals.copy()
         for k, d in steps.items():
             in_group = group == k
             result[in_group] -= np.einsum("p,pnm->nm", d, sensitivities[:, in_group])
-        before, after = self.loss.scale_residuals(rows), self.loss.scale_residuals(result)
+        before, after = self.loss.scale_residuals(residuals), self.loss.scale_residuals(result)
         # Where the linear approximation is not valid, the held-out errors are simulated.
         if rho(after).sum() - rho(before).sum() > MAX_QUADRATIC_RISE * self.residual_count:
             for k, d in steps.items():
@@ -363,11 +363,11 @@ class Problem:
                 result[in_group] = self.errors.at(self.take_step(fit.vector, fit.indices, d))[in_group]
         return result
 
-    def position_error(self, rows: np.ndarray) -> np.ndarray:
+    def position_error(self, residuals: np.ndarray) -> np.ndarray:
         """(n,) position error at the end of the horizon [m], at most DIVERGED_ERROR; NaN where it was not measured."""
         columns = self.errors.windows.columns
         if "position_lateral" not in columns:
-            return np.full(len(rows), np.nan)
+            return np.full(len(residuals), np.nan)
         ends = [columns.index(f"position_{axis}") - len(columns) for axis in ("lateral", "longitudinal")]
-        error = np.minimum(np.nan_to_num(np.hypot(*rows[:, ends].T), nan=DIVERGED_ERROR), DIVERGED_ERROR)
+        error = np.minimum(np.nan_to_num(np.hypot(*residuals[:, ends].T), nan=DIVERGED_ERROR), DIVERGED_ERROR)
         return np.where(self.loss.known[:, ends].all(axis=1), error, np.nan)

@@ -118,18 +118,18 @@ class Loss:
 
     def scale_of(self, vector: np.ndarray) -> np.ndarray:
         """(m,) 68 % quantile of the |residuals|, one standard deviation if they are normal; at least min_scale."""
-        rows = np.where(self.known, np.abs(self.errors.at(vector)), np.nan)
-        rows[self.known & ~np.isfinite(rows)] = np.inf
+        sizes = np.where(self.known, np.abs(self.errors.at(vector)), np.nan)
+        sizes[self.known & ~np.isfinite(sizes)] = np.inf
         with np.errstate(all="ignore"):
-            size = np.nanquantile(rows, 0.683, axis=0)
+            size = np.nanquantile(sizes, 0.683, axis=0)
         return np.clip(np.nan_to_num(size, nan=1.0, posinf=1e3), self.min_scale, 1e3)
 
     def rescale(self, vector: np.ndarray) -> None:
         self.scale = self.scale_of(vector)
 
-    def scale_residuals(self, rows: np.ndarray) -> np.ndarray:
-        """(n, m) scaled residuals z, clipped; 0 where not measured. rows: (n, m) residuals [SI]."""
-        z = np.nan_to_num(rows / self.scale, nan=MAX_SCALED_ERROR, posinf=MAX_SCALED_ERROR, neginf=-MAX_SCALED_ERROR)
+    def scale_residuals(self, residuals: np.ndarray) -> np.ndarray:
+        """(n, m) scaled residuals z, clipped; 0 where not measured. residuals: (n, m) [SI]."""
+        z = np.nan_to_num(residuals / self.scale, nan=MAX_SCALED_ERROR)
         return np.where(self.known, np.clip(z, -MAX_SCALED_ERROR, MAX_SCALED_ERROR), 0.0)
 
     def window_losses(self, vector: np.ndarray) -> np.ndarray:
@@ -152,20 +152,20 @@ class Loss:
             after.append(valid[0])
             before.append(valid[1] if self.central and len(valid) > 1 else vector)
         steps = [(a - b)[i] / space.scale[i] for a, b, i in zip(after, before, indices, strict=True)]
-        rows = zip(self.errors.at_all(before), self.errors.at_all(after), steps, strict=True)
-        sensitivities = [(b - a) / step for b, a, step in rows]
+        quotients = zip(self.errors.at_all(before), self.errors.at_all(after), steps, strict=True)
+        sensitivities = [(b - a) / step for b, a, step in quotients]
         return np.nan_to_num(np.reshape(sensitivities, shape), posinf=0.0, neginf=0.0)
 
-    def quadratic(self, rows: np.ndarray, sensitivities: np.ndarray) -> Quadratic:
-        """The approximation from residuals `rows` (n, m) [SI] and `sensitivities` (p, n, m) at one vector."""
-        z = self.scale_residuals(rows)
+    def quadratic(self, residuals: np.ndarray, sensitivities: np.ndarray) -> Quadratic:
+        """The approximation about a vector. residuals: (n, m) [SI], sensitivities: (p, n, m), both at this vector."""
+        z = self.scale_residuals(residuals)
         j = self._scaled_sensitivities(sensitivities, z)
         jw = np.moveaxis(j * weight(z), 1, 0)  # (n, p, m)
         return Quadratic(rho(z).sum(axis=1), (jw @ z[:, :, None])[:, :, 0], jw @ np.transpose(j, (1, 2, 0)))
 
-    def curvature(self, rows: np.ndarray, sensitivities: np.ndarray) -> np.ndarray:
+    def curvature(self, residuals: np.ndarray, sensitivities: np.ndarray) -> np.ndarray:
         """(p, p) half the second derivative of the loss for residuals linear in the parameters; outliers reduce it."""
-        z = self.scale_residuals(rows)
+        z = self.scale_residuals(residuals)
         j = self._scaled_sensitivities(sensitivities, z)
         second = 0.5 * (NU + 1.0) * (NU - np.square(z)) / np.square(NU + np.square(z))  # rho'' / 2
         flat = j.reshape(len(j), -1)

@@ -63,50 +63,47 @@ def _power(problem: Problem, fit: Fit, index: int, size: float, information: flo
     return float(stats.ncx2.sf(threshold, 1, max(2.0 * size**2 * information / scores.design_effect, 1e-9)))
 
 
-def _required_gain(problem: Problem, rows: np.ndarray, change: np.ndarray, limits: Limits) -> float:
-    """Gain per residual above which an effect that causes `change` is reported. rows: residuals of the final fit."""
-    modelled, unmodelled = problem.position_error(rows), problem.position_error(rows + change)
+def _required_gain(problem: Problem, residuals: np.ndarray, change: np.ndarray, limits: Limits) -> float:
+    """Gain per residual above which an effect that causes `change` is reported. residuals: those of the final fit."""
+    modelled, unmodelled = problem.position_error(residuals), problem.position_error(residuals + change)
     reduction = float(np.nanmean(unmodelled - modelled)) if np.isfinite(modelled).any() else 0.0  # [m]
     min_gain = limits.negligible if reduction > limits.relevant_position else limits.relevant
-    has_unexplained_residual = residual_over_noise(problem, rows) > limits.max_noise_ratio
+    has_unexplained_residual = residual_over_noise(problem, residuals) > limits.max_noise_ratio
     return max(min_gain, limits.max_unmodelled_gain) if has_unexplained_residual else min_gain
 
 
 def measure_power(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callable[[], None]) -> PowerAnalysis:
     """Power and false alarms of a forward step on simulated drives."""
     rng = np.random.default_rng(seed)
-    rows = np.nan_to_num(problem.errors.at(fit.vector))
+    residuals = np.nan_to_num(problem.errors.at(fit.vector))
     sensitivities = problem.all_sensitivities(fit.vector).values
     powers = []
+
+    def detect(change: np.ndarray, min_gain: float) -> list[str]:
+        """Effects to be reported in one simulated drive: the best one and those inseparable from it; none if the best
+        is not significant or gains less than `min_gain` per residual. change: (n, m) residuals due to the effect."""
+        signs = rng.choice([-1.0, 1.0], problem.blocks)
+        simulated_residuals = signs[problem.block][:, None] * residuals + change
+        q = problem.loss.quadratic(simulated_residuals, sensitivities).sum_groups(problem.block, problem.blocks)
+        scores = score_effects(problem, q, fit, problem.space.hypotheses, rng, SIGN_DRAWS)
+        gains = {effect: float(gain.sum()) for effect, (gain, _) in scores.gains.items()}
+        best = max(gains, key=gains.__getitem__)
+        p_value = library_p_value(scores.by_effect[best], scores.gains[best][0], scores, len(gains))
+        if p_value > limits.false_alarm or gains[best] / problem.residual_count < min_gain:
+            return []
+        return [e for e, gain in gains.items() if gain > (1.0 - limits.undecided_p) * gains[best]
+                or (e in find_confounded_effects(best) and gain > limits.min_rival_gain * gains[best])]
+
     for effect in problem.space.hypotheses:
         indices = problem.space.indices(effect)
         index = indices[int(np.argmax(np.square(sensitivities[indices] / problem.loss.scale).sum(axis=(1, 2))))]
         parameter, scale = problem.space.parameters[index][1], float(problem.space.scale[index])
         for size in EFFECT_SIZES:
             vector = problem.take_step(fit.vector, np.array([index]), size * problem.space.sign[[index]])
-            change = rows - np.nan_to_num(problem.errors.at(vector))
-            min_gain = _required_gain(problem, rows, change, limits)
-            detections = sum(effect in _detect_effects(problem, fit, rows, change, sensitivities, min_gain, limits, rng)
-                             for _ in range(DRIVES))
+            change = residuals - np.nan_to_num(problem.errors.at(vector))
+            min_gain = _required_gain(problem, residuals, change, limits)
+            detections = sum(effect in detect(change, min_gain) for _ in range(DRIVES))
             powers.append(Power(effect, parameter.name, parameter.unit, size * scale, detections / DRIVES, DRIVES))
         tick()
-    alarms = sum(bool(_detect_effects(problem, fit, rows, 0.0 * rows, sensitivities, limits.relevant, limits, rng))
-                 for _ in range(FALSE_ALARM_DRIVES))
+    alarms = sum(bool(detect(np.zeros_like(residuals), limits.relevant)) for _ in range(FALSE_ALARM_DRIVES))
     return PowerAnalysis(tuple(powers), alarms, FALSE_ALARM_DRIVES, measured=True)
-
-
-def _detect_effects(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, sensitivities: np.ndarray,
-                    min_gain: float, limits: Limits, rng: np.random.Generator) -> list[str]:
-    """Effects to be reported in one simulated drive: the best one and those inseparable from it; none if the best
-    is not significant or gains less than `min_gain` per residual. change: (n, m) residuals due to the effect."""
-    signs = rng.choice([-1.0, 1.0], problem.blocks)
-    simulated_rows = signs[problem.block][:, None] * rows + change
-    q = problem.loss.quadratic(simulated_rows, sensitivities).sum_groups(problem.block, problem.blocks)
-    scores = score_effects(problem, q, fit, problem.space.hypotheses, rng, SIGN_DRAWS)
-    gains = {effect: gain for effect, (gain, _) in scores.gains.items()}
-    best = max(gains, key=lambda e: gains[e].sum())
-    p_value = library_p_value(scores.by_effect[best], gains[best], scores, len(gains))
-    if p_value > limits.false_alarm or gains[best].sum() / problem.residual_count < min_gain:
-        return []
-    return [e for e in gains if gains[e].sum() > (1.0 - limits.undecided_p) * gains[best].sum()
-            or (e in find_confounded_effects(best) and gains[e].sum() > limits.min_rival_gain * gains[best].sum())]

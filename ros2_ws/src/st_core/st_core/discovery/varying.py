@@ -91,13 +91,13 @@ def _fit_by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: st
 def collect_varying_evidence(problem: Problem, fit: Fit, v: VaryingFit,
                              partitions: Mapping[str, Partition]) -> Evidence:
     """Evidence for separate values in the parts, from linearised in-sample errors."""
-    rows = problem.errors.at(fit.vector)
-    corrected, sensitivities = rows.copy(), problem.all_sensitivities(fit.vector).values
+    residuals = problem.errors.at(fit.vector)
+    corrected, sensitivities = residuals.copy(), problem.all_sensitivities(fit.vector).values
     for k, step in v.steps.items():
         inside = partitions[v.varies_with][0] == k
         corrected[inside] -= np.tensordot(step, sensitivities[:, inside], 1)
-    reduction = problem.position_error(rows) - problem.position_error(corrected)
+    reduction = problem.position_error(residuals) - problem.position_error(corrected)
     mean_reduction, reduction_in_condition = error_reductions(reduction, partitions.get("condition"))
-    return Evidence(v.name, v.gain, v.p_value, reductions=column_reductions(problem, rows, corrected),
+    return Evidence(v.name, v.gain, v.p_value, reductions=column_reductions(problem, residuals, corrected),
                     position_reduction=mean_reduction, position_reduction_in_condition=reduction_in_condition,
                     gain_between_runs=problem.gain_between_runs)

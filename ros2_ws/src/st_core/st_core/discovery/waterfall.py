@@ -30,7 +30,7 @@ class HorizonErrors:
     def by_channel(self, fit: Fit) -> dict[str, np.ndarray]:
         """(n,) squared errors by channel, and position errors as position_5s; clipped at DIVERGED_ERROR."""
         columns = self.problem.errors.windows.columns
-        last = np.nan_to_num(self.problem.held_out_rows(fit)[:, -len(columns):], nan=DIVERGED_ERROR)
+        last = np.nan_to_num(self.problem.held_out_residuals(fit)[:, -len(columns):], nan=DIVERGED_ERROR)
         last = np.clip(last, -DIVERGED_ERROR, DIVERGED_ERROR)
         last = np.where(self.problem.loss.known[:, -len(columns):], last, np.nan)
         result: dict[str, np.ndarray] = {}
