@@ -231,7 +231,7 @@ def _read_message(entry: Entry, dbc: DbcMessage, dbc_path: Path, is_needed: bool
     if parts and parts not in (set(DATE_TIME_PARTS), set(GPS_SECONDS_PARTS)):
         raise entry.error("signals", f"GPS time needs all of {', '.join(GPS_SECONDS_PARTS)} or all of "
                           f"{', '.join(DATE_TIME_PARTS)}")
-    fill = entry.optional("fill")
+    fill = entry.entry("fill") if "fill" in entry else None
     for sample in entry.entries("samples"):
         _check_sample(sample, dbc, signals, dbc_path)
     return MessageSpec(
@@ -306,9 +306,9 @@ def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
 
 def _read_check(message: Entry, key: str, dbc: DbcMessage, dbc_path: Path) -> CheckSpec | None:
     """The "counter" or "checksum" of a message; None if the table gives none."""
-    entry = message.optional(key)
-    if entry is None:
+    if key not in message:
         return None
+    entry = message.entry(key)
     entry.allow_only(*(("signal", "rule", "check") if key == "checksum" else ("signal", "check")))
     signal = _find_signal(dbc, entry.get("signal", str), dbc_path, entry)
     field = Field.from_signal(signal)

@@ -72,9 +72,6 @@ class Entry:
     def entry(self, key: str) -> "Entry":
         return Entry(self.origin, self._path_of(key), self._value_of(key))
 
-    def optional(self, key: str) -> "Entry | None":
-        return self.entry(key) if key in self._value else None
-
     def entries(self, key: str) -> list["Entry"]:
         values = self._value.get(key, [])
         if not isinstance(values, list):

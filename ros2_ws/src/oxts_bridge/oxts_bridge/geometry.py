@@ -34,11 +34,6 @@ def _get_functions(value: Number) -> Any:
     return _ARRAY_FUNCTIONS if isinstance(value, np.ndarray) else _FLOAT_FUNCTIONS
 
 
-def yaw_from_heading(heading: Number) -> Number:
-    """Yaw in (-pi, pi], counter-clockwise from east [rad], of a heading clockwise from north [rad]."""
-    return pi - (pi / 2 + heading) % tau
-
-
 class Attitude:
     """Orientation of the vehicle (FLU) in ENU: yaw, pitch (positive nose down) and roll about fixed axes [rad]."""
 
@@ -56,7 +51,7 @@ class Attitude:
     @classmethod
     def from_ned(cls, heading: Number, pitch: Number, roll: Number) -> "Attitude":
         """Attitude from packet angles [rad]: heading clockwise from north, pitch > 0 nose up, roll > 0 right down."""
-        return cls(yaw_from_heading(heading), -pitch, roll)
+        return cls(pi - (pi / 2 + heading) % tau, -pitch, roll)  # yaw in (-pi, pi], counter-clockwise from east
 
     def to_quaternion(self) -> Quaternion:
         """x, y, z, w of the rotation from body axes to ENU; w >= 0."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from oxts_bridge.geometry import Attitude, LocalFrame, compute_radii, flu_from_frd, to_ecef, yaw_from_heading
+from oxts_bridge.geometry import Attitude, LocalFrame, compute_radii, flu_from_frd, to_ecef
 from oxts_bridge.status import compute_legacy_origin, wrap_degrees
 
 POLAR_RADIUS = 6356752.314245179  # of WGS 84 [m]
@@ -53,7 +53,7 @@ def test_frd_to_flu():
 @pytest.mark.parametrize(("heading", "yaw"), [
     (0, 90), (90, 0), (180, -90), (-90, 180), (270, 180), (30, 60), (359, 91)])
 def test_yaw_from_heading(heading, yaw):
-    assert math.degrees(yaw_from_heading(math.radians(heading))) == pytest.approx(yaw)
+    assert math.degrees(Attitude.from_ned(math.radians(heading), 0.0, 0.0).yaw) == pytest.approx(yaw)
 
 
 angles = st.tuples(st.floats(-3.14, 3.14), st.floats(-1.5, 1.5), st.floats(-3.14, 3.14))

@@ -48,7 +48,7 @@ class Predictions:
         """Inputs (m, 2 * points - 1) of the predictions at start times (m,) [ns]; NaN without a prediction."""
         index = np.searchsorted(self.starts_ns, starts_ns).clip(max=len(self.starts_ns) - 1)
         has_prediction = (self.starts_ns[index] == starts_ns)[:, None]
-        road_wheel_angle, velocity_x_dot = (np.where(has_prediction, each[index], np.nan) for each in self.inputs)
+        road_wheel_angle, velocity_x_dot = (np.where(has_prediction, values[index], np.nan) for values in self.inputs)
         return road_wheel_angle, velocity_x_dot
 
 

@@ -179,14 +179,13 @@ def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
             problem = (f"all {len(stamps)} stamps of {topic} are {stamps[0] * 1e-9:g} s" if repeats == len(stamps) - 1
                        else f"{format_count(repeats, len(stamps), 'stamps')} of {topic} repeat the previous one")
             notes.append(f"{problem}; the times of reception are used")
-    if len(topics) > 1 and not any(topic.endswith(RECONSTRUCTED_SUFFIX) for topic in topics.values()):
-        by_type = {type_name: columns[type_name]["header.stamp"] for type_name in topics}
-        if min(map(len, by_type.values())) > 1:
-            aligned, clock_notes = storage.align_stamps(
-                [(topics[type_name], stamps) for type_name, stamps in by_type.items()], is_external)
-            for type_name, stamps in zip(topics, aligned, strict=True):
-                columns[type_name]["header.stamp"] = stamps
-            notes += clock_notes
+    series = [(topic, columns[type_name]["header.stamp"]) for type_name, topic in topics.items()]
+    are_recorded = not any(topic.endswith(RECONSTRUCTED_SUFFIX) for topic in topics.values())
+    if len(series) > 1 and are_recorded and min(len(stamps) for _, stamps in series) > 1:
+        aligned, clock_notes = storage.align_stamps(series, is_external)
+        for type_name, stamps in zip(topics, aligned, strict=True):
+            columns[type_name]["header.stamp"] = stamps
+        notes += clock_notes
     return notes
 
 

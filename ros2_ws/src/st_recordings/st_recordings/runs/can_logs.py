@@ -103,7 +103,7 @@ def _choose_id_base(log: CanLog, known_ids: Collection[int]) -> CanLog:
     if not all(map(str.isdecimal, texts)):  # a later row shows that they are hexadecimal
         return replace(log, warnings=notes)
     decimal_ids = np.array([int(text) for text in texts], np.uint32)
-    n_hexadecimal, n_decimal = (np.isin(each, list(known_ids)).sum() for each in (ids, decimal_ids))
+    n_hexadecimal, n_decimal = (np.isin(numbers, list(known_ids)).sum() for numbers in (ids, decimal_ids))
     if n_decimal > n_hexadecimal:
         # If the log does not mark extended identifiers, they were identified by their hexadecimal values.
         extended = np.where((ids > MAX_STANDARD_ID) & (decimal_ids <= MAX_STANDARD_ID), 0, EXTENDED).astype(np.uint32)

@@ -209,7 +209,7 @@ def _reject_unusable(table: Table, n_ins: int, missing: Mapping[str, int]) -> No
     """Raises RunError with the reason. n_ins: number of rows with all INS channels. missing: from `_count_missing`."""
     _reject_unfilled(table)
     reason, advice = "", "remove it from the command"
-    if n_ins < 2 and all(np.isfinite(each[table.is_usable]).sum() > 1 for each in table.columns.values()):
+    if n_ins < 2 and all(np.isfinite(column[table.is_usable]).sum() > 1 for column in table.columns.values()):
         reason, advice = ": its channels have no times in common", "export them on one clock"
     elif missing:
         channel = max(missing, key=lambda name: missing[name])

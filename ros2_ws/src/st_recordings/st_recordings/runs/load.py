@@ -135,7 +135,7 @@ def _check_samples(source: RunSource, log: DriveLog, warnings: Iterable[str]) ->
         reasons = (warning.removeprefix(f"{source.path}: ") for warning in warnings)
         raise RunError(source.path, "; ".join([problem, *reasons]), "remove it from the command")
     # The outermost 1 % on each side may be wrong positions, which have not been left out yet.
-    extent = float(np.hypot(*(np.ptp(np.percentile(each, (1, 99), method="nearest")) for each in (log.x, log.y))))
+    extent = float(np.hypot(*(np.ptp(np.percentile(axis, (1, 99), method="nearest")) for axis in (log.x, log.y))))
     if extent > MAX_STATIONARY_EXTENT and not (log.velocity_x.any() or log.velocity_y.any()):
         raise RunError(source.path, f"its velocity is 0 in all samples, although its positions extend over {extent:.0f}"
                        " m", "record the velocity, or name the topic (--odometry-topic) or column that contains it")

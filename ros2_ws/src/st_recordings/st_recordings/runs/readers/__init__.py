@@ -66,7 +66,7 @@ def find_reader(path: Path, key: str | None = None) -> Reader | None:
     """The reader that accepts a path; None if there is none. key: only readers with this run.yaml key are candidates;
     if none of them accepts the path, the first is returned."""
     candidates = [reader for reader in READERS.values() if key in (None, reader.key)]
-    return next((each for each in candidates if each.accepts(path)), candidates[0] if key and candidates else None)
+    return next((c for c in candidates if c.accepts(path)), candidates[0] if key and candidates else None)
 
 
 for _module in sorted(info.name for info in pkgutil.iter_modules(__path__)):
