@@ -26,11 +26,9 @@ INPUTS_OF_MODE = {"hindsight": "measured inputs", "forecast": "inputs held"}
 
 
 def report_results(folder: Path, outcome: session.Outcome, extra: dict[str, Any], console: Console) -> int:
-    """Write and print the results of a run; returns the exit status.
-
-    extra: further entries of summary.json, including `title`. Status 0: no process failed or was restarted, and
-    a prediction was scored or the user stopped the run; 130: it was stopped before all nodes were up; 1: other cases.
-    """
+    """Write and print the results of a run; returns the exit status: 0 if no process failed or was restarted, and a
+    prediction was scored or the user stopped the run; 130 if the run was stopped before all nodes were up; else 1.
+    extra: further entries of summary.json, including `title`."""
     if outcome.interrupted and not outcome.statuses:
         logs = session.set_aside(folder) / "logs"
         console.print(f"the run was stopped before all nodes were up; logs: {escape(str(logs))}", highlight=False,

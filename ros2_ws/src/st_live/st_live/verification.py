@@ -185,12 +185,9 @@ def _compare_scores(result: Comparison, mode: Mode, scores: Scores, starts_ns: n
 
 def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replay: bool, output: Path | None,
                    console: Console, read_settings: ReadSettings) -> int:
-    """Run `st verify`, print the result and return the exit status.
-
-    0: no difference exceeds `tolerance` [m; rad for yaw angles], and every score that is complete only live or only
-    offline has a known reason; 1: any other result; 2: nothing to compare. replay: whether to play the recording
-    through the nodes and compare their output, even if it contains predictions.
-    """
+    """Run `st verify`; returns the exit status: 0 if no difference exceeds `tolerance` [m; rad for yaw angles] and each
+    score that is complete only live or only offline has a known reason, 2 if there is nothing to compare, else 1.
+    replay: whether to play the recording through the nodes first, even if it contains predictions."""
     from .replaying import replay_bag  # needs ROS; comparing does not
 
     with console.status(description := "reading and comparing"):

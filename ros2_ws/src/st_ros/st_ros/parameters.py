@@ -58,11 +58,9 @@ class Parameter:
 
 
 def declare(node: Node, parameters: Sequence[Parameter]) -> SimpleNamespace:
-    """Declare parameters on a node and return their checked values as attributes.
-
-    A further attribute, `message_prefix`, names the parameter file, if one was given, and the node. Raises
-    ConfigurationError with this prefix, key and limit, also for a parameter that is given but not declared.
-    """
+    """Declare parameters on a node; returns their checked values as attributes, and as attribute `message_prefix` the
+    names of the parameter file, if one was given, and of the node. Raises ConfigurationError with this prefix, key and
+    limit, also for a parameter that is given but not declared."""
     overrides = dict(node._parameter_overrides)  # rclpy has no public access to them before the declaration
     arguments = list(getattr(node.context, "_cli_args", None) or sys.argv)
     files = [arguments[i + 1] for i, option in enumerate(arguments[:-1]) if option == "--params-file"]

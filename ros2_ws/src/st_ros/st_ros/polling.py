@@ -53,11 +53,9 @@ class PolledSubscription:
         return self.subscription.topic_name
 
     def take(self, limit: int = 1000, entry: str = "source_timestamp") -> Iterator[tuple[Any, int, Any]]:
-        """Yield at most `limit` waiting messages, oldest first, as (message, received_ns, entry of rmw_message_info).
-
-        received_ns: host UTC at receipt. entry: source_timestamp (host UTC at publication [ns], 0 if unknown) or
-        publication_sequence_number (counted by the publisher from 1, None if unknown).
-        """
+        """Yield at most `limit` waiting messages, oldest first, as (message, host UTC at receipt [ns], entry of
+        rmw_message_info). entry: source_timestamp (host UTC at publication [ns], 0 if unknown) or
+        publication_sequence_number (counted by the publisher from 1, None if unknown)."""
         for _ in range(limit):
             result = self._take(*self._arguments)
             if result is None:

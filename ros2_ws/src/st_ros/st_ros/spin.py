@@ -23,11 +23,9 @@ FLUSH_TIMEOUT = 4.0
 
 
 def run(make_node: Callable[[], Node], arguments: list[str] | None = None, nice: int = 0) -> int:
-    """Make a node, spin it until a stop signal, and return the exit status. nice: its nice value while it spins.
-
-    A node may have `finished: bool` (ends the spinning), `exit_status: int` (read at the end) and `close()` (called
-    once before the node is destroyed, while it can still publish).
-    """
+    """Make a node, spin it until a stop signal, and return the exit status. nice: its nice value while it spins. A node
+    may have `finished: bool` (ends the spinning), `exit_status: int` (read at the end) and `close()` (called once
+    before the node is destroyed, while it can still publish)."""
     stop_requested = catch_stop_signals()
     node = executor = None
     status = 0

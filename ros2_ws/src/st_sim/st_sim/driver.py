@@ -29,10 +29,8 @@ RUN_IN_TIME = 4.0  # s, simulated before time 0, so that the drive begins in ste
 
 
 class Driver:
-    """Driver of one car. Call advance() before every step of the plant: it updates the two inputs of the plant.
-
-    steering_wheel_angle: true [rad], > 0: left. drive_force: of all wheels [N]. distance: along the road [m].
-    """
+    """Driver of one car. advance(), called before every step of the plant, updates the inputs of the plant:
+    steering_wheel_angle (true [rad], > 0: left) and drive_force (of all wheels [N]). distance: along the road [m]."""
 
     def __init__(self, plant: Plant, plan: Plan, distance: float, seed: int):
         """The driver starts at a distance along the road [m] with the steering-wheel angle of the plant."""

@@ -115,11 +115,9 @@ class _Run:
 
 
 def _find_can_tables(options: argparse.Namespace) -> tuple[Path, Path]:
-    """Find the DBC and signal table of the Leaf, whose messages the virtual car sends with every vehicle file.
-
-    They are expected in --config; by default in the parent of the folder of the vehicle file, or in config/ of the
-    checkout, of the current folder or of its parents.
-    """
+    """Find the DBC and signal table of the Leaf; the virtual car sends its messages with every vehicle file. The files
+    are expected in --config; by default in the parent of the folder of the vehicle file, or in config/ of the checkout,
+    of the current folder or of its parents."""
     roots = [Path(os.environ.get("ST_ENVIRONMENT") or Path.cwd()), Path.cwd(), *Path.cwd().parents]
     defaults = [options.vehicle.absolute().parent.parent, *(root / "config" for root in roots)]
     for folder in [options.config] if options.config else defaults:

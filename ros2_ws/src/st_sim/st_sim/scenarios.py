@@ -27,10 +27,8 @@ SPEED_SLACK = 0.15  # m/s; while braking, the target speed is at most this much 
 
 @dataclass(frozen=True)
 class Demand:
-    """Target of the driver: speed [m/s], acceleration [m/s^2], and steering.
-
-    steering: "path" (follow the road), "hold" (constant steering-wheel angle), or an open-loop road-wheel angle.
-    """
+    """Target of the driver: speed [m/s], acceleration [m/s^2], and steering, which is "path" (follow the road), "hold"
+    (constant steering-wheel angle), or an open-loop road-wheel angle."""
 
     speed: float
     acceleration: float

@@ -108,10 +108,8 @@ PRESETS: Mapping[str, Settings] = MappingProxyType({"ideal": IDEAL, "realistic":
 
 
 def resolve_settings(plant: str, effects: Iterable[str] = ()) -> dict[str, float]:
-    """All settings from `--plant` and `--effect name=value ...`. Raises ConfigurationError.
-
-    plant: a preset, or a YAML file {preset: realistic, name: value, ...} (default preset: ideal).
-    """
+    """All settings. plant: a preset, or a YAML file {preset: realistic, name: value, ...} (default preset: ideal).
+    effects: "name=value" of settings to change. Raises ConfigurationError."""
     settings = dict(PRESETS[plant]) if plant in PRESETS else _read_file(Path(plant))
     for effect in effects:
         name, equals, text = effect.partition("=")

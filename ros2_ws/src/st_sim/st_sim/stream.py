@@ -176,11 +176,9 @@ class LiveOutput:
 def send(outputs: Iterable[Output], send_ncom: Callable[[bytes], object],
          send_frame: Callable[[can.Message, float], object], record_truth: Callable[[Truth], None] | None,
          stop_requested: Callable[[], bool], report: Report, start_time: float | None = None) -> float:
-    """Send outputs at their deadlines, late ones at once, until there are no more or stop_requested() returns True.
-
-    start_time: monotonic time of the start of the drive [s]; None: send as fast as possible. Returns the due time
-    of the last output that was sent [s since the start], 0 if none was.
-    """
+    """Send outputs at their deadlines, late ones at once, until there are no more or stop_requested() returns True;
+    returns the due time of the last one sent [s since the start], 0 without any. start_time: monotonic time of the
+    start of the drive [s]; None: send as fast as possible."""
     due = 0.0
     for output in outputs:
         deadline = time.monotonic() if start_time is None else start_time + output.due
