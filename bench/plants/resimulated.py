@@ -31,7 +31,7 @@ def resimulate(log: DriveLog, vehicle: VehicleParameters, seed: int) -> DriveLog
     step = 0.01
     # A whole number of steps from the first to the last sample.
     steps = int((time[-1] - time[0]) * 1e-9 / step)
-    signals = LogSignals(log, acceleration="zero_phase")
+    signals = LogSignals(log, mode="zero_phase")
     states = LogBatch(signals, time[:1], steps * step, step).predict("nonlinear", vehicle)
     x, y, v_x, v_y, yaw, rate = states[0].T
     if not np.isfinite(states).all() or np.abs(v_y).max() > 6.0:

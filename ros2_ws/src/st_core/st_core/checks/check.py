@@ -196,10 +196,8 @@ def _check_relations(results: Results, motion: Motion, log: DriveLog, vehicle: V
             _check_rear_axle(results, corrected, vehicle, findings)
         results.findings += vehicle_relations.check_tyre_limit(corrected, sideslip_measured)
     results.findings += vehicle_relations.check_standstill(replace(corrected, velocity_x=speed, yaw_rate=yaw_rate))
-    findings = _add_yaw_lag_alternative(results.findings, corrected, yaw_rate_lag)
-    results.findings = _remove_consequences(findings, log, corrected)
-    biased = () if sideslip_measured else ESTIMATES_BIASED_BY_SIDESLIP
-    results.estimates = {name: estimate for name, estimate in results.estimates.items() if name not in biased}
+    results.findings = _add_yaw_lag_alternative(results.findings, corrected, yaw_rate_lag)
+    _remove_consequences(results, log, corrected)
     if vehicle is not None:
         results.findings = try_corrections(results.findings, log, vehicle)
 
@@ -227,21 +225,25 @@ def _list_channels(findings: list[Finding], name: str = "", min_value: float = 0
             for channel in finding.channels}
 
 
-def _remove_consequences(findings: list[Finding], log: DriveLog, motion: Motion) -> list[Finding]:
-    """The findings, without those that merely follow from a wrong yaw rate or a channel that was derived, not measured.
+def _remove_consequences(results: Results, log: DriveLog, motion: Motion) -> None:
+    """Remove findings and estimates that follow from a wrong yaw rate or a channel that was derived, not measured.
 
     The noise of yaw changes the scale of a yaw rate derived from it. Without velocity_y, yaw may be the course. The
     sideslip at a point l ahead of a rear axle with cornering compliance K is tau r, tau = l / v - K v: the yaw rate r
     lags the course by tau (`sideslip` corrects this). A lag that sideslip may explain has no correction, and becomes
     a note unless it is the steering lag.
     """
+    findings = results.findings
     if any(f.severity is Severity.ERROR and "yaw_rate" in f.channels for f in findings):
         findings = [f for f in findings if f.name != "steering_unrelated"]
     if has_derived_yaw_rate(log):
         comparisons = ("yaw_rate_scale", "yaw_rate_bias", "yaw_rate_lag")
         findings = [f for f in findings if f.severity is Severity.ERROR or f.name not in comparisons]
+    results.findings = findings
     if CHANNELS["velocity_y"].is_measured_in(log):
-        return findings
+        return
+    for name in ESTIMATES_BIASED_BY_SIDESLIP:
+        results.estimates.pop(name, None)
     speed = max(float(np.average(motion.speed, weights=np.square(motion.yaw_rate) + 1e-12)), MIN_MOVING_SPEED)
     limits = {"steering_lag": (-np.inf, np.inf),
               "yaw_rate_lag": (-MAX_REAR_COMPLIANCE * speed, MAX_INS_DISTANCE / speed),
@@ -257,7 +259,6 @@ def _remove_consequences(findings: list[Finding], log: DriveLog, motion: Motion)
                          "to sideslip")
             severity = f.severity if f.name == "steering_lag" else Severity.NOTE
             findings[k] = replace(f, severity=severity, statement=statement, advice=advice)
-    return findings
 
 
 def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[Motion, Results, float | None]:
