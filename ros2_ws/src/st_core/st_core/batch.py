@@ -110,13 +110,13 @@ class LogBatch:
     """Predictions from many starts in one drive, with any models, cars and parameters; inputs are sampled only once.
 
     log: a drive, or its LogSignals for settings other than the default. starts_ns: any instants [ns]. Starts that are
-    multiples of half an integration step apart are predicted fastest, because quantities that depend only on inputs are
-    then computed once for the log and not for each start.
-    horizon, step [s]. inputs: measured = inputs of the log over the horizon (hindsight); held = inputs at the start; or
-    planned road wheel angles [rad], velocity_x_dot [m/s^2] and, if a path was planned, slip-free angles [rad], each
-    (n, 2 * steps + 1) on the half-step grid.
+    multiples of half an integration step apart are predicted fastest, because they share all quantities that depend
+    only on inputs. horizon, step [s].
+    inputs: measured = inputs of the log over the horizon (hindsight); held = inputs at the start; or planned road wheel
+    angles [rad], velocity_x_dot [m/s^2] and, if a path was planned, slip-free angles [rad], each (n, 2 * steps + 1) on
+    the half-step grid.
     points [s]: times in the horizon, multiples of step; None: 0, step, ... horizon. substeps: integration steps per
-    step; auto = the smallest number <= 64 stable at the lowest and highest speed. Warns once if a given number is not.
+    step; auto = the smallest stable number <= 64 at the lowest and highest speed. Warns once for an unstable number.
     backend: lanes or numpy; None: the fastest available. signals: (time [ns], values), by name, of the signals that a
     model needs in addition to its inputs; their values at the start are held, unless inputs = measured.
     Raises ConfigurationError for a horizon or points that are not whole numbers of steps, a missing signal, invalid

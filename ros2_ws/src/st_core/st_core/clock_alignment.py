@@ -377,7 +377,7 @@ def find_clock_step(lags: Sequence[WindowLag]) -> ClockStep | None:
         after = (np.arange(len(lags)) >= k).astype(float)
         cost, solution = _fit_with_drift_prior(np.column_stack([line, after]), lag, deviation)
         fits.append((cost, ClockStep((lags[k - 1].time + lags[k].time) / 2, float(solution[2]))))
-    cost, step = min(fits, key=lambda fit: fit[0])
+    cost, step = min(fits, key=lambda candidate: candidate[0])
     return step if cost_without_step - cost >= MIN_STEP_COST_REDUCTION and abs(step.size) >= MIN_CLOCK_STEP else None
 
 

@@ -37,7 +37,7 @@ UNITS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Correction:
-    """Correction of one channel. scale [1]. add [unit of the channel]. earlier: time subtracted from its times [s].
+    """Correction of one channel. scale [1]. add [unit of the channel]. earlier: delay that is removed [s].
     ahead: shift of the position along body x [m], > 0 forward."""
 
     scale: float = 1.0

@@ -2,7 +2,7 @@
 
 A course is a set of passes: paths of recordings, split at pauses and sampled every SPACING metres. Laps, opposite
 directions and branches are not merged: a mean of slow and fast laps would fit neither. `Course.find_near` finds the
-passes near a position in a direction, and `CourseTracker` weights them. Checked by: test_course.py.
+passes near a position and in a given direction, `CourseTracker` weights them. Checked by: test_course.py.
 """
 
 import hashlib
@@ -97,8 +97,8 @@ class Course:
         return Course(tuple(p for p in self.passes if not set(p.digests) & set(digests)), self.origin)
 
     def shift(self, east: float, north: float) -> "Course":
-        """The course in a parallel map frame, in which all points lie (east, north) [m] further; `origin` is unchanged.
-        Raises StCoreError, one line, for a distance beyond MAX_ORIGIN_DISTANCE."""
+        """The course in a parallel map frame, in which the origin of the course is at (east, north) [m]; `origin` is
+        unchanged. Raises StCoreError, one line, for a distance beyond MAX_ORIGIN_DISTANCE."""
         if not (distance := math.hypot(east, north)) <= MAX_ORIGIN_DISTANCE:  # also rejects NaN
             raise StCoreError(f"the course was recorded elsewhere: the map origins are {distance / 1000.0:.1f} km "
                               f"apart (limit {MAX_ORIGIN_DISTANCE / 1000.0:g} km)")
@@ -158,7 +158,7 @@ def _digest(text: str) -> str:
 
 
 def split_into_passes(log: DriveLog, digests: Sequence[str]) -> list[Pass]:
-    """The passes of a drive of at least MIN_LENGTH, split at pauses, gaps and jumps. Raises StCoreError without any."""
+    """Passes of a drive, at least MIN_LENGTH long, split at pauses, gaps and jumps. Raises StCoreError without any."""
     time = (log.ins_time_ns - log.ins_time_ns[:1]) * 1e-9
     intervals = np.diff(time)
     displacement = np.hypot(np.diff(log.x), np.diff(log.y))
@@ -188,7 +188,7 @@ def split_into_passes(log: DriveLog, digests: Sequence[str]) -> list[Pass]:
 RETURN_LENGTHS = (40.0, 100.0)  # l_1 and l_2 [m]: at 15 m/s a third of an offset remains after 10 s
 DIFFERENCE_SCALES = {"position": 2.0, "direction": 0.1, "speed": 0.1, "curvature": 0.01}
 """Typical differences between drives of one driver on one course [m, rad, fraction of the speed, 1/m]."""
-MAX_DIFFERENCE = 7.0  # the course is not used if d exceeds this for every candidate
+MAX_DIFFERENCE = 7.0  # the course is not used if d of `CourseTracker` exceeds this for every candidate
 RECENT_TIME = 2.0  # s, length of the past driving that is compared with a candidate
 BLEND_TIME = 0.3  # s, time constant of the transition from measured to predicted inputs: reaction lag of a driver
 DECAY_TIME = 0.7  # s, time constant of the decaying acceleration: drivers move the pedals about once a second
@@ -201,7 +201,7 @@ MIN_COVERAGE, MAX_COVERAGE = 1.2, 2.0  # horizons; driving time of a pass ahead 
 
 
 class EgoMotion(NamedTuple):
-    """Measured motion of the INS point at a start."""
+    """Measured motion of the INS point at the start of a prediction."""
 
     time_ns: int  # ns
     x: float  # m, map frame
@@ -279,7 +279,7 @@ class CourseTracker:
         self._curvature_errors, self._speed_errors = np.array(INITIAL_CURVATURE_ERRORS), np.array(INITIAL_SPEED_ERRORS)
 
     def update(self, ego: EgoMotion) -> CourseForecast:
-        """The forecast from this start. If the course cannot be used, it has a reason and no inputs."""
+        """The forecast from this start; with a reason and without inputs if the course cannot be used."""
         if not all(map(math.isfinite, ego)) or ego.velocity_x < PAUSE_SPEED:
             return CourseForecast(None, reason="course: the motion of the car is unknown, or the car is too slow")
         self._score(ego, self._advance(ego))

@@ -135,7 +135,7 @@ def required_slip_speed(models: Sequence[str | Model], vehicle: VehicleParameter
     of tyre relaxation are stiff at high speed.
     """
     speeds, models = sorted(speeds), [get_model(model) for model in models]
-    speeds = speeds[-1:] + speeds  # highest speed first, then in ascending order: an unstable step is found soonest
+    speeds = speeds[-1:] + speeds  # a step is usually unstable at the highest speed or at the lowest speeds, if at all
     candidates = np.arange(math.ceil(10.0 * vehicle.minimum_slip_speed), 10.0 * SLIP_SPEED_LIMIT + 1.0) / 10.0
     return next((v for v in candidates.tolist()
                  if are_stable(models, replace(vehicle, minimum_slip_speed=v), speeds, step)), None)

@@ -112,7 +112,7 @@ class DriveLog:
         return replace(self, **{name: getattr(self, name)[rows] for name in names if getattr(self, name) is not None})
 
     def slice(self, start_ns: int, end_ns: int, name: str | None = None) -> "DriveLog":
-        """The measurements with start_ns <= time <= end_ns, of both time bases. name: default: that of this log."""
+        """The measurements with start_ns <= time <= end_ns, of both time bases. name: by default that of this log."""
         span = (start_ns, end_ns + 1)
         ins, steering = (slice(*np.searchsorted(t, span).tolist()) for t in (self.ins_time_ns, self.steering_time_ns))
         slices = dict.fromkeys(("steering_time_ns", *STEERING), steering)

@@ -62,7 +62,7 @@ class Manoeuvre:
     manoeuvre with pedals is on a circle, and the steering is held while braking.
     """
 
-    name: str  # also that of the scenario
+    name: str  # also the name of the scenario
     speed: float  # at the start [m/s]
     lateral_acceleration: float  # peak target value at the initial speed [m/s^2]
     profile: Profile  # over one period

@@ -31,7 +31,7 @@ HEADER = "# Model file: base model, its effects (SI units, 95 % intervals), and 
 
 @dataclass(frozen=True)
 class EffectValue:
-    """Value of one parameter of an effect in its unit, 95 % interval if known, and source."""
+    """Value of one parameter of an effect, in the unit of the parameter, with 95 % interval if known, and source."""
 
     value: float
     interval: Interval = None

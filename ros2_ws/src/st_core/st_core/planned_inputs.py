@@ -62,7 +62,7 @@ class PlannedInputs:
         speed, curvature = np.asarray(speed, float), np.asarray(curvature, float)
         seconds = (np.asarray(time_ns, np.int64) - np.int64(issued_ns)) * NANOSECOND
         if len(seconds) < 2 or not (np.diff(seconds) > 0.0).all() or {speed.shape, curvature.shape} != {seconds.shape}:
-            # Without derivative: the constructor rejects wrong shapes, `find_plan_problem` few or unordered points.
+            # No derivative exists; the constructor rejects wrong shapes, `find_plan_problem` few or unsorted points.
             return cls(issued_ns, time_ns, curvature, np.zeros_like(speed), speed)
         path = path_inputs(speed, curvature, seconds, vehicle)
         return cls(issued_ns, time_ns, path.road_wheel_angle, path.velocity_x_dot, speed, path.signals[SLIP_FREE_ANGLE])

@@ -22,8 +22,8 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-MIN_RUN_BLOCKS = 8  # minimum number of runs with which each run is a block
-BLOCK_LENGTH = 10.0  # s, length of a block with fewer runs
+MIN_RUN_BLOCKS = 8  # with at least this many runs, each run is a block
+BLOCK_LENGTH = 10.0  # s, length of a block if there are fewer runs
 WEIGHT_INCREMENT = 1e-4  # increment of a block's weight for the numerical derivative of an estimator
 Z95 = 1.959963984540054  # 97.5 % quantile of the standard normal distribution
 SIGMA_PER_MAD = 1.4826  # standard deviation / median absolute deviation (MAD) of a normal distribution
@@ -104,7 +104,7 @@ class Spread:
         return np.sqrt(np.diag(self.covariance))
 
     def interval(self, index: int, value: float, standard_uncertainty: float | None = None) -> tuple[float, float]:
-        """95 % confidence interval of a value. standard_uncertainty: default: `standard_errors`."""
+        """95 % confidence interval of a value. standard_uncertainty: by default that of `standard_errors`."""
         uncertainty = self.standard_errors[index] if standard_uncertainty is None else standard_uncertainty
         return symmetric_interval(float(value), float(uncertainty), float(self.degrees_of_freedom[index]))
 

@@ -1,6 +1,6 @@
 """Reads and writes configuration in a safe subset of YAML: mappings with text keys, lists and plain values.
 
-Files may come from others, so further features of YAML are rejected: references (a few hundred bytes can expand to
+Files may come from other people, so other features of YAML are rejected: references (a few hundred bytes can expand to
 billions of values), tags, duplicate keys (PyYAML silently uses the last one), several documents, deep nesting.
 """
 

@@ -40,7 +40,7 @@ class Variable:
     value: float = math.nan  # known value of a parameter; NaN if the caller must supply it
 
 
-# Limits of road driving, which help a solver: 35 deg of steering, 1 g of braking or acceleration.
+# Range of values in road driving, to guide a solver: 35 deg of steering, 1 g of braking or acceleration.
 _BOUNDS = {"velocity_x": (0.5, 70.0), "velocity_y": (-10.0, 10.0), "yaw_rate": (-3.0, 3.0)}
 INPUTS = (Variable("road_wheel_angle", "rad", -0.61, 0.61), Variable("velocity_x_dot", "m/s^2", -9.81, 9.81))
 

@@ -43,7 +43,7 @@ SIGN_MASK = np.int64(-(2**63))  # mask of the sign bit
 MAGNITUDE_MASK = np.int64(2**63 - 1)  # mask of all bits but the sign bit
 ONE_BITS = np.int64(0x3FF0000000000000)  # bits of 1.0
 
-ROUNDING_OFFSET = 1.5 * 2.0**52  # after adding it, the low bits are the nearest integer
+ROUNDING_OFFSET = 1.5 * 2.0**52  # the low bits of x + ROUNDING_OFFSET are the integer nearest to x
 TWO_OVER_PI = 0.6366197723675814
 HALF_PI_HIGH, HALF_PI_LOW = 1.5707963267341256, 6.077100506506192e-11
 

@@ -22,7 +22,7 @@ ANY = frozenset(BASE_MODELS)
 EFFECT_KINDS = ("sensors", "vehicle parameters", "physics", "environment")
 SLOTS = ("steering", "front axle", "rear axle", "both axles", "body",
          "position", "velocity", "heading", "yaw rate", "acceleration")
-TOTAL_DELAY = "total delay of the steering"  # dead time plus lag; a fit divides the sum depending on the model
+TOTAL_DELAY = "total delay of the steering"  # dead time plus lag; how a fit divides this sum depends on the model
 COMBINATIONS = {"front cornering stiffness over axle load": "1/rad", "rear cornering stiffness over axle load": "1/rad",
                 "stability factor K": "s^2/m^2", "steady-state yaw gain at 20 m/s": "1/s",
                 TOTAL_DELAY: "s"}
@@ -48,7 +48,7 @@ class Parameter:
     meaning: str  # short text, with the sign
     odd: bool = False  # whether it changes sign if left and right are exchanged
     fit: bool = True  # False: a constant of the car, which is `null` if no value is given
-    identity: str = ""  # name of the estimate of the same quantity by `st_core.checks.check`, in the same unit and sign
+    identity: str = ""  # name of the estimate of the same quantity in `st_core.checks.check`, with equal unit and sign
     theory: float | None = None  # physical value, if it is the same for every car
     quantity: str = ""  # key of the vehicle file to which the value is added, if no hook `vehicle` or `fold` does so
     family_ends: tuple[float, ...] = ()  # bounds that only limit a family of curves (1 - E of a tyre)

@@ -71,7 +71,7 @@ class AxleSamples:
     used: np.ndarray  # whether a sample is used in the regression
 
     def bin_forces(self) -> tuple[np.ndarray, np.ndarray]:
-        """(mean slip, mean force opposing it) in each bin of |slip|, (b,) each.
+        """(mean |slip| [rad], mean force that opposes the slip [N]) in each bin of |slip|, (b,) each.
 
         The slip at zero force, which offsets of steering and INS cause, is subtracted first. A bin is omitted if it has
         fewer than 5 samples, or less than 1 % of the samples that it would have in a uniform distribution.
@@ -187,7 +187,7 @@ def _fit_regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> 
     front, rear = (_make_regression(*pair, [f"too little excitation: {insufficient}"] if insufficient else [])
                    for pair in zip(samples, slopes, strict=True))
     correlation = np.eye(2)
-    if slopes[0] is not None and slopes[1] is not None:  # from the influence of common blocks
+    if slopes[0] is not None and slopes[1] is not None:  # correlation of the influences of common blocks
         _, front_rows, rear_rows = np.intersect1d(slopes[0].blocks, slopes[1].blocks, return_indices=True)
         influences = np.stack([slopes[0].influence[front_rows], slopes[1].influence[rear_rows]])
         if len(front_rows) > 2 and (influences.std(axis=1) > 0.0).all():

@@ -1,6 +1,6 @@
 """Stiffnesses, steering and yaw inertia from multi-step predictions of several drives at once.
 
-Steering offset and INS misalignment are also fitted, since their errors have similar effects as errors of the tyres.
+Steering offset and INS misalignment are also fitted, since their errors have effects similar to errors of the tyres.
 Stiffness: the nonlinear model yields the slope at zero slip and static load, with the tyre curve of the vehicle file.
 The linear model yields the secant that predicts best in the slip range of the drives. If the true curve differs, the
 value depends on the slip range, which the interval allows for (`estimate_slip_range_uncertainty`).

@@ -84,7 +84,7 @@ class OnlineFit:
 
 
 def fit_recent(log: DriveLog, vehicle: VehicleParameters) -> OnlineFit:
-    """Fit to a snapshot of recent driving; for unusable driving, with a problem. May run in a separate thread."""
+    """Fit to a snapshot of recent driving; `problem` is set if it is unusable. May run in a separate thread."""
     try:
         logs, _ = prepare_drives([log], vehicle)
         fit = fit_driving(logs, vehicle, FITTED_PARAMETERS, "nonlinear", FIT_SETTINGS)
@@ -114,7 +114,7 @@ def _make_failed_fit(vehicle: VehicleParameters, problem: str) -> OnlineFit:
 
 
 class OnlineIdentifier:
-    """Stores samples in order of time, and makes estimates from `fit`, which the caller sets to a `fit_recent`."""
+    """Stores samples in order of time, and makes estimates from `fit`, which the caller sets by `fit_recent`."""
 
     def __init__(self, vehicle: VehicleParameters):
         self.reset(vehicle)

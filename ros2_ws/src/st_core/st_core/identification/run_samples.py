@@ -12,10 +12,10 @@ from ..types import ins_to_cg_acceleration
 from ..vehicle import VehicleParameters
 from .result import Coverage, IdentificationError
 
-FILTER_SETTLING_TIME = 0.2  # s at both ends of each interval without gaps, in which samples are discarded
+FILTER_SETTLING_TIME = 0.2  # s; samples this close to an end of an interval without gaps are discarded
 MAXIMUM_GAP = 0.1  # s; longest interval between samples that is interpolated
 MIN_COMMON_TIME, MIN_SAMPLES = 5.0, 50  # time with both INS and steering [s], number of INS samples
-MIN_REPORTED_BIAS = 5.0e-4  # rad/s; larger than the drift of a good INS; 0.1 deg of steering wheel offset at 15 m/s
+MIN_REPORTED_BIAS = 5.0e-4  # rad/s; above the drift of a good INS; equivalent to 0.1 deg of steering wheel at 15 m/s
 SPEED_EDGES = np.array([0.0, 3.0, 6.0, 9.0, 12.0, 15.0, 20.0, 30.0, 60.0])  # m/s
 ACCELERATION_EDGES = np.array([-8.0, -4.0, -3.0, -2.0, -1.0, -0.3, 0.3, 1.0, 2.0, 3.0, 4.0, 8.0])  # m/s^2
 
@@ -101,7 +101,7 @@ def prepare_drives(logs: Sequence[DriveLog], vehicle: VehicleParameters,
 
 
 def estimate_yaw_rate_bias(log: DriveLog) -> float:
-    """Mean difference of the yaw rate from the derivative of yaw, outside gaps [rad/s]."""
+    """Mean of the yaw rate minus the derivative of yaw, outside gaps [rad/s]."""
     spacing = np.diff(log.ins_time_ns) * NANOSECOND
     is_without_gap = spacing <= MAXIMUM_GAP
     difference = (0.5 * (log.yaw_rate[1:] + log.yaw_rate[:-1]) * spacing - np.diff(log.yaw))[is_without_gap]
