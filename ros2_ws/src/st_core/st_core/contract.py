@@ -52,7 +52,7 @@ def _check_null(effect: type[Effect], vehicle: VehicleParameters, base: Model, m
     null = set_effects_to_null(model)
     change = float(np.abs(_predict_floats(null, vehicle) - _predict_floats(base, vehicle)).max())
     if np.isnan(change) or change > 0.0:
-        return f"with null values a state of the {base.name} model changes by {change:.3g}; it must be bit-identical"
+        return f"null values change a state of the {base.name} model by {change:.3g}; states must be bit-identical"
     readings = null.observe(READING), null.correct(READING)
     if readings != (READING, READING) or null.effective_vehicle(vehicle) != vehicle:
         return "null values change a reading or the vehicle parameters"

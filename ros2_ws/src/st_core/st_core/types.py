@@ -139,8 +139,7 @@ def body_to_map(x: Number, y: Number, yaw: Number) -> tuple[Number, Number]:
 
 def map_to_body(x: Number, y: Number, yaw: Number) -> tuple[Number, Number]:
     """Forward and left components of a map vector: rotation by -yaw."""
-    cosine, sine = np.cos(yaw), np.sin(yaw)
-    return x * cosine + y * sine, y * cosine - x * sine
+    return body_to_map(x, y, -yaw)
 
 
 def pose_errors(predicted_x: Number, predicted_y: Number, predicted_yaw: Number, x: Number, y: Number,

@@ -39,9 +39,9 @@ __all__ = ["ANY", "COMBINATIONS", "DYNAMIC", "EFFECTS", "EFFECT_KINDS", "TOTAL_D
 def load_folder(path: str) -> tuple[str, ...]:
     """Import every module of a folder, except names with a leading _, and return the names of its effects, sorted.
 
-    A folder is read only once. Raises ConfigurationError, naming folder or file, for a missing folder or one without
-    modules, a module that fails to import or registers nothing, a name in use, and an unknown name in confounded_with
-    or members. No effect of the folder is then registered.
+    A folder with a module that is already loaded is not read again. Raises ConfigurationError, naming folder or file,
+    for a missing folder or one without modules, a module that fails to import or registers nothing, a name in use, and
+    an unknown name in confounded_with or members. No effect of the folder is then registered.
     """
     folder, package = _find_package(path)
     if package not in sys.modules:

@@ -61,7 +61,7 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
     misalignment, rear_axle_to_ins, slip = -theta[0], theta[1], -theta[2]
     estimates = [
         _make_estimate("cg_to_ins_x", rear_axle_to_ins - vehicle.cg_to_rear_axle, spread, 1, 1.0, used_runs,
-                       f"{rear_axle_to_ins:.3f} m ahead of the rear axle, if that does not steer", 0.1),
+                       f"{rear_axle_to_ins:.3f} m ahead of the rear axle, if the rear wheels do not steer", 0.1),
         _make_estimate(MISALIGNMENT, misalignment, spread, 0, 1.0, used_runs,
                        f"{np.rad2deg(misalignment):+.2f} deg, reported heading minus the car's heading", 0.005)]
     correlation = correlation_matrix(spread.covariance[np.ix_([1, 0], [1, 0])] * np.array([[1, -1], [-1, 1]]))

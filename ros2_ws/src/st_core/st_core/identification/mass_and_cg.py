@@ -274,9 +274,9 @@ def _check_lifts(data: LiftRows, mass: float, rear_fraction: float) -> Iterator[
         falling_rows = np.flatnonzero(np.diff(pitch) < -0.05)
         if len(falling_rows):
             k = int(falling_rows[0])
-            yield (f"Lift {name}: pitch falls from {pitch[k]:.1f} to {pitch[k + 1]:.1f} deg at row {k + 2} of it. The "
-                   "order does not affect the fit, but friction changes the load on the way down: enter such rows as "
-                   "a separate lift.")
+            yield (f"Lift {name}: pitch falls from {pitch[k]:.1f} to {pitch[k + 1]:.1f} deg at row {k + 2}. The order "
+                   "does not affect the fit, but friction changes the load on the way down: enter such rows as a "
+                   "separate lift.")
     measured, expected = float(data.rear_load[data.is_level].mean()), mass * rear_fraction
     if abs(measured - expected) > MAX_LOAD_DIFFERENCE * mass:
         yield (f"With the car level, the rear wheels carry {measured:.1f} kg, but a mass of {mass:.1f} kg and the CG "
