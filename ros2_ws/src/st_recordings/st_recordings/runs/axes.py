@@ -162,10 +162,10 @@ def read_angles(table: Table, use_positions: bool) -> Table:
         values = angles[channel, "rad"][np.isfinite(columns[channel])]
         looks_like_degrees = len(values) > 0 and values.min() > -180.5 and values.max() < 360.5 and bool(
             np.abs(np.diff(values)).max(initial=0.0) > 180.0 or abs(values[0]) > MAX_RADIANS)
-        # Read as degrees, a yaw that drifts on a straight road is almost constant: a constant then agrees as well.
-        constant, degrees = compute_deviation("yaw", np.zeros(len(columns[channel]))), deviations[channel, "deg"]
-        in_radians = degrees > MIN_COURSE_SPREAD and deviations[recorded] ** 2 < MAX_DEVIATION_RATIO * degrees ** 2
-        shows_unit = looks_like_degrees or deviations[best] ** 2 < MAX_DEVIATION_RATIO * constant ** 2
+        # A yaw in rad, read as deg, is almost constant, which fits a straight road: only a better fit shows deg.
+        of_constant, of_deg = compute_deviation("yaw", np.zeros(len(columns[channel]))), deviations[channel, "deg"]
+        in_radians = of_deg > MIN_COURSE_SPREAD and deviations[recorded] ** 2 < MAX_DEVIATION_RATIO * of_deg ** 2
+        shows_unit = looks_like_degrees or deviations[best] ** 2 < MAX_DEVIATION_RATIO * of_constant ** 2
         if shows_unit and deviations[recorded] > max(SIGNIFICANT_DEVIATIONS * deviations[best], MIN_DISAGREEING_ANGLE):
             motion_name = "velocities to the east and north" if has_velocities else "positions"
             text = f"agrees with the {motion_name} only as {best[0]} in {best[1]}; it was read as such"

@@ -89,7 +89,7 @@ AMBIGUOUS_IDS = "its identifiers may be decimal or hexadecimal numbers; they wer
 MAX_SCANNED_ROWS = 5000  # rows from which the unit of times and the base of identifiers and bytes are inferred
 MIN_STEPS = 50  # minimum number of positive time steps from which the unit of the times is inferred
 MAX_STEPS = {"s": 0.15, "ms": 50.0}
-"""Unit of times since the start -> upper limit of their median step (7 frames/s, 20 frames/s); above both, it is us."""
+"""Unit of times since the start -> largest median step (7 frames/s, 20 frames/s); above both, the unit is us."""
 MIN_FRAME_DURATION = 40.0  # us; every frame takes longer at 1 Mbit/s
 
 
@@ -400,7 +400,7 @@ def _read_csv_data(cells: Mapping[str, str], row: Sequence[str], name: str, role
     """Data of a frame in any of the CSV formats. Raises ValueError if it does not have the stated length."""
     digits = "".join(row[roles["data"]].split()).replace("0x", "")
     length = int(row[roles["length"]]) if "length" in roles else None
-    if length is not None and 8 < length < len(FD_LENGTHS):  # a DLC code, if there are as many bytes as it denotes
+    if length is not None and 8 < length < len(FD_LENGTHS):  # a data length code (DLC), if it denotes the bytes
         n_bytes = len(list(takewhile(bool, row[roles["data"]:]))) if name[-1].isdigit() else len(digits) // 2
         length = n_bytes if n_bytes == FD_LENGTHS[length] else length
     if name[-1].isdigit():  # blank cells may follow the bytes, but not separate them

@@ -1,7 +1,7 @@
 """Reads CANedge2 logs (MDF 4.11) with asammdf, finalised or not, complete or truncated.
 
 There are two layouts. In layout 1 (seen with firmware 01.04), one group contains all buses, each record contains its
-bus number, and payloads are in a hidden group (VLSD). In layout 2 (from firmware 01.07), there is a group for each bus
+bus number, and payloads are in a hidden group. In layout 2 (from firmware 01.07), there is a group for each bus
 and kind of frame, and the records contain the payloads of classic frames.
 """
 
@@ -233,7 +233,7 @@ def _build_frames(name: str, signal: Any, bus: int, start_ns: int, channels: Map
     """Builds the columns of some frames of a group; checks every column, because a file can describe any layout.
 
     channels: short name -> channel. A virtual channel uses no bytes of the record, and its conversion gives a constant.
-    Firmware 01.07 and later stores bus, IDE and direction in virtual channels.
+    Firmware 01.07 and later stores bus, identifier type (IDE) and direction in virtual channels.
     """
     rows, n = signal.samples, len(signal.samples)
     members = {m.rsplit(".", 1)[-1]: m for m in rows.dtype.names or ()}
