@@ -59,12 +59,10 @@ class Bands:
         return make_times(self.settings["horizon"], self.settings["step"])
 
     def half_widths(self, model: str, mode: str, conditions: np.ndarray, level: float) -> np.ndarray:
-        """Half-widths (n, points + 1, 3) along and across the predicted path [m] and in yaw [rad], 0 at the start.
-
-        With probability `level`, the whole measured path of the INS point is inside all three half-widths. All NaN
-        outside the calibration domain (`CalibrationDomain.describe_outside`). conditions: (n, 4), from
-        `compute_conditions`. Raises KeyError for a model, mode or level that is not in the file.
-        """
+        """Half-widths (n, points + 1, 3) along and across the predicted path [m] and in yaw [rad], 0 at the start. With
+        probability `level`, the whole measured path of the INS point is inside all three half-widths. All NaN outside
+        the calibration domain (`CalibrationDomain.describe_outside`). conditions: (n, 4), from `compute_conditions`.
+        Raises KeyError for a model, mode or level that is not in the file."""
         band = self.bands[model, mode]
         conditions = np.atleast_2d(np.asarray(conditions, float))
         inside = self.domain.contains(conditions)

@@ -131,10 +131,8 @@ class AdaptiveBand:
     def replay(self, starts_ns: np.ndarray, conditions: np.ndarray,
                errors: np.ndarray) -> tuple[dict[float, np.ndarray], np.ndarray]:
         """(factors (n,) by level, scales (n, points, 3)) along a drive, from the scores available at each start.
-
         Further calls continue the drive. starts_ns: (n,) ascending [ns]. conditions: (n, 4). errors: (n, points, 3) in
-        the predicted frame; NaN if not scored.
-        """
+        the predicted frame; NaN if not scored."""
         calibrated = None if self._band is None else self._band.scale(conditions)
         horizon_ns = round(float(self._time[-1]) / NANOSECOND)
         factors: dict[float, list[float]] = {level: [] for level in self._log_factors}
@@ -230,9 +228,7 @@ class AdaptiveBands:
 
     def issue(self, start_ns: int, condition: Sequence[float], modes: Iterable[str]) -> tuple[set[ModelMode], str]:
         """((model, mode) pairs with a band, reason if calibrated pairs have none) for predictions from start_ns.
-
-        Updates `half_widths` for these modes. condition: from `conditions_now`.
-        """
+        Updates `half_widths` for these modes. condition: from `conditions_now`."""
         reason = ""
         if self._calibrated and not self._calibrated.update(condition):
             reason = self._calibrated.domain.describe_outside(condition)

@@ -165,7 +165,6 @@ class DriveCheck:
     estimates: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
     def with_severity(self, severity: Severity) -> tuple[Finding, ...]:
-        """Findings of one severity."""
         return tuple(finding for finding in self.findings if finding.severity is severity)
 
     def as_dict(self) -> dict[str, Any]:

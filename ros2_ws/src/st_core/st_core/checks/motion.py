@@ -130,10 +130,8 @@ class Motion:
 
 def is_driven(motion: Motion) -> bool:
     """Whether the car is driven, even if positions or velocity have a wrong unit; True if the recording is too short.
-
     The speed from positions or velocity must exceed MIN_MOVING_SPEED in MIN_DRIVEN_WINDOWS windows. In addition, the
-    direction of travel must persist or the forward velocity far exceed its noise; neither holds for a parked car.
-    """
+    direction of travel must persist or the forward velocity far exceed its noise; neither holds for a parked car."""
     length = max(1.0, 5.0 * float(np.median(np.diff(motion.time))))
     windows = motion.make_windows(length, max(MAX_GAP, 0.5 * length))
     if len(windows) < MIN_DRIVEN_WINDOWS:

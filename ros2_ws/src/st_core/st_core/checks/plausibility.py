@@ -73,12 +73,10 @@ class _ChannelSamples:
 
 
 def drop_implausible(log: DriveLog, start_ns: int) -> tuple[DriveLog, list[Finding]]:
-    """(the drive without implausible samples, findings for each kind and channel, equal ones merged).
-
-    An INS row with an implausible sample of INS_SIGNALS is left out, an optional signal becomes NaN, and a steering
-    sample is left out of the steering only. A channel in which more than half of the samples are implausible is not
-    changed, and its findings are errors. start_ns: zero of the times in the findings.
-    """
+    """(the drive without implausible samples, findings for each kind and channel, equal ones merged). An INS row with
+    an implausible sample of INS_SIGNALS is left out, an optional signal becomes NaN, and a steering sample is left out
+    of the steering only. A channel in which more than half of the samples are implausible is not changed, and its
+    findings are errors. start_ns: zero of the times in the findings."""
     masks: dict[str, np.ndarray] = {}  # of the implausible samples, by channel
     findings: list[Finding] = []
     steering = "road_wheel_angle" if log.steering_wheel_angle is None else "steering_wheel_angle"

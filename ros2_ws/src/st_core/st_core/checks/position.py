@@ -338,12 +338,10 @@ def compute_compass_misfit(motion: Motion) -> float:
 
 
 def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> bool | None:
-    """Whether yaw, not the yaw rate, lags by `lag` [s]; None if both fit. corrected: the motion without that lag.
-
-    At constant speed v, a lag T of yaw, a lag -T of the positions, and a reference point v T ahead have the same
-    effect. The yaw for which the fitted position lag is smaller is correct, whatever the reference point. If the drive
-    does not determine this lag, the reference point is assumed to be that of the velocities. False for a short drive.
-    """
+    """Whether yaw, not the yaw rate, lags by `lag` [s]; None if both fit. corrected: the motion without that lag. At
+    constant speed v, a lag T of yaw, a lag -T of the positions, and a reference point v T ahead have the same effect.
+    The yaw for which the fitted position lag is smaller is correct, whatever the reference point. If the drive does not
+    determine this lag, the reference point is assumed to be that of the velocities. False for a short drive."""
     problems = make_residual_regression(motion), make_residual_regression(corrected)
     if len(problems[0].time) < MIN_WINDOWS:
         return False
@@ -394,7 +392,6 @@ def correct_lateral_sign(motion: Motion) -> tuple[Motion, Finding | None]:
 
 
 def make_lateral_sign_finding() -> Finding:
-    """Finding about a velocity_y with the opposite sign."""
     return Finding("velocity_y_scale", Severity.ERROR, ("velocity_y",), OPPOSITE_LATERAL_SIGN, -1.0,
                    advice=Advice.correct("velocity_y", scale=-1.0))
 
@@ -475,11 +472,9 @@ def _refine_causes(problem: Regression, causes: dict[str, Estimate], min_values:
 
 
 def _has_lateral_scale_error(problem: Regression, causes: tuple[str, ...]) -> bool:
-    """Whether the error of velocity_y is a scale error, rather than noise or drift.
-
-    Errors in variables: noise in velocity_y biases the regression of the displacements from positions on those from
-    velocity_y, but not the reverse regression. The slope of the latter is the scale and must differ from 1 as well.
-    """
+    """Whether the error of velocity_y is a scale error, rather than noise or drift. Errors in variables: noise in
+    velocity_y biases the regression of the displacements from positions on those from velocity_y, but not the reverse
+    regression. The slope of the latter is the scale and must differ from 1 as well."""
     name = "velocity_y_scale"
     columns = {other: problem.columns[other] for other in (*AXIS_SCALES, *causes) if other != name}
     columns["derived"] = problem.y + problem.columns[name]

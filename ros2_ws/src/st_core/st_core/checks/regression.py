@@ -28,7 +28,7 @@ class Estimate:
 
     value: float
     standard_error: float
-    half_width: float  # of the 95 % confidence interval
+    half_width: float  # of `interval`, the 95 % confidence interval
 
     def __str__(self) -> str:
         """Value ± half-width, the latter with two significant digits."""
@@ -40,7 +40,6 @@ class Estimate:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % confidence interval."""
         return self.value - self.half_width, self.value + self.half_width
 
     @property

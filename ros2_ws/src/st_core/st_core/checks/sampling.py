@@ -65,10 +65,8 @@ def _iterate_channels(motion: Motion) -> Iterator[tuple[str, np.ndarray, np.ndar
 
 
 def estimate_resolution(time: np.ndarray, values: np.ndarray) -> float:
-    """Quantisation step of values, in their unit; 0 if they are not quantised. time: ascending [s].
-
-    Steps across lost samples are ignored, because in uniform motion they are always multiples of one step.
-    """
+    """Quantisation step of values, in their unit; 0 if they are not quantised. time: ascending [s]. Steps across lost
+    samples are ignored, because in uniform motion they are always multiples of one step."""
     spacing = np.diff(time)
     steps = np.abs(np.diff(values))[spacing < MAX_INTERVAL_RATIO * float(np.median(spacing))]
     all_change, steps = bool((steps > 0.0).all()), steps[steps > 0.0]
@@ -240,10 +238,8 @@ def _check_held(name: str, time: np.ndarray, values: np.ndarray) -> list[Finding
 
 
 def _check_clipped(name: str, time: np.ndarray, values: np.ndarray, motion: Motion, resolution: float) -> list[Finding]:
-    """Finding about a channel that stays at its largest or smallest value several times, while other channels change.
-
-    A rounded signal also repeats its maximum, but repeats the adjacent value almost as often.
-    """
+    """Finding about a channel that stays at its largest or smallest value several times, while other channels change. A
+    rounded signal also repeats its maximum, but repeats the adjacent value almost as often."""
     first, last = find_groups(np.diff(values) != 0.0)
     lengths = last - first + 1
     clipped: list[int] = []

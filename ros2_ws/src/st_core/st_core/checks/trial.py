@@ -149,12 +149,10 @@ def _apply_advice(run: RunAndVehicle | None, advice: Advice | None) -> RunAndVeh
 
 def check_step_length(models: Sequence[str | Model], vehicle: VehicleParameters, log: DriveLog,
                       step: float) -> Finding | None:
-    """Finding `step_too_long`: a step [s] too long for at least one model; None if the step is short enough.
-
-    The value of the finding is the minimum_slip_speed [m/s] at which the step is stable; if there is none, the longest
-    stable step [s]; without either, None. For a scale-model car, a minimum_slip_speed above the median speed is not
-    proposed, because it would lower most tyre forces.
-    """
+    """Finding `step_too_long`: a step [s] too long for at least one model; None if the step is short enough. The value
+    of the finding is the minimum_slip_speed [m/s] at which the step is stable; if there is none, the longest stable
+    step [s]; without either, None. For a scale-model car, a minimum_slip_speed above the median speed is not proposed,
+    because it would lower most tyre forces."""
     resolved = [get_model(model) for model in models]
     speed = np.abs(log.velocity_x)
     if not len(speed):

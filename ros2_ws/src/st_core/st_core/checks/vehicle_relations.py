@@ -150,10 +150,8 @@ def compute_response_time(vehicle: VehicleParameters, speed: float) -> float:
 
 def _compute_response_uncertainty(vehicle: VehicleParameters, speed: float) -> float:
     """Uncertainty of `compute_response_time` [s] due to both axle stiffnesses, as half-width of a 95 % interval.
-
     Returns the part beyond the systematic uncertainty of a steering lag: > 0 for fast cars that hardly understeer, inf
-    for a car that may be unstable, for which the delay is undefined.
-    """
+    for a car that may be unstable, for which the delay is undefined."""
     changes = []
     for key in ("cornering_stiffness_front", "cornering_stiffness_rear"):
         value = getattr(vehicle, key)
@@ -354,10 +352,8 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> Results:
 
 
 def _fit_rear_axle(problem: Regression, vehicle: VehicleParameters, speed_varies: bool) -> dict[str, Estimate]:
-    """Estimates of misalignment [rad], lever_arm [m ahead of the rear axle], slip [rad s^2/m] and roll [s^2].
-
-    If the speed does not vary, or if the standard error of the slip is 25 % or more, the slip is the file's +/- 50 %.
-    """
+    """Estimates of misalignment [rad], lever_arm [m ahead of the rear axle], slip [rad s^2/m] and roll [s^2]. If the
+    speed does not vary, or if the standard error of the slip is 25 % or more, the slip is the file's +/- 50 %."""
     expected = rear_slip_coefficient(vehicle)
     if speed_varies:
         free = problem.estimate(("misalignment", "lever_arm", "slip", "roll"))
@@ -374,11 +370,9 @@ def _fit_rear_axle(problem: Regression, vehicle: VehicleParameters, speed_varies
 
 def _make_point_finding(point: Estimate, slip: Estimate, motion: Motion, vehicle: VehicleParameters) -> Finding | None:
     """Finding about an INS point that is not where the vehicle file has it; None if the distance is small or uncertain.
-    point: that distance, > 0 ahead [m]. slip: of the rear axle, see `_fit_rear_axle`.
-
-    Rear wheels steered by k times the front angle act like a point k / (1 - k) wheelbases further ahead. A k that
-    depends on speed changes the slip too, so there is no correction if the slip does not agree with the vehicle file.
-    """
+    point: that distance, > 0 ahead [m]. slip: of the rear axle, see `_fit_rear_axle`. Rear wheels steered by k times
+    the front angle act like a point k / (1 - k) wheelbases further ahead. A k that depends on speed changes the slip
+    too, so there is no correction if the slip does not agree with the vehicle file."""
     if not point.is_significant or abs(point.value) < LIMITS.ins_position:
         return None
     windows = motion.make_windows(HORIZON)

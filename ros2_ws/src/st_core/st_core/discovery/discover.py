@@ -317,7 +317,6 @@ class _Analysis:
 
     def _decide_reporting(self, state: SearchState, effects: Sequence[result.FoundEffect], axles: Axles | None,
                           leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, result.Reason]:
-        """Verdict on each effect of the final fit."""
         worse_axles: dict[str, str] = {}
         violations: dict[str, str] = {}
         force_ratios = dict.fromkeys(("front", "rear"), np.nan) if axles is None else axles.compute_force_ratios()

@@ -68,11 +68,9 @@ class Search:
         self._fits_tried: list[tuple[np.ndarray, NearSet, float]] = []
 
     def run(self) -> SearchState:
-        """The best set from three starts.
-
-        These are the empty set; the set found from it, extended by all physical effects; and the library without
-        composite effects. Payloads and `forward_only` effects are not added to the second and third start.
-        """
+        """The best set from three starts. These are the empty set; the set found from it, extended by all physical
+        effects; and the library without composite effects. Payloads and `forward_only` effects are not added to the
+        second and third start."""
         p = self.problem
         p.update_design_effect(p.start)
         first = self._step_from(p.fit((), p.all_sensitivities(p.start)))
@@ -99,12 +97,10 @@ class Search:
         return state
 
     def _add_load_rivals(self, state: SearchState) -> None:
-        """Add a load as a rival of lower tyre stiffness, since drives show only the ratio of stiffness to mass.
-
-        The load is an alternative to each effect with values that it brings nearer to the vehicle file, unless the
-        drives exclude it. The prior standard deviation is tried as the load, then `limits.min_relative_size` scales.
-        Bands of axle forces, and intervals of these effects and of combinations, include the laden car.
-        """
+        """Add a load as a rival of lower tyre stiffness, since drives show only the ratio of stiffness to mass. The
+        load is an alternative to each effect with values that it brings nearer to the vehicle file, unless the drives
+        exclude it. The prior standard deviation is tried as the load, then `limits.min_relative_size` scales. Bands of
+        axle forces, and intervals of these effects and of combinations, include the laden car."""
         p, names = self.problem, state.fit.names
         for payload in (n for n in p.space.payloads if names and n not in names and not p.space.overlaps(n, names)):
             for size in (p.space.deviation[p.space.indices(payload)], self.limits.min_relative_size):
@@ -147,7 +143,6 @@ class Search:
         return self.find_best_rival(state, name)
 
     def _make_rival(self, other: str, name: str, fit: Fit, state: SearchState, evidence: Evidence) -> Rival:
-        """The rival `other` of the effect `name` with this fit."""
         difference, gain = fit.held_out - state.fit.held_out, self._gain(state.fits_without[name], state.fit)
         deficit = float(difference.sum())
         return Rival(other, name, 1.0 - deficit / max(gain, 1e-12), p_no_worse(difference),
@@ -210,10 +205,8 @@ class Search:
         return fit
 
     def _select(self, candidates: list[SearchState]) -> SearchState:
-        """The set with the lowest held-out loss plus a penalty of `limits.negligible` per effect and residual.
-
-        All sets are compared at the residual scale and the design effect of the set with the smallest errors.
-        """
+        """The set with the lowest held-out loss plus a penalty of `limits.negligible` per effect and residual. All sets
+        are compared at the residual scale and the design effect of the set with the smallest errors."""
         p = self.problem
         if len(candidates) > 1:
             smallest = min(candidates, key=lambda c: float(np.log(p.loss.scale_of(c.fit.vector)).sum()))
@@ -386,10 +379,8 @@ class Search:
 
     def _drop_rejected(self, state: SearchState, required_gain: float = np.inf) -> SearchState:
         """Drop the effects that fail the test, weakest first, and fill in `evidence` and `fits_without` of the others.
-
         An effect counts as significant without a refit if its removal is predicted to raise the loss per residual by
-        more than three times `required_gain`; the other criteria still apply.
-        """
+        more than three times `required_gain`; the other criteria still apply."""
         while True:
             state.cached_scores = state.cached_scores or self._scores(state.fit)
             state.evidence, state.fits_without = {}, {}

@@ -245,11 +245,9 @@ def compute_cosine(fits: RelationFits, first: RelationFit, second: RelationFit) 
 
 def find_redundant_effects(fits: RelationFits, fit: RelationFit, base_fit: RelationFit,
                            names: Sequence[str]) -> dict[str, float]:
-    """Effects of the result that the relation makes redundant, with the residual reduction [1] that each still adds.
-
-    An effect is redundant if its held-out gain in addition to the relation is too small or not significant, and a fit
-    with the relation instead of the effect has a significantly lower held-out loss than the result of the discovery.
-    """
+    """Effects of the result that the relation makes redundant, with the residual reduction [1] that each still adds. An
+    effect is redundant if its held-out gain in addition to the relation is too small or not significant, and a fit with
+    the relation instead of the effect has a significantly lower held-out loss than the result of the discovery."""
     redundant, limits = {}, fits.limits
     errors_with_both = compute_position_errors(fits, fit)
     # An effect that converts the base model into a different one (`converts`) is a precondition of the relation.
