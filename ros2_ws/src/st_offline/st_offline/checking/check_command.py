@@ -81,8 +81,8 @@ def run_command(job: CheckJob, report_vehicle: Callable[[str], None] | None = No
     print_runs(checked_runs)
     for name, problem in unreadable.items():
         report_problem(name, problem)
-    for number, quantity in enumerate(compare_runs([run.result for run in checked_runs])):
-        print_line(f"{'' if number else '[bold]all runs together[/bold]' + chr(10)}  {escape(quantity.text)}")
+    if estimates := compare_runs([run.result for run in checked_runs]):
+        print_line("\n  ".join(["[bold]all runs together[/bold]", *(escape(estimate.text) for estimate in estimates)]))
     if report_vehicle and not job.vehicle_is_given:
         for file in sorted({run.vehicle_source for run in checked_runs}):
             report_vehicle(file)

@@ -24,7 +24,7 @@ MAX_PARTS = 6  # local estimates of a varying effect listed in a sentence
 MAX_UNDETECTABLE = 4  # effects listed in a sentence; the table contains all
 MAX_KEYS = 3  # keys of a vehicle file listed in a sentence; the table contains all
 MAX_SEPARATION = 10.0  # standard deviations; larger separations are outside the linear range of the prediction
-MAX_RATIO = 1000.0  # of an error to the expected error; with larger errors, predictions have diverged
+MAX_RATIO = 1000.0  # of an error to the expected error; above it, predictions have diverged
 LIMITS = Limits()
 OTHER_CAUSE = " or a cause outside the library with the same effect"
 SLIP_CAUTION = "; use it only up to the slip angles of these drives, which do not determine the peak tyre force"
@@ -290,7 +290,7 @@ def describe_effective_corrections(discovery: Discovery) -> str:
     """Sentence on the effective corrections of the model; "" without any."""
     names = ", ".join(f"{to_words(e.name)} {format_briefly(e.name, e.parameters)} (5 s position error without it "
                       f"{format_metres(e.position_5s_increase, '+')})" for e in discovery.effective)
-    return (f"{names}: in model.yaml, marked effective, because predictions improve; not a property of the car"
+    return (f"{names}: each is marked effective in model.yaml: it improves predictions, but is no property of the car"
             if names and not discovery.increases_error else "")
 
 
