@@ -80,15 +80,10 @@ class Decoder:
 
     def decode(self, frame: can.Message, time_ns: int) -> DecodedFrame | None:
         """The signals of a frame received at time_ns; None if skipped, rejected, withheld or without known signals."""
-        if frame.is_error_frame:
-            self.skipped["error"] += 1
-            return None
-        if frame.is_remote_frame:
-            self.skipped["remote"] += 1
-            return None
-        state = self._states.get((frame.arbitration_id, frame.is_extended_id))
+        reason = "error" if frame.is_error_frame else "remote" if frame.is_remote_frame else "unknown"
+        state = self._states.get((frame.arbitration_id, frame.is_extended_id)) if reason == "unknown" else None
         if state is None:
-            self.skipped["unknown"] += 1
+            self.skipped[reason] += 1
             return None
         spec, statistics = state.spec, state.statistics
         data = strip_padding(bytes(frame.data), spec.dbc.length)

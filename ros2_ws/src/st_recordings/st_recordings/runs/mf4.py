@@ -83,9 +83,10 @@ def read_mf4(path: Path) -> frames.CanLog:
             raise DamageError("the session start time is invalid")
         parts = []
         for group in range(len(log.groups)):
-            if _find_frame_channel(log, group) is None:
+            if (name := _find_frame_channel(log, group)) is None:
                 decoded_signals += [c.name for c in log.groups[group].channels if c.channel_type not in _TIME_CHANNELS]
-            pieces = list(_read_group_frames(log, group, start_ns))
+                continue
+            pieces = list(_read_group_frames(log, group, name, start_ns))
             if pieces:
                 n_recorded, n_valid = log.groups[group].channel_group.cycles_nr, sum(map(len, pieces))
                 if n_valid < n_recorded:
@@ -207,10 +208,7 @@ def _has_payloads(log: Any, group: int) -> bool:
     return True
 
 
-def _read_group_frames(log: Any, group: int, start_ns: int) -> Iterator[frames.Frames]:
-    name = _find_frame_channel(log, group)
-    if name is None:
-        return
+def _read_group_frames(log: Any, group: int, name: str, start_ns: int) -> Iterator[frames.Frames]:
     content = log.groups[group]
     source = content.channel_group.acq_source
     texts = (content.channel_group.acq_name, getattr(source, "name", None), getattr(source, "path", None))
