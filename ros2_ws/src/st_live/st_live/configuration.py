@@ -91,7 +91,7 @@ def make_replay_parameters(folder: Path, vehicle: Path, recorded: RecordedConfig
 
 
 def make_model_parameters(model: Path | None, effects: Path | None, vehicle: Path) -> dict[str, str]:
-    """Parameters that add a model file to predictor and evaluator; empty without one. Raises as `load_model`."""
+    """Parameters that add a model file to predictor and evaluator; empty without one. Raises StCoreError."""
     load_model(model, effects, read_vehicle(vehicle), str(vehicle))
     if model is None:
         return {}
@@ -114,7 +114,7 @@ def load_model(model: Path | None, effects: Path | None, car: VehicleParameters,
 
 def set_bands_and_course(parameters: Parameters, bands: Path | None, course: Path | None,
                          adaptive: bool | None = None) -> dict[str, dict[str, Any]]:
-    """Copy of the parameters with other values of bands_file, course_file and adaptive_bands; None: unchanged. Raises
+    """Copy of the parameters with these values of bands_file, course_file and adaptive_bands; None: unchanged. Raises
     StCoreError for an invalid file, and for bands of a different car, model or configuration."""
     updated = {node: {**values} for node, values in parameters.items()}
     predictor, recorder = updated["predictor"], updated["recorder"]

@@ -82,7 +82,7 @@ class PageServer(ThreadingHTTPServer):
             self.condition.notify_all()
 
     def wait_for_frame(self, after: int) -> tuple[bytes, int]:
-        """(newest frame, its number) once the number exceeds `after`; after KEEP_ALIVE_PERIOD (comment, `after`)."""
+        """(newest frame, its number) once the number exceeds `after`; else, after KEEP_ALIVE_PERIOD, a comment."""
         with self.condition:
             if self.condition.wait_for(lambda: self._frame_number > after or self.is_stopped, KEEP_ALIVE_PERIOD):
                 return self._frame, self._frame_number

@@ -86,7 +86,7 @@ def make_blueprint() -> rrb.Blueprint:
 
 
 def to_screen(view: Pose, x, y) -> np.ndarray:
-    """Screen coordinates (..., 2) [m: right, down] of map points x, y [m]. view: their origin and upward direction."""
+    """Screen coordinates (..., 2) [m: right, down] of map points x, y [m]. view: screen origin and upward direction."""
     forward, left = map_to_body(np.asarray(x) - view.x, np.asarray(y) - view.y, view.yaw)
     return np.stack(np.broadcast_arrays(-left, -forward), axis=-1)
 

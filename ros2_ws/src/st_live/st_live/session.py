@@ -46,7 +46,7 @@ Progress = Callable[[], tuple[float, float | None, bool]]
 
 @dataclass
 class _SupervisedNode:
-    """State of one node; times are monotonic [s]. restart_at: None while it runs. failure: reason of the last one."""
+    """State of one node; times are monotonic [s]. restart_at: None while it runs. failure: the last reason."""
 
     package: str
     name: str
@@ -59,7 +59,7 @@ class _SupervisedNode:
 
 
 class Supervisor:
-    """Restarts nodes that end or hang; call `update` several times a second. nodes: (package, executable), running."""
+    """Restarts nodes that end or hang; call `update` several times a second. nodes: (package, executable)."""
 
     def __init__(self, suite: Suite, monitor: Monitor, nodes: Sequence[tuple[str, str]]):
         self._suite, self._monitor = suite, monitor

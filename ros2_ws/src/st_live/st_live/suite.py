@@ -116,7 +116,7 @@ class Processes(AbstractContextManager):
         return child
 
     def stop(self, name: str | None = None, timeout: float = STOP_TIMEOUT) -> dict[str, int]:
-        """End one child, or all in the order of their start; returns exit statuses. timeout: until a kill [s]."""
+        """End one child, or all in the order of their start; returns exit statuses. timeout [s]: then it is killed."""
         statuses = {}
         for child in [c for c in self.children if name in (None, c.name)]:
             process = child.process

@@ -185,7 +185,7 @@ class Plant:
         return self.state[RACK] * self._ratio
 
     def step(self, steering_wheel_angle: float, drive_force: float) -> None:
-        """Advance by a time step. steering_wheel_angle: true [rad, > 0: left]. drive_force: all wheels [N]."""
+        """Advance by a time step. steering_wheel_angle: true [rad, > 0: left]. drive_force: of all wheels [N]."""
         s, dt = self.state, self.time_step
         self.conditions = conditions = self.environment.advance(s[X], s[YAW])
         if self._delay:

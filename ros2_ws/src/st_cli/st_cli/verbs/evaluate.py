@@ -31,7 +31,7 @@ class PredictionOptions:
 
     def make_task(self, read_options: shared.ReadOptions, interval: float = 0.1,
                   **others: Any) -> "tuple[Task, Path | None]":
-        """(task, vehicle file of the options, None without one). interval: between predictions [s]. others: of Task."""
+        """The task, and the vehicle file of the options, if any. interval: between starts [s]. others: of Task."""
         from st_core.effects import load_folder
         from st_core.log_evaluation import EvaluationSettings
         from st_core.prediction import PredictionSettings

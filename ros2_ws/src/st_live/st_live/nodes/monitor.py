@@ -29,8 +29,8 @@ AGGREGATE_PERIOD = 1.0  # s between messages on /diagnostics_agg
 PREDICTION_PERIOD = 0.25  # s between reads of the newest prediction
 TABLE_MODES = ("hindsight", "forecast", "course", "plan")
 AXES, STATISTICS = ("longitudinal", "lateral"), ("mean", "max", "rmse")
-STATUS_TIMEOUT, MISSED_REPORTS = 5.0, 3  # s, count of intervals; a status without an update for both is silent
-N_INTERVALS = 3  # number of intervals between reports; the longest counts, because a change causes an extra report
+STATUS_TIMEOUT, MISSED_REPORTS = 5.0, 3  # s, report intervals; a status is silent if not updated for longer than both
+N_INTERVALS = 3  # stored report intervals; the longest is used, because a change of level causes an extra report
 LEVEL_NAMES = ("ok", "warning", "error", "stale")
 
 

@@ -301,7 +301,7 @@ def make_summary(runs: Sequence[CheckedRun]) -> list[str]:
 
 
 def write_page(file: Path, runs: Sequence[CheckedRun], unreadable: Mapping[str, str], content: dict[str, Any]) -> None:
-    """Write the page, with the MAX_FIGURES comparisons that have the most severe findings. content: of check.json."""
+    """Write the page, with the MAX_FIGURES comparisons with the worst findings. content: content of check.json."""
     def rank(pair: tuple[Comparison, CheckedRun]) -> tuple[int, float]:
         comparison, run = pair
         findings = [finding for finding in run.result.findings if finding.name in comparison.findings]

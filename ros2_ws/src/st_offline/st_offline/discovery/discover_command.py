@@ -200,8 +200,8 @@ def build_document(discovery: Discovery, request: Request, update: VehicleUpdate
 def build_model_file(discovery: Discovery, request: Request, update: VehicleUpdate) -> ModelFile | None:
     """Model file with the effects of `update.model` that are not at their null values; None without any.
 
-    Intervals of changes relative to reference drives are shifted to the total values. An effect is marked as effective
-    correction if it is folded, or if its value is not reported or outside the reported interval.
+    Intervals of changes relative to reference drives are shifted to the total values. An effect is marked as an
+    effective correction if it is folded, or if its value is not reported or outside the reported interval.
     """
     intervals: dict[tuple[str, str], Interval] = {}
     for named_effect in discovery.effects:

@@ -36,7 +36,7 @@ class Drive:
     """One run, read and checked."""
 
     name: str
-    log: DriveLog | None  # None if it cannot be used
+    log: DriveLog | None  # None if the run cannot be used
     # For the report, including estimates of the checks and the name of the recorded car ("" if unknown); empty if the
     # run cannot be used.
     metadata: dict[str, Any]

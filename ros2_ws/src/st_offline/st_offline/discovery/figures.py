@@ -110,8 +110,8 @@ def draw_maps(discovery: Discovery, runs: Sequence[DriveLog], before: Samples, a
     """Draw the track of the run with the largest mean squared error and the starts of its predictions, coloured by the
     error of the base model and of the complete model; None without errors. Narrow tracks are left out if possible.
 
-    The channel is that of the large-error region with the highest lower end of its interval, or else the first. before,
-    after: errors of the base and of the complete model in `runs`, the suspect drives.
+    The channel is that of the region with the highest lower limit of the error ratio; without regions, the first.
+    before, after: errors of the base and of the complete model in `runs`, the suspect drives.
     """
     regions = [region for region in discovery.large_error_regions if region.channel in before.squares]
     channel = max(regions, key=lambda r: r.interval[0]).channel if regions else next(iter(before.squares))

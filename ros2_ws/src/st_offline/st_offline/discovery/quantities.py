@@ -78,8 +78,8 @@ def format_metres(value: float, sign: str = "") -> str:
 
 
 def format_decimal(number: float, decimals: int) -> str:
-    """Text of a number with the given decimals: in format `g`, to the same precision, for more than MAX_DECIMALS, and
-    with one significant digit if it would be rounded to 0."""
+    """Text of a number with the given decimals. With more than MAX_DECIMALS, it is written in format `g` to the same
+    precision; if it would be rounded to 0, with one significant digit."""
     if decimals <= MAX_DECIMALS:
         text = f"{number:.{decimals}f}"
         return text if float(text) else f"{number + 0.0:.1g}"  # neither "-0.0" nor "× 0" for a small number

@@ -37,8 +37,8 @@ BAND_LEVELS = (0.9, 0.5)
 REQUIRED_FRACTION = 0.9  # fraction of the starts that must be within the tolerance
 MIN_STARTS = 100  # in a speed bin; 10 s of driving at 10 starts per second
 ModelStep = tuple[str, float]  # (name of the model, step [s])
-Cost = dict[str, float]  # processor time per prediction [s], by one of COST_KINDS
-COST_KINDS = ("interpreted", "compiled", "batch")  # without numba, with numba (if installed), mean of a batch
+Cost = dict[str, float]  # processor time per prediction [s], by kind
+COST_KINDS = ("interpreted", "compiled", "batch")  # a prediction without numba, one with it, mean of a batch
 STEP_MULTIPLES = (1, 2, 4)  # of the integration step of the task
 
 

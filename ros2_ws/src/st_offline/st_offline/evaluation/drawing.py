@@ -34,7 +34,7 @@ plt.rcParams.update({
 FORMATS = ("png", "pdf", "svg")
 WIDTH = 9.0  # inch; the page scales figures to its own width
 TITLE_CHARACTERS = 104  # per line of a title, at WIDTH
-LEGEND_LINE_CHARACTERS = 7  # width of a line or marker with its margins in the legend
+LEGEND_LINE_CHARACTERS = 7  # characters; width of a line or marker with its margins in the legend
 HALF_TICK_LABEL_HEIGHT = 0.09  # inch
 PAGE_DPI = 110  # of raster images inside an SVG
 MAX_POINTS = 900  # per line; more cannot be distinguished at WIDTH
@@ -67,8 +67,8 @@ def check_formats(formats: Sequence[str]) -> None:
 
 
 def save_figure(figure: Figure, output: FigureOutput, key: str, title: str, caption: str) -> PageFigure:
-    """Save a figure as files, with its title, and as an SVG for the page, without it; close the figure. A legend below
-    the figure lists each label once, unless one of the axes has a legend."""
+    """Save a figure as files, with its title, and as an SVG for the page, without the title; close the figure. A legend
+    below the figure lists each label once, unless one of the axes has a legend."""
     entries = {label: handle for axes in figure.axes
                for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
     characters = round(TITLE_CHARACTERS * figure.get_figwidth() / WIDTH)

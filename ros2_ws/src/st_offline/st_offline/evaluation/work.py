@@ -47,7 +47,7 @@ class Task:
     """Settings of an evaluation."""
 
     vehicle: VehicleParameters
-    models: Mapping[str, ModelFile | None]  # by file name, or by name of a built-in model (None)
+    models: Mapping[str, ModelFile | None]  # by file name; None by the name of a built-in model
     settings: EvaluationSettings = field(default_factory=EvaluationSettings)
     read_settings: ReadSettings = field(default_factory=ReadSettings)
     vehicle_file: str = ""  # source of `vehicle`
@@ -239,7 +239,7 @@ def _read_planned_columns(files: Mapping[str, str],
                            "write numbers with a decimal point, separated by commas") from None
         seconds, first, second = np.atleast_2d(rows).T
         if not np.isfinite(seconds).all() or (np.diff(seconds) <= 0.0).any():
-            raise ConfigurationError(f"{file}: t must be finite and increase in each row, for the planned columns")
+            raise ConfigurationError(f"{file}: with planned columns, t must be finite and increase in each row")
         time_ns = np.round(seconds * 1e6).astype(np.int64) * 1000
         if kind == PLANNED_INPUTS:
             return time_ns, (first, second)

@@ -82,7 +82,7 @@ class MeasurementTable:
 def read_tables(files: Sequence[Path], required: Mapping[str, Sequence[str]],
                 optional: Mapping[str, Sequence[str]] | None = None, texts: Sequence[str] = ()) -> MeasurementTable:
     """Read CSV tables. required: permitted units of the columns with a number in every row, by name. optional: those of
-    other columns with numbers. texts: names of text columns. Raises RunError naming the file and the column or row."""
+    the other number columns. texts: names of text columns. Raises RunError naming the file and the column or row."""
     units = {**required, **(optional or {})}
     numbers: dict[str, list[float]] = {name: [] for name in units}
     text_columns: dict[str, list[str]] = {name: [] for name in texts}

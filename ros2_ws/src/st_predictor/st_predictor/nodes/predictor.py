@@ -48,7 +48,7 @@ class TickCounter:
         self._reported_overruns = 0
 
     def count_missed(self, next_due_ns: int, period_ns: int) -> int:
-        """Number of ticks dropped since the last call, 0 after a clock jump. next_due_ns: of the next tick."""
+        """Number of ticks dropped since the last call, 0 after a clock jump. next_due_ns: time of the next tick."""
         previous_ns, self._next_due_ns = self._next_due_ns, next_due_ns
         if previous_ns is None or not 0 < next_due_ns - previous_ns < MAX_OVERRUN_NS:
             return 0
