@@ -21,6 +21,7 @@ OpenLoopSteering = Callable[[float], Any]  # wheelbase of the car [m] -> road-wh
 
 LONGEST_ROAD = 20_000.0  # m, longest lap of a road from a file
 MAX_SPEED = 100.0  # m/s
+MIN_RADIUS = 0.1  # m, of a road; below the turning circle of the smallest model cars
 PEDAL_LEAD = 0.15  # s; the pedals move this long before the target speed changes
 SPEED_SLACK = 0.15  # m/s; while braking, the target speed is at most this much below the speed
 
@@ -162,10 +163,11 @@ def _read_plan(file: FilePath) -> Plan:
     document = read_document(file)
     try:
         pieces = [piece for row in document["road"] for piece in _make_pieces(row)]
-        if not pieces:
-            raise ValueError("road has no rows")
-        if not sum(abs(piece.length) for piece in pieces) <= LONGEST_ROAD:
-            raise ValueError(f"road is longer than {LONGEST_ROAD:g} m")
+        lengths = [piece.length for piece in pieces]
+        if not (min(lengths, default=0.0) >= 0.0 and sum(lengths) <= LONGEST_ROAD):
+            raise ValueError(f"lengths must not be negative, and be at most {LONGEST_ROAD:g} m in total")
+        if not all(abs(k) * MIN_RADIUS <= 1.0 for piece in pieces for k in piece[1:3]):
+            raise ValueError(f"turns and shifts must have a radius of at least {MIN_RADIUS:g} m")
         limits = [float(document.get(key, default)) for key, default in (("acceleration", 1.2), ("braking", 1.5))]
         if not all(0.01 <= limit <= 20.0 for limit in limits):
             raise ValueError(f"acceleration and braking {limits}: not within 0.01 to 20 m/s^2")

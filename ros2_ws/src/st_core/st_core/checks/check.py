@@ -233,13 +233,11 @@ def _remove_consequences(results: Results, log: DriveLog, motion: Motion) -> Non
     lags the course by tau (`sideslip` corrects this). A lag that sideslip may explain has no correction, and becomes
     a note unless it is the steering lag.
     """
-    findings = results.findings
-    if any(f.severity is Severity.ERROR and "yaw_rate" in f.channels for f in findings):
-        findings = [f for f in findings if f.name != "steering_unrelated"]
+    if any(f.severity is Severity.ERROR and "yaw_rate" in f.channels for f in results.findings):
+        results.findings = [f for f in results.findings if f.name != "steering_unrelated"]
     if has_derived_yaw_rate(log):
         comparisons = ("yaw_rate_scale", "yaw_rate_bias", "yaw_rate_lag")
-        findings = [f for f in findings if f.severity is Severity.ERROR or f.name not in comparisons]
-    results.findings = findings
+        results.findings = [f for f in results.findings if f.severity is Severity.ERROR or f.name not in comparisons]
     if CHANNELS["velocity_y"].is_measured_in(log):
         return
     for name in ESTIMATES_BIASED_BY_SIDESLIP:
@@ -249,16 +247,16 @@ def _remove_consequences(results: Results, log: DriveLog, motion: Motion) -> Non
               "yaw_rate_lag": (-MAX_REAR_COMPLIANCE * speed, MAX_INS_DISTANCE / speed),
               "yaw_lag": (-MAX_INS_DISTANCE / speed, MAX_REAR_COMPLIANCE * speed)}
     advice = Advice("text", "record the heading of the car and velocity_y; without them the sensor's error is unknown")
-    for k, f in enumerate(findings):
+    for k, f in enumerate(results.findings):
         if f.name == "position_reference":
             statement = f"{f.statement}; velocity_y is missing or 0, which is correct only for a point on the rear axle"
-            findings[k] = replace(f, statement=statement)
+            results.findings[k] = replace(f, statement=statement)
         low, high = limits.get(f.name, (np.inf, -np.inf))
         if f.value is not None and low <= f.value <= high:
             statement = (f"{f.statement}; velocity_y is missing or 0, so yaw may be the course and the lag may be due "
                          "to sideslip")
             severity = f.severity if f.name == "steering_lag" else Severity.NOTE
-            findings[k] = replace(f, severity=severity, statement=statement, advice=advice)
+            results.findings[k] = replace(f, severity=severity, statement=statement, advice=advice)
 
 
 def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[Motion, Results, float | None]:
