@@ -333,7 +333,7 @@ def _add_yaw_lag_alternative(findings: list[Finding], motion: Motion, lag: float
     sizes = {"s": abs(lag), "m": abs(lag) * float(np.median(motion.speed))}
     return [finding.with_alternative(alternative, position.VARY_BENDS, "yaw")
             if finding.name in EXPLAINED_BY_YAW_LAG and finding.value
-            and abs(finding.value) * position.MAX_RESIDUAL_LAG < sizes[finding.unit] else finding
+            and abs(finding.value) * position.MAX_RESIDUAL_LAG_RATIO < sizes[finding.unit] else finding
             for finding in findings]
 
 

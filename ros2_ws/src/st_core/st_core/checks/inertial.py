@@ -28,7 +28,7 @@ from .regression import Estimate, Regression, add_systematic_uncertainty
 MAX_LAG = 1.5  # s; largest lag searched for, in both directions
 MAX_CLOCK_OFFSET = 40.0  # s; largest offset between two clocks searched for; TAI is 37 s ahead of UTC
 MIN_COMMON_TIME = 15.0  # s; minimum overlap of two series
-UNKNOWN, UNIT_SCALE = Estimate(0.0, 0.0, 0.0), Estimate(1.0, 0.0, 0.0)  # not fitted
+NOT_FITTED, UNIT_SCALE = Estimate(0.0, 0.0, 0.0), Estimate(1.0, 0.0, 0.0)
 LAG_TEST_SHIFT = 0.3  # s; a drive determines a lag if lags smaller and larger by this both fit worse
 BIAS_RESIDUAL_RATIO = 1.25  # ratio of the residuals with a scale and with a bias above which a bias is reported
 MIN_SCALE_CORRELATION = 0.98  # at a higher correlation, noise reduces a scale by less than 4 %
@@ -53,7 +53,7 @@ class Agreement:
     expected_lag_rejected: bool = True  # whether the lag expected without a fault fits significantly worse
     correlation_without_lag: float = 0.0
     determines_lag: bool = True  # whether lags that differ by LAG_TEST_SHIFT fit significantly worse
-    drift: Estimate = UNKNOWN  # increase of the lag per second [1]
+    drift: Estimate = NOT_FITTED  # increase of the lag per second [1]
 
     @property
     def correlates(self) -> bool:
@@ -97,7 +97,7 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
         return None
     quantile = symmetric_interval(0.0, 1.0, max(len(reference.time) * STEP / DECORRELATION_TIME - 1.0, 1.0))[1]
     lag = Estimate(-solution.offset, solution.offset_deviation, quantile * solution.offset_deviation)
-    drift = UNKNOWN
+    drift = NOT_FITTED
     if fit_drift:
         drift_fit = fit([pair], solution.offset, middle=float(other.time.mean()))
         drift = Estimate(-drift_fit.drift, drift_fit.drift_deviation, quantile * drift_fit.drift_deviation)
@@ -191,10 +191,10 @@ def _fit_line(problem: Regression, derived: np.ndarray, correlation: float, fit_
         return scale, both["bias"].shifted((both["scale"].value - scale.value) * float(derived.mean()))
     scale = problem.estimate(("scale",))["scale"]
     if not fit_bias:
-        return scale, UNKNOWN
+        return scale, NOT_FITTED
     shifted = Regression(problem.time, problem.y - derived[:, None], problem.columns)
     if problem.fit(("scale",))[1] <= BIAS_RESIDUAL_RATIO * shifted.fit(("bias",))[1]:
-        return scale, UNKNOWN
+        return scale, NOT_FITTED
     return UNIT_SCALE, shifted.estimate(("bias",))["bias"]
 
 

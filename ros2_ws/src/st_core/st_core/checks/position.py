@@ -30,7 +30,7 @@ WINDOW = 1.0  # s, length of the windows
 HORIZON_WINDOWS = round(HORIZON / WINDOW)  # number of windows in the horizon
 MIN_WINDOWS = 10
 ITERATIONS = 3
-MAX_RESIDUAL_LAG = 0.5  # largest position lag with the right yaw, divided by that with the wrong one
+MAX_RESIDUAL_LAG_RATIO = 0.5  # largest ratio of the position lag with the right yaw to that with the wrong yaw
 MIN_LOSS_RATIO = 1.1  # ratio of the losses of two explanations above which the one with the smaller loss is preferred
 VARIATION_INTERVAL = 20.0  # s between the instants at which the size of a varying cause is fitted
 MAX_VARIATION_INTERVALS = 16  # largest number of such intervals; it limits the memory
@@ -367,7 +367,7 @@ def _has_clearly_smaller_lag(recorded: Regression, corrected: Regression, causes
     lags = [abs(add_systematic_uncertainty("position_lag", problem.estimate(causes)["position_lag"]))
             for problem in (recorded, corrected)]
     smaller, larger = sorted(lags, key=lambda lag: lag.value)
-    if not larger.is_significant or smaller.value > MAX_RESIDUAL_LAG * larger.value:
+    if not larger.is_significant or smaller.value > MAX_RESIDUAL_LAG_RATIO * larger.value:
         return None
     return smaller is lags[1]
 

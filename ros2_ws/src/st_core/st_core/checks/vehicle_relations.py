@@ -20,7 +20,7 @@ from ..handling import MAX_UNDERSTEER, linear_system, rear_slip_coefficient, sta
 from ..tyres import GRAVITY
 from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
 from .finding import HORIZON, LIMITS, SYSTEMATIC_UNCERTAINTY, Advice, Alternative, Comparison, Finding, Severity
-from .inertial import MAX_LAG, MIN_COMMON_TIME, UNKNOWN, Agreement, Results, compare_series, format_alternative_lags
+from .inertial import MAX_LAG, MIN_COMMON_TIME, NOT_FITTED, Agreement, Results, compare_series, format_alternative_lags
 from .motion import MAX_LISTED_TIMES, MIN_MOVING_SPEED, Motion, correlate, has_varying_speed, is_near
 from .position import MIN_LOSS_RATIO, make_lateral_sign_finding
 from .regression import Estimate, Regression, add_systematic_uncertainty
@@ -70,7 +70,7 @@ def check_steering(results: Results, motion: Motion, vehicle: VehicleParameters,
     if gain is not None and (agreement.scale.standard_error > 0.2 * abs(agreement.scale.value)
                              or agreement.correlation_without_lag < MAX_OPPOSITE_CORRELATION < agreement.correlation
                              or abs(float(agreement.derived.mean())) > agreement.spread):
-        agreement = replace(agreement, scale=gain, bias=UNKNOWN)
+        agreement = replace(agreement, scale=gain, bias=NOT_FITTED)
     gain = add_systematic_uncertainty("steering_scale", agreement.scale)
     lag = add_systematic_uncertainty(
         "steering_lag", agreement.lag.shifted(response).widened(_compute_response_uncertainty(vehicle, speed)))

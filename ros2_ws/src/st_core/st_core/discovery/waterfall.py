@@ -133,16 +133,16 @@ def build_steps(problem: Problem, final: Fit, order: Sequence[str], errors: Hori
 
 
 def compare_channel_errors(errors: HorizonErrors, base: Fit, final: Fit,
-                           floor: Mapping[str, float]) -> dict[str, ChannelError]:
-    """Errors of the fits `base` and `final`, by channel and for the position after 5 s."""
+                           noise: Mapping[str, float]) -> dict[str, ChannelError]:
+    """Errors of the fits `base` and `final`, by channel and for the position after 5 s. noise: by channel [SI]."""
     before, after, result = errors.by_channel(base), errors.by_channel(final), {}
     for channel in after:
         change = errors.compare(channel, before[channel], after[channel])
         old, new = (errors.error_by_run(channel, e[channel]) for e in (before, after))
-        noise = floor.get(channel, 0.0)
+        floor = noise.get(channel, 0.0)
         worst = max(new, key=new.__getitem__, default="")
-        result[channel] = ChannelError(change.base, change.augmented, change.interval, change.unit, noise, worst,
-                                       new.get(worst, 0.0), tuple(n for n in new if new[n] > old[n] + noise))
+        result[channel] = ChannelError(change.base, change.augmented, change.interval, change.unit, floor, worst,
+                                       new.get(worst, 0.0), tuple(n for n in new if new[n] > old[n] + floor))
     return result
 
 

@@ -47,14 +47,13 @@ class NextDrives:
     def find_most_separating(self) -> tuple[Option, str] | None:
         """The option with the largest separation from its nearest alternative, and the alternative's name; None without
         alternatives, below MIN_SEPARATION, or below MIN_IMPROVEMENT times the current separation."""
-        nearest = [(option, min(option.separation, key=option.separation.__getitem__))
-                   for option in self.options if option.separation]
-        best = max(nearest, key=lambda pair: pair[0].separation[pair[1]], default=None)
-        if best is None:
+        options = [option for option in self.options if option.separation]
+        if not options:
             return None
-        option, alternative = best
-        required = max(MIN_SEPARATION, MIN_IMPROVEMENT * self.current_separation[alternative])
-        return best if option.separation[alternative] >= required else None
+        best = max(options, key=lambda option: min(option.separation.values()))
+        nearest = min(best.separation, key=best.separation.__getitem__)
+        required = max(MIN_SEPARATION, MIN_IMPROVEMENT * self.current_separation[nearest])
+        return (best, nearest) if best.separation[nearest] >= required else None
 
 
 def find_sparse_ranges(points: np.ndarray, density: np.ndarray, parity: float) -> list[Range]:

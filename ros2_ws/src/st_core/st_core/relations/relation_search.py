@@ -137,24 +137,24 @@ def _select(screened: Sequence[ScreenedCandidate], fits: RelationFits, base_fit:
                               f"candidates; p < {limits.false_alarm:g} is required", statistics, detection_limits)
     imitated_faults = {s: fault for s in significant if (fault := _find_imitated_fault(s.candidate, reported))}
     remaining = [s for s in significant if s not in imitated_faults]
-    fitted, accepted, rejections = _fit_candidates(remaining, fits, base_fit, tick)
+    fitted, rejections = _fit_candidates(remaining, fits, base_fit, tick)
     rejections |= {s: f"{s.candidate.name} is significant, but may be the sensor fault that st check reports: "
                       f"{fault}. Correct it first and search again" for s, fault in imitated_faults.items()}
+    accepted = [s for s in fitted if s not in rejections]
     if not accepted:
         first = next(s for s in significant if s in rejections)
         return RelationSearch(None, rejections[first], statistics, detection_limits)
     # A candidate with a factor must be better by at least the smallest relevant gain.
-    best = min(accepted, key=lambda s: float(accepted[s].held_out.sum())
+    best = min(accepted, key=lambda s: float(fitted[s].held_out.sum())
                + (limits.relevant * residual_count if s.candidate.factor else 0.0))
     relation, gain_text = _make_relation(best, fitted, base_fit, fits, p_values[best.candidate.name], effect_names)
     return RelationSearch(relation, gain_text, statistics, detection_limits)
 
 
 def _fit_candidates(significant: Sequence[ScreenedCandidate], fits: RelationFits, base_fit: RelationFit,
-                    tick: Callable[[], None]) -> tuple[FitByCandidate, FitByCandidate, dict[ScreenedCandidate, str]]:
-    """Fit candidates by simulation: (fits with a usable curve, the accepted ones, reasons to reject the others)."""
+                    tick: Callable[[], None]) -> tuple[FitByCandidate, dict[ScreenedCandidate, str]]:
+    """Fit candidates by simulation: (fits with a usable curve, reasons to reject candidates)."""
     fitted: FitByCandidate = {}
-    accepted: FitByCandidate = {}
     rejections: dict[ScreenedCandidate, str] = {}
     before = selection.compute_position_errors(fits, base_fit)
     # The best candidate of every term is fitted first.
@@ -164,17 +164,14 @@ def _fit_candidates(significant: Sequence[ScreenedCandidate], fits: RelationFits
         tick()
         fit = fits.fit(s.candidate, base_fit)
         name, after = s.candidate.name, selection.compute_position_errors(fits, fit)
-        if problem := selection.describe_unusable_curve(fits, fit):
-            rejections[s] = problem
-            continue
-        fitted[s] = fit  # may be an alternative to the accepted relation, even if it is rejected
-        reason = selection.describe_deterioration(fits, name, before, after) or selection.describe_small_gain(
-            fits, s.candidate, base_fit.held_out - fit.held_out, before - after)
+        reason = selection.describe_unusable_curve(fits, fit)
+        if not reason:
+            fitted[s] = fit  # may be an alternative to the accepted relation, even if it is rejected
+            reason = selection.describe_deterioration(fits, name, before, after) or selection.describe_small_gain(
+                fits, s.candidate, base_fit.held_out - fit.held_out, before - after)
         if reason:
             rejections[s] = reason
-        else:
-            accepted[s] = fit
-    return fitted, accepted, rejections
+    return fitted, rejections
 
 
 def _find_imitated_fault(candidate: Candidate, reported: Collection[tuple[str, str]]) -> str:
