@@ -270,6 +270,10 @@ VEHICLE_SPY = "Line,Abs Time(Sec),Rel Time (Sec),Status,Er,Tx,Description,Networ
     ("ixxat.csv", ['"Bus","No","Time (abs)","State","ID (hex)","DLC","Data (hex)","ASCII"\n', *(
         f'"CAN","{k + 999:,}","11:49:12.{k}00000","","2","3","01 02 03","..."\n' for k in range(3))]),
     ("busmaster.log", [BUSMASTER, *(f"0:0:0:{1000 * (k > 0):04d} Rx 1 0x002 s 3 01 02 03\n" for k in range(3))]),
+    ("a.txt", [*(f"Timestamp: 1436509052.{k}00000    ID:      002    S Rx                DL:  3    01 02 03"
+                 f"{'Channel: can0':>30}\n" for k in range(3)),
+               "Timestamp: 1436509052.300000    ID:      000    X Rx E              DL:  0\n"]),
+    ("a.txt", [f"Timestamp: 1436509052.{k}00000        ID: 0002    000    DLC: 3    01 02 03\n" for k in range(3)]),
     ("a.asc", [DATE, "base hex  timestamps absolute\n", *(f"   {k / 10:.6f}{ASC}" for k in range(3))]),
     ("a.asc", [DATE, "base hex  timestamps relative\n", *(f"   {0.1 * (k > 0):.6f}{ASC}" for k in range(3))]),
     ("a.asc", [DATE, "base hex  timestamps absolute\n", *(f"   0,{k}00000{ASC}" for k in range(3))]),
@@ -295,6 +299,8 @@ def test_variants_of_candump_and_asc(tmp_path: Path, name: str, lines: list[str]
     ("Time,ID,DLC,D0,D1", f"0.1,1A2,12{',0A' * 12}", "0a" * 12),
     ("Time,ID,DLC,Data", "0.1,0x1A2,2,0x0A 0x1B", "0a1b"), ("Time,ID,DLC,Data", "0.1,1A2,3,0xAB", "d31001"),  # base 64
     ("time,addr,bus,data", "0.1,418,0,0a1b", "0a1b"), ("time,addr,bus,data", "0.1,0x1a2,0,0x0A1B", "0a1b"),  # Cabana
+    ("Time,Bus,MessageID,Message,MessageLength", "0.1,0,0x1a2,0x0a1b,2", "0a1b"),  # panda
+    ("timestamp,arbitration_id,data_field,attack", "0.1,1A2,0A1B,0", "0a1b"),
     (VEHICLE_SPY.format("Arb ID,Remote,Xtd," + ",".join(f"B{k}" for k in range(1, 10))).strip(),
      "1,0.1,0.1,6,F,F,,HS CAN,,1A2,F,F,0A,02,03,04,05,06,07,08,09,3C,,", "0a0203040506070809")])
 def test_bytes_of_csv_logs(tmp_path: Path, header: str, row: str, data: str) -> None:
@@ -302,6 +308,12 @@ def test_bytes_of_csv_logs(tmp_path: Path, header: str, row: str, data: str) -> 
     frames = read_can_logs([tmp_path / "log.csv"]).frames
     assert bytes(frames.payload[0, :frames.length[0]]).hex() == data
     assert frames.id[0] in (0x1A2, 0x18FEF100 | EXTENDED)
+
+
+def test_channels_of_kvaser_are_buses(tmp_path: Path) -> None:
+    rows = [f"0.{k},{k},1A2,,2,0A,1B,{k}\n" for k in (1, 2)]
+    (tmp_path / "log.csv").write_text("Time,Channel,ID,Flags,DLC,Data0,Data1,Counter\n" + "".join(rows))
+    assert read_can_logs([tmp_path / "log.csv"]).frames.bus.tolist() == [1, 2]
 
 
 def test_networks_of_vehicle_spy(tmp_path: Path) -> None:

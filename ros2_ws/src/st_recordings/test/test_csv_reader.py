@@ -46,6 +46,13 @@ def test_real_drive() -> None:
     assert np.abs(log.road_wheel_angle).max() == pytest.approx(0.21, abs=0.005)
 
 
+@pytest.mark.parametrize(("text", "encoding"), [
+    ("时间 (s)", "gbk"), ("Größe [°/s²]", "cp1252"), ("Zeit äöü", "utf-8"), ("Temp µ°C", "cp1252"), ("时间", "utf-16")])
+def test_encoding_of_a_text_is_found(tmp_path: Path, text: str, encoding: str) -> None:
+    (tmp_path / "a.csv").write_bytes(f"t,{text}\n".encode(encoding))
+    assert read_text(tmp_path / "a.csv") == f"t,{text}\n"
+
+
 @pytest.mark.parametrize("length", [0.0, 0.5, 1.0, 3.0])
 def test_yaw_of_quaternions_does_not_depend_on_their_length(length: float) -> None:
     rotations = Rotation.from_euler("ZYX", [[0.8, 0.1, -0.2], [-3.0, -0.3, 0.1]])

@@ -331,6 +331,8 @@ TABLES = [
     Table("header_ends_with_delimiter.csv", lambda log: csv(rows(log), header() + ",")),
     Table("labview.lvm", lambda log: "LabVIEW Measurement\t\nDelta_X\t0.02\n***End_of_Header***\t\n" + csv(
         rows(log), "\t".join(["X_Value", *NAMES[1:], "Comment"]), "\t"), "the header is in line 4"),
+    Table("gbk.csv", lambda log: "# 采集车辆\n" + csv([[*row, "直线"] for row in rows(log)], header() + ",备注"),
+          "the header is in line 2", "gbk"),
     Table("time_utc.csv", lambda log: csv(rows(log), header(t="time_utc"))),
     Table("date_time.txt", lambda log: with_times(log, lambda s: f"2026-05-04 {clock(NOON + s)}").replace(
         "t,", "Date Time,", 1)),

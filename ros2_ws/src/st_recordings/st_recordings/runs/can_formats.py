@@ -22,7 +22,7 @@ from oxts_bridge.file_decoder import CAPTURE_MAGIC
 from .binary_table import is_signal_table
 from .columns import MOTION_CHANNELS, Layout, find_columns, find_times
 from .csv_table import split_row
-from .errors import COMPRESSED_MAGIC, CP1252_FALLBACK, RunError, find_utf16, format_count, shorten
+from .errors import COMPRESSED_MAGIC, CP1252_FALLBACK, RunError, find_codec, format_count, shorten
 from .frames import MAX_EXTENDED_ID, MAX_STANDARD_ID
 from .mf4 import FD_LENGTHS, MF4_EXTENSIONS, VENDOR_EXTENSIONS, is_mdf
 from .table_times import DAY, PLAUSIBLE_EPOCH, ROLLOVER_STEP, month_number, parse_stamp
@@ -33,7 +33,6 @@ _BLF_PADDING = 3  # bytes; largest padding after a container, which the format a
 _ASC_DATE_LINE = re.compile(r"(?i)^(date|begin\s+triggerblock)\s+\S+\s+(\S+)(.*)")
 _TABLE_EXTENSIONS = (".csv", ".txt")
 LINE_FORMAT = "candump, BUSMASTER, CRTD, CL2000, Kvaser or ZLG"  # formats with one frame per line, parsed by _LINES
-ZLG_EXTENDED, ZLG_SENT = ("扩展帧", "à©õ¹ö¡"), ("发", "·")  # in Unicode, and in GBK that was read as Windows-1252
 _LINES = (
     # candump -l: "(1436509052.249713) can0 044#2A36", with CAN FD "044##12A36", direction "044#2A36 T"
     re.compile(r"\s*\((?P<time>\S+)\)\s+(?P<bus>\S+)\s+(?P<id>[0-9A-Fa-f]+)#(?P<fd>#[0-9A-Fa-f])?"
@@ -58,11 +57,15 @@ _LINES = (
     # CanKing with hexadecimal numbers: " 0    0000014B         1  00                                1675.570498 T"
     re.compile(r"\s*(?P<index>\d+) +(?P<id>[01][0-9A-F]{7}) +(?P<kind>X?R?) +(?P<length>\d+)  "
                r"(?P<data>(?:[0-9A-F]{2} +)*) *(?P<time>\d+\.\d+) (?P<direction>[RT])\s*$"),
+    # python-can: "Timestamp: 1436509052.249713    ID:      044    S Rx                DL:  2    2A 36", and HCRL data
+    re.compile(r"Timestamp: +(?P<time>\d+\.\d+) +ID: +(?P<id>[0-9A-Fa-f]+) +(?:(?P<kind>[SX]) (?P<direction>[RT]x)"
+               r"[ FBSI]*|\d+) +DLC?: +(?P<length>\d+)(?P<data>(?: +[0-9A-Fa-f]{2}\b)*)(?: +'.*')?"
+               r"(?: +Channel: (?P<bus>\S+))?\s*$"),
     # CANTest of ZLG: '007,="12:04:59.533",0x592897,ch1,接收,0x0009001C,数据帧,扩展帧,0x08,x| 05 C3', in units of 0.1 ms
     re.compile(r'\d+,="[\d:.]+"?,(?P<time>0x[0-9A-Fa-f]+|\d+\.\d+),ch(?P<bus>\d+),(?:(?P<direction>[^,0]+),)?'
                r'0x(?P<id>[0-9A-Fa-f]+),[^,]*,(?P<kind>[^,]+),(?:CAN\w*,)?\w+,x\|(?P<data>(?: [0-9A-Fa-f]{2})*)\s*$'))
-_COMMENT = re.compile(r"[#\t]|[^\x00-\x7f]{2}|.*(ERRORFRAME|ERROR FRAME +\d+)\s*$|\*\*\*|\d+\.\d+ \d*C[A-Z]{2} |"
-                      r"\s*([A-Z][a-z]|CAN |\w+: |\)|=|[\d.]+ +Trigger)")
+_COMMENT = re.compile(r"(?!Timestamp: (?!.*[RT]x E))([#\t]|[^\x00-\x7f]{2}|.*(ERRORFRAME|ERROR FRAME +\d+)\s*$|\*\*\*|"
+                      r"\d+\.\d+ \d*C[A-Z]{2} |\s*([A-Z][a-z]|CAN |\w+: |\)|=|[\d.]+ +Trigger))")
 """Lines without data: explanations (candump -e, cantools decode), headers of BUSMASTER and Kvaser, comments."""
 _ERROR_FLAG = 1 << 29  # bit of the identifier that marks an error frame
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # colour codes of candump -c
@@ -75,10 +78,10 @@ _ASC_STAMP = re.compile(r"\s*(\d+)[.,](\d+)\s+")
 _ASC_FRAME = re.compile(r"(?i)(?:(\d+)\s+(?=\w+\s+[TR]x|ErrorFrame)|CANFD\s+)(.*)", re.ASCII)
 # Columns of the CSV logs of python-can, mdf2csv (CSS Electronics), SavvyCAN (GVRET), Vehicle Spy, IXXAT and Cabana
 _CSV_COLUMNS = {
-    "time": ("timestampepoch", "timestamp", "timestamps", "time", "times", "abstimesec", "timeabs"),
-    "id": ("arbitrationid", "id", "idhex", "iddec", "canid", "identifier", "arbid", "identifierhex", "addr"),
-    "length": ("datalength", "len", "length", "dlc"),
-    "data": ("databytes", "data", "datahex", "payload", "d0", "d1", "data0", "data1", "byte0", "byte1", "b0", "b1")}
+    "time": "timestampepoch timestamp timestamps time times abstimesec timeabs",
+    "id": "arbitrationid id idhex iddec canid identifier arbid identifierhex addr messageid",
+    "length": "datalength len length dlc messagelength",
+    "data": "databytes data datahex datafield message payload d0 d1 data0 data1 byte0 byte1 b0 b1"}
 _HEXADECIMAL_IDS, _DECIMAL_IDS = ("idhex", "identifierhex", "arbid"), ("iddec", "addr")  # names that imply the base
 _EXTENDED_COLUMNS = ("extended", "ide", "xtd", "format")
 _FURTHER_HEADER = re.compile(r'[^\d"]*Line,')  # further header of Vehicle Spy, for frames with other columns
@@ -94,15 +97,13 @@ MIN_FRAME_DURATION = 40.0  # us; every frame takes longer at 1 Mbit/s
 
 
 class Lines(io.TextIOWrapper):
-    """The lines of a text log in UTF-8, UTF-16 or Windows-1252. number: number of the last line read, from 1."""
+    """The lines of a text log in UTF-8, UTF-16, GBK or Windows-1252. number: number of the last line read, from 1."""
 
     def __init__(self, file: Path):
         self.file, self.number = file, 0
         stream = io.BufferedReader(io.FileIO(file), 1 << 16)
-        head = stream.peek()
         # Comments and dates may contain Windows-1252 characters, even after the first 64 KiB.
-        is_utf8 = head.startswith(head.decode("utf-8", "ignore").encode())
-        super().__init__(stream, find_utf16(head) or ("utf-8-sig" if is_utf8 else "cp1252"), CP1252_FALLBACK)
+        super().__init__(stream, find_codec(stream.peek()), CP1252_FALLBACK)
 
     def __next__(self) -> str:  # type: ignore[override]
         line = io.TextIOWrapper.__next__(self)  # faster than super()
@@ -190,8 +191,8 @@ def _make_line_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
             int(bus) - (kind != "-") if bus.isdigit() else bus or "can0")
         return make_message(
             timestamp=seconds, arbitration_id=identifier, is_remote_frame=is_remote, channel=channel,
-            is_extended_id=len(digits) > 3 or kind in ("x", "xr", "29", "1", "9", *ZLG_EXTENDED),
-            is_rx=cells["direction"][:1] not in ("T", "t", *ZLG_SENT) and kind not in ("8", "9"),
+            is_extended_id=len(digits) > 3 or kind in ("x", "xr", "29", "1", "9", "扩展帧"),
+            is_rx=cells["direction"][:1] not in ("T", "t", "发") and kind not in ("8", "9"),
             is_fd=bool(cells["fd"]) or len(cells["length"]) > 1 or len(octets) > 8,  # two digits for CAN FD
             data=octets[::-1] if "`" in cells["data"] else octets)  # candump -S prints the last byte first
 
@@ -279,7 +280,7 @@ def _split_csv_header(line: str) -> tuple[list[str], str, dict[str, int]]:
     delimiter = next((mark for mark in ";\t" if mark in line), ",")
     cells = split_row(line, delimiter)
     names = [normalise(name) for name in cells]
-    found = {role: next((name for name in known if name in names), None) for role, known in _CSV_COLUMNS.items()}
+    found = {role: next(filter(names.__contains__, known.split()), None) for role, known in _CSV_COLUMNS.items()}
     roles = {role: names.index(name) for role, name in found.items() if name}
     if "time" not in roles and (times := find_times(cells)):  # with a unit in its name
         roles["time"] = times[0].column
@@ -289,7 +290,7 @@ def _split_csv_header(line: str) -> tuple[list[str], str, dict[str, int]]:
 def _is_csv_header(line: str) -> bool:
     """Whether a line is the header of a CAN log in CSV. Without a length, another name must be typical of a CAN log."""
     names, _, roles = _split_csv_header(line)
-    is_typical = "length" in roles or not {"addr", "datahex", "b0", "b1"}.isdisjoint(names)
+    is_typical = "length" in roles or not {"addr", "datahex", "datafield", "b0", "b1"}.isdisjoint(names)
     return (is_typical and roles.keys() >= {"time", "id", "data"}
             and MOTION_CHANNELS.isdisjoint(find_columns(Path(), names, Layout())))
 
@@ -320,7 +321,7 @@ def _make_csv_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
         identifier, is_extended = int(row[roles["id"]], id_base or 16), _read_flag(cells, *_EXTENDED_COLUMNS)
         if identifier > MAX_STANDARD_ID and (is_extended is False or ("xtd" in cells and not is_extended)):
             raise ValueError(f"standard identifier {identifier:x}")  # a fault, or a row of J1939, whose columns differ
-        bus = cells.get("bus") or cells.get("buschannel") or cells.get("network", "")
+        bus = cells.get("bus") or cells.get("buschannel") or cells.get("channel") or cells.get("network", "")
         time = row[roles["time"]]
         stamp = parse_stamp(time) if ":" in time else None
         return make_message(
@@ -329,7 +330,7 @@ def _make_csv_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
             is_extended_id=identifier > MAX_STANDARD_ID if is_extended is None else is_extended,
             is_remote_frame=_read_flag(cells, "remote", "rtr"), is_error_frame=_read_flag(cells, "error", "er"),
             is_rx=not _read_flag(cells, "dir", "tx"),
-            channel=int(bus) - ("buschannel" in cells) if bus.isdigit() else (
+            channel=int(bus) - ("bus" not in cells) if bus.isdigit() else (
                 networks.setdefault(bus, len(networks)) if bus else None))
 
     return parse
@@ -498,8 +499,8 @@ def read_head(file: Path) -> bytes:
     """First bytes of a file; those of a text in UTF-16 are converted to UTF-8. Raises OSError."""
     with file.open("rb") as stream:
         head = stream.read(4096)
-    codec = find_utf16(head)
-    return head.decode(codec, "ignore").encode() if codec else head
+    codec = find_codec(head)
+    return head.decode(codec, "ignore").encode() if codec.startswith("utf-16") else head
 
 
 def check_format(file: Path, head: bytes) -> None:

@@ -3,6 +3,7 @@
 import csv
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -14,7 +15,7 @@ from st_core.sideslip import derive_yaw_rate
 from . import columns as column_names
 from .binary_table import BINARY_EXTENSIONS, is_signal_table, read_binary_table, read_names, read_signals
 from .columns import COLUMNS, ColumnSource, Layout, find_columns, find_stamp_columns
-from .errors import CP1252_FALLBACK, RunError, check_readable, find_utf16, format_count, shorten
+from .errors import CP1252_FALLBACK, RunError, check_readable, find_codec, format_count, shorten
 from .table_times import convert_to_seconds, parse_stamp, read_stamps, select_usable_times
 
 MAX_TIME_ROWS = 500  # rows in which distinct times are counted, to find the time column with the highest resolution
@@ -56,7 +57,7 @@ class Table:
 
 
 def read_text(file: Path, size: int = -1) -> str:
-    """Reads text in UTF-8, UTF-16 or Windows-1252. Line ends become \\n, or a space within a quoted cell. A row
+    """Reads text in UTF-8, UTF-16, GBK or Windows-1252. Line ends become \\n, or a space within a quoted cell. A row
     exported as one quoted cell is split into its cells.
 
     size: number of bytes to read; -1: all (RunError for a binary file).
@@ -73,15 +74,12 @@ def read_text(file: Path, size: int = -1) -> str:
 def _decode(file: Path, size: int) -> str:
     with file.open("rb") as stream:
         content = stream.read(size)
-    if codec := find_utf16(content):
-        return content.decode(codec, "replace")
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        head = content[:4096]
-        if size < 0 and (b"\0" in head or sum(byte > 0x7F for byte in head) > 0.3 * len(head)):
-            raise RunError(file, "this is not a text file", "correct its extension, or export it as .csv") from None
-        return content.decode("utf-8-sig", CP1252_FALLBACK)
+    head, codec = content[:4096], find_codec(content[:4096])
+    with suppress(UnicodeDecodeError):
+        return content.decode(codec)
+    if size < 0 and codec == "utf-8-sig" and (b"\0" in head or sum(byte > 0x7F for byte in head) > 0.3 * len(head)):
+        raise RunError(file, "this is not a text file", "correct its extension, or export it as .csv")
+    return content.decode(codec, CP1252_FALLBACK)
 
 
 def read_header(file: Path) -> list[str]:

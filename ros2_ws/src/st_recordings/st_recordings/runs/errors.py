@@ -15,6 +15,7 @@ CP1252_FALLBACK = "single_track_cp1252"
 """Name of an error handler that decodes Windows-1252 bytes in a text that is otherwise UTF-8."""
 codecs.register_error(CP1252_FALLBACK, lambda error: (
     error.object[error.start:error.end].decode("cp1252", "replace"), error.end))  # type: ignore[attr-defined]
+_COMMON_CHINESE = re.compile(rb"[\xa1-\xa3\xb0-\xd7](?:[\xa1-\xfe]|\Z)")  # punctuation and first level of GB 2312
 _LOGGER = logging.getLogger("st_recordings")
 _logged_warnings: set[str] = set()
 MAX_SIMILAR_WARNINGS = 3  # number of similar warnings that are logged in full while warnings are grouped
@@ -22,13 +23,18 @@ MAX_SIMILAR_WARNINGS = 3  # number of similar warnings that are logged in full w
 _groups: ContextVar[dict[str, list[str]] | None] = ContextVar("_groups", default=None)
 
 
-def find_utf16(content: bytes) -> str | None:
-    """Codec of a text in UTF-16, with or without a byte order mark; None for other content."""
-    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+def find_codec(head: bytes) -> str:
+    """Codec of a text by its first bytes: UTF-16, with or without a byte order mark, GBK if they are not UTF-8 and all
+    others than ASCII are common Chinese characters (at least two), else UTF-8, to be decoded with CP1252_FALLBACK."""
+    if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return "utf-16"
-    is_zero = [not any(content[start:200:2]) for start in (0, 1)]
-    is_text = [len(content) > 1 and all(content[start:200:2]) for start in (0, 1)]
-    return "utf-16-le" if is_text[0] and is_zero[1] else "utf-16-be" if is_zero[0] and is_text[1] else None
+    is_zero = [not any(head[start:200:2]) for start in (0, 1)]
+    is_text = [len(head) > 1 and all(head[start:200:2]) for start in (0, 1)]
+    if (is_text[0] and is_zero[1]) or (is_text[1] and is_zero[0]):
+        return "utf-16-le" if is_zero[1] else "utf-16-be"
+    is_utf8 = head.startswith(head.decode("utf-8", "ignore").encode())
+    is_chinese = len({*_COMMON_CHINESE.findall(head)}) > 1 and _COMMON_CHINESE.sub(b"", head).isascii()
+    return "gb18030" if is_chinese and not is_utf8 else "utf-8-sig"
 
 
 class RunError(ValueError):
