@@ -7,7 +7,7 @@ import pytest
 from driven import SILENT, Sensors, drive, steps, straight, weave, with_stiffness
 from st_core.augmented import augment
 from st_core.identification.axle_forces import identify_stiffness
-from st_core.identification.driving_fit import MISALIGNMENT
+from st_core.identification.driving_fit import MISALIGNMENT, fit_driving
 from st_core.identification.driving_prediction import (
     STIFFNESSES,
     fit_stiffness,
@@ -173,6 +173,30 @@ def test_tyre_relaxation_does_not_bias_yaw_inertia(leaf):
     assert inertia.interval95[0] < leaf.yaw_inertia < inertia.interval95[1]
     assert inertia.standard_uncertainty > 0.005 * leaf.yaw_inertia
     assert any(warning.startswith("Also fitted: tyre_relaxation 0.") for warning in found.warnings)
+
+
+def test_wrong_steering_ratio_does_not_bias_yaw_inertia(leaf):
+    logs = [drive(leaf, speed, steps(angle), 30.0, seed=8) for speed, angle in ((7.0, 0.06), (16.0, 0.025))]
+    wrong = replace(leaf, steering_ratio=0.92 * leaf.steering_ratio)
+    found = identify_yaw_inertia([log.with_steering(wrong) for log in logs], wrong, "linear")
+    inertia = found["yaw_inertia"]
+    assert inertia.interval95[0] < leaf.yaw_inertia < inertia.interval95[1]
+    assert inertia.value == pytest.approx(leaf.yaw_inertia, rel=0.03)
+    assert "trailer" in inertia.verdict and inertia.standard_uncertainty > 0.05 * inertia.value
+
+
+def test_relaxation_at_its_limit_makes_yaw_inertia_unidentifiable(leaf, monkeypatch):
+    """As of a car with a trailer; no relaxation at all, the lower limit, is usual."""
+    logs = [drive(leaf, speed, steps(angle), 30.0, seed=8) for speed, angle in ((9.0, 0.05), (14.0, 0.03))]
+    for length, status in ((0.0, "identified"), (1.5, "unidentifiable")):
+        def fit_at_bound(*args, length=length):
+            fit = fit_driving(*args)
+            values = np.where(np.array(fit.names) == "tyre_relaxation", length, fit.values)
+            return replace(fit, values=values, at_bound=("tyre_relaxation",))
+        monkeypatch.setattr("st_core.identification.driving_prediction.fit_driving", fit_at_bound)
+        inertia = identify_yaw_inertia(logs, leaf, "linear")["yaw_inertia"]
+        assert inertia.status == status
+        assert ("tyre_relaxation 1.5 m is at its limit" in inertia.verdict) == (length > 0.0)
 
 
 @pytest.mark.parametrize("measured", [True, False])

@@ -16,10 +16,11 @@ Yaw inertia, from transients:
 
     I_z r_dot = l_f F_f cos(delta) - l_r F_r
 
-Like inertia, steering dynamics, wrong time stamps and tyre relaxation delay the response, and roll of the body shifts
-the phase of the lateral velocity of the INS. Therefore dead time, relaxation length and this roll are also fitted. The
-delay from an angle to its time stamp, at most one sampling interval T, differs between the N drives. This adds the
-standard uncertainty T / sqrt(12 N) to their common dead time, and thereby increases that of the inertia.
+Like inertia, steering dynamics, wrong time stamps and tyre relaxation delay the response, roll of the body shifts the
+phase of the lateral velocity of the INS, and a wrong steering ratio acts differently at each speed. Therefore dead
+time, relaxation length, this roll and the ratio are also fitted. The delay from an angle to its time stamp, at most one
+sampling interval T, differs between the N drives. This adds the standard uncertainty T / sqrt(12 N) to their common
+dead time, and thereby increases that of the inertia.
 Checked by: test_identification_driving.py.
 """
 
@@ -62,6 +63,7 @@ YAW_ACCELERATION_EDGES = np.array([-10.0, -0.3, -0.1, 0.1, 0.3, 10.0])  # rad/s^
 SYSTEMATIC_ERRORS = (np.deg2rad(0.05), 0.005, 0.03)
 """Standard uncertainty of steering offset [rad], steering ratio and common scale of the stiffnesses (both relative) due
 to the single-track model: the largest errors on the simulated Leaf."""
+INERTIA_ERROR = 0.05  # as these, relative, of the yaw inertia: 19 cars (docs/measurements/discovery_limits.md)
 SINGLE_TRACK_ERROR = 0.64
 """Relative standard uncertainty of a stiffness due to the single-track assumption, divided by (L / R)^2. On the Leaf
 simulated without noise, the rear stiffness is too small by 4.6 m^2 / R^2, 1.1 % at R = 20 m and 0.1 % at 60 m."""
@@ -137,12 +139,10 @@ def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     unusable drives and too little excitation, such as a single speed."""
     result = fit_stiffness(logs, vehicle, base, additional=(RATIO, OFFSET),
                            nuisance=(*NUISANCE_PARAMETERS, DELAY, RELAXATION))
-    names = [estimate.parameter for estimate in result.estimates]
-    order = [names.index(name) for name in (RATIO, OFFSET, *STIFFNESSES)]
-    correlation = result.correlation[order][:, order] if result.correlation is not None else None
-    ratio, *others = (result.estimates[i] for i in order)
-    ratio = replace(ratio, verdict=f"{ratio.verdict} Other possible causes: {get_effect(RATIO).imitated_by}.")
-    return replace(result, experiment="steering", estimates=(ratio, *others), correlation=correlation)
+    assert result.correlation is not None
+    order = [2, 3, 0, 1]  # ratio and offset first
+    return replace(result, experiment="steering", estimates=tuple(result.estimates[i] for i in order),
+                   correlation=result.correlation[np.ix_(order, order)])
 
 
 def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
@@ -159,7 +159,7 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                                  [run.time for run in runs], 0.5, 5))
     require_coverage(coverage, "Steady cornering is not enough: drive step steers, lane changes or a sine sweep.")
     roll = (ROLL,) if all(CHANNELS["velocity_y"].is_measured_in(log) for log in logs) else ()
-    names = ("yaw_inertia", *STIFFNESSES, DELAY, RELAXATION, *roll, *NUISANCE_PARAMETERS)
+    names = ("yaw_inertia", *STIFFNESSES, DELAY, RELAXATION, *roll, RATIO, *NUISANCE_PARAMETERS)
     fit = fit_driving(logs, vehicle, names, base, settings)
     # Uncertainty of the dead time, propagated to the inertia; see the module docstring.
     interval = float(np.median(np.concatenate([np.diff(log.steering_time_ns) for log in logs]))) * NANOSECOND
@@ -177,6 +177,8 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     inertia = VEHICLE_QUANTITIES["yaw_inertia"].clip(estimate.value)
     implausible = [text for text in find_implausible_values(replace(vehicle, yaw_inertia=inertia))
                    if text.startswith("yaw_inertia")]
+    if RELAXATION in fit.at_bound and (length := fit.values[fit.names.index(RELAXATION)]) > 1.0:  # m; not the lower one
+        implausible.append(f"{RELAXATION} {length:.2g} m is at its limit")
     if implausible:
         text = f"{implausible[0]}: the transients are too weak, or steering or tyre dynamics are mistaken for inertia."
         warnings.append(text)
@@ -198,7 +200,7 @@ def _make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivi
     spread = fit.spread
     relative_error = SINGLE_TRACK_ERROR * vehicle.wheelbase**2 * fit.mean_squared_curvature
     offset_error, ratio_error, _ = SYSTEMATIC_ERRORS
-    relative_errors = dict.fromkeys(STIFFNESSES, relative_error) | {RATIO: ratio_error}
+    relative_errors = dict.fromkeys(STIFFNESSES, relative_error) | {RATIO: ratio_error, "yaw_inertia": INERTIA_ERROR}
     added_uncertainty = [math.hypot(systematic_uncertainty.get(n, 0.0), known_uncertainty.get(n, 0.0),
                                     offset_error if n == OFFSET else relative_errors.get(n, 0.0) * v)
                          for n, v in zip(fit.names, fit.values, strict=True)]
@@ -218,8 +220,8 @@ def _make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivi
         for i in indices)
     rejected = [(name, f"{total - used} of {total} predictions (speed below the minimum, lateral acceleration above "
                  "the limit, or gaps)") for name, (used, total) in fit.window_counts.items() if used < total]
-    others = [f"Also fitted: {n} {fit.values[i]:.4g} {QUANTITIES[n].unit}, standard uncertainty {uncertainty[i]:.2g}."
-              for i, n in enumerate(fit.names) if n not in reported]
+    others = [f"Also fitted: {n} {fit.values[i]:.4g}{f' {QUANTITIES[n].unit}'.removesuffix(' 1')}, standard "
+              f"uncertainty {uncertainty[i]:.2g}." for i, n in enumerate(fit.names) if n not in reported]
     others.append(f"mass {vehicle.mass:.5g} kg and cg_to_front_axle {vehicle.cg_to_front_axle:.4g} m of the vehicle "
                   "file are assumed exact: drives determine only stiffness over axle load, and yaw inertia over mass.")
     if RATIO not in fit.names:
@@ -241,9 +243,10 @@ def _grade_estimate(fit: DrivingFit, index: int, uncertainty: float) -> tuple[st
     if not QUANTITIES[name].relative:
         return (f"{value:.4g} {QUANTITIES[name].unit}, standard uncertainty {uncertainty:.2g}, from {basis}.",
                 "identified" if uncertainty < QUANTITIES[name].max_uncertainty else "doubtful")
-    relative = uncertainty / abs(value)
+    relative, causes = uncertainty / abs(value), get_effect(QUANTITIES[name].effect).imitated_by
     grade, status = next((grade, status) for limit, grade, status in UNCERTAINTY_GRADES if not relative > limit)
-    return f"{grade}: standard uncertainty {100.0 * relative:.1f} %, from {basis}.", status
+    return (f"{grade}: standard uncertainty {100.0 * relative:.1f} %, from {basis}."
+            + f" Other possible causes: {causes}." * bool(causes), status)
 
 
 def describe_model(base: str | Model) -> str:
