@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..channels import CHANNEL_OF_COLUMN, CHANNELS
+from ..channels import CHANNELS
 from ..effects import TOTAL_DELAY, get_effect
 from ..errors import StCoreError
 from ..handling import find_implausible_values
@@ -439,15 +439,13 @@ class _Analysis:
                                                "not recorded") for n in self.space.without_signal]
         return (*untestable, *(result.UntestableEffect(name, reason) for name, reason in NEVER_TESTABLE.items()))
 
-    @staticmethod
-    def _channel_noise(column_noise: Mapping[str, float]) -> dict[str, float]:
+    def _channel_noise(self, column_noise: Mapping[str, float]) -> dict[str, float]:
         """Noise of each channel at the end of the horizon [SI], and mean position error due to noise alone [m]."""
-        noise: dict[str, float] = {}
-        for column, value in column_noise.items():
-            channel = CHANNEL_OF_COLUMN[column].name if column in CHANNEL_OF_COLUMN else column
-            noise[channel] = float(np.hypot(noise.get(channel, 0.0), value))
+        noise = {channel.name: float(np.hypot.reduce([column_noise[column] for column in channel.columns]))
+                 for channel in self.windows.channels}
         if "position" in noise:  # mean of a Rayleigh distribution
-            noise["position_5s"] = max(noise.get("position_5s", 0.0), noise["position"] * float(np.sqrt(np.pi) / 2.0))
+            rayleigh_mean = noise["position"] * float(np.sqrt(np.pi) / 2.0)
+            noise["position_5s"] = max(column_noise.get("position_5s", 0.0), rayleigh_mean)
         return noise
 
     def _locate_errors(self, fit: Fit, channel_noise: Mapping[str, float]) -> tuple[result.LargeErrorRegion, ...]:

@@ -329,8 +329,8 @@ class JointFit:
 
 
 def approximate_joint_fit(problem: Problem, fit: Fit) -> JointFit:
-    """Quadratic approximation of `fit`, extended by every other effect that does not overlap it, with a prior
-    standard deviation of UNSELECTED_DEVIATION, and with the uncertainties of the vehicle file as priors.
+    """Quadratic approximation of `fit`, extended by all other effects except composites and overlapping ones. Their
+    priors are the uncertainties of the vehicle file, and UNSELECTED_DEVIATION for loads and where it has none.
 
         covariance = (D / 2) (H + K)^-1,   H, K: curvature of the loss and of the priors,   D: design effect
 

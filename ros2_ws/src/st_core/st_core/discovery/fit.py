@@ -170,7 +170,7 @@ class Problem:
 
     def update_design_effect(self, vector: np.ndarray) -> None:
         """Estimate the design effect from the residuals at a vector: variance of the scores between blocks, or between
-        runs if larger, divided by the variance for independent residuals; median over all parameters, at least 1.
+        runs if larger, divided by the variance for independent residuals; median of the parameters, at least 1.
 
             D = 2 n var(g_k) / H,   g_k: half the gradient of the loss in part k of n, H: half its second derivative
 

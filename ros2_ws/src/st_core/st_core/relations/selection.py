@@ -33,7 +33,7 @@ class ScreenedCandidate:
     information: np.ndarray  # (SPLINES, SPLINES) for the coefficients, with the other parameters projected out
 
     def compute_detection_limit(self, p_value: float, blocks: int) -> float:
-        """Largest value, within the range, of the smallest linear relation that reaches `p_value` [unit of the curve].
+        """Largest magnitude in the range of the smallest linear relation that reaches `p_value` [unit of the curve].
         blocks: number of blocks of the drives."""
         c = self.candidate
         points = np.linspace(c.low, c.high, POINTS)
