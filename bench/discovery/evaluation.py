@@ -4,7 +4,7 @@ contributions to the error by kind of effect."""
 from typing import Any
 
 import numpy as np
-from st_core.discovery.result import PARTS, Discovery
+from st_core.discovery.result import BUDGET_PARTS, Discovery
 from st_core.effects import get_effect
 
 from .._cases import Record
@@ -79,7 +79,7 @@ def _shares(held_out: HeldOutErrors, oracle: Oracle, names: set[str]) -> Record:
     decrease with them alone."""
     base, best = held_out.position(oracle.base), held_out.position(oracle.best)
     shares = {}
-    for part in PARTS[:4]:
+    for part in BUDGET_PARTS[:4]:
         effects = [n for n in names if get_effect(n).kind == part]
         if effects:
             shares[part] = [(held_out.position(oracle.without(effects)) - best) / base,

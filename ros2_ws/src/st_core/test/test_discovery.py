@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from discovery_drives import linear_problem, recorded
-from st_core.discovery import OUTCOMES, PARTS, DiscoverySettings, Limits, discover
+from st_core.discovery import BUDGET_PARTS, OUTCOMES, DiscoverySettings, Limits, discover
 from st_core.discovery.decision import judge_necessity, list_alternatives
 from st_core.discovery.discover import fit_effects
 from st_core.discovery.evidence import Evidence
@@ -394,7 +394,7 @@ def test_result_is_reproducible_and_json_serialisable(leaf, offset_runs, offset_
     first, second = (found.document() for found in (result, discover(offset_runs, leaf, settings=FEW)))
     assert json.dumps(first) == json.dumps(second)
     assert json.loads(json.dumps(first)) == first
-    assert first["outcome"] in OUTCOMES and {line["part"] for line in first["budget"]} <= set(PARTS)
+    assert first["outcome"] in OUTCOMES and {line["part"] for line in first["budget"]} <= set(BUDGET_PARTS)
     assert first["effects"][0]["parameters"]["angle"]["unit"] == "rad"
     assert [r["name"] for r in first["runs"]] == ["lane_change 1", "slalom 2", "circle 3"]
     assert first["reasons"][0]["subject"] == "outcome" and first["reasons"][0]["rule"] == first["outcome"]

@@ -2,8 +2,8 @@
 
 from ..channels import CHANNELS
 from .discover import Progress, discover, fit_effects
-from .result import OUTCOMES, PARTS, Discovery, Outcome
+from .result import BUDGET_PARTS, OUTCOMES, Discovery, Outcome
 from .settings import DiscoverySettings, Limits
 
-__all__ = ["CHANNELS", "OUTCOMES", "PARTS", "Discovery", "DiscoverySettings", "Limits", "Outcome", "Progress",
+__all__ = ["BUDGET_PARTS", "CHANNELS", "OUTCOMES", "Discovery", "DiscoverySettings", "Limits", "Outcome", "Progress",
            "discover", "fit_effects"]

@@ -17,7 +17,7 @@ OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
 # Ratio of the half-widths of intervals at significance levels `false_alarm` and 5 %, for a normal distribution.
 FALSE_ALARM_WIDENING = float(stats.norm.isf(0.5 * Limits().false_alarm) / stats.norm.isf(0.025))
 EFFECTIVE_CORRECTIONS = "effective corrections"
-PARTS = (*EFFECT_KINDS, EFFECTIVE_CORRECTIONS, "place or time", "unexplained")
+BUDGET_PARTS = (*EFFECT_KINDS, EFFECTIVE_CORRECTIONS, "place or time", "unexplained")
 """Kinds of cause to which the baseline error is attributed (`BudgetLine`)."""
 Interval = tuple[float, float]
 MODEL_FIELDS = ("base", "model", "named")  # fields of `Discovery` that are models and not part of discovery.json
@@ -154,7 +154,7 @@ class CandidateEffect:
 
 @dataclass(frozen=True)
 class BudgetLine:
-    """Contribution of one of PARTS to the error, when it is added last or first; "unexplained": the remaining error."""
+    """Reduction of the error by one of BUDGET_PARTS, added last or first; for "unexplained", the remaining error."""
 
     part: str
     added_last: float  # reduction of the held-out mean position error after 5 s [m]

@@ -12,7 +12,7 @@ from ..regression import Z95, random_effects
 from .evidence import JointFit, compare_parts, standard_deviations
 from .fit import DIVERGED_ERROR, Fit, Problem
 from .partitions import Partition
-from .result import PARTS, BudgetLine, Change, ChannelError, FittedParameter, Step
+from .result import BUDGET_PARTS, BudgetLine, Change, ChannelError, FittedParameter, Step
 
 BOOTSTRAP_SAMPLES = 400  # of whole blocks, for 95 % intervals
 
@@ -189,9 +189,9 @@ def build_budget(problem: Problem, base: Fit, final: Fit, corrected: Fit, varyin
         error_alone = measure(refit(effects)) if others else end
         lines.append(make_line(part, error_without - end, start - error_alone))
     extended_fits = (corrected if corrected is not final else None, varying)
-    for part, fit in zip(PARTS[len(EFFECT_KINDS):], extended_fits, strict=False):
+    for part, fit in zip(BUDGET_PARTS[len(EFFECT_KINDS):], extended_fits, strict=False):
         if fit is not None:
             reduction = np.maximum(end - measure(fit), 0.0)
             lines.append(make_line(part, reduction, reduction))
             end = end - reduction
-    return [*lines, make_line(PARTS[-1], end, end)]
+    return [*lines, make_line(BUDGET_PARTS[-1], end, end)]

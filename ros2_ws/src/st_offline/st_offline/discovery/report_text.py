@@ -8,7 +8,7 @@ from st_core.checks import Finding, Severity
 from st_core.discovery import result
 from st_core.discovery.decision import FILE, FORCES, IMPLAUSIBLE, MINOR, PARTITION_NAMES
 from st_core.discovery.next_manoeuvre import MIN_SEPARATION
-from st_core.discovery.result import PARTS, Discovery
+from st_core.discovery.result import BUDGET_PARTS, Discovery
 from st_core.discovery.settings import Limits
 from st_core.effects import EFFECTS, get_effect
 from st_core.regression import Z95
@@ -269,9 +269,9 @@ def describe_detectable(discovery: Discovery) -> str:
 
 
 def rank_by_kind(name: str) -> tuple[bool, int]:
-    """Sort key of an effect: vehicle parameters first, then in the order of PARTS."""
+    """Sort key of an effect: vehicle parameters first, then in the order of BUDGET_PARTS."""
     kind = EFFECTS[name].kind if name in EFFECTS else ""
-    return kind != "vehicle parameters", PARTS.index(kind) if kind in PARTS else len(PARTS)
+    return kind != "vehicle parameters", BUDGET_PARTS.index(kind) if kind in BUDGET_PARTS else len(BUDGET_PARTS)
 
 
 def describe_next_drive(discovery: Discovery) -> str:
