@@ -21,9 +21,9 @@ Values = Mapping[str, Mapping[str, float]]
 class AugmentedModel(Model):
     """A base model with effects and the values of their parameters, created by `augment`.
 
-    `effective_vehicle` applies the effects to the vehicle parameters, and `steering` to a recorded road wheel angle
-    (delay, play, lag); `observe` and `correct` convert true values to INS readings and back. Models that differ only in
-    values share their compiled functions.
+    `effective_vehicle` applies the effects to the vehicle parameters, `steering` to a recorded road wheel angle;
+    `observe` and `correct` convert true values to INS readings and back. Models that differ only in values share their
+    compiled functions.
     """
 
     base: Model = field(kw_only=True)  # model without effects

@@ -60,8 +60,7 @@ class Evaluator:
     """Scores each prediction as soon as the measurements cover its horizon.
 
     span [s]: minimum duration of the stored measurements. models: models from files, in addition to MODELS. runners:
-    compiled replacements of `predict` (`prediction.compile_model`), by name of the model, for predictions with these
-    settings.
+    compiled replacements of `predict` with these settings (`prediction.compile_model`), by name of the model.
     """
 
     SIGNAL_TIMEOUT = 1.0  # s after the end of a horizon, within which the signals must arrive

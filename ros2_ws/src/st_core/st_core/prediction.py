@@ -127,8 +127,7 @@ class Predictor:
 
     models: names, or models from model files. runners: compiled replacements of `predict`, by name of the model
     (`compile_model`). history: shared with an `Evaluator` with these settings, so that measurements are stored once;
-    None: a new one. Raises ConfigurationError without a model, for an unknown model, and for a model that requires a
-    signal that is not measured live.
+    None: a new one. Raises ConfigurationError for no model, an unknown model, and one with signals not measured live.
     """
 
     SPAN = 2.0  # s, minimum length of the history, for late samples and the settling of the filter

@@ -97,9 +97,8 @@ def required_lookahead_ns(model: Model) -> int:
 
 
 def correct_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveLog:
-    """The drive as ideal sensors would record it, with delay, play and lag of the steering applied to the road wheel
-    angle; steering_wheel_angle is then None. maximum_gap [s]. Raises StCoreError if a sensor effect needs an
-    acceleration that was not recorded."""
+    """The drive as ideal sensors would record it, with delay, play and lag of the steering applied; its
+    steering_wheel_angle is then None. maximum_gap [s]. Raises StCoreError for a missing acceleration."""
     if not isinstance(model, AugmentedModel):
         return log
     corrected: dict[str, Any] = {}

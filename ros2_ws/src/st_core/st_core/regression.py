@@ -8,11 +8,10 @@ underestimate the uncertainty considerably. With influence psi_c, Jacobian J_c a
     f = sum_ij rho^|i - j| / k,    i, j: blocks of the same run
 
 Leaving out block c changes the estimate by -psi_c k / (k - 1). The covariance is the limit of a block bootstrap, which
-`Blocks.bootstrap` draws for strongly nonlinear estimators. The factor f accounts for errors that are correlated between
-blocks of one run: rho is the correlation of psi between adjacent blocks, pooled over the runs, corrected for its bias
--(1 + 3 rho) / k (Marriott and Pope, 1954), and limited to 0 to 0.9. Student's t has max(k / f - 1, 1) degrees of
-freedom. Source: Cameron and Miller, A practitioner's guide to cluster-robust inference, 2015 (the jackknife CR3).
-Checked by: test_blocks.py.
+`Blocks.bootstrap` draws for strongly nonlinear estimators. f accounts for the correlation between blocks of one run:
+rho is the correlation of psi between adjacent blocks, pooled over the runs, corrected for its bias -(1 + 3 rho) / k
+(Marriott and Pope, 1954), limited to 0 to 0.9. Student's t has max(k / f - 1, 1) degrees of freedom. Source: Cameron
+and Miller, A practitioner's guide to cluster-robust inference, 2015 (the jackknife CR3). Checked by: test_blocks.py.
 """
 
 import math

@@ -331,9 +331,8 @@ def make_axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, m
     """The force curve of one axle with its band, at 41 slip angles up to the largest slip of the drives.
 
     measured_slip: (n,) slip angles of the axle [rad], either sign. original: model before the search. draws: models
-    from `draw_models`. alternatives: other models that are consistent with the drives. The band contains the central
-    90 % of the draws at each slip, the curve and the alternatives. Raises StCoreError for fewer than two slip angles,
-    and if all are 0.
+    from `draw_models`. alternatives: other models consistent with the drives. The band contains the central 90 % of the
+    draws at each slip, the curve and the alternatives. Raises StCoreError for less than two slip angles or only zeros.
     """
     abs_slip = np.abs(np.asarray(measured_slip, float))
     abs_slip = abs_slip[np.isfinite(abs_slip)]

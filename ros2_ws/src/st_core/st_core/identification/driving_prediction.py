@@ -105,9 +105,8 @@ def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: st
 def estimate_slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model,
                                     settings: DrivingFitSettings, fit: DrivingFit) -> dict[str, float]:
     """Standard uncertainty of each stiffness as the slope at zero slip [N/rad], from a second fit to the windows below
-    the median peak acceleration (`regression.extrapolation_uncertainty`); empty if the slip ranges of both fits are
-    similar. Measure of the slip range: mean |v_x r| weighted by its square, with which the secant of a brush tyre falls
-    about linearly."""
+    the median peak acceleration (`regression.extrapolation_uncertainty`); empty if both fits have similar slip ranges,
+    measured by |v_x r| weighted by its square: the secant of a brush tyre falls about linearly with this mean."""
     low_settings = replace(settings, maximum_acceleration=float(np.median(fit.peak_accelerations)),
                            min_windows=settings.min_windows // 2)
     try:

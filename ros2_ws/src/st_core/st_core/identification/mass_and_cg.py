@@ -22,8 +22,7 @@ rear wheel centres, measured at the CG of the level car:
 
 The radii are those of the level car, because h is its CG height. The deflection of the rear tyres when lifted does not
 change h, since the force still passes through the wheel centre, but it changes the pitch computed from the lift.
-Source: paper, parameter identification; ISO 10392. Valid for pitch up to 45 deg. Checked by:
-test_identification_experiments.py.
+Source: paper, parameter identification; ISO 10392. Valid for pitch up to 45 deg.
 """
 
 import math

@@ -10,8 +10,7 @@ All J sweeps have a common slope b; sweep j has the intercept a_j and the mean x
 
 Turntables do not determine the steering-wheel offset, because their zero is not the direction of straight driving. A
 cubic is fitted to the residuals and, if significant (F test, 1 %), reported as the nonlinearity of the steering. Angles
-are in rad, positive to the left. Source: paper, parameter identification. Checked by:
-test_identification_experiments.py.
+are in rad, positive to the left. Source: paper, parameter identification.
 
 The offset of the steering wheel sensor is estimated from straight driving by two methods. Method of the paper: the
 offset with which the predicted yaw rate agrees best with the measured one. Direct method: the mean reading in windows
@@ -19,7 +18,8 @@ of nearly constant steering, corrected for the remaining curvature kappa,
 
     o = mean(delta_h) - i L kappa (1 + K v_x^2),    kappa = change of heading / distance,    K: stability factor
 
-A crowned road, crosswind or worn tyres bias both results. Checked by: test_identification_driving.py.
+A crowned road, crosswind or worn tyres bias both results. Checked by: test_identification_experiments.py (ratio),
+test_identification_driving.py (offset).
 """
 
 import math
