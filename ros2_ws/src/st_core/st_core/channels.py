@@ -41,7 +41,7 @@ class Channel:
             object.__setattr__(self, field, getattr(self, field) or (self.name,))
 
     def is_measured_in(self, log: Any) -> bool:
-        """Whether a DriveLog contains measurements of the channel; only zeros are valid if the car never moves."""
+        """Whether a DriveLog contains measurements of the channel; zeros count as measured if the car never moves."""
         if self.name == "velocity_y" and not log.sideslip_measured:
             return False
         values = [getattr(log, name) for name in self.signals]
@@ -75,7 +75,7 @@ def _position_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, v_x: Any, v
 
 
 def _heading_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, v_x: Any, v_y: Any, r: Any) -> tuple[float, ...]:
-    """Standard deviation of the measured change of yaw minus the integral of the measured yaw rate."""
+    """Standard deviation of the measured change of yaw minus the integral of the measured yaw rate [rad]."""
     return (_finite_deviation(wrap_angle(yaw[:, -1] - yaw[:, 0] - _integrate(r, step))),)
 
 

@@ -53,7 +53,7 @@ def load_folder(path: str) -> tuple[str, ...]:
 
 
 def load_file(path: str, name: str) -> tuple[type[Effect], ...]:
-    """Import one module of a folder, if not yet done, and return its effects. Raises the errors of `load_folder`."""
+    """Import one module of a folder, unless it is loaded, and return its effects. Raises as `load_folder` does."""
     folder, package = _find_package(path)
     file = f"{folder}/{name}.py"
     if file not in map(find_source_file, EFFECTS.values()):

@@ -1,8 +1,8 @@
 """Saturation of a linear front axle, without a tyre curve from the vehicle file.
 
 s = 1 / mu^2; s = 0 is linear. At the slip where the linear force F equals the limit, the saturated force is 0.76 F. Up
-to twice this slip it fits brush and Magic Formula curves with an error below 2 % of their peak (4 % for a Magic Formula
-with C = 1.3, E = -3).
+to twice this slip, the equation fits brush and Magic Formula curves with an error below 2 % of their peak (4 % for
+C = 1.3, E = -3).
 """
 
 from ..ops import sqrt

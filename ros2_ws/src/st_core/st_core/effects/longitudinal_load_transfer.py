@@ -2,8 +2,8 @@
 
     dF_z = m height v_x_dot / l from the front to the rear axle,   F' = F + F_MF(F_z -/+ dF_z) - F_MF(F_z)
 
-height is the CG height in excess of the base model's (0 with linear tyres, else that of the vehicle file). F_MF is the
-Magic Formula of the vehicle file for the two tyres of an axle, F_z the axle load with the CG height of the file.
+height is added to the CG height of the base model, which is 0 with linear tyres, else that of the vehicle file. F_MF is
+the Magic Formula of the vehicle file for the two tyres of an axle, F_z the axle load with the CG height of the file.
 """
 
 from ..models.nonlinear_tyre import axle_loads

@@ -1,7 +1,7 @@
 """First-order lag in the steering: time_constant delta_dot = delta_measured - delta.
 
-Since the lag acts only on the measured angle u, it is computed for the whole recording, without an extra state, and
-exactly for a piecewise linear angle. It begins in steady state, delta = u, at the first sample and after each gap.
+Since delta depends only on the measured angle u, it is computed for the whole recording, without an extra state and
+exactly for a piecewise linear u. At the first sample and after each gap, the steady state delta = u is assumed.
 
     delta_k = e delta_{k-1} + (m - e) u_{k-1} + (1 - m) u_k,   e = exp(-x),   m = (1 - e) / x,   x = dt / time_constant
 """

@@ -1,4 +1,4 @@
-"""Delay of the measured yaw rate, to first order: r_measured(t) = r(t - time) ~ r - time r_dot. With time > 0 it lags.
+"""Delay of the measured yaw rate, to first order: r_measured(t) = r(t - time) ~ r - time r_dot; time > 0 for a lag.
 
 The correction needs the yaw acceleration of a recording. A single live sample, which has none, is not corrected.
 """

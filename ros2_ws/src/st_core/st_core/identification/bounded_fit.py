@@ -18,7 +18,7 @@ from scipy.stats import f as fisher
 Residuals = Callable[[np.ndarray], np.ndarray]  # from parameters (k,) to residuals (n,)
 END_TOLERANCE = 0.03  # relative tolerance of the distance from the value to an end of its interval
 MAX_END_STEPS = 8  # largest number of secant steps to an end
-BOUND_TOLERANCE = 1e-6  # largest distance from a bound at which a value is at the bound, divided by the range
+BOUND_TOLERANCE = 1e-6  # largest distance from a bound that counts as at the bound, divided by the range of the bounds
 
 
 @dataclass(frozen=True)
