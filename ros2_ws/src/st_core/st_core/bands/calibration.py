@@ -147,10 +147,8 @@ def check_levels(levels: Sequence[float], runs: int) -> None:
 
 
 def compute_conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[float]) -> np.ndarray:
-    """Factors c of the levels, (levels,) [1]; see the module. Raises StCoreError as `check_levels`.
-
-    scores: finite scores of the windows of each run [1], at least one.
-    """
+    """Factors c of the levels, (levels,) [1]; see the module docstring. Raises StCoreError as `check_levels` does.
+    scores: finite scores of the windows of each run [1], at least one."""
     count = len(scores)
     check_levels(levels, count)
     values = np.sort(np.concatenate([np.asarray(run, float) for run in scores]))

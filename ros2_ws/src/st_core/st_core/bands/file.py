@@ -73,10 +73,8 @@ class Bands:
 
     def check(self, vehicle: VehicleParameters, models: Mapping[str, str],
               settings: EvaluationSettings | None = None) -> None:
-        """Raises a one-line ConfigurationError if the bands belong to a different car, model or configuration.
-
-        models: hash of the model file of each model to use, "" for a built-in model. settings: None for any.
-        """
+        """Raises a one-line ConfigurationError if the bands belong to a different car, model or configuration. models:
+        hash of the model file of each model to use, "" for a built-in model. settings: None for any."""
         if vehicle.hash != self.vehicle_hash:
             raise ConfigurationError(f"vehicle: the bands are for {self.vehicle_name!r} {self.vehicle_hash[:12]}, "
                                      f"this is {vehicle.name!r} {vehicle.hash[:12]}; calibrate with drives of this car")

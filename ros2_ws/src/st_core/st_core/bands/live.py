@@ -94,9 +94,7 @@ class AdaptiveBand:
 
     def issue(self, start_ns: int, scale: np.ndarray | None = None) -> dict[float, np.ndarray]:
         """Half-widths (points, 3) [m, m, rad] by level for a prediction from start_ns, stored until it is scored.
-
-        scale: (points, 3) [m, m, rad] of the calibrated band; None: RMS error of the run.
-        """
+        scale: (points, 3) [m, m, rad] of the calibrated band; None: RMS error of the run."""
         scale, factors = np.sqrt(self._squares) if scale is None else scale, self.factors
         if self._issued_bands and start_ns <= self._issued_bands[-1][0]:  # time jumped back: no score will follow
             self._issued_bands.clear()

@@ -139,11 +139,9 @@ class Regression:
 
     def select_causes(self, candidates: Sequence[str], min_values: Mapping[str, float], required: Sequence[str],
                       nuisance: Sequence[str]) -> dict[str, Estimate]:
-        """The significant and relevant causes, selected one at a time and fitted together.
-
-        min_values: smallest reported value by cause. required: causes that are always fitted. nuisance: causes that are
-        also fitted if a candidate is insignificant without them, because they act as slow noise on it.
-        """
+        """The significant and relevant causes, selected one at a time and fitted together. min_values: smallest
+        reported value by cause. required: causes that are always fitted. nuisance: causes that are also fitted if a
+        candidate is insignificant without them, because they act as slow noise on it."""
         causes: list[str] = []
         remaining = [name for name in candidates if np.abs(self.columns[name]).max(initial=0.0) > 0.0]
         while remaining:

@@ -290,9 +290,7 @@ def _check_frozen(name: str, time: np.ndarray, values: np.ndarray, motion: Motio
 def _should_change(name: str, begin: float, end: float, motion: Motion, resolution: float,
                    min_curvature_change: float = MIN_CURVATURE_CHANGE) -> bool:
     """Whether a channel should have changed by more than its resolution, according to the other channels.
-
-    min_curvature_change: smallest relative change of the curvature at which the steering angle should have changed.
-    """
+    min_curvature_change: smallest relative change of the curvature at which the steering angle should have changed."""
     in_interval = (motion.time >= begin) & (motion.time <= end)
     if name == "road_wheel_angle":
         in_interval &= np.abs(motion.velocity_x) > MIN_CURVATURE_SPEED

@@ -344,11 +344,9 @@ def compute_log_residuals(samples: Samples, channel: str, noise: float) -> np.nd
 
 
 def find_segments(samples: Samples, channel: str, residual: np.ndarray, block: float, seed: int) -> list[Segment]:
-    """Segments with larger errors than the rest of their run, by binary segmentation.
-
-    A change point is significant if the cumulative sum of `residual` is larger than with shuffled blocks.
-    residual: `compute_log_residuals` of the channel. block: duration of a block [s].
-    """
+    """Segments with larger errors than the rest of their run, by binary segmentation. A change point is significant if
+    the cumulative sum of `residual` is larger than with shuffled blocks. residual: `compute_log_residuals` of the
+    channel. block: duration of a block [s]."""
     rng = np.random.default_rng((seed, 17))
     segments = []
     for run in np.unique(samples.run):

@@ -237,11 +237,9 @@ class Problem:
 
     def fit(self, names: Iterable[str], sensitivities: Sensitivities, vector: np.ndarray | None = None,
             recompute: Iterable[str] = (), iterations: int = ITERATIONS) -> Fit:
-        """Fit a set of effects by robust Gauss-Newton.
-
-        sensitivities: with respect to at least the free parameters, at a nearby vector; updated at each step. vector:
-        initial vector, by default that of the sensitivities. recompute: effects with new sensitivities at each step.
-        """
+        """Fit a set of effects by robust Gauss-Newton. sensitivities: with respect to at least the free parameters, at
+        a nearby vector; updated at each step. vector: initial vector, by default that of the sensitivities. recompute:
+        effects with new sensitivities at each step."""
         names = tuple(names)
         indices, stale = self.free_indices(names), self.space.indices(*recompute)
         initial, vector = sensitivities.vector if vector is None else vector, self.start.copy()

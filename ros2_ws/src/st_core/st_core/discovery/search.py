@@ -1,4 +1,7 @@
-"""Search for the best set of effects by forward, backward and exchange steps, all with the same test."""
+"""Search for the best set of effects by forward, backward and exchange steps, all with the same test.
+
+A composite effect, such as the stiffness of all tyres, combines two or more other effects, its members.
+"""
 
 from collections import defaultdict
 from collections.abc import Callable, Mapping
@@ -53,10 +56,8 @@ class SearchState:
 
 
 class Search:
-    """A search from several starts, for the set of effects that predicts held-out driving best.
-
-    partitions: of the drives. sensors: `evidence.Sensors`. seed: of the random signs. tick: called to show progress.
-    """
+    """A search from several starts, for the set of effects that predicts held-out driving best. partitions: of the
+    drives. sensors: `evidence.Sensors`. seed: of the random signs. tick: called to show progress."""
 
     def __init__(self, problem: Problem, limits: Limits, partitions: Mapping[str, Partition], sensors: Mapping,
                  seed: int = 0, tick: Callable[[], None] = lambda: None,

@@ -188,11 +188,9 @@ def average_finite(values: np.ndarray) -> float:
 
 
 def find_equally_good(excess_loss: np.ndarray, p: float, seed: int) -> np.ndarray:
-    """(k,) whether each alternative is as good as the best.
-
-    excess_loss: (k, b) held-out loss minus that of the best. Paired t test: an alternative is worse if its t exceeds
-    the quantile 1 - p of the largest t of all under random signs of whole blocks (Romano and Wolf 2005).
-    """
+    """(k,) whether each alternative is as good as the best. excess_loss: (k, b) held-out loss minus that of the best.
+    Paired t test: an alternative is worse if its t exceeds the quantile 1 - p of the largest t of all under random
+    signs of whole blocks (Romano and Wolf 2005)."""
     if not len(excess_loss):
         return np.zeros(0, bool)
     count = excess_loss.shape[1]
