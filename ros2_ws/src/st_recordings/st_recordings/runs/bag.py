@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from mcap.reader import make_reader
-from st_core.log import DriveLog
 from st_core.sideslip import derive_yaw_rate
 
 from ..bag_metadata import read_information
@@ -130,8 +129,10 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
         topics[STEERING] = storage.by_type[CAN_FRAMES].name + RECONSTRUCTED_SUFFIX
     stamp_notes = _replace_meaningless_stamps(storage, topics, columns, bool(steering))
     frame = _read_frame_id(storage, topics[ODOMETRY]) if reads_odometry else reconstruction.map_frame()
-    log, missing, row_notes, conversions = _build_drive_log(
-        path, name or path.stem, columns[ODOMETRY], columns[STEERING], frame)
+    row_notes = list[str]()
+    ins_ns, values, missing, conversions = _select_odometry(columns[ODOMETRY], frame, row_notes)
+    log = make_drive_log(path, name or path.stem, ins_time_ns=ins_ns, **values,
+                         **_select_steering(columns[STEERING], missing, row_notes))
     stamps = {"INS": columns[ODOMETRY]["header.stamp"], "steering": columns[STEERING]["header.stamp"]}
     auxiliary_columns = {topic.type_name: by_topic[topic.name] for topic in auxiliary_fields if topic.name in by_topic}
     auxiliary = reconstruction.collect_auxiliary_data(auxiliary_columns, stamps, missing)
@@ -154,8 +155,8 @@ def read_odometry(path: Path, odometry: str | None, files: Sequence[Path]) -> In
     topic = _find_topic(storage, ODOMETRY, odometry)
     columns = storage.read_fields(topic, _ODOMETRY_FIELDS)
     notes = _replace_meaningless_stamps(storage, {ODOMETRY: topic.name}, {ODOMETRY: columns})
-    ins_ns, values, _, row_notes, conversions = _select_odometry(columns, _read_frame_id(storage, topic.name))
-    notes += [*row_notes, *conversions]
+    ins_ns, values, _, conversions = _select_odometry(columns, _read_frame_id(storage, topic.name), notes)
+    notes += conversions
     return InsLog(path, ins_ns, values, ins_ns, warnings=tuple(f"{path}: {note}" for note in notes))
 
 
@@ -246,16 +247,15 @@ def _read_frame_id(storage: Storage, topic: str) -> str:
     return str(getattr(message.header, "frame_id", ""))
 
 
-def _select_odometry(odometry: Mapping[str, np.ndarray], frame_id: str) -> tuple[
-        np.ndarray, dict[str, np.ndarray], dict[str, int], list[str], list[str]]:
-    """(times [ns], INS channels of the usable messages, channel -> number of messages without a value, notes, notes on
-    conversions)."""
+def _select_odometry(odometry: Mapping[str, np.ndarray], frame_id: str, notes: list[str]) -> tuple[
+        np.ndarray, dict[str, np.ndarray], dict[str, int], list[str]]:
+    """(times [ns], INS channels of the usable messages, channel -> messages without a value, notes on conversions)."""
     x, y, *quaternion, velocity_x, velocity_y, yaw_rate = (odometry[field] for field in _ODOMETRY_FIELDS[1:])
     values = {"x": x, "y": y, "yaw": yaw_from_quaternion(*quaternion), "velocity_x": velocity_x,
               "velocity_y": velocity_y, "yaw_rate": yaw_rate}
     missing = {signal: int((~np.isfinite(value)).sum()) for signal, value in values.items()}
     is_usable = np.isfinite(np.stack(list(values.values()))).all(axis=0)
-    time_ns, rows, notes = _select_usable_messages(odometry["header.stamp"], is_usable, "odometry messages", missing)
+    time_ns, rows = _select_usable_messages(odometry["header.stamp"], is_usable, "odometry messages", missing, notes)
     if not np.nan_to_num(quaternion).any():
         notes.append("the orientation quaternion is 0 in all odometry messages: record the heading in it")
     values = {name: value[rows] for name, value in values.items()}
@@ -264,33 +264,28 @@ def _select_odometry(odometry: Mapping[str, np.ndarray], frame_id: str) -> tuple
     if len(rows) > 2 and np.ptp(values["yaw"]) > 0 and not values["yaw_rate"].any():
         values["yaw_rate"] = derive_yaw_rate(time_ns, values["yaw"])
         conversions.append("yaw_rate is 0 in all odometry messages; the derivative of yaw is used")
-    return time_ns, values, missing, notes, conversions
+    return time_ns, values, missing, conversions
 
 
-def _build_drive_log(path: Path, name: str, odometry: Mapping[str, np.ndarray], steering: Mapping[str, np.ndarray],
-                     frame_id: str) -> tuple[DriveLog, dict[str, int], list[str], list[str]]:
-    """(log, channel -> number of messages without a usable value, notes, notes on conversions of the odometry)."""
-    ins_ns, values, missing, notes, conversions = _select_odometry(odometry, frame_id)
+def _select_steering(steering: Mapping[str, np.ndarray], missing: dict[str, int], notes: list[str]) -> dict[str, Any]:
+    """Steering columns of DriveLog from the usable messages; adds the number of the other messages to `missing`."""
     is_usable = np.isfinite(steering["road_wheel_angle"]) & steering["valid"].astype(bool)
-    missing["road_wheel_angle"] = int((~is_usable).sum())
-    steering_ns, steering_rows, steering_notes = _select_usable_messages(
-        steering["header.stamp"], is_usable, "steering messages", {"the steering angle": missing["road_wheel_angle"]})
-    wheel_angle = steering["steering_wheel_angle"][steering_rows]
-    log = make_drive_log(path, name, ins_time_ns=ins_ns, **values, steering_time_ns=steering_ns,
-                         road_wheel_angle=steering["road_wheel_angle"][steering_rows],
-                         steering_wheel_angle=wheel_angle if np.isfinite(wheel_angle).all() else None)
-    return log, missing, [*notes, *steering_notes], conversions
+    missing["road_wheel_angle"] = n_missing = int((~is_usable).sum())
+    time_ns, rows = _select_usable_messages(
+        steering["header.stamp"], is_usable, "steering messages", {"the steering angle": n_missing}, notes)
+    wheel_angle = steering["steering_wheel_angle"][rows]
+    return {"steering_time_ns": time_ns, "road_wheel_angle": steering["road_wheel_angle"][rows],
+            "steering_wheel_angle": wheel_angle if np.isfinite(wheel_angle).all() else None}
 
 
-def _select_usable_messages(time_ns: np.ndarray, is_usable: np.ndarray, noun: str,
-                            missing: Mapping[str, int]) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """(strictly ascending times [ns] of the usable messages, their indices, notes).
+def _select_usable_messages(time_ns: np.ndarray, is_usable: np.ndarray, noun: str, missing: Mapping[str, int],
+                            notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """(strictly ascending times [ns] of the usable messages, their indices); adds notes on the other messages.
 
     missing: channel -> number of messages without a usable value.
     """
     time = np.asarray(time_ns, np.int64)
     rows = np.flatnonzero(is_usable & (time != 0))
-    notes = []
     if n_unusable := len(time) - len(rows):
         reasons = [f"usable value of {', '.join(names)}"] if (names := [k for k, n in missing.items() if n]) else []
         reasons += ["stamp"] if (time == 0).any() else []
@@ -300,4 +295,5 @@ def _select_usable_messages(time_ns: np.ndarray, is_usable: np.ndarray, noun: st
         rows = rows[np.argsort(time[rows], kind="stable")]
         notes.append(f"{noun} are stored out of order; they were sorted by their stamps")
     selection, time_notes = select_usable_rows(time[rows], noun)
-    return time[rows[selection]], rows[selection], [*notes, *time_notes]
+    notes += time_notes
+    return time[rows[selection]], rows[selection]

@@ -46,7 +46,8 @@ class RunSource:
     """The files of one run, and the settings of its run.yaml.
 
     settings: offset (INS minus CAN clock [s]), ins_can_latency (value, standard deviation [s]), dbc, signals (paths),
-    layout (columns.Layout), correct (channel -> Correction), leave_out ((start, end) [s]).
+    layout (columns.Layout, of a table), columns (channel -> channel that contains it, of other files), correct (channel
+    -> Correction), leave_out ((start, end) [s]).
     """
 
     name: str
