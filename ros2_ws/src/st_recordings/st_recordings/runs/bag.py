@@ -129,10 +129,10 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
         topics[STEERING] = storage.by_type[CAN_FRAMES].name + RECONSTRUCTED_SUFFIX
     stamp_notes = _replace_meaningless_stamps(storage, topics, columns, bool(steering))
     frame = _read_frame_id(storage, topics[ODOMETRY]) if reads_odometry else reconstruction.map_frame()
-    row_notes = list[str]()
-    ins_ns, values, missing, conversions = _select_odometry(columns[ODOMETRY], frame, row_notes)
+    notes = [*describe_missing_files(path), *stamp_notes]
+    ins_ns, values, missing, conversions = _select_odometry(columns[ODOMETRY], frame, notes)
     log = make_drive_log(path, name or path.stem, ins_time_ns=ins_ns, **values,
-                         **_select_steering(columns[STEERING], missing, row_notes))
+                         **_select_steering(columns[STEERING], missing, notes))
     stamps = {"INS": columns[ODOMETRY]["header.stamp"], "steering": columns[STEERING]["header.stamp"]}
     auxiliary_columns = {topic.type_name: by_topic[topic.name] for topic in auxiliary_fields if topic.name in by_topic}
     auxiliary = reconstruction.collect_auxiliary_data(auxiliary_columns, stamps, missing)
@@ -140,12 +140,10 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
         t.name in topics.values() or t.type_name.startswith("st_msgs/") or t.name.startswith(KNOWN_TOPIC_PREFIXES)))
     provenance: dict[str, Any] = {"reader": "bag", "topics": topics, "recorded": records}
     if (origin := reconstruction.read_origin()) is not None:
-        latitude, longitude, altitude = origin
-        provenance["origin"] = [math.radians(latitude), math.radians(longitude), altitude]
-    notes = [*describe_missing_files(path), *stamp_notes, *row_notes, *conversions]
-    return BagDrive(log=log, provenance=provenance, warnings=tuple(f"{path}: {note}" for note in notes),
-                    auxiliary=auxiliary, topics=topics, records=records, frame=frame, unknown_topics=unknown_topics,
-                    conversions=(*stamp_notes, *conversions))
+        provenance["origin"] = [*map(math.radians, origin[:2]), origin[2]]
+    return BagDrive(log=log, provenance=provenance, auxiliary=auxiliary, topics=topics, records=records, frame=frame,
+                    unknown_topics=unknown_topics, conversions=(*stamp_notes, *conversions),
+                    warnings=tuple(f"{path}: {note}" for note in (*notes, *conversions)))
 
 
 def read_odometry(path: Path, odometry: str | None, files: Sequence[Path]) -> InsLog:
