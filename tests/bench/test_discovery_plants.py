@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from st_core.log_evaluation import evaluate_log
 from st_core.vehicle import VehicleParameters
 from st_sim.dynamics import RACK, STATES, VX, VY, YAW, YAW_RATE
 from st_sim.plant import STEP, Plant
@@ -22,6 +23,7 @@ from bench.plants.record import LEAF_VEHICLE as LEAF
 from bench.plants.record import NOMINAL, RunPlan, healthy_car, record_run
 from bench.plants.record import vehicle_of as vehicle_of_plant
 from bench.plants.relation_equations import Relation
+from bench.plants.resimulated import resimulate
 from bench.plants.sensing import CHANNELS, make_log, make_readings
 
 FLAT_AND_CALM = (0.0, 0.0, 0.0, 0.0)  # bank, grade [rad], wind [m/s]
@@ -141,3 +143,11 @@ def test_both_plants_respond_to_a_hidden_relation(plant):
     yaw_acceleration = np.gradient((with_moment.yaw_rate - reference.yaw_rate)[:30], 0.01)[:8].mean()
     # The axles of the multi-body car are separate masses, connected by springs.
     assert 0.4 < yaw_acceleration / (0.001 * float(reference.velocity_x[0]) ** 2) < 1.1
+
+
+def test_resimulated_drive_is_predicted_by_its_model() -> None:
+    recorded = record_run("leaf", LEAF, RunPlan("drive", (SEED,), healthy_car("leaf", (SEED,)).settings))
+    log = resimulate(recorded, LEAF, SEED)
+    assert np.ptp(log.yaw) > 0.5 and log.duration > recorded.duration - 2.0
+    error = evaluate_log(("nonlinear",), LEAF, log).errors["nonlinear", "hindsight"]
+    assert error.n_starts > 50 and error.statistics("lateral")[2] < 0.05
