@@ -331,6 +331,13 @@ TABLES = [
     Table("header_ends_with_delimiter.csv", lambda log: csv(rows(log), header() + ",")),
     Table("labview.lvm", lambda log: "LabVIEW Measurement\t\nDelta_X\t0.02\n***End_of_Header***\t\n" + csv(
         rows(log), "\t".join(["X_Value", *NAMES[1:], "Comment"]), "\t"), "the header is in line 4"),
+    Table("java.csv", lambda log: with_times(log, lambda s: f"2026-05-04T{clock(NOON + s)}+02:00[Europe/Berlin]")),
+    Table("windows.csv", lambda log: with_times(log, lambda s: f"{1.3 * 10**17 + s * 1e7:.0f}"),
+          "were read as 0.1 us since 1601"),
+    Table("dot_net.csv", lambda log: with_times(log, lambda s: f"{6.39 * 10**17 + s * 1e7:.0f}"),
+          "were read as 0.1 us since the year 1"),
+    Table("chinese.csv", lambda log: csv(rows(log), "时间(s),X坐标(m),Y坐标(m),横摆角(rad),纵向速度(m/s),横向速度(m/s),"
+                                         "横摆角速度(rad/s),方向盘转角(rad)"), encoding="gbk"),
     Table("gbk.csv", lambda log: "# 采集车辆\n" + csv([[*row, "直线"] for row in rows(log)], header() + ",备注"),
           "the header is in line 2", "gbk"),
     Table("time_utc.csv", lambda log: csv(rows(log), header(t="time_utc"))),
@@ -482,6 +489,8 @@ def test_parts_of_a_table_are_one_run(tmp_path: Path, drive_log: DriveLog, kind:
     (lambda log: csv([[f"2026-05-04 {clock(NOON)}", *row[1:]] for row in rows(log)], " ".join(NAMES), " "),
      "its rows have 9 cells, but its header has 8"),
     (lambda log: geographic(log).replace("latitude,longitude", "longitude,latitude"), "are swapped: they agree"),
+    (lambda log: csv([[*row, ("1.234,5", "1,234.5")[k % 2]] for k, row in enumerate(rows(log))], ";".join(
+        [*NAMES, "h"]), ";"), "1,234.5 may be a number .*: the file has decimal commas and decimal points"),
     (with_ambiguous_thousands, r"1,234 may be a number with a decimal mark or with a thousands separator"),
     (lambda log: csv(rows(log), header() + "\ns,m,m,Grad,m/s,m/s,deg/s,deg"), "unit row: 'Grad' of column yaw"),
 ])

@@ -26,20 +26,20 @@ COLUMNS: Mapping[str, Channel] = {
     "t": Channel("time", "time", (
         "t time t_rt timestamp timestamps stamp time_boot sim_time log_time relative_time elapsed elapsed_time seconds "
         "unix_time utc_time gps_time time_utc time_gps gps_tow tow gps_seconds time_of_week itow datetime epoch "
-        "epoch_time time_from_start time_since_start_of_day gps_ins_time utc zeit uhrzeit zeitstempel datum_zeit "
-        "x_value")),
+        "epoch_time time_from_start time_since_start_of_day time_of_day gps_ins_time utc zeit uhrzeit zeitstempel "
+        "datum_zeit x_value 时间")),
     **{axis: Channel("length", f"position of the INS point, {direction} or along the map's {axis}", (
         f"{axis} pos_{axis} position_{axis} {axis}_pos {axis}_position p{axis} {direction} {direction}ing "
         f"{direction[0]}_pos pos_{direction[0]} {axis}_{direction} {axis}_enu {axis}_map local_{axis} utm_{axis} "
         f"utm_{direction[0]} utm_{direction}ing pos_local_{axis} car_t{axis} {axis}o {axis}_absolute location_{axis} "
-        f"pose_{axis} pose_position_{axis} pose_pose_position_{axis}"))
+        f"pose_{axis} pose_position_{axis} pose_pose_position_{axis} {axis}坐标"))
         for axis, direction in (("x", "east"), ("y", "north"))},
     "latitude": Channel("latitude or longitude", "positive to the north; read if x and y are missing", (
-        "latitude lat latitude_deg pos_lat breitengrad")),
+        "latitude lat latitude_deg pos_lat breitengrad 纬度")),
     "longitude": Channel("latitude or longitude", "positive to the east; the first fix is the map origin", (
-        "longitude long lon lng pos_lon laengengrad")),
+        "longitude long lon lng pos_lon laengengrad 经度")),
     "yaw": Channel("angle", "from east (the map's x), counter-clockwise", (
-        "yaw yaw_angle yaw_iso yaw_enu heading_enu psi psi_iso theta phi pose_theta gierwinkel")),
+        "yaw yaw_angle yaw_iso yaw_enu heading_enu psi psi_iso theta phi pose_theta gierwinkel 横摆角")),
     "compass_heading": Channel("angle", "true heading, clockwise from north; read if yaw is missing: yaw = 90° - "
                                "heading", (
         "compass_heading heading heading_angle angle_heading heading_ned heading_north heading_true true_heading "
@@ -47,7 +47,7 @@ COLUMNS: Mapping[str, Channel] = {
     "course": Channel("angle", "direction of motion over ground, clockwise from north; replaces missing yaw or "
                       "velocity_y", (
         "course course_over_ground course_angle gps_heading gnss_heading cog heading_cog track track_angle "
-        "heading_of_motion bearing angle_track kurs_ueber_grund gcrs")),
+        "heading_of_motion bearing angle_track kurs kurs_ueber_grund gcrs")),
     **{f"orientation_{axis}": Channel("ratio", "quaternion from body to map axes, read if yaw is missing", (
         f"pose_pose_orientation_{axis} pose_orientation_{axis} orientation_{axis} q{axis} quat_{axis}"))
        for axis in "xyzw"},
@@ -57,10 +57,10 @@ COLUMNS: Mapping[str, Channel] = {
         "vel_lon long_vel long_velocity speed_forward forward_speed longitudinal_speed twist_linear_x "
         "twist_twist_linear_x linear_velocity_x x_velocity linear_vel_x linear_vels_x v_ego v_laengs "
         "laengsgeschwindigkeit speed velocity vel v ground_speed speed_over_ground gps_speed speed_gps geschwindigkeit "
-        "spd")),
+        "spd v_gps 纵向速度")),
     "velocity_y": Channel("speed", "to the left, body axes, at the INS point; if missing, derived, else 0", (
         "iso_vs_lateral_velocity velocity_y vy vel_y velocity_lateral vel_lateral v_lateral lateral_velocity "
-        "lateral_vel v_lat vel_lat lat_vel lat_velocity velocity_left vel_left lateral_speed twist_linear_y "
+        "横向速度 lateral_vel v_lat vel_lat lat_vel lat_velocity velocity_left vel_left lateral_speed twist_linear_y "
         "twist_twist_linear_y linear_velocity_y y_velocity linear_vel_y linear_vels_y v_quer quergeschwindigkeit")),
     **{f"velocity_{axis}": Channel("speed", meaning, (
         f"velocity_{axis} vel_{axis} v_{axis} {axis}_velocity {axis}_speed velocity_{axis[0]} vel_{axis[0]} "
@@ -71,24 +71,24 @@ COLUMNS: Mapping[str, Channel] = {
         "iso_vs_yaw_velocity yaw_rate yaw_rate_iso yaw_velocity yaw_vel yaw_speed yaw_dot psi_dot psi_p d_psi r avz wz "
         "omega_z omega angular_velocity_z angular_rate_z z_angular_rate angle_rate_z ang_vel_z ang_vels_z "
         "angular_vel_z angular_z rate_z gyro_z gyr_z twist_angular_z twist_twist_angular_z heading_rate gierrate "
-        "giergeschwindigkeit")),
+        "giergeschwindigkeit 横摆角速度")),
     "acceleration_x": Channel("acceleration", "forward, body axes", (
         "iso_vs_longitudinal_acceleration acceleration_x acceleration_forward acc_forward accel_forward "
         "acceleration_longitudinal longitudinal_acceleration longitudinal_accel longitudinal_acc acc_longitudinal "
         "a_longitudinal a_long acc_long accel_long long_acc long_accel lon_acc lon_accel a_laengs laengsbeschleunigung "
-        "linear_acceleration_x ax acc_x accel_x x_acc x_accel")),
+        "linear_acceleration_x ax acc_x accel_x x_acc x_accel 纵向加速度")),
     "acceleration_y": Channel("acceleration", "to the left, body axes", (
         "iso_vs_lateral_acceleration acceleration_y acceleration_left acceleration_lateral lateral_acceleration "
         "lateral_accel lateral_acc acc_lateral accel_lateral a_lateral a_lat acc_lat accel_lat lat_acc lat_accel "
-        "a_quer querbeschleunigung linear_acceleration_y ay acc_y accel_y y_acc y_accel")),
+        "a_quer querbeschleunigung linear_acceleration_y ay acc_y accel_y y_acc y_accel 横向加速度")),
     "road_wheel_angle": Channel("angle", "mean of the front wheels, positive to the left", (
         "road_wheel_angle delta delta_f delta_front df rwa front_wheel_angle front_steering_angle front_steer_angle "
         "steering_angle_front steer_angle_front road_steering_angle steering_angle_road wheel_angle tire_angle "
-        "tyre_angle steering_tire_angle ackermann_angle radlenkwinkel")),
+        "tyre_angle steering_tire_angle ackermann_angle radlenkwinkel 前轮转角")),
     "steering_wheel_angle": Channel("angle", "steering wheel, positive to the left, offset not removed", (
         "steering_wheel_angle steering_wheel steering_wheel_position steering_wheel_pos steer_wheel_angle "
         "steering_wheel_angle_iso hand_wheel_angle hand_wheel handwheel_position swa delta_h delta_hand delta_sw "
-        "dm_steer_ang steer_whl_ang steer_sw lenkradwinkel")),
+        "dm_steer_ang steer_whl_ang steer_sw lenkradwinkel 方向盘转角")),
     **{f"wheel_speed_{end}_{side}": Channel("speed", "rolling speed of a wheel; for checks", (
         f"wheel_speed_{end}_{side} wheel_speed_{end[0]}{side[0]} ws_{end[0]}{side[0]} v_{end[0]}{side[0]} "
         f"{end}_{side}_wheel_speed")) for end in ("front", "rear") for side in ("left", "right")},

@@ -436,7 +436,8 @@ def _find_decimal_mark(file: Path, lines: list[str], delimiter: str, units: Iter
     commas = {cell for cell in cells if "," in cell}
     points = {cell for cell in cells if "." in cell}
     # If a cell contains both marks, as 1.234,5 does, the last one is the decimal mark.
-    marks = {"," if cell.rfind(",") > cell.rfind(".") else "." for cell in commas & points}
+    with_both = {cell for cell in commas & points if _NUMBER.fullmatch(cell)}
+    marks = {"," if cell.rfind(",") > cell.rfind(".") else "." for cell in with_both}
     for mark, cells_with_mark, other in ((",", commas, "."), (".", points, ",")):
         unmixed_cells = {cell for cell in cells_with_mark if other not in cell}
         if any(cell.count(mark) == 1 and not _GROUPED_NUMBER[mark].fullmatch(cell) and
@@ -444,13 +445,13 @@ def _find_decimal_mark(file: Path, lines: list[str], delimiter: str, units: Iter
             marks.add(mark)  # a single mark, as in 12,5, is the decimal mark
         elif any(cell.count(mark) > 1 for cell in unmixed_cells if _GROUPED_NUMBER[mark].fullmatch(cell)):
             marks.add(other)  # a repeated mark, as in 1,234,567, separates thousands
-    ambiguous_cells = sorted(cell for cell in commas | points
-                             if any(form.fullmatch(cell) for form in _GROUPED_NUMBER.values()))
+    ambiguous_cells = sorted(cell for cell in commas | points if (len(marks) > 1 and cell in with_both)
+                             or any(form.fullmatch(cell) for form in _GROUPED_NUMBER.values()))
     if ambiguous_cells and (len(marks) > 1 or not marks):
         reason = "the file has decimal commas and decimal points" if marks else "no other cell shows which"
         raise RunError(file, f"{ambiguous_cells[0]} may be a number with a decimal mark or with a thousands separator: "
                        f"{reason}", "export it without thousands separators")
-    if len(marks) != 1:  # no decimal mark, or both; a cell that contains both becomes NaN
+    if len(marks) != 1:  # no decimal mark, or both, each in other cells
         return ",", ""
     return (".", ",") if marks == {"."} else (",", ".")
 

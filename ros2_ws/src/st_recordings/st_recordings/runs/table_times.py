@@ -15,12 +15,12 @@ from .ins_log import LATEST_TIME, MAX_LOST_FRACTION, select_usable_rows
 # Time zone name -> hours ahead of UTC; sources: RFC 5322, and the tz database
 _ZONES = {"Z": 0, "UTC": 0, "GMT": 0, "EST": -5, "EDT": -4, "CST": -6, "CDT": -5, "MST": -7, "MDT": -6, "PST": -8,
           "PDT": -7, "BST": 1, "CET": 1, "MEZ": 1, "CEST": 2, "MESZ": 2, "EET": 2, "EEST": 3, "JST": 9, "KST": 9}
-# 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.26 10:11:12,5, 10:11:12.5, 10:11:12:500, 11:12:13.5 PM (CEST).
-# Spreadsheets write minutes and seconds as 11:12.5. A date 05/04/2026 is ignored if _order_dates cannot convert it.
+# 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.26 10:11:12,5, 10:11:12:500, 11:12:13.5 PM (CEST), and of Java
+# 10:11:12+02:00[Europe/Berlin]. Spreadsheets write 11:12.5. 05/04/2026 is ignored if _order_dates cannot convert it.
 _STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4}|\d\d)|"
                     r"\d\d?[/-]\d\d?[/-](?:\d{4}|\d\d))[T ,.] *)?(?:0 days )?(?:(\d{1,2}):)?(\d\d?):"
                     rf"(\d\d(?:[.,:]\d+)?) *(?:([AaPp])\.?[Mm]\.?)? *\(?({'|'.join(_ZONES)})?\)?"
-                    r"(?:([+-])(\d\d)(?::?(\d\d))?)?")
+                    r"(?:([+-])(\d\d)(?::?(\d\d))?(?:\[\w+/[\w/+-]+\])?)?")
 _COMPACT_STAMP = re.compile(r"(\d{4})-?(\d\d)-?(\d\d)[T_ -](\d\d)[:-]?(\d\d)[:-]?(\d\d)(?!\d)")  # 20260504T101112.5
 _UNDERSCORED_STAMP = re.compile(r"(\d{4})_(\d\d?)_(\d\d?)_(\d\d?)_(\d\d)_(\d\d)(?:_(\d+))?")  # 2026_05_04_10_11_12_500
 _NUMERIC_DATE = re.compile(r"(?<!\d)(\d\d?)[/-](\d\d?)[/-](\d{4}|\d\d)(?!\d)")
@@ -132,6 +132,7 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
         return seconds, source
     if median > LATEST_TIME:
         scales = [(0.0, UNITS["time"][unit][0], f"{unit} since 1970") for unit in ("ms", "us", "ns")]
+        scales += [(1.16444736e17, 1e-7, "0.1 us since 1601"), (6.21355968e17, 1e-7, "0.1 us since the year 1")]
     elif len(steps) and np.median(steps) < 2e-5:  # steps too short for seconds
         scales = [(origin, DAY, f"{name} (UTC)") for origin, name in _DAY_COUNTS]
     for origin, factor, description in scales if not source.has_stated_unit else ():
