@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 from st_core.augmented import AugmentedModel, augment
+from st_core.channels import CHANNELS
 from st_core.discovery import DiscoverySettings
 from st_core.discovery.fit import Fit, Problem
 from st_core.discovery.loss import Loss
@@ -52,11 +53,11 @@ def relation(candidate: Candidate, formula: Callable[[np.ndarray], np.ndarray]) 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """The attributes of windows that `Errors` uses."""
+    """The attributes of windows that errors and horizon errors use."""
 
     count: int
     run: np.ndarray
-    columns = COLUMNS
+    columns, channels = COLUMNS, tuple(CHANNELS.values())
     time = np.array([0.5, 1.25, 2.5, 5.0])
 
     @property

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy import stats
 
-from ..channels import CHANNEL_OF_COLUMN, UNITS
+from ..channels import UNITS
 from ..effects import EFFECT_KINDS, get_effect
 from ..regression import Z95, random_effects
 from .evidence import JointFit, compare_parts, standard_deviations
@@ -32,11 +32,9 @@ class HorizonErrors:
         columns = self.problem.errors.windows.columns
         last = np.nan_to_num(self.problem.held_out_residuals(fit)[:, -len(columns):], nan=DIVERGED_ERROR)
         last = np.clip(last, -DIVERGED_ERROR, DIVERGED_ERROR)
-        last = np.where(self.problem.loss.known[:, -len(columns):], last, np.nan)
-        result: dict[str, np.ndarray] = {}
-        for column, values in zip(columns, last.T, strict=True):
-            channel = CHANNEL_OF_COLUMN[column].name
-            result[channel] = result.get(channel, 0.0) + np.square(values)
+        squares = np.square(np.where(self.problem.loss.known[:, -len(columns):], last, np.nan))
+        result = {channel.name: squares[:, [columns.index(column) for column in channel.columns]].sum(axis=1)
+                  for channel in self.problem.errors.windows.channels}
         if "position" in result:
             result["position_5s"] = np.sqrt(result["position"])
         return result

@@ -56,12 +56,9 @@ class Signals(LogSignals):
         self._lookups: OrderedDict[tuple, tuple] = OrderedDict()
 
     def for_log(self, log: DriveLog) -> "Signals":
-        if not shares_memory(log, self.log, "ins_time_ns", "velocity_x"):
-            other = Signals(log, self.maximum_gap)
-            other._lookups = self._lookups
-            return other
-        other = copy(self)
-        other.log = log
+        is_same_motion = shares_memory(log, self.log, "ins_time_ns", "velocity_x")
+        other = copy(self) if is_same_motion else Signals(log, self.maximum_gap)
+        other.log, other._lookups = log, self._lookups
         return other
 
     def _find_neighbours(self, times: np.ndarray, requested: np.ndarray) -> Neighbours:
