@@ -57,7 +57,7 @@ _LINES = (
     # CanKing with hexadecimal numbers: " 0    0000014B         1  00                                1675.570498 T"
     re.compile(r"\s*(?P<index>\d+) +(?P<id>[01][0-9A-F]{7}) +(?P<kind>X?R?) +(?P<length>\d+)  "
                r"(?P<data>(?:[0-9A-F]{2} +)*) *(?P<time>\d+\.\d+) (?P<direction>[RT])\s*$"),
-    # python-can: "Timestamp: 1436509052.249713    ID:      044    S Rx                DL:  2    2A 36", and HCRL data
+    # python-can: "Timestamp: 1436509052.249713    ID:      044    S Rx                DL:  2    2A 36", and HCRL
     re.compile(r"Timestamp: +(?P<time>\d+\.\d+) +ID: +(?P<id>[0-9A-Fa-f]+) +(?:(?P<kind>[SX]) (?P<direction>[RT]x)"
                r"[ FBSI]*|\d+) +DLC?: +(?P<length>\d+)(?P<data>(?: +[0-9A-Fa-f]{2}\b)*)(?: +'.*')?"
                r"(?: +Channel: (?P<bus>\S+))?\s*$"),

@@ -119,7 +119,7 @@ def read_table(file: Path, layout: Layout) -> Table:
         warnings.append(f"{file}: the header is in line {n_above + 1}; the lines above it were skipped")
     names, delimiter = _split_header(header)
     if names[-1] in ("", "Comment") and not any(split_row(body.split("\n")[-2], delimiter)[len(names) - 1:]):
-        names.pop()  # of a delimiter at the end of the header, or of LabVIEW, without cells
+        names.pop()  # empty after a final delimiter, or Comment in LabVIEW, and without cells
     if not text.endswith("\n") and _is_last_cell_truncated(body, delimiter):
         body = body[:body.rstrip("\n").rfind("\n") + 1]
         warnings.append(f"{file}: the last row ends within a number and was left out")
@@ -181,12 +181,12 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
     # Rows that begin with # are comments, unless their first cell is #N/A, or all rows do (ASCII log of NovAtel).
     lines = [line for line in lines if not (text := line.lstrip()).startswith("#")
              or text.split(delimiter, 1)[0].strip().lower() in MISSING_MARKS] or lines
-    first: dict[str, str] = {}
+    first_cells: dict[str, str] = {}
     try:
         rows = np.loadtxt(lines, delimiter=delimiter, ndmin=2, comments=None) if lines else np.empty(0)
         rows = rows.reshape(len(lines), len(names))  # raises ValueError for other numbers of cells
     except ValueError:
-        rows, sources, first = _read_cells(file, lines, delimiter, names, sources, layout, warnings)
+        rows, sources, first_cells = _read_cells(file, lines, delimiter, names, sources, layout, warnings)
     time = sources.get("t")
     joined = rows if time is None else _join_groups(rows, names, time.column)
     warnings += [f"{file}: column {source.name} occurs {names.count(source.name)} times; " + (
@@ -196,7 +196,7 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
         columns = {channel: joined[:, source.column] * source.factor
                    for channel, source in sources.items() if channel != "t"}
     columns = {channel: np.where(np.isfinite(values), values, np.nan) for channel, values in columns.items()}
-    texts = {channel: cell[:40] for channel, cell in first.items() if cell.lower() not in MISSING_MARKS
+    texts = {channel: cell[:40] for channel, cell in first_cells.items() if cell.lower() not in MISSING_MARKS
              and channel in columns and not np.isfinite(columns[channel]).any()}
     if time is None:
         return Table(file, tuple(names), sources, columns, np.empty(0, np.int64), 0, np.empty(0, bool), tuple(warnings))
@@ -204,7 +204,7 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
     if pair is not None and pair[0] == time.column:
         seconds = column_names.add_fraction(seconds, pair[2] * joined[:, pair[1]])
     seconds, time = convert_to_seconds(file, seconds, time, warnings)
-    has_time, time_ns, is_usable = select_usable_times(file, seconds, time, first.get("t"), warnings)
+    has_time, time_ns, is_usable = select_usable_times(file, seconds, time, first_cells.get("t"), warnings)
     columns = {channel: values[has_time] for channel, values in columns.items()}
     return Table(file, tuple(names), {**sources, "t": time}, columns, time_ns, int((~has_time).sum()), is_usable,
                  tuple(warnings), texts)
@@ -368,8 +368,8 @@ def _read_cells(file: Path, lines: list[str], delimiter: str, names: list[str], 
     lines = [line.replace('"', "") if line.count('"') % 2 else line for line in text.split("\n")]
     lines = _select_complete_rows(file, lines, delimiter, len(names), warnings)
     first_row, pair = split_row(lines[0], delimiter), find_stamp_columns(names)
-    first = {channel: first_row[source.column] for channel, source in sources.items()}
-    units = {channel: text for channel, cell in first.items() if (text := _split_unit(channel, cell))}
+    first_cells = {channel: first_row[source.column] for channel, source in sources.items()}
+    units = {channel: text for channel, cell in first_cells.items() if (text := _split_unit(channel, cell))}
     decimal_mark, thousands_separator = _find_decimal_mark(file, lines, delimiter, units.values())
     time = sources.get("t")
     channels = {number: "" for number, name in enumerate(names) if time is not None and name == time.name}
@@ -402,7 +402,7 @@ def _read_cells(file: Path, lines: list[str], delimiter: str, names: list[str], 
             for column in hemispheres:
                 rows = np.isin([letter.upper() for letter in read_texts(column + side)], ("S", "W"))
                 numbers[rows, column] = -np.abs(numbers[rows, column])
-    return numbers, _apply_stated_units(sources, units, layout), first
+    return numbers, _apply_stated_units(sources, units, layout), first_cells
 
 
 def _select_complete_rows(file: Path, lines: list[str], delimiter: str, width: int, warnings: list[str]) -> list[str]:

@@ -24,8 +24,8 @@ _groups: ContextVar[dict[str, list[str]] | None] = ContextVar("_groups", default
 
 
 def find_codec(head: bytes) -> str:
-    """Codec of a text by its first bytes: UTF-16, with or without a byte order mark, GBK if they are not UTF-8 and all
-    others than ASCII are common Chinese characters (at least two), else UTF-8, to be decoded with CP1252_FALLBACK."""
+    """Codec of a text, from its first bytes: UTF-16, with or without a byte order mark; GBK if they are not UTF-8 and
+    contain only ASCII and at least two common Chinese characters; else UTF-8, to be decoded with CP1252_FALLBACK."""
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return "utf-16"
     is_zero = [not any(head[start:200:2]) for start in (0, 1)]
