@@ -44,10 +44,10 @@ def draw_advice(costs: Mapping[advice_report.ModelStep, advice_report.Cost],
                 axes.plot(cost, accuracy.half_widths[k], marker, color=colour, ms=5, mfc="none")
         axes.axhline(tolerance, color=TEXT_COLOUR, lw=0.7, ls=(0, (4, 3)))
         axes.set(title=f"{second} s ahead", xscale="log", yscale="log", xlabel="µs per prediction")
-        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axes.xaxis.set_major_formatter("{x:g}")
-        axes.yaxis.set_major_formatter("{x:g}")
-        axes.xaxis.set_minor_formatter(NullFormatter())
+        for scale in (axes.xaxis, axes.yaxis):
+            scale.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            scale.set_major_formatter("{x:g}")
+            scale.set_minor_formatter(NullFormatter())
     panels[0, 0].set_ylabel("lateral error, m")
     models = list(dict.fromkeys(model for model, _ in accuracies))
     handles = [Line2D([], [], ls="", marker="o", color=MODEL_COLOUR.get(m, TEXT_COLOUR), label=m) for m in models]

@@ -19,8 +19,8 @@ SOLVER_NAME = {"rti": "real-time iteration (SQP, qrqp)", "ipopt": "IPOPT to conv
 def draw_trade_off(rows: list[dict], titles: Mapping[str, str], file: Path) -> None:
     """Draw tracking error versus processor time: a line for each model and solver, a point for each horizon."""
     with plt.rc_context(FIGURE_STYLE):
-        figure, axes = plt.subplots(1, len(titles), figsize=(3.6 * len(titles) + 0.6, 3.9), squeeze=False, sharex=True,
-                                    sharey=True)
+        figure, axes = plt.subplots(1, len(titles), figsize=(max(3.6 * len(titles) + 0.6, 6.5), 3.9), squeeze=False,
+                                    sharex=True, sharey=True)
         for axis, (road, title) in zip(axes[0], titles.items(), strict=True):
             axis.loglog()
             on_road = [row for row in rows if row["road"] == road]
@@ -32,7 +32,7 @@ def draw_trade_off(rows: list[dict], titles: Mapping[str, str], file: Path) -> N
             scale.set_major_formatter(FormatStrFormatter("%g"))
             scale.set_minor_formatter(NullFormatter())
         axes[0][0].set_ylabel("lateral deviation, rms [m]")
-        _add_legend(figure, rows)
+        _add_legend(figure, rows, min(len(titles), 3) + 2)
         figure.savefig(file)
         plt.close(figure)
 
@@ -50,7 +50,7 @@ def _draw_line(axis, rows: list[dict], solver: str, model: str) -> None:
                      linewidth=1.0, alpha=0.9, zorder=3)
 
 
-def _add_legend(figure, rows: list[dict]) -> None:
+def _add_legend(figure, rows: list[dict], columns: int) -> None:
     entries = [Line2D([], [], color=MODEL_COLOUR.get(model, MEASURED_COLOUR), linestyle=MODEL_LINE.get(model, "solid"),
                       label=model) for model in dict.fromkeys(row["model"] for row in rows)]
     entries += [Line2D([], [], color=MEASURED_COLOUR, marker=SOLVER_MARKER[solver], linestyle="none",
@@ -60,7 +60,7 @@ def _add_legend(figure, rows: list[dict]) -> None:
     if any(not row["finished"] for row in rows):
         entries.append(Line2D([], [], color=MEASURED_COLOUR, marker="X", markerfacecolor="white", linestyle="none",
                               label="left the path"))
-    figure.legend(handles=entries, loc="outside lower center", ncols=min(5, len(entries)))
+    figure.legend(handles=entries, loc="outside lower center", ncols=columns)
 
 
 def draw_paths(tables: Mapping[tuple, np.ndarray], titles: Mapping[str, str], file: Path) -> None:
