@@ -451,7 +451,7 @@ def _find_decimal_mark(file: Path, lines: list[str], delimiter: str, units: Iter
         reason = "the file has decimal commas and decimal points" if marks else "no other cell shows which"
         raise RunError(file, f"{ambiguous_cells[0]} may be a number with a decimal mark or with a thousands separator: "
                        f"{reason}", "export it without thousands separators")
-    if len(marks) != 1:  # no decimal mark, or both, each in other cells
+    if len(marks) != 1:  # no decimal mark, or both marks in different cells
         return ",", ""
     return (".", ",") if marks == {"."} else (",", ".")
 
