@@ -121,6 +121,17 @@ def test_hidden_effect_is_named_with_its_value(leaf, name, parameter, value, dri
 
 
 @pytest.mark.slow
+def test_ratio_and_ins_position_of_rear_wheels_that_steer_are_not_named(leaf, library):
+    """Rear wheels that steer by -0.06 of the front angle act like a ratio of 1 / 1.06 and an INS further back."""
+    library("steering_ratio", "sensor_lever_arm", "steering_offset")
+    truth = {"steering_ratio": {"factor": 1.0 / 1.06},
+             "sensor_lever_arm": {"x": leaf.wheelbase * (1.0 / 1.06 - 1.0), "y": 0.0}}
+    found = discover(recorded(leaf, truth, 4, ("lane_change", "slalom", "circle")), leaf, settings=SETTINGS)
+    assert not found.effects and {e.name for e in found.minor} == set(truth)
+    assert any("rear wheels that steer by -0.06" in warning for warning in found.warnings)
+
+
+@pytest.mark.slow
 def test_tyre_saturation_is_found_for_a_linear_base_at_the_handling_limit(leaf, library):
     library("tyre_saturation", "front_stiffness", "steering_ratio", "mass")
     found = discover(recorded(leaf, {}, 6, ("circle", "ramp_to_limit")), leaf, "linear", settings=SETTINGS)

@@ -36,7 +36,13 @@ from st_core.discovery.decision import (
     varies_relevantly,
     varying_partition,
 )
-from st_core.discovery.discover import _Analysis, complete_delay, find_parameter_across_bound, replace_interval
+from st_core.discovery.discover import (
+    _Analysis,
+    complete_delay,
+    describe_common_cause,
+    find_parameter_across_bound,
+    replace_interval,
+)
 from st_core.discovery.evidence import Agreement, Evidence
 from st_core.discovery.result import Combination, FittedParameter, FoundEffect, Reason, unseparated_combinations
 from st_core.discovery.space import FileQuantity
@@ -481,8 +487,8 @@ def judge_tyre_stiffness(monkeypatch, verdict, combinations, rival=WORSE_RIVAL, 
     monkeypatch.setattr(discover_module.waterfall, "leave_one_out", lambda *_: {})
     problem = SimpleNamespace(prior=(), held_out_residuals=lambda _: None, position_error=lambda _: np.array([np.nan]))
     analysis = SimpleNamespace(
-        problem=problem, reference=[], sensors={}, limits=LIMITS, _analyse_axles=lambda *_: (None, (), combinations),
-        _decide_reporting=lambda *_: {"tyre_stiffness": verdict})
+        problem=problem, vehicle=SimpleNamespace(wheelbase=2.7), reference=[], sensors={}, limits=LIMITS,
+        _analyse_axles=lambda *_: (None, (), combinations), _decide_reporting=lambda *_: {"tyre_stiffness": verdict})
     state = SimpleNamespace(order=["tyre_stiffness"], evidence={"tyre_stiffness": evidence}, rivals={}, fit=None,
                             near_optimal=[])
     search = SimpleNamespace(find_cancelling_effects=lambda *_: (), find_best_rival=lambda *_: rival)
@@ -497,3 +503,22 @@ def test_correction_of_drives_without_positions_has_no_position_error():
     without, fit = (fit_problem(problem, *names) for names in ((), ("mass",)))
     correction, = _Analysis._list_corrections(None, problem, fit, SimpleNamespace(fit=without))
     assert correction.name == "mass" and correction.position_5s_increase == 0.0
+
+
+@pytest.mark.parametrize(("factor", "x", "names", "found"), [
+    (0.95, -0.13, ("steering_ratio", "sensor_lever_arm"), True),  # rear wheels steered by -0.053: x = 2.7 m (f - 1)
+    (1.05, 0.15, ("steering_ratio", "sensor_lever_arm"), True),
+    (0.95, 0.13, ("steering_ratio", "sensor_lever_arm"), False),  # of opposite sign
+    (0.95, -0.45, ("steering_ratio", "sensor_lever_arm"), False),  # too far for this ratio
+    (0.99, -0.03, ("steering_ratio", "sensor_lever_arm"), False),  # both intervals include the file's values
+    (0.95, -0.13, ("steering_ratio",), False),
+])
+def test_ratio_and_ins_position_of_one_cause(factor, x, names, found):
+    parameters = {"steering_ratio": {"factor": FittedParameter(factor, "1", (factor - 0.02, factor + 0.02), 1.0)},
+                  "sensor_lever_arm": {"x": FittedParameter(x, "m", (x - 0.05, x + 0.05), 0.0),
+                                       "y": FittedParameter(0.0, "m", (-0.1, 0.1), 0.0)}}
+    effects = [FoundEffect(name, "sensors", parameters[name], (), 0.0, {}) for name in names]
+    text = describe_common_cause(effects, 2.7)
+    assert bool(text) == found
+    if found:
+        assert f"steer by {1.0 - 1.0 / factor:+.3f} of the front angle, or a wheelbase of {2.7 * factor:.2f} m" in text
