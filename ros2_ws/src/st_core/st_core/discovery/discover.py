@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..channels import CHANNELS
-from ..effects import TOTAL_DELAY, get_effect
+from ..effects import REAR_STEERING, TOTAL_DELAY, get_effect
 from ..errors import StCoreError
 from ..handling import find_implausible_values
 from ..identification.axle_forces import ForceCurve
@@ -36,7 +36,6 @@ from .windows import MARGIN_NS, MIN_SPEED, Windows
 Progress = Callable[[str, int, int], None]
 SensorEstimates = Mapping[str, tuple[float, float, float]]
 MIN_TURNING_FRACTION = 0.05  # smallest fraction of driving in turns, and of turns to each side, without a warning
-COMMON_CAUSE = ("steering_ratio", "sensor_lever_arm")  # see `describe_common_cause`
 CONTAINED_IN_INPUT = "the measured forward acceleration is an input and already contains it"
 NEVER_TESTABLE = {"drag": CONTAINED_IN_INPUT, "rolling_resistance": CONTAINED_IN_INPUT,
                   "grade": f"{CONTAINED_IN_INPUT}; pitch is not measured"}  # effect: reason
@@ -198,10 +197,11 @@ class _Analysis:
         for name, verdict in verdicts.items():
             if verdict.rule == decision.NAMED and not decision.is_confirmed(state.evidence[name], self.limits):
                 verdicts[name] = decision.judge_necessity(search.find_best_rival(state, name), self.limits) or verdict
-        rules = {name: verdicts[name].rule for name in COMMON_CAUSE if name in verdicts and not self.reference}
-        if decision.NAMED in rules.values() and (text := describe_common_cause(effects, self.vehicle.wheelbase)):
+        imitated = [e for e in effects if REAR_STEERING in e.other_causes]
+        named_before = [e.name for e in imitated if verdicts[e.name].rule == decision.NAMED]
+        if named_before and (text := describe_common_cause(imitated, self.vehicle.wheelbase)):
             self.warnings.append(text)
-            verdicts |= {n: result.Reason(decision.MINOR, n, {}, text) for n in rules if rules[n] == decision.NAMED}
+            verdicts |= {name: result.Reason(decision.MINOR, name, {}, text) for name in named_before}
         effects = [replace(e, alternatives=decision.list_alternatives(state.rivals.get(e.name, ()), self.limits))
                    for e in effects]
         named, minor, contradicted = (tuple(e for e in effects if verdicts[e.name].rule in rules) for rules in (
@@ -508,9 +508,11 @@ def describe_varying(v: VaryingFit, space: Space, position_reduction: float) -> 
 def describe_common_cause(effects: Sequence[result.FoundEffect], wheelbase: float) -> str:
     """A sentence if rear wheels that steer by k of the front angle explain both a ratio f and an INS position x, or "".
 
+    effects: those that such rear wheels imitate.
+
         r = v delta (1 - k) / l,    f = 1 / (1 - k),    x = k delta v / r = l (f - 1);    a wheelbase f l acts like them
     """
-    found = {key: p for e in effects if e.name in COMMON_CAUSE for key, p in e.parameters.items()}
+    found = {key: p for e in effects for key, p in e.parameters.items()}
     ratio, x = found.get("factor"), found.get("x")
     if ratio is None or x is None or any(p.interval[0] <= p.null <= p.interval[1] for p in (ratio, x)):
         return ""

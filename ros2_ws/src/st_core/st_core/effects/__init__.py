@@ -17,6 +17,7 @@ from ._base import (
     DYNAMIC,
     EFFECT_KINDS,
     EFFECTS,
+    REAR_STEERING,
     TOTAL_DELAY,
     Effect,
     Instant,
@@ -30,8 +31,8 @@ from ._base import (
 )
 from ._relation import LaggedRelationEffect, RelationEffect, fix_curve
 
-__all__ = ["ANY", "COMBINATIONS", "DYNAMIC", "EFFECTS", "EFFECT_KINDS", "TOTAL_DELAY", "Effect", "Instant",
-           "LaggedRelationEffect", "Measured", "Parameter", "RelationEffect", "find_applicable_effects",
+__all__ = ["ANY", "COMBINATIONS", "DYNAMIC", "EFFECTS", "EFFECT_KINDS", "REAR_STEERING", "TOTAL_DELAY", "Effect",
+           "Instant", "LaggedRelationEffect", "Measured", "Parameter", "RelationEffect", "find_applicable_effects",
            "find_confounded_effects", "find_source_file", "fix_curve", "get_effect", "load_file", "load_folder",
            "register", "unload_folder"]
 

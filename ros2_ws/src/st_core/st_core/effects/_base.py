@@ -22,6 +22,7 @@ ANY = frozenset(BASE_MODELS)
 EFFECT_KINDS = ("sensors", "vehicle parameters", "physics", "environment")
 SLOTS = ("steering", "front axle", "rear axle", "both axles", "body",
          "position", "velocity", "heading", "yaw rate", "acceleration")
+REAR_STEERING = "rear-wheel steering"  # outside the library; see `discovery.discover.describe_common_cause`
 TOTAL_DELAY = "total delay of the steering"  # dead time plus lag; how a fit divides this sum depends on the model
 COMBINATIONS = {"front cornering stiffness over axle load": "1/rad", "rear cornering stiffness over axle load": "1/rad",
                 "stability factor K": "s^2/m^2", "steady-state yaw gain at 20 m/s": "1/s",

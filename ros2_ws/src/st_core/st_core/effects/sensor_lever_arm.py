@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from ._base import ANY, Effect, Parameter, register
+from ._base import ANY, REAR_STEERING, Effect, Parameter, register
 
 
 @register
@@ -12,7 +12,7 @@ class SensorLeverArm(Effect):
     kind, slot = "sensors", "position"
     confounded_with = ("cg_position", "heading_misalignment")
     needs = ("velocity_y",)  # without it, yaw may be the course, which hides x and y
-    imitated_by = "rear-wheel steering"
+    imitated_by = REAR_STEERING
     applies_to = ANY
     parameters = (
         Parameter("x", "m", null=0.0, initial=0.2, bounds=(-3.0, 3.0), meaning="INS further forward than in the file",

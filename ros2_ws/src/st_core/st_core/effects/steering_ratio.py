@@ -1,6 +1,6 @@
 """Error of the steering ratio in the vehicle file: delta = delta_measured / factor."""
 
-from ._base import ANY, Effect, Parameter, register, scale_entry
+from ._base import ANY, REAR_STEERING, Effect, Parameter, register, scale_entry
 
 
 @register
@@ -10,7 +10,7 @@ class SteeringRatio(Effect):
     kind, slot = "vehicle parameters", "steering"
     confounded_with = ("front_stiffness", "roll_steer", "yaw_rate_scale", "speed_scale", "steering_map")
     combinations = ("steady-state yaw gain at 20 m/s",)
-    imitated_by = ("a wrong wheelbase in the vehicle file, rear-wheel steering, a speed-dependent steering ratio or a "
+    imitated_by = (f"a wrong wheelbase in the vehicle file, {REAR_STEERING}, a speed-dependent steering ratio or a "
                    "locking differential")
     applies_to = ANY
     order = 40
