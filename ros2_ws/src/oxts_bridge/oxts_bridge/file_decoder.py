@@ -240,8 +240,6 @@ def _describe_missing_packet(name: str, data: bytes) -> str:
     content = {
         **dict.fromkeys(CAPTURE_MAGIC, capture),
         b"OggS": "an Ogg container (if it is an .xcom file, export NCOM from it first)",
-        b"\x7fELF": "an executable",
-        b"PK\x03\x04": "a zip archive",
         b"MDF ": "an MDF log",
     }.get(head)
     if content is None:

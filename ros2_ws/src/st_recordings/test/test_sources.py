@@ -402,6 +402,7 @@ def test_described_bag_folder_is_one_run(tmp_path: Path, run_file: str, content:
     ("ins: x.ncom\ncan: 1.log\nspeed: 3", "unknown key speed; known keys are name, ins"),
     ("can: 1.log", "exactly one of the keys ins, bag, csv and vbo"),
     ("ins: y.ncom\ncan: 1.log", "ins: 'y.ncom' does not exist"),
+    ("ins: [x.ncom, y.ncom]\ncan: 1.log", r"ins: .*'x.ncom', 'y.ncom'\]. is not one file"),
     ("csv: e*.csv", r"csv: no file matches 'e\*\.csv'"),
     ("csv: [d.csv, 3]", "csv: expected a file or a list of files"),
     ("ins: x.ncom", "can: no CAN log is listed"),

@@ -56,13 +56,15 @@ class Storage(ABC):
     def __init__(self, path: Path):
         """A subclass calls this once it can count messages."""
         self.path, self.store = path, load_typestore()
-        self.topics = [Topic(name, type_name, count)
-                       for (name, type_name), count in self._count_messages().items() if count]
+        counts: Counter[tuple[str, str]] = Counter()
+        for name, type_name, count in self._count_messages():
+            counts[name, type_name] += count
+        self.topics = [Topic(*topic, count) for topic, count in counts.items() if count]
         self.by_type = {topic.type_name: topic for topic in reversed(self.topics)}  # type -> its first topic
 
     @abstractmethod
-    def _count_messages(self) -> Counter[tuple[str, str]]:
-        """(topic, type) -> number of messages."""
+    def _count_messages(self) -> Iterable[tuple[str, str, int]]:
+        """(topic, type, number of messages), several times for a topic of several files or publishers."""
 
     @abstractmethod
     def timed_messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
@@ -287,24 +289,19 @@ class McapStorage(Storage):
         super().__init__(path)
 
     def definitions(self) -> dict[str, tuple[str, str]]:
-        definitions: dict[str, tuple[str, str]] = {}
-        for file, summary in self._files:
-            schemas = summary.schemas.values() if summary else (s for s, _, _ in islice(_stream(file), 1000) if s)
-            definitions |= {s.name: (s.encoding, s.data.decode("utf-8", "replace")) for s in schemas}
-        return definitions
+        return {s.name: (s.encoding, s.data.decode("utf-8", "replace")) for file, summary in self._files for s in (
+            summary.schemas.values() if summary else (s for s, _, _ in islice(_stream(file), 1000) if s))}
 
-    def _count_messages(self) -> Counter[tuple[str, str]]:
-        counts: Counter[tuple[str, str]] = Counter()
+    def _count_messages(self) -> Iterator[tuple[str, str, int]]:
         for file, summary in self._files:
             if summary is None:
-                counts.update((c.topic, schema.name if schema else "") for schema, c, _ in _stream(file))
+                yield from ((c.topic, schema.name if schema else "", 1) for schema, c, _ in _stream(file))
                 continue
             assert summary.statistics is not None  # ensured by read_summary
             for channel in summary.channels.values():
                 schema = summary.schemas.get(channel.schema_id)
-                counts[channel.topic, schema.name if schema else ""] += \
-                    summary.statistics.channel_message_counts.get(channel.id, 0)
-        return counts
+                count = summary.statistics.channel_message_counts.get(channel.id, 0)
+                yield channel.topic, schema.name if schema else "", count
 
     def timed_messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
         for file, summary in self._files:
@@ -342,14 +339,10 @@ class SqliteStorage(Storage):
         self._files = files
         super().__init__(path)
 
-    def _count_messages(self) -> Counter[tuple[str, str]]:
-        counts: Counter[tuple[str, str]] = Counter()
-        for file in self._files:
-            text = ("SELECT topics.name, topics.type, COUNT(*) FROM topics "
-                    "JOIN messages ON messages.topic_id = topics.id GROUP BY topics.id")
-            for name, type_name, count in _query(file, text):
-                counts[name, type_name] += count
-        return counts
+    def _count_messages(self) -> Iterable[Any]:
+        text = ("SELECT topics.name, topics.type, COUNT(*) FROM topics "
+                "JOIN messages ON messages.topic_id = topics.id GROUP BY topics.id")
+        return (row for file in self._files for row in _query(file, text))
 
     def timed_messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
         text = ("SELECT messages.timestamp, messages.data FROM messages JOIN topics ON messages.topic_id = topics.id "
@@ -386,8 +379,8 @@ class RosbagsStorage(Storage):
             self.store = get_typestore(Stores.EMPTY)
             self.store.register({**load_typestore().fielddefs, **recorded_types})
 
-    def _count_messages(self) -> Counter[tuple[str, str]]:
-        return sum((Counter({(c.topic, c.msgtype): c.msgcount}) for c in self._reader.connections), Counter())
+    def _count_messages(self) -> Iterable[tuple[str, str, int]]:
+        return ((c.topic, c.msgtype, c.msgcount) for c in self._reader.connections)
 
     def timed_messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
         connections = [c for c in self._reader.connections if c.topic == topic]

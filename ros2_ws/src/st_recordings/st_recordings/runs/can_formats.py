@@ -467,10 +467,6 @@ def _read_blf(file: Path, notes: list[str]) -> Iterator[Any]:
         notes.append(f"is truncated: {format_count(reader.file_size - size, reader.file_size, 'bytes')} are missing")
 
 
-def _is_csv(head: bytes) -> bool:
-    return any(map(_is_csv_header, head.decode("utf-8-sig", "ignore").splitlines()[:MAX_HEADER_LINES]))
-
-
 def _has_line_format(head: bytes) -> bool:
     forms = (re.compile(r"\W*\(\d+\.\d+\) \S+ [0-9A-Fa-f]+#"), *_LINES[1:])
     lines = _COLOUR.sub("", head.decode("latin-1")).splitlines()
@@ -487,7 +483,9 @@ FORMATS = (
     Format("PEAK trace", (".trc",), lambda head: b";$FILEVERSION" in head or (head.lstrip().startswith(b";") and (
         b"Message Number" in head or (b"Start time:" in head and _TRC_LINE.search(head) is not None))), partial(
         _read_text, make_parser=_make_trc_parser)),
-    Format("CSV", _TABLE_EXTENSIONS, _is_csv, partial(_read_text, make_parser=_make_csv_parser)),
+    Format("CSV", _TABLE_EXTENSIONS, lambda head: any(
+        map(_is_csv_header, head.decode("utf-8-sig", "ignore").splitlines()[:MAX_HEADER_LINES])), partial(
+        _read_text, make_parser=_make_csv_parser)),
 )
 SHARED_EXTENSIONS = (".log", ".asc", "", ".pcap", ".pcapng", ".cap", *_TABLE_EXTENSIONS)
 """Extensions that CAN logs share with files of other programs."""
@@ -547,6 +545,6 @@ def is_can_log(file: Path) -> bool:
     except OSError:
         head = b""
     if extension == ".csv":
-        return _is_csv(head) or _has_line_format(head)
+        return any(kind.matches(head) for kind in FORMATS if extension in kind.extensions)
     return is_mdf(head) or _is_can_capture(head) or any(kind.matches(head) for kind in FORMATS) or (
         extension in (".log", ".asc") and (not head or head.startswith(tuple(COMPRESSED_MAGIC))))

@@ -198,7 +198,5 @@ def _build_frames(messages: Sequence[can.Message]) -> Frames:
 
 def _find_bus_number(channel: Any) -> int:
     """Number of a bus from 1, as in MF4: can0 -> 1, channel 0 -> 1; 0 if it is unknown."""
-    if isinstance(channel, int):
-        return (channel + 1) % 256
-    digits = re.search(r"\d+$", str(channel or ""))
+    digits = re.search(r"(?:^-)?\d+$", str(channel))
     return (int(digits[0]) + 1) % 256 if digits else 0

@@ -28,10 +28,9 @@ def find_codec(head: bytes) -> str:
     contain only ASCII and at least two common Chinese characters; else UTF-8, to be decoded with CP1252_FALLBACK."""
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return "utf-16"
-    is_zero = [not any(head[start:200:2]) for start in (0, 1)]
-    is_text = [len(head) > 1 and all(head[start:200:2]) for start in (0, 1)]
-    if (is_text[0] and is_zero[1]) or (is_text[1] and is_zero[0]):
-        return "utf-16-le" if is_zero[1] else "utf-16-be"
+    for codec, text, zeros in (("utf-16-le", head[:200:2], head[1:200:2]), ("utf-16-be", head[1:200:2], head[:200:2])):
+        if len(head) > 1 and all(text) and not any(zeros):
+            return codec
     is_utf8 = head.startswith(head.decode("utf-8", "ignore").encode())
     is_chinese = len({*_COMMON_CHINESE.findall(head)}) > 1 and _COMMON_CHINESE.sub(b"", head).isascii()
     return "gb18030" if is_chinese and not is_utf8 else "utf-8-sig"

@@ -229,8 +229,8 @@ def _parse_number(path: Path, key: str, value: Any) -> float:
 def _find_file(path: Path, key: str, text: Any) -> Path:
     if isinstance(text, str) and os.path.exists(path.parent / text):
         return path.parent / text
-    raise RunError(path, f"{key}: {str(text)[:200]!r} does not exist",
-                   "paths are relative to the folder of the run.yaml")
+    problem = "is not one file (join NCOM files with cat)" if isinstance(text, list) else "does not exist"
+    raise RunError(path, f"{key}: {str(text)[:200]!r} {problem}", "paths are relative to the folder of the run.yaml")
 
 
 def _parse_labels(path: Path, value: Any) -> tuple[Label, ...]:

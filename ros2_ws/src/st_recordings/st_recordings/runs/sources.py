@@ -22,13 +22,9 @@ from .readers import READERS, Reader, find_reader
 from .run_file import find_described_files, find_described_run, find_logs, is_run_file, read_run_file
 from .run_types import RunSource
 
-GENERIC_NAMES = ("run", "bag")
-"""Names that do not identify a run (run.ncom with run.mf4, bag/ of st live); the folder's name is used instead."""
 DOCUMENT_EXTENSIONS = (".md", ".txt", ".rst", ".pdf", ".html", ".png", ".jpg", ".json", ".yaml", ".yml", "")
 """Extensions of documents such as README and LICENSE, which are ignored among recordings."""
 MAX_SPLIT_GAP = 5.0  # longest gap or overlap [s] between the end of one file of a split bag and the start of the next
-TABLE_EXTENSIONS = (".xls", ".xlsx", ".ods", ".tdms", ".erg", ".ld", ".pos")
-"""Extensions of tables of other programs. Some of these files are text, which can be read after renaming to .csv."""
 TEXT_EXPORTS = (".txt", ".tsv", ".dat")  # extensions of tables that programs often export alongside their own files
 UNKNOWN_ADVICE = {
     **dict.fromkeys((".dbc", ".kcd", ".sym", ".arxml"), "give a DBC with --dbc, or put it into the folder of --car"),
@@ -40,7 +36,8 @@ UNKNOWN_ADVICE = {
     ".vbb": "export it as .vbo with the software of the logger",
     ".bin": "rename it to .ncom if it contains NCOM packets; else export a .csv",
     **dict.fromkeys((".gz", ".zip", ".7z", ".bz2", ".xz", ".zst", ".zstd"), "unpack it first"),
-    **dict.fromkeys(TABLE_EXTENSIONS, "rename it to .csv if it is a text table with a header line, or export one"),
+    **dict.fromkeys((".xls", ".xlsx", ".ods", ".tdms", ".erg", ".ld", ".pos"),  # some of these files are text
+                    "rename it to .csv if it is a text table with a header line, or export one"),
 }
 """Extension -> advice, for files that no reader supports."""
 
@@ -309,7 +306,7 @@ def _assign_distinct_names(runs: Sequence[RunSource]) -> list[RunSource]:
     renamed_runs = []
     for run in sorted(runs, key=lambda r: (r.name, str(r.path))):
         folder = run.path.absolute().parent.name if run.files else ""
-        first = (run.name in GENERIC_NAMES and folder) or run.name
+        first = (run.name in ("run", "bag") and folder) or run.name  # these do not identify a run, as bag/ of st live
         names = chain((first, f"{folder}_{run.name}") if run.files else (first,),
                       (f"{run.name}_{number}" for number in count(2)))
         name = next(name for name in names if name not in used_names)
