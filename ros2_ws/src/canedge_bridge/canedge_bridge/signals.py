@@ -283,7 +283,7 @@ def _read_unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> tuple
 
 
 def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
-    """Raises ConfigurationError if the signal, for example unsigned, cannot reach half of its range on each side."""
+    """Raises ConfigurationError if the signal, such as an unsigned one, cannot reach half of its range on each side."""
     low, high, expectation = spec.minimum, spec.maximum, f"{entry.origin} ({entry.path}.range) expects"
     if not math.isfinite(high) and spec.name == "steering_wheel_angle":
         low, high = -DEFAULT_STEERING_RANGE / spec.factor, DEFAULT_STEERING_RANGE / spec.factor

@@ -263,7 +263,7 @@ def mean_correlation(pairs: Sequence[Pair], minimum_overlap: float,
 def find_peaks(pairs: Sequence[Pair], minimum_overlap: float,
                span: tuple[float, float] = (-np.inf, np.inf)) -> tuple[Peak, Peak] | None:
     """The two highest peaks of the mean correlation of the signals at offsets within span [s]; None without a positive
-    peak. The second peak is beyond a valley and PEAK_DISTANCE from the first; correlation 0 if there is none."""
+    peak. A valley and at least PEAK_DISTANCE separate the second from the first; correlation 0 if there is none."""
     lags, r = mean_correlation(pairs, minimum_overlap, span) or (np.zeros(1), np.zeros(1))
     best = int(np.argmax(r))
     if r[best] <= 0:

@@ -224,7 +224,7 @@ def test_relation_on_the_vehicle_must_significantly_improve_the_predicted_path(f
         return describe_small_gain(fits, candidate, loss_decrease, decrease[fits.block])
 
     assert reason(moment, 0.05 * share) == ""
-    assert all("the gain in the predicted path is not" in reason(moment, decrease)
+    assert all("its gain in the predicted path is not" in reason(moment, decrease)
                for decrease in (mixed, np.zeros(fits.blocks)))
     assert reason(gyroscope, mixed) == ""
 

@@ -17,20 +17,20 @@ UNITS = {"x": "m", "y": "m", "yaw": "rad", "velocity_x": "m/s", "velocity_y": "m
          "acceleration_x": "m/s^2", "acceleration_y": "m/s^2", "road_wheel_angle": "rad"}
 ALL_INS_SIGNALS = "every INS signal"
 STAMPED_CHANNELS = {"INS": ("time",), "steering": ("road_wheel_angle",)}  # channels affected by wrong time stamps
-MIN_HELD_FRACTION = 0.7  # minimum fraction of the samples that are in runs of equal values, of about median length
+MIN_HELD_FRACTION = 0.7  # minimum fraction of the samples that are in groups of equal values, of about median length
 MIN_HELD_RATE = 15.0  # Hz; at 15 m/s, positions held at this rate lag by up to 1 m, and by 0.5 m on average
 PREDICTION_GAP = PredictionSettings().maximum_gap
 MAX_LONG_FRACTION = 0.05  # fraction of intervals above PREDICTION_GAP; at 10 Hz, 92 % of 5 s horizons then contain one
 MAX_GAP_FRACTION = 0.05  # fraction of the time in gaps above which whole driving conditions may be missing
 MIN_ROWS_PER_SAMPLE = 1.5  # minimum sampling interval, in rows, of a sensor that is slower than the rows
 SPACING_TOLERANCE = 0.05  # largest relative deviation of the sensor's mean sampling interval from the expected one
-MIN_FREEZE_TIME = 1.5  # s; minimum duration of a frozen value
+MIN_FREEZE_TIME = 1.5  # s; minimum duration of a frozen channel
 MIN_CLIP_TIME = 0.3  # s; minimum duration of a clipped value
 MIN_CURVATURE_SPEED = 2.0  # m/s; at lower speeds, the curvature is not checked
 MIN_CURVATURE_CHANGE = 0.1  # minimum relative change of the curvature while a clipped steering angle is constant
 MIN_FROZEN_CURVATURE_CHANGE = 0.3  # MIN_CURVATURE_CHANGE of a frozen angle; saturating tyres cause 0.2
 CLIP_RATIO = 8.0  # minimum number of samples at a clipped value, divided by the number at each adjacent value
-FREEZE_PAUSE_RATIO = 10.0  # minimum ratio of the duration of a frozen value to the 98 % quantile of all such durations
+MIN_FREEZE_RATIO = 10.0  # minimum ratio of the duration of a frozen value to the 98 % quantile for all constant values
 OPTIONAL_CHANNELS = ("velocity_y", "acceleration_x", "acceleration_y")  # not needed to score predicted paths
 MAX_INTERVAL_RATIO = 1.5  # largest ratio of a sampling interval to the median; a longer one contains a lost sample
 MAX_AXIS_FRACTION = 0.9  # fraction of the speed along one axis above which the other coordinate may be constant
@@ -97,10 +97,10 @@ def check_timing(motion: Motion, auxiliary: AuxiliaryData, excluded: Sequence[Fi
 def _make_missing_values_finding(channel: str, count: int, motion: Motion, auxiliary: AuxiliaryData) -> Finding:
     time, signal = (motion.steering_time, "steering") if channel in STEERING else (motion.time, "INS")
     stamps = auxiliary.stamps.get(signal, auxiliary.stamps.get("INS", np.zeros(0)))
-    keeps_row = channel in OPTIONAL_INS_SIGNALS  # a row that lacks only such a signal is kept
-    fraction, rate = count / max(len(time) + (0 if keeps_row else count), 1), 0.0
+    row_is_kept = channel in OPTIONAL_INS_SIGNALS  # a row that lacks only such a signal is kept
+    fraction, rate = count / max(len(time) + (0 if row_is_kept else count), 1), 0.0
     spacing, row_spacing = np.diff(time), np.diff(stamps * NANOSECOND)
-    if not keeps_row and min(len(spacing), len(row_spacing)) >= MIN_MEASURED_STEPS:
+    if not row_is_kept and min(len(spacing), len(row_spacing)) >= MIN_MEASURED_STEPS:
         # Evenly spaced samples indicate a sensor slower than the rows; one interval in a hundred may deviate.
         row = float(np.median(row_spacing))
         expected = row / max(1.0 - fraction, 1e-9)
@@ -114,7 +114,7 @@ def _make_missing_values_finding(channel: str, count: int, motion: Motion, auxil
         advice = "no action is needed if that is the sensor's rate"
     else:
         text = (f"{channel}: {count} rows have no usable value ({100 * fraction:.3g} %); they were "
-                f"{'kept without it' if keeps_row else 'left out'}")
+                f"{'kept without it' if row_is_kept else 'left out'}")
         advice = "check what the logger writes in these rows"
     severity = Severity.NOTE if rate or fraction <= LIMITS.max_note_fraction else Severity.WARNING
     return Finding("values_missing", severity, (channel,), text, fraction, advice=Advice("text", advice))
@@ -170,8 +170,8 @@ def _check_gaps(signal: str, time: np.ndarray, excluded_times: Sequence[tuple[fl
                 f"intervals exceed {PREDICTION_GAP:g} s; no prediction is made across these, so few or none can be "
                 "scored")
         return [Finding("time_gaps", Severity.WARNING, STAMPED_CHANNELS[signal], text, typical, "s",
-                        advice=Advice("text", f"record the {signal} at a higher rate, or find out why most of its "
-                                      "samples are not used"))]
+                        advice=Advice("text", f"record the {signal} at a higher rate, or check whether "
+                                      "samples are lost"))]
     gaps = [k for k in np.flatnonzero(spacing > MAX_GAP)
             if not any(time[k] < begin and end < time[k + 1] for begin, end in excluded_times)]
     if not gaps:
@@ -262,11 +262,11 @@ def _check_clipped(name: str, time: np.ndarray, values: np.ndarray, motion: Moti
 
 def _check_frozen(name: str, time: np.ndarray, values: np.ndarray, motion: Motion, resolution: float,
                   min_time: float = MIN_FREEZE_TIME) -> list[Finding]:
-    """Finding about a channel that is constant for `min_time` [s] and much longer than usual while others change."""
+    """Finding about a channel constant for more than `min_time` [s], much longer than usual, while others change."""
     first, last = find_groups(np.diff(values) != 0.0)
     duration = time[last] - time[first]
     usual_duration = float(np.sort(duration)[max(int(0.98 * len(duration)) - 1, 0)]) if len(duration) > 5 else 0.0
-    frozen = [k for k in np.flatnonzero(duration > max(min_time, FREEZE_PAUSE_RATIO * usual_duration))
+    frozen = [k for k in np.flatnonzero(duration > max(min_time, MIN_FREEZE_RATIO * usual_duration))
               if _should_change(name, time[first[k]], time[last[k]], motion, resolution, MIN_FROZEN_CURVATURE_CHANGE)]
     if not frozen:
         return []
@@ -299,7 +299,7 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, resoluti
     if name in RATES:
         rate, bias, min_change = RATES[name]
         rises = [cumulative_trapezoid(sign * rate(motion)[in_interval] - bias, motion.time[in_interval], initial=0.0)
-                 for sign in (1.0, -1.0)]  # between any two times, since a lap ends where it begins
+                 for sign in (1.0, -1.0)]  # between any two times, as the net change of a lap is 0
         change = max(float((rise - np.minimum.accumulate(rise)).max()) for rise in rises)
         return change > max(ROUNDING_STEPS * resolution, min_change)
     related, min_change = RELATED_QUANTITIES[name]
@@ -322,8 +322,8 @@ def _compute_mean_rate(time: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def _compute_rate_along_axis(motion: Motion, velocity: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Velocity along an axis of the map; 0 where the positions along the other axis account for the speed, since a
-    wrong yaw may then cause it."""
+    """Velocity along an axis of the map; 0 where the positions along the other axis account for the speed, since
+    the cause may be a yaw error."""
     return np.where(np.abs(_compute_mean_rate(motion.time, other)) < MAX_AXIS_FRACTION * motion.speed, velocity, 0.0)
 
 

@@ -6,7 +6,7 @@ from scipy.sparse.csgraph import connected_components
 from .windows import Windows
 
 PLACE_SIZE = 50.0  # m, side of the squares of the map that count as places
-SAME_SITE_FRACTION = 0.2  # two runs are at one site if they share more of the places of the run with fewer places
+SAME_SITE_FRACTION = 0.2  # common fraction of the places of the smaller run above which two runs are at one site
 MIN_RUNS, MIN_PARTS = 5, 6  # fewer than MIN_RUNS runs are divided into at least MIN_PARTS parts in total
 THIRDS = ("the first third of each run", "the second third of each run", "the last third of each run")
 CONDITIONS = ("slow and gentle", "fast and gentle", "slow and hard", "fast and hard")

@@ -33,7 +33,7 @@ class ScreenedCandidate:
     information: np.ndarray  # (SPLINES, SPLINES) for the coefficients, with the other parameters projected out
 
     def compute_detection_limit(self, p_value: float, blocks: int) -> float:
-        """Largest magnitude in the range of the smallest linear relation that reaches `p_value` [unit of the curve].
+        """Smallest linear relation that reaches `p_value`: its largest magnitude in the range [unit of the curve].
         blocks: number of blocks of the drives."""
         c = self.candidate
         points = np.linspace(c.low, c.high, POINTS)
@@ -177,7 +177,7 @@ def describe_small_gain(fits: RelationFits, candidate: Candidate, gains: np.ndar
     blocks = average_by_block(fits, position_gain)
     blocks = blocks[np.isfinite(blocks)]
     if not candidate.is_sensor_error and len(blocks) > 1 and compute_lower_bound(blocks, limits.false_alarm) <= 0.0:
-        return (f"{candidate.name} is significant, but the gain in the predicted path is not: it "
+        return (f"{candidate.name} is significant, but its gain in the predicted path is not: it "
                 f"{describe_gain(fits, gains, position_gain)}")
     return ""
 

@@ -74,8 +74,8 @@ def format_headline(result: DriveCheck) -> str:
     return f"{count_by_severity(result.findings)}: {'; '.join(texts[:MAX_LISTED])}{more}"
 
 
-def get_unit_symbol(text: str) -> str:
-    return "" if text == "1" else text.replace("^2", "²")
+def get_unit_symbol(unit: str) -> str:
+    return "" if unit == "1" else unit.replace("^2", "²")
 
 
 def format_estimate(value: float | None, interval: Sequence[float] | None = None, unit: str = "1") -> str:

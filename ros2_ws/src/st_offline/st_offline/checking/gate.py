@@ -55,7 +55,7 @@ def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettin
     """Check a bag before its replay, with its recorded built-in models and step; returns the findings.
 
     vehicle: file to use instead of the recorded vehicle (the default vehicle if none is recorded). Raises
-    RejectedRunError unless forced, RunError for a bag that cannot be read or replayed, StCoreError for an invalid car.
+    RejectedRunError for errors (unless forced), RunError for an unusable bag, StCoreError for an invalid car.
     """
     if bag.suffix.lower() == ROS1_EXTENSION:
         raise RunError(bag, "the nodes cannot receive ROS 1 messages",

@@ -212,7 +212,7 @@ def _read_group_frames(log: Any, group: int, name: str, start_ns: int) -> Iterat
     content = log.groups[group]
     source = content.channel_group.acq_source
     texts = (content.channel_group.acq_name, getattr(source, "name", None), getattr(source, "path", None))
-    # The bus is in the name of a group or of its source, such as CAN1_Rx (layout 2); 0: unknown.
+    # The bus number is in the name of a group or its source, such as CAN1_Rx (layout 2); 0: unknown.
     bus = next((int(match[1]) for text in texts if (match := _BUS.search(text or ""))), 0)
     if not content.channel_group.samples_byte_nr:
         raise DamageError("its records have length zero")

@@ -220,7 +220,7 @@ def _report_unknown_file(file: Path) -> RunSource:
 
 def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
                       logs: Sequence[Path]) -> Iterator[RunSource]:
-    """Yields a source for each INS recording without CAN logs, or, if there are none, for each session of CAN logs."""
+    """Yields a source for each INS recording without CAN logs; without such recordings, for each session of logs."""
     for file in recordings:
         if not readers[file].needs_can:
             yield _make_single_run(file, readers[file])  # its reader reports the missing data
@@ -278,7 +278,7 @@ def _group_split_bags(files: Sequence[Path]) -> list[list[Path]]:
         for previous, number in pairwise(numbers):
             part, between = parts[number], range(min(previous, number), max(previous, number))
             gap = abs(spans[number][0] - spans[previous][1]) * 1e-9  # s
-            if gap < MAX_SPLIT_GAP and all(k in parts for k in between):  # stops early in a huge range of time stamps
+            if gap < MAX_SPLIT_GAP and all(k in parts for k in between):  # lazy: numbers may be time stamps, far apart
                 groups[-1].append(part)
             else:
                 groups.append([part])
