@@ -64,7 +64,7 @@ class Storage(ABC):
 
     @abstractmethod
     def _count_messages(self) -> Iterable[tuple[str, str, int]]:
-        """(topic, type, number of messages), several times for a topic of several files or publishers."""
+        """(topic, type, number of messages) of each file and publisher; entries of the same topic are added up."""
 
     @abstractmethod
     def timed_messages(self, topic: str) -> Iterator[tuple[int, bytes]]:

@@ -306,7 +306,7 @@ def _assign_distinct_names(runs: Sequence[RunSource]) -> list[RunSource]:
     renamed_runs = []
     for run in sorted(runs, key=lambda r: (r.name, str(r.path))):
         folder = run.path.absolute().parent.name if run.files else ""
-        first = (run.name in ("run", "bag") and folder) or run.name  # these do not identify a run, as bag/ of st live
+        first = (run.name in ("run", "bag") and folder) or run.name  # generic file names; the folder names the run
         names = chain((first, f"{folder}_{run.name}") if run.files else (first,),
                       (f"{run.name}_{number}" for number in count(2)))
         name = next(name for name in names if name not in used_names)
