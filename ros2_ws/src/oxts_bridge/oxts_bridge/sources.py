@@ -66,7 +66,7 @@ class SourceStatus:
     is_done: bool = False  # a replay has reached its end
     sender: str = ""  # address in use
     datagrams: int = 0  # received datagrams, or packets of a replay
-    # Number from each of the first 16 senders that are ignored, by address; with the port for the address in use.
+    # Number from each of the first 16 ignored senders, by address, or by address and port for the address in use.
     ignored_datagrams: dict[str, int] = field(default_factory=dict)
     ignored_from_other_ports: int = 0  # number from other ports of the address in use
     progress: float = 0.0  # fraction of the file replayed

@@ -86,8 +86,8 @@ def test_file_that_improves_the_mean_but_worsens_a_drive_is_not_written(tmp_path
     long = record_drive(tmp_path, 90.0)
     _, folded = fold_effects(long, ("mass", {"factor": 1.5}))
     assert folded.worse_drives == (long.log.name,)
-    assert not replace(folded, error=(1.0, 0.5)).improves
-    assert replace(folded, error=(1.0, 0.5), worse_drives=()).improves
+    assert not replace(folded, error=(1.0, 0.5)).is_not_worse
+    assert replace(folded, error=(1.0, 0.5), worse_drives=()).is_not_worse
 
 
 def test_stiffer_tyres_raise_the_minimum_slip_speed(recorded_drive):

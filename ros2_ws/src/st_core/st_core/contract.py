@@ -1,4 +1,4 @@
-"""Requirements on every effect, which `st effects check` applies to library and user-defined effects.
+"""Requirements for every effect, which `st effects check` applies to library and user-defined effects.
 
 Each function in `REQUIREMENTS` examines a base model with the effect, and returns a description of the violation in one
 line, or "" if there is none. Checked by: test_contract.py.
@@ -104,11 +104,11 @@ def _check_mirror(effect: type[Effect], vehicle: VehicleParameters, base: Model,
         return ""  # wind and slope depend on the map and are not symmetric
     opposite_values = {p.name: -p.initial for p in effect.parameters if p.odd}
     mirror_model = model.with_values({effect.name: opposite_values}) if opposite_values else model
-    paths = _predict_floats(mirror_model, vehicle, side=-1.0) - MIRROR_SIGNS * _predict_floats(model, vehicle)
-    readings = np.subtract(mirror_model.observe(_mirror(READING)), _mirror(model.observe(READING)))
-    difference = float(max(np.abs(paths).max(), np.abs(readings).max()))
+    differences = (_predict_floats(mirror_model, vehicle, side=-1.0) - MIRROR_SIGNS * _predict_floats(model, vehicle),
+                   np.subtract(mirror_model.observe(_mirror(READING)), _mirror(model.observe(READING))))
+    difference = float(max(np.abs(values).max() for values in differences))
     if not difference < ROUNDING:
-        return (f"a left turn is not the mirror image of a right one in the {base.name} model ({difference:.2g}); "
+        return (f"{base.name}: a left turn and the mirror image of a right turn differ by {difference:.2g}; "
                 "if a parameter changes sign in the mirror image, set odd=True for it")
     return ""
 
@@ -124,7 +124,7 @@ def describe_instability(base: Model, model: Model, vehicle: VehicleParameters, 
         if base.name != "kinematic":
             before, after = (float(lateral_modes(m, vehicle, speed).real.max()) for m in (base, model))
             if not after <= max(before, 0.0) + MAX_GROWTH_RATE_INCREASE:
-                return f"a lateral mode grows at {after:.2g} instead of {before:.2g} 1/s at {speed:.3g} m/s"
+                return f"a lateral mode has a growth rate of {after:.2g} instead of {before:.2g} 1/s at {speed:.3g} m/s"
         factor = growth_factor(model, vehicle, speed, STEP)
         if factor > max(1.0, growth_factor(base, vehicle, speed, STEP)):
             return (f"a mode is too fast for steps of {1e3 * STEP:g} ms at {speed:.3g} m/s: it grows by a factor of "

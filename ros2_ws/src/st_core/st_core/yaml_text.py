@@ -120,7 +120,7 @@ def hash_content(content: Any) -> str:
 
 
 def dump(content: Mapping[str, Any], indent: str = "") -> str:
-    """YAML text: mappings that contain mappings have one line per key, everything else is in flow style."""
+    """YAML text: mappings that contain mappings are in block style, everything else is in flow style."""
     lines = []
     for key, value in content.items():
         is_block = isinstance(value, Mapping) and any(isinstance(part, Mapping) for part in value.values())

@@ -43,7 +43,7 @@ def yaw_acceleration(equation):
     (lambda gain, r, v_x: -gain * r / v_x, "predictions are finite", "division by zero"),
     (lambda gain, r, v_x: gain * np.float32(r), "results are equal", "numpy"),
     (lambda gain, r, v_x: 0.1 * gain + 0.0 * r, "left and right are mirror images", "odd=True"),
-    (lambda gain, r, v_x: 20.0 * gain * r, "it does not make the car unstable", "grows at"),
+    (lambda gain, r, v_x: 20.0 * gain * r, "it does not make the car unstable", "has a growth rate of"),
     (lambda gain, r, v_x: -99.0 * gain * r, "it does not make the car unstable", "too fast for steps"),
 ], ids=["null", "no change", "standstill", "backends", "mirror", "growing mode", "fast mode"])
 def test_violated_requirement_is_named(leaf, monkeypatch, equation, requirement, message):

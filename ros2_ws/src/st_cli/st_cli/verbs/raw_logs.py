@@ -202,8 +202,8 @@ def _import_run(source: "RunSource", car: "VehicleParameters", folder: Path, set
     style = VERDICT_STYLE[alignment.verdict]
     print_line(f"[bold]{escape(source.name)}[/bold]  [{style}]{text}[/{style}]")
     print_line("  " + ", ".join(f"{topic} {count}" for topic, count in imported.counts.items()))
-    speed = f"{imported.span:.0f} s of driving in {duration:.1f} s, {imported.span / duration:.0f} times real time"
-    list_files({folder: speed})
+    summary = f"{imported.span:.0f} s of driving in {duration:.1f} s, {imported.span / duration:.0f} times real time"
+    list_files({folder: summary})
 
 
 def ncom(

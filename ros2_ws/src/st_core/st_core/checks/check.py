@@ -29,7 +29,7 @@ MAX_PART_DURATION = 300.0  # s; longest such part; it limits the computing time
 MIN_CHANGE = 0.5  # fraction of the deviation; if the parts differ by less, one correction removes at least half of it
 NOT_COMPARED = (  # between parts of a drive: the first three are constant, the other estimates depend on the driving
     "measuring_point", "position_reference", "position_side", "heading_misaligned", "steering_unrelated")
-CAUSED_BY_DRIFT = ("yaw_drift", "yaw_offset", "velocity_y_scale", "velocity_y_bias")  # findings of a drift in one part
+CAUSED_BY_DRIFT = ("yaw_drift", "yaw_offset", "velocity_y_scale", "velocity_y_bias")  # findings due to drift in a part
 MIN_INS_SAMPLES = 50  # with fewer samples, only implausible samples and time stamps are reported
 
 
@@ -288,7 +288,7 @@ def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[M
         estimates[name] = estimate.shifted(value) if name == "yaw_offset" else estimate.scaled(value)
     if "velocity_scale" in estimates:
         estimates["velocity_x_scale"] = estimates["velocity_scale"].scaled(removed_factors.get("velocity_x_scale", 1.0))
-    # The yaw rate is corrected as far as its correlation with the change of yaw determines the errors.
+    # Errors of the yaw rate are corrected if its correlation with the change of yaw determines them.
     if yaw_rate and yaw_rate.correlation >= inertial.GYRO_CORRELATION:
         motion = replace(motion, yaw_rate=(motion.yaw_rate - yaw_rate.bias.value) / yaw_rate.scale.value)
     if yaw_rate and yaw_rate.correlation >= LIMITS.min_correlation and yaw_rate.has_lag:
@@ -299,7 +299,7 @@ def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[M
 
 
 def _correct_units(motion: Motion, vehicle: VehicleParameters | None) -> tuple[Motion, list[Finding]]:
-    """Result of `correct_units`; if the steering confirms the unit of length, the accelerations are wrong instead."""
+    """Result of `correct_units`; a wrong unit of length that the steering contradicts is one of the accelerations."""
     corrected, findings = _correct_units_without_lag(motion)
     unit = next((finding.value for finding in findings if finding.channels == units_and_axes.LENGTH_CHANNELS), None)
     if vehicle is None or unit is None or not vehicle_relations.steering_confirms_length(motion, vehicle, unit):
@@ -309,7 +309,7 @@ def _correct_units(motion: Motion, vehicle: VehicleParameters | None) -> tuple[M
 
 
 def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """Result of `correct_units` if a severe lag between yaw and yaw rate, which would change their ratio, is removed
+    """Result of `correct_units`, with a severe lag between yaw and yaw rate, which would change their ratio, removed
     first and restored afterwards."""
     agreement = inertial.compare_yaw_rate(motion, inertial.ACCELERATION_CUTOFF)
     # A yaw rate with the opposite sign also correlates at a lag of half a period, but no better than without.

@@ -184,11 +184,11 @@ class Series:
 
 @dataclass(frozen=True, eq=False)
 class InsQuality:
-    """Status and accuracy reported by the INS, (n,) each; NaN where unknown."""
+    """Status and accuracy reported by the INS, (n,) each; NaN if unknown."""
 
     time_ns: np.ndarray
     navigation_status: np.ndarray  # NCOM byte 21, 4 = locked
-    position_mode: np.ndarray  # NCOM mode: 6 = RTK integer, 5 = RTK float, -1 unknown
+    position_mode: np.ndarray  # NCOM mode: 6 = RTK integer, 5 = RTK float; NaN or -1 if unknown
     position_accuracy: np.ndarray  # horizontal standard deviation [m]
 
 
@@ -221,7 +221,7 @@ class Limits:
     warning_effect: float = 0.25  # m; the best models have errors of 0.4 m over such horizons
     error_effect: float = 5.0  # m; error of a model that goes straight on in a bend of radius 250 m at 10 m/s
     unit_ratio: float = 1.33  # factor above which a ratio is due to a wrong unit, sign or axis, not to calibration
-    channel_unit_ratio: float = 2.0  # unit_ratio for accelerations (error: body roll) and wheel speeds (tyre radius)
+    channel_unit_ratio: float = 2.0  # the same for accelerations, which roll changes, and wheel speeds (tyre radius)
     yaw_settling_time: float = 0.2  # s; time constant with which a model's initial yaw rate error decays
     lag: float = 0.015  # s; smaller lags are due to filters inside a sensor
     severe_lag: float = 0.05  # s; larger lags would be mistaken for a steering delay
@@ -229,7 +229,7 @@ class Limits:
     acceleration_bias: float = 0.1  # m/s^2; caused by a tilt of the sensor or the road of 0.6 deg
     lateral_acceleration: float = 13.0  # m/s^2; above the limit of road tyres
     steering_unit_ratio: float = 1.5  # unit_ratio of the steering; ratio, wheelbase and stiffnesses may be inaccurate
-    steering_lag: float = 0.1  # s; lag by which the response of the car may differ from that of the vehicle file
+    steering_lag: float = 0.1  # s; possible error of the response time computed with the vehicle file
     steering_offset: float = 0.02  # rad, at the road wheels
     ins_position: float = 0.25  # m; accuracy of a rough measurement of the INS position
     heading_misalignment: float = 0.002  # rad; 0.1 deg, accuracy of a dual-antenna INS

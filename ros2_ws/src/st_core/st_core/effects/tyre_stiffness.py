@@ -1,4 +1,4 @@
-"""Error of both cornering stiffnesses in the vehicle file by a common factor, as with different tyres."""
+"""Common scale error of both cornering stiffnesses in the vehicle file, as with different tyres."""
 
 from ._base import Effect, register
 from .front_stiffness import make_stiffness_parameter, scale_axles

@@ -200,8 +200,8 @@ def build_document(discovery: Discovery, request: Request, update: VehicleUpdate
 def build_model_file(discovery: Discovery, request: Request, update: VehicleUpdate) -> ModelFile | None:
     """Model file with the effects of `update.model` that are not at their null values; None without any.
 
-    Intervals of changes relative to reference drives are shifted to the total values. An effect is marked as an
-    effective correction if it is folded, or if its value is not reported or outside the reported interval.
+    Intervals of changes relative to reference drives are shifted to the total values. An effect is an effective
+    correction if it is folded, outside its reported interval or, if not reported or minor, not in `discovery.named`.
     """
     intervals: dict[tuple[str, str], Interval] = {}
     for named_effect in discovery.effects:
@@ -210,7 +210,7 @@ def build_model_file(discovery: Discovery, request: Request, update: VehicleUpda
             total = discovery.named.values[named_effect.name][name]
             low, high = (total + end - p.value for end in p.interval)
             intervals[named_effect.name, name] = (min(low, total), max(high, total))
-    companion = f", for the vehicle.yaml that contains {', '.join(update.folded)}" if update.folded else ""
+    companion = f", for the vehicle.yaml corrected for {', '.join(update.folded)}" if update.folded else ""
     note = f"st discover, outcome {discovery.outcome}, from {request.base}{companion}"
     provenance = ModelProvenance(f"{datetime.now(UTC):%Y-%m-%d}", data=request.file_hashes, note=note)
     named = {e.name: e.parameters for e in discovery.effects}
@@ -272,8 +272,8 @@ def _make_tables(discovery: Discovery, content: Mapping[str, Any]) -> dict[str, 
     narrow = (
         Table("Corrections of the vehicle file", "Values and intervals of the effects as entries of the file, in SI "
               "units.", ("key", "given file", "vehicle.yaml", "95 % interval"), changes),
-        Table("Held-out error of each channel", "Root mean square at the end of the horizon; for the position after "
-              "5 s, the mean. \"After\" is with all effects. Sorted by the relative reduction.",
+        Table("Held-out error of each channel", "Root mean square at the end of the horizon (position after 5 s: "
+              "mean). \"After\" is with all effects. Sorted by the relative reduction.",
               ("channel", "before", "after", "reduced by (95 %)", "noise", "worst run", "runs with a larger error"),
               channels),
         Table("Parts of the error", "Reduction of the mean position error at the end of the horizon by each part when "
@@ -296,7 +296,7 @@ def _make_change_row(key: str, change: Mapping[str, Any]) -> tuple[str, str, str
     unit, limits = get_unit_symbol(quantity.si_unit), (quantity.minimum, quantity.maximum)
     at_limit = any(math.isclose(change["after"], limit, rel_tol=1e-4) for limit in limits)
     return (f"{key}, {unit}" if unit else key, f"{change['before']:.5g}",
-            f"{change['after']:.5g}{' (limit of the file)' if at_limit else ''}",
+            f"{change['after']:.5g}{' (at its limit)' if at_limit else ''}",
             f"{change['interval'][0]:.5g} to {change['interval'][1]:.5g}")
 
 

@@ -296,7 +296,7 @@ def describe_effective_corrections(discovery: Discovery) -> str:
 
 def _list_vehicle_recommendations(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
     lines = []
-    if update is not None and not update.text and not update.improves:
+    if update is not None and not update.text and not update.is_not_worse:
         before, after = update.error
         worse = ", ".join(update.worse_drives)
         increase = f", with a significant increase in {worse}" if worse else ""

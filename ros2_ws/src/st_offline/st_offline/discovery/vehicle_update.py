@@ -59,7 +59,7 @@ class VehicleUpdate:
     required_slip_speed: float = 0.0  # minimum_slip_speed that the model needs [m/s]; 0 if that of the file suffices
 
     @property
-    def improves(self) -> bool:
+    def is_not_worse(self) -> bool:
         """Whether the updated file is not worse: mean error unknown or not larger, and no drive significantly worse."""
         return not (self.error[1] > self.error[0] or self.worse_drives)
 
@@ -67,7 +67,7 @@ class VehicleUpdate:
 def update_vehicle(discovery: Discovery, request: Request) -> VehicleUpdate | None:
     """The update of `fold_named_effects`, or the original file if it predicts better; None without a model."""
     update = fold_named_effects(discovery, request)
-    if update is None or not update.text or update.improves:
+    if update is None or not update.text or update.is_not_worse:
         return update
     model = discovery.model or update.model
     return _keep_original_file(request.vehicle, model, update.not_folded, update.error, update.worse_drives)
@@ -140,7 +140,7 @@ def _find_required_slip_speed(car: VehicleParameters, model: AugmentedModel) -> 
 def _compute_held_out_error(discovery: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
                             drives: Sequence[DriveLog]) -> tuple[tuple[float, float], tuple[str, ...]]:
     """`error` and `worse_drives` of `VehicleUpdate`. Each drive is predicted with values fitted to the other drives, if
-    any; if a vehicle file does not permit them, the result is (0, inf) and this drive."""
+    any; if these are outside the limits of the file, the result is (0, inf) and this drive."""
     assert discovery.named is not None  # because there are reported effects
     errors, worse = [], []
     for drive in drives:

@@ -47,7 +47,7 @@ class Task:
     """Settings of an evaluation."""
 
     vehicle: VehicleParameters
-    models: Mapping[str, ModelFile | None]  # by file name; None by the name of a built-in model
+    models: Mapping[str, ModelFile | None]  # file name -> content, or built-in model -> None
     settings: EvaluationSettings = field(default_factory=EvaluationSettings)
     read_settings: ReadSettings = field(default_factory=ReadSettings)
     vehicle_file: str = ""  # source of `vehicle`

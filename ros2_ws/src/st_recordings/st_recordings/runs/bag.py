@@ -215,7 +215,7 @@ def _read_all_metadata_records(path: Path) -> dict[str, dict[str, str]]:
 
 
 def _find_topic(storage: Storage, type_name: str, name: str | None = None) -> Topic:
-    """The topic of a type with the given name, or else the preferred topic of the type. Raises RunError."""
+    """The topic of a type with the given name; without a name, the preferred topic. Raises RunError."""
     path, candidates = storage.path, [t for t in storage.topics if t.type_name == type_name]
     if name is not None:
         named_topic = next((t for t in storage.topics if t.name.lstrip("/") == name.lstrip("/")), None)
@@ -247,7 +247,7 @@ def _read_frame_id(storage: Storage, topic: str) -> str:
 
 def _select_odometry(odometry: Mapping[str, np.ndarray], frame_id: str, notes: list[str]) -> tuple[
         np.ndarray, dict[str, np.ndarray], dict[str, int], list[str]]:
-    """(times [ns], INS channels of the usable messages, channel -> messages without a value, notes on conversions)."""
+    """(times [ns], INS channels of the usable messages, channel -> number of missing values, notes on conversions)."""
     x, y, *quaternion, velocity_x, velocity_y, yaw_rate = (odometry[field] for field in _ODOMETRY_FIELDS[1:])
     values = {"x": x, "y": y, "yaw": yaw_from_quaternion(*quaternion), "velocity_x": velocity_x,
               "velocity_y": velocity_y, "yaw_rate": yaw_rate}

@@ -1,7 +1,7 @@
 """Reads topics, messages and definitions from bags of ROS 2 (MCAP, SQLite) and ROS 1 through one interface.
 
-MCAP and SQLite are read without rosbags, because rosbags parses every definition in a bag and fails at the first
-unsupported one. Only ROS 1 bags and bags that are compressed according to metadata.yaml are read by rosbags.
+MCAP and SQLite are read without the reader of rosbags, which parses every definition in a bag and fails at the first
+unsupported one. Only ROS 1 bags and bags that are compressed according to metadata.yaml are read with it.
 """
 
 import sqlite3
@@ -150,9 +150,8 @@ class Storage(ABC):
             return log_times, [f"the stamps of {topics} do not overlap in time; the times of reception are used"]
         delays = [received - stamped for received, stamped in zip(log_times, series, strict=True)]
         shifts = [int(np.median(delay)) for delay in delays]
-        delays_vary = not is_common or any(np.ptp(np.percentile(delay, (5, 95))) > MAX_DELAY_DIFFERENCE_NS
-                                           for delay in delays)
-        if delays_vary or max(shifts) - min(shifts) <= MAX_DELAY_DIFFERENCE_NS:
+        delays_vary = any(np.ptp(np.percentile(delay, (5, 95))) > MAX_DELAY_DIFFERENCE_NS for delay in delays)
+        if not is_common or delays_vary or max(shifts) - min(shifts) <= MAX_DELAY_DIFFERENCE_NS:
             return series, []
         ahead, behind = (stamps[shifts.index(shift)][0] for shift in (min(shifts), max(shifts)))
         return [times + shift - shifts[0] for times, shift in zip(series, shifts, strict=True)], [
@@ -208,18 +207,18 @@ def describe_missing_files(path: Path) -> list[str]:
 def _describe_missing_before(file: Path) -> str:
     """A note on files missing before this one (drive_1 before drive_2); empty if the gap in time contradicts that."""
     stem, _, number = file.stem.rpartition("_")
-    numbers = {int(end): other for other in file.parent.iterdir() if other.suffix == file.suffix
+    files = {int(end): other for other in file.parent.iterdir() if other.suffix == file.suffix
                and other.stem.rpartition("_")[0] == stem and (end := other.stem.rpartition("_")[2]).isdecimal()}
-    previous_number = max((k for k in numbers if number.isdecimal() and k < int(number)), default=None)
+    previous_number = max((k for k in files if number.isdecimal() and k < int(number)), default=None)
     if previous_number is None or (count := int(number) - previous_number - 1) == 0:
         return ""
-    previous_span, own_span = read_time_span(numbers[previous_number]), read_time_span(file)
+    previous_span, own_span = read_time_span(files[previous_number]), read_time_span(file)
     if previous_span is None or own_span is None:
         return ""
     lengths = [previous_span[1] - previous_span[0], own_span[1] - own_span[0]]
     if not 0.5 * count * min(lengths) < own_span[0] - previous_span[1] < 2 * count * max(lengths):
         return ""
-    return (f"{count} file{'s' if count > 1 else ''} between {numbers[previous_number].name} and this one "
+    return (f"{count} file{'s' if count > 1 else ''} between {files[previous_number].name} and this one "
             f"{'are' if count > 1 else 'is'} missing, so these two are read as separate runs")
 
 

@@ -1,4 +1,4 @@
-"""Reads HDF5 files (MATLAB 7.3, tables of pandas, one dataset for each signal) as dicts, lists and arrays, the form in
+"""Reads HDF5 files (MATLAB 7.3, pandas tables, one dataset for each signal) as dicts, lists and arrays, the form in
 which scipy returns structs of older MATLAB files. Only datasets that are signals or text are read from the disk.
 """
 
@@ -20,7 +20,7 @@ UNIT_FIELDS = ("unit", "units", "Unit", "Units")
 TIME_CLASSES = {"duration", "datetime"}
 LINK, LINK_ADVICE = "link", "also copy that file"
 _MAGIC = b"\x89HDF\r\n\x1a\n"
-_OPAQUE = 3  # value of MATLAB_object_decode for an object with content in an undocumented form
+_OPAQUE = 3  # value of MATLAB_object_decode for an object in an undocumented format
 _MATLAB_ADVICE = {"timeseries": "{0} = struct('Time', {0}.Time, 'Data', {0}.Data)",
                   "timetable": "writetimetable({0}, '{0}.csv')", "table": "writetable({0}, '{0}.csv')",
                   "duration": "{0} = seconds({0})", "datetime": "{0} = posixtime({0})"}
@@ -35,7 +35,7 @@ def is_hdf5(file: Path) -> bool:
 
 
 def read_hdf5(file: Path) -> tuple[dict[str, Any], dict[str, str]]:
-    """(structs, name -> class of an object that only MATLAB can read, or broken external link). Raises RunError."""
+    """(structs, name -> class of an object that only MATLAB can read, or target of a broken link). Raises RunError."""
     import h5py
 
     objects: dict[str, str] = {}
@@ -50,7 +50,7 @@ def read_hdf5(file: Path) -> tuple[dict[str, Any], dict[str, str]]:
 
 
 def reject_objects(file: Path, objects: dict[str, str]) -> NoReturn:
-    """Raises RunError for a broken link, or with a MATLAB statement for the first object of each known class."""
+    """Raises RunError for a broken link, else for the objects, with a MATLAB statement for one of each known class."""
     for name, class_name in objects.items():
         if class_name.startswith(LINK):
             raise RunError(file, f"its {name} is a {class_name}, which cannot be opened", LINK_ADVICE)
@@ -160,7 +160,7 @@ def _split_columns(rows: np.ndarray) -> Any:
 
 
 def _read_frame(group: Any) -> dict[str, np.ndarray]:
-    """The columns of a table of pandas in the format "fixed", which has one matrix for each data type."""
+    """The columns of a pandas table in the format "fixed", which has one matrix for each data type."""
     index = group["axis1"]
     columns = {_name_index(_to_text(index.attrs.get("name")).removesuffix("N."), index.attrs.get("kind")): index[()]}
     for number in range(int(group.attrs["nblocks"])):
