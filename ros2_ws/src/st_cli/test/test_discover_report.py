@@ -83,7 +83,7 @@ def test_names_of_effects_keep_the_abbreviations_of_the_field():
 def test_effective_correction_is_described_by_the_error_without_it(logs):
     found = discovery(logs, STEPS, 1.72)
     text = report_text.describe_effective_corrections(replace(found, effective=found.effects[:1]))
-    assert text.startswith("steering ratio × 0.8940 (5 s position error without it +0.90 m): in model.yaml, marked")
+    assert text.startswith("steering ratio × 0.8940 (5 s position error without it +0.90 m): each is marked effective")
 
 
 def test_all_effects_of_the_model_file_are_listed(logs):
