@@ -133,7 +133,11 @@ def describe_mode(mode: int | None) -> str:
 
 
 def rank_mode(mode: int | None) -> int:
-    """Accuracy rank of the GNSS modes 0 to 7, from 0 (none) to 7 (RTK integer); -1 for any other mode and for None."""
+    """Accuracy rank of a GNSS mode, from 0 (none) to 7 (integer), equal for RTK, post-processed, gx and ix solutions;
+    -1 for any other mode and for None."""
+    for first in (12, 20, 25):  # mode of the Doppler solution of each family
+        if mode is not None and 0 <= mode - first < len(_SOLUTIONS):
+            mode = 2 + mode - first
     return _MODES_BY_ACCURACY.index(mode) if mode in _MODES_BY_ACCURACY else -1
 
 

@@ -14,7 +14,7 @@ from oxts_bridge.motion import (
     compute_variances,
     extract_motion,
 )
-from oxts_bridge.ncom import describe_mode, get_fix_status
+from oxts_bridge.ncom import describe_mode, get_fix_status, rank_mode
 from oxts_bridge.status import StatusTracker
 from oxts_bridge.stream import NcomParser
 from trigger_bytes import encode_trigger
@@ -198,3 +198,9 @@ def test_origin_of_the_unit_is_replaced_by_the_first_fix_after_a_timeout(motion)
 ])
 def test_text_and_fix_status_of_gnss_modes(mode, text, fix):
     assert (describe_mode(mode), get_fix_status(mode)) == (text, fix)
+
+
+def test_accuracy_of_a_mode_does_not_depend_on_the_kind_of_solution():
+    for first in (12, 20, 25):  # post-processed, gx, ix: Doppler, SPS, differential, float, integer
+        assert [rank_mode(mode) for mode in range(first, first + 5)] == [rank_mode(mode) for mode in range(2, 7)]
+    assert rank_mode(28) < rank_mode(6) and rank_mode(19) == rank_mode(30) == rank_mode(None) == -1

@@ -32,6 +32,8 @@ def with_section(good, bad, rows):
 def test_healthy_or_unknown_ins_status_gives_no_findings(log):
     assert quality_findings(log) == ()
     assert quality_findings(log, position_mode=with_section(RTK_INTEGER, RTK_FLOAT, slice(50, 90))) == ()
+    for mode in (15, 16, 23, 24, 28, 29):  # float and integer of post-processed, gx and ix solutions
+        assert quality_findings(log, position_mode=np.full(300, float(mode))) == ()
     unknown = np.full(300, np.nan)
     assert quality_findings(log, navigation_status=unknown, position_mode=unknown, position_accuracy=unknown) == ()
     assert quality_findings(log, position_mode=np.full(300, -1.0)) == ()

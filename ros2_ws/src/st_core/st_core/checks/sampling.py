@@ -37,7 +37,7 @@ MAX_AXIS_FRACTION = 0.9  # fraction of the speed along one axis above which the 
 MAX_SPEED_NOISE = 0.5  # m/s; reported by a receiver at standstill while the position is constant
 MAX_GYRO_BIAS = 0.02  # rad/s; a constant yaw counts as frozen only at a larger yaw rate
 LOCKED_STATUS = 4  # NCOM byte 21
-RTK_MODES = (5, 6)  # NCOM position modes: RTK float, RTK integer
+RTK_MODES = (5, 6, 15, 16, 23, 24, 28, 29)  # NCOM position modes float, integer: RTK, post-processed, gx, ix
 ROUNDING_STEPS = 3.0  # expected change, in steps of the resolution, below which a rounded channel may stay constant
 MIN_MEASURED_STEPS = 20  # minimum number of steps or intervals from which a resolution or a rate is estimated
 
