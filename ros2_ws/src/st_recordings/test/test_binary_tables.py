@@ -298,11 +298,12 @@ def test_drive_equals_the_one_of_the_csv_file(columns: Columns, tmp_path: Path,
     assert len(log.steering_time_ns) in (200, 400)
 
 
-def test_folder_with_the_same_drive_as_csv_and_mat_is_one_run(columns: Columns, tmp_path: Path):
-    pd.DataFrame(columns).to_csv(tmp_path / "drive.csv", index=False)
+def test_folder_with_the_same_drive_as_csv_txt_and_mat_is_one_run(columns: Columns, tmp_path: Path):
+    for name in ("drive.csv", "drive.txt", "third.txt"):
+        pd.DataFrame(columns).to_csv(tmp_path / name, index=False)
     save_flat(tmp_path / "drive.mat", columns)
     save_flat(tmp_path / "other.mat", columns)
-    assert [source.files[0].name for source in find_runs([tmp_path])] == ["drive.csv", "other.mat"]
+    assert [source.files[0].name for source in find_runs([tmp_path])] == ["drive.csv", "other.mat", "third.txt"]
 
 
 @pytest.mark.parametrize("axis", [0, 1])

@@ -331,6 +331,7 @@ TABLES = [
     Table("header_ends_with_delimiter.csv", lambda log: csv(rows(log), header() + ",")),
     Table("labview.lvm", lambda log: "LabVIEW Measurement\t\nDelta_X\t0.02\n***End_of_Header***\t\n" + csv(
         rows(log), "\t".join(["X_Value", *NAMES[1:], "Comment"]), "\t"), "the header is in line 4"),
+    Table("spanish.csv", lambda log: with_times(log, lambda s: f"{clock(s + 3600)} p.\u00a0m.")),
     Table("java.csv", lambda log: with_times(log, lambda s: f"2026-05-04T{clock(NOON + s)}+02:00[Europe/Berlin]")),
     Table("windows.csv", lambda log: with_times(log, lambda s: f"{1.3 * 10**17 + s * 1e7:.0f}"),
           "were read as 0.1 us since 1601"),

@@ -25,7 +25,7 @@ from .run_types import RunSource
 DOCUMENT_EXTENSIONS = (".md", ".txt", ".rst", ".pdf", ".html", ".png", ".jpg", ".json", ".yaml", ".yml", "")
 """Extensions of documents such as README and LICENSE, which are ignored among recordings."""
 MAX_SPLIT_GAP = 5.0  # longest gap or overlap [s] between the end of one file of a split bag and the start of the next
-TEXT_EXPORTS = (".txt", ".tsv", ".dat")  # extensions of tables that programs often export alongside their own files
+TEXT_EXPORTS = (".txt", ".tsv", ".dat", ".lvm")  # extensions of tables often exported alongside other files
 UNKNOWN_ADVICE = {
     **dict.fromkeys((".dbc", ".kcd", ".sym", ".arxml"), "give a DBC with --dbc, or put it into the folder of --car"),
     ".rd": "this is raw data of an OxTS unit: convert it to NCOM with the software of the unit",
@@ -130,7 +130,8 @@ def _may_belong_to_run(path: Path, files: Sequence[Path]) -> bool:
         return True
     same_stem = [(other, other_reader) for other in files if other.stem == path.stem and other != path
                  and (other_reader := find_reader(other)) and other.suffix.lower() not in BINARY_EXTENSIONS]
-    if path.suffix.lower() in BINARY_EXTENSIONS and any(other.has_drive(file) for file, other in same_stem):
+    if path.suffix.lower() in (*BINARY_EXTENSIONS, *TEXT_EXPORTS) and any(
+            other.has_drive(file) for file, other in same_stem if file.suffix.lower() not in TEXT_EXPORTS):
         return False  # probably the same drive
     originals = [file for file, other in same_stem if other.needs_can or path.suffix.lower() in TEXT_EXPORTS]
     if originals and reader.is_table and not reader.has_drive(path):

@@ -19,7 +19,7 @@ _ZONES = {"Z": 0, "UTC": 0, "GMT": 0, "EST": -5, "EDT": -4, "CST": -6, "CDT": -5
 # 10:11:12+02:00[Europe/Berlin]. Spreadsheets write 11:12.5. 05/04/2026 is ignored if _order_dates cannot convert it.
 _STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4}|\d\d)|"
                     r"\d\d?[/-]\d\d?[/-](?:\d{4}|\d\d))[T ,.] *)?(?:0 days )?(?:(\d{1,2}):)?(\d\d?):"
-                    rf"(\d\d(?:[.,:]\d+)?) *(?:([AaPp])\.?[Mm]\.?)? *\(?({'|'.join(_ZONES)})?\)?"
+                    rf"(\d\d(?:[.,:]\d+)?) *(?:([AaPp])\.?\s?[Mm]\.?)? *\(?({'|'.join(_ZONES)})?\)?"
                     r"(?:([+-])(\d\d)(?::?(\d\d))?(?:\[\w+/[\w/+-]+\])?)?")
 _COMPACT_STAMP = re.compile(r"(\d{4})-?(\d\d)-?(\d\d)[T_ -](\d\d)[:-]?(\d\d)[:-]?(\d\d)(?!\d)")  # 20260504T101112.5
 _UNDERSCORED_STAMP = re.compile(r"(\d{4})_(\d\d?)_(\d\d?)_(\d\d?)_(\d\d)_(\d\d)(?:_(\d+))?")  # 2026_05_04_10_11_12_500
