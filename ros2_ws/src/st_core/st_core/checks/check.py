@@ -20,7 +20,6 @@ from .position_steps import check_position_deviations, check_position_steps, spr
 from .regression import Estimate, add_systematic_uncertainty
 from .trial import try_corrections
 
-ESTIMATES_BIASED_BY_SIDESLIP = ("steering_lag", "yaw_rate_lag", "yaw_lag")
 EXPLAINED_BY_YAW_LAG = ("yaw_rate_lag", "position_lag", "position_reference", "steering_lag")
 MAX_INS_DISTANCE = 3.0  # m; largest distance of the INS ahead of the rear axle
 MAX_REAR_COMPLIANCE = 0.01  # rad s^2/m; rear cornering compliance (slip angle per a_y): road cars 0.003 to 0.008
@@ -240,12 +239,12 @@ def _remove_consequences(results: Results, log: DriveLog, motion: Motion) -> Non
         results.findings = [f for f in results.findings if f.severity is Severity.ERROR or f.name not in comparisons]
     if CHANNELS["velocity_y"].is_measured_in(log):
         return
-    for name in ESTIMATES_BIASED_BY_SIDESLIP:
-        results.estimates.pop(name, None)
     speed = max(float(np.average(motion.speed, weights=np.square(motion.yaw_rate) + 1e-12)), MIN_MOVING_SPEED)
     limits = {"steering_lag": (-np.inf, np.inf),
               "yaw_rate_lag": (-MAX_REAR_COMPLIANCE * speed, MAX_INS_DISTANCE / speed),
               "yaw_lag": (-MAX_INS_DISTANCE / speed, MAX_REAR_COMPLIANCE * speed)}
+    for name in limits:
+        results.estimates.pop(name, None)
     advice = Advice("text", "record the heading of the car and velocity_y; without them the sensor's error is unknown")
     for k, f in enumerate(results.findings):
         if f.name == "position_reference":
