@@ -16,7 +16,7 @@ _RATE_INTERVAL = 0.5  # minimum time between two updates of the frame rates [s]
 
 
 class Health:
-    """Builds checks of bus, age of signals, bad frames and implausible signals from counts of decoder and receiver."""
+    """Checks the bus, age of signals, bad frames and implausible signals by counts of the decoder and receiver."""
 
     def __init__(self, bus_name: str, decoder: Decoder, receiver_status: Callable[[], ReceiverStatus],
                  now_ns: Callable[[], int]):

@@ -78,16 +78,16 @@ def white_noise(values: np.ndarray) -> float:
 def extrapolation_uncertainty(full: tuple[float, float, float], low: tuple[float, float, float]) -> float:
     """Standard uncertainty [unit of C] of the secant slope C of a curve as an estimate of its slope at zero.
 
-    full, low: (C, variance of C, mean range a) of this secant and of a secant in a lower range, a_low < a.
+    full, low: (C, variance of C, mean |abscissa| a) of this secant and of a secant in a lower range, a_low < a.
 
         C(a) = C_0 - s a,    u = sqrt(max((C_low - C)^2 - max(u_low^2 - u^2, 0), 0)) a / (a - a_low) / sqrt(3)
 
     u_low^2 - u^2: variance of the difference if the curve is a line (Hausman, Specification tests in econometrics,
     1978). sqrt(3): rectangular distribution (GUM 4.3.7). Checked by: test_stiffness_model_error.py.
     """
-    (slope, variance, mean_range), (slope_low, variance_low, mean_range_low) = full, low
+    (slope, variance, abscissa), (slope_low, variance_low, abscissa_low) = full, low
     difference = math.sqrt(max((slope_low - slope) ** 2 - max(variance_low - variance, 0.0), 0.0))
-    return difference * mean_range / (mean_range - mean_range_low) / math.sqrt(3.0)
+    return difference * abscissa / (abscissa - abscissa_low) / math.sqrt(3.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +174,7 @@ class Blocks:
 
     def compute_influence(self, squares: np.ndarray, gradient: np.ndarray) -> np.ndarray:
         """Influence psi (k, p) of each block on a least squares estimate, from its A_c (k, p, p) and g_c (k, p)."""
-        # With a millionth of the total, the system is solvable even if only one block excites a parameter.
+        # A millionth of the total keeps the system solvable even if only one block excites a parameter.
         others = (1.0 + 1e-6) * squares.sum(axis=0) - squares
         return np.linalg.solve(others, gradient[:, :, None])[:, :, 0] * (len(self) - 1) / len(self)
 

@@ -1,6 +1,6 @@
 """Encodes sensor readings as NCOM packets of an RT3000 with RTK and two antennas, and as CAN frames of Leaf and INS.
 
-The packets contain WGS84 positions, velocities in NED and body axes FRD, and the status of a converged filter.
+The packets contain WGS84 positions, NED velocities, FRD accelerations and rates, and the status of a converged filter.
 """
 
 import math

@@ -60,7 +60,7 @@ def check_arguments(arguments: Sequence[str]) -> None:
 
 
 def _watch_signals() -> Callable[[], bool]:
-    """Install handlers of SIGINT and SIGTERM; returns a function that checks whether one has arrived."""
+    """Install handlers of SIGINT and SIGTERM; returns a function that checks whether a signal has arrived."""
     received: list[int] = []  # not an Event: a second signal during its `set` would cause a deadlock
     for number in (signal.SIGINT, signal.SIGTERM):
         # ValueError: only the main thread can install handlers; tests may call from a different one.
@@ -115,7 +115,7 @@ class _Run:
 
 
 def _find_can_tables(options: argparse.Namespace) -> tuple[Path, Path]:
-    """Find the DBC and signal table of the Leaf; the virtual car sends its messages with every vehicle file. The files
+    """Find the DBC and signal table of the Leaf; the virtual car sends Leaf messages whatever the vehicle file. They
     are expected in --config; by default in the parent of the folder of the vehicle file, or in config/ of the checkout,
     of the current folder or of its parents."""
     roots = [Path(os.environ.get("ST_ENVIRONMENT") or Path.cwd()), Path.cwd(), *Path.cwd().parents]

@@ -24,10 +24,10 @@ from .regression import Estimate, Regression, add_systematic_uncertainty
 MIN_YAW_RANGE = 0.2  # rad; minimum range of yaw in the drive
 MAX_CONSISTENT_MISFIT = 0.02  # largest misfit of consistent positions, yaw and velocities, divided by the distance
 MAX_SLOPE = 0.1  # largest slope of ordinary roads; an altitude changes by at most this fraction of the distance
-MIN_AXIS_FRACTION = 0.3  # minimum median motion along an axis, divided by the distance, for a check of this axis alone
+MIN_AXIS_FRACTION = 0.3  # minimum median motion along an axis, divided by the distance, to check this axis alone
 MAX_MAP_MISFIT = 0.1  # largest ratio of the misfit in map axes to the distance, and to the misfit in body axes
 UNIT_TOLERANCE = 1.06  # factor by which a ratio may differ from the factor of its unit
-COURSE_TOLERANCE = 1.2  # the same for a ratio to the course, which one short bend determines to 10 %
+COURSE_TOLERANCE = 1.2  # the same for a ratio to the course, which one short bend determines to within 10 %
 MIN_YAW_OFFSET = 0.35  # rad; smaller angles are sideslip, or an offset that `position` estimates
 MAX_SCALE_ERROR = 0.005  # largest relative scale error of a gyroscope or projection without a fault
 MIN_RATE_ERROR = 0.005  # smallest reported relative error of the sampling rate; a crystal is accurate to 0.0001
@@ -145,7 +145,7 @@ def _correct_yaw_or_rate(motion: Motion) -> MotionAndFinding:
     if not np.isfinite(ratios.yaw_to_rate) or _matches(ratios.yaw_to_rate, 1.0):
         return _correct_yaw_scale(motion, ratios.yaw_to_rate)
     rate_to_yaw = 1.0 / ratios.yaw_to_rate
-    # The yaw rate is wrong if yaw agrees with the positions, or the yaw rate disagrees with both by the same factor.
+    # The yaw rate is wrong if yaw agrees with positions, the rate is in deg/s, or it differs from both by one factor.
     if (_matches(ratios.yaw_to_course, 1.0) or _positions_follow_yaw(motion) or is_near(rate_to_yaw, DEG_PER_RAD)
             or _matches(ratios.rate_to_course, rate_to_yaw)):
         return _scale_yaw_rate(motion, rate_to_yaw)
@@ -270,7 +270,7 @@ def _positions_follow_yaw(motion: Motion) -> bool:
 
 
 def _scale_yaw_rate(motion: Motion, factor: float, reference: str = "yaw", size: float = 0.0) -> tuple[Motion, Finding]:
-    """Divide the yaw rate by a factor. size: exact magnitude of the factor; 0: that of the nearest angle unit."""
+    """Divide the yaw rate by a factor. size: exact magnitude of the factor; 0: from `_round_to_angle_unit`."""
     size = size or _round_to_angle_unit(factor)
     exact = float(np.copysign(size, factor))
     reason = (f": is its unit {ANGLE_UNITS[size].replace('degrees', 'deg')}/s?" if size in ANGLE_UNITS else
@@ -288,7 +288,7 @@ def _round_to_angle_unit(factor: float, tolerance: float = UNIT_TOLERANCE) -> fl
 
 
 def _remove_wraps(motion: Motion) -> Motion:
-    """The motion with the yaw rate integrated in place of yaw steps left by unwrapping another unit as rad."""
+    """Replace the yaw steps left by unwrapping another unit as rad with the integrated yaw rate."""
     step = np.diff(motion.yaw)
     expected = np.diff(cumulative_trapezoid(motion.yaw_rate, motion.time, initial=0.0))
     error = np.abs(step - expected)
@@ -320,7 +320,7 @@ def _correct_position_axes(motion: Motion) -> MotionAndFinding:
     }
     text, entry = axes[quarter]
     return _correct(motion, "position_axes", ("x", "y"),
-                    f"the track turns in the opposite direction to the yaw: {text}", None, Advice.for_run_yaml(entry))
+                    f"the track turns in the opposite direction to yaw: {text}", None, Advice.for_run_yaml(entry))
 
 
 def _correct_one_axis(motion: Motion) -> MotionAndFinding:
@@ -408,7 +408,7 @@ def _correct_distance(motion: Motion) -> MotionAndFinding:
 
 def _compute_displacements(motion: Motion, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(change of position, integrated velocity) in windows of one second, as east + i north [m]. np.sign() of a change
-    is its unit vector, in which a jump of the positions has no more weight than other changes."""
+    is its unit vector, so that a jump of the positions has no more weight than other changes."""
     windows = motion.make_windows(1.0)
     return windows.change(motion.position), windows.integral(velocity)
 
@@ -437,11 +437,11 @@ def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
             misfit < MAX_MAP_MISFIT * _compute_misfit(motion)) and _matches(compute_ratios(motion).yaw_to_course, 1.0):
         velocity = 1j * motion.velocity.conj() if is_north_first else motion.velocity
         body = velocity * np.exp(-1j * motion.yaw)
-        along = ("velocity_y", "velocity_x") if is_north_first else ("velocity_x", "velocity_y")
+        east_north = ("velocity_y", "velocity_x") if is_north_first else ("velocity_x", "velocity_y")
         text = (f"velocity_x and velocity_y are in the map frame, along {'y and x' if is_north_first else 'x and y'}: "
                 "the body frame is expected")
         advice = Advice("text", "rotate them by yaw: forward = cos(yaw) {0} + sin(yaw) {1}, "
-                        "lateral = cos(yaw) {1} - sin(yaw) {0}".format(*along))
+                        "lateral = cos(yaw) {1} - sin(yaw) {0}".format(*east_north))
         corrected = replace(motion, velocity_x=body.real, velocity_y=body.imag)
     elif max_misfit > 0.0 and motion.moves_sideways and _compute_misfit(exchanged, rotated=False) <= max_misfit:
         corrected, advice = exchanged, exchange
@@ -451,12 +451,12 @@ def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
         quarter = float(np.copysign(np.pi / 2, angle))
         angle = quarter if abs(angle - quarter) < 0.1 else angle
         side = "left" if angle > 0 else "right"
-        text = (f"velocity and track point {abs(angle) * DEG_PER_RAD:.0f} deg to the {side} of yaw: does yaw refer to "
-                "an axis other than forward, or to north?")
+        text = (f"velocity and track point {abs(angle) * DEG_PER_RAD:.0f} deg to the {side} of yaw: is yaw that of "
+                "an axis other than forward, or measured from north?")
         advice, channels = Advice.correct("heading", add=angle), dict[str, Any](yaw=motion.yaw + angle)
         for x, y in (("velocity_x", "velocity_y"), ("acceleration_x", "acceleration_y")):
-            if (along := getattr(motion, x)) is not None and (lateral := getattr(motion, y)) is not None:
-                body = (along + 1j * lateral) * np.exp(-1j * angle)
+            if (forward := getattr(motion, x)) is not None and (lateral := getattr(motion, y)) is not None:
+                body = (forward + 1j * lateral) * np.exp(-1j * angle)
                 channels |= {x: body.real, y: body.imag}
         corrected = replace(motion, **channels)
     else:

@@ -28,8 +28,8 @@ from .space import Quantities, Space, find_file_quantities, prior_deviations
 from .windows import MIN_SPEED, Windows
 
 MAX_FITS, FINAL_STEP = 8, 0.02  # maximum number of fits; largest step at convergence [parameter scales]
-FIXED_CURVATURE = 1e6  # fixes a parameter; keeps the term that `inverse` adds, 1e-9 of the mean diagonal, below 1e-3
-MAX_CLOCK_DEVIATION = 0.01  # s, largest standard deviation of a clock that counts as exact; steering delays: about 0.04
+FIXED_CURVATURE = 1e6  # fixes a parameter; 1e-9 of the mean diagonal, which `inverse` adds, remains below 1e-3
+MAX_CLOCK_DEVIATION = 0.01  # s, standard deviation up to which a clock counts as exact; steering delays are about 0.04
 CLOCK_FITS = 3  # number of joint fits for the correction of clocks, each with the time stamps corrected so far
 
 
@@ -42,7 +42,7 @@ class HealthyCar:
     prior: np.ndarray  # (p, p) curvature of the prior about the vector
     residual_scale: np.ndarray  # (c,) error scale (`Loss.scale_of`) of each column at the end of the horizon [SI]
     position_error: float  # mean position error there, in the worst run [m]
-    gain_between_runs: float  # largest gain per residual if an effect is fitted to a run, not predicted from others [1]
+    gain_between_runs: float  # largest gain per residual if an effect is fitted to a run, instead of predicted [1]
 
 
 def fit_healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, settings: DiscoverySettings,
@@ -99,7 +99,7 @@ def weak_prior(space: Space) -> np.ndarray:
 def _gain_between_runs(q: Quadratic, space: Space, windows: Windows, divisor: np.ndarray, prior: np.ndarray,
                        prior_gradient: np.ndarray) -> float:
     """`HealthyCar.gain_between_runs` from the quadratic approximation of the loss; 0 with fewer than three runs.
-    divisor: (p, p) of the curvature of the other runs. prior_gradient: (p,) half the gradient of the prior."""
+    divisor (p, p): divides the curvature of the other runs. prior_gradient: (p,) half the gradient of the prior."""
     by_run, largest = q.sum_groups(windows.run), 0.0
     if len(windows.names) < 3:
         return largest
@@ -132,7 +132,7 @@ def fit_library(loss: Loss, windows: Windows, prior: np.ndarray, quantities: Qua
     """Fit all parameters from an initial vector and update the scale of the loss, until convergence. Returns the vector
     (p,) and the curvature (p, p) of `prior` plus the priors of the vehicle file."""
     space = loss.space
-    deviations = prior_deviations(quantities, space.scale)  # none for a load: the drives already include it
+    deviations = prior_deviations(quantities, space.scale)  # inf for a load, which the drives already include
     for _ in range(MAX_FITS):
         tick()
         with_priors = Problem(loss, space.null, windows.block, quantities=quantities)  # has a new cache

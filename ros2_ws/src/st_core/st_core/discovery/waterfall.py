@@ -49,7 +49,7 @@ class HorizonErrors:
         counts = np.maximum(self._weights @ count, 1)
         resampled_means = [self._weights @ s / counts for s in sums]
         means = [v[known].mean() for v in (before, after)]
-        if channel != "position_5s":  # mean squares
+        if channel != "position_5s":  # the values are squares
             resampled_means, means = [np.sqrt(v) for v in resampled_means], [np.sqrt(v) for v in means]
         low, high = np.quantile(resampled_means[0] - resampled_means[1], (0.025, 0.975))
         return Change(float(means[0]), float(means[1]), (float(low), float(high)), UNITS[channel])
@@ -102,7 +102,7 @@ def estimate_parameters(problem: Problem, fit: Fit, effect: str, partitions: Map
 def build_steps(problem: Problem, final: Fit, order: Sequence[str], errors: HorizonErrors,
                 partitions: Mapping[str, Partition]) -> tuple[list[Step], Fit]:
     """(steps from the base model to the final model, each with one more effect; fit of the base model); ([], final) if
-    `order` is empty. The residual scale is re-estimated in each step, the design effect of the final fit is kept."""
+    `order` is empty. The residual scale is re-estimated in each step; the design effect of the final fit is kept."""
     if not order:
         return [], final
     scale = problem.loss.scale.copy()

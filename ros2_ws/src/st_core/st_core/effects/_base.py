@@ -52,7 +52,7 @@ class Parameter:
     identity: str = ""  # name of the estimate of the same quantity in `st_core.checks.check`, with equal unit and sign
     theory: float | None = None  # physical value, if it is the same for every car
     quantity: str = ""  # key of the vehicle file to which the value is added, if no hook `vehicle` or `fold` does so
-    family_ends: tuple[float, ...] = ()  # bounds that only limit a family of curves (1 - E of a tyre)
+    family_ends: tuple[float, ...] = ()  # bounds set by a family of curves, not by physics (1 - E of a tyre)
     # Standard deviation of the values that models with different equations give for one car (`bench/strangers`).
     model_error: float = 0.0
     # Standard deviation of a prior about null, for an addition to the car of the vehicle file, such as a load. For such
@@ -107,9 +107,9 @@ class Effect:
     """One physical effect: its description, its parameters, and hooks, functions by which it changes a model.
 
     Every hook is an optional @staticmethod. `theta` has the parameters by name, and the result of `constants` as
-    `theta.constants`. The hooks from `inputs` on are also compiled, and called with arrays and symbols. They use only
-    arithmetic and `st_core.ops`, do not branch on a value, and return tuples. `instant`: an Instant. `prepared`: the
-    result of `prepare`, or the declared `signals` if there is no `prepare`.
+    `theta.constants`. The hooks from `inputs` on are also called with arrays; `inputs` to `rates` are compiled, and
+    called with symbols. They use only arithmetic and `st_core.ops`, do not branch on a value, and return tuples.
+    `instant`: an Instant. `prepared`: the result of `prepare`, or the declared `signals` if there is no `prepare`.
 
         constants(vehicle) -> numbers of the car for the other hooks, as a NamedTuple (or one float)
         vehicle(vehicle, theta) -> changed VehicleParameters; called once for a set of values, without theta.constants

@@ -6,7 +6,7 @@ from .front_stiffness import scale_axles
 
 @register
 class Friction(Effect):
-    physics = "peak force D = factor D of the file on both axles, cornering stiffness unchanged"
+    physics = "peak force D = factor * D of the file on both axles, cornering stiffness unchanged"
     excited_by = "driving at the limit; not observable below 0.5 g"
     kind, slot = "vehicle parameters", "both axles"
     confounded_with = ("lateral_load_transfer", "front_stiffness", "rear_stiffness")

@@ -26,7 +26,7 @@ def scale_axles(coefficient, *axles, entry=""):
 
 @register
 class FrontStiffness(Effect):
-    physics = "C_f = factor C_f of the file, peak force unchanged"
+    physics = "C_f = factor * C_f of the file, peak force unchanged"
     excited_by = "cornering at two speeds, or transients; at one steady speed not separable from a steering gain"
     kind, slot = "vehicle parameters", "front axle"
     confounded_with = ("steering_compliance", "steering_ratio", "roll_steer", "mass", "friction", "tyre_stiffness")

@@ -62,9 +62,9 @@ class LateralLoadTransfer(Effect):
         right, left = compute_tyre_forces(slip_front, load_front, fraction_front * transfer, car.tyre_front)
         rear_right, rear_left = compute_tyre_forces(slip_rear, load_rear, (1.0 - fraction_front) * transfer,
                                                      car.tyre_rear)
-        couple = 0.5 * track * (right - left) / (car.cg_to_front_axle + car.cg_to_rear_axle)
+        couple_force = 0.5 * track * (right - left) / (car.cg_to_front_axle + car.cg_to_rear_axle)
         # The tangent is used because the equations of motion multiply the front force by cos delta.
         return (front + right + left - 2.0 * tyre_force(slip_front, load_front, car.tyre_front)
-                - couple * tan(instant.road_wheel_angle),
+                - couple_force * tan(instant.road_wheel_angle),
                 rear + rear_right + rear_left - 2.0 * tyre_force(slip_rear, load_rear, car.tyre_rear)
-                + couple * sin(instant.road_wheel_angle))
+                + couple_force * sin(instant.road_wheel_angle))

@@ -5,7 +5,7 @@ from ._base import FORCE_COMBINATIONS, Effect, Parameter, register, scale_entry
 
 @register
 class Mass(Effect):
-    physics = "m = factor m of the file"
+    physics = "m = factor * m of the file"
     excited_by = "cornering; observable only relative to yaw_inertia if forces are proportional to load: weigh the car"
     kind, slot = "vehicle parameters", "body"
     confounded_with = ("yaw_inertia", "tyre_stiffness", "front_stiffness", "rear_stiffness")

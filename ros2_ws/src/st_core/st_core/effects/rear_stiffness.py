@@ -6,7 +6,7 @@ from .front_stiffness import make_stiffness_parameter, scale_axles
 
 @register
 class RearStiffness(Effect):
-    physics = "C_r = factor C_r of the file, peak force unchanged"
+    physics = "C_r = factor * C_r of the file, peak force unchanged"
     excited_by = "cornering with measured sideslip, and steering sweeps (yaw damping)"
     kind, slot = "vehicle parameters", "rear axle"
     confounded_with = ("front_stiffness", "cg_position", "friction", "tyre_stiffness")

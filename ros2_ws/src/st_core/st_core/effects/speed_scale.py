@@ -5,7 +5,7 @@ from ._base import ANY, Effect, Parameter, register
 
 @register
 class SpeedScale(Effect):
-    physics = "measured v_x, v_y = factor v_x, factor v_y; positions unchanged"
+    physics = "measured v_x, v_y = factor * v_x, factor * v_y; positions unchanged"
     excited_by = "any driving with position fixes: distance versus speed"
     kind, slot = "sensors", "velocity"
     needs = ("position",)

@@ -5,7 +5,7 @@ from ._base import Effect, Parameter, register, scale_entry
 
 @register
 class YawInertia(Effect):
-    physics = "I_z = factor I_z of the file"
+    physics = "I_z = factor * I_z of the file"
     excited_by = "sweeps and sine with dwell; not observable in steady cornering"
     kind, slot = "vehicle parameters", "body"
     confounded_with = ("mass", "steering_lag", "tyre_relaxation")

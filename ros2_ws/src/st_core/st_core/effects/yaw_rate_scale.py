@@ -5,7 +5,7 @@ from ._base import Effect, Parameter, register
 
 @register
 class YawRateScale(Effect):
-    physics = "measured r = factor r; the heading of the INS is unchanged"
+    physics = "measured r = factor * r; the heading of the INS is unchanged"
     excited_by = "turning, by comparison of r v_x with a_y, or with the heading over a whole lap"
     kind, slot = "sensors", "yaw rate"
     needs = ("yaw_rate",)

@@ -162,10 +162,10 @@ def read_angles(table: Table, use_positions: bool) -> Table:
         values = angles[channel, "rad"][np.isfinite(columns[channel])]
         looks_like_degrees = len(values) > 0 and values.min() > -180.5 and values.max() < 360.5 and bool(
             np.abs(np.diff(values)).max(initial=0.0) > 180.0 or abs(values[0]) > MAX_RADIANS)
-        # A yaw in rad, read as deg, is almost constant, which fits a straight road: only a better fit shows deg.
-        of_constant, of_deg = compute_deviation("yaw", np.zeros(len(columns[channel]))), deviations[channel, "deg"]
-        in_radians = of_deg > MIN_COURSE_SPREAD and deviations[recorded] ** 2 < MAX_DEVIATION_RATIO * of_deg ** 2
-        shows_unit = looks_like_degrees or deviations[best] ** 2 < MAX_DEVIATION_RATIO * of_constant ** 2
+        # A yaw in rad, read as deg, is almost constant, which fits a straight road: deg must fit better than that.
+        constant_rms, deg_rms = compute_deviation("yaw", np.zeros(len(columns[channel]))), deviations[channel, "deg"]
+        in_radians = deg_rms > MIN_COURSE_SPREAD and deviations[recorded] ** 2 < MAX_DEVIATION_RATIO * deg_rms ** 2
+        shows_unit = looks_like_degrees or deviations[best] ** 2 < MAX_DEVIATION_RATIO * constant_rms ** 2
         if shows_unit and deviations[recorded] > max(SIGNIFICANT_DEVIATIONS * deviations[best], MIN_DISAGREEING_ANGLE):
             motion_name = "velocities to the east and north" if has_velocities else "positions"
             text = f"agrees with the {motion_name} only as {best[0]} in {best[1]}; it was read as such"
@@ -194,7 +194,7 @@ def _find_motion(table: Table, use_positions: bool) -> tuple[np.ndarray, np.ndar
 
 def compute_steps(table: Table, x: np.ndarray, y: np.ndarray, is_geographic: bool
                   ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(first rows, last rows, velocities x + iy [m/s]) of steps of one second; empty for few rows with a position.
+    """(first rows, last rows, velocities x + iy [m/s]) of steps of one second; empty if few rows have a position.
 
     is_geographic: x and y are longitude and latitude [rad].
     """
@@ -212,7 +212,7 @@ def compute_steps(table: Table, x: np.ndarray, y: np.ndarray, is_geographic: boo
 
 def read_geographic(table: Table, columns: Mapping[str, np.ndarray], latitude: np.ndarray, longitude: np.ndarray,
                     warnings: list[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Latitude and longitude [rad], which a file without a stated unit may contain in radians. Raises RunError if they
+    """Latitude and longitude [rad], corrected if the file states no unit and contains radians. Raises RunError if they
     are swapped: they agree with the integrated speed and the heading only the other way round.
 
     Distances are compared over steps of one second, so that they are large relative to the noise of the receiver.

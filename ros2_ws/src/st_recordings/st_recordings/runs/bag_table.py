@@ -26,7 +26,7 @@ FIX_TYPES = ("sensor_msgs/msg/NavSatFix", "gps_msgs/msg/GPSFix", "gps_common/msg
 def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: SteeringField | None,
                       files: Sequence[Path] = (), ins_topics: str | None = None) -> LoadedRun | None:
     """Reads the drive; None if no message contains a channel of a drive. Raises RunError. ins_topics: separated by
-    commas; a channel of one of them is not read from others. Other arguments: see `read_bag`."""
+    commas; their channels are not read from other topics. Other arguments: see `read_bag`."""
     import pandas as pd
 
     storage = open_bag(path, files)
@@ -114,7 +114,7 @@ def _read_columns(storage: Storage, topic: Topic, excluded: Collection[str]
                   ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """(stamps [ns], columns) of fields that may be channels; no columns if the type is unknown or has no stamp.
 
-    An INS field that is 0 or NaN in every message is left out, because its driver does not fill it.
+    An INS field that is 0 or NaN in every message is left out, because the driver does not fill it.
     """
     stamp, fields, _ = _find_fields(storage, topic)
     fields = {channel: field for channel, field in fields.items() if channel not in excluded}

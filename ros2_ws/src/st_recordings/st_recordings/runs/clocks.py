@@ -61,7 +61,7 @@ def align_clocks(ins: InsLog, can: CanSignals, offset: float | None = None, sear
         alignment = manual_alignment(round(offset * 1e9), at_ns, pairs)
     elif ins.is_utc and time_frames and not is_other_clock:
         finest_frame = min(time_frames, key=lambda s: TIME_FRAME_RESOLUTION.get(s.message, 1.0))
-        alignment = _align_by_checked_time_frame(finest_frame, pairs if not warning else [], latency)
+        alignment = _align_by_ins_time(finest_frame, pairs if not warning else [], latency)
     elif not pairs:
         reason = "the CAN log and the INS recording have no signal in common; give the offset (--offset)"
         return refused_alignment(reason), pairs
@@ -179,11 +179,11 @@ def _describe_opposite_sign(pairs: list[SharedSignal], alignment: Alignment, sea
         f"{mirrored_alignment.signals[0].correlation:.2f}")
 
 
-def _align_by_checked_time_frame(frames: Signal, pairs: list[SharedSignal], latency: tuple[float, float]) -> Alignment:
-    is_finite = np.isfinite(frames.values)
-    ins_time_ns = np.round(frames.values[is_finite] * 1e6).astype(np.int64) * 1000
-    alignment = align_by_time_frame(frames.time_ns[is_finite], ins_time_ns,
-                                    TIME_FRAME_RESOLUTION.get(frames.message, 0.01), *latency)
+def _align_by_ins_time(ins_time: Signal, pairs: list[SharedSignal], latency: tuple[float, float]) -> Alignment:
+    is_finite = np.isfinite(ins_time.values)
+    ins_time_ns = np.round(ins_time.values[is_finite] * 1e6).astype(np.int64) * 1000
+    alignment = align_by_time_frame(ins_time.time_ns[is_finite], ins_time_ns,
+                                    TIME_FRAME_RESOLUTION.get(ins_time.message, 0.01), *latency)
     if not pairs:
         return alignment
     # Search only near the offset from the INS time, because repeated laps fit at several offsets.

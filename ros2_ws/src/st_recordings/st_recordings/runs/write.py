@@ -222,7 +222,7 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
     warnings = [*drive.warnings, *coverage_warnings]
     if drive.auxiliary.corrections:
         warnings.append(f"{directory}: the bag contains uncorrected data; copy the corrections of the run.yaml to a "
-                        "run.yaml of the bag (bag: ...)")
+                        f"run.yaml next to the bag, with the entry bag: {directory.name}")
     return ImportResult(counts, span_ns * 1e-9, run, tuple(warnings), findings)
 
 
