@@ -340,7 +340,7 @@ def test_folder_without_a_run_is_rejected_with_advice_on_its_recordings(tmp_path
     ("each: '*.csv'\nname: x\n", "key name describes one run, but `each` describes several"),
     ("each: '*.csv'\nleave_out: [[1, 2]]\n", "key leave_out describes one run"),
     ("each: '*.tdms'\n", r"no file matches '\*.tdms'"),
-    ("each: '*.doc'\n", "a.doc is not a recording; let the pattern match"),
+    ("each: '*.doc'\n", "a.doc is not a recording; make the pattern match"),
     ("each: '*.ncom'\ncolumns: {x: East}\n", "the folder contains no CAN log with the name a for a.ncom"),
 ])
 def test_invalid_each_is_rejected(tmp_path: Path, text: str, error: str) -> None:

@@ -144,7 +144,7 @@ class ReadOptions:
 
     @property
     def sensor_settings(self) -> dict[str, Any]:
-        """Sign and latency of the steering sensor, as far as they are given."""
+        """Sign and latency of the steering sensor, if given."""
         values = {"steering_sign": self.steering_sign, "steering_latency": self.steering_latency}
         return {name: value for name, value in values.items() if value is not None}
 

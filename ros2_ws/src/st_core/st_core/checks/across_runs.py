@@ -52,7 +52,7 @@ class RunComparison:
 
 def compare_runs(runs: Sequence[DriveCheck]) -> list[RunComparison]:
     """Comparisons of the quantities that have a finding and estimates from at least MIN_COMPARED_RUNS runs, most often
-    reported first; quantities consistent with the neutral value in all runs are left out."""
+    reported first; consistent quantities are left out if the interval of the mean contains the neutral value."""
     units = {finding.name: finding.unit for run in runs for finding in run.findings if finding.interval is not None}
     comparisons = []
     for name, unit in units.items():

@@ -49,7 +49,7 @@ def spread_bursts(log: DriveLog) -> tuple[DriveLog, list[Finding]]:
         max_gap = max(MAX_PAUSE_RATIO * period, MAX_GAP)
         # An angle sent only on change never repeats, and mostly changes by one step of its resolution.
         is_sent_on_change = signal == "steering" and np.median(steps) < MAX_STEP_RATIO * steps.min()
-        if count < MIN_BURST_LENGTH or is_sent_on_change or (  # or the car moves far in the pauses, which are then gaps
+        if count < MIN_BURST_LENGTH or is_sent_on_change or (  # or the signal changes more in the pauses: gaps
                 MAX_BURST_INTERVAL * steps[is_pause & (spacing <= max_gap)].mean() > steps[~is_pause].mean()):
             continue
         # The last sample of a burst has the smallest delay.
@@ -176,15 +176,15 @@ def _check_jumps(motion: Motion, errors: np.ndarray, along: np.ndarray, is_stale
 
 
 def check_position_deviations(motion: Motion, findings: list[Finding]) -> list[Finding]:
-    """Finding about times, except those of jumps, at which positions deviate from velocity and yaw within the horizon
-    by far more than in most of the drive. findings: those so far, for which `motion` is corrected."""
+    """Finding about times without jumps at which positions deviate from velocity and yaw within the horizon far more
+    than usual. findings: those so far, for which `motion` is corrected."""
     windows, count = motion.make_windows(1.0), round(HORIZON)
     # The residual of a corrected varying cause is not a separate fault.
     if len(windows) < MIN_DEVIATION_WINDOWS or any(f.name in VARYING_FINDINGS and f.interval is None for f in findings):
         return []
     jumps = [time for finding in findings if finding.name == "position_jumps" for time in finding.times]
     errors = windows.change(motion.position) - windows.integral(motion.velocity_map)
-    # The correction of a lag extrapolates the first or last values before and after gaps.
+    # The correction of a lag extrapolates the values at the edges of gaps.
     is_inner = np.append(False, windows.are_adjacent) & np.append(windows.are_adjacent, False)
     sums = np.cumsum(np.append(0.0, is_inner * (errors - np.median(errors.real) - 1j * np.median(errors.imag))))
     size, begin = np.abs(sums[count:] - sums[:-count]), windows.time[:1 - count]
@@ -196,8 +196,8 @@ def check_position_deviations(motion: Motion, findings: list[Finding]) -> list[F
         return []
     inside = large & np.any([(begin >= first) & (begin <= last) for first, last in times], axis=0)
     largest, effect = float(size[inside].max()), float(np.sqrt(np.mean(np.where(inside, size, 0.0) ** 2)))
-    text = (f"positions deviate from velocity and yaw by up to {largest:.2f} m within {HORIZON:g} s, {len(times)} "
-            f"time{'s' if len(times) > 1 else ''}, but usually by {median:.2f} m: are satellite signals reflected or "
+    text = (f"positions deviate {len(times)} time{'s' if len(times) > 1 else ''} from velocity and yaw, by up to "
+            f"{largest:.2f} m within {HORIZON:g} s, but usually by {median:.2f} m: are satellite signals reflected or "
             "lost?")
     severity = LIMITS.severity(effect, severe=True)
     advice = Advice.for_run_yaml({"leave_out": [[round(first, 1), round(last, 1)] for first, last in times]})

@@ -194,7 +194,7 @@ def _make_unit_finding(gain: Estimate | None, plausible_gains: tuple[float, floa
     reason = " and ".join(filter(None, (reasons.get(exact, ""), opposite)))
     text = f"road_wheel_angle is {value:.3g} times the angle from yaw rate and speed: {reason}?".removesuffix(": ?")
     scale = float(f"{1.0 / np.copysign(exact, value):.6g}")
-    # The offset was subtracted before scaling: `add` restores it and, if the ratio was not applied twice, subtracts it.
+    # The offset was subtracted before scaling: `add` undoes this and, unless the ratio was applied twice, subtracts it.
     add = float(f"{(scale - (exact != 1.0 / ratio)) * offset / ratio:.5g}")
     has_offset = from_steering_wheel and reason and add
     advice = Advice.correct("road_wheel_angle", scale=scale, **({"add": add} if has_offset else {}))
@@ -286,7 +286,7 @@ def _play_explains(lag: float, agreement: Agreement) -> bool:
 
 def _make_offset_finding(agreement: Agreement, vehicle: VehicleParameters, from_steering_wheel: bool,
                          lateral_shift: float, scale: float = 1.0, add: float = 0.0) -> Finding | None:
-    """scale, add: correction of a wrong unit or sign, after which an offset remains."""
+    """Finding about the offset that remains after the correction (scale, add) of a wrong unit or sign."""
     offset = add_systematic_uncertainty("steering_offset", agreement.bias.scaled(scale).shifted(add))
     if not offset.is_significant or abs(offset.value) < LIMITS.steering_offset:
         return None

@@ -139,7 +139,7 @@ class Loss:
         return float(self.window_losses(vector).sum())
 
     def sensitivities(self, vector: np.ndarray, indices: np.ndarray) -> np.ndarray:
-        """(a, n, m) reduction of the residuals [SI] per parameter scale of the parameters `indices`, by one-sided
+        """(p, n, m) reduction of the residuals [SI] per parameter scale of the parameters `indices`, by one-sided
         difference quotients (two-sided if `central`) within the bounds and the limits of a vehicle file; 0 where a
         prediction diverges. A step is at most a third of the range, so that one side is within the bounds."""
         space, size = self.space, CENTRAL_STEP if self.central else DIFFERENCE_STEP

@@ -140,7 +140,7 @@ class TyreFit:
     two_stage_tyre: MagicFormula  # the tyre after the paper's two stages, or after stage 1 with one load
     levels: np.ndarray  # mean load of each level [N]
     level: np.ndarray  # index of the level of each row
-    opposite_sign: bool  # whether the sign of the slip angles of the table was changed for the fit
+    sign_changed: bool  # whether the sign of the slip angles of the table was changed for the fit
 
     def compute_stiffness(self, load: float) -> tuple[float, float]:
         """K [N/rad], < 0, of one tyre at a load [N], and its standard uncertainty from the covariance of the fit."""
@@ -160,7 +160,7 @@ def fit_tyre(data: FlatPlank, start: MagicFormula) -> TyreFit:
     start: source of nominal_load and of all parameters that are not fitted; its scale factors are replaced by 1.
     """
     levels, level = find_load_levels(data)
-    data, opposite_sign = check_table(data, levels, level, start.nominal_load)
+    data, sign_changed = check_table(data, levels, level, start.nominal_load)
     base = start._replace(lambda_ky=1.0, lambda_cy=1.0, lambda_muy=1.0)
     nominal = int(np.argmin(np.abs(levels - start.nominal_load)))
     at_nominal = {key: getattr(data, key)[level == nominal] for key in ("load", "slip", "force")}
@@ -174,15 +174,15 @@ def fit_tyre(data: FlatPlank, start: MagicFormula) -> TyreFit:
     others = [two_stage_tyre._replace(p_cy1=shape, p_ey1=curvature, p_ey2=-1.0) for shape, curvature in STARTS]
     fit = _fit(data, (two_stage_tyre, *others), names)
     tyre = _with_values(two_stage_tyre, names, fit.values.tolist())
-    return TyreFit(tyre, names, fit, two_stage_tyre, levels, level, opposite_sign)
+    return TyreFit(tyre, names, fit, two_stage_tyre, levels, level, sign_changed)
 
 
 def identify_magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
-    """Estimates from `fit_tyre`, with its exceptions; named as in the vehicle file, such as "tyre_front.p_ky1"."""
+    """Estimates from `fit_tyre` (same exceptions), named as in the vehicle file, such as "tyre_front.p_ky1"."""
     tyre_fit = fit_tyre(data, start)
     fit, tyre = tyre_fit.fit, tyre_fit.tyre
     levels, level = tyre_fit.levels, tyre_fit.level
-    data = replace(data, slip=-data.slip) if tyre_fit.opposite_sign else data
+    data = replace(data, slip=-data.slip) if tyre_fit.sign_changed else data
     function = _make_residuals(data, tyre_fit.two_stage_tyre, tyre_fit.names)
     peak = float(np.abs(data.force).max())
     method = (f"flat plank, {len(data.load)} points at {', '.join(f'{x:.0f}' for x in levels)} N, nominal load first, "
@@ -276,7 +276,7 @@ def _get_bounds(names: Sequence[str]) -> tuple[list[float], list[float]]:
 
 
 def _make_warnings(data: FlatPlank, tyre_fit: TyreFit, peak: float) -> Iterator[str]:
-    if tyre_fit.opposite_sign:
+    if tyre_fit.sign_changed:
         yield "Force and slip angle have equal signs in the table: the sign of the slip angle was changed."
     if (loads := len(tyre_fit.levels)) < 3:
         fixed_parameters = "p_ky4 is" if loads == 2 else "p_dy2, p_ey2, p_ky2 and p_ky4 are"

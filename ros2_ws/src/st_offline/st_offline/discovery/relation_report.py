@@ -19,7 +19,7 @@ from ..pages import Table
 from . import quantities, report_text
 from .vehicle_update import find_changed_entries
 
-MIN_REPORTED_RATIO = 1.25  # smallest reported ratio of the held-out errors of a run with and without the relation
+MIN_REPORTED_RATIO = 1.25  # smallest reported ratio of a run's held-out error with the relation to that without
 SIGNIFICANCE_LEVEL = 0.01  # of the test that the relation has the same size in all runs
 REPEAT_ELSEWHERE = ("repeat the drive twice, once from a different starting point and once in the opposite direction, "
                     "and add these runs: only then can the effects of place, heading and time in the run be separated")

@@ -58,7 +58,7 @@ COLUMNS: Mapping[str, Channel] = {
         "twist_twist_linear_x linear_velocity_x x_velocity linear_vel_x linear_vels_x v_ego v_laengs "
         "laengsgeschwindigkeit speed velocity vel v ground_speed speed_over_ground gps_speed speed_gps geschwindigkeit "
         "spd v_gps 纵向速度")),
-    "velocity_y": Channel("speed", "to the left, body axes, at the INS point; if missing, derived, else 0", (
+    "velocity_y": Channel("speed", "to the left, body axes, at the INS point; if missing, derived or 0", (
         "iso_vs_lateral_velocity velocity_y vy vel_y velocity_lateral vel_lateral v_lateral lateral_velocity "
         "横向速度 lateral_vel v_lat vel_lat lat_vel lat_velocity velocity_left vel_left lateral_speed twist_linear_y "
         "twist_twist_linear_y linear_velocity_y y_velocity linear_vel_y linear_vels_y v_quer quergeschwindigkeit")),

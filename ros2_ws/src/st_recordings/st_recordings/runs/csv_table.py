@@ -127,8 +127,8 @@ def read_table(file: Path, layout: Layout) -> Table:
 
 
 def _is_last_cell_truncated(body: str, delimiter: str) -> bool:
-    """Whether the last cell of a table has fewer decimals than the other cells of its column, which all have as many as
-    each other. A file with such a cell and without a final line end is truncated."""
+    """Whether the last cell of a table has fewer decimals than the other cells of its column, which all have the same
+    number. A file with such a cell and without a final line end is truncated."""
     lines = body.rstrip("\n").split("\n")
     cells = (line[line.rfind(delimiter) + 1:] for line in lines)
     points = ((cell, max(cell.rfind("."), cell.rfind(","))) for cell in cells)
@@ -154,7 +154,7 @@ def join_tables(tables: Sequence[Table]) -> Table:
                if all(channel in part.columns for part in parts)}
     dropped = sorted({*first.columns} - {*columns})
     warnings = [warning for part in parts for warning in part.warnings]
-    warnings += [f"{first.file}: {', '.join(dropped)}: not used, because not all parts have it"] if dropped else []
+    warnings += [f"{first.file}: {', '.join(dropped)}: not used, missing from some parts"] if dropped else []
     sources = {channel: source for channel, source in first.sources.items() if channel in columns or channel == "t"}
     return Table(first.file, first.names, sources, columns,
                  np.concatenate([part.time_ns for part in parts]), sum(part.rows_without_time for part in parts),

@@ -156,7 +156,7 @@ def _read_own_run_file(path: Path, file: Path) -> RunSource | None:
 def _parse_run_of_each(path: Path, content: Mapping[str, Any], file: Path) -> RunSource:
     reader = find_reader(file)
     if reader is None:
-        raise RunError(path, f"each: {file.name} is not a recording", "let the pattern match recordings only")
+        raise RunError(path, f"each: {file.name} is not a recording", "make the pattern match only recordings")
     is_complete = reader.kind == "csv" and reader.has_drive(file)
     logs = [] if is_complete else [log for log in find_logs(file, sorted(file.parent.iterdir())) if is_can_log(log)]
     if reader.needs_can and not logs:

@@ -27,7 +27,7 @@ class Reader:
     read_ins: Callable[[RunSource, ReadSettings], InsLog] | None = None  # reads only the INS, for a run with CAN logs
     is_folder: Callable[[Path], bool] | None = None  # whether a folder is one recording
     has_drive: Callable[[Path], bool] = lambda path: True  # False if a quick test shows that a file has no drive
-    # Whether a file is probably meant to contain a drive but lacks channels, so that these are reported.
+    # Whether a file is probably meant to contain a drive but lacks channels, which are then reported.
     is_incomplete: Callable[[Path], bool] = lambda path: False
     lacks_steering: Callable[[Path], bool] = lambda path: False  # whether it has no steering angle, only the INS
     # Whether it is a table of one or several files; `read` and `read_ins` then apply the factor of yaw in run.yaml.
