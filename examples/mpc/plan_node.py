@@ -16,7 +16,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from canedge_bridge.table_reader import read_text
+from canedge_bridge.yaml_reader import read_text
 from controller import Controller, Reference, Solution
 from nav_msgs.msg import Odometry
 from rclpy.node import Node

@@ -165,7 +165,7 @@ def test_virtual_car_shares_no_equations_with_the_models():
 
 def test_virtual_car_uses_only_codecs_transport_and_yaml_reader_of_the_bridges():
     assert forbidden_imports_of_virtual_car(("oxts_bridge", "canedge_bridge"), (
-        "oxts_bridge.ncom", "oxts_bridge.channels", "canedge_bridge.decode", "canedge_bridge.table_reader",
+        "oxts_bridge.ncom", "oxts_bridge.channels", "canedge_bridge.decode", "canedge_bridge.yaml_reader",
         "canedge_bridge.transport")) == []
 
 

@@ -23,8 +23,8 @@ from .decode import DecodedFrame, Decoder, SteeringCalibration
 from .health import Health
 from .receiver import BusState, Receiver
 from .signals import CANONICAL_SIGNALS
-from .table_reader import read_text
 from .transport import check_channel, make_id_filters, open_bus
+from .yaml_reader import read_text
 
 FRAMES_PERIOD = 0.1  # s; raw frames are not time-critical
 

@@ -18,8 +18,8 @@ from st_core.yaml_text import suggest_key
 from .checks import CHECKSUM_RULES, CheckSpec, Mode
 from .extraction import EXTENDED, Data, Extractor, Field, raw_range
 from .ins_time import DATE_TIME_PARTS, GPS_SECONDS_PARTS
-from .table_reader import Entry, read_document, to_one_line
 from .units import UNITS, find_unit, list_kinds
+from .yaml_reader import Entry, read_document, to_one_line
 
 # Canonical signal name -> kind of quantity, a key of UNITS. WRAPPED_SIGNALS are wrapped to [-pi, pi).
 CANONICAL_SIGNALS = {

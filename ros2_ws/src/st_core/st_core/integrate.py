@@ -27,15 +27,15 @@ _INCREMENT = 1.0e-5  # m/s or rad/s, increment of the difference quotients
 _issued_warnings: set[tuple[str, str, float]] = set()
 
 
-def rk4(derivative: Derivative, state: tuple, grid: Sequence[Any], p: Any, step: float) -> list[tuple]:
-    """States at 0, step, 2 step, ..., the start included: (len(grid) - 1) / 2 steps.
+def rk4(derivative: Derivative, state: tuple, inputs: Sequence[Any], p: Any, step: float) -> list[tuple]:
+    """States at 0, step, 2 step, ..., the start included: (len(inputs) - 1) / 2 steps.
 
-    grid: w at 0, step/2, step, ... (2 * steps + 1). step > 0. Global error O(step^4). Checked by: test_integrate.py.
+    inputs: w at 0, step/2, step, ... (2 * steps + 1). step > 0. Global error O(step^4). Checked by: test_integrate.py.
     """
     advance = _rk4_step_six_states if len(state) == 6 else rk4_step
     states = [state]
-    for k in range(0, len(grid) - 2, 2):
-        state = advance(derivative, state, grid[k], grid[k + 1], grid[k + 2], p, step)
+    for k in range(0, len(inputs) - 2, 2):
+        state = advance(derivative, state, inputs[k], inputs[k + 1], inputs[k + 2], p, step)
         states.append(state)
     return states
 

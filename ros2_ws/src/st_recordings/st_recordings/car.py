@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from canedge_bridge.table_reader import read_text
+from canedge_bridge.yaml_reader import read_text
 from st_core.errors import ConfigurationError
 from st_core.model_file import ModelFile
 from st_core.models import MODELS, Model, get_model

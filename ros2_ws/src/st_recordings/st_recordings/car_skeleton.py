@@ -41,7 +41,7 @@ def write_skeleton(folder: Path) -> list[Path]:
 
 
 def find_problems(folder: str) -> list[str]:
-    """Finds the problems in the folder of a car: one line each with the file and any key; empty for a valid car.
+    """Finds the problems in the folder of a car: one line each with file and key, if any; empty for a valid car.
 
     Raises RunError for a folder without a car.
     """
@@ -68,7 +68,7 @@ def list_remarks(folder: str) -> list[str]:
 
 
 def list_uncertainties(vehicle: VehicleParameters) -> list[str]:
-    """One line for each quantity with a stated or default uncertainty, and one that names others that can be fitted."""
+    """One line for each quantity with a stated or default uncertainty, and one with the others that can be fitted."""
     lines, keys_without_uncertainty = [], []
     for key, quantity in FILE_QUANTITIES.items():
         uncertainty = vehicle.uncertainty(key)
@@ -118,8 +118,8 @@ def _find_bus_problems(car: Car) -> list[str]:
         return []
     if len(files) == 1:
         missing_file = car.signals if car.dbc.exists() else car.dbc
-        return [f"{missing_file}: the file does not exist, and {files[0].name} cannot be used without it; write it, or "
-                "delete both"]
+        return [f"{missing_file}: the file does not exist, and {files[0].name} cannot be used without it; create it "
+                f"or delete {files[0].name}"]
     try:
         if _find_unfilled_keys(read_yaml_mapping(car.signals)):
             return [f"{car.signals}: messages: {FILL_IN}_message and {FILL_IN}_signal are not filled in: enter the "

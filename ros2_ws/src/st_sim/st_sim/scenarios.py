@@ -11,7 +11,7 @@ from itertools import accumulate
 from pathlib import Path as FilePath
 from typing import Any
 
-from canedge_bridge.table_reader import read_document
+from canedge_bridge.yaml_reader import read_document
 from st_core.errors import ConfigurationError
 from st_core.manoeuvres import CATALOGUE, Manoeuvre, PiecewiseLinear
 

@@ -1,6 +1,6 @@
 """Settings of the virtual car with their null values, which describe an ideal car, and the reader of vehicle files.
 
-The preset `ideal` contains the null values; `realistic` is a typical car. A file or `--effect name=value` changes them.
+Presets: `ideal`, the null values; `realistic`, a typical car. A file or `--effect name=value` changes single values.
 """
 
 import math
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
-from canedge_bridge.table_reader import read_document, read_text
+from canedge_bridge.yaml_reader import read_document, read_text
 from st_core.errors import ConfigurationError
 from st_core.vehicle import VehicleParameters
 

@@ -30,10 +30,10 @@ from .calibration import LEVELS, Band, ModelMode, to_predicted_frame
 from .file import Bands
 from .scale import MAX_LOG_SCALE, activity_instants, compute_magnitudes, compute_scalar_features, steering_activity
 
-GAIN, START_GAIN, SETTLING_TIME = 0.1, 0.3, 30.0  # 1/s, 1/s, s; widens bands by 5 % over the best constant factor
+GAIN, START_GAIN, SETTLING_TIME = 0.1, 0.3, 30.0  # 1/s, 1/s, s; bands are 5 % wider than with the best constant factor
 MIN_FACTOR, MAX_FACTOR = 0.05, 100.0  # 1; far below and far above any calibrated factor
 DEFAULT_FACTORS = {0.5: 1.6, 0.9: 3.0}  # median and 90 % quantile of the largest of 300 correlated normal errors
-SCALE_FORGETTING = 120.0  # s; averaging time of the squared errors; long enough for most manoeuvres on a road
+SCALE_FORGETTING = 120.0  # s; averaging time of the squared errors; covers most manoeuvres on a road
 DEFAULT_SCALE = (0.3, 0.3, 0.02)  # m, m, rad at 1 s ahead, proportional to the squared time; soon outweighed by errors
 WARM_UP = 120.0  # s of scored driving before a band without a calibration is issued
 PRIOR_WEIGHT = 5.0  # s; DEFAULT_SCALE has the weight of errors over this time

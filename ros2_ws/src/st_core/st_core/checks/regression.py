@@ -141,7 +141,7 @@ class Regression:
                       nuisance: Sequence[str]) -> dict[str, Estimate]:
         """The significant and relevant causes, selected one at a time and fitted together. min_values: smallest
         reported value by cause. required: causes that are always fitted. nuisance: causes that are also fitted if a
-        candidate is insignificant without them, because they act as slow noise on it."""
+        candidate is not relevant without them, because they act as slow noise on it."""
         causes: list[str] = []
         remaining = [name for name in candidates if np.abs(self.columns[name]).max(initial=0.0) > 0.0]
         while remaining:

@@ -48,7 +48,7 @@ def load_folder(path: str) -> tuple[str, ...]:
     if package not in sys.modules:
         names = _list_modules([folder])
         if not names:
-            raise ConfigurationError(f"{folder}: contains no effect (no file *.py)")
+            raise ConfigurationError(f"{folder}: contains no effect (*.py without leading _)")
         _load_modules(folder, package, names)
     return tuple(sorted(name for name, effect in EFFECTS.items() if effect.__module__.startswith(package + ".")))
 

@@ -39,7 +39,7 @@ from .result import IdentificationError
 
 MISALIGNMENT, DELAY, RELAXATION, ROLL = "ins_misalignment", SteeringDelay.name, TyreRelaxation.name, SensorRoll.name
 MAX_ITERATIONS, SCALE_TOLERANCE = 6, 0.02
-"""Largest number of fits, each with the error scale after the previous one; change of the scale that ends them [1]."""
+"""Maximum number of fits, each with the error scale of the one before; relative change of the scale at convergence."""
 MAX_CONDITION = 1e12  # condition number of the Hessian above which the drives do not determine the parameters
 MIN_CURVATURE_RATIO = 0.2  # smallest ratio of the curvature of the loss to its Gauss-Newton approximation; typical: 0.7
 Values = Mapping[str, float]
@@ -154,7 +154,7 @@ def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Seq
     """Fit of the quantities `names`, distinct keys of QUANTITIES; all others remain fixed.
 
     logs: from `run_samples.prepare_drives`. base: linear, nonlinear, or either with known effects. Raises
-    IdentificationError for an unknown name, unusable drives, too few windows, and values that they do not determine.
+    IdentificationError for an unknown name, unusable drives, too few windows, and values not determined by the drives.
     """
     for name in names:
         if name not in QUANTITIES:

@@ -46,7 +46,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class Request:
-    """Options of `st discover`, and the drives and effects read with them."""
+    """Options of `st discover`, and the drives and hashes of effects read with them."""
 
     base: str  # name of a model, or a model file
     vehicle: VehicleParameters

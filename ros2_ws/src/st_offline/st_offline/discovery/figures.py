@@ -131,12 +131,12 @@ def draw_maps(discovery: Discovery, runs: Sequence[DriveLog], before: Samples, a
     figure, panels = plt.subplots(1, len(models), figsize=size, sharex=True, sharey=True, squeeze=False)
     stride = max(1, len(log.x) // 600)
     for axes, (name, samples) in zip(panels[0], models, strict=True):
-        shown = np.flatnonzero(samples.run == run)
-        shown = shown[:: max(1, len(shown) // 500)]
-        error = factor * np.sqrt(samples.squares[channel][shown])
+        subset = np.flatnonzero(samples.run == run)
+        subset = subset[:: max(1, len(subset) // 500)]
+        error = factor * np.sqrt(samples.squares[channel][subset])
         axes.plot(log.x[::stride], log.y[::stride], color=MEASURED_COLOUR, lw=0.6, alpha=0.6, zorder=1)
-        points = axes.scatter(samples.x[shown], samples.y[shown], c=error, s=14, cmap="cividis", zorder=2, linewidths=0,
-                              rasterized=True, vmin=0.0, vmax=largest)
+        points = axes.scatter(samples.x[subset], samples.y[subset], c=error, s=14, cmap="cividis", zorder=2,
+                              linewidths=0, rasterized=True, vmin=0.0, vmax=largest)
         if wide:
             axes.set_aspect("equal", adjustable="box")
         axes.set_title(name, fontsize=9)

@@ -77,7 +77,7 @@ def draw_mounting(outcome: Identification, output: FigureOutput) -> PageFigure:
 
 
 def draw_stiffness(outcome: Identification, output: FigureOutput) -> PageFigure:
-    """Draw axle force versus slip angle, as in the paper, and, for a fit by prediction, the joint 95 % region."""
+    """Draw axle force versus slip angle, if the regression succeeded, and the joint region of a fit by prediction."""
     paper = outcome.figure.get("paper")
     values = ", ".join(f"{axle} {_format_value(outcome[f'cornering_stiffness_{axle}'])}" for axle in ("front", "rear"))
     if outcome.experiment == "stiffness-paper":
@@ -248,8 +248,8 @@ def compare_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base
                 verdict = f"{estimate.verdict} Doubtful: {STIFFNESS_ADVICE}"
                 estimate = replace(estimate, status="doubtful", verdict=verdict)
         else:
-            text = (f"The paper's regression gives {name} {regression.value:.0f} N/rad (standard uncertainty "
-                    f"{regression.standard_uncertainty:.0f}), in agreement.")
+            text = (f"The paper's regression agrees: {name} {regression.value:.0f} N/rad (standard uncertainty "
+                    f"{regression.standard_uncertainty:.0f}).")
         estimates.append(estimate)
         comparisons.append(text)
     return replace(outcome, estimates=tuple(estimates), warnings=(*outcome.warnings, *comparisons),

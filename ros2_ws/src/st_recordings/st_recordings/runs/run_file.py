@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from canedge_bridge.table_reader import read_document
 from canedge_bridge.units import UNITS, find_unit
+from canedge_bridge.yaml_reader import read_document
 from st_core import yaml_text
 from st_core.corrections import CHANNELS, Correction, check_corrections
 from st_core.errors import ConfigurationError, StCoreError

@@ -51,7 +51,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
 
 
 def add_steering(path: Path, settings: ReadSettings) -> ReadSettings:
-    """The settings of a replay, with the steering report that `_find_steering` selects, and a logged warning about it.
+    """Settings of a replay, with the steering report that `_find_steering` selects; logs a warning about it.
 
     Unchanged if they name a steering topic or field, or the bag may need its CAN frames (see `read`)."""
     if settings.steering is not None or bag.may_need_can_frames(path) or (steering := _find_steering(path)) is None:

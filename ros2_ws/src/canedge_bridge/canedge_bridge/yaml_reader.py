@@ -37,8 +37,8 @@ _TYPE_NAMES = {str: "a string", bool: "true or false", int: "a whole number"}
 
 
 class Entry:
-    """One mapping of the document. origin: name of the file in errors. path: dotted key of the mapping. The methods
-    raise ConfigurationError for a missing key, and for a value of a wrong type or outside its limits."""
+    """One mapping of the document. origin: name of the file, for errors. path: dotted key of the mapping. The methods
+    raise ConfigurationError for a missing or unknown key, and for a value of a wrong type or outside its limits."""
 
     def __init__(self, origin: str, path: str, value: Any):
         self.origin = origin
