@@ -272,7 +272,7 @@ def test_steering_is_checked_in_reverse(change, name):
 
 
 @pytest.mark.parametrize(("name", "other"), [("x", "y"), ("y", "x")])
-@pytest.mark.parametrize("offset", [0.5 * np.pi, -0.5 * np.pi, 0.5])
+@pytest.mark.parametrize("offset", [0.5 * np.pi, -0.5 * np.pi, 0.5, 0.03])
 def test_wrong_yaw_on_a_straight_along_an_axis_is_no_constant_position(leaf, name, other, offset):
     log = exact_drive(leaf, 60.0, turning=Sines(0.0, ()))
     distance = np.hypot(log.x - log.x[0], log.y - log.y[0])
@@ -280,6 +280,24 @@ def test_wrong_yaw_on_a_straight_along_an_axis_is_no_constant_position(leaf, nam
     log = replace(log, **{name: distance, other: 0.0 * distance}, yaw=log.yaw - log.yaw[0] + heading + offset)
     (finding,) = check(log, leaf).findings
     assert finding.name == "yaw_offset" and finding.value == pytest.approx(offset, abs=0.001)
+
+
+def drive_straight(leaf, heading, yaw_rate=0.0):
+    log = exact_drive(leaf, 60.0, turning=Sines(0.0, ((yaw_rate, 9.0, 0.3), (yaw_rate, 23.0, 1.0))))
+    position = (log.x + 1j * log.y) * np.exp(1j * heading)
+    return replace(log, x=position.real, y=position.imag, yaw=log.yaw + heading)
+
+
+@pytest.mark.parametrize(("heading", "offset", "yaw_rate"), [
+    (0.0, 0.3, 0.01), (0.3, 0.03, 0.0), (0.3, 0.3, 0.0), (0.5 * np.pi, 0.03, 0.0003)])
+def test_wrong_yaw_on_a_straight_is_no_scale_of_an_axis(leaf, heading, offset, yaw_rate):
+    (finding,) = check(biased(offset, "yaw")(drive_straight(leaf, heading, yaw_rate)), leaf).findings
+    assert finding.name == "yaw_offset" and finding.value == pytest.approx(offset, abs=0.001)
+
+
+def test_scale_of_an_axis_on_a_straight_is_a_distorted_map(leaf):
+    found = findings_by_name(scaled(0.97, "x")(drive_straight(leaf, 0.3)), leaf)
+    assert found.keys() == {"velocity_scale", "yaw_offset"} and "distorted" in found["yaw_offset"].text
 
 
 @pytest.mark.parametrize(("side", "drive"), [(0.6, "cpg_lap_medium"), (-1.0, "cpg_low_speed_a")])
@@ -403,3 +421,30 @@ def test_bias_of_velocity_that_is_a_scale_in_a_half_at_constant_speed_is_no_chan
               for one, name in ((bias, other), (found, "velocity_x_bias"))]
     checked = _report_changes(DriveCheck((bias,), {}, ()), halves, [(0.0, 60.0), (60.0, 120.0)])
     assert any(finding.times for finding in checked.findings) is is_reported
+
+
+def test_velocities_and_yaw_rate_on_another_clock_are_named(leaf):
+    found = findings_by_name(delay(exact_drive(leaf), 0.3, "velocity_x", "velocity_y", "yaw_rate"), leaf)
+    assert {"velocity_lag", "yaw_rate_lag"} <= found.keys() and "position_lag" not in found
+
+
+def test_lateral_velocity_in_another_unit_is_one_finding_at_low_speed():
+    log, car = read_real_drive("cpg_low_speed_b"), read_car("hyundai_genesis")
+    known, found = (findings_by_name(each, car) for each in (log, scaled(3.6, "velocity_y")(log)))
+    assert found.keys() - known.keys() == {"velocity_y_scale"}
+    assert not found["velocity_y_scale"].times and found["velocity_y_scale"].value == pytest.approx(3.6, abs=0.25)
+
+
+def test_times_at_half_the_rate_are_one_finding(leaf):
+    log = exact_drive(leaf)
+    fast = {name: getattr(log, name)[0] + 2 * (getattr(log, name) - getattr(log, name)[0])
+            for name in ("ins_time_ns", "steering_time_ns")}
+    (finding,) = check(replace(log, **fast), leaf).findings
+    assert finding.name == "time_unit" and finding.value == pytest.approx(2.0, rel=0.005)
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.5])
+def test_positions_are_not_attributed_to_velocities_in_knots_if_accelerations_decide(factor):
+    log, car = read_real_drive("cpg_lap_slow"), read_car("hyundai_genesis")
+    found = findings_by_name(scaled(factor, "x", "y")(log), car)
+    assert {*found} & {"velocity_scale", "position_scale"} == {"position_scale"}

@@ -38,6 +38,8 @@ MIN_VARIATION_RATIO = 2.0  # ratio of the losses per degree of freedom above whi
 MIN_SIGN_GAIN = 0.01  # m; minimum reduction of the misfit by the opposite sign; RTK noise is 1 cm
 MIN_LATERAL_VELOCITY = 0.02  # m/s, root mean square
 MAX_WHEEL_SLIP = 0.02  # s^2/m; slip of a wheel per acceleration; 0.01 for a longitudinal stiffness of 10 Fz
+# m; with this motion across a straight, the largest scale error of an axis without a wrong unit causes a warning
+MIN_WIDTH = LIMITS.warning_effect / (LIMITS.unit_ratio - 1.0)
 SPHERICAL_EARTH_SCALE = 0.005  # largest scale error per axis of a projection on a spherical earth
 MIN_VELOCITY_BIAS = 0.05  # m/s; INS velocities are accurate to 0.03
 # Smallest reported relative error of velocity_y alone. At a point 1.5 m ahead of the rear axle, an error of 0.25 m
@@ -73,6 +75,8 @@ ALTERNATIVE_LAGS = {"velocity_lag": Alternative("only velocity_x does", ("veloci
                     "velocity_x_lag": Alternative("velocity_y also does", ("velocity_lag",))}
 """Lag that may explain the same residual where velocity_y is small, by the cause found."""
 OPPOSITE_LATERAL_SIGN = "velocity_y has the opposite sign (left is positive)"
+OPPOSITE_SIGN_FINDING = Finding("velocity_y_scale", Severity.ERROR, ("velocity_y",), OPPOSITE_LATERAL_SIGN, -1.0,
+                                advice=Advice.correct("velocity_y", scale=-1.0))
 VARY_BENDS = Advice("text", "drive bends at different speeds and radii to distinguish the two")
 
 
@@ -99,7 +103,7 @@ CAUSES = {
     "velocity_y_scale": Cause(("velocity_y",), "velocity_y", "scale", "1", "velocity_y is {value:.3f} ± {half:.3f} "
                               "times its value from positions, yaw and velocity_x"),
     "yaw_offset": Cause(("yaw",), "yaw", "add", "rad", "yaw points {size:.4f} ± {half:.4f} rad ({degrees:.2f} deg) too "
-                        "far {side} according to positions and velocities, or is the map rotated?"),
+                        "far {side} according to positions and velocities, or is the map rotated or distorted?"),
     "yaw_drift": Cause(("yaw",), "", "use an INS with two antennas, or drive bends while it aligns: no constant "
                        "correction exists", "rad/s", "yaw drifts to the {side} by {size:.2g} ± {half:.1g} rad/s "
                        "({per_minute:.2f} deg per minute) compared with positions and velocities"),
@@ -154,6 +158,11 @@ def make_residual_regression(motion: Motion) -> Regression:
         "velocity_x_bias": -integrated_heading, "velocity_y_bias": -1j * integrated_heading,
     }
     residual = windows.change(motion.position) - displacement
+    sums = np.cumsum((residual + displacement, displacement), axis=1)
+    change = sums[:, HORIZON_WINDOWS:] - sums[:, :-HORIZON_WINDOWS]
+    across = (change * np.exp(-0.5j * np.angle(np.square(change).sum(axis=1, keepdims=True)))).imag
+    if np.square(across).sum(axis=1).min() <= MIN_WIDTH**2 * change.shape[1]:
+        columns |= {name: np.zeros_like(displacement) for name in (*AXIS_SCALES, "map_shear")}
     return Regression(windows.time, np.stack((residual.real, residual.imag), axis=1),
                       {name: np.stack((column.real, column.imag), axis=1) for name, column in columns.items()})
 
@@ -182,10 +191,9 @@ def _explain_residual(motion: Motion, rare_explanations: Mapping[tuple[str, ...]
             slips |= {name} if name not in causes and _is_wheel_slip(problem, name, tuple(refined)) else set()
             if not is_relevant(_add_refinement(name, causes, lag), min_values[name]):
                 del refined[name]
-        # An axis scale that differs from 1 as much as a wrong unit is kept only if its effect is enough for a warning.
+        # `units_and_axes` corrects axis scales that differ from 1 as much as a wrong unit.
         causes = {name: estimate for name, estimate in refined.items() if is_relevant(estimate, min_values[name]) and (
-            name not in AXIS_SCALES or abs(estimate.value) * effects[name] >= LIMITS.warning_effect
-            or is_near(1.0 + estimate.value, 1.0, LIMITS.unit_ratio))}
+            name not in AXIS_SCALES or is_near(1.0 + estimate.value, 1.0, LIMITS.unit_ratio))}
         # The slip of a wheel is not a fault. At nearly constant speed v, it acts like a lead c v, see `_is_wheel_slip`.
         corrected = _correct_causes(motion, {"velocity_x_lag" if name in slips else name: estimate.value
                                              for name, estimate in causes.items()})
@@ -212,8 +220,8 @@ def _fits_better(problem: Regression, causes: Names, other_problem: Regression, 
 
 
 def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Estimate]]:
-    """(motion corrected for the causes found, the findings, estimates of all causes as reported, without
-    velocity_y_scale if velocity_y is 0); with fewer than MIN_WINDOWS windows, the motion as given and no estimates."""
+    """(motion corrected for the causes found, the findings, estimates as reported of all causes that have
+    an effect); with fewer than MIN_WINDOWS windows, the motion as given and no estimates."""
     if len(motion.make_windows(WINDOW)) < MIN_WINDOWS:
         return motion, [], {}
     explanation = _explain_residual(motion, RARE_EXPLANATIONS)
@@ -234,7 +242,7 @@ def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Es
     findings = varying_findings + [f for f in findings if f.name not in {v.name for v in varying_findings}]
     estimates = {}
     for name, column in problem.columns.items():  # each is fitted together with the causes found
-        if name != "velocity_y_scale" or column.any():
+        if column.any():
             alongside = tuple(other for other in causes if other != name and other not in CONFOUNDED.get(name, ()))
             estimate = _add_refinement(name, causes, problem.estimate((*alongside, name))[name])
             estimates[name] = _convert_to_reported(name, estimate)
@@ -249,9 +257,8 @@ def _make_heading_terms(motion: Motion, time: np.ndarray) -> np.ndarray:
 
 
 def _find_varying_cause(motion: Motion, explanation: _Explanation) -> tuple[_Explanation, list[Finding]]:
-    """(explanation, finding) with a cause that varies with time, linearly between instants at equal intervals, or with
-    the heading, if it explains the positions far better than constant causes; otherwise, and without v_y, (explanation
-    as given, [])."""
+    """(explanation, finding) with a cause that varies with time, linearly between instants, or with the heading, if far
+    better than constant causes; otherwise, and without v_y, (explanation as given, [])."""
     problem, corrected = make_residual_regression(motion), make_residual_regression(explanation.corrected)
     middle = problem.time + 0.5 * WINDOW
     count = int(np.clip(np.ptp(middle) / VARIATION_INTERVAL, 2, MAX_VARIATION_INTERVALS)) + 1
@@ -269,7 +276,9 @@ def _find_varying_cause(motion: Motion, explanation: _Explanation) -> tuple[_Exp
         varying = Regression(problem.time, problem.y, {**problem.columns, **columns})
         names = (*columns, *dict.fromkeys((*AXIS_SCALES, *explanation.causes)))
         values, scale, _ = varying.fit(names)
-        loss, constant_loss = varying.compute_loss(names, scale), corrected.compute_loss((*explanation.causes,), scale)
+        loss = varying.compute_loss(names, scale)  # compared with that of any further constant cause
+        constant_loss = min(corrected.compute_loss(tuple(dict.fromkeys((*explanation.causes, other))), scale)
+                            for other in corrected.columns)
         # Fraction of the degrees of freedom, two per block of windows, that remains after fitting the values.
         remaining = 1.0 - len(columns) * BLOCK_LENGTH / (2.0 * np.ptp(middle))
         fits.append((loss / max(remaining * constant_loss, 1e-300), np.array([values[label] for label in columns])))
@@ -323,18 +332,15 @@ def attribute_scale_to_velocity_x(motion: Motion, findings: list[Finding],
             [attributed if finding is both else finding for finding in findings if finding is not lateral])
 
 
-def compute_scaled_misfit(motion: Motion, *causes: str) -> float:
-    """Median misfit of positions and velocity per second [m]; axis scales and `causes` are fitted. inf if too short."""
+def compute_scaled_misfit(motion: Motion, *causes: str, from_compass: bool = False) -> float:
+    """Median misfit of positions and velocity per second [m], inf for a short drive; axis scales, `causes` and, if
+    from_compass, an error of yaw that depends on the heading are fitted."""
     problem = make_residual_regression(motion)
-    return problem.fit((*AXIS_SCALES, *causes))[1] if len(problem.time) >= MIN_WINDOWS else np.inf
-
-
-def compute_compass_misfit(motion: Motion) -> float:
-    """`compute_scaled_misfit` with an error of yaw that depends on the heading."""
-    problem = make_residual_regression(motion)
-    terms = _make_heading_terms(motion, problem.time + 0.5 * WINDOW).T
+    if len(problem.time) < MIN_WINDOWS:
+        return np.inf
+    terms = _make_heading_terms(motion, problem.time + 0.5 * WINDOW).T if from_compass else ()
     columns = {str(k): problem.columns["yaw_offset"] * term[:, None] for k, term in enumerate(terms)}
-    return Regression(problem.time, problem.y, {**problem.columns, **columns}).fit((*AXIS_SCALES, *columns))[1]
+    return Regression(problem.time, problem.y, {**problem.columns, **columns}).fit((*AXIS_SCALES, *causes, *columns))[1]
 
 
 def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> bool | None:
@@ -388,12 +394,7 @@ def correct_lateral_sign(motion: Motion) -> tuple[Motion, Finding | None]:
             misfits.append(misfit)
     if not compute_scaled_misfit(mirrored) < min(0.8 * min(misfits), min(misfits) - MIN_SIGN_GAIN):
         return motion, None
-    return mirrored, make_lateral_sign_finding()
-
-
-def make_lateral_sign_finding() -> Finding:
-    return Finding("velocity_y_scale", Severity.ERROR, ("velocity_y",), OPPOSITE_LATERAL_SIGN, -1.0,
-                   advice=Advice.correct("velocity_y", scale=-1.0))
+    return mirrored, OPPOSITE_SIGN_FINDING
 
 
 def _add_lateral_alternative(findings: list[Finding], problem: Regression,
@@ -491,8 +492,8 @@ def _add_refinement(name: str, causes: Mapping[str, Estimate], refinement: Estim
 def _find_causes(problem: Regression, candidates: list[str], min_values: dict[str, float],
                  required: tuple[str, ...]) -> tuple[str, ...]:
     """Further causes among the candidates. min_values: smallest reported value by cause. required: causes so far."""
-    causes = problem.select_causes([name for name in candidates if name != "velocity_scale"], min_values, required,
-                                   () if "velocity_scale" in required else AXIS_SCALES)
+    selected = [name for name in candidates if name != "velocity_scale" or not problem.columns["x_scale"].any()]
+    causes = problem.select_causes(selected, min_values, required, () if "velocity_scale" in required else AXIS_SCALES)
     axes = [name for name in AXIS_SCALES if name in causes]
     if "velocity_scale" not in candidates or not axes or (
             max(abs(causes[name].value) for name in axes) < SPHERICAL_EARTH_SCALE):

@@ -18,7 +18,7 @@ from ..regression import SIGMA_PER_MAD
 from . import inertial
 from .finding import HORIZON, LIMITS, Advice, Alternative, Finding, Severity, find
 from .motion import MIN_DISTANCE, MIN_WINDOWS, Motion, compute_ratios, correlate, is_driven, is_near
-from .position import compute_compass_misfit, compute_scaled_misfit, correct_lateral_sign
+from .position import compute_scaled_misfit, correct_lateral_sign
 from .regression import Estimate, Regression, add_systematic_uncertainty
 
 MIN_YAW_RANGE = 0.2  # rad; minimum range of yaw in the drive
@@ -93,7 +93,7 @@ def check_time_unit(motion: Motion) -> MotionAndFinding:
     factor = 1.0 / ratios.position_to_speed
     unit = match_unit(factor, TIME_UNITS)
     # A single ratio may also be due to the unit of velocity, so it must match a unit of time.
-    if not unit and (len(known) < 2 or 1 / 10 < factor < 10):
+    if not unit and len(known) < 2:
         return motion, None
     question, advice = "", Advice("text", "check the clock that stamps the rows")
     if unit:
@@ -178,7 +178,7 @@ def _correct_yaw_scale(motion: Motion, ratio: float) -> MotionAndFinding:
         return motion, None
     misfits = [compute_scaled_misfit(each, "yaw_offset") for each in (motion, corrected)]
     if not misfits[1] < CLEAR_MISFIT_RATIO * misfits[0] or (
-            compute_compass_misfit(motion) < CLEAR_MISFIT_RATIO * misfits[1]):
+            compute_scaled_misfit(motion, from_compass=True) < CLEAR_MISFIT_RATIO * misfits[1]):
         return motion, None
     effect = abs(factor - 1.0) * float(np.std(motion.yaw)) * float(np.median(motion.speed)) * HORIZON
     return corrected, replace(finding, severity=LIMITS.severity(effect), effect=effect)
@@ -325,6 +325,8 @@ def _correct_position_axes(motion: Motion) -> MotionAndFinding:
 
 def _correct_one_axis(motion: Motion) -> MotionAndFinding:
     measured, derived = _compute_displacements(motion, motion.velocity_map)
+    if _compute_misfit(motion) < MAX_CONSISTENT_MISFIT * float(np.median(np.abs(derived))):
+        return motion, None  # they agree except for a rotation
     scales = []
     for along_measured, along_derived in ((measured.real, derived.real), (measured.imag, derived.imag)):
         moves = np.abs(along_derived) >= MIN_DISTANCE  # elsewhere, noise of the positions dominates
@@ -379,21 +381,18 @@ def _correct_distance(motion: Motion) -> MotionAndFinding:
     ratio = compute_ratios(motion).position_to_speed
     if not np.isfinite(ratio) or _matches(ratio, 1.0):
         return motion, None
-    speed, length = match_unit(1.0 / ratio), match_unit(ratio, LENGTH_UNITS)
+    speed, length, velocity_ratio = match_unit(1.0 / ratio), match_unit(ratio, LENGTH_UNITS), 1.0 / ratio
+    text = f"x and y are {ratio:.4g} times the integrated velocity"
     if length and not speed:
-        text = f"x and y are {ratio:.4g} times the integrated velocity: is their unit {LENGTH_UNITS[length]}?"
         advice = Advice.correct("position", scale=1.0 / length)
-        return _correct(motion, "position_scale", ("x", "y"), text, ratio, advice)
+        return _correct(motion, "position_scale", ("x", "y"), f"{text}: is their unit {LENGTH_UNITS[length]}?", ratio,
+                        advice)
     if not speed and ratio < MAX_DEGREE_RATIO:
-        text = (f"x and y are {ratio:.3g} times the integrated velocity: are they latitude and longitude? "
-                "Metres are expected")
         metres = replace(motion, x=motion.x / ratio, y=motion.y / ratio)
-        return _correct(metres, "position_scale", ("x", "y"), text, ratio,
-                        Advice("text", "project latitude and longitude to east and north"))
-    velocity_ratio = 1.0 / ratio
-    if confirmed_by := "" if speed else inertial.confirm_velocity(motion, velocity_ratio):
-        text = f"x and y are {ratio:.4g} times the integrated velocity, which agrees with {confirmed_by}"
-        return _correct(motion, "position_scale", ("x", "y"), text, ratio,
+        return _correct(metres, "position_scale", ("x", "y"), f"{text}: are they latitude and longitude? Metres are "
+                        "expected", ratio, Advice("text", "project latitude and longitude to east and north"))
+    if confirmed_by := inertial.confirm_velocity(replace(motion, speeds={}) if speed else motion, velocity_ratio):
+        return _correct(motion, "position_scale", ("x", "y"), f"{text}, which agrees with {confirmed_by}", ratio,
                         Advice.correct("position", scale=float(f"{velocity_ratio:.5g}")))
     scale = 1.0 / (speed or velocity_ratio)
     both, forward = (Advice.correct(channel, scale=scale) for channel in ("velocity", "velocity_x"))

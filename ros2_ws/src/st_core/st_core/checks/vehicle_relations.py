@@ -22,7 +22,7 @@ from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
 from .finding import HORIZON, LIMITS, SYSTEMATIC_UNCERTAINTY, Advice, Alternative, Comparison, Finding, Severity
 from .inertial import MAX_LAG, MIN_COMMON_TIME, NOT_FITTED, Agreement, Results, compare_series, format_alternative_lags
 from .motion import MAX_LISTED_TIMES, MIN_MOVING_SPEED, Motion, correlate, has_varying_speed, is_near
-from .position import MIN_LOSS_RATIO, make_lateral_sign_finding
+from .position import MIN_LOSS_RATIO, OPPOSITE_SIGN_FINDING
 from .regression import Estimate, Regression, add_systematic_uncertainty
 from .units_and_axes import DEG_PER_RAD
 
@@ -340,7 +340,7 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> Results:
         # On a road banked by b, the rear tyres slip as under a lateral acceleration of g b.
         may_be_bank = abs(heading.value) < SLIP_RANGE[1] * rear_slip_coefficient(vehicle) * GRAVITY * MAX_BANK
         results.findings.append(finding.with_alternative(BANK, BOTH_DIRECTIONS) if may_be_bank else finding)
-    results.findings += filter(None, [make_lateral_sign_finding() if is_mirrored else
+    results.findings += filter(None, [OPPOSITE_SIGN_FINDING if is_mirrored else
                                       _make_point_finding(point, estimates["slip"], motion, vehicle)])
     results.estimates = {"heading_misaligned": heading, "measuring_point": point}
     axle_motion = sum(estimates[name].value * problem.columns[name][:, 0] for name in ("slip", "roll"))
