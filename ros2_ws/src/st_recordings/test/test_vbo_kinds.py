@@ -77,6 +77,23 @@ def test_vbo_gives_the_drive(tmp_path: Path, drive_log: DriveLog, start: float, 
     assert_warned(run.warnings, f"{usual}|its times are not HHMMSS" if seconds_of_day else usual)
 
 
+@pytest.mark.parametrize(("scale", "sign", "warning"), [
+    (1 / 60, -1, "read in degrees"), (1 / 60, 1, "read in degrees|longitude is positive to the east"),
+    (1, 1, "longitude is positive to the east"), (1, -1, "")],
+    ids=["degrees", "degrees, east positive", "minutes, east positive", "minutes"])
+def test_coordinates_of_a_vbo_in_degrees_or_positive_to_the_east(tmp_path: Path, scale: float, sign: int,
+                                                                 warning: str) -> None:
+    course, speed = np.radians(60.0), 20.0
+    north, east = (speed * 0.1 * np.arange(300) * f(course) for f in (np.cos, np.sin))
+    lines = "\n".join(
+        f"{36000 + 0.1 * k:.2f} {scale * (3120 + n / 1855.4):.8f} {sign * scale * (90 + e / 1145.1):.8f} 72.0 60.0 0.1"
+        for k, (n, e) in enumerate(zip(north, east, strict=True)))
+    run = read_text(tmp_path / "drive.vbo",
+                    f'[column names]\ntime lat long velocity heading "Steer"\n[data]\n{lines}\n')
+    assert (run.log.x[-1], run.log.y[-1]) == pytest.approx((east[-1], north[-1]), rel=0.01)
+    assert_warned([each for each in run.warnings if "read in" in each or "positive" in each], warning)
+
+
 @pytest.mark.parametrize("first", [95.0, 1777889472.0], ids=["seconds from the start", "seconds since 1970"])
 def test_date_of_a_vbo_is_added_only_to_times_of_day(tmp_path: Path, first: float) -> None:
     lines = "\n".join(f"{first + 0.1 * k:.2f} {3120 + 0.001 * k:.6f} -90.0 36.0 0.0 0.1" for k in range(100))

@@ -53,7 +53,7 @@ def read_vbo(file: Path, layout: Layout) -> Table:
     table = parse_table(file, names, sections["data"], " ", layout, warnings, sources)
     date = _CREATION_DATE.search(text[:2000]) if table.sources["t"].unit == HHMMSS else None
     midnight, _ = (parse_stamp("{}.{}.{} 0:00:00".format(*date.groups())) if date else None) or (0.0, 0.0)
-    return _correct_signs(replace(table, time_ns=table.time_ns + round(midnight * 1e9)))
+    return _correct_yaw_rate(_correct_coordinates(replace(table, time_ns=table.time_ns + round(midnight * 1e9))))
 
 
 def lacks_steering(file: Path) -> bool:
@@ -103,12 +103,34 @@ def _find_sources(file: Path, names: list[str], sections: dict[str, str], layout
     return apply_units(file, sources, layout)
 
 
-def _correct_signs(table: Table) -> Table:
-    """Makes longitude positive to the east and the yaw rate positive in left turns. The derivative of the heading gives
-    the sign of the yaw rate, and replaces a yaw rate that contradicts it."""
+def _correct_coordinates(table: Table) -> Table:
+    """Makes longitude positive to the east. Degrees are recognised by the place: in minutes of arc they would be at
+    sea. Speed and course show whether longitude is positive to the east already."""
     columns, warnings = dict(table.columns), list(table.warnings)
-    if "longitude" in columns:
-        columns["longitude"] = -columns["longitude"]
+    if not columns.keys() >= {"latitude", "longitude"}:
+        return table
+    latitude, longitude = (float(np.nanmax(np.abs(columns[name]), initial=0.0)) for name in ("latitude", "longitude"))
+    if (table.sources["latitude"].unit == "min" and 0.0 < latitude <= np.deg2rad(90.0 / 60.0)
+            and longitude <= np.deg2rad(180.0 / 60.0)):
+        columns |= {name: 60.0 * columns[name] for name in ("latitude", "longitude")}
+        warnings.append(f"{table.file}: latitude and longitude are read in degrees; in minutes of arc, the unit of VBO "
+                        "files, the drive would be in the Gulf of Guinea")
+    columns["longitude"] = -columns["longitude"]
+    if columns.keys() >= {"velocity_x", "course"}:
+        eastward = differentiate_yaw(table, columns["longitude"])
+        expected = columns["velocity_x"] * np.sin(columns["course"])
+        rows = np.isfinite(eastward) & np.isfinite(expected)
+        if _compute_similarity(eastward[rows], expected[rows]) < -MIN_HEADING_AGREEMENT:
+            columns["longitude"] = -columns["longitude"]
+            warnings.append(f"{table.file}: according to speed and course, longitude is positive to the east, not to "
+                            "the west as in VBO files; it is read so")
+    return replace(table, columns=columns, warnings=tuple(warnings))
+
+
+def _correct_yaw_rate(table: Table) -> Table:
+    """Makes the yaw rate positive in left turns. The derivative of the heading gives its sign, and replaces a yaw rate
+    that contradicts it."""
+    columns, warnings = dict(table.columns), list(table.warnings)
     heading = next((columns[name] for name in ("compass_heading", "course") if name in columns), None)
     if heading is not None and columns.keys() >= {"velocity_x", "yaw_rate"}:
         heading_rate = differentiate_yaw(table, -heading)
@@ -119,7 +141,7 @@ def _correct_signs(table: Table) -> Table:
         median, largest = np.quantile(np.abs(derivative), [0.5, 1.0]) if rows.sum() > 10 else (0.0, 0.0)
         if 0.0 < median < MIN_TURN_RATE:
             yaw_rate, derivative = yaw_rate - yaw_rate.mean(), derivative - derivative.mean()
-        similarity = yaw_rate @ derivative / max(np.linalg.norm(yaw_rate) * np.linalg.norm(derivative), 1e-12)
+        similarity = _compute_similarity(yaw_rate, derivative)
         if largest >= MIN_TURN_RATE and similarity < -MIN_HEADING_AGREEMENT:
             columns["yaw_rate"] = -columns["yaw_rate"]
             warnings.append(f"{table.file}: {YAW_RATE_REVERSED}")
@@ -128,3 +150,8 @@ def _correct_signs(table: Table) -> Table:
                             f"{similarity:.2f}); the derivative of the heading is used")
             columns["yaw_rate"] = heading_rate
     return replace(table, columns=columns, warnings=tuple(warnings))
+
+
+def _compute_similarity(x: np.ndarray, y: np.ndarray) -> float:
+    """Cosine similarity of two series (n,); 0 if one of them is 0."""
+    return float(x @ y / max(np.linalg.norm(x) * np.linalg.norm(y), 1e-12))
