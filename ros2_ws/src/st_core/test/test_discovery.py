@@ -122,7 +122,7 @@ def test_hidden_effect_is_named_with_its_value(leaf, name, parameter, value, dri
 
 @pytest.mark.slow
 def test_ratio_and_ins_position_of_rear_wheels_that_steer_are_not_named(leaf, library):
-    """Rear wheels that steer by -0.06 of the front angle act like a ratio of 1 / 1.06 and an INS further back."""
+    """Rear wheels that steer by -0.06 times the front angle act like a ratio of 1 / 1.06 and an INS further back."""
     library("steering_ratio", "sensor_lever_arm", "steering_offset")
     truth = {"steering_ratio": {"factor": 1.0 / 1.06},
              "sensor_lever_arm": {"x": leaf.wheelbase * (1.0 / 1.06 - 1.0), "y": 0.0}}

@@ -521,4 +521,5 @@ def test_ratio_and_ins_position_of_one_cause(factor, x, names, found):
     text = describe_common_cause(effects, 2.7)
     assert bool(text) == found
     if found:
-        assert f"steer by {1.0 - 1.0 / factor:+.3f} of the front angle, or a wheelbase of {2.7 * factor:.2f} m" in text
+        assert (f"steer by {1.0 - 1.0 / factor:+.3f} times the front angle, or a wheelbase of {2.7 * factor:.2f} m"
+                in text)

@@ -22,7 +22,7 @@ from st_msgs.msg import ErrorStatistics, InputPlan, PlannedPrediction, Predictio
 from st_recordings.bag_metadata import INFINITE_NS, Qos, make_qos
 from st_ros.polling import from_nanoseconds, to_nanoseconds
 
-from .map_drawing import BAND_MODE, Path, make_ribbon
+from .map_drawing import DRAWN_MODE, Path, make_ribbon
 
 QUATERNION_TOLERANCE = 0.01  # largest error of the squared length; rounding to float32 causes 1e-7, all zeros 1
 _NEVER_NS = 9_223_372_036 * 1_000_000_000  # rmw's "infinite", rounded down to seconds; rclpy returns this or more
@@ -133,7 +133,7 @@ def read_ins_path(message: Prediction) -> Path:
     """The predicted path of the INS point with its forecast bands; bands of a different length are left out."""
     x, y, yaw = map(np.asarray, (message.x, message.y, message.yaw))
     x, y = cg_to_ins_position(x, y, yaw, message.cg_to_ins_x, message.cg_to_ins_y)
-    bands = sorted((b for b in message.bands if b.mode == BAND_MODE), key=lambda b: -b.level)
+    bands = sorted((b for b in message.bands if b.mode == DRAWN_MODE), key=lambda b: -b.level)
     ribbons = tuple(make_ribbon(b.level, (x, y, yaw), np.asarray(b.along), np.asarray(b.across)) for b in bands
                     if len(b.along) == len(b.across) == len(x))
     return Path(to_nanoseconds(message.header.stamp), message.step, x, y, ribbons)

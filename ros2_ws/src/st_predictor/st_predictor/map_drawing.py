@@ -13,7 +13,7 @@ TRACK_SPAN = 90.0  # s of measured track
 MAX_PATH_AGE = 1.0  # s; a path of this age or older is not drawn as the newest one
 GHOST_AGES = (1.0, 2.0, 3.0, 4.0, 5.0)  # s, ages of the earlier predictions drawn in addition to the newest
 GHOST_TOLERANCE = 0.15  # s, largest difference between a prediction's age and a ghost age
-BAND_MODE = "forecast"  # mode of the drawn bands and paths
+DRAWN_MODE = "forecast"  # mode of the drawn bands and paths
 
 
 class Pose(NamedTuple):

@@ -261,7 +261,7 @@ REFUSED = [
     ("predictor", [], "vehicle_file: not set"),
     ("predictor", ["horizont:=5.0"], "unknown parameter horizont; known:"),
     ("predictor", ["rate:=1000.0"], "rate: 1000.0 is outside 0.1 to 100 Hz"),
-    ("predictor", ["rate:=fast"], "rate: 'fast' is a str, not float"),
+    ("predictor", ["rate:=fast"], "rate: 'fast' has type str, not float"),
     ("predictor", [f"vehicle_file:={LEAF}", "horizon:=5.01"], "horizon: 5.01 s is not a whole number of steps"),
     ("predictor", [f"vehicle_file:={LEAF}", "models:=[linear, cubic]"], "unknown model 'cubic'; known:"),
     ("evaluator", [f"vehicle_file:={LEAF}", f"output_directory:={ROOT}"], "contains files"),

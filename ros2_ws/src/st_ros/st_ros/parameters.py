@@ -47,7 +47,7 @@ class Parameter:
                 raise ConfigurationError(f"{self.name}: {value!r} is not a list")
             return [str(v) for v in value] if all(isinstance(d, str) for d in self.default) else list(value)
         if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
-            raise ConfigurationError(f"{self.name}: {value!r} is a {type(value).__name__}, not {kind.__name__}")
+            raise ConfigurationError(f"{self.name}: {value!r} has type {type(value).__name__}, not {kind.__name__}")
         if self.choices and value not in self.choices:
             raise ConfigurationError(f"{self.name}: {value!r} is not {self.describe_limit()}")
         is_number = isinstance(value, int | float) and not isinstance(value, bool)

@@ -48,7 +48,7 @@ def choose_truth_file(folder: Path) -> Path:
 
 
 class TruthFile:
-    """MCAP file with the true states, as JSON messages on /truth logged at the UTC of the state. metadata: content of
+    """MCAP file with the true states, as JSON messages on /truth (log time: UTC of the state). metadata: content of
     the record `run`. fault: why the file is incomplete; empty if it is complete."""
 
     def __init__(self, path: Path, start_ns: int, settings: Settings, metadata: Mapping[str, object]):

@@ -506,11 +506,11 @@ def describe_varying(v: VaryingFit, space: Space, position_reduction: float) -> 
 
 
 def describe_common_cause(effects: Sequence[result.FoundEffect], wheelbase: float) -> str:
-    """A sentence if rear wheels that steer by k of the front angle explain both a ratio f and an INS position x, or "".
+    """A sentence if rear wheels steered by k times the front angle explain both a ratio f and an INS position x, or "".
 
     effects: those that such rear wheels imitate.
 
-        r = v delta (1 - k) / l,    f = 1 / (1 - k),    x = k delta v / r = l (f - 1);    a wheelbase f l acts like them
+        r = v delta (1 - k) / l,    f = 1 / (1 - k),    x = k delta v / r = l (f - 1);    a wheelbase f l acts alike
     """
     found = {key: p for e in effects for key, p in e.parameters.items()}
     ratio, x = found.get("factor"), found.get("x")
@@ -520,8 +520,8 @@ def describe_common_cause(effects: Sequence[result.FoundEffect], wheelbase: floa
     if x.interval[1] < low or high < x.interval[0]:
         return ""
     return (f"a ratio {ratio.value:.3f} times the file's and an INS {x.value:+.2f} m off its position are not named, "
-            f"because one cause explains both: rear wheels that steer by {1.0 - 1.0 / ratio.value:+.3f} of the front "
-            f"angle, or a wheelbase of {wheelbase * ratio.value:.2f} m")
+            f"because one cause explains both: rear wheels that steer by {1.0 - 1.0 / ratio.value:+.3f} times the "
+            f"front angle, or a wheelbase of {wheelbase * ratio.value:.2f} m")
 
 
 def find_parameter_across_bound(effect: result.FoundEffect) -> str:

@@ -21,7 +21,7 @@ def displace(measured, shift, speed):
 
 @register
 class SensorRoll(Effect):
-    physics = "INS point moves by shift a_y to the outside of the bend as the body rolls, so v_y by -shift v_x r_dot"
+    physics = "body roll moves the INS point by shift a_y to the outside of the bend: v_y changes by -shift v_x r_dot"
     excited_by = "sweeps and fast corner entries, which cause a step in v_y of the INS"
     kind, slot = "sensors", "position"
     confounded_with = ("yaw_inertia", "tyre_relaxation")

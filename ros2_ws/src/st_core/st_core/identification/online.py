@@ -114,7 +114,7 @@ def _make_failed_fit(vehicle: VehicleParameters, problem: str) -> OnlineFit:
 
 
 class OnlineIdentifier:
-    """Stores samples in order of time, and makes estimates from `fit`, which the caller sets by `fit_recent`."""
+    """Stores samples in order of time, and makes estimates from `fit`, which the caller sets with `fit_recent`."""
 
     def __init__(self, vehicle: VehicleParameters):
         self.reset(vehicle)

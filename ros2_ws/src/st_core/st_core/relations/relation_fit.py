@@ -63,7 +63,7 @@ def profile_coefficients(h: np.ndarray) -> np.ndarray:
 class RelationFits:
     """Fits of candidate relations in addition to a discovered model.
 
-    model: the discovered model, with its residual scale in all fits. effect_names: its effects.
+    model: the discovered model; its residual scale applies to all fits. effect_names: its effects.
     acceleration_gain: as in `Discovery`.
     fold: (b,) `Problem.held_out_groups`.
     refitted_indices: parameters fitted together with a relation.

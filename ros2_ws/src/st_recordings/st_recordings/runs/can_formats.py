@@ -401,7 +401,7 @@ def _read_csv_data(cells: Mapping[str, str], row: Sequence[str], name: str, role
     """Data of a frame in any of the CSV formats. Raises ValueError if it does not have the stated length."""
     digits = "".join(row[roles["data"]].split()).replace("0x", "")
     length = int(row[roles["length"]]) if "length" in roles else None
-    if length is not None and 8 < length < len(FD_LENGTHS):  # a data length code (DLC), if it denotes the bytes
+    if length is not None and 8 < length < len(FD_LENGTHS):  # may be a data length code (DLC)
         n_bytes = len(list(takewhile(bool, row[roles["data"]:]))) if name[-1].isdigit() else len(digits) // 2
         length = n_bytes if n_bytes == FD_LENGTHS[length] else length
     if name[-1].isdigit():  # blank cells may follow the bytes, but not separate them
