@@ -211,7 +211,7 @@ class Predictor:
             return Skip("stale", f"INS: position jumps by {jump.size:.2f} m after the newest common instant")
         inputs = self.history.inputs_at(time_ns)
         if inputs is None:
-            return Skip("stale", "INS: forward acceleration not known yet, at the first sample or after a gap")
+            return Skip("stale", "INS: forward acceleration unknown at the first sample or after a gap")
         sample = self.history.ins_at(time_ns)
         assert sample is not None  # known where the inputs are
         state = ins_to_cg(sample, self.vehicle.cg_to_ins_x, self.vehicle.cg_to_ins_y)

@@ -113,7 +113,7 @@ def test_acceleration_after_a_gap_needs_a_second_sample(predictor):
     for ms in (990, 1000, 1010):
         predictor.add_steering(time_at(ms), 0.05)
     assert reason(predictor.find_start(time_at(1010))) == (
-        "INS: forward acceleration not known yet, at the first sample or after a gap")
+        "INS: forward acceleration unknown at the first sample or after a gap")
     predictor.add_ins(ins(1010))
     assert isinstance(predictor.find_start(time_at(1010)), Start)
 

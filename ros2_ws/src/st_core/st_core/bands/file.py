@@ -33,7 +33,7 @@ SCHEMA = 3
 HEADER = "# Prediction bands by model and mode. Written by `st calibrate`.\n"
 UNITS = "floor: m, m, rad; coefficients: natural logarithm of m, m, rad; factors, ratios: 1; upper_limits: m/s^2, rad/s"
 CHECKED_SETTINGS = ("horizon", "step", "minimum_speed", "maximum_gap", "filter_cutoff", "acceleration", "inputs")
-"""Settings that affect the errors or limit the speed of the starts; the others (interval, stale_after) do neither."""
+"""Settings that affect the errors or limit the speed at the start; the others (interval, stale_after) do neither."""
 
 
 @dataclass(frozen=True, eq=False)

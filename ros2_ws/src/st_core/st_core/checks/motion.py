@@ -204,7 +204,7 @@ def estimate_spacing(time: np.ndarray) -> float:
 
 
 def even_out(time: np.ndarray, half: int = SPACING_SAMPLES, max_gap: float = MAX_GAP) -> np.ndarray:
-    """The instants [s] without jitter: evenly spaced, then shifted by the mean deviation of the 2 `half` recorded
+    """The instants [s] without jitter: evenly spaced, then shifted by the mean deviation of the 2 * half recorded
     instants around each, which should span several bursts. Intervals longer than `max_gap` [s] remain."""
     groups = []
     for first, last in zip(*find_groups(np.diff(time) > max_gap), strict=True):
@@ -251,8 +251,8 @@ def is_near(value: float, target: float, factor: float = SAME_RATIO_FACTOR) -> b
 
 
 def compute_ratios(motion: Motion, length: float = 1.0, min_distance: float = MIN_DISTANCE) -> Ratios:
-    """Ratios of channels in windows of `length` [s], halved until the path in a window is not much longer than the
-    chord, as that of a small car may be. min_distance: smallest motion in a window that is used [m]."""
+    """Ratios of channels in windows of `length` [s], halved while the path in a window is much longer than its chord,
+    as for a small car. min_distance: smallest motion in a used window [m]."""
     windows = motion.make_windows(length, max(MAX_GAP, 0.5 * length))
     displacement = windows.change(motion.position)
     distance, integrated_speed = np.abs(displacement), windows.integral(motion.speed)

@@ -205,7 +205,7 @@ def write_results(reports: Sequence[RunReport], task: Task, title: str) -> dict[
         tables.write_csv(files[name], rows)
     settings = describe_settings(task)
     note = (f"{settings['vehicle']}; predictions {settings['predictions']}; horizon {settings['horizon']}; "
-             f"{settings['measured inputs']}.")
+            f"inputs {settings['measured inputs']}.")
     files["latex"].write_text(tables.make_latex_table(evaluated_runs, task.over, note))
     output = FigureOutput(folder, task.formats)
     overview = draw_overview(evaluated_runs, task.over, output)

@@ -63,7 +63,7 @@ def concatenate(parts: Sequence[Frames], order: np.ndarray | slice = slice(None)
         return parts[0]
     width = max(p.payload.shape[1] for p in parts)
     parts = [replace(p, payload=np.pad(p.payload, ((0, 0), (0, width - p.payload.shape[1])))) for p in parts]
-    # Column by column, so that only one sorted copy of a column is in memory at a time.
+    # Column by column, so that only one unsorted copy of a column is in memory at a time.
     return Frames(**{f.name: np.concatenate([getattr(p, f.name) for p in parts])[order] for f in fields(Frames)})
 
 
