@@ -92,7 +92,7 @@ class Origin:
     def update(self, motion: Motion, status: StatusTracker, now_ns: int) -> LocalFrame | None:
         """The map frame; chosen in this call if it was not before. None while waiting for the unit's local frame.
 
-        now_ns: time of one clock [ns]; the wait also ends if this clock is set back to before the start of the wait.
+        now_ns: time [ns], always of the same clock; the wait also ends if it is set back to before the wait began.
         """
         if self.frame is not None:
             return self.frame
@@ -115,7 +115,7 @@ class Origin:
 def reconstruct_odometry(packets: Iterable[tuple[int, bytes]], origin: Origin, live: bool = True,
                          by_receive_time: bool = False) -> Iterator[tuple[int, Vector, Motion]]:
     """Yields (header stamp [ns since 1970], ENU position relative to the origin [m], motion) of every odometry message
-    that the node would publish for these packets, with equal numbers.
+    that the node would publish for these packets, with identical values.
 
     packets: (time of receipt [ns since 1970], 72 bytes), in order of receipt. origin: as configured in the node.
     live: the packets came from a unit, not from a replayed file. by_receive_time: stamp_source was "receive".

@@ -197,7 +197,7 @@ INITIAL_CURVATURE_ERRORS, INITIAL_SPEED_ERRORS = (1.0, 0.2), (1.0, 1.0, 0.5, 0.3
 """Initial E [m^2], in the order of the forecasts of `CourseTracker`, from leave-one-out errors of real laps."""
 SQUARED_ERROR_LIMITS = (0.01, 9.0)  # m^2; lower: accuracy of the INS, upper: limits the influence of a single error
 MAX_JUMP = 2.0  # m; the tracker restarts if displacement and distance driven differ by more than this + 10 %
-MIN_COVERAGE, MAX_COVERAGE = 1.2, 2.0  # horizons; driving time of a pass ahead of the car: minimum, and maximum used
+MIN_COVERAGE, MAX_COVERAGE = 1.2, 2.0  # horizons; minimum and maximum used driving time of a pass ahead of the car
 
 
 class EgoMotion(NamedTuple):

@@ -74,10 +74,10 @@ class PositionJump(NamedTuple):
 class MeasurementHistory:
     """INS and steering samples of the last `span` seconds, in order of time.
 
-    Samples that are late by up to half a second are inserted at their time, with the same result as in order. Samples
-    that are later, repeated or not finite are rejected. When the INS time jumps back (a replay that restarts), both
-    signals restart, and `generation` increases. A signal is unknown between samples further apart than maximum_gap; the
-    INS is also unknown across a position jump. jump_count: number of jumps. last_jump: newest; None after a restart.
+    Samples that are late by up to half a second are inserted at their time, with the same result as if they had arrived
+    in order; others that are late, repeated or not finite are rejected. When the INS time jumps back (a replay that
+    restarts), both signals restart, and `generation` increases. A signal is unknown between samples further apart than
+    maximum_gap; the INS also across a position jump. jump_count: number of jumps. last_jump: None after a restart.
 
     span, maximum_gap [s]; filter_cutoff [Hz], see timeseries.py for the definition and delay of velocity_x_dot.
     """

@@ -21,7 +21,7 @@ from .timeseries import NANOSECOND, half_step_grid, interpolate
 from .types import ControlInput, InputSequence, InsSample, VehicleState, cg_to_ins_position, ins_to_cg, pose_errors
 from .vehicle import VehicleParameters
 
-MEMORY_TIME = 5.0  # s, length of the steering history used for delay, play and lag; a lag of 0.5 s decays to e^-10
+MEMORY_TIME = 5.0  # s, steering history for delay, play and lag; the response to a lag of 0.5 s has decayed to e^-10
 MEMORY_NS = round(MEMORY_TIME / NANOSECOND)
 
 
@@ -68,7 +68,7 @@ def predict_wheel_angles(model: Model, time_ns: np.ndarray, angle: np.ndarray, g
                          maximum_gap: float) -> np.ndarray:
     """Angle of the wheels [rad] at increasing instants grid_ns (m,) [ns] for a planned road wheel angle (m,) [rad].
 
-    time_ns [ns], angle [rad]: recorded steering, used from MEMORY_TIME before the first instant on, because delay, play
+    time_ns [ns], angle [rad]: recorded steering, used from MEMORY_TIME before the first instant, because delay, play
     and lag depend on earlier steering. After the last instant the last planned angle is held. maximum_gap [s].
     """
     if not model.has_steering_dynamics:

@@ -238,13 +238,13 @@ def show_recording(folder: Path, file: Path, console: Console) -> None:
     """Serve a recording (.rrd), show its address, and wait until Ctrl-C is pressed or Rerun exits. folder: folder for
     settings and logs. Raises SuiteError if Rerun does not start; call `check_rerun` first."""
     lower_priority(BACKGROUND_NICE)
-    page, processes = ThreadingHTTPServer((LOOPBACK, 0), _RerunHandler), Processes(folder)
-    recording = f"http://{LOOPBACK}:{page.server_port}{RECORDING_PATH}"
+    proxy, processes = ThreadingHTTPServer((LOOPBACK, 0), _RerunHandler), Processes(folder)
+    recording = f"http://{LOOPBACK}:{proxy.server_port}{RECORDING_PATH}"
     try:
         rerun, _RerunHandler.rerun_port = _start_rerun(processes, recording)
         _RerunHandler.recording = file
-        threading.Thread(target=page.serve_forever, name="page", daemon=True).start()
-        show_address(f"http://{LOOPBACK}:{page.server_port}/?url={quote(recording, safe='')}", console)
+        threading.Thread(target=proxy.serve_forever, name="proxy", daemon=True).start()
+        show_address(f"http://{LOOPBACK}:{proxy.server_port}/?url={quote(recording, safe='')}", console)
         console.print("Press Ctrl-C to stop the viewer.")
         rerun.process.wait()
     except KeyboardInterrupt:

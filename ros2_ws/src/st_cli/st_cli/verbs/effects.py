@@ -26,7 +26,7 @@ def effects(
     car: shared.CarName = None,
     vehicle: shared.VehicleFile = None,
     own_effects: Path | None = typer.Option(
-        None, "--effects", help="list: folder of your own effects to include.", **shared.FOLDER),
+        None, "--effects", help="Folder of your own effects to include.", **shared.FOLDER),
 ) -> None:
     """List the effects (kind, what they act on, confounded effects, channels needed), or check your own effect files.
 

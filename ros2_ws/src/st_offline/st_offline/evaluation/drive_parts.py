@@ -65,8 +65,8 @@ def _classify_samples(speed: np.ndarray, yaw_rate: np.ndarray) -> np.ndarray:
     sides = np.sign(yaw_rate).astype(int)
     states = np.zeros(len(speed), int)
     side = 0
-    for i, (v, begins, continues, turn) in enumerate(zip(speed, is_bend, may_be_bend, sides, strict=True)):
-        side = turn if begins or (continues and turn == side) else 0
+    for i, (v, begins, continues, sign) in enumerate(zip(speed, is_bend, may_be_bend, sides, strict=True)):
+        side = sign if begins or (continues and sign == side) else 0
         states[i] = -2 if v < STANDSTILL_SPEED else side
     return states
 

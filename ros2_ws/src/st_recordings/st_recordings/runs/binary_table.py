@@ -70,7 +70,7 @@ def _read_arrow(file: Path) -> Any:
     except ImportError:
         raise RunError(file, "Parquet and Feather files require the package pyarrow", "install it, or export a CSV file"
                        ) from None
-    except Exception as error:  # any, from pyarrow
+    except Exception as error:  # pyarrow raises many types
         raise RunError(file, f"pyarrow cannot read the file ({shorten(error)})", "copy or export it again") from None
     if isinstance(frame.index, pd.RangeIndex):
         return frame
@@ -82,7 +82,7 @@ def _read_matlab(file: Path) -> Any:
 
     try:
         content = loadmat(file, simplify_cells=True)
-    except Exception as error:  # any, from scipy
+    except Exception as error:  # scipy raises many types
         raise RunError(file, f"scipy cannot read the file ({shorten(error)})", "copy or save it again") from None
     signals = list(_find_signals({name: value for name, value in content.items() if not name.startswith("__")}))
     if "__function_workspace__" in content and len(signals) < 2:  # none, or only the vector tout of Simulink
@@ -196,7 +196,7 @@ def read_names(file: Path) -> list[str]:
 
 
 def read_signals(file: Path, layout: Layout, warnings: list[str]) -> tuple[list[str], str]:
-    """(header, comma-separated rows) of the signals that are channels of a drive or named by the layout.
+    """(header, comma-separated rows) of the signals that are or may be channels of a drive, or are named by the layout.
 
     Each time at which a signal was measured has a row, with nan for signals without a sample; of several samples at one
     time, the first is used. Times are UTC, or relative to the start of a measurement without a date. An array
