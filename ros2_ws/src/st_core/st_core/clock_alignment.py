@@ -241,7 +241,7 @@ def correlation_curve(signals: Sequence[SharedSignal]) -> tuple[np.ndarray, np.n
 
 
 def residual_lags(signals: Sequence[SharedSignal], alignment: Alignment) -> list[WindowLag]:
-    """Offsets measured in windows of 30 s, within +/- 2 s, minus the offset of the alignment; times since at_ns [s]."""
+    """Offsets measured in windows of 30 s, within +/- 2 s, minus those of the alignment; times since at_ns [s]."""
     series = _resample_signals(signals)
     if not series.fine:
         return []

@@ -159,7 +159,7 @@ def read_predictions(bag: Path, mode: str = "") -> dict[str, Predictions]:
 
 def _collect_columns(messages: Iterable[Any], get_key: Callable[[Any], Key],
                      get_values: Callable[[Any], Sequence[Any]]) -> dict[Key, list[np.ndarray]]:
-    """Key -> [ascending start times (n,) [ns], *columns (n, ...)]; of several with one start, the last is used."""
+    """Key -> [ascending start times (n,) [ns], *columns (n, ...)]; of several with the same start, the last is used."""
     rows = defaultdict[Key, dict[int, Sequence[Any]]](dict)
     for message in messages:
         rows[get_key(message)][get_field(message, "header.stamp")] = get_values(message)

@@ -18,11 +18,11 @@ _POLICIES = {os.SCHED_OTHER: "normal", os.SCHED_BATCH: "batch", os.SCHED_IDLE: "
              os.SCHED_RR: "round robin"}
 _REALTIME = (os.SCHED_FIFO, os.SCHED_RR)
 _AUTOGROUP_FILE = Path("/proc/self/autogroup")
-_MAX_ATTEMPTS, _PAUSE = 5, 0.11  # count, s; the kernel accepts one change of any autogroup every 0.1 s
+_MAX_ATTEMPTS, _PAUSE = 5, 0.11  # count, s; the kernel accepts one change every 0.1 s, for all autogroups together
 
 
 def read_scheduling() -> dict[str, Any]:
-    """Policy, priority (0 unless real time) and nice value of this process, and the nice value of any autogroup."""
+    """Policy, priority (0 unless real time) and nice value of this process, and nice value of its autogroup, if any."""
     policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
     values = {"policy": _POLICIES.get(policy, f"policy {policy}"),
               "priority": os.sched_getparam(0).sched_priority if policy in _REALTIME else 0,

@@ -31,7 +31,7 @@ class PredictionOptions:
 
     def make_task(self, read_options: shared.ReadOptions, interval: float = 0.1,
                   **others: Any) -> "tuple[Task, Path | None]":
-        """The task, and the vehicle file of the options, if any. interval: between starts [s]. others: of Task."""
+        """The task, and the vehicle file of the options, if any. interval: between starts [s]. others: as for Task."""
         from st_core.effects import load_folder
         from st_core.log_evaluation import EvaluationSettings
         from st_core.prediction import PredictionSettings
@@ -69,7 +69,7 @@ def evaluate(
         False, "--adaptive", help="Also test bands that adapt to the errors of each run; initially those of --bands, "
         "if given."),
     course: Path | None = typer.Option(
-        None, help="Course of `st course build`: also predict with its recorded steering and speed.", **shared.FILE),
+        None, help="Course of `st course build`: also predict with its curvature and speed.", **shared.FILE),
     advise: float | None = typer.Option(
         None, help="Permitted lateral error, m: also report the cheapest model and step that meet it, by speed and "
         "prediction time, with cost, error and band width of each.", callback=shared.in_range(0.001, "m", 100.0)),

@@ -22,12 +22,12 @@ STEP_MEDIAN_RATIO = 20.0  # minimum ratio of a large step to the median step; no
 HALF_WINDOW = 0.1  # s; half-width of the window that contains a sample's neighbours; at least 2.5 updates
 MIN_SENTINEL_SAMPLES = 3  # minimum number of samples of one value between two large steps
 MIN_ZERO_TIME = 0.2  # s; minimum duration of the value 0 as a sentinel
-SENTINEL_HOLD_RATIO = 3.0  # minimum length of a run of sentinel zeros, divided by the 98 % quantile of all runs
+SENTINEL_HOLD_RATIO = 3.0  # minimum length of a run of zeros, divided by the 98 % quantile of all run lengths
 MAX_IMPLAUSIBLE_FRACTION = 0.5  # above it, the channel is unusable, and none of its samples is left out
 MIN_WRAP_RATIO = 0.3  # minimum wrap size divided by the largest plausible step; smaller wraps resemble real changes
 WRAP_SPREAD, WRAP_SYMMETRY = 0.1, 0.2  # tolerances of a step and the sum of its ends, as fractions of the wrap size
 MAX_WRAPPED_FRACTION = 0.2  # fraction of wrapped samples above which the true range is uncertain
-MAX_NET_CHANGE = 0.5  # largest ratio of net change to sum of |steps| in noise; 1 in a turn, in any unit
+MAX_NET_CHANGE_RATIO = 0.5  # largest ratio of net change to sum of |steps| in noise; 1 in a turn, in any unit
 JUMP_RATIO = 30.0  # minimum ratio of a jump to the 90th percentile of all steps; below 15 in seventeen real drives
 MAX_REVERSAL_ERROR = 0.3  # rad; largest difference of a yaw jump from pi that counts as a reversal of the heading
 MIN_SAMPLES = 20
@@ -251,7 +251,7 @@ def _find_spikes(channel: _ChannelSamples, large: np.ndarray) -> np.ndarray:
     for first, last in find_spans(dense):
         steps = first + np.flatnonzero(large[first:last + 1])
         net_change = abs(channel.values[last + 1] - channel.values[first])
-        if len(steps) and net_change < MAX_NET_CHANGE * channel.step[first:last + 1].sum():
+        if len(steps) and net_change < MAX_NET_CHANGE_RATIO * channel.step[first:last + 1].sum():
             spikes.append(np.arange(steps[0] + 1, steps[-1] + 1))
     return np.unique(np.concatenate(spikes))
 

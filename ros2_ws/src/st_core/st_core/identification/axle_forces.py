@@ -149,7 +149,7 @@ def fit_axle_regressions(logs: Sequence[DriveLog], vehicle: VehicleParameters) -
     """Regressions of the (front, rear) axle on drives with measured sideslip.
 
     vehicle: its mass, inertia, lengths, lever arm and steering are used and must be correct; its stiffnesses are not
-    used. Raises IdentificationError without drives, and for a repeated name, or drives too short or full of gaps.
+    used. Raises IdentificationError without drives, and for duplicate names, or drives too short or full of gaps.
     """
     drives, _ = prepare_drives(logs, vehicle)
     return _fit_regressions([sample_run(log, vehicle) for log in drives], vehicle)[0]

@@ -63,7 +63,7 @@ YAW_ACCELERATION_EDGES = np.array([-10.0, -0.3, -0.1, 0.1, 0.3, 10.0])  # rad/s^
 SYSTEMATIC_ERRORS = (np.deg2rad(0.05), 0.005, 0.03)
 """Standard uncertainty of steering offset [rad], steering ratio and common scale of the stiffnesses (both relative) due
 to the single-track model: the largest errors on the simulated Leaf."""
-INERTIA_ERROR = 0.05  # as these, relative, of the yaw inertia: 19 cars (docs/measurements/discovery_limits.md)
+INERTIA_ERROR = 0.05  # relative uncertainty of the yaw inertia, from 19 cars (docs/measurements/discovery_limits.md)
 SINGLE_TRACK_ERROR = 0.64
 """Relative standard uncertainty of a stiffness due to the single-track assumption, divided by (L / R)^2. On the Leaf
 simulated without noise, the rear stiffness is too small by 4.6 m^2 / R^2, 1.1 % at R = 20 m and 0.1 % at 60 m."""
@@ -176,7 +176,7 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     inertia = VEHICLE_QUANTITIES["yaw_inertia"].clip(estimate.value)
     implausible = [text for text in find_implausible_values(replace(vehicle, yaw_inertia=inertia))
                    if text.startswith("yaw_inertia")]
-    if RELAXATION in fit.at_bound and (length := fit.values[fit.names.index(RELAXATION)]) > 1.0:  # m; not the lower one
+    if RELAXATION in fit.at_bound and (length := fit.values[fit.names.index(RELAXATION)]) > 1.0:  # m: upper bound
         implausible.append(f"{RELAXATION} {length:.2g} m is at its limit")
     if implausible:
         text = f"{implausible[0]}: the transients are too weak, or steering or tyre dynamics are mistaken for inertia."

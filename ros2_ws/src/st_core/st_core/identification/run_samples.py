@@ -40,7 +40,7 @@ class RunSamples:
 
 
 def sample_run(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0) -> RunSamples:
-    """Samples of a drive at the INS sample times at which all signals are available; may be empty for many gaps.
+    """Samples of a drive at the INS sample times at which all signals are available; empty if gaps leave none.
 
     log: from `prepare_drives`. Velocity, yaw rate and steering pass the same first-order zero-phase Butterworth filter
     with `cutoff` [Hz] (`timeseries.filtered_derivative`), so that it attenuates both sides of an equation equally. The

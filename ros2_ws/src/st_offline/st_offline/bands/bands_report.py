@@ -297,7 +297,7 @@ def collect_intervals(files: Sequence[ModelFile]) -> dict[str, Intervals]:
 
 def sum_contributions(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals,
                       settings: EvaluationSettings, intervals: Mapping[str, Intervals]) -> Sums:
-    """{"shares": {model: {starts, total, causes}}} of one run. starts: their number. total: squared errors, causes:
+    """{"shares": {model: {starts, total, causes}}} of one run. starts: number of starts. total: squared errors, causes:
     squared contributions by cause, summed over the starts; each (seconds, axes) [m^2, m^2, rad^2]."""
     by_model: Sums = {}
     for model in models:
