@@ -46,7 +46,7 @@ Progress = Callable[[], tuple[float, float | None, bool]]
 
 @dataclass
 class _SupervisedNode:
-    """State of one node; times are monotonic [s]. restart_at: None while it runs. failure: the last reason."""
+    """State of one node; times are monotonic [s]. restart_at: None while it runs. failure: the most recent."""
 
     package: str
     name: str

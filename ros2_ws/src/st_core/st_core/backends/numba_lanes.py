@@ -135,8 +135,8 @@ for _function, _implementation in {
     inline(_function, _implementation)
 
 
-# Number of lanes, a multiple of three vectors of 8 (AVX-512) or 4 (AVX2) numbers. With fewer than 16 lanes LLVM does
-# not vectorise the loop, which is seven times slower; for 32 to 96 lanes and 2 to 4 vectors the speed varies by < 15 %.
+# Number of lanes, a multiple of three vectors of 8 (AVX-512) or 4 (AVX2) numbers. With fewer than 16 lanes the
+# loop is not vectorised and seven times slower; for 32 to 96 lanes and 2 to 4 vectors the speed varies by < 15 %.
 LANES = 48
 INTERLEAVED_VECTORS = 3
 CACHE_LINE = 64  # bytes

@@ -9,7 +9,7 @@ even, 0 neither. Weights, range and parity are constants, so that all relations 
 
 There are three kinds. In `relation`, u consists of quantities at the same instant. In `relation_timed`, u is the time
 in the run, a signal that only recordings have. In `relation_lagged`, u may also contain a quantity q after a
-first-order lag, s, or the rate of s, and the factor may contain this rate:
+first-order lag (s) or the rate of s; the factor may contain this rate:
 
     s_dot = (q - s) / tau,   s = q at the start
 """
@@ -123,7 +123,7 @@ def _make_parameters(*constants: Parameter) -> tuple[Parameter, ...]:
 
 def fix_curve(kind: type[Effect], odd: bool = False, **values: float) -> tuple[Parameter, ...]:
     """Parameters of an effect with a fixed curve, of which only the factor `share` is fitted. kind: relation that
-    provides the hooks of the effect. odd: of `share`. values: of parameters of `kind`, by name; others are null."""
+    provides the hooks of the effect. odd: whether `share` is odd. values: parameters of `kind`, by name; rest null."""
     share = Parameter("share", "1", null=0.0, initial=1.0, bounds=(-3.0, 3.0), meaning="fraction of the fitted curve",
                       source="st discover --propose", odd=odd)
     return share, *(_make_constant(p.name, p.meaning, values.get(p.name, p.null))
@@ -172,7 +172,7 @@ class RelationEffect(_Relation):
 @_register
 class LaggedRelationEffect(_Relation):
     name = "relation_lagged"
-    physics = "a smooth curve of a lagged quantity or its rate, or times this rate, added to the steering of an axle"
+    physics = "a smooth curve of a lagged quantity or its rate, possibly times this rate, added to an axle's steering"
     excited_by = "transients that cover the range of the quantity"
     extra_states = ("lagging",)
     parameters = _make_parameters(

@@ -87,7 +87,7 @@ class PublisherLock:
         return len(set(self.names)) == 1 and UNRESOLVED_NODE not in self.names
 
     def describe_conflict(self, now: float) -> str:
-        """Warning about competing publishers, empty without any. now: on the clock of `accept` [s]."""
+        """Warning about competing publishers; "" if there are none. now: on the clock of `accept` [s]."""
         has_rejected = self._rejected_at is not None and now - self._rejected_at < WARNING_DURATION
         if not self._has_competitors or not (len(set(self.names)) > 1 or has_rejected):
             return ""

@@ -28,7 +28,7 @@ from .ncom import collect_quality
 from .run_types import SteeringField
 
 ORIGIN_TOPIC, ORIGIN_TYPE = "ins/origin", "sensor_msgs/msg/NavSatFix"
-RECONSTRUCTED_SUFFIX = " (reconstructed)"  # added to the name of the topic of raw data from which values are computed
+RECONSTRUCTED_SUFFIX = " (reconstructed)"  # appended to the topic name of the raw data from which values are computed
 _AUXILIARY_FIELDS = {WHEEL_SPEEDS: ("header.stamp", *WHEEL_FIELDS.values(), "valid"),
                      INS_ON_CAN: ("header.stamp", "velocity_x"), NCOM: ("raw_packet",)}
 _STATUS_FIELDS = ("header.stamp", "navigation_status", "position_mode", "position_accuracy_north",
@@ -114,8 +114,8 @@ class Reconstruction:
         try:
             return getattr(VehicleParameters.from_yaml(text or "", "the vehicle in the recording"), key)
         except StCoreError as error:
-            raise RunError(self._path, "the road wheel angle of its raw frames needs the steering ratio and offset in "
-                           f"a vehicle file: {error}", "also record vehicle/steering") from None
+            raise RunError(self._path, "the road wheel angle cannot be computed from its raw frames without the "
+                           f"steering ratio and offset of a vehicle: {error}", "also record vehicle/steering") from None
 
     def choose_auxiliary_fields(self) -> dict[Topic, tuple[str, ...]]:
         """Auxiliary topics, one per type, and their fields; raw packets only if no other topics contain their data."""
