@@ -38,7 +38,7 @@ MIN_VARIATION_RATIO = 2.0  # ratio of the losses per degree of freedom above whi
 MIN_SIGN_GAIN = 0.01  # m; minimum reduction of the misfit by the opposite sign; RTK noise is 1 cm
 MIN_LATERAL_VELOCITY = 0.02  # m/s, root mean square
 MAX_WHEEL_SLIP = 0.02  # s^2/m; slip of a wheel per acceleration; 0.01 for a longitudinal stiffness of 10 Fz
-# m; with this motion across a straight, the largest scale error of an axis without a wrong unit causes a warning
+# m; motion across a straight at which the largest scale error that is not a unit error just causes a warning
 MIN_WIDTH = LIMITS.warning_effect / (LIMITS.unit_ratio - 1.0)
 SPHERICAL_EARTH_SCALE = 0.005  # largest scale error per axis of a projection on a spherical earth
 MIN_VELOCITY_BIAS = 0.05  # m/s; INS velocities are accurate to 0.03
@@ -55,7 +55,7 @@ CONFOUNDED = {"velocity_scale": {*AXIS_SCALES, "velocity_x_bias"}, "yaw_offset":
               "velocity_lag": {"velocity_x_lag"}, "velocity_x_lag": {"velocity_lag"},
               **{axis: {"velocity_scale", "velocity_x_bias"} for axis in AXIS_SCALES}}
 RARE_CAUSES = {*BIASES, *LAG_OF_VELOCITY_X, "velocity_y_scale", "position_side"}
-# By rare causes that are fitted together: the causes that are then not fitted. Rare causes are preferred to others if
+# Causes that are not fitted, by the rare causes fitted together instead. Rare causes are preferred to others if
 # their loss is clearly smaller, or if they are fewer and their loss is not clearly larger.
 RARE_EXPLANATIONS: Mapping[tuple[str, ...], set[str]] = {
     **{(name,): confounded for name, confounded in (BIASES | LAG_OF_VELOCITY_X).items()},
@@ -174,7 +174,7 @@ class _Explanation(NamedTuple):
 
 
 def _explain_residual(motion: Motion, rare_explanations: Mapping[tuple[str, ...], set[str]]) -> _Explanation:
-    """The causes found by repeated selection and correction. rare_explanations: part of RARE_EXPLANATIONS."""
+    """The causes found by repeated selection and correction. rare_explanations: those of RARE_EXPLANATIONS to try."""
     causes: dict[str, Estimate] = {}
     corrected, slips = motion, set[str]()
     for _ in range(ITERATIONS):  # the effect of a large cause is nonlinear and biases the other estimates
@@ -220,8 +220,8 @@ def _fits_better(problem: Regression, causes: Names, other_problem: Regression, 
 
 
 def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Estimate]]:
-    """(motion corrected for the causes found, the findings, estimates as reported of all causes that have
-    an effect); with fewer than MIN_WINDOWS windows, the motion as given and no estimates."""
+    """(motion corrected for the causes found, the findings, reported estimates of all causes that have an
+    effect); with fewer than MIN_WINDOWS windows, the motion as given and no estimates."""
     if len(motion.make_windows(WINDOW)) < MIN_WINDOWS:
         return motion, [], {}
     explanation = _explain_residual(motion, RARE_EXPLANATIONS)
@@ -379,7 +379,7 @@ def _has_clearly_smaller_lag(recorded: Regression, corrected: Regression, causes
 
 
 def correct_lateral_sign(motion: Motion) -> tuple[Motion, Finding | None]:
-    """Correct a velocity_y of opposite sign, if no common cause explains the positions as well."""
+    """Correct a velocity_y of opposite sign, if no common cause explains the positions equally well."""
     problem, mirrored = make_residual_regression(motion), replace(motion, velocity_y=-motion.velocity_y)
     if len(problem.time) < MIN_WINDOWS or float(np.sqrt(np.mean(motion.velocity_y**2))) < MIN_LATERAL_VELOCITY:
         return motion, None

@@ -100,8 +100,8 @@ class Search:
     def _add_load_rivals(self, state: SearchState) -> None:
         """Add a load as a rival of lower tyre stiffness, since drives show only the ratio of stiffness to mass. The
         load is an alternative to each effect with values that it brings nearer to the vehicle file, unless the drives
-        exclude it. The prior standard deviation is tried as the load, then `limits.min_relative_size` scales. Bands of
-        axle forces, and intervals of these effects and of combinations, include the laden car."""
+        exclude it. Loads tried: the prior standard deviation, then `limits.min_relative_size` [parameter scales]. Bands
+        of axle forces, and intervals of these effects and of combinations, include the laden car."""
         p, names = self.problem, state.fit.names
         for payload in (n for n in p.space.payloads if names and n not in names and not p.space.overlaps(n, names)):
             for size in (p.space.deviation[p.space.indices(payload)], self.limits.min_relative_size):
@@ -150,7 +150,7 @@ class Search:
                      deficit / self.problem.residual_count, evidence, self.problem.space.values(other, fit.vector))
 
     def add_corrections(self, fit: Fit) -> Fit:
-        """The best fit that contains all effects of `fit`, and others. `fit` may be that of a different problem."""
+        """The best fit that contains at least the effects of `fit`, which may be that of a different problem."""
         self._required = frozenset(fit.names)
         p = self.problem
         state = self._step_from(p.fit(fit.names, p.all_sensitivities(fit.vector), fit.vector))
