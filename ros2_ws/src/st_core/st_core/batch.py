@@ -28,8 +28,8 @@ from .timeseries import NANOSECOND, half_step_grid
 from .types import STATE_NAMES
 from .vehicle import VehicleParameters
 
-SHARED_BLOCK = 8192  # largest number of columns per block; with 4 half steps between starts, 33 000 instants
-SEPARATE_BLOCK = 2**17  # largest number of instants per block
+MAX_BLOCK_COLUMNS = 8192  # with 4 half steps between starts, 33 000 instants
+MAX_BLOCK_INSTANTS = 2**17
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,11 +72,11 @@ def plan_blocks(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, shar
     tail = (count - 1) // spacing  # columns into which the horizon of a start extends
     column = np.concatenate(([0], np.cumsum(np.where(is_apart, tail + 1, between // (half * spacing)))))
     is_on_grid = np.array_equal(instants_ns, half * np.arange(count)) and not np.any(between[~is_apart] % half)
-    width = column[-1] + 1 + tail * (column[-1] // SHARED_BLOCK + 1)  # columns of all tables, each with a tail
+    width = column[-1] + 1 + tail * (column[-1] // MAX_BLOCK_COLUMNS + 1)  # columns of all tables, each with a tail
     is_shared = bool(shared and is_on_grid and width <= 2 * len(starts_ns) + lanes)
     if not is_shared:
         spacing, tail, column = count, 0, np.arange(len(starts_ns))
-    size = _round_up(max(min(SEPARATE_BLOCK // spacing, SHARED_BLOCK), 1), lanes)
+    size = _round_up(max(min(MAX_BLOCK_INSTANTS // spacing, MAX_BLOCK_COLUMNS), 1), lanes)
     k = np.arange(count)
     for number, rows in enumerate(np.split(np.arange(len(column)), np.flatnonzero(np.diff(column // size)) + 1)):
         first, last = int(column[rows[0]]), int(column[rows[-1]])
@@ -202,14 +202,14 @@ class LogBatch:
         return self._substeps
 
     def _plan_blocks(self, count: int, is_separate: bool) -> Iterable[GridBlock]:
-        """Blocks of all starts; stored for at most SHARED_BLOCK starts, because separate instants need much memory."""
+        """Blocks of all starts; stored for up to MAX_BLOCK_COLUMNS starts, as separate instants need much memory."""
         key = count, is_separate
         if key not in self._blocks:
             # Held inputs are required only at the start, unless earlier steering still affects the wheels.
             only_start = self._inputs == "held" and not is_separate
             instants = np.zeros(1, np.int64) if only_start else half_step_grid(0, self.steps * count, self.step / count)
             blocks = plan_blocks(self._unique_starts, instants, self._backend.LANES, not is_separate)
-            if len(self._unique_starts) > SHARED_BLOCK:
+            if len(self._unique_starts) > MAX_BLOCK_COLUMNS:
                 return blocks
             self._blocks[key] = list(blocks)
         return self._blocks[key]

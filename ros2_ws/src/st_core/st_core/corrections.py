@@ -127,13 +127,13 @@ def _correct_ins(log: DriveLog, corrections: Mapping[str, Correction]) -> DriveL
     group = {name: pair for pair, names in COMPONENTS.items() for name in names}
     changes: dict[str, Any] = {}
     for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS):
-        steps = [corrections[key] for key in (name, group.get(name, "")) if key in corrections]
+        applied = [corrections[key] for key in (name, group.get(name, "")) if key in corrections]
         values = getattr(log, name)
-        if not steps or values is None:
+        if not applied or values is None:
             continue
-        for step in steps:
-            values = step.scale * values + step.add
-        delay_ns = round(sum(step.earlier for step in steps) / NANOSECOND)
+        for correction in applied:
+            values = correction.scale * values + correction.add
+        delay_ns = round(sum(correction.earlier for correction in applied) / NANOSECOND)
         if delay_ns:
             values = interpolate(log.ins_time_ns, values, log.ins_time_ns + delay_ns, round(MAXIMUM_GAP / NANOSECOND))
         changes[name] = values

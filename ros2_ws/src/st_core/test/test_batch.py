@@ -131,8 +131,8 @@ def test_model_with_extra_states_equals_individual_predictions(leaf, log, backen
 def test_block_size_does_not_change_the_result(leaf, log, backend, monkeypatch):
     starts = [regular_starts(500, 150), regular_starts(500, 150) + np.arange(150)]
     whole = [predict_log("linear", leaf, log, s, 1.0, backend=backend) for s in starts]
-    monkeypatch.setattr(batch_module, "SHARED_BLOCK", 20)
-    monkeypatch.setattr(batch_module, "SEPARATE_BLOCK", 500)
+    monkeypatch.setattr(batch_module, "MAX_BLOCK_COLUMNS", 20)
+    monkeypatch.setattr(batch_module, "MAX_BLOCK_INSTANTS", 500)
     for s, expected in zip(starts, whole, strict=True):
         states = predict_log("linear", leaf, log, s, 1.0, backend=backend)
         np.testing.assert_allclose(states, expected, rtol=1e-12, atol=1e-12)
@@ -141,7 +141,7 @@ def test_block_size_does_not_change_the_result(leaf, log, backend, monkeypatch):
 @pytest.mark.slow
 def test_models_with_different_substeps_have_their_own_samples(leaf, log, monkeypatch):
     """The first blocks of both models have the same number of instants, for five and for two starts."""
-    monkeypatch.setattr(batch_module, "SEPARATE_BLOCK", 800)
+    monkeypatch.setattr(batch_module, "MAX_BLOCK_INSTANTS", 800)
     monkeypatch.setattr(integrate, "required_substeps", lambda model, *_: 1 if model.name == "kinematic" else 2)
     starts = regular_starts(1000, 6, 400)
     together = LogBatch(log, starts, 0.5, 0.005, substeps="auto", backend="numpy")
@@ -169,12 +169,12 @@ def test_memory_per_start_is_bounded(leaf):
 
 def test_separate_instants_of_many_starts_are_not_stored(log):
     """Those of one hour with ten starts per second would need 290 MB at a step of 5 ms."""
-    batch = LogBatch(log, regular_starts(500, batch_module.SHARED_BLOCK + 1, 1), 5.0, backend="numpy")
+    batch = LogBatch(log, regular_starts(500, batch_module.MAX_BLOCK_COLUMNS + 1, 1), 5.0, backend="numpy")
     tracemalloc.start()
     counts = [block.count for block in batch._plan_blocks(1, False)]
     current, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert sum(counts) == batch_module.SHARED_BLOCK + 1 and current < 1e6 and peak < 8e6  # of 13 MB
+    assert sum(counts) == batch_module.MAX_BLOCK_COLUMNS + 1 and current < 1e6 and peak < 8e6  # of 13 MB
 
 
 def test_substeps_reduce_the_error_and_equal_shorter_steps(leaf, log):
@@ -247,7 +247,7 @@ def test_starts_on_a_common_grid_share_its_instants():
     assert block.is_shared and block.count == 1000 and len(block.start_columns) == 960
     blocks = list(plan_blocks(regular_starts(0, 1000) + np.arange(1000), instants, 1))
     assert not any(b.is_shared for b in blocks) and sum(b.count for b in blocks) == 1000
-    assert max(b.times_ns.size for b in blocks) <= batch_module.SEPARATE_BLOCK
+    assert max(b.times_ns.size for b in blocks) <= batch_module.MAX_BLOCK_INSTANTS
     hours_apart = np.concatenate([regular_starts(0, 1000), regular_starts(10**7 + 3, 1000)])
     block, = plan_blocks(hours_apart, instants, 48)
     assert block.is_shared and block.count == 1000 + 50 + 1000
@@ -269,9 +269,9 @@ def test_numba_lanes_are_the_default_backend():
 
 def test_sparse_starts_with_long_horizons_are_covered_once():
     """The common grid between two of these starts is longer than a block."""
-    instants_ns = 25 * MS * np.arange(2 * batch_module.SHARED_BLOCK + 2)
-    starts_ns = T0 + 25 * MS * np.array([0, 1, 2 * batch_module.SHARED_BLOCK + 1])
-    for lanes in (1, 4 * batch_module.SHARED_BLOCK):  # the latter permits the shared grid
+    instants_ns = 25 * MS * np.arange(2 * batch_module.MAX_BLOCK_COLUMNS + 2)
+    starts_ns = T0 + 25 * MS * np.array([0, 1, 2 * batch_module.MAX_BLOCK_COLUMNS + 1])
+    for lanes in (1, 4 * batch_module.MAX_BLOCK_COLUMNS):  # the latter permits the shared grid
         blocks = list(plan_blocks(starts_ns, instants_ns, lanes))
         assert [block.rows.start for block in blocks] == [0, *(block.rows.stop for block in blocks[:-1])]
         assert np.array_equal(np.concatenate([block.starts_ns[block.start_columns] for block in blocks]), starts_ns)

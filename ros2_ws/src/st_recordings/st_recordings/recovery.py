@@ -52,7 +52,7 @@ class RecoveryReport:
         for file in self.files:
             state = "intact, unchanged" if file.is_intact else f"repaired, {file.lost_bytes} bytes lost"
             if file.damaged_records:
-                state += f", {file.damaged_records} damaged records left out"
+                state += f", {file.damaged_records} damaged record{'s' * (file.damaged_records > 1)} left out"
             if file.original:
                 state += f", the original is {file.original.name}"
             seconds = (file.end_ns - file.start_ns) / 1e9
@@ -136,7 +136,7 @@ def _is_closed(stream: BinaryIO, contents: Contents, end_of_data: int) -> bool:
     tail = BytesIO(stream.read())
     try:
         data_end, *summary, footer = StreamReader(tail, skip_magic=True).records
-    except Exception:  # any type, because the library does not validate its input
+    except Exception:  # of many types, because the library does not validate its input
         return False
     crc = zlib.crc32(tail.getvalue()[DATA_END_LENGTH : -len(MAGIC) - 4])
     return (isinstance(data_end, DataEnd) and isinstance(footer, Footer) and not tail.read()

@@ -149,8 +149,8 @@ class Problem:
         """(a,) indices of the parameters that are free in a fit of the effects `names`."""
         if self.prior is not None:
             return np.arange(len(self.space))
-        gain_name = (ACCELEROMETER_GAIN,) if "acceleration_y" in self.errors.windows.columns else ()
-        return self.space.indices(*names, *gain_name)
+        gain_names = (ACCELEROMETER_GAIN,) if "acceleration_y" in self.errors.windows.columns else ()
+        return self.space.indices(*names, *gain_names)
 
     def prior_curvature(self, names: Iterable[str], indices: np.ndarray) -> np.ndarray:
         """(a, a) curvature of the prior about the start: from the vehicle file, or from the reference drives with the

@@ -272,7 +272,7 @@ class Discovery:
     next_manoeuvre: NextManoeuvre | None
     separability: tuple[Separability, ...]
     power_analysis: PowerAnalysis
-    signature: tuple[str, ...]  # description of the residual
+    signature: tuple[str, ...]  # phrases that describe the residual
     runs: tuple[Run, ...]
     start: Literal["vehicle file", "reference"]  # origin of the values at the start of the search
     base: AugmentedModel  # the fit without the effects found, first model of `steps`

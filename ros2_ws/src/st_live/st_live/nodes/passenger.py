@@ -92,12 +92,12 @@ class PassengerFrames:
     def make_frame(self, now: float) -> dict[str, Any]:
         """Content of the page, for JSON; without pose, speed, track and paths before the first odometry."""
         level, text = self._find_worst_check(now)
-        sample, (mode, mode_time), (angle, angle_time) = self._sample, self._position_mode, self._steering
+        sample, (position_mode, mode_time), (angle, angle_time) = self._sample, self._position_mode, self._steering
         current_modes = [mode for mode, predictions in self._predictions.items()
                          if mode == "forecast" or any(now - time < MAX_AGE for time, _ in predictions.values())]
         frame: dict[str, Any] = {
-            "received": self._received_at and round(self._received_at, 4), "light": level, "text": text, "mode": mode,
-            "mode_age": round(now - mode_time, 1), "reason": self._reason,
+            "received": self._received_at and round(self._received_at, 4), "light": level, "text": text,
+            "mode": position_mode, "mode_age": round(now - mode_time, 1), "reason": self._reason,
             "errors": {model: error | {"age": round(now - received, 1)} for mode in current_modes
                        for model, (received, error) in self._errors[mode].items()},
             "steering": None if angle is None or now - angle_time > MAX_AGE else round(angle, 4),

@@ -290,7 +290,7 @@ def describe_effective_corrections(discovery: Discovery) -> str:
     """Sentence on the effective corrections of the model; "" without any."""
     names = ", ".join(f"{to_words(e.name)} {format_briefly(e.name, e.parameters)} (5 s position error without it "
                       f"{format_metres(e.position_5s_increase, '+')})" for e in discovery.effective)
-    return (f"{names}: each is marked effective in model.yaml: it improves predictions, but is no property of the car"
+    return (f"{names}: each is marked effective in model.yaml: it improves predictions but is not a property of the car"
             if names and not discovery.increases_error else "")
 
 
@@ -399,7 +399,7 @@ def list_details(discovery: Discovery, update: VehicleUpdate | None) -> list[tup
                        for a in discovery.assumed if not a.key.startswith("tyre_"))
     change = "; to change an uncertainty, set `uncertainty` in the entry of the vehicle file"
     sections = [*((role, [text]) for role, text in describe_drives(discovery)), ("meaning", explain_effects(discovery)),
-                ("decision rule", decisions), ("minor effects", minor),
+                ("decision", decisions), ("minor effects", minor),
                 ("to do", recommend(discovery, update)[1:]),
                 ("effective corrections", [describe_effective_corrections(discovery)]),
                 ("priors from the vehicle file", [priors + change] if priors else []),

@@ -15,8 +15,8 @@ from .ins_log import LATEST_TIME, MAX_LOST_FRACTION, select_usable_rows
 # Time zone name -> hours ahead of UTC; sources: RFC 5322, and the tz database
 _ZONES = {"Z": 0, "UTC": 0, "GMT": 0, "EST": -5, "EDT": -4, "CST": -6, "CDT": -5, "MST": -7, "MDT": -6, "PST": -8,
           "PDT": -7, "BST": 1, "CET": 1, "MEZ": 1, "CEST": 2, "MESZ": 2, "EET": 2, "EEST": 3, "JST": 9, "KST": 9}
-# 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.26 10:11:12,5, 10:11:12:500, 11:12:13.5 PM (CEST), and of Java
-# 10:11:12+02:00[Europe/Berlin]. Spreadsheets write 11:12.5. 05/04/2026 is ignored if _order_dates cannot convert it.
+# 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.26 10:11:12,5, 10:11:12:500, 11:12:13.5 PM (CEST). Java writes
+# 10:11:12+02:00[Europe/Berlin], spreadsheets 11:12.5. 05/04/2026 is ignored if _order_dates cannot convert it.
 _STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4}|\d\d)|"
                     r"\d\d?[/-]\d\d?[/-](?:\d{4}|\d\d))[T ,.] *)?(?:0 days )?(?:(\d{1,2}):)?(\d\d?):"
                     rf"(\d\d(?:[.,:]\d+)?) *(?:([AaPp])\.?\s?[Mm]\.?)? *\(?({'|'.join(_ZONES)})?\)?"
@@ -150,7 +150,7 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
     for period, longest_step in ((60.0, 1.0), (HOUR, 1.0), (2**32 * 1e-6, 1.0), (2**32 * 1e-3, 1.0),
                                  (DAY, ROLLOVER_STEP), (7 * DAY, ROLLOVER_STEP)):
         if len(known_rows) and seconds[known_rows].min() >= 0.0 and seconds[known_rows].max() <= period + 1.0 and (
-                period > 60.0 or seconds[known_rows[0]] >= 1.0):  # if they begin at 0, one-minute drives may be joined
+                period > 60.0 or seconds[known_rows[0]] >= 1.0):  # if they begin at 0, they may be joined drives
             seconds[known_rows] += period * count_rollovers(seconds[known_rows], period - longest_step)
     return seconds, source
 
