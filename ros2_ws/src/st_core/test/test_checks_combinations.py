@@ -1,13 +1,14 @@
 """Faults that begin during a drive, and faults of several channels that have one cause."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from exact_drive import Sines, delay, exact_drive
 from exact_faults import biased, corrected_drive, findings_by_name, scaled
-from st_core.checks import AuxiliaryData, DriveCheck, Finding, Severity, check
-from st_core.checks.check import _report_changes
+from st_core.checks import AuxiliaryData, DriveCheck, Finding, Severity, check, units_and_axes
+from st_core.checks.check import MIN_INS_SAMPLES, _report_changes
 from st_core.checks.finding import neutral_value
 from st_core.log import DriveLog
 from support import read_car, shared
@@ -293,6 +294,22 @@ def drive_straight(leaf, heading, yaw_rate=0.0):
 def test_wrong_yaw_on_a_straight_is_no_scale_of_an_axis(leaf, heading, offset, yaw_rate):
     (finding,) = check(biased(offset, "yaw")(drive_straight(leaf, heading, yaw_rate)), leaf).findings
     assert finding.name == "yaw_offset" and finding.value == pytest.approx(offset, abs=0.001)
+
+
+def test_axes_are_compared_without_the_sign_of_complex_numbers_of_numpy_2(leaf, monkeypatch):
+    def sign_of_numpy_1(z):
+        return np.sign(np.where(z.real, z.real, z.imag)) if np.iscomplexobj(z) else np.sign(z)
+
+    log = exact_drive(leaf)
+    monkeypatch.setattr(units_and_axes, "np", SimpleNamespace(**{**vars(np), "sign": sign_of_numpy_1}))
+    assert findings_by_name(log, leaf) == {}
+    assert findings_by_name(replace(log, y=-log.y), leaf).keys() == {"position_axes"}
+
+
+@pytest.mark.filterwarnings("error")
+def test_drive_without_a_window_of_one_second_has_no_numerical_warning(leaf):
+    log = exact_drive(leaf, 0.9)
+    assert len(log.ins_time_ns) >= MIN_INS_SAMPLES and check(log, leaf).findings == ()
 
 
 def test_scale_of_an_axis_on_a_straight_is_a_distorted_map(leaf):

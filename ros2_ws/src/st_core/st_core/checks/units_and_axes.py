@@ -209,7 +209,7 @@ def _correct_north_east(motion: Motion) -> MotionAndFinding:
     if motion.geographic or not _matches(ratios.yaw_to_course, 1.0):
         return motion, None
     measured, derived = _compute_displacements(motion, motion.velocity_map)
-    is_forward = np.sum(derived * np.conj(np.sign(measured))).real > 0.0  # else velocity_x has the opposite sign
+    is_forward = np.sum(derived * np.conj(_direction(measured))).real > 0.0  # else velocity_x has the opposite sign
     alternatives: tuple[Alternative, ...] = ()
     if _matches(ratios.yaw_to_rate, 1.0) and votes == -2 and is_forward:
         text = ("x, y, yaw and yaw_rate turn in the opposite direction to acceleration_y and steering: x is north, "
@@ -302,7 +302,7 @@ def _correct_position_axes(motion: Motion) -> MotionAndFinding:
     if not (_matches(ratios.yaw_to_course, -1.0) and _matches(ratios.yaw_to_rate, 1.0)):
         return motion, None
     measured, derived = _compute_displacements(motion, motion.velocity_map)
-    quarter = int(np.round(np.angle(np.sum(np.sign(measured) * derived)) / (np.pi / 2))) % 4
+    quarter = int(np.round(np.angle(np.sum(_direction(measured) * derived)) / (np.pi / 2))) % 4
     # x and y from longitude and latitude can be mirrored (even quarter), but not exchanged.
     signs = _compare_signs(motion)
     if quarter % 2 and (motion.geographic or signs[0] < 0 or sum(signs) < 0):
@@ -325,14 +325,14 @@ def _correct_position_axes(motion: Motion) -> MotionAndFinding:
 
 def _correct_one_axis(motion: Motion) -> MotionAndFinding:
     measured, derived = _compute_displacements(motion, motion.velocity_map)
-    if _compute_misfit(motion) < MAX_CONSISTENT_MISFIT * float(np.median(np.abs(derived))):
-        return motion, None  # they agree except for a rotation
     scales = []
     for along_measured, along_derived in ((measured.real, derived.real), (measured.imag, derived.imag)):
         moves = np.abs(along_derived) >= MIN_DISTANCE  # elsewhere, noise of the positions dominates
         if moves.sum() < MIN_WINDOWS:
             return motion, None
         scales.append(float(np.sum(along_measured[moves] * along_derived[moves]) / np.sum(along_derived[moves]**2)))
+    if _compute_misfit(motion) < MAX_CONSISTENT_MISFIT * float(np.median(np.abs(derived))):
+        return motion, None  # they agree except for a rotation
     wrong, common = [not _matches(scale, 1.0) for scale in scales], compute_ratios(motion).position_to_speed
     if sum(wrong) != 1 or not np.isfinite(common):
         return motion, None
@@ -405,9 +405,14 @@ def _correct_distance(motion: Motion) -> MotionAndFinding:
     return _correct(motion, "velocity_scale", ("velocity_x", "velocity_y"), text, velocity_ratio, both)
 
 
+def _direction(displacements: np.ndarray) -> np.ndarray:
+    """Unit vectors, in which a jump of the positions has no more weight than other displacements; 0 at rest. np.sign of
+    numpy 1, which ROS 2 Jazzy contains, returns the sign of the real part instead."""
+    return displacements / np.maximum(np.abs(displacements), 1e-300)
+
+
 def _compute_displacements(motion: Motion, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(change of position, integrated velocity) in windows of one second, as east + i north [m]. np.sign() of a change
-    is its unit vector, so that a jump of the positions has no more weight than other changes."""
+    """(change of position, integrated velocity) in windows of one second, as east + i north [m]."""
     windows = motion.make_windows(1.0)
     return windows.change(motion.position), windows.integral(velocity)
 
@@ -417,7 +422,7 @@ def _compute_misfit(motion: Motion, rotated: bool = True) -> float:
     measured, derived = _compute_displacements(motion, motion.velocity_map)
     if not len(measured):
         return 0.0
-    rotation = np.sum(np.sign(measured) * np.conj(derived)) if rotated else 1.0
+    rotation = np.sum(_direction(measured) * np.conj(derived)) if rotated else 1.0
     return float(np.median(np.abs(measured - derived * rotation / max(abs(rotation), 1e-300))))
 
 
@@ -466,7 +471,7 @@ def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
 def _correct_yaw_offset(motion: Motion) -> MotionAndFinding:
     """Correct a yaw measured from a wrong axis, or a reversed yaw or velocity_x, by the direction of travel."""
     measured, derived = _compute_displacements(motion, motion.velocity_map)
-    turned = derived * np.conj(np.sign(measured))
+    turned = derived * np.conj(_direction(measured))
     total, size = turned.sum(), float(np.abs(turned).sum())
     angle = float(np.angle(total))
     if len(measured) < MIN_WINDOWS or size < MIN_DISTANCE or abs(total) < 0.5 * size or abs(angle) < MIN_YAW_OFFSET:
