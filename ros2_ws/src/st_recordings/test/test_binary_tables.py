@@ -306,6 +306,12 @@ def test_folder_with_the_same_drive_as_csv_txt_and_mat_is_one_run(columns: Colum
     assert [source.files[0].name for source in find_runs([tmp_path])] == ["drive.csv", "other.mat", "third.txt"]
 
 
+def test_complete_table_next_to_an_ncom_file_without_can_log_is_a_run(columns: Columns, tmp_path: Path):
+    (tmp_path / "drive.ncom").touch()
+    pd.DataFrame(columns).to_csv(tmp_path / "drive.txt", index=False)
+    assert [source.files[0].name for source in find_runs([tmp_path]) if not source.problem] == ["drive.txt"]
+
+
 @pytest.mark.parametrize("axis", [0, 1])
 def test_columns_or_rows_of_a_matrix_can_be_named_in_a_run_file(columns: Columns, tmp_path: Path, axis: int):
     savemat(tmp_path / "drive.mat", {"log": np.stack(list(columns.values()), axis=axis)})

@@ -273,6 +273,8 @@ VEHICLE_SPY = "Line,Abs Time(Sec),Rel Time (Sec),Status,Er,Tx,Description,Networ
     ("a.txt", [*(f"Timestamp: 1436509052.{k}00000    ID:      002    S Rx                DL:  3    01 02 03"
                  f"{'Channel: can0':>30}\n" for k in range(3)),
                "Timestamp: 1436509052.300000    ID:      000    X Rx E              DL:  0\n"]),
+    ("a.txt", [f"Timestamp: 1436509052.{k}00000    ID:      002    S Rx     F BS EI    DL:  3    01 02 03"
+               f"{'Channel: 0':>27}\n" for k in range(3)]),
     ("a.txt", [f"Timestamp: 1436509052.{k}00000        ID: 0002    000    DLC: 3    01 02 03\n" for k in range(3)]),
     ("a.asc", [DATE, "base hex  timestamps absolute\n", *(f"   {k / 10:.6f}{ASC}" for k in range(3))]),
     ("a.asc", [DATE, "base hex  timestamps relative\n", *(f"   {0.1 * (k > 0):.6f}{ASC}" for k in range(3))]),

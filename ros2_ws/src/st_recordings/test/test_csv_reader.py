@@ -128,6 +128,17 @@ def test_delimiter_at_the_end_of_rows_is_ignored(tmp_path: Path, first: int, del
     assert len(drive.log.ins_time_ns) == 20 and not drive.warnings
 
 
+@pytest.mark.parametrize(("cells", "ending", "n_names"), [
+    ([",first", *[","] * 9], "\n", 4), ([",12"] * 10, "\n", 4), ([",12"] * 10, "", 4), ([",12"] * 9 + [""], "", 4),
+    ([""] * 10, "\n", 3), ([",first", *[""] * 9], "\n", 3), ([], "", 3)])
+def test_last_column_is_left_out_if_its_cells_are_missing(tmp_path: Path, cells: list[str], ending: str,
+                                                          n_names: int) -> None:
+    lines = ["t,x,y,Comment", *(f"{k / 10},{k}.5,2.5{cell}" for k, cell in enumerate(cells))]
+    (tmp_path / "a.csv").write_text("\n".join(lines) + ending)
+    table = read_table(tmp_path / "a.csv", Layout())
+    assert len(table.names) == n_names and len(table.time_ns) >= len(cells) - 1
+
+
 @pytest.mark.filterwarnings("error")
 def test_blank_fractions_of_seconds_cause_no_message_of_numpy(tmp_path: Path) -> None:
     lines = [f"{1_700_000_000 + k},,{row.partition(',')[2]}" for k, row in enumerate(rows(50))]

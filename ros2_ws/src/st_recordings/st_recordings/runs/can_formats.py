@@ -59,8 +59,8 @@ _LINES = (
                r"(?P<data>(?:[0-9A-F]{2} +)*) *(?P<time>\d+\.\d+) (?P<direction>[RT])\s*$"),
     # python-can: "Timestamp: 1436509052.249713    ID:      044    S Rx                DL:  2    2A 36", and HCRL
     re.compile(r"Timestamp: +(?P<time>\d+\.\d+) +ID: +(?P<id>[0-9A-Fa-f]+) +(?:(?P<kind>[SX]) (?P<direction>[RT]x)"
-               r"[ FBSI]*|\d+) +DLC?: +(?P<length>\d+)(?P<data>(?: +[0-9A-Fa-f]{2}\b)*)(?: +'.*')?"
-               r"(?: +Channel: (?P<bus>\S+))?\s*$"),
+               r"(?:EI|[ FBS])*|\d+) +DLC?: +(?P<length>\d+)(?P<data>(?: +[0-9A-Fa-f]{2}\b)*)(?: +'.*')?"
+               r"(?: +Channel: (?:(?P<index>\d+)|(?P<bus>\S+)))?\s*$"),
     # CANTest of ZLG: '007,="12:04:59.533",0x592897,ch1,接收,0x0009001C,数据帧,扩展帧,0x08,x| 05 C3', in units of 0.1 ms
     re.compile(r'\d+,="[\d:.]+"?,(?P<time>0x[0-9A-Fa-f]+|\d+\.\d+),ch(?P<bus>\d+),(?:(?P<direction>[^,0]+),)?'
                r'0x(?P<id>[0-9A-Fa-f]+),[^,]*,(?P<kind>[^,]+),(?:CAN\w*,)?\w+,x\|(?P<data>(?: [0-9A-Fa-f]{2})*)\s*$'))

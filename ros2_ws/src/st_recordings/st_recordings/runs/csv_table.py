@@ -118,7 +118,8 @@ def read_table(file: Path, layout: Layout) -> Table:
     if n_above > 1 or (n_above and not _SEPARATOR.match(preamble[0])):
         warnings.append(f"{file}: the header is in line {n_above + 1}; the lines above it were skipped")
     names, delimiter = _split_header(header)
-    if names[-1] in ("", "Comment") and not any(split_row(body.split("\n")[-2], delimiter)[len(names) - 1:]):
+    rows = body.rstrip("\n").rsplit("\n", 3)[-3:]  # the last row may be truncated
+    if names[-1:] in ([""], ["Comment"]) and all(len(split_row(row, delimiter)) < len(names) for row in rows):
         names.pop()  # empty after a final delimiter, or Comment in LabVIEW, and without cells
     if not text.endswith("\n") and _is_last_cell_truncated(body, delimiter):
         body = body[:body.rstrip("\n").rfind("\n") + 1]

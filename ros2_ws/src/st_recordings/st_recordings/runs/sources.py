@@ -90,10 +90,8 @@ def _report_folder_without_runs(folder: Path) -> list[RunSource]:
 
 
 def _search_folder(folder: Path) -> list[RunSource]:
-    runs: list[RunSource] = []
-    used_files: set[Path] = set()
-    bag_folders: set[Path] = set()
-    files: list[Path] = []
+    runs, files = list[RunSource](), list[Path]()
+    used_files, bag_folders = set[Path](), set[Path]()
     for path in sorted(folder.rglob("*")):
         is_hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
         if is_hidden or not bag_folders.isdisjoint(path.parents):
@@ -130,11 +128,12 @@ def _may_belong_to_run(path: Path, files: Sequence[Path]) -> bool:
         return True
     same_stem = [(other, other_reader) for other in files if other.stem == path.stem and other != path
                  and (other_reader := find_reader(other)) and other.suffix.lower() not in BINARY_EXTENSIONS]
-    if path.suffix.lower() in (*BINARY_EXTENSIONS, *TEXT_EXPORTS) and any(
-            other.has_drive(file) for file, other in same_stem if file.suffix.lower() not in TEXT_EXPORTS):
+    is_text = path.suffix.lower() in TEXT_EXPORTS
+    if (is_text or path.suffix.lower() in BINARY_EXTENSIONS) and any(
+            other.has_drive(file) and not (is_text and other.needs_can)
+            for file, other in same_stem if file.suffix.lower() not in TEXT_EXPORTS):
         return False  # probably the same drive
-    originals = [file for file, other in same_stem if other.needs_can or path.suffix.lower() in TEXT_EXPORTS]
-    if originals and reader.is_table and not reader.has_drive(path):
+    if reader.is_table and any(is_text or other.needs_can for _, other in same_stem) and not reader.has_drive(path):
         return False  # probably an export of a recording with the same stem
     return reader.may_contain_drive(path) or (
         path.suffix.lower() == ".csv" and any(map(is_can_log, find_logs(path, files))))
