@@ -440,9 +440,34 @@ def test_bias_of_velocity_that_is_a_scale_in_a_half_at_constant_speed_is_no_chan
     assert any(finding.times for finding in checked.findings) is is_reported
 
 
+@pytest.mark.parametrize("turns", [True, False])
+def test_positions_on_another_clock_than_velocities_and_accelerations_are_one_finding(leaf, turns):
+    channels = ("x", "y", "yaw") if turns else ("x", "y")
+    log = delay(exact_drive(leaf) if turns else drive_straight(leaf, 0.0), 0.3, *channels)
+    (finding,) = check(log, leaf).findings
+    assert (finding.name, finding.channels) == ("position_lag", channels)
+    assert finding.value == pytest.approx(0.3, abs=0.01)
+    assert check(corrected_drive(log, finding.advice.entry, leaf), leaf).findings == ()
+
+
 def test_velocities_and_yaw_rate_on_another_clock_are_named(leaf):
     found = findings_by_name(delay(exact_drive(leaf), 0.3, "velocity_x", "velocity_y", "yaw_rate"), leaf)
     assert {"velocity_lag", "yaw_rate_lag"} <= found.keys() and "position_lag" not in found
+
+
+def test_map_rotated_in_mid_drive_is_no_sign_of_velocity_y():
+    log = read_real_drive("rfs_turn_a")
+    position, middle = log.x + 1j * log.y, len(log.x) // 2
+    position[middle:] = position[middle] + (position[middle:] - position[middle]) * np.exp(0.17j)
+    found = findings_by_name(replace(log, x=position.real, y=position.imag), read_car("hyundai_genesis"))
+    assert "velocity_y_scale" not in found and "measuring_point" not in found
+
+
+def test_unsigned_steering_in_right_turns_is_an_alternative_to_its_opposite_sign():
+    log, car = read_real_drive("rfs_turn_a"), read_car("hyundai_genesis")
+    found = findings_by_name(replace(log, road_wheel_angle=np.abs(log.road_wheel_angle)), car)
+    assert "no sign" in found["steering_sign"].text
+    assert "no sign" not in findings_by_name(scaled(-1.0, "road_wheel_angle")(log), car)["steering_sign"].text
 
 
 def test_lateral_velocity_in_another_unit_is_one_finding_at_low_speed():
@@ -450,6 +475,16 @@ def test_lateral_velocity_in_another_unit_is_one_finding_at_low_speed():
     known, found = (findings_by_name(each, car) for each in (log, scaled(3.6, "velocity_y")(log)))
     assert found.keys() - known.keys() == {"velocity_y_scale"}
     assert not found["velocity_y_scale"].times and found["velocity_y_scale"].value == pytest.approx(3.6, abs=0.25)
+
+
+def test_positions_integrated_from_velocity_x_and_yaw_rate_are_without_velocity_y():
+    log, car = read_real_drive("cpg_low_speed_b"), read_car("hyundai_genesis")
+    step = np.diff(seconds_of(log), prepend=0.0)
+    yaw = log.yaw[0] + np.cumsum(step * log.yaw_rate)
+    position = np.cumsum(step * log.velocity_x * np.exp(1j * yaw))
+    found = findings_by_name(replace(log, x=position.real, y=position.imag, yaw=yaw), car)
+    assert "computed without it" in found["velocity_y_scale"].text and "position_lag" not in found
+    assert found["velocity_y_scale"].advice.kind == "text"
 
 
 def test_times_at_half_the_rate_are_one_finding(leaf):
@@ -465,3 +500,10 @@ def test_positions_are_not_attributed_to_velocities_in_knots_if_accelerations_de
     log, car = read_real_drive("cpg_lap_slow"), read_car("hyundai_genesis")
     found = findings_by_name(scaled(factor, "x", "y")(log), car)
     assert {*found} & {"velocity_scale", "position_scale"} == {"position_scale"}
+
+
+def test_ins_with_z_down_is_an_alternative_to_a_map_with_z_down(leaf):
+    log = exact_drive(leaf, 60.0)
+    wrong = scaled(-1.0, "yaw_rate", "velocity_y", "acceleration_y", "road_wheel_angle")(log)
+    (finding,) = check(replace(wrong, steering_wheel_angle=None), leaf).findings
+    assert finding.name == "position_axes" and "positive to the right" in finding.text

@@ -28,6 +28,7 @@ MAX_PART_DURATION = 300.0  # s; longest such part; it limits the computing time
 MIN_CHANGE = 0.5  # fraction of the deviation; if the parts differ by less, one correction removes at least half of it
 NOT_COMPARED = (  # between parts of a drive: the first three are constant, the other estimates depend on the driving
     "measuring_point", "position_reference", "position_side", "heading_misaligned", "steering_unrelated")
+SAME_CLOCK = "yaw_rate_lag", "acceleration_x_lag", "acceleration_y_lag", "steering_lag"
 CAUSED_BY_DRIFT = ("yaw_drift", "yaw_offset", "velocity_y_scale", "velocity_y_bias")  # findings due to drift in a part
 MIN_INS_SAMPLES = 50  # with fewer samples, only implausible samples and time stamps are reported
 
@@ -195,6 +196,7 @@ def _check_relations(results: Results, motion: Motion, log: DriveLog, vehicle: V
             _check_rear_axle(results, corrected, vehicle, findings)
         results.findings += vehicle_relations.check_tyre_limit(corrected, sideslip_measured)
     results.findings += vehicle_relations.check_standstill(replace(corrected, velocity_x=speed, yaw_rate=yaw_rate))
+    _attribute_lags(results)
     results.findings = _add_yaw_lag_alternative(results.findings, corrected, yaw_rate_lag)
     _remove_consequences(results, log, corrected)
     if vehicle is not None:
@@ -321,6 +323,30 @@ def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
     name, seconds = ("yaw", -lag) if yaw_is_wrong else ("yaw_rate", lag)
     aligned, findings = units_and_axes.correct_units(motion.shifted_earlier(seconds, name))
     return aligned.shifted_earlier(-seconds, name), findings
+
+
+def _attribute_lags(results: Results) -> None:
+    """If the accelerations, and the yaw rate if the car turns, lag as much as the velocities, name the positions, and
+    yaw, which lead, instead."""
+    velocity, estimates = find(results.findings, "velocity_lag"), results.estimates
+    known = {name for name in SAME_CLOCK if name in estimates}
+    if velocity is None or velocity.interval is None or find(results.findings, "position_lag") or (
+            not known - {"yaw_rate_lag", "steering_lag"}):
+        return
+    lag = estimates["velocity_lag"].scaled(-1.0)  # of the positions
+    same = {name for name in known if estimates[name].is_significant and abs(
+        estimates[name].value + lag.value) < LIMITS.severe_lag + estimates[name].half_width}
+    if known - same - {"steering_lag"}:
+        return
+    turns = "yaw_rate_lag" in same
+    text = f"positions{' and yaw' * turns} lag velocities, accelerations{' and yaw_rate' * turns} by {lag} s"
+    correct = {name: {"earlier": float(f"{lag.value:.5g}")} for name in ("position", *["yaw"] * turns)}
+    finding = replace(velocity, name="position_lag", channels=("x", "y", *["yaw"] * turns), statement=text,
+                      value=lag.value, interval=lag.interval, alternatives=(),
+                      advice=Advice.for_run_yaml({"correct": correct}))
+    results.findings = [finding, *(f for f in results.findings if f.name not in {"velocity_lag", *same})]
+    results.estimates = {**{name: estimates[name] for name in estimates.keys() - same - {"velocity_lag"}},
+                         "position_lag": lag}
 
 
 def _add_yaw_lag_alternative(findings: list[Finding], motion: Motion, lag: float | None) -> list[Finding]:

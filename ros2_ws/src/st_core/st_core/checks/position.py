@@ -157,8 +157,9 @@ def make_residual_regression(motion: Motion) -> Regression:
         "position_reference": windows.change(heading), "position_side": 1j * windows.change(heading),
         "velocity_x_bias": -integrated_heading, "velocity_y_bias": -1j * integrated_heading,
     }
-    residual = windows.change(motion.position) - displacement
-    sums = np.cumsum((residual + displacement, displacement), axis=1)
+    measured = windows.change(motion.position)
+    residual = measured - displacement
+    sums = np.cumsum((measured, displacement), axis=1)
     change = sums[:, HORIZON_WINDOWS:] - sums[:, :-HORIZON_WINDOWS]
     across = (change * np.exp(-0.5j * np.angle(np.square(change).sum(axis=1, keepdims=True)))).imag
     if np.square(across).sum(axis=1).min() <= MIN_WIDTH**2 * change.shape[1]:
@@ -257,8 +258,9 @@ def _make_heading_terms(motion: Motion, time: np.ndarray) -> np.ndarray:
 
 
 def _find_varying_cause(motion: Motion, explanation: _Explanation) -> tuple[_Explanation, list[Finding]]:
-    """(explanation, finding) with a cause that varies with time, linearly between instants, or with the heading, if far
-    better than constant causes; otherwise, and without v_y, (explanation as given, [])."""
+    """(explanation, finding) with a cause that varies with time, linearly between instants at equal intervals, or with
+    the heading, if it explains the positions far better than constant causes; otherwise, and without v_y, (explanation
+    as given, [])."""
     problem, corrected = make_residual_regression(motion), make_residual_regression(explanation.corrected)
     middle = problem.time + 0.5 * WINDOW
     count = int(np.clip(np.ptp(middle) / VARIATION_INTERVAL, 2, MAX_VARIATION_INTERVALS)) + 1
@@ -276,7 +278,8 @@ def _find_varying_cause(motion: Motion, explanation: _Explanation) -> tuple[_Exp
         varying = Regression(problem.time, problem.y, {**problem.columns, **columns})
         names = (*columns, *dict.fromkeys((*AXIS_SCALES, *explanation.causes)))
         values, scale, _ = varying.fit(names)
-        loss = varying.compute_loss(names, scale)  # compared with that of any further constant cause
+        loss = varying.compute_loss(names, scale)
+        # Any further constant cause is preferred, even where the drive does not determine it.
         constant_loss = min(corrected.compute_loss(tuple(dict.fromkeys((*explanation.causes, other))), scale)
                             for other in corrected.columns)
         # Fraction of the degrees of freedom, two per block of windows, that remains after fitting the values.
@@ -385,7 +388,10 @@ def correct_lateral_sign(motion: Motion) -> tuple[Motion, Finding | None]:
         return motion, None
     yaw_rate = motion.yaw_rate
     reference = -2.0 * float(motion.velocity_y @ yaw_rate) / max(float(yaw_rate @ yaw_rate), 1e-12)  # m
-    misfits = []
+    # The map may also be rotated from the middle of the drive on.
+    begin = problem.columns["yaw_offset"] * (problem.time < np.median(problem.time))[:, None]
+    rotated = Regression(problem.time, problem.y, {**problem.columns, "begin": begin})
+    misfits = [rotated.fit((*AXIS_SCALES, "yaw_offset", "begin"))[1]]
     for name in problem.columns.keys() - {*AXIS_SCALES, *RARE_CAUSES, "velocity_scale"}:
         theta, misfit, _ = problem.fit((*AXIS_SCALES, name))
         # v_y is mostly the yaw rate times a distance d, so a wrong sign resembles a reference point 2 d away.
@@ -410,9 +416,10 @@ def _add_lateral_alternative(findings: list[Finding], problem: Regression,
         return findings
     text = "the reference point of the positions and the yaw offset are wrong"
     if "velocity_y_scale" in others:
-        factor = 1.0 / (1.0 + values["velocity_y_scale"])
-        text = (OPPOSITE_LATERAL_SIGN if is_near(factor, -1.0, LIMITS.unit_ratio) else
-                f"velocity_y is {factor:.2f} times its true value")
+        fraction = 1.0 + values["velocity_y_scale"]  # of the lateral velocity of the positions
+        text = (OPPOSITE_LATERAL_SIGN if is_near(fraction, -1.0, LIMITS.unit_ratio) else
+                "positions were computed without velocity_y" if abs(fraction) < MIN_LATERAL_SCALE_ERROR else
+                f"velocity_y is {1.0 / fraction:.2f} times its true value")
         if "position_reference" in others:
             text += f" and positions refer to a point {values['position_reference']:+.2f} m ahead"
     alternative = Alternative(text, others)
@@ -529,6 +536,9 @@ def _make_finding(name: str, estimate: Estimate, sensitivity: float) -> Finding:
     correction = {"scale": 1.0 / (reported.value or np.inf), "earlier": reported.value}.get(cause.key, -reported.value)
     advice = (Advice.correct(cause.corrected_channel, **{cause.key: float(f"{correction:.5g}")})
               if cause.corrected_channel else Advice("text", cause.key))
+    if name == "velocity_y_scale" and abs(reported.value) * MIN_LATERAL_SCALE_ERROR > 1.0:
+        text += ": were the positions computed without it?"
+        advice = Advice("text", "record positions from satellites")
     return Finding(name, severity, cause.channels, text, reported.value, cause.unit, reported.interval, (), effect,
                    advice)
 

@@ -221,6 +221,7 @@ def _correct_north_east(motion: Motion) -> MotionAndFinding:
         text = ("x, y and yaw turn in the opposite direction to yaw_rate and other channels: is x north, y east and "
                 "yaw a compass heading? Expected: x east, y north, yaw from east, counter-clockwise")
         correct = {"yaw": COMPASS_TO_YAW}
+        alternatives = (Alternative("yaw_rate and the other channels are positive to the right", ("yaw_rate_scale",)),)
     else:
         return motion, None
     corrected, finding = _correct(motion, "position_axes", ("x", "y", *correct), text, None,
@@ -391,7 +392,9 @@ def _correct_distance(motion: Motion) -> MotionAndFinding:
         metres = replace(motion, x=motion.x / ratio, y=motion.y / ratio)
         return _correct(metres, "position_scale", ("x", "y"), f"{text}: are they latitude and longitude? Metres are "
                         "expected", ratio, Advice("text", "project latitude and longitude to east and north"))
-    if confirmed_by := inertial.confirm_velocity(replace(motion, speeds={}) if speed else motion, velocity_ratio):
+    # The speed of the wheels may be in the same wrong unit.
+    evidence = replace(motion, speeds={}) if speed else motion
+    if confirmed_by := inertial.confirm_velocity(evidence, velocity_ratio):
         return _correct(motion, "position_scale", ("x", "y"), f"{text}, which agrees with {confirmed_by}", ratio,
                         Advice.correct("position", scale=float(f"{velocity_ratio:.5g}")))
     scale = 1.0 / (speed or velocity_ratio)

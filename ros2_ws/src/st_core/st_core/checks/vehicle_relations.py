@@ -42,6 +42,7 @@ MIN_UNRELATED_SPREAD = 0.01  # rad at the road wheels; minimum standard deviatio
 STEERING_PLAY = 0.07  # rad of the steering wheel; play of ordinary cars, which reduces the gain of small angles
 MIRRORED = Alternative("do x, y, yaw and all lateral channels have axes with z down (x north, y east, right positive)",
                        ("position_axes",))
+UNSIGNED = Alternative("does the steering have no sign, in a drive of right turns only")
 PLAY, STEERED_REAR_WHEELS = Alternative("the steering has play"), Alternative("the rear wheels also steer")
 REVERSED_INS = Alternative("the INS points backwards"), Advice("text", "check the forward axis of the INS")
 TIGHTER_BENDS = Advice("text", "drive tighter bends to distinguish the two")
@@ -202,8 +203,9 @@ def _make_unit_finding(gain: Estimate | None, plausible_gains: tuple[float, floa
     if exact == 1.0:
         name = "steering_sign"
         advice = replace(advice, line=f"{advice.line}  # or, for CAN logs, the opposite steering_sign in car.yaml")
+    others = (MIRRORED,) * (not motion.geographic) + (UNSIGNED,) * bool(motion.steering.min() >= 0.0)
     finding = Finding(name, Severity.ERROR, ("road_wheel_angle",), text, value, "1", gain.interval, advice=advice,
-                      alternatives=() if motion.geographic or exact != 1.0 else (MIRRORED,))
+                      alternatives=others if exact == 1.0 else ())
     if value < 0.0 and np.median(motion.velocity_x) < 0.0:
         return finding.with_alternative(*REVERSED_INS)
     may_be_play = 0.0 < (1.0 - value) * spread < 0.5 * STEERING_PLAY / ratio
