@@ -312,6 +312,12 @@ def test_drive_without_a_window_of_one_second_has_no_numerical_warning(leaf):
     assert len(log.ins_time_ns) >= MIN_INS_SAMPLES and check(log, leaf).findings == ()
 
 
+@pytest.mark.parametrize(("scale", "yaw_rate"), [(0.75, 0.02), (1.4, 0.01), (1.4, 0.02)])
+def test_scale_of_an_axis_with_little_motion_is_found(leaf, scale, yaw_rate):
+    found = findings_by_name(scaled(scale, "x")(drive_straight(leaf, 0.5 * np.pi, yaw_rate)), leaf)
+    assert found.keys() == {"x_scale"} and found["x_scale"].value == pytest.approx(scale, abs=0.001)
+
+
 def test_scale_of_an_axis_on_a_straight_is_a_distorted_map(leaf):
     found = findings_by_name(scaled(0.97, "x")(drive_straight(leaf, 0.3)), leaf)
     assert found.keys() == {"velocity_scale", "yaw_offset"} and "distorted" in found["yaw_offset"].text

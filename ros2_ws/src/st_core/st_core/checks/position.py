@@ -192,9 +192,10 @@ def _explain_residual(motion: Motion, rare_explanations: Mapping[tuple[str, ...]
             slips |= {name} if name not in causes and _is_wheel_slip(problem, name, tuple(refined)) else set()
             if not is_relevant(_add_refinement(name, causes, lag), min_values[name]):
                 del refined[name]
-        # `units_and_axes` corrects axis scales that differ from 1 as much as a wrong unit.
+        # An axis scale that differs from 1 as much as a wrong unit is kept only if its effect is enough for a warning.
         causes = {name: estimate for name, estimate in refined.items() if is_relevant(estimate, min_values[name]) and (
-            name not in AXIS_SCALES or is_near(1.0 + estimate.value, 1.0, LIMITS.unit_ratio))}
+            name not in AXIS_SCALES or abs(estimate.value) * effects[name] >= LIMITS.warning_effect
+            or is_near(1.0 + estimate.value, 1.0, LIMITS.unit_ratio))}
         # The slip of a wheel is not a fault. At nearly constant speed v, it acts like a lead c v, see `_is_wheel_slip`.
         corrected = _correct_causes(motion, {"velocity_x_lag" if name in slips else name: estimate.value
                                              for name, estimate in causes.items()})
