@@ -293,6 +293,8 @@ def test_variants_of_candump_and_asc(tmp_path: Path, name: str, lines: list[str]
 
 @pytest.mark.parametrize(("header", "row", "data"), [
     ("Time,ID,DLC,B0,B1,B2,B3", "0.1,1A2,3,A1,B2,C3,00", "a1b2c3"),
+    ("Time,ID,Message,DLC,D0,D1,D2", "0.1,1A2,Steering,3,A1,B2,C3", "a1b2c3"),
+    ("Time,ID,Message,DLC,Payload", "0.1,1A2,Steering,3,A1B2C3", "a1b2c3"),
     ("Time,ID,Format,DLC,Data", "0.1,18FEF100,Extended,2,0A02", "0a02"),
     ("Time,ID,DLC,Data", f"0.1,1A2,15,{'0A' * 64}", "0a" * 64),  # lengths of CAN FD as a code
     ("Time,ID,DLC,Data", f"0.1,1A2,12,{'0A' * 24}", "0a" * 24),

@@ -81,7 +81,7 @@ _CSV_COLUMNS = {
     "time": "timestampepoch timestamp timestamps time times abstimesec timeabs",
     "id": "arbitrationid id idhex iddec canid identifier arbid identifierhex addr messageid",
     "length": "datalength len length dlc messagelength",
-    "data": "databytes data datahex datafield message payload d0 d1 data0 data1 byte0 byte1 b0 b1"}
+    "data": "databytes data datahex datafield payload d0 d1 data0 data1 byte0 byte1 b0 b1 message"}
 _HEXADECIMAL_IDS, _DECIMAL_IDS = ("idhex", "identifierhex", "arbid"), ("iddec", "addr")  # names that imply the base
 _EXTENDED_COLUMNS = ("extended", "ide", "xtd", "format")
 _FURTHER_HEADER = re.compile(r'[^\d"]*Line,')  # further header of Vehicle Spy, for frames with other columns
