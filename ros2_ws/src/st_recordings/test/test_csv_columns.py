@@ -476,3 +476,8 @@ def test_channels_of_lower_rates_are_interpolated(tmp_path: Path, own_stamps: bo
 
 def test_driving_direction_is_not_read_as_course() -> None:
     assert not {"course", "velocity_y"} & find_columns(Path("d.csv"), ["t", "v", "yaw", "direction"], Layout()).keys()
+
+
+def test_course_over_ground_is_preferred_to_a_shorter_name() -> None:
+    names = ["zeit", "kurs", "kurs_ueber_grund"]
+    assert find_columns(Path("d.csv"), names, Layout())["course"].name == "kurs_ueber_grund"

@@ -47,7 +47,7 @@ COLUMNS: Mapping[str, Channel] = {
     "course": Channel("angle", "direction of motion over ground, clockwise from north; replaces missing yaw or "
                       "velocity_y", (
         "course course_over_ground course_angle gps_heading gnss_heading cog heading_cog track track_angle "
-        "heading_of_motion bearing angle_track kurs kurs_ueber_grund gcrs")),
+        "heading_of_motion bearing angle_track kurs_ueber_grund gcrs kurs")),
     **{f"orientation_{axis}": Channel("ratio", "quaternion from body to map axes, read if yaw is missing", (
         f"pose_pose_orientation_{axis} pose_orientation_{axis} orientation_{axis} q{axis} quat_{axis}"))
        for axis in "xyzw"},
