@@ -44,7 +44,7 @@ class Entry:
         self.origin = origin
         self.path = path
         if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
-            raise ConfigurationError(f"{origin}: {path or 'the document'}: expected a mapping with names as keys")
+            raise ConfigurationError(f"{origin}: {path or 'the document'}: expected a mapping with string keys")
         self._value = value
 
     def error(self, key: str, problem: str) -> ConfigurationError:

@@ -67,7 +67,7 @@ WHEEL = "Leaf_Steering/signals/SteeringWheelAngle"
      "samples[0].data: not hexadecimal bytes"),
     (set_key("RT_MilliTime/signals/UtcOffset", None), "GPS time needs all of gps_time, gps_utc_offset"),
     (set_key("Leaf_Brake", {"needed": True}), "has no message Leaf_Brake"),
-    (set_key("Leaf_Steering", []), "messages.Leaf_Steering: expected a mapping with names as keys"),
+    (set_key("Leaf_Steering", []), "messages.Leaf_Steering: expected a mapping with string keys"),
 ])
 def test_invalid_table_is_rejected_in_one_line(change, message, dbc_file, edit_table):
     path = edit_table(change)

@@ -42,7 +42,7 @@ class PiecewiseLinear:
 
 @dataclass(frozen=True)
 class SineSweep:
-    """A sine with a frequency that increases exponentially from `low` to `high` [Hz] within `duration` [s]; then 0."""
+    """A sine with a frequency that increases exponentially from `low` to `high` [Hz] over `duration` [s]; then 0."""
 
     low: float
     high: float
@@ -111,7 +111,7 @@ class Manoeuvre:
 
 
 def sweep(speed: float, lateral: float, duration: float = 26.0, pause: float = 4.0) -> Manoeuvre:
-    """Sine steering, 0.2 to 2.8 Hz within `duration` [s], then straight for `pause` [s]."""
+    """Sine steering, 0.2 to 2.8 Hz over `duration` [s], then straight for `pause` [s]."""
     return Manoeuvre("sweep", speed, lateral, SineSweep(0.2, 2.8, duration), duration + pause,
                      description=f"sine steering 0.2 to 2.8 Hz at {speed:g} m/s")
 
@@ -124,7 +124,7 @@ def step(speed: float, lateral: float, hold: float = 4.0, pause: float = 3.0) ->
 
 
 def ramp_to_limit(speed: float, lateral: float, rise: float = 25.0, fall: float = 2.0, pause: float = 4.0) -> Manoeuvre:
-    """Ramp steer within `rise` [s], back within `fall` [s], straight for `pause` [s]; then the same to the other side.
+    """Ramp steer over `rise` [s], back over `fall` [s], straight for `pause` [s]; then the same to the other side.
     lateral [m/s^2]: above the limit of the tyres."""
     profile = _both_sides((rise, 0.0, 1.0), (fall, 1.0, 0.0), (pause, 0.0, 0.0))
     return Manoeuvre("ramp_to_limit", speed, lateral, profile, profile.duration,

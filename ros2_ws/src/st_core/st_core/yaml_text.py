@@ -63,7 +63,7 @@ class _Loader(yaml.SafeLoader):
         except (ValueError, OverflowError) as error:
             raise ConfigurationError(f"{_shorten(node.value)}: {error} (line {node.start_mark.line + 1})") from None
         if isinstance(value, int) and abs(value) > LARGEST_INTEGER:
-            raise ConfigurationError(f"{_shorten(node.value)}: too large a number (line {node.start_mark.line + 1})")
+            raise ConfigurationError(f"{_shorten(node.value)}: number too large (line {node.start_mark.line + 1})")
         return value
 
 

@@ -31,7 +31,7 @@ def test_plain_values():
     ("a: !!python/object/apply:os.system [id]", "tags (!) are not allowed (line 1)"),
     ("a: !!int abc", "tags (!) are not allowed (line 1)"),
     ("a: 2001-99-99", "'2001-99-99': month must be in 1..12 (line 1)"),
-    ("a: " + "9" * 30, "too large a number (line 1)"),
+    ("a: " + "9" * 30, "number too large (line 1)"),
     ("a: " + "9" * 5000, "(line 1)"),
     ("a: 1\n---\nb: 1", "not valid YAML, line 2: "),
     ("a: " + "[" * 41 + "]" * 41, "more than 40 levels of nesting (line 1)"),

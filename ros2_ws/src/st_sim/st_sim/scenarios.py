@@ -165,7 +165,7 @@ def _read_plan(file: FilePath) -> Plan:
         pieces = [piece for row in document["road"] for piece in _make_pieces(row)]
         lengths = [piece.length for piece in pieces]
         if not (min(lengths, default=0.0) >= 0.0 and sum(lengths) <= LONGEST_ROAD):
-            raise ValueError(f"lengths must not be negative, and be at most {LONGEST_ROAD:g} m in total")
+            raise ValueError(f"lengths must not be negative, and their sum must be at most {LONGEST_ROAD:g} m")
         if not all(abs(k) * MIN_RADIUS <= 1.0 for piece in pieces for k in piece[1:3]):
             raise ValueError(f"turns and shifts must have a radius of at least {MIN_RADIUS:g} m")
         limits = [float(document.get(key, default)) for key, default in (("acceleration", 1.2), ("braking", 1.5))]

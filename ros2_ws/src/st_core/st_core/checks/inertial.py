@@ -367,7 +367,7 @@ def _derive_acceleration(motion: Motion, name: str) -> np.ndarray:
 
 def _make_unrelated_finding(motion: Motion, name: str, measured: np.ndarray) -> Finding | None:
     """Finding about an acceleration that does not correlate with the derivative of velocity in windows of 1 s; None if
-    it does, or if the drive has too little acceleration and the mean is not that of gravity."""
+    it does, is constant or too short, or if the motion has little acceleration and the mean is not that of gravity."""
     windows = motion.make_windows(1.0)
     derived, values = (windows.mean(series) for series in (_derive_acceleration(motion, name), measured))
     known = np.isfinite(values)
@@ -405,7 +405,7 @@ def confirm_velocity(motion: Motion, factor: float) -> str:
 
 
 def compute_acceleration_scales(motion: Motion) -> list[Estimate]:
-    """Ratio of each measured acceleration that correlates with the derivative of velocity to that derivative."""
+    """Ratio of measured acceleration to derivative of velocity, for each axis on which they correlate."""
     agreements = [_compare_acceleration(motion, name, values) for name in ACCELERATIONS
                   if (values := getattr(motion, name)) is not None]
     return [agreement.scale for agreement in agreements if agreement and agreement.correlates]
@@ -482,8 +482,8 @@ def check_speeds(results: Results, motion: Motion) -> None:
 
 
 def restore_speed_sign(log: DriveLog, start_ns: int) -> tuple[DriveLog, list[Finding]]:
-    """(the drive with a negative velocity_x in reverse, findings), if velocity_x opposes the motion of the positions
-    along yaw between some stops and agrees with it between the others. start_ns: zero of the times [ns]."""
+    """(the drive, findings). If velocity_x opposes the motion of the positions along yaw between some stops, as a speed
+    without a sign does in reverse, its sign is changed there and reported. start_ns: zero of the times [ns]."""
     time, position = (log.ins_time_ns - start_ns) * NANOSECOND, log.x + 1j * log.y
     begin, end = (np.clip(time + side, time[0], time[-1]) for side in (-0.5, 0.5))
     velocity = (np.interp(end, time, position) - np.interp(begin, time, position)) / (end - begin)

@@ -22,7 +22,7 @@ from .result import Reason
 from .settings import Limits
 
 CONTENDERS = 4  # maximum number of effects refitted in a step, plus members of composites; half as many in an exchange
-CONTENDER_FRACTION = 0.5  # fraction of the best gain that a contender must reach; before a refit, its square suffices
+CONTENDER_FRACTION = 0.5  # fraction of the best gain that a contender must reach; before a refit, its square
 FIXED_CURVATURE = 1e9  # prior curvature that fixes a parameter
 MAX_JOINT_FITS, JOINT_TOLERANCE = 4, 0.1  # maximum number of joint fits; largest step at convergence [parameter scales]
 MAX_EXCHANGES = 3
@@ -99,9 +99,9 @@ class Search:
 
     def _add_load_rivals(self, state: SearchState) -> None:
         """Add a load as a rival of lower tyre stiffness, since drives show only the ratio of stiffness to mass. The
-        load is an alternative to each effect with values that it brings nearer to the vehicle file, unless the drives
-        exclude it. Loads tried: the prior standard deviation, then `limits.min_relative_size` [parameter scales]. Bands
-        of axle forces, and intervals of these effects and of combinations, include the laden car."""
+        load is an alternative to each effect with values that are nearer to the vehicle file when it is added, unless
+        the drives exclude it. Loads tried: the prior standard deviation, then `min_relative_size` [parameter scales].
+        Bands of axle forces, and intervals of these effects and of combinations, include the laden car."""
         p, names = self.problem, state.fit.names
         for payload in (n for n in p.space.payloads if names and n not in names and not p.space.overlaps(n, names)):
             for size in (p.space.deviation[p.space.indices(payload)], self.limits.min_relative_size):
@@ -123,8 +123,8 @@ class Search:
                     break
 
     def find_best_rival(self, state: SearchState, name: str) -> Rival:
-        """A rival of the effect `name`: the best set without this effect and its alternatives. If one single effect
-        replaces it and is an alternative, this is added to `state.rivals`, and the search is repeated without it."""
+        """A rival of the effect `name`: the best set without this effect and its alternatives. If a single effect
+        replaces it and is an alternative, it is added to `state.rivals`, and the search is repeated without it."""
         other, p, rivals = copy(self), copy(self.problem), state.rivals.setdefault(name, [])
         other.problem, p.loss, p.space = p, copy(p.loss), copy(p.space)
         excluded = [name, *(r.name for r in rivals if is_alternative(r, self.limits))]
@@ -150,7 +150,7 @@ class Search:
                      deficit / self.problem.residual_count, evidence, self.problem.space.values(other, fit.vector))
 
     def add_corrections(self, fit: Fit) -> Fit:
-        """The best fit that contains at least the effects of `fit`, which may be that of a different problem."""
+        """The best fit that contains at least the effects of `fit`, which may be from a different problem."""
         self._required = frozenset(fit.names)
         p = self.problem
         state = self._step_from(p.fit(fit.names, p.all_sensitivities(fit.vector), fit.vector))

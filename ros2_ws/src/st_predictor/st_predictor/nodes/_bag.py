@@ -14,9 +14,9 @@ MAX_SYNC_DELAY = 1.0  # s, age of data not yet on the disk above which the node 
 
 
 def open_bag(values: SimpleNamespace, records: Mapping[str, Mapping[str, str]]) -> BagWriter:
-    """Writer of a new bag in the folder `output_directory`, NAME. If it contains files, as after a restart of the node,
-    and `number_if_exists` is set, the folder is NAME_2, NAME_3 and so on. Raises ConfigurationError for files without
-    `number_if_exists`, and for a NAME that is a file or cannot be written."""
+    """Writer of a new bag in the folder `output_directory`. If this contains files, as after a restart of the node, and
+    `number_if_exists` is set, _2, _3 and so on is appended to its name. Raises ConfigurationError if it contains files
+    and `number_if_exists` is not set, if it is a file, or if it cannot be written."""
     names = (f"{values.output_directory}_{number}" for number in itertools.count(2))
     name = values.output_directory
     try:
