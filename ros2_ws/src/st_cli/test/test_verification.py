@@ -193,7 +193,7 @@ def test_predictions_before_the_filter_settles_are_excluded_and_counted(live, un
 def test_too_short_recording_is_reported(bag, monkeypatch):
     monkeypatch.setattr(verification, "SETTLING_TIME_CONSTANTS", 1e6)
     result = st_verify(bag)
-    assert result.exit_code == 2 and "in 120 predictions the acceleration filter" in result.output.replace("\n", " ")
+    assert result.exit_code == 2 and "filter had not settled for 120 predictions" in result.output.replace("\n", " ")
 
 
 @pytest.mark.parametrize("period", [0.1, 0.5, 1.0, 2.0])

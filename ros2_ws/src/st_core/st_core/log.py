@@ -155,7 +155,7 @@ class LogSignals:
             log.ins_time_ns, log.velocity_x, filter_cutoff, maximum_gap, mode)
 
     def for_log(self, log: DriveLog) -> "LogSignals":
-        """The signals of another drive with the same settings; they share the derivative if the speed is the same."""
+        """The signals of another drive with the same settings; they share the derivative if the logs share speeds."""
         if not shares_memory(log, self.log, "ins_time_ns", "velocity_x"):
             return LogSignals(log, self.maximum_gap, *self._filter)
         other = copy(self)

@@ -185,13 +185,13 @@ class Scene:
         outline = to_screen(view, *make_car_outline(pose, self._car))
         self._log_lines(f"{root}/car", [outline], [(20, 20, 20)], THICK_LINE, order=5.0)
         ghosts, ghost_colours, errors, error_colours = [], [], [], []
-        for number, model in enumerate(history.models):
+        for index, model in enumerate(history.models):
             self._log_name(model)
             path = history.find_newest(model, now_ns)
             self._log_lines(f"{root}/paths/{model}", [to_screen(view, path.x, path.y)] if path else [],
-                            [rgb(get_model_colour(model))], MODEL_RADII[min(number, len(MODEL_RADII) - 1)],
-                            order=3.0 + 0.1 * number)
-            self._draw_ribbons(f"{root}/bands/{model}", view, path.ribbons if path else (), model, number)
+                            [rgb(get_model_colour(model))], MODEL_RADII[min(index, len(MODEL_RADII) - 1)],
+                            order=3.0 + 0.1 * index)
+            self._draw_ribbons(f"{root}/bands/{model}", view, path.ribbons if path else (), model, index)
             for age, ghost in history.find_ghosts(model, now_ns):
                 ghosts.append(to_screen(view, ghost.x[::GHOST_STRIDE], ghost.y[::GHOST_STRIDE]))
                 ghost_colours.append(rgb(get_model_colour(model), GHOST_STRENGTH * (1.2 - 0.15 * age)))
@@ -202,7 +202,7 @@ class Scene:
         self._log_lines(f"{root}/ghosts", ghosts, ghost_colours, THIN_LINE, order=1.0)
         self._log_lines(f"{root}/errors", errors, error_colours, THICK_LINE, order=4.5)
 
-    def _draw_ribbons(self, entity: str, view: Pose, ribbons: Sequence[Ribbon], model: str, number: int) -> None:
+    def _draw_ribbons(self, entity: str, view: Pose, ribbons: Sequence[Ribbon], model: str, index: int) -> None:
         """Fill the bands with lines from edge to edge, because Rerun cannot fill areas in 2D. The lines are 1.2 times
         as wide as their spacing, which leaves no gaps. The edges of the widest band are drawn above all areas."""
         edges = [to_screen(view, *side.T) for band in ribbons[:1] for side in (band.left, band.right)]
@@ -214,7 +214,7 @@ class Scene:
                 middle = 0.5 * (left + right)
                 strips = np.stack([left, right], axis=1)
                 radii = 0.6 * np.hypot(*np.gradient(middle, axis=0).T)
-            order = 0.2 + 0.1 * number - 0.05 * level
+            order = 0.2 + 0.1 * index - 0.05 * level
             self._log_lines(f"{entity}/{level:.0%}", strips, [rgb(get_model_colour(model), strength)], radii, order)
 
     def _log_name(self, model: str) -> None:

@@ -208,7 +208,7 @@ def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replay: bo
         console.out(warning, style="yellow", highlight=False)
     if not any(c.n_predictions["forecast"] for c in result.comparisons):
         n_settling = sum(c.n_settling for c in result.comparisons)
-        reason = (f"in {n_settling} predictions the acceleration filter had not settled; no other can be recomputed"
+        reason = (f"the acceleration filter had not settled for {n_settling} predictions; no other can be recomputed"
                   if n_settling else "no recorded prediction can be recomputed")
         console.print(f"nothing to compare: {reason}")
         return 2

@@ -69,7 +69,7 @@ class Finding:
     times: tuple[tuple[float, float], ...] = ()  # [s since the first INS measurement]; empty: the whole run
     effect: float | None = None  # approximate shift of the position at the end of the horizon [m]
     advice: Advice | None = None
-    # Prediction error [m] without and with the correction; for an error, with the corrections of all errors.
+    # Prediction error [m] without and with the correction; for severity error, with the corrections of all errors.
     tried: tuple[float, float] | None = None
     # Other possible causes; a correction in `advice` is valid for these too, or results in a mirror image of the drive.
     alternatives: tuple[Alternative, ...] = ()
@@ -168,7 +168,7 @@ class DriveCheck:
         return tuple(finding for finding in self.findings if finding.severity is severity)
 
     def as_dict(self) -> dict[str, Any]:
-        """The part of check.json on this run."""
+        """The part of check.json for this run."""
         return {"findings": [finding.as_dict() for finding in self.findings],
                 "channels": {name: asdict(channel) for name, channel in self.channels.items()},
                 "estimates": {name: list(values) for name, values in self.estimates.items()}}
@@ -221,7 +221,7 @@ class Limits:
     warning_effect: float = 0.25  # m; the best models have errors of 0.4 m over such horizons
     error_effect: float = 5.0  # m; error of a model that goes straight on in a bend of radius 250 m at 10 m/s
     unit_ratio: float = 1.33  # factor above which a ratio is due to a wrong unit, sign or axis, not to calibration
-    channel_unit_ratio: float = 2.0  # the same for accelerations, which roll changes, and wheel speeds (tyre radius)
+    channel_unit_ratio: float = 2.0  # the same for accelerations (roll changes them) and wheel speeds (tyre radius)
     yaw_settling_time: float = 0.2  # s; time constant with which a model's initial yaw rate error decays
     lag: float = 0.015  # s; smaller lags are due to filters inside a sensor
     severe_lag: float = 0.05  # s; larger lags would be mistaken for a steering delay

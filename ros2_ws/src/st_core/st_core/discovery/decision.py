@@ -28,7 +28,7 @@ class Rival:
     deficit: float  # gain of the replaced effect minus gain of the rival, per residual [1]
     evidence: Evidence  # of the rival in place of the replaced effect
     values: Mapping[str, float] = field(default_factory=dict)  # of the rival in place of the replaced effect
-    with_effect: bool = False  # whether the model contains both; `evidence` is then that of the effect `replaces`
+    with_effect: bool = False  # whether the model contains both; `evidence` is then that of the replaced effect
     added: float = 0.0  # gain of the rival in addition to the replaced effect, divided by the gain of that effect [1]
 
 
@@ -119,7 +119,7 @@ def is_confirmed(e: Evidence, limits: Limits) -> bool:
 
 
 def max_position_reduction(e: Evidence) -> float:
-    """The larger of the reductions of the position error overall and in one driving condition [m]."""
+    """The larger of the reduction of the position error overall and its lower bound in one driving condition [m]."""
     return max(e.position_reduction, e.position_reduction_in_condition)
 
 
@@ -156,7 +156,7 @@ def judge_reporting(e: Evidence, limits: Limits, excludes_null: bool = True, par
     worse_axle: axle on which the effect acts and where measured forces agree better with the vehicle file, or "".
     summands: other effects of the model that are identifiable only as a sum with this effect.
     violation: range that the car would violate with this effect (`handling.find_implausible_values`), or "".
-    depends_on: refuted or implausible effects without which a value is outside its interval.
+    depends_on: refuted or implausible effects without which the value is outside its interval.
     """
     def demote(text: str, **figures: float) -> Reason:
         return Reason(MINOR, e.name, figures or {"gain": e.gain},
@@ -170,8 +170,8 @@ def judge_reporting(e: Evidence, limits: Limits, excludes_null: bool = True, par
         return Reason(IMPLAUSIBLE, e.name, {"gain": e.gain}, f"with it the car is implausible: {violation}; "
                       "it improves predictions, but is not reported as a cause")
     if depends_on:
-        return demote(f"without the refuted {' and '.join(depends_on).replace('_', ' ')}, its value is outside its "
-                      "interval")
+        return demote("its value is outside its interval in a model without "
+                      f"{' and '.join(depends_on).replace('_', ' ')}")
     if summands:
         return demote(f"only its sum with {' and '.join(summands).replace('_', ' ')} is identifiable")
     if parameter_at_bound:
@@ -238,8 +238,8 @@ def judge_alternative(rival: Rival, limits: Limits) -> Reason:
 
 def explains_less(rival: Rival, limits: Limits) -> bool:
     """Whether errors are significantly larger with the rival, and by more than unmodelled effects may cause."""
-    is_unexplained = rival.evidence.noise_ratio > limits.max_noise_ratio and rival.deficit < limits.max_unmodelled_gain
-    return rival.p_no_worse < limits.undecided_p and not is_unexplained
+    is_inconclusive = rival.evidence.noise_ratio > limits.max_noise_ratio and rival.deficit < limits.max_unmodelled_gain
+    return rival.p_no_worse < limits.undecided_p and not is_inconclusive
 
 
 def judge_necessity(rival: Rival, limits: Limits) -> Reason | None:

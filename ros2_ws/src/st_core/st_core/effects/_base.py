@@ -52,7 +52,7 @@ class Parameter:
     identity: str = ""  # name of the estimate of the same quantity in `st_core.checks.check`, with equal unit and sign
     theory: float | None = None  # physical value, if it is the same for every car
     quantity: str = ""  # key of the vehicle file to which the value is added, if no hook `vehicle` or `fold` does so
-    family_ends: tuple[float, ...] = ()  # bounds set by a family of curves, not by physics (1 - E of a tyre)
+    family_ends: tuple[float, ...] = ()  # those of `bounds` that end a family of curves, not physical limits
     # Standard deviation of the values that models with different equations give for one car (`bench/strangers`).
     model_error: float = 0.0
     # Standard deviation of a prior about null, for an addition to the car of the vehicle file, such as a load. For such
@@ -153,7 +153,7 @@ class Effect:
     prepared: ClassVar[tuple[str, ...]] = ()  # names of the results of `prepare`
     extra_states: ClassVar[tuple[str, ...]] = ()  # names of its states
     extra_units: ClassVar[tuple[str, ...]] = ()  # units of its states
-    costly: ClassVar[bool] = False  # whether it evaluates the tyres once more; left out at null values to save time
+    costly: ClassVar[bool] = False  # whether it evaluates the tyre model again; left out at null values to save time
     # Whether the search adds it only in forward steps: in a joint fit of all effects it would absorb parts of others.
     forward_only: ClassVar[bool] = False
     order: ClassVar[int] = 50  # effects with the same hook act in ascending order

@@ -35,9 +35,9 @@ class Crosswind(Effect):
     confounded_with = ("steering_offset", "road_slope", "road_bank", "lateral_acceleration_bias")
     parameters = (
         Parameter("wind_x", "m/s", null=0.0, initial=1.0, bounds=(-30.0, 30.0), source="a gale reaches 20 m/s",
-                  meaning="wind towards east, with the side_area of the vehicle file"),
+                  meaning="wind towards east, if the file's side_area is right"),
         Parameter("wind_y", "m/s", null=0.0, initial=5.0, bounds=(-30.0, 30.0), odd=True,
-                  meaning="wind towards north, with the side_area of the vehicle file", source="a gale reaches 20 m/s"),
+                  meaning="wind towards north, if the file's side_area is right", source="a gale reaches 20 m/s"),
     )
 
     @staticmethod

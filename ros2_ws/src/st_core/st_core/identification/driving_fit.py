@@ -1,4 +1,4 @@
-"""Joint fit of vehicle and sensor parameters to predictions of several drives.
+"""Joint fit of vehicle and sensor parameters to several drives.
 
 Problem, loss and fit are those of `discovery`. Windows of the drives are predicted with the measured inputs. The errors
 of yaw rate and lateral velocity at the INS are assumed to follow Student's t distribution. The effects that represent

@@ -133,9 +133,9 @@ def describe_unusable_curve(fits: RelationFits, fit: RelationFit) -> str:
 
 
 def describe_deterioration(fits: RelationFits, name: str, before: np.ndarray, after: np.ndarray) -> str:
-    """Reason to reject a relation that increases the mean held-out position error at the end of the horizon, or in one
-    run significantly and by at least `Limits.relevant_position`; "" if there is none. Runs with fewer than three blocks
-    are not tested. before, after: (n,) [m]."""
+    """Reason to reject a relation that increases the held-out position error at the end of the horizon on average, or
+    in one run significantly and by at least `Limits.relevant_position`; "" if there is none. Runs with fewer than three
+    blocks are not tested. before, after: (n,) [m]."""
     increase = after - before
     if not np.isfinite(increase).any():
         return ""
@@ -167,8 +167,8 @@ def describe_gain(fits: RelationFits, gains: np.ndarray, position_gain: np.ndarr
 
 def describe_small_gain(fits: RelationFits, candidate: Candidate, gains: np.ndarray, position_gain: np.ndarray) -> str:
     """Reason to reject a relation with a small effect, or "": a held-out gain that is below the thresholds or not
-    significant, or a predicted path that does not improve significantly. The path is not tested for sensor errors, nor
-    with fewer than two blocks with a position."""
+    significant, or a predicted path that does not improve significantly. The path is not tested if the candidate is a
+    sensor error, or with fewer than two blocks with a position."""
     limits = fits.limits
     small = (gains.sum() < limits.relevant * fits.loss.residual_count
              and average_finite(position_gain) < limits.relevant_position)

@@ -253,10 +253,10 @@ def make_adaptive_rows(content: Mapping[str, Any]) -> list[dict[str, str]]:
             for model, modes in content.items() for mode, scores in modes.items()]
 
 
-def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool) -> None:
-    """Print the tables for all runs pooled. sums: by run. tested, adaptive: which bands were scored."""
+def print_tables(sums: Sequence[Sums], calibrated: bool, adaptive: bool) -> None:
+    """Print the tables for all runs pooled. sums: by run. calibrated, adaptive: which bands were scored."""
     pooled = pool_sums(sums)
-    if tested:
+    if calibrated:
         content = summarise_bands(pooled)
         rows, level = make_band_rows(content), _format_level(_find_top_level(content))
         # A single table would be wider than 80 characters; each of these begins with the columns model and inputs.

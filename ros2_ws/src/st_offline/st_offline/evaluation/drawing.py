@@ -34,7 +34,7 @@ plt.rcParams.update({
 FORMATS = ("png", "pdf", "svg")
 WIDTH = 9.0  # inch; the page scales figures to its own width
 TITLE_CHARACTERS = 104  # per line of a title, at WIDTH
-LEGEND_LINE_CHARACTERS = 7  # characters; width of a line or marker with its margins in the legend
+LEGEND_HANDLE_WIDTH = 7  # width of a line or marker with its margins in the legend, in characters
 HALF_TICK_LABEL_HEIGHT = 0.09  # inch
 PAGE_DPI = 110  # of raster images inside an SVG
 MAX_POINTS = 900  # per line; more cannot be distinguished at WIDTH
@@ -73,7 +73,7 @@ def save_figure(figure: Figure, output: FigureOutput, key: str, title: str, capt
                for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
     characters = round(TITLE_CHARACTERS * figure.get_figwidth() / WIDTH)
     if entries and not any(axes.get_legend() for axes in figure.axes):
-        widths = {n: sum(max(map(len, column)) + LEGEND_LINE_CHARACTERS for column in np.array_split(list(entries), n))
+        widths = {n: sum(max(map(len, column)) + LEGEND_HANDLE_WIDTH for column in np.array_split(list(entries), n))
                   for n in range(1, min(len(entries), 6) + 1)}
         columns = max([n for n, width in widths.items() if width <= 1.2 * characters], default=1)
         figure.legend(entries.values(), entries.keys(), loc="outside lower left", ncols=columns)

@@ -120,7 +120,7 @@ class Storage(ABC):
         return {field: np.array([row[k] for row in rows]) for k, field in enumerate(fields)}
 
     def read_log_times(self, topic: str, stamps: np.ndarray) -> np.ndarray:
-        """Log times [ns], in simulation time if the bag has a clock; `stamps` if the counts differ. Raises RunError."""
+        """Log times [ns], in simulation time if the bag has /clock; `stamps` if the counts differ. Raises RunError."""
         times = np.array([log_ns for log_ns, _ in self.timed_messages(topic)], np.int64)
         if len(times) != len(stamps):
             return stamps
@@ -138,8 +138,8 @@ class Storage(ABC):
         reception if only these overlap; else the stamps, shifted to the clock of the first topic.
 
         An INS may stamp with GPS time, 18 s ahead of UTC. Stamps are not changed if neither they nor the times of
-        reception overlap, or if the delay from stamp to reception varies, as in computed topics. compares_clocks: False
-        assumes that overlapping stamps share a clock.
+        reception overlap, or if the delay from stamp to reception varies, as for computed topics. compares_clocks:
+        False assumes that overlapping stamps share a clock.
         """
         series, topics = [times for _, times in stamps], " and ".join(topic for topic, _ in stamps)
         is_common = _overlap(series)

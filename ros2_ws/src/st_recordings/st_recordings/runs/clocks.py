@@ -133,7 +133,7 @@ def pair_substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1
 def mask_implausible(ins: InsLog, can: CanSignals) -> tuple[InsLog, CanSignals, list[str]]:
     """(both recordings with NaN for implausible values, a note on each affected signal).
 
-    A single sentinel value or spike can exceed the range of the signal; it would shift or hide the correlation peak.
+    One sentinel value or spike can exceed the variation of the signal; it would shift or hide the correlation peak.
     """
     notes: list[str] = []
 
