@@ -56,7 +56,7 @@ class SignalSpec:
     factor: float  # converts this unit to SI
     minimum: float  # [unit], with sign, scale and offset applied
     maximum: float  # [unit], with sign, scale and offset applied
-    max_rate: float  # largest possible rate of change [unit/s]
+    max_rate: float  # largest plausible rate of change [unit/s]
     # Extractor of the sign, if the sensor sends it separately. A sign that is 0 or not in the frame is positive.
     sign: Extractor | None = None
 

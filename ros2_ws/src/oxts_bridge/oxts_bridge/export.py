@@ -40,7 +40,7 @@ _SURFACE_ANGLES = ("Surf2OutHeading", "Surf2OutPitch", "Surf2OutRoll")
 _ROWS_PER_WRITE = 1 << 12
 EARTH_RATE = 7.2921151467e-5  # rad/s
 MIN_TRACK_SPEED = 0.14  # m/s; lowest speed with a track while the velocity accuracy is unknown
-# Distance is not integrated across a time step that is negative or longer than this [s], as in joined files.
+# Distance is not integrated across a time step that is negative or longer than this [s], as occurs in joined files.
 LONGEST_STEP = 10.0
 _STEP_TOLERANCE = 0.01  # two successive steps give the sampling rate if they differ by less than this fraction
 

@@ -28,7 +28,7 @@ MIN_WRAP_RATIO = 0.3  # minimum wrap size divided by the largest plausible step;
 WRAP_SPREAD, WRAP_SYMMETRY = 0.1, 0.2  # tolerances of a step and the sum of its ends, as fractions of the wrap size
 MAX_WRAPPED_FRACTION = 0.2  # fraction of wrapped samples above which the true range is uncertain
 MAX_NET_CHANGE_RATIO = 0.5  # largest ratio of net change to sum of |steps| in noise; 1 in a turn, in any unit
-JUMP_RATIO = 30.0  # minimum ratio of a jump to the 90th percentile of all steps; below 15 in seventeen real drives
+JUMP_RATIO = 30.0  # minimum ratio of a jump to the 90th percentile of non-zero steps; in 17 real drives below 15
 MAX_REVERSAL_ERROR = 0.3  # rad; largest difference of a yaw jump from pi that counts as a reversal of the heading
 MIN_SAMPLES = 20
 MAX_LISTED_INTERVALS = 200  # largest number of time intervals of implausible samples listed in a finding
@@ -47,7 +47,7 @@ class ChannelLimits:
 CHANNEL_LIMITS: Mapping[str, ChannelLimits] = {
     "x": ChannelLimits("m", 5.0), "y": ChannelLimits("m", 5.0),  # 100 m/s for 50 ms
     "yaw": ChannelLimits("rad", 0.2),  # 4 rad/s for 50 ms
-    "velocity_x": ChannelLimits("m/s", 1.0, 120.0),  # 20 m/s^2 for 50 ms; hardly any road car is faster
+    "velocity_x": ChannelLimits("m/s", 1.0, 120.0),  # 20 m/s^2 for 50 ms; hardly any road car exceeds 120 m/s
     "velocity_y": ChannelLimits("m/s", 1.0, 40.0),
     "yaw_rate": ChannelLimits("rad/s", 0.3, 5.0),  # 6 rad/s^2 for 50 ms, twice a step steer; spins reach 3 rad/s
     "acceleration_x": ChannelLimits("m/s^2", 15.0, 80.0),  # kerbs and potholes reach 10 m/s^2 in one sample
@@ -154,7 +154,7 @@ def _detect_motion(log: DriveLog, instants_ns: np.ndarray) -> np.ndarray:
 
 
 def _find_jumps(channel: _ChannelSamples, large: np.ndarray, implausible: np.ndarray) -> np.ndarray:
-    """Samples after a step much larger than 90 % of the steps, except at implausible samples, held values and gaps."""
+    """Samples after a step much larger than 90 % of the changes, except at implausible samples, held values, gaps."""
     if not large.any():
         return np.zeros(0, np.int64)
     constant = channel.step == 0.0  # a step next to a held value belongs to a frozen channel

@@ -19,7 +19,7 @@ HUBER_ITERATIONS = 6
 DRAWS, SEED = 200, 0  # number of draws and random seed of the bootstrap
 BLOCK_LENGTH = 5.0  # s, as in the alignment of clocks; correlation between neighbouring blocks widens the interval
 MIN_DEGREES_OF_FREEDOM = 4.0  # lower limit for Student's t distribution
-RIDGE = 1e-6  # fraction of the normal matrix added to it, so that draws without excitation have a solution
+RIDGE = 1e-6  # fraction of the normal matrix or its diagonal added to it, so that draws without excitation are solvable
 
 
 @dataclass(frozen=True)

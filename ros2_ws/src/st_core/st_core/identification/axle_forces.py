@@ -332,7 +332,7 @@ def make_axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, m
 
     measured_slip: (n,) slip angles of the axle [rad], either sign. original: model before the search. draws: models
     from `draw_models`. alternatives: other models consistent with the drives. The band contains the central 90 % of the
-    draws at each slip, the curve and the alternatives. Raises StCoreError for less than two slip angles or only zeros.
+    draws at each slip, the curve and the alternatives. Raises StCoreError for fewer than two slip angles or only zeros.
     """
     abs_slip = np.abs(np.asarray(measured_slip, float))
     abs_slip = abs_slip[np.isfinite(abs_slip)]
@@ -380,7 +380,7 @@ def compute_force_error(model: str | Model, vehicle: VehicleParameters, samples:
 
         sqrt(mean over bins of (F_model(alpha) - mean F)^2) / max (mean F),    mean F: mean measured force of a bin
 
-    The bins are those of `AxleSamples.bin_forces`, equally wide in |slip|, so that straights do not outweigh bends.
+    The bins are those of `AxleSamples.bin_forces`, equally wide in |slip|, so that straights do not outweigh corners.
     """
     slip, force = samples.bin_forces()
     return float(np.sqrt(np.mean((compute_axle_force(model, vehicle, samples.axle, slip) - force) ** 2)) / force.max())

@@ -1,7 +1,7 @@
 """Node passenger: serves the passenger's page of a running suite.
 
 The node has its own process, and subscribes with best-effort reliability and short queues. Publishers neither wait for
-it nor send messages again, so it can be slow, stopped or killed without delaying a prediction.
+it nor retransmit messages, so it can be slow, stopped or killed without delaying a prediction.
 """
 
 import json
@@ -39,7 +39,7 @@ DIAGNOSTICS_TIMEOUT = 3.0  # s without a message on /diagnostics_agg, which the 
 BAND_LEVEL = 0.9
 LEVEL_NAMES = ("ok", "warning", "error", "error")  # of diagnostic_msgs; stale counts as an error
 INPUTS_OF_MODE = {"forecast": "held", "course": "of the course", "plan": "planned"}  # the last mode with data is shown
-TOPICS = {  # by topic: kind of message, type, and queue depth; the scores of all models arrive together
+TOPICS = {  # by topic: kind of message, type, and queue depth; the errors of all models arrive together
     "predictor/status": ("status", PredictorStatus, 3), "ins/status": ("ins_status", InsStatus, 3),
     "ins/odometry": ("odometry", Odometry, 3), "vehicle/steering": ("steering", Steering, 3),
     **{topic: (mode, kind, 3) for (mode, _), (topic, kind) in convert.list_prediction_topics(MODEL_COLOUR).items()},

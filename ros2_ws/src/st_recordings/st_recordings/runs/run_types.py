@@ -1,4 +1,4 @@
-"""Types for a run before and after it is read, and for the settings with which it is read."""
+"""Types of a run before and after reading, and of the settings for reading it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -46,8 +46,8 @@ class RunSource:
     """The files of one run, and the settings of its run.yaml.
 
     settings: offset (INS minus CAN clock [s]), ins_can_latency (value, standard deviation [s]), dbc, signals (paths),
-    layout (columns.Layout, of a table), columns (channel -> channel that contains it, of other files), correct (channel
-    -> Correction), leave_out ((start, end) [s]).
+    layout (columns.Layout, of a table), columns (channel -> recorded channel that supplies it, for other files),
+    correct (channel -> Correction), leave_out ((start, end) [s]).
     """
 
     name: str
@@ -56,7 +56,7 @@ class RunSource:
     can: tuple[Path, ...] = ()  # CAN logs; empty also for a bag that itself contains the frames
     labels: tuple[Label, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
-    problem: RunError | None = None  # why the source cannot be a run
+    problem: RunError | None = None  # why the source is not a usable run
     run_file: Path | None = None
     notes: tuple[str, ...] = ()  # warnings about the choice of files
 
