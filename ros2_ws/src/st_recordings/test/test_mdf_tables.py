@@ -158,7 +158,7 @@ def test_texts_arrays_and_repeated_names(tmp_path):
 
 
 def test_advice_for_many_drives_names_the_extension_of_the_file(drive, tmp_path):
-    file = write_signals(tmp_path / "drive.mf4", drive, yaw="Kurs")
+    file = write_signals(tmp_path / "drive.mf4", drive, yaw="Gierw")
     with pytest.raises(RunError, match=r"`csv: drive\.mf4` and .*`each: '\*\.mf4'`"):
         read(find_runs([file])[0], CAR)
 
