@@ -85,7 +85,7 @@ def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters
     Label times are relative to the first INS sample, so they are shifted if the first samples are left out.
     """
     excluded_intervals = source.settings.get("leave_out", ())
-    sources: dict[str, str] = source.settings.get("columns", {})  # channel -> channel that contains it, {} for tables
+    sources: dict[str, str] = source.settings.get("columns", {})  # channel -> recorded channel, {} for tables
     corrections: dict[str, Correction] = dict(source.settings.get("correct", {}))
     notes = list[str]()
     rate = corrections.get("yaw_rate")
