@@ -38,7 +38,7 @@ PAGE = project_root() / "docs" / "measurements" / "discovery_limits.md"
 LINES = project_root() / ".st" / "strangers" / "ablation.jsonl"
 DIVERSE_CASES = ("light_ev_ratio", "suv_worn_rear", "van_lever", "escort_ratio", "saloon_worn_front",
                  "bmw_320i_gyro_bias", "hatchback_load", "light_ev_load", "estate_healthy")
-LIMITS = ("max_file_deviation", "min_relative_size", "min_peak_force", "max_unmodelled_gain", "max_noise_ratio")
+LIMITS = ("max_file_deviation", "min_relative_size", "min_peak_force", "unexplained_share", "max_noise_ratio")
 SEARCH, PARTITIONS = sys.modules[Search.__module__], sys.modules[make_partitions.__module__]
 IN_SEARCH: dict[str, Any] = {
     **dict.fromkeys(("MAX_QUADRATIC_RISE", "RMS_CLIP_LIMIT", "DIVERGED_ERROR"), fit),

@@ -446,13 +446,14 @@ def test_bias_of_velocity_that_is_a_scale_in_a_half_at_constant_speed_is_no_chan
     assert any(finding.times for finding in checked.findings) is is_reported
 
 
-@pytest.mark.parametrize("turns", [True, False])
-def test_positions_on_another_clock_than_velocities_and_accelerations_are_one_finding(leaf, turns):
+@pytest.mark.parametrize(("turns", "lag", "verb"), [(True, 0.3, "lag"), (False, 0.3, "lag"), (True, -0.3, "lead")])
+def test_positions_on_another_clock_than_velocities_and_accelerations_are_one_finding(leaf, turns, lag, verb):
     channels = ("x", "y", "yaw") if turns else ("x", "y")
-    log = delay(exact_drive(leaf) if turns else drive_straight(leaf, 0.0), 0.3, *channels)
+    log = delay(exact_drive(leaf) if turns else drive_straight(leaf, 0.0), lag, *channels)
     (finding,) = check(log, leaf).findings
     assert (finding.name, finding.channels) == ("position_lag", channels)
-    assert finding.value == pytest.approx(0.3, abs=0.01)
+    assert finding.value == pytest.approx(lag, abs=0.01)
+    assert f"{verb} velocities" in finding.statement and "by -" not in finding.statement
     assert check(corrected_drive(log, finding.advice.entry, leaf), leaf).findings == ()
 
 

@@ -196,7 +196,7 @@ def test_relaxation_at_its_limit_makes_yaw_inertia_unidentifiable(leaf, monkeypa
         monkeypatch.setattr("st_core.identification.driving_prediction.fit_driving", fit_at_bound)
         inertia = identify_yaw_inertia(logs, leaf, "linear")["yaw_inertia"]
         assert inertia.status == status
-        assert ("tyre_relaxation 1.5 m is at its limit" in inertia.verdict) == (length > 0.0)
+        assert ("tyre_relaxation 1.5 m is at its upper limit" in inertia.verdict) == (length > 0.0)
 
 
 @pytest.mark.parametrize("measured", [True, False])

@@ -326,8 +326,8 @@ def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 
 def _attribute_lags(results: Results) -> None:
-    """If the accelerations, and the yaw rate if the car turns, lag as much as the velocities, name the positions, and
-    yaw, which lead, instead."""
+    """If the accelerations, and the yaw rate if the car turns, have the lag of the velocities, attribute a lag of
+    opposite sign to the positions, and to yaw."""
     velocity, estimates = find(results.findings, "velocity_lag"), results.estimates
     known = {name for name in SAME_CLOCK if name in estimates}
     if velocity is None or velocity.interval is None or find(results.findings, "position_lag") or (
@@ -338,8 +338,8 @@ def _attribute_lags(results: Results) -> None:
         estimates[name].value + lag.value) < LIMITS.severe_lag + estimates[name].half_width}
     if known - same - {"steering_lag"}:
         return
-    turns = "yaw_rate_lag" in same
-    text = f"positions{' and yaw' * turns} lag velocities, accelerations{' and yaw_rate' * turns} by {lag} s"
+    turns, verb = "yaw_rate_lag" in same, "lag" if lag.value > 0.0 else "lead"
+    text = f"positions{' and yaw' * turns} {verb} velocities, accelerations{' and yaw_rate' * turns} by {abs(lag)} s"
     correct = {name: {"earlier": float(f"{lag.value:.5g}")} for name in ("position", *["yaw"] * turns)}
     finding = replace(velocity, name="position_lag", channels=("x", "y", *["yaw"] * turns), statement=text,
                       value=lag.value, interval=lag.interval, alternatives=(),

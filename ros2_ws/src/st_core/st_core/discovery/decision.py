@@ -183,12 +183,12 @@ def judge_reporting(e: Evidence, limits: Limits, excludes_null: bool = True, par
     if e.position_reduction < -limits.relevant_position and not confirmed_by_sensors:
         return demote(f"without it the held-out position error is {-100 * e.position_reduction:.1f} cm smaller",
                       position=e.position_reduction, relevant_position=limits.relevant_position)
-    if e.noise_ratio > limits.max_noise_ratio and e.gain < limits.max_unmodelled_gain and not confirmed_by_sensors:
+    if e.noise_ratio > limits.max_noise_ratio and e.gain < limits.unexplained_share and not confirmed_by_sensors:
         return demote(f"it is significant, but reduces the errors by {100 * e.reduction:.1f} %, and one channel's "
-                      f"error remains {e.noise_ratio:.1f} times the noise; {100 * limits.max_unmodelled_gain:.0f} % is "
+                      f"error remains {e.noise_ratio:.1f} times the noise; {100 * limits.unexplained_share:.0f} % is "
                       "needed, as unmodelled effects may cause smaller reductions", gain=e.gain,
                       noise_ratio=e.noise_ratio, max_noise_ratio=limits.max_noise_ratio,
-                      unexplained_share=limits.max_unmodelled_gain)
+                      unexplained_share=limits.unexplained_share)
     if not excludes_null and not confirmed_by_sensors:
         return demote("it reduces the errors, but the interval of its value includes the null value")
     channel, reduction = find_most_affected(e, limits)
@@ -219,7 +219,7 @@ def judge_alternative(rival: Rival, limits: Limits) -> Reason:
     """Verdict on a rival as an alternative to an effect of the final model."""
     figures = {"share": rival.gain_ratio, "added": rival.added, "p_no_worse": rival.p_no_worse,
                "deficit": rival.deficit, "min_rival_gain": limits.min_rival_gain, "undecided_p": limits.undecided_p,
-               "unexplained_share": limits.max_unmodelled_gain}
+               "unexplained_share": limits.unexplained_share}
     replaced_name = rival.replaces.replace("_", " ")
     gain = f"in place of {replaced_name} it achieves {100 * rival.gain_ratio:.0f} % of that effect's error reduction"
     gain += f", and in addition to it {100 * rival.added:.0f} %" if rival.added >= 0.005 else ""
@@ -238,7 +238,7 @@ def judge_alternative(rival: Rival, limits: Limits) -> Reason:
 
 def explains_less(rival: Rival, limits: Limits) -> bool:
     """Whether errors are significantly larger with the rival, and by more than unmodelled effects may cause."""
-    is_inconclusive = rival.evidence.noise_ratio > limits.max_noise_ratio and rival.deficit < limits.max_unmodelled_gain
+    is_inconclusive = rival.evidence.noise_ratio > limits.max_noise_ratio and rival.deficit < limits.unexplained_share
     return rival.p_no_worse < limits.undecided_p and not is_inconclusive
 
 

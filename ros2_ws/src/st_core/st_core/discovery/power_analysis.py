@@ -69,7 +69,7 @@ def _required_gain(problem: Problem, residuals: np.ndarray, change: np.ndarray, 
     reduction = float(np.nanmean(unmodelled - modelled)) if np.isfinite(modelled).any() else 0.0  # [m]
     min_gain = limits.negligible if reduction > limits.relevant_position else limits.relevant
     has_unexplained_residual = residual_over_noise(problem, residuals) > limits.max_noise_ratio
-    return max(min_gain, limits.max_unmodelled_gain) if has_unexplained_residual else min_gain
+    return max(min_gain, limits.unexplained_share) if has_unexplained_residual else min_gain
 
 
 def measure_power(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callable[[], None]) -> PowerAnalysis:

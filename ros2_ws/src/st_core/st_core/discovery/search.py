@@ -159,11 +159,11 @@ class Search:
 
     def _find_near_sets(self, state: SearchState) -> list[NearSet]:
         """Sets fitted at the final residual scale with a held-out loss per residual that is lower than that of the
-        final set, or higher by less than `limits.max_unmodelled_gain`; none if the residual is near the noise."""
+        final set, or higher by less than `limits.unexplained_share`; none if the residual is near the noise."""
         p, limits = self.problem, self.limits
         if max((e.noise_ratio for e in state.evidence.values()), default=0.0) <= limits.max_noise_ratio:
             return []
-        limit = state.fit.held_out.sum() + limits.max_unmodelled_gain * p.residual_count
+        limit = state.fit.held_out.sum() + limits.unexplained_share * p.residual_count
         return [near for scale, near, loss in self._fits_tried if scale is p.loss.scale and loss < limit]
 
     def _step_from(self, fit: Fit, revisit: bool = False) -> SearchState | None:

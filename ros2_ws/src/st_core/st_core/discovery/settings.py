@@ -43,7 +43,7 @@ class Limits:
     # Largest gain that unmodelled effects may cause, if the residual exceeds `max_noise_ratio` times the noise [1]. An
     # effect must gain more to be reported as a cause. A rival that gains less than an effect by up to this amount
     # remains an alternative, and intervals include the values of effect sets that increase the loss by up to it.
-    max_unmodelled_gain: float = 0.2
+    unexplained_share: float = 0.2
     max_noise_ratio: float = 2.0  # ratio of residual to noise above which the residual is reported as unexplained [1]
     detection_power: float = 0.8  # minimum power at which a size counts as detectable [1]
     max_effects: int = 16  # largest number of effects in a model

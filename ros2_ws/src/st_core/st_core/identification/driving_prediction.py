@@ -176,8 +176,9 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     inertia = VEHICLE_QUANTITIES["yaw_inertia"].clip(estimate.value)
     implausible = [text for text in find_implausible_values(replace(vehicle, yaw_inertia=inertia))
                    if text.startswith("yaw_inertia")]
-    if RELAXATION in fit.at_bound and (length := fit.values[fit.names.index(RELAXATION)]) > 1.0:  # m: upper bound
-        implausible.append(f"{RELAXATION} {length:.2g} m is at its limit")
+    length, limits = fit.values[fit.names.index(RELAXATION)], get_effect(RELAXATION).parameters[0].bounds
+    if RELAXATION in fit.at_bound and length > 0.5 * sum(limits):
+        implausible.append(f"{RELAXATION} {length:.2g} m is at its upper limit")
     if implausible:
         text = f"{implausible[0]}: the transients are too weak, or steering or tyre dynamics are mistaken for inertia."
         warnings.append(text)

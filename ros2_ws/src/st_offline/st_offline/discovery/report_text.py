@@ -37,7 +37,7 @@ EFFECT_NOTE = ("Errors are those of the complete model on held-out driving; \"wi
                f"redundant sensors confirm is also reported, if it is at least {LIMITS.min_relative_size:g} times its "
                "typical size")
 PAIR_HEAD = ("effect", "alternative", f"fraction of the improvement (limit {100 * LIMITS.min_rival_gain:.0f} %)",
-             f"increase of the residual (limit {100 * LIMITS.max_unmodelled_gain:.0f} %)",
+             f"increase of the residual (limit {100 * LIMITS.unexplained_share:.0f} %)",
              f"p (limit {LIMITS.undecided_p:g})", "cosine", "separation, σ of the noise")
 
 
