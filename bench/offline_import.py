@@ -106,7 +106,7 @@ def measure_import(logs: Path, output: Path) -> dict:
 def measure_evaluate(source: Path, output: Path) -> dict:
     """Runs the command as a user does, but in this process."""
     import psutil
-    from st_cli import cli
+    from st_cli.__main__ import main
     from st_offline.evaluation import evaluation_command, work
     from st_recordings.runs import bag, load
 
@@ -115,7 +115,12 @@ def measure_evaluate(source: Path, output: Path) -> dict:
              "starts_csv": (work, "write_starts"), "draw": (work, "draw_run"),
              "report": (evaluation_command, "write_results")}
     seconds = _time_functions(parts)
-    status = cli.app(["evaluate", str(source), "--output", str(output)], standalone_mode=False)
+    status: object = 0
+    sys.argv = ["st", "evaluate", str(source), "--output", str(output)]
+    try:
+        main()
+    except SystemExit as exit_request:
+        status = exit_request.code
     wall = time.time() - psutil.Process().create_time()
     return {"exit_status": status or 0, **_time_parts(seconds, wall)}
 

@@ -16,7 +16,7 @@ _RATE_INTERVAL = 0.5  # minimum time between two updates of the frame rates [s]
 
 
 class Health:
-    """Checks the bus, age of signals, bad frames and implausible signals by counts of the decoder and receiver."""
+    """Checks the bus, age of signals, bad frames and implausible signals, from counts of decoder and receiver."""
 
     def __init__(self, bus_name: str, decoder: Decoder, receiver_status: Callable[[], ReceiverStatus],
                  now_ns: Callable[[], int]):
@@ -39,8 +39,7 @@ class Health:
         status = self._receiver_status()
         now = time.monotonic()
         # The checks also run at every change of the bus state; a rate over a few milliseconds would be meaningless.
-        elapsed = now - self._rates_updated_at
-        if elapsed > _RATE_INTERVAL:
+        if (elapsed := now - self._rates_updated_at) > _RATE_INTERVAL:
             good = {name: self._decoder.statistics(name).good for name in self._decoder.table.messages}
             counts, previous = {"": status.frames, **good}, self._previous_counts
             self._rates = {name: (count - previous.get(name, 0)) / elapsed for name, count in counts.items()}

@@ -29,8 +29,8 @@ def replace_gps_time(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _from_date_time(parts: Mapping[str, np.ndarray]) -> np.ndarray:
-    """UTC [s since 1970] of a date and time in GPS time; NaN if the date, hour or minute is invalid."""
-    n = {name: np.nan_to_num(part, nan=-1).astype(np.int64) for name, part in parts.items()}
+    """UTC [s since 1970] of a date and time in GPS time; NaN if the date, hour or minute is missing or invalid."""
+    n = {name: np.nan_to_num(part, nan=9999).astype(np.int64) for name, part in parts.items()}
     year, month, day = n["gps_century"] * 100 + n["gps_year_of_century"], n["gps_month"], n["gps_day"]
     is_month = (year >= 1) & (year <= 9999) & (month >= 1) & (month <= 12)
     months = np.where(is_month, (year - 1970) * 12 + month - 1, 0)  # since 1970-01
@@ -47,7 +47,7 @@ def _to_utc(gps_as_unix: np.ndarray) -> np.ndarray:
 
 
 def split_unix_time(unix_time: float, names: frozenset[str]) -> dict[str, float]:
-    """GPS time of UTC [s since 1970]: GPS_SECONDS_PARTS if `names` has gps_time, else DATE_TIME_PARTS to 0.01 s."""
+    """GPS time at UTC [s since 1970]: GPS_SECONDS_PARTS if `names` has gps_time, else DATE_TIME_PARTS to 0.01 s."""
     leap = leap_seconds_at_utc(unix_time)
     if "gps_time" in names:
         # Sign as in NCOM: UTC - GPS time, which is negative.

@@ -16,7 +16,7 @@ from st_msgs.msg import CanFrames, InsOnCan, Steering, WheelSpeeds
 from st_ros import parameters, spin
 from st_ros.diagnostics import Diagnostics
 from st_ros.parameters import ConfigurationError, Parameter
-from st_ros.polling import SAMPLE_QOS, OnDemandPublisher, from_nanoseconds
+from st_ros.polling import SAMPLE_QOS, OnDemandPublisher, create_steady_timer, from_nanoseconds
 from std_msgs.msg import Header
 
 from .decode import DecodedFrame, Decoder, SteeringCalibration
@@ -70,7 +70,7 @@ class CanedgeBridge(Node):
         self._frames: deque[bytes] = deque()  # serialised, not published yet
         if settings.publish_frames:
             self._can_frames = self.create_publisher(CanFrames, "can/frames", SAMPLE_QOS)
-            self._frames_timer = self.create_timer(FRAMES_PERIOD, self._publish_frames)
+            create_steady_timer(self, FRAMES_PERIOD, self._publish_frames)
         self._receiver = Receiver(
             self._open, self._on_frame, on_state=self._on_state, on_error=self._on_error,
             silence=settings.silence_after,
@@ -123,12 +123,12 @@ class CanedgeBridge(Node):
         if sensor is not None and self._calibration is not None:
             steering_wheel_angle, road_wheel_angle = self._calibration.convert(sensor)
             self._steering.publish(Steering(
-                header=_header(decoded.time_ns - self._latency_ns), valid=decoded.valid,
+                header=_make_header(decoded.time_ns - self._latency_ns), valid=decoded.valid,
                 steering_wheel_angle=steering_wheel_angle, road_wheel_angle=road_wheel_angle))
         if self._wheel_speeds.has_subscribers() and (fields := _select_fields(decoded, _WHEEL_SPEEDS)):
-            self._wheel_speeds.publish(WheelSpeeds(header=_header(decoded.time_ns), valid=decoded.valid, **fields))
+            self._wheel_speeds.publish(WheelSpeeds(header=_make_header(decoded.time_ns), valid=decoded.valid, **fields))
         if self._ins_on_can.has_subscribers() and (fields := _select_fields(decoded, _INS)):
-            self._ins_on_can.publish(InsOnCan(header=_header(decoded.time_ns), **fields))
+            self._ins_on_can.publish(InsOnCan(header=_make_header(decoded.time_ns), **fields))
 
     def _publish_frames(self) -> None:
         # The length is read only once, because the receive thread keeps appending frames.
@@ -186,7 +186,7 @@ def serialise_frames(frames: list[bytes], bus: str) -> bytes:
     return b"".join((_CDR_HEADER, head, struct.pack("<I", len(frames)), *frames))
 
 
-def _header(time_ns: int) -> Header:
+def _make_header(time_ns: int) -> Header:
     return Header(stamp=from_nanoseconds(time_ns))
 
 

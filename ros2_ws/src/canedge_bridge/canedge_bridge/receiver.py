@@ -18,7 +18,7 @@ from .transport import link_is_up
 
 BACK_OFF_FIRST, BACK_OFF_LAST = 0.1, 5.0  # delay before the bus is reopened [s], doubled after each failure
 _RECEIVE_TIMEOUT = 0.2  # timeout of recv [s]; stop(), silence and a removed interface are detected within this time
-_ERROR_PASSIVE_TIMEOUT = 5.0  # s without an error frame; some controllers do not report leaving error-passive
+_ERROR_PASSIVE_TIMEOUT = 5.0  # s without an error frame; some controllers do not report the end of error-passive
 # The host's time replaces a stamp that differs from it by more than this: some adapters count from power-on.
 _MAX_STAMP_OFFSET_NS = 86_400 * 10**9
 
@@ -153,7 +153,10 @@ class Receiver:
             if self._status.state in (BusState.BUS_OFF, BusState.ERROR_PASSIVE):
                 self._set_state(BusState.SILENT, f"{text}, no frame yet")
         elif state is not None:
-            self._set_state(state, text)
+            self._set_state(state, f"{text}; check the bit rate and the wiring")
+        elif (self._status.state in (BusState.OK, BusState.SILENT)
+              and time.monotonic() - self._last_frame_at > self._silence):
+            self._set_state(BusState.SILENT, "only error frames; check the bit rate and the wiring")
 
     def _is_passive(self) -> bool:
         """Whether the state is error-passive and an error frame was received within _ERROR_PASSIVE_TIMEOUT."""
@@ -202,8 +205,7 @@ class Receiver:
 def _error_number(error: BaseException) -> int | None:
     """Error number of a python-can error (`error_code`), an OSError, or the cause of either; None if unknown."""
     for candidate in (error, error.__cause__, error.__context__):
-        code = getattr(candidate, "error_code", None) or getattr(candidate, "errno", None)
-        if code:
+        if code := getattr(candidate, "error_code", None) or getattr(candidate, "errno", None):
             return int(code)
     return None
 

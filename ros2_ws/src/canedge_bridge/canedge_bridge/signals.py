@@ -40,7 +40,8 @@ DEFAULT_STEERING_RANGE = math.radians(180)
 _BYTE_ORDER_MARKS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16", b"\xef\xbb\xbf": "utf-8-sig"}
 """First bytes of a DBC -> its encoding; without them, Windows-1252, which cantools assumes."""
 _MESSAGE = re.compile(r"^BO_ +(?P<id>\d+) +(?P<name>\w+) *:.*\n(?:[ \t]+SG_.*\n|[ \t]*\n(?=[ \t]+SG_))*", re.MULTILINE)
-_SIGNAL_ATTRIBUTE = re.compile(r"^(?:SIG_VALTYPE_|SG_MUL_VAL_) +(?P<id>\d+) .*;", re.MULTILINE)
+_SIGNAL_ATTRIBUTE = re.compile(r'^(?:SIG_VALTYPE_|SG_MUL_VAL_|VAL_(?= +\d+ +\w+(?: +-?\d+ +"[^"\n]*")+ *;)) +'
+                               r"(?P<id>\d+) .*;", re.MULTILINE)
 MAX_STANDARD_ID, MAX_EXTENDED_ID = 0x7FF, 0x1FFFFFFF
 
 
@@ -72,6 +73,9 @@ class SignalSpec:
     def to_si(self, data: Data) -> Any:
         """The signal's value in SI units (or in UNCONVERTED_UNITS), in one frame or in all frames of a log."""
         value = self.extractor.extract(data)
+        if self.dbc.choices and self.name == "steering_wheel_angle":  # a named value, such as SNA, is no angle unless 0
+            named = [angle for raw in self.dbc.choices if (angle := raw * self.dbc.scale + self.dbc.offset)]
+            value = np.where(np.isin(value, named), np.nan, value)[()]
         if self.sign is not None:
             value = value * (1 - 2 * ((self.sign.extract(data) != 0) & self.sign.is_present(data)))
         value = self.gain * value + self.bias
@@ -156,9 +160,8 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Sequence[
         entry = entries.entry(name)
         if [m.name for m in database.messages].count(name) > 1:
             raise ConfigurationError(f"{dbc_path}: defines {name} more than once; keep one definition")
-        is_needed = entry.get("needed", bool)
-        if needed:
-            is_needed = name in needed
+        is_stated = entry.get("needed", bool)
+        is_needed = name in needed if needed else is_stated
         if name in defined:
             messages[name] = _read_message(entry, defined[name], dbc_path, is_needed)
         elif is_needed:
@@ -176,6 +179,8 @@ def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
     try:
         content = path.read_bytes()
         kind = {".kcd": "kcd", ".sym": "sym", ".arxml": "arxml"}.get(path.suffix.lower(), "dbc")
+        if match := re.match(rb"\W*<.*?(NetworkDefinition|AUTOSAR)\b", content[:4096], re.DOTALL):
+            kind = "kcd" if match[1] == b"NetworkDefinition" else "arxml"  # whatever the extension
         codec = "utf-8" if kind in ("kcd", "arxml") else "cp1252"
         codec = next((name for mark, name in _BYTE_ORDER_MARKS.items() if content.startswith(mark)), codec)
         text = content.decode(codec, "replace")
@@ -205,8 +210,9 @@ def _reduce_dbc(text: str, names: frozenset[str]) -> str:
     ids = {block["id"] for block in blocks}
     attributes = [line[0] for line in _SIGNAL_ATTRIBUTE.finditer(text) if line["id"] in ids]
     reduced = "\n".join([*(block[0] for block in blocks), "", *attributes, ""])
-    reduced = re.sub(r"^((?:BO_|SIG_VALTYPE_|SG_MUL_VAL_) +)(\d+)", add_flag, reduced, flags=re.MULTILINE)
-    reduced = re.sub(r"^([ \t]+SG_ +|(?:SIG_VALTYPE_|SG_MUL_VAL_) +\d+ +)(?=\d)", r"\1_", reduced, flags=re.MULTILINE)
+    reduced = re.sub(r"^((?:BO_|SIG_VALTYPE_|SG_MUL_VAL_|VAL_) +)(\d+)", add_flag, reduced, flags=re.MULTILINE)
+    reduced = re.sub(r"^([ \t]+SG_ +|(?:SIG_VALTYPE_|SG_MUL_VAL_|VAL_) +\d+ +)(?=\d)", r"\1_", reduced,
+                     flags=re.MULTILINE)
     reduced = re.sub(r"(?<=[(\[,|])(-?)(?=\.\d)", r"\g<1>0", reduced)
     return f'VERSION ""\n\nBS_:\n\nBU_: X\n\n{reduced}' if blocks else ""
 
@@ -243,9 +249,8 @@ def _read_message(entry: Entry, dbc: DbcMessage, dbc_path: Path, is_needed: bool
 
 
 def _find_signal(dbc: DbcMessage, name: str, dbc_path: Path, entry: Entry) -> DbcSignal:
-    for signal in dbc.signals:
-        if signal.name == name:
-            return signal
+    if (signal := next((s for s in dbc.signals if s.name == name), None)) is not None:
+        return signal
     raise ConfigurationError(f"{dbc_path}: {dbc.name} has no signal {name}, which {entry.origin} names; "
                              f"it has {', '.join(s.name for s in dbc.signals)}")
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from st_core import yaml_text
-from st_core.errors import ConfigurationError
+from st_core.errors import ConfigurationError, add_prefix
 
 
 def read_text(path: Path | str) -> str:
@@ -21,10 +21,7 @@ def read_text(path: Path | str) -> str:
 def read_document(path: Path) -> Any:
     """The document in a file; None if empty. Raises ConfigurationError, one line that begins with the path."""
     text = read_text(path)
-    try:
-        return yaml_text.load(text)
-    except ConfigurationError as error:
-        raise ConfigurationError(f"{path}: {error}") from None
+    return add_prefix(f"{path}: ", lambda: yaml_text.load(text))
 
 
 def to_one_line(error: object) -> str:

@@ -148,6 +148,16 @@ def test_value_that_is_not_finite_updates_nothing(dbc_file, edit_table, tmp_path
     assert (statistics.not_finite, statistics.last_seen_ns) == (2, None)
 
 
+def test_named_value_of_the_steering_is_no_angle(dbc_file, signals_file, tmp_path):
+    path = tmp_path / "named.dbc"
+    path.write_text(dbc_file.read_text() + '\nVAL_ 2 SteeringWheelAngle 3000 "SNA" 0 "straight" ;\n')
+    decoder = Decoder(path, signals_file)
+    for count, (degrees, is_angle) in enumerate([(-300.0, False), (0.0, True), (0.1, True), (-300.0, False)]):
+        decoded = decoder.decode(encode_steering(decoder, count, math.radians(degrees)), count * STEP)
+        assert (decoded is not None) == is_angle, degrees
+    assert decoder.statistics("Leaf_Steering").not_finite == 2
+
+
 def test_implausible_angle_updates_nothing(decoder):
     assert decoder.decode(encode_steering(decoder, 0, 0.0), 0) is not None
     assert decoder.decode(encode_steering(decoder, 1, math.radians(1200)), STEP) is None

@@ -30,6 +30,7 @@ def test_time_near_a_leap_second_is_unchanged_by_conversion_to_gps_and_back(arou
 
 
 @pytest.mark.parametrize("invalid", [{"gps_month": 0}, {"gps_month": 13}, {"gps_day": 31, "gps_month": 2},
-                                     {"gps_hour": 24}, {"gps_minute": 60}])
+                                     {"gps_hour": 24}, {"gps_minute": 60}, {"gps_hour": math.nan},
+                                     {"gps_minute": math.nan}, {"gps_century": math.nan}])
 def test_invalid_date_gives_nan(invalid):
     assert math.isnan(replace_gps_time(split_unix_time(1.7e9, frozenset(DATE_TIME_PARTS)) | invalid)["ins_unix_time"])

@@ -117,6 +117,24 @@ def test_bus_off_lasts_until_the_next_frame(bus, frame, start_receiver, wait_unt
     assert wait_until(lambda: receiver.status().state is BusState.OK)
 
 
+@pytest.mark.parametrize("has_frames", [False, True], ids=["from the start", "after data frames"])
+def test_bus_with_nothing_but_error_frames_is_silent(has_frames, bus, start_receiver, wait_until):
+    """As with a wrong bit rate; the stream of error frames has no pause in which a timeout could detect the silence."""
+    receiver = start_receiver(make_opener(bus), silence=0.3)
+    assert wait_until(lambda: receiver.status().open_count == 1)
+    if has_frames:
+        bus.send(data_frame())
+        assert wait_until(lambda: receiver.status().state is BusState.OK)
+    end = time.monotonic() + 10
+    while "only error frames; check the bit rate" not in receiver.status().reason:
+        assert time.monotonic() < end, receiver.status()
+        bus.send(error_frame(0x008))
+        time.sleep(0.02)
+    assert receiver.status().state is BusState.SILENT
+    bus.send(data_frame())
+    assert wait_until(lambda: receiver.status().state is BusState.OK)
+
+
 def test_bus_absent_at_the_start_is_reported_once_and_opened_later(start_receiver, wait_until):
     present = threading.Event()
 

@@ -181,14 +181,23 @@ def test_database_of_another_format_gives_the_same_signals(kind, dbc_file, signa
         load_table(file, signals_file)
 
 
+@pytest.mark.parametrize("extension", [".dbc", ".arxml"])
+def test_kcd_is_read_whatever_its_extension(extension, dbc_file, tmp_path):
+    file = tmp_path / f"car{extension}"
+    file.write_text(cantools.database.load_file(dbc_file).as_kcd_string())
+    assert [m.name for m in load_dbc(file).messages] == [m.name for m in load_dbc(dbc_file).messages]
+
+
 def test_dbc_without_the_flag_of_29_bits_and_with_names_that_begin_with_a_digit_is_read(tmp_path):
     """Examples in commaai/opendbc: vw_mqbevo.dbc, psa_aee2010_r3.dbc, _stellantis_common.dbc."""
     file = tmp_path / "car.dbc"
     file.write_text('VERSION ""\nBU_: X\n\nBO_ 316522407 Wheel: 8 X\n SG_ 0_COUNTER : 0|4@1+ (1,0) [0|15] "" X\n'
-                    ' SG_ Angle : 8|32@1- (.25,-.5) [-.5|1] "deg" X\n\nSIG_VALTYPE_ 316522407 Angle : 1;\n')
+                    ' SG_ Angle : 8|32@1- (.25,-.5) [-.5|1] "deg" X\n\nSIG_VALTYPE_ 316522407 Angle : 1;\n'
+                    'VAL_ 316522407 0_COUNTER 15 "SNA" ;\nVAL_ 316522407 Angle 1 "a" 2 "cut;\n')
     with pytest.raises(ConfigurationError, match="not a valid DBC"):
         load_dbc(file)
     (message,) = load_dbc(file, ["Wheel"]).messages
     assert (message.frame_id, message.is_extended_frame) == (316522407, True)
     counter, angle = message.signals
     assert (counter.name, angle.scale, angle.offset, angle.conversion.is_float) == ("_0_COUNTER", 0.25, -0.5, True)
+    assert (counter.choices, angle.choices) == ({15: "SNA"}, None)

@@ -42,7 +42,7 @@ class Validity:
     flag_valid: int = 0
 
 
-ALWAYS = Validity("always", lambda raw, data: True, invalid_raw=0)
+ALWAYS = Validity("none", lambda raw, data: True, invalid_raw=0)
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ class Field:
         if low <= number <= high and accepts(number, _VALID_FLAGS):
             return number
         if unscaled:
-            raise NcomError(f"{self.name}: {value} does not fit: expected {low} to {high}; valid: {self.validity.text}")
+            raise NcomError(f"{self.name}: {value} does not fit: range {low} to {high}; condition {self.validity.text}")
         while not accepts(number, _VALID_FLAGS):
             number += 1 if number <= 0 else -1
         return number
@@ -428,9 +428,9 @@ def decode_utc_offset(data: bytes) -> int | None:
 def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
     """The 8 bytes of a channel.
 
-    A missing field, None or NaN is encoded as invalid, or as 0 if the format has no such code. The multiplier of
-    the long-range lever arm (channel 57) is 1, so its components are limited to 32.767 m. Raises NcomError for an
-    unknown channel or field, an unscaled number out of range, or a missing field whose flag byte declares others valid.
+    A missing field, None or NaN is encoded as invalid, or as 0 without such a code. The multiplier of the long-range
+    lever arm (channel 57) is 1, so its components are limited to 32.767 m. Raises NcomError for an unknown channel or
+    field, an unscaled number out of range, or a missing field without a code if its flag byte declares others valid.
     """
     fields = FIELDS.get(channel)
     if fields is None:

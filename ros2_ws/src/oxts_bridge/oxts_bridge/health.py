@@ -66,11 +66,13 @@ class Health:
             return Check("source", ERROR, source.problem, values)
         if source.is_done:
             return Check("source", OK, f"{source.name}: replay finished", values)
-        ignored = source.ignored_from_other_ports - self._previous_ignored
-        self._previous_ignored = source.ignored_from_other_ports
+        ignored = source.competing_datagrams - self._previous_ignored
+        self._previous_ignored = source.competing_datagrams
         if ignored > 0:
-            text = f"{ignored} datagrams from other ports of {source.sender} ignored since the last report"
-            return Check("source", WARN, f"{source.name}: {text}", values)
+            others = [name for name in source.ignored_datagrams if name != source.sender]
+            text = (f"{ignored} datagrams ignored since the last report; senders ignored so far: {', '.join(others)}; "
+                    "let one program send from the address of your unit, and set sender_filter to this address")
+            return Check("source", WARN, f"{source.name} from {source.sender}: {text}", values)
         if source.ignored_datagrams and not source.sender:
             return Check("source", WARN, f"{source.name}: receives only from ignored senders "
                          f"({', '.join(source.ignored_datagrams)}); check sender_filter", values)
@@ -99,7 +101,8 @@ class Health:
             return Check("stream", ERROR, f"no NCOM packet yet ({source.name}: {source.datagrams} datagrams "
                          "received); check the address and port to which the unit sends, and the cable", values)
         if age > self._silence_after:
-            return Check("stream", ERROR, f"no packet for {age:.1f} s", values)
+            return Check("stream", ERROR, f"no packet for {age:.1f} s: check the unit, the cable, and that no other "
+                         "program uses the port", values)
         problems = [f"{count} {'late packets' if name == 'late' else name}" for name, count in increments.items()
                     if count > 0]
         if problems:
@@ -165,12 +168,12 @@ class Health:
                                   "UTC offset [s]": "leap-second table" if offset is None else offset}
         differences = self._statistics.summarise_clock_offset() if self._is_live else None
         if differences is None:
-            return Check("time", OK, "no time yet" if self._is_live else "not compared with the host's clock", values)
+            return Check("time", OK, "no UTC yet" if self._is_live else "not compared with the host's clock", values)
         median, percentile_1, newest = differences
         values |= {"stamp minus host, median [s]": median, "stamp minus host, 1st percentile [s]": percentile_1}
         if abs(newest) > MAX_DELAY:
             difference = f"{newest / _DAY:+.1f} days" if abs(newest) > _DAY else f"{newest:+.0f} s"
-            text = f"packet times differ from the host's clock by {difference}: wrong date, or packets of a recording"
+            text = f"packet times differ from the host's clock by {difference}: check both clocks; is it a recording?"
             return Check("time", ERROR, text, values)
         if abs(median) > MAX_CLOCK_OFFSET:
             text = f"packet times differ from the host's clock by {median:+.3f} s: check both clocks"

@@ -68,7 +68,7 @@ class SourceStatus:
     datagrams: int = 0  # received datagrams, or packets of a replay
     # Number from each of the first 16 ignored senders, by address, or by address and port for the address in use.
     ignored_datagrams: dict[str, int] = field(default_factory=dict)
-    ignored_from_other_ports: int = 0  # number from other ports of the address in use
+    competing_datagrams: int = 0  # ignored ones from other ports of this address or, without a filter, from any sender
     progress: float = 0.0  # fraction of the file replayed
     loops: int = 0  # completed passes of a looped replay
 
@@ -156,7 +156,7 @@ class UdpSource(Source):
         address, port = sender
         if sender != self._sender and not self._accepts(address, data):
             same_address = address == self.status.sender
-            self.status.ignored_from_other_ports += same_address
+            self.status.competing_datagrams += same_address or not self._filter
             name, ignored = f"{address} port {port}" if same_address else address, self.status.ignored_datagrams
             if name in ignored or len(ignored) < _MAX_COUNTED_SENDERS:
                 ignored[name] = ignored.get(name, 0) + 1

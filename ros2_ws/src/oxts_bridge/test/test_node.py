@@ -194,6 +194,18 @@ def test_packets_of_other_senders_are_ignored(rig, drive):
     assert rig.check("source")[2]["ignored from 127.0.0.1"] == "10"
 
 
+def test_second_unit_at_another_address_is_reported(rig, drive):
+    rig = rig()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.2", 0))
+        rig.send(*drive(10))
+        rig.messages("ins/odometry", 10)
+        other.sendto(drive(1)[0], ("127.0.0.1", rig.port))
+        text = "1 datagrams ignored since the last report; senders ignored so far: 127.0.0.2; let one program send"
+        assert rig.spin(lambda: any(text in status.message and status.level == bytes([WARN])
+                                    for array in rig.received["/diagnostics"] for status in array.status))
+
+
 def test_busy_port_is_reported_and_opened_when_it_is_free(rig, drive):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", 0))

@@ -151,7 +151,7 @@ class TestTwoUnitsAtOneAddress:
             for k in range(1, 21):
                 other.sendto(packet(START + 4 * k, latitude=latitude_at(6.4)), ("127.0.0.1", port))
                 unit.sendto(packet(START + 4 * k), ("127.0.0.1", port))
-            send_until(unit, port, packet(START + 84), sink, lambda: source.status.ignored_from_other_ports >= 20)
+            send_until(unit, port, packet(START + 84), sink, lambda: source.status.competing_datagrams >= 20)
             name = f"127.0.0.1 port {other.getsockname()[1]}"
         assert source.status.ignored_datagrams == {name: 20}
         assert {data[23:31] for data in sink.data} == {packet(START)[23:31]}
@@ -164,7 +164,7 @@ class TestTwoUnitsAtOneAddress:
             with open_sender() as sock:
                 sock.sendto(data, ("127.0.0.1", port))
         assert sink.wait(lambda: sink.data[-20:] == sent)
-        assert source.status.ignored_from_other_ports == 0
+        assert source.status.competing_datagrams == 0
 
 
 @pytest.mark.parametrize(("changes", "continues"), [

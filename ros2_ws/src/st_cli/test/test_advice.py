@@ -125,6 +125,8 @@ def test_evaluate_writes_advice_table(tmp_path):
     assert [(row["model"], row["step, s"]) for row in rows] == [
         (model, step) for model in ("kinematic", "linear") for step in ("0.05", "0.1", "0.2")]
     assert all(float(row["error 5 s, m"]) > 0.0 for row in rows)
+    assert all(float(row[f"{kind}, µs"]) > 0.0 for kind in COST_KINDS if f"{kind}, µs" in rows[0] for row in rows)
+    assert not any("(" in cell or cell == "-" for row in rows for cell in (*row, *row.values()))
 
 
 def test_zero_tolerance_is_rejected(tmp_path):

@@ -183,7 +183,7 @@ def test_completed_skeleton_passes_the_check_and_loads(skeleton):
     fill_in(skeleton)
     result = st("car", "check", skeleton)
     assert result.exit_code == 0 and not result.stderr, result.stderr
-    car = load_car(str(skeleton))
+    car = load_car(skeleton)
     table = load_table(car.dbc, car.signals)
     assert not table.absent_messages and len(table.messages) == 9
     assert VehicleParameters.from_yaml(car.vehicle.read_text(), str(car.vehicle)).mass == 1590.0

@@ -45,7 +45,7 @@ def faulty_drive(tmp_path_factory):
 def evaluated(faulty_drive, tmp_path_factory):
     """Evaluation of the faulty and the unchanged drive without --force: folder, result, document."""
     base = tmp_path_factory.mktemp("evaluated")
-    result = st("evaluate", faulty_drive, DRIVE, *QUICK, "--output", base / "out")
+    result = st("evaluate", faulty_drive, DRIVE, *QUICK[:-1], "png", "--output", base / "out")
     return base / "out", result, json.loads((base / "out" / "evaluation.json").read_text())
 
 
@@ -142,12 +142,22 @@ def test_unreadable_input_exits_with_2_and_writes_nothing(tmp_path):
     assert result.exit_code == 2 and "no run can be read" in result.output and not (tmp_path / "o").exists()
 
 
+def test_recording_of_two_rows_is_checked(tmp_path):
+    file = tmp_path / "short.csv"
+    file.write_text("".join(DRIVE.read_text().splitlines(keepends=True)[:3]))
+    result = st("check", file, "--vehicle", CAR, "--output", tmp_path / "out")
+    assert result.exit_code == 0 and (tmp_path / "out" / "report.html").exists(), result.output
+
+
 @pytest.mark.slow
 def test_evaluate_excludes_a_run_with_an_error(faulty_drive, tmp_path, evaluated, checked):
     folder, result, content = evaluated
     assert result.exit_code == 1 and "yaw_rate_scale" in result.output and "--force" in result.output
     assert list(content["runs"]) == ["rfs_turn_a"] and list(content["failed"]) == [FILE_NAME]
     assert select_names(content["refused"][FILE_NAME], "error") == {"yaw_rate_scale"}
+    # Figures are drawn before the result of the checks; those of a rejected run are not kept.
+    assert [entry.name for entry in (folder / "runs").iterdir()] == ["rfs_turn_a"]
+    assert {entry.name for entry in folder.iterdir() if entry.is_dir()} == {"runs"}
     # Every output contains the same findings.
     other = checked[2]["runs"]["rfs_turn_a"]["findings"]
     assert content["about"]["rfs_turn_a"]["findings"] == other

@@ -24,7 +24,8 @@ from support import LEAF, ROOT
 casadi = pytest.importorskip("casadi", reason="casadi is not installed")
 
 STATE, INPUTS, H = (1.0, 2.0, 12.0, 0.2, 0.3, 0.25), (0.06, -0.8), 0.05
-EFFECTS = {"tyre_relaxation": {"length": 0.4}, "road_bank": {"angle": 0.05}, "steering_delay": {"time": 0.05}}
+EFFECTS = {"tyre_relaxation": {"length": 0.4}, "road_bank": {"angle": 0.05}, "steering_delay": {"time": 0.05},
+           "sensor_lever_arm": {"x": 0.2, "y": 0.05}}
 
 
 def vehicle(name="leaf"):
@@ -95,6 +96,7 @@ def test_content_of_the_model_description(tmp_path, augmented):
     description = json.loads((out / "model.json").read_text())
     assert (description["model"], description["base"], description["substeps"]) == ("augmented", "nonlinear", 1)
     assert description["vehicle"]["hash"] == vehicle().hash
+    assert description["vehicle"]["cg_to_ins_x"] == pytest.approx(vehicle().cg_to_ins_x + 0.2)
     assert [(s["name"], s["unit"]) for s in description["states"]][-2:] == [
         ("tyre_relaxation.slip_front", "rad"), ("tyre_relaxation.slip_rear", "rad")]
     assert [i["name"] for i in description["inputs"]] == ["road_wheel_angle", "velocity_x_dot"]
@@ -105,27 +107,30 @@ def test_content_of_the_model_description(tmp_path, augmented):
     assert arguments == {"x": [8, 1], "u": [2, 1], "h": [1, 1], "p": [1, 1]}
     assert sorted(description["files"]) == sorted(f.name for f in out.iterdir() if f.suffix == ".casadi")
     readme = (out / "README.md").read_text()
+    assert "INS -0.198 m ahead, 0.05 m left of the CG." in readme
     assert "road-wheel angle is positive to the left. velocity_x_dot is the derivative of velocity_x" in readme
     assert "augmented_step.casadi" in readme and "Not in the equations: steering_delay" in readme
 
 
-def test_bands_are_exported_as_functions_of_state_and_inputs(tmp_path):
+@pytest.mark.parametrize(("run_count", "levels"), [(10, (0.5, 0.9)), (5, (0.5, 0.8))])
+def test_bands_are_exported_as_functions_of_state_and_inputs(tmp_path, run_count, levels):
     rng = np.random.default_rng(1)
     time = 0.5 * np.arange(1, 11)
-    runs = [ErrorSamples(f"run {k}", rng.uniform(0.0, (26.0, 8.0, 6.0, 1.0), (400, 4)),
-                         {("linear", "hindsight"): 0.1 * rng.standard_normal((400, 1, 3)) * time[:, None]})
-            for k in range(10)]
+    runs = [ErrorSamples(f"run {k}", rng.uniform(0.0, (26.0, 8.0, 6.0, 1.0), (2000, 4)),
+                         {("linear", "hindsight"): 0.1 * rng.standard_normal((2000, 1, 3)) * time[:, None]})
+            for k in range(run_count)]
     settings, key = EvaluationSettings(PredictionSettings(step=0.5)), ("linear", "hindsight")
     bands = Bands(vehicle().name, vehicle().hash, settings.as_dict(), {"drawn": "0" * 64}, len(runs),
-                  CalibrationDomain.from_runs([one.conditions for one in runs]), {key: calibrate(runs, key, time)},
+                  CalibrationDomain.from_runs([one.conditions for one in runs]),
+                  {key: calibrate(runs, key, time, levels)},
                   {"linear": hash_configuration(vehicle(), settings.as_dict(), "")})
     file, out = tmp_path / "bands.yaml", tmp_path / "out"
     file.write_text(bands.to_yaml())
     assert export("linear", "--bands", file, "--output", out).exit_code == 0
     ins_v_x = STATE[2] - STATE[5] * vehicle().cg_to_ins_y
     start = compute_conditions(np.array([ins_v_x]), np.array([STATE[5]]), np.array([INPUTS[1]]), np.array([0.02]))
-    for level, name in ((0.5, "50"), (0.9, "90")):
-        exported = casadi.Function.load(str(out / f"linear_band_hindsight_{name}.casadi"))
+    for level in levels:
+        exported = casadi.Function.load(str(out / f"linear_band_hindsight_{100 * level:.0f}.casadi"))
         np.testing.assert_allclose(np.array(exported(STATE, INPUTS, 0.02)),
                                    bands.half_widths("linear", "hindsight", start, level)[0, 1:], rtol=1e-9)
     description = json.loads((out / "model.json").read_text())

@@ -4,6 +4,7 @@ import errno
 import importlib.util
 import math
 import os
+import shutil
 import socket
 import sys
 import time
@@ -129,6 +130,22 @@ def test_end_of_a_node_by_a_signal_is_not_explained_by_an_earlier_line_of_its_lo
                                                  "not ready; failed once: ended with status 1 (no car)"]
 
 
+def test_supervision_continues_if_the_folder_of_the_run_is_removed(tmp_path: Path) -> None:
+    shown: list[Status] = []
+    monitor = SimpleNamespace(state=SimpleNamespace(health={}), add_statuses=shown.extend)
+    with Processes(tmp_path / "run") as processes:
+        processes.start_node = lambda package, name: processes.start(name, [sys.executable, "-c", "pass"])
+        supervisor = session.Supervisor(processes, monitor, [("a", "node")])
+        processes.start_node("a", "node").process.wait(20)
+        shutil.rmtree(tmp_path / "run")
+        end = time.monotonic() + 20
+        while supervisor.restarts.get("node", 0) < 2:
+            assert time.monotonic() < end
+            supervisor.update()
+            time.sleep(0.05)
+    assert f"No such file or directory: '{tmp_path / 'run' / 'logs' / 'node.log'}'" in shown[-1].message
+
+
 def test_cause_is_listed_before_checks_that_are_stale_because_of_it() -> None:
     now = time.monotonic()
     levels = {"evaluator: input INS": 3, "oxts_bridge: stream": 2, "oxts_bridge: solution": 1, "recorder: topics": 0}
@@ -174,6 +191,20 @@ def test_published_errors_are_printed_if_the_bag_cannot_be_read(tmp_path: Path) 
     assert lines[-1].startswith("predictions due 9, made 8")
 
 
+@pytest.mark.parametrize(("restarts", "end"), [
+    ({}, ""), ({"predictor": 1}, " since the last start of the predictor in bag")])
+def test_tick_counts_after_a_restart_are_those_since_it(restarts: dict, end: str, tmp_path: Path, monkeypatch) -> None:
+    summary = {"models": {}, "ticks": {"due": 9, "predicted": 8, "skipped": 1}}
+    monkeypatch.setattr(report, "read_results", lambda folder: Results(np.zeros((0, 3)), {}, {}, {}, "", []))
+    monkeypatch.setattr(report, "summarise", lambda results, extra: summary)
+    monkeypatch.setattr(report, "draw_paths", lambda *_: None)
+    monkeypatch.setattr(report, "make_headline", lambda _: "")
+    with StringIO() as stream:
+        outcome = session.Outcome({}, interrupted=False, restarts=restarts)
+        report.report_results(tmp_path, outcome, {"title": "live"}, Console(file=stream, width=100))
+        assert f"predictions due 9, made 8, skipped 1{end}\n" in stream.getvalue()
+
+
 @pytest.mark.parametrize("restarts", [{}, {"predictor": 1}])
 def test_predictions_that_the_evaluator_did_not_receive_are_counted(tmp_path: Path, monkeypatch, restarts) -> None:
     errors = {axis: dict.fromkeys(("mean", "max", "rmse"), 0.1) for axis in ("longitudinal", "lateral")}
@@ -206,9 +237,9 @@ def test_output_of_a_run_that_did_not_start_can_be_used_again(tmp_path: Path) ->
     for number in (1, 2):
         folder = new_folder(tmp_path / "today", "live")
         (folder / "logs").mkdir()
-        message = rf"no car \(log: {folder}_failed_{number}/logs\)"
+        message = rf"no car in {folder}.dbc \(log: {folder}_failed_{number}/logs\)"
         with pytest.raises(SuiteError, match=message), session.set_aside_on_failure(folder):
-            raise SuiteError(f"no car (log: {folder / 'logs'})")
+            raise SuiteError(f"no car in {folder}.dbc (log: {folder / 'logs'})")
     new_folder(tmp_path / "today", "live")
     with StringIO() as stream:
         status = report.report_results(folder, session.Outcome({}, interrupted=True), {}, Console(file=stream))

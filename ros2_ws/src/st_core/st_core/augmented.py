@@ -86,7 +86,7 @@ class AugmentedModel(Model):
             cached = self._vehicles[id(vehicle)] = vehicle, changed
         return cached[1]
 
-    def without_null_effects(self) -> "AugmentedModel":
+    def without_costly_null_effects(self) -> "AugmentedModel":
         """The model without its inactive costly effects; its predictions are bit-identical."""
         return self.select_effects(e for e in self.effects if e in self.active_effects or not e.costly)
 
@@ -106,8 +106,8 @@ class AugmentedModel(Model):
         return time, angle
 
     def effective_road_wheel_angle(self, angle: Any, vehicle: VehicleParameters) -> Any:
-        """Road wheel angle [rad] in the equations for a recorded angle (float or array): with the effects of ratio,
-        offset and map, but without the effects that need signals or act in `steering`."""
+        """Road wheel angle [rad] that enters the equations at a recorded angle (float or array): with the effects of
+        ratio, offset and map, but without the effects that need signals or act in `steering`."""
         effects = compose(self.base, self.effects).effects
         hooks = [(index, e.inputs, ()) for index, e in enumerate(effects) if e.inputs and not e.signals]
         return change_inputs(hooks, angle, 0.0 * angle, (), self.parameters(vehicle).thetas)[0] if hooks else angle
@@ -144,13 +144,13 @@ class AugmentedModel(Model):
 def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedModel:
     """The base model with additional effects.
 
-    effects: values by effect and parameter; or names of effects, which then have their initial values. Parameters with
+    effects: values by effect and parameter; or one or more names, which then have their initial values. Parameters with
     fit=False are optional, and null by default. Raises ConfigurationError, naming effect, parameter and limit, for a
     missing value or one out of bounds, an unknown parameter, and an effect that is unknown, repeated or does not apply.
     """
     base = get_model(base)
     if not isinstance(effects, Mapping):
-        names = list(effects)
+        names = [effects] if isinstance(effects, str) else list(effects)
         if len(set(names)) != len(names):
             raise ConfigurationError(f"effects {', '.join(names)}: duplicate name; give each effect once")
         effects = {n: {p.name: p.initial for p in get_effect(n).parameters} for n in names}
@@ -195,14 +195,15 @@ def _check_all_values(effects: Iterable[type[Effect]], values: Values) -> Values
     checked = {}
     for effect in effects:
         given, result = values[effect.name], {}
+        known = [parameter.name for parameter in effect.parameters]
+        if unknown := [name for name in given if name not in known]:
+            raise ConfigurationError(f"effect {effect.name}: {unknown[0]}: unknown parameter; it has "
+                                     f"{', '.join(known)}")
         for parameter in effect.parameters:
             key = f"effect {effect.name}: {parameter.name}"
             if parameter.name not in given and parameter.fit:
                 raise ConfigurationError(f"{key}: no value given; add one")
             result[parameter.name] = parameter.check(given.get(parameter.name, parameter.null), key)
-        for name in given:
-            if name not in result:
-                raise ConfigurationError(f"effect {effect.name}: {name}: unknown parameter; it has {', '.join(result)}")
         checked[effect.name] = MappingProxyType(result)
     return checked
 

@@ -130,7 +130,7 @@ def align(signals: Sequence[SharedSignal], search: tuple[float, float] | None = 
     series = _resample_signals(signals)
     if not series.fine:
         return refused_alignment(*series.reasons)
-    result = _align_with_overlap(series, _min_overlap(series.fine), search)
+    result = _align_with_overlap(series, _compute_min_overlap(series.fine), search)
     best = max((s.correlation for s in result.signals), default=0.0)
     if result.verdict is Verdict.REFUSED and best < USABLE_CORRELATION:
         short_alignment = _align_with_overlap(series, MIN_OVERLAP, search)
@@ -139,7 +139,7 @@ def align(signals: Sequence[SharedSignal], search: tuple[float, float] | None = 
     return result
 
 
-def _min_overlap(pairs: Sequence[Pair]) -> float:
+def _compute_min_overlap(pairs: Sequence[Pair]) -> float:
     """Minimum overlap of the recordings [s]: 40 % of the shorter one, at least 10 s."""
     shorter = min(max(series.known.sum() for series in recording) * STEP
                   for recording in ([p.reference for p in pairs], [p.other for p in pairs]))
@@ -235,7 +235,7 @@ def correlation_curve(signals: Sequence[SharedSignal]) -> tuple[np.ndarray, np.n
     """(offsets [s], reference minus other clock; mean correlation of the signals at each); empty if no signal is
     usable. The correlation is 0 where the overlap is below 40 % of the shorter recording or below 10 s."""
     series = _resample_signals(signals)
-    curve = mean_correlation(series.fine, _min_overlap(series.fine), (-np.inf, np.inf)) if series.fine else None
+    curve = mean_correlation(series.fine, _compute_min_overlap(series.fine), (-np.inf, np.inf)) if series.fine else None
     return ((curve[0] + (series.reference_ns - series.other_ns) * 1e-9, curve[1]) if curve
             else (np.zeros(0), np.zeros(0)))
 
@@ -285,7 +285,7 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
     """Alignment by CAN frames that contain the time of the INS: a robust line (soft L1) through their offsets, or
     through the median offset of each second if there are two or more frames per second.
 
-    other_time_ns: log stamps [ns] of the frames that contain a time, which they do not before GNSS lock.
+    other_time_ns: log stamps [ns] of the frames that contain a time; before GNSS lock, frames contain none.
     reference_time_ns: UTC in these frames [ns], with a resolution [s]. latency: delay from the time in a frame to its
     log stamp [s], with standard deviation latency_uncertainty [s].
     """

@@ -17,7 +17,7 @@ from .timeseries import NANOSECOND, interpolate
 from .types import body_to_map, map_to_body
 from .vehicle import VehicleParameters
 
-MAXIMUM_GAP = 0.25  # s, longest gap across which a signal shifted in time is interpolated
+MAX_GAP = 0.25  # s, longest gap across which a signal shifted in time is interpolated
 MAX_VALUES = {"scale": 1e12, "add": 1e12, "earlier": 60.0, "ahead": 100.0}  # largest magnitude of each field
 STEERING = ("road_wheel_angle", "steering")
 COMPONENTS = {"position": ("x", "y"), "velocity": ("velocity_x", "velocity_y")}
@@ -57,7 +57,7 @@ def apply_corrections(log: DriveLog, corrections: Mapping[str, Correction], vehi
         position.ahead = d: (x, y) -> (x, y) + d (cos yaw, sin yaw)
 
     An INS channel that is shifted in time is interpolated at the times of the other channels. Samples without an
-    interpolated value (at the ends, in gaps longer than MAXIMUM_GAP) are removed; missing accelerations are NaN. For
+    interpolated value (at the ends, in gaps longer than MAX_GAP) are removed; missing accelerations are NaN. For
     the steering, the times are shifted. If the road wheel angle is scaled or offset, the steering wheel angle is
     changed so that ratio and offset of `vehicle` give the corrected angle; without a vehicle it is removed.
 
@@ -135,7 +135,7 @@ def _correct_ins(log: DriveLog, corrections: Mapping[str, Correction]) -> DriveL
             values = correction.scale * values + correction.add
         delay_ns = round(sum(correction.earlier for correction in applied) / NANOSECOND)
         if delay_ns:
-            values = interpolate(log.ins_time_ns, values, log.ins_time_ns + delay_ns, round(MAXIMUM_GAP / NANOSECOND))
+            values = interpolate(log.ins_time_ns, values, log.ins_time_ns + delay_ns, round(MAX_GAP / NANOSECOND))
         changes[name] = values
     if not changes:
         return log

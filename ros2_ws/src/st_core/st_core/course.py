@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy  # imports integrate, ndimage and spatial at their first use: a predictor without a course starts faster
 
-from .errors import ConfigurationError, StCoreError
+from .errors import ConfigurationError, StCoreError, add_prefix
 from .log import DriveLog, LogSignals
 from .planned_inputs import SLIP_FREE_ANGLE, path_inputs
 from .timeseries import NANOSECOND
@@ -36,6 +36,19 @@ MAX_ORIGIN_DISTANCE = 5000.0  # m between map origins; beyond it the axes differ
 SCHEMA = 1
 POINTS_KEY = "\npoints: |\n"
 COLUMNS = ("x", "y", "direction", "curvature", "speed")
+RETURN_LENGTHS = (40.0, 100.0)  # l_1 and l_2 [m]: at 15 m/s a third of an offset remains after 10 s
+DIFFERENCE_SCALES = {"position": 2.0, "direction": 0.1, "speed": 0.1, "curvature": 0.01}
+"""Typical differences between drives of one driver on one course [m, rad, fraction of the speed, 1/m]."""
+MAX_DIFFERENCE = 7.0  # the course is not used if d of `CourseTracker` exceeds this for every candidate
+RECENT_TIME = 2.0  # s, length of the past driving that is compared with a candidate
+BLEND_TIME = 0.3  # s, time constant of the transition from measured to predicted inputs: reaction lag of a driver
+DECAY_TIME = 0.7  # s, time constant of the decaying acceleration: drivers move the pedals about once a second
+FORGETTING_TIME = 10.0  # s, time constant of the mean squared errors E: two horizons
+INITIAL_CURVATURE_ERRORS, INITIAL_SPEED_ERRORS = (1.0, 0.2), (1.0, 1.0, 0.5, 0.3)
+"""Initial E [m^2], in the order of the forecasts of `CourseTracker`, from leave-one-out errors of real laps."""
+SQUARED_ERROR_LIMITS = (0.01, 9.0)  # m^2; lower: accuracy of the INS, upper: limits the influence of a single error
+MAX_JUMP = 2.0  # m; the tracker restarts if displacement and distance driven differ by more than this + 10 %
+MIN_COVERAGE, MAX_COVERAGE = 1.2, 2.0  # horizons; driving time of a pass ahead of the car: required, and at most used
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,12 +135,8 @@ class Course:
     @classmethod
     def from_yaml(cls, text: str, origin: str = "course") -> "Course":
         """The course from the text of a file. origin: file name in errors. Raises ConfigurationError, one line."""
-        try:
-            return cls._read(text)
-        except ConfigurationError as error:
-            raise ConfigurationError(f"{origin}: {error}") from None
-        except (KeyError, TypeError, ValueError):
-            raise ConfigurationError(f"{origin}: not a complete course file; write one with st course build") from None
+        return add_prefix(f"{origin}: ", lambda: cls._read(text),
+                          "not a complete course file; write one with st course build")
 
     @classmethod
     def _read(cls, text: str) -> "Course":
@@ -183,21 +192,6 @@ def split_into_passes(log: DriveLog, digests: Sequence[str]) -> list[Pass]:
         raise StCoreError(f"{log.name}: no {MIN_LENGTH:g} m of continuous driving faster than {PAUSE_SPEED:g} m/s; "
                           "leave this recording out of the course")
     return passes
-
-
-RETURN_LENGTHS = (40.0, 100.0)  # l_1 and l_2 [m]: at 15 m/s a third of an offset remains after 10 s
-DIFFERENCE_SCALES = {"position": 2.0, "direction": 0.1, "speed": 0.1, "curvature": 0.01}
-"""Typical differences between drives of one driver on one course [m, rad, fraction of the speed, 1/m]."""
-MAX_DIFFERENCE = 7.0  # the course is not used if d of `CourseTracker` exceeds this for every candidate
-RECENT_TIME = 2.0  # s, length of the past driving that is compared with a candidate
-BLEND_TIME = 0.3  # s, time constant of the transition from measured to predicted inputs: reaction lag of a driver
-DECAY_TIME = 0.7  # s, time constant of the decaying acceleration: drivers move the pedals about once a second
-FORGETTING_TIME = 10.0  # s, time constant of the mean squared errors E: two horizons
-INITIAL_CURVATURE_ERRORS, INITIAL_SPEED_ERRORS = (1.0, 0.2), (1.0, 1.0, 0.5, 0.3)
-"""Initial E [m^2], in the order of the forecasts of `CourseTracker`, from leave-one-out errors of real laps."""
-SQUARED_ERROR_LIMITS = (0.01, 9.0)  # m^2; lower: accuracy of the INS, upper: limits the influence of a single error
-MAX_JUMP = 2.0  # m; the tracker restarts if displacement and distance driven differ by more than this + 10 %
-MIN_COVERAGE, MAX_COVERAGE = 1.2, 2.0  # horizons; minimum and maximum used driving time of a pass ahead of the car
 
 
 class EgoMotion(NamedTuple):

@@ -176,7 +176,7 @@ class LogEvaluation:
         return (self.starts_ns - self.log_start_ns) * NANOSECOND
 
 
-def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log: DriveLog | LogSignals,
+def evaluate_log(models: str | Model | Sequence[str | Model], vehicle: VehicleParameters, log: DriveLog | LogSignals,
                  settings: EvaluationSettings | None = None, starts_ns: np.ndarray | None = None,
                  progress: Progress | None = None, on_block: BlockCallback | None = None,
                  future_inputs: Mapping[Mode, FutureInputs] | None = None) -> LogEvaluation:
@@ -188,7 +188,7 @@ def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log:
     are unknown, the inputs are held. Source: paper, comparison. Checked by: test_log_evaluation.py.
     """
     settings = settings or EvaluationSettings()
-    model_list = [get_model(model) for model in models]
+    model_list = [get_model(model) for model in ([models] if isinstance(models, str | Model) else models)]
     signals = log if isinstance(log, LogSignals) else settings.signals(log)
     log = signals.log
     origin = int(log.ins_time_ns[0]) if len(log.ins_time_ns) else 0

@@ -115,13 +115,13 @@ class MeasurementHistory:
         times, rows, (*_, cutoff) = self.ins.times, self.ins.rows, self._settings
         for i in range(index, len(times)):
             spacing_ns = int(times[i] - times[i - 1]) if i else 0
-            now = float(rows[i, VELOCITY_X])
+            velocity = float(rows[i, VELOCITY_X])
             if i == 0 or spacing_ns > self.ins.maximum_gap_ns:
-                rows[i, FILTERED_VELOCITY], rows[i, DERIVATIVE] = now, math.nan
+                rows[i, FILTERED_VELOCITY], rows[i, DERIVATIVE] = velocity, math.nan
             else:
-                filtered, before = float(rows[i - 1, FILTERED_VELOCITY]), float(rows[i - 1, VELOCITY_X])
+                filtered, previous = float(rows[i - 1, FILTERED_VELOCITY]), float(rows[i - 1, VELOCITY_X])
                 rows[i, FILTERED_VELOCITY], rows[i, DERIVATIVE] = low_pass_step(
-                    filtered, before, now, spacing_ns * NANOSECOND, cutoff)
+                    filtered, previous, velocity, spacing_ns * NANOSECOND, cutoff)
         if self._detects_jumps:
             self._find_jumps(index)
         return True

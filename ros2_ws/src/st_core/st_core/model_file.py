@@ -20,7 +20,7 @@ from typing import Any
 from . import __version__
 from .augmented import AugmentedModel, augment
 from .effects import get_effect
-from .errors import ConfigurationError
+from .errors import ConfigurationError, add_prefix
 from .vehicle import VEHICLE_QUANTITIES, VehicleParameters
 from .yaml_text import check_keys, dump, hash_content, load
 
@@ -118,10 +118,7 @@ class ModelFile:
 
         User-defined effects must be loaded first (`effects.load_folder`). Raises a one-line ConfigurationError.
         """
-        try:
-            return cls._from_document(load(text))
-        except ConfigurationError as error:
-            raise ConfigurationError(f"{origin}: {error}") from None
+        return add_prefix(f"{origin}: ", lambda: cls._from_document(load(text)))
 
     @classmethod
     def _from_document(cls, document: Any) -> "ModelFile":
@@ -178,10 +175,7 @@ def _read_vehicle(section: Any) -> tuple[VehicleParameters | None, str, str]:
     name, digest = (_check_text(f"vehicle.{key}", section[key]) for key in ("name", "hash"))
     if "parameters" not in section:
         return None, name, digest
-    try:
-        vehicle = VehicleParameters.from_document(section["parameters"])
-    except ConfigurationError as error:
-        raise ConfigurationError(f"vehicle.parameters: {error}") from None
+    vehicle = add_prefix("vehicle.parameters: ", lambda: VehicleParameters.from_document(section["parameters"]))
     if vehicle.hash != digest:
         raise ConfigurationError(f"vehicle.hash: {digest[:12]} does not match vehicle.parameters ({vehicle.hash[:12]})"
                                  "; restore the vehicle for which the effects were identified")

@@ -7,7 +7,7 @@ Checked by: test_planned_inputs.py, against hindsight.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from .types import ControlInput, InputSequence, VehicleState
 from .vehicle import VehicleParameters
 
 MAX_AGE = 0.5  # s; planners replan at 10 Hz or faster, so the planner of an older plan has stopped
-MAX_SPACING = 0.5  # s, maximum time between points: half a period of the fastest steering of a driver, 1 Hz
+MAX_SPACING = 0.5  # s, maximum time between points: half a period of the fastest steering by a driver, 1 Hz
 MAX_ROAD_WHEEL_ANGLE = 0.8  # rad; passenger cars reach 0.55 to 0.75 rad at full lock
 MAX_STEERING_RATE = 1.5  # rad/s at the road wheel, 24 rad/s at the steering wheel; steering robots reach 20 rad/s
 MAX_ACCELERATION = 12.0  # m/s^2, longitudinal and lateral combined: friction coefficient 1.2, sports tyres
@@ -32,7 +32,7 @@ SLIP_FREE_ANGLE = "slip_free_angle"  # Ackermann angle: road wheel angle without
 
 @dataclass(frozen=True, eq=False)
 class PlannedInputs:
-    """Inputs of a plan, linear between its n points. Raises StCoreError, one line, for arrays of unequal length."""
+    """Inputs of a plan, linear between its n points. Raises StCoreError for invalid times or unequal lengths."""
 
     issued_ns: int  # time of issue on the measurement clock
     time_ns: np.ndarray  # (n,) instants of the points on the measurement clock
@@ -42,7 +42,14 @@ class PlannedInputs:
     slip_free_angle: np.ndarray | None = None  # (n,) [rad], only in a plan `from_path`
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "time_ns", np.asarray(self.time_ns, np.int64))
+        time_ns = np.asarray(self.time_ns, np.int64)
+        if (time_ns != self.time_ns).any():
+            raise StCoreError("plan: the times are not whole nanoseconds: multiply seconds by 1e9 and round")
+        if time_ns.size < 2:
+            raise StCoreError(f"plan: {time_ns.size} point(s); at least two are needed")
+        if (np.diff(time_ns) <= 0).any():
+            raise StCoreError("plan: the times are not increasing")
+        object.__setattr__(self, "time_ns", time_ns)
         for name in ("road_wheel_angle", "velocity_x_dot", "speed", SLIP_FREE_ANGLE):
             if (values := getattr(self, name)) is not None:
                 object.__setattr__(self, name, np.asarray(values, float))
@@ -60,12 +67,10 @@ class PlannedInputs:
         that of a steady turn: after a fast change of curvature the path lags by the response time of the car, 0.1 s.
         """
         speed, curvature = np.asarray(speed, float), np.asarray(curvature, float)
-        seconds = (np.asarray(time_ns, np.int64) - np.int64(issued_ns)) * NANOSECOND
-        if len(seconds) < 2 or not (np.diff(seconds) > 0.0).all() or {speed.shape, curvature.shape} != {seconds.shape}:
-            # No derivative exists; the constructor rejects wrong shapes, `find_plan_problem` few or unsorted points.
-            return cls(issued_ns, time_ns, curvature, np.zeros_like(speed), speed)
-        path = path_inputs(speed, curvature, seconds, vehicle)
-        return cls(issued_ns, time_ns, path.road_wheel_angle, path.velocity_x_dot, speed, path.signals[SLIP_FREE_ANGLE])
+        plan = cls(issued_ns, time_ns, curvature, np.zeros_like(speed), speed)  # checks the arrays
+        path = path_inputs(speed, curvature, (plan.time_ns - np.int64(issued_ns)) * NANOSECOND, vehicle)
+        return replace(plan, road_wheel_angle=path.road_wheel_angle, velocity_x_dot=path.velocity_x_dot,
+                       slip_free_angle=path.signals[SLIP_FREE_ANGLE])
 
     def sequence(self, start_ns: int, steps: int, step: float) -> InputSequence:
         """Inputs on the half-step grid from a start [ns]; NaN outside the plan."""
@@ -101,17 +106,13 @@ def find_plan_problem(plan: PlannedInputs, start_ns: int, state: VehicleState, i
                       vehicle: VehicleParameters) -> str:
     """Reason, in one line, why a plan cannot be used for a forecast from a start [ns] over a horizon [s]; "" if it can.
 
-    state, inputs: measured at the start. Order of the checks: number of points, times, finite values, age, coverage,
-    spacing, feasibility, agreement with the measurements.
+    state, inputs: measured at the start. Order of the checks: finite values, age, coverage, spacing, feasibility,
+    agreement with the measurements.
     """
     return _check_timing(plan, start_ns, horizon) or _check_demand(plan, start_ns, state, inputs, vehicle)
 
 
 def _check_timing(plan: PlannedInputs, start_ns: int, horizon: float) -> str:
-    if len(plan.time_ns) < 2:
-        return f"plan: {len(plan.time_ns)} point(s); at least two are needed"
-    if (np.diff(plan.time_ns) <= 0).any():
-        return "plan: the times are not increasing"
     for name in ("road_wheel_angle", "velocity_x_dot", "speed"):
         values = getattr(plan, name)
         if values is not None and not np.isfinite(values).all():

@@ -71,13 +71,15 @@ def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState,
     inputs: constant over the horizon (ControlInput), or on the half-step grid (InputSequence of 2 * steps + 1 values).
     horizon, step [s]. substeps: number >= 1 of integration steps per step, with inputs interpolated linearly; see
     `integrate.required_substeps`. NaN in the state or an input makes dependent states NaN. Raises StCoreError for
-    inputs of the wrong length, a missing signal, an unknown model, and a horizon that is not a whole number of steps.
+    inputs of the wrong length, a missing signal, an unknown model, substeps below 1, and a horizon that is not a whole
+    number of steps.
     """
+    if substeps < 1:
+        raise ConfigurationError(f"substeps: {substeps} is below 1")
     model = get_model(model)
     p, steps = model.parameters(vehicle), step_count(horizon, step)
     signals = {} if isinstance(inputs, ControlInput) else inputs.signals
-    missing = [name for name in model.signals if name not in signals]
-    if missing:
+    if missing := [name for name in model.signals if name not in signals]:
         raise StCoreError(f"model {model.name} needs the signal {missing[0]}, which the inputs do not have")
     if isinstance(inputs, ControlInput):
         w = model.inputs(float(inputs.road_wheel_angle), float(inputs.velocity_x_dot), p)

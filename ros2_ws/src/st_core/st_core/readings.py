@@ -152,7 +152,7 @@ def reading_errors(model: Model, vehicle: VehicleParameters, states: np.ndarray,
 class ModelView:
     """One model's view of a MeasurementHistory that is shared between models.
 
-    A model with sensor effects has its own history of corrected samples, to which the shared one adds. vehicle: without
+    A model with sensor effects has its own history of corrected samples, fed by the shared one. vehicle: without
     the effects of the model. Raises ConfigurationError if the model needs a quantity that is not measured live.
     """
 
@@ -176,17 +176,17 @@ class ModelView:
     def read_start(self, time_ns: int, steps: int, step: float) -> tuple[VehicleState, ControlInput | InputSequence]:
         """State at the model's CG, and inputs of a forecast with constant steering wheel angle and acceleration. With
         steering dynamics the inputs are a sequence. Raises StCoreError if state or inputs are unknown."""
-        sample, now = self._history.ins_at(time_ns), self._history.inputs_at(time_ns)
-        if sample is None or now is None:
+        sample, inputs = self._history.ins_at(time_ns), self._history.inputs_at(time_ns)
+        if sample is None or inputs is None:
             raise StCoreError(f"model {self.model.name}: state or inputs not known at {time_ns} ns")
         state = ins_to_cg(sample, self.car.cg_to_ins_x, self.car.cg_to_ins_y)
         if not self.has_steering_dynamics:
-            return state, now
+            return state, inputs
         series, grid = self._history.steering, half_step_grid(time_ns, steps, step)
-        constant_angle = np.full(len(grid), now.road_wheel_angle)
+        constant_angle = np.full(len(grid), inputs.road_wheel_angle)
         angle = predict_wheel_angles(self.model, series.times, series.rows[:, 0], grid, constant_angle,
                                      series.maximum_gap_ns * NANOSECOND)
-        return state, InputSequence(angle, np.full(len(grid), now.velocity_x_dot))
+        return state, InputSequence(angle, np.full(len(grid), inputs.velocity_x_dot))
 
     def read_inputs(self, times_ns: np.ndarray) -> InputSequence:
         """Measured inputs, as corrected by the model, at increasing times [ns]; NaN where unknown."""

@@ -69,7 +69,7 @@ def has_derived_yaw_rate(log: DriveLog) -> bool:
 
 
 def _is_course(log: DriveLog, yaw_rate: np.ndarray, is_fast: np.ndarray) -> bool:
-    """Whether yaw is the course: a heading differs from the course by the sideslip, about a r / v + b r v."""
+    """Whether yaw is the course: a heading differs from it by the sideslip, a r / v + b r v with constants a, b."""
     time = (log.ins_time_ns - log.ins_time_ns[0]) * NANOSECOND
     ends = time - 0.5 * COURSE_TIME, time + 0.5 * COURSE_TIME
     east, north = (np.subtract(*(np.interp(t, time, values) for t in ends[::-1])) for values in (log.x, log.y))

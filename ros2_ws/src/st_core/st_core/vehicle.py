@@ -7,7 +7,7 @@ from functools import cached_property
 from operator import attrgetter
 from typing import Annotated, Any
 
-from .errors import ConfigurationError
+from .errors import ConfigurationError, add_prefix
 from .types import Number, Quantity, quantities_of
 from .tyres import GRAVITY, MagicFormula, stiffness_scale
 from .yaml_text import check_keys, dump, hash_content, load
@@ -159,10 +159,7 @@ class VehicleParameters:
         stiffness of its axle at the static load of one tyre (`tyres.stiffness_scale`).
         Raises ConfigurationError, one line: origin, key, what is wrong, the limit and what to do.
         """
-        try:
-            return cls.from_document(load(text))
-        except ConfigurationError as error:
-            raise ConfigurationError(f"{origin}: {error}") from None
+        return add_prefix(f"{origin}: ", lambda: cls.from_document(load(text)))
 
     @classmethod
     def from_document(cls, document: Any) -> "VehicleParameters":

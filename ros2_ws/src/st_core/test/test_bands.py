@@ -1,7 +1,10 @@
 """Bands: conformal factor, scale, rejected inputs, and coverage of held-out runs at the stated level."""
 
+import re
+
 import numpy as np
 import pytest
+from st_core import bands as package
 from st_core.bands import Bands, CalibrationDomain, ErrorSamples, calibrate
 from st_core.bands.calibration import (
     compute_conformal_factors,
@@ -140,6 +143,16 @@ def bands(leaf):
     return Bands(leaf.name, leaf.hash, settings, {"a.csv": "0" * 64}, 12,
                  CalibrationDomain.from_runs([r.conditions for r in runs]),
                  {PAIR: band, other: band}, {"linear": hash_configuration(leaf, settings, "")})
+
+
+def test_example_of_the_page_works(bands, leaf):
+    page = (ROOT / "docs" / "manual" / "bands.md").read_text()
+    names = {**vars(package), "text": bands.to_yaml(), "vehicle": leaf, "settings": SETTINGS, "start_ns": 10**9,
+             "velocity_x": 10.0, "yaw_rate": 0.2, "velocity_x_dot": 0.1, "errors": np.zeros((100, 3)),
+             "angles": np.linspace(0.0, 0.02, len(package.activity_instants(10**9)))}
+    exec(re.search(r"```python\n(.*?)```", page, re.S)[1], names)
+    assert names["z"].shape == (4,)
+    assert names["bands"].half_widths("linear", "forecast", names["z"], 0.9).shape == (1, 101, 3)
 
 
 def test_file_round_trip_and_rejection_of_edited_files(bands):

@@ -10,6 +10,9 @@ from exact_faults import biased, corrected_drive, findings_by_name, scaled
 from st_core.checks import AuxiliaryData, DriveCheck, Finding, Severity, check, units_and_axes
 from st_core.checks.check import MIN_INS_SAMPLES, _report_changes
 from st_core.checks.finding import neutral_value
+from st_core.checks.motion import Motion
+from st_core.checks.vehicle_relations import check_rear_axle
+from st_core.handling import rear_slip_coefficient
 from st_core.log import DriveLog
 from support import read_car, shared
 
@@ -350,6 +353,31 @@ def test_positions_in_web_mercator_are_named_from_the_accelerations_or_from_y(fi
     assert ("web Mercator, at a latitude of 37 deg" in found[name].text) is (name == "position_scale")
 
 
+@pytest.mark.parametrize("drive", ["cpg_lap_fast_controlled", "cpg_low_speed_a"])
+@pytest.mark.parametrize(("channels", "scale"), [(("x", "y"), 0.8), (("velocity_x", "velocity_y"), 1.25)])
+def test_small_positions_or_a_large_velocity_are_both_named_unless_the_accelerations_decide(drive, channels, scale):
+    """Roll and pitch increase accelerations: they fit either cause of small positions, but no large velocity."""
+    log, car = read_real_drive(drive), read_car("hyundai_genesis")
+    result = check(scaled(scale, *channels)(log), car)
+    finding = {f.name: f for f in result.findings}["velocity_scale"]
+    positions = [cause.findings for cause in finding.alternatives]
+    assert positions == ([("position_scale",)] if channels[0] == "x" else [])
+    assert ("or x and y are" in finding.text) is bool(positions) is (finding.advice.kind == "text")
+    assert result.estimates["velocity_scale"][0] == pytest.approx(1.25, abs=0.003)
+
+
+@pytest.mark.parametrize("drive", ["cpg_lap_fast_controlled", "cpg_low_speed_a"])
+@pytest.mark.parametrize("degrees", [20.0, -30.0])
+def test_turned_accelerometer_is_measured_in_real_drives(drive, degrees):
+    log, car = read_real_drive(drive), read_car("hyundai_genesis")
+    turned = (log.acceleration_x + 1j * log.acceleration_y) * np.exp(-1j * np.deg2rad(degrees))
+    before, found = (findings_by_name(each, car) for each in (
+        log, replace(log, acceleration_x=turned.real, acceleration_y=turned.imag)))
+    assert found.keys() - before.keys() == {"acceleration_axes"}
+    low, high = np.rad2deg(found["acceleration_axes"].interval)
+    assert low <= degrees <= high and high - low < 25.0
+
+
 def test_samples_at_10_hz_in_bursts_of_a_second_give_no_other_finding():
     log, car = read_real_drive("cpg_lap_medium"), read_car("hyundai_genesis")
     log = log.slice(log.start_ns + 120 * 10**9, log.start_ns + 180 * 10**9)
@@ -457,9 +485,30 @@ def test_positions_on_another_clock_than_velocities_and_accelerations_are_one_fi
     assert check(corrected_drive(log, finding.advice.entry, leaf), leaf).findings == ()
 
 
+@pytest.mark.parametrize("lag", [0.2, 0.3])
+def test_positions_on_another_clock_in_a_fast_drive_are_no_slip_of_a_wheel(leaf, lag):
+    """The lag was taken for wheel slip, so that accelerations, yaw rate and steering were named instead of it."""
+    fast = exact_drive(leaf, 100.0, speed=Sines(22.0, ((6.0, 20.0, 0.4), (1.5, 13.0, 1.1))))
+    (finding,) = check(delay(fast, lag, "x", "y", "yaw"), leaf).findings
+    assert finding.name == "position_lag" and finding.value == pytest.approx(lag, abs=0.01)
+
+
 def test_velocities_and_yaw_rate_on_another_clock_are_named(leaf):
     found = findings_by_name(delay(exact_drive(leaf), 0.3, "velocity_x", "velocity_y", "yaw_rate"), leaf)
     assert {"velocity_lag", "yaw_rate_lag"} <= found.keys() and "position_lag" not in found
+
+
+def test_transients_do_not_move_the_ins_point(leaf):
+    """Rear slip in proportion to speed times yaw rate, without the change of velocity_y, moved it by 0.19 m."""
+    log = exact_drive(leaf, 100.0, speed=Sines(20.0, ((6.0, 20.0, 0.4),)),
+                      turning=Sines(0.02, ((0.1, 23.0, 0.0), (0.15, 2.3, 0.7))))
+    slip, speed, rate = rear_slip_coefficient(leaf), log.velocity_x, log.yaw_rate
+    lateral = np.zeros(len(speed))  # of the CG
+    for k in range(len(speed) - 1):
+        acceleration = (leaf.cg_to_rear_axle * rate[k] - lateral[k]) / (slip * speed[k])
+        lateral[k + 1] = lateral[k] + 0.01 * (acceleration - speed[k] * rate[k])
+    motion = Motion.from_log(replace(log, velocity_y=lateral + leaf.cg_to_ins_x * rate), log.start_ns, AuxiliaryData())
+    assert check_rear_axle(motion, leaf).estimates["measuring_point"].value == pytest.approx(0.0, abs=0.03)
 
 
 def test_map_rotated_in_mid_drive_is_no_sign_of_velocity_y():

@@ -471,6 +471,13 @@ def test_yaw_drift_is_no_error_of_the_velocities(leaf, rate):
     assert found.keys() <= {"yaw_drift", "yaw_rate_bias"}
 
 
+def test_yaw_offset_of_a_drifting_yaw_is_its_mean(leaf):
+    winding = exact_drive(leaf, 150.0, turning=Sines(0.05, ((0.16, 23.0, 0.0), (0.07, 6.1, 0.7))))
+    time = 1e-9 * (winding.ins_time_ns - winding.ins_time_ns[0])
+    found = findings_by_name(replace(winding, yaw=winding.yaw + 0.02 + 1e-4 * time), leaf)
+    assert found["yaw_offset"].value == pytest.approx(0.0275, abs=0.0005) and "yaw_drift" in found
+
+
 def test_findings_that_affect_predictions_come_first(log, leaf):
     found = check(biased(0.6, "acceleration_y")(scaled(0.97, "x")(log)), leaf).findings
     assert [finding.name for finding in found if finding.severity == "warning"] == ["x_scale", "acceleration_y_bias"]

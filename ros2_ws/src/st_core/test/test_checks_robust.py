@@ -113,6 +113,42 @@ def test_motion_reported_at_standstill_is_found(leaf):
     assert findings["yaw_rate",].value == pytest.approx(-0.02, abs=0.001)
 
 
+def test_car_on_a_ferry_or_a_roller_test_bench_has_no_scale_error(leaf):
+    log = exact_drive(leaf, noise=Noise())
+    time = 1e-9 * (log.ins_time_ns - log.ins_time_ns[0])
+    still = exact_drive(leaf, speed=Sines(1e-9, ()), turning=STRAIGHT, noise=Noise())
+    ferry = findings_by_name(replace(still, x=still.x + 8.0 * time, y=still.y + 6.0 * time), leaf)
+    bench = findings_by_name(replace(still, velocity_x=log.velocity_x), leaf)
+    for found, value in ((ferry, 10.0), (bench, np.median(log.velocity_x))):
+        assert found["standstill_motion"].value == pytest.approx(value, rel=0.05)
+        assert not [name for name in found if name.endswith("_scale") or name == "velocity_axes"]
+    assert "on a ferry or trailer" in ferry["standstill_motion"].text and "position_noise" not in ferry
+    assert [*bench] == ["standstill_motion"] and "on a test bench" in bench["standstill_motion"].text
+
+
+@pytest.mark.parametrize("noise, scale", [(1.0, 1.0), (4.0, 1.0), (0.004, 1000.0)])
+def test_position_noise_of_a_stationary_car_is_not_a_ferry(leaf, noise, scale):
+    still = exact_drive(leaf, speed=Sines(1e-9, ()), turning=STRAIGHT, noise=Noise(position=noise))
+    assert "standstill_motion" not in findings_by_name(replace(still, x=scale * still.x, y=scale * still.y), leaf)
+
+
+def test_uphill_helix_is_not_a_turned_accelerometer(leaf):
+    log = exact_drive(leaf, 120.0, speed=Sines(4.0, ((1.0, 17.0, 0.0),)), turning=Sines(0.2, ((0.2, 40.0, 0.0),)),
+                      noise=Noise())
+    slope = 0.08 * np.clip(log.yaw_rate / 0.4, 0.0, 1.0)  # rad
+    assert "acceleration_axes" not in findings_by_name(replace(
+        log, acceleration_x=log.acceleration_x + 9.81 * np.sin(slope)), leaf)
+
+
+@pytest.mark.parametrize("channel", ["acceleration_x", "acceleration_y"])
+@pytest.mark.parametrize("factor", [2.0, 1.0 / 9.81])
+def test_scale_error_of_one_acceleration_is_not_a_turned_accelerometer(leaf, channel, factor):
+    log = exact_drive(leaf, 120.0, speed=Sines(12.0, ((3.0, 9.0, 0.0), (1.0, 23.0, 0.2))), turning=Sines(
+        0.02, ((0.14, 9.0, 0.9), (0.05, 5.3, 0.3))), noise=Noise())  # a_x and a_y have a correlation of 0.7
+    found = findings_by_name(replace(log, **{channel: factor * getattr(log, channel)}), leaf)
+    assert [*found] == [f"{channel}_scale"] and found[f"{channel}_scale"].value == pytest.approx(factor, rel=0.02)
+
+
 def test_lateral_acceleration_beyond_tyre_limits_is_an_error_unless_positions_confirm_it(leaf):
     downforce = exact_drive(leaf, turning=Sines(0.0, ((1.5, 23.0, 0.0),)))
     finding = findings_by_name(downforce, leaf)["lateral_acceleration_impossible"]

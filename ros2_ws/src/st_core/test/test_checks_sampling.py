@@ -37,6 +37,7 @@ def test_sampling_rate_too_low_for_predictions_is_reported(leaf, rate, jitter, e
              if finding.name == "time_gaps"]
     assert bool(texts) == expected
     assert all("exceed 0.1 s; no prediction is made across these" in text for text in texts)
+    assert ["not compared with each other" in text for text in texts[:1]] == [rate < 4.0] * expected
 
 
 @pytest.mark.parametrize("rate", [2.0, 3.0])

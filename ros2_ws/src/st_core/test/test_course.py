@@ -121,6 +121,7 @@ def test_file_round_trip_and_exclusion_of_a_recording():
     (lambda text: "bands: []\n", "course.yaml: "),
     (lambda text: "", "not a course file"),
     (lambda text: Course(()).to_yaml(), "empty"),
+    (lambda text: replace(Course.from_yaml(text), origin=(48.0,)).to_yaml(), "not a complete course file"),
 ])
 def test_invalid_file_is_rejected_in_one_line(change, message):
     text = make_course(lap(60.0)).to_yaml()

@@ -505,6 +505,15 @@ def test_two_runs_with_the_same_name_are_rejected(leaf):
             call([run, run])
 
 
+@pytest.mark.parametrize(("base", "names", "reason"), [
+    ("linear", ("steering_ration",), "unknown effect 'steering_ration', did you mean steering_ratio"),
+    ("kinematic", "friction", "effects: friction does not apply to this base model"),
+])
+def test_effect_that_cannot_be_fitted_is_rejected(leaf, base, names, reason):
+    with pytest.raises(ConfigurationError, match=reason):
+        fit_effects([], leaf, base, names)
+
+
 def test_run_at_standstill_is_rejected(leaf):
     log = recorded(leaf, {}, 9, ("step",))[0]
     stationary = replace(log, velocity_x=0.0 * log.velocity_x)

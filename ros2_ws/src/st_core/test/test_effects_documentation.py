@@ -7,6 +7,8 @@ from effect_registry import restored
 from st_core.augmented import augment
 from st_core.effects import ANY, EFFECTS, load_folder
 from st_core.models import MODELS
+from st_core.prediction import predict
+from st_core.types import ControlInput, VehicleState
 from support import ROOT
 
 TEXT = (ROOT / "docs" / "manual" / "effects.md").read_text()
@@ -32,6 +34,13 @@ def test_table_row_matches_the_effect(name):
     assert bases.split() == [base[0] for base in MODELS if base in effect.applies_to & ANY]
     assert parameters == "; ".join(f"`{p.name}` [{p.unit}] {p.null:g}, {p.bounds[0]:g} to {p.bounds[1]:g}"
                                    for p in effect.parameters if p.fit)
+
+
+def test_example_of_a_model_with_effects_works(leaf):
+    names = {"predict": predict, "vehicle": leaf, "state": VehicleState(0.0, 0.0, 10.0, 0.0, 0.0, 0.0),
+             "inputs": ControlInput(0.05, 0.0)}
+    exec(re.findall(r"```python\n(.*?)```", TEXT, re.S)[0], names)
+    assert names["model"].values == {"steering_lag": {"time_constant": 0.07}, "friction": {"factor": 0.85}}
 
 
 def test_example_of_a_user_effect_works(tmp_path, registry):

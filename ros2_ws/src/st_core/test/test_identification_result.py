@@ -16,6 +16,7 @@ from st_core.identification.result import (
     ParameterEstimate,
     apply_to_vehicle,
     compare_with_file,
+    describe_contradiction,
     describe_stale_lambda,
 )
 from st_core.tyres import stiffness_scale
@@ -88,6 +89,9 @@ def test_contradiction_with_the_vehicle_file_is_reported_with_numbers(leaf):
     assert "before, 2026-01-01" in message
     assert compare_with_file(car, make_estimate("mass", 1599.0, 4.0)) == ""
     assert compare_with_file(leaf, make_estimate("mass", 3000.0)) == ""  # the file's value has no uncertainty
+    angle = replace(make_estimate("steering_wheel_offset", 0.02, 0.001), unit="rad")
+    message = describe_contradiction(angle, 0.01, 0.001, "the mean reading")
+    assert "1.1459 contradicts 0.57296 deg of the mean reading: the difference +0.573 is" in message
 
 
 def test_stale_stiffness_scale_is_reported(leaf):

@@ -133,7 +133,7 @@ def test_unusable_starts_are_counted_by_reason(leaf):
     assert result.incomplete["INS not known over the horizon"] in (9, 10, 11)
     assert result.incomplete["steering not known over the horizon"] in (9, 10, 11)
     slow = EvaluationSettings(PredictionSettings(horizon=1.0, minimum_speed=9.0))
-    assert evaluate_log(["kinematic"], leaf, log, slow).skipped["slower than 9 m/s"] > 20
+    assert evaluate_log("kinematic", leaf, log, slow).skipped["slower than 9 m/s"] > 20
 
 
 def test_drive_longer_than_a_block_equals_its_parts(leaf):

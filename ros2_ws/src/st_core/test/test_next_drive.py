@@ -11,7 +11,7 @@ from st_core.discovery import DiscoverySettings
 from st_core.discovery.windows import Windows
 from st_core.relations import find_relation
 from st_core.relations.candidates import NO_PARITY, ODD, Candidate
-from st_core.relations.next_drive import NextDrives, Option, _compute_variance, find_sparse_ranges, suggest_drives
+from st_core.relations.next_drive import NextDrives, Option, _compute_variance, find_sparse_ranges, simulate_drives
 from st_core.relations.relation_fit import RelationFits
 
 RELATION = Candidate("yaw_moment", "acceleration_x", NO_PARITY, -4.0, 2.0)
@@ -62,7 +62,7 @@ def test_suggested_drive_gives_the_predicted_precision(leaf):
     names = ("sweep", "lane_change", "slalom", "brake_in_turn")
     fits, (fit, other) = fit_relations(leaf, names)
     now = standard_deviation(fit)
-    drives = suggest_drives(fits, fit, {"other": other}, 2.0, AT, now, [(-4.2, -3.8), (-3.0, -1.0)])
+    drives = simulate_drives(fits, fit, {"other": other}, 2.0, AT, now, [(-4.2, -3.8), (-3.0, -1.0)])
     most_precise, (separating, rival) = drives.find_most_precise(now), drives.find_most_separating()
     assert most_precise.manoeuvre.name == separating.manoeuvre.name == "brake_in_turn" and rival == "other"
     assert separating.separation["other"] > drives.current_separation["other"]
@@ -74,7 +74,7 @@ def test_suggested_drive_gives_the_predicted_precision(leaf):
     assert most_precise.deviation.max() < 0.8 * now.max()
     assert after / before == pytest.approx(most_precise.deviation / now, rel=0.35)
     over_position = Candidate("side_force", "position_x", NO_PARITY, 0.0, 100.0)
-    assert suggest_drives(fits, replace(fit, candidate=over_position), {}, 2.0, AT, now, []).options == ()
+    assert simulate_drives(fits, replace(fit, candidate=over_position), {}, 2.0, AT, now, []).options == ()
 
 
 @pytest.mark.slow

@@ -99,12 +99,23 @@ def test_path_with_arrays_of_unequal_length_is_rejected(leaf):
         PlannedInputs.from_path(START, plan().time_ns, np.full(61, 10.0), np.full(60, 0.02), leaf)
 
 
+@pytest.mark.parametrize(("time_ns", "reason"), [
+    (np.zeros(0, int), r"plan: 0 point\(s\); at least two are needed"),
+    (plan().time_ns[::-1], "plan: the times are not increasing"),
+    (np.linspace(0.0, 6.0, 61), "plan: the times are not whole nanoseconds: multiply seconds by 1e9 and round"),
+])
+def test_invalid_times_are_rejected(leaf, time_ns, reason):
+    values = np.full(len(time_ns), 10.0), np.full(len(time_ns), 0.02)
+    with pytest.raises(StCoreError, match=reason):
+        PlannedInputs(START, time_ns, *values)
+    with pytest.raises(StCoreError, match=reason):
+        PlannedInputs.from_path(START, time_ns, *values, leaf)
+
+
 @pytest.mark.parametrize(("changes", "reason"), [
     ({}, ""),
-    ({"time_ns": np.zeros(0, int), "road_wheel_angle": np.zeros(0), "velocity_x_dot": np.zeros(0)}, "0 point(s)"),
     ({"road_wheel_angle": np.where(np.arange(61) == 7, np.nan, 0.02)}, "road_wheel_angle is not finite at point 7"),
     ({"velocity_x_dot": np.full(61, np.inf)}, "velocity_x_dot is not finite at point 0"),
-    ({"time_ns": np.full(61, START)}, "times are not increasing"),
     ({"issued_ns": START - 10**9}, "issued 1.00 s before the start"),
     ({"issued_ns": START + 10**9}, "clocks disagree"),
     ({"time_ns": START - 10**10 + np.arange(61) * 10**8}, "covers -10.00 to -4.00 s after the start, not"),

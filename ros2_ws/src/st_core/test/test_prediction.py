@@ -234,6 +234,8 @@ def test_inputs_of_the_wrong_length_are_rejected(leaf):
         predict("linear", leaf, state, InputSequence(np.zeros(201), np.zeros(101)))
     with pytest.raises(StCoreError, match="road_wheel_angle: shape"):
         predict("linear", leaf, state, InputSequence(np.zeros(3), np.zeros(201)))
+    with pytest.raises(ConfigurationError, match="substeps: 0 is below 1"):
+        predict("linear", leaf, state, ControlInput(0.0, 0.0), substeps=0)
 
 
 def test_integers_predict_the_same_as_floats(leaf):

@@ -150,7 +150,7 @@ def _read_option(option: str, file: Path, parse: Callable[[str, str], T]) -> T:
 
 
 def find_bag(path: Path) -> Path:
-    """The folder `bag` in the folder of a run, with measurements and predictions; otherwise the path itself."""
+    """The folder `bag`, with measurements and predictions, for the folder of a run; any other path unchanged."""
     return path / "bag" if path.is_dir() and not is_bag(path) and is_bag(path / "bag") else path
 
 

@@ -51,7 +51,8 @@ def report_results(folder: Path, outcome: session.Outcome, extra: dict[str, Any]
     for line in format_band_lines(results.bands):
         console.out(line, highlight=False)
     ticks = summary["ticks"]
-    console.print(f"predictions due {ticks['due']}, made {ticks['predicted']}, skipped {ticks['skipped']}")
+    since = " since the last start of the predictor in bag" if "predictor" in outcome.restarts else ""
+    console.print(f"predictions due {ticks['due']}, made {ticks['predicted']}, skipped {ticks['skipped']}{since}")
     if text := describe_incomplete(summary["models"]):
         console.print(f"predictions without a complete score, not in the table: {text}", highlight=False)
     scored = max((modes["forecast"]["n_starts"] + modes["forecast"]["n_incomplete"]
@@ -72,8 +73,8 @@ def _print_problems(folder: Path, outcome: session.Outcome, console: Console) ->
     if outcome.problem:
         console.out(outcome.problem, style="red", highlight=False)
     if restarts := [f"{name} ({count})" for name, count in outcome.restarts.items()]:
-        advice = ("; a recorder continues in bag_2, an evaluator in errors_2; repair truncated bags with `st recover "
-                  f"{folder}`" if outcome.restarts.keys() & {"recorder", "evaluator"} else "")
+        advice = ("; a recorder continues in bag_2, an evaluator in errors_2, which the table omits; repair truncated "
+                  f"bags with `st recover {folder}`" if outcome.restarts.keys() & {"recorder", "evaluator"} else "")
         console.out(f"number of restarts: {', '.join(restarts)}{advice}", style="yellow", highlight=False)
     if failed := [f"{name} (status {status})" for name, status in outcome.statuses.items() if status]:
         console.out(f"ended with an error: {', '.join(failed)}; see {folder / 'logs'}", style="red", highlight=False)

@@ -78,11 +78,14 @@ class Supervisor:
         for node in self._nodes:
             if is_delayed:
                 node.started_at = now
-            if node.restart_at is None:
-                self._check_node(node, now)
-            elif now >= node.restart_at:
-                self._suite.start_node(node.package, node.name)
-                node.started_at, node.has_responded, node.restart_at = now, False, None
+            try:
+                if node.restart_at is None:
+                    self._check_node(node, now)
+                elif now >= node.restart_at:
+                    self._suite.start_node(node.package, node.name)
+                    node.started_at, node.has_responded, node.restart_at = now, False, None
+            except OSError as error:  # its log cannot be read or written, as on a removed disk
+                self._schedule_restart(node, now, str(error))
             if node.failure:
                 times = "once:" if node.restarts == 1 else f"{node.restarts} times, most recently:"
                 is_running = node.restart_at is None and node.has_responded
@@ -170,7 +173,7 @@ def set_aside_on_failure(folder: Path) -> Iterator[None]:
     try:
         yield
     except SuiteError as error:
-        raise SuiteError(str(error).replace(str(folder), str(set_aside(folder)))) from None
+        raise SuiteError(str(error).replace(f"{folder}/", f"{set_aside(folder)}/")) from None
 
 
 def set_aside(folder: Path) -> Path:
@@ -239,8 +242,7 @@ def _watch(suite: Suite, monitor: Monitor, supervisor: Supervisor | None, consol
                 live.update(render_progress(monitor.state, elapsed, duration, title), refresh=True)
             elif time.monotonic() - last_line >= LOG_PERIOD:
                 state, last_line = monitor.state, time.monotonic()
-                line = Text(f"{title}: {elapsed:.0f} s; {render_counts(state.predictor_status)}")
-                console.print(line, soft_wrap=True)
+                console.out(f"{title}: {elapsed:.0f} s; {render_counts(state.predictor_status)}", highlight=False)
                 if problems := render_health(state).plain.rstrip():
                     console.print(Text(problems), soft_wrap=True)
     return ""

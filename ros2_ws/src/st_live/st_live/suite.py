@@ -97,9 +97,8 @@ class Processes(AbstractContextManager):
                 self.realtime_denied.add(name)
             except ProcessLookupError:
                 pass  # it has already ended; `check` reports that
-        child = Child(name, process, log, may_end)
-        self.children.append(child)
-        return child
+        self.children.append(Child(name, process, log, may_end))
+        return self.children[-1]
 
     def check(self) -> None:
         """Raises SuiteError naming the first child that has ended, except with status 0 if it may end."""
@@ -154,8 +153,7 @@ class Suite(Processes):
 
 def find_executable(package: str, executable: str) -> str:
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        candidate = Path(prefix) / "lib" / package / executable
-        if candidate.exists():
+        if (candidate := Path(prefix) / "lib" / package / executable).exists():
             return str(candidate)
     if found := shutil.which(executable):
         return found
@@ -186,8 +184,7 @@ def find_free_udp_port() -> int:
 
 def read_domain_id() -> int | None:
     """The user's ROS_DOMAIN_ID; None if it is not set. Raises SuiteError if it is invalid."""
-    text = os.environ.get("ROS_DOMAIN_ID", "")
-    if not text:
+    if not (text := os.environ.get("ROS_DOMAIN_ID", "")):
         return None
     if not text.isdecimal() or int(text) > LARGEST_VALID_DOMAIN:
         raise SuiteError(f"ROS_DOMAIN_ID: {text!r} is not a whole number from 0 to {LARGEST_VALID_DOMAIN}")

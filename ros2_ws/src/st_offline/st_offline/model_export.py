@@ -9,7 +9,7 @@ import casadi
 import numpy as np
 from st_core import __version__
 from st_core.augmented import AugmentedModel
-from st_core.backends.casadi_backend import SymbolicModel, Variable, build
+from st_core.backends.casadi_backend import SymbolicModel, build
 from st_core.bands import Band, Bands
 from st_core.bands.calibration import LEVELS
 from st_core.bands.scale import MAX_LOG_SCALE, compute_magnitudes, compute_scalar_features
@@ -28,8 +28,8 @@ def export_model(model: Model, vehicle: VehicleParameters, folder: Path, kind: F
     """Write the functions of a model, model.json and README.md into an existing folder; returns the files.
 
     free: parameters that remain arguments of the functions. bands: of this car and model (`Bands.check`); each mode and
-    level in LEVELS becomes a CasADi function that returns half-widths. Raises ConfigurationError for an unknown
-    parameter in `free`.
+    level, of LEVELS and the highest, becomes a CasADi function that returns half-widths. Raises ConfigurationError for
+    an unknown parameter in `free`.
     """
     symbolic = build(model, vehicle, substeps, free)
     if kind == "casadi":
@@ -42,13 +42,11 @@ def export_model(model: Model, vehicle: VehicleParameters, folder: Path, kind: F
             generator.add(function)
         generator.generate(f"{folder}/")  # the argument is a prefix of the file name
         files = [folder / f"{symbolic.name}.c", folder / f"{symbolic.name}.h"]
-    if bands is not None:
-        exported_bands = {(mode, level): band for (name, mode), band in bands.bands.items() if name == model.name
-                          for level in band.factors if level in LEVELS}
-        for (mode, level), band in exported_bands.items():
+    for (model_name, mode), band in bands.bands.items() if bands else ():
+        for level in {*LEVELS, max(band.factors)} & band.factors.keys() if model_name == model.name else ():
             name = f"{model.name}_band_{mode}_{100 * level:.0f}"
             files.append(folder / f"{name}.casadi")
-            make_half_width_function(band, level, vehicle, name).save(str(files[-1]))
+            make_half_width_function(band, level, model.effective_vehicle(vehicle), name).save(str(files[-1]))
     description = make_description(symbolic, model, vehicle, [f.name for f in files])
     files += [folder / "model.json", folder / "README.md"]
     files[-2].write_text(json_text(description), encoding="utf-8")
@@ -60,32 +58,30 @@ def make_description(symbolic: SymbolicModel, model: Model, vehicle: VehiclePara
                      files: list[str]) -> dict[str, Any]:
     """Content of model.json; null: no limit or no value."""
     effects: Mapping[str, Mapping[str, float]] = getattr(model, "values", {})
+    car = model.effective_vehicle(vehicle)
     return {
         "model": symbolic.name,
         "base": model.base.name if isinstance(model, AugmentedModel) else model.name,
         "effects": {name: dict(values) for name, values in effects.items()},
         "omitted_effects": list(symbolic.omitted_effects),
-        "vehicle": {"name": vehicle.name, "hash": vehicle.hash},
+        "vehicle": {"name": vehicle.name, "hash": vehicle.hash, "cg_to_ins_x": car.cg_to_ins_x,
+                    "cg_to_ins_y": car.cg_to_ins_y},
         "version": __version__,
         "frame": "x forward, y left, z up; centre of gravity; map x east, y north; yaw counter-clockwise from east",
-        "states": [_describe_variable(v) for v in symbolic.states],
-        "inputs": [_describe_variable(v) for v in symbolic.inputs],
+        **{key: [{"name": v.name, "unit": v.unit, "lower": v.lower, "upper": v.upper} for v in variables]
+           for key, variables in (("states", symbolic.states), ("inputs", symbolic.inputs))},
         "parameters": list(map(asdict, symbolic.parameters)),
         "substeps": symbolic.substeps,
         "stable_above_m_s": {f"{step:g}": round(lowest_stable_speed(model, vehicle, step / symbolic.substeps), 3)
                              for step in STEPS},
-        "functions": {f.name(): {kind: {name: list(size(k)) for k, name in enumerate(names)} for kind, names, size in (
+        "functions": {f.name(): {role: {name: list(size(k)) for k, name in enumerate(names)} for role, names, size in (
             ("arguments", f.name_in(), f.size_in), ("results", f.name_out(), f.size_out))} for f in symbolic.functions},
         "files": files,
     }
 
 
-def _describe_variable(variable: Variable) -> dict[str, Any]:
-    return {"name": variable.name, "unit": variable.unit, "lower": variable.lower, "upper": variable.upper}
-
-
 def _format_readme(description: dict[str, Any], kind: Format) -> str:
-    name, p = description["model"], ", p" if description["parameters"] else ""
+    name, car, p = description["model"], description["vehicle"], ", p" if description["parameters"] else ""
     states, inputs, parameters = (", ".join(f"{v['name']} [{v['unit']}]" for v in description[key]) or "none"
                                   for key in ("states", "inputs", "parameters"))
     stable = ", ".join(f"{h} s: {v:g} m/s" for h, v in description["stable_above_m_s"].items())
@@ -96,10 +92,10 @@ def _format_readme(description: dict[str, Any], kind: Format) -> str:
              "Jacobians without their structural zeros: `_sparsity_out` returns the positions of the entries. Call "
              f"`{name}_step(arguments, results, iw, w, 0)` with arrays of the sizes that `{name}_step_work` returns.")
     return "\n\n".join(filter(None, (
-        f"# {name}: single-track model of {description['vehicle']['name']}",
+        f"# {name}: single-track model of {car['name']}",
         f"Base model {description['base']}; effects: {', '.join(description['effects']) or 'none'}. st_core "
-        f"{description['version']}, vehicle hash {description['vehicle']['hash'][:12]}. SI units. Frame: "
-        f"{description['frame']}.",
+        f"{description['version']}, vehicle hash {car['hash'][:12]}. SI units. Frame: "
+        f"{description['frame']}. INS {car['cg_to_ins_x']:g} m ahead, {car['cg_to_ins_y']:g} m left of the CG.",
         f"States x: {states}. Inputs u: {inputs}. Parameters p: {parameters}. The road-wheel angle is positive to the "
         "left. velocity_x_dot is the derivative of velocity_x; the longitudinal acceleration is velocity_x_dot - "
         "velocity_y * yaw_rate. Bounds, and the arguments and results of each function, are in model.json; use the "
@@ -111,8 +107,8 @@ def _format_readme(description: dict[str, Any], kind: Format) -> str:
         "`st evaluate` uses h = 0.05 s.",
         f"Not in the equations: {missing}. These effects act on the steering signal before the model, or on the "
         "sensors; apply them separately." if missing else "",
-        f"`{name}_band_...`: half-widths (points after the start, 3) along, across [m] and in yaw [rad], from x, u and "
-        "the root mean square steering rate at the road wheels in the last second [rad/s]."
+        f"`{name}_band_...`: half-widths (points after the start, 3) along, across [m], in yaw [rad] from x, u and RMS "
+        "steering rate at the road wheels in the last second [rad/s]; valid only in their calibration domain."
         if any(file.startswith(f"{name}_band_") for file in description["files"]) else "", usage))) + "\n"
 
 

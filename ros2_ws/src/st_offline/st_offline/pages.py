@@ -32,7 +32,7 @@ def make_columns(head: Sequence[str], rows: Iterable[Sequence[Any]],
                  text_columns: int) -> list[tuple[str, str, tuple[Any, ...]]]:
     """(title, CSS class, cells) of each column that is not empty. text_columns: number of leading text columns."""
     result = []
-    for k, (title, cells) in enumerate(zip(head, zip(*rows, strict=True), strict=True)):
+    for k, (title, cells) in enumerate(zip(head, [*zip(*rows, strict=True)] or [()] * len(head), strict=True)):
         texts = [str(cell) for cell in cells]
         if any(text not in ("", "-") for text in texts):
             is_text = k < text_columns or any(text[:1].isalpha() for text in texts)

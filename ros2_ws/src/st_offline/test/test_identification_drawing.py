@@ -1,4 +1,4 @@
-"""Figures of identification."""
+"""Figures and terminal output of identification."""
 
 import numpy as np
 import pytest
@@ -7,6 +7,8 @@ from st_core.vehicle import VehicleParameters
 from st_offline.evaluation.drawing import FigureOutput
 from st_offline.identification.driving import draw_prediction, draw_stiffness
 from st_offline.identification.experiment import make_estimate_rows
+from st_offline.identification.identify_command import print_results
+from st_recordings.runs.errors import log_warnings
 from support import LEAF
 
 
@@ -36,3 +38,12 @@ def test_stiffness_that_is_not_identified_is_marked_in_the_title(tmp_path):
     vehicle = VehicleParameters.from_yaml(LEAF.read_text().replace("value: 70000.0", "value: 130000.0"))
     rows = make_estimate_rows(outcome, vehicle)
     assert rows[0][5] == "130000"
+
+
+def test_warning_that_was_logged_is_not_printed_again(capsys):
+    text = "drive_7.csv: 3 of 90 rows are not used"
+    log_warnings([text])
+    outcome = Identification("steering", (), ("a",), warnings=(text, "mass is exact"))
+    print_results((outcome,), VehicleParameters.from_yaml(LEAF.read_text()), [])
+    output = capsys.readouterr().out
+    assert "mass is exact" in output and "drive_7.csv" not in output

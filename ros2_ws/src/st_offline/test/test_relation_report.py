@@ -22,6 +22,7 @@ from st_core.relations.candidates import ALL_TERMS, NO_PARITY, ODD, ODD_QUANTITI
 from st_core.relations.next_drive import NextDrives, Option
 from st_core.vehicle import VehicleParameters
 from st_offline.discovery import quantities
+from st_offline.discovery.discover_command import print_result
 from st_offline.discovery.figures import draw_relation
 from st_offline.discovery.relation_report import (
     RelationReport,
@@ -188,6 +189,12 @@ def test_reason_is_reported_without_a_proposal(tmp_path):
     reason = "the curve of additional side force on the body as a function of the speed runs into its bound"
     assert f"none: {reason}" in format_report(search)
     assert build_relation_document(search)["proposal"] is None
+
+
+def test_terminal_reports_a_search_without_a_proposal(capsys):
+    report = report_relation(RelationSearch(None, "no relation is significant", {}), DISCOVERY, CAR, "out")
+    print_result(DISCOVERY, None, [], {}, False, report)
+    assert "proposal: none: no relation is significant" in capsys.readouterr().out
 
 
 def test_tables_list_errors_by_run_and_both_values_of_a_parameter():

@@ -27,7 +27,7 @@ NOT_REPORTED_LIVE = ("heading_misaligned", "measuring_point", "time_gaps", "samp
 
 @dataclass(frozen=True)
 class Verdict:
-    """Result of a check. severity: of the worst confirmed fault or a failed check; "note" for other findings, or ""."""
+    """Result of a check. severity: of the worst confirmed fault or a failed check; else "note", "" without findings."""
 
     severity: str
     message: str

@@ -11,6 +11,7 @@ from nav_msgs.msg import Path as PathMessage
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 from st_core.bands import BandCoverage
+from st_core.errors import StCoreError
 from st_core.evaluation import ErrorStatistics as Statistics
 from st_core.evaluation import Mode, Score
 from st_core.log_evaluation import PLANNED_MODES
@@ -111,9 +112,12 @@ def read_planned_inputs(message: InputPlan, base_frame: str, vehicle: VehiclePar
     issued_ns = to_nanoseconds(message.header.stamp)
     time_ns = issued_ns + np.round(seconds * 1e9).astype(np.int64)
     first, second = map(np.asarray, pairs[0] if lengths[0][0] else pairs[1])
-    if lengths[0][0]:
-        return PlannedInputs(issued_ns, time_ns, first, second)
-    return PlannedInputs.from_path(issued_ns, time_ns, first, second, vehicle)
+    try:
+        if lengths[0][0]:
+            return PlannedInputs(issued_ns, time_ns, first, second)
+        return PlannedInputs.from_path(issued_ns, time_ns, first, second, vehicle)
+    except StCoreError as error:
+        return str(error)
 
 
 def read_trajectory(message: Prediction | PlannedPrediction) -> tuple[int, Trajectory] | str:

@@ -115,6 +115,8 @@ def test_plan_of_speed_and_curvature_reduces_the_error_of_held_inputs(
     ({"velocity_x_dot": [0.0]}, "one value per time for one pair"),
     ({"time": []}, "one value per time for one pair"),
     ({"time": [0.0, float("nan")]}, "time is not finite"),
+    ({"time": [0.1, 0.0]}, "plan: the times are not increasing"),
+    ({"time": [0.0], "road_wheel_angle": [0.0], "velocity_x_dot": [0.0]}, "plan: 1 point(s); at least two are needed"),
 ])
 def test_malformed_plan_is_rejected(changes: dict[str, list[float]], reason: str) -> None:
     car = VehicleParameters.from_yaml(LEAF.read_text(), "leaf")

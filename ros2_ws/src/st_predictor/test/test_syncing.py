@@ -154,3 +154,22 @@ def test_recording_check_reports_slow_and_failing_disk(disk: Disk, tmp_path: Pat
     check = make_recording_check(slow)
     assert check.level == diagnostics.WARN and "the disk is slow" in check.message, check
     slow.close()
+
+
+@pytest.mark.ros
+def test_evaluator_that_cannot_record_names_the_command_that_replaces_it(tmp_path: Path) -> None:
+    rclpy = pytest.importorskip("rclpy")
+    from ros_processes import free_domain
+    from st_predictor.nodes.evaluator import EvaluatorNode
+    from support import LEAF
+
+    rclpy.init(args=["--ros-args", "-p", f"vehicle_file:={LEAF}", "-p", f"output_directory:={tmp_path / 'errors'}"],
+               domain_id=free_domain())
+    try:
+        node = EvaluatorNode()
+        node._bag.error = "recording stopped: No space left on device"
+        message = next(check.message for check in node._make_checks() if check.name == "recording")
+        node.destroy_node()
+    finally:
+        rclpy.shutdown()
+    assert message == "recording stopped: No space left on device; st evaluate computes the later errors"

@@ -44,13 +44,13 @@ class Car:
         return self.folder / "signals.yaml"
 
 
-def load_car(name: str) -> Car:
+def load_car(name: str | Path) -> Car:
     """Loads a car by the name of its folder in config/car, or by the path of any folder. car.yaml is optional.
 
     Raises RunError for a file, for a folder that does not exist or has no vehicle file, and for a car.yaml with
     keys other than steering_sign (1 or -1) and steering_latency (0 to 1 s), or other values.
     """
-    folder = Path(name) if "/" in name or Path(name).is_dir() else config("car") / name
+    folder = Path(name) if "/" in str(name) or Path(name).is_dir() else config("car") / name
     if folder.is_file():
         parent = folder.absolute().parent
         alternative = f"--car {parent}, or " if (parent / "vehicle.yaml").is_file() else ""

@@ -75,16 +75,14 @@ def list_uncertainties(vehicle: VehicleParameters) -> list[str]:
         if uncertainty is None:
             keys_without_uncertainty.append(key)
             continue
-        provenance = vehicle.provenance.get(key)
         unit = "" if quantity.si_unit == "1" else f" {quantity.si_unit}"
         default = DEFAULT_UNCERTAINTIES.get(key)
-        if provenance is not None and provenance.uncertainty:
+        if (provenance := vehicle.provenance.get(key)) is not None and provenance.uncertainty:
             lines.append(f"{key} +/- {uncertainty:.3g}{unit} (from the file)")
         elif default is not None:
             size = f"{100 * default.size:g} %" if default.relative else f"{uncertainty:.3g}{unit}"
             lines.append(f"{key} assumed +/- {size} ({default.source}); give `uncertainty` to change that")
-    fit_keys = [key for key in keys_without_uncertainty if "." not in key and key not in FIXED_QUANTITIES]
-    if fit_keys:
+    if fit_keys := [key for key in keys_without_uncertainty if "." not in key and key not in FIXED_QUANTITIES]:
         lines.append(f"no prior in st discover unless `uncertainty` is given: {', '.join(fit_keys)}")
     return lines
 
@@ -124,7 +122,7 @@ def _find_bus_problems(car: Car) -> list[str]:
         if _find_unfilled_keys(read_yaml_mapping(car.signals)):
             return [f"{car.signals}: messages: {FILL_IN}_message and {FILL_IN}_signal are not filled in: enter the "
                     f"names, as in {car.dbc.name}, of the message and the signal that carry the steering wheel angle; "
-                    "if all recordings are CSV or bags, delete both files and rt.dbc"]
+                    f"if all recordings are CSV or bags, delete {car.signals.name}, {car.dbc.name} and rt.dbc"]
         table = load_table(car.dbc, car.signals)
     except (RunError, ConfigurationError) as error:
         return [str(error)]

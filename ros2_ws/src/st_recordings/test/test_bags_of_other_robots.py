@@ -195,6 +195,13 @@ def test_exchanged_channels_of_a_bag_are_corrected_by_a_run_file(tmp_path: Path,
     assert_warned(run.warnings, "corrected by its run.yaml: x from y; y from x")
 
 
+def test_two_channels_from_one_of_a_bag_are_refused(tmp_path: Path, drive_log: DriveLog) -> None:
+    write(tmp_path / "drive", drive_log, "/odom", "/steer")
+    (tmp_path / "run.yaml").write_text("bag: drive\ncolumns: {x: y}\n")
+    (source,) = find_runs([tmp_path])
+    assert "can only exchange its channels, as {x: y, y: x}" in str(source.problem)
+
+
 @pytest.mark.parametrize(("frame_id", "yaw", "is_rotated"), [
     ("map", 0.05, True), ("robot/odom", 0.05, True), ("gps_link", 0.05, True), ("", 0.05, False),
     ("base_link", 0.05, False), ("base_link", 0.3, True), ("map", 0.3, True), ("imu_link", -1.6, True)])
@@ -380,7 +387,7 @@ def test_command_in_place_of_the_steering_angle_is_reported(tmp_path: Path, driv
     folder = write(tmp_path / "drive", drive_log, "/odom", topic)
     field = {"/steering_cmd": "data", "/drive": "drive.steering_angle"}[topic]
     run = read(find_runs([folder])[0], CAR, ReadSettings(steering=SteeringField(topic, field)))
-    assert_warned(run.warnings, f"the name of {topic} or of its field .* is that of a command")
+    assert_warned(run.warnings, f"{topic} or its field .* is named like a command")
 
 
 @pytest.mark.parametrize("topics", [

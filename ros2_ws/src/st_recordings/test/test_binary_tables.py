@@ -1,5 +1,6 @@
-"""Tables in files of MATLAB, HDF5, Parquet and Feather are read as the CSV file with the same columns."""
+"""Tables in files of MATLAB, HDF5, Parquet, Feather and JSON are read as the CSV file with the same columns."""
 
+import json
 import pickle
 import sys
 from collections.abc import Callable
@@ -9,6 +10,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 from asammdf import MDF, Signal
 from scipy.io import savemat
@@ -176,9 +178,36 @@ def save_parquet_with_index(file: Path, columns: Columns) -> None:
     pd.DataFrame(columns).set_index("t").to_parquet(file)
 
 
+def save_arrow_stream(file: Path, columns: Columns) -> None:
+    table = pa.table(columns)
+    with pa.ipc.new_stream(file, table.schema) as stream:
+        stream.write_table(table)
+
+
 def save_parquet_with_date_index(file: Path, columns: Columns) -> None:
     index = pd.to_datetime(np.round(columns["t"] * 1e9).astype(np.int64))
     pd.DataFrame({name: columns[name] for name in columns if name != "t"}).set_index(index).to_parquet(file)
+
+
+def nest(columns: Columns) -> list[dict[str, Any]]:
+    """Records in which the position is an object."""
+    return [{"pose": {"x": row.pop("x"), "y": row.pop("y")}, **row} for row in pd.DataFrame(columns).to_dict("records")]
+
+
+def save_json_lines(file: Path, columns: Columns) -> None:
+    file.write_text("\ufeff" + "\r\n".join(map(json.dumps, nest(columns))), encoding="utf-8")
+
+
+def save_json_records(file: Path, columns: Columns) -> None:
+    file.write_text(json.dumps({"car": "Leaf", "samples": nest(columns)}, indent=2))
+
+
+def save_json_columns(file: Path, columns: Columns) -> None:
+    file.write_text(json.dumps({"car": {"mass": 1500.0}, **pd.DataFrame(columns).to_dict("list")}))
+
+
+def save_parquet_with_structs(file: Path, columns: Columns) -> None:
+    pd.DataFrame(nest(columns)).to_parquet(file)
 
 
 def save_datasets(file: Path, columns: Columns) -> None:
@@ -282,9 +311,11 @@ def test_drive_of_matlab_7_3_equals_the_one_of_the_csv_file(
     *((save, ".mat") for save in MATLAB), (save_datasets, ".h5"), (save_compound, ".hdf5"),
     (save_external, ".h5"), (save_virtual, ".h5"), (save_table_of_pandas, ".h5"), (save_frame_of_pandas, ".h5"),
     (save_export_of_asammdf, ".hdf"),
-    (save_parquet_with_date_index, ".parquet"),
+    (save_parquet_with_date_index, ".parquet"), (save_parquet_with_structs, ".parquet"),
+    (save_json_lines, ".jsonl"), (save_json_records, ".json"), (save_json_columns, ".json"),
+    (lambda file, columns: pd.DataFrame(columns).to_json(file, double_precision=12), ".json"),
     (lambda file, columns: pd.DataFrame(columns).to_parquet(file), ".parquet"), (save_parquet_with_index, ".parquet"),
-    (lambda file, columns: pd.DataFrame(columns).to_feather(file), ".feather")])
+    (lambda file, columns: pd.DataFrame(columns).to_feather(file), ".feather"), (save_arrow_stream, ".arrow")])
 def test_drive_equals_the_one_of_the_csv_file(columns: Columns, tmp_path: Path,
                                               save: Callable[[Path, Columns], None], extension: str):
     pd.DataFrame(columns).to_csv(tmp_path / "drive.csv", index=False)
@@ -353,8 +384,8 @@ def test_code_in_an_attribute_of_a_table_is_not_run(columns: Columns, tmp_path: 
 
 
 @pytest.mark.parametrize(("write", "name", "message"), [
-    (write_truncated_version_7_3, "a.mat", r"h5py cannot read the file \(.*truncated.*\); copy it again, or save it"),
-    (lambda file: file.write_text("t,x,y\n1,2,3\n"), "a.h5", "h5py cannot read the file"),
+    (write_truncated_version_7_3, "a.mat", r"cannot be read \(.*truncated.*\); copy it again, or export it as"),
+    (lambda file: file.write_text("t,x,y\n1,2,3\n"), "a.h5", "cannot be read"),
     (lambda file: save_object(file, {"gain": 3.0}, log="timetable", v="timeseries", note="string"), "a.mat",
      r"objects that only MATLAB can read: log \(timetable\), v \(timeseries\); save their samples as vectors or fields "
      r"of a struct, for example v = struct\('Time', v\.Time, 'Data', v\.Data\); writetimetable\(log, 'log\.csv'\)"),
@@ -366,11 +397,17 @@ def test_code_in_an_attribute_of_a_table_is_not_run(columns: Columns, tmp_path: 
     (lambda file: save_without_its_samples(file, save_virtual), "a.h5",
      r"its /\w+ is a link to the file a\.samples, which cannot be opened; also copy that file"),
     (save_blosc, "a.h5", r"its /speed is compressed with .* \(HDF5 filter 32001\), which h5py cannot read; save it un"),
-    (lambda file: file.write_text("t,x,y\n1,2,3\n"), "a.mat", "scipy cannot read the file"),
+    (lambda file: file.write_text("t,x,y\n1,2,3\n"), "a.mat", "cannot be read"),
     (lambda file: savemat(file, {"gain": 3.0, "car": "Leaf"}), "a.mat", "it contains no vectors; save the samples"),
     (lambda file: savemat(file, {"speed": np.ones(9)}), "a.mat",
      "no column was recognised as t, x .or longitude., y .or latitude., yaw"),
-    (lambda file: file.write_bytes(b"PAR1 broken"), "a.parquet", "pyarrow cannot read the file")])
+    (lambda file: file.write_bytes(b"PAR1 broken"), "a.parquet", "cannot be read"),
+    (lambda file: file.write_text('{"t": 0.0, "x": 1.0}\n{"t": 0.1, "x"'), "a.jsonl",
+     r"cannot be read \(.*line 2 .*\); copy it again"),
+    (lambda file: file.write_text('[{"sensor": "gyro", "z": 1}, {"sensor": "magnet", "z": 2}]'), "a.jsonl",
+     "it does not have one array of records that all have the same keys, topic and sensor; write one file for each"),
+    (lambda file: file.write_text('{"car": [{"t": 0, "x": 1}], "bus": [{"t": 0, "x": 2}]}'), "a.jsonl", "one array of"),
+    (lambda file: file.write_text('[{"t": 0, "lat": 1}, {"t": 0, "speed": 2}]'), "a.jsonl", "the same keys")])
 def test_error_names_the_reason_and_the_remedy(tmp_path: Path, write: Callable[[Path], None], name: str,
                                                  message: str):
     write(tmp_path / name)

@@ -76,7 +76,7 @@ def test_truncated_real_file_gives_the_frames_before_its_end(which: str, middle:
 def test_file_truncated_inside_its_index_is_rejected(tmp_path: Path, name: str, end: int) -> None:
     file = tmp_path / "truncated.MF4"
     file.write_bytes((GOLDEN_DATA / name).read_bytes()[:end])
-    with pytest.raises(RunError, match=r"truncated\.MF4: the file is truncated or damaged: .* copy it again from the"):
+    with pytest.raises(RunError, match=r"truncated\.MF4: the file is truncated or damaged \(.*\); copy it again from"):
         read_mf4(file)
 
 
@@ -439,6 +439,16 @@ def test_trc_with_an_unreadable_start_is_relative(tmp_path: Path, start: str) ->
     log = read_can_logs([tmp_path / "a.trc"])
     assert log.frames.time_ns.tolist() == [10**6, 2 * 10**6, 3 * 10**6] and not log.is_utc
     assert "; the first is line 2" in log.warnings[0]
+
+
+@pytest.mark.parametrize(("header", "row"), [
+    (";$FILEVERSION=1.1\n;\n", "{k}) {k}.0 Rx 0123 2 01 02\n"),
+    (";$FILEVERSION=1.3\n;\n", "{k}) {k}.0 2 Rx 0123 - 2 01 02\n"),
+    (";$FILEVERSION=2.1\n;$COLUMNS=N,O,T,B,I,d,R,L,D\n", "{k} {k}.0 DT 2 0123 Rx - 2 01 02\n")])
+def test_trc_has_the_bus_numbers_of_the_file(tmp_path: Path, header: str, row: str) -> None:
+    (tmp_path / "a.trc").write_text(header + "".join(row.format(k=k) for k in range(1, 4)))
+    expected = 1 if "1.1" in header else 2  # version 1.1 has no buses
+    assert read_can_logs([tmp_path / "a.trc"]).frames.bus.tolist() == [expected] * 3
 
 
 def test_mf4_without_can_frames_is_rejected(tmp_path: Path) -> None:

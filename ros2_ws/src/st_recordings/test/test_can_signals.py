@@ -142,6 +142,25 @@ def test_multiplexed_steering_angle_is_read_from_its_own_frames(tmp_path: Path) 
     assert not signals.faults and not signals.rejected_times_ns
 
 
+def test_value_that_the_dbc_names_init_is_no_steering_angle(tmp_path: Path) -> None:
+    """A sensor sends it for a second after it is switched on; it is within the range."""
+    table = write_table(tmp_path, 'BO_ 134 Steer: 2 X\n SG_ Angle : 0|14@1+ (0.1,-819.2) [-800|800] "deg" X\n\n'
+                                  'VAL_ 134 Angle 16382 "Init" 16383 "Error" ;\n',
+                        "unit: deg, range: [-900, 900], max_rate: 2000")
+    payloads = [raw.to_bytes(2, "little") for raw in (*[16382] * 100, *range(8192, 8492))]
+    signals = decode_signals(make_frames(10**7, [134] * len(payloads), payloads), table)
+    np.testing.assert_allclose(np.degrees(signals.find_first("steering_wheel_angle").values), 0.1 * np.arange(300))
+    assert "Angle implausible (not a number, or named in the DBC) in 100 of 400 frames" in signals.faults["Steer"]
+
+
+def test_steering_message_with_nothing_but_named_values_is_not_missing(tmp_path: Path) -> None:
+    table = write_table(tmp_path, 'BO_ 134 Steer: 2 X\n SG_ Angle : 0|14@1+ (0.1,-819.2) [-800|800] "deg" X\n\n'
+                                  'VAL_ 134 Angle 16383 "SNA" ;\n', "unit: deg")
+    signals = decode_signals(make_frames(10**7, [134] * 9, [b"\xff\x3f"] * 9), table)
+    with pytest.raises(RunError, match=r"Steer \(0x086\) cannot be used: none of 9 frames contains an angle; values n"):
+        find_steering(signals, "drive.mf4", table)
+
+
 def test_simultaneous_copies_of_a_frame_count_once(steering_frames: Frames, table: SignalTable) -> None:
     repeated = steering_frames.select(np.repeat(np.arange(len(steering_frames)), 2))
     signal = decode_signals(repeated, table).find_first("steering_wheel_angle")

@@ -249,6 +249,15 @@ def test_two_drives_of_a_minute_in_one_file_are_not_joined(tmp_path: Path) -> No
     assert table.is_usable.sum() == 6000 and "the clock was set back by 59.990 s" in table.warnings[0]
 
 
+@pytest.mark.parametrize("per_second", [10**9, 10**6, 10**3])
+def test_fractions_of_seconds_without_leading_zeros(tmp_path: Path, per_second: int) -> None:
+    stamps = [f"{12 + k // 50}.{k % 50 * per_second // 50}" for k in range(300)]
+    file = write(tmp_path, [HEADER, *(f"{stamp},{k},0,0.1,1,0,0,0,0,0.1" for k, stamp in enumerate(stamps))])
+    table = read_table(file, Layout())
+    np.testing.assert_allclose(table.time_ns[table.is_usable], 12e9 + np.arange(300) * 20e6)
+    assert "zeros were added after the point of times, as in 12.02" in table.warnings[0]
+
+
 @pytest.mark.parametrize(("unit", "step"), [("min", 1 / 6000), ("h", 1 / 360000), ("ms", 1.0)])
 def test_steps_of_times_in_another_unit_cause_a_warning(tmp_path: Path, unit: str, step: float) -> None:
     file = write(tmp_path, [HEADER, *(f"{k * step:.8f},{k},0,0.1,1,0,0,0,0,0.1" for k in range(300))])
@@ -301,6 +310,15 @@ def test_day_numbers_and_32_bit_milliseconds(tmp_path: Path, factor: float, orig
     ("grudnia", 12), ("xyz", None)])
 def test_month_names_of_several_languages(name: str, number: int | None) -> None:
     assert month_number(name) == number
+
+
+@pytest.mark.parametrize(("stamp", "hour"), [
+    ("Mon May 04 12:00:{} GMT+02:00 2026", 10), ("Mon May 4 12:00:{} CEST 2026", 10), ("May 04 12:00:{} 2026", 12),
+    ("Mon May  4 12:00:{} 2026", 12)])
+def test_date_with_the_year_at_the_end(tmp_path: Path, stamp: str, hour: int) -> None:
+    lines = [f"{stamp.format(f'{0.02 * k:06.3f}')},{line.split(',', 1)[1]}" for k, line in enumerate(rows(200))]
+    log = read_csv(write(tmp_path, [HEADER, *lines])).log
+    assert log.ins_time_ns[0] * 1e-9 == pytest.approx(datetime(2026, 5, 4, hour, tzinfo=UTC).timestamp())
 
 
 @pytest.mark.parametrize("month", ["ene", "jan", "sty"])

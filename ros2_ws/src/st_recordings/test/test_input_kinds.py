@@ -476,6 +476,8 @@ def test_parts_of_a_table_are_one_run(tmp_path: Path, drive_log: DriveLog, kind:
      r"it has one row for each value \(columns _field and _value\); export one column for each _field"),
     (lambda log: "lap,telemetry_name,telemetry_value,timestamp\n2,Speed,99.1,2025-09-05T00:28:20.593Z\n",
      r"columns telemetry_name and telemetry_value\); export one column for each telemetry_name, with"),
+    (lambda log: '"SECONDS";"PID";"VALUE";"UNITS"\n"1.0";"Vehicle speed";"3.5";"km/h"\n',
+     r"columns PID and VALUE\); export one column for each PID, with"),
     (lambda log: "$GPRMC,101112.00,A,5200.0,N\n" * 99, "it contains NMEA sentences instead of a table; export time"),
     (lambda log: csv(rows(log), ",".join(NAMES).replace(",x,", ",a/pos_x,b/pos_x,")[:-21]),
      "columns a/pos_x and b/pos_x may each be x; name the right one"),

@@ -36,6 +36,12 @@ def test_reversed_search_bounds_are_rejected() -> None:
         raw.choose_clock_settings(source, ReadSettings(search=(5.0, 1.0)))
 
 
+def test_one_path_is_accepted_in_place_of_a_list(tmp_path: Path) -> None:
+    touch(tmp_path, "drive.csv", content=DRIVE)
+    for path in (tmp_path, str(tmp_path)):
+        assert [run.name for run in find_runs(path)] == ["drive"]
+
+
 def test_files_with_the_same_stem_form_a_run(tmp_path: Path) -> None:
     touch(tmp_path, "s3.ncom", "s3.MF4", "s4.ncom", "s4.log", "notes.txt")
     runs = by_name(find_runs([tmp_path]))
@@ -109,6 +115,18 @@ def test_can_log_of_a_complete_drive_is_reported_as_unused(tmp_path: Path) -> No
         assert read(run).warnings[0] == f"{log}: not used, because a.csv is a complete drive"
     touch(tmp_path, "b.ncom")
     assert {run.name: len(run.can) for run in find_runs([tmp_path])} == {"a": 0, "b": 1}
+
+
+def test_empty_log_of_a_node_of_a_run_is_not_a_can_log(tmp_path: Path) -> None:
+    touch(tmp_path, "drive.csv", content=DRIVE)
+    touch(tmp_path, "parameters.yaml", "logs/ros/python_1.log", "logs/passenger.log")
+    (run,) = find_runs([tmp_path])
+    assert run.problem is None and run.files == (tmp_path / "drive.csv",)
+
+
+def test_can_log_in_a_folder_with_the_name_of_those_of_the_nodes_is_read(tmp_path: Path) -> None:
+    touch(tmp_path, "drive.ncom", "parameters.yaml", "logs/drive.log", content="(1.0) can0 123#01\n")
+    assert [len(run.can) for run in find_runs([tmp_path])] == [1]
 
 
 def test_compressed_can_log_is_to_be_unpacked(tmp_path: Path) -> None:
@@ -187,7 +205,7 @@ def test_folder_with_runs_of_several_kinds_and_other_files(tmp_path: Path) -> No
     ("unit.bin", r"recordings with the extension \.bin are not supported; rename it to \.ncom if"),
     ("unit.rd", r"recordings with the extension \.rd are not supported; .* convert it to NCOM"),
     ("logger.vbb", r"recordings with the extension \.vbb are not supported; export it as \.vbo"),
-    ("car.dbc", r"recordings with the extension \.dbc are not supported; give a DBC with --dbc"),
+    ("car.dbc", r"recordings with the extension \.dbc are not supported; give this description of CAN messages"),
     ("folder", "this folder contains no recording"),
 ])
 def test_path_that_is_not_a_run_is_rejected(tmp_path: Path, path: str, message: str) -> None:
@@ -326,7 +344,7 @@ def test_table_of_can_frames_is_not_a_can_log(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("name", "error"), [
-    ("a.zip", "unpack it first"), ("a.tdms", "export one"), ("a.csv", "the file is empty"),
+    ("a.zip", "unpack it first"), ("a.tdms", "as .csv, in Python with npTDMS"), ("a.csv", "the file is empty"),
     ("a.bag.active", "the recording was not closed: repair it"), ("notes.txt", "this folder contains no recording"),
     ("oxts/timestamps.txt", "KITTI recordings contain no steering angle"), ("a.json", "contains no recording")])
 def test_folder_without_a_run_is_rejected_with_advice_on_its_recordings(tmp_path: Path, name: str, error: str) -> None:

@@ -8,6 +8,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
 from . import scheduling
+from .polling import create_steady_timer
 
 OK, WARN, ERROR, STALE = 0, 1, 2, 3
 PUBLISH_PERIOD = 1.0  # s
@@ -32,7 +33,7 @@ class Diagnostics:
         self._collect = collect
         self._levels: dict[str, int] = {}  # by name of the check, as last published
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._timer = node.create_timer(PUBLISH_PERIOD, self.publish)
+        create_steady_timer(node, PUBLISH_PERIOD, self.publish, in_sim_time=True)
 
     def publish(self) -> None:
         message = DiagnosticArray()

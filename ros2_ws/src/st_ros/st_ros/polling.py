@@ -17,6 +17,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.timer import Timer
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 UNRESOLVED_PREFIX = "_NODE_NAME"  # prefix of the placeholder for a name that discovery has not resolved
@@ -26,9 +27,11 @@ SAMPLE_QOS = QoSProfile(depth=1000)  # 4 s at 250 Hz, so that a briefly blocked 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # late subscribers get the last message
 
 
-def create_steady_timer(node: Node, period: float, callback: Callable[[], object]) -> None:
-    """Call `callback` every `period` [s] of real time, even while the clock of a replay is paused."""
-    node.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+def create_steady_timer(node: Node, period: float, callback: Callable[[], object], in_sim_time: bool = False) -> Timer:
+    """Call `callback` every `period` [s] of real time, even while the clock of a replay is paused, and after the host's
+    clock is set back; with `in_sim_time`, every `period` of simulated time in a node that uses it."""
+    follows_clock = in_sim_time and node.get_parameter("use_sim_time").value
+    return node.create_timer(period, callback, clock=None if follows_clock else Clock(clock_type=ClockType.STEADY_TIME))
 
 
 class _PolledGroup(CallbackGroup):

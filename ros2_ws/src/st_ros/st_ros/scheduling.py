@@ -56,10 +56,8 @@ def lower_priority(nice: int) -> None:
 
 
 def _read_autogroup() -> int | None:
-    try:
-        if Path("/proc/sys/kernel/sched_autogroup_enabled").read_text().strip() != "1":
-            return None
-        match = re.search(r"nice (-?\d+)", _AUTOGROUP_FILE.read_text())
-    except OSError:
-        return None
-    return int(match[1]) if match else None
+    with contextlib.suppress(OSError):
+        is_enabled = Path("/proc/sys/kernel/sched_autogroup_enabled").read_text().strip() == "1"
+        if is_enabled and (match := re.search(r"nice (-?\d+)", _AUTOGROUP_FILE.read_text())):
+            return int(match[1])
+    return None

@@ -27,8 +27,7 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None, nice:
     may have `finished: bool` (ends the spinning), `exit_status: int` (read at the end) and `close()` (called once
     before the node is destroyed, while it can still publish)."""
     stop_requested = catch_stop_signals()
-    node = executor = None
-    status = 0
+    node, executor, status = None, None, 0
     try:
         # rclpy's own handlers would shut the context down at once, and `close` could not publish.
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)

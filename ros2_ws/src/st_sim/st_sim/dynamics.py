@@ -19,7 +19,7 @@ SIDE_FORCE_AREA = 2.5  # m^2, side force coefficient (0.53) times the Leaf's sid
 WIND_ARM = 0.25  # m from the CG forward to the point at which the side force of the wind acts
 FRONT_BRAKE_FRACTION = 0.65  # fraction of the brake force at the front axle
 FRONT_TRANSFER_FRACTION = 0.55  # fraction of the lateral load transfer at the front axle
-MINIMUM_LOAD = 50.0  # N, lower limit of a wheel load: a lifted wheel must not cause a division by zero
+MIN_LOAD = 50.0  # N, lower limit of a wheel load: a lifted wheel must not cause a division by zero
 MAX_PEAK_FRACTION = 0.98  # largest longitudinal force of a tyre as a fraction of its peak force D
 MIN_SLIP_SPEED = 0.5  # m/s, lower limit of the denominator of slip; the time step permits no lower one
 CREEP_SPEED = 2.5  # m/s; below it a tyre with relaxation has little damping, so CREEP_DAMPING is added
@@ -205,8 +205,8 @@ def derivative(s: Sequence[float], rack_target: float, drive_force: float, condi
     transfer = transfer_y * a_y
     transfer_front, transfer_rear = FRONT_TRANSFER_FRACTION * transfer, (1.0 - FRONT_TRANSFER_FRACTION) * transfer
     load_front, load_rear = static_front * normal - pitch_load, static_rear * normal + pitch_load
-    load_fl, load_fr = max(load_front - transfer_front, MINIMUM_LOAD), max(load_front + transfer_front, MINIMUM_LOAD)
-    load_rl, load_rr = max(load_rear - transfer_rear, MINIMUM_LOAD), max(load_rear + transfer_rear, MINIMUM_LOAD)
+    load_fl, load_fr = max(load_front - transfer_front, MIN_LOAD), max(load_front + transfer_front, MIN_LOAD)
+    load_rl, load_rr = max(load_rear - transfer_rear, MIN_LOAD), max(load_rear + transfer_rear, MIN_LOAD)
 
     # Velocity of each contact patch, rotated into the axes of its wheel.
     left_x, right_x, front_y, rear_y = vx - r * half_track, vx + r * half_track, vy + r * to_front, vy - r * to_rear

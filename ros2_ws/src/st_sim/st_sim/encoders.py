@@ -25,6 +25,55 @@ LEAP_SECONDS_NS = 18_000_000_000  # GPS time has been 18 s ahead of UTC since 20
 
 NO_DATA = 0  # navigation status without valid data
 _INVALID = (math.nan, math.nan, math.nan)
+CYCLE_LENGTH = 200  # packets after which the sequence of channels repeats
+MINUTES = 0  # channel with the GPS time in minutes
+UP_TIME_AT_START = 1800.0  # s
+_RTK, _SATELLITES = 6, 14  # code of the position mode, number of satellites
+_RECEIVER = {"AntStatus": 0, "AntPower": 0, "CpuUsed": 34, "CoreNoise": 12, "SerBaud": 14, "NumSats": _SATELLITES,
+             "PosMode": _RTK, "CoreTemp": 41, "SupplyVolt": 12.1}
+# Channels with constant values; those that the suite does not use are sent with all fields invalid.
+_CONSTANT_CHANNELS: Mapping[int, Mapping[str, float | str]] = {
+    **{channel: {} for channel in (*range(6, 12), *range(13, 16), 17, 21, 22, 24, 26, *range(28, 30), *range(31, 37),
+                                   38, 39, *range(41, 48), *range(49, 55), *range(57, 66), *range(72, 77), 78)},
+    3: {"NorthAcc": ACCURACY["position"], "EastAcc": ACCURACY["position"], "AltAcc": 2 * ACCURACY["position"]},
+    4: {"VnAcc": ACCURACY["velocity"], "VeAcc": ACCURACY["velocity"], "VdAcc": 1.5 * ACCURACY["velocity"],
+        "ProcessingMethod": 1},
+    5: {"HeadingAcc": math.degrees(ACCURACY["heading"]), "PitchAcc": math.degrees(ACCURACY["roll_pitch"]),
+        "RollAcc": math.degrees(ACCURACY["roll_pitch"])},
+    **{channel: {"GAPx": 0.35, "GAPy": 0.0, "GAPz": -1.05} for channel in (12, 57)},
+    16: {"Imu2VehHeading": 0.0, "Imu2VehPitch": 0.0, "Imu2VehRoll": 0.0, "TimeUtcOffset": -18},
+    19: {"DevId": "250101.1"},
+    20: {"GpsDiffAge": 1.0, "BaseStationId": "0021"},
+    27: {"HeadQuality": 3, "HeadSearchType": 3, "HeadSearchStatus": 0, "HeadSearchReady": 1, "HeadSearchInit": 40,
+         "HeadSearchNum": 1},
+    30: {"OsVersion1": 1, "OsVersion2": 2, "OsVersion3": 3, "OsScriptId": "250101", "SerialNumber": 4711},
+    37: {"HeadingMisAlign": 0.0, "HeadingMisAlignAcc": 0.05, "NumSatsUsedPos": _SATELLITES,
+         "NumSatsUsedVel": _SATELLITES, "NumSatsUsedAtt": 8},
+    40: {"NcomVersion": 22, "OutputLatency": 0.0, "SerialNumber24": 4711},
+    48: {"Undulation": UNDULATION, "HDOP": 0.7, "PDOP": 1.3, "OutputDatum": 0, "DatumEllipsoid": 0,
+         "DatumEarthFrame": 0},
+    55: {f"GpsPrimary.{name}": value for name, value in _RECEIVER.items()},
+    56: {f"GpsSecondary.{name}": value for name, value in _RECEIVER.items()},
+    59: {"ImuTemperature": 38.5},
+    76: {"NtripStatus": 6},
+}
+_CHANGING_CHANNELS = (MINUTES, 1, 2, 18, 23)
+# Channels by period [packets]; all others are sent every 100th packet.
+_PERIODS: Mapping[int, Sequence[int]] = {
+    10: (0, 1), 25: (32, 45), 50: (3, 4, 5, 20, 24, 43, 65, 66, 67), 100: (),
+    200: (46, 47, 49, 50, 51, 52, 53, 54, 58, 60, 61, 62, 63, 64, 72, 73, 74, 75, 76, 78)}
+VEHICLE_BUS, INS_BUS = 1, 2  # CANedge channels of the car and of the INS; on a live bus they share one channel
+
+FRAME_TIME = 0.00025  # s, duration of a frame at 500 kbit/s; frames of one encoder call are sent at this interval
+
+# Periods [ms] of the most frequent other identifiers on the Car-CAN of a Leaf, counted in a recording with 52
+# identifiers and 1750 frames per second; `--can-rate full` sends them in addition.
+_BACKGROUND = {
+    **dict.fromkeys((0x174, 0x176, 0x180, 0x182, 0x1CA, 0x1CB, 0x1D5, 0x1D6, 0x215, 0x216, 0x245, 0x260), 10),
+    **dict.fromkeys((0x280, 0x292, 0x2DE, 0x300), 20),
+    **dict.fromkeys((0x354, 0x355), 40),
+    **dict.fromkeys((0x358, 0x35D, 0x385, 0x510, 0x551, 0x5C5, 0x5E4, 0x60D, 0x625), 100),
+}
 
 
 class Origin:
@@ -108,45 +157,6 @@ class NcomEncoder:
         return encode(packet)
 
 
-CYCLE_LENGTH = 200  # packets after which the sequence of channels repeats
-MINUTES = 0  # channel with the GPS time in minutes
-UP_TIME_AT_START = 1800.0  # s
-_RTK, _SATELLITES = 6, 14  # code of the position mode, number of satellites
-_RECEIVER = {"AntStatus": 0, "AntPower": 0, "CpuUsed": 34, "CoreNoise": 12, "SerBaud": 14, "NumSats": _SATELLITES,
-             "PosMode": _RTK, "CoreTemp": 41, "SupplyVolt": 12.1}
-# Channels with constant values; those that the suite does not use are sent with all fields invalid.
-_CONSTANT_CHANNELS: Mapping[int, Mapping[str, float | str]] = {
-    **{channel: {} for channel in (*range(6, 12), *range(13, 16), 17, 21, 22, 24, 26, *range(28, 30), *range(31, 37),
-                                   38, 39, *range(41, 48), *range(49, 55), *range(57, 66), *range(72, 77), 78)},
-    3: {"NorthAcc": ACCURACY["position"], "EastAcc": ACCURACY["position"], "AltAcc": 2 * ACCURACY["position"]},
-    4: {"VnAcc": ACCURACY["velocity"], "VeAcc": ACCURACY["velocity"], "VdAcc": 1.5 * ACCURACY["velocity"],
-        "ProcessingMethod": 1},
-    5: {"HeadingAcc": math.degrees(ACCURACY["heading"]), "PitchAcc": math.degrees(ACCURACY["roll_pitch"]),
-        "RollAcc": math.degrees(ACCURACY["roll_pitch"])},
-    **{channel: {"GAPx": 0.35, "GAPy": 0.0, "GAPz": -1.05} for channel in (12, 57)},
-    16: {"Imu2VehHeading": 0.0, "Imu2VehPitch": 0.0, "Imu2VehRoll": 0.0, "TimeUtcOffset": -18},
-    19: {"DevId": "250101.1"},
-    20: {"GpsDiffAge": 1.0, "BaseStationId": "0021"},
-    27: {"HeadQuality": 3, "HeadSearchType": 3, "HeadSearchStatus": 0, "HeadSearchReady": 1, "HeadSearchInit": 40,
-         "HeadSearchNum": 1},
-    30: {"OsVersion1": 1, "OsVersion2": 2, "OsVersion3": 3, "OsScriptId": "250101", "SerialNumber": 4711},
-    37: {"HeadingMisAlign": 0.0, "HeadingMisAlignAcc": 0.05, "NumSatsUsedPos": _SATELLITES,
-         "NumSatsUsedVel": _SATELLITES, "NumSatsUsedAtt": 8},
-    40: {"NcomVersion": 22, "OutputLatency": 0.0, "SerialNumber24": 4711},
-    48: {"Undulation": UNDULATION, "HDOP": 0.7, "PDOP": 1.3, "OutputDatum": 0, "DatumEllipsoid": 0,
-         "DatumEarthFrame": 0},
-    55: {f"GpsPrimary.{name}": value for name, value in _RECEIVER.items()},
-    56: {f"GpsSecondary.{name}": value for name, value in _RECEIVER.items()},
-    59: {"ImuTemperature": 38.5},
-    76: {"NtripStatus": 6},
-}
-_CHANGING_CHANNELS = (MINUTES, 1, 2, 18, 23)
-# Channels by period [packets]; all others are sent every 100th packet.
-_PERIODS: Mapping[int, Sequence[int]] = {
-    10: (0, 1), 25: (32, 45), 50: (3, 4, 5, 20, 24, 43, 65, 66, 67), 100: (),
-    200: (46, 47, 49, 50, 51, 52, 53, 54, 58, 60, 61, 62, 63, 64, 72, 73, 74, 75, 76, 78)}
-
-
 def make_schedule() -> list[int]:
     """Status channel of each packet of a cycle; packets without a periodic channel have channel 0 (MINUTES)."""
     others = {*_CONSTANT_CHANNELS, *_CHANGING_CHANNELS}.difference(*_PERIODS.values())
@@ -174,20 +184,6 @@ def _make_changing_values(seconds: float, gps_minutes: int | None) -> dict[int, 
         23: {"BnsLag": 4, "UpTimeCode": int(up_time) if up_time <= 10800 else int(up_time / 60) + 10620,
              "GPSPosReject": 0, "GPSVelReject": 0, "GPSAttReject": 0},
     }
-
-
-VEHICLE_BUS, INS_BUS = 1, 2  # CANedge channels of the car and of the INS; on a live bus they share one channel
-
-FRAME_TIME = 0.00025  # s, duration of a frame at 500 kbit/s; frames of one encoder call are sent at this interval
-
-# Periods [ms] of the most frequent other identifiers on the Car-CAN of a Leaf, counted in a recording with 52
-# identifiers and 1750 frames per second; `--can-rate full` sends them in addition.
-_BACKGROUND = {
-    **dict.fromkeys((0x174, 0x176, 0x180, 0x182, 0x1CA, 0x1CB, 0x1D5, 0x1D6, 0x215, 0x216, 0x245, 0x260), 10),
-    **dict.fromkeys((0x280, 0x292, 0x2DE, 0x300), 20),
-    **dict.fromkeys((0x354, 0x355), 40),
-    **dict.fromkeys((0x358, 0x35D, 0x385, 0x510, 0x551, 0x5C5, 0x5E4, 0x60D, 0x625), 100),
-}
 
 
 class CanEncoder:

@@ -30,7 +30,7 @@ from .settings import Settings
 STEP = 0.002  # s, of Heun's method; halving it moves the end of a 10 s drive by less than 1 mm (test_plant.py)
 STANDSTILL_SPEED = 0.02  # m/s; at lower v_x without a positive drive force, the car is at rest
 DRIVE = 4  # gear code on CAN; 1 P, 2 R, 3 N
-WAVE_LENGTH = 80.0  # m, wavelength of the terrain along x
+WAVELENGTH = 80.0  # m, of the terrain along x
 PATCH_LENGTH, PATCH_PERIOD = 10.0, 40.0  # m along x, length and spacing of patches with different friction
 GUST_TIME = 1.5  # s, correlation time of gusts
 
@@ -113,7 +113,7 @@ def evaluate_road(road: Road, x: float, yaw: float) -> tuple[float, float, float
     friction = road.friction_factor * (road.friction_patch if x % PATCH_PERIOD < PATCH_LENGTH else 1.0)
     bank, grade = road.bank_angle, road.grade_angle
     if road.hillside_slope or road.terrain_wave:
-        slope_east, slope_north = road.terrain_wave * sin(2 * pi * x / WAVE_LENGTH), road.hillside_slope
+        slope_east, slope_north = road.terrain_wave * sin(2 * pi * x / WAVELENGTH), road.hillside_slope
         c, s = cos(yaw), sin(yaw)
         grade += slope_east * c + slope_north * s
         bank += slope_north * c - slope_east * s

@@ -56,13 +56,13 @@ class _Noise:
 
     def __init__(self, white: float, slow: float, time: float, interval: float, draw: Callable[[], float]):
         self._white, self._draw = white, draw
-        self._memory = math.exp(-interval / time)
-        self._increment = slow * math.sqrt(1 - self._memory**2)
+        self._decay = math.exp(-interval / time)
+        self._increment = slow * math.sqrt(1 - self._decay**2)
         self._slow = slow * draw()
 
     def __call__(self, vibration: float = 1.0) -> float:
         """The next value. vibration: factor on the white noise."""
-        self._slow = self._memory * self._slow + self._increment * self._draw()
+        self._slow = self._decay * self._slow + self._increment * self._draw()
         return self._slow + self._white * vibration * self._draw()
 
 

@@ -30,6 +30,11 @@ from ..vehicle import VehicleParameters
 from .scale import CalibrationDomain, Scale, conditions_at, fit_scale, select_evenly
 
 MAX_STARTS_PER_RUN = 1000  # more predictions overlap more; each needs 1.2 kB per model and mode
+LEVELS = (0.5, 0.9)
+RELIABILITY_LEVELS = tuple(round(0.05 * k, 2) for k in range(1, 20))  # for `Band.ratios` and the reliability diagram
+FOLDS = 5  # largest number of groups of runs for cross-fitting
+MIN_CALIBRATION_RUNS = 3  # the calibration domain of a scored run requires two other runs
+ROUNDING_TOLERANCE = 1.0e-9  # for levels and coverages
 ModelMode = tuple[str, str]  # (model, mode); forecast errors include those of the assumed future inputs
 
 
@@ -114,9 +119,6 @@ def _is_measured(models: Sequence[Model], signals: LogSignals, starts_ns: np.nda
     return measured
 
 
-ROUNDING_TOLERANCE = 1.0e-9  # for levels and coverages
-
-
 def compute_highest_level(runs: int) -> float:
     """Highest level that n runs support, n/(n + 1) [1]."""
     return runs / (runs + 1.0)
@@ -165,12 +167,6 @@ def compute_conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[flo
     mean = np.concatenate([[0.0], np.diff(distribution[1:], axis=1, prepend=0.0) @ coverage])
     target = np.interp(np.asarray(levels, float) * (count + 1.0), np.arange(count + 1), mean)
     return values[np.minimum(np.searchsorted(coverage, target - ROUNDING_TOLERANCE), len(values) - 1)]
-
-
-LEVELS = (0.5, 0.9)
-RELIABILITY_LEVELS = tuple(round(0.05 * k, 2) for k in range(1, 20))  # for `Band.ratios` and the reliability diagram
-FOLDS = 5  # largest number of groups of runs for cross-fitting
-MIN_CALIBRATION_RUNS = 3  # the calibration domain of a scored run requires two other runs
 
 
 @dataclass(frozen=True, eq=False)

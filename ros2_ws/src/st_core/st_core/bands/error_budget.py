@@ -41,7 +41,7 @@ def sum_squared_contributions(
         intervals: Intervals | None) -> tuple[int, np.ndarray, dict[Cause, np.ndarray]]:
     """(number of starts, squared errors, squared contributions by cause) of one run. Squares are summed over all
     starts: (seconds, 3) [m^2, m^2, rad^2], along, across and in yaw at 1, 2, ... s ahead. Causes that change no
-    prediction are left out. Raises ConfigurationError if 1 s is not a multiple of the step within the horizon."""
+    prediction are left out. Raises ConfigurationError if 1 s is not a multiple of the step or exceeds the horizon."""
     seconds = np.arange(1, int(settings.prediction.horizon + 1e-9) + 1, dtype=float)
     starts, _ = usable_starts(signals, vehicle, regular_starts(signals.log, settings.interval),
                               settings.prediction.minimum_speed)

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import ConfigurationError
+from ..errors import ConfigurationError, add_prefix
 from ..log_evaluation import MODES, EvaluationSettings
 from ..prediction import PredictionSettings, configuration_hash
 from ..vehicle import VehicleParameters
@@ -107,12 +107,8 @@ class Bands:
     @classmethod
     def from_yaml(cls, text: str, origin: str = "bands") -> "Bands":
         """The bands in a file. origin: name for messages, usually the path. Raises a one-line ConfigurationError."""
-        try:
-            return cls._read(load(text))
-        except ConfigurationError as error:
-            raise ConfigurationError(f"{origin}: {error}") from None
-        except (KeyError, TypeError, ValueError, AttributeError, IndexError):
-            raise ConfigurationError(f"{origin}: not a complete bands file; write one with st calibrate") from None
+        return add_prefix(f"{origin}: ", lambda: cls._read(load(text)),
+                          "not a complete bands file; write one with st calibrate")
 
     @classmethod
     def _read(cls, document: Any) -> "Bands":

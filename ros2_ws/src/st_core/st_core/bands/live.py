@@ -40,6 +40,9 @@ PRIOR_WEIGHT = 5.0  # s; DEFAULT_SCALE has the weight of errors over this time
 MIN_SQUARED_ERROR = 1.0e-8  # m^2, m^2, rad^2; keeps the scale above 0
 MAX_WEIGHT = 1.0  # s; longest time that one score represents, even after a pause
 MAX_WAITING_PREDICTIONS = 10_000  # largest number of predictions stored until their scores arrive
+ALTERNATIVE_RATIO = 5.0 / 9.0  # q / p: 50 % coverage of a 90 % band; coverage above 73 % reduces S
+FALSE_WARNING_TIME = 7200.0  # horizons; minimum mean time to a false warning: ten hours with horizons of 5 s
+WARNING_END_FRACTION = 0.5  # of the limit of S; a warning ends when S falls below this fraction
 
 
 class AdaptiveBand:
@@ -253,11 +256,6 @@ class AdaptiveBands:
 def _compute_errors(score: Score) -> np.ndarray:
     """Errors (points, 3) in the predicted frame, without the start, where they are zero by definition."""
     return to_predicted_frame(np.stack([score.longitudinal, score.lateral, score.yaw], axis=-1))[1:]
-
-
-ALTERNATIVE_RATIO = 5.0 / 9.0  # q / p: 50 % coverage of a 90 % band; coverage above 73 % reduces S
-FALSE_WARNING_TIME = 7200.0  # horizons; minimum mean time to a false warning: ten hours with horizons of 5 s
-WARNING_END_FRACTION = 0.5  # of the limit of S; a warning ends when S falls below this fraction
 
 
 @dataclass

@@ -33,8 +33,27 @@ mean square of d(delta)/dt over the ACTIVITY_SPAN before the start. Velocity, ya
 INS point; delta is the road wheel angle."""
 UNITS = {"speed": "m/s", "lateral_acceleration": "m/s^2", "forward_acceleration": "m/s^2", "steering_activity": "rad/s"}
 ACTIVITY_SPAN = 1.0  # s; about the duration of a steering correction; the live predictor stores two seconds
-ACTIVITY_STEP = 0.05  # s; a step of 0.1 deg of the steering wheel, ratio 16, then appears as a rate of 0.002 rad/s
+ACTIVITY_STEP = 0.05  # s; a step of 0.1 deg of the steering wheel, ratio 16, appears as a rate of 0.002 rad/s
 _INSTANTS_NS = np.round(np.arange(-ACTIVITY_SPAN, 0.5 * ACTIVITY_STEP, ACTIVITY_STEP) / NANOSECOND).astype(np.int64)
+MIN_STARTS = 10  # minimum number of starts of a run in a cell of speed and lateral acceleration; 1 s at 10 starts/s
+MIN_RUNS_IN_CELL = 2  # minimum number of runs with MIN_STARTS; one run does not show the variation between runs
+EDGES = {"speed": SPEED_EDGES, "lateral_acceleration": LATERAL_ACCELERATION_EDGES,
+         "steering_activity": STEERING_RATE_EDGES}  # bin edges; the bins of speed and a_y define the cells
+KNOTS = (0.1, 0.5, 1.0, 2.0, 3.5, 5.0)  # s ahead for a horizon of 5 s; proportional for other horizons
+NOISE_FACTOR = 3.0  # ratio of the constant part of the floor to the RMS error at the first point
+FLOOR_RATIO = 0.2  # ratio of the floor's part proportional to time to the RMS error, at the end of the horizon
+ERROR_RESOLUTION = np.array([1.0e-3, 1.0e-3, 1.0e-4])  # m, m, rad; lower limit of the errors in the fit
+RIDGE = 1.0e-2  # weight of the penalty in the loss; the constant term is not penalised
+MAX_LOG_SCALE = 30.0  # limit of |log sigma|; exp of it is finite and far above any prediction error
+MAX_NEWTON_STEPS, MAX_HALVINGS = 100, 20  # Newton steps of a fit, halvings of a step that does not reduce the loss
+TOLERANCE = 1.0e-3  # maximum derivative at convergence, i.e. relative error of the mean squared errors
+MAX_FIT_STARTS = 100  # maximum number of starts of a run in the fit; neighbouring starts are redundant
+SPLINE_KNOTS = (1.5, 3.0, 4.5, 6.0, 7.5)  # m/s^2 of lateral acceleration; quadratic terms cannot fit tyre saturation
+SPLINE_KNOT_SPACING = 1.5  # m/s^2
+
+# Of each condition in its unit: minimum, offset and divisor in the logarithm (`compute_features`).
+_FLOORS, _OFFSETS, _DIVISORS = (0.1, 0.0, 0.0, 0.0), (0.0, 0.3, 0.2, 0.005), (10.0, 1.5, 0.6, 0.02)
+_PAIRS = tuple(itertools.combinations_with_replacement(range(4), 2))
 
 
 def activity_instants(start_ns: int | np.ndarray) -> np.ndarray:
@@ -66,12 +85,6 @@ def conditions_at(signals: LogSignals, starts_ns: np.ndarray) -> np.ndarray:
     speed, yaw_rate, acceleration = signals.ins_at(starts_ns, "velocity_x", "yaw_rate", "velocity_x_dot")
     activity = steering_activity(signals.road_wheel_angle_at(activity_instants(starts_ns)))
     return compute_conditions(speed, yaw_rate, acceleration, activity)
-
-
-MIN_STARTS = 10  # minimum number of starts of a run in a cell of speed and lateral acceleration; 1 s at 10 starts/s
-MIN_RUNS_IN_CELL = 2  # minimum number of runs with MIN_STARTS; one run does not show the variation between runs
-EDGES = {"speed": SPEED_EDGES, "lateral_acceleration": LATERAL_ACCELERATION_EDGES,
-         "steering_activity": STEERING_RATE_EDGES}  # bin edges; the bins of speed and a_y define the cells
 
 
 def find_cells(conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -120,23 +133,6 @@ class CalibrationDomain:
                 return f"{text} {value:.3g} {UNITS[name]} exceeds the calibrated limit {limit:.3g}"
         return (f"{condition[0]:.1f} m/s with {condition[1]:.1f} m/s^2 lateral acceleration: fewer than "
                 f"{MIN_RUNS_IN_CELL} calibration runs have {MIN_STARTS} predictions in this range")
-
-
-KNOTS = (0.1, 0.5, 1.0, 2.0, 3.5, 5.0)  # s ahead for a horizon of 5 s; proportional for other horizons
-NOISE_FACTOR = 3.0  # ratio of the constant part of the floor to the RMS error at the first point
-FLOOR_RATIO = 0.2  # ratio of the floor's part proportional to time to the RMS error, at the end of the horizon
-ERROR_RESOLUTION = np.array([1.0e-3, 1.0e-3, 1.0e-4])  # m, m, rad; lower limit of the errors in the fit
-RIDGE = 1.0e-2  # weight of the penalty in the loss; the constant term is not penalised
-MAX_LOG_SCALE = 30.0  # limit of |log sigma|; exp of it is finite and far above any prediction error
-MAX_NEWTON_STEPS, MAX_HALVINGS = 100, 20  # Newton steps of a fit, halvings of a step that does not reduce the loss
-TOLERANCE = 1.0e-3  # maximum derivative at convergence, i.e. relative error of the mean squared errors
-MAX_FIT_STARTS = 100  # maximum number of starts of a run in the fit; neighbouring starts are redundant
-SPLINE_KNOTS = (1.5, 3.0, 4.5, 6.0, 7.5)  # m/s^2 of lateral acceleration; quadratic terms cannot fit tyre saturation
-SPLINE_KNOT_SPACING = 1.5  # m/s^2
-
-# Of each condition in its unit: minimum, offset and divisor in the logarithm (`compute_features`).
-_FLOORS, _OFFSETS, _DIVISORS = (0.1, 0.0, 0.0, 0.0), (0.0, 0.3, 0.2, 0.005), (10.0, 1.5, 0.6, 0.02)
-_PAIRS = tuple(itertools.combinations_with_replacement(range(4), 2))
 
 
 def compute_features(conditions: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from scipy.stats import binom, chi2
 from ..regression import Z95, count_decimals, random_effects, symmetric_interval
 from .finding import DriveCheck, neutral_value
 
-MIN_COMPARED_RUNS = 3  # minimum number of runs with an estimate of a quantity to compare it
+MIN_COMPARED_RUNS = 3  # minimum number of runs with an estimate of a quantity for a comparison
 CONFIDENCE = 0.95  # confidence level of the tests of consistency
 PROJECTION_FINDINGS = ("x_scale", "y_scale", "position_scale", "map_shear")  # may be due to a wrong projection
 MAX_RELATIVE_SPREAD = 0.25  # largest standard deviation between consistent runs, divided by |mean - neutral value|
@@ -78,11 +78,10 @@ def pool_estimates(runs: Sequence[Mapping[str, Sequence[float]]]) -> dict[str, t
     for name in dict.fromkeys(name for run in runs for name in run):
         rows = _select_finite([run[name] for run in runs if name in run])
         if len(rows) > 1:
-            mean, interval, _, _ = _random_effects(rows)
-            result[name] = (mean, *interval)
+            mean, (low, high), _, _ = _random_effects(rows)
+            result[name] = mean, low, high
         elif len(rows) and len(runs) == 1:
-            value, low, high = rows[0].tolist()
-            result[name] = value, low, high
+            result[name] = tuple(rows[0].tolist())
     return result
 
 

@@ -28,7 +28,7 @@ MAX_PART_DURATION = 300.0  # s; longest such part; it limits the computing time
 MIN_CHANGE = 0.5  # fraction of the deviation; if the parts differ by less, one correction removes at least half of it
 NOT_COMPARED = (  # between parts of a drive: the first three are constant, the other estimates depend on the driving
     "measuring_point", "position_reference", "position_side", "heading_misaligned", "steering_unrelated")
-SAME_CLOCK = "yaw_rate_lag", "acceleration_x_lag", "acceleration_y_lag", "steering_lag"
+VELOCITY_CLOCK_LAGS = "yaw_rate_lag", "acceleration_x_lag", "acceleration_y_lag", "steering_lag"
 CAUSED_BY_DRIFT = ("yaw_drift", "yaw_offset", "velocity_y_scale", "velocity_y_bias")  # findings due to drift in a part
 MIN_INS_SAMPLES = 50  # with fewer samples, only implausible samples and time stamps are reported
 
@@ -37,11 +37,9 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
           auxiliary: AuxiliaryData | None = None) -> DriveCheck:
     """Result of all checks of one recording.
 
-    The order is: sampling; units, signs and axes; relations valid for any vehicle (position, yaw, velocity,
-    accelerations, other speeds); and, with a vehicle, comparison with it and trial of the corrections. Each check uses
-    a copy corrected for the faults found before. No content of a recording raises an exception: channels that are too
-    short or too inaccurate are not compared. Since faults may begin or grow during a drive, the first and the last part
-    of a long drive are also checked separately.
+    Each check uses a copy corrected for the faults found before. No content of a recording raises an exception:
+    channels that are too short or too inaccurate are not compared. Since faults may begin or grow during a drive, the
+    first and the last part of a long drive are also checked separately.
     """
     auxiliary = auxiliary or AuxiliaryData()
     start_ns = next(iter(log.ins_time_ns[:1].tolist()), 0) if auxiliary.start_ns is None else auxiliary.start_ns
@@ -69,6 +67,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
         [*Severity].index(finding.severity), finding.concerns_only_acceleration, -(finding.effect or np.inf)))
     ambiguous = {name for f in findings for a in f.alternatives for name in (f.name, *a.findings)}
     ambiguous |= {"steering_sign"} if "steering_scale" in ambiguous else set()  # the same estimate by another name
+    ambiguous -= {"velocity_scale", "position_scale"}  # ratios of velocity and positions, whichever is wrong
     return replace(result, findings=tuple(findings), estimates={
         name: values for name, values in result.estimates.items() if name not in ambiguous})
 
@@ -147,9 +146,9 @@ def _check_part(log: DriveLog, vehicle: VehicleParameters | None, auxiliary: Aux
         results.findings += stuck_findings
         broken_channels |= find_broken_channels(stuck_findings)
         if not broken_channels & {*INS_SIGNALS}:  # comparisons need all of these channels
-            clock_findings = inertial.check_position_clock(motion)
-            results.findings += clock_findings
-            if not clock_findings:  # comparisons need positions on the clock of the other channels
+            decisive = vehicle_relations.check_test_bench(motion) or inertial.check_position_clock(motion)
+            results.findings += decisive
+            if not decisive:  # comparisons need a moving car, and positions on the clock of the other channels
                 _check_relations(results, motion, log, vehicle, time_unit, stuck_findings, broken_channels)
     elif is_long_enough:
         results.findings += vehicle_relations.check_standstill(motion)
@@ -159,8 +158,7 @@ def _check_part(log: DriveLog, vehicle: VehicleParameters | None, auxiliary: Aux
 
 def _check_relations(results: Results, motion: Motion, log: DriveLog, vehicle: VehicleParameters | None,
                      time_unit: Finding | None, stuck_findings: list[Finding], broken_channels: set[str]) -> None:
-    """Add the results of comparing the channels with each other and with the vehicle. stuck_findings: from
-    `find_stuck_channels`. broken_channels: from `find_broken_channels`."""
+    """Add the results of comparing the channels with each other and with the vehicle."""
     held_channels = _list_channels(stuck_findings, "samples_repeated")
     motion, unit_findings = _correct_units(sampling.drop_frozen_samples(motion, stuck_findings), vehicle)
     unit_findings = [time_unit, *unit_findings] if time_unit else unit_findings
@@ -183,6 +181,7 @@ def _check_relations(results: Results, motion: Motion, log: DriveLog, vehicle: V
         corrected, sensors, yaw_rate_lag = _check_sensors(motion.with_time_divided(wrong_rate.value), removed_factors)
     findings = _merge_findings_of_units(unit_findings, sensors.findings, sensors.estimates)
     corrected, findings = position.attribute_scale_to_velocity_x(corrected, findings, sensors.estimates)
+    findings = _add_position_scale(findings, motion, removed_factors.get("velocity_scale", 1.0))
     results.findings += findings
     results.findings += check_position_deviations(corrected, results.findings) if sideslip_measured else []
     results.estimates, results.panels = sensors.estimates, sensors.panels
@@ -201,6 +200,18 @@ def _check_relations(results: Results, motion: Motion, log: DriveLog, vehicle: V
     _remove_consequences(results, log, corrected)
     if vehicle is not None:
         results.findings = try_corrections(results.findings, log, vehicle)
+
+
+def _add_position_scale(findings: list[Finding], motion: Motion, removed_factor: float) -> list[Finding]:
+    """The findings; a scale error of the velocity names that of the positions if other measurements fit both.
+    removed_factor: already divided out of the velocity."""
+    scale, recorded = find(findings, "velocity_scale"), {"correct": {"velocity": {"scale": removed_factor}}}
+    if scale is None or not scale.value or units_and_axes.match_unit(scale.value) or (
+            inertial.confirm_velocity(motion.apply_entry(recorded), scale.value) != ""):
+        return findings
+    alternative = Alternative(f"x and y are {1.0 / scale.value:.4g} times their true values", ("position_scale",))
+    advice = Advice("text", "compare the positions with a known distance to distinguish the two")
+    return [f.with_alternative(alternative, advice, "x", "y") if f is scale else f for f in findings]
 
 
 def _check_rear_axle(results: Results, motion: Motion, vehicle: VehicleParameters, findings: list[Finding]) -> None:
@@ -276,8 +287,8 @@ def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[M
         yaw_rate = inertial.compare_yaw_rate(motion)
     inertial.check_yaw_rate(results, motion, yaw_rate, removed_factors)
     scale = find(results.findings, "yaw_rate_scale")
-    if scale and scale.value and not units_and_axes.other_yaw_fits_better(
-            replace(motion, yaw=scale.value * motion.yaw), motion):  # positions fit a scale error of yaw equally well
+    if scale and scale.value and not units_and_axes.fits_better(
+            motion, replace(motion, yaw=scale.value * motion.yaw)):  # positions fit a scale error of yaw equally well
         alternative = Alternative(f"yaw is {1.0 / scale.value:.3f} times its true value", ("yaw_scale",))
         advice = Advice("text", "record more accurate positions to distinguish the two")
         results.findings = [finding.with_alternative(alternative, advice, "yaw") if finding is scale else finding
@@ -300,7 +311,7 @@ def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[M
 
 
 def _correct_units(motion: Motion, vehicle: VehicleParameters | None) -> tuple[Motion, list[Finding]]:
-    """Result of `correct_units`; a wrong unit of length that the steering contradicts is one of the accelerations."""
+    """Result of `correct_units`. If the steering contradicts a unit of length, the accelerations have a wrong unit."""
     corrected, findings = _correct_units_without_lag(motion)
     unit = next((finding.value for finding in findings if finding.channels == units_and_axes.LENGTH_CHANNELS), None)
     if vehicle is None or unit is None or not vehicle_relations.steering_confirms_length(motion, vehicle, unit):
@@ -319,7 +330,7 @@ def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
             or abs(agreement.correlation_without_lag) >= agreement.correlation - 0.05):
         return units_and_axes.correct_units(motion)
     lag = agreement.lag.value
-    yaw_is_wrong = units_and_axes.other_yaw_fits_better(motion, motion.shifted_earlier(-lag, "yaw"))
+    yaw_is_wrong = units_and_axes.fits_better(motion.shifted_earlier(-lag, "yaw"), motion)
     name, seconds = ("yaw", -lag) if yaw_is_wrong else ("yaw_rate", lag)
     aligned, findings = units_and_axes.correct_units(motion.shifted_earlier(seconds, name))
     return aligned.shifted_earlier(-seconds, name), findings
@@ -329,7 +340,7 @@ def _attribute_lags(results: Results) -> None:
     """If the accelerations, and the yaw rate if the car turns, have the lag of the velocities, attribute a lag of
     opposite sign to the positions, and to yaw."""
     velocity, estimates = find(results.findings, "velocity_lag"), results.estimates
-    known = {name for name in SAME_CLOCK if name in estimates}
+    known = {name for name in VELOCITY_CLOCK_LAGS if name in estimates}
     if velocity is None or velocity.interval is None or find(results.findings, "position_lag") or (
             not known - {"yaw_rate_lag", "steering_lag"}):
         return

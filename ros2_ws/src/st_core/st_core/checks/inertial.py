@@ -23,7 +23,7 @@ from ..tyres import STANDARD_GRAVITY
 from .finding import HORIZON, LIMITS, WHEEL_SCALE_TOLERANCE, Advice, Comparison, Finding, Severity
 from .motion import MIN_COHERENCE, MIN_MOVING_SPEED, Motion, correlate, find_spans, is_near
 from .position import MIN_LOSS_RATIO
-from .regression import Estimate, Regression, add_systematic_uncertainty
+from .regression import Estimate, Regression, add_systematic_uncertainty, is_relevant
 
 MAX_LAG = 1.5  # s; largest lag searched for, in both directions
 MAX_CLOCK_OFFSET = 40.0  # s; largest offset between two clocks searched for; TAI is 37 s ahead of UTC
@@ -35,6 +35,27 @@ MIN_SCALE_CORRELATION = 0.98  # at a higher correlation, noise reduces a scale b
 MIN_RESIDUAL_FRACTION = 1e-4  # minimum of 1 - r^2; interpolation and filters leave a residual of 1 % of the signal
 GRID_ERROR = 0.1  # fraction of the variance by which the residual at a grid point may exceed a minimum between points
 DECORRELATION_TIME = 10.0  # s between independent values of the lag
+GYRO_CUTOFF, ACCELERATION_CUTOFF, SPEED_CUTOFF = 4.0, 1.5, 1.5  # Hz
+GYRO_CORRELATION = 0.9  # minimum correlation of yaw rate and change of yaw; a coarse yaw does not reach it
+GYRO_SCALE_ERROR = 0.02  # smallest reported deviation from 1; the scale of a gyroscope is accurate to 1 %
+GYRO_BIAS = 0.001  # rad/s; smallest reported bias; twice the bias of a good INS
+ACCELERATION_SCALE_ERROR = 0.35  # smallest reported deviation from 1; roll and pitch of the body cause up to 0.33
+MIN_ACCELERATION_SCALE = 0.9  # smallest ratio to the derivative of velocity; a mounting angle of 25 deg causes this
+ACCELERATION_LAG = 0.12  # s; smallest reported lag; filters of accelerometers cause delays of up to 0.1 s
+MAX_GRAVITY_RATIO = 1.2  # factor by which the mean of a vertical acceleration may differ from gravity
+MAX_LATITUDE = 72.0  # deg, of a road in web Mercator; the northernmost roads of Europe are at 71
+MIN_UNRELATED_WINDOWS = 20  # minimum number of windows of 1 s to report an acceleration as unrelated to the motion
+MIN_SENSOR_ANGLE, MAX_SENSOR_ANGLE = 0.1, 1.2  # rad; smaller ones change a_x and a_y by at most 10 % of each other
+MIN_ACCELERATION_DEVIATION = 0.25  # m/s^2; minimum spread for a scale; a slope of 2.5 % has this effect
+ACCELEROMETER_ARM = 1.5  # m between accelerometer and INS point
+SEVERE_ACCELERATION_BIAS = 0.3  # m/s^2; a crossfall of 2.5 % causes a bias of 0.25
+MIN_SPEED_DEVIATION = 0.5  # m/s; standard deviation; at constant speed, only slip and noise would be compared
+SPEED_LIMITS = {"wheel_speed": (WHEEL_SCALE_TOLERANCE, 0.15), "ins_speed": (0.005, 0.03)}
+"""Smallest reported (deviation of the scale from 1, lag [s]); wheel speed signals are averaged over time."""
+ACCELERATIONS = ("acceleration_x", "acceleration_y")
+ACCELERATION_UNITS = {1.0 / STANDARD_GRAVITY: "is its unit g"}
+SPEED_UNITS = {3.6: "is its unit km/h", 2.23694: "is its unit mph", 1.0 / 3.6: "was it divided by 3.6 twice"}
+CORRECTION_KEYS = {"lag": "earlier", "scale": "scale", "bias": "add"}  # keys of run.yaml
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,12 +95,9 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
     MIN_COMMON_TIME, if one of them spans more than MAX_SPAN, if they correlate most at a lag below min_lag, if the fit
     fails, or if |lag| exceeds max_fitted_lag.
 
-    time, measured_time: ascending [s]; values NaN where unknown.
-    cutoff: of the low-pass filter [Hz].
-    derived_is_angle: whether to compare the rate of `derived`.
-    fit_drift: whether to estimate a constant rate of change of the lag.
-    expected_lag: lag without a fault [s].
-    min_lag: smallest lag of interest, in both directions [s]. max_lag: largest lag searched for [s].
+    time, measured_time: ascending [s]; values NaN where unknown. cutoff: of the low-pass filter [Hz].
+    derived_is_angle: whether to compare the rate of `derived`. fit_drift: whether to estimate the drift of the lag.
+    expected_lag: lag without a fault [s]. min_lag, max_lag: limits of the lags searched, in both directions [s].
     max_fitted_lag: limit of the fitted lag [s], which may be outside the searched range.
     """
     if max(float(np.ptp(t)) if len(t) else 0.0 for t in (time, measured_time)) > MAX_SPAN:
@@ -136,9 +154,8 @@ def _find_best_offsets(pair: Pair, cutoff: float, min_lag: float, max_lag: float
     known_count = min(float(side.known.sum()) for side in (pair.reference, pair.other))
     fits: list[Fit] = []
     limit = _compute_f_limit(known_count, cutoff) * residual[best] + GRID_ERROR
-    if residual[best] > 1.0 - LIMITS.min_correlation**2 + GRID_ERROR:  # too large for a comparison
-        limit = 0.0
-    peaks = peaks[residual[peaks] <= limit]
+    correlates = residual[best] <= 1.0 - LIMITS.min_correlation**2 + GRID_ERROR
+    peaks = peaks[correlates & (residual[peaks] <= limit)]
     for start in dict.fromkeys((best, *peaks.tolist())):
         solution = fit([pair], float(lags[start]), middle=0.0, free_drift=False)
         if all(abs(solution.offset - other.offset) > STEP for other in fits):
@@ -197,27 +214,6 @@ def _fit_line(problem: Regression, derived: np.ndarray, correlation: float, fit_
         return scale, NOT_FITTED
     return UNIT_SCALE, shifted.estimate(("bias",))["bias"]
 
-
-GYRO_CUTOFF, ACCELERATION_CUTOFF, SPEED_CUTOFF = 4.0, 1.5, 1.5  # Hz
-GYRO_CORRELATION = 0.9  # minimum correlation of yaw rate and change of yaw; it is lower if yaw is coarse
-GYRO_SCALE_ERROR = 0.02  # smallest reported deviation from 1; the scale of a gyroscope is accurate to 1 %
-GYRO_BIAS = 0.001  # rad/s; smallest reported bias; twice the bias of a good INS
-ACCELERATION_SCALE_ERROR = 0.35  # smallest reported deviation from 1; roll and pitch of the body cause up to 0.33
-MIN_ACCELERATION_SCALE = 0.9  # smallest ratio to the derivative of velocity; a mounting angle of 25 deg causes this
-ACCELERATION_LAG = 0.12  # s; smallest reported lag; filters of accelerometers cause delays of up to 0.1 s
-MAX_GRAVITY_RATIO = 1.2  # factor by which the mean of a vertical acceleration may differ from gravity
-MAX_LATITUDE = 72.0  # deg, of a road in web Mercator; the northernmost roads of Europe are at 71
-MIN_UNRELATED_WINDOWS = 20  # minimum number of windows of 1 s to report an acceleration as unrelated to the motion
-MIN_ACCELERATION_DEVIATION = 0.25  # m/s^2; minimum spread for a scale; a slope of 2.5 % has this effect
-ACCELEROMETER_ARM = 1.5  # m between accelerometer and INS point
-SEVERE_ACCELERATION_BIAS = 0.3  # m/s^2; a crossfall of 2.5 % causes a bias of 0.25
-MIN_SPEED_DEVIATION = 0.5  # m/s; standard deviation; at constant speed, only slip and noise would be compared
-SPEED_LIMITS = {"wheel_speed": (WHEEL_SCALE_TOLERANCE, 0.15), "ins_speed": (0.005, 0.03)}
-"""Smallest reported (deviation of the scale from 1, lag [s]); wheel speed signals are averaged over time."""
-ACCELERATIONS = ("acceleration_x", "acceleration_y")
-ACCELERATION_UNITS = {1.0 / STANDARD_GRAVITY: "is its unit g"}
-SPEED_UNITS = {3.6: "is its unit km/h", 2.23694: "is its unit mph", 1.0 / 3.6: "was it divided by 3.6 twice"}
-CORRECTION_KEYS = {"lag": "earlier", "scale": "scale", "bias": "add"}  # keys of run.yaml
 
 @dataclass
 class Results:
@@ -350,10 +346,9 @@ def check_yaw_rate(results: Results, motion: Motion, agreement: Agreement | None
     tolerances = Tolerances(
         "yaw_rate", "yaw", "rad/s", LIMITS.lag, GYRO_SCALE_ERROR, GYRO_BIAS, LIMITS.severe_lag, severe_scale=0.03,
         severe_bias=0.01, position_effect=position_effect, min_correlation=GYRO_CORRELATION)
-    check_agreement(
-        results, agreement, tolerances, "yaw rate: sensor versus change of yaw",
-        removed_factors.get("yaw_rate_scale", 1.0),
-        removed_factors.get("yaw_scale", removed_factors.get("yaw_convention", 1.0)))
+    check_agreement(results, agreement, tolerances, "yaw rate: sensor versus change of yaw",
+                    removed_factors.get("yaw_rate_scale", 1.0),
+                    removed_factors.get("yaw_scale", removed_factors.get("yaw_convention", 1.0)))
 
 
 def _compare_acceleration(motion: Motion, name: str, measured: np.ndarray) -> Agreement | None:
@@ -383,9 +378,10 @@ def _make_unrelated_finding(motion: Motion, name: str, measured: np.ndarray) -> 
     return Finding("acceleration_unrelated", Severity.WARNING, (name,), text, correlation, advice=advice)
 
 
-def confirm_velocity(motion: Motion, factor: float) -> str:
+def confirm_velocity(motion: Motion, factor: float) -> str | None:
     """Name of a measurement that agrees with the recorded velocity, but not with the velocity divided by `factor`,
-    followed by a question about the positions; "" if there is none."""
+    followed by a question about the positions; None if a measurement agrees only with the latter, or if the positions
+    are from satellites or the factor may be due to wheels; otherwise ""."""
     wheel = compare_speed(motion, "wheel_speed") if "wheel_speed" in motion.speeds else None
     ratios = {"the wheel speed": wheel.scale.value if wheel else np.nan,
               "the scale of web Mercator at this y": factor * motion.mercator_scale}
@@ -398,7 +394,9 @@ def confirm_velocity(motion: Motion, factor: float) -> str:
     confirmed_by = next((name for name, ratio in ratios.items() if abs(factor - 1.0) >= max(
         2.0 * abs(ratio - 1.0), WHEEL_SCALE_TOLERANCE)), "the accelerations")
     if confirmed_by not in ratios and (not accelerations_agree(1.0) or accelerations_agree(factor)):
-        return ""
+        other_error = max(2.0 * abs(factor * ratios["the wheel speed"] - 1.0), WHEEL_SCALE_TOLERANCE)
+        is_velocity = abs(factor - 1.0) >= other_error or (accelerations_agree(factor) and not accelerations_agree(1.0))
+        return None if is_velocity or motion.geographic or abs(factor - 1.0) < WHEEL_SCALE_TOLERANCE else ""
     latitude = float(np.rad2deg(np.arccos(np.clip(factor, 0.0, 1.0))))
     return (f"{confirmed_by}: are they in web Mercator, at a latitude of {latitude:.0f} deg?"
             if 0.0 < latitude < MAX_LATITUDE else f"{confirmed_by}: is the scale of the projection wrong?")
@@ -409,6 +407,40 @@ def compute_acceleration_scales(motion: Motion) -> list[Estimate]:
     agreements = [_compare_acceleration(motion, name, values) for name in ACCELERATIONS
                   if (values := getattr(motion, name)) is not None]
     return [agreement.scale for agreement in agreements if agreement and agreement.correlates]
+
+
+def _correct_turned_accelerometer(motion: Motion) -> tuple[Motion, Finding | None]:
+    """(motion with accelerations along the axes of the car, finding) if they show that the sensor is turned by an angle
+    to the left, a_measured = k exp(-i angle) a + bias with a = a_x + i a_y; else (motion, None). The angles from both
+    axes must agree: a slope in bends to one side, as in a helix, changes only a_x."""
+    if motion.acceleration_x is None or motion.acceleration_y is None:
+        return motion, None
+    windows, recorded = motion.make_windows(1.0), motion.acceleration_x + 1j * motion.acceleration_y
+    x, y = (windows.mean(_derive_acceleration(motion, name)) for name in ACCELERATIONS)
+    derived, measured = x + 1j * y, windows.mean(recorded)
+    known, ones = np.isfinite(measured), np.ones_like(derived)
+    columns = {"along": derived, "bias_x": ones, "bias_y": 1j * ones, "across": -1j * derived,
+               "x": x, "y": 1j * y, "y_in_x": y, "x_in_y": -1j * x}
+    y, *terms = (np.stack((z.real, z.imag), axis=1)[known] for z in (measured, *columns.values()))
+    if known.sum() < MIN_UNRELATED_WINDOWS:
+        return motion, None
+    problem = Regression(windows.time[known], y, dict(zip(columns, terms, strict=True)))
+    estimates, separate = problem.estimate([*columns][:4]), problem.estimate([*columns][1:3] + [*columns][4:])
+    along, across = estimates["along"].value, estimates["across"]
+    if any(separate[name].shifted(-across.value).widened(across.half_width).is_significant
+           for name in ("y_in_x", "x_in_y")):  # a scale error of one axis acts like an angle if a_x and a_y correlate
+        return motion, None
+    radians = float(np.arctan2(across.value, along))
+    angle = replace(across.scaled(1.0 / max(float(np.hypot(along, across.value)), 1e-12)), value=radians)
+    if not is_relevant(angle, MIN_SENSOR_ANGLE) or abs(radians) > MAX_SENSOR_ANGLE:
+        return motion, None
+    text = (f"the accelerometer is turned by {abs(angle)} rad ({np.rad2deg(abs(radians)):.0f} deg) to the "
+            f"{'left' if radians > 0.0 else 'right'}")
+    advice = Advice("text", f"turn the accelerations back by a = {radians:.3f}: forward = cos(a) acceleration_x - "
+                    "sin(a) acceleration_y, lateral = sin(a) acceleration_x + cos(a) acceleration_y")
+    recorded = recorded * np.exp(1j * radians)
+    return replace(motion, acceleration_x=recorded.real, acceleration_y=recorded.imag), Finding(
+        "acceleration_axes", Severity.WARNING, ACCELERATIONS, text, radians, "rad", angle.interval, advice=advice)
 
 
 def _find_exchanged_accelerations(motion: Motion, measured: Mapping[str, np.ndarray]) -> Finding | None:
@@ -448,6 +480,8 @@ def check_accelerations(results: Results, motion: Motion) -> None:
     if motion.moves_sideways:
         return
     speed = float(np.median(np.abs(motion.velocity_x)))
+    motion, turned = _correct_turned_accelerometer(motion)
+    results.findings += [turned] if turned else []
     measured = {name: values for name in ACCELERATIONS if (values := getattr(motion, name)) is not None}
     agreements = {name: _compare_acceleration(motion, name, values) for name, values in measured.items()}
     if not any(agreement and agreement.correlates for agreement in agreements.values()) and (
@@ -492,10 +526,10 @@ def restore_speed_sign(log: DriveLog, start_ns: int) -> tuple[DriveLog, list[Fin
     stops = [i + int(np.argmin(faster[i:k])) for i, k in pauses if faster[i:k].min() <= MIN_MOVING_SPEED]
     product = log.velocity_x * velocity * np.exp(-1j * log.yaw)
     bounds = np.array([0, *stops, len(time)])  # of the parts between stops
-    distances, sizes = (np.add.reduceat(values, bounds[:-1]) for values in (product.real, np.abs(product)))
-    if not distances.min() < 0.0 < distances.sum() or (np.abs(distances) < MIN_COHERENCE * sizes).any():
+    products, sizes = (np.add.reduceat(values, bounds[:-1]) for values in (product.real, np.abs(product)))
+    if not products.min() < 0.0 < products.sum() or (np.abs(products) < MIN_COHERENCE * sizes).any():
         return log, []
-    sign = np.repeat(np.where(distances < 0.0, -1.0, 1.0), np.diff(bounds))
+    sign = np.repeat(np.where(products < 0.0, -1.0, 1.0), np.diff(bounds))
     times = tuple((float(time[first]), float(time[last])) for first, last in find_spans(sign < 0.0))
     text = (f"velocity_x has the opposite sign for {sum(last - first for first, last in times):.0f} s (forward is "
             "positive): is it a speed without a sign, recorded in reverse?")

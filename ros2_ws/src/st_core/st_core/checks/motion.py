@@ -93,8 +93,7 @@ class Motion:
         first, last = edges[:-1], edges[1:]
         gaps = np.concatenate(([0], np.cumsum(np.diff(time) > longest_gap)))
         is_complete = (gaps[first] == gaps[last]) & (np.abs(time[last] - time[first] - length) < 0.5 * length)
-        first, last = first[is_complete], last[is_complete]
-        return Windows(first, last, time)
+        return Windows(first[is_complete], last[is_complete], time)
 
     @cached_property
     def position(self) -> np.ndarray:
@@ -130,20 +129,18 @@ class Motion:
 
 def is_driven(motion: Motion) -> bool:
     """Whether the car is driven, even if positions or velocity have a wrong unit; True if the recording is too short.
-    The speed from positions or velocity must exceed MIN_MOVING_SPEED in MIN_DRIVEN_WINDOWS windows. In addition, the
-    direction of travel must persist or the forward velocity far exceed its noise; neither holds for a parked car."""
+    A parked car has neither a persistent direction of travel nor a forward velocity far above its noise."""
     length = max(1.0, 5.0 * float(np.median(np.diff(motion.time))))
     windows = motion.make_windows(length, max(MAX_GAP, 0.5 * length))
     if len(windows) < MIN_DRIVEN_WINDOWS:
         return True
     displacement = windows.change(motion.position)
-    product = (displacement[1:] * np.conj(displacement[:-1]))[windows.are_adjacent]
     speed = windows.mean(motion.velocity_x)
     noise = float(np.median(np.abs(np.diff(motion.velocity_x)))) / (0.6745 * np.sqrt(2.0))
     larger_speed = np.maximum(np.abs(displacement) / windows.change(motion.time), np.abs(speed))
     if np.sum(larger_speed > MIN_MOVING_SPEED) < MIN_DRIVEN_WINDOWS:
         return False
-    return bool(np.sum(product.real) > MIN_COHERENCE * np.sum(np.abs(product)) > 0.0
+    return bool(windows.are_coherent(displacement)
                 or np.sum(np.abs(speed) > MIN_SIGNAL_TO_NOISE * max(noise, 1e-9)) >= MIN_DRIVEN_WINDOWS)
 
 
@@ -170,18 +167,13 @@ class Windows:
         """Start of each window [s]."""
         return self.sample_times[self.first]
 
-    @cached_property
-    def half_intervals(self) -> np.ndarray:
-        """Half of the time between adjacent samples [s]."""
-        return 0.5 * np.diff(self.sample_times)
-
     def change(self, values: np.ndarray) -> np.ndarray:
         """Change from start to end of each window."""
         return values[self.last] - values[self.first]
 
     def integral(self, values: np.ndarray) -> np.ndarray:
         """Integral over the time of each window."""
-        areas = self.half_intervals * (values[1:] + values[:-1])
+        areas = 0.5 * np.diff(self.sample_times) * (values[1:] + values[:-1])
         return self.change(np.concatenate(([0.0], np.cumsum(areas))))
 
     def mean(self, values: np.ndarray) -> np.ndarray:
@@ -192,6 +184,11 @@ class Windows:
     def are_adjacent(self) -> np.ndarray:
         """Whether each window but the first begins where the previous one ends."""
         return self.last[:-1] == self.first[1:]
+
+    def are_coherent(self, displacements: np.ndarray) -> bool:
+        """Whether the direction of complex displacements persists from window to window, unlike that of noise."""
+        product = (displacements[1:] * np.conj(displacements[:-1]))[self.are_adjacent]
+        return bool(np.sum(product.real) > MIN_COHERENCE * np.sum(np.abs(product)) > 0.0)
 
     def __len__(self) -> int:
         return len(self.first)
@@ -204,8 +201,8 @@ def estimate_spacing(time: np.ndarray) -> float:
 
 
 def even_out(time: np.ndarray, half: int = SPACING_SAMPLES, max_gap: float = MAX_GAP) -> np.ndarray:
-    """The instants [s] without jitter: evenly spaced, then shifted by the mean deviation of the 2 * half recorded
-    instants around each, which should span several bursts. Intervals longer than `max_gap` [s] remain."""
+    """The instants [s] without jitter: evenly spaced, each then shifted by the mean deviation of the 2 * half recorded
+    instants around it, which should span several bursts. Intervals longer than `max_gap` [s] remain."""
     groups = []
     for first, last in zip(*find_groups(np.diff(time) > max_gap), strict=True):
         even = np.linspace(time[first], time[last], last - first + 1)
@@ -217,7 +214,7 @@ def even_out(time: np.ndarray, half: int = SPACING_SAMPLES, max_gap: float = MAX
 
 
 def find_groups(is_last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Indices (first, last) of each group of n >= 1 samples. is_last: (n - 1,) whether the sample ends its group."""
+    """Indices (first, last) of the groups in n >= 1 samples. is_last: (n - 1,) whether a sample ends its group."""
     ends = np.flatnonzero(is_last)
     return np.concatenate(([0], ends + 1)), np.append(ends, len(is_last))
 

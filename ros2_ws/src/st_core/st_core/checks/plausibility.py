@@ -74,9 +74,8 @@ class _ChannelSamples:
 
 def drop_implausible(log: DriveLog, start_ns: int) -> tuple[DriveLog, list[Finding]]:
     """(the drive without implausible samples, findings for each kind and channel, equal ones merged). An INS row with
-    an implausible sample of INS_SIGNALS is left out, an optional signal becomes NaN, and a steering sample is left out
-    of the steering only. A channel in which more than half of the samples are implausible is not changed, and its
-    findings are errors. start_ns: zero of the times in the findings."""
+    an implausible sample of INS_SIGNALS is left out, an optional signal becomes NaN, a steering sample is left out of
+    the steering only. A channel with mostly implausible samples is not changed. start_ns: zero of the times."""
     masks: dict[str, np.ndarray] = {}  # of the implausible samples, by channel
     findings: list[Finding] = []
     steering = "road_wheel_angle" if log.steering_wheel_angle is None else "steering_wheel_angle"
@@ -105,11 +104,8 @@ def drop_implausible(log: DriveLog, start_ns: int) -> tuple[DriveLog, list[Findi
 
 def find_implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
                              moving: np.ndarray) -> tuple[np.ndarray, list[Finding]]:
-    """(mask (n,) of the samples of one channel to leave out, the findings).
-
-    name: key of CHANNEL_LIMITS. time: (n,) ascending [s], with the zero of the times in the findings. values: (n,), NaN
-    where unknown; yaw unwrapped. moving: (n,) whether the car moves. No sample is left out if most would be.
-    """
+    """(mask (n,) of the samples of one channel to leave out, the findings). No sample is left out if most would be.
+    time: (n,) ascending [s]. values: (n,), NaN where unknown; yaw unwrapped. moving: (n,) whether the car moves."""
     left_out = np.zeros(len(values), bool)
     rows = np.flatnonzero(np.isfinite(values))
     if len(rows) < MIN_SAMPLES or np.count_nonzero(np.diff(values[rows])) < 2:
@@ -154,9 +150,7 @@ def _detect_motion(log: DriveLog, instants_ns: np.ndarray) -> np.ndarray:
 
 
 def _find_jumps(channel: _ChannelSamples, large: np.ndarray, implausible: np.ndarray) -> np.ndarray:
-    """Samples after a step much larger than 90 % of the changes, except at implausible samples, held values, gaps."""
-    if not large.any():
-        return np.zeros(0, np.int64)
+    """Samples after a step much larger than 90 % of the changes, except at implausible or held values and gaps."""
     constant = channel.step == 0.0  # a step next to a held value belongs to a frozen channel
     is_held = np.append(constant[:1], constant) | np.append(constant, constant[-1:])
     excluded = implausible | (is_held & (channel.update_interval <= 1.5 * channel.spacing))
@@ -188,11 +182,9 @@ def _find_wraps(channel: _ChannelSamples) -> np.ndarray:
 def _find_out_of_range(channel: _ChannelSamples, large: np.ndarray) -> np.ndarray:
     """Samples out of range, if most samples are in range and a large step leads out of range or back. A channel in a
     wrong unit would exceed the range gradually, without a large step."""
-    outside = np.abs(channel.values) > channel.limits.max_magnitude
-    if not outside.any() or outside.mean() > MAX_IMPLAUSIBLE_FRACTION:
-        return np.zeros(0, np.int64)
-    return _list_samples((first, last) for first, last in find_spans(outside)
-                         if (first > 0 and large[first - 1]) or (last < len(large) and large[last]))
+    outside, borders = np.abs(channel.values) > channel.limits.max_magnitude, np.pad(large, 1)
+    spans = find_spans(outside) if outside.mean() <= MAX_IMPLAUSIBLE_FRACTION else []
+    return _list_samples((first, last) for first, last in spans if borders[first] or borders[last + 1])
 
 
 def _list_samples(spans: Iterable[tuple[int, int]]) -> np.ndarray:
@@ -209,7 +201,7 @@ def _find_sentinels(channel: _ChannelSamples, large: np.ndarray, moving: np.ndar
     # A sentinel 0 is nearer to the usual values than other codes, so 8 median steps count as large, except for
     # velocity_x, since cars stop. In a channel that holds its values, the step must also reach 0.3 of the limit.
     zero_step = max(8.0 * channel.median_step, 0.0 if usual_count < 2.0 else 0.3 * channel.limit)
-    step = np.concatenate(([0.0], channel.step, [0.0]))
+    step, is_open = np.pad(channel.step, 1), np.pad(channel.gap, 1, constant_values=True)
     is_isolated = np.maximum(step[first], step[last + 1]) > min(zero_step, channel.limit)
     for k in np.flatnonzero(is_isolated & (count >= MIN_SENTINEL_SAMPLES)):
         begin, end = int(first[k]), int(last[k])
@@ -219,12 +211,9 @@ def _find_sentinels(channel: _ChannelSamples, large: np.ndarray, moving: np.ndar
                             and channel.time[end] - channel.time[begin] >= MIN_ZERO_TIME
                             and moving[begin:end + 1].mean() > 0.5):
             continue
-        is_large = channel.step > zero_step if is_zero and channel.name != "velocity_x" else large
-        steps_in = begin > 0 and is_large[begin - 1]
-        steps_out = end < len(is_large) and is_large[end]
-        entered = steps_in or begin == 0 or channel.gap[begin - 1]
-        exited = steps_out or end == len(is_large) or channel.gap[end]
-        if entered and exited and (steps_in or steps_out):
+        ends = [begin, end + 1]
+        is_large = step[ends] > zero_step if is_zero and channel.name != "velocity_x" else np.pad(large, 1)[ends]
+        if is_large.any() and (is_large | is_open[ends]).all():
             sentinels.append((begin, end))
     return _list_samples(sentinels)
 
@@ -276,7 +265,7 @@ def _make_finding(kind: str, channel: _ChannelSamples, samples: np.ndarray, is_u
         "out_of_range": f"{channel.name} reaches {value_text} {when} ({count}), beyond the range of road cars",
         "channel_wraps": f"{channel.name} wraps around at ±{np.abs(channel.values).max():.4g} {unit} "
                          f"{when} ({count}): its signal has too few bits for the values of this drive",
-        "channel_jumps": f"{channel.name} jumps {len(samples)} time{'s' if len(samples) > 1 else ''} by up to "
+        "channel_jumps": f"{channel.name} jumps {f'{len(samples)} times by up to' if len(samples) > 1 else 'by'} "
                          f"{float(channel.step[samples - 1].max()):.4g} {unit} from one sample to the next "
                          f"{when}, without returning at once: it is left out of all comparisons",
     }[kind]

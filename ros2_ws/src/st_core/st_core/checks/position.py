@@ -12,7 +12,7 @@ Each cause of a residual contributes a term that is linear in the size of the ca
     yaw drift w           yaw = yaw_true + w (t - start)         as a yaw offset of w (t - start)
     position lag T        p(t) = p_true(t - T)                   -T (V2 - V1),  V = R(yaw) v
     velocity lag T        v(t) = v_true(t - T), body axes        +T integral of R(yaw) dv/dt dt, both axes or only x
-    reference a, side b   p at a point a [m] ahead, b left     (R(yaw2) - R(yaw1)) (a, b)
+    reference a, side b   p at a point a [m] ahead, b left       (R(yaw2) - R(yaw1)) (a, b)
     velocity bias b       v = v_true + b, one body axis          -integral of R(yaw) b dt
 """
 
@@ -38,7 +38,7 @@ MIN_VARIATION_RATIO = 2.0  # ratio of the losses per degree of freedom above whi
 MIN_SIGN_GAIN = 0.01  # m; minimum reduction of the misfit by the opposite sign; RTK noise is 1 cm
 MIN_LATERAL_VELOCITY = 0.02  # m/s, root mean square
 MAX_WHEEL_SLIP = 0.02  # s^2/m; slip of a wheel per acceleration; 0.01 for a longitudinal stiffness of 10 Fz
-# m; motion across a straight at which the largest scale error that is not a unit error just causes a warning
+# m; RMS motion across a straight below which no scale error, except a unit error, causes a warning
 MIN_WIDTH = LIMITS.warning_effect / (LIMITS.unit_ratio - 1.0)
 SPHERICAL_EARTH_SCALE = 0.005  # largest scale error per axis of a projection on a spherical earth
 MIN_VELOCITY_BIAS = 0.05  # m/s; INS velocities are accurate to 0.03
@@ -103,7 +103,7 @@ CAUSES = {
     "velocity_y_scale": Cause(("velocity_y",), "velocity_y", "scale", "1", "velocity_y is {value:.3f} ± {half:.3f} "
                               "times its value from positions, yaw and velocity_x"),
     "yaw_offset": Cause(("yaw",), "yaw", "add", "rad", "yaw points {size:.4f} ± {half:.4f} rad ({degrees:.2f} deg) too "
-                        "far {side} according to positions and velocities, or is the map rotated or distorted?"),
+                        "far {side} according to positions and velocities; or is the map rotated or distorted?"),
     "yaw_drift": Cause(("yaw",), "", "use an INS with two antennas, or drive bends while it aligns: no constant "
                        "correction exists", "rad/s", "yaw drifts to the {side} by {size:.2g} ± {half:.1g} rad/s "
                        "({per_minute:.2f} deg per minute) compared with positions and velocities"),
@@ -177,7 +177,7 @@ class _Explanation(NamedTuple):
 def _explain_residual(motion: Motion, rare_explanations: Mapping[tuple[str, ...], set[str]]) -> _Explanation:
     """The causes found by repeated selection and correction. rare_explanations: those of RARE_EXPLANATIONS to try."""
     causes: dict[str, Estimate] = {}
-    corrected, slips = motion, set[str]()
+    corrected, slips, correction = motion, set[str](), dict[str, float]()
     for _ in range(ITERATIONS):  # the effect of a large cause is nonlinear and biases the other estimates
         problem = make_residual_regression(corrected)
         effects = {name: problem.compute_effect(name, HORIZON_WINDOWS) for name in problem.columns}  # m per unit
@@ -189,7 +189,7 @@ def _explain_residual(motion: Motion, rare_explanations: Mapping[tuple[str, ...]
         refined = _refine_causes(problem, causes, min_values, explanations)
         for name in ALTERNATIVE_LAGS.keys() & refined.keys():  # at constant acceleration, a bias acts like a lag
             lag = problem.estimate(tuple(dict.fromkeys((*refined, "velocity_x_bias"))))[name]
-            slips |= {name} if name not in causes and _is_wheel_slip(problem, name, tuple(refined)) else set()
+            slips = {name} if _is_wheel_slip(problem, correction, name, tuple(refined)) else set()
             if not is_relevant(_add_refinement(name, causes, lag), min_values[name]):
                 del refined[name]
         # An axis scale that differs from 1 as much as a wrong unit is kept only if its effect is enough for a warning.
@@ -197,21 +197,23 @@ def _explain_residual(motion: Motion, rare_explanations: Mapping[tuple[str, ...]
             name not in AXIS_SCALES or abs(estimate.value) * effects[name] >= LIMITS.warning_effect
             or is_near(1.0 + estimate.value, 1.0, LIMITS.unit_ratio))}
         # The slip of a wheel is not a fault. At nearly constant speed v, it acts like a lead c v, see `_is_wheel_slip`.
-        corrected = _correct_causes(motion, {"velocity_x_lag" if name in slips else name: estimate.value
-                                             for name, estimate in causes.items()})
+        correction = {"velocity_x_lag" if name in slips else name: estimate.value for name, estimate in causes.items()}
+        corrected = _correct_causes(motion, correction)
         if not causes:
             break
     return _Explanation({name: causes[name] for name in causes if name not in slips}, corrected, effects)
 
 
-def _is_wheel_slip(problem: Regression, lag: str, causes: Names) -> bool:
-    """Whether a wheel speed v (1 + c a_x), with slip c per acceleration, fits better than `lag`, a lag of velocity."""
+def _is_wheel_slip(problem: Regression, correction: Mapping[str, float], lag: str, causes: Names) -> bool:
+    """Whether a wheel speed v (1 + c a_x), with slip c per acceleration, fits better than `lag`, a lag of velocity.
+    problem: for the motion after `correction`, since the effect of a large lag is linear only near its value."""
     speed = np.linalg.norm(problem.columns["velocity_scale"], axis=1)[:, None] / WINDOW
-    columns = {**problem.columns, lag: speed * problem.columns["velocity_x_lag"]}
-    with_slip = Regression(problem.time, problem.y, columns)
-    _, scale, _ = problem.fit(causes)
+    recorded = 2.0 * problem.y - problem.compute_residual(correction)
+    with_lag, with_slip = (Regression(problem.time, recorded, {**problem.columns, lag: column}) for column in (
+        problem.columns[lag], speed * problem.columns["velocity_x_lag"]))
+    _, scale, _ = with_lag.fit(causes)
     return (-MAX_WHEEL_SLIP < with_slip.fit(causes)[0][lag] < 0.0
-            and with_slip.compute_loss(causes, scale) < problem.compute_loss(causes, scale))
+            and with_slip.compute_loss(causes, scale) < with_lag.compute_loss(causes, scale))
 
 
 def _fits_better(problem: Regression, causes: Names, other_problem: Regression, other_causes: Names) -> bool:
@@ -237,6 +239,9 @@ def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Es
             explanation = without
     explanation, varying_findings = _find_varying_cause(motion, explanation)
     causes, corrected, effects = explanation
+    if causes.keys() >= {"yaw_offset", "yaw_drift"}:  # the best constant correction of a drift is its mean
+        change = causes["yaw_drift"].value * float(np.ptp(motion.time))
+        causes |= {"yaw_offset": causes["yaw_offset"].shifted(0.5 * change)}
     problem = make_residual_regression(corrected)
     findings = [_make_finding(name, estimate, effects[name]) for name, estimate in causes.items()
                 if not _convert_to_reported(name, estimate).covers(neutral_value(name))]
@@ -302,7 +307,7 @@ def _find_varying_cause(motion: Motion, explanation: _Explanation) -> tuple[_Exp
 
 
 def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estimates: dict[str, Estimate],
-                                 confirm: Callable[[float], str]) -> tuple[Motion, list[Finding]]:
+                                 confirm: Callable[[float], str | None]) -> tuple[Motion, list[Finding]]:
     """(motion, findings) with a scale error of the velocity attributed to the positions instead, if other measurements
     confirm the recorded velocity. confirm: `inertial.confirm_velocity` of the drive."""
     velocity_scale = find(findings, "velocity_scale")
@@ -331,8 +336,7 @@ def attribute_scale_to_velocity_x(motion: Motion, findings: list[Finding],
     text = f"velocity_x, unlike velocity_y, is {both.value:.4g} times the rate of change of positions"
     attributed = replace(both, name="velocity_x_scale", channels=("velocity_x",), statement=text,
                          advice=Advice.correct("velocity_x", **both.advice.entry["correct"]["velocity"]))
-    lateral_factor = {"scale": both.value * (lateral.value or 1.0)}
-    return (motion.apply_entry({"correct": {"velocity_y": lateral_factor}}),
+    return (motion.apply_entry({"correct": {"velocity_y": {"scale": both.value * (lateral.value or 1.0)}}}),
             [attributed if finding is both else finding for finding in findings if finding is not lateral])
 
 
@@ -358,10 +362,9 @@ def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> 
     causes = (*AXIS_SCALES, "position_lag", "velocity_lag", "velocity_x_lag")
     with_reference = (*causes, "position_reference")
     is_yaw = _has_clearly_smaller_lag(*problems, with_reference)
-    if abs(lag) < LIMITS.severe_lag:  # a small error of the velocities has the effect of a small lag of yaw
-        return None if is_yaw else is_yaw
-    if is_yaw is not None:
-        return is_yaw
+    is_small = abs(lag) < LIMITS.severe_lag  # a small error of the velocities has the effect of a small lag of yaw
+    if is_small or is_yaw is not None:
+        return None if is_small and is_yaw else is_yaw
     is_yaw = _has_clearly_smaller_lag(*problems, causes)
     if is_yaw is None:
         return None
@@ -390,18 +393,17 @@ def correct_lateral_sign(motion: Motion) -> tuple[Motion, Finding | None]:
     yaw_rate = motion.yaw_rate
     reference = -2.0 * float(motion.velocity_y @ yaw_rate) / max(float(yaw_rate @ yaw_rate), 1e-12)  # m
     # The map may also be rotated from the middle of the drive on.
-    begin = problem.columns["yaw_offset"] * (problem.time < np.median(problem.time))[:, None]
-    rotated = Regression(problem.time, problem.y, {**problem.columns, "begin": begin})
-    misfits = [rotated.fit((*AXIS_SCALES, "yaw_offset", "begin"))[1]]
+    first_half = problem.columns["yaw_offset"] * (problem.time < np.median(problem.time))[:, None]
+    rotated = Regression(problem.time, problem.y, {**problem.columns, "first_half": first_half})
+    misfits = [rotated.fit((*AXIS_SCALES, "yaw_offset", "first_half"))[1]]
     for name in problem.columns.keys() - {*AXIS_SCALES, *RARE_CAUSES, "velocity_scale"}:
         theta, misfit, _ = problem.fit((*AXIS_SCALES, name))
         # v_y is mostly the yaw rate times a distance d, so a wrong sign resembles a reference point 2 d away.
         expected, fitted = abs(reference), theta[name] * np.sign(reference)
         if name != "position_reference" or not 0.75 * expected < fitted < 1.33 * expected:
             misfits.append(misfit)
-    if not compute_scaled_misfit(mirrored) < min(0.8 * min(misfits), min(misfits) - MIN_SIGN_GAIN):
-        return motion, None
-    return mirrored, OPPOSITE_SIGN_FINDING
+    is_opposite = compute_scaled_misfit(mirrored) < min(0.8 * min(misfits), min(misfits) - MIN_SIGN_GAIN)
+    return (mirrored, OPPOSITE_SIGN_FINDING) if is_opposite else (motion, None)
 
 
 def _add_lateral_alternative(findings: list[Finding], problem: Regression,

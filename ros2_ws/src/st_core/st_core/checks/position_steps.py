@@ -90,14 +90,18 @@ def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
     findings += _check_jumps(motion, errors, along, is_stale, rounding)
     within = np.diff(motion.time) <= MAX_GAP
     if rounding == 0.0 and within.sum() >= MIN_CHECKED_STEPS:
-        # With white noise of positions, |d_k| has a Rayleigh distribution with median 1.665 sigma.
-        sigma = float(np.median(np.abs(errors[within]))) / 1.665
+        # With white noise of positions, |d_k - median| has a Rayleigh distribution with median 1.665 sigma.
+        sigma = float(np.median(np.abs(_subtract_median(errors[within])))) / 1.665
         if sigma >= MIN_NOISE:
             text = f"positions are noisy: white noise with a standard deviation of {sigma:.2f} m per axis"
             advice = Advice("text", "record with RTK, or use the positions of the INS, not of the receiver")
             findings.append(Finding("position_noise", LIMITS.severity(sigma), ("x", "y"), text, sigma, "m",
                                     effect=sigma, advice=advice))
     return motion, findings
+
+
+def _subtract_median(errors: np.ndarray) -> np.ndarray:
+    return errors - np.median(errors.real) - 1j * np.median(errors.imag)
 
 
 def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
@@ -147,7 +151,7 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
 def _check_jumps(motion: Motion, errors: np.ndarray, along: np.ndarray, is_stale: np.ndarray,
                  rounding: float) -> list[Finding]:
     """Finding about large steps. A clock set forward by T during the drive acts like jumps -v T along the track."""
-    size = np.abs(errors - np.median(errors.real) - 1j * np.median(errors.imag))
+    size = np.abs(_subtract_median(errors))
     within = (np.diff(motion.time) <= MAX_GAP) & ~is_stale
     large = within & (size > max(OUTLIER_SIGMAS * SIGMA_PER_MAD * float(np.median(size)), MIN_JUMP, 2.0 * rounding))
     count = int(large.sum())
@@ -186,7 +190,7 @@ def check_position_deviations(motion: Motion, findings: list[Finding]) -> list[F
     errors = windows.change(motion.position) - windows.integral(motion.velocity_map)
     # The correction of a lag extrapolates the values at the edges of gaps.
     is_inner = np.append(False, windows.are_adjacent) & np.append(windows.are_adjacent, False)
-    sums = np.cumsum(np.append(0.0, is_inner * (errors - np.median(errors.real) - 1j * np.median(errors.imag))))
+    sums = np.cumsum(np.append(0.0, is_inner * _subtract_median(errors)))
     size, begin = np.abs(sums[count:] - sums[:-count]), windows.time[:1 - count]
     median = float(np.median(size))
     large = size > max(LIMITS.warning_effect, OUTLIER_SIGMAS * SIGMA_PER_MAD * median)
@@ -215,11 +219,10 @@ def _check_jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
     power, deviation = float(np.sum(uneven**2)), float(np.std(uneven))
     # A few large steps are gaps or changes of the clock.
     few_large_steps = float(np.sort(uneven**2)[-MIN_STALE_SAMPLES:].sum()) > 0.5 * power
-    if deviation < 0.05 * median or power <= 0.0 or few_large_steps:
-        return []
-    slope = float(np.sum(along[inside] * -uneven) / power)  # 1 if the motion is smooth, 0 if the stamps are correct
+    # 1 if the motion is smooth, 0 if the stamps are correct
+    slope = float(np.sum(along[inside] * -uneven) / max(power, 1e-300))
     effect = deviation * float(np.median(motion.speed[1:][inside]))
-    if slope < 0.5 or effect < LIMITS.min_reported_effect:
+    if deviation < 0.05 * median or few_large_steps or slope < 0.5 or effect < LIMITS.min_reported_effect:
         return []
     text = f"the time stamps jitter by {deviation * 1e3:.1f} ms but the motion is smooth: they are times of reception"
     return [Finding("time_jitter", LIMITS.severity(effect), ("time",), text, deviation, "s", effect=effect,

@@ -80,7 +80,7 @@ class Regression:
         self._blocks = Blocks(block_of, np.zeros(len(numbers), np.int64), numbers,
                               f"{len(numbers)} blocks of {BLOCK_LENGTH:g} s")
 
-    def _multiply(self, names: Sequence[str]) -> np.ndarray:
+    def _compute_products(self, names: Sequence[str]) -> np.ndarray:
         """(n, p + 1, p) products of these columns with each other and, in the last row, with y."""
         design = np.stack([*(self.columns[name] for name in names), self.y], axis=-1)
         return np.einsum("nip,niq->npq", design, design[:, :, :-1])
@@ -93,7 +93,7 @@ class Regression:
         """(theta by name, median norm of the residuals of the windows, Huber weights of the windows (n,))."""
         count, key = len(names), tuple(names)
         if key not in self._fits:
-            products = self._multiply(names).reshape(len(self.y), -1)
+            products = self._compute_products(names).reshape(len(self.y), -1)
             weights, theta = np.ones(len(self.y)), {}
             for _ in range(HUBER_ITERATIONS if names else 1):
                 sums = (weights @ products).reshape(count + 1, count)
@@ -116,7 +116,7 @@ class Regression:
         if not names:
             return {}
         theta, _, weights = self.fit(names)
-        sums = self._blocks.sum_by_block(weights[:, None, None] * self._multiply(names))
+        sums = self._blocks.sum_by_block(weights[:, None, None] * self._compute_products(names))
         normals, right_sides = sums[:, :-1], sums[:, -1]
         normal, right_side = normals.sum(axis=0), right_sides.sum(axis=0)
         diagonal = np.diag(np.diag(normal)) + 1e-12 * np.eye(len(names))  # the causes may be collinear on this drive

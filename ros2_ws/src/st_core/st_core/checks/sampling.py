@@ -20,6 +20,7 @@ STAMPED_CHANNELS = {"INS": ("time",), "steering": ("road_wheel_angle",)}  # chan
 MIN_HELD_FRACTION = 0.7  # minimum fraction of the samples that are in groups of equal values, of about median length
 MIN_HELD_RATE = 15.0  # Hz; at 15 m/s, positions held at this rate lag by up to 1 m, and by 0.5 m on average
 PREDICTION_GAP = PredictionSettings().maximum_gap
+MAX_ANGLE_INTERVAL = 0.5  # s; largest sampling interval at which turns are compared: half a window of `compute_ratios`
 MAX_LONG_FRACTION = 0.05  # fraction of intervals above PREDICTION_GAP; at 10 Hz, 92 % of 5 s horizons then contain one
 MAX_GAP_FRACTION = 0.05  # fraction of the time in gaps above which whole driving conditions may be missing
 MIN_ROWS_PER_SAMPLE = 1.5  # minimum sampling interval, in rows, of a sensor that is slower than the rows
@@ -37,7 +38,7 @@ MAX_AXIS_FRACTION = 0.9  # fraction of the speed along one axis above which the 
 MAX_SPEED_NOISE = 0.5  # m/s; reported by a receiver at standstill while the position is constant
 MAX_GYRO_BIAS = 0.02  # rad/s; a constant yaw counts as frozen only at a larger yaw rate
 LOCKED_STATUS = 4  # NCOM byte 21
-RTK_MODES = (5, 6, 15, 16, 23, 24, 28, 29)  # NCOM position modes float, integer: RTK, post-processed, gx, ix
+RTK_MODES = (5, 6, 15, 16, 23, 24, 28, 29)  # NCOM position modes RTK float and integer: live, post-processed, gx, ix
 ROUNDING_STEPS = 3.0  # expected change, in steps of the resolution, below which a rounded channel may stay constant
 MIN_MEASURED_STEPS = 20  # minimum number of steps or intervals from which a resolution or a rate is estimated
 
@@ -57,9 +58,8 @@ def describe_channels(motion: Motion, auxiliary: AuxiliaryData) -> dict[str, Sam
 def _iterate_channels(motion: Motion) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
     """(name, time [s], values) of each recorded channel, without NaN, if it has three samples or more."""
     for name in UNITS:
-        is_steering = name == "road_wheel_angle"
-        time, values = (motion.steering_time if is_steering else motion.time,
-                        motion.steering if is_steering else getattr(motion, name))
+        time, values = ((motion.steering_time, motion.steering) if name == "road_wheel_angle" else
+                        (motion.time, getattr(motion, name)))
         if values is not None and (finite := np.isfinite(values)).sum() >= 3:
             yield name, time[finite], values[finite]
 
@@ -169,6 +169,9 @@ def _check_gaps(signal: str, time: np.ndarray, excluded_times: Sequence[tuple[fl
         text = (f"the {signal} has one sample every {typical:.3g} s, and {100.0 * long_fraction:.0f} % of the "
                 f"intervals exceed {PREDICTION_GAP:g} s; no prediction is made across these, so few or none can be "
                 "scored")
+        if signal == "INS" and typical > MAX_GAP:
+            exception = ", except for axes and units of angles" if typical <= MAX_ANGLE_INTERVAL else ""
+            text += f"; channels are not compared with each other{exception}"
         return [Finding("time_gaps", Severity.WARNING, STAMPED_CHANNELS[signal], text, typical, "s",
                         advice=Advice("text", f"record the {signal} at a higher rate, or check whether "
                                       "samples are lost"))]
@@ -351,9 +354,7 @@ CHANNELS_WITH_SAME_UNIT = ("velocity_x", "acceleration_x", "acceleration_y", "ya
 
 def drop_frozen_samples(motion: Motion, findings: Sequence[Finding]) -> Motion:
     """The motion with gaps in place of the samples of frozen or clipped channels, unless these are the majority."""
-    for finding in findings:
-        if finding.name not in ("channel_frozen", "channel_clipped"):
-            continue
+    for finding in (f for f in findings if f.name in ("channel_frozen", "channel_clipped")):
         for is_steering in {channel == "road_wheel_angle" for channel in finding.channels}:
             time = motion.steering_time if is_steering else motion.time
             usable = ~np.any([(time >= begin) & (time <= end) for begin, end in finding.times], axis=0)
@@ -365,12 +366,11 @@ def drop_frozen_samples(motion: Motion, findings: Sequence[Finding]) -> Motion:
 
 def interpolate_held_channels(motion: Motion, held: set[str]) -> Motion:
     """The motion with held INS channels interpolated between their changes."""
-    signals = {}
-    for name in sorted(held & {*INS_SIGNALS, *OPTIONAL_INS_SIGNALS}):
+    for name in held & {*INS_SIGNALS, *OPTIONAL_INS_SIGNALS}:
         if (values := getattr(motion, name)) is not None:
             changes = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
-            signals[name] = np.interp(motion.time, motion.time[changes], values[changes])
-    return replace(motion, **signals)
+            motion = replace(motion, **{name: np.interp(motion.time, motion.time[changes], values[changes])})
+    return motion
 
 
 def check_quality(quality: InsQuality | None, start_ns: int) -> Iterator[Finding]:

@@ -58,11 +58,10 @@ def try_corrections(findings: list[Finding], log: DriveLog, vehicle: VehiclePara
         return findings
     errors = [finding for finding in findings if finding.severity is Severity.ERROR]
     corrected: RunAndVehicle | None = (log, vehicle)
-    before = after = _compute_prediction_error(corrected)
-    if errors:
-        for finding in errors:
-            corrected = _apply_advice(corrected, finding.advice)
-        after = _compute_prediction_error(corrected)
+    before = _compute_prediction_error(corrected)
+    for finding in errors:
+        corrected = _apply_advice(corrected, finding.advice)
+    after = _compute_prediction_error(corrected) if errors else before
     outcomes = {id(finding): _add_outcome(finding, before, after) for finding in errors if _is_tried(finding)}
     harmful = errors and (after is None or (before is not None and _is_worse(before, after)))
     for finding in tried_findings if not harmful else ():

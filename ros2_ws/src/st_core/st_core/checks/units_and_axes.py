@@ -64,15 +64,13 @@ def correct_units(motion: Motion) -> tuple[Motion, list[Finding]]:
                  _correct_velocity_axes, _correct_yaw_offset, correct_lateral_sign):
         motion, finding = step(motion)
         findings += [finding] if finding else []
-    by_name = {finding.name: finding for finding in findings}
-    if {"yaw_convention", "yaw_offset"} <= by_name.keys():  # merged for a clockwise yaw not measured from north
-        clockwise, offset = by_name["yaw_convention"], by_name.pop("yaw_offset")
-        corrections = [finding.advice.entry["correct"] for finding in (clockwise, offset) if finding.advice]
-        correct = {channel: dict(values) for channel, values in corrections[0].items()}
-        correct["yaw"]["add"] += corrections[1]["yaw"]["add"]
+    clockwise, offset = (find(findings, name) for name in ("yaw_convention", "yaw_offset"))
+    if clockwise and clockwise.advice and offset and offset.advice:  # merged for a clockwise yaw not from north
+        correct = {channel: {**values} for channel, values in clockwise.advice.entry["correct"].items()}
+        correct["yaw"]["add"] += offset.advice.entry["correct"]["yaw"]["add"]
         text = f"{clockwise.text.partition(':')[0]}, but yaw 0 is not north; expected: yaw from east, counter-clockwise"
-        by_name["yaw_convention"] = replace(clockwise, statement=text, advice=Advice.for_run_yaml({"correct": correct}))
-        findings = list(by_name.values())
+        merged = replace(clockwise, statement=text, advice=Advice.for_run_yaml({"correct": correct}))
+        findings = [merged if finding is clockwise else finding for finding in findings if finding is not offset]
     return motion, findings
 
 
@@ -123,9 +121,9 @@ def check_nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate
                    interval=velocity.interval, advice=advice)
 
 
-def other_yaw_fits_better(motion: Motion, other: Motion) -> bool:
-    """Whether positions agree clearly better with velocity and yaw in `other`, the drive with yaw shifted or scaled."""
-    return _compute_misfit(other) < CLEAR_MISFIT_RATIO * _compute_misfit(motion)
+def fits_better(corrected: Motion, motion: Motion) -> bool:
+    """Whether positions agree clearly better with velocity and yaw in `corrected` than in `motion`."""
+    return _compute_misfit(corrected) < CLEAR_MISFIT_RATIO * _compute_misfit(motion)
 
 
 def _correct_rate_in_unit_of_yaw(motion: Motion) -> MotionAndFinding:
@@ -210,7 +208,6 @@ def _correct_north_east(motion: Motion) -> MotionAndFinding:
         return motion, None
     measured, derived = _compute_displacements(motion, motion.velocity_map)
     is_forward = np.sum(derived * np.conj(_direction(measured))).real > 0.0  # else velocity_x has the opposite sign
-    alternatives: tuple[Alternative, ...] = ()
     if _matches(ratios.yaw_to_rate, 1.0) and votes == -2 and is_forward:
         text = ("x, y, yaw and yaw_rate turn in the opposite direction to acceleration_y and steering: x is north, "
                 "y east and yaw a compass heading")
@@ -241,8 +238,8 @@ def _add_mirrored_channels(motion: Motion, correct: Mapping[str, Any], columns: 
 
 def _find_lateral_sign(motion: Motion) -> int:
     """1 if positions agree clearly better with velocity_y as given, -1 if with the opposite sign, else 0."""
-    original, mirrored = _compute_misfit(motion), _compute_misfit(replace(motion, velocity_y=-motion.velocity_y))
-    return int(original < CLEAR_MISFIT_RATIO * mirrored) - int(mirrored < CLEAR_MISFIT_RATIO * original)
+    mirrored = replace(motion, velocity_y=-motion.velocity_y)
+    return int(fits_better(motion, mirrored)) - int(fits_better(mirrored, motion))
 
 
 def _compare_signs(motion: Motion) -> tuple[int, int]:
@@ -289,7 +286,7 @@ def _round_to_angle_unit(factor: float, tolerance: float = UNIT_TOLERANCE) -> fl
 
 
 def _remove_wraps(motion: Motion) -> Motion:
-    """Replace the yaw steps left by unwrapping another unit as rad with the integrated yaw rate."""
+    """Replace the steps of yaw that remain from unwrapping another unit as rad; the yaw rate gives the true steps."""
     step = np.diff(motion.yaw)
     expected = np.diff(cumulative_trapezoid(motion.yaw_rate, motion.time, initial=0.0))
     error = np.abs(step - expected)
@@ -332,10 +329,9 @@ def _correct_one_axis(motion: Motion) -> MotionAndFinding:
         if moves.sum() < MIN_WINDOWS:
             return motion, None
         scales.append(float(np.sum(along_measured[moves] * along_derived[moves]) / np.sum(along_derived[moves]**2)))
-    if _compute_misfit(motion) < MAX_CONSISTENT_MISFIT * float(np.median(np.abs(derived))):
-        return motion, None  # they agree except for a rotation
     wrong, common = [not _matches(scale, 1.0) for scale in scales], compute_ratios(motion).position_to_speed
-    if sum(wrong) != 1 or not np.isfinite(common):
+    max_misfit = MAX_CONSISTENT_MISFIT * float(np.median(np.abs(derived)))  # below it, all agree except for a rotation
+    if sum(wrong) != 1 or not np.isfinite(common) or _compute_misfit(motion) < max_misfit:
         return motion, None
     k = wrong.index(True)
     axis, other, scale = ("x", "y")[k], ("y", "x")[k], scales[k]
@@ -344,9 +340,7 @@ def _correct_one_axis(motion: Motion) -> MotionAndFinding:
         corrected, finding = _correct(motion, f"{axis}_scale", (axis,), text, scale,
                                       Advice.correct(axis, scale=float(f"{1.0 / scale:.5g}")))
         both = motion.apply_entry({"correct": {"position": {"scale": 1.0 / common}}})
-        limit = min(MAX_CONSISTENT_MISFIT * float(np.median(np.abs(derived))),
-                    CLEAR_MISFIT_RATIO * _compute_misfit(both))
-        if _compute_misfit(corrected) < limit:
+        if _compute_misfit(corrected) < max_misfit and fits_better(corrected, both):
             return corrected, finding
     distance = np.maximum(np.abs(derived), MIN_DISTANCE)
     slope, expected = (float(np.median(np.abs((d.real, d.imag)[k]) / distance)) for d in (measured, derived))
@@ -379,8 +373,9 @@ def correct_length_unit(motion: Motion) -> MotionAndFinding:
 
 
 def _correct_distance(motion: Motion) -> MotionAndFinding:
-    ratio = compute_ratios(motion).position_to_speed
-    if not np.isfinite(ratio) or _matches(ratio, 1.0):
+    ratio, windows = compute_ratios(motion).position_to_speed, motion.make_windows(1.0)
+    if not np.isfinite(ratio) or _matches(ratio, 1.0) or not all(  # only noise moves on a test bench, or on a ferry
+            windows.are_coherent(displacements) for displacements in _compute_displacements(motion, motion.velocity)):
         return motion, None
     speed, length, velocity_ratio = match_unit(1.0 / ratio), match_unit(ratio, LENGTH_UNITS), 1.0 / ratio
     text = f"x and y are {ratio:.4g} times the integrated velocity"
@@ -482,9 +477,8 @@ def _correct_yaw_offset(motion: Motion) -> MotionAndFinding:
     quarter = np.round(angle / (np.pi / 2)) * np.pi / 2
     if abs(quarter) == np.pi:
         advice = Advice.correct("velocity_x", scale=-1.0)
-        reversed_misfit = _compute_misfit(motion.apply_entry(advice.entry))
         # If velocity_x > 0, the whole drive would be in reverse: assumed only if velocity_y agrees clearly better.
-        if np.median(motion.velocity_x) < 0.0 or reversed_misfit < CLEAR_MISFIT_RATIO * _compute_misfit(motion):
+        if np.median(motion.velocity_x) < 0.0 or fits_better(motion.apply_entry(advice.entry), motion):
             return _correct(motion, "velocity_x_scale", ("velocity_x",),
                             "velocity_x has the opposite sign (forward is positive)", -1.0, advice)
     exact = float(quarter if abs(angle - quarter) < 0.1 else angle)

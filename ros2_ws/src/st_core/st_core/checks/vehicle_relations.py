@@ -21,7 +21,7 @@ from ..tyres import GRAVITY
 from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
 from .finding import HORIZON, LIMITS, SYSTEMATIC_UNCERTAINTY, Advice, Alternative, Comparison, Finding, Severity
 from .inertial import MAX_LAG, MIN_COMMON_TIME, NOT_FITTED, Agreement, Results, compare_series, format_alternative_lags
-from .motion import MAX_LISTED_TIMES, MIN_MOVING_SPEED, Motion, correlate, has_varying_speed, is_near
+from .motion import MAX_LISTED_TIMES, MIN_MOVING_SPEED, MIN_TURN, Motion, correlate, has_varying_speed, is_near
 from .position import MIN_LOSS_RATIO, OPPOSITE_SIGN_FINDING
 from .regression import Estimate, Regression, add_systematic_uncertainty
 from .units_and_axes import DEG_PER_RAD
@@ -30,6 +30,8 @@ CUTOFF = 1.5  # Hz, of the low-pass filter
 MIN_SPEED, MAX_LATERAL_ACCELERATION = 2.0, 4.0  # m/s, m/s^2; limits of driving with linear rear slip
 WINDOW, STANDSTILL_WINDOW = 0.5, 2.0  # s, lengths of the windows
 MIN_REAR_AXLE_WINDOWS = 30
+MAX_BENCH_MOTION = 0.5  # m per window; slack of the belts that hold a car on a test bench, and noise of positions
+MIN_CARRIED_WINDOWS = 5  # 10 s; minimum number of windows in which the car is carried, since positions may jump
 SLIP_RANGE = 0.5, 1.5  # plausible rear slip, as a fraction of that of the vehicle file
 MAX_BANK = 0.08  # rad; largest bank of a road; design guides limit the superelevation to 7 or 8 %
 BANK = Alternative("the road is banked")
@@ -173,9 +175,8 @@ def _make_unit_finding(gain: Estimate | None, plausible_gains: tuple[float, floa
     plausible_gains: the expected and the largest one; 1 is plausible too, since stiffnesses may be inaccurate.
     motion: unless its positions are certain to be east and north, all INS channels may be mirrored instead, and the
     correction of the steering is valid in both cases; with a negative velocity, the INS may point backwards instead.
-    spread: standard deviation of the derived angle [rad], 0 if unknown. Play may explain a gain below 1 that no unit
-    matches, since it reduces every turn of the steering by its width; steered rear wheels may explain it, too.
-    """
+    spread: standard deviation of the derived angle [rad], 0 if unknown. Play, which reduces every turn of the steering
+    by its width, or steered rear wheels may explain a gain below 1 that no unit matches."""
     (expected, largest), limit = plausible_gains, LIMITS.steering_unit_ratio
     if gain is None or abs(gain.value) < MIN_GAIN or (
             gain.interval[1] > 1.0 / limit and gain.interval[0] < limit * largest):
@@ -317,13 +318,14 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> Results:
     results = Results()
     windows = motion.make_windows(WINDOW)
     means = [windows.mean(values) for values in (motion.velocity_x, motion.velocity_y, motion.yaw_rate)]
-    usable = (means[0] > MIN_SPEED) & (np.abs(means[0] * means[2]) < MAX_LATERAL_ACCELERATION)
-    forward, lateral, rate = (mean[usable] for mean in means)
+    means.append(means[0] * means[2] + (np.gradient(means[1], windows.time) if len(windows) > 1 else 0.0))
+    usable = (means[0] > MIN_SPEED) & (np.abs(means[3]) < MAX_LATERAL_ACCELERATION)
+    forward, lateral, rate, acceleration = (mean[usable] for mean in means)
     if usable.sum() < MIN_REAR_AXLE_WINDOWS or (
             abs(float(forward @ rate)) > MAX_COSINE * float(np.linalg.norm(forward) * np.linalg.norm(rate))):
         return results
     problem = Regression(windows.time[usable], lateral[:, None], {
-        "misalignment": -forward[:, None], "lever_arm": rate[:, None], "slip": -(forward**2 * rate)[:, None],
+        "misalignment": -forward[:, None], "lever_arm": rate[:, None], "slip": -(forward * acceleration)[:, None],
         "roll": -(windows.change(motion.velocity_x * motion.yaw_rate)[usable] / WINDOW)[:, None]})
     estimates = _fit_rear_axle(problem, vehicle, has_varying_speed(forward))
     distance_in_file = vehicle.cg_to_rear_axle + vehicle.cg_to_ins_x
@@ -371,7 +373,7 @@ def _fit_rear_axle(problem: Regression, vehicle: VehicleParameters, speed_varies
 
 
 def _make_point_finding(point: Estimate, slip: Estimate, motion: Motion, vehicle: VehicleParameters) -> Finding | None:
-    """Finding about an INS point that is not where the vehicle file has it; None if the distance is small or uncertain.
+    """Finding about an INS point other than in the vehicle file; None if the distance is small or uncertain.
     point: that distance, > 0 ahead [m]. slip: of the rear axle, see `_fit_rear_axle`. Rear wheels steered by k times
     the front angle act like a point k / (1 - k) wheelbases further ahead. A k that depends on speed changes the slip
     too, so there is no correction if the slip does not agree with the vehicle file."""
@@ -428,10 +430,24 @@ def check_tyre_limit(motion: Motion, sideslip_measured: bool) -> list[Finding]:
                     advice=Advice("text", "check speed and yaw rate at these times"))]
 
 
+def check_test_bench(motion: Motion) -> list[Finding]:
+    """Finding about wheels that turn for most of the drive while position and yaw vary by noise only."""
+    windows, speed = motion.make_windows(STANDSTILL_WINDOW), float(np.median(np.abs(motion.velocity_x)))
+    displacement = windows.change(motion.position)
+    if (len(windows) < MIN_CARRIED_WINDOWS or speed < MIN_MOVING_SPEED or windows.are_coherent(displacement)
+            or np.abs(displacement).max() > MAX_BENCH_MOTION or np.ptp(windows.mean(motion.yaw)) > MIN_TURN):
+        return []
+    text = f"velocity_x is {speed:.3g} m/s while position and yaw are constant: is the car on a test bench?"
+    return [Finding("standstill_motion", Severity.WARNING, ("velocity_x",), text, speed, "m/s",
+                    advice=Advice("text", "leave this drive out: nothing else in it can be checked"))]
+
+
 def check_standstill(motion: Motion) -> list[Finding]:
-    """Findings about a velocity or yaw rate other than 0 while position and yaw are constant."""
+    """Findings about a velocity or yaw rate other than 0 while position and yaw are constant, and vice versa."""
     windows = motion.make_windows(STANDSTILL_WINDOW)
-    distance = np.abs(windows.change(motion.position))
+    displacement = windows.change(motion.position)
+    distance = np.abs(displacement)
+    carried = (distance > STANDSTILL_WINDOW * MIN_MOVING_SPEED) & (np.abs(windows.mean(motion.velocity)) < 0.1)  # m/s
     standstill = (distance < 0.02) & (np.abs(windows.change(motion.yaw)) < 0.002)  # m, rad
     findings = []
     for name, values, unit, minimum in (("velocity_x", motion.velocity_x, "m/s", 0.1),
@@ -443,4 +459,10 @@ def check_standstill(motion: Motion) -> list[Finding]:
             times = tuple((float(t), float(t) + STANDSTILL_WINDOW) for t in windows.time[standstill][:MAX_LISTED_TIMES])
             findings.append(Finding("standstill_motion", Severity.WARNING, (name,), text, value, unit, times=times,
                                     advice=Advice("text", f"check the bias of {name}")))
+    if carried.sum() >= MIN_CARRIED_WINDOWS and windows.are_coherent(displacement * carried):  # unlike noise
+        value = float(np.median(distance[carried])) / STANDSTILL_WINDOW
+        text = f"positions move at {value:.3g} m/s while velocity is 0: is the car on a ferry or trailer?"
+        times = tuple((float(t), float(t) + STANDSTILL_WINDOW) for t in windows.time[carried][:MAX_LISTED_TIMES])
+        findings.append(Finding("standstill_motion", Severity.WARNING, ("x", "y"), text, value, "m/s", times=times,
+                                advice=Advice("text", "leave these times out")))
     return findings

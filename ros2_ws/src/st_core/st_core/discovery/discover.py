@@ -50,7 +50,7 @@ def discover(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | M
     runs: drives to be diagnosed.
     vehicle: parameters of the vehicle file, from which the search starts.
     reference: drives of the healthy car; the search then starts from the fit to these drives and finds later changes.
-    progress(stage, done, total): called regularly.
+    progress(stage, done, total): called regularly; total is at least 100 and exceeds done.
     sensor_estimates: (value, lower, upper 95 % limit) from redundant sensors, by name of the estimate in `checks`.
     parallel: number of threads.
     clocks: standard deviation of the error of the steering clock [s], by run; clocks of other runs count as exact.
@@ -63,8 +63,10 @@ def discover(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | M
 
 def fit_effects(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model, names: Sequence[str],
                 settings: DiscoverySettings | None = None) -> Model:
-    """The base model with the given effects fitted jointly to the runs."""
-    settings = settings or DiscoverySettings()
+    """The base model with the given effects fitted jointly to the runs. Raises ConfigurationError for an effect that is
+    unknown or does not apply to the base model."""
+    names = (names,) if isinstance(names, str) else tuple(names)
+    settings = replace(settings or DiscoverySettings(), effects=names or None)
     space = Space(base, settings)
     windows = Windows(runs, vehicle, settings)
     loss = Loss(Errors(windows, space), space.null)
@@ -198,10 +200,10 @@ class _Analysis:
             if verdict.rule == decision.NAMED and not decision.is_confirmed(state.evidence[name], self.limits):
                 verdicts[name] = decision.judge_necessity(search.find_best_rival(state, name), self.limits) or verdict
         imitated = [e for e in effects if REAR_STEERING in e.other_causes]
-        named_before = [e.name for e in imitated if verdicts[e.name].rule == decision.NAMED]
-        if named_before and (text := describe_common_cause(imitated, self.vehicle.wheelbase)):
+        otherwise_named = [e.name for e in imitated if verdicts[e.name].rule == decision.NAMED]
+        if otherwise_named and (text := describe_common_cause(imitated, self.vehicle.wheelbase)):
             self.warnings.append(text)
-            verdicts |= {name: result.Reason(decision.MINOR, name, {}, text) for name in named_before}
+            verdicts |= {name: result.Reason(decision.MINOR, name, {}, text) for name in otherwise_named}
         effects = [replace(e, alternatives=decision.list_alternatives(state.rivals.get(e.name, ()), self.limits))
                    for e in effects]
         named, minor, contradicted = (tuple(e for e in effects if verdicts[e.name].rule in rules) for rules in (
@@ -322,6 +324,7 @@ class _Analysis:
 
     def _decide_reporting(self, state: SearchState, effects: Sequence[result.FoundEffect], axles: Axles | None,
                           leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, result.Reason]:
+        """Verdict on each effect of the final fit: whether it is reported as a cause, and why."""
         worse_axles: dict[str, str] = {}
         violations: dict[str, str] = {}
         force_ratios = dict.fromkeys(("front", "rear"), np.nan) if axles is None else axles.compute_force_ratios()
@@ -445,7 +448,7 @@ class _Analysis:
         return (*untestable, *(result.UntestableEffect(name, reason) for name, reason in NEVER_TESTABLE.items()))
 
     def _channel_noise(self, column_noise: Mapping[str, float]) -> dict[str, float]:
-        """Noise of each channel at the end of the horizon [SI], and mean position error due to noise alone [m]."""
+        """Noise of each channel at the end of the horizon [SI], and mean position error that counts as noise [m]."""
         noise = {channel.name: float(np.hypot.reduce([column_noise[column] for column in channel.columns]))
                  for channel in self.windows.channels}
         if "position" in noise:  # mean of a Rayleigh distribution

@@ -257,7 +257,7 @@ def _list_place_regions(cells: Sequence[Cell], overall: BinExcess) -> list[Large
         place = [cell for cell, n in zip(cells, number, strict=True) if n == k]
         x, y, ratio, low, high = np.mean([(c.x, c.y, c.ratio, *c.interval) for c in place], axis=0).tolist()
         radius = max(math.hypot(c.x - x, c.y - y) for c in place) + 0.5 * CELL_SIZE
-        text = f"within {radius:.0f} m of (E {x:.0f} m, N {y:.0f} m), on average over the passes"
+        text = f"within {radius:.0f} m of (E {x:.0f} m, N {y:.0f} m), averaged over the passes"
         regions.append(LargeErrorRegion(overall.channel, text, overall.excess * ratio,
                                         (overall.excess * low, overall.excess * high)))
     return sorted(regions, key=lambda r: -r.excess)[:MAX_PLACES]

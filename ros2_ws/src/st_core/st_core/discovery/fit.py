@@ -327,7 +327,7 @@ class Problem:
 
     def held_out_loss(self, fit: Fit, groups: np.ndarray) -> np.ndarray:
         """(b,) loss of each block at values fitted without its group. groups: (b,) group of each block. Calculated from
-        the quadratic approximation; where this is much larger than the loss of the fit, a simulated loss limits it."""
+        the quadratic approximation; if this is much larger than the loss of the fit, a simulated loss limits it."""
         steps, held_out = self.leave_out_groups(fit, groups)
         if held_out.sum() - fit.quadratic.cost.sum() < MAX_QUADRATIC_RISE * self.residual_count:
             return held_out

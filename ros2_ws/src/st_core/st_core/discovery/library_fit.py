@@ -28,7 +28,7 @@ from .space import Quantities, Space, find_file_quantities, prior_deviations
 from .windows import MIN_SPEED, Windows
 
 MAX_FITS, FINAL_STEP = 8, 0.02  # maximum number of fits; largest step at convergence [parameter scales]
-FIXED_CURVATURE = 1e6  # fixes a parameter; 1e-9 of the mean diagonal, which `inverse` adds, remains below 1e-3
+FIXED_CURVATURE = 1e6  # fixes a parameter; the ridge of `inverse`, 1e-9 of the mean diagonal, remains below 1e-3
 MAX_CLOCK_DEVIATION = 0.01  # s, standard deviation up to which a clock counts as exact; steering delays are about 0.04
 CLOCK_FITS = 3  # number of joint fits for the correction of clocks, each with the time stamps corrected so far
 
@@ -50,8 +50,8 @@ def fit_healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space:
     """Fit the healthy car to its drives; central difference quotients refine the result of one-sided ones.
 
     The covariance V of the vector follows from the covariance S of a fit to the drives alone, with their design
-    effects, and the covariance F of the weak prior and the vehicle file: V^-1 = S^-1 + F^-1. The prior P, times the
-    design effect of a new drive (`Problem`), is the predictive distribution for that drive: 2 P = (2 S)^-1 + F^-1.
+    effects, and the covariance F of the weak prior and the vehicle file: V^-1 = S^-1 + F^-1. 2 P, where P is the
+    prior, is the inverse covariance of the prediction for a new drive, up to its design effect: 2 P = (2 S)^-1 + F^-1.
     S is doubled because reference and new drive are both uncertain; F is not, because it is common to all drives of the
     car. Raises StCoreError if there is no window."""
     windows = Windows(runs, vehicle, settings)
@@ -132,7 +132,7 @@ def fit_library(loss: Loss, windows: Windows, prior: np.ndarray, quantities: Qua
     """Fit all parameters from an initial vector and update the scale of the loss, until convergence. Returns the vector
     (p,) and the curvature (p, p) of `prior` plus the priors of the vehicle file."""
     space = loss.space
-    deviations = prior_deviations(quantities, space.scale)  # inf for a load, which the drives already include
+    deviations = prior_deviations(quantities, space.scale)  # inf for a load, which these drives may include
     for _ in range(MAX_FITS):
         tick()
         with_priors = Problem(loss, space.null, windows.block, quantities=quantities)  # has a new cache

@@ -27,7 +27,7 @@ from .windows import Windows
 NU = 4.0  # degrees of freedom; residuals beyond two scales have decreasing influence
 DIFFERENCE_STEP = 0.1  # step of the difference quotients, as a fraction of the parameter scale
 CENTRAL_STEP = 0.03  # likewise, for central quotients
-MAX_SCALED_ERROR = 100.0  # scales; clip limit of the residuals, and value for a diverged prediction
+MAX_SCALED_ERROR = 100.0  # clip limit of the scaled residuals, and their value for a diverged prediction
 ERROR_CACHE_SIZE = 64  # number of parameter vectors
 
 
@@ -89,7 +89,7 @@ class Errors:
 
     def model_at(self, vector: np.ndarray) -> AugmentedModel | None:
         """The model at a parameter vector; None if its car is outside the limits of a vehicle file."""
-        model = self.space.at(vector).without_null_effects()
+        model = self.space.at(vector).without_costly_null_effects()
         try:
             model.effective_vehicle(self.windows.vehicle)
         except ConfigurationError:

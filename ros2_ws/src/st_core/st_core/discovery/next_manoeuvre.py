@@ -23,7 +23,7 @@ from .result import FoundEffect, NextManoeuvre, Separability
 from .windows import MAX_GAP, STEP, Windows, specific_force_excess
 
 REPETITIONS = 3  # drives of each manoeuvre, the minimum in ISO 7401
-MIN_SEPARATION = 3.0  # standard deviations; minimum separation of a pair that counts as separated
+MIN_SEPARATION = 3.0  # standard deviations; a pair with a smaller separation counts as not separated
 MAX_SPEED_RATIO = 1.15  # of manoeuvre speed to recorded speed; model errors at higher speed are unknown
 MAX_LATERAL_ACCELERATION = 9.0  # m/s^2; above it the simulation with the base model is unreliable
 PERIOD = STEP / 2  # s, sampling period of the simulated log

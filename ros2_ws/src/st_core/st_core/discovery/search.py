@@ -97,6 +97,55 @@ class Search:
         self._add_load_rivals(state)
         return state
 
+    def add_corrections(self, fit: Fit) -> Fit:
+        """The best fit that contains at least the effects of `fit`, which may be from a different problem."""
+        self._required = frozenset(fit.names)
+        p = self.problem
+        state = self._step_from(p.fit(fit.names, p.all_sensitivities(fit.vector), fit.vector))
+        assert state is not None  # no set was visited before
+        return self._drop_rejected(state).fit
+
+    def find_best_rival(self, state: SearchState, name: str) -> Rival:
+        """A rival of the effect `name`: the best set without this effect and its alternatives. If a single effect
+        replaces it and is an alternative, it is added to `state.rivals`, and the search is repeated without it."""
+        other, p, rivals = copy(self), copy(self.problem), state.rivals.setdefault(name, [])
+        other.problem, p.loss, p.space = p, copy(p.loss), copy(p.space)
+        excluded = [name, *(r.name for r in rivals if is_alternative(r, self.limits))]
+        p.space.hypotheses = tuple(n for n in p.space.hypotheses if not p.space.overlaps(n, excluded))
+        found = other._step_from(p.refit(state.fits_without[name]), revisit=True)
+        assert found is not None  # because of `revisit`
+        fit = self.problem.refit(self.problem.fit(found.fit.names, found.fit.sensitivities))
+        names = [n for n in fit.names if n not in state.fit.names]
+        rival = self._make_rival(" and ".join(names), name, fit, state, state.evidence[name])
+        # A signed-rank test is added, because the mean of few blocks is uncertain even if all blocks are worse. The
+        # smaller p-value is doubled (Bonferroni correction for two tests).
+        test = stats.wilcoxon(fit.held_out, state.fit.held_out, zero_method="zsplit", alternative="greater")
+        rival = replace(rival, p_no_worse=min(2.0 * min(rival.p_no_worse, float(test.pvalue)), 1.0))
+        if len(names) != 1 or not is_alternative(rival, self.limits):
+            return rival
+        state.rivals[name] = [*(r for r in rivals if r.name != rival.name), rival]
+        return self.find_best_rival(state, name)
+
+    def predict_rise(self, fit: Fit, *names: str, fixed: tuple[str, ...] = ()) -> float:
+        """Predicted increase of the loss if the effects `names` are removed and all but `fixed` are refitted."""
+        p = self.problem
+        remaining_names = tuple(n for n in fit.names if n not in names)
+        is_removed = np.isin(fit.indices, np.setdiff1d(p.space.indices(*names), p.space.indices(*remaining_names)))
+        step = np.where(is_removed, -p.distance(fit.vector)[fit.indices], 0.0)
+        is_free = ~is_removed & ~np.isin(fit.indices, p.space.indices(*fixed))
+        return _constrained_step(p, fit.quadratic, fit.vector, fit.indices, step, is_free)[0]
+
+    def find_cancelling_effects(self, fit: Fit, name: str) -> tuple[str, ...]:
+        """Effects of a fit that cancel `name`, so that only the sum of both is identifiable: if both are removed, the
+        loss increases by less than `limits.min_rival_gain` times the smaller increase if one of them is removed and the
+        other fixed."""
+        cancelling_names = []
+        for other in (n for n in fit.names if n != name):
+            alone = min(self.predict_rise(fit, name, fixed=(other,)), self.predict_rise(fit, other, fixed=(name,)))
+            if self.predict_rise(fit, name, other) < self.limits.min_rival_gain * alone:
+                cancelling_names.append(other)
+        return tuple(cancelling_names)
+
     def _add_load_rivals(self, state: SearchState) -> None:
         """Add a load as a rival of lower tyre stiffness, since drives show only the ratio of stiffness to mass. The
         load is an alternative to each effect with values that are nearer to the vehicle file when it is added, unless
@@ -122,40 +171,11 @@ class Search:
                     state.near_optimal.append(((payload, *(r.replaces for r in rivals)), fit.vector))
                     break
 
-    def find_best_rival(self, state: SearchState, name: str) -> Rival:
-        """A rival of the effect `name`: the best set without this effect and its alternatives. If a single effect
-        replaces it and is an alternative, it is added to `state.rivals`, and the search is repeated without it."""
-        other, p, rivals = copy(self), copy(self.problem), state.rivals.setdefault(name, [])
-        other.problem, p.loss, p.space = p, copy(p.loss), copy(p.space)
-        excluded = [name, *(r.name for r in rivals if is_alternative(r, self.limits))]
-        p.space.hypotheses = tuple(n for n in p.space.hypotheses if not p.space.overlaps(n, excluded))
-        found = other._step_from(p.refit(state.fits_without[name]), revisit=True)
-        assert found is not None  # because of `revisit`
-        fit = self.problem.refit(self.problem.fit(found.fit.names, found.fit.sensitivities))
-        names = [n for n in fit.names if n not in state.fit.names]
-        rival = self._make_rival(" and ".join(names), name, fit, state, state.evidence[name])
-        # A signed-rank test is also made, because the mean of few blocks is uncertain even if all blocks are worse. The
-        # smaller p-value is doubled (Bonferroni correction for two tests).
-        test = stats.wilcoxon(fit.held_out, state.fit.held_out, zero_method="zsplit", alternative="greater")
-        rival = replace(rival, p_no_worse=min(2.0 * min(rival.p_no_worse, float(test.pvalue)), 1.0))
-        if len(names) != 1 or not is_alternative(rival, self.limits):
-            return rival
-        state.rivals[name] = [*(r for r in rivals if r.name != rival.name), rival]
-        return self.find_best_rival(state, name)
-
     def _make_rival(self, other: str, name: str, fit: Fit, state: SearchState, evidence: Evidence) -> Rival:
         difference, gain = fit.held_out - state.fit.held_out, self._gain(state.fits_without[name], state.fit)
         deficit = float(difference.sum())
         return Rival(other, name, 1.0 - deficit / max(gain, 1e-12), p_no_worse(difference),
                      deficit / self.problem.residual_count, evidence, self.problem.space.values(other, fit.vector))
-
-    def add_corrections(self, fit: Fit) -> Fit:
-        """The best fit that contains at least the effects of `fit`, which may be from a different problem."""
-        self._required = frozenset(fit.names)
-        p = self.problem
-        state = self._step_from(p.fit(fit.names, p.all_sensitivities(fit.vector), fit.vector))
-        assert state is not None  # no set was visited before
-        return self._drop_rejected(state).fit
 
     def _find_near_sets(self, state: SearchState) -> list[NearSet]:
         """Sets fitted at the final residual scale with a held-out loss per residual that is lower than that of the
@@ -313,26 +333,6 @@ class Search:
                 return fit
             fit = without
         return fit
-
-    def predict_rise(self, fit: Fit, *names: str, fixed: tuple[str, ...] = ()) -> float:
-        """Predicted increase of the loss if the effects `names` are removed and all but `fixed` are refitted."""
-        p = self.problem
-        remaining_names = tuple(n for n in fit.names if n not in names)
-        is_removed = np.isin(fit.indices, np.setdiff1d(p.space.indices(*names), p.space.indices(*remaining_names)))
-        step = np.where(is_removed, -p.distance(fit.vector)[fit.indices], 0.0)
-        is_free = ~is_removed & ~np.isin(fit.indices, p.space.indices(*fixed))
-        return _constrained_step(p, fit.quadratic, fit.vector, fit.indices, step, is_free)[0]
-
-    def find_cancelling_effects(self, fit: Fit, name: str) -> tuple[str, ...]:
-        """Effects of a fit that cancel `name`, so that only the sum of both is identifiable: if both are removed, the
-        loss increases by less than `limits.min_rival_gain` times the smaller increase if one of them is removed and the
-        other fixed."""
-        cancelling_names = []
-        for other in (n for n in fit.names if n != name):
-            alone = min(self.predict_rise(fit, name, fixed=(other,)), self.predict_rise(fit, other, fixed=(name,)))
-            if self.predict_rise(fit, name, other) < self.limits.min_rival_gain * alone:
-                cancelling_names.append(other)
-        return tuple(cancelling_names)
 
     def _prune(self, vector: np.ndarray, names: list[str]) -> Fit | None:
         """Backward elimination from a joint fit with a weak prior; None if it leads to an empty or visited set."""

@@ -56,13 +56,13 @@ class Limits:
 
 @dataclass(frozen=True)
 class DiscoverySettings:
-    """Options of a discovery. Raises ConfigurationError naming the key and the limit."""
+    """Options of a discovery. Raises ConfigurationError naming the key and its bounds."""
 
     # Measurements to use. Without velocity_y, sideslip is used neither as a measurement nor in initial states.
     channels: tuple[str, ...] = tuple(CHANNELS)
     seed: int = 0  # of all random numbers
     horizon: float = 5.0  # of a prediction [s]
-    windows: int = 400  # approximate largest number of predictions
+    windows: int = 400  # approximate maximum number of predictions
     interval: float = 1.0  # shortest time between their starts [s]; closer starts add little with a horizon of 5 s
     block: float = 10.0  # duration of a block of driving [s]; blocks count as independent
     effects: tuple[str, ...] | None = None  # names to choose from; None for all that apply

@@ -26,7 +26,7 @@ class VaryingFit:
     gain: float  # reduction of the loss per residual compared with one common value [1]
     p_value: float  # of equal values in all parts, Bonferroni-corrected for the number of effects and partitions [1]
     index: int  # parameter with the most information
-    values: Mapping[str, tuple[float, float]]  # its (value, standard deviation) by part
+    values: Mapping[str, tuple[float, float]]  # (value, standard deviation) of this parameter, by part
     steps: Mapping[int, np.ndarray]  # (p,) step of all parameters [parameter scales], by part
 
 

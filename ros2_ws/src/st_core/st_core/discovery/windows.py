@@ -151,6 +151,33 @@ class Windows:
     def __len__(self) -> int:
         return len(self.starts_ns)
 
+    def errors(self, model: AugmentedModel, gain: float = 0.0) -> np.ndarray:
+        """(n, k, c) measured minus predicted [SI]; NaN where unknown. gain [1]: `Discovery.acceleration_gain`, applied
+        to the true specific force, before the sensor errors. Predicted acceleration and yaw rate are means over 2 STEP,
+        like the measurements."""
+        states = self._batch.predict(model, self.vehicle)
+        with np.errstate(all="ignore"):  # predictions may diverge
+            readings = predict_ideal_readings(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)))
+            before, at_point, after = (Measured(*(value[:, i] for value in readings)) for i in self._stencil_indices)
+            centripetal = [e.velocity_x * e.yaw_rate for e in (before, at_point, after)]
+            # Means over 2 STEP by Simpson's rule.
+            a_y = (after.velocity_y - before.velocity_y) / (2 * STEP) + (
+                centripetal[0] + 4.0 * centripetal[1] + centripetal[2]) / 6.0
+            yaw_rate = (before.yaw_rate + 4.0 * at_point.yaw_rate + after.yaw_rate) / 6.0
+            excess: np.ndarray | float = 0.0
+            if any(e.specific_force for e in model.active_effects):
+                recording = self._batch.recording(model)
+                if "points" not in recording.sample_cache:
+                    acceleration, = recording.signals.ins_at(self._times, "velocity_x_dot")
+                    recording.sample_cache["points"] = recording.signals.road_wheel_angle_at(self._times), acceleration
+                at_points = tuple(np.moveaxis(states[:, self._stencil_indices[1]], -1, 0))
+                excess = specific_force_excess(model, self.vehicle, at_points, *recording.sample_cache["points"])
+            observed = model.observe(at_point._replace(
+                yaw_rate=yaw_rate, acceleration_x=0.0 * a_y, acceleration_y=(1.0 + gain) * (a_y + excess),
+                yaw_acceleration=(after.yaw_rate - before.yaw_rate) / (2 * STEP)))
+            parts = [part for channel in self.channels for part in channel.residuals(self._measured, observed)]
+        return np.stack(parts, axis=-1)
+
     @property
     def speeds(self) -> np.ndarray:
         """(n, k) measured forward speed at the scored points [m/s]."""
@@ -208,33 +235,6 @@ class Windows:
         step, signals = float(self.time[-1]) / 100.0, self.measured_at(grid, *INS_SIGNALS)
         return {column: value for c in self.channels
                 for column, value in zip(c.columns, c.noise_deviations(self.joined_log, step, *signals), strict=True)}
-
-    def errors(self, model: AugmentedModel, gain: float = 0.0) -> np.ndarray:
-        """(n, k, c) measured minus predicted [SI]; NaN where unknown. gain [1]: `Discovery.acceleration_gain`, applied
-        to the true specific force, before the sensor errors. Predicted acceleration and yaw rate are means over 2 STEP,
-        like the measurements."""
-        states = self._batch.predict(model, self.vehicle)
-        with np.errstate(all="ignore"):  # predictions may diverge
-            readings = predict_ideal_readings(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)))
-            before, at_point, after = (Measured(*(value[:, i] for value in readings)) for i in self._stencil_indices)
-            centripetal = [e.velocity_x * e.yaw_rate for e in (before, at_point, after)]
-            # Means over 2 STEP by Simpson's rule.
-            a_y = (after.velocity_y - before.velocity_y) / (2 * STEP) + (
-                centripetal[0] + 4.0 * centripetal[1] + centripetal[2]) / 6.0
-            yaw_rate = (before.yaw_rate + 4.0 * at_point.yaw_rate + after.yaw_rate) / 6.0
-            excess: np.ndarray | float = 0.0
-            if any(e.specific_force for e in model.active_effects):
-                recording = self._batch.recording(model)
-                if "points" not in recording.sample_cache:
-                    acceleration, = recording.signals.ins_at(self._times, "velocity_x_dot")
-                    recording.sample_cache["points"] = recording.signals.road_wheel_angle_at(self._times), acceleration
-                at_points = tuple(np.moveaxis(states[:, self._stencil_indices[1]], -1, 0))
-                excess = specific_force_excess(model, self.vehicle, at_points, *recording.sample_cache["points"])
-            observed = model.observe(at_point._replace(
-                yaw_rate=yaw_rate, acceleration_x=0.0 * a_y, acceleration_y=(1.0 + gain) * (a_y + excess),
-                yaw_acceleration=(after.yaw_rate - before.yaw_rate) / (2 * STEP)))
-            parts = [part for channel in self.channels for part in channel.residuals(self._measured, observed)]
-        return np.stack(parts, axis=-1)
 
 
 def specific_force_excess(model: AugmentedModel, vehicle: VehicleParameters, states: tuple, angle: np.ndarray,

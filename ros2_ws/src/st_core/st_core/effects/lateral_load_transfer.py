@@ -20,7 +20,7 @@ from ..tyres import tyre_force
 from ._base import Effect, Parameter, register
 
 
-class Car(NamedTuple):
+class Constants(NamedTuple):
     tyres: TyreParameters
     track_width: float  # m
     load_transfer_front: float  # fraction of the transfer on the front axle
@@ -47,7 +47,7 @@ class LateralLoadTransfer(Effect):
 
     @staticmethod
     def constants(vehicle):
-        return Car(tyre_parameters(vehicle), vehicle.track_width, vehicle.load_transfer_front)
+        return Constants(tyre_parameters(vehicle), vehicle.track_width, vehicle.load_transfer_front)
 
     @staticmethod
     def prepare(road_wheel_angle, velocity_x_dot, signals, theta):

@@ -48,6 +48,9 @@ SLIP_BIN_COUNT = 12
 MAX_RANGE_RATIO = 0.8  # mean slip of the lower / full range; above it, extrapolation multiplies errors by over 5
 MAX_RELATIVE_UNCERTAINTY = 0.1  # ratio of standard uncertainty to stiffness above which the stiffness is doubtful
 SLIP_QUANTILE = 0.995  # quantile of |slip angle| that counts as the largest slip angle of the drives
+EVALUATION_SPEED = 20.0  # m/s, speed at which the curve is evaluated; upper limit of minimum_slip_speed
+MIN_DRAWS = 20  # minimum number of drawn models for a band
+MAX_SECANT_STEPS = 6  # to find the lateral acceleration; with the largest roll steer, the force error is below 0.1 %
 
 
 class Slope(NamedTuple):
@@ -257,11 +260,6 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> 
               for regression in regressions for key in ("slip", "force")}
     return Identification("stiffness", estimates, names, rejected, correlation, coverage,
                           (*notes, *describe_correlations([e.parameter for e in estimates], correlation)), figure)
-
-
-EVALUATION_SPEED = 20.0  # m/s, speed at which the curve is evaluated; upper limit of minimum_slip_speed
-MIN_DRAWS = 20  # minimum number of drawn models for a band
-MAX_SECANT_STEPS = 6  # to find the lateral acceleration; with the largest roll steer, the force error is below 0.1 %
 
 
 @dataclass(frozen=True)

@@ -191,9 +191,9 @@ def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Seq
 def _make_fit(problem: Problem, windows: _LimitedWindows, vector: np.ndarray, effects: tuple[str, ...],
               names: Sequence[str], counts: Mapping[str, tuple[int, int]]) -> DrivingFit:
     space, indices = problem.space, problem.free_indices(effects)
-    rows = problem.errors.at(vector)
+    errors = problem.errors.at(vector)
     sensitivities = problem.loss.sensitivities(vector, indices)
-    quadratic = problem.loss.quadratic(rows, sensitivities)
+    quadratic = problem.loss.quadratic(errors, sensitivities)
     used = np.flatnonzero(windows.used)
     blocks = make_blocks(windows.run[used], windows.seconds[used])
     hessian, gradient = blocks.sum_by_block(quadratic.hessian[used]), blocks.sum_by_block(quadratic.gradient[used])
@@ -203,7 +203,7 @@ def _make_fit(problem: Problem, windows: _LimitedWindows, vector: np.ndarray, ef
         raise IdentificationError(f"the drives do not determine {', '.join(names)} together: drive at more speeds and "
                                   "curvatures, or fit fewer parameters")
     # The Gauss-Newton approximation overestimates the curvature of the loss.
-    curvature = np.diag(problem.loss.curvature(rows, sensitivities))
+    curvature = np.diag(problem.loss.curvature(errors, sensitivities))
     ratio = np.clip((curvature / np.diag(total)).mean(), MIN_CURVATURE_RATIO, 1.0)
     influence = blocks.compute_influence(ratio * hessian, gradient)
 
@@ -212,13 +212,13 @@ def _make_fit(problem: Problem, windows: _LimitedWindows, vector: np.ndarray, ef
         return np.array([QUANTITIES[name].value(windows.vehicle, effect_values) for name in names])
 
     values, step = to_quantities(vector), 1e-4
-    change = np.stack([(to_quantities(vector + step * space.scale * unit) - values) / step
-                       for unit in np.eye(len(space))[indices]], axis=1)
+    change = np.stack([(to_quantities(vector + step * space.scale * axis) - values) / step
+                       for axis in np.eye(len(space))[indices]], axis=1)
     margin = 1e-3 * (space.high - space.low)  # a value closer to a bound counts as being at it
     effects_at_bound = {space.parameters[i][0] for i in indices
                         if not space.low[i] + margin[i] < vector[i] < space.high[i] - margin[i]}
     points = len(windows.time)
-    residuals = dict(zip(windows.columns, -rows[used].reshape(-1, len(windows.columns)).T, strict=True))
+    residuals = dict(zip(windows.columns, -errors[used].reshape(-1, len(windows.columns)).T, strict=True))
     return DrivingFit(
         tuple(names), values, blocks.make_spread(influence @ change.T),
         tuple(name for name in names if QUANTITIES[name].effect in effects_at_bound),

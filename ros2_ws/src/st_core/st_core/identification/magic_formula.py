@@ -46,6 +46,15 @@ LEVEL_GAP = 0.04  # relative; loads closer than this are one level, since the lo
 MIN_POINTS = 7  # minimum number of rows, and of slip angles at the nominal load, where five parameters are fitted
 SLIP_BINS = np.radians([0.0, 0.75, 1.5, 3.0, 5.0, 8.0, 12.0, 20.0])  # rad; edges for the coverage of |slip angle|
 MIN_FILLED_BINS = 3
+SHIFT = "slip_shift"
+# With p_ky4 < 1 the stiffness never reaches its maximum p_ky1 F_z0; with p_ky4 > 2 it changes its sign at some load.
+FIT_BOUNDS = {SHIFT: (-math.radians(2.0), math.radians(2.0)), "p_ky4": (1.0, 2.0)}
+NOMINAL_PARAMETERS = ("p_cy1", "p_dy1", "p_ey1")
+STARTS = ((1.1, -0.5), (1.3, 0.2), (1.6, -0.5), (1.3, -3.0))  # start values (C, E) of the fit at the nominal load
+FITTED_PARAMETERS = {"p_cy1": "Shape", "p_dy1": "Peak friction", "p_dy2": "Load dependence of peak friction",
+                     "p_ey1": "Curvature", "p_ey2": "Load dependence of curvature", "p_ky1": "Stiffness",
+                     "p_ky2": "Load at maximum stiffness", "p_ky4": "Curvature of stiffness versus load"}
+LOAD_STEP = 1e-4  # relative step of F_z in the numerical derivative of K
 
 
 @dataclass(frozen=True)
@@ -62,9 +71,9 @@ class FlatPlank:
 def find_load_levels(data: FlatPlank) -> tuple[np.ndarray, np.ndarray]:
     """(mean load of each level (m,), ascending [N], level index of each row (n,)). Raises IdentificationError."""
     if len(data.load) < MIN_POINTS or not (np.isfinite(data.load).all() and (data.load > 0.0).all()):
-        lowest = float(np.min(data.load)) if len(data.load) else math.nan
-        raise IdentificationError(f"{data.tyre}: {len(data.load)} rows with loads from {lowest:.4g} N: "
-                                  f"{MIN_POINTS} rows with loads above 0 are needed; are load and force exchanged?")
+        count = int((data.load > 0.0).sum())
+        raise IdentificationError(f"{data.tyre}: {count} of {len(data.load)} rows have a load above 0; at least "
+                                  f"{MIN_POINTS} rows are needed, all with such a load: are load and force exchanged?")
     loads = np.sort(data.load)
     level = np.searchsorted(loads[1:][np.diff(loads) > LEVEL_GAP * loads[:-1]], data.load, side="right")
     return np.array([data.load[level == k].mean() for k in range(level.max() + 1)]), level
@@ -118,16 +127,6 @@ def measure_slip_coverage(data: FlatPlank, levels: np.ndarray, level: np.ndarray
     return tuple(Coverage(f"slip angle at {load:.0f} N", "deg", np.degrees(SLIP_BINS),
                           np.histogram(np.abs(data.slip[level == k]), SLIP_BINS)[0], 1, MIN_FILLED_BINS)
                  for k, load in enumerate(levels))
-
-
-SHIFT = "slip_shift"
-# With p_ky4 < 1 the stiffness never reaches its maximum p_ky1 F_z0; with p_ky4 > 2 it changes its sign at some load.
-FIT_BOUNDS = {SHIFT: (-math.radians(2.0), math.radians(2.0)), "p_ky4": (1.0, 2.0)}
-NOMINAL_PARAMETERS = ("p_cy1", "p_dy1", "p_ey1")
-STARTS = ((1.1, -0.5), (1.3, 0.2), (1.6, -0.5), (1.3, -3.0))  # start values (C, E) of the fit at the nominal load
-FITTED_PARAMETERS = {"p_cy1": "Shape", "p_dy1": "Peak friction", "p_dy2": "Load dependence of peak friction",
-                     "p_ey1": "Curvature", "p_ey2": "Load dependence of curvature", "p_ky1": "Stiffness",
-                     "p_ky2": "Load at maximum stiffness", "p_ky4": "Curvature of stiffness versus load"}
 
 
 @dataclass(frozen=True)
@@ -291,9 +290,6 @@ def _make_warnings(data: FlatPlank, tyre_fit: TyreFit, peak: float) -> Iterator[
     if largest > 0.01 * peak:
         yield (f"The two-stage and the simultaneous fit differ by up to {largest:.0f} N, {100 * largest / peak:.1f} % "
                "of the largest force: the load dependence of the formula does not fit all loads equally well.")
-
-
-LOAD_STEP = 1e-4  # relative step of F_z in the numerical derivative of K
 
 
 def identify_lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, tuple[float, str]]) -> Identification:

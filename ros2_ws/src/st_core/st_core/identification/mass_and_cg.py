@@ -40,6 +40,12 @@ WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 SCALE_UNCERTAINTY = 0.5  # kg; standard uncertainty of one scale: class III wheel pads with a resolution of 0.5 kg
 MAX_SIDE_DIFFERENCE = 0.2  # left-right difference divided by the axle load; below 0.12 with one person in the car
 MAX_MASS_RANGE = 0.02  # largest difference between weighings with equal loading, divided by the mass
+MAX_LEVEL_PITCH = math.radians(0.5)  # rows with a smaller pitch count as level
+MIN_PITCH_RANGE = math.radians(3.0)  # in a smaller range the rear load changes by only a few kg
+MAX_PITCH = math.radians(45.0)
+PITCH_BIN_WIDTH = math.radians(3.0)
+RADIUS_UNCERTAINTY = 0.003  # m; standard uncertainty of a wheel radius read from a ruler
+MAX_LOAD_DIFFERENCE = 0.02  # largest difference of the level car's rear load from the expected one, divided by the mass
 
 
 @dataclass(frozen=True)
@@ -131,14 +137,6 @@ def _check_scales(readings: np.ndarray, rejected_count: int, l_f: float, vehicle
     if abs(l_f - expected) > 0.05 * wheelbase and abs(wheelbase - l_f - expected) < 0.02 * wheelbase:
         yield (f"cg_to_front_axle is estimated as {l_f:.3f} m, the vehicle file has {expected:.3f} m; with front and "
                f"rear columns exchanged it would be {wheelbase - l_f:.3f} m. Check which columns are which.")
-
-
-MAX_LEVEL_PITCH = math.radians(0.5)  # rows with a smaller pitch count as level
-MIN_PITCH_RANGE = math.radians(3.0)  # in a smaller range the rear load changes by only a few kg
-MAX_PITCH = math.radians(45.0)
-PITCH_BIN_WIDTH = math.radians(3.0)
-RADIUS_UNCERTAINTY = 0.003  # m; standard uncertainty of a wheel radius read from a ruler
-MAX_LOAD_DIFFERENCE = 0.02  # largest difference of the level car's rear load from the expected one, divided by the mass
 
 
 @dataclass(frozen=True)

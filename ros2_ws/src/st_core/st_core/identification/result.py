@@ -114,8 +114,9 @@ def describe_contradiction(estimate: ParameterEstimate, value: float, standard_u
     if not math.isfinite(uncertainty) or abs(difference) <= Z95 * uncertainty:
         return ""
     ratio = f"is {abs(difference) / uncertainty:.1f} times the" if uncertainty > 0.0 else "exceeds the zero"
-    return (f"{estimate.parameter} {estimate.value:.5g} contradicts {value:.5g} {estimate.unit} of {origin}: the "
-            f"difference {difference:+.3g} {ratio} combined uncertainty.")
+    factor, unit = (math.degrees(1.0), "deg") if estimate.unit == "rad" else (1.0, estimate.unit)
+    return (f"{estimate.parameter} {factor * estimate.value:.5g} contradicts {factor * value:.5g} {unit} of {origin}: "
+            f"the difference {factor * difference:+.3g} {ratio} combined uncertainty.")
 
 
 def describe_correlations(names: Sequence[str], correlation: np.ndarray, limit: float = 0.95) -> tuple[str, ...]:
@@ -157,8 +158,8 @@ def describe_stale_lambda(vehicle: VehicleParameters, identifications: Iterable[
     sentences = []
     for tyre in TYRES:
         is_fixed = vehicle.sources.get(f"{tyre}.lambda_ky") != DERIVED_SOURCE and f"{tyre}.lambda_ky" not in changed
-        base = (tyre.replace("tyre", "cornering_stiffness"), "mass", "cg_to_front_axle")
-        causes = sorted(key for key in changed if key in base or key.startswith(f"{tyre}."))
+        inputs = (tyre.replace("tyre", "cornering_stiffness"), "mass", "cg_to_front_axle")
+        causes = sorted(key for key in changed if key in inputs or key.startswith(f"{tyre}."))
         if is_fixed and causes:
             sentences.append(f"{tyre}.lambda_ky of the vehicle file is outdated, as {', '.join(causes)} changed: run "
                              "`st identify lambda` on the new file.")

@@ -39,6 +39,18 @@ from .result import Coverage, Identification, IdentificationError, ParameterEsti
 from .run_samples import MAXIMUM_GAP, RunSamples, prepare_drives, sample_run
 
 MIN_VARIATION = 1e-6  # minimum RMS of x about its group means, as a fraction of its RMS
+MIN_ROWS = 5  # minimum number of rows of a turntable table
+MIN_RANGE = math.radians(90.0)  # rad; minimum range of the steering wheel angle on turntables
+MAX_STEERING_WHEEL_ANGLE = math.radians(1200.0)
+MAX_ROAD_WHEEL_ANGLE = math.radians(60.0)
+ANGLE_BIN_WIDTH = math.radians(90.0)
+OFFSET, DIRECT_OFFSET = "steering_wheel_offset", "steering_wheel_offset_direct"
+SETTINGS = DrivingFitSettings(horizon=2.0, maximum_acceleration=0.5, min_windows=40, channels=("yaw_rate",))
+WINDOW = 2.0  # s; length of a window of the direct method
+MIN_RADIUS = 500.0  # m; minimum radius of the path in a window, for a full-size car
+MAX_ANGLE_DEVIATION = np.deg2rad(3.0)  # standard deviation of the steering wheel angle in a window
+MIN_WINDOWS = 10  # minimum number of windows
+CUTOFF = 1.0  # Hz; of the zero-phase low-pass on the measured yaw rate
 
 
 @dataclass(frozen=True)
@@ -85,13 +97,6 @@ def fit_cubic(x: np.ndarray, line: Line, groups: Sequence[str]) -> tuple[tuple[f
 def _group_columns(groups: Sequence[str]) -> dict[str, np.ndarray]:
     """Indicator column (n,) of each group, by name: 1 for its points, 0 for others."""
     return {str(name): (np.asarray(groups) == name).astype(float) for name in dict.fromkeys(groups)}
-
-
-MIN_ROWS = 5  # minimum number of rows of a table
-MIN_RANGE = math.radians(90.0)  # rad, minimum range of the steering wheel angle
-MAX_STEERING_WHEEL_ANGLE = math.radians(1200.0)
-MAX_ROAD_WHEEL_ANGLE = math.radians(60.0)
-ANGLE_BIN_WIDTH = math.radians(90.0)
 
 
 @dataclass(frozen=True)
@@ -167,15 +172,6 @@ def _make_warnings(data: Turntable, line: Line) -> Iterator[str]:
         spread = math.degrees(max(line.intercepts.values()) - min(line.intercepts.values()))
         yield (f"The sweeps differ by up to {spread:.2f} deg at the road wheel. Possible causes are play, friction, "
                "and turntables zeroed between the sweeps.")
-
-
-OFFSET, DIRECT_OFFSET = "steering_wheel_offset", "steering_wheel_offset_direct"
-SETTINGS = DrivingFitSettings(horizon=2.0, maximum_acceleration=0.5, min_windows=40, channels=("yaw_rate",))
-WINDOW = 2.0  # s; length of a window of the direct method
-MIN_RADIUS = 500.0  # m; minimum radius of the path in a window, for a full-size car
-MAX_ANGLE_DEVIATION = np.deg2rad(3.0)  # standard deviation of the steering wheel angle in a window
-MIN_WINDOWS = 10  # minimum number of windows
-CUTOFF = 1.0  # Hz; of the zero-phase low-pass on the measured yaw rate
 
 
 def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:

@@ -167,7 +167,7 @@ def split_name(name: str) -> tuple[str, str, str]:
 
 def compute_quantities(windows: Windows) -> dict[str, np.ndarray]:
     """Each quantity at the INS samples above MIN_SPEED, by name; slip angles in small-angle approximation, from the
-    measured velocity. The smoothing of a lag is approximated by a centred average over twice its time constant."""
+    measured velocity. Filters are approximated by centred averages over twice their time constants."""
     log, vehicle = windows.joined_log, windows.vehicle
     is_moving = log.velocity_x > MIN_SPEED
     stamps, speed, rate = log.ins_time_ns, log.velocity_x, log.yaw_rate

@@ -68,7 +68,7 @@ def find_sparse_ranges(points: np.ndarray, density: np.ndarray, parity: float) -
             for first, last in ends.reshape(-1, 2)]
 
 
-def suggest_drives(fits: RelationFits, fit: RelationFit, alternatives: Mapping[str, RelationFit], design_effect: float,
+def simulate_drives(fits: RelationFits, fit: RelationFit, alternatives: Mapping[str, RelationFit], design_effect: float,
                    points: np.ndarray, deviation: np.ndarray, sparse_ranges: Sequence[Range]) -> NextDrives:
     """Simulate each manoeuvre as an addition to the runs. alternatives: equally good relations. design_effect: see
     `ScreenedCandidate`. points: (k,) of the quantity. deviation: (k,) of the curve."""

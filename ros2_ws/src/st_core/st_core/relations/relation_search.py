@@ -15,7 +15,7 @@ from ..vehicle import VehicleParameters
 from . import selection
 from .candidates import FACTORS, SENSOR_READINGS, TYPICAL_SIZES, Candidate, compute_quantities, split_name
 from .formulas import Formula, simulate_formulas
-from .next_drive import NextDrives, find_sparse_ranges, suggest_drives
+from .next_drive import NextDrives, find_sparse_ranges, simulate_drives
 from .relation_fit import RelationFit, RelationFits
 from .selection import ScreenedCandidate
 
@@ -207,6 +207,6 @@ def _make_relation(best: ScreenedCandidate, fitted: FitByCandidate, base_fit: Re
         {name: selection.compute_cosine(fits, fit, other) for name, other in alternatives.items()},
         simulate_formulas(fits, fit, base_fit), selection.compare_runs(fits, fit),
         selection.find_redundant_effects(fits, fit, base_fit, effect_names),
-        suggest_drives(fits, fit, alternatives, best.design_effect, points, deviation,
+        simulate_drives(fits, fit, alternatives, best.design_effect, points, deviation,
                        find_sparse_ranges(points, density, c.parity)))
     return relation, f"it {selection.describe_gain(fits, gains, before - after)}"

@@ -173,7 +173,7 @@ def describe_small_gain(fits: RelationFits, candidate: Candidate, gains: np.ndar
     small = (gains.sum() < limits.relevant * fits.loss.residual_count
              and average_finite(position_gain) < limits.relevant_position)
     if small or compute_lower_bound(gains, limits.undecided_p) <= 0.0:
-        return f"{candidate.name} is significant, but {describe_gain(fits, gains, position_gain)}"
+        return f"{candidate.name} is significant, but only {describe_gain(fits, gains, position_gain)}"
     blocks = average_by_block(fits, position_gain)
     blocks = blocks[np.isfinite(blocks)]
     if not candidate.is_sensor_error and len(blocks) > 1 and compute_lower_bound(blocks, limits.false_alarm) <= 0.0:

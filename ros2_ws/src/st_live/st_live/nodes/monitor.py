@@ -23,7 +23,7 @@ from st_msgs.msg import ErrorSummary, Prediction, PredictorStatus
 from st_recordings.paths import json_ready
 from st_recordings.results import format_band_lines
 from st_ros.diagnostics import ERROR, STALE
-from st_ros.polling import PolledSubscription
+from st_ros.polling import PolledSubscription, create_steady_timer
 
 AGGREGATE_PERIOD = 1.0  # s between messages on /diagnostics_agg
 PREDICTION_PERIOD = 0.25  # s between reads of the newest prediction
@@ -75,9 +75,9 @@ class Monitor(AbstractContextManager):
         newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
         self._predictions = [PolledSubscription(self._node, Prediction, f"predictor/{model}/prediction", newest)
                              for model in MODEL_COLOUR]
-        self._node.create_timer(PREDICTION_PERIOD, self._read_predictions)
+        create_steady_timer(self._node, PREDICTION_PERIOD, self._read_predictions)
         self._aggregate = self._node.create_publisher(DiagnosticArray, "/diagnostics_agg", 10)
-        self._node.create_timer(AGGREGATE_PERIOD, self._publish_aggregate)
+        create_steady_timer(self._node, AGGREGATE_PERIOD, self._publish_aggregate)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._thread = threading.Thread(target=self._executor.spin, name="monitor", daemon=True)

@@ -81,8 +81,7 @@ class Player:
         self._stop_requested = spin.catch_stop_signals()
         self._settings, self._bag, self._rate = settings, Path(settings["bag"]), settings["rate"]
         self._published_topics = dict(zip((settings["odometry"], settings["steering"]), INPUT_TOPICS, strict=True))
-        field = settings["steering_field"]
-        self._steering_field = None if field is None else SteeringField(**field)
+        self._steering_field = SteeringField(**field) if (field := settings["steering_field"]) else None
         self._node = Node("player")
         self._clock = self._node.create_publisher(Clock, "/clock", QoSProfile(depth=QUEUE_DEPTH))
         self._followers = [] if self._rate > 0 else [
@@ -160,9 +159,7 @@ class Player:
 
     def _advance(self, clock_ns: int, first_ns: int, start_time: float) -> int:
         if self._rate > 0:
-            wait = start_time + (clock_ns - first_ns) * 1e-9 / self._rate - time.monotonic()
-            if wait > 0:
-                time.sleep(wait)
+            time.sleep(max(0.0, start_time + (clock_ns - first_ns) * 1e-9 / self._rate - time.monotonic()))
         self._clock.publish(Clock(clock=from_nanoseconds(clock_ns)))
         for follower in self._followers:
             follower.wait(clock_ns)

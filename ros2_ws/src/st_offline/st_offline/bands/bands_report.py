@@ -25,6 +25,8 @@ from ..terminal import console, make_table, print_line
 
 Sums = dict[str, Any]
 MIN_STARTS = 200  # of a reported cell; for independent starts, the standard error of a coverage of 90 % is 2 %
+NO_BANDS = ("[dim]no bands were given: calibrate them on other runs of this car with `st calibrate RUN… --vehicle FILE "
+            "--output bands.yaml`, and test them on these runs with `--bands bands.yaml`[/dim]")
 _HALF_LEVELS = 0.5 * np.array(RELIABILITY_LEVELS)
 _PROBABILITIES = np.concatenate([0.5 - _HALF_LEVELS[::-1], [0.5], 0.5 + _HALF_LEVELS])
 
@@ -184,10 +186,6 @@ def _divide(value: Any, count: int) -> Any:
     if isinstance(value, Mapping):
         return {key: _divide(part, count) for key, part in value.items()}
     return value / count if count else None
-
-
-NO_BANDS = ("[dim]no bands were given: calibrate them on other runs of this car with `st calibrate RUN… --vehicle FILE "
-            "--output bands.yaml`, and test them on these runs with `--bands bands.yaml`[/dim]")
 
 
 def draw_bands(content: Mapping[str, Any], output: FigureOutput) -> list[PageFigure]:

@@ -185,7 +185,7 @@ class CheckedRun:
     result: DriveCheck
     vehicle: VehicleParameters
     vehicle_source: str  # file or recording with the vehicle parameters
-    duration: float  # [s]
+    duration: float  # s
     warnings: tuple[str, ...]  # warnings of the reader, including its corrections
     files: Mapping[str, str]  # sha256 by path
     alignment: Mapping[str, Any]  # from `summarise_alignment`

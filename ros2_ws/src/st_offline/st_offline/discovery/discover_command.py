@@ -20,7 +20,7 @@ from st_core.discovery.decision import MINOR
 from st_core.discovery.error_regions import Samples, compute_window_errors
 from st_core.discovery.library_fit import apply_clock_corrections
 from st_core.effects import load_folder
-from st_core.errors import ConfigurationError
+from st_core.errors import ConfigurationError, add_prefix
 from st_core.model_file import Interval, ModelFile, ModelProvenance
 from st_core.relations import RelationSearch, find_relation, needs_search
 from st_core.vehicle import FILE_QUANTITIES
@@ -59,10 +59,7 @@ def run_command(request: Request) -> int:
         load_folder(str(request.effects.absolute()))
         effect_hashes = {file.name: hashlib.sha256(file.read_bytes()).hexdigest()
                          for file in sorted(request.effects.glob("*.py"))}
-    try:
-        base, *_ = read_model(request.base, request.vehicle, request.vehicle_file)
-    except ConfigurationError as error:
-        raise ConfigurationError(f"--base {error}") from None
+    base, *_ = add_prefix("--base ", lambda: read_model(request.base, request.vehicle, request.vehicle_file))
     folder = new_folder(request.output, "discover")
     times = [time.perf_counter()]
     with make_progress_bars() as progress:
@@ -200,8 +197,8 @@ def build_document(discovery: Discovery, request: Request, update: VehicleUpdate
 def build_model_file(discovery: Discovery, request: Request, update: VehicleUpdate) -> ModelFile | None:
     """Model file with the effects of `update.model` that are not at their null values; None without any.
 
-    Intervals of changes relative to reference drives are shifted to the total values. An effect is an effective
-    correction if it is folded, outside its reported interval or, if not reported or minor, not in `discovery.named`.
+    Intervals of changes relative to reference drives are shifted to the total values. Effective corrections: folded
+    effects, reported ones outside their intervals, and others, except minor ones, that differ from `discovery.named`.
     """
     intervals: dict[tuple[str, str], Interval] = {}
     for named_effect in discovery.effects:
@@ -332,9 +329,10 @@ def print_result(discovery: Discovery, update: VehicleUpdate | None, recordings:
 
     for role, text in report_text.describe_drives(discovery):
         print_entry(role, text)
-    console.print(f"[bold]{escape(report_text.format_title(discovery))}[/bold]", highlight=False)
-    if relation is not None and relation.headline:
-        console.print(f"[bold]{escape(relation.headline)}[/bold]", highlight=False)
+    for headline in filter(None, (report_text.format_title(discovery), relation.headline if relation else "")):
+        console.print(f"[bold]{escape(headline)}[/bold]", highlight=False)
+    if relation is not None and not relation.headline:
+        print_entry("proposal", relation.groups[0][1][0])
     if discovery.effects:
         rows = [dict(zip(report_text.EFFECT_HEAD[:-1], map(escape, row[:-1]), strict=True)) for row in
                 report_text.list_effect_rows(discovery)]

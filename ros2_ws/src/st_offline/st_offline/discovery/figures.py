@@ -37,7 +37,7 @@ def draw_waterfall(discovery: Discovery, output: FigureOutput) -> PageFigure | N
     figure, axes = plt.subplots(figsize=(WIDTH, 1.1 + 0.3 * (len(steps) + 2)))
     axes.set_axisbelow(True)
     first, last = steps[0].position_5s.base, steps[-1].position_5s.augmented
-    rows = [f"{base} model, {discovery.start}"]
+    labels = [f"{base} model, {discovery.start}"]
     axes.barh(0, first, color=base_colour, height=0.62, label=f"{base} model")
     _annotate(axes, first, 0, quantities.format_metres(first))
     for row, step in enumerate(steps, 1):
@@ -49,13 +49,13 @@ def draw_waterfall(discovery: Discovery, output: FigureOutput) -> PageFigure | N
         axes.plot(ends, [row, row], color=TEXT_COLOUR, lw=1.0)
         label, text = _format_step(discovery, step)
         _annotate(axes, max(before, after, *ends), row, text)
-        rows.append(label)
+        labels.append(label)
     end = "model with identified effects only" if discovery.effective else "complete model"
     axes.plot([last, last], [len(steps) + 0.31, len(steps) + 0.69], color=TEXT_COLOUR, lw=0.6, alpha=0.5)
     axes.barh(len(steps) + 1, last, color=AFTER_COLOUR, height=0.62, label=end)
     _annotate(axes, last, len(steps) + 1, quantities.format_metres(last))
     axes.axvline(position.floor, color=MEASURED_COLOUR, lw=1.4, ls="--", label="noise level")
-    axes.set_yticks(range(len(steps) + 2), [*rows, end])
+    axes.set_yticks(range(len(steps) + 2), [*labels, end])
     axes.set(ylim=(len(steps) + 1.6, -0.6), xlim=(0.0, 1.16 * max(first, *(s.position_5s.base for s in steps))),
              xlabel="mean position error after 5 s on held-out driving, m")
     caption = ("Each row adds one effect, refits all values, and shows the effect and the change of the error. Line: "
@@ -88,7 +88,7 @@ def draw_axle_curves(discovery: Discovery, output: FigureOutput) -> PageFigure |
     base_colour = MODEL_COLOUR.get(discovery.base.base.name, TEXT_COLOUR)
     figure, panels = plt.subplots(2, len(curves), figsize=(HALF_WIDTH, 3.3), sharex="col", squeeze=False,
                                   height_ratios=(3.0, 1.0))
-    for (axes, below), curve in zip(panels.T, curves, strict=True):
+    for (axes, lower), curve in zip(panels.T, curves, strict=True):
         slip = np.rad2deg(curve.slip)
         force, low, high, at_start = (1e-3 * np.array(v) for v in (curve.force, curve.low, curve.high, curve.file))
         axes.fill_between(slip, low, high, color=AFTER_COLOUR, alpha=0.25, lw=0, label="90 % interval")
@@ -97,8 +97,8 @@ def draw_axle_curves(discovery: Discovery, output: FigureOutput) -> PageFigure |
         ratio, lowest, highest = (v[-1] / curve.file[-1] for v in (curve.force, curve.low, curve.high))
         axes.set_title(f"{curve.axle} axle\n{ratio:.2f} (90 %: {lowest:.2f} to {highest:.2f}) times the "
                        f"{discovery.start} at {slip[-1]:.1f}°", fontsize=7)
-        below.stairs(100.0 * np.array(curve.density), slip, color=MEASURED_COLOUR, fill=True)
-        below.set_xlabel("slip angle, °")
+        lower.stairs(100.0 * np.array(curve.density), slip, color=MEASURED_COLOUR, fill=True)
+        lower.set_xlabel("slip angle, °")
     panels[0][0].set_ylabel("lateral force, kN")
     panels[1][0].set_ylabel("samples, %")
     return save_figure(figure, output, "axle_curves", "Axle force versus slip angle, in the range of the drives",

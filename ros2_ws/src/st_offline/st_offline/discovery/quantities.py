@@ -144,7 +144,7 @@ def make_axis_label(c: Candidate) -> str:
 
 
 def explain_unit(c: Candidate, vehicle: VehicleParameters) -> str:
-    """Force or moment on this car that corresponds to one unit of y; "" if y is neither, or has a factor."""
+    """Force or moment on this car for one unit of the curve y of a relation; "" if y is neither, or has a factor."""
     loads = {"yaw_moment": ("1 rad/s²", f"moment of {vehicle.yaw_inertia:.4g} N m", "yaw inertia"),
              "side_force": ("1 m/s²", f"force of {vehicle.mass:.4g} N", "mass"),
              "front_force": ("1", f"force of {2.0 * vehicle.static_tyre_load_front:.4g} N", "axle load"),

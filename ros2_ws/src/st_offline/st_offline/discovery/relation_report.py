@@ -23,6 +23,35 @@ MIN_REPORTED_RATIO = 1.25  # smallest reported ratio of a run's held-out error w
 SIGNIFICANCE_LEVEL = 0.01  # of the test that the relation has the same size in all runs
 REPEAT_ELSEWHERE = ("repeat the drive twice, once from a different starting point and once in the opposite direction, "
                     "and add these runs: only then can the effects of place, heading and time in the run be separated")
+EFFECTS_FOLDER = Path(find_source_file(Effect)).parent
+SLOTS = {"front_steer": "front axle", "rear_steer": "rear axle", "front_force": "front axle", "rear_force": "rear axle",
+         "front_grip": "front axle", "rear_grip": "rear axle", "both_grip": "both axles", "yaw_moment": "body",
+         "side_force": "body", "sensor_yaw_rate": "yaw rate", "sensor_acceleration_y": "acceleration",
+         "sensor_velocity_y": "velocity", "sensor_heading": "heading"}
+MAP_QUANTITIES = ("north", "east", "position_x", "position_y")  # relative to the map, not the car
+EFFECT_FILE = '''"""PROPOSAL, not an established effect: {title}.
+
+Fitted by st discover to {count} drives, {created}: {runs}.
+For {quantity} from {range}; constant beyond. {meaning}
+{errors}p = {p_value:.2g}, corrected for multiple testing.
+{formulas}
+Keep it, rename it, or delete it.
+"""
+
+from st_core.effects import Effect, {base}, fix_curve, register
+
+
+@register
+class {cls}(Effect):
+    physics = "{physics}"
+    excited_by = "{quantity} from {range}"
+    kind, slot = "{kind}", "{slot}"
+    order = 90{states}
+    parameters = fix_curve(  # coefficients of the curve, its range, and weights; see {base}
+        {base}, odd={odd},
+        {values})
+{hooks}
+'''
 Groups = list[tuple[str, list[str]]]  # (heading, sentences)
 
 
@@ -209,37 +238,6 @@ def _describe_manoeuvre(option: Option) -> str:
     manoeuvre = option.manoeuvre
     return (f"{manoeuvre.name}, {REPETITIONS} times {manoeuvre.duration:.0f} s "
             f"({manoeuvre.description.replace('^2', '²')}, from {manoeuvre.speed:.1f} m/s)")
-
-
-EFFECTS_FOLDER = Path(find_source_file(Effect)).parent
-SLOTS = {"front_steer": "front axle", "rear_steer": "rear axle", "front_force": "front axle", "rear_force": "rear axle",
-         "front_grip": "front axle", "rear_grip": "rear axle", "both_grip": "both axles", "yaw_moment": "body",
-         "side_force": "body", "sensor_yaw_rate": "yaw rate", "sensor_acceleration_y": "acceleration",
-         "sensor_velocity_y": "velocity", "sensor_heading": "heading"}
-MAP_QUANTITIES = ("north", "east", "position_x", "position_y")  # relative to the map, not the car
-EFFECT_FILE = '''"""PROPOSAL, not an established effect: {title}.
-
-Fitted by st discover to {count} drives, {created}: {runs}.
-For {quantity} from {range}; constant beyond. {meaning}
-{errors}p = {p_value:.2g}, corrected for multiple testing.
-{formulas}
-Keep it, rename it, or delete it.
-"""
-
-from st_core.effects import Effect, {base}, fix_curve, register
-
-
-@register
-class {cls}(Effect):
-    physics = "{physics}"
-    excited_by = "{quantity} from {range}"
-    kind, slot = "{kind}", "{slot}"
-    order = 90{states}
-    parameters = fix_curve(  # coefficients of the curve, its range, and weights; see {base}
-        {base}, odd={odd},
-        {values})
-{hooks}
-'''
 
 
 def name_effect(relation: Relation) -> str:

@@ -232,7 +232,7 @@ def _compute_interval(discovery: Discovery, vehicle: VehicleParameters, folded: 
 
 def document_changes(request: Request, car: VehicleParameters, changes: Mapping[str, tuple[float, float, float, float]],
                      runs: Sequence[Run], effects: str) -> VehicleParameters:
-    """The car with source and provenance of each changed entry. runs, effects: data and effects of the discovery."""
+    """The car with source and provenance of each changed entry. runs, effects: those of the discovery."""
     date, seconds = f"{datetime.now(UTC):%Y-%m-%d}", sum(run.seconds for run in runs)
     origin = f"st discover, {date}, {format_count(len(runs), 'run')}, {seconds:.0f} s: {effects}"
     provenance = Provenance(None, "st discover", ", ".join(run.name for run in runs), date)

@@ -151,7 +151,9 @@ def print_advice(sources: Sequence[RunSource], task: Task, tolerance: float) -> 
         print_line(f"[yellow]{escape(model)}, {step:g} s: {escape(reason)}[/yellow]")
     assert task.folder is not None  # set by the command
     file = task.folder / "advice.csv"
-    write_csv(file, iter(rows))
+    # Cells of a file hold a number or nothing; the ratios in parentheses follow from the numbers.
+    write_csv(file, ({name.removesuffix(" (x)"): "" if cell == "-" else cell.partition(" (")[0]
+                      for name, cell in row.items()} for row in rows))
     list_files({file: "cost, error and band of each model and step"})
 
 

@@ -231,7 +231,7 @@ def draw_slip_and_forces(data: FigureData) -> PageFigure | None:
     grid[0, 0].set_ylabel("slip angle, °\n(positive: slides to the left)")
     grid[1, 0].set_ylabel("lateral force of the axle, kN\n(positive to the left)")
     title = (f"{evaluation.name}: largest slip angle from {begin:.1f} to {begin + horizon[-1]:.1f} s: "
-             f"{', '.join(f'{source} {np.degrees(angle):.1f}°' for source, angle in largest_slips.items())}")
+             f"{', '.join(f'{source} {np.degrees(slip):.1f}°' for source, slip in largest_slips.items())}")
     start_text = "requested start" if len(data.starts) == 1 else "start with the largest mean lateral acceleration"
     caption = f"Slip angles and forces that the models predict with the measured inputs, from the {start_text}."
     return save_figure(figure, data.output, "slip_and_forces", title, caption)

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from st_core.bands import Bands
 from st_core.checks import Finding
 from st_core.course import Course, predict_course_inputs
 from st_core.effects import load_folder
-from st_core.errors import ConfigurationError, StCoreError
+from st_core.errors import ConfigurationError, StCoreError, add_prefix
 from st_core.evaluation import Mode
 from st_core.integrate import StepTooLongWarning
 from st_core.log import LogSignals
@@ -75,7 +76,7 @@ class RunReport:
     ranking: str = ""  # sentence with the lateral RMSE of each model
     metadata: dict[str, Any] = field(default_factory=dict)  # provenance, counts, alignment, warnings
     models: dict[str, Any] = field(default_factory=dict)
-    seconds_ahead: dict[str, Any] = field(default_factory=dict)
+    seconds_ahead: dict[str, Any] = field(default_factory=dict)  # errors by second of the horizon
     bins: list[dict[str, Any]] = field(default_factory=list)
     manoeuvres: list[dict[str, Any]] = field(default_factory=list)
     figures: list[PageFigure] = field(default_factory=list)
@@ -99,8 +100,10 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     run = read(source, task.vehicle, task.read_settings)
     times.append(time.perf_counter())
     models, prediction = load_models(task), task.settings.prediction
-    with run_in_background(lambda: (check_log(run.log, task.vehicle, run.auxiliary, models, prediction.step).findings,
-                                    segment_drive(run.log, run.labels))) as wait_for_checks:
+    name = to_file_name(source.name)
+    with (run_in_background(lambda: (check_log(run.log, task.vehicle, run.auxiliary, models, prediction.step).findings,
+                                     segment_drive(run.log, run.labels))) as wait_for_checks,
+          TemporaryDirectory(dir=task.folder) as figure_folder):
         signals = task.settings.signals(run.log)
         bands = task.bands[1] if task.bands else None
         scorer = Scorer(bands, task.adaptive, signals, run.provenance["files"], prediction)
@@ -108,31 +111,37 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
             future_inputs = make_future_inputs(run, signals, task)
             evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress,
                                       on_block=scorer.add, future_inputs=future_inputs)
+            _require_scores(source, run, evaluation)
+            times.append(time.perf_counter())
+            # Drawn before the result of the checks, which take longer than the predictions.
+            output = FigureOutput(Path(figure_folder) if task.folder else None, task.formats, f"{name}-")
+            figures = draw_run(FigureData(evaluation, models, task.vehicle, signals, task.starts, output))
         finally:  # a finding of the checks explains a fault better than an exception of the evaluation
             findings, parts = wait_for_checks()
             raise_for_errors(source.path, findings, task.force)
+        if task.folder:
+            folder = task.folder / "runs" / name
+            folder.mkdir(parents=True, exist_ok=True)
+            for file in Path(figure_folder).iterdir():
+                file.replace(folder / file.name)
+            write_starts(folder / "starts.csv", evaluation)
     times.append(time.perf_counter())
-    _require_scores(source, run, evaluation)
-    folder, name = None, to_file_name(source.name)
-    if task.folder:
-        folder = task.folder / "runs" / name
-        folder.mkdir(parents=True, exist_ok=True)
-        write_starts(folder / "starts.csv", evaluation)
-    output = FigureOutput(folder, task.formats, f"{name}-")
-    figures = draw_run(FigureData(evaluation, models, task.vehicle, signals, task.starts, output))
-    times.append(time.perf_counter())
-    metadata = {
-        "duration": run.log.duration, "overlap": run.log.overlap, "n_predictions": len(evaluation.starts_ns),
-        "skipped": evaluation.skipped, "incomplete": evaluation.incomplete,
-        "labels": "given" if run.labels else "detected", "alignment": summarise_alignment(run.alignment),
-        "warnings": list(run.warnings), "provenance": dict(run.provenance), "inputs_ahead": list(future_inputs)}
     sums = pool_sums(scorer.sums)
     if bands:
         sums |= sum_contributions(models, task.vehicle, signals, task.settings, collect_intervals(task.model_files))
     seconds = dict(zip(("read", "predict", "draw"), np.diff(times).tolist(), strict=True))
-    return RunReport(source.name, "", describe_ranking(evaluation), metadata, tables.summarise_by_model(evaluation),
+    return RunReport(source.name, "", describe_ranking(evaluation),
+                     _collect_metadata(run, evaluation, list(future_inputs)), tables.summarise_by_model(evaluation),
                      tables.summarise_by_second(evaluation), tables.summarise_by_bin(evaluation),
                      tables.summarise_by_manoeuvre(evaluation, parts), figures, sums, findings, seconds)
+
+
+def _collect_metadata(run: LoadedRun, evaluation: LogEvaluation, inputs_ahead: list[Mode]) -> dict[str, Any]:
+    return {
+        "duration": run.log.duration, "overlap": run.log.overlap, "n_predictions": len(evaluation.starts_ns),
+        "skipped": evaluation.skipped, "incomplete": evaluation.incomplete,
+        "labels": "given" if run.labels else "detected", "alignment": summarise_alignment(run.alignment),
+        "warnings": list(run.warnings), "provenance": dict(run.provenance), "inputs_ahead": inputs_ahead}
 
 
 def _require_scores(source: RunSource, run: LoadedRun, evaluation: LogEvaluation) -> None:
@@ -169,10 +178,7 @@ def check_bands(task: Task, models: Sequence[Model]) -> None:
     if task.bands is None:
         return
     origin, bands = task.bands
-    try:
-        bands.check(task.vehicle, collect_model_hashes(task, models), task.settings)
-    except ConfigurationError as error:
-        raise ConfigurationError(f"{origin}: {error}") from None
+    add_prefix(f"{origin}: ", lambda: bands.check(task.vehicle, collect_model_hashes(task, models), task.settings))
 
 
 def collect_model_hashes(task: Task, models: Sequence[Model]) -> dict[str, str]:

@@ -52,7 +52,7 @@ def draw_offset(outcome: Identification, output: FigureOutput) -> PageFigure:
 
 
 def draw_mounting(outcome: Identification, output: FigureOutput) -> PageFigure:
-    """Draw v_y / v_x without the contribution of slip versus curvature, and the residuals of the fitted line."""
+    """Draw v_y / v_x, corrected for slip, versus curvature, and the residuals of the fitted line."""
     data = outcome.figure
     figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
     subset = _thin_rows(len(data["curvature"]))
@@ -110,7 +110,7 @@ def draw_prediction(outcome: Identification, output: FigureOutput) -> PageFigure
     """Draw the residuals of a fit by prediction, and the joint 95 % region of its first parameter and the parameter
     most correlated with it."""
     data, first = outcome.figure, outcome.estimates[0]
-    axis_labels = (("yaw_rate", "yaw rate, deg/s", DEG), ("velocity_y", "lateral velocity, mm/s", 1e3))
+    axis_labels = (("yaw_rate", "yaw rate error, deg/s", DEG), ("velocity_y", "lateral velocity error, mm/s", 1e3))
     channels = [channel for channel in axis_labels if channel[0] in data["residuals"]]  # those that were measured
     figure, panels = plt.subplot_mosaic([[key, "region"] for key, *_ in channels], figsize=(WIDTH, 4.2),
                                         width_ratios=(1.5, 1))
@@ -124,12 +124,10 @@ def draw_prediction(outcome: Identification, output: FigureOutput) -> PageFigure
         axes.plot(time[subset], data["residuals"][key][subset] * factor, ".", ms=1.5, color=MEASURED_COLOUR)
         axes.axhline(0.0, color=TEXT_COLOUR, lw=0.8)
         axes.set_ylabel(label)
-    for key, *_ in channels[:-1]:
-        panels[key].tick_params(labelbottom=False)
+        axes.tick_params(labelbottom=key == channels[-1][0])
     panels[channels[-1][0]].set_xlabel("driving time, s (all runs)")
-    second = outcome.estimates[1]
-    if outcome.correlation is not None:
-        second = outcome.estimates[1 + int(np.argmax(np.abs(outcome.correlation[0, 1:])))]
+    index = 1 if outcome.correlation is None else 1 + int(np.argmax(np.abs(outcome.correlation[0, 1:])))
+    second = outcome.estimates[index]
     region_panel = panels["region"]
     _draw_region(region_panel, outcome, (first, second))
     bars: dict[str, Any] = {}
@@ -138,7 +136,7 @@ def draw_prediction(outcome: Identification, output: FigureOutput) -> PageFigure
         bars |= {axis: e.value * factor, f"{axis}err": np.abs(np.array(e.interval95) - e.value)[:, None] * factor}
         region_panel.set(**{f"{axis}label": e.parameter.replace("_", " ") + (f", {unit}" if unit != "1" else "")})
     region_panel.errorbar(**bars, fmt="o", ms=4, color=TEXT_COLOUR, label="95 % interval")
-    region_panel.legend(loc="lower left", fontsize=8)
+    region_panel.legend(fontsize=8)
     title = "; ".join(f"{e.parameter.replace('_', ' ')} {_format_value(e)}" for e in (first, second))
     caption = ("Left: predicted minus measured values, with dotted lines between runs. Right: the first parameter "
                "and the one most correlated with it; the intervals include systematic uncertainty.")

@@ -16,6 +16,7 @@ from st_core.vehicle import FILE_QUANTITIES, VehicleParameters
 from st_recordings.paths import json_text, new_folder
 from st_recordings.results import collect_versions
 from st_recordings.runs import find_runs
+from st_recordings.runs.errors import logged_warnings
 from st_recordings.runs.load import hash_files
 
 from ..checking.check_report import findings_as_json, print_findings
@@ -52,10 +53,9 @@ def run_command(job: IdentificationJob) -> int:
     updated_vehicle = result.apply_to_vehicle(job.vehicle, outcomes, f"{now:%Y-%m-%d}")
     warnings = (*outcomes[0].warnings, *find_implausible_values(updated_vehicle, job.vehicle))
     outcomes = (replace(outcomes[0], warnings=warnings), *outcomes[1:])
-    lambda_warnings = result.describe_stale_lambda(job.vehicle, outcomes)
     with console.status("writing"):
         paths = write_results(job, outcomes, updated_vehicle, now)
-    print_results(outcomes, job.vehicle, lambda_warnings)
+    print_results(outcomes, job.vehicle, result.describe_stale_lambda(job.vehicle, outcomes))
     list_files({paths["identification.json"]: "values, uncertainties, verdicts",
                 paths["vehicle.yaml"]: "vehicle file with the identified values",
                 paths["report.html"]: "figures, correlations, lists of used and rejected data"})
@@ -75,7 +75,7 @@ def print_results(outcomes: Sequence[result.Identification], vehicle: VehiclePar
         for style, texts in (("default", [f"{e.parameter}: {e.verdict}" for e in outcome.estimates]),
                              ("dim", [coverage.describe() for coverage in outcome.coverage]),
                              ("dim", [f"{name}: left out: {reason}" for name, reason in outcome.rejected_data]),
-                             ("yellow", outcome.warnings)):
+                             ("yellow", [text for text in outcome.warnings if text not in logged_warnings])):
             for text in texts:
                 print_line(f"  [{style}]{escape(text)}[/]")
     for sentence in lambda_warnings:

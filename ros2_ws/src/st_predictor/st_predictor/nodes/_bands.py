@@ -25,9 +25,9 @@ AXES = ("along", "across", "yaw")
 class PredictionBands:
     """Bands around the predicted paths: from a bands file, adapted to the errors of this run, both, or none.
 
-    file_hashes: hash of the model file by model, "" for a built-in model. scorer: scores the predictions to whose
-    errors the bands are adapted, with measurements added by the caller; None: not adaptive. Raises ConfigurationError
-    for bands of a different car, model or configuration.
+    file_hashes: hash of the model file by model, "" for a built-in model. scorer: computes the errors to which
+    the bands adapt, from measurements that the caller adds; None: not adaptive. Raises ConfigurationError for bands of
+    a different car, model or configuration.
     """
 
     def __init__(self, values: SimpleNamespace, vehicle: VehicleParameters, file_hashes: Mapping[str, str],

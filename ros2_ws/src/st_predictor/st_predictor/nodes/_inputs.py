@@ -98,14 +98,14 @@ class PublisherLock:
 
 
 class _Input:
-    """One input topic. received_count, unusable_count: numbers of accepted and of unusable messages. problem: why the
+    """One input topic. accepted_count, unusable_count: numbers of accepted and of unusable messages. problem: why the
     newest message cannot be used, or "". arrival_ns: time of its arrival [ns], host UTC."""
 
     def __init__(self, node: Node, signal: str, message_type: type, topic: str, on_change: Callable[[], None]):
         self.signal, self._on_change = signal, on_change
         self.subscription = PolledSubscription(node, message_type, topic, QoSProfile(depth=QUEUE_DEPTH))
         self.lock = PublisherLock()
-        self.received_count = self.unusable_count = self.arrival_ns = 0
+        self.accepted_count = self.unusable_count = self.arrival_ns = 0
         self.problem = ""
 
     def take_accepted(self) -> Iterator[Any]:
@@ -125,15 +125,15 @@ class _Input:
 
     def count(self, problem: str) -> None:
         """Count a message. problem: why it cannot be used, or ""."""
-        self.received_count += 1
+        self.accepted_count += 1
         self.unusable_count += bool(problem)
         self.problem = problem
 
     def make_check(self) -> Check:
-        name, values = f"input {self.signal}", {"received": self.received_count, "unusable": self.unusable_count}
+        name, values = f"input {self.signal}", {"received": self.accepted_count, "unusable": self.unusable_count}
         if self.problem:
             return Check(name, diagnostics.WARN, f"unusable: {self.problem}", values)
-        if not self.received_count:
+        if not self.accepted_count:
             return Check(name, diagnostics.STALE, f"no message accepted on {self.subscription.topic} yet", values)
         return Check(name, diagnostics.OK, "usable", values)
 

@@ -53,7 +53,10 @@ class IdentifierNode(Node):
             if message.valid and math.isfinite(message.steering_wheel_angle):
                 self._accepted_counts["steering samples"] += self._core.add_steering(
                     to_nanoseconds(message.header.stamp), message.steering_wheel_angle)
-        # One fit at a time, in a separate thread, so that the node can receive samples in the meantime.
+        self._update_fit()
+
+    def _update_fit(self) -> None:
+        """Use a finished fit, and start the next in a thread, so that the node can receive samples in the meantime."""
         if self._fit is not None and self._fit.done():
             self._core.fit = self._fit.result()
             self._fit = None

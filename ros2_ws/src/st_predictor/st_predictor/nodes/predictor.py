@@ -108,8 +108,8 @@ class PredictorNode(Node):
         # No wait in simulated time, which advances only while the executor runs; times of arrival are host times.
         self._max_wait = 0.0 if self._uses_sim_time else min(values.sample_wait, MAX_WAIT_FRACTION * self._period)
         create_steady_timer(self, DRAIN_PERIOD, self._inputs.drain)
-        self._timer = self.create_timer(self._period, self._tick)
-        self.create_timer(STATUS_PERIOD, self._publish_status)
+        self._timer = create_steady_timer(self, self._period, self._tick, in_sim_time=True)
+        create_steady_timer(self, STATUS_PERIOD, self._publish_status, in_sim_time=True)
         self.get_logger().info(
             f"{', '.join(self._core.models)} of {self._vehicle.name}: {settings.horizon:g} s in steps of "
             f"{settings.step:g} s at {values.rate:g} Hz, "
@@ -134,10 +134,10 @@ class PredictorNode(Node):
 
     def _tick(self) -> None:
         period_ns = round(self._period / NANOSECOND)
-        next_due_ns = self.get_clock().now().nanoseconds + self._timer.time_until_next_call()
-        missed_count = self._counter.count_missed(next_due_ns, period_ns)
+        remaining_ns = self._timer.time_until_next_call()
+        missed_count = self._counter.count_missed(self._timer.clock.now().nanoseconds + remaining_ns, period_ns)
         # Waiting for the next sample makes the start state of the prediction newer.
-        self._inputs.wait(next_due_ns - period_ns, self._max_wait)
+        self._inputs.wait(self.get_clock().now().nanoseconds + remaining_ns - period_ns, self._max_wait)
         tick_start = time.perf_counter()
         start = self._find_start(self.get_clock().now().nanoseconds)
         previous_skip, self._skip = self._skip, start if isinstance(start, Skip) else None
@@ -166,7 +166,7 @@ class PredictorNode(Node):
 
     def _predict(self, start: Start) -> None:
         self._plan.drain()
-        previous_state = bool(self._plan.problem), self._course.is_used
+        previous_status = bool(self._plan.problem), self._course.is_used
         predictions: dict[Mode, dict[str, Trajectory]] = {}
         if plan_inputs := self._plan.find_inputs(self._core, start):
             predictions["plan"] = self._publish_predictions(start, "plan", *plan_inputs)
@@ -182,7 +182,7 @@ class PredictorNode(Node):
             path = self._path_builder.fill(start.time_ns, trajectory, self._core.car(model))
             self._path_publishers[model].publish(path)
         self._bands.add_predictions(start, predictions)
-        if previous_state != (bool(self._plan.problem), self._course.is_used):
+        if previous_status != (bool(self._plan.problem), self._course.is_used):
             self._diagnostics.publish()
 
     def _publish_predictions(self, start: Start, mode: Mode, inputs: InputSequence | None = None, plan_ns: int = 0,

@@ -167,8 +167,7 @@ class RecorderNode(Node):
         if DIAGNOSTICS not in self._recorded_topics:
             return Check("publishers", diagnostics.OK, f"not checked: {DIAGNOSTICS} is not recorded")
         self._record_messages()  # so that messages still queued, after a delay of this node, count as received
-        silent_nodes = self._watchdog.find_silent_nodes(self._recorded_topics)
-        if silent_nodes:
+        if silent_nodes := self._watchdog.find_silent_nodes(self._recorded_topics):
             silences = ", ".join(f"{name} for {seconds:.0f} s" for name, seconds in silent_nodes.items())
             return Check("publishers", diagnostics.WARN, f"nothing recorded from {silences}, not even /diagnostics")
         return Check("publishers", diagnostics.OK, "no silent publisher found")

@@ -14,7 +14,7 @@ from ..bag_metadata import read_information
 from .axes import convert_odometry
 from .bag_storage import EXTENSIONS, ROS1_EXTENSION, Storage, Topic, describe_missing_files, list_bag_files, open_bag
 from .cdr import CAN_FRAMES, CAN_MSGS_FRAME, NCOM, ODOMETRY, READ_ERRORS, STEERING, read_summary
-from .errors import RunError, format_count
+from .errors import RunError, convert_errors, format_count
 from .ins_log import InsLog, are_stored_out_of_order, select_usable_rows, yaw_from_quaternion
 from .reconstruct import RECONSTRUCTED_SUFFIX, Reconstruction, find_steering_topic, read_steering_columns
 from .run_types import LoadedRun, SteeringField, make_drive_log
@@ -205,12 +205,9 @@ def _read_all_metadata_records(path: Path) -> dict[str, dict[str, str]]:
     records: dict[str, dict[str, str]] = {}
     for file in [path] if path.is_file() else list_bag_files(path):
         if file.suffix.lower() == ".mcap" and read_summary(file) is not None:
-            try:
-                with file.open("rb") as stream:
-                    records.update({m.name: dict(m.metadata) for m in make_reader(stream).iter_metadata()})
-            except READ_ERRORS as error:
-                problem = f"its metadata records are damaged ({type(error).__name__})"
-                raise RunError(file, problem, "repair the bag with `st recover`") from None
+            problem, advice = "its metadata records are damaged", "repair the bag with `st recover`"
+            with convert_errors(file, problem, advice, *READ_ERRORS), file.open("rb") as stream:
+                records.update({m.name: dict(m.metadata) for m in make_reader(stream).iter_metadata()})
     return records
 
 

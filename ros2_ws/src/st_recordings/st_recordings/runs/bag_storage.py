@@ -7,8 +7,8 @@ unsupported one. Only ROS 1 bags and bags that are compressed according to metad
 import sqlite3
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -26,11 +26,12 @@ from rosbags.typesys.store import Typestore
 from ..bag_metadata import read_information
 from ..mcap_contents import MAGIC
 from ..paths import natural_sort_key
-from .cdr import READ_ERRORS, Block, CdrLayout, add_definitions, get_field, load_typestore, read_blocks, read_summary
-from .errors import RunError, check_readable, format_count, shorten
+from .cdr import READ_ERRORS, CdrLayout, add_definitions, get_field, load_typestore, read_blocks, read_summary
+from .errors import RunError, check_readable, convert_errors, format_count
 
 EXTENSIONS, ROS1_EXTENSION = (".mcap", ".db3"), ".bag"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+DAMAGED = "cannot be read as a bag"
 COPY_ADVICE, RECOVERY_ADVICE = "copy it again", "if the recording was interrupted, repair it with `st recover`"
 MAX_DELAY_DIFFERENCE_NS = 500_000_000  # largest difference between delays from stamp to reception on a common clock
 REINDEX_ADVICE = "if the recording was interrupted, repair it with `rosbag reindex`"
@@ -85,11 +86,9 @@ class Storage(ABC):
     def deserialise(self, topic: Topic) -> Iterator[tuple[int, Any]]:
         """Yields (log time [ns], message) of a topic. Raises RunError for a damaged message."""
         for log_ns, data in self.timed_messages(topic.name):
-            try:
+            # rosbags passes on exceptions of struct and numpy
+            with convert_errors(self.path, f"a message of {topic.name} is damaged", "record it again", Exception):
                 message = self.store.deserialize_cdr(data, topic.type_name)
-            except Exception as error:  # rosbags passes on exceptions of struct and numpy
-                raise RunError(self.path, f"a message of {topic.name} is damaged ({type(error).__name__})",
-                               "record it again") from None
             yield log_ns, message
 
     def columns(self, fields: Mapping[Topic, Sequence[str]]) -> dict[str, dict[str, np.ndarray]]:
@@ -112,11 +111,9 @@ class Storage(ABC):
 
     def read_one_by_one(self, topic: Topic, fields: Sequence[str]) -> dict[str, np.ndarray]:
         """The columns of `read_fields`, read by deserialising every message. Raises RunError."""
-        try:
+        with convert_errors(self.path, f"its definition of {topic.type_name} differs from the ROS 2 definition",
+                            "use a topic of a type that is defined as in ROS 2", AttributeError):
             rows = [[get_field(message, field) for field in fields] for _, message in self.deserialise(topic)]
-        except AttributeError as error:
-            raise RunError(self.path, f"its definition of {topic.type_name} differs from the ROS 2 definition: "
-                           f"{shorten(error)}", "use a topic of a type that is defined as in ROS 2") from None
         return {field: np.array([row[k] for row in rows]) for k, field in enumerate(fields)}
 
     def read_log_times(self, topic: str, stamps: np.ndarray) -> np.ndarray:
@@ -237,30 +234,17 @@ def read_time_span(file: Path) -> tuple[int, int] | None:
         return None
 
 
-@contextmanager
-def _report_damage(file: Path, advice: str, *errors: type[Exception]) -> Iterator[None]:
-    try:
-        yield
-    except errors as error:
-        raise RunError(file, f"cannot be read as a bag ({shorten(error)})", advice) from None
-
-
 def _stream(file: Path) -> Iterator[Any]:
     """Yields (schema, channel, message) of an MCAP file one by one, even if it has no index. Raises RunError."""
-    with _report_damage(file, RECOVERY_ADVICE, *READ_ERRORS), file.open("rb") as stream:
+    with convert_errors(file, DAMAGED, RECOVERY_ADVICE, *READ_ERRORS), file.open("rb") as stream:
         yield from NonSeekingReader(stream).iter_messages(log_time_order=False)
-
-
-def _read_blocks(file: Path, summary: Summary, channels: Collection[int]) -> Iterator[tuple[int, Block]]:
-    with _report_damage(file, RECOVERY_ADVICE, *READ_ERRORS):
-        yield from read_blocks(file, summary, channels)
 
 
 def _query(file: Path, text: str, *values: Any) -> Iterator[tuple[Any, ...]]:
     """Yields the rows that a query of an SQLite file returns. Raises RunError."""
     uri = f"{file.absolute().as_uri()}?mode=ro"
-    with _report_damage(file, COPY_ADVICE, sqlite3.Error), closing(sqlite3.connect(uri, uri=True)) as database:
-        yield from database.execute(text, values)
+    with convert_errors(file, DAMAGED, COPY_ADVICE, sqlite3.Error), closing(sqlite3.connect(uri, uri=True)) as data:
+        yield from data.execute(text, values)
 
 
 class McapStorage(Storage):
@@ -309,9 +293,10 @@ class McapStorage(Storage):
                 yield from ((message.log_time, message.data) for _, channel, message in _stream(file)
                             if channel.topic == topic)
                 continue
-            for _, block in _read_blocks(file, summary, channels):
-                rows = zip(block.log_time_ns.tolist(), block.starts.tolist(), block.sizes.tolist(), strict=True)
-                yield from ((ns, block.buffer[start : start + size].tobytes()) for ns, start, size in rows)
+            with convert_errors(file, DAMAGED, RECOVERY_ADVICE, *READ_ERRORS):
+                for _, block in read_blocks(file, summary, channels):
+                    rows = zip(block.log_time_ns.tolist(), block.starts.tolist(), block.sizes.tolist(), strict=True)
+                    yield from ((ns, block.buffer[start : start + size].tobytes()) for ns, start, size in rows)
 
     def columns(self, fields: Mapping[Topic, Sequence[str]]) -> dict[str, dict[str, np.ndarray]]:
         if any(summary is None for _, summary in self._files):
@@ -325,9 +310,10 @@ class McapStorage(Storage):
             publishers = Counter(summary.channels[number].topic for number, count in remaining.items() if count)
             for topic, count in publishers.items():
                 by_topic[topic].is_uniform &= count == 1  # blocks of several publishers are not in order
-            for number, block in _read_blocks(file, summary, channels):
-                remaining[number] -= len(block.starts)
-                channels[number].add(block.buffer, block.starts, block.sizes)
+            with convert_errors(file, DAMAGED, RECOVERY_ADVICE, *READ_ERRORS):
+                for number, block in read_blocks(file, summary, channels):
+                    remaining[number] -= len(block.starts)
+                    channels[number].add(block.buffer, block.starts, block.sizes)
             for number, count in remaining.items():
                 channels[number].is_uniform &= count == 0
         return {name: fields.columns() for name, fields in by_topic.items() if fields.is_uniform and fields.parts}
@@ -368,7 +354,7 @@ class RosbagsStorage(Storage):
 
     def __init__(self, path: Path):
         is_ros1 = path.suffix.lower() == ROS1_EXTENSION
-        with _report_damage(path, REINDEX_ADVICE if is_ros1 else COPY_ADVICE, Exception):  # rosbags raises any type
+        with convert_errors(path, DAMAGED, REINDEX_ADVICE if is_ros1 else COPY_ADVICE, Exception):  # any, of rosbags
             self._reader = AnyReader([path], default_typestore=load_typestore())
             self._reader.open()
         super().__init__(path)
@@ -383,7 +369,7 @@ class RosbagsStorage(Storage):
 
     def timed_messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
         connections = [c for c in self._reader.connections if c.topic == topic]
-        with _report_damage(self.path, COPY_ADVICE, Exception):  # rosbags raises any type
+        with convert_errors(self.path, DAMAGED, COPY_ADVICE, Exception):  # rosbags raises any type
             for connection, log_ns, data in self._reader.messages(connections=connections):
                 yield log_ns, bytes(data if self._reader.is2 else self.store.ros1_to_cdr(data, connection.msgtype))
 

@@ -102,7 +102,7 @@ def _find_fields(storage: Storage, topic: Topic) -> tuple[str, dict[str, tuple[s
         return "", {}, ""
     has_orientation = -1.0 not in getattr(example, "orientation_covariance", ())[:1]  # REP 145
     paths = [path for path, field in layout.fields.items()
-              if field.count == 1 and (has_orientation or not path.startswith("orientation."))]
+             if field.count == 1 and (has_orientation or not path.startswith("orientation."))]
     names = [f"{topic.name}/{path.replace('.', '/')}" for path in paths]
     fields = {channel: (names[source.column], paths[source.column], source.factor)
              for channel, source in find_columns(storage.path, names, Layout()).items() if channel != "t"}

@@ -1,15 +1,18 @@
 """Reads tables from MDF files of measured signals (version 3 or 4, as ETAS INCA, Vector CANape and asammdf write them),
-and from files of MATLAB (.mat), HDF5 (.h5, .hdf5, .hdf), Apache Parquet (.parquet) and Feather (.feather).
+and from files of MATLAB (.mat), HDF5 (.h5, .hdf5, .hdf), Apache Parquet (.parquet), Feather (.feather) and JSON.
 
 The tables are converted to the text of a CSV file, so that names, units, times and rates are handled in the same way.
 """
 
+import json
 import mmap
 import re
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from datetime import UTC
+from importlib import import_module
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,13 +21,14 @@ import numpy as np
 from ..paths import cached_by_version
 from . import hdf5
 from .columns import Layout, add_fraction, find_ambiguous_steering, find_columns, find_stamp_columns
-from .errors import RunError, shorten
+from .errors import RunError, convert_errors
 from .mdf_blocks import describe_truncation
 from .mf4 import MDF_OPTIONS, open_mdf
 
 PARQUET_EXTENSIONS = (".parquet", ".pq")
 ARROW_EXTENSIONS = (*PARQUET_EXTENSIONS, ".feather", ".arrow")
-BINARY_EXTENSIONS = (".mat", *hdf5.EXTENSIONS, *ARROW_EXTENSIONS)
+JSON_EXTENSIONS = (".json", ".jsonl", ".ndjson")
+BINARY_EXTENSIONS = (".mat", *hdf5.EXTENSIONS, *ARROW_EXTENSIONS, *JSON_EXTENSIONS)
 NAME_FIELDS = ("label", "Name", "name")
 _RAW_FRAMES = re.compile(rb"\0CAN_(Data|Remote|Error)Frame")
 """Name of the channel of raw frames. The header of its block ends with 0; in comments, no 0 precedes the name."""
@@ -47,48 +51,61 @@ class _Vector(NamedTuple):
 @cached_by_version(maxsize=4)
 def read_binary_table(file: Path) -> tuple[list[str], str]:
     """(header, comma-separated rows) of a file. Raises RunError if it cannot be read or contains no vectors."""
-    extension = file.suffix.lower()
-    if extension in ARROW_EXTENSIONS:
-        frame = _read_arrow(file)
-    elif extension in hdf5.EXTENSIONS or hdf5.is_hdf5(file):
-        structs, objects = hdf5.read_hdf5(file)
-        signals = list(_find_signals(structs))
+    extension, frame, objects = file.suffix.lower(), None, dict[str, str]()
+    with convert_errors(file, "cannot be read", "copy it again, or export it as .csv", Exception):  # of any library
+        if extension in ARROW_EXTENSIONS:
+            frame = _load_arrow(file)
+        elif extension in JSON_EXTENSIONS:
+            frame = _load_json(file)
+        elif extension in hdf5.EXTENSIONS or hdf5.is_hdf5(file):
+            content, objects = hdf5.read_hdf5(file)
+        else:
+            content = import_module("scipy.io").loadmat(file, simplify_cells=True)
+    if frame is None:
+        has_objects = content.pop("__function_workspace__", None) is not None
+        signals = list(_find_signals(content))
         lacks_times = not any(signal.time for signal in signals) and not hdf5.TIME_CLASSES.isdisjoint(objects.values())
         if objects and (len(signals) < 2 or lacks_times):
             hdf5.reject_objects(file, objects)
+        if has_objects and len(signals) < 2:  # none, or only the vector tout of Simulink
+            raise RunError(file, "it contains objects such as timeseries or timetables, which only MATLAB can read",
+                           "save their samples as vectors or fields of a struct")
         frame = _join_signals(file, signals)
-    else:
-        frame = _read_matlab(file)
     return [str(name) for name in frame.columns], frame.to_csv(index=False, header=False, lineterminator="\n")
 
 
-def _read_arrow(file: Path) -> Any:
+def _load_arrow(file: Path) -> Any:
     import pandas as pd
+    from pyarrow import feather, ipc, parquet, types
 
-    try:
-        frame = (pd.read_parquet if file.suffix.lower() in PARQUET_EXTENSIONS else pd.read_feather)(file)
-    except ImportError:
-        raise RunError(file, "Parquet and Feather files require the package pyarrow", "install it, or export a CSV file"
-                       ) from None
-    except Exception as error:  # pyarrow raises many types
-        raise RunError(file, f"pyarrow cannot read the file ({shorten(error)})", "copy or export it again") from None
+    with file.open("rb") as stream:
+        is_stream = stream.peek(4)[:4] == b"\xff" * 4  # messages without the mark of a file
+        table = ipc.open_stream(stream).read_all() if is_stream else (
+            parquet if file.suffix.lower() in PARQUET_EXTENSIONS else feather).read_table(file)
+    while any(map(types.is_struct, table.schema.types)):
+        table = table.flatten()
+    frame = table.to_pandas()
     if isinstance(frame.index, pd.RangeIndex):
         return frame
     return frame.reset_index(names="time" if frame.index.name is None and frame.index.dtype.kind in "mM" else None)
 
 
-def _read_matlab(file: Path) -> Any:
-    from scipy.io import loadmat
+def _load_json(file: Path) -> Any:
+    """The only array of records, or records in lines, with fields of objects as columns, such as pose.x; or columns."""
+    import pandas as pd
 
-    try:
-        content = loadmat(file, simplify_cells=True)
-    except Exception as error:  # scipy raises many types
-        raise RunError(file, f"scipy cannot read the file ({shorten(error)})", "copy or save it again") from None
-    signals = list(_find_signals({name: value for name, value in content.items() if not name.startswith("__")}))
-    if "__function_workspace__" in content and len(signals) < 2:  # none, or only the vector tout of Simulink
-        raise RunError(file, "it contains objects such as timeseries or timetables, which only MATLAB can read",
-                       "save their samples as vectors or fields of a struct")
-    return _join_signals(file, signals)
+    content = json.loads(re.sub(r"}\s*\n\s*{", "},\n{", f"[{file.read_text('utf-8-sig')}]"))
+    content = content[0] if len(content) == 1 else content
+    arrays = list(content.values()) if isinstance(content, dict) else [content]
+    tables = [rows for rows in arrays if isinstance(rows, list) and any(isinstance(row, dict) for row in rows)]
+    if not tables and isinstance(content, dict) and any(isinstance(array, list | dict) for array in arrays):
+        return pd.DataFrame({name: array for name, array in content.items() if isinstance(array, list)} or content)
+    records = tables[0] if len(tables) == 1 else []
+    kinds = {str(record.get("topic", record.get("sensor"))) for record in records}
+    if len(kinds) != 1 or {*chain(*records)} not in map(set, records):
+        raise RunError(file, "it does not have one array of records that all have the same keys, topic and sensor",
+                       'write one file for each kind, as [{"t": 0.0, "x": 1.2}, ...], or a .csv')
+    return pd.json_normalize(records)
 
 
 def _join_signals(file: Path, signals: list[_Vector]) -> Any:
@@ -177,7 +194,7 @@ def _is_vector(value: Any) -> bool:
 
 @cached_by_version(maxsize=256)
 def is_signal_table(file: Path) -> bool:
-    """Whether a file is a finalised MDF file without raw CAN frames."""
+    """Whether a file is a finalised, readable MDF file without raw CAN frames."""
     try:
         with file.open("rb") as stream:
             if stream.read(4) != b"MDF ":

@@ -205,7 +205,7 @@ class _AscParser:
     def __init__(self, lines: Lines, notes: list[str]):
         self._reader: Any = import_module("can.io.asc").ASCReader(lines)
         self._notes, self._are_relative = notes, False  # are_relative: times are relative to the previous line
-        self._start = self._seconds = 0.0  # start [s since 1970]; time of the newest line [s since the start]
+        self._start = self._seconds = 0.0  # start [s since 1970]; time of the latest line [s since the start]
 
     def __call__(self, line: str) -> Any:
         if (stamp := _ASC_STAMP.match(line)) is None:
@@ -270,7 +270,10 @@ def _make_trc_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
             reader._extract_header()
             header.clear()
         line = re.sub(r"^(\d+\)?\s+\d+),(?=\d)", r"\1.", line)  # decimal comma of the time
-        return reader._parse_cols(tuple(line.split(maxsplit=reader._num_columns)))
+        message = reader._parse_cols(tuple(line.split(maxsplit=reader._num_columns)))
+        if message is not None:
+            message.channel -= 1  # python-can counts channels from 0 in other formats
+        return message
 
     return parse
 
@@ -518,7 +521,7 @@ def _is_can_capture(head: bytes) -> bool:
     return head[start:start + 2] in (b"\xe3\0", b"\0\xe3")
 
 
-def find_clock(head: bytes) -> tuple[float, float]:
+def find_restart(head: bytes) -> tuple[float, float]:
     """(period after which the times of a log restart at 0, smallest backward jump that counts as a restart) [s]. The
     jump is half of the period for times of day or since the full hour, and nearly a day for numeric times, which may
     be relative."""

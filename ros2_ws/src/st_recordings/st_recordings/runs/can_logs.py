@@ -14,9 +14,9 @@ from scipy.ndimage import median_filter
 from . import frames as can_frames
 from .bag import is_bag
 from .bag_storage import open_bag
-from .can_formats import AMBIGUOUS_IDS, DECIMAL_IDS, FORMATS, LINE_FORMAT, Format, check_format, find_clock, read_head
+from .can_formats import AMBIGUOUS_IDS, DECIMAL_IDS, FORMATS, LINE_FORMAT, Format, check_format, find_restart, read_head
 from .cdr import CAN_MSGS_FRAME
-from .errors import RunError, check_readable, shorten
+from .errors import RunError, check_readable, convert_errors
 from .frames import ERROR, EXTENDED, FD, MAX_DATA_LENGTH, MAX_STANDARD_ID, REMOTE, SENT, CanLog, Frames
 from .ins_log import LATEST_TIME
 from .mf4 import MF4_EXTENSIONS, is_mdf, parse_session, read_mf4, reject_unreadable
@@ -87,9 +87,8 @@ def _read_log(file: Path) -> CanLog:
         formats = ", ".join(["MF4", *(f.name for f in FORMATS)])
         raise RunError(file, f"this is not a CAN log of a known format ({formats})",
                        "remove it from the command, or convert it")
-    notes: list[str] = []
-    if file.suffix.lower() not in log_format.extensions:
-        notes.append(f"is a {log_format.name} log with the extension {file.suffix or '(none)'}; it was read as such")
+    notes = [] if file.suffix.lower() in log_format.extensions else [
+        f"is a {log_format.name} log with the extension {file.suffix or '(none)'}; it was read as such"]
     return _read_with_python_can(file, log_format, notes)
 
 
@@ -142,7 +141,8 @@ def _read_bag(path: Path) -> CanLog:
 def _read_with_python_can(file: Path, log_format: Format, notes: Sequence[str]) -> CanLog:
     """Reads a log. notes: listed before those of the reader. Raises RunError if no frame is usable."""
     parts, format_notes, n_mistimed, n_too_long = list[Frames](), list[str](), 0, 0
-    try:
+    problem, advice = f"cannot be read as a {log_format.name} log", "copy or export it again"
+    with convert_errors(file, problem, advice, Exception):  # any, from the parsers
         messages = log_format.messages(file, format_notes)
         while block := list(itertools.islice(messages, BLOCK_SIZE)):
             valid_messages = [message for message in block if 0.0 <= message.timestamp <= LATEST_TIME]
@@ -151,24 +151,19 @@ def _read_with_python_can(file: Path, log_format: Format, notes: Sequence[str]) 
             n_too_long += len(valid_messages) - len(usable_messages)
             if usable_messages:
                 parts.append(_build_frames(usable_messages))
-    except Exception as error:  # any, from the parsers
-        raise RunError(file, f"cannot be read as a {log_format.name} log ({shorten(error)})",
-                       "copy or export it again") from None
     frames = can_frames.concatenate(parts) if parts else can_frames.empty_frames()
     if len(frames) > 1:
         limit = np.full(len(frames), MAX_TIME_JUMPS_NS[0])
         limit[[0, -1]] = MAX_TIME_JUMPS_NS[1]
         is_outlier = np.abs(frames.time_ns - median_filter(frames.time_ns, 3, mode="mirror")) > limit
         frames, n_mistimed = frames.select(~is_outlier), n_mistimed + int(is_outlier.sum())
-    if n_mistimed:
-        format_notes.append(f"frames with an impossible time were skipped: {n_mistimed}")
-    if n_too_long:
-        format_notes.append(f"frames with more than {MAX_DATA_LENGTH} bytes were skipped: {n_too_long}")
+    skipped = {"an impossible time": n_mistimed, f"more than {MAX_DATA_LENGTH} bytes": n_too_long}
+    format_notes += [f"frames with {reason} were skipped: {count}" for reason, count in skipped.items() if count]
     if not len(frames):
         reasons = f"no usable frames ({'; '.join(format_notes)})" if format_notes else "no frames"
         raise RunError(file, f"it contains {reasons}", "export its times in seconds, and identifiers and bytes as "
-                       "hexadecimal numbers" if log_format.name != "Vector BLF" else "copy or export it again")
-    period, min_jump = find_clock(read_head(file))
+                       "hexadecimal numbers" if log_format.name != "Vector BLF" else advice)
+    period, min_jump = find_restart(read_head(file))
     if frames.time_ns.max() <= period * 1e9:  # times that restart at midnight or at the full hour
         rollovers = count_rollovers(frames.time_ns * 1e-9, min_jump)
         frames = replace(frames, time_ns=frames.time_ns + rollovers * round(period * 1e9))

@@ -123,6 +123,9 @@ def _decode_message(frames: Frames, rows: np.ndarray, spec: MessageSpec) -> tupl
     data, time_ns = stack_bytes(payload[has_dbc_length], spec.dbc.length), frames.time_ns[rows]
     columns = spec.to_si(data)
     is_kept, valid, fault = check_frames(spec, data, time_ns, columns)
+    steering = columns.get("steering_wheel_angle")
+    if not fault and steering is not None and not np.isfinite(steering).any():
+        fault = f"none of {len(rows)} frames contains an angle; values named in the DBC, such as SNA, are not angles"
     faults += [fault] if fault else []
     rejected_times_ns = time_ns[~is_kept]
     is_kept &= np.diff(time_ns, prepend=time_ns[0] - 1) > 0
@@ -208,6 +211,7 @@ def check_frames(spec: MessageSpec, data: np.ndarray, time_ns: np.ndarray,
             is_plausible = find_plausible_frames(signal, spec, time_ns[is_present], values[signal.name][is_present])
             is_accepted[is_present] &= is_plausible
             if len(implausible := values[signal.name][is_present][~is_plausible] / signal.factor):
-                worst = float(implausible[np.argmax(np.abs(implausible))])
-                faults.append(f"{signal.dbc.name} implausible (up to {worst:.6g} {signal.unit}) in {len(implausible)}")
+                worst = float(implausible[np.argmax(np.nan_to_num(np.abs(implausible), nan=-1.0))])
+                size = f"up to {worst:.6g} {signal.unit}" if np.isfinite(worst) else "not a number, or named in the DBC"
+                faults.append(f"{signal.dbc.name} implausible ({size}) in {len(implausible)}")
     return is_accepted, valid & is_accepted, f"{', '.join(faults)} of {n} frames" if faults else ""

@@ -90,7 +90,7 @@ def pair_shared_signals(ins: InsLog, can: CanSignals,
     speed = can.find_first("ins_velocity_x") or can.find_first("vehicle_speed")
     pairs = []
     for label, quantity, channel in (("forward velocity", "speed", "velocity_x"), ("yaw rate", "rate", "yaw_rate"),
-                                 ("yaw", "angle", "yaw")):
+                                     ("yaw", "angle", "yaw")):
         if channel in ins.values:  # an INS may have no yaw
             values = mask_standstill(ins.time_ns, ins.values[channel], ins.time_ns, ins.values["velocity_x"])
             pairs += [_make_pair(f"{label} ({signal.message})", quantity, ins.time_ns, values, signal, speed, latency)

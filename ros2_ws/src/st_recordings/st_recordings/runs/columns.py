@@ -173,11 +173,11 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
         kind = COLUMNS[channel].kind
         unit = find_stated_unit(names[column], kind) or find_stated_unit(column_name, kind)
         sources[channel] = _make_source(column, names[column], channel, unit)
-    time, pair = sources.get("t"), find_stamp_columns(names)
+    time, stamp = sources.get("t"), find_stamp_columns(names)
     is_time_stated = "t" in layout.columns or "t" in layout.units
     # A stamp in two columns is preferred to a time that is only its fraction, or is in minutes or hours.
-    if pair and (time is None or (not is_time_stated and (time.column == pair[1] or time.factor > 1.0))):
-        sources["t"] = _make_source(pair[0], names[pair[0]], "t", "s")
+    if stamp and (time is None or (not is_time_stated and (time.column == stamp[1] or time.factor > 1.0))):
+        sources["t"] = _make_source(stamp[0], names[stamp[0]], "t", "s")
     if "compass_heading" in layout.columns and "yaw" not in layout.columns:
         sources.pop("yaw", None)
     return apply_units(file, sources, layout)

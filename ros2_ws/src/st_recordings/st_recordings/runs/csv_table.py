@@ -15,8 +15,8 @@ from st_core.sideslip import derive_yaw_rate
 from . import columns as column_names
 from .binary_table import BINARY_EXTENSIONS, is_signal_table, read_binary_table, read_names, read_signals
 from .columns import COLUMNS, ColumnSource, Layout, find_columns, find_stamp_columns
-from .errors import CP1252_FALLBACK, RunError, check_readable, find_codec, format_count, shorten
-from .table_times import convert_to_seconds, parse_stamp, read_stamps, select_usable_times
+from .errors import CP1252_FALLBACK, RunError, check_readable, convert_errors, find_codec, format_count
+from .table_times import convert_to_seconds, pad_fractions, parse_stamp, read_stamps, select_usable_times
 
 MAX_TIME_ROWS = 500  # rows in which distinct times are counted, to find the time column with the highest resolution
 HEMISPHERES = {"latitude": {"N", "S"}, "longitude": {"E", "W"}}
@@ -29,6 +29,7 @@ _GROUPED_POINTS = re.compile(r"\.(?<=\d.)\d{3}\.\d{3}(?!\d)")  # 1.234.567; fast
 _NUMBER = re.compile(r'[\s"]*[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?[\s"]*')
 _NUMBER_WITH_UNIT = re.compile(r"([+-]?\d[\d.,]*(?:[eE][+-]?\d+)?)\s*([^\d\s.,+-].*)")  # 0.02 sec, 12 km/h
 _FORTRAN_EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[+-]\d\d)")  # 1.5D-03
+_LONG_FORMATS = (("_field", "_value"), ("telemetry_name", "telemetry_value"), ("topic", "value"), ("PID", "VALUE"))
 _SEPARATOR = re.compile(r"sep=.\s*$", re.MULTILINE)  # as spreadsheets state the delimiter
 _LINE_END_IN_CELL = re.compile(r'"[^",;|\t]{0,80}\n[^",;|\t]{1,80}"(?=[,;|\t\n])')
 _QUOTED_ROW = re.compile(r'^"((?:[^"\n]|"")*)"$', re.MULTILINE)  # a row that was exported as one cell
@@ -62,7 +63,7 @@ def read_text(file: Path, size: int = -1) -> str:
 
     size: number of bytes to read; -1: all (RunError for a binary file).
     """
-    text = _decode(file, size).replace("\r\n", "\n").replace("\r", "\n")
+    text = _decode(file, size).replace("\r\n", "\n").replace("\r", "\n").replace("\u2212", "-")
     text = re.sub(r"(?<!\0)\0+(?=\n|$)", "", text) if "\0" in text else text  # some loggers end each line with a NUL
     if text.startswith('"'):
         header, line_end, rows = text.partition("\n")
@@ -109,8 +110,8 @@ def read_table(file: Path, layout: Layout) -> Table:
     if text.startswith("$G"):
         raise RunError(file, "it contains NMEA sentences instead of a table", "export time, latitude, longitude, speed "
                        "and course as .csv")
-    for name, value in (("_field", "_value"), ("telemetry_name", "telemetry_value")):
-        if any({name, value} <= {*line.split(",")} for line in text.split("\n", MAX_UNIT_ROWS)[:MAX_UNIT_ROWS]):
+    for name, value in _LONG_FORMATS:
+        if any({name, value} <= {*re.split('[,;"]', line)} for line in text.split("\n", MAX_UNIT_ROWS)[:-1]):
             raise RunError(file, f"it has one row for each value (columns {name} and {value})", "export one column for "
                            f"each {name}, with the function pivot of InfluxDB or pandas")
     n_above = _find_header_line(text.split("\n", MAX_HEADER_LINES + 1)[:MAX_HEADER_LINES], layout)
@@ -170,7 +171,6 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
     """
     if delimiter == " ":
         body = "\n".join(" ".join(line.split()) for line in body.split("\n"))
-    body = body.replace("\u2212", "-")
     if "D+" in body or "D-" in body or "d+" in body or "d-" in body:  # the substitution is slow
         body = _FORTRAN_EXPONENT.sub("E", body)
     if delimiter != "," and "." not in body and "," in body and not _GROUPED_CELL.search(body):
@@ -194,16 +194,17 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
         "each is the time of the columns after it" if source is time and joined is not rows else "the first is used")
                  for source in sources.values() if source.name and names.count(source.name) > 1]
     with np.errstate(over="ignore"):
-        columns = {channel: joined[:, source.column] * source.factor
+        columns = {channel: np.where(np.isfinite(values := joined[:, source.column] * source.factor), values, np.nan)
                    for channel, source in sources.items() if channel != "t"}
-    columns = {channel: np.where(np.isfinite(values), values, np.nan) for channel, values in columns.items()}
     texts = {channel: cell[:40] for channel, cell in first_cells.items() if cell.lower() not in MISSING_MARKS
              and channel in columns and not np.isfinite(columns[channel]).any()}
     if time is None:
         return Table(file, tuple(names), sources, columns, np.empty(0, np.int64), 0, np.empty(0, bool), tuple(warnings))
-    seconds, pair = joined[:, time.column], find_stamp_columns(names)
-    if pair is not None and pair[0] == time.column:
-        seconds = column_names.add_fraction(seconds, pair[2] * joined[:, pair[1]])
+    seconds, stamp = joined[:, time.column], find_stamp_columns(names)
+    if stamp is not None and stamp[0] == time.column:
+        seconds = column_names.add_fraction(seconds, stamp[2] * joined[:, stamp[1]])
+    if len(joined) == len(lines) and (np.diff(seconds) < 0.0).any():
+        seconds = pad_fractions(file, seconds, [split_row(line, delimiter)[time.column] for line in lines], warnings)
     seconds, time = convert_to_seconds(file, seconds, time, warnings)
     has_time, time_ns, is_usable = select_usable_times(file, seconds, time, first_cells.get("t"), warnings)
     columns = {channel: values[has_time] for channel, values in columns.items()}
@@ -246,9 +247,9 @@ def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layou
     def count_times(source: ColumnSource) -> int:
         return len({row[source.column] for row in rows if source.column < len(row)})
 
-    pair = find_stamp_columns(names)
-    has_fraction = pair is not None and not any(pair[2] * _parse_number(row[pair[1]]) >= 1.0 for row in (
-        line.split(delimiter) for line in body.split("\n")) if pair[1] < len(row))
+    stamp = find_stamp_columns(names)
+    has_fraction = stamp is not None and not any(stamp[2] * _parse_number(row[stamp[1]]) >= 1.0 for row in (
+        line.split(delimiter) for line in body.split("\n")) if stamp[1] < len(row))
     if "t" in sources and "t" not in {*layout.columns, *layout.units} and not has_fraction:
         finest = max(column_names.find_times(names), key=count_times, default=sources["t"])
         if 2 * count_times(sources["t"]) < count_times(finest):  # whole seconds, and fractions in another column
@@ -368,13 +369,13 @@ def _read_cells(file: Path, lines: list[str], delimiter: str, names: list[str], 
     text = _THOUSANDS_SPACES.sub("", text)
     lines = [line.replace('"', "") if line.count('"') % 2 else line for line in text.split("\n")]
     lines = _select_complete_rows(file, lines, delimiter, len(names), warnings)
-    first_row, pair = split_row(lines[0], delimiter), find_stamp_columns(names)
+    first_row, stamp = split_row(lines[0], delimiter), find_stamp_columns(names)
     first_cells = {channel: first_row[source.column] for channel, source in sources.items()}
     units = {channel: text for channel, cell in first_cells.items() if (text := _split_unit(channel, cell))}
     decimal_mark, thousands_separator = _find_decimal_mark(file, lines, delimiter, units.values())
     time = sources.get("t")
     channels = {number: "" for number, name in enumerate(names) if time is not None and name == time.name}
-    channels |= {pair[1]: ""} if pair else {}
+    channels |= {stamp[1]: ""} if stamp else {}
     channels |= {source.column: channel for channel, source in sources.items()}
 
     def make_converter(unit: str) -> Callable[[str], float]:
@@ -387,12 +388,10 @@ def _read_cells(file: Path, lines: list[str], delimiter: str, names: list[str], 
         return [split_row(line, delimiter)[number] for line in lines]
 
     numbers = np.full((len(lines), len(names)), np.nan)
-    try:
+    with convert_errors(file, "a row cannot be read", "correct or remove that row", ValueError):
         numbers[:, list(channels)] = np.loadtxt(
             lines, delimiter=delimiter, ndmin=2, comments=None, quotechar='"', usecols=list(channels),
             converters={number: make_converter(units.get(channel, "")) for number, channel in channels.items()})
-    except ValueError as error:
-        raise RunError(file, f"a row cannot be read ({shorten(error)})", "correct or remove that row") from None
     if time is not None and np.isnan(numbers[0, time.column]) and (
             seconds := read_stamps(file, read_texts(time.column), warnings)) is not None:
         numbers[:, time.column] = seconds

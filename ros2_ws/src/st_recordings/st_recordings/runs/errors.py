@@ -17,7 +17,7 @@ codecs.register_error(CP1252_FALLBACK, lambda error: (
     error.object[error.start:error.end].decode("cp1252", "replace"), error.end))  # type: ignore[attr-defined]
 _COMMON_CHINESE = re.compile(rb"[\xa1-\xa3\xb0-\xd7](?:[\xa1-\xfe]|\Z)")  # punctuation and first level of GB 2312
 _LOGGER = logging.getLogger("st_recordings")
-_logged_warnings: set[str] = set()
+logged_warnings: set[str] = set()
 MAX_SIMILAR_WARNINGS = 3  # number of similar warnings that are logged in full while warnings are grouped
 # While warnings are grouped: text without file and numbers -> the warnings that share it.
 _groups: ContextVar[dict[str, list[str]] | None] = ContextVar("_groups", default=None)
@@ -44,6 +44,15 @@ class RunError(ValueError):
         super().__init__(escape_unprintable(f"{path}: {problem}" + (f"; {advice}" if advice else "")))
 
 
+@contextmanager
+def convert_errors(path: Path, fault: str, advice: str, *types: type[Exception]) -> Iterator[None]:
+    """Context in which errors of these types, from libraries, become a RunError with their text in brackets."""
+    try:
+        yield
+    except types as error:
+        raise error if isinstance(error, RunError) else RunError(path, f"{fault} ({shorten(error)})", advice) from None
+
+
 def escape_unprintable(text: str) -> str:
     """Escapes control characters, which damaged files may contain, and line breaks."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
@@ -64,9 +73,9 @@ def shorten(error: Exception) -> str:
 def log_warnings(warnings: Iterable[str]) -> None:
     """Logs each warning, but the same text only once per process."""
     for warning in warnings:
-        if warning in _logged_warnings:
+        if warning in logged_warnings:
             continue
-        _logged_warnings.add(warning)
+        logged_warnings.add(warning)
         if (groups := _groups.get()) is not None:
             similar = groups.setdefault(re.sub(r"[\d.]+", "", warning.partition(": ")[2]), [])
             similar.append(warning)

@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from .errors import RunError, shorten
+from .errors import RunError
 
 EXTENSIONS = (".h5", ".hdf5", ".hdf")
 MAX_MATRIX_COLUMNS = 32
@@ -35,18 +35,12 @@ def is_hdf5(file: Path) -> bool:
 
 
 def read_hdf5(file: Path) -> tuple[dict[str, Any], dict[str, str]]:
-    """(structs, name -> class of an object that only MATLAB can read, or target of a broken link). Raises RunError."""
+    """(structs, name -> class of an object that only MATLAB can read, or target of a broken link)."""
     import h5py
 
     objects: dict[str, str] = {}
-    try:
-        with h5py.File(file, "r", locking=False) as content:
-            return _read_group(content, "", objects), objects
-    except RunError:
-        raise
-    except Exception as error:  # any, from h5py
-        raise RunError(file, f"h5py cannot read the file ({shorten(error)})", "copy it again, or save it uncompressed"
-                       ) from None
+    with h5py.File(file, "r", locking=False) as content:
+        return _read_group(content, "", objects), objects
 
 
 def reject_objects(file: Path, objects: dict[str, str]) -> NoReturn:
@@ -128,7 +122,7 @@ def _read_node(node: Any, path: str, objects: dict[str, str], parents: tuple[Any
     if node.dtype.kind not in "biuf" or not sizes or is_image:
         return None
     _check_samples(node)
-    array = np.squeeze(_split_columns(node[()]))
+    array = np.squeeze(_to_native(node[()]))
     return array.T if matlab_class else array  # MATLAB stores transposed arrays
 
 
@@ -136,7 +130,7 @@ def _read_table(dataset: Any) -> dict[str, Any]:
     """The columns of a table, with the names that pandas writes into attributes."""
     _check_samples(dataset)
     numeric_names = [name for name in dataset.dtype.names if dataset.dtype[name].base.kind in "biufV"]
-    columns = _split_columns(dataset.fields(numeric_names)[()].ravel()) if numeric_names else {}
+    columns = _to_native(dataset.fields(numeric_names)[()].ravel()) if numeric_names else {}
     table: dict[str, Any] = {}
     for field, column in columns.items():
         field_kind, unit = dataset.attrs.get(f"{field}_kind"), _find_unit(dataset.attrs.get(f"{field}_dtype"))
@@ -152,10 +146,10 @@ def _read_table(dataset: Any) -> dict[str, Any]:
     return table
 
 
-def _split_columns(rows: np.ndarray) -> Any:
+def _to_native(rows: np.ndarray) -> Any:
     """An array in native byte order; a structured array as a dict of its fields."""
     if rows.dtype.names:
-        return {name: _split_columns(rows[name]) for name in rows.dtype.names}
+        return {name: _to_native(rows[name]) for name in rows.dtype.names}
     return rows.astype(rows.dtype.newbyteorder("="), copy=False)
 
 

@@ -18,7 +18,7 @@ MAX_WHEEL_GAP_NS = 100_000_000  # longest gap across which the speed of a wheel 
 LATEST_TIME = 9.0e9  # s since 1970, in the year 2255; int64 nanoseconds end in the year 2262
 MAX_LOST_FRACTION = 0.01  # of the rows; if more are out of order in time, the clock may have been set back
 MAX_UNEVEN_FRACTION = 0.3
-"""Only the order is wrong if the sorted times have fewer short steps than this fraction of the rows out of order."""
+"""Ratio of short steps between sorted times to rows out of order; if it is smaller, only the order is wrong."""
 MAX_END_STEP_RATIO = 10.0
 """Multiple of the 95th percentile of the steps; a longer first or last time step means a wrong first or last time."""
 

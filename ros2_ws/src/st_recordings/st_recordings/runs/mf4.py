@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from . import frames, mdf_blocks
-from .errors import RunError, format_count, shorten
+from .errors import RunError, convert_errors, format_count
 from .mdf_blocks import VARIABLE_LENGTH, VIRTUAL, DamageError
 
 MAX_RECORDS_PER_READ = 1 << 20
@@ -116,15 +116,10 @@ def open_mdf(path: Path, open_file: Callable[[], Any], advice: str) -> Iterator[
     level, mdf = logger.level, None
     logger.setLevel(logging.CRITICAL + 1)
     try:
-        with redirect_stdout(io.StringIO()):
+        with convert_errors(path, "asammdf cannot read the file", advice, Exception), convert_errors(
+                path, "the file is truncated or damaged", advice, DamageError), redirect_stdout(io.StringIO()):
             mdf = open_file()
             yield mdf
-    except RunError:
-        raise
-    except DamageError as error:
-        raise RunError(path, f"the file is truncated or damaged: {error}", advice) from None
-    except Exception as error:  # any, from asammdf
-        raise RunError(path, f"asammdf cannot read the file ({shorten(error)})", advice) from None
     finally:
         logger.setLevel(level)
         if mdf is not None:

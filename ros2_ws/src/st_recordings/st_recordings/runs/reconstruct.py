@@ -22,7 +22,7 @@ from st_core.vehicle import VehicleParameters
 
 from .bag_storage import Storage, Topic, find_file_text, parse_parameters
 from .cdr import CAN_FRAMES, INS_ON_CAN, INS_STATUS, NCOM, WHEEL_FIELDS, WHEEL_SPEEDS
-from .errors import RunError
+from .errors import RunError, convert_errors
 from .ins_log import compute_car_speed, make_series
 from .ncom import collect_quality
 from .run_types import SteeringField
@@ -192,11 +192,8 @@ class Reconstruction:
         from .frames import read_frames
 
         table = self._table
-        try:
+        with convert_errors(self._path, "its raw CAN frames are damaged", "also record vehicle/steering", ValueError):
             frames = read_frames(self._storage.messages(self._by_type[CAN_FRAMES].name))
-        except ValueError as error:
-            raise RunError(self._path, f"its raw CAN frames are damaged: {error}",
-                           "also record vehicle/steering") from None
         return decode_signals(frames, table)
 
 

@@ -18,7 +18,7 @@ from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
 from .can_formats import EXTENSIONS as CAN_EXTENSIONS
 from .can_formats import is_can_log
 from .columns import COLUMNS, Layout
-from .errors import RunError, log_warnings
+from .errors import RunError, convert_errors, log_warnings
 from .readers import READERS, find_reader
 from .run_types import Label, RunSource
 
@@ -49,13 +49,13 @@ def read_run_file(path: Path) -> list[RunSource]:
         raise RunError(path, f"each: no file matches {content['each']!r}",
                        "patterns are relative to the folder of the run.yaml")
     drives = [file for file in files if not is_can_log(file)] or files  # *.csv may also match CAN logs
-    return [_read_own_run_file(path, file) or _parse_run_of_each(path, content, file) for file in drives]
+    return [_read_own_run_file(file, path) or _parse_run_of_each(path, content, file) for file in drives]
 
 
 def find_described_run(file: Path) -> RunSource | None:
     """The run of a single recording, as its own run.yaml or a run.yaml with `each` in its folder describes it; None if
     none does. If that run.yaml is invalid, its error is the `problem` of the result."""
-    own_run = _read_own_run_file(file.parent, file)
+    own_run = _read_own_run_file(file)
     if own_run and own_run.problem:
         return RunSource(file.name, "", (file,), problem=own_run.problem)
     if own_run and own_run.files == (file,):
@@ -138,10 +138,10 @@ def _parse_single_run(path: Path, content: Mapping[str, Any]) -> RunSource:
     return _build_run(path, content, name, key, files, logs)
 
 
-def _read_own_run_file(path: Path, file: Path) -> RunSource | None:
-    """Reads NAME.run.yaml or run.yaml next to `file`, if it lists `file`, or is invalid and may describe it."""
+def _read_own_run_file(file: Path, skipped: Path | None = None) -> RunSource | None:
+    """Reads the run.yaml next to `file`, other than `skipped`, that lists `file`, or is invalid and may describe it."""
     own_files = (file.with_name(file.stem + RUN_SUFFIX), file.with_name(RUN_FILE))
-    for own_file in (own_file for own_file in own_files if own_file.exists() and own_file != path):
+    for own_file in (own_file for own_file in own_files if own_file.exists() and own_file != skipped):
         try:
             content = _read_content(own_file)
             if "each" not in content and file in (run := _parse_single_run(own_file, content)).files:
@@ -173,8 +173,8 @@ def _build_run(path: Path, content: Mapping[str, Any], name: str, key: str, file
         raise RunError(path, "can: no CAN log is listed", "list the logs, a folder that contains them, or a pattern")
     columns, units = content.get("columns", {}), content.get("units", {})
     layout = Layout(_parse_columns(path, columns), _parse_units(path, units), path)
-    exchanged = {*layout.columns, *layout.columns.values()}
-    if not reader.is_table and (layout.units or not exchanged <= {*INS_SIGNALS, *OPTIONAL_INS_SIGNALS}):
+    is_exchange = {*layout.columns} == {*layout.columns.values()} <= {*INS_SIGNALS, *OPTIONAL_INS_SIGNALS}
+    if not reader.is_table and (layout.units or not is_exchange):
         raise RunError(path, f"only {' and '.join(TABLE_KEYS)} files have columns and units; `columns` of another "
                        "recording can only exchange its channels, as {x: y, y: x}", "change its values with `correct:`")
     settings = {setting: parse(path, setting, content[setting]) for setting, parse in _SETTINGS.items()
@@ -198,14 +198,11 @@ def _find_matching_files(path: Path, key: str, value: Any) -> list[Path]:
         raise RunError(path, f"{key}: expected a file or a list of files")
     matching_files: list[Path] = []
     for text in entries:
-        try:
+        with convert_errors(path, f"{key}: {text[:100]!r} is not a valid pattern", "patterns are relative to the "
+                            "folder of the run.yaml; * matches a part of a name, **/ matches folders",
+                            ValueError, NotImplementedError, OSError):
             is_pattern = any(c in text for c in "*?[") and not os.path.exists(path.parent / text)
             matching_files += sorted(path.parent.glob(text)) if is_pattern else [_find_file(path, key, text)]
-        except RunError:
-            raise
-        except (ValueError, NotImplementedError, OSError) as error:
-            raise RunError(path, f"{key}: {text[:100]!r} is not a valid pattern ({error})", "patterns are relative to "
-                           "the folder of the run.yaml; * matches a part of a name, **/ matches folders") from None
     return matching_files
 
 

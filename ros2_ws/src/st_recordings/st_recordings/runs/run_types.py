@@ -62,7 +62,7 @@ class RunSource:
 
     @property
     def arguments(self) -> str:
-        """Command line arguments that read this run; with `each`, all runs of its run.yaml."""
+        """Command line arguments that read this run, or all runs of a run.yaml with the key `each`."""
         return str(self.run_file) if self.run_file else " ".join(map(str, (*self.files, *self.can)))
 
     @property
@@ -75,7 +75,7 @@ class RunSource:
 class ReadSettings:
     """Options for reading runs."""
 
-    dbc: Path | None = None  # None: as in the run.yaml, or else the file of the Leaf
+    dbc: Path | None = None  # None: as in the run.yaml, or else that of the Nissan Leaf
     signals: Path | None = None  # signal table; None as for dbc
     steering_sign: int = 1  # +1 if the decoded angle is positive to the left, else -1
     steering_latency: float = 0.0  # delay from the motion of the steering wheel to the stamp of its CAN frame [s]

@@ -27,30 +27,32 @@ DOCUMENT_EXTENSIONS = (".md", ".txt", ".rst", ".pdf", ".html", ".png", ".jpg", "
 MAX_SPLIT_GAP = 5.0  # longest gap or overlap [s] between the end of one file of a split bag and the start of the next
 TEXT_EXPORTS = (".txt", ".tsv", ".dat", ".lvm")  # extensions of tables often exported alongside other files
 UNKNOWN_ADVICE = {
-    **dict.fromkeys((".dbc", ".kcd", ".sym", ".arxml"), "give a DBC with --dbc, or put it into the folder of --car"),
+    **dict.fromkeys((".dbc", ".kcd", ".sym", ".arxml"), "give this description of CAN messages with --dbc"),
     ".rd": "this is raw data of an OxTS unit: convert it to NCOM with the software of the unit",
-    **dict.fromkeys((".nmea", ".gpx", ".ulg"), "export it as .csv with columns as in docs/csv_columns.md"),
+    **{f".{kind}": f"convert it with `gpsbabel -t -i {kind} -f IN -o unicsv -F OUT.csv`" for kind in ("gpx", "nmea")},
+    **dict.fromkeys((".ulg", ".npy", ".pkl"), "write a .csv with columns as in docs/csv_columns.md"),
     ".active": "the recording was not closed: repair it with `st recover` (.mcap) or `rosbag reindex` (.bag), then "
                "remove .active from its name",
-    **dict.fromkeys((".json", ".jsonl", ".npy", ".pkl"), "write a .csv with a column for each signal"),
     ".vbb": "export it as .vbo with the software of the logger",
     ".bin": "rename it to .ncom if it contains NCOM packets; else export a .csv",
-    **dict.fromkeys((".gz", ".zip", ".7z", ".bz2", ".xz", ".zst", ".zstd"), "unpack it first"),
-    **dict.fromkeys((".xls", ".xlsx", ".ods", ".tdms", ".erg", ".ld", ".pos"),  # some of these files are text
-                    "rename it to .csv if it is a text table with a header line, or export one"),
+    **dict.fromkeys((".gz", ".zip", ".7z", ".xz", ".zstd"), "unpack it first"),
+    **dict.fromkeys((".bz2", ".zst"), "unpack it first; export an rlog of openpilot as .csv with PlotJuggler"),
+    ".tdms": "export it as .csv, in Python with npTDMS: TdmsFile.read(IN).as_dataframe().to_csv(OUT)",
+    **dict.fromkeys((".xls", ".xlsx", ".ods", ".erg", ".ld", ".pos", ".xrk", ".xrz"),  # some of these files are text
+                    "rename it to .csv if it is a text table; else open it in its program, and export a .csv"),
 }
 """Extension -> advice, for files that no reader supports."""
 
 
-def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
-    """Finds the runs in files and folders, in order of name. A source that cannot be a run has a `problem`.
+def find_runs(paths: Path | str | Sequence[Path | str]) -> list[RunSource]:
+    """Finds the runs in one or more files and folders, in order of name. A source that cannot be a run has a `problem`.
 
     Individual files that belong together (one INS recording and CAN logs, or the parts of a split bag) form one run.
     Folders are searched recursively; tables and bags without a drive, and other files, are ignored there.
     """
     runs: list[RunSource] = []
     single_files: list[Path] = []
-    for path in map(Path, paths):
+    for path in map(Path, [paths] if isinstance(paths, Path | str) else paths):
         if not path.exists():
             folder = path.absolute().parent
             names = [other.name for other in folder.iterdir()] if folder.is_dir() else []
@@ -82,7 +84,7 @@ def _report_folder_without_runs(folder: Path) -> list[RunSource]:
                                 "oxts/data with a column for it and names as in docs/csv_columns.md")]
     bags = [f for f in files if bag.accepts(f) and not any(bag.accepts(parent) for parent in f.parents)]
     unknown_files = [f for f in files if f.suffix.lower() in UNKNOWN_ADVICE.keys() - {*DOCUMENT_EXTENSIONS}]
-    tables = [f for f in files if f.suffix.lower() in (*BINARY_EXTENSIONS, *MF4_EXTENSIONS, ".csv", ".tsv", ".lvm")]
+    tables = [f for f in files if READERS["csv"].accepts(f) and f.suffix.lower() not in (".dat", *DOCUMENT_EXTENSIONS)]
     # The problems of bags and tables are reported when they are read.
     return [*(_make_single_run(f, bag) for f in bags), *(_make_single_run(f, READERS["csv"]) for f in tables),
             *map(_report_unknown_file, unknown_files)] or [_report_problem(
@@ -93,8 +95,11 @@ def _search_folder(folder: Path) -> list[RunSource]:
     runs, files = list[RunSource](), list[Path]()
     used_files, bag_folders = set[Path](), set[Path]()
     for path in sorted(folder.rglob("*")):
-        is_hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
-        if is_hidden or not bag_folders.isdisjoint(path.parents):
+        relative = path.relative_to(folder)
+        is_hidden = any(part.startswith(".") for part in relative.parts)
+        is_node_log = path.is_file() and not path.stat().st_size and any(
+            f.name == "logs" and (folder / f).with_name("parameters.yaml").is_file() for f in relative.parents)
+        if is_hidden or is_node_log or not bag_folders.isdisjoint(path.parents):
             continue
         if path.is_dir():
             if find_reader(path) is not None:

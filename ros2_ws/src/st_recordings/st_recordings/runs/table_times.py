@@ -1,6 +1,7 @@
 """Reads the times of a table: dates and times of day, seconds of a day or week, and times since 1970 in any unit."""
 
 import re
+from contextlib import suppress
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
@@ -24,6 +25,7 @@ _STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\
 _COMPACT_STAMP = re.compile(r"(\d{4})-?(\d\d)-?(\d\d)[T_ -](\d\d)[:-]?(\d\d)[:-]?(\d\d)(?!\d)")  # 20260504T101112.5
 _UNDERSCORED_STAMP = re.compile(r"(\d{4})_(\d\d?)_(\d\d?)_(\d\d?)_(\d\d)_(\d\d)(?:_(\d+))?")  # 2026_05_04_10_11_12_500
 _NUMERIC_DATE = re.compile(r"(?<!\d)(\d\d?)[/-](\d\d?)[/-](\d{4}|\d\d)(?!\d)")
+_YEAR_LAST = re.compile(r"(?:[^\W\d]+\.? )?([^\W\d]{3,}) +(\d\d?) (\d.*) (\d{4})")  # Mon May 04 10:11:12 GMT+02:00 2026
 _MONTH_FIRST = re.compile(r"([^\W\d]{3,})\.? (\d\d?)[,.]? +(\d{4})(?!\d)")  # May 4, 2026
 # 04-May-2026, as MATLAB writes it, or Mon, 4 May 2026, as in RFC 5322
 _NAMED_MONTH = re.compile(r"(?:[^\W\d]+\.?,? )?(?<!\d)(\d\d?)[- ]([^\W\d]{3,})\.?[- ](\d{4}|\d\d)(?![\d:])")
@@ -52,6 +54,7 @@ def month_number(name: str) -> int | None:
 def read_stamps(file: Path, cells: list[str], warnings: list[str]) -> np.ndarray | None:
     """Seconds (n,) of a column of dates and times of day, NaN for other cells; None if the first cell is not a time.
     Times of day continue past midnight."""
+    cells = [_YEAR_LAST.sub(r"\2 \1 \4 \3", cell) for cell in cells]
     if (match := _MONTH_FIRST.search(cells[0])) and month_number(match[1]):
         cells = [_MONTH_FIRST.sub(r"\2 \1 \3", cell) for cell in cells]
     if (match := _NAMED_MONTH.search(cells[0])) and month_number(match[2]):
@@ -64,6 +67,18 @@ def read_stamps(file: Path, cells: list[str], warnings: list[str]) -> np.ndarray
     seconds, periods = np.array([parse_stamp(cell) or (np.nan, 0.0) for cell in cells]).T
     for period in {DAY, HOUR}.intersection(periods):
         seconds[periods == period] += period * count_rollovers(seconds[periods == period], period / 2)
+    return seconds
+
+
+def pad_fractions(file: Path, seconds: np.ndarray, cells: list[str], warnings: list[str]) -> np.ndarray:
+    """Seconds of cells such as 17.5000000 for 17 s and 5 ms, with zeros added; `seconds` if these do not increase."""
+    parts = [cell.partition(".") for cell in cells]
+    width = max(len(fraction) for _, _, fraction in parts)
+    padded_cells = [f"{whole}.{fraction.zfill(width)}" for whole, _, fraction in parts]
+    with suppress(ValueError):  # a cell is not a number
+        if (np.diff(padded := np.array(padded_cells, float)) > 0.0).all():
+            warnings.append(f"{file}: zeros were added after the point of times, as in {padded_cells[1]}")
+            return padded
     return seconds
 
 
@@ -113,8 +128,8 @@ def parse_stamp(text: str) -> tuple[float, float] | None:
 
 def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warnings: list[str]
                        ) -> tuple[np.ndarray, ColumnSource]:
-    """(times [s] without rollovers, their source). Times are in the stated unit, or HHMMSS, days, or ms, us, ns since
-    1970. A column declared as HHMMSS that contains other times is read as seconds, as if it had no stated unit."""
+    """(times [s] without rollovers, their source). Times are in the stated unit, or HHMMSS, days, or ms to ns since a
+    fixed date. A column declared as HHMMSS that contains other times is read as seconds, as if it had no unit."""
     finite = times[np.isfinite(times)]
     if source.unit == HHMMSS and not _is_mostly_hhmmss(finite):
         warnings.append(f"{file}: its times are not HHMMSS; they were read as if no unit were stated")
@@ -185,7 +200,7 @@ def _is_hhmmss(times: np.ndarray) -> bool:
 
 
 def select_usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, first_time: str | None,
-                         warnings: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+                        warnings: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(whether each row has a time, the times [ns], whether each is usable). Raises RunError for invalid times."""
     has_time = np.abs(seconds) <= LATEST_TIME
     if first_time is not None and len(seconds) and not np.isfinite(seconds).any():

@@ -104,8 +104,8 @@ def _find_sources(file: Path, names: list[str], sections: dict[str, str], layout
 
 
 def _correct_coordinates(table: Table) -> Table:
-    """Makes longitude positive to the east. Degrees are recognised by the place: in minutes of arc they would be at
-    sea. Speed and course show whether longitude is positive to the east already."""
+    """Makes longitude positive to the east. Angles are in degrees if, in minutes of arc, they would be at sea
+    (Gulf of Guinea). Speed and course show whether longitude is already positive to the east."""
     columns, warnings = dict(table.columns), list(table.warnings)
     if not columns.keys() >= {"latitude", "longitude"}:
         return table
@@ -123,7 +123,7 @@ def _correct_coordinates(table: Table) -> Table:
         if _compute_similarity(eastward[rows], expected[rows]) < -MIN_HEADING_AGREEMENT:
             columns["longitude"] = -columns["longitude"]
             warnings.append(f"{table.file}: according to speed and course, longitude is positive to the east, not to "
-                            "the west as in VBO files; it is read so")
+                            "the west as in VBO files; its sign is not changed")
     return replace(table, columns=columns, warnings=tuple(warnings))
 
 

@@ -191,8 +191,12 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
                        "use it without conversion: st evaluate, check, identify and discover read it directly")
     run = read_raw(source, settings)
     drive = apply_run_file(source, build_drive(source, vehicle, settings, run), vehicle)
-    coverage_warnings = check_coverage(source, drive.log)
+    warnings = [*drive.warnings, *check_coverage(source, drive.log)]
+    if drive.auxiliary.corrections:
+        warnings.append(f"{directory}: the bag contains uncorrected data; copy the corrections of the run.yaml to a "
+                        f"run.yaml next to the bag, with the entry bag: {directory.name}")
     findings = tuple(check(drive))
+    del drive  # 100 MB for an hour
     try:
         writer = BagWriter(directory, _build_metadata_records(source, vehicle, settings, run))
     except OSError as error:
@@ -219,10 +223,6 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
         writer.close()
     if writer.error:
         raise RunError(directory, writer.error, "check the disk and import again")
-    warnings = [*drive.warnings, *coverage_warnings]
-    if drive.auxiliary.corrections:
-        warnings.append(f"{directory}: the bag contains uncorrected data; copy the corrections of the run.yaml to a "
-                        f"run.yaml next to the bag, with the entry bag: {directory.name}")
     return ImportResult(counts, span_ns * 1e-9, run, tuple(warnings), findings)
 
 

@@ -44,8 +44,8 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
     if report is not None:
         steering, warning = report, _describe(report)
     elif steering is not None and _is_command(steering):
-        warning = (f"the name of {steering.topic} or of its field {steering.field} is that of a command, which the car "
-                   "follows with a delay; name a measured steering angle with --steering-topic")
+        warning = (f"{steering.topic} or its field {steering.field} is named like a command, which the car follows "
+                   "with a delay; name a measured steering angle with --steering-topic")
     run = _read_bag(source, vehicle, settings, steering)
     return replace(run, warnings=(*run.warnings, f"{source.path}: {warning}")) if warning else run
 
