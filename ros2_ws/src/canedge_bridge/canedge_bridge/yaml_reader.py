@@ -11,7 +11,7 @@ from st_core.errors import ConfigurationError, add_prefix
 
 
 def read_text(path: Path | str) -> str:
-    """The text of a file in UTF-8. Raises ConfigurationError, one line that begins with the path."""
+    """The text of a file in UTF-8. Raises ConfigurationError; its message, one line, begins with the path."""
     try:
         return Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -19,7 +19,7 @@ def read_text(path: Path | str) -> str:
 
 
 def read_document(path: Path) -> Any:
-    """The document in a file; None if empty. Raises ConfigurationError, one line that begins with the path."""
+    """The document in a file; None if empty. Raises ConfigurationError; its message, one line, begins with the path."""
     text = read_text(path)
     return add_prefix(f"{path}: ", lambda: yaml_text.load(text))
 

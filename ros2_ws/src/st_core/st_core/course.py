@@ -48,7 +48,7 @@ INITIAL_CURVATURE_ERRORS, INITIAL_SPEED_ERRORS = (1.0, 0.2), (1.0, 1.0, 0.5, 0.3
 """Initial E [m^2], in the order of the forecasts of `CourseTracker`, from leave-one-out errors of real laps."""
 SQUARED_ERROR_LIMITS = (0.01, 9.0)  # m^2; lower: accuracy of the INS, upper: limits the influence of a single error
 MAX_JUMP = 2.0  # m; the tracker restarts if displacement and distance driven differ by more than this + 10 %
-MIN_COVERAGE, MAX_COVERAGE = 1.2, 2.0  # horizons; driving time of a pass ahead of the car: required, and at most used
+MIN_COVERAGE, MAX_COVERAGE = 1.2, 2.0  # horizons; minimum and largest used driving time of a pass ahead
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,7 @@ class Course:
 
     def shift(self, east: float, north: float) -> "Course":
         """The course in a parallel map frame, in which the origin of the course is at (east, north) [m]; `origin` is
-        unchanged. Raises StCoreError, one line, for a distance beyond MAX_ORIGIN_DISTANCE."""
+        unchanged. Raises StCoreError for a distance beyond MAX_ORIGIN_DISTANCE."""
         if not (distance := math.hypot(east, north)) <= MAX_ORIGIN_DISTANCE:  # also rejects NaN
             raise StCoreError(f"the course was recorded elsewhere: the map origins are {distance / 1000.0:.1f} km "
                               f"apart (limit {MAX_ORIGIN_DISTANCE / 1000.0:g} km)")
@@ -134,7 +134,7 @@ class Course:
 
     @classmethod
     def from_yaml(cls, text: str, origin: str = "course") -> "Course":
-        """The course from the text of a file. origin: file name in errors. Raises ConfigurationError, one line."""
+        """The course from the text of a file. origin: file name in errors. Raises ConfigurationError."""
         return add_prefix(f"{origin}: ", lambda: cls._read(text),
                           "not a complete course file; write one with st course build")
 

@@ -228,7 +228,7 @@ def usable_starts(signals: LogSignals, vehicle: VehicleParameters, requested: np
     speed, yaw_rate, acceleration = signals.ins_at(requested, "velocity_x", "yaw_rate", "velocity_x_dot")
     no_ins, no_steering = np.isnan(speed) | np.isnan(acceleration), np.isnan(signals.road_wheel_angle_at(requested))
     slow = np.abs(speed + yaw_rate * vehicle.cg_to_ins_y) < minimum_speed
-    unusable = {"INS not known": no_ins, "steering not known": no_steering & ~no_ins,
+    unusable = {"INS data missing": no_ins, "steering angle missing": no_steering & ~no_ins,
                 f"slower than {minimum_speed:g} m/s": slow & ~no_ins & ~no_steering}
     return requested[~(no_ins | no_steering | slow)], _count_reasons(unusable)
 
@@ -299,8 +299,8 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
     complete, has_ended = inputs_known[:, -1], times[:, -1] > signals.log.common_span_ns[1]
     known_ins = np.isfinite(acceleration).all(axis=1)
     incomplete = {"the recording ends before the horizon": has_ended,
-                  "INS not known over the horizon": ~known_ins & ~has_ended,
-                  "steering not known over the horizon": known_ins & ~complete & ~has_ended}
+                  "INS data missing within the horizon": ~known_ins & ~has_ended,
+                  "steering angle missing within the horizon": known_ins & ~complete & ~has_ended}
     conditions = {
         "speed": speed[:, ::2].mean(axis=1), "lateral_acceleration": (speed * yaw_rate)[:, ::2].mean(axis=1),
         "velocity_x_dot": acceleration[:, ::2].mean(axis=1),

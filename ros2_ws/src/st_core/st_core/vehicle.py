@@ -130,7 +130,7 @@ class VehicleParameters:
 
     @property
     def speed_scale(self) -> float:
-        """Factor for speed limits of small cars, sqrt(wheelbase / 2 m), at most 1 [1]; its square is the factor for
+        """Factor for speed limits of scale models, sqrt(wheelbase / 2 m), at most 1 [1]; its square is the factor for
         radii. If both are scaled, the lateral acceleration v^2 / R at the limits does not depend on the size."""
         return min(1.0, math.sqrt(self.wheelbase / 2.0))
 
@@ -157,7 +157,7 @@ class VehicleParameters:
 
         origin: name shown in errors, usually the path. A missing lambda_ky of a tyre is derived from the cornering
         stiffness of its axle at the static load of one tyre (`tyres.stiffness_scale`).
-        Raises ConfigurationError, one line: origin, key, what is wrong, the limit and what to do.
+        Raises ConfigurationError with one line: origin, key, what is wrong, the limit and what to do.
         """
         return add_prefix(f"{origin}: ", lambda: cls.from_document(load(text)))
 

@@ -72,7 +72,7 @@ for _kind in ("int", "float", "timestamp"):
 
 
 def load(text: str) -> Any:
-    """The document in a text; None if empty. Raises ConfigurationError, one line, for invalid or rejected YAML."""
+    """The document in a text; None if empty. Raises ConfigurationError, with a one-line message, for invalid YAML."""
     if len(text) > MAX_CHARACTERS:
         raise ConfigurationError(f"{len(text)} characters are too many for a configuration (limit {MAX_CHARACTERS})")
     try:

@@ -126,12 +126,12 @@ def test_zero_order_hold_converges_to_interpolated_inputs(leaf):
 def test_unusable_starts_are_counted_by_reason(leaf):
     log = remove_spans(wavy_drive(), ins=(5.0, 5.5), steering=(7.0, 7.4))
     result = evaluate_log(["kinematic"], leaf, log, EvaluationSettings(SHORT))
-    assert result.skipped["INS not known"] in (5, 6, 7) and result.skipped["steering not known"] in (3, 4, 5)
+    assert result.skipped["INS data missing"] in (5, 6, 7) and result.skipped["steering angle missing"] in (3, 4, 5)
     assert len(result.starts_ns) + sum(result.skipped.values()) == len(regular_starts(log, 0.1))
     assert sum(result.incomplete.values()) == (~result.errors["kinematic", "hindsight"].complete).sum() > 20
     assert result.incomplete["the recording ends before the horizon"] in (10, 11)
-    assert result.incomplete["INS not known over the horizon"] in (9, 10, 11)
-    assert result.incomplete["steering not known over the horizon"] in (9, 10, 11)
+    assert result.incomplete["INS data missing within the horizon"] in (9, 10, 11)
+    assert result.incomplete["steering angle missing within the horizon"] in (9, 10, 11)
     slow = EvaluationSettings(PredictionSettings(horizon=1.0, minimum_speed=9.0))
     assert evaluate_log("kinematic", leaf, log, slow).skipped["slower than 9 m/s"] > 20
 

@@ -58,7 +58,7 @@ def discover(
         None, "--propose/--no-propose", help="Search for a relation that is not in the effect library, and write it as "
         "an effect file to keep or delete; default: if the unexplained residual is large. Takes a minute."),
     seed: int = typer.Option(0, help="Seed of all random draws."),
-    jobs: int = typer.Option(1, help="Number of parallel processes.", min=1),
+    jobs: int = typer.Option(1, help="Number of parallel processes (reading) and threads (search).", min=1),
     figures: str = typer.Option("png", help="Formats of the figure files: png, pdf, svg; empty: none."),
     report: bool = typer.Option(True, help="Draw figures and write report.html."),
     force: bool = typer.Option(False, "--force", help="Also use runs in which `st check` finds an error."),

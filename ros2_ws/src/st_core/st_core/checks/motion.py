@@ -248,8 +248,8 @@ def is_near(value: float, target: float, factor: float = SAME_RATIO_FACTOR) -> b
 
 
 def compute_ratios(motion: Motion, length: float = 1.0, min_distance: float = MIN_DISTANCE) -> Ratios:
-    """Ratios of channels in windows of `length` [s], halved while the path in a window is much longer than its chord,
-    as for a small car. min_distance: smallest motion in a used window [m]."""
+    """Ratios of channels in windows of `length` [s], halved while the median change of the course
+    between windows exceeds MAX_MEDIAN_TURN, as for a scale model. min_distance: least motion in a used window [m]."""
     windows = motion.make_windows(length, max(MAX_GAP, 0.5 * length))
     displacement = windows.change(motion.position)
     distance, integrated_speed = np.abs(displacement), windows.integral(motion.speed)

@@ -183,7 +183,7 @@ def check_position_deviations(motion: Motion, findings: list[Finding]) -> list[F
     """Finding about times without jumps at which positions deviate from velocity and yaw within the horizon far more
     than usual. findings: those so far, for which `motion` is corrected."""
     windows, count = motion.make_windows(1.0), round(HORIZON)
-    # The residual of a corrected varying cause is not a separate fault.
+    # A cause that varies during the drive leaves a residual after its correction, which is not a separate fault.
     if len(windows) < MIN_DEVIATION_WINDOWS or any(f.name in VARYING_FINDINGS and f.interval is None for f in findings):
         return []
     jumps = [time for finding in findings if finding.name == "position_jumps" for time in finding.times]

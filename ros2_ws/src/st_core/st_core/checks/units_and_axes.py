@@ -374,7 +374,7 @@ def correct_length_unit(motion: Motion) -> MotionAndFinding:
 
 def _correct_distance(motion: Motion) -> MotionAndFinding:
     ratio, windows = compute_ratios(motion).position_to_speed, motion.make_windows(1.0)
-    if not np.isfinite(ratio) or _matches(ratio, 1.0) or not all(  # only noise moves on a test bench, or on a ferry
+    if not np.isfinite(ratio) or _matches(ratio, 1.0) or not all(  # on a test bench or a ferry, one of them is noise
             windows.are_coherent(displacements) for displacements in _compute_displacements(motion, motion.velocity)):
         return motion, None
     speed, length, velocity_ratio = match_unit(1.0 / ratio), match_unit(ratio, LENGTH_UNITS), 1.0 / ratio
@@ -425,7 +425,7 @@ def _compute_misfit(motion: Motion, rotated: bool = True) -> float:
 
 
 def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
-    """Correct velocities along the map axes, exchanged velocities, or a yaw of an axis other than the forward one."""
+    """Correct velocities along the map axes, exchanged velocities, or a yaw that refers to another axis."""
     measured, unrotated = _compute_displacements(motion, motion.velocity)
     if len(measured) < MIN_WINDOWS:
         return motion, None
@@ -453,8 +453,8 @@ def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
         quarter = float(np.copysign(np.pi / 2, angle))
         angle = quarter if abs(angle - quarter) < 0.1 else angle
         side = "left" if angle > 0 else "right"
-        text = (f"velocity and track point {abs(angle) * DEG_PER_RAD:.0f} deg to the {side} of yaw: is yaw that of "
-                "an axis other than forward, or measured from north?")
+        text = (f"velocity and track point {abs(angle) * DEG_PER_RAD:.0f} deg to the {side} of yaw: does yaw "
+                "refer to an axis other than forward, or is it measured from north?")
         advice, channels = Advice.correct("heading", add=angle), dict[str, Any](yaw=motion.yaw + angle)
         for x, y in (("velocity_x", "velocity_y"), ("acceleration_x", "acceleration_y")):
             if (forward := getattr(motion, x)) is not None and (lateral := getattr(motion, y)) is not None:

@@ -397,8 +397,8 @@ def _make_point_finding(point: Estimate, slip: Estimate, motion: Motion, vehicle
                         "cannot be determined")
     elif slip.interval[1] < low or slip.interval[0] > high:
         text += ", but velocity_y does not fit the rear slip of the vehicle file"
-        advice = Advice("text", "measure the INS position: rear wheels that steer differently with speed, or a "
-                        "different cornering_stiffness_rear, have the same effect")
+        advice = Advice("text", "measure the INS position: speed-dependent rear-wheel steering, or a different "
+                        "cornering_stiffness_rear, has the same effect")
     else:
         text += ", or the rear wheels steer, or the distance of the CG from the rear axle is wrong in the file"
     return _make_finding("measuring_point", ("velocity_y", "x", "y"), text, point, "m", effect, advice)

@@ -522,9 +522,9 @@ def describe_common_cause(effects: Sequence[result.FoundEffect], wheelbase: floa
     low, high = (wheelbase * (end - 1.0) for end in ratio.interval)
     if x.interval[1] < low or high < x.interval[0]:
         return ""
-    return (f"a ratio {ratio.value:.3f} times the file's and an INS {x.value:+.2f} m off its position are not named, "
-            f"because one cause explains both: rear wheels that steer by {1.0 - 1.0 / ratio.value:+.3f} times the "
-            f"front angle, or a wheelbase of {wheelbase * ratio.value:.2f} m")
+    return (f"a steering ratio {ratio.value:.3f} times the file's and an INS position {x.value:+.2f} m from the file's "
+            "are not reported as causes, because one cause explains both: rear wheels that steer by "
+            f"{1.0 - 1.0 / ratio.value:+.3f} times the front angle, or a wheelbase of {wheelbase * ratio.value:.2f} m")
 
 
 def find_parameter_across_bound(effect: result.FoundEffect) -> str:

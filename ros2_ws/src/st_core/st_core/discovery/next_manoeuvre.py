@@ -60,7 +60,7 @@ def simulate_drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: Vehicle
 
 def simulate_manoeuvres(windows: Windows, base: Model) -> Iterator[tuple[Manoeuvre, Windows]]:
     """Yields (manoeuvre, its windows before MAX_LATERAL_ACCELERATION is exceeded), for manoeuvres that the base model
-    can drive, up to MAX_SPEED_RATIO times the recorded speed. Without effects, this model suffices to compare them."""
+    can drive, up to MAX_SPEED_RATIO times the recorded speed. Manoeuvres can be compared without effects."""
     model = augment(base, {})
     fastest = MAX_SPEED_RATIO * float(np.nanquantile(windows.speeds, 0.95))
     settings = replace(windows.settings, windows=50)

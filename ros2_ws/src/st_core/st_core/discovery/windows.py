@@ -73,7 +73,7 @@ class Signals(LogSignals):
 class Batch(LogBatch):
     """A LogBatch for thousands of predictions: the integration step is checked only once, and recordings are cached for
     models that correct them in the same way. minimum_substeps: smallest number of substeps; more if the step is
-    unstable at the speeds of the drives, as for small cars."""
+    unstable at the speeds of the drives, as for scale models."""
 
     def __init__(self, vehicle: VehicleParameters, minimum_substeps: int, *arguments: Any, **options: Any):
         super().__init__(*arguments, **options)

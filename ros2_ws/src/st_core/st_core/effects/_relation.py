@@ -123,7 +123,7 @@ def _make_parameters(*constants: Parameter) -> tuple[Parameter, ...]:
 
 def fix_curve(kind: type[Effect], odd: bool = False, **values: float) -> tuple[Parameter, ...]:
     """Parameters of an effect with a fixed curve, of which only the factor `share` is fitted. kind: relation that
-    provides the hooks of the effect. odd: whether `share` is odd. values: parameters of `kind`, by name; rest null."""
+    provides the hooks of the effect. odd: see `Parameter`. values: parameters of `kind`, by name; rest null."""
     share = Parameter("share", "1", null=0.0, initial=1.0, bounds=(-3.0, 3.0), meaning="fraction of the fitted curve",
                       source="st discover --propose", odd=odd)
     return share, *(_make_constant(p.name, p.meaning, values.get(p.name, p.null))

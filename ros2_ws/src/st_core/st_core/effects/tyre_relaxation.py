@@ -3,7 +3,7 @@
 v is at least minimum_slip_speed, which makes the force decay at standstill. A time constant tau = length / v
 below 25 ms would be too stiff for steps of 50 ms. The state then has a time constant of 25 ms and a weight of
 tau / 25 ms, which results in the delay tau at low frequency. The states start at the initial slip angles. Source:
-Pacejka, Tire and Vehicle Dynamics, ch. 7, single-point contact.
+Pacejka, Tire and Vehicle Dynamics, ch. 7, single contact point.
 """
 
 from ..ops import absolute, maximum

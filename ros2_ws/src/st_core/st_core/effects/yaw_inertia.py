@@ -10,7 +10,7 @@ class YawInertia(Effect):
     kind, slot = "vehicle parameters", "body"
     confounded_with = ("mass", "steering_lag", "tyre_relaxation")
     ratio_to = ("mass",)
-    imitated_by = "a trailer, or rear wheels that steer differently at each speed"
+    imitated_by = "a trailer, or speed-dependent rear-wheel steering"
     parameter = Parameter("factor", "1", null=1.0, initial=1.15, bounds=(0.4, 2.5),
                           meaning="ratio of true inertia to the file's",
                           source="estimates from mass and wheelbase are accurate to 20 %", model_error=0.16)

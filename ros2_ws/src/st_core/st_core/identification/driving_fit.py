@@ -95,7 +95,7 @@ class DrivingFitSettings:
     channels: tuple[str, ...] = ("yaw_rate", "velocity_y")  # without velocity_y, predictions start from steady sideslip
 
     def for_car(self, vehicle: VehicleParameters) -> "DrivingFitSettings":
-        """These settings, with the minimum speed reduced for a small car."""
+        """These settings, with a lower minimum speed for a scale model."""
         return replace(self, minimum_speed=self.minimum_speed * vehicle.speed_scale)
 
 

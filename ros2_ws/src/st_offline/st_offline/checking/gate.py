@@ -55,7 +55,7 @@ def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettin
     """Check a bag before its replay, with its recorded built-in models and step; returns the findings.
 
     vehicle: file to use instead of the recorded vehicle (the default vehicle if none is recorded). Raises
-    RejectedRunError for errors (unless forced), RunError for an unusable bag, StCoreError for an invalid car.
+    RejectedRunError for errors (unless forced), RunError for an unusable bag, StCoreError for an invalid vehicle file.
     """
     if bag.suffix.lower() == ROS1_EXTENSION:
         raise RunError(bag, "the nodes cannot receive ROS 1 messages",
@@ -71,8 +71,8 @@ def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettin
     run = read(RunSource(bag.stem, "bag", (bag,)), settings=settings)
     car, recorded, _ = find_configuration(run.provenance["recorded"], vehicle)
     # The bag is read before its vehicle is known: a steering-wheel angle is read with a ratio of 1 and converted here.
-    is_wheel_angle = settings.steering is not None and settings.steering.quantity == "wheel"
-    log = run.log.with_steering(car) if is_wheel_angle else run.log
+    is_steering_wheel_angle = settings.steering is not None and settings.steering.quantity == "wheel"
+    log = run.log.with_steering(car) if is_steering_wheel_angle else run.log
     predictor = recorded.nodes.get("predictor", {})
     models = [model for model in predictor.get("models", MODELS) if model in MODELS]
     findings = check_log(log, car, run.auxiliary, models, predictor.get("step", STEP)).findings

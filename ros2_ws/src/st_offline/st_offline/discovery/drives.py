@@ -58,7 +58,7 @@ class Request:
     read_settings: ReadSettings = field(default_factory=ReadSettings)
     effects: Path | None = None  # folder of user-defined effects
     output: Path | None = None  # folder, None for runs/discover-<time>
-    jobs: int = 1  # number of processes
+    jobs: int = 1  # number of processes that read, and of threads that search
     formats: tuple[str, ...] = ()  # formats of the figure files
     report: bool = True  # whether to write a page
     use_cache: bool = True  # whether to read and write cached results
