@@ -83,7 +83,7 @@ class CounterCheck:
         return step == 1
 
     def skip(self, time_ns: int) -> None:
-        """Treats a frame with a wrong checksum as if it had the next counter value."""
+        """Treats a frame with a wrong checksum, or one not decoded, as if it had the next counter value."""
         if self._last is not None:
             self._last = (self._last + 1) & self._field.mask
             self._last_ns = time_ns

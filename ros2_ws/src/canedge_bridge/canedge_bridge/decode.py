@@ -78,14 +78,19 @@ class Decoder:
     def statistics(self, message: str) -> MessageStatistics:
         return self._states[self.table.messages[message].key].statistics
 
-    def decode(self, frame: can.Message, time_ns: int) -> DecodedFrame | None:
-        """The signals of a frame received at time_ns; None if skipped, rejected, withheld or without known signals."""
+    def decode(self, frame: can.Message, time_ns: int, needed_only: bool = False) -> DecodedFrame | None:
+        """The signals of a frame received at time_ns; None if skipped, rejected, withheld or without known signals.
+        needed_only: skip optional messages, to catch up with a backlog of frames."""
         reason = "error" if frame.is_error_frame else "remote" if frame.is_remote_frame else "unknown"
         state = self._states.get((frame.arbitration_id, frame.is_extended_id)) if reason == "unknown" else None
         if state is None:
             self.skipped[reason] += 1
             return None
         spec, statistics = state.spec, state.statistics
+        if needed_only and not spec.is_needed:
+            if state.counter is not None:
+                state.counter.skip(time_ns)
+            return None
         data = strip_padding(bytes(frame.data), spec.dbc.length)
         if data is None:
             statistics.wrong_length += 1

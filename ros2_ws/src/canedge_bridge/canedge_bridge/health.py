@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from st_ros.diagnostics import ERROR, OK, WARN, Check
+from st_ros.polling import MAX_BACKLOG
 
 from .decode import Decoder
 from .receiver import BusState, ReceiverStatus
@@ -52,6 +53,9 @@ class Health:
             "receive delay median [ms]": 1e3 * status.delay, "receive delay maximum [ms]": 1e3 * status.delay_maximum,
         }
         text = f"{self._bus_name} {status.state}" + (f": {status.reason}" if status.reason else "")
+        if status.state is BusState.OK and status.delay > MAX_BACKLOG:
+            return Check("bus", WARN, f"{text}: frames are processed {status.delay:.1f} s after their stamps, optional "
+                         "messages are omitted; the computer is busy, or the adapter's clock differs", values)
         return Check("bus", _LEVELS[status.state], text, values)
 
     def _check_signals(self) -> Check:
@@ -64,7 +68,7 @@ class Health:
             age = None if last_seen_ns is None else (now_ns - last_seen_ns) * 1e-9
             for signal in message.signals:
                 values[f"{signal.name} ({message.name}) age [s]"] = "no good frame yet" if age is None else age
-            fault = "no good frame yet" if age is None else f"no good frame for {age:.1f} s"
+            fault = "no good frame yet" if age is None else f"newest good frame is {age:.1f} s old"
             text = f"{', '.join(s.name for s in message.signals)} ({message.name}): {fault}"
             if message.is_needed and (age is None or age > message.timeout):
                 missing.append(text)

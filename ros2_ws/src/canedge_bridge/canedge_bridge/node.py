@@ -16,7 +16,7 @@ from st_msgs.msg import CanFrames, InsOnCan, Steering, WheelSpeeds
 from st_ros import parameters, spin
 from st_ros.diagnostics import Diagnostics
 from st_ros.parameters import ConfigurationError, Parameter
-from st_ros.polling import SAMPLE_QOS, OnDemandPublisher, create_steady_timer, from_nanoseconds
+from st_ros.polling import MAX_BACKLOG, SAMPLE_QOS, OnDemandPublisher, create_steady_timer, from_nanoseconds
 from std_msgs.msg import Header
 
 from .decode import DecodedFrame, Decoder, SteeringCalibration
@@ -71,6 +71,7 @@ class CanedgeBridge(Node):
         if settings.publish_frames:
             self._can_frames = self.create_publisher(CanFrames, "can/frames", SAMPLE_QOS)
             create_steady_timer(self, FRAMES_PERIOD, self._publish_frames)
+        self._has_kernel_stamps = settings.interface in ("socketcan", "udp_multicast")  # on the host's clock
         self._receiver = Receiver(
             self._open, self._on_frame, on_state=self._on_state, on_error=self._on_error,
             silence=settings.silence_after,
@@ -114,7 +115,8 @@ class CanedgeBridge(Node):
     def _on_frame(self, frame: can.Message, time_ns: int) -> None:
         if self._settings.publish_frames:
             self._frames.append(serialise_frame(frame, time_ns))
-        decoded = self._decoder.decode(frame, time_ns)
+        is_late = self._has_kernel_stamps and (time.time_ns() - time_ns) * 1e-9 > MAX_BACKLOG
+        decoded = self._decoder.decode(frame, time_ns, needed_only=is_late)
         if decoded is not None:
             self._publish(decoded)
 

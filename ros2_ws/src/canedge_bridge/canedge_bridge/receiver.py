@@ -154,7 +154,7 @@ class Receiver:
                 self._set_state(BusState.SILENT, f"{text}, no frame yet")
         elif state is not None:
             self._set_state(state, f"{text}; check the bit rate and the wiring")
-        elif (self._status.state in (BusState.OK, BusState.SILENT)
+        elif (self._status.state in (BusState.OK, BusState.SILENT, BusState.DOWN)
               and time.monotonic() - self._last_frame_at > self._silence):
             self._set_state(BusState.SILENT, "only error frames; check the bit rate and the wiring")
 

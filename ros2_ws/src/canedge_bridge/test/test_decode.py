@@ -254,3 +254,13 @@ def test_values_that_cannot_be_encoded_are_rejected(decoder):
         decoder.encode("Leaf_Steering", {"wheel": 1.0})
     with pytest.raises(KeyError, match="Unknown"):
         decoder.encode("Unknown", {})
+
+
+def test_optional_messages_skipped_in_a_backlog_do_not_count_as_lost(decoder):
+    for number in range(4):
+        frames = [decoder.encode(name, {signal: 1.0}, number) for name, signal in (
+            ("Leaf_Steering", "steering_wheel_angle"), ("Leaf_WheelSpeedFront", "vehicle_speed"))]
+        results = [decoder.decode(frame, number * 10_000_000, needed_only=number == 2) for frame in frames]
+        assert [result is not None for result in results] == [True, number != 2]
+    wheels = decoder.statistics("Leaf_WheelSpeedFront")
+    assert (wheels.good, wheels.bad, wheels.lost) == (3, 0, 0)

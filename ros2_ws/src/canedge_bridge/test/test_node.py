@@ -155,9 +155,24 @@ def test_missing_frames_are_reported_until_they_return(rig):
     assert float(run.check("signals")[2]["steering_wheel_angle (Leaf_Steering) age [s]"]) < 0.2
     assert run.spin(lambda: run.check("bus")[0] == WARN)
     assert run.spin(lambda: run.check("signals")[0] == ERROR)
-    assert "steering_wheel_angle (Leaf_Steering): no good frame for" in run.check("signals")[1]
+    assert "steering_wheel_angle (Leaf_Steering): newest good frame is" in run.check("signals")[1]
     run.next_message("vehicle/steering", run.steer)
     assert run.spin(lambda: run.check("bus")[0] == OK and run.check("signals")[0] == OK, feed=run.steer)
+
+
+def test_node_without_processor_time_reports_the_delay_of_its_frames(rig):
+    run = rig()
+    run.next_message("vehicle/steering", run.steer)
+    assert run.check("bus")[0] in (None, OK, WARN) and "are processed" not in run.check("bus")[1]
+    run.process.send_signal(signal.SIGSTOP)
+    for _ in range(300):
+        run.steer()
+    time.sleep(0.5)
+    run.process.send_signal(signal.SIGCONT)
+    run.messages("vehicle/steering", 300)
+    text = "optional messages are omitted; the computer is busy"
+    assert run.spin(lambda: text in run.check("bus")[1], feed=run.steer)
+    assert run.check("bus")[0] == WARN
 
 
 @pytest.mark.parametrize("mode", ["warn", "drop"])

@@ -135,6 +135,13 @@ def test_bus_with_nothing_but_error_frames_is_silent(has_frames, bus, start_rece
     assert wait_until(lambda: receiver.status().state is BusState.OK)
 
 
+def test_interface_that_was_down_is_up_again_when_it_receives_error_frames(start_receiver, wait_until):
+    receiver = start_receiver(lambda: ScriptedBus([DOWN, *[error_frame(0x008)] * 3]), silence=0.05)
+    assert wait_until(lambda: receiver.status().error_frames == 3)
+    assert receiver.states[1][0] is BusState.DOWN
+    assert receiver.status().state is BusState.SILENT and "only error frames" in receiver.status().reason
+
+
 def test_bus_absent_at_the_start_is_reported_once_and_opened_later(start_receiver, wait_until):
     present = threading.Event()
 

@@ -37,6 +37,7 @@ MESSAGE_TYPES = {
     "ncom": Ncom, "odometry": Odometry, "imu": Imu, "nav_sat_fix": NavSatFix, "velocity": TwistWithCovarianceStamped,
     "time_reference": TimeReference, "status": InsStatus, "trigger": Trigger, "origin": NavSatFix}
 """Topic under ins/ -> type of its messages."""
+DERIVED_TOPICS = ("imu", "nav_sat_fix", "velocity", "time_reference")
 
 
 class Publishers:
@@ -76,6 +77,11 @@ class Publishers:
             return OnDemandPublisher(None)
         self._publishers.append(self._node.create_publisher(type_, name, qos))
         return OnDemandPublisher(self._publishers[-1])
+
+    def pause_derived(self, is_paused: bool) -> None:
+        """Set whether to omit the frequent messages that can be computed from raw packets or odometry."""
+        for publisher in (self._tf, *(self._outputs[name] for name in DERIVED_TOPICS)):
+            publisher.is_paused = is_paused
 
     def destroy(self) -> None:
         for publisher in self._publishers:

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from st_ros.diagnostics import ERROR, OK, WARN, Check
+from st_ros.polling import MAX_BACKLOG
 
 from .motion import UNIT, Accuracy, Origin, compute_variances
 from .ncom import BLOCKED, EXPIRED, LOCKED, LOCKING, STATUS_RULES, describe_mode, rank_mode
@@ -30,6 +31,7 @@ class Health:
     The node updates the public attributes. navigation_status: newest defined status of a packet that is not a trigger.
     last_packet_at: time of receipt on the monotonic clock [s]. failures: number of packets that could not be
     published. incomplete_packets: number of packets with a fix, but with an invalid position, velocity, angle or rate.
+    backlog: longest time from receipt to processing since the last report [s].
     """
 
     def __init__(self, parser: NcomParser, status: StatusTracker, origin: Origin, statistics: StreamStatistics,
@@ -38,6 +40,7 @@ class Health:
         self.navigation_status: int | None = None
         self.last_packet_at = _NEVER
         self.failures = self.incomplete_packets = 0
+        self.backlog = 0.0
         self._best_mode: int | None = None
         self._parser, self._status, self._origin, self._statistics = parser, status, origin, statistics
         self._source, self._silence_after = source, silence_after
@@ -81,6 +84,7 @@ class Health:
     def _check_stream(self, source: SourceStatus) -> Check:
         (rate, longest), counters = self._statistics.summarise_steps(), self._parser.counters
         age = time.monotonic() - self.last_packet_at
+        backlog, self.backlog = self.backlog, 0.0
         faults = {
             "checksum errors": counters.checksum_errors, "skipped bytes": counters.skipped_bytes,
             "late": counters.late, "gaps": self._statistics.gaps,
@@ -93,7 +97,7 @@ class Health:
             "rate [Hz]": rate, "longest step [s]": longest, "packets": counters.packets, **faults,
             "inner checksum warnings": counters.inner_checksum_warnings, "duplicates": counters.duplicates,
             "triggers": counters.triggers, "reserved navigation status": counters.unknown_statuses,
-            "unknown channels": counters.unknown_channels, "age [s]": age,
+            "unknown channels": counters.unknown_channels, "age [s]": age, "backlog [s]": backlog,
         }
         if source.is_done:
             return Check("stream", OK, "replay finished", values)
@@ -101,12 +105,17 @@ class Health:
             return Check("stream", ERROR, f"no NCOM packet yet ({source.name}: {source.datagrams} datagrams "
                          "received); check the address and port to which the unit sends, and the cable", values)
         if age > self._silence_after:
-            return Check("stream", ERROR, f"no packet for {age:.1f} s: check the unit, the cable, and that no other "
-                         "program uses the port", values)
+            advice = ": check the unit, the cable, and that no other program uses the port"
+            return Check("stream", ERROR if self._is_live else WARN,
+                         f"no packet for {age:.1f} s" + (advice if self._is_live else " in the recording"), values)
         problems = [f"{count} {'late packets' if name == 'late' else name}" for name, count in increments.items()
                     if count > 0]
+        problems = [", ".join(problems) + " since the last report"] if problems else []
+        if backlog > MAX_BACKLOG:
+            problems.append(f"packets are processed {backlog:.1f} s after their receipt, because the computer is busy; "
+                            "derived topics are omitted meanwhile")
         if problems:
-            return Check("stream", WARN, ", ".join(problems) + " since the last report", values)
+            return Check("stream", WARN, "; ".join(problems), values)
         return Check("stream", OK, f"{rate:.0f} packets/s", values)
 
     def _check_solution(self) -> Check:

@@ -11,6 +11,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from st_ros import parameters, spin
 from st_ros.diagnostics import Diagnostics
 from st_ros.parameters import ConfigurationError, Parameter
+from st_ros.polling import MAX_BACKLOG
 
 from .convert import MESSAGE_TYPES, Publishers
 from .geometry import LocalFrame, Vector
@@ -169,6 +170,9 @@ class OxtsBridge(LifecycleNode):
     def _process(self, received: ReceivedPacket, received_ns: int, publishers: Publishers, publish: bool) -> None:
         now = time.monotonic()
         self._health.last_packet_at = now
+        backlog = (time.time_ns() - received_ns) * 1e-9
+        self._health.backlog = max(self._health.backlog, backlog)
+        publishers.pause_derived(backlog > MAX_BACKLOG)
         if publish and received.order != DUPLICATE:
             publishers.publish_raw(received)
         if received.order not in (NEW, SAME):

@@ -2,6 +2,7 @@
 
 import math
 import random
+import signal
 import socket
 import time
 
@@ -179,6 +180,24 @@ def test_interruption_is_reported_until_packets_return(rig, drive):
         return rig.check("stream")[0] in (OK, WARN)
 
     assert rig.spin(is_received)
+
+
+def test_node_without_processor_time_omits_derived_topics_and_reports_it(rig, drive):
+    rig = rig()
+    packets = drive(110, step_ms=10)
+    rig.send(*packets[:10])
+    rig.messages("ins/imu", 10)
+    rig.process.send_signal(signal.SIGSTOP)
+    rig.send(*packets[10:100])
+    time.sleep(0.5)
+    rig.process.send_signal(signal.SIGCONT)
+    rig.messages("ins/odometry", 100)
+    rig.messages("ins/ncom", 100)
+    assert rig.spin(lambda: "after their receipt, because the computer is busy" in rig.check("stream")[1])
+    assert rig.check("stream")[0] == WARN
+    rig.send(*packets[100:])
+    rig.messages("ins/odometry", 110)
+    assert len(rig.messages("ins/imu", 20)) < 30
 
 
 def test_packets_of_other_senders_are_ignored(rig, drive):

@@ -112,7 +112,8 @@ def test_content_of_the_model_description(tmp_path, augmented):
     assert "augmented_step.casadi" in readme and "Not in the equations: steering_delay" in readme
 
 
-@pytest.mark.parametrize(("run_count", "levels"), [(10, (0.5, 0.9)), (5, (0.5, 0.8))])
+@pytest.mark.parametrize(("run_count", "levels"), [
+    (10, {0.5: "50", 0.9: "90"}), (5, {0.5: "50", 0.8: "80"}), (5, {0.5: "50", 0.754: "75_4"})])
 def test_bands_are_exported_as_functions_of_state_and_inputs(tmp_path, run_count, levels):
     rng = np.random.default_rng(1)
     time = 0.5 * np.arange(1, 11)
@@ -122,15 +123,15 @@ def test_bands_are_exported_as_functions_of_state_and_inputs(tmp_path, run_count
     settings, key = EvaluationSettings(PredictionSettings(step=0.5)), ("linear", "hindsight")
     bands = Bands(vehicle().name, vehicle().hash, settings.as_dict(), {"drawn": "0" * 64}, len(runs),
                   CalibrationDomain.from_runs([one.conditions for one in runs]),
-                  {key: calibrate(runs, key, time, levels)},
+                  {key: calibrate(runs, key, time, tuple(levels))},
                   {"linear": hash_configuration(vehicle(), settings.as_dict(), "")})
     file, out = tmp_path / "bands.yaml", tmp_path / "out"
     file.write_text(bands.to_yaml())
     assert export("linear", "--bands", file, "--output", out).exit_code == 0
     ins_v_x = STATE[2] - STATE[5] * vehicle().cg_to_ins_y
     start = compute_conditions(np.array([ins_v_x]), np.array([STATE[5]]), np.array([INPUTS[1]]), np.array([0.02]))
-    for level in levels:
-        exported = casadi.Function.load(str(out / f"linear_band_hindsight_{100 * level:.0f}.casadi"))
+    for level, name in levels.items():
+        exported = casadi.Function.load(str(out / f"linear_band_hindsight_{name}.casadi"))
         np.testing.assert_allclose(np.array(exported(STATE, INPUTS, 0.02)),
                                    bands.half_widths("linear", "hindsight", start, level)[0, 1:], rtol=1e-9)
     description = json.loads((out / "model.json").read_text())

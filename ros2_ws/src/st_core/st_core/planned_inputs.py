@@ -42,6 +42,8 @@ class PlannedInputs:
     slip_free_angle: np.ndarray | None = None  # (n,) [rad], only in a plan `from_path`
 
     def __post_init__(self) -> None:
+        if not np.isfinite([*np.ravel(self.time_ns), self.issued_ns]).all():
+            raise StCoreError("plan: a time is not finite")
         time_ns = np.asarray(self.time_ns, np.int64)
         if (time_ns != self.time_ns).any():
             raise StCoreError("plan: the times are not whole nanoseconds: multiply seconds by 1e9 and round")

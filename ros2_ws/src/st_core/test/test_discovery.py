@@ -498,6 +498,11 @@ def test_discovery_without_a_run_that_is_long_enough_is_rejected(leaf):
             discover(runs, leaf, settings=FEW)
 
 
+def test_effects_cannot_be_fitted_without_drives(leaf):
+    with pytest.raises(StCoreError, match="drives: none given; at least one is needed"):
+        fit_effects([], leaf, "linear", ("steering_ratio",))
+
+
 def test_two_runs_with_the_same_name_are_rejected(leaf):
     (run,) = recorded(leaf, {}, 9, ("step",))
     for call in (lambda runs: discover(runs, leaf, "linear"), lambda runs: fit_effects(runs, leaf, "linear", ())):

@@ -286,7 +286,8 @@ def test_small_slip_angles_do_not_determine_the_peak(leaf):
     (lambda d: replace(d, force=0.0 * d.force), "reaches 0 times the load"),
     (lambda d: replace(d, force=np.abs(d.force)), "columns exchanged, or is a sign missing?"),
     (lambda d: replace(d, load=d.load * 2.0), "no load near nominal_load 4250 N"),
-    (lambda d: select_rows(d, slice(5)), "5 of 5 rows have a load above 0"),
+    (lambda d: select_rows(d, slice(5)), "5 of 5 rows have a finite load above 0"),
+    (lambda d: select_rows(replace(d, load=d.load * np.inf), slice(12)), "0 of 12 rows have a finite load above 0"),
     (lambda d: select_rows(replace(d, slip=np.radians(8.0) * np.sign(d.slip)), slice(None, None, 4)),
      "different slip angles at"),
 ])

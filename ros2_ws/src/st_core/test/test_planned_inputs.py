@@ -102,6 +102,8 @@ def test_path_with_arrays_of_unequal_length_is_rejected(leaf):
 @pytest.mark.parametrize(("time_ns", "reason"), [
     (np.zeros(0, int), r"plan: 0 point\(s\); at least two are needed"),
     (plan().time_ns[::-1], "plan: the times are not increasing"),
+    (np.array([0.0, np.nan, 1e9]), "plan: a time is not finite"),
+    (np.array([0.0, 1e9, np.inf]), "plan: a time is not finite"),
     (np.linspace(0.0, 6.0, 61), "plan: the times are not whole nanoseconds: multiply seconds by 1e9 and round"),
 ])
 def test_invalid_times_are_rejected(leaf, time_ns, reason):

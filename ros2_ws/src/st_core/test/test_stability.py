@@ -110,6 +110,17 @@ def test_live_predictor_warns_at_construction(stiff_car):
         Predictor(stiff_car, ("linear",), PredictionSettings(minimum_speed=1.0))
 
 
+def test_prediction_warns_once_about_a_long_step_and_bridges_it_with_substeps(car):
+    start = VehicleState(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    with pytest.warns(StepTooLongWarning, match="steps of 500 ms are too long at 1.00 m/s") as caught:
+        for _ in range(2):
+            predict("linear", car, start, ControlInput(0.05, 0.0), step=0.5)
+    assert len(caught) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        predict("linear", car, start, ControlInput(0.05, 0.0), step=0.5, substeps=10)
+
+
 def test_extra_states_are_included_in_the_modes(leaf):
     model = augment("linear", {"tyre_relaxation": {"length": 0.2}})
     modes = lateral_modes(model, leaf, 20.0)

@@ -24,7 +24,7 @@ from .suite import Parameters, Suite, SuiteError, find_executable, find_free_udp
 T = TypeVar("T")
 REPLAY_NODES = ("recorder", "evaluator", "predictor")  # in the order of their start: subscribers first
 TRUNCATION_WARNING = "{} was not closed by its recorder: its end may be missing and cannot be {}"
-LEAF_TIMEOUT = 20.0  # s within which the virtual Leaf must start to transmit
+LEAF_TIMEOUT = 60.0  # s within which the virtual Leaf must start to transmit
 
 
 def resolve_vehicle_file(file: Path | None) -> Path:
@@ -180,4 +180,4 @@ class VirtualCar:
         leaf = suite.start("virtual_leaf", [find_executable("st_sim", "virtual_leaf"), *arguments])
         if line := leaf.wait_for('"sending"', LEAF_TIMEOUT):
             return json.loads(line)["duration"]
-        raise SuiteError(leaf.read_reason() or "the virtual Leaf did not start")
+        raise SuiteError(leaf.read_reason() or f"virtual Leaf: no data within {LEAF_TIMEOUT:g} s; the computer is busy")

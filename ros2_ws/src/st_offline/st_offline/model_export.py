@@ -44,7 +44,7 @@ def export_model(model: Model, vehicle: VehicleParameters, folder: Path, kind: F
         files = [folder / f"{symbolic.name}.c", folder / f"{symbolic.name}.h"]
     for (model_name, mode), band in bands.bands.items() if bands else ():
         for level in {*LEVELS, max(band.factors)} & band.factors.keys() if model_name == model.name else ():
-            name = f"{model.name}_band_{mode}_{100 * level:.0f}"
+            name = f"{model.name}_band_{mode}_{100 * level:g}".replace(".", "_")
             files.append(folder / f"{name}.casadi")
             make_half_width_function(band, level, model.effective_vehicle(vehicle), name).save(str(files[-1]))
     description = make_description(symbolic, model, vehicle, [f.name for f in files])

@@ -24,6 +24,9 @@ UNRESOLVED_PREFIX = "_NODE_NAME"  # prefix of the placeholder for a name that di
 UNRESOLVED_NODE = "a node whose name is not known yet"  # text shown for such a node
 SUBSCRIBER_COUNT_PERIOD = 0.05  # s between counts of subscribers, because a count takes as long as filling a message
 SAMPLE_QOS = QoSProfile(depth=1000)  # 4 s at 250 Hz, so that a briefly blocked subscriber loses no message
+# s from receipt to processing; after that, bridges omit what predictions do not need, to catch up. Half of 0.2 s
+# (stale_after), the age of samples at which predictions stop.
+MAX_BACKLOG = 0.1
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # late subscribers get the last message
 
 
@@ -89,19 +92,21 @@ def wait_for_any(node: Node, subscriptions: Sequence[PolledSubscription], second
 
 
 class OnDemandPublisher:
-    """Publisher for messages that are filled only while it has subscribers. publisher: None if disabled."""
+    """Publisher for messages that are filled only while it has subscribers and is not paused. publisher: None if
+    disabled."""
 
     def __init__(self, publisher: Publisher | None):
         self._publisher = publisher
+        self.is_paused = False
         self._count_time = float("-inf")
         self._has_subscribers = False
 
     def has_subscribers(self) -> bool:
-        """Whether the topic has subscribers, counted at most every SUBSCRIBER_COUNT_PERIOD; False if disabled."""
+        """Whether the topic has subscribers, counted every SUBSCRIBER_COUNT_PERIOD; False if disabled or paused."""
         if self._publisher is not None and (now := time.monotonic()) - self._count_time > SUBSCRIBER_COUNT_PERIOD:
             self._count_time = now
             self._has_subscribers = self._publisher.get_subscription_count() > 0
-        return self._has_subscribers
+        return self._has_subscribers and not self.is_paused
 
     def publish(self, message: Any) -> None:
         if self._publisher is not None:

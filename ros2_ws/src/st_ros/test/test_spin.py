@@ -162,6 +162,14 @@ def test_invalid_parameter_file_is_rejected_with_exit_status_2(processes: Proces
     assert "invalid.yaml" in processes.log("talker")
 
 
+def test_middleware_that_is_not_installed_is_one_line_with_exit_status_2(processes: Processes) -> None:
+    processes.environment["RMW_IMPLEMENTATION"] = "rmw_unknown_cpp"
+    node = processes.start([sys.executable, "-c", "import st_ros.spin"], "middleware")
+    assert node.wait(30) == 2
+    log = processes.log("middleware")
+    assert log.startswith("RMW_IMPLEMENTATION: rmw_unknown_cpp is not installed; use rmw_") and log.count("\n") == 1
+
+
 @pytest.mark.parametrize("kind", ["message", "raw"])
 def test_polled_subscription_receives_all_messages_in_order_up_to_the_last(processes: Processes, kind: str) -> None:
     """The last message is published by close(), after the signal."""

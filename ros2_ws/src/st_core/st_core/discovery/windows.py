@@ -103,7 +103,7 @@ def _remember(cache: OrderedDict, key: tuple, value: Any, size: int = RECORDING_
 
 
 class Windows:
-    """The n windows of the runs. Raises StCoreError for a duplicate name, and if no run has both INS and steering.
+    """The n windows of the runs. Raises StCoreError for a duplicate name, and unless a run has both INS and steering.
 
     starts_ns: (n,) starts on the common clock [ns].
     run, block: (n,) numbers of the run and of the block.
@@ -119,6 +119,8 @@ class Windows:
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DiscoverySettings):
         self.vehicle, self.settings = vehicle, settings
         self.names = tuple(run.name for run in runs)
+        if not runs:
+            raise StCoreError("drives: none given; at least one is needed")
         if len(set(self.names)) < len(runs):
             raise StCoreError(f"drives {', '.join(self.names)}: duplicate name; give each drive once")
         self.channels = tuple(c for name, c in CHANNELS.items() if name in settings.channels)

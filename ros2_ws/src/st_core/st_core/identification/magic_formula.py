@@ -70,9 +70,9 @@ class FlatPlank:
 
 def find_load_levels(data: FlatPlank) -> tuple[np.ndarray, np.ndarray]:
     """(mean load of each level (m,), ascending [N], level index of each row (n,)). Raises IdentificationError."""
-    if len(data.load) < MIN_POINTS or not (np.isfinite(data.load).all() and (data.load > 0.0).all()):
-        count = int((data.load > 0.0).sum())
-        raise IdentificationError(f"{data.tyre}: {count} of {len(data.load)} rows have a load above 0; at least "
+    count = int((np.isfinite(data.load) & (data.load > 0.0)).sum())
+    if count < max(MIN_POINTS, len(data.load)):
+        raise IdentificationError(f"{data.tyre}: {count} of {len(data.load)} rows have a finite load above 0; at least "
                                   f"{MIN_POINTS} rows are needed, all with such a load: are load and force exchanged?")
     loads = np.sort(data.load)
     level = np.searchsorted(loads[1:][np.diff(loads) > LEVEL_GAP * loads[:-1]], data.load, side="right")
