@@ -46,6 +46,7 @@ MAX_GRAVITY_RATIO = 1.2  # factor by which the mean of a vertical acceleration m
 MAX_LATITUDE = 72.0  # deg, of a road in web Mercator; the northernmost roads of Europe are at 71
 MIN_UNRELATED_WINDOWS = 20  # minimum number of windows of 1 s to report an acceleration as unrelated to the motion
 MIN_SENSOR_ANGLE, MAX_SENSOR_ANGLE = 0.1, 1.2  # rad; smaller ones change a_x and a_y by at most 10 % of each other
+MIN_ANGLE_GAIN = 0.5  # smallest advantage over a slope; Huber loss of one window with a residual at the outlier limit
 MIN_ACCELERATION_DEVIATION = 0.25  # m/s^2; minimum spread for a scale; a slope of 2.5 % has this effect
 ACCELEROMETER_ARM = 1.5  # m between accelerometer and INS point
 SEVERE_ACCELERATION_BIAS = 0.3  # m/s^2; a crossfall of 2.5 % causes a bias of 0.25
@@ -412,23 +413,26 @@ def compute_acceleration_scales(motion: Motion) -> list[Estimate]:
 def _correct_turned_accelerometer(motion: Motion) -> tuple[Motion, Finding | None]:
     """(motion with accelerations along the axes of the car, finding) if they show that the sensor is turned by an angle
     to the left, a_measured = k exp(-i angle) a + bias with a = a_x + i a_y; else (motion, None). The angles from both
-    axes must agree: a slope in bends to one side, as in a helix, changes only a_x."""
+    axes must agree, and fit better than a slope in bends to one side, as in a helix, which changes only a_x."""
     if motion.acceleration_x is None or motion.acceleration_y is None:
         return motion, None
     windows, recorded = motion.make_windows(1.0), motion.acceleration_x + 1j * motion.acceleration_y
     x, y = (windows.mean(_derive_acceleration(motion, name)) for name in ACCELERATIONS)
     derived, measured = x + 1j * y, windows.mean(recorded)
     known, ones = np.isfinite(measured), np.ones_like(derived)
-    columns = {"along": derived, "bias_x": ones, "bias_y": 1j * ones, "across": -1j * derived,
+    columns = {"along": derived, "across": -1j * derived, "bias_x": ones, "bias_y": 1j * ones,
                "x": x, "y": 1j * y, "y_in_x": y, "x_in_y": -1j * x}
     y, *terms = (np.stack((z.real, z.imag), axis=1)[known] for z in (measured, *columns.values()))
     if known.sum() < MIN_UNRELATED_WINDOWS:
         return motion, None
     problem = Regression(windows.time[known], y, dict(zip(columns, terms, strict=True)))
-    estimates, separate = problem.estimate([*columns][:4]), problem.estimate([*columns][1:3] + [*columns][4:])
+    turned, by_axis = [*columns][:4], [*columns][2:]
+    estimates, separate, (_, scale, _) = problem.estimate(turned), problem.estimate(by_axis), problem.fit(turned)
     along, across = estimates["along"].value, estimates["across"]
-    if any(separate[name].shifted(-across.value).widened(across.half_width).is_significant
-           for name in ("y_in_x", "x_in_y")):  # a scale error of one axis acts like an angle if a_x and a_y correlate
+    gain = problem.compute_loss(by_axis[:-1], scale) - problem.compute_loss(turned, scale)
+    if gain < MIN_ANGLE_GAIN or any(
+            separate[name].shifted(-across.value).widened(across.half_width).is_significant
+            for name in ("y_in_x", "x_in_y")):  # a scale error of one axis acts like an angle if a_x and a_y correlate
         return motion, None
     radians = float(np.arctan2(across.value, along))
     angle = replace(across.scaled(1.0 / max(float(np.hypot(along, across.value)), 1e-12)), value=radians)

@@ -172,9 +172,13 @@ class Windows:
         return values[self.last] - values[self.first]
 
     def integral(self, values: np.ndarray) -> np.ndarray:
-        """Integral over the time of each window."""
+        """Integral over the time of each window; NaN if a value in the window is unknown."""
         areas = 0.5 * np.diff(self.sample_times) * (values[1:] + values[:-1])
-        return self.change(np.concatenate(([0.0], np.cumsum(areas))))
+        if np.isfinite(areas.sum()):
+            return self.change(np.append(0.0, np.cumsum(areas)))
+        unknown = np.isnan(areas)
+        sums, counts = (np.append(0.0, np.cumsum(each)) for each in (np.where(unknown, 0.0, areas), unknown))
+        return np.where(self.change(counts) > 0.0, np.nan, self.change(sums))
 
     def mean(self, values: np.ndarray) -> np.ndarray:
         """Time average in each window."""
