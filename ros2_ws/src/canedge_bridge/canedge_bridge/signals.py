@@ -70,12 +70,22 @@ class SignalSpec:
         """Whether the table gives a range or a maximum rate."""
         return math.isfinite(self.maximum) or math.isfinite(self.max_rate)
 
+    @cached_property
+    def named_values(self) -> tuple[float, ...]:
+        """Values [unit of the DBC] that are no angle of the steering wheel because the DBC names them, such as SNA. A
+        DBC may give the raw values of a signed signal as unsigned numbers, such as 65535."""
+        raw = list(self.dbc.choices or ()) if self.name == "steering_wheel_angle" else []
+        if self.dbc.is_signed:
+            raw += [number - (1 << self.dbc.length) for number in raw if number >> self.dbc.length - 1 == 1]
+        return tuple(value for number in raw if (value := number * self.dbc.scale + self.dbc.offset))
+
     def to_si(self, data: Data) -> Any:
         """The signal's value in SI units (or in UNCONVERTED_UNITS), in one frame or in all frames of a log."""
         value = self.extractor.extract(data)
-        if self.dbc.choices and self.name == "steering_wheel_angle":  # a named value, such as SNA, is no angle unless 0
-            named = [angle for raw in self.dbc.choices if (angle := raw * self.dbc.scale + self.dbc.offset)]
-            value = np.where(np.isin(value, named), np.nan, value)[()]
+        if isinstance(value, np.ndarray):
+            value = np.where(np.isin(value, self.named_values), np.nan, value) if self.named_values else value
+        elif value in self.named_values:
+            value = math.nan
         if self.sign is not None:
             value = value * (1 - 2 * ((self.sign.extract(data) != 0) & self.sign.is_present(data)))
         value = self.gain * value + self.bias

@@ -158,6 +158,16 @@ def test_named_value_of_the_steering_is_no_angle(dbc_file, signals_file, tmp_pat
     assert decoder.statistics("Leaf_Steering").not_finite == 2
 
 
+def test_named_value_of_a_signed_signal_may_be_given_as_unsigned_number(dbc_file, signals_file, tmp_path):
+    path = tmp_path / "named.dbc"
+    path.write_text(dbc_file.read_text() + '\nVAL_ 2 SteeringWheelAngle 65535 "SNA" ;\n')
+    decoder = Decoder(path, signals_file)
+    for count, raw in enumerate((-1, 1)):
+        angle = decoder.table.messages["Leaf_Steering"].signals[0].dbc.scale * raw
+        decoded = decoder.decode(encode_steering(decoder, count, math.radians(angle)), count * STEP)
+        assert (decoded is None) == (raw == -1)
+
+
 def test_implausible_angle_updates_nothing(decoder):
     assert decoder.decode(encode_steering(decoder, 0, 0.0), 0) is not None
     assert decoder.decode(encode_steering(decoder, 1, math.radians(1200)), STEP) is None

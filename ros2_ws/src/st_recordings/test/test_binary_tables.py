@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +17,7 @@ from asammdf import MDF, Signal
 from scipy.io import savemat
 from st_core.log import DriveLog
 from st_recordings.runs import find_runs, read
+from st_recordings.runs.binary_table import HEAD_SIZE, read_names
 from st_recordings.runs.errors import RunError
 
 Columns = dict[str, np.ndarray]
@@ -206,6 +208,26 @@ def save_json_columns(file: Path, columns: Columns) -> None:
     file.write_text(json.dumps({"car": {"mass": 1500.0}, **pd.DataFrame(columns).to_dict("list")}))
 
 
+def save_json_split(file: Path, columns: Columns) -> None:
+    pd.DataFrame(columns).to_json(file, orient="split", double_precision=12)
+
+
+def save_json_index(file: Path, columns: Columns) -> None:
+    pd.DataFrame(columns).to_json(file, orient="index", double_precision=12)
+
+
+def save_json_rows(file: Path, columns: Columns) -> None:
+    """The names, then rows."""
+    file.write_text(json.dumps([[*columns], *np.stack([*columns.values()], axis=1).tolist()]))
+
+
+def save_json_groups(file: Path, columns: Columns) -> None:
+    """Groups with time vectors of their own."""
+    ins = {name: array.tolist() for name, array in columns.items() if name not in STEERING}
+    can = {"t": columns["t"][::2].tolist(), STEERING[0]: columns[STEERING[0]][::2].tolist()}
+    file.write_text(json.dumps({"car": "Leaf", "ins": ins, "can": can}))
+
+
 def save_parquet_with_structs(file: Path, columns: Columns) -> None:
     pd.DataFrame(nest(columns)).to_parquet(file)
 
@@ -313,6 +335,7 @@ def test_drive_of_matlab_7_3_equals_the_one_of_the_csv_file(
     (save_export_of_asammdf, ".hdf"),
     (save_parquet_with_date_index, ".parquet"), (save_parquet_with_structs, ".parquet"),
     (save_json_lines, ".jsonl"), (save_json_records, ".json"), (save_json_columns, ".json"),
+    (save_json_split, ".json"), (save_json_index, ".json"), (save_json_rows, ".json"), (save_json_groups, ".json"),
     (lambda file, columns: pd.DataFrame(columns).to_json(file, double_precision=12), ".json"),
     (lambda file, columns: pd.DataFrame(columns).to_parquet(file), ".parquet"), (save_parquet_with_index, ".parquet"),
     (lambda file, columns: pd.DataFrame(columns).to_feather(file), ".feather"), (save_arrow_stream, ".arrow")])
@@ -327,6 +350,42 @@ def test_drive_equals_the_one_of_the_csv_file(columns: Columns, tmp_path: Path,
     angle = np.interp(log.steering_time_ns, expected.steering_time_ns, expected.road_wheel_angle)
     np.testing.assert_allclose(log.road_wheel_angle, angle, atol=1e-9)
     assert len(log.steering_time_ns) in (200, 400)
+
+
+@pytest.mark.parametrize(("text", "warning", "n_lost"), [
+    (lambda rows: "\n".join(rows)[:-9], "1 records, the first in line 400, are damaged or truncated and were left", 1),
+    (lambda rows: "\n".join([*rows[:9], rows[9][:20], *rows[10:]]), "1 records, the first in line 10, are damaged", 1),
+    (lambda rows: f"[{','.join(rows)}"[:-9], "1 records, the first in line 1, are", 1),
+    (lambda rows: '{"car": {"parts": [{"a": 1}]}, "log": [\n' + ",\n".join(rows)[:-9], "the first in line 401", 1),
+    (lambda rows: "\n".join(f'{row}\n{{"topic": "gyro", "t": {k}, "z": 1}}' for k, row in enumerate(rows)),
+     r"only its records of '.no topic.' are used, not those of 'gyro' \(400\)", 0)])
+def test_json_without_its_end_or_with_records_of_other_kinds(
+        columns: Columns, tmp_path: Path, text: Callable[[list[str]], str], warning: str, n_lost: int) -> None:
+    (tmp_path / "drive.jsonl").write_text(text([*map(json.dumps, nest(columns))]))
+    run = read(find_runs([tmp_path / "drive.jsonl"])[0])
+    assert len(run.log.ins_time_ns) == 400 - n_lost and re.search(warning, "; ".join(run.warnings)), run.warnings
+    rows = np.isin(np.arange(400) * 20, np.round(run.log.ins_time_ns / 1e6))
+    np.testing.assert_allclose(run.log.x, columns["x"][rows])
+
+
+def test_only_the_beginning_of_json_shows_its_columns(columns: Columns, tmp_path: Path) -> None:
+    file = tmp_path / "drive.json"
+    rows = [*map(json.dumps, nest(columns))]
+    file.write_text("\n".join([*rows, '{"t": 9.0, "topic": "other"}'] + ['{"t": 9.0, "x": 1.0}'] * 9))
+    assert len("\n".join(rows)) > HEAD_SIZE and read_names(file) == [*pd.json_normalize(nest(columns)).columns]
+
+
+def test_columns_are_found_behind_the_beginning_of_json(columns: Columns, tmp_path: Path) -> None:
+    content = {name: np.resize(array, 9000).tolist() for name, array in columns.items()}
+    (tmp_path / "drive.json").write_text(json.dumps(content))
+    assert read_names(tmp_path / "drive.json") == [*columns]
+
+
+def test_missing_library_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a.parquet").write_bytes(b"PAR1")
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(RunError, match="cannot be read without the Python package pyarrow; install it, with pip"):
+        load(tmp_path / "a.parquet")
 
 
 def test_folder_with_the_same_drive_as_csv_txt_and_mat_is_one_run(columns: Columns, tmp_path: Path):
@@ -402,12 +461,16 @@ def test_code_in_an_attribute_of_a_table_is_not_run(columns: Columns, tmp_path: 
     (lambda file: savemat(file, {"speed": np.ones(9)}), "a.mat",
      "no column was recognised as t, x .or longitude., y .or latitude., yaw"),
     (lambda file: file.write_bytes(b"PAR1 broken"), "a.parquet", "cannot be read"),
-    (lambda file: file.write_text('{"t": 0.0, "x": 1.0}\n{"t": 0.1, "x"'), "a.jsonl",
-     r"cannot be read \(.*line 2 .*\); copy it again"),
+    (lambda file: file.write_text('{"name": "speed", "value": 3.5, "timestamp": 2.0}\n' * 2), "a.jsonl",
+     r"it has one row for each value \(columns name and value\); export one column for each name"),
+    (lambda file: file.write_text('{"t": 0.0, "x"'), "a.jsonl", r"cannot be read \(.*line 1 .*\); copy it again"),
     (lambda file: file.write_text('[{"sensor": "gyro", "z": 1}, {"sensor": "magnet", "z": 2}]'), "a.jsonl",
-     "it does not have one array of records that all have the same keys, topic and sensor; write one file for each"),
-    (lambda file: file.write_text('{"car": [{"t": 0, "x": 1}], "bus": [{"t": 0, "x": 2}]}'), "a.jsonl", "one array of"),
-    (lambda file: file.write_text('[{"t": 0, "lat": 1}, {"t": 0, "speed": 2}]'), "a.jsonl", "the same keys")])
+     r"it has no kinds of records with time, position, yaw and speed, among 'gyro' \(1\), 'magnet' \(1\); write one"),
+    (lambda file: file.write_text('{"car": [{"t": 0, "x": 1}], "bus": [{"t": 0, "x": 2}]}'), "a.jsonl", "'car' .1., '"),
+    (lambda file: file.write_text('[{"t": 0, "lat": 1}, {"t": 0, "speed": 2}]'), "a.jsonl",
+     r"among 'lat t' \(1\), 'speed t' \(1\)"),
+    (lambda file: file.write_text(json.dumps({key: [dict.fromkeys(("t", "x", "y", "yaw", "vx"), 1)] for key in "ab"})),
+     "a.jsonl", r"it has several kinds of records with time, .*'a' \(1\), 'b'")])
 def test_error_names_the_reason_and_the_remedy(tmp_path: Path, write: Callable[[Path], None], name: str,
                                                  message: str):
     write(tmp_path / name)

@@ -257,6 +257,8 @@ VEHICLE_SPY = "Line,Abs Time(Sec),Rel Time (Sec),Status,Er,Tx,Description,Networ
     ("steps.log", [f" (000.{100000 * (k > 0):06d})  can0  002   [3]  01 02 03\n" for k in range(3)]),
     ("a.crtd", ["1436509051.900000 CXX OVMS\n", *(f"1436509052.{k}00000 1R11 002 01 02 03\n" for k in range(3))]),
     ("busmaster.log", [BUSMASTER, *(f"11:49:12:{k}000 Rx 1 0x002 s 3 01 02 03 \n" for k in range(3))]),
+    ("busmaster.log", [BUSMASTER.replace("HEX", "DEC"), *(
+        f"11:49:12:{k}000 Rx 1 2 s 3 001 002 003 \n" for k in range(3))]),
     ("a.log", [f"(1436509052.{k}00000) can0 {frame}\n" for k in range(3) for frame in (
         "20000004#0004000000000000", "002#010203")]),
     ("kvaser.txt", [KVASER, *(f"{k / 10:12.6f}  1  {2:10X}    Rx          3  01 02 03 {k + 1:9d}\n" for k in range(3)),
@@ -279,6 +281,13 @@ VEHICLE_SPY = "Line,Abs Time(Sec),Rel Time (Sec),Status,Er,Tx,Description,Networ
     ("a.asc", [DATE, "base hex  timestamps absolute\n", *(f"   {k / 10:.6f}{ASC}" for k in range(3))]),
     ("a.asc", [DATE, "base hex  timestamps relative\n", *(f"   {0.1 * (k > 0):.6f}{ASC}" for k in range(3))]),
     ("a.asc", [DATE, "base hex  timestamps absolute\n", *(f"   0,{k}00000{ASC}" for k in range(3))]),
+    ("a.asc", [DATE, "base hex  timestamps absolute\n", *(
+        f"   0.{k}00000  1  Steering  Rx   d 3 01 02 03  Length = 0 BitCount = 0 ID = 2\n" for k in range(3))]),
+    ("version_3.trc", [";$FILEVERSION=3.0\n;$STARTTIME=46146.5\n;$COLUMNS=N,O,T,B,I,d,R,L,D\n", *(
+        f"{k + 1:7} {100 * k:13.3f} DT 1      0002 Rx -  3    01 02 03\n" for k in range(3))]),
+    ("rostopic.csv", ["%time,field.header.seq,field.header.stamp,field.id,field.is_rtr,field.is_extended,"
+                      "field.is_error,field.dlc,field.data0,field.data1,field.data2,field.data3\n", *(
+        f"1436509052{k}00000000,{k},0,2,0,0,0,3,1,2,3,0\n" for k in range(3))]),
 ])
 def test_variants_of_candump_and_asc(tmp_path: Path, name: str, lines: list[str]) -> None:
     (tmp_path / name).write_text("".join(lines))
@@ -295,6 +304,7 @@ def test_variants_of_candump_and_asc(tmp_path: Path, name: str, lines: list[str]
     ("Time,ID,DLC,B0,B1,B2,B3", "0.1,1A2,3,A1,B2,C3,00", "a1b2c3"),
     ("Time,ID,Message,DLC,D0,D1,D2", "0.1,1A2,Steering,3,A1,B2,C3", "a1b2c3"),
     ("Time,ID,Message,DLC,Payload", "0.1,1A2,Steering,3,A1B2C3", "a1b2c3"),
+    ("Time;Chn;ID;Name;Dir;DLC;Data", "0.1;CAN 1;18FEF100x;;Rx;2;0A 02", "0a02"),
     ("Time,ID,Format,DLC,Data", "0.1,18FEF100,Extended,2,0A02", "0a02"),
     ("Time,ID,DLC,Data", f"0.1,1A2,15,{'0A' * 64}", "0a" * 64),  # lengths of CAN FD as a code
     ("Time,ID,DLC,Data", f"0.1,1A2,12,{'0A' * 24}", "0a" * 24),
@@ -372,12 +382,10 @@ def test_frame_types_of_a_busmaster_log(tmp_path: Path) -> None:
     assert frames.length.tolist()[::2] == [2, 0] and frames.flags.tolist() == [SENT, REMOTE, 0]
 
 
-def test_candump_in_bits_and_decimal_busmaster_are_rejected(tmp_path: Path) -> None:
+def test_candump_in_bits_is_rejected(tmp_path: Path) -> None:
     (tmp_path / "a.log").write_text(" (1436509052.000000)  can0  002   [1]  00000001\n" * 3)
-    (tmp_path / "b.log").write_text(BUSMASTER + "11:49:12:1000 Rx 1 35 s 1 016\n" * 3)
-    for name in "ab":
-        with pytest.raises(RunError, match="this is not a CAN log of a known format"):
-            read_can_logs([tmp_path / f"{name}.log"])
+    with pytest.raises(RunError, match="this is not a CAN log of a known format"):
+        read_can_logs([tmp_path / "a.log"])
 
 
 def test_candump_without_times_is_rejected(tmp_path: Path) -> None:

@@ -478,6 +478,16 @@ def test_driving_direction_is_not_read_as_course() -> None:
     assert not {"course", "velocity_y"} & find_columns(Path("d.csv"), ["t", "v", "yaw", "direction"], Layout()).keys()
 
 
+@pytest.mark.parametrize(("names", "channel", "expected"), [
+    (["Time (s)", "Velocity (m/s)", "Direction (°)"], "course", "Direction (°)"),  # of phyphox
+    (["a/state/yaw", "a/state/yaw_deg"], "yaw", "a/state/yaw_deg"), (["a/yaw_deg", "a/yaw"], "yaw", "a/yaw_deg"),
+    (["a/velocities.yaw"], "yaw", None), (["a/pose/yaw", "a/angular_rates/yaw"], "yaw", "a/pose/yaw"),
+    (["a/yaw", "b/yaw_deg"], "yaw", None), (["INS_Lat_Abs", "GNSS_Lat_Abs"], "latitude", "INS_Lat_Abs")])
+def test_name_after_a_path(names: list[str], channel: str, expected: str | None) -> None:
+    source = find_columns(Path("d.csv"), names, Layout()).get(channel)
+    assert (source.name if source else None) == expected
+
+
 def test_course_over_ground_is_preferred_to_a_shorter_name() -> None:
     names = ["zeit", "kurs", "kurs_ueber_grund"]
     assert find_columns(Path("d.csv"), names, Layout())["course"].name == "kurs_ueber_grund"

@@ -256,6 +256,10 @@ def test_fractions_of_seconds_without_leading_zeros(tmp_path: Path, per_second: 
     table = read_table(file, Layout())
     np.testing.assert_allclose(table.time_ns[table.is_usable], 12e9 + np.arange(300) * 20e6)
     assert "zeros were added after the point of times, as in 12.02" in table.warnings[0]
+    lines = file.read_text().splitlines()
+    write(tmp_path, [*lines[:99], lines[98], lines[99][:12], *lines[100:]])  # a duplicate row and a truncated one
+    again = read_table(file, Layout())
+    assert np.array_equal(again.time_ns[again.is_usable], np.delete(table.time_ns[table.is_usable], 98))
 
 
 @pytest.mark.parametrize(("unit", "step"), [("min", 1 / 6000), ("h", 1 / 360000), ("ms", 1.0)])
@@ -307,7 +311,7 @@ def test_day_numbers_and_32_bit_milliseconds(tmp_path: Path, factor: float, orig
 @pytest.mark.parametrize(("name", "number"), [
     ("Jan", 1), ("ene.", 1), ("styczeń", 1), ("März", 3), ("maart", 3), ("mrt", 3), ("mei", 5), ("juin", 6),
     ("juni", 6), ("juillet", 7), ("lip", 7), ("août", 8), ("września", 9), ("paź", 10), ("des", 12),
-    ("grudnia", 12), ("xyz", None)])
+    ("grudnia", 12), ("xyz", None), ("kvě", 5), ("toukokuuta", 5), ("marras", 11), ("май", 5), ("Ara", 12), ("5月", 5)])
 def test_month_names_of_several_languages(name: str, number: int | None) -> None:
     assert month_number(name) == number
 

@@ -10,8 +10,8 @@ from st_core.vehicle import VehicleParameters
 
 from .bag_storage import Storage, Topic, open_bag
 from .cdr import ODOMETRY, CdrLayout
-from .columns import Layout, find_columns
-from .csv import QUATERNION_CHANNELS, ROAD_WHEEL, STEERING_WHEEL, build_drive, find_missing_channels
+from .columns import Layout, find_columns, find_missing
+from .csv import QUATERNION_CHANNELS, ROAD_WHEEL, STEERING_WHEEL, build_drive
 from .csv_table import parse_table
 from .errors import RunError
 from .reconstruct import find_steering_topic, read_steering_columns
@@ -89,7 +89,7 @@ def has_ins_channels(path: Path) -> bool:
         fields_of_topics = [_find_fields(storage, topic)[1] for topic in storage.topics]
     except RunError:
         return False
-    return not find_missing_channels({channel for fields in fields_of_topics for channel in fields}, (), INS_SIGNALS)
+    return not find_missing({channel for fields in fields_of_topics for channel in fields}, (), INS_SIGNALS)
 
 
 def _find_fields(storage: Storage, topic: Topic) -> tuple[str, dict[str, tuple[str, str, float]], str]:

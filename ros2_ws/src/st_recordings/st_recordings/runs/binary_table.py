@@ -9,18 +9,18 @@ import mmap
 import re
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from datetime import UTC
 from importlib import import_module
-from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from st_core.log import INS_SIGNALS
 
 from ..paths import cached_by_version
 from . import hdf5
-from .columns import Layout, add_fraction, find_ambiguous_steering, find_columns, find_stamp_columns
+from .columns import Layout, add_fraction, find_ambiguous_steering, find_columns, find_missing, find_stamp_columns
 from .errors import RunError, convert_errors
 from .mdf_blocks import describe_truncation
 from .mf4 import MDF_OPTIONS, open_mdf
@@ -30,6 +30,8 @@ ARROW_EXTENSIONS = (*PARQUET_EXTENSIONS, ".feather", ".arrow")
 JSON_EXTENSIONS = (".json", ".jsonl", ".ndjson")
 BINARY_EXTENSIONS = (".mat", *hdf5.EXTENSIONS, *ARROW_EXTENSIONS, *JSON_EXTENSIONS)
 NAME_FIELDS = ("label", "Name", "name")
+HEAD_SIZE = 1 << 16  # number of characters in which the columns of JSON records are found
+_RECORDS, _SEPARATORS = re.compile(r"(?:\A|\[)\s*(?={)"), re.compile(r"[\s,]*")
 _RAW_FRAMES = re.compile(rb"\0CAN_(Data|Remote|Error)Frame")
 """Name of the channel of raw frames. The header of its block ends with 0; in comments, no 0 precedes the name."""
 _NO_DELIMITERS = str.maketrans(',"\n', "   ")
@@ -49,39 +51,56 @@ class _Vector(NamedTuple):
 
 
 @cached_by_version(maxsize=4)
-def read_binary_table(file: Path) -> tuple[list[str], str]:
-    """(header, comma-separated rows) of a file. Raises RunError if it cannot be read or contains no vectors."""
-    extension, frame, objects = file.suffix.lower(), None, dict[str, str]()
+def read_binary_table(file: Path) -> tuple[list[str], str, list[str]]:
+    """(header, comma-separated rows, warnings) of a file. Raises RunError if it cannot be read or has no vectors."""
+    warnings: list[str] = []
+    frame = _load_frame(file, -1, warnings)
+    return [*map(str, frame.columns)], frame.to_csv(index=False, header=False, lineterminator="\n"), warnings
+
+
+@cached_by_version(maxsize=256)
+def read_names(file: Path) -> list[str]:
+    """Column names; those of MDF are "t [s]", then the signals with their units, such as "YawRate [deg/s]". Only the
+    beginning of Parquet and of records in JSON is read. Raises RunError."""
+    if not is_signal_table(file):
+        return [str(name) for name in _load_frame(file, HEAD_SIZE, []).columns]
+    with _open_file(file) as mdf:
+        return ["t [s]", *(name for name, _, _, _ in _list_signals(mdf))]
+
+
+def _load_frame(file: Path, size: int, warnings: list[str]) -> Any:
+    """DataFrame of a file. size: number of characters of JSON records that are read; -1: all."""
+    extension, objects = file.suffix.lower(), dict[str, str]()
     with convert_errors(file, "cannot be read", "copy it again, or export it as .csv", Exception):  # of any library
         if extension in ARROW_EXTENSIONS:
-            frame = _load_arrow(file)
-        elif extension in JSON_EXTENSIONS:
-            frame = _load_json(file)
-        elif extension in hdf5.EXTENSIONS or hdf5.is_hdf5(file):
+            return _load_arrow(file, size)
+        if extension in JSON_EXTENSIONS:
+            return _load_json(file, size, warnings)
+        if extension in hdf5.EXTENSIONS or hdf5.is_hdf5(file):
             content, objects = hdf5.read_hdf5(file)
         else:
             content = import_module("scipy.io").loadmat(file, simplify_cells=True)
-    if frame is None:
-        has_objects = content.pop("__function_workspace__", None) is not None
-        signals = list(_find_signals(content))
-        lacks_times = not any(signal.time for signal in signals) and not hdf5.TIME_CLASSES.isdisjoint(objects.values())
-        if objects and (len(signals) < 2 or lacks_times):
-            hdf5.reject_objects(file, objects)
-        if has_objects and len(signals) < 2:  # none, or only the vector tout of Simulink
-            raise RunError(file, "it contains objects such as timeseries or timetables, which only MATLAB can read",
-                           "save their samples as vectors or fields of a struct")
-        frame = _join_signals(file, signals)
-    return [str(name) for name in frame.columns], frame.to_csv(index=False, header=False, lineterminator="\n")
+    has_objects = content.pop("__function_workspace__", None) is not None
+    signals = list(_find_signals(content))
+    lacks_times = not any(signal.time for signal in signals) and not hdf5.TIME_CLASSES.isdisjoint(objects.values())
+    if objects and (len(signals) < 2 or lacks_times):
+        hdf5.reject_objects(file, objects)
+    if has_objects and len(signals) < 2:  # none, or only the vector tout of Simulink
+        raise RunError(file, "it contains objects such as timeseries or timetables, which only MATLAB can read",
+                       "save their samples as vectors or fields of a struct")
+    return _join_signals(file, signals)
 
 
-def _load_arrow(file: Path) -> Any:
+def _load_arrow(file: Path, size: int) -> Any:
     import pandas as pd
     from pyarrow import feather, ipc, parquet, types
 
     with file.open("rb") as stream:
         is_stream = stream.peek(4)[:4] == b"\xff" * 4  # messages without the mark of a file
-        table = ipc.open_stream(stream).read_all() if is_stream else (
-            parquet if file.suffix.lower() in PARQUET_EXTENSIONS else feather).read_table(file)
+        if file.suffix.lower() in PARQUET_EXTENSIONS:
+            table = parquet.read_table(file) if size < 0 else parquet.read_schema(file).empty_table()
+        else:
+            table = ipc.open_stream(stream).read_all() if is_stream else feather.read_table(file)
     while any(map(types.is_struct, table.schema.types)):
         table = table.flatten()
     frame = table.to_pandas()
@@ -90,22 +109,106 @@ def _load_arrow(file: Path) -> Any:
     return frame.reset_index(names="time" if frame.index.name is None and frame.index.dtype.kind in "mM" else None)
 
 
-def _load_json(file: Path) -> Any:
-    """The only array of records, or records in lines, with fields of objects as columns, such as pose.x; or columns."""
+def _load_json(file: Path, size: int, warnings: list[str]) -> Any:
+    """Records of one kind with fields of objects as columns, such as pose.x; or columns, also as pandas writes them."""
     import pandas as pd
 
-    content = json.loads(re.sub(r"}\s*\n\s*{", "},\n{", f"[{file.read_text('utf-8-sig')}]"))
-    content = content[0] if len(content) == 1 else content
-    arrays = list(content.values()) if isinstance(content, dict) else [content]
-    tables = [rows for rows in arrays if isinstance(rows, list) and any(isinstance(row, dict) for row in rows)]
-    if not tables and isinstance(content, dict) and any(isinstance(array, list | dict) for array in arrays):
-        return pd.DataFrame({name: array for name, array in content.items() if isinstance(array, list)} or content)
-    records = tables[0] if len(tables) == 1 else []
-    kinds = {str(record.get("topic", record.get("sensor"))) for record in records}
-    if len(kinds) != 1 or {*chain(*records)} not in map(set, records):
-        raise RunError(file, "it does not have one array of records that all have the same keys, topic and sensor",
-                       'write one file for each kind, as [{"t": 0.0, "x": 1.2}, ...], or a .csv')
-    return pd.json_normalize(records)
+    content, records = None, dict[str, list[dict[str, Any]]]()
+    with file.open(encoding="utf-8-sig") as stream:
+        with suppress(ValueError):  # the names of columns may be in the whole file
+            content = _parse_json(file, stream.read(size), warnings) if size > 0 else None
+            records = _find_records(content)
+        if not records:
+            stream.seek(0)
+            content = _parse_json(file, stream.read(), warnings)
+            records = _find_records(content)
+    if records or not content or not isinstance(content, dict | list):
+        return pd.json_normalize(_select_records(file, records, warnings))
+    if isinstance(content, list):  # the names of the columns, then rows
+        return pd.DataFrame(content[1:], columns=content[0])
+    if content.keys() >= {"columns", "data"}:
+        return pd.DataFrame(content["data"], columns=content["columns"])
+    columns = {name: array for name, array in content.items() if isinstance(array, list)}
+    if len(set(map(len, columns.values()))) == 1:
+        return pd.DataFrame(columns)
+    if all(isinstance(cells, dict) and not any(isinstance(cell, list | dict) for cell in cells.values())
+           for cells in content.values()):  # column -> row -> cell, or row -> column -> cell
+        frames = pd.DataFrame(content), pd.DataFrame.from_dict(content, orient="index")
+        return max(frames, key=lambda frame: len(find_columns(file, [*map(str, frame.columns)], Layout())))
+    return _join_signals(file, list(_find_signals(_make_vectors(content))))
+
+
+def _make_vectors(value: Any) -> Any:
+    """JSON content with lists of numbers as arrays."""
+    if isinstance(value, dict):
+        return {name: _make_vectors(entry) for name, entry in value.items()}
+    is_vector = isinstance(value, list) and value and all(isinstance(number, float | int) for number in value)
+    return np.array(value, float) if is_vector else value
+
+
+def _parse_json(file: Path, text: str, warnings: list[str]) -> Any:
+    """The value in a text; or its records if there is one in each line, or if the text is truncated or damaged, with a
+    warning about the damage."""
+    try:
+        return json.loads(text)
+    except ValueError as error:
+        reason = error
+    decoder, records, damage, end = json.JSONDecoder(), list[Any](), list[int](), 0
+    for start in _RECORDS.finditer(text):  # of an array, or of the text
+        if start.end() < end:  # an array in a record
+            continue
+        found, damaged, end = list[Any](), list[int](), start.end()
+        while end < len(text) and text[end] not in "]}" and (found or not damaged):
+            try:
+                record, end = decoder.raw_decode(text, end)
+                found.append(record)
+            except ValueError:
+                damaged.append(text.count("\n", 0, end) + 1)
+                end = text.find("\n", end) % (len(text) + 1)  # -1: the end
+            end = _SEPARATORS.match(text, end).end()  # type: ignore[union-attr]
+        if len(found) > len(records):
+            records, damage = found, damaged
+    if len(records) <= len(damage):
+        raise reason
+    if damage:
+        warnings.append(f"{file}: {len(damage)} records, the first in line {damage[0]}, are damaged or truncated and "
+                        "were left out")
+    return records
+
+
+def _find_records(content: Any) -> dict[str, list[dict[str, Any]]]:
+    """Kind -> its records, from arrays of objects: by the name of the array, by topic or sensor, and by the keys if no
+    record has those of all others."""
+    kinds: dict[str, list[dict[str, Any]]] = {}
+    for name, rows in content.items() if isinstance(content, dict) else [("", content)]:
+        for row in rows if isinstance(rows, list) else ():
+            if isinstance(row, dict):
+                kinds.setdefault(str(row.get("topic", row.get("sensor", name or "(no topic)"))), []).append(row)
+    for kind, rows in list(kinds.items()):
+        keys = [*map(frozenset, rows)]
+        if frozenset().union(*keys) not in keys:
+            del kinds[kind]
+            for row, names in zip(rows, keys, strict=True):
+                key = " ".join([kind.removeprefix("(no topic)"), *sorted(names)]).strip()[:40]
+                kinds.setdefault(key, []).append(row)
+    return kinds
+
+
+def _select_records(file: Path, kinds: dict[str, list[dict[str, Any]]], warnings: list[str]) -> list[dict[str, Any]]:
+    """The records of the only kind, or of the only one with all INS channels. Raises RunError."""
+    import pandas as pd
+
+    names = {kind: [*map(str, pd.json_normalize(max(rows, key=len)).columns)] for kind, rows in kinds.items()}
+    usable_kinds = [kind for kind in kinds if len(kinds) == 1 or not find_missing(
+        find_columns(file, names[kind], Layout()), names[kind], ("t", *INS_SIGNALS))]
+    others = ", ".join(f"{kind!r} ({len(rows)})" for kind, rows in kinds.items() if [kind] != usable_kinds)[:200]
+    if len(usable_kinds) != 1:
+        raise RunError(file, f"it has {'several' if usable_kinds else 'no'} kinds of records with time, position, yaw "
+                       f"and speed, among {others or 'none'}", "write one file with all channels in each record, as "
+                       '[{"t": 0.0, "x": 1.2}, ...]')
+    if others:
+        warnings.append(f"{file}: only its records of {usable_kinds[0]!r} are used, not those of {others}")
+    return kinds[usable_kinds[0]]
 
 
 def _join_signals(file: Path, signals: list[_Vector]) -> Any:
@@ -203,13 +306,6 @@ def is_signal_table(file: Path) -> bool:
                 return not describe_truncation(content[:96], len(content)) and _RAW_FRAMES.search(content) is None
     except OSError:
         return False
-
-
-@cached_by_version(maxsize=256)
-def read_names(file: Path) -> list[str]:
-    """Column names: "t [s]", then the signals with their units, such as "YawRate [deg/s]". Raises RunError."""
-    with _open_file(file) as mdf:
-        return ["t [s]", *(name for name, _, _, _ in _list_signals(mdf))]
 
 
 def read_signals(file: Path, layout: Layout, warnings: list[str]) -> tuple[list[str], str]:

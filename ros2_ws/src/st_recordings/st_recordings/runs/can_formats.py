@@ -42,9 +42,9 @@ _LINES = (
         r"\s*\((?P<time>\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d+|\d+\.\d+)\)\s+(?P<bus>\S+)\s+"
         r"(?:(?P<direction>RX|TX)\s+\S+\s+\S+\s+)?(?P<id>[0-9A-F]{3}|[0-9A-F]{8})\s+\[(?P<length>\d+)\]\s*"
         r"(?P<data>(?:[0-9A-F]{2}(?:[\s`]+|$))*|remote request\s*)(?:'.*'|::.*)?\s*$"),
-    # BUSMASTER with hexadecimal numbers: "11:49:12:9420 Rx 1 0x023 s 1 40"; the last part of the time is in 0.1 ms.
-    re.compile(r"(?P<time>\d+:\d\d?:\d\d?:\d{4}) (?P<direction>[RT]x) (?P<bus>\d+) 0x(?P<id>[0-9A-Fa-f]+) "
-               r"(?P<kind>[sx]r?) \d+(?P<data>(?: [0-9A-Fa-f]{2})*)\s*$"),
+    # BUSMASTER: "11:49:12:9420 Rx 1 0x023 s 1 40", or 35 s 1 064 in decimal; the last part of the time is in 0.1 ms.
+    re.compile(r"(?P<time>\d+:\d\d?:\d\d?:\d{4}) (?P<direction>[RT]x) (?P<bus>\d+) (0x(?P<id>[0-9A-Fa-f]+)|"
+               r"(?P<decimal>\d+)) (?P<kind>[sx]r?) \d+(?P<data>(?: [0-9A-Fa-f]{2,3})*)\s*$"),
     # CRTD (OVMS, SavvyCAN): "1436509052.249713 1R11 044 2A 36"
     re.compile(r"(?P<time>\d+\.\d+) (?P<bus>\d*)(?P<direction>[RT])(?P<kind>11|29) (?P<id>[0-9A-Fa-f]+)"
                r"(?P<data>(?: [0-9A-Fa-f]{2})*)\s*$"),
@@ -69,8 +69,8 @@ _COMMENT = re.compile(r"(?!Timestamp: (?!.*[RT]x E))([#\t]|[^\x00-\x7f]{2}|.*(ER
 """Lines without data: explanations (candump -e, cantools decode), headers of BUSMASTER and Kvaser, comments."""
 _ERROR_FLAG = 1 << 29  # bit of the identifier that marks an error frame
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # colour codes of candump -c
-_UNSTAMPED_LINE = re.compile(rb"^\s+\S+\s+[0-9A-F]{3,8}\s+\[\d+\]\s", re.MULTILINE)
-"""A line that candump writes without -l and -t."""
+_UNSTAMPED_LINE = re.compile(rb"^\s*\w+\s+[0-9A-F]{3,8}(#|\s+\[\d+\]\s)", re.MULTILINE)
+"""A line that candump writes without -l and -t, or that cansend reads."""
 _ASC_LINE = re.compile(rb"^\s*\d+[.,]\d+\s+\d+\s+[0-9A-Fa-f]+x?\s+[RT]x\s+[dr]\s", re.MULTILINE)
 _TRC_LINE = re.compile(rb"^\s*\d+\)\s", re.MULTILINE)
 _ASC_DATE = re.compile(rb"(?i)date \S+ \S+ +\d+ +\d")  # not "Date Time;x;y" of a table
@@ -166,11 +166,11 @@ def _make_line_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
         match = next(filter(None, (form.match(line) for form in _LINES)), None)
         if match is None:
             raise ValueError("not a frame")
-        cells = {"kind": "-", "length": "", "fd": "", "bus": "", "index": "", "direction": "", **match.groupdict("")}
+        cells = {"kind": "-", **dict.fromkeys(("length", "fd", "bus", "index", "decimal", "direction"), ""),
+                 **match.groupdict("")}
         time, kind, bus, data = cells["time"], cells["kind"].lower(), cells["bus"], cells["data"].replace("`", " ")
         if "T" in time:
-            time = _complete_date(time, date)
-            date = time[:8]
+            date = (time := _complete_date(time, date))[:8]
         if " " in time:
             seconds = datetime.fromisoformat(time).replace(tzinfo=UTC).timestamp()
         elif ":" in time:
@@ -178,20 +178,20 @@ def _make_line_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
             seconds = 3600 * int(hours) + 60 * int(minutes) + float(f"{whole_seconds}.{fraction}")
         else:
             seconds = int(time, 16) * 1e-4 if time.startswith("0x") else float(time)
-        identifier = int(cells["id"], 16)
+        identifier = int(cells["decimal"]) if cells["decimal"] else int(cells["id"], 16)
         if identifier >= 2 * _ERROR_FLAG:
             raise ValueError("not an identifier")
         if identifier & _ERROR_FLAG:
             return make_message(timestamp=seconds, is_error_frame=True)
         is_remote = data[:1] in ("r", "R") or kind.endswith("r")
-        octets = b"" if is_remote else bytes.fromhex(data)
+        octets = b"" if is_remote else bytes(map(int, data.split())) if cells["decimal"] else bytes.fromhex(data)
         # candump writes an extended identifier with eight digits; other formats mark it.
         digits = cells["id"] if kind == "-" else cells["id"].lstrip("0")
         channel: int | str = int(cells["index"]) if cells["index"] else (
             int(bus) - (kind != "-") if bus.isdigit() else bus or "can0")
         return make_message(
             timestamp=seconds, arbitration_id=identifier, is_remote_frame=is_remote, channel=channel,
-            is_extended_id=len(digits) > 3 or kind in ("x", "xr", "29", "1", "9", "扩展帧"),
+            is_extended_id=(len(digits) > 3 and kind[:1] != "s") or kind in ("x", "xr", "29", "1", "9", "扩展帧"),
             is_rx=cells["direction"][:1] not in ("T", "t", "发") and kind not in ("8", "9"),
             is_fd=bool(cells["fd"]) or len(cells["length"]) > 1 or len(octets) > 8,  # two digits for CAN FD
             data=octets[::-1] if "`" in cells["data"] else octets)  # candump -S prints the last byte first
@@ -217,6 +217,10 @@ class _AscParser:
             return None
         values: dict[str, Any] = {"timestamp": round(self._seconds, 6) + self._start}
         channel, text = frame.groups()
+        name = text.split(maxsplit=1)[0].rstrip("x")
+        if (stated := re.search(r"\bID = (\d+)(x?)", text)) and not re.fullmatch("[0-9A-Fa-f]+", name):
+            number = format(int(stated[1]), "X" if self._reader._converted_base == 16 else "d")
+            text = re.sub(r"^\S+", f"{number}{stated[2]}", text)
         if channel is None:
             return self._reader._process_fd_can_frame(text, {**values, "is_fd": True})
         return self._reader._process_classic_can_frame(text, {**values, "channel": int(channel) - 1})
@@ -263,6 +267,7 @@ def _make_trc_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
             start = datetime(1899, 12, 30, tzinfo=UTC) + timedelta(float(line.partition("=")[2]))
             reader._start_time = start.timestamp()
             return None
+        line = re.sub(r"(?<=^;\$FILEVERSION=)[3-9].*", "2.1", line)  # the columns are stated as in version 2.1
         if not line or line.startswith(";"):
             header.extend([line] if line else [])
             return None
@@ -278,11 +283,15 @@ def _make_trc_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
     return parse
 
 
+def _normalise_names(cells: Sequence[str]) -> list[str]:
+    return [normalise(re.sub(r"^field\.(is_)?", "", cell)) for cell in cells]  # field.is_error of `rostopic echo -p`
+
+
 def _split_csv_header(line: str) -> tuple[list[str], str, dict[str, int]]:
     """(normalised names of the columns, delimiter, column of each role in _CSV_COLUMNS)."""
     delimiter = next((mark for mark in ";\t" if mark in line), ",")
     cells = split_row(line, delimiter)
-    names = [normalise(name) for name in cells]
+    names = _normalise_names(cells)
     found = {role: next(filter(names.__contains__, known.split()), None) for role, known in _CSV_COLUMNS.items()}
     roles = {role: names.index(name) for role, name in found.items() if name}
     if "time" not in roles and (times := find_times(cells)):  # with a unit in its name
@@ -321,7 +330,8 @@ def _make_csv_parser(lines: Lines, notes: list[str]) -> Callable[[str], Any]:
         row = split_row(line, delimiter)
         cells = dict(zip(names, row, strict=False))
         data = _read_csv_data(cells, row, names[roles["data"]], roles, byte_base, n_columns)
-        identifier, is_extended = int(row[roles["id"]], id_base or 16), _read_flag(cells, *_EXTENDED_COLUMNS)
+        identifier = int(row[roles["id"]].rstrip("x"), id_base or 16)
+        is_extended = _read_flag(cells, *_EXTENDED_COLUMNS)
         if identifier > MAX_STANDARD_ID and (is_extended is False or ("xtd" in cells and not is_extended)):
             raise ValueError(f"standard identifier {identifier:x}")  # a fault, or a row of J1939, whose columns differ
         bus = cells.get("bus") or cells.get("buschannel") or cells.get("channel") or cells.get("network", "")
@@ -355,10 +365,10 @@ def _find_number_formats(file: Path, names: Sequence[str], delimiter: str, roles
     times: list[float] = []
     with Lines(file) as lines:
         rows = (split_row(line, delimiter) for line in lines)
-        for row in islice(dropwhile(lambda row: [*map(normalise, row)] != names, rows), 1, MAX_SCANNED_ROWS):
+        for row in islice(dropwhile(lambda row: _normalise_names(row) != names, rows), 1, MAX_SCANNED_ROWS):
             if len(row) <= max(roles.values()):
                 continue
-            identifier = row[roles["id"]]
+            identifier = row[roles["id"]].rstrip("x")  # Vector marks an extended identifier by x
             flag = _read_flag(dict(zip(names, row, strict=False)), *_EXTENDED_COLUMNS)
             is_extended = len(identifier) >= EXTENDED_DIGITS if flag is None else flag
             limit = MAX_EXTENDED_ID if is_extended else MAX_STANDARD_ID

@@ -1,7 +1,7 @@
 """Finds the column and the unit of each channel of a table from the names in its header."""
 
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -24,10 +24,10 @@ class Channel:
 MOTION_CHANNELS = frozenset({"velocity_x", "yaw_rate", "yaw"})  # a table with one of them is not a CAN log
 COLUMNS: Mapping[str, Channel] = {
     "t": Channel("time", "time", (
-        "t time t_rt timestamp timestamps stamp time_boot sim_time log_time relative_time elapsed elapsed_time seconds "
-        "unix_time utc_time gps_time time_utc time_gps gps_tow tow gps_seconds time_of_week itow datetime epoch "
-        "epoch_time time_from_start time_since_start_of_day time_of_day gps_ins_time utc zeit uhrzeit zeitstempel "
-        "datum_zeit x_value 时间")),
+        "t time t_rt timestamp timestamps stamp time_boot sim_time log_time relative_time elapsed elapsed_time "
+        "session_time seconds unix_time utc_time gps_time time_utc time_gps gps_tow tow gps_seconds time_of_week itow "
+        "datetime epoch epoch_time time_from_start log_mono_time ins_time time_since_start_of_day time_of_day "
+        "gps_ins_time utc zeit uhrzeit zeitstempel datum_zeit x_value 时间")),
     **{axis: Channel("length", f"position of the INS point, {direction} or along the map's {axis}", (
         f"{axis} pos_{axis} position_{axis} {axis}_pos {axis}_position p{axis} {direction} {direction}ing "
         f"{direction[0]}_pos pos_{direction[0]} {axis}_{direction} {axis}_enu {axis}_map local_{axis} utm_{axis} "
@@ -35,9 +35,9 @@ COLUMNS: Mapping[str, Channel] = {
         f"pose_{axis} pose_position_{axis} pose_pose_position_{axis} {axis}坐标"))
         for axis, direction in (("x", "east"), ("y", "north"))},
     "latitude": Channel("latitude or longitude", "positive to the north; read if x and y are missing", (
-        "latitude lat latitude_deg pos_lat breitengrad 纬度")),
+        "latitude lat latitude_deg pos_lat ins_lat_abs breitengrad 纬度")),
     "longitude": Channel("latitude or longitude", "positive to the east; the first fix is the map origin", (
-        "longitude long lon lng pos_lon laengengrad 经度")),
+        "longitude long lon lng pos_lon ins_long_abs laengengrad 经度")),
     "yaw": Channel("angle", "from east (the map's x), counter-clockwise", (
         "yaw yaw_angle yaw_iso yaw_enu heading_enu psi psi_iso theta phi pose_theta gierwinkel 横摆角")),
     "compass_heading": Channel("angle", "true heading, clockwise from north; read if yaw is missing: yaw = 90° - "
@@ -57,14 +57,15 @@ COLUMNS: Mapping[str, Channel] = {
         "vel_lon long_vel long_velocity speed_forward forward_speed longitudinal_speed twist_linear_x "
         "twist_twist_linear_x linear_velocity_x x_velocity linear_vel_x linear_vels_x v_ego v_laengs "
         "laengsgeschwindigkeit speed velocity vel v ground_speed speed_over_ground gps_speed speed_gps geschwindigkeit "
-        "spd v_gps 纵向速度")),
+        "spd v_gps ins_vel_hor_x 纵向速度")),
     "velocity_y": Channel("speed", "to the left, body axes, at the INS point; if missing, derived or 0", (
         "iso_vs_lateral_velocity velocity_y vy vel_y velocity_lateral vel_lateral v_lateral lateral_velocity "
         "横向速度 lateral_vel v_lat vel_lat lat_vel lat_velocity velocity_left vel_left lateral_speed twist_linear_y "
-        "twist_twist_linear_y linear_velocity_y y_velocity linear_vel_y linear_vels_y v_quer quergeschwindigkeit")),
+        "twist_twist_linear_y linear_velocity_y y_velocity linear_vel_y linear_vels_y v_quer quergeschwindigkeit "
+        "ins_vel_hor_y")),
     **{f"velocity_{axis}": Channel("speed", meaning, (
-        f"velocity_{axis} vel_{axis} v_{axis} {axis}_velocity {axis}_speed velocity_{axis[0]} vel_{axis[0]} "
-        f"vel_ned_{axis[0]} v{axis[0]}")) for axis, meaning in (
+        f"velocity_{axis} vel_{axis} v_{axis} {axis}_velocity {axis}_vel {axis}_speed velocity_{axis[0]} "
+        f"vel_{axis[0]} vel_ned_{axis[0]} v{axis[0]}")) for axis, meaning in (
             ("east", "read with velocity_north and yaw if velocity_y is missing"),
             ("north", "read with velocity_east and yaw if velocity_y is missing"))},
     "yaw_rate": Channel("angular rate", "positive in left turns; if missing, the derivative of yaw", (
@@ -111,6 +112,8 @@ _OTHER_QUANTITY = re.compile(
 """Words which show that a name with a path or a source is not a measured quantity of this car."""
 _SOURCE = (r"(?:gps|gnss|ins|imu|ego|car|veh|vehicle|odom|odometry|can|chassis|pose|state|est|estimated|meas|measured|"
            r"act|actual|raw|filt|filtered|sensor|iso_vs|iso|cg|cog)")  # where a value comes from, not what it is
+_DERIVATIVE = re.compile(r"(?i)veloc|accel|speed|rate|force|torque|moment")
+"""Words in a path which show that a name such as yaw is not an angle or a position: velocities.yaw is a rate."""
 _PATH = re.compile(rf"(?i)^{_SOURCE}[ _-]+|[/.]+|::")
 _CAMEL_CASE = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 _SUFFIX = re.compile(rf"(?i)[ _-]+{_SOURCE}$")
@@ -118,12 +121,13 @@ _SUFFIX = re.compile(rf"(?i)[ _-]+{_SOURCE}$")
 _FRACTION = re.compile(r"(.*?)(n|nano|u|micro|m|milli)(s|secs?|seconds?|(?<=nano))")  # name of fractions of a second
 _FRACTION_FACTORS = {"n": 1e-9, "nano": 1e-9, "u": 1e-6, "micro": 1e-6, "m": 1e-3, "milli": 1e-3}
 
+_DIRECTION = "direction"  # the course if the unit of an angle is stated, as in phyphox; else perhaps 1 or -1
 _STEERING = "steering"  # angle of the steering wheel or of the road wheels; the name is ambiguous
 _KINDS_BY_CHANNEL = {**{channel: definition.kind for channel, definition in COLUMNS.items()}, _STEERING: "angle"}
 _CHANNELS_BY_NAME = {**dict.fromkeys(AMBIGUOUS_STEERING, (_STEERING, 0)),
                      **{normalise(name): (channel, rank) for channel, definition in COLUMNS.items()
                         for rank, name in enumerate(definition.names.split())},
-                     **dict.fromkeys(("theta", "phi"), ("yaw", DOUBTFUL_RANK))}
+                     **dict.fromkeys(("theta", "phi"), ("yaw", DOUBTFUL_RANK)), _DIRECTION: ("course", DOUBTFUL_RANK)}
 
 
 @dataclass(frozen=True)
@@ -187,18 +191,22 @@ def _find_best_columns(names: Sequence[str]) -> dict[str, list[ColumnSource]]:
     """Channel -> its column with the best name; several if equally good names differ in their paths or are doubtful."""
     paths = {parsed.path for name in names if (parsed := _identify_channel(name))} - {""}
     columns: dict[str, list[ColumnSource]] = {}
-    ranks: dict[str, int] = {}
+    best: dict[str, _ColumnName] = {}  # of the last column in `columns`
     for number, name in enumerate(names):
         parsed = _identify_channel(name, paths)
         if parsed is None or parsed.channel == _STEERING:
             continue
-        channel, rank, unit, _ = parsed
-        if rank < ranks.get(channel, 2 * PATH_RANK):
-            columns[channel], ranks[channel] = [], rank
-        if not columns[channel] or (rank == ranks[channel] >= DOUBTFUL_RANK and name != columns[channel][-1].name):
-            columns[channel].append(_make_source(number, name, channel, unit))
+        channel, rank, unit, path = parsed
+        previous = best.get(channel)
+        is_same = previous is not None and rank == previous.rank and bool(path) and path == previous.path
+        if previous is None or rank < previous.rank or (is_same and unit and not previous.unit):
+            columns[channel] = []  # yaw and yaw_deg after one path are one quantity
+        elif is_same or rank != previous.rank or rank < DOUBTFUL_RANK or name == columns[channel][-1].name:
+            continue
+        columns[channel].append(_make_source(number, name, channel, unit))
+        best[channel] = parsed
     headings = columns.keys() & {"compass_heading", "course", "orientation_w"}
-    if headings and ranks.get("yaw", 0) % PATH_RANK == DOUBTFUL_RANK:
+    if headings and "yaw" in best and best["yaw"].rank % PATH_RANK == DOUBTFUL_RANK:
         del columns["yaw"]
     forward = columns.get("velocity_x", [])
     if [_without_unit(source.name) for source in forward] == ["v"] and "u" in (
@@ -262,6 +270,24 @@ def find_ambiguous_steering(names: Sequence[str]) -> str | None:
     return next((name for name in names if (parsed := _identify_channel(name)) and parsed.channel == _STEERING), None)
 
 
+def find_missing(sources: Iterable[str], names: Iterable[str], required: Iterable[str],
+                          with_derived_motion: bool = True) -> list[str]:
+    """The required channels that cannot be read or derived. with_derived_motion: whether velocity_y and yaw_rate may be
+    derived."""
+    channels = set(sources)
+    if channels & {"compass_heading", "course"} or channels.issuperset(f"orientation_{axis}" for axis in "xyzw"):
+        channels.add("yaw")
+    if channels >= {"yaw", "velocity_east", "velocity_north"}:
+        channels |= {"velocity_x", "velocity_y"}
+    if with_derived_motion and channels >= {"velocity_x", "yaw"}:
+        channels |= {"velocity_y", "yaw_rate"}
+    if channels >= {"latitude", "longitude"}:
+        channels |= {"x", "y"}
+    if "steering_wheel_angle" in channels or find_ambiguous_steering(list(names)):
+        channels.add("road_wheel_angle")
+    return [name for name in required if name not in channels]
+
+
 def _make_source(number: int, name: str, channel: str, unit: str | None) -> ColumnSource:
     kind = COLUMNS[channel].kind
     return ColumnSource(number, name, kind, unit or next(iter(UNITS[kind])), unit is not None)
@@ -278,12 +304,13 @@ def _identify_channel(name: str, paths: Collection[str] = ()) -> _ColumnName | N
             for form in (base, _SUFFIX.sub("", base)):
                 channel, rank = _CHANNELS_BY_NAME.get(normalise(form), ("", 0))
                 known_unit = find_unit(_KINDS_BY_CHANNEL[channel], unit) if channel else None
-                if not channel or (unit and known_unit is None):
+                if not channel or (unit and known_unit is None) or (normalise(form) == _DIRECTION and not known_unit):
                     continue
                 if start == 0 and form == base:
                     return _ColumnName(channel, rank, known_unit or None, "")
                 if channel != "t" and (len(normalise(form)) > 1 or name[:start] in paths) and not (
-                        _OTHER_QUANTITY.search(name)):
+                        _OTHER_QUANTITY.search(name) or (_KINDS_BY_CHANNEL[channel] in (
+                            "angle", "length", "latitude or longitude") and _DERIVATIVE.search(name[:start]))):
                     return _ColumnName(channel, rank + PATH_RANK, known_unit or None, name[:start])
     return None
 
@@ -311,12 +338,12 @@ def describe_unknown_units(names: Sequence[str], sources: Mapping[str, ColumnSou
 
 def _split_name_and_unit(name: str) -> list[tuple[str, str]]:
     """Possible splits of a column name into (name, unit); if no unit is in brackets, the first is (whole name, "")."""
-    match = re.fullmatch(r"(.*?)[\s_]*[\[(]([^\])]*)[\])]\s*", name)
+    match = re.fullmatch(r"(.*?)[\s_]*[\[({]([^\])}]*)[\])}]\s*", name)
     if match:
         base, unit = match.groups()
         return [(base, "" if unit.strip() in ("", "-") else unit)]
     words = _CAMEL_CASE.sub("_", name)
-    marks = [m.start() for m in re.finditer(r"[\s_,/.-]+", words)]
+    marks = [m.start() for m in re.finditer(r"[\s_,/.:-]+", words)]
     return [(name, ""), *((words[:at], words[at:]) for at in marks if at)]
 
 

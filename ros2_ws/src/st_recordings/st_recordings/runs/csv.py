@@ -1,7 +1,7 @@
 """Converts tables of channels (columns.py) to drives, or to INS logs for runs with the steering in a CAN log."""
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NoReturn
@@ -16,7 +16,7 @@ from st_core.types import map_to_body, wrap_angle
 from st_core.vehicle import VehicleParameters
 
 from .axes import COURSE, HEADING, MIN_COURSE_SPEED, read_angles, read_geographic, rotate_to_body_axes
-from .columns import Layout, describe_unknown_units, find_ambiguous, find_ambiguous_steering, find_columns
+from .columns import Layout, describe_unknown_units, find_ambiguous, find_ambiguous_steering, find_columns, find_missing
 from .csv_table import Table, all_finite, differentiate_yaw, read_header
 from .errors import RunError, format_count
 from .ins_log import SPEEDS, InsLog, compute_car_speed, yaw_from_quaternion
@@ -133,24 +133,7 @@ def find_missing_in_header(file: Path, required: Sequence[str] = ("t", *INS_SIGN
                            with_derived_motion: bool = True) -> list[str]:
     """The required channels that have no column in the header and cannot be derived."""
     names = read_header(file)
-    return find_missing_channels(find_columns(file, names, Layout()), names, required, with_derived_motion)
-
-
-def find_missing_channels(sources: Iterable[str], names: Iterable[str], required: Iterable[str],
-                          with_derived_motion: bool = True) -> list[str]:
-    """The required channels that cannot be read or derived. with_derived_motion: whether `_complete_motion` is used."""
-    channels = set(sources)
-    if channels & {HEADING, COURSE} or channels.issuperset(QUATERNION_CHANNELS):
-        channels.add("yaw")
-    if channels >= {"yaw", "velocity_east", "velocity_north"}:
-        channels |= {"velocity_x", "velocity_y"}
-    if with_derived_motion and channels >= {"velocity_x", "yaw"}:
-        channels |= {"velocity_y", "yaw_rate"}
-    if channels >= {"latitude", "longitude"}:
-        channels |= {"x", "y"}
-    if STEERING_WHEEL in channels or find_ambiguous_steering(list(names)):
-        channels.add(ROAD_WHEEL)
-    return [name for name in required if name not in channels]
+    return find_missing(find_columns(file, names, Layout()), names, required, with_derived_motion)
 
 
 def _leave_out_blank_columns(table: Table, required: Sequence[str], exempt: Sequence[str] = ()) -> Table:
@@ -162,7 +145,7 @@ def _leave_out_blank_columns(table: Table, required: Sequence[str], exempt: Sequ
         is_unfilled = not is_blank and channel in POSSIBLY_UNFILLED and not np.nan_to_num(values).any()
         derived = [channel] if is_unfilled and channel in INS_SIGNALS else []
         if channel not in {*OPTIONAL_INS_SIGNALS, *table.texts, *exempt} and (is_blank or is_unfilled) and (
-                not find_missing_channels(sources.keys() - {channel}, table.names, (*required, *derived))):
+                not find_missing(sources.keys() - {channel}, table.names, (*required, *derived))):
             name = sources.pop(channel).name
             warnings += [] if is_blank else [f"{table.file}: column {name} is 0 in all rows; it was read as blank"]
     return replace(table, sources=sources, warnings=tuple(warnings), columns={
@@ -171,9 +154,9 @@ def _leave_out_blank_columns(table: Table, required: Sequence[str], exempt: Sequ
 
 def _require_columns(table: Table, required: Sequence[str], can: str = "") -> None:
     """Raises RunError for missing or ambiguous columns. can: line of a run.yaml for CAN logs, as part of the advice."""
-    missing = find_missing_channels(table.sources, table.names, ("t", *required))
+    missing = find_missing(table.sources, table.names, ("t", *required))
     if "yaw" in missing:  # do not list channels that can be computed from yaw
-        still_missing = find_missing_channels({*table.sources, "yaw"}, table.names, missing)
+        still_missing = find_missing({*table.sources, "yaw"}, table.names, missing)
         missing = [name for name in missing if name == "yaw" or name in still_missing]
     if missing and 2 * sum(bool(re.fullmatch(r"[\d.:eE+ -]+", name)) for name in table.names) > len(table.names):
         raise RunError(table.file, "its first line contains numbers instead of the names of columns",
@@ -220,7 +203,7 @@ def _reject_unusable(table: Table, n_ins: int, missing: Mapping[str, int]) -> No
             advice = "export it as plain numbers"
     elif len(table.is_usable) > 1:
         rows = format_count(int(table.is_usable.sum()), len(table.is_usable), "rows")
-        reason, advice = f": only {rows} have a time later than all previous rows", "export the time of each row"
+        reason, advice = f": only {rows} have a time later than all previous rows", "export times with milliseconds"
     raise RunError(table.file, f"it contains fewer than two usable rows{reason}", advice)
 
 

@@ -29,7 +29,8 @@ _GROUPED_POINTS = re.compile(r"\.(?<=\d.)\d{3}\.\d{3}(?!\d)")  # 1.234.567; fast
 _NUMBER = re.compile(r'[\s"]*[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?[\s"]*')
 _NUMBER_WITH_UNIT = re.compile(r"([+-]?\d[\d.,]*(?:[eE][+-]?\d+)?)\s*([^\d\s.,+-].*)")  # 0.02 sec, 12 km/h
 _FORTRAN_EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[+-]\d\d)")  # 1.5D-03
-_LONG_FORMATS = (("_field", "_value"), ("telemetry_name", "telemetry_value"), ("topic", "value"), ("PID", "VALUE"))
+_LONG_NAMES = ("_field", "telemetry_name", "topic", "pid", "name", "signal", "signal_name", "variable", "channel")
+_LONG_VALUES = ("_value", "telemetry_value", "value")
 _SEPARATOR = re.compile(r"sep=.\s*$", re.MULTILINE)  # as spreadsheets state the delimiter
 _LINE_END_IN_CELL = re.compile(r'"[^",;|\t]{0,80}\n[^",;|\t]{1,80}"(?=[,;|\t\n])')
 _QUOTED_ROW = re.compile(r'^"((?:[^"\n]|"")*)"$', re.MULTILINE)  # a row that was exported as one cell
@@ -86,10 +87,8 @@ def _decode(file: Path, size: int) -> str:
 def read_header(file: Path) -> list[str]:
     """Reads the names of the columns; empty for a file that is empty or cannot be read."""
     try:
-        if is_signal_table(file):
+        if is_signal_table(file) or file.suffix.lower() in BINARY_EXTENSIONS:
             return read_names(file)
-        if file.suffix.lower() in BINARY_EXTENSIONS:
-            return read_binary_table(file)[0]
         lines = read_text(file, 1 << 16).splitlines()
         return _split_header(lines[_find_header_line(lines)])[0] if lines else []
     except (OSError, RunError):
@@ -104,21 +103,20 @@ def read_table(file: Path, layout: Layout) -> Table:
         names, body = read_signals(file, layout, warnings)
         return replace(parse_table(file, names, body, ",", layout, warnings), names=tuple(read_names(file)))
     if file.suffix.lower() in BINARY_EXTENSIONS:
-        return parse_table(file, *read_binary_table(file), ",", layout, warnings)
+        names, body, notes = read_binary_table(file)
+        _reject_long_format(file, names, layout)
+        return parse_table(file, names, body, ",", layout, [*notes])
     if not (text := read_text(file)).strip():
         raise RunError(file, "it contains nothing but blanks or zero bytes", "copy it again")
     if text.startswith("$G"):
         raise RunError(file, "it contains NMEA sentences instead of a table", "export time, latitude, longitude, speed "
                        "and course as .csv")
-    for name, value in _LONG_FORMATS:
-        if any({name, value} <= {*re.split('[,;"]', line)} for line in text.split("\n", MAX_UNIT_ROWS)[:-1]):
-            raise RunError(file, f"it has one row for each value (columns {name} and {value})", "export one column for "
-                           f"each {name}, with the function pivot of InfluxDB or pandas")
     n_above = _find_header_line(text.split("\n", MAX_HEADER_LINES + 1)[:MAX_HEADER_LINES], layout)
     *preamble, header, body = (text + "\n").split("\n", n_above + 1)
     if n_above > 1 or (n_above and not _SEPARATOR.match(preamble[0])):
         warnings.append(f"{file}: the header is in line {n_above + 1}; the lines above it were skipped")
     names, delimiter = _split_header(header)
+    _reject_long_format(file, names, layout, text.split("\n", MAX_UNIT_ROWS)[:-1])
     rows = body.rstrip("\n").rsplit("\n", 3)[-3:]  # the last row may be truncated
     if names[-1:] in ([""], ["Comment"]) and all(len(split_row(row, delimiter)) < len(names) for row in rows):
         names.pop()  # empty after a final delimiter, or Comment in LabVIEW, and without cells
@@ -126,6 +124,17 @@ def read_table(file: Path, layout: Layout) -> Table:
         body = body[:body.rstrip("\n").rfind("\n") + 1]
         warnings.append(f"{file}: the last row ends within a number and was left out")
     return parse_table(file, names, body, delimiter, layout, warnings, preamble=preamble)
+
+
+def _reject_long_format(file: Path, names: Sequence[str], layout: Layout, lines: Iterable[str] = ()) -> None:
+    """Raises RunError if these names, or the cells of a line, show that the table has one row for each value."""
+    if not column_names.MOTION_CHANNELS.isdisjoint(find_columns(file, names, layout)):
+        return
+    for cells in (names, *(re.split('[,;\t"]', line) for line in lines)):
+        pair = [next((cell for cell in cells if cell.lower() in known), "") for known in (_LONG_NAMES, _LONG_VALUES)]
+        if all(pair):
+            raise RunError(file, f"it has one row for each value (columns {' and '.join(pair)})", "export one column "
+                           f"for each {pair[0]}, with the function pivot of InfluxDB or pandas")
 
 
 def _is_last_cell_truncated(body: str, delimiter: str) -> bool:
@@ -182,10 +191,9 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
     # Rows that begin with # are comments, unless their first cell is #N/A, or all rows do (ASCII log of NovAtel).
     lines = [line for line in lines if not (text := line.lstrip()).startswith("#")
              or text.split(delimiter, 1)[0].strip().lower() in MISSING_MARKS] or lines
-    first_cells: dict[str, str] = {}
+    lines, first_cells = _select_complete_rows(file, lines, delimiter, len(names), warnings), dict[str, str]()
     try:
-        rows = np.loadtxt(lines, delimiter=delimiter, ndmin=2, comments=None) if lines else np.empty(0)
-        rows = rows.reshape(len(lines), len(names))  # raises ValueError for other numbers of cells
+        rows = np.loadtxt(lines, delimiter=delimiter, ndmin=2, comments=None) if lines else np.empty((0, len(names)))
     except ValueError:
         rows, sources, first_cells = _read_cells(file, lines, delimiter, names, sources, layout, warnings)
     time = sources.get("t")
@@ -366,9 +374,7 @@ def _read_cells(file: Path, lines: list[str], delimiter: str, names: list[str], 
     negative where the column after (or before) each has S or W; dates and times become seconds. Raises RunError.
     """
     text = re.sub(rf'{re.escape(delimiter)} +"', f'{delimiter}"', "\n".join(lines))  # numpy needs quotes at the start
-    text = _THOUSANDS_SPACES.sub("", text)
-    lines = [line.replace('"', "") if line.count('"') % 2 else line for line in text.split("\n")]
-    lines = _select_complete_rows(file, lines, delimiter, len(names), warnings)
+    lines = _THOUSANDS_SPACES.sub("", text).split("\n")
     first_row, stamp = split_row(lines[0], delimiter), find_stamp_columns(names)
     first_cells = {channel: first_row[source.column] for channel, source in sources.items()}
     units = {channel: text for channel, cell in first_cells.items() if (text := _split_unit(channel, cell))}
@@ -408,15 +414,16 @@ def _read_cells(file: Path, lines: list[str], delimiter: str, names: list[str], 
 def _select_complete_rows(file: Path, lines: list[str], delimiter: str, width: int, warnings: list[str]) -> list[str]:
     """The rows with a cell for each column, and perhaps a delimiter at the end. Raises RunError if at least half of the
     rows have a different number of cells."""
+    lines = [line.replace('"', "") if line.count('"') % 2 else line for line in lines]
     widths = [len(split_row(line, delimiter)) if '"' in line else line.count(delimiter) + 1 for line in lines]
     rows = [line for line, count in zip(lines, widths, strict=True)
             if count == width or (count == width + 1 and line.rstrip(" ").endswith(delimiter))]
     n_incomplete = len(lines) - len(rows)
-    if not rows:
+    if lines and not rows:
         raise RunError(file, f"its rows have {max(widths, key=widths.count)} cells, but its header has {width}",
                        "export it with one delimiter that is not the decimal mark, and one name for each column")
     problem = f"{format_count(n_incomplete, len(lines), 'rows')} do not have as many cells as the header"
-    if 2 * n_incomplete >= len(lines):
+    if 2 * n_incomplete >= len(lines) > 0:
         raise RunError(file, problem, "export it with a cell for every column in each row")
     if n_incomplete:
         is_truncated = n_incomplete == 1 and widths[-1] < width

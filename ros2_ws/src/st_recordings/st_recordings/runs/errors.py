@@ -46,9 +46,13 @@ class RunError(ValueError):
 
 @contextmanager
 def convert_errors(path: Path, fault: str, advice: str, *types: type[Exception]) -> Iterator[None]:
-    """Context in which errors of these types, from libraries, become a RunError with their text in brackets."""
+    """Context in which errors of these types, from libraries, become a RunError with their text in brackets; a missing
+    library, one that names it."""
     try:
         yield
+    except ModuleNotFoundError as error:
+        raise RunError(path, f"cannot be read without the Python package {error.name}", f"install it, with pip install "
+                       f"{error.name}, or export the file as .csv") from None
     except types as error:
         raise error if isinstance(error, RunError) else RunError(path, f"{fault} ({shorten(error)})", advice) from None
 

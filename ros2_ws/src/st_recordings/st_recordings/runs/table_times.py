@@ -29,26 +29,31 @@ _YEAR_LAST = re.compile(r"(?:[^\W\d]+\.? )?([^\W\d]{3,}) +(\d\d?) (\d.*) (\d{4})
 _MONTH_FIRST = re.compile(r"([^\W\d]{3,})\.? (\d\d?)[,.]? +(\d{4})(?!\d)")  # May 4, 2026
 # 04-May-2026, as MATLAB writes it, or Mon, 4 May 2026, as in RFC 5322
 _NAMED_MONTH = re.compile(r"(?:[^\W\d]+\.?,? )?(?<!\d)(\d\d?)[- ]([^\W\d]{3,})\.?[- ](\d{4}|\d\d)(?![\d:])")
-# First letters of month names in Danish, Dutch, English, French, German, Italian, Norwegian, Polish, Portuguese,
-# Spanish and Swedish -> number; Vector's tools write month names in the language of the computer.
+# First letters of month names in Czech, Danish, Dutch, English, Finnish, French, German, Hungarian, Italian, Norwegian,
+# Polish, Portuguese, Romanian, Russian, Spanish, Swedish and Turkish -> number; Vector's tools write month names in the
+# language of the computer.
 _MONTHS = {name: number for number, names in enumerate((
-    "jan jän gen ene sty", "feb fév fev lut", "mar mär mrz mrt maa", "apr avr abr kwi", "may mai mag maj mei",
-    "jun juin giu cze", "jul juil lug lip", "aug aoû ago sie", "sep set wrz", "oct okt ott out paź", "nov lis",
-    "dec dez déc dic des gru"), 1) for name in names.split()}
+    "jan jän gen ene sty led ian oca янв tam", "feb fév fev lut úno şub фев hel",
+    "mar mär mrz mrt maa már bře мар", "apr avr abr kwi dub ápr nis апр huh", "may mai mag maj mei máj kvě май мая tou",
+    "jun juin giu cze čvn jún iun haz июн kes", "jul juil lug lip čvc júl iul tem июл hei",
+    "aug aoû ago sie srp ağu авг elo", "sep set wrz zář sze eyl сен syy", "oct okt ott out paź říj eki окт lok",
+    "nov lis noi kas ноя marr", "dec dez déc dic des gru pro ara дек jou"), 1) for name in names.split()}
 ROLLOVER_STEP = 60.0  # s, longest step of numeric times across midnight or the end of a GPS week
 # (day number of 1970-01-01, name of the scale)
 _DAY_COUNTS = ((719529.0, "MATLAB date numbers"), (25569.0, "spreadsheet date numbers"), (2440587.5, "Julian dates"))
 PLAUSIBLE_EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
 DAY, HOUR = 86400.0, 3600.0  # s
+MAX_LEFT_BACKWARD = 0.1
+"""Zeros are added to fractions of a second if at most this fraction of the backward steps is left."""
 MIN_UNUSABLE_STEP = 5.0  # s, duration of a prediction; numbers with larger steps are probably not seconds
 HHMMSS = "HHMMSS"  # unit of a time column that contains times of day as numbers HHMMSS.ss
 MAX_DAMAGED_FRACTION = 0.01  # up to this fraction of the times in a column of unit HHMMSS may be invalid
 
 
 def month_number(name: str) -> int | None:
-    """Number (1 to 12) of a month by its name in a language of `_MONTHS`; None for an unknown name."""
-    name = name.lower().rstrip(".")
-    return _MONTHS.get(name[:4]) or _MONTHS.get(name[:3])
+    """Number (1 to 12) of a month by its name in a language of `_MONTHS`, or as 5月; None for an unknown name."""
+    name = name.lower().rstrip(".月월")
+    return int(name) if name.isdecimal() else _MONTHS.get(name[:4]) or _MONTHS.get(name[:3])
 
 
 def read_stamps(file: Path, cells: list[str], warnings: list[str]) -> np.ndarray | None:
@@ -71,12 +76,14 @@ def read_stamps(file: Path, cells: list[str], warnings: list[str]) -> np.ndarray
 
 
 def pad_fractions(file: Path, seconds: np.ndarray, cells: list[str], warnings: list[str]) -> np.ndarray:
-    """Seconds of cells such as 17.5000000 for 17 s and 5 ms, with zeros added; `seconds` if these do not increase."""
+    """Seconds of cells such as 17.5000000 for 17 s and 5 ms, with zeros added; `seconds` if these are hardly more in
+    order, because the times decrease for another reason."""
     parts = [cell.partition(".") for cell in cells]
     width = max(len(fraction) for _, _, fraction in parts)
     padded_cells = [f"{whole}.{fraction.zfill(width)}" for whole, _, fraction in parts]
     with suppress(ValueError):  # a cell is not a number
-        if (np.diff(padded := np.array(padded_cells, float)) > 0.0).all():
+        padded = np.array(padded_cells, float)
+        if (np.diff(padded) < 0.0).sum() <= MAX_LEFT_BACKWARD * (np.diff(seconds) < 0.0).sum():
             warnings.append(f"{file}: zeros were added after the point of times, as in {padded_cells[1]}")
             return padded
     return seconds

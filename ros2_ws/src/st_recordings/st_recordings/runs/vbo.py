@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 from canedge_bridge.units import find_unit, normalise
 
-from .columns import ColumnSource, Layout, apply_units, find_columns
-from .csv import find_missing_channels
+from .columns import ColumnSource, Layout, apply_units, find_columns, find_missing
 from .csv_table import Table, differentiate_yaw, parse_table, read_text, split_words
 from .errors import RunError, check_readable
 from .table_times import HHMMSS, parse_stamp
@@ -63,7 +62,7 @@ def lacks_steering(file: Path) -> bool:
         sources = find_columns(file, names, Layout())
     except (RunError, OSError):  # read_vbo reports the error
         return False
-    return bool(names and find_missing_channels(sources, names, ["road_wheel_angle"]))
+    return bool(names and find_missing(sources, names, ["road_wheel_angle"]))
 
 
 def _split_sections(text: str) -> dict[str, str]:
