@@ -20,7 +20,6 @@ NODES = {  # node -> module and name of its parameter table
     "markers": ("st_predictor.params", "MARKERS"),
     "identifier": ("st_predictor.params", "IDENTIFIER"),
 }
-MODELS = ("kinematic", "linear", "nonlinear")  # and augmented, where a model file is given
 # Topic, type, publisher, description. <model> stands for each model.
 TOPICS = (
     ("/ins/odometry", "nav_msgs/msg/Odometry", "oxts_bridge",

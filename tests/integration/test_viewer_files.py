@@ -17,10 +17,11 @@ import rclpy
 from ins_rig import free_port
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from ros_processes import Processes
+from st_core.models import MODELS
 from st_core.palette import MODEL_COLOUR, rgb
 from support import ROOT
 
-from tools.reference import MODELS, NODES, TOPICS
+from tools.reference import NODES, TOPICS
 
 pytestmark = [
     pytest.mark.ros, pytest.mark.slow,

@@ -2,9 +2,9 @@
 
 import errno
 import os
+import re
 import sys
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +17,12 @@ app = typer.Typer(
     name="st", no_args_is_help=True, add_completion=False, rich_markup_mode="rich", pretty_exceptions_show_locals=False,
     help="Single-track predictor suite: where will the car be in five seconds, and how wrong was that prediction?",
     epilog="In a checkout also: ./st test, ./st shell, ./st bench, ./st docs.")
-COMMAND_OPTIONS: dict[Callable, dict[str, Any]] = {
-    discover.discover: {"cls": discover.ReferenceCommand}, raw_logs.import_: {"name": "import"}}
+COMMAND_OPTIONS: Any = {discover.discover: {"cls": discover.ReferenceCommand}, raw_logs.import_: {"name": "import"}}
 for verb in (live.demo, live.live, raw_logs.ncom, check.car, check.check, evaluate.evaluate, evaluate.calibrate,
              evaluate.course, discover.discover, effects.effects, discover.identify, replay.replay, replay.verify,
              replay.view, replay.foxglove, raw_logs.align, raw_logs.import_, raw_logs.recover, effects.export):
-    app.command(**COMMAND_OPTIONS.get(verb, {}))(verb)
+    text = re.sub(r"(?<=\S)\n +(?=\S)", " ", verb.__doc__ or "")  # without the line ends, which typer would keep
+    app.command(help=text, **COMMAND_OPTIONS.get(verb, {}))(verb)
 
 
 def main() -> None:

@@ -247,7 +247,7 @@ def test_car_new_overwrites_nothing(skeleton):
 def test_car_check_prints_effective_uncertainties_and_unusual_values(skeleton):
     fill_in(skeleton)
     result = st("car", "check", skeleton)
-    assert "mass assumed +/- 3 % (" in result.stdout and "give `uncertainty` to change that" in result.stdout
+    assert "mass assumed +/- 3 % (" in result.stdout and "`uncertainty` in the vehicle file" in result.stdout
     assert "cg_height +/- 0.1 m (from the file)" in result.stdout and "unusual" not in result.stdout
     file = skeleton / "vehicle.yaml"
     file.write_text(file.read_text().replace("value: 2925.0, unit: kg m^2,",

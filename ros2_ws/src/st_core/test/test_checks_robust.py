@@ -17,6 +17,7 @@ from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
 
 FAST = settings(max_examples=25, deadline=None, derandomize=True, phases=(Phase.generate,))
 STRAIGHT = Sines(0.0, ())
+CHANNELS = (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, "road_wheel_angle")
 
 
 def errors(log, car=None, auxiliary=None):
@@ -189,15 +190,14 @@ def synthetic_channel(shape, size, count, draw):
 
 
 @FAST
-@given(count=st.sampled_from((50, 70, 400, 3000)), shapes=st.lists(SHAPES, min_size=9, max_size=9),
-       sizes=st.lists(NUMBERS, min_size=9, max_size=9), spacing=st.sampled_from((1, 10**3, 10**7, 10**9, 10**13)),
+@given(count=st.sampled_from((50, 70, 400, 3000)), shapes=st.tuples(*[SHAPES] * len(CHANNELS)),
+       sizes=st.tuples(*[NUMBERS] * len(CHANNELS)), spacing=st.sampled_from((1, 10**3, 10**7, 10**9, 10**13)),
        seed=st.integers(0, 1000))
 def test_any_finite_values_give_a_valid_result(leaf, count, shapes, sizes, spacing, seed):
     draw = np.random.default_rng(seed)
     rows = [synthetic_channel(shape, size, count, draw) for shape, size in zip(shapes, sizes, strict=True)]
     time = np.cumsum(draw.integers(1, 3, count)) * spacing
-    names = (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, "road_wheel_angle")
-    log = DriveLog("synthetic", ins_time_ns=time, steering_time_ns=time, **dict(zip(names, rows, strict=True)))
+    log = DriveLog("synthetic", ins_time_ns=time, steering_time_ns=time, **dict(zip(CHANNELS, rows, strict=True)))
     assert_valid(check(log, leaf, auxiliary_data(time, rows)))
 
 

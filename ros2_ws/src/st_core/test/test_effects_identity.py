@@ -19,7 +19,8 @@ def apply_to_ins(log: DriveLog, effect: str, parameter: str, value: float) -> Dr
     """The log as an INS with this effect would have recorded it."""
     model = augment("nonlinear", {effect: {parameter: value}})
     readings = model.observe(Measured(*(getattr(log, name) for name in Measured._fields)))
-    return replace(log, **{name: getattr(readings, name) for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS)})
+    return replace(log, **{name: getattr(readings, name) for name in Measured._fields if name in (
+        *INS_SIGNALS, *OPTIONAL_INS_SIGNALS)})
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ from canedge_bridge.units import find_unit, list_kinds
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.handling import find_implausible_values
 from st_core.integrate import required_slip_speed
+from st_core.models import TYRE_MODELS
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import DEFAULT_UNCERTAINTIES, FILE_QUANTITIES, OPTIONAL_QUANTITIES, VehicleParameters
 
@@ -63,7 +64,7 @@ def list_remarks(folder: str) -> list[str]:
     car = load_car(folder)
     vehicle = read_vehicle(car.vehicle)
     return [*(f"{car.vehicle}: unusual: {text}" for text in find_implausible_values(vehicle)), *_list_bus_remarks(car),
-            "uncertainty of each quantity, one standard deviation (the prior of st discover):",
+            "standard deviations (priors of st discover); `uncertainty` in the vehicle file replaces them:",
             *(f"  {line}" for line in list_uncertainties(vehicle))]
 
 
@@ -81,9 +82,9 @@ def list_uncertainties(vehicle: VehicleParameters) -> list[str]:
             lines.append(f"{key} +/- {uncertainty:.3g}{unit} (from the file)")
         elif default is not None:
             size = f"{100 * default.size:g} %" if default.relative else f"{uncertainty:.3g}{unit}"
-            lines.append(f"{key} assumed +/- {size} ({default.source}); give `uncertainty` to change that")
+            lines.append(f"{key} assumed +/- {size} ({default.source})")
     if fit_keys := [key for key in keys_without_uncertainty if "." not in key and key not in FIXED_QUANTITIES]:
-        lines.append(f"no prior in st discover unless `uncertainty` is given: {', '.join(fit_keys)}")
+        lines.append(f"no prior unless `uncertainty` is given: {', '.join(fit_keys)}")
     return lines
 
 
@@ -99,7 +100,7 @@ def _find_vehicle_problems(file: Path) -> list[str]:
     except (RunError, StCoreError) as error:
         return [str(error)]
     step = PredictionSettings().step
-    slip_speed = required_slip_speed(("linear", "nonlinear"), vehicle, STABILITY_SPEEDS, step)
+    slip_speed = required_slip_speed(TYRE_MODELS, vehicle, STABILITY_SPEEDS, step)
     if slip_speed is None:
         return [f"{file}: mass, yaw_inertia, cornering_stiffness_front, cornering_stiffness_rear: the "
                 f"numerical integration is unstable at any minimum_slip_speed with steps of {1e3 * step:g} ms; is one "

@@ -93,15 +93,15 @@ class ReadOptions:
         help="Signal table of the DBC; default: from --car, else from run.yaml, else that of the Leaf.", **FILE)] = None
     steering_sign: Annotated[int | None, typer.Option(
         callback=_check_sign, help="1 if the decoded or recorded steering angle is positive to the left, -1 if it is "
-        "positive to the right. Default: from --car (CAN only), else 1 (in st live: from config/nodes.yaml).")] = None
+        "positive to the right. Default: from --car (CAN only), else 1 (in st live: from nodes.yaml).")] = None
     steering_latency: Annotated[float | None, typer.Option(
         callback=in_range(0.0, "s", 1.0), help="Delay from the motion of the steering wheel to the stamp of the CAN "
-        "frame, s. Default: from --car, else 0 (in st live: from config/nodes.yaml).")] = None
+        "frame, s. Default: from --car, else 0 (in st live: from nodes.yaml).")] = None
     steering_topic: Annotated[str | None, typer.Option(
         help="Bags of other recorders: topic with the steering angle, of any message type that the bag defines. "
         "Default: the topic of type st_msgs/Steering, else the only one of a known type of steering report.")] = None
     steering_field: Annotated[str | None, typer.Option(
-        help="Message field with the steering angle: data (default), drive.steering_angle, ... Without "
+        help="Message field with the steering angle: data (default), position.1, ... Without "
         "--steering-topic: column of a CSV or VBO file.")] = None
     steering_is: Annotated[Literal["road", "wheel"], typer.Option(
         help="Meaning of the steering angle in the bag or table: road-wheel angle (road), or steering-wheel angle "

@@ -48,8 +48,8 @@ def discover(
         [], REFERENCE, help="Reference drives of the healthy car: all paths up to the next option. The search starts "
         "from the fit to these drives instead of from the vehicle file."),
     base: str = typer.Option("nonlinear", help="Base model: kinematic, linear, nonlinear, or a model file (.yaml)."),
-    output: Path | None = typer.Option(None, help="Folder for the results; default runs/discover-<time>."),
-    channels: str = typer.Option(",".join(CHANNELS), help="Measurements to use, separated by commas."),
+    output: Path | None = typer.Option(None, help="Folder for the results; default: a new one in runs/."),
+    channels: str = typer.Option(",".join(CHANNELS), help="Measurements to use, comma-separated.", show_default="all"),
     effects: Path | None = typer.Option(None, help="Folder of your own effects to include.", **shared.FOLDER),
     simulate_power: bool = typer.Option(
         False, "--simulate-power", help="Measure power and false-alarm rate with one search step on simulated drives, "
@@ -92,7 +92,7 @@ def identify(
         None, help="Model file used to predict drives, instead of nonlinear; its effects are not changed.",
         **shared.FILE),
     effects: shared.ModelEffects = None,
-    output: Path | None = typer.Option(None, help="Folder for the results; default runs/identify-<experiment>-<time>."),
+    output: Path | None = typer.Option(None, help="Folder for the results; default: a new one in runs/."),
     force: bool = typer.Option(False, "--force", help="Also use drives in which `st check` finds an error."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> int:

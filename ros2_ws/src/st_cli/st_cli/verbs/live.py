@@ -67,7 +67,7 @@ def live(
         None, callback=shared.in_range(1.0, "s"),
         help="Stop after this many seconds, at least 1; default: until Ctrl-C."),
     realtime: bool = typer.Option(
-        False, "--realtime", help="Real-time scheduling of bridges and predictor; to permit it: docs/manual/live.md."),
+        False, "--realtime", help="Real-time scheduling of bridges and predictor; to permit it: manual, live.md."),
     run_options: shared.RunOptions = shared.RunOptions(),
     output: Path | None = typer.Option(None, help="Folder for the run; default runs/live-<time>."),
 ) -> int:

@@ -22,7 +22,7 @@ from ..effects import Measured
 from ..errors import StCoreError
 from ..integrate import required_substeps
 from ..log import INS_SIGNALS, DriveLog, LogSignals, shares_memory
-from ..models import Model
+from ..models import TYRE_MODELS, Model
 from ..readings import predict_ideal_readings
 from ..sideslip import compute_steady_velocity_y
 from ..timeseries import NANOSECOND, Neighbours, moving_average
@@ -30,7 +30,6 @@ from ..vehicle import VehicleParameters
 from .settings import DiscoverySettings
 
 STEP = 0.05  # s, integration step
-TYRE_MODELS = ("linear", "nonlinear")
 SIDESLIP_SETTLING_TIME = 0.75  # s, in which the error of an assumed initial sideslip decays
 MARGIN_NS = 600_000_000  # ns before the first window, half of it after the last, for time shifts of the steering
 MAX_GAP = 0.1  # s, longest gap that is interpolated, as PredictionSettings.maximum_gap

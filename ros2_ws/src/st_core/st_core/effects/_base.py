@@ -13,11 +13,10 @@ from typing import Any, ClassVar
 
 from ..channels import CHANNELS
 from ..errors import ConfigurationError
+from ..models import MODELS, TYRE_MODELS
 from ..yaml_text import suggest_key
 
-BASE_MODELS = ("kinematic", "linear", "nonlinear")
-DYNAMIC = frozenset(("linear", "nonlinear"))
-ANY = frozenset(BASE_MODELS)
+DYNAMIC, ANY = frozenset(TYRE_MODELS), frozenset(MODELS)
 
 EFFECT_KINDS = ("sensors", "vehicle parameters", "physics", "environment")
 SLOTS = ("steering", "front axle", "rear axle", "both axles", "body",
@@ -31,7 +30,6 @@ COMBINATIONS = {"front cornering stiffness over axle load": "1/rad", "rear corne
 are not separable. Yaw inertia over mass is left out, because delays and relaxation have a similar influence: for cars
 with other dynamics, four of six estimated intervals did not contain the true value."""
 FORCE_COMBINATIONS = tuple(name for name in COMBINATIONS if name != TOTAL_DELAY)
-
 
 NO_HOOK: Any = None  # value of a hook that an effect does not define
 
@@ -236,7 +234,7 @@ def _check_declarations(effect: type[Effect]) -> Iterator[str]:
 
 def _check_names(effect: type[Effect]) -> Iterator[str]:
     if not effect.applies_to or not effect.applies_to <= ANY:
-        yield f"applies_to must name one or more of {', '.join(BASE_MODELS)}"
+        yield f"applies_to must name one or more of {', '.join(MODELS)}"
     for key in ("confounded_with", "needs", "members", "combinations"):
         if not isinstance(getattr(effect, key), tuple):
             yield f"{key} must be a tuple of names, even for one name: (\"name\",)"

@@ -325,7 +325,7 @@ def identify_lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, tuple[fl
                                           load_sensitivity * load_uncertainty)
         uncertainty = value * relative_uncertainty
         cause = ("a possible cause is steering and suspension compliance." if value < 1.0 else "compliance cannot "
-                 "make an axle stiffer than its tyres, so surface, temperature or inflation pressure differs.")
+                 "make an axle stiffer than its tyres: the stiffness is wrong, or the surface or the pressure differs.")
         verdict = (f"The {axle} axle is {value:.3f} times as stiff as its two tyres on the flat plank at {load:.0f} N: "
                    f"{cause}")
         status: Status = "identified" if value <= 1.0 + 2.0 * relative_uncertainty else "doubtful"

@@ -5,6 +5,7 @@ from . import kinematic, linear_tyre, nonlinear_tyre
 from ._base import Model, motion, slip_angles
 
 MODELS: dict[str, Model] = {m.name: m for m in (kinematic.MODEL, linear_tyre.MODEL, nonlinear_tyre.MODEL)}
+TYRE_MODELS = tuple(name for name, model in MODELS.items() if model.has_tyres)
 
 
 def get_model(model: str | Model) -> Model:
@@ -16,4 +17,4 @@ def get_model(model: str | Model) -> Model:
     return MODELS[model]
 
 
-__all__ = ["MODELS", "Model", "get_model", "motion", "slip_angles"]
+__all__ = ["MODELS", "TYRE_MODELS", "Model", "get_model", "motion", "slip_angles"]

@@ -244,7 +244,7 @@ def _format_level(level: str) -> str:
 
 def make_adaptive_rows(content: Mapping[str, Any]) -> list[dict[str, str]]:
     """Table row of each model and mode in the result of `summarise_adaptive`, by column title."""
-    return [{"model": model, "inputs": mode, "predictions": str(scores["starts"]),
+    return [{"model": model, "inputs": mode, "scored": str(scores["starts"]),
              **{f"{_format_level(level)} band": _format_percent(c) for level, c in scores["coverage"].items()},
              **{f"{_format_level(level)} band after 2 min": _format_percent(c)
                 for level, c in scores["late_coverage"].items()}}

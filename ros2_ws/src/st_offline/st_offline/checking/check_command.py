@@ -14,6 +14,7 @@ from rich.markup import escape
 from st_core.checks import Comparison, Finding, Severity, compare_runs
 from st_core.corrections import Correction
 from st_core.errors import ConfigurationError
+from st_core.models import TYRE_MODELS
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import OutputError, json_text, new_folder
@@ -35,7 +36,6 @@ from . import check_report
 from .check_report import CheckedRun, build_document, compute_residual_rms, print_runs
 from .gate import RUN_ERRORS, check_log, describe_problem
 
-MODELS = ("linear", "nonlinear")  # checked for stable integration
 MAX_FIGURES = 6  # on the page
 LABEL_CHARACTERS = 12  # per line of a vertical axis label, so that the labels of both panels do not overlap
 MAX_LINE_GAP = 1.5  # s; a line is interrupted at longer gaps
@@ -108,7 +108,7 @@ def check_run(source: RunSource, job: CheckJob) -> CheckedRun:
     if source.kind == "bag" and not job.vehicle_is_given:
         car, _, car_source = find_configuration(read_metadata_records(source.path), None)
     run = read(source, car, job.read_settings)
-    result = check_log(run.log, car, run.auxiliary, MODELS)
+    result = check_log(run.log, car, run.auxiliary, TYRE_MODELS)
     return CheckedRun(source.name, result, car, car_source, run.log.duration, run.warnings, run.provenance["files"],
                       summarise_alignment(run.alignment), source.arguments)
 

@@ -19,6 +19,7 @@ from st_core.handling import find_implausible_values
 from st_core.integrate import required_slip_speed
 from st_core.log import DriveLog, LogSignals
 from st_core.log_evaluation import regular_starts, usable_starts
+from st_core.models import TYRE_MODELS, get_model
 from st_core.prediction import PredictionSettings
 from st_core.regression import Z95
 from st_core.vehicle import FILE_QUANTITIES, Provenance, VehicleParameters, value_of
@@ -133,7 +134,7 @@ def _find_required_slip_speed(car: VehicleParameters, model: AugmentedModel) -> 
     """Lowest minimum_slip_speed [m/s] at which the base models and this model are stable. Models that no value
     stabilises are ignored; if none is left, the result is the value of the car."""
     step = PredictionSettings().step
-    required = [required_slip_speed((m,), car, STABILITY_SPEEDS, step) for m in ("linear", "nonlinear", model)]
+    required = [required_slip_speed((m,), car, STABILITY_SPEEDS, step) for m in (*map(get_model, TYRE_MODELS), model)]
     return max((speed for speed in required if speed is not None), default=car.minimum_slip_speed)
 
 

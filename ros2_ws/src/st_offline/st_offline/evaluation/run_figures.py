@@ -193,7 +193,7 @@ def describe_ranking(evaluation: LogEvaluation) -> str:
         return "no complete horizon"
     text = "lateral RMSE of the horizon means: " + ", ".join(f"{m} {v:.2f} m" for v, m in values)
     ratio = values[-1][0] / max(values[0][0], 1e-6)
-    return text + (f" (ratio {ratio:.1f})" if len(values) > 1 and ratio > 1.15 else "")
+    return text + (f" (largest {ratio:.1f} times the smallest)" if len(values) > 1 and ratio > 1.15 else "")
 
 
 def draw_slip_and_forces(data: FigureData) -> PageFigure | None:

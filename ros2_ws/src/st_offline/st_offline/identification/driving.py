@@ -56,10 +56,10 @@ def draw_mounting(outcome: Identification, output: FigureOutput) -> PageFigure:
     data = outcome.figure
     figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
     subset = _thin_rows(len(data["curvature"]))
-    for index, name in enumerate(data["names"]):
+    for index, name in enumerate(names := data["names"]):
         indices = subset[data["run"][subset] == index]
         left.plot(data["curvature"][indices], data["velocity_ratio"][indices], ".", ms=2.5,
-                  label=name if len(data["names"]) <= 8 else None)
+                  color=plt.get_cmap("cividis")(index / len(names)), label=name if len(names) <= 8 else None)
     ends = np.array([data["curvature"].min(), data["curvature"].max()])
     left.plot(ends, data["theta"][0] + data["theta"][1] * ends, color=TEXT_COLOUR, lw=1, label="fit")
     left.set(xlabel="yaw rate / forward velocity, 1/m (positive to the left)",
@@ -260,7 +260,7 @@ DRIVE_EXPERIMENTS = (
     make_drive_experiment("steering", "steering ratio and offset, without turntables",
                           "bends and straights at several speeds", identify_steering, draw_prediction, uses_model=True),
     make_drive_experiment("ins", "lever arm and misalignment of the INS",
-                          "2 to 9 m/s, straights and bends to both sides", identify_ins_mounting, draw_mounting),
+                          "1.5 to 9 m/s, straights and bends to both sides", identify_ins_mounting, draw_mounting),
     make_drive_experiment("stiffness", "cornering stiffnesses, by prediction", "bends to both sides, up to 4 m/s^2",
                           compare_stiffness, draw_stiffness, uses_model=True),
     make_drive_experiment("stiffness-paper", "cornering stiffnesses, by the regression of the paper",

@@ -53,7 +53,7 @@ def draw_scales(outcome: Identification, output: FigureOutput) -> PageFigure:
         axes.axvline(estimate.value, color=MODEL_COLOUR["augmented"], label="estimate")
         used = data["is_used"]
         axes.plot(values[used], rows[used], "o", color=TEXT_COLOUR, ms=5, label="weighing")
-        axes.plot(values[~used], rows[~used], "x", color=MEASURED_COLOUR, ms=6, label="left out")
+        axes.plot(values[~used], rows[~used], "x", color=MEASURED_COLOUR, ms=6, label="" if used.all() else "left out")
         axes.set_xlabel(label)
         axes.ticklabel_format(useOffset=False)
         axes.grid(axis="y", visible=False)
