@@ -21,7 +21,7 @@ from ..tyres import GRAVITY
 from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
 from .finding import HORIZON, LIMITS, SYSTEMATIC_UNCERTAINTY, Advice, Alternative, Comparison, Finding, Severity
 from .inertial import MAX_LAG, MIN_COMMON_TIME, NOT_FITTED, Agreement, Results, compare_series, format_alternative_lags
-from .motion import MAX_LISTED_TIMES, MIN_MOVING_SPEED, MIN_TURN, Motion, correlate, has_varying_speed, is_near
+from .motion import MAX_LISTED_TIMES, MIN_MOVING_SPEED, Motion, correlate, has_varying_speed, is_near
 from .position import MIN_LOSS_RATIO, OPPOSITE_SIGN_FINDING
 from .regression import Estimate, Regression, add_systematic_uncertainty
 from .units_and_axes import DEG_PER_RAD
@@ -431,14 +431,15 @@ def check_tyre_limit(motion: Motion, sideslip_measured: bool) -> list[Finding]:
 
 
 def check_test_bench(motion: Motion) -> list[Finding]:
-    """Finding about wheels that turn for most of the drive while position and yaw vary by noise only."""
+    """Finding about wheels that turn for most of the drive while positions vary by noise only."""
     windows, speed = motion.make_windows(STANDSTILL_WINDOW), float(np.median(np.abs(motion.velocity_x)))
     displacement = windows.change(motion.position)
     if (len(windows) < MIN_CARRIED_WINDOWS or speed < MIN_MOVING_SPEED or windows.are_coherent(displacement)
-            or np.abs(displacement).max() > MAX_BENCH_MOTION or np.ptp(windows.mean(motion.yaw)) > MIN_TURN):
+            or np.abs(displacement).max() > MAX_BENCH_MOTION):
         return []
-    text = f"velocity_x is {speed:.3g} m/s while position and yaw are constant: is the car on a test bench?"
-    return [Finding("standstill_motion", Severity.WARNING, ("velocity_x",), text, speed, "m/s",
+    text = (f"velocity_x is {speed:.3g} m/s while x and y vary by noise only: is the car on a test bench, or did the "
+            "receiver lose its position?")
+    return [Finding("standstill_motion", Severity.ERROR, ("velocity_x", "x", "y"), text, speed, "m/s",
                     advice=Advice("text", "leave this drive out: nothing else in it can be checked"))]
 
 
