@@ -353,10 +353,10 @@ def test_drive_equals_the_one_of_the_csv_file(columns: Columns, tmp_path: Path,
 
 
 @pytest.mark.parametrize(("text", "warning", "n_lost"), [
-    (lambda rows: "\n".join(rows)[:-9], "1 records, the first in line 400, are damaged or truncated and were left", 1),
-    (lambda rows: "\n".join([*rows[:9], rows[9][:20], *rows[10:]]), "1 records, the first in line 10, are damaged", 1),
-    (lambda rows: f"[{','.join(rows)}"[:-9], "1 records, the first in line 1, are", 1),
-    (lambda rows: '{"car": {"parts": [{"a": 1}]}, "log": [\n' + ",\n".join(rows)[:-9], "the first in line 401", 1),
+    (lambda rows: "\n".join(rows)[:-9], "damaged or truncated and were left out: 1; the first is in line 400", 1),
+    (lambda rows: "\n".join([*rows[:9], rows[9][:20], *rows[10:]]), "were left out: 1; the first is in line 10", 1),
+    (lambda rows: f"[{','.join(rows)}"[:-9], "were left out: 1; the first is in line 1", 1),
+    (lambda rows: '{"car": {"parts": [{"a": 1}]}, "log": [\n' + ",\n".join(rows)[:-9], "the first is in line 401", 1),
     (lambda rows: "\n".join(f'{row}\n{{"topic": "gyro", "t": {k}, "z": 1}}' for k, row in enumerate(rows)),
      r"only its records of '.no topic.' are used, not those of 'gyro' \(400\)", 0)])
 def test_json_without_its_end_or_with_records_of_other_kinds(
@@ -463,6 +463,9 @@ def test_code_in_an_attribute_of_a_table_is_not_run(columns: Columns, tmp_path: 
     (lambda file: file.write_bytes(b"PAR1 broken"), "a.parquet", "cannot be read"),
     (lambda file: file.write_text('{"name": "speed", "value": 3.5, "timestamp": 2.0}\n' * 2), "a.jsonl",
      r"it has one row for each value \(columns name and value\); export one column for each name"),
+    (lambda file: file.write_text("[]"), "a.jsonl", "it has no records; write one file with all channels in each"),
+    (lambda file: file.write_bytes('[{"t": 0, "Größe": 1}]'.encode("cp1252")), "a.jsonl", "its columns are t, Größe"),
+    (lambda file: file.write_text('[{"t": 0, "Größe": 1}]', "utf-16"), "a.jsonl", "its columns are t, Größe"),
     (lambda file: file.write_text('{"t": 0.0, "x"'), "a.jsonl", r"cannot be read \(.*line 1 .*\); copy it again"),
     (lambda file: file.write_text('[{"sensor": "gyro", "z": 1}, {"sensor": "magnet", "z": 2}]'), "a.jsonl",
      r"it has no kinds of records with time, position, yaw and speed, among 'gyro' \(1\), 'magnet' \(1\); write one"),

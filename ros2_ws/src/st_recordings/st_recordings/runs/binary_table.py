@@ -21,7 +21,7 @@ from st_core.log import INS_SIGNALS
 from ..paths import cached_by_version
 from . import hdf5
 from .columns import Layout, add_fraction, find_ambiguous_steering, find_columns, find_missing, find_stamp_columns
-from .errors import RunError, convert_errors
+from .errors import CP1252_FALLBACK, RunError, convert_errors, find_codec
 from .mdf_blocks import describe_truncation
 from .mf4 import MDF_OPTIONS, open_mdf
 
@@ -114,7 +114,9 @@ def _load_json(file: Path, size: int, warnings: list[str]) -> Any:
     import pandas as pd
 
     content, records = None, dict[str, list[dict[str, Any]]]()
-    with file.open(encoding="utf-8-sig") as stream:
+    with file.open("rb") as stream:
+        codec = find_codec(stream.read(4096))
+    with file.open(encoding=codec, errors=CP1252_FALLBACK) as stream:
         with suppress(ValueError):  # the names of columns may be in the whole file
             content = _parse_json(file, stream.read(size), warnings) if size > 0 else None
             records = _find_records(content)
@@ -171,8 +173,8 @@ def _parse_json(file: Path, text: str, warnings: list[str]) -> Any:
     if len(records) <= len(damage):
         raise reason
     if damage:
-        warnings.append(f"{file}: {len(damage)} records, the first in line {damage[0]}, are damaged or truncated and "
-                        "were left out")
+        warnings.append(f"{file}: records that are damaged or truncated and were left out: {len(damage)}; the first is "
+                        f"in line {damage[0]}")
     return records
 
 
@@ -203,9 +205,9 @@ def _select_records(file: Path, kinds: dict[str, list[dict[str, Any]]], warnings
         find_columns(file, names[kind], Layout()), names[kind], ("t", *INS_SIGNALS))]
     others = ", ".join(f"{kind!r} ({len(rows)})" for kind, rows in kinds.items() if [kind] != usable_kinds)[:200]
     if len(usable_kinds) != 1:
-        raise RunError(file, f"it has {'several' if usable_kinds else 'no'} kinds of records with time, position, yaw "
-                       f"and speed, among {others or 'none'}", "write one file with all channels in each record, as "
-                       '[{"t": 0.0, "x": 1.2}, ...]')
+        kinds_text = f"kinds of records with time, position, yaw and speed, among {others}" if others else "records"
+        raise RunError(file, f"it has {'several' if usable_kinds else 'no'} {kinds_text}", "write one file with all "
+                       'channels in each record, as [{"t": 0.0, "x": 1.2}, ...]')
     if others:
         warnings.append(f"{file}: only its records of {usable_kinds[0]!r} are used, not those of {others}")
     return kinds[usable_kinds[0]]

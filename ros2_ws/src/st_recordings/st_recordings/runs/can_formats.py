@@ -22,7 +22,7 @@ from oxts_bridge.file_decoder import CAPTURE_MAGIC
 from .binary_table import is_signal_table
 from .columns import MOTION_CHANNELS, Layout, find_columns, find_times
 from .csv_table import split_row
-from .errors import COMPRESSED_MAGIC, CP1252_FALLBACK, RunError, find_codec, format_count, shorten
+from .errors import CP1252_FALLBACK, FOREIGN_MAGIC, RunError, find_codec, format_count, shorten
 from .frames import MAX_EXTENDED_ID, MAX_STANDARD_ID
 from .mf4 import FD_LENGTHS, MF4_EXTENSIONS, VENDOR_EXTENSIONS, is_mdf
 from .table_times import DAY, PLAUSIBLE_EPOCH, ROLLOVER_STEP, month_number, parse_stamp
@@ -546,7 +546,8 @@ def find_restart(head: bytes) -> tuple[float, float]:
 def is_can_log(file: Path) -> bool:
     """Whether a file is a CAN log, by its extension, or by its content if other programs also use the extension.
 
-    A .log or .asc file that is empty, compressed or unreadable is taken for a CAN log; its reader reports the problem.
+    A .log or .asc file that is empty, of FOREIGN_MAGIC or unreadable is taken for a CAN log; its reader reports the
+    problem.
     """
     extension = file.suffix.lower()
     if extension in MF4_EXTENSIONS:
@@ -560,4 +561,4 @@ def is_can_log(file: Path) -> bool:
     if extension == ".csv":
         return any(kind.matches(head) for kind in FORMATS if extension in kind.extensions)
     return is_mdf(head) or _is_can_capture(head) or any(kind.matches(head) for kind in FORMATS) or (
-        extension in (".log", ".asc") and (not head or head.startswith(tuple(COMPRESSED_MAGIC))))
+        extension in (".log", ".asc") and (not head or head.lower().startswith(tuple(FOREIGN_MAGIC))))

@@ -8,9 +8,14 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
 
-COMPRESSED_MAGIC = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip, or a spreadsheet", b"BZh": "bzip2", b"\xfd7zXZ": "xz",
-                    b"7z\xbc\xaf": "7-Zip", b"\x28\xb5\x2f\xfd": "zstd"}
-"""First bytes of a compressed file -> its kind."""
+_COMPRESSED = {b"\x1f\x8b": "gzip", b"pk\x03\x04": "zip, or a spreadsheet", b"bzh": "bzip2", b"\xfd7zxz": "xz",
+               b"7z\xbc\xaf": "7-Zip", b"\x28\xb5\x2f\xfd": "zstd"}
+FOREIGN_MAGIC = {
+    **{magic: (f"a compressed file ({kind})", "unpack it first") for magic, kind in _COMPRESSED.items()},
+    b"version https://git-lfs": ("a pointer of Git LFS instead of the file", "fetch the file with `git lfs pull`"),
+    **dict.fromkeys((b"<!doctype html", b"<html"), ("a web page instead of the file", "download the file itself")),
+    b"%pdf-": ("a PDF document", "export the data as .csv")}
+"""First bytes, in lower case, of a file that is never a recording -> (what it is, advice)."""
 CP1252_FALLBACK = "single_track_cp1252"
 """Name of an error handler that decodes Windows-1252 bytes in a text that is otherwise UTF-8."""
 codecs.register_error(CP1252_FALLBACK, lambda error: (
@@ -122,15 +127,15 @@ def _list_files(messages: Sequence[str]) -> str:
 
 
 def check_readable(path: Path) -> None:
-    """Raises RunError for a folder, or a file that is missing, empty, compressed or cannot be opened."""
+    """Raises RunError for a folder, or a file that is missing, empty, of FOREIGN_MAGIC or cannot be opened."""
     try:
         if not path.is_file():
             raise RunError(path, "this is a folder, not a file" if path.exists() else "the file does not exist")
         with path.open("rb") as stream:
-            head = stream.read(6)
+            head = stream.read(24).lower()
             if not head:
                 raise RunError(path, "the file is empty", "remove it from the command")
-            if kind := next((name for magic, name in COMPRESSED_MAGIC.items() if head.startswith(magic)), None):
-                raise RunError(path, f"this is a compressed file ({kind})", "unpack it first")
+            for magic in filter(head.startswith, FOREIGN_MAGIC):
+                raise RunError(path, f"this is {FOREIGN_MAGIC[magic][0]}", FOREIGN_MAGIC[magic][1])
     except OSError as error:
         raise RunError(path, f"cannot be read: {error.strerror}") from None
