@@ -481,7 +481,8 @@ def test_driving_direction_is_not_read_as_course() -> None:
 @pytest.mark.parametrize(("names", "channel", "expected"), [
     (["Time (s)", "Velocity (m/s)", "Direction (°)"], "course", "Direction (°)"),  # of phyphox
     (["a/state/yaw", "a/state/yaw_deg"], "yaw", "a/state/yaw_deg"), (["a/yaw_deg", "a/yaw"], "yaw", "a/yaw_deg"),
-    (["a/velocities.yaw"], "yaw", None), (["a/pose/yaw", "a/angular_rates/yaw"], "yaw", "a/pose/yaw"),
+    (["a/velocities.yaw"], "yaw", None), (["/integrated/high_rate/yaw"], "yaw", "/integrated/high_rate/yaw"),
+    (["a/pose/yaw", "a/angular_rates/yaw"], "yaw", "a/pose/yaw"),
     (["a/yaw", "b/yaw_deg"], "yaw", None), (["INS_Lat_Abs", "GNSS_Lat_Abs"], "latitude", "INS_Lat_Abs")])
 def test_name_after_a_path(names: list[str], channel: str, expected: str | None) -> None:
     source = find_columns(Path("d.csv"), names, Layout()).get(channel)

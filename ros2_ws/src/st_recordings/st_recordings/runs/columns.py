@@ -112,8 +112,8 @@ _OTHER_QUANTITY = re.compile(
 """Words which show that a name with a path or a source is not a measured quantity of this car."""
 _SOURCE = (r"(?:gps|gnss|ins|imu|ego|car|veh|vehicle|odom|odometry|can|chassis|pose|state|est|estimated|meas|measured|"
            r"act|actual|raw|filt|filtered|sensor|iso_vs|iso|cg|cog)")  # where a value comes from, not what it is
-_DERIVATIVE = re.compile(r"(?i)veloc|accel|speed|rate|force|torque|moment")
-"""Words in a path which show that a name such as yaw is not an angle or a position: velocities.yaw is a rate."""
+_DERIVATIVE = re.compile(r"(?i)(veloc|accel|(^|[^a-z])rates|angular_?rate|force|torque|moment)[^/.]*[/.]+$")
+"""End of a path which shows that a name such as yaw is not an angle or a position: velocities.yaw is a rate."""
 _PATH = re.compile(rf"(?i)^{_SOURCE}[ _-]+|[/.]+|::")
 _CAMEL_CASE = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 _SUFFIX = re.compile(rf"(?i)[ _-]+{_SOURCE}$")
