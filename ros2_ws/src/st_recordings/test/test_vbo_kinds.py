@@ -29,6 +29,17 @@ def test_sign_of_a_vbo_yaw_rate_in_a_steady_turn(tmp_path: Path, radius: float, 
     assert any("yaw rate" in w for w in run.warnings) == bool(note)
 
 
+@pytest.mark.parametrize("delimiter", [" ", ",", "\t"])
+def test_delimiter_of_a_vbo_and_the_source_of_a_channel(tmp_path: Path, delimiter: str) -> None:
+    rows = [(f"{120000 + 0.05 * k:.2f}", f"{3120 + 0.0003 * k:.6f}", "-90.0", "36.0", "0.0", "9.0") for k in range(99)]
+    names = ("time", "lat", "long", "velocity", "heading", "steering_wheel_angle-obd")  # of RaceChrono
+    (tmp_path / "a.vbo").write_text("[column names]\n{}\n[data]\n{}\n".format(
+        delimiter.join(names), "\n".join(map(delimiter.join, rows))))
+    run = read(find_runs([tmp_path / "a.vbo"])[0], CAR)
+    assert (run.log.velocity_x == 10.0).all() and len(run.log.ins_time_ns) == 99
+    np.testing.assert_allclose(run.log.steering_wheel_angle, np.radians(9.0))
+
+
 @pytest.mark.parametrize("scale", [-1.0, -0.5, 0.5])
 def test_negative_scale_of_a_vbo_yaw_rate_and_the_change_of_its_sign_are_one(tmp_path: Path, scale: float) -> None:
     lines = "\n".join(f"{120000 + 0.05 * k:.2f} {3120 + 0.0003 * k:.6f} -90.0 36.0 {(90 - 0.5 * k) % 360:.4f} -10.0 0.1"

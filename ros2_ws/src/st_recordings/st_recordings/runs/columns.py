@@ -94,7 +94,8 @@ COLUMNS: Mapping[str, Channel] = {
         f"wheel_speed_{end}_{side} wheel_speed_{end[0]}{side[0]} ws_{end[0]}{side[0]} v_{end[0]}{side[0]} "
         f"{end}_{side}_wheel_speed")) for end in ("front", "rear") for side in ("left", "right")},
     "vehicle_speed": Channel("speed", "speed signal of the car; for checks", (
-        "vehicle_speed car_speed can_speed speed_can abs_speed odometer_speed wheel_speed wheel_speeds")),
+        "vehicle_speed car_speed can_speed speed_can obd_speed speed_obd abs_speed odometer_speed wheel_speed "
+        "wheel_speeds")),
 }
 """All known columns; test_csv_columns.py compares docs/csv_columns.md with this table."""
 
@@ -116,7 +117,7 @@ _DERIVATIVE = re.compile(r"(?i)(veloc|accel|(^|[^a-z])rates|angular_?rate|force|
 """End of a path which shows that a name such as yaw is not an angle or a position: velocities.yaw is a rate."""
 _PATH = re.compile(rf"(?i)^{_SOURCE}[ _-]+|[/.]+|::")
 _CAMEL_CASE = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
-_SUFFIX = re.compile(rf"(?i)[ _-]+{_SOURCE}$")
+_SUFFIX = re.compile(rf"(?i)[ _-]+(?:{_SOURCE}|obd|canbus|calc)$")
 
 _FRACTION = re.compile(r"(.*?)(n|nano|u|micro|m|milli)(s|secs?|seconds?|(?<=nano))")  # name of fractions of a second
 _FRACTION_FACTORS = {"n": 1e-9, "nano": 1e-9, "u": 1e-6, "micro": 1e-6, "m": 1e-3, "milli": 1e-3}

@@ -42,14 +42,14 @@ def read_vbo(file: Path, layout: Layout) -> Table:
     if not {"column names", "data"} <= sections.keys():
         raise RunError(file, "this is not a VBO file: section [column names] or [data] is missing",
                        "correct its extension")
-    names = split_words(sections["column names"])
+    names, delimiter = _split_names(sections["column names"])
     if len({*re.findall(r"(?mi)^\[column names\]\s*\n(.*)", text)}) > 1:
         raise RunError(file, "it consists of several files with different [column names]", "split it into these files")
     sources = _find_sources(file, names, sections, layout)
     warnings: list[str] = []
     if "t" not in sources:
         raise RunError(file, f"[column names] has no time, only {', '.join(names)[:200]}", "export the time as well")
-    table = parse_table(file, names, sections["data"], " ", layout, warnings, sources)
+    table = parse_table(file, names, sections["data"], delimiter, layout, warnings, sources)
     date = _CREATION_DATE.search(text[:2000]) if table.sources["t"].unit == HHMMSS else None
     midnight, _ = (parse_stamp("{}.{}.{} 0:00:00".format(*date.groups())) if date else None) or (0.0, 0.0)
     return _correct_yaw_rate(_correct_coordinates(replace(table, time_ns=table.time_ns + round(midnight * 1e9))))
@@ -58,11 +58,17 @@ def read_vbo(file: Path, layout: Layout) -> Table:
 def lacks_steering(file: Path) -> bool:
     """Whether [column names] has names but no road wheel or steering wheel angle; False for an unreadable file."""
     try:
-        names = split_words(_split_sections(read_text(file, HEADER_SIZE)).get("column names", ""))
+        names, _ = _split_names(_split_sections(read_text(file, HEADER_SIZE)).get("column names", ""))
         sources = find_columns(file, names, Layout())
     except (RunError, OSError):  # read_vbo reports the error
         return False
     return bool(names and find_missing(sources, names, ["road_wheel_angle"]))
+
+
+def _split_names(text: str) -> tuple[list[str], str]:
+    """(names of the columns, delimiter: a blank or, in files of some programs, a comma)."""
+    names = split_words(text)
+    return (names[0].split(","), ",") if len(names) == 1 and "," in names[0] else (names, " ")
 
 
 def _split_sections(text: str) -> dict[str, str]:
