@@ -187,9 +187,9 @@ def _explain_residual(motion: Motion, rare_explanations: Mapping[tuple[str, ...]
         explanations = {names: confounded for names, confounded in rare_explanations.items()
                         if names == ("position_side",) or has_varying_speed(motion.velocity_x)}
         refined = _refine_causes(problem, causes, min_values, explanations)
-        for name in ALTERNATIVE_LAGS.keys() & refined.keys():  # at constant acceleration, a bias acts like a lag
+        for name in [n for n in ALTERNATIVE_LAGS if n in refined]:  # at constant acceleration, a bias acts like a lag
             lag = problem.estimate(tuple(dict.fromkeys((*refined, "velocity_x_bias"))))[name]
-            slips = {name} if _is_wheel_slip(problem, correction, name, tuple(refined)) else set()
+            slips = slips - {name} | ({name} if _is_wheel_slip(problem, correction, name, tuple(refined)) else set())
             if not is_relevant(_add_refinement(name, causes, lag), min_values[name]):
                 del refined[name]
         # An axis scale that differs from 1 as much as a wrong unit is kept only if its effect is enough for a warning.
