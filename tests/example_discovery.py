@@ -69,7 +69,7 @@ def discovery(runs: Sequence[DriveLog], steps: Sequence[tuple[str, Mapping[str, 
                                           1.3 * totals[-1]),
               "yaw_rate": ChannelError(0.02, 0.01, (0.005, 0.012), "rad/s", 0.002)}
     outcome = outcome or ("none" if not steps else "named" if len(steps) == 1 else "several")
-    powers = tuple(Power(effect, parameter, unit, size * k, found, 20)
+    powers = tuple(Power(effect, parameter, unit, size * k, found, 20, 2.0 * size * k)
                    for effect, parameter, unit, size, low in (("steering_ratio", "factor", "1", 0.015, 0.6),
                                                                ("friction", "factor", "1", 0.1, 0.05),
                                                                ("heading_misalignment", "angle", "rad", 0.002, 0.9))

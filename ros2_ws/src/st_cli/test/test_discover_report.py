@@ -12,7 +12,7 @@ from example_discovery import discovery, fitted
 from st_cli.verbs.discover import expand_references
 from st_core.augmented import augment
 from st_core.checks import Advice, Finding, Severity
-from st_core.discovery import DiscoverySettings
+from st_core.discovery import DiscoverySettings, decision
 from st_core.discovery.error_regions import compute_window_errors
 from st_core.discovery.result import (
     AssumedQuantity,
@@ -20,6 +20,8 @@ from st_core.discovery.result import (
     Combination,
     FittedParameter,
     LocalEstimate,
+    Power,
+    Reason,
     Separability,
     UntestableEffect,
     VaryingEffect,
@@ -110,12 +112,38 @@ def test_indistinguishable_effects_are_listed_together(logs):
     assert any("record the next drive" in text for text in report_text.recommend(found, None))
 
 
-def test_undetectable_effects_are_listed_with_size_and_car_parameters_first(logs):
-    names = ("drag", "friction", "heading_misalignment", "steering_ratio")
-    undetectable = tuple(UntestableEffect(name, "") for name in names)
-    text = report_text.describe_undetectable(replace(discovery(logs, (), 1.0), not_testable=undetectable))
-    assert text == ("not detectable in these drives: friction of 40 %, steering ratio of 6 %, heading misalignment of "
-                    "0.458°, drag")
+def test_undetectable_effects_are_listed_with_sizes_and_the_largest_change_of_position_first(logs):
+    names = ("drag", "mass", "friction", "heading_misalignment", "steering_ratio")
+    sizes = (("steering_ratio", "1", ((0.05, 0.1), (0.08, 0.8))), ("friction", "1", ((0.2, 0.0),)),
+             ("heading_misalignment", "rad", ((math.radians(0.5), 0.7),)))
+    powers = tuple(Power(name, "", unit, size, probability, 0, 2.0 * size) for name, unit, rows in sizes
+                   for size, probability in rows)
+    found = discovery(logs, (), 1.0)
+    found = replace(found, not_testable=tuple(UntestableEffect(name, "") for name in names),
+                    power_analysis=replace(found.power_analysis, powers=powers))
+    assert report_text.describe_undetectable(found) == (
+        "not detectable in these drives: friction of 20 % (0.40 m after 5 s), steering ratio of 5 % (0.10 m after 5 s, "
+        "detectable from about 8 %), mass, heading misalignment of 0.5° (0.017 m after 5 s), drag")
+    assert report_text.describe_detectable(found) == ""
+    assert "steering ratio of 3 %" in report_text.describe_detectable(discovery(logs, (), 1.0))
+
+
+def test_minor_effects_on_the_vehicle_file_are_possible_causes_with_interval_reason_and_change_of_position(logs):
+    steps = (*STEPS, ("sensor_lever_arm", {"x": 0.58, "y": 0.0}, 0.45))
+    found = discovery(logs, steps, 1.72)
+    reasons = tuple(Reason(decision.MINOR, e.name, {}, f"reason {k}") for k, e in enumerate(found.effects))
+    minor = (found.effects[0], *found.effects[2:])
+    uncertain = replace(found, effects=found.effects[1:2], minor=minor, reasons=reasons)
+    causes = [text for heading, text in report_text.summarise(uncertain, None, {}) if heading == "possible cause"]
+    assert causes == [
+        "steering ratio × 0.8940 (0.8919 to 0.8961): without it or another in its place the 5 s position error "
+        "changes by +0.90 m; reason 0",
+        "sensor lever arm x 0.580 m (0.568 to 0.592); y 0 m (0 to 0): without it or another in its place the 5 s "
+        "position error changes by +0.090 m; reason 3"]
+    largest = ("; the largest reduction is by steering ratio × 0.8940, which is not certain enough to be reported as a "
+               "cause")
+    assert report_text.format_title(uncertain).endswith(largest)
+    assert largest not in report_text.format_title(replace(uncertain, minor=uncertain.minor[1:]))
 
 
 @pytest.mark.parametrize(("strength", "why"),

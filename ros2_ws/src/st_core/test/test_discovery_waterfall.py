@@ -195,8 +195,8 @@ def test_predicted_power_agrees_with_the_power_measured_on_simulated_drives():
     measured = power_analysis.measure_power(problem, base, Limits(), 0, lambda: ticks.append(1))
     assert (predicted.measured, predicted.simulated_drives, measured.measured, len(ticks)) == (False, 0, True, len(FEW))
     assert measured.alarms <= 0.05 * measured.simulated_drives
-    difference = [p.probability - m.probability for p, m in zip(predicted.powers, measured.powers, strict=True)]
-    assert [(p.effect, p.size) for p in predicted.powers] == [(m.effect, m.size) for m in measured.powers]
+    by_size = {(p.effect, p.size): p.probability for p in predicted.powers}
+    difference = [by_size[m.effect, m.size] - m.probability for m in measured.powers]
     assert np.mean(np.abs(difference)) < 0.12
     assert {round(m.probability) for m in measured.powers} == {0, 1}
     for effect in FEW:
@@ -212,6 +212,22 @@ def test_effect_without_a_signature_has_no_detection_power():
     predicted = power_analysis.predict_power(problem, base, scores, Limits())
     found = {e: max(p.probability for p in predicted.powers if p.effect == e) for e in FEW}
     assert found["road_bank"] < 0.01 and min(found[e] for e in FEW if e != "road_bank") > 0.8
+    assert sum(p.effect == "road_bank" for p in predicted.powers) == 3
+
+
+def test_smallest_detectable_size_is_listed_for_an_effect_that_is_undetectable_at_its_typical_size():
+    problem = linear_problem(FEW, {}, 5, common=0.3)
+    problem.noise = np.full(len(COLUMNS), 1e-4)  # far below the residual, a fifth of which must then be explained
+    problem.errors.signatures *= 0.5
+    base = fit_problem(problem)
+    predicted = power_analysis.predict_power(problem, base, screen(problem, base, np.random.default_rng(0)), Limits())
+    rows = [[p for p in predicted.powers if p.effect == e] for e in FEW]
+    assert all(larger == [] for _, _, typical, *larger in rows if typical.probability >= 0.8)
+    undetectable = [(typical, larger) for _, _, typical, *larger in rows if typical.probability < 0.8 and larger]
+    assert undetectable
+    for typical, (detectable,) in undetectable:
+        assert detectable.probability >= 0.8 and detectable.size > typical.size
+        assert detectable.position_5s > typical.position_5s
 
 
 # Next manoeuvre

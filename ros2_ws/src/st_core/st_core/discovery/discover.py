@@ -26,7 +26,7 @@ from .library_fit import MAX_CLOCK_DEVIATION, apply_clock_corrections, estimate_
 from .loss import Errors, Loss
 from .next_manoeuvre import Curvatures, choose_manoeuvre, find_most_informative, list_separabilities, simulate_catalogue
 from .partitions import MIN_RUNS, Partition, find_sites, make_partitions
-from .power_analysis import find_confounding_effect, measure_power, predict_power
+from .power_analysis import EFFECT_SIZES, find_confounding_effect, measure_power, predict_power
 from .search import Search, SearchState
 from .settings import DiscoverySettings
 from .space import Space, find_file_quantities
@@ -433,14 +433,14 @@ class _Analysis:
         untestable, problem = [], self.problem
         for name in self.space.hypotheses:
             powers = [p for p in power.powers if p.effect == name]
-            if name in names or max((p.probability for p in powers), default=0.0) >= self.limits.detection_power:
+            typical = powers[len(EFFECT_SIZES) - 1]
+            if name in names or typical.probability >= self.limits.detection_power:
                 continue
-            largest = max(powers, key=lambda p: p.size)
             other = find_confounding_effect(problem, state.fit, name, state.scores, self.limits)
             confounder = f"in these drives it cannot be separated from {other.replace('_', ' ')}; " if other else ""
-            size = f"{100 * largest.size:.3g} %" if largest.unit == "1" else f"{largest.size:.3g} {largest.unit}"
+            size = f"{100 * typical.size:.3g} %" if typical.unit == "1" else f"{typical.size:.3g} {typical.unit}"
             untestable.append(result.UntestableEffect(
-                name, f"a change of {size} would be detected with probability {largest.probability:.2f}; "
+                name, f"a change of {size} would be detected with probability {typical.probability:.2f}; "
                 f"{confounder}it is visible in {get_effect(name).excited_by}",
                 find_most_informative(problem, name, curvatures)))
         untestable += [result.UntestableEffect(n, f"it needs the signal {', '.join(get_effect(n).signals)}, which is "

@@ -11,12 +11,13 @@ import numpy as np
 from scipy import stats
 
 from ..effects import find_confounded_effects
-from .evidence import Scores, efficient_score, library_p_value, residual_over_noise, score_effects
+from .evidence import Scores, efficient_score, error_reductions, library_p_value, residual_over_noise, score_effects
 from .fit import Fit, Problem
 from .result import Power, PowerAnalysis
 from .settings import Limits
 
 EFFECT_SIZES = (0.25, 0.5, 1.0)  # tested sizes of an effect [parameter scales]
+LARGER_SIZES = 15  # sizes from there to the bound; of these, the first detectable one is listed
 DRIVES = 20  # simulated drives for each size of an effect; the standard deviation of the measured power is at most 0.11
 FALSE_ALARM_DRIVES, SIGN_DRAWS = 100, 100  # simulated drives without an effect; draws of block signs for each drive
 
@@ -25,16 +26,18 @@ def predict_power(problem: Problem, fit: Fit, scores: Scores, limits: Limits) ->
     """Power from the curvature at the final fit. Twice the gain divided by the design effect has a noncentral
     chi-square distribution with one degree of freedom."""
     q = problem.full_quadratic(fit.vector).sum_groups(problem.block, problem.blocks)
-    powers = []
+    largest_size = np.abs(problem.distance_to_bounds(fit.vector, np.arange(len(problem.space)))).max(axis=0)
+    powers: list[Power] = []
     for effect in problem.space.hypotheses:
         names = tuple(n for n in fit.names if not problem.space.overlaps(effect, (n,)))
         information = efficient_score(q, problem, names, effect)[1]
         best = int(np.argmax(information))
         index = problem.space.indices(effect)[best]
-        parameter, scale = problem.space.parameters[index][1], float(problem.space.scale[index])
-        for size in EFFECT_SIZES:
-            power = _power(problem, fit, index, size, information[best], scores, limits)
-            powers.append(Power(effect, parameter.name, parameter.unit, size * scale, power, 0))
+        powers += [_power(problem, fit, index, size, information[best], scores, limits) for size in EFFECT_SIZES]
+        if powers[-1].probability < limits.detection_power:
+            larger_sizes = np.geomspace(EFFECT_SIZES[-1], largest_size[index], LARGER_SIZES + 1)[1:].tolist()
+            larger = (_power(problem, fit, index, size, information[best], scores, limits) for size in larger_sizes)
+            powers += [p for p in larger if p.probability >= limits.detection_power][:1]
     return PowerAnalysis(tuple(powers), 0, 0, measured=False)
 
 
@@ -47,26 +50,29 @@ def find_confounding_effect(problem: Problem, fit: Fit, effect: str, scores: Sco
     for other in names:
         information = efficient_score(q, problem, tuple(n for n in names if n != other), effect)[1]
         index = int(np.argmax(information))
-        power = _power(problem, fit, indices[index], EFFECT_SIZES[-1], information[index], scores, limits)
+        power = _power(problem, fit, indices[index], EFFECT_SIZES[-1], information[index], scores, limits).probability
         if power >= largest_power:
             masking_effect, largest_power = other, power
     return masking_effect
 
 
 def _power(problem: Problem, fit: Fit, index: int, size: float, information: float, scores: Scores,
-           limits: Limits) -> float:
-    """Probability of detecting a change of a parameter by `size` times its scale."""
+           limits: Limits) -> Power:
+    """Power for a change of a parameter by `size` times its scale."""
+    effect, parameter = problem.space.parameters[index]
     threshold = float(stats.chi2.isf(limits.false_alarm / (2 * len(problem.space.hypotheses)), 1))
-    sensitivities = problem.all_sensitivities(fit.vector).values[index]
-    min_gain = _required_gain(problem, problem.errors.at(fit.vector), size * sensitivities, limits)
+    change = size * problem.all_sensitivities(fit.vector).values[index]
+    min_gain = _required_gain(problem, problem.errors.at(fit.vector), change, limits)
     threshold = max(threshold, 2.0 * min_gain * problem.residual_count / scores.design_effect)
-    return float(stats.ncx2.sf(threshold, 1, max(2.0 * size**2 * information / scores.design_effect, 1e-9)))
+    probability = float(stats.ncx2.sf(threshold, 1, max(2.0 * size**2 * information / scores.design_effect, 1e-9)))
+    return Power(effect, parameter.name, parameter.unit, size * float(problem.space.scale[index]), probability, 0,
+                 error_reductions(problem.position_error(change), None)[0])
 
 
 def _required_gain(problem: Problem, residuals: np.ndarray, change: np.ndarray, limits: Limits) -> float:
     """Gain per residual above which an effect that causes `change` is reported. residuals: those of the final fit."""
     modelled, unmodelled = problem.position_error(residuals), problem.position_error(residuals + change)
-    reduction = float(np.nanmean(unmodelled - modelled)) if np.isfinite(modelled).any() else 0.0  # [m]
+    reduction, _ = error_reductions(unmodelled - modelled, None)  # [m]
     min_gain = limits.negligible if reduction > limits.relevant_position else limits.relevant
     has_unexplained_residual = residual_over_noise(problem, residuals) > limits.max_noise_ratio
     return max(min_gain, limits.unexplained_share) if has_unexplained_residual else min_gain

@@ -175,13 +175,14 @@ class Power:
     size: float
     probability: float
     simulated_drives: int  # number of drives simulated to estimate it; 0 if it is predicted without simulation
+    position_5s: float = 0.0  # change of the position after 5 s by this size, mean [m]; 0 if not predicted
 
 
 @dataclass(frozen=True)
 class PowerAnalysis:
     """Power of the tests on these drives."""
 
-    powers: tuple[Power, ...]  # for three sizes of each effect
+    powers: tuple[Power, ...]  # for three sizes of each effect; if undetectable and predicted, also a detectable one
     alarms: int  # number of drives, simulated without an effect, in which an effect was reported
     simulated_drives: int  # number of drives simulated without an effect; 0 if not measured
     measured: bool  # on simulated drives (--simulate-power); False: predicted from the curvature of the loss

@@ -303,8 +303,7 @@ def _make_wide_tables(discovery: Discovery) -> list[Table]:
         (quantities.to_words(c.name), quantities.format_fitted(c.name, c.parameters), f"{100 * c.gain:.1f}", c.verdict,
          c.reason)
         for c in sorted(tested, key=lambda c: (c.verdict not in ("alternative", "varies"), -c.gain))[:MAX_ROWS]]
-    undetectable = [(quantities.to_words(n.name), n.reason, n.manoeuvre) for n in sorted(
-        discovery.not_testable, key=lambda n: report_text.rank_by_kind(n.name))[:MAX_ROWS]]
+    undetectable = report_text.list_undetectable(discovery)[:MAX_ROWS]
     options = discovery.next_manoeuvre.options if discovery.next_manoeuvre else {}
     separations = ", ".join(f"{name} {report_text.format_separation(strength)}"
                             for name, strength in sorted(options.items(), key=lambda o: -o[1]))
@@ -317,7 +316,8 @@ def _make_wide_tables(discovery: Discovery) -> list[Table]:
               "when it is added to the model. An alternative is fitted in place of the reported effect.",
               ("effect", "fitted", "improvement, %", "verdict", "reason"), candidates,
               f"the first {len(candidates)} of {len(tested)}; all in discovery.json"),
-        Table("Not detectable in these drives", "", ("effect", "reason", "recommended manoeuvre"), undetectable,
+        Table("Not detectable in these drives", "In brackets: change of the position by a typical size.",
+              ("effect", "typical size", "reason", "recommended manoeuvre"), undetectable,
               f"the first {len(undetectable)} of {len(discovery.not_testable)}")]
 
 

@@ -21,7 +21,8 @@ from .quantities import format_briefly, format_fitted, format_metres, label_chan
 from .vehicle_update import SLIP_SPEED_KEY, VehicleUpdate
 
 MAX_PARTS = 6  # local estimates of a varying effect listed in a sentence
-MAX_UNDETECTABLE = 4  # effects listed in a sentence; the table contains all
+MAX_UNDETECTABLE = 8  # effects listed in a sentence; the table contains all
+MAX_MINOR = 3  # minor effects that change the vehicle file, listed in the summary; the details contain all
 MAX_KEYS = 3  # keys of a vehicle file listed in a sentence; the table contains all
 MAX_SEPARATION = 10.0  # standard deviations; larger separations are outside the linear range of the prediction
 MAX_RATIO = 1000.0  # of an error to the expected error; above it, predictions have diverged
@@ -36,9 +37,7 @@ EFFECT_NOTE = ("Errors are those of the complete model on held-out driving; \"wi
                f"over all driving or in one condition, by at least {LIMITS.relevant_position:g} m. A sensor error that "
                f"redundant sensors confirm is also reported, if it is at least {LIMITS.min_relative_size:g} times its "
                "typical size")
-PAIR_HEAD = ("effect", "alternative", f"fraction of the improvement (limit {100 * LIMITS.min_rival_gain:.0f} %)",
-             f"increase of the residual (limit {100 * LIMITS.unexplained_share:.0f} %)",
-             f"p (limit {LIMITS.undecided_p:g})", "cosine", "separation, σ of the noise")
+PAIR_HEAD = ("effect", "alternative", "cosine", "separation, σ of the noise")
 
 
 def name_with_alternatives(discovery: Discovery, effect: result.FoundEffect, first: str = "") -> str:
@@ -69,6 +68,9 @@ def format_title(discovery: Discovery) -> str:
     """The result in one line."""
     if discovery.outcome == "not_testable":
         return "These drives have too little excitation for a result"
+    largest = sort_by_size((*discovery.effects, *discovery.minor))[:1] if discovery.effects else []
+    uncertain = [f"the largest reduction is by {name_with_alternatives(discovery, e)}, which is not certain enough to "
+                 "be reported as a cause" for e in largest if e not in discovery.effects]
     effects = [name_with_alternatives(discovery, e) + (OTHER_CAUSE if e.other_causes else "")
                for e in sort_by_size(discovery.effects)]
     # A cause outside the library that acts like a named effect may change the combinations as well.
@@ -85,7 +87,7 @@ def format_title(discovery: Discovery) -> str:
         addition = [f"in addition {named}"] if named else []
         clauses = ["a significant error that no effect of the library explains", *addition]
     elif named:
-        clauses = [named, *unexplained]
+        clauses = [named, *uncertain, *unexplained]
     elif discovery.outcome == "varying":
         varying = [f"an effect that resembles {to_words(v.resembles)} ({format_metres(v.position_5s_reduction)}) but "
                    f"varies between {PARTITION_NAMES[v.varies_with]}" for v in discovery.varying]
@@ -126,7 +128,9 @@ def summarise(discovery: Discovery, update: VehicleUpdate | None,
                     for c in discovery.unseparated_combinations]
     contradictions = {r.subject: f"{to_words(r.subject)}: {r.text}" for r in discovery.reasons if r.rule == FILE}
     advice = [*contradictions.values(), recommend(discovery, update)[0], describe_next_drive(discovery)]
+    minor = [text for e, text in describe_minor(discovery) if get_effect(e.name).fold][:MAX_MINOR]
     pairs = [("only the combination is identifiable", "; ".join(combinations)),
+             *(("possible cause", text) for text in minor),
              ("unresolved", "; ".join(filter(None, unresolved))), ("recordings", _describe_findings(findings)),
              ("to do", "; ".join(filter(None, advice)))]
     return [(key, text) for key, text in pairs if text]
@@ -144,6 +148,18 @@ def _describe_findings(findings: Mapping[str, Sequence[Finding]]) -> str:
                   f"The recordings contain faults: correct them{source}, and run st discover again")
     details = "; ".join(filter(None, (", ".join(names), describe_effect(finding))))
     return f"{finding.text} ({details}){more}. {correction}"
+
+
+def describe_minor(discovery: Discovery) -> list[tuple[result.FoundEffect, str]]:
+    """Each minor effect with its values, their intervals, its alternatives, and why it is not reported as a cause."""
+    reasons = {r.subject: r.text for r in discovery.reasons if r.rule in (MINOR, FORCES, IMPLAUSIBLE)}
+    lines = []
+    for e in (e for e in sort_by_size(discovery.minor) if e.name in reasons):
+        values = "; ".join(quantities.format_parameters(e.name, e.parameters))
+        names = name_with_alternatives(discovery, e, f"{to_words(e.name)} {values}")
+        lines.append((e, f"{names}: without it or another in its place the 5 s position error changes by "
+                      f"{format_metres(e.position_5s_increase, '+')}; {reasons[e.name]}"))
+    return lines
 
 
 def describe_drives(discovery: Discovery) -> list[tuple[str, str]]:
@@ -229,27 +245,34 @@ def format_combination(combination: result.Combination) -> str:
 
 def list_pair_rows(discovery: Discovery) -> list[tuple[str, ...]]:
     """Table row of each inseparable pair of effects, with the columns of PAIR_HEAD; smallest separation first."""
-    rows = []
-    for pair in sorted(discovery.separability, key=lambda p: p.strength):
-        numbers = next((r.figures for r in discovery.reasons if r.rule == "alternative" and r.subject == pair.second
-                        and f"{to_words(pair.first)} it " in r.text), {})
-        tests = (form % (factor * numbers[key]) if key in numbers else "-" for key, factor, form in
-                 (("share", 100, "%.0f %%"), ("deficit", 100, "%.1f %%"), ("p_no_worse", 1, "%.2g")))
-        rows.append((to_words(pair.first), to_words(pair.second), *tests, f"{pair.cosine:.3f}",
-                     format_separation(pair.strength)))
-    return rows
+    return [(to_words(pair.first), to_words(pair.second), f"{pair.cosine:.3f}", format_separation(pair.strength))
+            for pair in sorted(discovery.separability, key=lambda p: p.strength)]
+
+
+def list_undetectable(discovery: Discovery) -> list[tuple[str, str, str, str]]:
+    """Table row of each effect that is not detectable in these drives: effect; typical size, with the change of the
+    position that it causes and the detectable size; reason; manoeuvre. Entries of the vehicle file first, then by this
+    change, largest first."""
+    typical = {p.effect: p for p in discovery.power_analysis.powers if p.probability < LIMITS.detection_power}
+    sizes = {}
+    for name, p in typical.items():
+        details = [f"{format_metres(p.position_5s)} after 5 s"] if p.position_5s else []
+        details += [f"detectable from about {quantities.format_deviation(float(f'{larger.size:.2g}'), p.unit)}"
+                    for larger in discovery.power_analysis.powers if larger.effect == name and larger.size > p.size]
+        sizes[name] = quantities.format_deviation(p.size, p.unit) + f" ({', '.join(details)})" * bool(details)
+    change = {name: -p.position_5s for name, p in typical.items()}
+    ranked = sorted(discovery.not_testable, key=lambda n: (rank_by_kind(n.name), change.get(n.name, 0.0)))
+    return [(to_words(n.name), sizes.get(n.name, ""), n.reason, n.manoeuvre) for n in ranked]
 
 
 def describe_undetectable(discovery: Discovery) -> str:
-    """Effects that are not detectable in these drives, with the largest size examined, vehicle parameters first."""
-    largest = {p.effect: f" of {quantities.format_deviation(p.size, p.unit)}"
-               for p in sorted(discovery.power_analysis.powers, key=lambda p: abs(p.size))}
+    """Effects that are not detectable in these drives, in the order of `list_undetectable`."""
     # The combination of these effects is detectable.
-    combined = {name for c in discovery.unseparated_combinations for name in c.effects}
-    ranked = sorted((n.name for n in discovery.not_testable if n.name not in combined), key=rank_by_kind)
-    names = ", ".join(f"{to_words(name)}{largest.get(name, '')}" for name in ranked[:MAX_UNDETECTABLE])
-    more = len(ranked) - MAX_UNDETECTABLE
-    return f"not detectable in these drives: {names}{f' and {more} more' if more > 0 else ''}" if names else ""
+    combined = {to_words(name) for c in discovery.unseparated_combinations for name in c.effects}
+    texts = [f"{name} of {size}" if size else name for name, size, *_ in list_undetectable(discovery)
+             if name not in combined]
+    more = f" and {len(texts) - MAX_UNDETECTABLE} more" if len(texts) > MAX_UNDETECTABLE else ""
+    return f"not detectable in these drives: {', '.join(texts[:MAX_UNDETECTABLE])}{more}" if texts else ""
 
 
 def format_separation(strength: float) -> str:
@@ -259,9 +282,10 @@ def format_separation(strength: float) -> str:
 
 def describe_detectable(discovery: Discovery) -> str:
     """The smallest detectable size of each effect in these drives, vehicle parameters first."""
+    undetectable = {n.name for n in discovery.not_testable}
     smallest: dict[str, result.Power] = {}
     for power in sorted(discovery.power_analysis.powers, key=lambda p: abs(p.size)):
-        if power.probability >= LIMITS.detection_power:
+        if power.probability >= LIMITS.detection_power and power.effect not in undetectable:
             smallest.setdefault(power.effect, power)
     ranked = sorted(smallest.values(), key=lambda p: rank_by_kind(p.effect))
     sizes = [f"{to_words(p.effect)} of {quantities.format_deviation(p.size, p.unit)}" for p in ranked]
@@ -269,9 +293,9 @@ def describe_detectable(discovery: Discovery) -> str:
 
 
 def rank_by_kind(name: str) -> tuple[bool, int]:
-    """Sort key of an effect: vehicle parameters first, then in the order of BUDGET_PARTS."""
-    kind = EFFECTS[name].kind if name in EFFECTS else ""
-    return kind != "vehicle parameters", BUDGET_PARTS.index(kind) if kind in BUDGET_PARTS else len(BUDGET_PARTS)
+    """Sort key of an effect: entries of the vehicle file first, then in the order of BUDGET_PARTS."""
+    effect = EFFECTS.get(name)
+    return not (effect and effect.fold), BUDGET_PARTS.index(effect.kind) if effect else len(BUDGET_PARTS)
 
 
 def describe_next_drive(discovery: Discovery) -> str:
@@ -344,9 +368,11 @@ def recommend(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
         lines.append("model.yaml is not written: with it, the position error after 5 s would increase significantly, "
                      f"from {format_metres(position.base)} to {format_metres(position.augmented)} on held-out driving")
     for name, changes in (update.not_folded if update is not None and is_written else {}).items():
-        lines.append(f"{to_words(name)} is in model.yaml, because no entry of the vehicle file can correct it: these "
-                     "recordings contain the road-wheel angle, or the model applies steering play before the ratio; "
-                     f"for recordings of the steering-wheel angle, set {format_changes(changes)}")
+        backlash = any(e.name == "steering_backlash" for e in discovery.model.active_effects)
+        reason = ("the model applies steering play before it" if backlash else
+                  "these recordings contain the road-wheel angle")
+        lines.append(f"{to_words(name)} is in model.yaml, because no entry of the vehicle file can correct it: {reason}"
+                     f"; for recordings of the steering-wheel angle, set {format_changes(changes)}")
     not_in_file = [e for e in discovery.effects if is_written and (update is None or e.name not in update.folded)]
     if sensors := [to_words(e.name) for e in not_in_file if e.kind == "sensors"]:
         lines.append(f"{', '.join(sensors)}: either use model.yaml, or correct the sensors or the recordings "
@@ -387,13 +413,11 @@ def format_changes(changes: Mapping[str, Sequence[float]]) -> str:
 
 def list_details(discovery: Discovery, update: VehicleUpdate | None) -> list[tuple[str, list[str]]]:
     """(heading, sentences) of the sections below the summary, without empty sections."""
-    reasons = {r.subject: r.text for r in discovery.reasons if r.rule in (MINOR, FORCES, IMPLAUSIBLE)}
     decisions = [reason.text for reason in discovery.reasons if reason.subject == "outcome"]
     if discovery.power_analysis.measured:
         decisions.append(f"false alarms: an effect was reported in {discovery.power_analysis.alarms} of "
                          f"{discovery.power_analysis.simulated_drives} simulated drives without an effect")
-    minor = [f"{name_with_alternatives(discovery, e)}: {reasons[e.name]}" for e in sort_by_size(discovery.minor)
-             if e.name in reasons]
+    minor = [text for _, text in describe_minor(discovery)]
     priors = ", ".join(f"{a.key} {format_estimate(a.value, (a.value - a.deviation, a.value + a.deviation), a.unit)}"
                        f"{'' if a.stated else ' (default uncertainty)'}"
                        for a in discovery.assumed if not a.key.startswith("tyre_"))
