@@ -156,7 +156,7 @@ def test_file_with_one_of_two_alternatives_mentions_the_other(logs, strength, wh
     assert any(f"the first of yaw inertia × 0.8600 or mass × 1.020; {why} separate" in t for t in reported)
     more = replace(found, minor=found.effects)
     reported = report_text.recommend(more, replace(corrected, text="name: x", error=(0.33, 0.31)))
-    alone = "vehicle.yaml alone reduces the position error at the end of the horizon by 6 %, together"
+    alone = "vehicle.yaml alone reduces the position error at the end of the horizon by 6 %"
     assert any(alone in t for t in reported)
 
 

@@ -144,7 +144,6 @@ def test_written_files_and_report_describe_the_proposal(tmp_path, registry):
     assert "without the relation, 0.500 m with it; noise level 0.060 m" in lines
     assert "do not separate it from: additional side force on the body as a function of the speed (0.90)" in lines
     assert "mass is reported above, but is redundant given this relation (residual without the effect: +" in lines
-    assert "1 of 1 runs" in lines
     assert "widest interval at -6 m/s²: " in lines and "± 1.1 ° (95 %)" in lines
     assert "y = 2 u (linear; keeps 97 % of" in lines and "textbook causes: a cause. These" in lines
     assert "u: lateral acceleration (forward speed times yaw rate; positive to the left), m/s²" in lines

@@ -304,14 +304,9 @@ def _make_wide_tables(discovery: Discovery) -> list[Table]:
          c.reason)
         for c in sorted(tested, key=lambda c: (c.verdict not in ("alternative", "varies"), -c.gain))[:MAX_ROWS]]
     undetectable = report_text.list_undetectable(discovery)[:MAX_ROWS]
-    options = discovery.next_manoeuvre.options if discovery.next_manoeuvre else {}
-    separations = ", ".join(f"{name} {report_text.format_separation(strength)}"
-                            for name, strength in sorted(options.items(), key=lambda o: -o[1]))
     return [
         Table("Effects that are not separable", "Separation: the part of the effect that the alternative and the "
-              "other effects cannot reproduce." + (
-                  f" Smallest separation of these pairs after each possible next drive: {separations}."
-                  if separations else ""), report_text.PAIR_HEAD, report_text.list_pair_rows(discovery)),
+              "other effects cannot reproduce.", report_text.PAIR_HEAD, report_text.list_pair_rows(discovery)),
         Table("Other effects that were tried", "Improvement: reduction of the errors over all channels by this effect "
               "when it is added to the model. An alternative is fitted in place of the reported effect.",
               ("effect", "fitted", "improvement, %", "verdict", "reason"), candidates,

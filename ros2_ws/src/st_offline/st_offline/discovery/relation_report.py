@@ -97,13 +97,9 @@ def report_relation(search: RelationSearch, discovery: Discovery, vehicle: Vehic
 
 
 def _describe_size(relation: Relation, discovery: Discovery, reason: str) -> list[str]:
-    worse = [name for name, (before, after) in relation.runs.items() if after >= before]
-    exceptions = f"; not smaller in {', '.join(worse)}" if worse else ""
     noise = f"; noise level {discovery.errors['position_5s'].floor:.3f} m" if "position_5s" in discovery.errors else ""
     errors = "held-out mean position error after 5 s: {:.3f} m without the relation, {:.3f} m with it"
-    return [relation.describe_errors(errors) + noise, reason,
-            f"smaller errors in {len(relation.runs) - len(worse)} of {len(relation.runs)} runs{exceptions}"
-            ] if relation.runs else [reason]
+    return [relation.describe_errors(errors) + noise, reason] if relation.runs else [reason]
 
 
 def _describe_formulas(relation: Relation, vehicle: VehicleParameters) -> list[str]:

@@ -260,8 +260,8 @@ def list_undetectable(discovery: Discovery) -> list[tuple[str, str, str, str]]:
         details += [f"detectable from about {quantities.format_deviation(float(f'{larger.size:.2g}'), p.unit)}"
                     for larger in discovery.power_analysis.powers if larger.effect == name and larger.size > p.size]
         sizes[name] = quantities.format_deviation(p.size, p.unit) + f" ({', '.join(details)})" * bool(details)
-    change = {name: -p.position_5s for name, p in typical.items()}
-    ranked = sorted(discovery.not_testable, key=lambda n: (rank_by_kind(n.name), change.get(n.name, 0.0)))
+    ranked = sorted(discovery.not_testable, key=lambda n: (
+        rank_by_kind(n.name), -typical[n.name].position_5s if n.name in typical else 0.0))
     return [(to_words(n.name), sizes.get(n.name, ""), n.reason, n.manoeuvre) for n in ranked]
 
 
@@ -341,11 +341,8 @@ def _list_vehicle_recommendations(discovery: Discovery, update: VehicleUpdate | 
         slip = changes.pop(SLIP_SPEED_KEY, None)
         entries = format_changes(changes) if len(changes) <= MAX_KEYS else f"{len(changes)} entries are corrected"
         stable = f"; {format_changes({SLIP_SPEED_KEY: slip})}, for stable steps of 50 ms" if slip else ""
-        position = discovery.errors.get("position_5s")
-        together = (f", together with model.yaml by {100 * (1.0 - position.augmented / position.base):.0f} %"
-                    if position and position.base > 0.0 and not discovery.increases_error else "")
         alone = ("; vehicle.yaml alone reduces the position error at the end of the horizon by "
-                 f"{100 * (1.0 - update.error[1] / update.error[0]):.0f} %{together}"
+                 f"{100 * (1.0 - update.error[1] / update.error[0]):.0f} %"
                  if (discovery.minor or discovery.effective) and update.error[0] > 0.0 else "")
         effects = ", ".join(map(to_words, update.folded))
         lines.append(f"use the new vehicle.yaml: {entries}, for {effects}{stable}{alone}")
@@ -368,11 +365,9 @@ def recommend(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
         lines.append("model.yaml is not written: with it, the position error after 5 s would increase significantly, "
                      f"from {format_metres(position.base)} to {format_metres(position.augmented)} on held-out driving")
     for name, changes in (update.not_folded if update is not None and is_written else {}).items():
-        backlash = any(e.name == "steering_backlash" for e in discovery.model.active_effects)
-        reason = ("the model applies steering play before it" if backlash else
-                  "these recordings contain the road-wheel angle")
-        lines.append(f"{to_words(name)} is in model.yaml, because no entry of the vehicle file can correct it: {reason}"
-                     f"; for recordings of the steering-wheel angle, set {format_changes(changes)}")
+        lines.append(f"{to_words(name)} is in model.yaml, because no entry of the vehicle file can correct it: these "
+                     "recordings contain the road-wheel angle, or the model applies steering play before the ratio; "
+                     f"for recordings of the steering-wheel angle, set {format_changes(changes)}")
     not_in_file = [e for e in discovery.effects if is_written and (update is None or e.name not in update.folded)]
     if sensors := [to_words(e.name) for e in not_in_file if e.kind == "sensors"]:
         lines.append(f"{', '.join(sensors)}: either use model.yaml, or correct the sensors or the recordings "
