@@ -113,7 +113,7 @@ def test_content_of_the_model_description(tmp_path, augmented):
 
 
 @pytest.mark.parametrize(("run_count", "levels"), [
-    (10, {0.5: "50", 0.9: "90"}), (5, {0.5: "50", 0.8: "80"}), (5, {0.5: "50", 0.754: "75_4"})])
+    (10, {0.5: "50", 0.9: "90"}), (5, {0.5: "50", 0.8: "80"}), (10, {0.5: "50", 0.904: "90_4"})])
 def test_bands_are_exported_as_functions_of_state_and_inputs(tmp_path, run_count, levels):
     rng = np.random.default_rng(1)
     time = 0.5 * np.arange(1, 11)
