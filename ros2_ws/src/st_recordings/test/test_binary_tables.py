@@ -201,7 +201,7 @@ def save_json_lines(file: Path, columns: Columns) -> None:
 
 
 def save_json_records(file: Path, columns: Columns) -> None:
-    file.write_text(json.dumps({"car": "Leaf", "samples": nest(columns)}, indent=2))
+    file.write_text(json.dumps({"car": "Leaf", "drive": {"samples": nest(columns)}}, indent=2))
 
 
 def save_json_columns(file: Path, columns: Columns) -> None:

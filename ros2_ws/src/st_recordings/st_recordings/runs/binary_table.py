@@ -178,12 +178,19 @@ def _parse_json(file: Path, text: str, warnings: list[str]) -> Any:
     return records
 
 
+def _find_arrays(name: str, value: Any) -> Iterator[tuple[str, list[Any]]]:
+    if isinstance(value, list):
+        yield name, value
+    for key, entry in value.items() if isinstance(value, dict) else ():
+        yield from _find_arrays(key, entry)
+
+
 def _find_records(content: Any) -> dict[str, list[dict[str, Any]]]:
     """Kind -> its records, from arrays of objects: by the name of the array, by topic or sensor, and by the keys if no
     record has those of all others."""
     kinds: dict[str, list[dict[str, Any]]] = {}
-    for name, rows in content.items() if isinstance(content, dict) else [("", content)]:
-        for row in rows if isinstance(rows, list) else ():
+    for name, rows in _find_arrays("", content):
+        for row in rows:
             if isinstance(row, dict):
                 kinds.setdefault(str(row.get("topic", row.get("sensor", name or "(no topic)"))), []).append(row)
     for kind, rows in list(kinds.items()):
