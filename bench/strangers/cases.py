@@ -16,6 +16,14 @@ HALVES = {"development": (DEVELOPMENT, 20261125), "sealed": (SEALED, 31415926)}
 NEW_USER = "new_user"
 """The case of a new user: front-wheel drive, brush tyres, a vehicle file that is correct except for the steering ratio,
 and six drives with mild cornering."""
+VDRIFT = "vdrift"
+"""Ten cars by the equations of VDrift, chosen before the first search, with everyday drives."""
+USER_ROADS = (("town", 3.0, 80.0), ("country", 4.0, 80.0), ("slalom", 4.5, 70.0), ("roundabouts", 3.5, 80.0))
+CAN_DELAY = 0.015  # s, of the steering on the bus, of the cars VDRIFT
+VDRIFT_ERRORS: tuple[tuple[str, Mapping[str, float]], ...] = (
+    ("m3", {"ratio": 0.06}), ("mi", {"lever": 0.3}), ("350z", {"cg": 0.08}), ("co", {"mass": -0.1}),
+    ("ns", {"worn_rear": 0.8}), ("tl2", {"delay": 0.06}), ("rs2", {"rear_angle": math.radians(0.4)}),
+    ("gtv6", {"rear_steer": -0.05}), ("att", {"trailer": 900.0}), ("cs", {}))
 LOAD_DISTANCE = 0.3  # m, of the load, ahead of the rear axle
 SINGLE = {"ratio": 6, "offset": 4, "load": 4, "lever": 4, "worn_front": 4, "worn_rear": 4, "compliance": 3, "delay": 3,
           "gyro_scale": 2, "gyro_bias": 1, "heading": 1}
@@ -35,8 +43,9 @@ class Case:
 
     name: str
     car: str
-    # Error -> size in SI units. ratio: in the file over true, minus 1; lever: true minus in the file; load: mass;
-    # worn_*: factor on the stiffness; compliance: in addition to that of the car.
+    # Error -> size in SI units. ratio, mass: in the file over true, minus 1; lever: true minus in the file; cg: from the
+    # CG to the front axle, in the file minus true; load, trailer: mass; worn_*: factor on the stiffness; compliance: in
+    # addition to that of the car; rear_angle, rear_steer: parameters of the car.
     hidden: Mapping[str, float]
     guess: Mapping[str, float]  # values of the vehicle file that were not measured
     uncertainty: Mapping[str, float]  # standard deviations in the file
@@ -54,12 +63,15 @@ def is_possible(car: Car, faults: tuple[str, ...]) -> bool:
 
 @cache
 def cases(half: str) -> dict[str, Case]:
-    """Cases of a half, or that of NEW_USER, by name.
+    """Cases of a half, or those of NEW_USER or VDRIFT, by name.
 
     Each half has 60 cases: 20 without an error except guesses, 36 with one error, and 4 with two.
     """
     if half == NEW_USER:
         return {NEW_USER: make_new_user()}
+    if half == VDRIFT:
+        drawn = [_draw_frozen(car, hidden, number) for number, (car, hidden) in enumerate(VDRIFT_ERRORS)]
+        return {case.name: case for case in drawn}
     cars, seed = HALVES[half]
     rng = np.random.default_rng(seed)
     faults = [(), *[()] * (HEALTHY - 1), *[(name,) for name, count in SINGLE.items() for _ in range(count)], *PAIRS]
@@ -87,6 +99,14 @@ def make_new_user() -> Case:
              "cornering_stiffness_rear": n.stiffness_rear, "cg_height": n.height}
     drives = tuple((name, 2.2 + 0.2 * k, 75.0) for k, name in enumerate(ROADS))
     return Case(NEW_USER, "own_car", {"ratio": 0.08}, known, {}, drives, 7, {})
+
+
+def _draw_frozen(car: str, hidden: Mapping[str, float], number: int) -> Case:
+    """A case with given errors on USER_ROADS; only the guesses of the owner are drawn."""
+    name, drawn = f"{car}_{'_and_'.join(hidden) or 'healthy'}", tuple(fault for fault in hidden if fault in SIZE_RANGES)
+    case = _draw_case(name, CARS[car], drawn, number, zlib.crc32(name.encode()))
+    sensors = {**_sensor_errors(hidden), "delay": CAN_DELAY + hidden.get("delay", 0.0)}
+    return replace(case, hidden=hidden, drives=USER_ROADS, sensors=sensors)
 
 
 def _draw_case(name: str, car: Car, faults: tuple[str, ...], number: int, seed: int) -> Case:
@@ -140,6 +160,7 @@ def true_car(case: Case) -> Car:
     arm = n.wheelbase - LOAD_DISTANCE - n.front  # of the load, behind the CG of the empty car
     shift = load * arm / (n.mass + load)
     inertia = n.inertia + n.mass * shift**2 + load * (arm - shift) ** 2
+    changed = {key: case.hidden[key] for key in ("rear_angle", "rear_steer", "trailer") if key in case.hidden}
     front, rear = case.hidden.get("worn_front", 1.0), case.hidden.get("worn_rear", 1.0)
     if car.equations == MULTI_BODY:
         if load:
@@ -149,4 +170,5 @@ def true_car(case: Case) -> Car:
         return replace(car, parameters=multibody.parameters(car), ins=car.ins + shift)
     return replace(car, ins=car.ins + shift, parameters=n._replace(
         mass=n.mass + load, front=n.front + shift, inertia=inertia, stiffness_front=n.stiffness_front * front,
-        stiffness_rear=n.stiffness_rear * rear, compliance=n.compliance + case.hidden.get("compliance", 0.0)))
+        stiffness_rear=n.stiffness_rear * rear, compliance=n.compliance + case.hidden.get("compliance", 0.0),
+        **changed))

@@ -17,13 +17,13 @@ from st_recordings.paths import project_root, source_version
 
 from .._pages import format_records, replace_part
 from . import ablation, score
-from .cases import HALVES, NEW_USER, Case, cases
+from .cases import HALVES, NEW_USER, VDRIFT, Case, cases
 from .recordings import write_case
 from .vehicles import CARS, EQUATIONS
 
 PAGE = project_root() / "docs" / "measurements" / "strangers.md"
 STORED_KEYS = ("outcome", "effects", "minor", "effective", "combinations", "varying", "signature", "errors",
-               "named_errors", "axle_curves", "assumed", "files")
+               "named_errors", "axle_curves", "assumed", "files", "warnings")
 """Keys of discovery.json that are stored for the score, and to explain wrong answers."""
 
 
@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="st bench strangers", description=(
         "Runs st discover for CSV recordings of cars whose equations differ from those of the project, with the "
         "vehicle file of a typical owner, and scores its answers."))
-    parser.add_argument("--cases", choices=[*HALVES, NEW_USER], default="development")
+    parser.add_argument("--cases", choices=[*HALVES, NEW_USER, VDRIFT], default="development")
     parser.add_argument("--only", nargs="+", metavar="TEXT", help="names of cases, or parts of names")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="only every N-th of the chosen cases")
     parser.add_argument("--output", type=Path, help="folder of the answers, one JSON file per case; default "

@@ -87,9 +87,10 @@ def _write_car(case: Case, home: Path) -> None:
 def _fill_in(line: str, case: Case) -> str:
     """A row of the vehicle file, with the value that the owner measured or guessed."""
     car, key = file_car(case), line.partition(":")[0]
-    n = car.parameters
-    known = {"mass": round(n.mass), "wheelbase": round(n.wheelbase, 3), "cg_to_front_axle": round(n.front, 3),
-             "cg_to_ins_x": car.ins, "steering_ratio": round(car.ratio * (1 + case.hidden.get("ratio", 0.0)), 3),
+    n, shift = car.parameters, case.hidden.get("cg", 0.0)
+    known = {"mass": round(n.mass * (1 + case.hidden.get("mass", 0.0))), "wheelbase": round(n.wheelbase, 3),
+             "cg_to_front_axle": round(n.front + shift, 3), "cg_to_ins_x": car.ins + shift,
+             "steering_ratio": round(car.ratio * (1 + case.hidden.get("ratio", 0.0)), 3),
              "drive_front": n.drive_front, **case.guess}
     if key == "name":
         return f"name: {car.name}"
@@ -126,8 +127,10 @@ def measure(car: Car, rows: np.ndarray, hidden: Mapping[str, float],
     n, rate = len(q), car.ins_rate
     t = np.arange(n) / rate
     skew, arm = hidden.get("heading", 0.0), car.ins + hidden.get("lever", 0.0)
-    vx, vy, yaw, r = q[:, 3], q[:, 4] + arm * q[:, 5], q[:, 2], q[:, 5]
-    ax, ay = q[:, VX_DOT] - r * q[:, 4] - arm * r * r, q[:, VY_DOT] + r * vx + arm * np.gradient(r, t)
+    leaning = -car.ins_height * q[:, 6]  # of the body, moves the INS to the left
+    vx, vy, yaw, r = q[:, 3], q[:, 4] + arm * q[:, 5] + np.gradient(leaning, t), q[:, 2], q[:, 5]
+    ax, ay = q[:, VX_DOT] - r * q[:, 4] - arm * r * r, q[:, VY_DOT] + r * vx
+    ay += np.gradient(arm * r + np.gradient(leaning, t), t)
 
     def noise(kind: str) -> np.ndarray:
         white, slow = NOISE[kind]
@@ -145,8 +148,8 @@ def measure(car: Car, rows: np.ndarray, hidden: Mapping[str, float],
     steering = np.round(steering / resolution) * resolution
     steering[np.arange(n) % max(1, rate // car.steering_rate) != 0] = np.nan
     return {
-        "t": t, "x": q[:, 0] + arm * np.cos(yaw) + noise("position"),
-        "y": q[:, 1] + arm * np.sin(yaw) + noise("position"), "yaw": yaw + skew + noise("yaw"),
+        "t": t, "x": q[:, 0] + arm * np.cos(yaw) - leaning * np.sin(yaw) + noise("position"),
+        "y": q[:, 1] + arm * np.sin(yaw) + leaning * np.cos(yaw) + noise("position"), "yaw": yaw + skew + noise("yaw"),
         "velocity_x": c * vx + s * vy + noise("velocity"), "velocity_y": c * vy - s * vx + noise("velocity"),
         "yaw_rate": r * hidden.get("yaw_rate_scale", 1.0) + hidden.get("yaw_rate_bias", 0.0) + noise("yaw_rate"),
         "acceleration_x": c * ax + s * ay + noise("acceleration"),

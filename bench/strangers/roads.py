@@ -36,6 +36,10 @@ def _parts(name: str, rng: np.random.Generator, comfort: float) -> list[tuple[fl
     if name == "hills":
         return [part for _ in range(60) for part in (
             (rng.uniform(15, 60), 0.0, 19.0), bend(rng.uniform(25, 110), rng.uniform(40, 120), 19.0))]
+    if name == "slalom":
+        return [part for _ in range(40) for part in (
+            (rng.uniform(60, 140), 0.0, 16.0), *((length, sign / 45, 14.0 * brisk) for length, sign in (
+                (9.0, 1), (18.0, -1), (18.0, 1), (18.0, -1), (9.0, 1))))]
     if name == "avenue":
         return [part for _ in range(40) for part in (
             (rng.uniform(80, 200), 0.0, 16.0), bend(rng.uniform(60, 160), rng.uniform(15, 45), 15.0),

@@ -2,10 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from st_core.augmented import AugmentedModel, augment
+from st_core.discovery.result import Combination, unseparated_combinations
+from st_core.effects._base import REAR_STEERING
 from st_core.log_evaluation import EvaluationSettings, evaluate_log
 from st_core.model_file import ModelFile
 from st_core.vehicle import VehicleParameters
@@ -124,7 +127,21 @@ def list_statements(result: Mapping[str, Any]) -> list[dict[str, Any]]:
                 low, high = line["interval"]
                 line["inside"] = bool(low <= line["true"][1] and high >= line["true"][0])
         statements.append(line)
-    return statements
+    return statements + list_combinations(result)
+
+
+def list_combinations(result: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The same for stiffnesses over the axle load, divided by those of the file, that no named effect explains."""
+    answer, lines = result["answer"], []
+    named = [SimpleNamespace(name=one["name"], alternatives=alternatives(one)) for one in named_effects(answer)]
+    known = [Combination(**one) for one in answer.get("combinations") or ()]
+    for one in unseparated_combinations(known, named):
+        true = result["truth"].get("stiffness_over_load", {}).get(one.name.split()[0])
+        if "axle load" in one.name and true:
+            low, high = (edge / one.file for edge in one.interval)
+            lines.append({"effect": one.name, "in_car": True, "set": [], "value": one.value / one.file,
+                          "interval": [low, high], "true": true, "inside": low <= true[1] and high >= true[0]})
+    return lines
 
 
 def named_effects(answer: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -156,7 +173,9 @@ def named_errors(result: Mapping[str, Any]) -> dict[str, bool]:
     For errors of axle stiffness, a combination whose interval contradicts the vehicle file counts as well. For a load
     it does not, because the guessed stiffness of the file contradicts it in any case.
     """
-    stated, combined = set(), set()
+    warnings = result["answer"].get("warnings") or ()
+    stated: set[str] = {REAR_STEERING} if any("rear wheels that steer" in text for text in warnings) else set()
+    combined: set[str] = set()
     for one in named_effects(result["answer"]):
         stated |= {one["name"], *alternatives(one)}
     stated |= {part for name in list(stated) for part in MEMBERS.get(name, ())}

@@ -9,8 +9,8 @@ import math
 import numpy as np
 from numba import njit
 
-from .tyres import side_force
-from .vehicles import BRISTLE, ELASTIC, FOUR_WHEELS, GRAVITY, ROLLING, TABLE, Parameters
+from .tyres import magic_1994, magic_slope, side_force
+from .vehicles import BRISTLE, ELASTIC, FOUR_WHEELS, GRAVITY, RIGID, ROLLING, TABLE, Parameters
 
 STEP = 0.005  # s, between recorded rows; each is integrated in two steps
 STATES = 16
@@ -18,6 +18,8 @@ ROW = STATES + 5
 VX_DOT, VY_DOT, YAW_RATE_DOT, WHEEL, DRIVE_FORCE = range(STATES, ROW)
 """Columns after the states: derivatives of v_x, v_y and yaw rate, requested road wheel angle, longitudinal force."""
 DRAG, ROLLING_RESISTANCE, BRAKE_FRONT = 0.38, 0.011, 0.65
+HITCH, DRAWBAR, HITCH_SHARE = 1.0, 3.2, 0.07
+"""Tow ball behind the rear axle, axle of the trailer behind the ball [m]; share of its weight on the ball [1]."""
 
 
 @njit(cache=True)
@@ -214,6 +216,53 @@ def sprung(q, wheel, force, p, out):
 
 
 @njit(cache=True)
+def rigid(q, wheel, force, p, out):
+    """Further states: roll, roll rate, pitch (nose up +), pitch rate, heave, heave rate, road-wheel angle, yaw of the
+    trailer. The wheels have no mass; the trailer's axle does not slip, its yaw inertia is neglected."""
+    rear, half = p.wheelbase - p.front, p.track / 2
+    forces = split_drive_force(force, p)
+    ball, down = HITCH_SHARE * p.trailer * GRAVITY, p.downforce * q[3] ** 2
+    fx, fy, moment, steered, lift, roll, pitch = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for axle in range(2):
+        front = axle == 0
+        x = p.front if front else -rear
+        static = p.mass * GRAVITY * (rear if front else p.front) / p.wheelbase / 2
+        spring, damper, bar, camber, toe, stiffness = (
+            (p.spring_front, p.damper_front, p.bar_front, p.camber_front, p.toe_front, p.stiffness_front) if front else
+            (p.spring_rear, p.damper_rear, p.bar_rear, p.camber_rear, p.toe_rear, p.stiffness_rear))
+        scale = stiffness / (2 * magic_slope(p.tyre, static))
+        for side in (-1.0, 1.0):  # right, left
+            y = side * half
+            load = max(50.0, static - spring * (q[10] + y * q[6] + x * q[8]) - 2 * bar * y * q[6]
+                       - damper * (q[11] + y * q[7] + x * q[9]))
+            tangent = math.tan(q[12])
+            delta = p.rear_angle + p.rear_steer * q[12]
+            if front:
+                delta = math.atan(tangent / (1 - side * p.ackermann * half / p.wheelbase * tangent))
+            delta += side * math.radians(toe)
+            slip = math.atan((q[4] + q[5] * x) / max(q[3] - q[5] * y, 0.8)) - delta
+            lean = side * math.radians(camber) - q[6]
+            lateral = magic_1994(p.tyre, slip, lean, load, forces[axle] / 2, scale, p.grip)
+            c, s = math.cos(delta), math.sin(delta)
+            bx, by = forces[axle] / 2 * c - lateral * s, forces[axle] / 2 * s + lateral * c
+            fx, fy, moment = fx + bx, fy + by, moment + x * by - y * bx
+            steered += lateral if front else 0.0
+            lift, roll, pitch = lift + load, roll + y * load, pitch + x * load
+    out[7] = (roll + p.height * fy + p.mass * GRAVITY * p.height * q[6]) / p.roll_inertia
+    out[9] = (pitch + p.height * fx + (rear + HITCH) * ball + rear * down) / p.pitch_inertia
+    out[11] = (lift - p.mass * GRAVITY - ball - down) / p.mass
+    out[6], out[8], out[10] = q[7], q[9], q[11]
+    out[12] = (wheel - p.compliance * steered - q[12]) / max(p.steer_lag, 0.012)
+    if p.trailer > 0:
+        angle = q[13] - q[2]
+        pull = p.trailer * (force / (p.mass + p.trailer) + 0.015 * GRAVITY * min(q[3] / 0.3, 1.0))
+        across = -pull * math.sin(angle) - ball / GRAVITY * q[3] * q[5]
+        fx, fy, moment = fx - pull * math.cos(angle), fy + across, moment - (rear + HITCH) * across
+        out[13] = ((q[4] - (rear + HITCH) * q[5]) * math.cos(angle) - q[3] * math.sin(angle)) / DRAWBAR
+    planar_rates(q, fx, fy, moment, p, out)
+
+
+@njit(cache=True)
 def derivative(equations, q, wheel, force, p, out):
     if equations == ROLLING:
         rolling(q, wheel, force, p, out)
@@ -223,6 +272,8 @@ def derivative(equations, q, wheel, force, p, out):
         elastic(q, wheel, force, p, out)
     elif equations == BRISTLE:
         bristle(q, wheel, force, p, out)
+    elif equations == RIGID:
+        rigid(q, wheel, force, p, out)
     else:
         sprung(q, wheel, force, p, out)
 

@@ -9,11 +9,12 @@ from st_core.vehicle import VehicleParameters
 
 from . import simulation
 from .cases import Case, file_car, true_car
-from .tyres import side_force
-from .vehicles import BRISTLE, ELASTIC, FOUR_WHEELS, GRAVITY, MULTI_BODY, ROLLING, SPRUNG, Parameters
+from .tyres import magic_1994, ply_steer, side_force
+from .vehicles import BRISTLE, ELASTIC, FOUR_WHEELS, GRAVITY, MULTI_BODY, RIGID, ROLLING, SPRUNG, Parameters
 
 MIN_DEVIATION = 0.03  # minimum relative deviation from the file for the car to have an effect
 MIN_HEIGHT_DEVIATION = 0.03  # m
+MIN_ANGLE = 3e-4  # rad, of ply steer and rear axle
 OUTER_WHEEL = 0.02
 """Largest relative effect of the laden outer wheel of a parallel linkage, t delta / (2 L) times the load transfer: the
 car turns as with a smaller steering ratio."""
@@ -30,7 +31,9 @@ ACCEPTED = {
     "lever": ("sensor_lever_arm",), "worn_front": ("front_stiffness", "steering_compliance", "roll_steer"),
     "worn_rear": ("rear_stiffness",), "compliance": ("steering_compliance", "front_stiffness", "roll_steer"),
     "delay": ("steering_delay", "steering_lag"), "gyro_scale": ("yaw_rate_scale",), "gyro_bias": ("yaw_rate_bias",),
-    "heading": ("heading_misalignment",)}
+    "heading": ("heading_misalignment",), "cg": ("cg_position", "load"), "mass": ("mass", "load"),
+    "rear_angle": ("heading_misalignment", "steering_offset"), "trailer": ("load", "mass", "cg_position"),
+    "rear_steer": ("rear-wheel steering",)}
 """Effects that count as the answer to a hidden error: its own, and those that act identically."""
 CONFOUNDED = (("front_stiffness", "steering_compliance", "roll_steer"), ("steering_delay", "steering_lag"))
 """Effects that act identically at the accelerations driven."""
@@ -45,6 +48,8 @@ def find_truth(case: Case, drives: Iterable[np.ndarray], vehicle: VehicleParamet
     compliance is reported as well.
     """
     car, file = true_car(case), file_car(case)
+    crab, steered = straight_line(car)
+    drives = [_without_crab(rows, crab, steered) for rows in drives]
     curves = axle_curves(car.parameters, drives, vehicle)
     effects = {name: value and [float(edge) for edge in value]
                for name, value in _true_effects(case, car, file, vehicle, curves).items()}
@@ -55,7 +60,33 @@ def find_truth(case: Case, drives: Iterable[np.ndarray], vehicle: VehicleParamet
         "tyre_stiffness_front": car.parameters.stiffness_front / vehicle.cornering_stiffness_front,
         "body": {"mass": car.parameters.mass, "inertia": car.parameters.inertia, "wheelbase": car.parameters.wheelbase,
                  "front": car.parameters.front},
+        "stiffness_over_load": _over_axle_load(car.parameters, vehicle, curves),
         "uncertainty": dict(case.uncertainty), "drives": [list(one) for one in case.drives]}
+
+
+def straight_line(car) -> tuple[float, float]:
+    """Sideslip, and angle of the front wheels, in straight driving [rad]: the car acts like one without ply steer and
+    rear angle, with the INS turned by minus the former and the steering offset by minus the latter."""
+    n = car.parameters
+    if car.equations != RIGID:
+        return 0.0, 0.0
+    front, rear = (ply_steer(n.tyre, 0.5 * n.mass * GRAVITY * lever / n.wheelbase)
+                   for lever in (n.wheelbase - n.front, n.front))
+    return rear + n.rear_angle, rear + n.rear_angle - front
+
+
+def _without_crab(rows: np.ndarray, crab: float, steered: float) -> np.ndarray:
+    rows = rows.copy()
+    rows[:, 4] -= crab * rows[:, 3]
+    rows[:, simulation.WHEEL] -= steered
+    return rows
+
+
+def _over_axle_load(n: Parameters, vehicle: VehicleParameters, curves: dict) -> dict[str, list[float]]:
+    """By axle: range of the stiffness over the axle load, over that of the file [1]."""
+    loads = {"front": vehicle.mass * vehicle.cg_to_rear_axle / (n.mass * (n.wheelbase - n.front)),
+             "rear": vehicle.mass * vehicle.cg_to_front_axle / (n.mass * n.front)}
+    return {axle: [float(edge * load) for edge in _stiffness(curves[axle])] for axle, load in loads.items()}
 
 
 def _true_effects(case: Case, car, file, vehicle: VehicleParameters, curves: dict) -> dict[str, list[float] | None]:
@@ -70,7 +101,7 @@ def _true_effects(case: Case, car, file, vehicle: VehicleParameters, curves: dic
             found[name] = value
     if "front_stiffness" in found and "rear_stiffness" in found:
         found["tyre_stiffness"] = both
-    shift = file.parameters.front - n.front
+    shift = file.parameters.front + hidden.get("cg", 0.0) - n.front
     height_error = n.height - vehicle.cg_height
     if abs(shift) > 1e-3:
         found["cg_position"] = [shift, shift]
@@ -78,21 +109,25 @@ def _true_effects(case: Case, car, file, vehicle: VehicleParameters, curves: dic
         found["longitudinal_load_transfer"] = [height_error, height_error]
     if car.equations != BRISTLE:
         found["lateral_load_transfer"] = None
-    if car.equations == FOUR_WHEELS:
+    if car.equations in (FOUR_WHEELS, RIGID):
         found["steering_map"] = None  # the mean wheel of an Ackermann linkage
     found.update(_dynamics(car))
+    crab, steered = straight_line(car)
+    turned = {"heading": crab, "offset": steered}
+    errors = {**{name: 0.0 for name, angle in turned.items() if abs(angle) > MIN_ANGLE}, **hidden, **case.sensors}
     for name, effect, value in (
-            ("ratio", "steering_ratio", lambda s: 1 / (1 + s)), ("heading", "heading_misalignment", lambda s: s),
-            ("offset", "steering_offset", lambda s: -s / car.ratio), ("lever", "sensor_lever_arm", lambda s: s),
-            ("delay", "steering_delay", lambda s: -s), ("gyro_scale", "yaw_rate_scale", lambda s: 1 + s),
+            ("ratio", "steering_ratio", lambda s: 1 / (1 + s)), ("heading", "heading_misalignment", lambda s: s - crab),
+            ("offset", "steering_offset", lambda s: -s / car.ratio - steered),
+            ("lever", "sensor_lever_arm", lambda s: s), ("delay", "steering_delay", lambda s: -s),
+            ("gyro_scale", "yaw_rate_scale", lambda s: 1 + s),
             ("gyro_bias", "yaw_rate_bias", lambda s: s)):
-        if name in hidden:
-            found[effect] = [value(hidden[name])] * 2
+        if name in errors:
+            found[effect] = [value(errors[name])] * 2
     if "load" in hidden:
         # The load of the library is above the rear axle, where a smaller one shifts the CG equally.
         behind = vehicle.wheelbase - file.parameters.front
         found["load"] = [(n.mass - hidden["load"]) * -shift / (behind + shift), hidden["load"]]
-    if "steering_ratio" in found and car.equations == FOUR_WHEELS:
+    if "steering_ratio" in found and car.equations in (FOUR_WHEELS, RIGID):
         found["steering_ratio"][0] *= 1 - OUTER_WHEEL * (1 - n.ackermann)
     if "steering_delay" in found and found.get("steering_lag"):
         found["steering_delay"][1] += found["steering_lag"][1]  # the lag of the wheels compensates a late sensor
@@ -100,13 +135,13 @@ def _true_effects(case: Case, car, file, vehicle: VehicleParameters, curves: dic
 
 
 def _dynamics(car) -> dict[str, list[float] | None]:
-    """Lags and compliance; their range is 20 % to both sides if the equations differ from those of the library."""
+    """Lags, compliance and trailer; the range of lags is 20 % to both sides if the equations differ from those of the library."""
     n, found = car.parameters, {}
     tolerance = 0.0 if car.equations == ROLLING else 0.2
     if n.relaxation > 0:
         found["tyre_relaxation"] = [n.relaxation * (1 - tolerance), n.relaxation * (1 + tolerance)]
     lag = n.steer_lag
-    if car.equations in (FOUR_WHEELS, ELASTIC, SPRUNG):
+    if car.equations in (FOUR_WHEELS, ELASTIC, RIGID, SPRUNG):
         lag = max(lag, 0.012 if car.equations != SPRUNG else 0.015)
     if lag > 0:
         found["steering_lag"] = [lag * (1 - tolerance), lag * (1 + tolerance)]
@@ -115,7 +150,10 @@ def _dynamics(car) -> dict[str, list[float] | None]:
         # The pneumatic trail decreases with slip.
         found["steering_compliance"] = [n.compliance + 0.5 * n.column * n.trail, compliance]
         found["roll_steer"] = None
-    if n.roll_steer > 0:
+    if n.trailer > 0:
+        ball = simulation.HITCH_SHARE * n.trailer
+        found["load"] = [ball, ball * (1 + simulation.HITCH / n.wheelbase) ** 2]
+    if n.roll_steer > 0 or car.equations == RIGID:  # RIGID: camber and toe under roll and load transfer
         found["roll_steer"] = None
     return found
 
@@ -137,6 +175,9 @@ def _friction(equations: int, n: Parameters, vehicle: VehicleParameters) -> list
         load = 0.5 * n.mass * GRAVITY * lever / n.wheelbase
         if equations in (BRISTLE, MULTI_BODY):
             peak_force = load * n.grip * (1.0 if equations == BRISTLE else PACKAGE_FRICTION)
+        elif equations == RIGID:
+            peak_force = max(abs(magic_1994(n.tyre, slip, 0.0, load, 0.0, 1.0, n.grip))
+                             for slip in np.linspace(0.01, 0.5, 100))
         else:
             peak_force = max(abs(side_force(n.tyre, slip, 0.5 * stiffness, load, 0.0, n.grip, n.sliding, 1.0))
                              for slip in np.linspace(0.01, 0.5, 100))

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numba import njit
 
-from .vehicles import BRUSH, BURCKHARDT, DUGOFF, FIALA, TABLE, TMEASY
+from .vehicles import BRUSH, BURCKHARDT, DUGOFF, FIALA, TABLE, TMEASY, TOURING
 
 TABLE_SLIP = np.radians([0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.5, 8.0, 10.0, 12.0, 16.0, 24.0])
 TABLE_LOAD = np.array([0.25, 0.6, 1.0, 1.4, 1.9])
@@ -88,3 +88,44 @@ def side_force(kind, slip, stiffness, load, longitudinal, grip, sliding, load_ra
         stretch = stiffness * load_ratio / (limit * TABLE_SLOPE)
         return -math.copysign(available * tabulated(slip, stretch, load_ratio), slip)
     return 0.0
+
+
+MAGIC_1994 = np.array([  # by tyre: a0 to a12, b3 to b5, gy1, gy2 [kN, deg]
+    [1.55, -55.0, 1450.0, 1900.0, 7.2, 0.014, -0.24, 1.0, -0.03, -0.0013, -0.15, -8.5, -0.29, 23.3, 410.0, 0.075, 11.14,
+     10.14],
+    [1.6, -38.0, 1201.0, 1914.0, 8.7, 0.014, -0.24, 1.0, -0.03, -0.0013, -0.15, -8.5, -0.29, 23.3, 300.0, 0.0, 11.14,
+     10.14]])
+"""Coefficients of tyre files of VDrift, TOURING and S2000."""
+
+
+@njit(cache=True)
+def magic_slope(kind, load):
+    """Cornering stiffness of one tyre without camber [N/rad], a3 sin(2 atan(F_z / a4))."""
+    a = MAGIC_1994[int(kind) - TOURING]
+    return a[3] * math.sin(2 * math.atan(load / 1000 / a[4])) * 180 / math.pi
+
+
+@njit(cache=True)
+def ply_steer(kind, load):
+    """Slip angle without lateral force and camber [rad]: the cords of the belt turn the tyre."""
+    a = MAGIC_1994[int(kind) - TOURING]
+    return -math.radians(a[9] * load / 1000 + a[10])
+
+
+@njit(cache=True)
+def magic_1994(kind, slip, lean, load, longitudinal, scale, grip):
+    """Lateral force of one tyre [N]. lean: of the wheel to the left [rad]; longitudinal: its drive or brake force [N];
+    scale: factor on the cornering stiffness.
+
+        F = -(D sin(C atan(B S - E (B S - atan(B S)))) + S_v) G,  S = alpha + S_h,  B C D = slope
+    """
+    a = MAGIC_1994[int(kind) - TOURING]
+    z, tilt = min(load / 1000, 30.0), math.degrees(lean)
+    peak = grip * (a[1] * z + a[2]) * z
+    slope = scale * a[3] * math.sin(2 * math.atan(z / a[4])) * (1 - a[5] * abs(tilt))
+    bs = slope / (a[0] * peak) * (math.degrees(slip) + a[8] * tilt + a[9] * z + a[10])
+    curved = bs - (a[6] * z + a[7]) * (bs - math.atan(bs))
+    kappa = longitudinal / (100 * (a[13] * z + a[14]) * z * math.exp(-a[15] * z))
+    c = 1 + (a[17] * slip) ** 2
+    combined = math.sqrt(c / (c + (a[16] * kappa) ** 2))
+    return -combined * (peak * math.sin(a[0] * math.atan(curved)) + grip * (a[11] * z + a[12]) * tilt * z)
