@@ -9,7 +9,7 @@ from st_core.vehicle import VehicleParameters
 
 from . import simulation
 from .cases import Case, file_car, true_car
-from .tyres import magic_1994, ply_steer, side_force
+from .tyres import magic_1994, side_force
 from .vehicles import BRISTLE, ELASTIC, FOUR_WHEELS, GRAVITY, MULTI_BODY, RIGID, ROLLING, SPRUNG, Parameters
 
 MIN_DEVIATION = 0.03  # minimum relative deviation from the file for the car to have an effect
@@ -65,14 +65,20 @@ def find_truth(case: Case, drives: Iterable[np.ndarray], vehicle: VehicleParamet
 
 
 def straight_line(car) -> tuple[float, float]:
-    """Sideslip, and angle of the front wheels, in straight driving [rad]: the car acts like one without ply steer and
-    rear angle, with the INS turned by minus the former and the steering offset by minus the latter."""
-    n = car.parameters
+    """Sideslip, and angle of the front wheels, in straight driving at 15 m/s [rad]: the car acts like one without ply
+    steer and rear angle, with the INS turned by minus the former and the steering offset by minus the latter."""
     if car.equations != RIGID:
         return 0.0, 0.0
-    front, rear = (ply_steer(n.tyre, 0.5 * n.mass * GRAVITY * lever / n.wheelbase)
-                   for lever in (n.wheelbase - n.front, n.front))
-    return rear + n.rear_angle, rear + n.rear_angle - front
+    n, wheel, (k, mid) = car.parameters, 0.0, (np.zeros((4, simulation.STATES)), np.zeros(simulation.STATES))
+    for _ in range(4):
+        q = np.zeros(simulation.STATES)
+        q[3] = 15.0
+        for _ in range(4000):
+            force = simulation.DRAG * q[3] ** 2 + simulation.ROLLING_RESISTANCE * n.mass * GRAVITY
+            simulation.step(car.equations, q, wheel, force, n, 0.0025, k, mid)
+        sideslip = q[4] / q[3]
+        wheel -= q[5] * n.wheelbase / q[3]
+    return float(sideslip), float(wheel)
 
 
 def _without_crab(rows: np.ndarray, crab: float, steered: float) -> np.ndarray:
@@ -135,7 +141,7 @@ def _true_effects(case: Case, car, file, vehicle: VehicleParameters, curves: dic
 
 
 def _dynamics(car) -> dict[str, list[float] | None]:
-    """Lags, compliance and trailer; the range of lags is 20 % to both sides if the equations differ from those of the library."""
+    """Lags, compliance and trailer; the range of lags is 20 % to both sides if the equations are not the library's."""
     n, found = car.parameters, {}
     tolerance = 0.0 if car.equations == ROLLING else 0.2
     if n.relaxation > 0:

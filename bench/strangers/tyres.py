@@ -106,13 +106,6 @@ def magic_slope(kind, load):
 
 
 @njit(cache=True)
-def ply_steer(kind, load):
-    """Slip angle without lateral force and camber [rad]: the cords of the belt turn the tyre."""
-    a = MAGIC_1994[int(kind) - TOURING]
-    return -math.radians(a[9] * load / 1000 + a[10])
-
-
-@njit(cache=True)
 def magic_1994(kind, slip, lean, load, longitudinal, scale, grip):
     """Lateral force of one tyre [N]. lean: of the wheel to the left [rad]; longitudinal: its drive or brake force [N];
     scale: factor on the cornering stiffness.
