@@ -24,7 +24,8 @@ VDRIFT_ERRORS: dict[str, tuple[tuple[str, Mapping[str, float]], ...]] = {
     VDRIFT: (("m3", {"ratio": 0.06}), ("mi", {"lever": 0.3}), ("350z", {"cg": 0.08}), ("co", {"mass": -0.1}),
              ("ns", {"worn_rear": 0.8}), ("tl2", {"delay": 0.06}), ("rs2", {"rear_angle": math.radians(0.4)}),
              ("gtv6", {"rear_steer": -0.05}), ("att", {"trailer": 900.0}), ("cs", {})),
-    VDRIFT_FRESH: (("xm", {"worn_rear": 0.78}), ("sv", {"worn_rear": 0.85}), ("xs", {"ratio": -0.05}))}
+    VDRIFT_FRESH: (("xm", {"worn_rear": 0.78}), ("sv", {"worn_rear": 0.85}), ("xs", {"ratio": -0.05}),
+                   ("xm", {"worn_front": 0.8, "worn_rear": 0.55}))}
 LOAD_DISTANCE = 0.3  # m, of the load, ahead of the rear axle
 SINGLE = {"ratio": 6, "offset": 4, "load": 4, "lever": 4, "worn_front": 4, "worn_rear": 4, "compliance": 3, "delay": 3,
           "gyro_scale": 2, "gyro_bias": 1, "heading": 1}

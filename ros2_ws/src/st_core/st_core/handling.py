@@ -68,7 +68,8 @@ class Range:
 
 _INERTIA_SOURCE = "NHTSA inertia measurements, SAE 1999-01-1336"
 _TYPICAL_SOURCE = "typical vehicle parameters, SAE 840561"
-MAX_UNDERSTEER = 8.0  # deg/g
+UNDERSTEER = Range("cornering_stiffness_front, cornering_stiffness_rear", "understeer gradient", "deg/g", -1.0, 8.0,
+                   lambda car: float(np.rad2deg(stability_factor(car) * car.wheelbase * GRAVITY)), _TYPICAL_SOURCE)
 PLAUSIBLE_RANGES = (
     Range("cg_to_front_axle", "fraction of the weight on the front axle", "1", 0.35, 0.68,
           lambda car: car.cg_to_rear_axle / car.wheelbase, _INERTIA_SOURCE),
@@ -76,9 +77,7 @@ PLAUSIBLE_RANGES = (
           lambda car: car.yaw_inertia / (car.mass * car.cg_to_front_axle * car.cg_to_rear_axle), _INERTIA_SOURCE),
     Range("cg_height", "ratio of CG height to wheelbase", "1", 0.1, 0.33, lambda car: car.cg_height / car.wheelbase,
           f"{_INERTIA_SOURCE}; racing cars from 0.1"),
-    Range("cornering_stiffness_front, cornering_stiffness_rear", "understeer gradient", "deg/g", -1.0,
-          MAX_UNDERSTEER, lambda car: float(np.rad2deg(stability_factor(car) * car.wheelbase * GRAVITY)),
-          _TYPICAL_SOURCE),
+    UNDERSTEER,
     Range("steering_ratio", "steering ratio", "1", 9.0, 26.0, lambda car: car.steering_ratio,
           "steering systems of passenger cars 11 to 22, vans to 25"),
     *(Range(f"cornering_stiffness_{axle}", f"ratio of cornering stiffness to load of the {axle} axle", "1/rad", 4.0,
@@ -88,9 +87,10 @@ PLAUSIBLE_RANGES = (
 )
 
 
-def find_implausible_values(car: VehicleParameters, original: VehicleParameters | None = None) -> tuple[str, ...]:
-    """A sentence for each quantity of the car that is outside its range, except those that are also outside for
-    `original`, the car of the vehicle file."""
-    omitted = {quantity.name for quantity in PLAUSIBLE_RANGES if original and quantity.describe_violation(original)}
-    texts = (quantity.describe_violation(car) for quantity in PLAUSIBLE_RANGES if quantity.name not in omitted)
-    return tuple(text for text in texts if text)
+def find_implausible_values(car: VehicleParameters, original: VehicleParameters | None = None,
+                            complete: VehicleParameters | None = None) -> tuple[str, ...]:
+    """A sentence for each quantity outside its range for the car, but not for `original`, that of the vehicle file. The
+    understeer gradient, of both axles, must also be outside for `complete`, the car with all effects of an answer."""
+    omitted = {UNDERSTEER} if complete and not UNDERSTEER.describe_violation(complete) else set()
+    return tuple(text for quantity in PLAUSIBLE_RANGES if (text := quantity.describe_violation(car))
+                 and quantity not in omitted and not (original and quantity.describe_violation(original)))

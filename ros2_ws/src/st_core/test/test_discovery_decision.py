@@ -432,7 +432,8 @@ def test_peak_of_an_axle_that_did_not_reach_it_is_not_named(monkeypatch, name, r
     monkeypatch.setattr(discover_module, "find_implausible_values", lambda *_: ())
     car = SimpleNamespace(with_values=lambda _: car, effective_vehicle=lambda _: None)
     space = SimpleNamespace(at=lambda _: car, null=None, values=lambda *_: {})
-    axles = SimpleNamespace(compute_force_ratios=lambda: {"front": 0.7, "rear": 0.99}, find_worse_axles=lambda *_: ())
+    axles = SimpleNamespace(compute_force_ratios=lambda: {"front": 0.7, "rear": 0.99}, find_worse_axles=lambda *_: (),
+                            car=None)
     analysis = SimpleNamespace(reference=[], limits=LIMITS, space=space, vehicle=None,
                                problem=SimpleNamespace(start=None))
     found = FoundEffect(name, "vehicle parameters", {"peak": FittedParameter(0.7, "1", (0.6, 0.8), 1.0)}, (), 0.1, {})
@@ -453,7 +454,7 @@ def test_effect_that_compensates_for_a_refuted_one_is_not_named(monkeypatch, sim
         value := float(fit.vector[i]), "1", (value - 0.05, value + 0.05), 1.0)}, (), 0.1, {})
         for n, i in zip(names, (mass, stiffness), strict=True)]
     axles = SimpleNamespace(compute_force_ratios=lambda: {}, find_worse_axles=lambda *_: ("front",),
-                            find_effects_on_axle=lambda *_: ["front_stiffness"])
+                            find_effects_on_axle=lambda *_: ["front_stiffness"], car=None)
     analysis = SimpleNamespace(reference=[], limits=LIMITS, space=SimpleNamespace(
         at=lambda _: SimpleNamespace(with_values=lambda _: SimpleNamespace(effective_vehicle=lambda _: None)),
         null=None, values=problem.space.values), vehicle=None, problem=problem)

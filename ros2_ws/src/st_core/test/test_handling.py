@@ -78,3 +78,11 @@ def test_implausible_value_is_reported_with_its_number(leaf, changes, key, numbe
     # Values that the vehicle file already had are not reported.
     assert not handling.find_implausible_values(replace(leaf, **changes), replace(leaf, **changes))
     assert handling.find_implausible_values(replace(leaf, **changes), leaf) == found
+
+
+def test_understeer_gradient_is_that_of_both_axles(leaf):
+    """Softer tyres on the rear axle only make it oversteer; with softer tyres or compliance in front it does not."""
+    rear = replace(leaf, cornering_stiffness_rear=0.4 * leaf.cornering_stiffness_rear)
+    both = replace(rear, cornering_stiffness_front=0.5 * leaf.cornering_stiffness_front)
+    assert "understeer gradient" in handling.find_implausible_values(rear, leaf, rear)[0]
+    assert not handling.find_implausible_values(rear, leaf, both)

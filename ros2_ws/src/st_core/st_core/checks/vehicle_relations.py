@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ..handling import MAX_UNDERSTEER, linear_system, rear_slip_coefficient, stability_factor
+from ..handling import UNDERSTEER, linear_system, rear_slip_coefficient, stability_factor
 from ..tyres import GRAVITY
 from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
 from .finding import HORIZON, LIMITS, SYSTEMATIC_UNCERTAINTY, Advice, Alternative, Comparison, Finding, Severity
@@ -63,7 +63,7 @@ def check_steering(results: Results, motion: Motion, vehicle: VehicleParameters,
     # weighted with the squared angle, is computed for K of the vehicle file (0 or more) and for the largest K of cars.
     weight, expected = np.square(np.nan_to_num(derived)), max(stability_factor(vehicle), 0.0)
     mean_square = float(np.average(motion.velocity_x**2, weights=weight)) if weight.any() else 0.0
-    largest = max(expected, MAX_UNDERSTEER / DEG_PER_RAD / (vehicle.wheelbase * GRAVITY))
+    largest = max(expected, UNDERSTEER.high / DEG_PER_RAD / (vehicle.wheelbase * GRAVITY))
     plausible_gains = 1.0 + expected * mean_square, 1.0 + largest * mean_square
     if agreement is None or not agreement.correlates:
         results.findings += filter(None, [_make_unrelated_finding(motion, derived) or _make_unit_finding(

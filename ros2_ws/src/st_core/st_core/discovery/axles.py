@@ -43,6 +43,7 @@ class Axles:
             raise StCoreError(f"{problem.space.model.base.name}: this model has no axle forces")
         self.problem, self.fit, self.runs, self.vehicle = problem, fit, runs, vehicle
         self.model = problem.space.at(fit.vector)
+        self.car = _elastic_car(self.model, vehicle)
         self.has_sideslip = "velocity_y" in problem.errors.windows.settings.channels
         # Measured slip and force of both axles, corrected only for fitted effects of steering, sensors and load.
         logs, payloads = [], problem.space.payloads
@@ -132,15 +133,21 @@ class Axles:
 
 def _combination_values(model: AugmentedModel, vehicle: VehicleParameters) -> np.ndarray:
     """(5,) `COMBINATIONS` of a model."""
-    car = model.effective_vehicle(vehicle)
-    low, high = (limit * car.mass * GRAVITY for limit in STIFFNESS_LIMITS)  # random draws are clipped to the limits
-    front, rear = (min(max(float(force[0]) / SMALL_SLIP, low), high)
-                   for force in axle_forces.compute_axle_forces(model, vehicle, np.array([SMALL_SLIP])))
-    understeer = stability_factor(replace(car, cornering_stiffness_front=front, cornering_stiffness_rear=rear))
-    yaw_gain = GAIN_SPEED / (car.wheelbase * (1.0 + understeer * GAIN_SPEED**2))
+    car = _elastic_car(model, vehicle)
+    yaw_gain = GAIN_SPEED / (car.wheelbase * (1.0 + stability_factor(car) * GAIN_SPEED**2))
     # Road wheel angles at a steering wheel angle of -1 and 1 rad; a steering offset cancels in their difference.
     right, left = (model.effective_road_wheel_angle(side / vehicle.steering_ratio, vehicle) for side in (-1.0, 1.0))
     delay = sum(sum(values.values()) for name, values in model.values.items()
                 if TOTAL_DELAY in get_effect(name).combinations)
-    coefficients = front / (2.0 * car.static_tyre_load_front), rear / (2.0 * car.static_tyre_load_rear)
-    return np.array([*coefficients, understeer, 0.5 * yaw_gain * float(left - right), delay])
+    front = car.cornering_stiffness_front / (2.0 * car.static_tyre_load_front)
+    rear = car.cornering_stiffness_rear / (2.0 * car.static_tyre_load_rear)
+    return np.array([front, rear, stability_factor(car), 0.5 * yaw_gain * float(left - right), delay])
+
+
+def _elastic_car(model: AugmentedModel, vehicle: VehicleParameters) -> VehicleParameters:
+    """The car of a model, with the axle stiffnesses at small slip, which include compliance and roll steer."""
+    car = model.effective_vehicle(vehicle)
+    low, high = (limit * car.mass * GRAVITY for limit in STIFFNESS_LIMITS)  # random draws are clipped to the limits
+    front, rear = (min(max(float(force[0]) / SMALL_SLIP, low), high)
+                   for force in axle_forces.compute_axle_forces(model, vehicle, np.array([SMALL_SLIP])))
+    return replace(car, cornering_stiffness_front=front, cornering_stiffness_rear=rear)

@@ -282,15 +282,13 @@ class _Analysis:
         corrections = estimate_clock_corrections(runs, self.vehicle, self.space, self.settings, deviations,
                                                  self.threads, self._ticker("correcting clocks"))
         self.clock_errors |= corrections
-        warning = ("the offset of the steering clock has a standard deviation of up to "
-                   f"{1e3 * max(uncertain):.0f} ms, in {len(uncertain)} of {len(runs)} runs")
-        if corrections:
-            warning += (f"; the search corrects the clocks of these runs by {1e3 * min(corrections.values()):.0f} to "
-                        f"{1e3 * max(corrections.values()):.0f} ms. An error common to all runs")
-        else:
-            warning += ": its error"
-        self.warnings.append(f"{warning} has the same effect as steering delay or lag, yaw inertia or tyre relaxation "
-                             "(log INS frames on CAN, or give the clock offset)")
+        remaining = (f"; the search corrects the clocks of these runs by {1e3 * min(corrections.values()):.0f} to "
+                     f"{1e3 * max(corrections.values()):.0f} ms. An error common to all runs"
+                     if corrections else ": its error")
+        self.warnings.append("the offset of the steering clock has a standard deviation of up to "
+                             f"{1e3 * max(uncertain):.0f} ms, in {len(uncertain)} of {len(runs)} runs{remaining} has "
+                             "the same effect as steering delay or lag, yaw inertia or tyre relaxation (log INS frames "
+                             "on CAN, or give the clock offset)")
         return apply_clock_corrections(runs, corrections)
 
     def _warn_of_low_excitation(self) -> None:
@@ -337,14 +335,15 @@ class _Analysis:
                 worse_axles |= dict.fromkeys(axles.find_effects_on_axle(axle, names), axle)
             for name in names:
                 model = self.space.at(self.problem.start).with_values({name: self.space.values(name, state.fit.vector)})
-                implausible = find_implausible_values(model.effective_vehicle(self.vehicle), self.vehicle)
+                implausible = find_implausible_values(model.effective_vehicle(self.vehicle), self.vehicle, axles.car)
                 violations[name] = next(iter(implausible), "")
         refuted = [name for name in names if worse_axles.get(name) or violations.get(name)]
         dependent = self._find_dependent(state.fit, effects, refuted) if refuted else ()
         # Only the total delay of the steering is identifiable, not its parts.
         delays = [n for n in names if TOTAL_DELAY in get_effect(n).combinations] if axles is not None else []
         return {e.name: decision.judge_reporting(
-            state.evidence[e.name], self.limits, excludes_null=excludes_null(e),
+            state.evidence[e.name], self.limits,
+            excludes_null=any(not p.interval[0] <= p.null <= p.interval[1] for p in e.parameters.values()),
             parameter_at_bound="" if self.reference else find_parameter_across_bound(e),
             peak_force_ratio=peak_force_ratios.get(e.name, 1.0), worse_axle=worse_axles.get(e.name, ""),
             violation=violations.get(e.name, ""), depends_on=refuted if e.name in dependent else (),
@@ -531,11 +530,6 @@ def find_parameter_across_bound(effect: result.FoundEffect) -> str:
     """Name of a parameter with an interval that crosses one of its `physical_bounds`; "" if there is none."""
     return next((p.name for p in get_effect(effect.name).parameters if (entry := effect.parameters.get(p.name)) and any(
         entry.interval[0] < edge < entry.interval[1] for edge in p.physical_bounds)), "")
-
-
-def excludes_null(effect: result.FoundEffect) -> bool:
-    """Whether the interval of at least one value excludes its null value."""
-    return any(not p.interval[0] <= p.null <= p.interval[1] for p in effect.parameters.values())
 
 
 def replace_interval(fitted: result.FittedParameter,
