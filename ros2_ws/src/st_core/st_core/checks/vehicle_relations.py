@@ -450,20 +450,18 @@ def check_standstill(motion: Motion) -> list[Finding]:
     distance = np.abs(displacement)
     carried = (distance > STANDSTILL_WINDOW * MIN_MOVING_SPEED) & (np.abs(windows.mean(motion.velocity)) < 0.1)  # m/s
     standstill = (distance < 0.02) & (np.abs(windows.change(motion.yaw)) < 0.002)  # m, rad
-    findings = []
+    found: list[tuple[np.ndarray, tuple[str, ...], float, str, str, str]] = []  # (windows, channels, ..., advice)
     for name, values, unit, minimum in (("velocity_x", motion.velocity_x, "m/s", 0.1),
                                         ("yaw_rate", motion.yaw_rate, "rad/s", 0.01)):
         means = windows.mean(values)[standstill]
         value = float(np.median(means)) if len(means) >= 2 else 0.0
         if abs(value) >= minimum:
             text = f"{name} is {value:.3g} {unit} while position and yaw are constant"
-            times = tuple((float(t), float(t) + STANDSTILL_WINDOW) for t in windows.time[standstill][:MAX_LISTED_TIMES])
-            findings.append(Finding("standstill_motion", Severity.WARNING, (name,), text, value, unit, times=times,
-                                    advice=Advice("text", f"check the bias of {name}")))
+            found.append((standstill, (name,), value, unit, text, f"check the bias of {name}"))
     if carried.sum() >= MIN_CARRIED_WINDOWS and windows.are_coherent(displacement * carried):  # unlike noise
         value = float(np.median(distance[carried])) / STANDSTILL_WINDOW
         text = f"positions move at {value:.3g} m/s while velocity is 0: is the car on a ferry or trailer?"
-        times = tuple((float(t), float(t) + STANDSTILL_WINDOW) for t in windows.time[carried][:MAX_LISTED_TIMES])
-        findings.append(Finding("standstill_motion", Severity.WARNING, ("x", "y"), text, value, "m/s", times=times,
-                                advice=Advice("text", "leave these times out")))
-    return findings
+        found.append((carried, ("x", "y"), value, "m/s", text, "leave these times out"))
+    return [Finding("standstill_motion", Severity.WARNING, channels, text, value, unit,
+                    times=tuple((t, t + STANDSTILL_WINDOW) for t in windows.time[mask][:MAX_LISTED_TIMES].tolist()),
+                    advice=Advice("text", advice)) for mask, channels, value, unit, text, advice in found]
