@@ -2,7 +2,7 @@
 
 A plan gives the future inputs of the car as functions of time on the measurement clock. They replace the constant
 inputs of a forecast unless `find_plan_problem` finds a problem, which is then reported.
-Checked by: test_planned_inputs.py, against hindsight.
+Checked by: test_planned_inputs.py, against predictions with the measured inputs.
 """
 
 import math

@@ -305,7 +305,8 @@ def compile_model(model: Model, vehicle: VehicleParameters, settings: Prediction
             # The states may diverge in a spin with a long step: both must then be finite at the same points.
             if not np.array_equal(finite, np.isfinite(compiled)) or (difference[finite] > TOLERANCE).any():
                 worst = float(difference[finite & np.isfinite(compiled)].max(initial=0.0))
-                raise ConfigurationError(f"the compiled {model.name} differs from predict, by {worst:.1e} where finite")
+                raise ConfigurationError(f"the compiled {model.name} model differs from the interpreted one, by "
+                                         f"{worst:.1e} where both are finite")
     return run
 
 

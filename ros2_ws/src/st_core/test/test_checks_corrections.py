@@ -240,8 +240,8 @@ def test_wheel_speeds_decide_between_wrong_positions_and_wrong_velocity(log, lea
 
 @pytest.mark.parametrize("unit", [1.0, 1.0 / G])
 @pytest.mark.parametrize(("sign_x", "sign_y", "text"), [
-    (1.0, 1.0, "left)"), (1.0, -1.0, "and acceleration_y has the opposite sign: the sensor is turned by 90 deg"),
-    (-1.0, 1.0, "and acceleration_x has the opposite sign: the sensor is turned by 90 deg"),
+    (1.0, 1.0, "left)"), (1.0, -1.0, "and acceleration_y has the opposite sign: the sensor is rotated by 90 deg"),
+    (-1.0, 1.0, "and acceleration_x has the opposite sign: the sensor is rotated by 90 deg"),
     (-1.0, -1.0, "and acceleration_y and acceleration_x have the opposite sign")])
 def test_turned_accelerometer_is_found_and_its_correction_removes_it(log, leaf, sign_x, sign_y, text, unit):
     wrong = replace(log, acceleration_x=unit * sign_x * log.acceleration_y,

@@ -92,6 +92,9 @@ def test_contradiction_with_the_vehicle_file_is_reported_with_numbers(leaf):
     angle = replace(make_estimate("steering_wheel_offset", 0.02, 0.001), unit="rad")
     message = describe_contradiction(angle, 0.01, 0.001, "the mean reading")
     assert "1.1459 contradicts 0.57296 deg of the mean reading: the difference +0.573 is" in message
+    ratio = replace(make_estimate("steering_ratio", 15.2, 0.1), unit="1")
+    message = describe_contradiction(ratio, 16.0, 0.1, "the file")
+    assert "steering_ratio 15.2 contradicts 16 of the file: the difference -0.8 is" in message
 
 
 def test_stale_stiffness_scale_is_reported(leaf):

@@ -382,7 +382,7 @@ def _make_unrelated_finding(motion: Motion, name: str, measured: np.ndarray) -> 
 def confirm_velocity(motion: Motion, factor: float) -> str | None:
     """Name of a measurement that agrees with the recorded velocity, but not with the velocity divided by `factor`,
     followed by a question about the positions; None if a measurement agrees only with the latter, or if the positions
-    are from satellites or the factor may be due to wheels; otherwise ""."""
+    are from GNSS or the factor is within the tolerance of the tyre radius; otherwise ""."""
     wheel = compare_speed(motion, "wheel_speed") if "wheel_speed" in motion.speeds else None
     ratios = {"the wheel speed": wheel.scale.value if wheel else np.nan,
               "the scale of web Mercator at this y": factor * motion.mercator_scale}
@@ -410,10 +410,10 @@ def compute_acceleration_scales(motion: Motion) -> list[Estimate]:
     return [agreement.scale for agreement in agreements if agreement and agreement.correlates]
 
 
-def _correct_turned_accelerometer(motion: Motion) -> tuple[Motion, Finding | None]:
-    """(motion with accelerations along the axes of the car, finding) if they show that the sensor is turned by an angle
-    to the left, a_measured = k exp(-i angle) a + bias with a = a_x + i a_y; else (motion, None). The angles from both
-    axes must agree, and fit better than a slope in bends to one side, as in a helix, which changes only a_x."""
+def _correct_rotated_accelerometer(motion: Motion) -> tuple[Motion, Finding | None]:
+    """(motion with accelerations along the axes of the car, finding) if they show that the sensor is rotated by an
+    angle to the left, a_measured = k exp(-i angle) a + bias with a = a_x + i a_y; else (motion, None). The angles from
+    both axes must agree, and fit better than a slope in bends to one side, as in a helix, which changes only a_x."""
     if motion.acceleration_x is None or motion.acceleration_y is None:
         return motion, None
     windows, recorded = motion.make_windows(1.0), motion.acceleration_x + 1j * motion.acceleration_y
@@ -438,9 +438,9 @@ def _correct_turned_accelerometer(motion: Motion) -> tuple[Motion, Finding | Non
     angle = replace(across.scaled(1.0 / max(float(np.hypot(along, across.value)), 1e-12)), value=radians)
     if not is_relevant(angle, MIN_SENSOR_ANGLE) or abs(radians) > MAX_SENSOR_ANGLE:
         return motion, None
-    text = (f"the accelerometer is turned by {abs(angle)} rad ({np.rad2deg(abs(radians)):.0f} deg) to the "
+    text = (f"the accelerometer is rotated by {abs(angle)} rad ({np.rad2deg(abs(radians)):.0f} deg) to the "
             f"{'left' if radians > 0.0 else 'right'}")
-    advice = Advice("text", f"turn the accelerations back by a = {radians:.3f}: forward = cos(a) acceleration_x - "
+    advice = Advice("text", f"rotate the accelerations by a = {radians:.3f}: forward = cos(a) acceleration_x - "
                     "sin(a) acceleration_y, lateral = sin(a) acceleration_x + cos(a) acceleration_y")
     recorded = recorded * np.exp(1j * radians)
     return replace(motion, acceleration_x=recorded.real, acceleration_y=recorded.imag), Finding(
@@ -448,7 +448,7 @@ def _correct_turned_accelerometer(motion: Motion) -> tuple[Motion, Finding | Non
 
 
 def _find_exchanged_accelerations(motion: Motion, measured: Mapping[str, np.ndarray]) -> Finding | None:
-    """Finding about exchanged accelerations; a sensor turned by 90 deg exchanges them and reverses the sign of one.
+    """Finding about exchanged accelerations; a sensor rotated by 90 deg exchanges them and reverses the sign of one.
     None if the exchanged channels do not agree with velocity either. measured: by channel."""
     if len(measured) != 2:
         return None
@@ -466,7 +466,7 @@ def _find_exchanged_accelerations(motion: Motion, measured: Mapping[str, np.ndar
     if opposite:
         text += f", and {' and '.join(opposite)} {'have' if len(opposite) == 2 else 'has'} the opposite sign"
     if len(opposite) == 1:
-        text += ": the sensor is turned by 90 deg"
+        text += ": the sensor is rotated by 90 deg"
     questions = {ACCELERATION_UNITS.get(abs(factor)) for factor in factors.values()} - {None}
     text += "".join(f": {question}?" for question in questions)
     correct = {name: {"scale": float(f"{1.0 / factor:.6g}")} for name, factor in factors.items() if factor != 1.0}
@@ -484,8 +484,8 @@ def check_accelerations(results: Results, motion: Motion) -> None:
     if motion.moves_sideways:
         return
     speed = float(np.median(np.abs(motion.velocity_x)))
-    motion, turned = _correct_turned_accelerometer(motion)
-    results.findings += [turned] if turned else []
+    motion, rotated = _correct_rotated_accelerometer(motion)
+    results.findings += [rotated] if rotated else []
     measured = {name: values for name in ACCELERATIONS if (values := getattr(motion, name)) is not None}
     agreements = {name: _compare_acceleration(motion, name, values) for name, values in measured.items()}
     if not any(agreement and agreement.correlates for agreement in agreements.values()) and (

@@ -114,10 +114,9 @@ CAUSES = {
     "velocity_x_lag": Cause(("velocity_x",), "velocity_x", "earlier", "s",
                             "velocity_x, unlike velocity_y, {lag}s positions and yaw by {size:.3f} ± {half:.3f} s"),
     "position_reference": Cause(("x", "y"), "position", "ahead", "m", "positions refer to a point {size:.2f} ± "
-                                "{half:.2f} m {ahead} the point of the velocities"),
+                                "{half:.2f} m {ahead} that of velocities"),
     "position_side": Cause(("x", "y"), "", "set the lever arm of the antenna in the INS: no correction exists", "m",
-                           "positions refer to a point {size:.2f} ± {half:.2f} m to the {side} of the point of the "
-                           "velocities"),
+                           "positions refer to a point {size:.2f} ± {half:.2f} m to the {side} of that of velocities"),
     "velocity_x_bias": Cause(("velocity_x",), "velocity_x", "add", "m/s", "velocity_x is {size:.2f} ± {half:.2f} m/s "
                              "too {high} compared with positions, at every speed"),
     "velocity_y_bias": Cause(("velocity_y",), "velocity_y", "add", "m/s", "velocity_y is {size:.2f} ± {half:.2f} m/s "
@@ -508,7 +507,7 @@ def _find_causes(problem: Regression, candidates: list[str], min_values: dict[st
     if "velocity_scale" not in candidates or not axes or (
             max(abs(causes[name].value) for name in axes) < SPHERICAL_EARTH_SCALE):
         return tuple(causes)
-    # In satellite positions, an equal scale error of both axes is far rarer than a scale error of the velocity.
+    # In GNSS positions, an equal scale error of both axes is far rarer than a scale error of the velocity.
     others = [name for name in causes if name not in axes]
     if len(axes) == 2:
         x, y = (causes[name] for name in AXIS_SCALES)
@@ -516,7 +515,7 @@ def _find_causes(problem: Regression, candidates: list[str], min_values: dict[st
         is_velocity_scale = abs(x.value - y.value) - half_width < SPHERICAL_EARTH_SCALE * abs(1.0 + y.value)
     else:
         _, scale, _ = problem.fit([*required, *causes])
-        # On a drive along one axis, the motion along the other axis decides between both explanations.
+        # On a drive along one axis, the motion along the other axis decides between the two explanations.
         is_velocity_scale = (problem.compute_loss([*required, *others, "velocity_scale"], scale)
                              <= MIN_LOSS_RATIO * problem.compute_loss([*required, *causes], scale))
     return (*others, "velocity_scale") if is_velocity_scale else tuple(causes)
@@ -541,7 +540,7 @@ def _make_finding(name: str, estimate: Estimate, sensitivity: float) -> Finding:
               if cause.corrected_channel else Advice("text", cause.key))
     if name == "velocity_y_scale" and abs(reported.value) * MIN_LATERAL_SCALE_ERROR > 1.0:
         text += ": were the positions computed without it?"
-        advice = Advice("text", "record positions from satellites")
+        advice = Advice("text", "record GNSS positions")
     return Finding(name, severity, cause.channels, text, reported.value, cause.unit, reported.interval, (), effect,
                    advice)
 

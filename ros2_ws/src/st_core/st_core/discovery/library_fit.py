@@ -42,7 +42,7 @@ class HealthyCar:
     prior: np.ndarray  # (p, p) curvature of the prior about the vector
     residual_scale: np.ndarray  # (c,) error scale (`Loss.scale_of`) of each column at the end of the horizon [SI]
     position_error: float  # mean position error there, in the worst run [m]
-    gain_between_runs: float  # largest gain per residual if an effect is fitted to a run, instead of predicted [1]
+    gain_between_runs: float  # largest gain per residual of a run if an effect is fitted to it, not to the others [1]
 
 
 def fit_healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, settings: DiscoverySettings,

@@ -50,7 +50,7 @@ class Parameter:
     identity: str = ""  # name of the estimate of the same quantity in `st_core.checks.check`, with equal unit and sign
     theory: float | None = None  # physical value, if it is the same for every car
     quantity: str = ""  # key of the vehicle file to which the value is added, if no hook `vehicle` or `fold` does so
-    family_ends: tuple[float, ...] = ()  # those of `bounds` that end a family of curves, not physical limits
+    family_ends: tuple[float, ...] = ()  # those of `bounds` that only limit a curve's shape; not physical limits
     # Standard deviation of the values that models with different equations give for one car (`bench/strangers`).
     model_error: float = 0.0
     # Standard deviation of a prior about null, for an addition to the car of the vehicle file, such as a load. For such

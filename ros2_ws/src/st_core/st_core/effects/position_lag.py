@@ -17,7 +17,7 @@ class PositionLag(Effect):
     applies_to = ANY
     order = 5
     parameter = Parameter("time", "s", null=0.0, initial=0.05, bounds=(-0.2, 0.5), identity="position_lag",
-                          meaning="delay of the position, positive for a lag", source="satellite receivers 0.05-0.2 s")
+                          meaning="delay of the position, positive for a lag", source="GNSS receivers 0.05-0.2 s")
 
     @staticmethod
     def observe(measured, theta):

@@ -8,7 +8,7 @@ from ._base import ANY, Effect, Parameter, register
 @register
 class SteeringOffset(Effect):
     physics = "delta = delta_measured + angle, due to the sensor or the linkage"
-    excited_by = "any driving, even straight; two speeds separate it from wind, since its yaw rate increases with speed"
+    excited_by = "any driving, even straight; two speeds separate it from wind, whose side force increases with speed"
     kind, slot = "vehicle parameters", "steering"
     confounded_with = ("crosswind", "road_bank", "heading_misalignment")
     applies_to = ANY

@@ -1,8 +1,8 @@
 """Online identification of steering offset, steering ratio and stiffness scale, by `driving_fit` on recent driving.
 
 After every FIT_INTERVAL of usable driving, both stiffnesses, ratio, offset, INS misalignment, dead time of the steering
-and relaxation length of the tyres are fitted together to the stored driving. The variance of a value is the sum of two:
-one from the variation between blocks of driving, for a normal distribution with the same 95 % interval, and one from
+and relaxation length of the tyres are fitted together to the stored driving. The standard deviation of a value is
+sqrt((h / 1.96)^2 + s^2), h: half-width of the 95 % interval, from the variation between blocks of driving, s: from
 SYSTEMATIC_ERRORS of the single-track model. With sufficient excitation the status is estimated if the standard
 deviation is at most MAX_DEVIATIONS, and invalid if the value is implausible for the car or at a limit of the fit, or if
 the residual is large. Valid at |a_y| <= 4 m/s^2 on dry level roads. Checked by: test_online.py.
@@ -95,7 +95,7 @@ def fit_recent(log: DriveLog, vehicle: VehicleParameters) -> OnlineFit:
     rows[0, 0] = rows[1, 1] = 1.0
     rows[2, 2:4] = [0.5 / getattr(vehicle, name) for name in STIFFNESSES]
     values = rows @ fit.values
-    # Ratio of the standard deviation of a normal distribution with the same 95 % interval to the standard error.
+    # Factor from the standard error to h / 1.96, see the module docstring; > 1, because h is from Student's t.
     half_widths = np.array([fit.spread.interval(k, 0.0)[1] for k in range(len(FITTED_PARAMETERS))])
     widening = half_widths / Z95 / np.maximum(fit.spread.standard_errors, 1e-300)
     covariance = rows @ (fit.spread.covariance * np.outer(widening, widening)) @ rows.T

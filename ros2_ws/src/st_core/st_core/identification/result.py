@@ -114,15 +114,15 @@ def describe_contradiction(estimate: ParameterEstimate, value: float, standard_u
     if not math.isfinite(uncertainty) or abs(difference) <= Z95 * uncertainty:
         return ""
     ratio = f"is {abs(difference) / uncertainty:.1f} times the" if uncertainty > 0.0 else "exceeds the zero"
-    factor, unit = (math.degrees(1.0), "deg") if estimate.unit == "rad" else (1.0, estimate.unit)
-    return (f"{estimate.parameter} {factor * estimate.value:.5g} contradicts {factor * value:.5g} {unit} of {origin}: "
+    factor, unit = (math.degrees(1.0), " deg") if estimate.unit == "rad" else (1.0, f" {estimate.unit}".rstrip(" 1"))
+    return (f"{estimate.parameter} {factor * estimate.value:.5g} contradicts {factor * value:.5g}{unit} of {origin}: "
             f"the difference {factor * difference:+.3g} {ratio} combined uncertainty.")
 
 
 def describe_correlations(names: Sequence[str], correlation: np.ndarray, limit: float = 0.95) -> tuple[str, ...]:
     """A sentence for each pair of parameters with a |correlation| above a limit."""
     return tuple(f"The correlation of {names[i]} and {names[j]} is {correlation[i, j]:+.3f}: the data determine a "
-                 "combination of the two better than each of them."
+                 "combination of the two better than either one alone."
                  for i in range(len(names)) for j in range(i + 1, len(names)) if abs(correlation[i, j]) > limit)
 
 

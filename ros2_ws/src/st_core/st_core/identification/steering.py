@@ -189,7 +189,7 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
             f"too little straight driving: {len(values)} windows of {WINDOW:g} s have a radius above "
             f"{min_radius:.3g} m, a speed above {settings.minimum_speed:.3g} m/s, and constant steering; "
             f"{MIN_WINDOWS} are needed")
-    # Without smoothing, road noise causes an error of 0.02 deg at the steering wheel even after four minutes.
+    # Without smoothing, road unevenness causes an error of 0.02 deg at the steering wheel even after four minutes.
     smoothed_logs = [replace(log, yaw_rate=filtered_derivative(
         log.ins_time_ns, log.yaw_rate, CUTOFF, MAXIMUM_GAP, "zero_phase")[0]) for log in logs]
     fit = fit_driving(smoothed_logs, vehicle, (OFFSET,), "linear", settings)

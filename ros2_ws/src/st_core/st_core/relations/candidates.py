@@ -83,7 +83,7 @@ RELATIONS = {
     ("sensor_velocity_y", "acceleration_y", ""): "a velocity measured at a different point, or axes rotated by roll",
     ("sensor_velocity_y", "speed", ""): "a misaligned INS",
     ("sensor_heading", "acceleration_y", ""): "a heading affected by body roll",
-    ("sensor_heading", "speed", ""): "a heading that depends on speed: a misaligned antenna baseline",
+    ("sensor_heading", "speed", ""): "",
     ("front_steer", "speed", "steering_rate"): "a steering delay that changes with speed (negative: longer delay)",
     ("front_steer", "speed", "steering"): "a steering ratio that changes with speed, power steering, an active rack",
     ("rear_steer", "speed", "acceleration_y"): "roll or compliance steer of the rear axle that changes with speed",

@@ -70,7 +70,7 @@ CONSTANT_CAUSES = {
     "front_steer": "a steering offset, toe", "rear_steer": "a misaligned rear axle",
     "yaw_moment": "unequal drag or brakes", "side_force": "steady wind, a banked road",
     "sensor_yaw_rate": "a bias of the sensor", "sensor_acceleration_y": "a bias or tilt of the sensor",
-    "sensor_velocity_y": "a misaligned INS", "sensor_heading": "a misaligned INS",
+    "sensor_velocity_y": "a bias of the sensor", "sensor_heading": "a misaligned INS",
 }
 """Causes of a constant, by term."""
 

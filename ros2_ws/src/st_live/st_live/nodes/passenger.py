@@ -1,4 +1,4 @@
-"""Node passenger: serves the passenger's page of a running suite.
+"""Node passenger: serves a web page with the predicted paths of a run, for a passenger in the car.
 
 The node has its own process, and subscribes with best-effort reliability and short queues. Publishers neither wait for
 it nor retransmit messages, so it can be slow, stopped or killed without delaying a prediction.
