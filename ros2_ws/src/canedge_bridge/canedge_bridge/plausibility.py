@@ -58,7 +58,7 @@ class Plausibility:
         signal = self._signal
         return (f"{signal.dbc.name} decodes to implausible values in {count} of the last {len(self._recent)} frames: "
                 f"outside {signal.minimum:g} .. {signal.maximum:g} {signal.unit}, or changing faster than "
-                f"{signal.max_rate:g} {signal.unit}/s; check the sensor, and byte order, start bit and factor in DBC")
+                f"{signal.max_rate:g} {signal.unit}/s; check the sensor, and start bit, byte order, factor in the DBC")
 
 
 def find_plausible_frames(signal: SignalSpec, message: MessageSpec, time_ns: np.ndarray,

@@ -192,7 +192,7 @@ def test_published_errors_are_printed_if_the_bag_cannot_be_read(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(("restarts", "end"), [
-    ({}, ""), ({"predictor": 1}, " since the last start of the predictor in bag")])
+    ({}, ""), ({"predictor": 1}, " since the last start of the predictor, as recorded in bag/")])
 def test_tick_counts_after_a_restart_are_those_since_it(restarts: dict, end: str, tmp_path: Path, monkeypatch) -> None:
     summary = {"models": {}, "ticks": {"due": 9, "predicted": 8, "skipped": 1}}
     monkeypatch.setattr(report, "read_results", lambda folder: Results(np.zeros((0, 3)), {}, {}, {}, "", []))

@@ -1,6 +1,6 @@
 """Reads and writes configuration in a safe subset of YAML: mappings with text keys, lists and plain values.
 
-Files may come from other people, so other features of YAML are rejected: references (a few hundred bytes can expand to
+Files may come from other people, so other features of YAML are rejected: aliases (a few hundred bytes can expand to
 billions of values), tags, duplicate keys (PyYAML silently uses the last one), several documents, deep nesting.
 """
 
@@ -28,7 +28,7 @@ class _Loader(yaml.SafeLoader):
         event = self.peek_event()
         line = event.start_mark.line + 1
         if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
-            raise ConfigurationError(f"references (& and *) are not allowed (line {line}); write the value out")
+            raise ConfigurationError(f"anchors (&) and aliases (*) are not allowed (line {line}); write the value out")
         if getattr(event, "tag", None):
             raise ConfigurationError(f"tags (!) are not allowed (line {line}); write the plain value")
         self._levels += 1

@@ -129,7 +129,7 @@ def test_car_on_a_ferry_or_a_roller_test_bench_has_no_scale_error(leaf):
     lost = findings_by_name(replace(log, x=still.x, y=still.y), leaf)
     for found in (bench, lost):
         assert [*found] == ["standstill_motion"] and found["standstill_motion"].severity is Severity.ERROR
-        assert "on a test bench, or did the receiver lose its position" in found["standstill_motion"].text
+        assert "on a chassis dynamometer, or did the receiver lose its position" in found["standstill_motion"].text
 
 
 @pytest.mark.parametrize("noise, scale", [(1.0, 1.0), (4.0, 1.0), (0.004, 1000.0)])

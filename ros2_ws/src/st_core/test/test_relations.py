@@ -65,7 +65,7 @@ def test_curve_in_the_equations_of_motion_equals_the_splines(parity):
     assert curve == pytest.approx(heights @ c.compute_splines(u), abs=1e-12)
     if parity:
         assert evaluate_curve(-u, theta) == pytest.approx(parity * evaluate_curve(u, theta), abs=1e-12)
-    # Constant outside the driven range.
+    # Constant outside the range of the drives.
     assert evaluate_curve(0.8, theta) == pytest.approx(evaluate_curve(0.5, theta), abs=1e-12)
 
 

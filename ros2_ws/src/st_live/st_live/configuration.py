@@ -180,4 +180,4 @@ class VirtualCar:
         leaf = suite.start("virtual_leaf", [find_executable("st_sim", "virtual_leaf"), *arguments])
         if line := leaf.wait_for('"sending"', LEAF_TIMEOUT):
             return json.loads(line)["duration"]
-        raise SuiteError(leaf.read_reason() or f"virtual Leaf: no data within {LEAF_TIMEOUT:g} s; the computer is busy")
+        raise SuiteError(leaf.read_reason() or f"virtual Leaf: no data in {LEAF_TIMEOUT:g} s; is the computer busy?")

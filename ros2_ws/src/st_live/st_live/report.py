@@ -51,7 +51,7 @@ def report_results(folder: Path, outcome: session.Outcome, extra: dict[str, Any]
     for line in format_band_lines(results.bands):
         console.out(line, highlight=False)
     ticks = summary["ticks"]
-    since = " since the last start of the predictor in bag" if "predictor" in outcome.restarts else ""
+    since = " since the last start of the predictor, as recorded in bag/" if "predictor" in outcome.restarts else ""
     console.print(f"predictions due {ticks['due']}, made {ticks['predicted']}, skipped {ticks['skipped']}{since}")
     if text := describe_incomplete(summary["models"]):
         console.print(f"predictions without a complete score, not in the table: {text}", highlight=False)

@@ -107,14 +107,14 @@ def _format_readme(description: dict[str, Any], kind: Format) -> str:
         "`st evaluate` uses h = 0.05 s.",
         f"Not in the equations: {missing}. These effects act on the steering signal before the model, or on the "
         "sensors; apply them separately." if missing else "",
-        f"`{name}_band_...`: half-widths (points after the start, 3) along, across [m], in yaw [rad] from x, u and RMS "
-        "steering rate at the road wheels in the last second [rad/s]; valid only in their calibration domain."
+        f"`{name}_band_...`: half-widths, one row per point after the start: along, across [m], yaw [rad]. Arguments: "
+        "x, u, RMS steering rate at the road wheels in the last second [rad/s]. Valid only in the calibration domain."
         if any(file.startswith(f"{name}_band_") for file in description["files"]) else "", usage))) + "\n"
 
 
 def make_half_width_function(band: Band, level: float, vehicle: VehicleParameters,
                              name: str = "half_widths") -> casadi.Function:
-    """CasADi function of the half-widths of a band, (points after the start, 3): along, across [m], yaw [rad].
+    """CasADi function of the half-widths of a band, one row per point after the start: along, across [m], yaw [rad].
 
     Its arguments are x: the six states at the CG; u: road_wheel_angle [rad], velocity_x_dot [m/s^2]; steering_activity
     [rad/s]: root mean square rate of the road-wheel angle in the last second. Its values equal `Band.half_widths`; the

@@ -374,7 +374,7 @@ def correct_length_unit(motion: Motion) -> MotionAndFinding:
 
 def _correct_distance(motion: Motion) -> MotionAndFinding:
     ratio, windows = compute_ratios(motion).position_to_speed, motion.make_windows(1.0)
-    if not np.isfinite(ratio) or _matches(ratio, 1.0) or not all(  # on a test bench or a ferry, one of them is noise
+    if not np.isfinite(ratio) or _matches(ratio, 1.0) or not all(  # on a dynamometer or a ferry, one is noise
             windows.are_coherent(displacements) for displacements in _compute_displacements(motion, motion.velocity)):
         return motion, None
     speed, length, velocity_ratio = match_unit(1.0 / ratio), match_unit(ratio, LENGTH_UNITS), 1.0 / ratio

@@ -1,7 +1,7 @@
 """Checks of a recording against the vehicle file, with limits that differences between cars rarely exceed.
 
 Steering: the road wheel angle of a car without slip is atan(L r / v_x). Errors of ratio and wheelbase change it by
-about 10 %, understeer at 20 m/s may nearly double it, and degrees read as radians make it 57 times as large.
+about 10 %, strong understeer at 20 m/s makes it 3 times as large, and degrees read as radians 57 times.
 
 Rear axle: at low speed it moves in the direction of the heading, so the lateral velocity at the INS point is
 
@@ -30,7 +30,7 @@ CUTOFF = 1.5  # Hz, of the low-pass filter
 MIN_SPEED, MAX_LATERAL_ACCELERATION = 2.0, 4.0  # m/s, m/s^2; limits of driving with linear rear slip
 WINDOW, STANDSTILL_WINDOW = 0.5, 2.0  # s, lengths of the windows
 MIN_REAR_AXLE_WINDOWS = 30
-MAX_BENCH_MOTION = 0.5  # m per window; slack of the belts that hold a car on a test bench, and noise of positions
+MAX_BENCH_MOTION = 0.5  # m per window; slack of the straps on a chassis dynamometer, and noise of positions
 MIN_CARRIED_WINDOWS = 5  # 10 s; minimum number of windows in which the car is carried, since positions may jump
 SLIP_RANGE = 0.5, 1.5  # plausible rear slip, as a fraction of that of the vehicle file
 MAX_BANK = 0.08  # rad; largest bank of a road; design guides limit the superelevation to 7 or 8 %
@@ -44,7 +44,7 @@ MIN_UNRELATED_SPREAD = 0.01  # rad at the road wheels; minimum standard deviatio
 STEERING_PLAY = 0.07  # rad of the steering wheel; play of ordinary cars, which reduces the gain of small angles
 MIRRORED = Alternative("do x, y, yaw and all lateral channels have axes with z down (x north, y east, right positive)",
                        ("position_axes",))
-UNSIGNED = Alternative("does the steering have no sign, in a drive of right turns only")
+UNSIGNED = Alternative("is the steering recorded without a sign, in a drive of right turns only")
 PLAY, STEERED_REAR_WHEELS = Alternative("the steering has play"), Alternative("the rear wheels also steer")
 REVERSED_INS = Alternative("the INS points backwards"), Advice("text", "check the forward axis of the INS")
 TIGHTER_BENDS = Advice("text", "drive tighter bends to distinguish the two")
@@ -227,7 +227,7 @@ def _check_clock(motion: Motion, vehicle: VehicleParameters, agreement: Agreemen
     if abs(change.value) < LIMITS.steering_lag or not add_systematic_uncertainty(
             "steering_lag", change).widened(abs(second - first)).is_significant:
         return None
-    contradictions = 0  # number of halves in which the lag is constant and does not change at the rate of the drive
+    contradictions = 0  # number of halves with a constant lag, which contradicts the drift of the whole drive
     for rows in np.array_split(np.arange(len(motion.time)), 2):
         if (half := _compare_angles(motion, derived, response, rows)) is not None:
             duration = float(np.ptp(half.time))
@@ -437,8 +437,8 @@ def check_test_bench(motion: Motion) -> list[Finding]:
     if (len(windows) < MIN_CARRIED_WINDOWS or speed < MIN_MOVING_SPEED or windows.are_coherent(displacement)
             or np.abs(displacement).max() > MAX_BENCH_MOTION):
         return []
-    text = (f"velocity_x is {speed:.3g} m/s while x and y vary by noise only: is the car on a test bench, or did the "
-            "receiver lose its position?")
+    text = (f"velocity_x is {speed:.3g} m/s while x and y vary by noise only: is the car on a chassis dynamometer, or "
+            "did the receiver lose its position?")
     return [Finding("standstill_motion", Severity.ERROR, ("velocity_x", "x", "y"), text, speed, "m/s",
                     advice=Advice("text", "leave this drive out: nothing else in it can be checked"))]
 

@@ -14,7 +14,7 @@ slip, from a second regression in the lower half of the slip range (`regression.
 paper, section on parameter identification.
 
 The force curve is computed from the equations of motion of a model, in a turn with equal slip of both axles,
-v_y_dot = 0 and no forward acceleration, without the effects of the steering. Offsets cancel in
+v_y_dot = 0 and no forward acceleration, without effects on the steering signal (ratio, delay, ...). Offsets cancel in
 
     F(alpha) = (F_model(-alpha) - F_model(alpha)) / 2,   alpha >= 0
 

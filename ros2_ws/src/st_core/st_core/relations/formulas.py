@@ -148,9 +148,9 @@ def simulate_formulas(fits: RelationFits, fit: RelationFit, base_fit: RelationFi
     Each fold is simulated with the formula fitted to the other folds, after one refitting step of the parameters of the
     discovered model. A curve without odd symmetry may be determined only up to a constant, which a parameter of the
     vehicle file can imitate; a formula for such a curve gets an additional constant if it fails without one. Within the
-    driven range, a formula must correlate positively with the curve, and its magnitude must not exceed MAX_VALUE_RATIO
-    times the largest magnitude of the curve. Its held-out position error must not exceed the in-sample error of the
-    discovered model.
+    range of the drives, a formula must correlate positively with the curve, and its magnitude must not exceed
+    MAX_VALUE_RATIO times the largest magnitude of the curve. Its held-out position error must not exceed the in-sample
+    error of the discovered model.
     """
     assert fit.candidate is not None
     candidate, gain = fit.candidate, float((base_fit.held_out - fit.held_out).sum())

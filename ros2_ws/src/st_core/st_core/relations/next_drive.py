@@ -15,7 +15,7 @@ from .candidates import ODD, compute_quantities
 from .relation_fit import RIDGE, RelationFit, RelationFits
 
 MIN_IMPROVEMENT = 1.3  # smallest factor by which a suggested manoeuvre increases the separation or the precision
-SPARSE_DENSITY = 0.1  # a range is sparsely driven if its density is below this fraction of a uniform density
+SPARSE_DENSITY = 0.1  # a range has few samples if its density is below this fraction of a uniform density
 INDEPENDENT_OF_MANOEUVRE = ("run_time", "position_x", "position_y", "north", "east")
 Range = tuple[float, float]
 
@@ -57,7 +57,7 @@ class NextDrives:
 
 
 def find_sparse_ranges(points: np.ndarray, density: np.ndarray, parity: float) -> list[Range]:
-    """Sparsely driven ranges, >= 0 for an odd curve, from densities averaged over 3 points. points, density: (k,)."""
+    """Ranges with few samples, >= 0 for an odd curve, from densities averaged over 3 points. points, density: (k,)."""
     if parity == ODD:
         density = 0.5 * (density + density[::-1])
     smoothed = np.convolve(np.pad(density, 1, mode="edge"), np.ones(3) / 3.0, mode="valid")

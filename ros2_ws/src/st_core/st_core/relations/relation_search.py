@@ -47,7 +47,7 @@ class Relation:
     agreement: Agreement = field(default_factory=lambda: Agreement({}, 1.0, 0.0))  # of its size across runs
     # Effects of the result that the relation replaces, with the residual reduction [1] that each still adds.
     redundant: Mapping[str, float] = field(default_factory=dict)
-    next_drives: NextDrives = field(default_factory=NextDrives)  # sparsely driven ranges, and manoeuvres to drive next
+    next_drives: NextDrives = field(default_factory=NextDrives)  # ranges with few samples, and manoeuvres to drive next
 
     def describe_errors(self, template: str) -> str:
         """The template with both errors of `position_5s` filled in; "" without positions."""

@@ -206,7 +206,7 @@ def _draw_ratios(axes: plt.Axes, ratios: Sequence[tuple[int, LocalEstimate]]) ->
 
 
 def draw_relation(relation: Relation, output: FigureOutput) -> PageFigure:
-    """Draw the curve of a relation with its 95 % interval, and the distribution of the driving below it."""
+    """Draw the curve of a relation with its 95 % interval, and the distribution of the samples below it."""
     c = relation.candidate
     (y_scale, unit), (x_scale, x_unit) = map(quantities.get_curve_unit, (c.unit, QUANTITIES[c.quantity]))
     u, y = x_scale * relation.points, y_scale * relation.value
@@ -218,7 +218,7 @@ def draw_relation(relation: Relation, output: FigureOutput) -> PageFigure:
     for k, (low, high) in enumerate(relation.next_drives.sparse_ranges):
         for axes in (curve, distribution):
             axes.axvspan(x_scale * low, x_scale * high, color=MEASURED_COLOUR, alpha=0.12, lw=0,
-                         label="sparsely driven" if axes is curve and not k else None)
+                         label="few samples" if axes is curve and not k else None)
     curve.set_ylabel(f"{textwrap.fill(quantities.make_axis_label(c), 28)}, {unit}")
     curve.legend(loc="best")
     distribution.set_axisbelow(True)
@@ -226,13 +226,13 @@ def draw_relation(relation: Relation, output: FigureOutput) -> PageFigure:
     # Most driving is straight at constant speed; a linear scale would hide the other bins.
     distribution.set(yscale="log", ylim=(0.02, 100.0), yticks=(0.1, 1.0, 10.0, 100.0))
     distribution.yaxis.set_major_formatter("{x:g}")
-    distribution.set(ylabel="fraction of the\ndriving, %", xlabel=f"{quantities.QUANTITY_NAMES[c.quantity]}, {x_unit}")
+    distribution.set(ylabel="samples, %", xlabel=f"{quantities.QUANTITY_NAMES[c.quantity]}, {x_unit}")
     errors = "; held-out position error after 5 s: {:.3f} m without it, {:.3f} m with it"
     title = f"PROPOSAL: {quantities.describe_relation(relation)}{relation.describe_errors(errors)}"
     units = f"y in {c.unit}, u in {QUANTITIES[c.quantity]}".replace("^2", "²")
     formula = f"As a formula: {relation.formulas[0].text}, {units}. " if relation.formulas else ""
     caption = (f"{formula}The dotted line at zero is the model without the relation. The curve is fitted by "
-               "simulation together with all identified effects; it is constant beyond the driven range. In the "
-               "grey, sparsely driven ranges it is interpolated, and the interval assumes the same smoothness. The "
-               "other figures do not contain the relation.")
+               "simulation together with all identified effects; it is constant beyond the range of the drives. "
+               "In the grey ranges with few samples it is interpolated, and the interval assumes the same smoothness. "
+               "The other figures do not contain the relation.")
     return save_figure(figure, output, "relation", title, caption)

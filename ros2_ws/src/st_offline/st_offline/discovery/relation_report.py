@@ -115,10 +115,10 @@ def _describe_formulas(relation: Relation, vehicle: VehicleParameters) -> list[s
 
 
 def _describe_uncertainty(relation: Relation) -> list[str]:
-    """Sentences on the driven range, the widest interval, sparsely driven ranges and the variation between runs."""
+    """Sentences on the range of the drives, the widest interval, ranges with few samples and variation between runs."""
     c, widest = relation.candidate, int(relation.deviation.argmax())
     (y_scale, unit), (x_scale, x_unit) = map(quantities.get_curve_unit, (c.unit, QUANTITIES[c.quantity]))
-    lines = [f"driven range: {quantities.QUANTITY_NAMES[c.quantity]} from {x_scale * c.low:.3g} to "
+    lines = [f"range of the drives: {quantities.QUANTITY_NAMES[c.quantity]} from {x_scale * c.low:.3g} to "
              f"{x_scale * c.high:.3g} {x_unit}; the curve is constant beyond this range",
              f"widest interval at {x_scale * relation.points[widest]:.3g} {x_unit}: "
              f"{y_scale * relation.value[widest]:.2g} ± {y_scale * Z95 * relation.deviation[widest]:.2g} {unit} (95 %)"]
@@ -126,7 +126,7 @@ def _describe_uncertainty(relation: Relation) -> list[str]:
         mirrored = ", on both sides" if c.parity == ODD else ""
         ranges = ", ".join(f"{x_scale * low:.2g} to {x_scale * high:.2g} {x_unit}"
                            for low, high in relation.next_drives.sparse_ranges)
-        lines.append(f"sparsely driven: {ranges}{mirrored}. The curve is interpolated there, and its interval assumes "
+        lines.append(f"few samples: {ranges}{mirrored}. The curve is interpolated there, and its interval assumes "
                      "that it is as smooth as elsewhere: drive several seconds in this range, in left and right turns")
     weak = [name for name, (ratio, deviation) in relation.agreement.ratios.items() if ratio + Z95 * deviation < 0.5]
     if weak and relation.agreement.p_equal < SIGNIFICANCE_LEVEL:
