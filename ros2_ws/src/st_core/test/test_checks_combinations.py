@@ -523,8 +523,8 @@ def test_map_rotated_in_mid_drive_is_no_sign_of_velocity_y():
 def test_unsigned_steering_in_right_turns_is_an_alternative_to_its_opposite_sign():
     log, car = read_real_drive("rfs_turn_a"), read_car("hyundai_genesis")
     found = findings_by_name(replace(log, road_wheel_angle=np.abs(log.road_wheel_angle)), car)
-    assert "no sign" in found["steering_sign"].text
-    assert "no sign" not in findings_by_name(scaled(-1.0, "road_wheel_angle")(log), car)["steering_sign"].text
+    assert "without a sign" in found["steering_sign"].text
+    assert "without a sign" not in findings_by_name(scaled(-1.0, "road_wheel_angle")(log), car)["steering_sign"].text
 
 
 def test_lateral_velocity_in_another_unit_is_one_finding_at_low_speed():

@@ -115,7 +115,7 @@ def test_motion_reported_at_standstill_is_found(leaf):
     assert findings["yaw_rate",].value == pytest.approx(-0.02, abs=0.001)
 
 
-def test_car_on_a_ferry_or_a_roller_test_bench_has_no_scale_error(leaf):
+def test_car_on_a_ferry_or_a_chassis_dynamometer_has_no_scale_error(leaf):
     log = exact_drive(leaf, noise=Noise())
     time = 1e-9 * (log.ins_time_ns - log.ins_time_ns[0])
     still = exact_drive(leaf, speed=Sines(1e-9, ()), turning=STRAIGHT, noise=Noise())
