@@ -159,6 +159,54 @@ def test_scale_error_of_one_acceleration_is_not_a_turned_accelerometer(leaf, cha
     assert [*found] == [f"{channel}_scale"] and found[f"{channel}_scale"].value == pytest.approx(factor, rel=0.02)
 
 
+def drifting(car, sideslip, turning):
+    """A drive at 11 m/s with this sideslip [rad] and rate of the course [rad/s]; the driver countersteers."""
+    time = np.arange(0.0, 80.0, 0.01)
+    beta, course_rate = sideslip(time), turning(time)
+    v, rate = 11.0 * np.exp(1j * beta), course_rate - np.gradient(beta, time)
+    yaw = np.concatenate(([0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))))
+    lateral = v.imag + car.cg_to_ins_x * rate
+    velocity = (v.real + 1j * lateral) * np.exp(1j * yaw)
+    place = np.concatenate(([0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * np.diff(time))))
+    front_force = car.mass * 11.0 * course_rate * car.cg_to_rear_axle / car.wheelbase
+    angle = np.arctan((v.imag + car.cg_to_front_axle * rate) / v.real) + front_force / car.cornering_stiffness_front
+    deviations = np.array([[0.003, 0.003, 0.0005, 0.01, 0.01, 0.002]]).T
+    ns = 1_700_000_000_000_000_000 + np.round(1e9 * time).astype(np.int64)
+    signals = (place.real, place.imag, yaw, v.real, lateral, rate)
+    return DriveLog("drift", ns, *np.random.default_rng(0).normal(signals, deviations), ns, np.clip(angle, -0.65, 0.65))
+
+
+@pytest.mark.parametrize("kind", ["one way", "both ways", "donut"])
+def test_drifting_car_has_no_fault(leaf, kind):
+    side = {"both ways": lambda t: np.tanh(3.0 * np.sin(0.26 * t))}.get(kind, lambda t: 0.5 + 0.5 * np.tanh(t - 10.0))
+    angle, rate = {"donut": (1.0, 1.1)}.get(kind, (0.6, 0.44))
+    drive = drifting(leaf, lambda t: -angle * side(t) * (1.0 + 0.1 * np.sin(t)), lambda t: rate * side(t))
+    assert findings_by_name(drive, leaf) == {}
+
+
+def on_slopes(log, grade, bank):
+    """The drive with an INS fixed to the body on a road with this grade and bank [rad]."""
+    forward, lateral = np.cos(grade), np.cos(bank)
+    return replace(log, velocity_x=log.velocity_x / forward, velocity_y=log.velocity_y / lateral,
+                   yaw_rate=log.yaw_rate * forward * lateral,
+                   acceleration_x=log.acceleration_x + 9.81 * np.sin(grade),
+                   acceleration_y=log.acceleration_y * lateral - 9.81 * np.sin(bank))
+
+
+@pytest.mark.parametrize(("grade", "bank", "name"), [
+    (lambda log: 0.12 * np.tanh(9.0 * np.sin(0.03 * log.x)), lambda log: 0.0, "velocity_scale"),
+    (lambda log: 0.0, lambda log: 0.3 * np.tanh(20.0 * log.yaw_rate), "yaw_rate_scale")])
+def test_slope_and_banked_bends_are_no_scale_error(leaf, grade, bank, name):
+    log = exact_drive(leaf, 120.0)
+    sloping = on_slopes(log, grade(log), bank(log))
+    assert findings_by_name(sloping, leaf).keys() <= {"acceleration_x_bias", "acceleration_y_bias"}
+    level = replace(sloping, acceleration_x=log.acceleration_x, acceleration_y=log.acceleration_y)
+    assert findings_by_name(level, leaf)[name].alternatives == ()
+    unknown = findings_by_name(replace(level, acceleration_x=None, acceleration_y=None), leaf)
+    if name == "yaw_rate_scale":
+        assert unknown[name].text.endswith("or the road is banked: both fit this drive")
+
+
 def test_lateral_acceleration_beyond_tyre_limits_is_an_error_unless_positions_confirm_it(leaf):
     downforce = exact_drive(leaf, turning=Sines(0.0, ((1.5, 23.0, 0.0),)))
     finding = findings_by_name(downforce, leaf)["lateral_acceleration_impossible"]

@@ -28,6 +28,7 @@ MAX_PART_DURATION = 300.0  # s; longest such part; it limits the computing time
 MIN_CHANGE = 0.5  # fraction of the deviation; if the parts differ by less, one correction removes at least half of it
 NOT_COMPARED = (  # between parts of a drive: the first three are constant, the other estimates depend on the driving
     "measuring_point", "position_reference", "position_side", "heading_misaligned", "steering_unrelated")
+LEVEL_SCALES = "velocity_scale", "position_scale", "yaw_rate_scale"  # findings that a slope or bank may cause
 VELOCITY_CLOCK_LAGS = "yaw_rate_lag", "acceleration_x_lag", "acceleration_y_lag", "steering_lag"
 CAUSED_BY_DRIFT = ("yaw_drift", "yaw_offset", "velocity_y_scale", "velocity_y_bias")  # findings due to drift in a part
 MIN_INS_SAMPLES = 50  # with fewer samples, only implausible samples and time stamps are reported
@@ -174,7 +175,7 @@ def _check_relations(results: Results, motion: Motion, log: DriveLog, vehicle: V
         results.findings += step_findings
     speed, yaw_rate, sideslip_measured = motion.velocity_x, motion.yaw_rate, CHANNELS["velocity_y"].is_measured_in(log)
     removed_factors = _find_removed_factors(unit_findings)
-    corrected, sensors, yaw_rate_lag = _check_sensors(motion, removed_factors)
+    corrected, sensors, yaw_rate_lag = _check_level_sensors(motion, removed_factors)
     wrong_rate = None if time_unit else units_and_axes.check_nominal_rate(sensors.findings, sensors.estimates)
     if wrong_rate and wrong_rate.value:
         results.findings.append(wrong_rate)
@@ -183,7 +184,7 @@ def _check_relations(results: Results, motion: Motion, log: DriveLog, vehicle: V
     corrected, findings = position.attribute_scale_to_velocity_x(corrected, findings, sensors.estimates)
     findings = _add_position_scale(findings, motion, removed_factors.get("velocity_scale", 1.0))
     results.findings += findings
-    results.findings += check_position_deviations(corrected, results.findings) if sideslip_measured else []
+    results.findings += _check_deviations(corrected, results.findings) if sideslip_measured else []
     results.estimates, results.panels = sensors.estimates, sensors.panels
     if vehicle is not None:
         if not broken_channels & {*STEERING}:
@@ -200,6 +201,13 @@ def _check_relations(results: Results, motion: Motion, log: DriveLog, vehicle: V
     _remove_consequences(results, log, corrected)
     if vehicle is not None:
         results.findings = try_corrections(results.findings, log, vehicle)
+
+
+def _check_deviations(motion: Motion, findings: list[Finding]) -> list[Finding]:
+    """Result of `check_position_deviations`, unless the deviations are those of velocities along a slope."""
+    found = check_position_deviations(motion, findings)
+    level = inertial.make_level_motions(motion) if found else []
+    return found if all(check_position_deviations(each, findings) for each in level) else []
 
 
 def _add_position_scale(findings: list[Finding], motion: Motion, removed_factor: float) -> list[Finding]:
@@ -271,6 +279,23 @@ def _remove_consequences(results: Results, log: DriveLog, motion: Motion) -> Non
             results.findings[k] = replace(f, severity=severity, statement=statement, advice=advice)
 
 
+def _check_level_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[Motion, Results, float | None]:
+    """Result of `_check_sensors`, for the horizontal components of velocities or yaw rate if this removes findings: on
+    a slope or in a banked bend, those in the axes of the car are not the rates of change of position and yaw. This also
+    confirms the accelerations, which then differ from the derivatives of velocity by gravity."""
+    result = _check_sensors(motion, removed_factors)
+    scales = [find(result[1].findings, f"{name}_scale") for name in inertial.ACCELERATIONS]
+    if not any(scale and inertial.is_unit_or_sign(scale.value) for scale in scales):
+        for level in inertial.make_level_motions(motion) if find(result[1].findings, *LEVEL_SCALES) else ():
+            other = _check_sensors(level, removed_factors)
+            remaining, before = ({f.name for f in each[1].findings if not f.concerns_only_acceleration}
+                                 for each in (other, result))
+            if remaining < before and not remaining & {*LEVEL_SCALES}:
+                other[1].findings = [f for f in other[1].findings if f.name in remaining or f.name.endswith("_bias")]
+                result = other
+    return result
+
+
 def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[Motion, Results, float | None]:
     """(corrected motion, results of the relations valid for any vehicle, lag of the yaw rate [s]). The lag is None
     unless a lag of yaw of opposite sign fits equally well. removed_factors: see `_find_removed_factors`."""
@@ -307,6 +332,11 @@ def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[M
         motion = motion.shifted_earlier(yaw_rate.lag.value, "yaw_rate")
     inertial.check_accelerations(results, motion)
     inertial.check_speeds(results, motion)
+    # A bank reduces a_y, and the yaw rate about the axis of the car; with both accelerations, the latter is checked.
+    for k, f in enumerate(results.findings):
+        is_affected = f.name == "acceleration_y_scale" or (f.name == "yaw_rate_scale" and motion.acceleration_y is None)
+        if is_affected and 1.0 / LIMITS.channel_unit_ratio < (f.value or 0.0) < 1.0:
+            results.findings[k] = f.with_alternative(vehicle_relations.BANK, position.VARY_BENDS)
     return motion, results, yaw_rate_lag
 
 

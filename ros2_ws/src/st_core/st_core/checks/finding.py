@@ -228,6 +228,8 @@ class Limits:
     min_correlation: float = 0.6  # magnitude; two estimates of a quantity with a lower correlation are not compared
     acceleration_bias: float = 0.1  # m/s^2; caused by a tilt of the sensor or the road of 0.6 deg
     lateral_acceleration: float = 13.0  # m/s^2; above the limit of road tyres
+    rear_slip: float = 0.2  # rad; slip angle above which the rear tyres slide; they grip best at 0.1 to 0.15
+    sliding_acceleration: float = 1.0  # m/s^2; at a smaller lateral acceleration, tyres slide on ice at most
     steering_unit_ratio: float = 1.5  # unit_ratio of the steering; ratio, wheelbase and stiffnesses may be inaccurate
     steering_lag: float = 0.1  # s; possible error of the response time computed with the vehicle file
     steering_offset: float = 0.02  # rad, at the road wheels

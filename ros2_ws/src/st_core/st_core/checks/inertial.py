@@ -361,6 +361,29 @@ def _derive_acceleration(motion: Motion, name: str) -> np.ndarray:
     return derivative.imag if name == "acceleration_y" else derivative.real
 
 
+def is_unit_or_sign(scale: float | None) -> bool:
+    """Whether a wrong unit or sign explains the scale of an acceleration."""
+    return scale is not None and any(is_near(scale, factor, 1.0 + ACCELERATION_SCALE_ERROR) for factor in (
+        -1.0, *ACCELERATION_UNITS, *(-unit for unit in ACCELERATION_UNITS)))
+
+
+def make_level_motions(motion: Motion) -> list[Motion]:
+    """The motion with the yaw rate, or also the velocities, turned from the axes of the car into the horizontal plane.
+
+        g sin(grade) = a_x - dv_x/dt + v_y r       v_x cos(grade), v_y cos(bank), r / (cos(grade) cos(bank))
+        g sin(bank) = dv_y/dt + v_x r - a_y        [] without these accelerations
+    """
+    windows = motion.make_windows(1.0)
+    if motion.acceleration_x is None or motion.acceleration_y is None or not len(windows):
+        return []
+    sine = np.nan_to_num(motion.acceleration_x - _derive_acceleration(motion, "acceleration_x")) + 1j * np.nan_to_num(
+        motion.acceleration_y - _derive_acceleration(motion, "acceleration_y"))
+    sine = np.interp(motion.time, windows.time + 0.5, windows.mean(sine) / STANDARD_GRAVITY)
+    grade, bank = (np.sqrt(1.0 - np.minimum(part**2, 0.75)) for part in (sine.real, sine.imag))  # cosines, up to 60 deg
+    rate = replace(motion, yaw_rate=motion.yaw_rate / (grade * bank))
+    return [rate, replace(rate, velocity_x=grade * motion.velocity_x, velocity_y=bank * motion.velocity_y)]
+
+
 def _make_unrelated_finding(motion: Motion, name: str, measured: np.ndarray) -> Finding | None:
     """Finding about an acceleration that does not correlate with the derivative of velocity in windows of 1 s; None if
     it does, is constant or too short, or if the motion has little acceleration and the mean is not that of gravity."""

@@ -435,6 +435,9 @@ def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
     exchange = Advice.for_run_yaml({"columns": {"velocity_x": "velocity_y", "velocity_y": "velocity_x"}})
     exchanged = motion.apply_entry(exchange.entry)
     max_misfit = MAX_MAP_MISFIT * float(np.median(np.abs(measured)))
+    # In bends, tyres may slide: in a donut, a car moves sideways.
+    lateral_acceleration = np.abs(unrotated * motion.make_windows(1.0).change(motion.yaw))
+    straight = unrotated[lateral_acceleration < LIMITS.sliding_acceleration]
     if np.ptp(motion.yaw) > MIN_YAW_RANGE and misfit <= max_misfit and (
             misfit < MAX_MAP_MISFIT * _compute_misfit(motion)) and _matches(compute_ratios(motion).yaw_to_course, 1.0):
         velocity = 1j * motion.velocity.conj() if is_north_first else motion.velocity
@@ -448,8 +451,9 @@ def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
     elif max_misfit > 0.0 and motion.moves_sideways and _compute_misfit(exchanged, rotated=False) <= max_misfit:
         corrected, advice = exchanged, exchange
         text = "velocity_x and velocity_y are exchanged (x should be forward, y left)"
-    elif max_misfit > 0.0 and motion.moves_sideways and _compute_misfit(motion, rotated=False) <= max_misfit:
-        angle = float(np.angle(motion.velocity.sum()))
+    elif max_misfit > 0.0 and np.square(straight).sum().real < 0.0 and (  # more sideways than forward
+            _compute_misfit(motion, rotated=False) <= max_misfit):
+        angle = float(np.angle(straight.sum()))
         quarter = float(np.copysign(np.pi / 2, angle))
         angle = quarter if abs(angle - quarter) < 0.1 else angle
         side = "left" if angle > 0 else "right"

@@ -30,6 +30,7 @@ CUTOFF = 1.5  # Hz, of the low-pass filter
 MIN_SPEED, MAX_LATERAL_ACCELERATION = 2.0, 4.0  # m/s, m/s^2; limits of driving with linear rear slip
 WINDOW, STANDSTILL_WINDOW = 0.5, 2.0  # s, lengths of the windows
 MIN_REAR_AXLE_WINDOWS = 30
+SLIDE_MARGIN = 2.0  # s before and after a slide that are not used either: it begins and ends gradually
 MAX_BENCH_MOTION = 0.5  # m per window; slack of the straps on a chassis dynamometer, and noise of positions
 MIN_CARRIED_WINDOWS = 5  # 10 s; minimum number of windows in which the car is carried, since positions may jump
 SLIP_RANGE = 0.5, 1.5  # plausible rear slip, as a fraction of that of the vehicle file
@@ -99,9 +100,23 @@ def check_steering(results: Results, motion: Motion, vehicle: VehicleParameters,
 
 
 def _derive_angle(motion: Motion, vehicle: VehicleParameters) -> np.ndarray:
-    """Road wheel angle of a car without slip, from its curvature, also in reverse [rad]; NaN below MIN_SPEED."""
-    forward = np.where(np.abs(motion.velocity_x) > MIN_SPEED, motion.velocity_x, np.nan)
-    return np.arctan(vehicle.wheelbase * motion.yaw_rate / forward)
+    """Road wheel angle of a car without slip, from its curvature, also in reverse [rad]; NaN below MIN_SPEED, and where
+    the rear axle slides, so that the driver countersteers."""
+    usable = (np.abs(motion.velocity_x) > MIN_SPEED) & ~_find_slides(motion, vehicle)
+    return np.arctan(vehicle.wheelbase * motion.yaw_rate / np.where(usable, motion.velocity_x, np.nan))
+
+
+def _find_slides(motion: Motion, vehicle: VehicleParameters) -> np.ndarray:
+    """Whether the rear axle slides within SLIDE_MARGIN of each INS sample, (n,); False without velocity_y. The angle on
+    straights is that of a misaligned INS."""
+    lateral = motion.velocity_y - (vehicle.cg_to_rear_axle + vehicle.cg_to_ins_x) * motion.yaw_rate
+    slip = np.arctan(lateral / np.maximum(np.abs(motion.velocity_x), MIN_SPEED))
+    windows = motion.make_windows(HORIZON)
+    straight = windows.mean(np.abs(motion.velocity_x * motion.yaw_rate)) < LIMITS.sliding_acceleration
+    slip -= float(np.median(windows.mean(slip)[straight])) if straight.any() else 0.0
+    times = motion.time[(np.abs(slip) > LIMITS.rear_slip) & bool(motion.velocity_y.any())]
+    first, end = (np.searchsorted(times, motion.time + side * SLIDE_MARGIN) for side in (-1.0, 1.0))
+    return end > first
 
 
 def _compare_angles(motion: Motion, derived: np.ndarray, response: float,
@@ -320,6 +335,7 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> Results:
     means = [windows.mean(values) for values in (motion.velocity_x, motion.velocity_y, motion.yaw_rate)]
     means.append(means[0] * means[2] + (np.gradient(means[1], windows.time) if len(windows) > 1 else 0.0))
     usable = (means[0] > MIN_SPEED) & (np.abs(means[3]) < MAX_LATERAL_ACCELERATION)
+    usable &= windows.mean(_find_slides(motion, vehicle).astype(float)) == 0.0
     forward, lateral, rate, acceleration = (mean[usable] for mean in means)
     if usable.sum() < MIN_REAR_AXLE_WINDOWS or (
             abs(float(forward @ rate)) > MAX_COSINE * float(np.linalg.norm(forward) * np.linalg.norm(rate))):
