@@ -27,7 +27,7 @@ class BusState(StrEnum):
     """State of the bus as seen by the receiver."""
 
     OK = "ok"                        # frames are received
-    SILENT = "silent"                # open and without error, but no recent data or remote frame
+    SILENT = "silent"                # open, but no recent data or remote frame
     ERROR_PASSIVE = "error-passive"  # after many errors, the controller no longer sends active error flags
     BUS_OFF = "bus-off"              # the controller has disconnected from the bus
     DOWN = "down"                    # the interface exists but is switched off

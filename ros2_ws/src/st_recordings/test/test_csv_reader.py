@@ -255,7 +255,7 @@ def test_fractions_of_seconds_without_leading_zeros(tmp_path: Path, per_second: 
     file = write(tmp_path, [HEADER, *(f"{stamp},{k},0,0.1,1,0,0,0,0,0.1" for k, stamp in enumerate(stamps))])
     table = read_table(file, Layout())
     np.testing.assert_allclose(table.time_ns[table.is_usable], 12e9 + np.arange(300) * 20e6)
-    assert "zeros were added after the point of times, as in 12.02" in table.warnings[0]
+    assert "zeros were added after the decimal point of its times, as in 12.02" in table.warnings[0]
     lines = file.read_text().splitlines()
     write(tmp_path, [*lines[:99], lines[98], lines[99][:12], *lines[100:]])  # a duplicate row and a truncated one
     again = read_table(file, Layout())

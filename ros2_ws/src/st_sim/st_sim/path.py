@@ -43,11 +43,11 @@ def straight(length: float, speed: float) -> list[Piece]:
 
 
 def turn(radius: float, angle_deg: float, speed: float, blend: float = 0.0) -> list[Piece]:
-    """Turn by an angle [deg, > 0: left]; curvature changes linearly to +-1 / radius and back, each over `blend` [m].
-    Raises ValueError if the blends alone turn by more than the angle."""
+    """Turn by an angle [deg, > 0: left] with a clothoid transition of length `blend` [m] before and after the arc.
+    Raises ValueError if the transitions alone turn by more than the angle."""
     arc = math.radians(abs(angle_deg)) * radius - blend
     if arc < 0:
-        raise ValueError(f"a turn of {angle_deg:g} deg at radius {radius:g} m is too short for blends of {blend:g} m")
+        raise ValueError(f"a {angle_deg:g} deg turn at radius {radius:g} m is too short for transitions of {blend:g} m")
     curvature = math.copysign(1.0 / radius, angle_deg)
     return [Piece(blend, 0.0, curvature, speed), Piece(arc, curvature, curvature, speed),
             Piece(blend, curvature, 0.0, speed)]

@@ -203,7 +203,7 @@ def test_path_has_its_heading_and_curvature_and_is_continuous():
         assert math.hypot(a.x - b.x, a.y - b.y) < 1e-5
     shift = Path(lane_shift(3.5, 30, 10))
     assert shift.pose(30 * (1 - 1e-12)).y == pytest.approx(3.5, rel=0.02)
-    with pytest.raises(ValueError, match="too short for blends"):
+    with pytest.raises(ValueError, match="too short for transitions"):
         turn(5, 30, 4, 10)
 
 
@@ -233,7 +233,7 @@ def test_stop_and_go_has_speed_changes_and_turns_to_both_sides():
         ("road: [{straight: 10}]", "speed"),
         ("road: [{straight: 10, speed: 0}]", "must be above 0"),
         ("road: [{straight: 10, speed: 5, radius: 3}]", "unknown key radius"),
-        ("road: [{turn: 30, radius: 5, blend: 10, speed: 4}]", "too short for blends"),
+        ("road: [{turn: 30, radius: 5, blend: 10, speed: 4}]", "too short for transitions"),
         ("roads: []", "road"),
         ("road: []", "no length"),
         ("road: [{straight: -5, speed: 5}, {straight: 9, speed: 5}]", "lengths must not be negative"),

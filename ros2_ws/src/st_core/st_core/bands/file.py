@@ -59,8 +59,8 @@ class Bands:
         return make_times(self.settings["horizon"], self.settings["step"])
 
     def half_widths(self, model: str, mode: str, conditions: np.ndarray, level: float) -> np.ndarray:
-        """Half-widths (n, points + 1, 3) along and across the predicted path [m] and in yaw [rad], 0 at the start. With
-        probability `level`, the whole measured path of the INS point is inside all three half-widths. All NaN outside
+        """Half-widths (n, points + 1, 3) along and across the predicted heading [m] and in yaw [rad]; 0 at the start.
+        With probability `level`, the whole measured path of the INS point is inside all three half-widths. NaN outside
         the calibration domain (`CalibrationDomain.describe_outside`). conditions: (n, 4), from `compute_conditions`.
         Raises KeyError for a model, mode or level that is not in the file."""
         band = self.bands[model, mode]

@@ -25,7 +25,7 @@ MAX_INS_DISTANCE = 3.0  # m; largest distance of the INS ahead of the rear axle
 MAX_REAR_COMPLIANCE = 0.01  # rad s^2/m; rear cornering compliance (slip angle per a_y): road cars 0.003 to 0.008
 MIN_PART_DURATION = 40.0  # s; shortest first and last part of a drive that are compared: 8 blocks of the bootstrap
 MAX_PART_DURATION = 300.0  # s; longest such part; it limits the computing time
-MIN_CHANGE = 0.5  # fraction of the deviation; if the parts differ by less, one correction removes at least half of it
+MIN_CHANGE = 0.5  # of `Finding.deviation`; if the parts differ by less, one correction removes at least half of it
 NOT_COMPARED = (  # between parts of a drive: the first three are constant, the other estimates depend on the driving
     "measuring_point", "position_reference", "position_side", "heading_misaligned", "steering_unrelated")
 LEVEL_SCALES = "velocity_scale", "position_scale", "yaw_rate_scale"  # findings that a slope or bank may cause
@@ -211,7 +211,7 @@ def _check_deviations(motion: Motion, findings: list[Finding]) -> list[Finding]:
 
 
 def _add_position_scale(findings: list[Finding], motion: Motion, removed_factor: float) -> list[Finding]:
-    """The findings; a scale error of the velocity names that of the positions if other measurements fit both.
+    """The findings; a scale error of the velocity has one of the positions as an alternative if measurements fit both.
     removed_factor: already divided out of the velocity."""
     scale, recorded = find(findings, "velocity_scale"), {"correct": {"velocity": {"scale": removed_factor}}}
     if scale is None or not scale.value or units_and_axes.match_unit(scale.value) or (
@@ -325,7 +325,7 @@ def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[M
         estimates[name] = estimate.shifted(value) if name == "yaw_offset" else estimate.scaled(value)
     if "velocity_scale" in estimates:
         estimates["velocity_x_scale"] = estimates["velocity_scale"].scaled(removed_factors.get("velocity_x_scale", 1.0))
-    # Errors of the yaw rate are corrected if its correlation with the change of yaw determines them.
+    # Errors of the yaw rate are corrected if it correlates well enough with the change of yaw.
     if yaw_rate and yaw_rate.correlation >= inertial.GYRO_CORRELATION:
         motion = replace(motion, yaw_rate=(motion.yaw_rate - yaw_rate.bias.value) / yaw_rate.scale.value)
     if yaw_rate and yaw_rate.correlation >= LIMITS.min_correlation and yaw_rate.has_lag:
@@ -354,7 +354,7 @@ def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
     """Result of `correct_units`, with a severe lag between yaw and yaw rate, which would change their ratio, removed
     first and restored afterwards."""
     agreement = inertial.compare_yaw_rate(motion, inertial.ACCELERATION_CUTOFF)
-    # A yaw rate with the opposite sign also correlates at a lag of half a period, but no better than without.
+    # A yaw rate with the opposite sign also correlates at a lag of half a period, but no better than at zero lag.
     if (agreement is None or not agreement.has_lag or abs(agreement.lag.value) < LIMITS.severe_lag
             or agreement.correlation < LIMITS.min_correlation
             or abs(agreement.correlation_without_lag) >= agreement.correlation - 0.05):

@@ -20,7 +20,7 @@ SIGN_DRAWS = 400  # draws of random signs of the blocks, enough to resolve a p-v
 MIN_CURVATURE = 0.3  # minimum ratio of the curvature of the robust loss to that of the reweighted least squares
 PART_PRIOR = 0.05  # prior curvature of the other parameters in one part, divided by the mean curvature of all parts
 UNSELECTED_DEVIATION = 0.5  # prior standard deviation of effects outside the set, for intervals [parameter scales]
-MIN_INFORMATION_FRACTION = 0.02  # minimum fraction of the information in all driving that a part needs to be used
+MIN_INFORMATION_FRACTION = 0.02  # minimum information of a part that is used, as a fraction of that of all drives
 Sensors = Mapping[str, tuple[float, float, float]]  # by "effect.parameter": (value, ends of its 95 % interval)
 
 

@@ -36,7 +36,7 @@ ALTERNATIVES = {ROAD_WHEEL: STEERING_WHEEL, "x": "longitude", "y": "latitude", "
 QUATERNION_CHANNELS = [f"orientation_{axis}" for axis in "xyzw"]
 POSSIBLY_UNFILLED = ("x", "y", "yaw", "orientation_z", "yaw_rate", STEERING_WHEEL)  # often 0 if not measured
 MAX_HELD_FRACTION = 0.3
-"""Positions have a lower rate than the rows if they repeat in more than this fraction of the rows of the moving car."""
+"""Positions have a lower rate than the rows if they repeat in more than this fraction of the rows with motion."""
 MIN_INTERVAL_RATIO = 1.5
 """A channel has a lower rate than another if the ratio of their median sample intervals exceeds this value."""
 MIN_SIMILAR_RATE = 0.9  # two channels have similar rates if one has more than this fraction of the samples of the other

@@ -39,7 +39,7 @@ UNKNOWN_ADVICE = {
     **dict.fromkeys((".bz2", ".zst"), "unpack it first; export an rlog of openpilot as .csv with PlotJuggler"),
     ".tdms": "export it as .csv, in Python with npTDMS: TdmsFile.read(IN).as_dataframe().to_csv(OUT)",
     **dict.fromkeys((".xls", ".xlsx", ".ods", ".erg", ".ld", ".pos", ".xrk", ".xrz"),  # some of these files are text
-                    "rename it to .csv if it is a text table; else open it in its program, and export a .csv"),
+                    "rename it to .csv if it is a text table; else export a .csv in the program that wrote it"),
 }
 """Extension -> advice, for files that no reader supports."""
 
@@ -283,7 +283,7 @@ def _group_split_bags(files: Sequence[Path]) -> list[list[Path]]:
         for previous, number in pairwise(numbers):
             part, between = parts[number], range(min(previous, number), max(previous, number))
             gap = abs(spans[number][0] - spans[previous][1]) * 1e-9  # s
-            if gap < MAX_SPLIT_GAP and all(k in parts for k in between):  # lazy: numbers may be time stamps, far apart
+            if gap < MAX_SPLIT_GAP and all(k in parts for k in between):  # `all` ends early: numbers may be time stamps
                 groups[-1].append(part)
             else:
                 groups.append([part])

@@ -43,8 +43,8 @@ ROLLOVER_STEP = 60.0  # s, longest step of numeric times across midnight or the 
 _DAY_COUNTS = ((719529.0, "MATLAB date numbers"), (25569.0, "spreadsheet date numbers"), (2440587.5, "Julian dates"))
 PLAUSIBLE_EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
 DAY, HOUR = 86400.0, 3600.0  # s
-MAX_LEFT_BACKWARD = 0.1
-"""Zeros are added to fractions of a second if at most this fraction of the backward steps is left."""
+MAX_REMAINING_BACKWARD = 0.1
+"""Zeros are added to fractions of a second if at most this fraction of the backward steps remains."""
 MIN_UNUSABLE_STEP = 5.0  # s, duration of a prediction; numbers with larger steps are probably not seconds
 HHMMSS = "HHMMSS"  # unit of a time column that contains times of day as numbers HHMMSS.ss
 MAX_DAMAGED_FRACTION = 0.01  # up to this fraction of the times in a column of unit HHMMSS may be invalid
@@ -76,15 +76,15 @@ def read_stamps(file: Path, cells: list[str], warnings: list[str]) -> np.ndarray
 
 
 def pad_fractions(file: Path, seconds: np.ndarray, cells: list[str], warnings: list[str]) -> np.ndarray:
-    """Seconds of cells such as 17.5000000 for 17 s and 5 ms, with zeros added; `seconds` if these are hardly more in
-    order, because the times decrease for another reason."""
+    """Seconds of cells such as 17.5000000 for 17 s and 5 ms, with zeros added; `seconds` if too many backward steps
+    remain (MAX_REMAINING_BACKWARD), because these have another cause."""
     parts = [cell.partition(".") for cell in cells]
     width = max(len(fraction) for _, _, fraction in parts)
     padded_cells = [f"{whole}.{fraction.zfill(width)}" for whole, _, fraction in parts]
     with suppress(ValueError):  # a cell is not a number
         padded = np.array(padded_cells, float)
-        if (np.diff(padded) < 0.0).sum() <= MAX_LEFT_BACKWARD * (np.diff(seconds) < 0.0).sum():
-            warnings.append(f"{file}: zeros were added after the point of times, as in {padded_cells[1]}")
+        if (np.diff(padded) < 0.0).sum() <= MAX_REMAINING_BACKWARD * (np.diff(seconds) < 0.0).sum():
+            warnings.append(f"{file}: zeros were added after the decimal point of its times, as in {padded_cells[1]}")
             return padded
     return seconds
 
