@@ -96,7 +96,7 @@ SETTINGS: Mapping[str, Setting] = MappingProxyType({row[0]: Setting(*row) for ro
 IDEAL: Settings = MappingProxyType({s.name: s.null for s in SETTINGS.values()})
 
 # With these values, the paper's three models have the same prediction errors as with the real car (test_pattern.py).
-# The front tyres are stiffer than in the vehicle file: compliance, roll steer and load transfer are settings here.
+# The front axle stiffness of the file includes compliance, roll steer and load transfer; tyres alone are stiffer.
 REALISTIC: Settings = MappingProxyType({
     **IDEAL, "steering_lag": 0.04, "steering_compliance": 1.5e-6, "roll_steer": -0.03, "ackermann": 0.6,
     "front_stiffness_factor": 1.35, "friction_factor": 1.12, "relaxation_length": 0.4, "combined_slip": 1.0,

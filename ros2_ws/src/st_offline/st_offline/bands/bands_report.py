@@ -335,7 +335,7 @@ def make_contribution_rows(content: Mapping[str, Any]) -> list[dict[str, str]]:
     for model, summary in content.items():
         for second in (s for s in ("1", "3", "5") if s in summary["rms"]):
             rms = summary["rms"][second]
-            row = {"model": model, "second": second,
+            row = {"model": model, "time, s": second,
                    "rms along | across, m": f"{rms['longitudinal']:.2f} | {rms['lateral']:.2f}"}
             for kind, values in summary["share"].items():
                 text = f"{100 * values[second]['longitudinal']:.0f} % | {100 * values[second]['lateral']:.0f} %"

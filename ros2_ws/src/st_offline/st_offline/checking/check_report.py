@@ -131,7 +131,7 @@ def advise_steering_sign(findings: Iterable[Finding], source: str = "RUN", is_ca
     log = "add --steering-sign -1 (1 if car.yaml has -1), or change steering_sign in car.yaml"
     table = ("add --steering-field COLUMN --steering-sign -1, or write a run.yaml with "
              f"`st check {source} --propose-correction run.yaml` and use it instead")
-    advice = {True: log, False: table, None: f"for logs of a CAN bus, {log}; for a table, {table}"}[is_can]
+    advice = {True: log, False: table, None: f"for CAN logs, {log}; for a table, {table}"}[is_can]
     return f"the steering angle has the opposite sign (left is positive): {advice}"
 
 

@@ -23,7 +23,7 @@ from ..map_drawing import History, Pose, make_car_outline
 NEWEST_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 SCORE_QOS = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)  # scores of one start arrive together
 LIFETIME = Duration(sec=1)  # markers disappear this long after the suite has ended
-TEXT_HEIGHT, OUTLINE_WIDTH, ERROR_WIDTH, GHOST_WIDTH, TRACK_WIDTH = 1.2, 0.15, 0.25, 0.1, 0.6  # m
+TEXT_HEIGHT, OUTLINE_WIDTH, ERROR_WIDTH, GHOST_WIDTH, MEASURED_WIDTH = 1.2, 0.15, 0.25, 0.1, 0.6  # m
 GHOST_ALPHA = 0.4
 RIBBON_ALPHA = {0.9: 0.15, 0.5: 0.3}  # by probability
 RIBBON_STRIDE = 4  # every n-th point of a band is drawn
@@ -71,7 +71,7 @@ class MarkersNode(Node):
         now_ns = sample.time_ns
         track = np.array([(x, y) for _, x, y in self._history.track])
         markers = [
-            self._make_line("track", 0, now_ns, track[:, 0], track[:, 1], MEASURED_COLOUR, TRACK_WIDTH, 0.5, z=-0.2),
+            self._make_line("track", 0, now_ns, track[:, 0], track[:, 1], MEASURED_COLOUR, MEASURED_WIDTH, 0.5, z=-0.2),
             self._make_line("car", 0, now_ns, *make_car_outline(Pose(sample.x, sample.y, sample.yaw), self._car),
                             "#141414", OUTLINE_WIDTH),
         ]

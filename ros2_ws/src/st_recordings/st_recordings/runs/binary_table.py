@@ -33,7 +33,7 @@ NAME_FIELDS = ("label", "Name", "name")
 HEAD_SIZE = 1 << 16  # number of characters in which the columns of JSON records are found
 _RECORDS, _SEPARATORS = re.compile(r"(?:\A|\[)\s*(?={)"), re.compile(r"[\s,]*")
 _RAW_FRAMES = re.compile(rb"\0CAN_(Data|Remote|Error)Frame")
-"""Name of the channel of raw frames. The header of its block ends with 0; in comments, no 0 precedes the name."""
+"""Name of the channel of raw frames, after the zero byte that ends the block header; in a comment, none precedes it."""
 _NO_DELIMITERS = str.maketrans(',"\n', "   ")
 
 
@@ -61,7 +61,7 @@ def read_binary_table(file: Path) -> tuple[list[str], str, list[str]]:
 @cached_by_version(maxsize=256)
 def read_names(file: Path) -> list[str]:
     """Column names; those of MDF are "t [s]", then the signals with their units, such as "YawRate [deg/s]". Only the
-    beginning of Parquet and of records in JSON is read. Raises RunError."""
+    schema of Parquet and the first records of JSON are read. Raises RunError."""
     if not is_signal_table(file):
         return [str(name) for name in _load_frame(file, HEAD_SIZE, []).columns]
     with _open_file(file) as mdf:
@@ -96,7 +96,7 @@ def _load_arrow(file: Path, size: int) -> Any:
     from pyarrow import feather, ipc, parquet, types
 
     with file.open("rb") as stream:
-        is_stream = stream.peek(4)[:4] == b"\xff" * 4  # messages without the mark of a file
+        is_stream = stream.peek(4)[:4] == b"\xff" * 4  # Arrow stream, without the magic bytes of a file
         if file.suffix.lower() in PARQUET_EXTENSIONS:
             table = parquet.read_table(file) if size < 0 else parquet.read_schema(file).empty_table()
         else:
@@ -110,14 +110,14 @@ def _load_arrow(file: Path, size: int) -> Any:
 
 
 def _load_json(file: Path, size: int, warnings: list[str]) -> Any:
-    """Records of one kind with fields of objects as columns, such as pose.x; or columns, also as pandas writes them."""
+    """Table of records of one kind, nested fields as columns such as pose.x; or of columns, as by DataFrame.to_json."""
     import pandas as pd
 
     content, records = None, dict[str, list[dict[str, Any]]]()
     with file.open("rb") as stream:
         codec = find_codec(stream.read(4096))
     with file.open(encoding=codec, errors=CP1252_FALLBACK) as stream:
-        with suppress(ValueError):  # the names of columns may be in the whole file
+        with suppress(ValueError):  # the first characters may contain no complete record
             content = _parse_json(file, stream.read(size), warnings) if size > 0 else None
             records = _find_records(content)
         if not records:

@@ -17,7 +17,7 @@ from st_core.vehicle import VehicleParameters
 
 from .axes import COURSE, HEADING, MIN_COURSE_SPEED, read_angles, read_geographic, rotate_to_body_axes
 from .columns import Layout, describe_unknown_units, find_ambiguous, find_ambiguous_steering, find_columns, find_missing
-from .csv_table import Table, all_finite, differentiate_yaw, read_header
+from .csv_table import Table, all_finite, differentiate_angle, read_header
 from .errors import RunError, format_count
 from .ins_log import SPEEDS, InsLog, compute_car_speed, yaw_from_quaternion
 from .run_types import LoadedRun, SteeringField, make_drive_log
@@ -340,7 +340,7 @@ def _complete_motion(table: Table, columns: dict[str, np.ndarray], warnings: lis
             warnings.append(f"{table.file}: velocity_y has no column with numbers; it is set to 0 (unknown sideslip)"
                             + advice)
     if "yaw_rate" not in columns:
-        columns["yaw_rate"] = differentiate_yaw(table, columns["yaw"])
+        columns["yaw_rate"] = differentiate_angle(table, columns["yaw"])
         warnings.append(f"{table.file}: yaw_rate has no column with numbers; the derivative of yaw is used{advice}")
 
 

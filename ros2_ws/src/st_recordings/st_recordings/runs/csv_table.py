@@ -475,8 +475,8 @@ def all_finite(columns: Mapping[str, np.ndarray], names: Iterable[str]) -> np.nd
     return np.isfinite(np.stack([columns[name] for name in names])).all(axis=0)
 
 
-def differentiate_yaw(table: Table, angle: np.ndarray) -> np.ndarray:
-    """Derivative [rad/s] of a yaw angle [rad] at the usable rows; NaN in others, or if fewer than 3 have an angle."""
+def differentiate_angle(table: Table, angle: np.ndarray) -> np.ndarray:
+    """Derivative [rad/s] of an angle [rad] at the usable rows; NaN in others, or if fewer than 3 have an angle."""
     rate = np.full(len(angle), np.nan)
     rows = np.flatnonzero(table.is_usable & np.isfinite(angle))
     if len(rows) > 2:

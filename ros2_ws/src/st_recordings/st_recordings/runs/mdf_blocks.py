@@ -1,6 +1,6 @@
 """Validates the blocks that lead to the frames of an MDF 4 file, and finds the end of the last complete frame.
 
-Source: ASAM MDF 4.1.
+Source: ASAM MDF 4.3.
 """
 
 import math

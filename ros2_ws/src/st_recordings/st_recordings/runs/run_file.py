@@ -219,7 +219,7 @@ def _parse_latency(path: Path, key: str, value: Any) -> tuple[float, float]:
 def _parse_number(path: Path, key: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
         raise RunError(path, f"{key}: {str(value)[:40]!r} is not a number",
-                       "write it without quotes and unit, as -0.5 or 1.0e-2")
+                       "write it without quotes or a unit, as -0.5 or 1.0e-2")
     return float(value)
 
 

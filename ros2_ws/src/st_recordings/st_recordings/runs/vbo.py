@@ -11,7 +11,7 @@ import numpy as np
 from canedge_bridge.units import find_unit, normalise
 
 from .columns import ColumnSource, Layout, apply_units, find_columns, find_missing
-from .csv_table import Table, differentiate_yaw, parse_table, read_text, split_words
+from .csv_table import Table, differentiate_angle, parse_table, read_text, split_words
 from .errors import RunError, check_readable
 from .table_times import HHMMSS, parse_stamp
 
@@ -122,7 +122,7 @@ def _correct_coordinates(table: Table) -> Table:
                         "files, the drive would be in the Gulf of Guinea")
     columns["longitude"] = -columns["longitude"]
     if columns.keys() >= {"velocity_x", "course"}:
-        eastward = differentiate_yaw(table, columns["longitude"])
+        eastward = differentiate_angle(table, columns["longitude"])
         expected = columns["velocity_x"] * np.sin(columns["course"])
         rows = np.isfinite(eastward) & np.isfinite(expected)
         if _compute_similarity(eastward[rows], expected[rows]) < -MIN_HEADING_AGREEMENT:
@@ -138,11 +138,11 @@ def _correct_yaw_rate(table: Table) -> Table:
     columns, warnings = dict(table.columns), list(table.warnings)
     heading = next((columns[name] for name in ("compass_heading", "course") if name in columns), None)
     if heading is not None and columns.keys() >= {"velocity_x", "yaw_rate"}:
-        heading_rate = differentiate_yaw(table, -heading)
+        heading_rate = differentiate_angle(table, -heading)
         rows = np.isfinite(columns["yaw_rate"]) & np.isfinite(heading_rate) & (np.abs(columns["velocity_x"]) > 3.0)
         yaw_rate, derivative = columns["yaw_rate"][rows], heading_rate[rows]
-        # The derivative is noise if the car drives straight; one turn shows the sign. Unless the drive is a steady
-        # turn, in which both are constant, means are subtracted, so that a bias of the yaw rate has no influence.
+        # The derivative is noise if the car drives straight; one turn shows the sign. If most of the drive is straight,
+        # means are subtracted, so that a bias of the yaw rate has no influence; in a steady turn, 0 would remain.
         median, largest = np.quantile(np.abs(derivative), [0.5, 1.0]) if rows.sum() > 10 else (0.0, 0.0)
         if 0.0 < median < MIN_TURN_RATE:
             yaw_rate, derivative = yaw_rate - yaw_rate.mean(), derivative - derivative.mean()
