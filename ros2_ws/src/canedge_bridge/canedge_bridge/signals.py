@@ -72,8 +72,8 @@ class SignalSpec:
 
     @cached_property
     def named_values(self) -> tuple[float, ...]:
-        """Values [unit of the DBC] that are no angle of the steering wheel because the DBC names them, such as SNA. A
-        DBC may give the raw values of a signed signal as unsigned numbers, such as 65535."""
+        """Values [unit of the DBC] other than 0 that the DBC names, such as SNA, and that are therefore not angles.
+        A DBC may give the raw values of a signed signal as unsigned numbers, such as 65535."""
         raw = list(self.dbc.choices or ()) if self.name == "steering_wheel_angle" else []
         if self.dbc.is_signed:
             raw += [number - (1 << self.dbc.length) for number in raw if number >> self.dbc.length - 1 == 1]

@@ -74,7 +74,7 @@ class Health:
         if ignored > 0:
             others = [name for name in source.ignored_datagrams if name != source.sender]
             text = (f"{ignored} datagrams ignored since the last report; senders ignored so far: {', '.join(others)}; "
-                    "let one program send from the address of your unit, and set sender_filter to this address")
+                    "let only one program send from the address of the unit, and set sender_filter to it")
             return Check("source", WARN, f"{source.name} from {source.sender}: {text}", values)
         if source.ignored_datagrams and not source.sender:
             return Check("source", WARN, f"{source.name}: receives only from ignored senders "

@@ -205,8 +205,8 @@ def encode(packet: Packet) -> bytes:
     """The 72 bytes of a packet with its checksums.
 
     Values of i24 fields are rounded (half to even) to their unit and limited to +/- 8388607 units; NaN becomes
-    INVALID_I24. Angles are not wrapped: keep the heading within +/- pi, as units do. Raises NcomError for structure B,
-    a batch_s that is not 8 bytes, or an integer or altitude outside the range of its field.
+    INVALID_I24. Angles are not wrapped: keep the heading within +/- pi, as the INS does. Raises NcomError for structure
+    B, a batch_s that is not 8 bytes, or an integer or altitude outside the range of its field.
     """
     if len(packet.batch_s) != 8:
         raise NcomError(f"batch_s must have 8 bytes, not {len(packet.batch_s)}")

@@ -220,7 +220,7 @@ def test_second_unit_at_another_address_is_reported(rig, drive):
         rig.send(*drive(10))
         rig.messages("ins/odometry", 10)
         other.sendto(drive(1)[0], ("127.0.0.1", rig.port))
-        text = "1 datagrams ignored since the last report; senders ignored so far: 127.0.0.2; let one program send"
+        text = "1 datagrams ignored since the last report; senders ignored so far: 127.0.0.2; let only one program send"
         assert rig.spin(lambda: any(text in status.message and status.level == bytes([WARN])
                                     for array in rig.received["/diagnostics"] for status in array.status))
 

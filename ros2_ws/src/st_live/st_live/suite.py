@@ -3,8 +3,8 @@
 Each child leaves the process group of the terminal: Ctrl-C reaches only this process, which then ends the children in
 order. If this process is killed, the kernel interrupts the children (parent-death signal of setpriv, if installed).
 
-Recorder, evaluator and passenger lower their priority; `st live --realtime` gives bridges and predictor real-time
-scheduling.
+Recorder, evaluator and the server of the passenger's page lower their priority; `st live --realtime` gives bridges and
+predictor real-time scheduling.
 """
 
 import os
@@ -208,7 +208,7 @@ def make_loopback_environment(environment: Mapping[str, str]) -> dict[str, str]:
 @contextmanager
 def claim_domain(requested: int | None = None) -> Iterator[int]:
     """Yields the requested ROS domain, by default one of 1 to 101 that no process on this computer uses, reserved by
-    binding its first discovery port (DDS: 7400 + 250 * domain + 10). Raises SuiteError if all are in use."""
+    binding its first unicast discovery port (7400 + 250 * domain + 10). Raises SuiteError if all are in use."""
     if requested is not None:
         yield requested
         return

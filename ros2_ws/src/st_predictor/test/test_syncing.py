@@ -172,4 +172,4 @@ def test_evaluator_that_cannot_record_names_the_command_that_replaces_it(tmp_pat
         node.destroy_node()
     finally:
         rclpy.shutdown()
-    assert message == "recording stopped: No space left on device; st evaluate computes the later errors"
+    assert message == "recording stopped: No space left on device; compute lost errors with st evaluate"

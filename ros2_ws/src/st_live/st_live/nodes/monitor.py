@@ -200,7 +200,7 @@ def render_counts(status: PredictorStatus | None) -> Text:
     skipped = status.skipped_stale + status.skipped_overrun + status.skipped_slow
     text = Text(f"predictions due {status.due}, made {status.predicted}, skipped {skipped}")
     if status.state_age > 0.0:
-        text.append(f", from a state {status.state_age * 1e3:.0f} ms old")
+        text.append(f"; median age of start states {status.state_age * 1e3:.0f} ms")
     if status.reason:
         text.append(f"  ({status.reason})", style="yellow")
     return text

@@ -138,7 +138,7 @@ def make_axis_label(c: Candidate) -> str:
     """Label of the vertical axis of a relation, with its divisor and its positive direction."""
     divisor = {"front_force": " divided by its static load", "rear_force": " divided by its static load",
                "yaw_moment": " divided by the yaw inertia", "side_force": " divided by the mass"}.get(c.term, "")
-    sign = (", positive: measured value too far to the left" if c.is_sensor_error else
+    sign = (", measured minus true value, positive to the left" if c.is_sensor_error else
             ", positive: more force" if c.term.endswith("grip") else f"{divisor}, positive to the left")
     return f"{TERM_NAMES[c.term]}{sign}{f', per unit of {QUANTITY_NAMES[c.factor]}' if c.factor else ''}"
 

@@ -160,7 +160,7 @@ class EvaluatorNode(Node):
             level, text = diagnostics.WARN, (
                 f"predictions of {', '.join(mismatched)} were made with a different vehicle or model than this node "
                 "uses: set the same vehicle_file and model_file in predictor and evaluator")
-        recording = (make_recording_check(self._bag, suffix="; st evaluate computes the later errors") if self._bag else
+        recording = (make_recording_check(self._bag, suffix="; compute lost errors with st evaluate") if self._bag else
                      Check("recording", diagnostics.OK, "off (output_directory is empty)"))
         verdict = self._consistency.verdict
         severity = DIAGNOSTIC_LEVELS.get(verdict.severity, diagnostics.OK)

@@ -546,8 +546,8 @@ def find_restart(head: bytes) -> tuple[float, float]:
 def is_can_log(file: Path) -> bool:
     """Whether a file is a CAN log, by its extension, or by its content if other programs also use the extension.
 
-    A .log or .asc file that is empty, of FOREIGN_MAGIC or unreadable is taken for a CAN log; its reader reports the
-    problem.
+    A .log or .asc file that is empty, unreadable or begins with FOREIGN_MAGIC counts as a CAN log; its reader reports
+    the problem.
     """
     extension = file.suffix.lower()
     if extension in MF4_EXTENSIONS:

@@ -19,7 +19,7 @@ SLIP_PER_ACCELERATION_DEVIATION = 0.002
 STEERING_DELAY = (-0.06, 0.06)  # negative, because steering leads the yaw rate by the response time of the car
 
 NO_INS_FRAMES = "the DBC describes no INS frames of this log (RT_..., as in the rt.dbc that `st car new` writes)"
-OTHER_CLOCK = ("the INS time in the CAN log does not overlap the times of the INS recording: is it of a different "
+OTHER_CLOCK = ("the INS time in the CAN log does not overlap the times of the INS recording: is it from a different "
                "drive, in a different time zone, or in GPS time?")
 
 MIN_VARIATION = {"speed": 0.3, "rate": 0.01, "angle": 0.05, "curvature": 0.001}

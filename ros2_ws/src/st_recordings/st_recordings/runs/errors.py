@@ -52,7 +52,7 @@ class RunError(ValueError):
 @contextmanager
 def convert_errors(path: Path, fault: str, advice: str, *types: type[Exception]) -> Iterator[None]:
     """Context in which errors of these types, from libraries, become a RunError with their text in brackets; a missing
-    library, one that names it."""
+    library becomes one that names the library."""
     try:
         yield
     except ModuleNotFoundError as error:
@@ -127,7 +127,7 @@ def _list_files(messages: Sequence[str]) -> str:
 
 
 def check_readable(path: Path) -> None:
-    """Raises RunError for a folder, or a file that is missing, empty, of FOREIGN_MAGIC or cannot be opened."""
+    """Raises RunError for a folder, or a file that is missing, empty, unreadable or begins with FOREIGN_MAGIC."""
     try:
         if not path.is_file():
             raise RunError(path, "this is a folder, not a file" if path.exists() else "the file does not exist")
